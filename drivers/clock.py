@@ -1,0 +1,138 @@
+"""Device clock -> host clock, from one-way arrivals.
+
+A message can only be late, never early, so in the plane (device time, arrival - device time) every
+message lies on or above the true line offset + skew * t, and the lower convex hull of the messages hugs it.
+Source: Zhang, Liu, Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002.
+What remains is the shortest delay that ever occurs, a constant; a driver's config may take it off.
+"""
+
+from dataclasses import dataclass, field
+
+JUMP_NS = 500_000_000  # an arrival this far from the prediction is a restart of the device, not jitter
+SETTLED_NS = 2_000_000_000  # a hull shorter than this says nothing of skew
+WINDOW_NS = 60_000_000_000  # a hull is used from half this age to this age, so warming-up drift is followed
+MAX_SKEW = 300e-6  # crystals are good to 100 ppm; more is a hull over bad data
+
+
+@dataclass(slots=True)
+class _Hull:
+    """Lower convex hull of (device ns, offset ns), both relative to the first point to stay exact in floats."""
+
+    device0_ns: int
+    offset0_ns: int
+    points: list[tuple[float, float]] = field(default_factory=list)
+    minimum_offset_ns: float = 0.0
+
+    def add(self, device_ns: int, offset_ns: int) -> None:
+        x, y = float(device_ns - self.device0_ns), float(offset_ns - self.offset0_ns)
+        points = self.points
+        self.minimum_offset_ns = min(self.minimum_offset_ns, y)
+        if points and x <= points[-1][0]:
+            if y < points[-1][1]:
+                points[-1] = (points[-1][0], y)
+            return
+        while len(points) >= 2:
+            (x0, y0), (x1, y1) = points[-2], points[-1]
+            if (y1 - y0) * (x - x0) < (y - y0) * (x1 - x0):
+                break
+            points.pop()
+        points.append((x, y))
+
+    @property
+    def span_ns(self) -> float:
+        return self.points[-1][0] if self.points else 0.0
+
+    def line(self) -> tuple[float, float]:
+        """Offset at device0_ns (relative to offset0_ns) and skew of the supporting line below all points.
+
+        It is the edge over the middle of the time covered, which minimises the summed distance.
+        """
+        if self.span_ns < SETTLED_NS or len(self.points) < 2:
+            return self.minimum_offset_ns, 0.0
+        middle = self.span_ns / 2.0
+        right = next(i for i, (x, _) in enumerate(self.points) if x >= middle)
+        (x0, y0), (x1, y1) = self.points[max(right - 1, 0)], self.points[max(right, 1)]
+        skew = (y1 - y0) / (x1 - x0)
+        if abs(skew) > MAX_SKEW:
+            return self.minimum_offset_ns, 0.0
+        return y0 - skew * x0, skew
+
+
+class ClockMap:
+    """Learns the device's clock from arrivals and translates ticks to host nanoseconds.
+
+    tick_ns       length of a tick, ns
+    wrap_ticks    the counter's modulus (2**32 for a 32-bit counter), or None where it never wraps
+    latency_ns    shortest delay from the moment of measurement to arrival, if known by calibration
+
+    `observe` first, with the ticks of the moment the message left; then `to_host_ns` for any tick near it.
+    """
+
+    def __init__(self, tick_ns: float, wrap_ticks: int | None = None, latency_ns: int = 0) -> None:
+        self._tick_ns = tick_ns
+        self._wrap_ticks = wrap_ticks
+        self._latency_ns = latency_ns
+        self._last_ticks: int | None = None  # unwrapped
+        self._hull: _Hull | None = None
+        self._young: _Hull | None = None
+        self._line = (0.0, 0.0)
+        self.resets = 0
+        self.residual_ns = 0  # how much later than the line the newest message came
+
+    @property
+    def settled(self) -> bool:
+        """True once skew is measured; before, stamps rest on the fastest arrival alone."""
+        return self._hull is not None and self._hull.span_ns >= SETTLED_NS
+
+    @property
+    def skew_ppm(self) -> float:
+        """How much slower the device's clock runs than the host's, parts per million."""
+        return self._line[1] * 1e6
+
+    @property
+    def offset_ns(self) -> int:
+        """Host minus device clock at the newest message."""
+        if self._last_ticks is None:
+            return 0
+        return self._translate(self._last_ticks) - round(self._last_ticks * self._tick_ns)
+
+    def observe(self, ticks: int, arrived_ns: int) -> None:
+        """Take in that a message that left at `ticks` arrived at `arrived_ns`."""
+        unwrapped = self._unwrap(ticks)
+        device_ns = round(unwrapped * self._tick_ns)
+        if self._hull is not None and abs(arrived_ns - self._translate(unwrapped)) > JUMP_NS:
+            self._hull = self._young = None
+            self.resets += 1
+        self._last_ticks = unwrapped
+        offset_ns = arrived_ns - device_ns
+        if self._hull is None:
+            self._hull = _Hull(device_ns, offset_ns)
+        elif self._young is None:
+            if self._hull.span_ns > WINDOW_NS / 2:
+                self._young = _Hull(device_ns, offset_ns)
+        elif self._young.span_ns > WINDOW_NS / 2:
+            self._hull, self._young = self._young, None
+        for hull in (self._hull, self._young):
+            if hull is not None:
+                hull.add(device_ns, offset_ns)
+        self._line = self._hull.line()
+        self.residual_ns = arrived_ns - self._translate(unwrapped)
+
+    def to_host_ns(self, ticks: int) -> int:
+        """Host time of `ticks`, which lie within half a wrap of the newest message observed."""
+        if self._hull is None:
+            raise ValueError("no message observed yet: call observe() first")
+        return self._translate(self._unwrap(ticks)) - self._latency_ns
+
+    def _unwrap(self, ticks: int) -> int:
+        if self._last_ticks is None or self._wrap_ticks is None:
+            return ticks
+        half = self._wrap_ticks // 2
+        return self._last_ticks + (ticks - self._last_ticks + half) % self._wrap_ticks - half
+
+    def _translate(self, unwrapped_ticks: int) -> int:
+        hull = self._hull
+        assert hull is not None
+        device_ns = round(unwrapped_ticks * self._tick_ns)
+        offset, skew = self._line
+        return device_ns + hull.offset0_ns + round(offset + skew * (device_ns - hull.device0_ns))

@@ -1,0 +1,72 @@
+"""Frames: what a driver hands on. SI units, host time, arrays read-only.
+
+Axes are those of ROS REP 103: x forward, y left, z up, angles counter-clockwise.
+`stamp_ns` is when it was measured, `arrived_ns` when its last byte was read; both on one clock, which is
+the host's monotonic clock where a driver made the frame and Unix time where a recording did.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LaserScan:
+    """One sweep of a planar laser; beam i looks at first_angle_rad + i * angle_step_rad at
+    stamp_ns + i * beam_interval_ns.
+
+    "No return" is NaN in range_m, so it can never be mistaken for a wall at zero metres.
+    """
+
+    sensor: str  # name from the config, e.g. "front"
+    stamp_ns: int  # moment of beam 0
+    arrived_ns: int
+    beam_interval_ns: int  # from one beam to the next; deskew needs it. 0: the sweep is one instant
+    scan_period_ns: int  # from one sweep to the next
+    first_angle_rad: float  # sensor frame, counter-clockwise, 0 = straight ahead
+    angle_step_rad: float  # negative where the device sweeps clockwise
+    range_min_m: float
+    range_max_m: float
+    range_m: npt.NDArray[np.float32]  # (N,), read-only
+    intensity: npt.NDArray[np.float32]  # (N,) in device units, or (0,) where not configured; read-only
+
+    def __post_init__(self) -> None:
+        self.range_m.setflags(write=False)
+        self.intensity.setflags(write=False)
+
+
+NO_INTENSITY: npt.NDArray[np.float32] = np.empty(0, dtype=np.float32)
+NO_INTENSITY.setflags(write=False)
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSample:
+    """Rates and specific force in the sensor frame, x forward, y left, z up."""
+
+    sensor: str
+    stamp_ns: int
+    arrived_ns: int
+    rate_radps: tuple[float, float, float]
+    force_mps2: tuple[float, float, float]
+    orientation_wxyz: tuple[float, float, float, float] | None = None  # world from sensor; None: not measured
+
+
+@dataclass(frozen=True, slots=True)
+class OdometrySample:
+    """Dead reckoning of the wheels: pose of the base in a frame that starts where the driver started.
+
+    Only differences of poses mean something; covariance is that of the pose and grows with the way.
+    """
+
+    sensor: str
+    stamp_ns: int
+    arrived_ns: int
+    x_m: float
+    y_m: float
+    theta_rad: float
+    twist_mps_radps: tuple[float, float, float]  # base frame: forward, left, turn
+    covariance: tuple[float, ...]  # 9 values, row-major (x, y, theta); m^2, m rad, rad^2. All 0: unknown
+
+
+Frame = LaserScan | ImuSample | OdometrySample

@@ -1,0 +1,151 @@
+"""The one loop all drivers share: connect, pump, reconnect.
+
+A session is the life of one connection and does no I/O: bytes and time go in, frames come out, what it
+wants to say stands in its outbox. A new session per connection, so no stale buffer survives a cable pull.
+"""
+
+import logging
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from drivers.errors import DeviceError, ProtocolError, TransportError
+from drivers.frames import Frame
+from drivers.transport import Transport
+
+log = logging.getLogger(__name__)
+
+Sink = Callable[[Frame], None]
+RawTee = Callable[[int, bytes], None]
+
+READ_TIMEOUT_S = 0.02  # how often a session's timers run when the wire is silent
+FIRST_RETRY_S, LAST_RETRY_S = 0.25, 5.0  # back-off after a lost link; doubles in between
+DEVICE_ERROR_RETRY_S = 10.0
+PROVEN_AFTER_S = 5.0  # a link that lived this long starts its back-off anew
+
+
+class Session(Protocol):
+    """One connection's life without I/O."""
+
+    outbox: bytearray
+    counters: Counter[str]  # what was received, dropped, resynchronised; names are for people
+    status: str  # one line for health: "logging in", "streaming", "laser contaminated"
+    identity: dict[str, str]  # what the device said of itself: firmware, serial number
+
+    def receive_data(self, data: bytes, arrived_ns: int) -> Sequence[Frame]:
+        """Take bytes as they came. Raises ProtocolError, DeviceError."""
+        ...
+
+    def tick(self, now_ns: int) -> None:
+        """Let timers run: resend, probe, give up. Raises TransportError on silence, DeviceError."""
+        ...
+
+    def farewell(self) -> bytes:
+        """Last words before a clean close, b"" where none are needed."""
+        ...
+
+    @property
+    def clock_offset_ns(self) -> int | None:
+        """Host minus device clock, None where the device has none or it is not known yet."""
+        ...
+
+
+@dataclass(slots=True)
+class LinkHealth:
+    """What is known of one device's link. Written by its reader thread, read by anyone."""
+
+    name: str
+    state: str = "connecting"  # connecting | starting | streaming | down
+    status: str = ""
+    last_error: str = ""
+    connects: int = 0
+    frames: int = 0
+    bytes_read: int = 0
+    last_frame_ns: int = 0  # host monotonic, 0 before the first
+    clock_offset_ns: int | None = None
+    counters: Counter[str] = field(default_factory=Counter)  # over all connections
+    identity: dict[str, str] = field(default_factory=dict)
+
+
+def run_link(
+    health: LinkHealth,
+    open_transport: Callable[[], Transport],
+    new_session: Callable[[], Session],
+    sink: Sink,
+    stop: threading.Event,
+    tee: RawTee | None = None,
+) -> None:
+    """Keep one device talking until `stop` is set; never raises for what a device or a cable does."""
+    retry_s = FIRST_RETRY_S
+    while not stop.is_set():
+        health.state = "connecting"
+        began_s = time.monotonic()
+        try:
+            with open_transport() as transport:
+                health.connects += 1
+                health.state = "starting"
+                _pump(transport, new_session(), health, sink, stop, tee)
+            return
+        except (TransportError, ProtocolError) as error:
+            if time.monotonic() - began_s > PROVEN_AFTER_S:
+                retry_s = FIRST_RETRY_S
+            wait_s, retry_s = retry_s, min(2.0 * retry_s, LAST_RETRY_S)
+            _report(health, error, wait_s)
+        except DeviceError as error:
+            wait_s = DEVICE_ERROR_RETRY_S
+            _report(health, error, wait_s)
+        stop.wait(wait_s)
+
+
+def _report(health: LinkHealth, error: Exception, wait_s: float) -> None:
+    message = f"{error}; reconnecting in {wait_s:.2g} s"
+    level = logging.WARNING if message != health.last_error else logging.DEBUG  # once, not each retry
+    log.log(level, "%s: %s", health.name, message)
+    health.state, health.last_error = "down", message
+
+
+def _pump(
+    transport: Transport,
+    session: Session,
+    health: LinkHealth,
+    sink: Sink,
+    stop: threading.Event,
+    tee: RawTee | None,
+) -> None:
+    before = Counter(health.counters)
+    try:
+        while not stop.is_set():
+            session.tick(time.monotonic_ns())
+            if session.outbox:
+                transport.write(bytes(session.outbox))
+                session.outbox.clear()
+            data = transport.read(READ_TIMEOUT_S)
+            if not data:
+                continue
+            arrived_ns = time.monotonic_ns()
+            if tee is not None:
+                tee(arrived_ns, data)
+            health.bytes_read += len(data)
+            for frame in session.receive_data(data, arrived_ns):
+                if health.state != "streaming":
+                    health.state = "streaming"
+                    log.info("%s: streaming%s", health.name, _identity_text(session.identity))
+                health.frames += 1
+                health.last_frame_ns = arrived_ns
+                sink(frame)
+            health.status = session.status
+            health.clock_offset_ns = session.clock_offset_ns
+            health.counters = before + session.counters
+            health.identity = session.identity
+        if last_words := session.farewell():
+            transport.write(last_words)
+    finally:
+        health.counters = before + session.counters
+        health.status = session.status
+
+
+def _identity_text(identity: dict[str, str]) -> str:
+    return f" ({', '.join(f'{key} {value}' for key, value in identity.items())})" if identity else ""

@@ -1,0 +1,13 @@
+"""Where a sensor sits on the vehicle."""
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class Mounting(BaseModel):
+    """Pose of the sensor in the base frame (x forward, y left, yaw counter-clockwise)."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    x_m: float = Field(default=0.0, ge=-50.0, le=50.0)
+    y_m: float = Field(default=0.0, ge=-50.0, le=50.0)
+    yaw_deg: float = Field(default=0.0, ge=-360.0, le=360.0)

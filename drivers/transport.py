@@ -1,0 +1,144 @@
+"""Bytes over a wire. The only module of drivers that opens sockets and ports."""
+
+import os
+import select
+import socket
+from collections.abc import Sequence
+from typing import Protocol, Self
+
+import serial
+
+from drivers.errors import TransportError
+
+READ_BYTES = 65_536
+DEAD_PEER_MS = 3_000  # unacknowledged data older than this means the cable is out
+
+
+class Transport(Protocol):
+    """One open wire. read() returns b"" when nothing came within timeout_s."""
+
+    def read(self, timeout_s: float) -> bytes: ...
+    def write(self, data: bytes) -> None: ...
+    def close(self) -> None: ...
+    def __enter__(self) -> Self: ...
+    def __exit__(self, *exc_info: object) -> None: ...
+
+
+class TcpTransport:
+    """A TCP client. Raises TransportError when the peer refuses, resets, closes or stops acknowledging."""
+
+    def __init__(self, host: str, port: int, connect_timeout_s: float = 3.0) -> None:
+        self._where = f"{host}:{port}"
+        try:
+            self._socket = socket.create_connection((host, port), timeout=connect_timeout_s)
+        except OSError as error:
+            raise TransportError(f"cannot connect to {self._where}: {error}") from error
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for option, value in (("TCP_KEEPIDLE", 2), ("TCP_KEEPINTVL", 1), ("TCP_KEEPCNT", 3)):
+            if hasattr(socket, option):
+                self._socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
+        if hasattr(socket, "TCP_USER_TIMEOUT"):
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_PEER_MS)
+
+    def read(self, timeout_s: float) -> bytes:
+        try:
+            self._socket.settimeout(timeout_s)
+            data = self._socket.recv(READ_BYTES)
+        except TimeoutError:
+            return b""
+        except OSError as error:
+            raise TransportError(f"{self._where}: {error}") from error
+        if not data:
+            raise TransportError(f"{self._where} closed the connection")
+        return data
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._socket.settimeout(DEAD_PEER_MS / 1000)
+            self._socket.sendall(data)
+        except OSError as error:
+            raise TransportError(f"{self._where}: cannot send {len(data)} bytes: {error}") from error
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+
+class SerialTransport:
+    """A serial port by path, or any pyserial URL (socket://host:port, rfc2217://...); 8N1, no flow control."""
+
+    def __init__(self, device: str, baud: int) -> None:
+        self._where = f"{device} at {baud} baud"
+        try:
+            if "://" in device:
+                self._port = serial.serial_for_url(device, baudrate=baud, timeout=0)
+            else:
+                self._port = serial.Serial(device, baud, timeout=0, exclusive=True)
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise TransportError(f"cannot open {self._where}: {error}") from error
+
+    def read(self, timeout_s: float) -> bytes:
+        try:
+            ready, _, _ = select.select([self._port.fileno()], [], [], timeout_s)
+            if not ready:
+                return b""
+            data = self._port.read(READ_BYTES) if "://" in self._where else os.read(self._port.fd, READ_BYTES)
+        except (serial.SerialException, OSError, TypeError, ValueError) as error:
+            raise TransportError(f"{self._where}: {error}; unplugged?") from error
+        if not data:
+            raise TransportError(f"{self._where}: readable but empty; unplugged?")
+        return bytes(data)
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._port.write(data)
+        except (serial.SerialException, OSError) as error:
+            raise TransportError(f"{self._where}: cannot send {len(data)} bytes: {error}") from error
+
+    def set_wake_line(self, low: bool) -> None:
+        """Pull RTS and DTR, which iRobot cables wire to BRC; ports without modem lines (pty) ignore it."""
+        try:
+            self._port.rts = self._port.dtr = low
+        except (serial.SerialException, OSError):
+            return
+
+    def close(self) -> None:
+        self._port.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+
+class ScriptedTransport:
+    """For tests: hands out the given chunks one a read, keeps what was written, then says it was closed."""
+
+    def __init__(self, chunks: Sequence[bytes]) -> None:
+        self._chunks = list(chunks)
+        self.written = bytearray()
+        self.closed = False
+
+    def read(self, timeout_s: float) -> bytes:
+        if not self._chunks:
+            raise TransportError("script ended")
+        return self._chunks.pop(0)
+
+    def write(self, data: bytes) -> None:
+        self.written += data
+
+    def close(self) -> None:
+        self.closed = True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()

@@ -1,0 +1,31 @@
+"""What is believed about the vehicle's motion, and who believes it."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.frames import ImuSample, OdometrySample
+from service.geometry.se2 import SE2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Pose, twist and how sure of the pose; the same words before matching and after it."""
+
+    pose_odom_base: SE2
+    twist_base: tuple[float, float, float]  # m/s forward, m/s left, rad/s
+    covariance: npt.NDArray[np.float64]  # (3, 3) of x, y, theta of the pose, in base axes; m^2, m rad, rad^2
+
+
+class MotionModel(Protocol):
+    """Predicts where the vehicle is when a scan begins, from whatever moves with it."""
+
+    def add(self, sample: ImuSample | OdometrySample) -> bool:
+        """Take in a sample; False if it came out of order and was left out."""
+        ...
+
+    def predict(self, stamp_ns: int) -> Motion: ...
+
+    def correct(self, stamp_ns: int, matched: Motion) -> None: ...

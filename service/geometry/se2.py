@@ -1,0 +1,53 @@
+"""Poses in the plane."""
+
+import math
+from dataclasses import dataclass
+
+
+def wrap_angle(theta_rad: float) -> float:
+    """The same direction in (-pi, pi]."""
+    return -((-theta_rad + math.pi) % (2.0 * math.pi) - math.pi)
+
+
+@dataclass(frozen=True, slots=True)
+class SE2:
+    """pose_a_b: takes coordinates of b to a. pose_a_c = pose_a_b @ pose_b_c."""
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    theta_rad: float = 0.0
+
+    def __matmul__(self, other: "SE2") -> "SE2":
+        c, s = math.cos(self.theta_rad), math.sin(self.theta_rad)
+        return SE2(
+            self.x_m + c * other.x_m - s * other.y_m,
+            self.y_m + s * other.x_m + c * other.y_m,
+            wrap_angle(self.theta_rad + other.theta_rad),
+        )
+
+    def inverse(self) -> "SE2":
+        """pose_b_a of a pose_a_b."""
+        c, s = math.cos(self.theta_rad), math.sin(self.theta_rad)
+        return SE2(
+            -c * self.x_m - s * self.y_m,
+            s * self.x_m - c * self.y_m,
+            wrap_angle(-self.theta_rad),
+        )
+
+    @staticmethod
+    def exp(forward_m: float, left_m: float, turn_rad: float) -> "SE2":
+        """The pose reached by moving with a constant twist; the arguments are twist times duration.
+
+        Source: Lie group SE(2), closed form; the branch near zero turn is its Taylor series.
+        """
+        if abs(turn_rad) < 1e-6:
+            a, b = 1.0 - turn_rad**2 / 6.0, turn_rad / 2.0
+        else:
+            a, b = math.sin(turn_rad) / turn_rad, (1.0 - math.cos(turn_rad)) / turn_rad
+        return SE2(a * forward_m - b * left_m, b * forward_m + a * left_m, wrap_angle(turn_rad))
+
+    def log(self) -> tuple[float, float, float]:
+        """Twist times duration (forward m, left m, turn rad) that leads here; inverse of exp."""
+        half = self.theta_rad / 2.0
+        k = 1.0 - half * half / 3.0 if abs(half) < 1e-4 else half / math.tan(half)
+        return k * self.x_m + half * self.y_m, -half * self.x_m + k * self.y_m, self.theta_rad

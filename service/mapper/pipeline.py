@@ -1,0 +1,68 @@
+"""The mapper: one frame in, at most one MapperOutput out. Read this file first."""
+
+from collections import Counter
+from typing import Generic
+
+from drivers.frames import Frame, LaserScan
+from service.mapper.stages import ReadableMap, Stages, Stopwatch
+from service.outputs import MapperOutput, TileUpdate
+
+
+class NoStopwatch:
+    def start(self) -> None: ...
+    def lap(self, stage: str) -> None: ...
+
+
+class Mapper(Generic[ReadableMap]):
+    """Single-threaded, reads no clock, knows no method by name. Same frames in, same outputs out."""
+
+    def __init__(self, stages: Stages[ReadableMap], stopwatch: Stopwatch | None = None) -> None:
+        self._stages = stages
+        self._stopwatch = stopwatch if stopwatch is not None else NoStopwatch()
+        self._last_stamp_ns: int | None = None
+        self.counters: Counter[str] = Counter()  # scans, scans_dropped_late, samples_dropped_late ...
+
+    def process(self, frame: Frame) -> MapperOutput | None:
+        """Take the next frame in the order of arrival. None for anything but a scan that was mapped.
+
+        A scan that is older than one already mapped is dropped and counted; time never runs backwards.
+        """
+        if not isinstance(frame, LaserScan):
+            if not self._stages.motion_model.add(frame):
+                self.counters["samples_dropped_late"] += 1
+            return None
+        if self._last_stamp_ns is not None and frame.stamp_ns <= self._last_stamp_ns:
+            self.counters["scans_dropped_late"] += 1
+            return None
+        self._last_stamp_ns = frame.stamp_ns
+        self.counters["scans"] += 1
+        return self._process_scan(frame)
+
+    def changed_tiles(self) -> list[TileUpdate]:
+        """Tiles of the shown map that changed since the last call."""
+        return self._stages.free_space.changed_tiles()
+
+    def _process_scan(self, scan: LaserScan) -> MapperOutput:
+        s, watch = self._stages, self._stopwatch
+        watch.start()
+        predicted = s.motion_model.predict(scan.stamp_ns)  # where we should be, and how fast
+        points = s.deskew(scan, predicted)  # base frame, one instant; keeps each beam's time
+        watch.lap("deskew")
+        match = s.matcher.match(points, predicted, s.local_map)  # where we are
+        s.motion_model.correct(scan.stamp_ns, match.motion)
+        watch.lap("match")
+        kept = s.keep_static(match.points, match)
+        change = s.local_map.insert(kept, match)
+        pose_map_odom = s.graph.add(change)  # identity where a method has no graph
+        s.free_space.insert(kept, pose_map_odom @ match.motion.pose_odom_base)
+        watch.lap("insert")
+        return MapperOutput(
+            stamp_ns=scan.stamp_ns,
+            pose_odom_base=match.motion.pose_odom_base,
+            pose_map_odom=pose_map_odom,
+            twist_base=match.motion.twist_base,
+            covariance=match.motion.covariance,
+            state=match.state,
+            reason=match.reason,
+            match_share=match.score,
+        )

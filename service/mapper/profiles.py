@@ -1,0 +1,1 @@
+"""Profile name -> its config and its assembly. The only module that knows methods by name."""

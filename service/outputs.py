@@ -1,0 +1,49 @@
+"""What leaves the mapper."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry.se2 import SE2
+
+State = Literal["ok", "degraded", "lost"]
+
+UNKNOWN, FREE, OCCUPIED = (
+    -1,
+    0,
+    100,
+)  # occupancy of a cell as nav_msgs/OccupancyGrid has it; between: per cent
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TileUpdate:
+    """A square of the map that changed. cells[row, column]; cells[0, 0] is its lower left corner, which lies
+    at (ix * W * cell_m, iy * W * cell_m) in the map frame. Same key and a higher version replaces it.
+    """
+
+    level: int  # 0 is the finest
+    ix: int
+    iy: int
+    version: int  # counts up over the whole map
+    cell_m: float
+    cells: npt.NDArray[np.int8]  # (W, W), -1 unknown, 0..100 per cent occupied; read-only
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapperOutput:
+    """The answer to one scan. pose_map_base = pose_map_odom @ pose_odom_base, at the scan's first ray."""
+
+    stamp_ns: int
+    pose_odom_base: SE2  # smooth: never jumps
+    pose_map_odom: SE2  # jumps when a loop closes
+    twist_base: tuple[float, float, float]  # m/s forward, m/s left, rad/s
+    covariance: npt.NDArray[np.float64]  # (3, 3) of x, y, theta in base axes; m^2, m rad, rad^2
+    state: State
+    reason: str  # why it is not "ok", else ""
+    match_share: float  # share of the beams used that agree with the map, 0..1
+
+    @property
+    def pose_map_base(self) -> SE2:
+        return self.pose_map_odom @ self.pose_odom_base

@@ -1,0 +1,53 @@
+"""The seam between a fake device and the wire that carries it. No I/O."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sweep:
+    """One sweep as the optics deliver it, before a device codes it. NaN in range_m: no echo."""
+
+    range_m: npt.NDArray[np.float32]  # (N,)
+    intensity: npt.NDArray[np.float32]  # (N,) 0..1
+
+
+class FakeDevice(Protocol):
+    """A pretended device: bytes and time in, bytes out. Times are the host's monotonic clock, ns.
+
+    The wire calls `connected` when a client comes, `receive_data` for what it sends, `due` whenever
+    `next_due_ns` is reached, `disconnected` when it goes. A device that keeps running without a client
+    (a spinning laser) works out from `now_ns` what it missed.
+    """
+
+    def connected(self, now_ns: int) -> bytes: ...
+    def receive_data(self, data: bytes, now_ns: int) -> bytes: ...
+    def next_due_ns(self, now_ns: int) -> int | None: ...
+    def due(self, now_ns: int) -> bytes: ...
+    def disconnected(self, now_ns: int) -> None: ...
+
+
+class SweepSource(Protocol):
+    """What a laser sees: the truth, with this laser's own errors on it."""
+
+    def sweep(
+        self,
+        first_ray_ns: int,
+        beam_interval_ns: int,
+        first_angle_rad: float,
+        angle_step_rad: float,
+        beam_count: int,
+    ) -> Sweep:
+        """Cast beam i at first_ray_ns + i * beam_interval_ns from where the vehicle is at that moment."""
+        ...
+
+
+class WheelSource(Protocol):
+    """What wheel encoders feel: true travel with slip and scale error on it, before quantisation."""
+
+    def wheel_travel_m(self, now_ns: int) -> tuple[float, float]:
+        """Way rolled by the left and the right wheel since the world began, m; backwards counts down."""
+        ...
