@@ -1,0 +1,49 @@
+"""What the service raises on purpose, and the exit code each becomes.
+
+    CorridorError      1   failed
+     |- UsageError    64   the command was called wrongly
+     |- InputError    65   a file that was handed in cannot be what it claims to be
+     |- StorageError  74   the disk or the network refused: full, no rights, port taken
+     `- ConfigError   78   the configuration is wrong; starting again cannot help
+
+The numbers are those of sysexits.h, so systemd and shell scripts can tell them apart. A message says who,
+what was found, what was expected and what to do. What a device does wrong stands in drivers.errors and never
+ends the service.
+"""
+
+
+class CorridorError(Exception):
+    """Base of everything the service raises on purpose."""
+
+    exit_code = 1
+
+
+class UsageError(CorridorError):
+    """The command was called wrongly."""
+
+    exit_code = 64
+
+
+class InputError(CorridorError):
+    """A recording, log, map or trajectory that cannot be read as what it was given for."""
+
+    exit_code = 65
+
+
+class StorageError(CorridorError):
+    """The disk or the network refused."""
+
+    exit_code = 74
+
+
+class ConfigError(CorridorError):
+    """A configuration with one or more faults, all of them listed.
+
+    faults    one line each: `file:line:column: path: what is wrong, what to write instead`
+    """
+
+    exit_code = 78
+
+    def __init__(self, faults: list[str]) -> None:
+        super().__init__("\n".join(faults))
+        self.faults = faults
