@@ -1,7 +1,7 @@
 """The seam between a fake device and the wire that carries it. No I/O."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +28,15 @@ class FakeDevice(Protocol):
     def next_due_ns(self, now_ns: int) -> int | None: ...
     def due(self, now_ns: int) -> bytes: ...
     def disconnected(self, now_ns: int) -> None: ...
+
+
+@runtime_checkable
+class ManyClients(Protocol):
+    """A device that several clients may talk to at a time: each gets a FakeDevice of its own, which holds
+    what belongs to the connection (login, subscription) and shares what belongs to the device.
+    """
+
+    def new_client(self) -> FakeDevice: ...
 
 
 class SweepSource(Protocol):

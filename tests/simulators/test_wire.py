@@ -1,0 +1,256 @@
+import os
+import select
+import socket
+import termios
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from simulators.wire import BACKLOG_BYTES, serve_pty, serve_tcp
+
+PERIOD_NS = 5_000_000
+PATIENCE_S = 5.0
+
+
+class Ticker:
+    """Greets, shouts back what it hears and says `tick` each period while a client is there."""
+
+    def __init__(self, tick: bytes = b".", period_ns: int = PERIOD_NS) -> None:
+        self._tick, self._period_ns = tick, period_ns
+        self._next_ns: int | None = None
+        self.events: list[str] = []
+        self.changed = threading.Condition()
+        self.lateness_ns: list[int] = []
+
+    def connected(self, now_ns: int) -> bytes:
+        self._next_ns = now_ns + self._period_ns
+        self._note("connected")
+        return b"hello "
+
+    def receive_data(self, data: bytes, now_ns: int) -> bytes:
+        if b"fail" in data:
+            raise ValueError("told to fail")
+        return data.upper()
+
+    def next_due_ns(self, now_ns: int) -> int | None:
+        return self._next_ns
+
+    def due(self, now_ns: int) -> bytes:
+        assert self._next_ns is not None
+        self.lateness_ns.append(now_ns - self._next_ns)
+        self._next_ns += self._period_ns
+        return self._tick
+
+    def disconnected(self, now_ns: int) -> None:
+        self._next_ns = None
+        self._note("disconnected")
+
+    def _note(self, event: str) -> None:
+        with self.changed:
+            self.events.append(event)
+            self.changed.notify_all()
+
+    def wait_for_events(self, count: int) -> None:
+        with self.changed:
+            assert self.changed.wait_for(lambda: len(self.events) >= count, PATIENCE_S), self.events
+
+
+class Switchboard:
+    """Gives each client a Ticker of its own."""
+
+    def __init__(self) -> None:
+        self.tickers: list[Ticker] = []
+
+    def new_client(self) -> Ticker:
+        self.tickers.append(Ticker())
+        return self.tickers[-1]
+
+
+@pytest.fixture(autouse=True)
+def no_thread_left():
+    before = set(threading.enumerate())
+    yield
+    assert set(threading.enumerate()) <= before
+
+
+def read_until(read: Callable[[], bytes], enough: Callable[[bytes], bool]) -> bytes:
+    data, deadline_s = b"", time.monotonic() + PATIENCE_S
+    while not enough(data):
+        assert time.monotonic() < deadline_s, data
+        data += read()
+    return data
+
+
+def connect(address: tuple[str, int]) -> socket.socket:
+    return socket.create_connection(address, timeout=PATIENCE_S)
+
+
+def open_terminal(path: str) -> int:
+    return os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+
+
+def read_terminal(fd: int) -> bytes:
+    ready, _, _ = select.select([fd], [], [], PATIENCE_S)
+    assert ready, "the terminal stayed silent"
+    return os.read(fd, 4096)
+
+
+def test_tcp_client_is_greeted_answered_and_sent_what_falls_due():
+    with serve_tcp(Ticker()) as address, connect(address) as client:
+        client.sendall(b"abc")
+        data = read_until(lambda: client.recv(4096), lambda data: b"ABC" in data and data.count(b".") >= 10)
+    assert data.startswith(b"hello ")
+
+
+def test_due_times_are_kept_without_drift():
+    ticker = Ticker()
+    with serve_tcp(ticker) as address, connect(address) as client:
+        read_until(lambda: client.recv(4096), lambda data: data.count(b".") >= 200)
+    lateness_ms = sorted(late * 1e-6 for late in ticker.lateness_ns)
+    assert lateness_ms[0] >= 0.0
+    assert lateness_ms[len(lateness_ms) // 2] < 2.0  # measured 0.1; a drift of 0.1 ms a tick would give 10
+
+
+def test_client_that_comes_again_at_once_is_served():
+    ticker = Ticker()
+    with serve_tcp(ticker) as address:
+        for _ in range(20):
+            with connect(address) as client:
+                assert client.recv(6) == b"hello "
+        ticker.wait_for_events(40)
+    assert ticker.events == ["connected", "disconnected"] * 20
+
+
+def test_second_client_of_a_single_device_is_refused_and_counted():
+    wire = serve_tcp(Ticker())
+    with wire as address, connect(address) as first, connect(address) as second:
+        assert second.recv(1) == b""
+        assert first.recv(6) == b"hello "
+    assert wire.counters["clients_refused"] == 1
+
+
+def test_several_clients_each_have_their_own_device():
+    board = Switchboard()
+    with serve_tcp(board) as address, connect(address) as first, connect(address) as second:
+        first.sendall(b"one")
+        second.sendall(b"two")
+        heard_by_first = read_until(lambda: first.recv(4096), lambda data: b"ONE" in data)
+        heard_by_second = read_until(lambda: second.recv(4096), lambda data: b"TWO" in data)
+    assert b"TWO" not in heard_by_first
+    assert b"ONE" not in heard_by_second
+    assert [ticker.events for ticker in board.tickers] == [["connected", "disconnected"]] * 2
+
+
+def test_cut_resets_the_client_and_refuses_until_restored():
+    ticker = Ticker()
+    wire = serve_tcp(ticker)
+    with wire as address:
+        with connect(address) as client:
+            ticker.wait_for_events(1)
+            wire.cut()
+            assert ticker.events[-1] == "disconnected"
+            with pytest.raises(ConnectionResetError):
+                read_until(lambda: client.recv(4096), lambda data: False)
+        with pytest.raises(ConnectionRefusedError):
+            connect(address)
+        wire.restore()
+        with connect(address) as client:
+            assert client.recv(6) == b"hello "
+
+
+def test_frozen_wire_is_silent_and_wakes_with_the_same_client():
+    ticker = Ticker()
+    wire = serve_tcp(ticker)
+    with wire as address, connect(address) as client:
+        ticker.wait_for_events(1)
+        wire.freeze()
+        client.sendall(b"abc")
+        client.setblocking(False)
+        while select.select([client], [], [], 0.05)[0]:  # what was under way
+            assert b"ABC" not in client.recv(4096)
+        wire.restore()
+        client.settimeout(PATIENCE_S)
+        read_until(lambda: client.recv(4096), lambda data: b"ABC" in data)
+    assert ticker.events == ["connected", "disconnected"]
+
+
+def test_slow_reader_loses_whole_messages_and_never_stops_the_device():
+    message = b"<" + bytes(64 * 1024 - 2) + b">"
+    ticker = Ticker(message, period_ns=200_000)
+    wire = serve_tcp(ticker)
+    dropped = threading.Event()
+
+    class Watching(type(wire.counters)):  # type: ignore[misc]
+        def __setitem__(self, name: str, count: int) -> None:
+            super().__setitem__(name, count)
+            if name == "messages_dropped_slow_reader" and count >= 20:
+                dropped.set()
+
+    wire.counters = Watching()
+    with wire as address, connect(address) as client:
+        assert dropped.wait(PATIENCE_S)
+        data = read_until(lambda: client.recv(1 << 20), lambda data: len(data) > 4 * BACKLOG_BYTES)
+    body = data.removeprefix(b"hello ")
+    for start in range(0, len(body) - len(message), len(message)):
+        assert body[start : start + len(message)] == message
+
+
+def test_failure_of_a_device_is_raised_when_the_wire_closes():
+    wire = serve_tcp(Ticker()).restore()
+    with connect(wire.endpoint) as client:
+        client.sendall(b"fail")
+        read_until(lambda: client.recv(4096) or b"the end", lambda data: b"the end" in data)
+    with pytest.raises(ValueError, match="told to fail"):
+        wire.close()
+
+
+def test_port_that_is_taken_is_refused():
+    with serve_tcp(Ticker()) as (host, port), pytest.raises(OSError, match="in use"):
+        serve_tcp(Ticker(), host, port).restore()
+
+
+def test_terminal_is_raw_and_clients_come_and_go():
+    ticker = Ticker()
+    with serve_pty(ticker) as path:
+        for turn in range(3):
+            fd = open_terminal(path)
+            assert not termios.tcgetattr(fd)[3] & (termios.ECHO | termios.ICANON | termios.ISIG)
+            os.write(fd, b"a\r\n\x03\x11")
+            data = read_until(lambda fd=fd: read_terminal(fd), lambda data: b"A\r\n\x03\x11" in data)
+            assert data.startswith(b"hello ")
+            os.close(fd)
+            ticker.wait_for_events(2 * turn + 2)
+    assert ticker.events == ["connected", "disconnected"] * 3
+
+
+def test_unplugged_terminal_fails_its_reader_and_comes_back_under_its_link(tmp_path: Path):
+    ticker = Ticker()
+    wire = serve_pty(ticker, tmp_path / "create")
+    with wire as path:
+        fd = open_terminal(path)
+        ticker.wait_for_events(1)
+        wire.cut()
+        assert not os.path.lexists(path)
+        poll = select.poll()
+        poll.register(fd, select.POLLIN)
+        assert poll.poll(PATIENCE_S * 1000)[0][1] & select.POLLHUP
+        os.close(fd)
+        wire.restore()
+        fd = open_terminal(path)
+        assert read_until(lambda: read_terminal(fd), lambda data: b"." in data).startswith(b"hello ")
+        os.close(fd)
+
+
+def test_terminal_nobody_reads_keeps_the_device_running():
+    ticker = Ticker(b"x" * 1000, period_ns=100_000)
+    wire = serve_pty(ticker)
+    with wire as path:
+        fd = open_terminal(path)
+        ticker.wait_for_events(1)
+        for _ in range(20):
+            wire.freeze()  # waits until the wire's thread has ended, which a blocked write would prevent
+            wire.restore()
+        os.close(fd)
