@@ -32,6 +32,19 @@ class TileUpdate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Grid:
+    """A whole map as one picture: cells[row, column], row 0 lowest. The lower left corner of cells[0, 0] lies at
+    (x_min_m, y_min_m) in the map frame; no turn.
+    """
+
+    version: int  # of the newest tile in it
+    cell_m: float
+    x_min_m: float
+    y_min_m: float
+    cells: npt.NDArray[np.int8]  # (H, W), -1 unknown, 0..100 per cent occupied; read-only
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class MapperOutput:
     """The answer to one scan. pose_map_base = pose_map_odom @ pose_odom_base, at the scan's first ray."""
 
