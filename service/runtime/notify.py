@@ -1,0 +1,75 @@
+"""Words to systemd: READY, WATCHDOG, STATUS, STOPPING (sd_notify(3)). Silent where nobody listens."""
+
+import logging
+import os
+import socket
+from collections.abc import Mapping
+
+log = logging.getLogger(__name__)
+
+
+class Notifier:
+    """Sends to $NOTIFY_SOCKET. That it is gone is no reason to stop mapping: said once, then ignored."""
+
+    def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
+        self._socket: socket.socket | None = None
+        self.watchdog_s = _watchdog_s(environment)  # ping at least this often; None: no watchdog
+        address = environment.get("NOTIFY_SOCKET", "")
+        if address:
+            self._connect("\0" + address[1:] if address.startswith("@") else address)
+
+    def ready(self) -> None:
+        self.send("READY=1")
+
+    def alive(self) -> None:
+        self.send("WATCHDOG=1")
+
+    def status(self, line: str) -> None:
+        """One line for `systemctl status`."""
+        self.send(f"STATUS={line}")
+
+    def need_more_time(self, seconds: float) -> None:
+        """Start-up or shutdown goes on; do not give up for `seconds` from now."""
+        self.send(f"EXTEND_TIMEOUT_USEC={round(seconds * 1e6)}")
+
+    def stopping(self) -> None:
+        self.send("STOPPING=1")
+
+    def send(self, line: str) -> None:
+        if self._socket is None:
+            return
+        try:
+            self._socket.send(line.encode())
+        except BlockingIOError:
+            return  # systemd is slower than we talk; the next word says the same
+        except OSError as error:
+            log.warning("cannot notify systemd any more: %s", error)
+            self.close()
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def _connect(self, address: str) -> None:
+        notify = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+        try:
+            notify.connect(address)
+        except OSError as error:
+            notify.close()
+            log.warning("NOTIFY_SOCKET is set to %r, but nobody listens there: %s", address, error)
+            return
+        notify.setblocking(False)
+        self._socket = notify
+
+
+def _watchdog_s(environment: Mapping[str, str]) -> float | None:
+    """Half of what systemd allows; None where it does not watch this very process."""
+    if environment.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
+        return None
+    try:
+        allowed_us = int(environment.get("WATCHDOG_USEC", "0"))
+    except ValueError:
+        log.warning("WATCHDOG_USEC=%r is no number; no watchdog", environment["WATCHDOG_USEC"])
+        return None
+    return allowed_us / 2e6 if allowed_us > 0 else None
