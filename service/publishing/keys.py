@@ -1,0 +1,17 @@
+"""Where things are on Zenoh. Version first, vehicle second: one rule or one subscription covers a fleet."""
+
+ROOT = "corridor/v1"
+
+
+def vehicle_key(vehicle: str, channel: str) -> str:
+    """Key of a channel: "front/scan" of veh1 is at corridor/v1/veh1/front/scan."""
+    return f"{ROOT}/{vehicle}/{channel}"
+
+
+def alive_key(vehicle: str, component: str) -> str:
+    """Key of the liveliness token that stands while a component does its work."""
+    return vehicle_key(vehicle, f"alive/{component}")
+
+
+def tile_channel(level: int, ix: int, iy: int) -> str:
+    return f"map/tile/{level}/{ix}/{iy}"
