@@ -1,0 +1,106 @@
+"""Frames and outputs <-> ROS 2 CDR: the one wire format, for Zenoh and for recordings alike.
+
+A frame that is mapped has been through here: the live mapper eats what `decode_frame` makes of the message
+that `encode_frame` made, and a replay decodes the recorded payload. Both get the same frame bit for bit;
+rounding to the wire's float32 happens once, in the encoding.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from drivers.frames import NO_INTENSITY, ImuSample, LaserScan
+from service.encoding.frames import decode_frame, encode_frame
+from service.encoding.outputs import (
+    Pose,
+    Status,
+    Transform,
+    decode_diagnostics,
+    decode_event,
+    decode_grid,
+    decode_pose,
+    decode_transforms,
+    encode_diagnostics,
+    encode_event,
+    encode_grid,
+    encode_odom,
+    encode_pose,
+    encode_tf,
+    encode_tf_static,
+    encode_tile,
+)
+from service.encoding.wire import (
+    BASE_FRAME,
+    DIAGNOSTICS,
+    IMU,
+    LASER_SCAN,
+    MAP_FRAME,
+    OCCUPANCY_GRID,
+    ODOM_FRAME,
+    ODOMETRY,
+    STRING,
+    TF,
+    LogClock,
+    Message,
+    read,
+    schema_text,
+    type_hash,
+)
+from service.geometry.se2 import SE2
+from service.outputs import Grid, MapperOutput
+
+__all__ = [
+    "BASE_FRAME",
+    "DIAGNOSTICS",
+    "IMU",
+    "LASER_SCAN",
+    "MAP_FRAME",
+    "OCCUPANCY_GRID",
+    "ODOMETRY",
+    "ODOM_FRAME",
+    "STRING",
+    "TF",
+    "LogClock",
+    "Message",
+    "Pose",
+    "Status",
+    "Transform",
+    "decode_diagnostics",
+    "decode_event",
+    "decode_frame",
+    "decode_grid",
+    "decode_pose",
+    "decode_transforms",
+    "encode_diagnostics",
+    "encode_event",
+    "encode_frame",
+    "encode_grid",
+    "encode_odom",
+    "encode_pose",
+    "encode_tf",
+    "encode_tf_static",
+    "encode_tile",
+    "schema_text",
+    "type_hash",
+    "warm_up",
+]
+
+_OUTPUT = MapperOutput(1, SE2(), SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 1.0)
+_ONE_OF_EACH: tuple[Callable[[], Message], ...] = (
+    lambda: encode_frame(
+        LaserScan("s", 1, 1, 1, 1, 0.0, 0.1, 0.0, 1.0, np.ones(2, np.float32), NO_INTENSITY)
+    ),
+    lambda: encode_frame(ImuSample("s", 1, 1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))),
+    lambda: encode_pose(_OUTPUT, 1),
+    lambda: encode_tf(_OUTPUT, 1),
+    lambda: encode_grid(Grid(0, 0.05, 0.0, 0.0, np.zeros((1, 1), np.int8)), 1, 1),
+    lambda: encode_diagnostics("health", [Status("s", 0, "", {"k": "v"})], 1, 1),
+    lambda: encode_event("", 1, 1),
+)
+
+
+def warm_up() -> None:
+    """Generate the code of every message type, about 10 ms each, so that no scan has to wait for it."""
+    for encode in _ONE_OF_EACH:
+        message = encode()
+        read(message.type, message.payload)

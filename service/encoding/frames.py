@@ -1,0 +1,165 @@
+"""Frames <-> their ROS messages. Decoding looks at nothing but payload, sensor name and log time."""
+
+import math
+from collections.abc import Callable
+from typing import cast
+
+import numpy as np
+from rosbags.typesys.stores import ros2_jazzy as ros
+
+from drivers.frames import NO_INTENSITY, Frame, ImuSample, LaserScan, OdometrySample
+from service.encoding import wire
+from service.encoding.wire import Message
+from service.geometry.se2 import SE2
+
+UNSET_RANGE_MAX_M = 100.0  # for a foreign scan whose range_max is 0, inf or NaN
+
+_UNKNOWN_9 = np.zeros(9)
+_NOT_MEASURED_9 = np.array([-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # sensor_msgs/Imu: element 0 is -1
+_NAN = np.float32(np.nan)
+_NO_RETURN = np.float32(np.inf)  # REP 117: beyond the range of the sensor
+_SMALLEST_RANGE_M = float(np.finfo(np.float32).tiny)
+
+
+def encode_frame(frame: Frame, utc_offset_ns: int = 0, log_ns: int | None = None) -> Message:
+    """A frame as its ROS message; utc_offset_ns is added to the frame's times.
+
+    log_ns is its log time (see LogClock); left out, it is the time of arrival. No return becomes +inf
+    (REP 117).
+    """
+    stamp_ns = frame.stamp_ns + utc_offset_ns
+    if log_ns is None:
+        log_ns = frame.arrived_ns + utc_offset_ns
+    match frame:
+        case LaserScan():
+            kind, type_name, content = "scan", wire.LASER_SCAN, _scan_ros(frame, stamp_ns)
+        case ImuSample():
+            kind, type_name, content = "imu", wire.IMU, _imu_ros(frame, stamp_ns)
+        case OdometrySample():
+            kind, type_name, content = "odom", wire.ODOMETRY, _odometry_ros(frame, stamp_ns)
+    return wire.to_message(f"{frame.sensor}/{kind}", type_name, stamp_ns, log_ns, content)
+
+
+def decode_frame(message_type: str, payload: bytes, sensor: str, log_ns: int) -> Frame | None:
+    """The frame in a LaserScan, Imu or Odometry message of any origin; arrived_ns becomes log_ns.
+
+    None for another type and for content that no mapper can use: a scan without beams or with an impossible
+    angle step, an Imu without a gyroscope, values that are not finite. Raises InputError on bytes that are
+    not the message they are said to be.
+    """
+    decode = _FRAME_DECODERS.get(message_type)
+    return None if decode is None else decode(wire.read(message_type, payload), sensor, log_ns)
+
+
+def _duration_ns(seconds: float) -> int:
+    """0 where a foreign message leaves the field unset or senseless."""
+    return round(seconds * 1e9) if 0.0 < seconds < 1e6 else 0
+
+
+def _scan_ros(scan: LaserScan, stamp_ns: int) -> object:
+    return ros.sensor_msgs__msg__LaserScan(
+        header=wire.header_ros(stamp_ns, scan.sensor),
+        angle_min=scan.first_angle_rad,
+        angle_max=scan.first_angle_rad + scan.angle_step_rad * (scan.range_m.size - 1),
+        angle_increment=scan.angle_step_rad,
+        time_increment=scan.beam_interval_ns * 1e-9,
+        scan_time=scan.scan_period_ns * 1e-9,
+        range_min=scan.range_min_m,
+        range_max=scan.range_max_m,
+        ranges=np.where(np.isnan(scan.range_m), _NO_RETURN, scan.range_m),
+        intensities=scan.intensity,
+    )
+
+
+def _scan_frame(content: object, sensor: str, log_ns: int) -> LaserScan | None:
+    m = cast(ros.sensor_msgs__msg__LaserScan, content)
+    count, step = m.ranges.size, m.angle_increment
+    range_min_m, range_max_m = m.range_min, m.range_max
+    if not max(range_min_m, 0.0) < range_max_m < math.inf:
+        range_max_m = UNSET_RANGE_MAX_M
+    if not range_min_m >= 0.0:
+        range_min_m = 0.0
+    if count == 0 or not math.isfinite(m.angle_min) or not 0.0 < abs(step) * max(count - 1, 1) < 7.0:
+        return None
+    # range_max itself is what many drivers send for "nothing seen", so it counts as no return.
+    valid = (m.ranges >= max(range_min_m, _SMALLEST_RANGE_M)) & (m.ranges < range_max_m)
+    return LaserScan(
+        sensor=sensor,
+        stamp_ns=wire.stamp_ns_of(m.header.stamp),
+        arrived_ns=log_ns,
+        beam_interval_ns=_duration_ns(m.time_increment),
+        scan_period_ns=_duration_ns(m.scan_time),
+        first_angle_rad=m.angle_min,
+        angle_step_rad=step,
+        range_min_m=range_min_m,
+        range_max_m=range_max_m,
+        range_m=np.where(valid, m.ranges, _NAN).astype(np.float32, copy=False),
+        # copied: an array that looks into the payload may be unaligned, which is another type to numba
+        intensity=m.intensities.astype(np.float32) if m.intensities.size == count else NO_INTENSITY,
+    )
+
+
+def _imu_ros(sample: ImuSample, stamp_ns: int) -> object:
+    w, x, y, z = sample.orientation_wxyz if sample.orientation_wxyz is not None else (1.0, 0.0, 0.0, 0.0)
+    return ros.sensor_msgs__msg__Imu(
+        header=wire.header_ros(stamp_ns, sample.sensor),
+        orientation=ros.geometry_msgs__msg__Quaternion(x, y, z, w),
+        orientation_covariance=_NOT_MEASURED_9 if sample.orientation_wxyz is None else _UNKNOWN_9,
+        angular_velocity=ros.geometry_msgs__msg__Vector3(*sample.rate_radps),
+        angular_velocity_covariance=_UNKNOWN_9,
+        linear_acceleration=ros.geometry_msgs__msg__Vector3(*sample.force_mps2),
+        linear_acceleration_covariance=_UNKNOWN_9,
+    )
+
+
+def _imu_frame(content: object, sensor: str, log_ns: int) -> ImuSample | None:
+    m = cast(ros.sensor_msgs__msg__Imu, content)
+    rate, force, q = m.angular_velocity, m.linear_acceleration, m.orientation
+    rate_radps, force_mps2 = (rate.x, rate.y, rate.z), (force.x, force.y, force.z)
+    if m.angular_velocity_covariance[0] == -1.0 or not wire.all_finite(*rate_radps, *force_mps2):
+        return None
+    orientation = (q.w, q.x, q.y, q.z)
+    measured = m.orientation_covariance[0] != -1.0 and wire.all_finite(*orientation) and any(orientation)
+    return ImuSample(
+        sensor=sensor,
+        stamp_ns=wire.stamp_ns_of(m.header.stamp),
+        arrived_ns=log_ns,
+        rate_radps=rate_radps,
+        force_mps2=force_mps2,
+        orientation_wxyz=orientation if measured else None,
+    )
+
+
+def _odometry_ros(sample: OdometrySample, stamp_ns: int) -> object:
+    covariance = np.zeros(36)
+    covariance[wire.PLANAR_CELLS] = sample.covariance
+    pose = SE2(sample.x_m, sample.y_m, sample.theta_rad)
+    frame = f"{sample.sensor}_{wire.ODOM_FRAME}"  # the wheels' own; `odom` is the mapper's
+    return wire.odometry_content(wire.header_ros(stamp_ns, frame), pose, covariance, sample.twist_mps_radps)
+
+
+def _odometry_frame(content: object, sensor: str, log_ns: int) -> OdometrySample | None:
+    m = cast(ros.nav_msgs__msg__Odometry, content)
+    position, linear, angular = m.pose.pose.position, m.twist.twist.linear, m.twist.twist.angular
+    theta_rad = wire.yaw(m.pose.pose.orientation)
+    twist = (linear.x, linear.y, angular.z)
+    covariance = tuple(m.pose.covariance[wire.PLANAR_CELLS].tolist())
+    if not wire.all_finite(position.x, position.y, theta_rad, *twist, *covariance):
+        return None
+    return OdometrySample(
+        sensor=sensor,
+        stamp_ns=wire.stamp_ns_of(m.header.stamp),
+        arrived_ns=log_ns,
+        x_m=position.x,
+        y_m=position.y,
+        theta_rad=theta_rad,
+        twist_mps_radps=twist,
+        covariance=covariance,
+    )
+
+
+_FRAME_DECODERS: dict[str, Callable[[object, str, int], Frame | None]] = {
+    wire.LASER_SCAN: _scan_frame,
+    wire.IMU: _imu_frame,
+    wire.ODOMETRY: _odometry_frame,
+}

@@ -1,0 +1,204 @@
+"""What the mapper and the service put out -> ROS messages, and back where a file is read."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, cast
+
+import numpy as np
+from rosbags.typesys.stores import ros2_jazzy as ros
+
+from service.encoding import wire
+from service.encoding.wire import FloatArray, Message
+from service.errors import InputError
+from service.geometry.se2 import SE2
+from service.outputs import Grid, MapperOutput, TileUpdate
+
+
+class Status(NamedTuple):
+    """One line of a DiagnosticArray. level: 0 ok, 1 warning, 2 error, 3 stale."""
+
+    name: str
+    level: int
+    message: str
+    values: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """A decoded nav_msgs/Odometry as pose_<frame>_<child>."""
+
+    stamp_ns: int
+    frame: str
+    child: str
+    pose: SE2
+    covariance: FloatArray  # (3, 3) of x, y, theta in the child's axes; m^2, m rad, rad^2
+    twist: tuple[float, float, float]  # child's axes: m/s forward, m/s left, rad/s
+
+
+@dataclass(frozen=True, slots=True)
+class Transform:
+    """One edge of a TFMessage: takes coordinates of child to frame."""
+
+    stamp_ns: int
+    frame: str
+    child: str
+    translation_m: tuple[float, float, float]
+    rotation_wxyz: tuple[float, float, float, float]
+
+
+def encode_pose(output: MapperOutput, log_ns: int) -> Message:
+    """Base in map, as channel "pose"."""
+    payload = _pose_ros(output, wire.MAP_FRAME, output.pose_map_base)
+    return wire.to_message("pose", wire.ODOMETRY, output.stamp_ns, log_ns, payload)
+
+
+def encode_odom(output: MapperOutput, log_ns: int) -> Message:
+    """Base in odom, which never jumps, as channel "odom"."""
+    payload = _pose_ros(output, wire.ODOM_FRAME, output.pose_odom_base)
+    return wire.to_message("odom", wire.ODOMETRY, output.stamp_ns, log_ns, payload)
+
+
+def encode_tf(output: MapperOutput, log_ns: int) -> Message:
+    """map -> odom and odom -> base_link at the scan's first ray, as channel "tf"."""
+    transforms = [
+        _transform_ros(output.stamp_ns, wire.MAP_FRAME, wire.ODOM_FRAME, output.pose_map_odom),
+        _transform_ros(output.stamp_ns, wire.ODOM_FRAME, wire.BASE_FRAME, output.pose_odom_base),
+    ]
+    return wire.to_message("tf", wire.TF, output.stamp_ns, log_ns, ros.tf2_msgs__msg__TFMessage(transforms))
+
+
+def encode_tf_static(poses_base_sensor: Mapping[str, SE2], stamp_ns: int, log_ns: int) -> Message:
+    """base_link -> each sensor, as channel "tf_static"."""
+    transforms = [
+        _transform_ros(stamp_ns, wire.BASE_FRAME, sensor, pose) for sensor, pose in poses_base_sensor.items()
+    ]
+    return wire.to_message("tf_static", wire.TF, stamp_ns, log_ns, ros.tf2_msgs__msg__TFMessage(transforms))
+
+
+def encode_tile(tile: TileUpdate, stamp_ns: int, log_ns: int) -> Message:
+    """A tile as a grid of its own, as channel "map/tile/<level>/<ix>/<iy>"."""
+    edge_m = tile.cells.shape[0] * tile.cell_m
+    grid = Grid(tile.version, tile.cell_m, tile.ix * edge_m, tile.iy * edge_m, tile.cells)
+    return encode_grid(grid, stamp_ns, log_ns, f"map/tile/{tile.level}/{tile.ix}/{tile.iy}")
+
+
+def encode_grid(grid: Grid, stamp_ns: int, log_ns: int, channel: str = "map") -> Message:
+    """A grid in the map frame. The message has no field for its version."""
+    height, width = grid.cells.shape
+    info = ros.nav_msgs__msg__MapMetaData(
+        map_load_time=wire.time_ros(stamp_ns),
+        resolution=grid.cell_m,
+        width=width,
+        height=height,
+        origin=wire.planar_pose_ros(SE2(grid.x_min_m, grid.y_min_m, 0.0)),
+    )
+    cells = np.ascontiguousarray(grid.cells, dtype=np.int8).ravel()
+    payload = ros.nav_msgs__msg__OccupancyGrid(wire.header_ros(stamp_ns, wire.MAP_FRAME), info, cells)
+    return wire.to_message(channel, wire.OCCUPANCY_GRID, stamp_ns, log_ns, payload)
+
+
+def encode_diagnostics(channel: str, statuses: Sequence[Status], stamp_ns: int, log_ns: int) -> Message:
+    """Statuses as channel "diagnostics", "health" or "map/meta"."""
+    payload = ros.diagnostic_msgs__msg__DiagnosticArray(
+        wire.header_ros(stamp_ns, ""),
+        [
+            ros.diagnostic_msgs__msg__DiagnosticStatus(
+                level=status.level,
+                name=status.name,
+                message=status.message,
+                hardware_id="",
+                values=[ros.diagnostic_msgs__msg__KeyValue(k, v) for k, v in status.values.items()],
+            )
+            for status in statuses
+        ],
+    )
+    return wire.to_message(channel, wire.DIAGNOSTICS, stamp_ns, log_ns, payload)
+
+
+def encode_event(text: str, stamp_ns: int, log_ns: int) -> Message:
+    """Something that happened, JSON text by custom, as channel "events"."""
+    return wire.to_message("events", wire.STRING, stamp_ns, log_ns, ros.std_msgs__msg__String(text))
+
+
+def decode_pose(payload: bytes) -> Pose:
+    """A nav_msgs/Odometry message. Raises InputError."""
+    m = cast(ros.nav_msgs__msg__Odometry, wire.read(wire.ODOMETRY, payload))
+    pose = wire.planar_pose(m.pose.pose)
+    turn = wire.rotation_3x3(-pose.theta_rad)
+    linear, angular = m.twist.twist.linear, m.twist.twist.angular
+    return Pose(
+        stamp_ns=wire.stamp_ns_of(m.header.stamp),
+        frame=m.header.frame_id,
+        child=m.child_frame_id,
+        pose=pose,
+        covariance=turn @ m.pose.covariance[wire.PLANAR_CELLS].reshape(3, 3) @ turn.T,
+        twist=(linear.x, linear.y, angular.z),
+    )
+
+
+def decode_grid(payload: bytes) -> Grid:
+    """A nav_msgs/OccupancyGrid message whose rows lie along the map's x axis; its version, not being in the
+    message, is 0. Raises InputError.
+    """
+    m = cast(ros.nav_msgs__msg__OccupancyGrid, wire.read(wire.OCCUPANCY_GRID, payload))
+    width, height, origin = m.info.width, m.info.height, m.info.origin
+    if m.data.size != width * height:
+        raise InputError(f"OccupancyGrid of {width} x {height} cells has {m.data.size} values")
+    heading_rad = wire.yaw(origin.orientation)
+    if abs(heading_rad) > 1e-6:
+        raise InputError(f"OccupancyGrid is turned by {heading_rad:.6f} rad; only unturned maps are read")
+    return Grid(
+        version=0,
+        cell_m=round(m.info.resolution, 6),  # float32 on the wire: 0.05 arrives as 0.0500000007
+        x_min_m=origin.position.x,
+        y_min_m=origin.position.y,
+        cells=m.data.reshape(height, width),
+    )
+
+
+def decode_diagnostics(payload: bytes) -> list[Status]:
+    """A DiagnosticArray message. Raises InputError."""
+    m = cast(ros.diagnostic_msgs__msg__DiagnosticArray, wire.read(wire.DIAGNOSTICS, payload))
+    return [Status(s.name, s.level, s.message, {v.key: v.value for v in s.values}) for s in m.status]
+
+
+def decode_transforms(payload: bytes) -> list[Transform]:
+    """A TFMessage. Raises InputError."""
+    m = cast(ros.tf2_msgs__msg__TFMessage, wire.read(wire.TF, payload))
+    transforms = []
+    for edge in m.transforms:
+        t, r = edge.transform.translation, edge.transform.rotation
+        transforms.append(
+            Transform(
+                stamp_ns=wire.stamp_ns_of(edge.header.stamp),
+                frame=edge.header.frame_id.lstrip("/"),  # tf 1 wrote "/base_link"
+                child=edge.child_frame_id.lstrip("/"),
+                translation_m=(t.x, t.y, t.z),
+                rotation_wxyz=(r.w, r.x, r.y, r.z),
+            )
+        )
+    return transforms
+
+
+def decode_event(payload: bytes) -> str:
+    """A std_msgs/String message. Raises InputError."""
+    return cast(ros.std_msgs__msg__String, wire.read(wire.STRING, payload)).data
+
+
+def _pose_ros(output: MapperOutput, frame: str, pose: SE2) -> object:
+    turn = wire.rotation_3x3(pose.theta_rad)  # Odometry wants the covariance in the axes of `frame`
+    covariance = np.zeros(36)
+    covariance[wire.PLANAR_CELLS] = (turn @ output.covariance @ turn.T).ravel()
+    return wire.odometry_content(wire.header_ros(output.stamp_ns, frame), pose, covariance, output.twist_base)
+
+
+def _transform_ros(
+    stamp_ns: int, frame: str, child: str, pose: SE2
+) -> ros.geometry_msgs__msg__TransformStamped:
+    return ros.geometry_msgs__msg__TransformStamped(
+        wire.header_ros(stamp_ns, frame),
+        child,
+        ros.geometry_msgs__msg__Transform(
+            ros.geometry_msgs__msg__Vector3(pose.x_m, pose.y_m, 0.0), wire.quaternion_ros(pose.theta_rad)
+        ),
+    )

@@ -1,0 +1,160 @@
+"""ROS 2 messages as bytes: the types used, their definitions, and the pieces all of them share."""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+from rosbags.typesys.stores import ros2_jazzy as ros
+
+from service.errors import InputError
+from service.geometry.se2 import SE2
+
+LASER_SCAN = "sensor_msgs/msg/LaserScan"
+IMU = "sensor_msgs/msg/Imu"
+ODOMETRY = "nav_msgs/msg/Odometry"
+OCCUPANCY_GRID = "nav_msgs/msg/OccupancyGrid"
+TF = "tf2_msgs/msg/TFMessage"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+STRING = "std_msgs/msg/String"
+
+MAP_FRAME, ODOM_FRAME, BASE_FRAME = "map", "odom", "base_link"  # ROS REP 105
+
+ANGLE_GRID = 2.0**40  # decoded headings are multiples of 1/ANGLE_GRID rad, far coarser than rounding errors
+LARGEST_ANGLE = math.floor(math.pi * ANGLE_GRID) / ANGLE_GRID
+
+FloatArray = npt.NDArray[np.float64]
+_PLANAR = np.array([0, 1, 5])  # x, y, yaw within ROS' (x, y, z, roll, pitch, yaw)
+PLANAR_CELLS = (_PLANAR[:, None] * 6 + _PLANAR).ravel()  # the 9 cells of the planar block in the 36
+UNKNOWN_36 = np.zeros(36)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Message:
+    """One encoded message on its way to subscribers and to the recorder.
+
+    channel    below `corridor/v1/<vehicle>/` on Zenoh, below `/` as a ROS topic: "front/scan", "pose", "tf"
+    type       ROS 2 name, e.g. "sensor_msgs/msg/LaserScan"
+    stamp_ns   Unix time of the measurement: header.stamp, MCAP publish_time
+    log_ns     Unix time when the service had it: MCAP log_time
+    payload    CDR, little endian, with its 4-byte header
+    """
+
+    channel: str
+    type: str
+    stamp_ns: int
+    log_ns: int
+    payload: bytes
+
+
+class LogClock:
+    """Log times that rise strictly, so that sorting a recording by log time gives back the order of use.
+
+    Frames of several devices reach the mapper in an order that their arrival times need not have. Whoever
+    fixes that order asks here for each frame's log_ns, before encoding: the frame then carries it as
+    `arrived_ns`, live and in the replay.
+    """
+
+    def __init__(self) -> None:
+        self._last_ns = 0
+
+    def next_ns(self, unix_ns: int) -> int:
+        """`unix_ns`, or one more than the last log time where that is later."""
+        self._last_ns = max(self._last_ns + 1, unix_ns)
+        return self._last_ns
+
+
+@lru_cache(maxsize=1)
+def _store() -> Typestore:
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def schema_text(type_name: str) -> str:
+    """The definition of a message type with all it contains, as MCAP's `ros2msg` schema encoding wants it."""
+    return _store().generate_msgdef(type_name, ros_version=2)[0]
+
+
+def type_hash(type_name: str) -> str:
+    """ROS 2 type hash (REP 2011), "RIHS01_..."."""
+    return _store().hash_rihs01(type_name)
+
+
+def to_message(channel: str, type_name: str, stamp_ns: int, log_ns: int, content: object) -> Message:
+    """Encode a message object of rosbags' type store."""
+    payload = bytes(_store().serialize_cdr(content, type_name, little_endian=True))
+    return Message(channel, type_name, stamp_ns, log_ns, payload)
+
+
+def read(type_name: str, payload: bytes) -> object:
+    """The message object of a payload. Raises InputError where the bytes are no such message."""
+    try:
+        return _store().deserialize_cdr(payload, type_name)
+    except SerdeError as error:
+        raise InputError(f"{len(payload)} bytes are not a {type_name}: {error}") from error
+
+
+def time_ros(stamp_ns: int) -> ros.builtin_interfaces__msg__Time:
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    return ros.builtin_interfaces__msg__Time(seconds, nanoseconds)
+
+
+def header_ros(stamp_ns: int, frame: str) -> ros.std_msgs__msg__Header:
+    return ros.std_msgs__msg__Header(time_ros(stamp_ns), frame)
+
+
+def stamp_ns_of(time: ros.builtin_interfaces__msg__Time) -> int:
+    return time.sec * 1_000_000_000 + time.nanosec
+
+
+def odometry_content(
+    header: ros.std_msgs__msg__Header, pose: SE2, covariance: FloatArray, twist: tuple[float, float, float]
+) -> ros.nav_msgs__msg__Odometry:
+    forward, left, turn = twist
+    return ros.nav_msgs__msg__Odometry(
+        header=header,
+        child_frame_id=BASE_FRAME,
+        pose=ros.geometry_msgs__msg__PoseWithCovariance(planar_pose_ros(pose), covariance),
+        twist=ros.geometry_msgs__msg__TwistWithCovariance(
+            ros.geometry_msgs__msg__Twist(
+                ros.geometry_msgs__msg__Vector3(forward, left, 0.0),
+                ros.geometry_msgs__msg__Vector3(0.0, 0.0, turn),
+            ),
+            UNKNOWN_36,
+        ),
+    )
+
+
+def planar_pose_ros(pose: SE2) -> ros.geometry_msgs__msg__Pose:
+    return ros.geometry_msgs__msg__Pose(
+        ros.geometry_msgs__msg__Point(pose.x_m, pose.y_m, 0.0), quaternion_ros(pose.theta_rad)
+    )
+
+
+def planar_pose(pose: ros.geometry_msgs__msg__Pose) -> SE2:
+    return SE2(pose.position.x, pose.position.y, yaw(pose.orientation))
+
+
+def quaternion_ros(theta_rad: float) -> ros.geometry_msgs__msg__Quaternion:
+    return ros.geometry_msgs__msg__Quaternion(0.0, 0.0, math.sin(theta_rad / 2.0), math.cos(theta_rad / 2.0))
+
+
+def yaw(q: ros.geometry_msgs__msg__Quaternion) -> float:
+    """Heading of a rotation, NaN for none; on a grid, so that encoding and decoding it again is exact."""
+    heading_rad = math.atan2(2.0 * (q.w * q.z + q.x * q.y), q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z)
+    if not math.isfinite(heading_rad) or not any((q.w, q.x, q.y, q.z)):
+        return math.nan
+    return max(-LARGEST_ANGLE, min(LARGEST_ANGLE, round(heading_rad * ANGLE_GRID) / ANGLE_GRID))
+
+
+def rotation_3x3(theta_rad: float) -> FloatArray:
+    """For covariances of (x, y, theta): R C R^T takes C from the turned frame's axes to the fixed ones."""
+    c, s = math.cos(theta_rad), math.sin(theta_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def all_finite(*values: float) -> bool:
+    return all(map(math.isfinite, values))
