@@ -1,0 +1,45 @@
+"""The unit as systemd itself reads it; no booted systemd is needed."""
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+UNIT = Path(__file__).parents[2] / "systemd" / "corridor@.service"
+MOST_EXPOSED = 25  # of 100; a unit without any hardening has 96
+
+
+@pytest.fixture
+def rendered(tmp_path: Path) -> Path:
+    """The unit with a program that exists on this machine, or a skip where systemd-analyze does not."""
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("no systemd-analyze; on Debian and Ubuntu: apt install systemd")
+    unit = tmp_path / "corridor@veh1.service"
+    program = shutil.which("true")
+    assert program is not None
+    unit.write_text(UNIT.read_text().replace("/opt/corridor/venv/bin/corridor", program))
+    return unit
+
+
+def test_systemd_accepts_the_unit(rendered: Path):
+    verified = subprocess.run(
+        ["systemd-analyze", "verify", str(rendered)], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert verified.stderr == ""
+    assert verified.returncode == 0
+
+
+def test_the_unit_is_as_closed_as_it_can_be(rendered: Path):
+    command = ["systemd-analyze", "security", "--offline=true", f"--threshold={MOST_EXPOSED}", str(rendered)]
+    judged = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert judged.returncode == 0, judged.stdout + judged.stderr
+
+
+def test_the_unit_says_what_the_service_relies_on():
+    text = UNIT.read_text()
+    for line in ("Type=notify", "KillMode=mixed", "RestartPreventExitStatus=78", "MemoryDenyWriteExecute=no"):
+        assert re.search(f"^{line}$", text, re.MULTILINE), line
+    assert "NUMBA_CACHE_DIR=/var/cache/corridor/numba" in text
+    assert "CacheDirectory=corridor" in text
