@@ -1,0 +1,267 @@
+"""Stored maps: one folder a map, a sub-folder a version, and a link that says which one counts.
+
+    map.yaml, map.pgm, map.png -> current/...     what other programs read
+    current -> v000012                            switched by one rename, from the old map to the new
+    v000012/   tiles.npz, map.yaml, map.pgm, map.png and manifest.json: SHA-256 of these and of itself
+
+A version is written beside the others under a name that nobody reads, synced to the disk, then renamed. So a
+kill or a power cut at any moment leaves the last good one.
+"""
+
+import fcntl
+import hashlib
+import json
+import logging
+import os
+import re
+import shutil
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from service.errors import InputError, StorageError
+from service.mapstore.picture import picture_of_tiles
+from service.mapstore.png import write_png
+from service.mapstore.ros_map import write_ros_map
+from service.outputs import TileUpdate
+from service.version import VERSION
+
+log = logging.getLogger(__name__)
+
+FORMAT = 1
+KEEP_VERSIONS = 3
+FOR_OTHERS = ("map.yaml", "map.pgm", "map.png")
+_CONTENT = (*FOR_OTHERS, "tiles.npz")
+_VERSION_NAME = re.compile(r"v(\d{6,})")
+_UNFINISHED = ".unfinished-"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredMap:
+    """A map read back. `problems` says what was damaged and passed over; empty when all is well."""
+
+    number: int  # of the version in its folder, from 1
+    about: dict[str, str]
+    saved_ns: int  # Unix time
+    tiles: list[TileUpdate]
+    problems: list[str]
+
+
+def save_map(
+    folder: Path, tiles: Sequence[TileUpdate], saved_ns: int, about: Mapping[str, str] | None = None
+) -> int | None:
+    """Store `tiles` as the next version of the map in `folder`; its number, or None where there are no tiles.
+
+    saved_ns is Unix time; `about` (vehicle, profile ...) is kept with the map. KEEP_VERSIONS versions stay.
+    Raises StorageError: no room, no rights, another writer; the version before stays what it was.
+    """
+    if not any(tile.level == 0 for tile in tiles):
+        return None
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with _only_writer(folder):
+            return _save(folder, tiles, saved_ns, dict(about or {}))
+    except OSError as error:
+        raise StorageError(
+            f"cannot save the map to {folder}: {error}; the version before is untouched"
+        ) from error
+
+
+def load_map(folder: Path) -> StoredMap:
+    """Read the current version, or the newest one that is whole, with the damage in `problems`.
+
+    Raises InputError where there is none.
+    """
+    problems: list[str] = []
+    for name in _by_preference(folder):
+        try:
+            stored = _load(folder / name, problems)
+        except InputError as error:
+            log.warning("%s", error)
+            problems.append(str(error))
+            continue
+        return stored
+    damage = "".join(f"\n  {problem}" for problem in problems)
+    raise InputError(f"{folder}: no stored map that can be read{damage}")
+
+
+def is_map_folder(folder: Path) -> bool:
+    return folder.is_dir() and bool(_versions(folder))
+
+
+def _save(folder: Path, tiles: Sequence[TileUpdate], saved_ns: int, about: dict[str, str]) -> int:
+    for leftover in folder.glob(_UNFINISHED + "*"):
+        _remove(leftover)
+    _point_for_others(folder)
+    number = max(_versions(folder), default=0) + 1
+    new = folder / f"{_UNFINISHED}{number}"
+    try:
+        new.mkdir()
+        _write_content(new, tiles, saved_ns, about)
+        _sync(new)
+        new.rename(folder / _name(number))
+    except OSError:
+        shutil.rmtree(new, ignore_errors=True)
+        raise
+    _sync(folder)
+    _point(folder / "current", _name(number))
+    for old in sorted(_versions(folder))[:-KEEP_VERSIONS]:
+        shutil.rmtree(folder / _name(old), ignore_errors=True)  # again with the next save
+    return number
+
+
+def _write_content(new: Path, tiles: Sequence[TileUpdate], saved_ns: int, about: dict[str, str]) -> None:
+    with (new / "tiles.npz").open("wb") as file:
+        np.savez_compressed(
+            file,
+            index=np.array([(t.level, t.ix, t.iy, t.version) for t in tiles], dtype=np.int64),
+            cell_m=np.array([t.cell_m for t in tiles]),
+            cells=np.stack([t.cells for t in tiles]),
+        )
+    picture = picture_of_tiles(tiles)
+    write_ros_map(new / "map.pgm", new / "map.yaml", picture)
+    write_png(new / "map.png", picture)
+    manifest = {
+        "format": FORMAT,
+        "corridor": VERSION,
+        "saved_ns": saved_ns,
+        "about": about,
+        "files": {
+            name: {"bytes": (new / name).stat().st_size, "sha256": _sha256(new / name)} for name in _CONTENT
+        },
+    }
+    text = json.dumps({**manifest, "sha256": _digest(manifest)}, indent=1)
+    (new / "manifest.json").write_text(text + "\n", encoding="utf-8")
+    for path in new.iterdir():
+        _sync(path)
+
+
+def _load(version: Path, problems: list[str]) -> StoredMap:
+    manifest = _checked_manifest(version)
+    for name, expected in manifest["files"].items():
+        path = version / name
+        try:
+            found = {"bytes": path.stat().st_size, "sha256": _sha256(path)}
+        except OSError as error:
+            raise InputError(f"{path}: {error.strerror}") from error
+        if found != expected:
+            raise InputError(
+                f"{path}: {found['bytes']} bytes that are not the {expected['bytes']} saved: damaged"
+            )
+    try:
+        with np.load(version / "tiles.npz", allow_pickle=False) as arrays:
+            index, cell_m, cells = arrays["index"], arrays["cell_m"], arrays["cells"]
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise InputError(f"{version / 'tiles.npz'}: {error}") from error
+    cells.setflags(write=False)
+    tiles = [
+        TileUpdate(level, ix, iy, version_of_tile, size_m, square)
+        for (level, ix, iy, version_of_tile), size_m, square in zip(
+            index.tolist(), cell_m.tolist(), cells, strict=True
+        )
+    ]
+    return StoredMap(_number(version.name), manifest["about"], manifest["saved_ns"], tiles, problems)
+
+
+def _checked_manifest(version: Path) -> dict[str, Any]:
+    path = version / "manifest.json"
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        digest = manifest.pop("sha256")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    except (ValueError, KeyError, AttributeError, TypeError) as error:
+        raise InputError(f"{path}: damaged: {error!r}") from error
+    if digest != _digest(manifest):
+        raise InputError(f"{path}: damaged: its own checksum does not fit")
+    if manifest["format"] != FORMAT:
+        raise InputError(
+            f"{path}: format {manifest['format']} of corridor {manifest['corridor']}; "
+            f"this is corridor {VERSION}, which reads format {FORMAT}"
+        )
+    checked: dict[str, Any] = manifest
+    return checked
+
+
+def _by_preference(folder: Path) -> list[str]:
+    """Names of versions: the current one, then the others, newest first."""
+    names = [_name(number) for number in sorted(_versions(folder), reverse=True)]
+    try:
+        current = os.readlink(folder / "current")
+    except OSError:
+        return names
+    return sorted(names, key=lambda name: name != current)
+
+
+def _versions(folder: Path) -> list[int]:
+    return [_number(path.name) for path in folder.glob("v*") if _VERSION_NAME.fullmatch(path.name)]
+
+
+def _name(number: int) -> str:
+    return f"v{number:06d}"
+
+
+def _number(name: str) -> int:
+    return int(name.removeprefix("v"))
+
+
+def _point_for_others(folder: Path) -> None:
+    for name in FOR_OTHERS:
+        path, target = folder / name, f"current/{name}"
+        if path.is_symlink() and os.readlink(path) == target:
+            continue
+        if path.exists() and not path.is_symlink():
+            raise StorageError(
+                f"{path} is a file of somebody else; choose another map.directory or move it away"
+            )
+        _point(path, target)
+
+
+def _point(link: Path, target: str) -> None:
+    """Make `link` a link to `target` in one step that is on disk when this returns."""
+    new = link.with_name(f"{_UNFINISHED}{link.name}")
+    new.unlink(missing_ok=True)
+    new.symlink_to(target)
+    new.replace(link)
+    _sync(link.parent)
+
+
+@contextmanager
+def _only_writer(folder: Path) -> Iterator[None]:
+    with (folder / ".lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise StorageError(
+                f"{folder}: another process is writing this map; stop one of the two"
+            ) from error
+        yield
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink()
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _digest(manifest: Mapping[str, object]) -> str:
+    return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,166 @@
+"""The map as tiles with versions, held for whoever asks: subscribers, checkpoints, the whole-map picture.
+
+Tiles come from the mapping thread; everything else reads. An update never waits for a picture in the making.
+"""
+
+import threading
+from collections.abc import Iterable
+
+import numpy as np
+import numpy.typing as npt
+
+from service.errors import StorageError
+from service.outputs import UNKNOWN, Grid, TileUpdate
+
+MAX_GRID_CELLS = 2**26  # 64 MiB, 410 m square at 5 cm; a larger message helps no subscriber: they take tiles
+MIN_SPARE_TILES = 4  # how far the canvas grows beyond the tile that made it grow, at least
+
+TileKey = tuple[int, int, int]  # level, ix, iy
+
+
+class TileStore:
+    """The newest version of every tile. Thread-safe."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._tiles: dict[TileKey, TileUpdate] = {}
+        self._version = 0
+        self._stale: dict[TileKey, TileUpdate] = {}  # level 0, not yet painted
+        self._canvas = _Canvas()
+
+    @property
+    def version(self) -> int:
+        """The highest version held; 0 while the map is empty."""
+        return self._version
+
+    @property
+    def count(self) -> int:
+        return len(self._tiles)
+
+    def update(self, tiles: Iterable[TileUpdate]) -> int:
+        """Take tiles in; one that is not newer than what is held is left out. Returns how many were taken."""
+        taken = 0
+        with self._lock:
+            for tile in tiles:
+                key = (tile.level, tile.ix, tile.iy)
+                held = self._tiles.get(key)
+                if held is not None and held.version >= tile.version:
+                    continue
+                self._tiles[key] = tile
+                self._version = max(self._version, tile.version)
+                if tile.level == 0:
+                    self._stale[key] = tile
+                taken += 1
+        return taken
+
+    def since(self, version: int) -> list[TileUpdate]:
+        """Every tile newer than `version`, oldest change first; 0 gives the whole map."""
+        with self._lock:
+            newer = [tile for tile in self._tiles.values() if tile.version > version]
+        return sorted(newer, key=lambda tile: tile.version)
+
+    def grid(self) -> Grid | None:
+        """The finest level as one picture, None while it is empty; paints only what changed meanwhile.
+
+        Raises StorageError beyond MAX_GRID_CELLS.
+        """
+        with self._canvas.lock:
+            with self._lock:
+                stale, self._stale = self._stale, {}
+            self._canvas.paint(stale.values())
+            return self._canvas.grid()
+
+
+class _Canvas:
+    """One array that grows to where the tiles are. The caller holds `lock`."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self._tiles: dict[tuple[int, int], TileUpdate] = {}  # to be painted
+        self._cells: npt.NDArray[np.int8] = np.empty((0, 0), dtype=np.int8)
+        self._first_ix = self._first_iy = 0  # tile at cells[0, 0]
+        self._low, self._high = (0, 0), (-1, -1)  # corner tiles (ix, iy) of what was painted, both inside
+        self._edge = 0  # cells along a tile
+        self._cell_m = 0.0
+        self._version = 0
+        self._snapshot: Grid | None = None
+
+    def paint(self, tiles: Iterable[TileUpdate]) -> None:
+        for tile in tiles:
+            self._tiles[tile.ix, tile.iy] = tile
+        if not self._tiles:
+            return
+        self._cover(list(self._tiles.values()))
+        w = self._edge
+        for tile in self._tiles.values():
+            row, column = (tile.iy - self._first_iy) * w, (tile.ix - self._first_ix) * w
+            self._cells[row : row + w, column : column + w] = tile.cells
+            self._version = max(self._version, tile.version)
+        self._tiles = {}
+        self._snapshot = None
+
+    def grid(self) -> Grid | None:
+        if self._snapshot is None and self._edge > 0:
+            w = self._edge
+            row, column = (self._low[1] - self._first_iy) * w, (self._low[0] - self._first_ix) * w
+            height, width = (self._high[1] - self._low[1] + 1) * w, (self._high[0] - self._low[0] + 1) * w
+            cells = self._cells[row : row + height, column : column + width].copy()
+            cells.setflags(write=False)
+            tile_m = w * self._cell_m
+            self._snapshot = Grid(
+                self._version, self._cell_m, self._low[0] * tile_m, self._low[1] * tile_m, cells
+            )
+        return self._snapshot
+
+    def _cover(self, tiles: list[TileUpdate]) -> None:
+        """Make room for `tiles`, keeping what is painted. Raises StorageError when it would be too large."""
+        edge, cell_m = tiles[0].cells.shape[0], tiles[0].cell_m
+        if self._edge == 0:
+            self._edge, self._cell_m = edge, cell_m
+            self._low = (tiles[0].ix, tiles[0].iy)
+            self._high = self._low
+        for tile in tiles:
+            if tile.cells.shape != (self._edge, self._edge) or tile.cell_m != self._cell_m:
+                raise ValueError(
+                    f"tile {tile.ix}, {tile.iy} is {tile.cells.shape} cells of {tile.cell_m} m; "
+                    f"this map has {self._edge} x {self._edge} of {self._cell_m} m"
+                )
+        low = tuple(min(self._low[i], *((t.ix, t.iy)[i] for t in tiles)) for i in (0, 1))
+        high = tuple(max(self._high[i], *((t.ix, t.iy)[i] for t in tiles)) for i in (0, 1))
+        width, height = high[0] - low[0] + 1, high[1] - low[1] + 1
+        if width * height * self._edge**2 > MAX_GRID_CELLS:
+            tile_m, cells = self._edge * self._cell_m, width * height * self._edge**2
+            raise StorageError(
+                f"the map spans {width * tile_m:.0f} x {height * tile_m:.0f} m, {cells} cells; "
+                f"one picture holds at most {MAX_GRID_CELLS}: take its tiles, or set a larger mapping.cell_m"
+            )
+        self._low, self._high = (low[0], low[1]), (high[0], high[1])
+        self._grow()
+
+    def _grow(self) -> None:
+        """Reallocate when a corner left the array, with room to spare: a long drive copies seldom."""
+        w = self._edge
+        rows, columns = self._cells.shape[0] // w, self._cells.shape[1] // w
+        if (
+            self._first_ix <= self._low[0]
+            and self._first_iy <= self._low[1]
+            and self._high[0] < self._first_ix + columns
+            and self._high[1] < self._first_iy + rows
+        ):
+            return
+        width, height = self._high[0] - self._low[0] + 1, self._high[1] - self._low[1] + 1
+        spare_x, spare_y = max(MIN_SPARE_TILES, width // 4), max(MIN_SPARE_TILES, height // 4)
+        first_ix, first_iy = self._low[0] - spare_x, self._low[1] - spare_y
+        grown = np.full(((height + 2 * spare_y) * w, (width + 2 * spare_x) * w), UNKNOWN, dtype=np.int8)
+        if rows and columns:
+            self._move_into(grown, first_ix, first_iy)
+        self._cells, self._first_ix, self._first_iy = grown, first_ix, first_iy
+
+    def _move_into(self, grown: npt.NDArray[np.int8], first_ix: int, first_iy: int) -> None:
+        """Copy the overlap; what lies outside of the new array was spare and never painted."""
+        w = self._edge
+        row, column = (self._first_iy - first_iy) * w, (self._first_ix - first_ix) * w
+        top, left = max(row, 0), max(column, 0)
+        bottom = min(row + self._cells.shape[0], grown.shape[0])
+        right = min(column + self._cells.shape[1], grown.shape[1])
+        grown[top:bottom, left:right] = self._cells[top - row : bottom - row, left - column : right - column]

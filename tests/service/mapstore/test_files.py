@@ -1,0 +1,195 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.errors import InputError, StorageError
+from service.mapstore import files
+from service.mapstore.files import load_map, save_map
+from service.mapstore.ros_map import read_ros_map
+from tests.service.mapstore.tile_makers import same, tile
+
+TILES = [tile(0, 0, 3), tile(-1, 2, 4), tile(0, 0, 5, level=1)]
+
+
+def test_a_map_comes_back_as_it_was_saved(tmp_path):
+    assert save_map(tmp_path / "maps" / "depot", TILES, 1_700_000_000_123_456_789, {"vehicle": "veh1"}) == 1
+    stored = load_map(tmp_path / "maps" / "depot")
+    assert (stored.number, stored.about, stored.problems) == (1, {"vehicle": "veh1"}, [])
+    assert stored.saved_ns == 1_700_000_000_123_456_789
+    assert all(same(a, b) for a, b in zip(stored.tiles, TILES, strict=True))
+    assert not stored.tiles[0].cells.flags.writeable
+
+
+def test_other_programs_find_the_newest_version_under_the_same_names(tmp_path):
+    for version, value in ((1, 0), (2, 100)):
+        save_map(tmp_path, [tile(0, 0, version, value=value)], 1)
+        assert (read_ros_map(tmp_path / "map.yaml").cells == value).all()
+        assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_only_the_last_versions_are_kept(tmp_path):
+    for version in range(1, 7):
+        assert save_map(tmp_path, [tile(0, 0, version)], version) == version
+    assert sorted(path.name for path in tmp_path.glob("v*")) == ["v000004", "v000005", "v000006"]
+    assert not list(tmp_path.glob(".unfinished-*"))
+
+
+def test_an_empty_map_is_not_saved_over_a_good_one(tmp_path):
+    save_map(tmp_path, TILES, 1)
+    assert save_map(tmp_path, [], 2) is None
+    assert load_map(tmp_path).saved_ns == 1
+
+
+@pytest.mark.parametrize("name", ["tiles.npz", "map.pgm", "map.yaml", "map.png", "manifest.json"])
+@pytest.mark.parametrize("damage", ["flipped", "cut", "gone"])
+def test_a_damaged_version_is_passed_over_and_named(tmp_path, name, damage):
+    save_map(tmp_path, [tile(0, 0, 1)], 1)
+    save_map(tmp_path, [tile(0, 0, 2)], 2)
+    path = tmp_path / "v000002" / name
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0x10
+    match damage:
+        case "flipped":
+            path.write_bytes(content)
+        case "cut":
+            path.write_bytes(content[: len(content) // 2])
+        case "gone":
+            path.unlink()
+    stored = load_map(tmp_path)
+    assert (stored.number, stored.saved_ns) == (1, 1)
+    assert len(stored.problems) == 1
+    assert str(path) in stored.problems[0]
+
+
+def test_a_folder_with_nothing_whole_in_it_is_refused_with_all_reasons(tmp_path):
+    save_map(tmp_path, TILES, 1)
+    save_map(tmp_path, TILES, 2)
+    for number in (1, 2):
+        (tmp_path / f"v00000{number}" / "tiles.npz").write_bytes(b"")
+    with pytest.raises(InputError, match=r"(?s)no stored map that can be read.*v000002.*v000001"):
+        load_map(tmp_path)
+    with pytest.raises(InputError, match="no stored map"):
+        load_map(tmp_path / "nowhere")
+
+
+def test_a_later_format_is_refused_by_name(tmp_path):
+    save_map(tmp_path, TILES, 1)
+    path = tmp_path / "v000001" / "manifest.json"
+    manifest = json.loads(path.read_text()) | {"format": 2, "corridor": "9.0.0"}
+    del manifest["sha256"]
+    path.write_text(json.dumps(manifest | {"sha256": files._digest(manifest)}))
+    with pytest.raises(InputError, match=r"format 2 of corridor 9.0.0"):
+        load_map(tmp_path)
+
+
+def test_a_foreign_file_is_not_replaced(tmp_path):
+    (tmp_path / "map.pgm").write_bytes(b"mine")
+    with pytest.raises(StorageError, match="file of somebody else"):
+        save_map(tmp_path, TILES, 1)
+    assert (tmp_path / "map.pgm").read_bytes() == b"mine"
+
+
+def test_two_writers_do_not_meet(tmp_path):
+    with files._only_writer(tmp_path), pytest.raises(StorageError, match="another process is writing"):
+        save_map(tmp_path, TILES, 1)
+
+
+def test_a_full_disk_leaves_the_version_before(tmp_path, monkeypatch):
+    save_map(tmp_path, TILES, 1)
+
+    def no_room(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(files, "write_png", no_room)
+    with pytest.raises(StorageError, match="No space left on device"):
+        save_map(tmp_path, TILES, 2)
+    assert load_map(tmp_path).saved_ns == 1
+    assert sorted(path.name for path in tmp_path.glob("*v*")) == ["v000001"]
+
+
+@pytest.mark.parametrize("step", range(60))
+def test_a_kill_at_any_call_of_the_system_leaves_the_old_or_the_new_map(tmp_path, monkeypatch, step):
+    """Each call that changes the folder is once the last one made before the process is gone."""
+    save_map(tmp_path, [tile(0, 0, 1, value=0)], 1)
+    save_map(tmp_path, [tile(0, 0, 2, value=0)], 2)
+
+    class Killed(BaseException):
+        pass
+
+    calls = 0
+
+    def counted(call):
+        def once(*args, **kwargs):
+            nonlocal calls
+            calls += 1
+            if calls > step:
+                raise Killed
+            return call(*args, **kwargs)
+
+        return once
+
+    for name in ("mkdir", "rename", "replace", "symlink_to", "unlink", "write_text"):
+        monkeypatch.setattr(Path, name, counted(getattr(Path, name)))
+    for module, name in ((files.np, "savez_compressed"), (files, "write_png"), (files, "write_ros_map")):
+        monkeypatch.setattr(module, name, counted(getattr(module, name)))
+    monkeypatch.setattr(files.os, "fsync", counted(os.fsync))
+    monkeypatch.setattr(files.shutil, "rmtree", counted(files.shutil.rmtree))
+    killed = False
+    try:
+        save_map(tmp_path, [tile(0, 0, 3, value=100)], 3)
+    except Killed:
+        killed = True
+    monkeypatch.undo()
+    assert killed == (step < calls)
+    stored = load_map(tmp_path)
+    assert stored.problems == []
+    assert stored.saved_ns in ((2, 3) if killed else (3,))
+    assert (read_ros_map(tmp_path / "map.yaml").cells == (100 if stored.saved_ns == 3 else 0)).all()
+    later = [tile(0, 0, 4, value=50)]
+    assert save_map(tmp_path, later, 4) in (3, 4)  # the next save is not hindered by what lies about
+    assert load_map(tmp_path).saved_ns == 4
+    assert not list(tmp_path.glob(".unfinished-*"))
+
+
+SAVE_FOR_EVER = """
+import sys
+from pathlib import Path
+from service.mapstore.files import save_map
+from tests.service.mapstore.tile_makers import tile
+version = int(sys.argv[2])
+while True:
+    version += 1
+    tiles = [tile(x, y, version, value=version % 101) for x in range(6) for y in range(6)]
+    save_map(Path(sys.argv[1]), tiles, version)
+    print(version, flush=True)
+"""
+
+
+def test_sigkill_in_a_loop_of_saves_leaves_a_good_map_each_time(tmp_path):
+    random = np.random.default_rng(11)
+    saved = 0
+    for _ in range(6):
+        with subprocess.Popen(
+            [sys.executable, "-c", SAVE_FOR_EVER, str(tmp_path), str(saved)],
+            stdout=subprocess.PIPE,
+            text=True,
+        ) as saver:
+            assert saver.stdout is not None
+            for _ in range(int(random.integers(1, 5))):
+                saved = int(saver.stdout.readline())
+            for _ in range(int(random.integers(0, 30_000))):  # to be somewhere inside the next save
+                pass
+            saver.send_signal(signal.SIGKILL)
+            saved = max([saved, *map(int, saver.stdout.read().split())])
+        stored = load_map(tmp_path)
+        assert stored.problems == []
+        assert stored.saved_ns in (saved, saved + 1)
+        assert (stored.tiles[0].cells == stored.saved_ns % 101).all()
+        assert read_ros_map(tmp_path / "map.yaml").cells.shape == (48, 48)
+        saved = stored.saved_ns
