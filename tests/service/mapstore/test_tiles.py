@@ -35,12 +35,13 @@ def slow_grid(tiles):
     }
 
 
-def test_the_grid_agrees_with_painting_cell_by_cell_while_the_map_grows_on_all_sides():
+@pytest.mark.parametrize("stretch", [(1, 1), (8, 0), (0, 8)])
+def test_the_grid_agrees_with_painting_cell_by_cell_while_the_map_grows_on_all_sides(stretch):
     random = np.random.default_rng(7)
     store = TileStore()
     for version in range(1, 120, 3):
-        reach = 1 + version // 8
-        batch = [tile(*random.integers(-reach, reach + 1, 2).tolist(), version + i) for i in range(3)]
+        reach = np.array(stretch) * (1 + version // 8)
+        batch = [tile(*random.integers(-reach, reach + 1).tolist(), version + i) for i in range(3)]
         store.update([*batch, tile(900, 900, version, level=1)])
         grid = store.grid()
         assert grid is not None
