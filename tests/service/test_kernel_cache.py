@@ -1,0 +1,48 @@
+import logging
+import os
+from pathlib import Path
+
+import pytest
+
+from service import kernel_cache
+
+
+@pytest.fixture
+def no_place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Neither the sources nor the home can hold a cache (a file is in the way of each folder)."""
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(kernel_cache, "KERNELS", tmp_path / "file")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")  # as good as unset, and put back afterwards
+
+
+def test_a_writable_place_is_left_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "new"))
+    assert kernel_cache.ensure_cache_dir() is None
+    assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path / "new")
+
+
+def test_the_home_serves_where_the_sources_are_read_only(
+    no_place: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    assert kernel_cache.ensure_cache_dir() is None
+    assert os.environ["NUMBA_CACHE_DIR"] == ""
+
+
+@pytest.mark.parametrize("given", ["", "below/it"])
+def test_without_a_place_a_private_one_is_made_with_a_warning(
+    given: str,
+    no_place: None,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+):
+    if given:
+        monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file" / given))
+    with caplog.at_level(logging.WARNING):
+        made = kernel_cache.ensure_cache_dir()
+    assert made is not None
+    assert os.environ["NUMBA_CACHE_DIR"] == str(made)
+    assert made.stat().st_mode & 0o777 == 0o700
+    assert "compiled anew at every start" in caplog.text
