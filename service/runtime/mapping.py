@@ -1,0 +1,126 @@
+"""The mapping thread: frames in order of arrival -> recording, subscribers and mapper."""
+
+import logging
+import math
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from drivers.frames import Frame, LaserScan
+from service.encoding import (
+    LogClock,
+    Message,
+    decode_frame,
+    encode_frame,
+    encode_odom,
+    encode_pose,
+    encode_tf,
+)
+from service.mapstore.tiles import TileStore
+from service.outputs import MapperOutput, TileUpdate
+from service.runtime.host_time import HostTime
+from service.runtime.queues import FrameQueue
+
+log = logging.getLogger(__name__)
+
+IDLE_S = 0.2  # how long to wait for a frame before the loop beats anyway
+TILE_INTERVAL_NS = 200_000_000
+
+
+class FrameMapper(Protocol):
+    """What the loop needs of service.mapper.pipeline.Mapper, whatever map it matches to."""
+
+    counters: Counter[str]
+
+    def process(self, frame: Frame) -> MapperOutput | None: ...
+    def changed_tiles(self) -> list[TileUpdate]: ...
+
+
+class MapperError(Exception):
+    """The mapper cannot be trusted any more; the recording ends with the frame that did it."""
+
+
+class MappingLoop:
+    """Owns the mapper. Waits for nothing but the next frame: `publish` and `record` only queue.
+
+    The mapper eats what the recording holds: each frame is encoded once, and what is decoded from those very
+    bytes goes on, so a replay of the file gives the same poses.
+
+    publish    takes a message and, for a pose, the moment its scan's last byte was read (host monotonic, ns)
+    record     takes a message
+    """
+
+    def __init__(
+        self,
+        queue: FrameQueue,
+        mapper: FrameMapper,
+        tiles: TileStore,
+        host_time: HostTime,
+        publish: Callable[[Message, int | None], Any],
+        record: Callable[[Message], Any],
+    ) -> None:
+        self._queue = queue
+        self._mapper = mapper
+        self._tiles = tiles
+        self._host_time = host_time
+        self._publish = publish
+        self._record = record
+        self._log_clock = LogClock()
+        self._tiles_due_ns = 0
+        self.heartbeat = 0  # rises as long as the loop turns, with or without frames
+        self.last_output: MapperOutput | None = None
+        self.states: Counter[str] = Counter()  # scans by state: ok, degraded, lost
+        self.unusable: Counter[str] = Counter()  # frames that hold nothing to map, by sensor
+
+    @property
+    def counters(self) -> Counter[str]:
+        """The mapper's own: scans, scans_dropped_late ..."""
+        return self._mapper.counters
+
+    def run(self) -> None:
+        """Map until the queue is closed and empty. Raises MapperError."""
+        while not self._queue.drained:
+            self.heartbeat += 1
+            frame = self._queue.get(IDLE_S)
+            if frame is not None:
+                self._take(frame)
+            now_ns = time.monotonic_ns()
+            if now_ns >= self._tiles_due_ns:
+                self._tiles.update(self._mapper.changed_tiles())
+                self._tiles_due_ns = now_ns + TILE_INTERVAL_NS
+        self._tiles.update(self._mapper.changed_tiles())
+
+    def _take(self, frame: Frame) -> None:
+        log_ns = self._log_clock.next_ns(self._host_time.unix_ns(frame.arrived_ns))
+        message = encode_frame(frame, self._host_time.offset_ns, log_ns)
+        self._record(message)
+        self._publish(message, None)
+        eaten = decode_frame(message.type, message.payload, frame.sensor, log_ns)
+        if eaten is None:
+            self.unusable[frame.sensor] += 1
+            return
+        output = self._map(eaten)
+        if output is None:
+            return
+        self.last_output = output
+        self.states[output.state] += 1
+        pose, odom, tf = encode_pose(output, log_ns), encode_odom(output, log_ns), encode_tf(output, log_ns)
+        self._publish(pose, frame.arrived_ns)
+        for message in (odom, tf):
+            self._publish(message, None)
+        for message in (pose, odom, tf):
+            self._record(message)
+
+    def _map(self, frame: Frame) -> MapperOutput | None:
+        """One frame through the mapper. What it holds after an exception nobody knows, so none passes."""
+        kind = "scan" if isinstance(frame, LaserScan) else "sample"
+        try:
+            output = self._mapper.process(frame)
+        except Exception as error:
+            raise MapperError(f"{kind} of {frame.sensor} stamped {frame.stamp_ns}: {error!r}") from error
+        if output is not None:
+            pose = output.pose_map_base
+            if not all(map(math.isfinite, (pose.x_m, pose.y_m, pose.theta_rad))):
+                raise MapperError(f"{kind} of {frame.sensor} stamped {frame.stamp_ns} gave the pose {pose}")
+        return output

@@ -1,0 +1,162 @@
+import math
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
+from service.encoding import Message, decode_frame, decode_pose
+from service.geometry.se2 import SE2
+from service.mapstore.tiles import TileStore
+from service.outputs import MapperOutput, TileUpdate
+from service.runtime.host_time import HostTime
+from service.runtime.mapping import MapperError, MappingLoop
+from service.runtime.queues import FrameQueue
+
+OFFSET_NS = 1_700_000_000_000_000_000
+
+
+class FakeMapper:
+    """Puts every scan one metre further along x; notes what it was given."""
+
+    def __init__(self, fault: Exception | None = None, x_m: float | None = None) -> None:
+        self.counters: Counter[str] = Counter()
+        self.eaten: list[Frame] = []
+        self._fault = fault
+        self._x_m = x_m
+
+    def process(self, frame: Frame) -> MapperOutput | None:
+        self.eaten.append(frame)
+        if not isinstance(frame, LaserScan):
+            return None
+        if self._fault is not None:
+            raise self._fault
+        self.counters["scans"] += 1
+        x_m = float(self.counters["scans"]) if self._x_m is None else self._x_m
+        pose = SE2(x_m, 0.0, 0.0)
+        return MapperOutput(frame.stamp_ns, pose, SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 1.0)
+
+    def changed_tiles(self) -> list[TileUpdate]:
+        version = self.counters["scans"]
+        return [TileUpdate(0, 0, 0, version, 0.05, np.zeros((4, 4), np.int8))] if version else []
+
+
+def scan(stamp_ns: int, arrived_ns: int, ranges: list[float]) -> LaserScan:
+    range_m = np.array(ranges, dtype=np.float32)
+    return LaserScan("front", stamp_ns, arrived_ns, 1, 3, 0.0, 0.1, 0.01, 20.0, range_m, NO_INTENSITY)
+
+
+def sample(stamp_ns: int, arrived_ns: int) -> OdometrySample:
+    return OdometrySample("base", stamp_ns, arrived_ns, 0.1, 0.2, 0.3, (0.0, 0.0, 0.0), (0.0,) * 9)
+
+
+class Run:
+    """A mapping loop run over frames to its end, with everything it put out."""
+
+    def __init__(self, mapper: FakeMapper, frames: list[Frame]) -> None:
+        self.published: list[tuple[Message, int | None]] = []
+        self.recorded: list[Message] = []
+        self.tiles = TileStore()
+        queue = FrameQueue()
+        for frame in frames:
+            queue.put(frame)
+        queue.close()
+        self.loop = MappingLoop(
+            queue,
+            mapper,
+            self.tiles,
+            HostTime(OFFSET_NS),
+            lambda message, arrived_ns: self.published.append((message, arrived_ns)),
+            self.recorded.append,
+        )
+
+
+FRAMES: list[Frame] = [sample(5, 30), scan(10, 20, [1.0, math.nan, 2.0]), scan(40, 60, [1.1, 1.2, 1.3])]
+
+
+def test_the_mapper_eats_what_the_recording_holds():
+    mapper = FakeMapper()
+    run = Run(mapper, FRAMES)
+    run.loop.run()
+    recorded = [m for m in run.recorded if m.channel in ("front/scan", "base/odom")]
+    assert [frame.sensor for frame in mapper.eaten] == ["base", "front", "front"]
+    for message, eaten in zip(recorded, mapper.eaten, strict=True):
+        again = decode_frame(message.type, message.payload, eaten.sensor, message.log_ns)
+        assert again is not None
+        assert (again.stamp_ns, again.arrived_ns) == (eaten.stamp_ns, eaten.arrived_ns)
+        if isinstance(again, LaserScan):
+            assert isinstance(eaten, LaserScan)
+            np.testing.assert_array_equal(again.range_m, eaten.range_m)
+
+
+def test_log_times_keep_the_order_in_which_the_mapper_ate():
+    run = Run(FakeMapper(), FRAMES)  # the scan was read at 20, before the sample at 30, yet queued after it
+    run.loop.run()
+    log_ns = [m.log_ns - OFFSET_NS for m in run.recorded if m.channel in ("front/scan", "base/odom")]
+    assert log_ns == [30, 31, 60]
+
+
+def test_stamps_are_unix_time_by_the_fixed_offset():
+    run = Run(FakeMapper(), FRAMES)
+    run.loop.run()
+    assert [m.stamp_ns - OFFSET_NS for m in run.recorded if m.channel == "pose"] == [10, 40]
+
+
+def test_each_scan_gives_pose_odom_and_tf_with_the_moment_it_was_read():
+    run = Run(FakeMapper(), FRAMES)
+    run.loop.run()
+    assert [message.channel for message, _ in run.published] == [
+        "base/odom", "front/scan", "pose", "odom", "tf", "front/scan", "pose", "odom", "tf",
+    ]  # fmt: skip
+    assert [arrived for message, arrived in run.published if message.channel == "pose"] == [20, 60]
+    assert all(arrived is None for message, arrived in run.published if message.channel != "pose")
+    poses = [decode_pose(message.payload).pose.x_m for message in run.recorded if message.channel == "pose"]
+    assert poses == [1.0, 2.0]
+    assert run.loop.states == {"ok": 2}
+
+
+def test_the_last_tiles_are_there_when_the_loop_ends():
+    run = Run(FakeMapper(), FRAMES)
+    run.loop.run()
+    assert run.tiles.version == 2
+
+
+def test_a_frame_without_anything_to_map_is_counted_and_recorded():
+    mapper = FakeMapper()
+    bad = OdometrySample("base", 1, 2, math.nan, 0.0, 0.0, (0.0, 0.0, 0.0), (0.0,) * 9)
+    run = Run(mapper, [bad])
+    run.loop.run()
+    assert run.loop.unusable == {"base": 1}
+    assert not mapper.eaten
+    assert [m.channel for m in run.recorded] == ["base/odom"]
+
+
+def test_a_mapper_that_raises_ends_the_loop_after_its_frame_was_recorded():
+    run = Run(FakeMapper(fault=ZeroDivisionError("float division")), FRAMES)
+    with pytest.raises(MapperError, match=r"scan of front stamped 17.*ZeroDivisionError"):
+        run.loop.run()
+    assert run.recorded[-1].channel == "front/scan"
+
+
+def test_a_pose_that_is_no_number_ends_the_loop():
+    run = Run(FakeMapper(x_m=math.inf), FRAMES)
+    with pytest.raises(MapperError, match="gave the pose SE2"):
+        run.loop.run()
+
+
+def test_the_heart_beats_without_frames():
+    run = Run(FakeMapper(), [])
+    assert run.loop.heartbeat == 0
+    queue = FrameQueue()
+    loop = MappingLoop(queue, FakeMapper(), TileStore(), HostTime(0), lambda *_: None, lambda _: None)
+    calls = 0
+
+    def get(timeout_s: float) -> None:
+        nonlocal calls
+        calls += 1
+        if calls == 3:
+            queue.close()
+
+    queue.get = get  # type: ignore[method-assign]  # an idle wait that takes no time
+    loop.run()
+    assert loop.heartbeat == 3
