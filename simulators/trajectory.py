@@ -203,7 +203,7 @@ def _spin(begin: Floats, turn_rad: float, limits: Limits) -> Floats:
 
 
 def _whole_nodes(total_s: float) -> tuple[Floats, float]:
-    """Times to sample at so that a leg lasts a whole number of nodes, and the factor (<= 1) this slows it by."""
+    """Times to sample at so that a leg lasts a whole number of nodes, and the factor this slows it by."""
     count = math.ceil(total_s / NODE_S)
     return np.linspace(0.0, total_s, count + 1), total_s / (count * NODE_S)
 

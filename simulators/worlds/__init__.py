@@ -1,0 +1,23 @@
+"""Worlds by name. A new one is a module with a function that returns a World, and a line here."""
+
+from collections.abc import Callable
+
+from simulators.world import World
+from simulators.worlds.corridors import corridor100, ring
+from simulators.worlds.mall import mall
+from simulators.worlds.office import office
+
+WORLDS: dict[str, Callable[[], World]] = {
+    "office": office,
+    "ring": ring,
+    "corridor100": corridor100,
+    "mall": mall,
+}
+
+
+def build_world(name: str) -> World:
+    """Raises ValueError for a name that is not there."""
+    try:
+        return WORLDS[name]()
+    except KeyError:
+        raise ValueError(f"no world {name!r}; there are {', '.join(sorted(WORLDS))}") from None
