@@ -1,0 +1,259 @@
+"""What the vehicle's sensors feel in a world: the truth with each sensor's own errors on it.
+
+Everything is a function of time and seed. Noise is drawn from a counter-based generator keyed by seed and
+sensor and placed by the moment measured, so it does not matter when or how often somebody asks.
+"""
+
+import math
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry.se2 import SE2
+from simulators.device import Sweep
+from simulators.trajectory import Floats
+from simulators.world import PERSON_REFLECTIVITY, World
+
+NO_HIT = -1
+BISECTIONS = 7  # find an edge inside a beam's footprint to 1/128 of it
+MIXING_SHARE = (0.1, 0.9)  # an edge nearer than this to the footprint's rim leaves no mixed return
+
+
+class Ride:
+    """The vehicle's drive on the host's clock.
+
+    It stands for `stand_s` after `start_ns`, then drives. Before start_ns it stands as well.
+    """
+
+    def __init__(self, world: World, start_ns: int, stand_s: float = 2.0) -> None:
+        self.world = world
+        self.start_ns = start_ns
+        self._departure_ns = start_ns + round(stand_s * 1e9)
+
+    def drive_s(self, stamp_ns: int) -> float:
+        """Seconds since departure; the clock of drive and people."""
+        return (stamp_ns - self._departure_ns) * 1e-9
+
+    def pose(self, stamp_ns: int) -> SE2:
+        """Base in the frame of its start."""
+        x, y, theta = self.world.drive.poses(np.array([self.drive_s(stamp_ns)]))[0]
+        return SE2(float(x), float(y), math.remainder(float(theta), 2.0 * math.pi))
+
+
+def noise_of(seed: int, sensor: str, moment: int) -> np.random.Generator:
+    """A generator of its own for each sensor and moment of a run."""
+    key = np.array([seed % 2**64, zlib.crc32(sensor.encode())], dtype=np.uint64)
+    counter = np.array([0, 0, moment % 2**64, 0], dtype=np.uint64)
+    return np.random.Generator(np.random.Philox(key=key, counter=counter))
+
+
+@dataclass(frozen=True, slots=True)
+class LaserModel:
+    """A laser's errors. A wall of reflectivity 0.1 seen squarely is found up to tenth_range_m."""
+
+    range_min_m: float
+    range_max_m: float
+    tenth_range_m: float
+    sigma_m: float
+    sigma_per_m: float = 0.0
+    bias_m: float = 0.0
+    quantum_m: float = 0.001
+    divergence_rad: float = 0.015  # full width of a beam
+    mixed_share: float = 0.4  # of the beams whose footprint straddles a step, those that return from between
+    mixed_step_m: tuple[float, float] = (0.05, 2.0)  # smaller is no step, larger is told apart by the pulse
+    dropout_share: float = 0.0005
+
+
+# SICK operating instructions LMS1xx, technical data: 18 m at 10 % remission, statistical error 12 mm
+# (1 sigma), divergence 15 mrad. It reports echoes down to some centimetres.
+LMS100 = LaserModel(range_min_m=0.05, range_max_m=20.0, tenth_range_m=18.0, sigma_m=0.012)
+# Hokuyo UTM-30LX specification: 0.1 to 30 m, repeated accuracy 10 mm to 10 m and 30 mm beyond.
+UTM30LX = LaserModel(
+    range_min_m=0.1,
+    range_max_m=30.0,
+    tenth_range_m=15.0,
+    sigma_m=0.006,
+    sigma_per_m=0.0007,
+    divergence_rad=0.006,
+)
+
+
+class LaserTruth:
+    """SweepSource: what a laser mounted on the riding vehicle sees."""
+
+    def __init__(self, ride: Ride, sensor: str, mounting: SE2, model: LaserModel, seed: int) -> None:
+        self._ride = ride
+        self._sensor = sensor
+        self._mounting = mounting
+        self._model = model
+        self._seed = seed
+
+    def sweep(
+        self,
+        first_ray_ns: int,
+        beam_interval_ns: int,
+        first_angle_rad: float,
+        angle_step_rad: float,
+        beam_count: int,
+    ) -> Sweep:
+        """Cast beam i at first_ray_ns + i * beam_interval_ns from where the vehicle is at that moment."""
+        model = self._model
+        noise = noise_of(self._seed, self._sensor, first_ray_ns - self._ride.start_ns)
+        since_first_s = np.arange(beam_count, dtype=np.float64) * (beam_interval_ns * 1e-9)
+        rays = self._rays(first_ray_ns, since_first_s, first_angle_rad, angle_step_rad)
+        first_s = self._ride.drive_s(first_ray_ns)
+        discs = self._ride.world.discs(first_s, max(float(since_first_s[-1]), 1e-3))
+        rim = np.array([0.0, 0.0, model.divergence_rad / 2, 0.0])
+        rims = np.vstack([rays, rays + rim, rays - rim])
+        range_m, hit = self._ride.world.cast(rims, discs, model.range_max_m)
+        true_m, surface = range_m[:beam_count].copy(), hit[:beam_count]
+        cosine, reflectivity = self._surfaces(rays, true_m, surface, discs)
+        self._mix(rays, hit.reshape(3, -1), discs, true_m, noise)
+
+        with np.errstate(invalid="ignore"):
+            echo = reflectivity * cosine / 0.1 * (model.tenth_range_m / np.maximum(true_m, 0.01)) ** 2
+            measured_m = true_m + model.bias_m
+            measured_m += (model.sigma_m + model.sigma_per_m * true_m) * noise.standard_normal(beam_count)
+            measured_m = np.round(measured_m / model.quantum_m) * model.quantum_m
+            seen = echo * np.exp(0.1 * noise.standard_normal(beam_count)) >= 1.0
+            seen &= noise.random(beam_count) >= model.dropout_share
+            seen &= (measured_m >= model.range_min_m) & (measured_m <= model.range_max_m)
+        brightness = reflectivity * cosine * np.exp(0.03 * noise.standard_normal(beam_count))
+        return Sweep(
+            np.where(seen, measured_m, np.nan).astype(np.float32),
+            np.where(seen, np.clip(brightness, 0.0, 1.0), 0.0).astype(np.float32),
+        )
+
+    def _rays(
+        self, first_ray_ns: int, since_first_s: Floats, first_angle_rad: float, angle_step_rad: float
+    ) -> Floats:
+        """(N, 4) place, direction and time since the first ray of each beam."""
+        poses = self._ride.world.drive.poses(self._ride.drive_s(first_ray_ns) + since_first_s)
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        mounting = self._mounting
+        rays = np.empty((len(poses), 4))
+        rays[:, 0] = poses[:, 0] + c * mounting.x_m - s * mounting.y_m
+        rays[:, 1] = poses[:, 1] + s * mounting.x_m + c * mounting.y_m
+        rays[:, 2] = poses[:, 2] + mounting.theta_rad + first_angle_rad
+        rays[:, 2] += np.arange(len(poses)) * angle_step_rad
+        rays[:, 3] = since_first_s
+        return rays
+
+    def _surfaces(
+        self, rays: Floats, range_m: Floats, surface: npt.NDArray[np.int32], discs: Floats
+    ) -> tuple[Floats, Floats]:
+        """Cosine of incidence and reflectivity where each ray ends; 0 where it does not."""
+        world = self._ride.world
+        cosine, reflectivity = np.zeros(len(rays)), np.zeros(len(rays))
+        c, s = np.cos(rays[:, 2]), np.sin(rays[:, 2])
+        wall = (surface >= 0) & (surface < len(world.segments))
+        edge = world.segments[surface[wall], 2:] - world.segments[surface[wall], :2]
+        cosine[wall] = np.abs(c[wall] * edge[:, 1] - s[wall] * edge[:, 0]) / np.hypot(edge[:, 0], edge[:, 1])
+        reflectivity[wall] = world.reflectivity[surface[wall]]
+        person = surface >= len(world.segments)
+        if person.any():
+            disc, ray = discs[surface[person] - len(world.segments)], rays[person]
+            centre = disc[:, :2] + ray[:, 3:] * disc[:, 2:4]
+            off = (centre[:, 0] - ray[:, 0]) * s[person] - (centre[:, 1] - ray[:, 1]) * c[person]
+            cosine[person] = np.sqrt(np.maximum(0.0, 1.0 - (off / disc[:, 4]) ** 2))
+            reflectivity[person] = PERSON_REFLECTIVITY
+        return cosine, reflectivity
+
+    def _mix(
+        self,
+        rays: Floats,
+        hit: npt.NDArray[np.int32],
+        discs: Floats,
+        true_m: Floats,
+        noise: np.random.Generator,
+    ) -> None:
+        """Move a share of the beams that straddle a step to a range between both sides; in place.
+
+        hit (3, N) is what the middle, the left and the right rim of each beam met. Where the rims met
+        different things the edge between is found by bisection: a corner of a room has no step there, a
+        door post has.
+        """
+        chance, place = noise.random((2, len(rays)))
+        edge = np.flatnonzero(hit[1] != hit[2])
+        if edge.size == 0:
+            return
+        model, world = self._model, self._ride.world
+        half = model.divergence_rad / 2
+        left, right = np.full(edge.size, half), np.full(edge.size, -half)
+        ray = rays[edge].copy()
+        for _ in range(BISECTIONS):
+            middle = (left + right) / 2
+            ray[:, 2] = rays[edge, 2] + middle
+            is_left = world.cast(ray, discs, model.range_max_m)[1] == hit[1, edge]
+            left, right = np.where(is_left, middle, left), np.where(is_left, right, middle)
+        ray[:, 2] = rays[edge, 2] + left
+        left_m = world.cast(ray, discs, model.range_max_m)[0]
+        ray[:, 2] = rays[edge, 2] + right
+        right_m = world.cast(ray, discs, model.range_max_m)[0]
+        with np.errstate(invalid="ignore"):  # both sides may be out of sight: inf - inf
+            step_m = right_m - left_m
+            mixed = (np.abs(step_m) > model.mixed_step_m[0]) & (np.abs(step_m) < model.mixed_step_m[1])
+        share = (half - left) / model.divergence_rad
+        mixed &= (share > MIXING_SHARE[0]) & (share < MIXING_SHARE[1])
+        mixed &= chance[edge] < model.mixed_share
+        true_m[edge[mixed]] = left_m[mixed] + place[edge[mixed]] * step_m[mixed]
+
+
+@dataclass(frozen=True, slots=True)
+class WheelModel:
+    """A differential drive's errors."""
+
+    wheel_base_m: float = 0.235
+    scale_sigma: float = 0.005  # each wheel's circumference is off by a share drawn once
+    slip_sigma_m: float = 0.002  # random walk of each wheel per square root of a metre rolled
+    slips_per_m: float = 0.02  # a wheel spins for a moment
+    slip_m: tuple[float, float] = (0.005, 0.02)  # and how far
+
+
+SLIP_STEP_S = 0.1
+SLIP_BLOCK = 600  # steps drawn at a time
+
+
+class WheelTruth:
+    """WheelSource: how far the wheels have rolled since the world began, slip and scale error included."""
+
+    def __init__(self, ride: Ride, sensor: str, model: WheelModel, seed: int) -> None:
+        self._ride = ride
+        self._sensor = sensor
+        self._model = model
+        self._seed = seed
+        scales = noise_of(seed, sensor, -1).standard_normal(2)
+        self._scale = 1.0 + model.scale_sigma * scales
+        self._slip_m = np.zeros((1, 2))  # summed at each step since departure, left and right
+
+    def wheel_travel_m(self, now_ns: int) -> tuple[float, float]:
+        """Way rolled by the left and the right wheel since the world began, m; backwards counts down."""
+        time_s = max(0.0, self._ride.drive_s(now_ns))
+        place = time_s / SLIP_STEP_S
+        step = int(place)
+        while step + 1 >= len(self._slip_m):
+            self._draw_slip()
+        slip_m = self._slip_m[step] + (place - step) * (self._slip_m[step + 1] - self._slip_m[step])
+        rolled_m = self._rolled_m(np.array([time_s]))[0]
+        left_m, right_m = rolled_m * self._scale + slip_m
+        return float(left_m), float(right_m)
+
+    def _rolled_m(self, time_s: Floats) -> Floats:
+        """(N, 2) true way of the left and the right wheel."""
+        way_m, turned_rad = self._ride.world.drive.travel(time_s).T
+        half_m = turned_rad * self._model.wheel_base_m / 2
+        return np.column_stack([way_m - half_m, way_m + half_m])
+
+    def _draw_slip(self) -> None:
+        """Draw the next block of steps; a block depends on its number only."""
+        model = self._model
+        first = len(self._slip_m) - 1
+        noise = noise_of(self._seed, self._sensor, first // SLIP_BLOCK)
+        moments_s = (first + np.arange(SLIP_BLOCK + 1, dtype=np.float64)) * SLIP_STEP_S
+        way_m = np.abs(np.diff(self._rolled_m(moments_s), axis=0))
+        slip_m = model.slip_sigma_m * np.sqrt(way_m) * noise.standard_normal(way_m.shape)
+        spins = noise.random(way_m.shape) < model.slips_per_m * way_m
+        slip_m += spins * noise.uniform(*model.slip_m, way_m.shape)
+        self._slip_m = np.vstack([self._slip_m, self._slip_m[-1] + np.cumsum(slip_m, axis=0)])
