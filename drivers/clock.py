@@ -8,15 +8,19 @@ What remains is the shortest delay that ever occurs, a constant; a driver's conf
 
 from dataclasses import dataclass, field
 
-JUMP_NS = 500_000_000  # an arrival this far from the prediction is a restart of the device, not jitter
+JUMP_NS = 500_000_000  # further from the prediction than jitter goes
+BACKLOG_NS = 2_000_000_000  # a network that held messages back has delivered them by then
 SETTLED_NS = 2_000_000_000  # a hull shorter than this says nothing of skew
 WINDOW_NS = 60_000_000_000  # a hull is used from half this age to this age, so warming-up drift is followed
 MAX_SKEW = 300e-6  # crystals are good to 100 ppm; more is a hull over bad data
+RUNAWAY_NS = (
+    10_000_000_000  # a hull this long with more skew than that is begun anew, lest its offset grow stale
+)
 
 
 @dataclass(slots=True)
 class _Hull:
-    """Lower convex hull of (device ns, offset ns), both relative to the first point to stay exact in floats."""
+    """Lower convex hull of (device ns, offset ns), both relative to the first point, so exact in floats."""
 
     device0_ns: int
     offset0_ns: int
@@ -42,10 +46,11 @@ class _Hull:
     def span_ns(self) -> float:
         return self.points[-1][0] if self.points else 0.0
 
-    def line(self) -> tuple[float, float]:
+    def line(self) -> tuple[float, float] | None:
         """Offset at device0_ns (relative to offset0_ns) and skew of the supporting line below all points.
 
-        It is the edge over the middle of the time covered, which minimises the summed distance.
+        It is the edge over the middle of the time covered, which minimises the summed distance. None where
+        that edge is steeper than any crystal; a short hull is flat, at the fastest arrival.
         """
         if self.span_ns < SETTLED_NS or len(self.points) < 2:
             return self.minimum_offset_ns, 0.0
@@ -53,9 +58,7 @@ class _Hull:
         right = next(i for i, (x, _) in enumerate(self.points) if x >= middle)
         (x0, y0), (x1, y1) = self.points[max(right - 1, 0)], self.points[max(right, 1)]
         skew = (y1 - y0) / (x1 - x0)
-        if abs(skew) > MAX_SKEW:
-            return self.minimum_offset_ns, 0.0
-        return y0 - skew * x0, skew
+        return None if abs(skew) > MAX_SKEW else (y0 - skew * x0, skew)
 
 
 class ClockMap:
@@ -66,6 +69,8 @@ class ClockMap:
     latency_ns    shortest delay from the moment of measurement to arrival, if known by calibration
 
     `observe` first, with the ticks of the moment the message left; then `to_host_ns` for any tick near it.
+    Messages held back by a network come late for a while and change nothing. A message far too early, ticks
+    that go back, or lateness that does not end, are a restart of the device: all is learnt anew.
     """
 
     def __init__(self, tick_ns: float, wrap_ticks: int | None = None, latency_ns: int = 0) -> None:
@@ -76,7 +81,9 @@ class ClockMap:
         self._hull: _Hull | None = None
         self._young: _Hull | None = None
         self._line = (0.0, 0.0)
+        self._late_since_ns: int | None = None
         self.resets = 0
+        self.runaways = 0  # hulls begun anew because the clocks run apart faster than crystals do
         self.residual_ns = 0  # how much later than the line the newest message came
 
     @property
@@ -100,8 +107,8 @@ class ClockMap:
         """Take in that a message that left at `ticks` arrived at `arrived_ns`."""
         unwrapped = self._unwrap(ticks)
         device_ns = round(unwrapped * self._tick_ns)
-        if self._hull is not None and abs(arrived_ns - self._translate(unwrapped)) > JUMP_NS:
-            self._hull = self._young = None
+        if self._hull is not None and self._restarted(unwrapped, arrived_ns):
+            self._hull = self._young = self._late_since_ns = None
             self.resets += 1
         self._last_ticks = unwrapped
         offset_ns = arrived_ns - device_ns
@@ -115,8 +122,26 @@ class ClockMap:
         for hull in (self._hull, self._young):
             if hull is not None:
                 hull.add(device_ns, offset_ns)
-        self._line = self._hull.line()
+        line = self._hull.line()
+        if line is None and self._hull.span_ns > RUNAWAY_NS:
+            self._hull, self._young = _Hull(device_ns, offset_ns), None
+            self._hull.add(device_ns, offset_ns)
+            self.runaways += 1
+        self._line = line or (self._hull.minimum_offset_ns, 0.0)
         self.residual_ns = arrived_ns - self._translate(unwrapped)
+
+    def _restarted(self, unwrapped_ticks: int, arrived_ns: int) -> bool:
+        late_ns = arrived_ns - self._translate(unwrapped_ticks)
+        if late_ns < -JUMP_NS:
+            return True
+        if late_ns <= JUMP_NS:
+            self._late_since_ns = None
+            return False
+        if self._last_ticks is not None and unwrapped_ticks < self._last_ticks:
+            return True
+        if self._late_since_ns is None:
+            self._late_since_ns = arrived_ns
+        return arrived_ns - self._late_since_ns > BACKLOG_NS
 
     def to_host_ns(self, ticks: int) -> int:
         """Host time of `ticks`, which lie within half a wrap of the newest message observed."""

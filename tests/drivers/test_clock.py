@@ -1,0 +1,134 @@
+"""The clock map against clocks whose truth is known."""
+
+import numpy as np
+import pytest
+
+from drivers.clock import ClockMap
+
+PERIOD_S = 0.02006
+LATENCY_S = 0.8e-3
+WRAP = 2**32
+
+
+class Stream:
+    """Messages of a device whose clock runs `drift_ppm` fast, wanders, and whose messages come late."""
+
+    def __init__(self, seed, count=3000, drift_ppm=100.0, wander_ppm=0.0, start_us=WRAP - 5_000_000):
+        self.rng = np.random.default_rng(seed)
+        self.sent_s = 50.0 + np.arange(count) * PERIOD_S
+        turn = 2 * np.pi * self.sent_s / 240.0
+        device_s = self.sent_s * (1 + drift_ppm * 1e-6) - wander_ppm * 1e-6 * 240.0 / (2 * np.pi) * np.cos(
+            turn
+        )
+        self.ticks = np.rint((device_s - device_s[0]) * 1e6).astype(np.int64) + start_us
+        jitter_s = self.rng.uniform(0.0, 3e-3, count)
+        late = self.rng.random(count) < 0.05
+        jitter_s[late] += self.rng.uniform(0.0, 50e-3, int(late.sum()))
+        self.arrived_s = np.maximum.accumulate(self.sent_s + LATENCY_S + jitter_s)
+
+    def through(self, clock):
+        """Error of each translated stamp, ms, and the stamps, ns."""
+        stamps_ns = []
+        for ticks, arrived_s in zip(self.ticks, self.arrived_s, strict=True):
+            clock.observe(int(ticks % WRAP), round(arrived_s * 1e9))
+            stamps_ns.append(clock.to_host_ns(int(ticks % WRAP)))
+        stamps_ns = np.array(stamps_ns)
+        return (stamps_ns - self.sent_s * 1e9) / 1e6, stamps_ns
+
+
+def microseconds():
+    return ClockMap(1_000.0, WRAP)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("drift_ppm", "wander_ppm"), [(100, 0), (-100, 0), (250, 0), (30, 10)])
+def test_stamps_keep_a_constant_bias_through_jitter_bursts_drift_and_a_wrap(seed, drift_ppm, wander_ppm):
+    stream = Stream(seed, drift_ppm=drift_ppm, wander_ppm=wander_ppm)
+    clock = microseconds()
+    error_ms, stamps_ns = stream.through(clock)
+    old = np.arange(len(error_ms)) * PERIOD_S > 10.0
+    assert error_ms[old].std() <= 0.2
+    assert abs(error_ms[old].mean() - LATENCY_S * 1e3) <= 0.2
+    assert np.abs(error_ms).max() < 60.0
+    assert np.diff(stamps_ns[old]).min() > 0
+    assert clock.resets == clock.runaways == 0
+    if not wander_ppm:
+        assert clock.skew_ppm == pytest.approx(-drift_ppm, abs=5.0)
+
+
+def test_skew_of_a_young_hull_cannot_run_wild():
+    for seed in range(20):
+        error_ms, _ = Stream(seed, count=500).through(microseconds())
+        young = np.arange(500) * PERIOD_S > 2.0
+        assert np.abs(error_ms[young] - LATENCY_S * 1e3).max() < 1.0, seed
+
+
+@pytest.mark.parametrize("ticks_after", [1_000, 3_000_000_000])
+def test_restart_of_the_device_is_noticed_and_recovered_within_three_seconds(ticks_after):
+    stream = Stream(1)
+    stream.ticks[1500:] += ticks_after - stream.ticks[1500]
+    clock = microseconds()
+    error_ms, _ = stream.through(clock)
+    recovered = 1500 + round(3.0 / PERIOD_S)
+    assert clock.resets == 1
+    assert np.abs(error_ms[recovered:] - LATENCY_S * 1e3).max() < 1.0
+
+
+def test_restart_that_only_looks_late_is_recovered_within_three_seconds():
+    stream = Stream(1)
+    stream.sent_s[1500:] += 5.0
+    stream.arrived_s[1500:] += 5.0
+    stream.ticks[1500:] += 4_400_000  # the counter stood still for 0.6 s of the 5 s without messages
+    clock = microseconds()
+    error_ms, _ = stream.through(clock)
+    assert clock.resets == 1
+    assert np.abs(error_ms[1500 + round(3.0 / PERIOD_S) :] - LATENCY_S * 1e3).max() < 1.0
+
+
+def test_messages_held_back_by_the_network_are_late_and_no_restart():
+    stream = Stream(2)
+    held = (stream.sent_s > 80.0) & (stream.sent_s < 83.0)
+    stream.arrived_s[held] = np.maximum(stream.arrived_s[held], 83.0)
+    stream.arrived_s = np.maximum.accumulate(stream.arrived_s)
+    clock = microseconds()
+    error_ms, _ = stream.through(clock)
+    assert clock.resets == 0
+    assert error_ms[stream.sent_s > 62.0].std() <= 0.2
+
+
+def test_quantised_arrivals_do_not_quantise_stamps():
+    stream = Stream(3)
+    stream.arrived_s = np.ceil(stream.arrived_s / 0.016) * 0.016  # a serial adapter's latency timer
+    error_ms, _ = stream.through(microseconds())
+    assert error_ms[stream.sent_s > 62.0].std() <= 0.5  # of the arrivals themselves: 4.7 ms
+
+
+def test_clock_that_runs_away_is_followed_and_counted():
+    stream = Stream(4, drift_ppm=-2_000.0)  # 2 ms a second slow: no crystal
+    clock = microseconds()
+    error_ms, _ = stream.through(clock)
+    assert clock.runaways > 0
+    assert np.abs(error_ms).max() < 60.0
+
+
+def test_latency_is_taken_off():
+    clock = ClockMap(1_000.0, None, latency_ns=700)
+    clock.observe(5, 10_000)
+    assert clock.to_host_ns(5) == 9_300
+    assert clock.to_host_ns(4) == 8_300
+    assert clock.offset_ns == 5_000
+
+
+def test_settled_only_after_two_seconds():
+    clock = microseconds()
+    assert clock.offset_ns == 0
+    assert not clock.settled
+    for second in (0, 1, 3):
+        clock.observe(second * 1_000_000, second * 1_000_000_000)
+    assert clock.settled
+    assert clock.residual_ns == 0
+
+
+def test_asking_before_the_first_message_is_refused():
+    with pytest.raises(ValueError, match="observe"):
+        microseconds().to_host_ns(1)
