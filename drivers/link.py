@@ -90,6 +90,8 @@ def run_link(
                 _pump(transport, new_session(), health, sink, stop, tee)
             return
         except (TransportError, ProtocolError) as error:
+            if stop.is_set():
+                return
             if time.monotonic() - began_s > PROVEN_AFTER_S:
                 retry_s = FIRST_RETRY_S
             wait_s, retry_s = retry_s, min(2.0 * retry_s, LAST_RETRY_S)
@@ -122,20 +124,18 @@ def _pump(
             if session.outbox:
                 transport.write(bytes(session.outbox))
                 session.outbox.clear()
-            data = transport.read(READ_TIMEOUT_S)
-            if not data:
-                continue
-            arrived_ns = time.monotonic_ns()
-            if tee is not None:
-                tee(arrived_ns, data)
-            health.bytes_read += len(data)
-            for frame in session.receive_data(data, arrived_ns):
-                if health.state != "streaming":
-                    health.state = "streaming"
-                    log.info("%s: streaming%s", health.name, _identity_text(session.identity))
-                health.frames += 1
-                health.last_frame_ns = arrived_ns
-                sink(frame)
+            if data := transport.read(READ_TIMEOUT_S):
+                arrived_ns = time.monotonic_ns()
+                if tee is not None:
+                    tee(arrived_ns, data)
+                health.bytes_read += len(data)
+                for frame in session.receive_data(data, arrived_ns):
+                    if health.state != "streaming":
+                        health.state = "streaming"
+                        log.info("%s: streaming%s", health.name, _identity_text(session.identity))
+                    health.frames += 1
+                    health.last_frame_ns = arrived_ns
+                    sink(frame)
             health.status = session.status
             health.clock_offset_ns = session.clock_offset_ns
             health.counters = before + session.counters

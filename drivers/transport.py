@@ -71,7 +71,7 @@ class TcpTransport:
 
 
 class SerialTransport:
-    """A serial port by path, or any pyserial URL (socket://host:port, rfc2217://...); 8N1, no flow control."""
+    """A serial port by path, or any pyserial URL (socket://host:port, rfc2217://...); 8N1, no handshake."""
 
     def __init__(self, device: str, baud: int) -> None:
         self._where = f"{device} at {baud} baud"
@@ -88,7 +88,11 @@ class SerialTransport:
             ready, _, _ = select.select([self._port.fileno()], [], [], timeout_s)
             if not ready:
                 return b""
-            data = self._port.read(READ_BYTES) if "://" in self._where else os.read(self._port.fd, READ_BYTES)
+            data = (
+                self._port.read(READ_BYTES)
+                if "://" in self._where
+                else os.read(self._port.fileno(), READ_BYTES)
+            )
         except (serial.SerialException, OSError, TypeError, ValueError) as error:
             raise TransportError(f"{self._where}: {error}; unplugged?") from error
         if not data:

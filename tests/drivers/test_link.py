@@ -1,0 +1,158 @@
+"""The one loop: what it does with bytes, errors and time."""
+
+import threading
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from drivers import link
+from drivers.errors import DeviceError, ProtocolError, TransportError
+from drivers.frames import NO_INTENSITY, LaserScan
+from drivers.link import LinkHealth, run_link
+from drivers.transport import ScriptedTransport
+
+
+def scan():
+    empty = np.empty(0, np.float32)
+    return LaserScan("front", 0, 0, 0, 0, 0.0, 0.1, 0.0, 1.0, empty, NO_INTENSITY)
+
+
+class EchoSession:
+    """A frame for every chunk; says hello at its first tick and goodbye at its end."""
+
+    def __init__(self, fails_with=None, fails_in_tick=None):
+        self.outbox = bytearray()
+        self.counters = Counter()
+        self.status = "new"
+        self.identity = {"firmware": "1"}
+        self.clock_offset_ns = 7
+        self.ticks = 0
+        self._fails_with, self._fails_in_tick = fails_with, fails_in_tick
+
+    def receive_data(self, data, arrived_ns):
+        self.status = "streaming"
+        self.counters["chunks"] += 1
+        if self._fails_with is not None and self.counters["chunks"] == 2:
+            raise self._fails_with
+        return [scan()]
+
+    def tick(self, now_ns):
+        self.ticks += 1
+        if self.ticks == 1:
+            self.outbox += b"hello"
+        if self._fails_in_tick is not None:
+            raise self._fails_in_tick
+
+    def farewell(self):
+        return b"bye"
+
+
+class StoppableTransport(ScriptedTransport):
+    """Sets the stop event when its script has ended instead of failing."""
+
+    def __init__(self, chunks, stop):
+        super().__init__(chunks)
+        self._stop = stop
+
+    def read(self, timeout_s):
+        if not self._chunks:
+            self._stop.set()
+            return b""
+        return super().read(timeout_s)
+
+
+@pytest.fixture
+def quick_retries(monkeypatch):
+    monkeypatch.setattr(link, "FIRST_RETRY_S", 0.0)
+    monkeypatch.setattr(link, "DEVICE_ERROR_RETRY_S", 0.0)
+
+
+def run(transports, sessions, stop, tee=None):
+    """Run until the transports are used up; the last must set `stop`."""
+    health, frames = LinkHealth("front"), []
+    transports, sessions = iter(transports), iter(sessions)
+
+    def open_transport():
+        transport = next(transports)
+        if isinstance(transport, Exception):
+            raise transport
+        return transport
+
+    run_link(health, open_transport, lambda: next(sessions), frames.append, stop, tee)
+    return health, frames
+
+
+def test_outbox_is_written_frames_reach_the_sink_and_the_end_is_polite():
+    stop, teed = threading.Event(), []
+    wire = StoppableTransport([b"a", b"", b"b"], stop)
+    health, frames = run([wire], [EchoSession()], stop, lambda at_ns, data: teed.append(data))
+    assert bytes(wire.written) == b"hellobye"
+    assert wire.closed
+    assert len(frames) == health.frames == 2
+    assert teed == [b"a", b"b"]
+    assert health.bytes_read == 2
+    assert health.state == "streaming"
+    assert (health.status, health.identity, health.clock_offset_ns) == ("streaming", {"firmware": "1"}, 7)
+    assert health.last_frame_ns > 0
+
+
+@pytest.mark.parametrize("error", [TransportError("cut"), ProtocolError("noise"), DeviceError("refused")])
+def test_every_kind_of_driver_error_is_followed_by_a_new_connection_with_a_new_session(error, quick_retries):
+    stop = threading.Event()
+    broken = ScriptedTransport([b"a", b"b", b"c"])
+    sessions = [EchoSession(fails_with=error), EchoSession()]
+    health, frames = run([broken, StoppableTransport([b"d"], stop)], sessions, stop)
+    assert broken.closed
+    assert len(frames) == 2
+    assert health.connects == 2
+    assert health.counters["chunks"] == 3  # summed over both sessions
+    assert str(error) in health.last_error
+
+
+def test_refused_connection_and_failing_timer_are_retried_too(quick_retries):
+    stop = threading.Event()
+    transports = [TransportError("refused"), ScriptedTransport([b"a"]), StoppableTransport([b"d"], stop)]
+    sessions = [EchoSession(fails_in_tick=TransportError("silent")), EchoSession()]
+    health, frames = run(transports, sessions, stop)
+    assert len(frames) == 1
+    assert health.connects == 2
+    assert "silent" in health.last_error
+
+
+def test_waits_grow_from_retry_to_retry_and_are_logged_once(caplog):
+    waits = []
+
+    class ImpatientEvent(threading.Event):
+        def wait(self, timeout=None):
+            waits.append(timeout)
+            if len(waits) == 7:
+                self.set()
+            return self.is_set()
+
+    run([TransportError("refused")] * 7, [], ImpatientEvent())
+    assert waits == [0.25, 0.5, 1.0, 2.0, 4.0, 5.0, 5.0]
+    warnings = [record for record in caplog.records if record.levelname == "WARNING"]
+    assert [record.getMessage() for record in warnings][-1].startswith("front: refused; reconnecting in 5 s")
+    assert len(warnings) == 6  # the seventh says nothing new
+
+
+def test_status_follows_the_session_while_the_wire_is_silent():
+    stop = threading.Event()
+    session = EchoSession()
+    session.status = "logging in"
+    health, _ = run([StoppableTransport([b""], stop)], [session], stop)
+    assert health.status == "logging in"
+    assert health.state == "starting"
+
+
+def test_wire_that_breaks_during_the_farewell_ends_the_link_quietly():
+    stop = threading.Event()
+
+    class Breaks(StoppableTransport):
+        def write(self, data):
+            if data == b"bye":
+                raise TransportError("gone")
+
+    health, _ = run([Breaks([b"a"], stop)], [EchoSession()], stop)
+    assert health.last_error == ""

@@ -1,0 +1,139 @@
+"""Real sockets and pseudo terminals on this machine."""
+
+import os
+import pty
+import socket
+import tty
+
+import pytest
+
+from drivers.errors import TransportError
+from drivers.transport import ScriptedTransport, SerialTransport, TcpTransport
+
+
+@pytest.fixture
+def listener():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(5.0)
+        yield server
+
+
+@pytest.fixture
+def tcp(listener):
+    """Both ends of one connection: our transport and the peer's socket."""
+    with TcpTransport(*listener.getsockname()) as transport:
+        peer, _ = listener.accept()
+        with peer:
+            yield transport, peer
+
+
+@pytest.fixture
+def terminal():
+    """The master's descriptor and the path of a pseudo terminal."""
+    master, slave = pty.openpty()
+    tty.setraw(master)
+    tty.setraw(slave)
+    path = os.ttyname(slave)
+    os.close(slave)
+    yield master, path
+    os.close(master)
+
+
+def test_tcp_carries_bytes_both_ways(tcp):
+    transport, peer = tcp
+    transport.write(b"to")
+    assert peer.recv(10) == b"to"
+    peer.sendall(b"fro")
+    assert transport.read(5.0) == b"fro"
+
+
+def test_tcp_read_returns_nothing_when_nothing_came(tcp):
+    assert tcp[0].read(0.001) == b""
+
+
+def test_tcp_does_not_wait_for_more_and_notices_dead_peers(tcp):
+    own = tcp[0]._socket
+    assert own.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+    assert own.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
+    assert own.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 3_000
+
+
+def test_tcp_peer_that_closes_is_a_transport_error(tcp):
+    transport, peer = tcp
+    peer.close()
+    with pytest.raises(TransportError, match=r"127\.0\.0\.1:\d+ closed the connection"):
+        transport.read(5.0)
+
+
+def test_tcp_peer_that_resets_is_a_transport_error(tcp):
+    transport, peer = tcp
+    peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\x00\x00\x00\x00\x00\x00\x00")
+    peer.close()
+    with pytest.raises(TransportError, match="reset"):
+        transport.read(5.0)
+
+
+def test_tcp_port_that_refuses_is_a_transport_error(listener):
+    address = listener.getsockname()
+    listener.close()
+    with pytest.raises(TransportError, match="cannot connect to 127"):
+        TcpTransport(*address)
+
+
+def test_tcp_write_after_the_end_is_a_transport_error(tcp):
+    transport, _ = tcp
+    transport.close()
+    with pytest.raises(TransportError, match="cannot send 3 bytes"):
+        transport.write(b"abc")
+
+
+def test_serial_carries_bytes_both_ways(terminal):
+    master, path = terminal
+    with SerialTransport(path, 115_200) as port:
+        port.write(b"to")
+        assert os.read(master, 10) == b"to"
+        os.write(master, b"fro")
+        assert port.read(5.0) == b"fro"
+        assert port.read(0.001) == b""
+
+
+def test_serial_port_that_is_not_there_is_a_transport_error(tmp_path):
+    with pytest.raises(TransportError, match=r"cannot open .*nothing at 115200 baud"):
+        SerialTransport(str(tmp_path / "nothing"), 115_200)
+
+
+def test_serial_port_opened_twice_is_refused(terminal):
+    _, path = terminal
+    with SerialTransport(path, 115_200), pytest.raises(TransportError, match="cannot open"):
+        SerialTransport(path, 115_200)
+
+
+def test_serial_unplugged_is_a_transport_error():
+    master, slave = pty.openpty()
+    path = os.ttyname(slave)
+    with SerialTransport(path, 115_200) as port:
+        os.close(slave)
+        os.close(master)
+        with pytest.raises(TransportError, match="unplugged"):
+            port.read(5.0)
+
+
+def test_serial_takes_a_socket_url(listener):
+    host, address_port = listener.getsockname()
+    with SerialTransport(f"socket://{host}:{address_port}", 115_200) as port:
+        peer, _ = listener.accept()
+        with peer:
+            peer.sendall(b"fro")
+            assert port.read(5.0) == b"fro"
+            port.write(b"to")
+            assert peer.recv(10) == b"to"
+
+
+def test_script_is_read_chunk_by_chunk_and_then_ends():
+    with ScriptedTransport([b"a", b""]) as script:
+        assert (script.read(0.0), script.read(0.0)) == (b"a", b"")
+        script.write(b"x")
+        with pytest.raises(TransportError, match="script ended"):
+            script.read(0.0)
+    assert script.closed
+    assert script.written == b"x"
