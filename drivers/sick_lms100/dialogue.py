@@ -1,0 +1,352 @@
+"""What is said to an LMS1xx from the first byte to the stream, and while it streams. No I/O, no clock.
+
+A dialogue is a generator: it yields what to ask or how long to pause, and is sent the answer, or None when
+none came in time. So the order of a start-up reads from top to bottom.
+
+Boot: the port is open before anything answers, the first write after power-up is refused with error 4, and
+a new scan rate or angle step costs some 30 s without data. Hence: ask until answered, change only what
+differs, read back. Sources: an LMS111's start-up recorded in SICKAG/sick_scan_xd; clearpathrobotics/LMS1xx
+issues 11, 21, 51; SICKAG/sick_scan issue 44; SICKAG/sick_scan_xd issue 503.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from typing import TypeVar
+
+from drivers.errors import DeviceError, ProtocolError, TransportError
+from drivers.sick_lms100.config import Lms100Config
+from drivers.sick_lms100.protocol import Dialect, Reader, Telegram, Writer, reader, refusal_text, writer
+from drivers.sick_lms100.telegrams import (
+    CONTAMINATION,
+    SCAN_CONFIG_ERRORS,
+    STATE_READY,
+    STATES,
+    DeviceStatus,
+    OutputRange,
+    ScanConfig,
+    ScanDataConfig,
+)
+
+ANSWER_TIMEOUT_S = 1.0  # real answers take 1 to 3 ms, the slowest seen 14 ms
+CHANGE_TIMEOUT_S = 5.0
+PROBE_ROUNDS = 10  # of both dialects; then a new connection, the old one may be a leftover of the boot
+LOGIN_ATTEMPTS = 30
+CHANGE_ATTEMPTS = 5
+CHANGE_PAUSE_S = 2.0
+START_ATTEMPTS = 30
+READ_BACK_ATTEMPTS = 45
+READY_POLLS = 150
+RESTART_AT_POLLS = (60, 105)  # units at 25 Hz were seen to need more than 44 s, or a second Run
+SUBSCRIBE_ATTEMPTS = 5
+WATCH_PERIOD_S = 10.0
+UNANSWERED_LIMIT = 3  # then this question is not asked again: some servers never answer it
+ACCESS_LEVEL = 3
+
+DIALECTS = {"cola_a": Dialect.ASCII, "cola_b": Dialect.BINARY}
+IDENTITY = (("device", "DeviceIdent"), ("firmware", "FirmwareVersion"), ("serial", "SerialNumber"))
+ANSWERS = ("sRA", "sWA", "sAN", "sEA")
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    request: Telegram
+    timeout_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Pause:
+    seconds: float
+
+
+Dialogue = Generator[Ask | Pause, Telegram | None, T]
+
+
+class Lms100Dialogue:
+    """Both halves of one connection's talk: `run` is the generator, the attributes are what it found out."""
+
+    def __init__(self, config: Lms100Config) -> None:
+        self._config = config
+        self.dialect: Dialect | None = DIALECTS.get(config.dialect)
+        self.counters: Counter[str] = Counter()
+        self.identity: dict[str, str] = {}
+        self.phase = "connecting"
+        self.subscribed = False
+        self.scans_seen = 0  # kept by the session
+        self.fault = ""  # what the device says of itself, "" where all is well
+
+    def run(self) -> Dialogue[None]:
+        """Raises TransportError where nobody answers, DeviceError where the device refuses."""
+        yield from self._find_dialect()
+        yield from self._identify()
+        changes = yield from self._differences()
+        status = yield from self._read("STlms", DeviceStatus.read)
+        if changes or status is None or status.state != STATE_READY:
+            yield from self._log_in()
+            for change in changes:
+                yield from change()
+            yield from self._start_measuring()
+            yield from self._wait_until_measuring()
+        yield from self._subscribe()
+        yield from self._watch()
+
+    def _find_dialect(self) -> Dialogue[None]:
+        self.phase = "no answer yet: booting, or refusing for a minute after a lost connection"
+        first = Dialect.BINARY if self._config.port == 2112 else Dialect.ASCII
+        second = Dialect.ASCII if first is Dialect.BINARY else Dialect.BINARY
+        candidates = (first, second) if self.dialect is None else (self.dialect,)
+        for _ in range(PROBE_ROUNDS):
+            for candidate in candidates:
+                answer = yield Ask(Telegram(candidate, "sRN", "SCdevicestate"), ANSWER_TIMEOUT_S)
+                if answer is not None:
+                    self.dialect = answer.dialect
+                    self.identity["dialect"] = answer.dialect.value
+                    return
+        asked = " or ".join(candidate.value for candidate in candidates)
+        raise TransportError(
+            f"connected, but no answer in {asked} after {PROBE_ROUNDS * len(candidates)} requests; "
+            "is it still booting, or is another host connected to this port?"
+        )
+
+    def _identify(self) -> Dialogue[None]:
+        self.phase = "reading identity"
+        for key, name in (
+            ("device", "DeviceIdent"),
+            ("firmware", "FirmwareVersion"),
+            ("serial", "SerialNumber"),
+        ):
+            text = yield from self._read(name, lambda r: r.text().strip())
+            if text:
+                self.identity[key] = text
+
+    def _differences(self) -> Dialogue[list[Callable[[], Dialogue[None]]]]:
+        """The changes to be made, in the order to make them. What cannot be read is taken to be right,
+        but for the layout of the scan telegram, which is cheap to write."""
+        self.phase = "reading configuration"
+        changes: list[Callable[[], Dialogue[None]]] = []
+        scan = yield from self._read("LMPscancfg", ScanConfig.read)
+        if scan is not None and not self._scan_config_agrees(scan):
+            changes.append(self._change_scan_config)
+        fields = yield from self._read("LMPoutputRange", OutputRange.read)
+        if fields is not None and not fields.agrees(self.output_range):
+            changes.append(self._change_output_range)
+        layout = yield from self._read("LMDscandatacfg", ScanDataConfig.read)
+        if layout != self.scan_data_config:
+            changes.append(self._change_scan_data)
+        return changes
+
+    @property
+    def scan_config(self) -> ScanConfig:
+        """What the config asks for, in device units."""
+        return ScanConfig(self._config.scan_rate_hz * 100, round(self._config.angle_step_deg * 10_000))
+
+    @property
+    def output_range(self) -> OutputRange:
+        """What the config asks for, in device units: device angle is sensor angle + 90 deg."""
+        return OutputRange(
+            round((self._config.first_angle_deg + 90.0) * 10_000),
+            round((self._config.last_angle_deg + 90.0) * 10_000),
+        )
+
+    @property
+    def scan_data_config(self) -> ScanDataConfig:
+        bits = self._config.intensity_bits
+        return ScanDataConfig(3 if self._config.echo == "last" else 1, bits > 0, bits == 16)
+
+    def _scan_config_agrees(self, scan: ScanConfig) -> bool:
+        wanted = self.scan_config
+        return scan.frequency_chz == wanted.frequency_chz and scan.step_e4deg == wanted.step_e4deg
+
+    def _log_in(self) -> Dialogue[None]:
+        self.phase = "logging in"
+
+        def level_and_password(w: Writer) -> None:
+            w.u8(ACCESS_LEVEL)
+            w.u32(int(self._config.password_hash, 16))
+
+        for _ in range(LOGIN_ATTEMPTS):
+            answer = yield from self._ask("sMN", "SetAccessMode", level_and_password)
+            if answer is None:
+                continue
+            if answer.kind == "sFA" or _first_number(answer) == 0:
+                raise DeviceError(
+                    f"login as authorised client refused (hash {self._config.password_hash}); "
+                    "has the password been changed? Set password_hash"
+                )
+            return
+        raise TransportError(f"no answer to {LOGIN_ATTEMPTS} logins; is the device still booting?")
+
+    def _change_scan_config(self) -> Dialogue[None]:
+        wanted = self.scan_config
+        self.phase = "changing scan rate and angle step, about 30 s"
+        answer = yield from self._change("sMN", "mLMPsetscancfg", wanted.write)
+        code = None if answer is None else _first_number(answer)
+        if code:
+            raise DeviceError(
+                f"mLMPsetscancfg to {wanted.frequency_chz / 100:g} Hz and {wanted.step_e4deg / 1e4:g} deg "
+                f"refused: {SCAN_CONFIG_ERRORS.get(code, f'status {code}')}"
+            )
+        unreadable = 0
+        found = None
+        for _ in range(READ_BACK_ATTEMPTS):
+            scan = yield from self._read("LMPscancfg", ScanConfig.read)
+            if scan is None:
+                unreadable += 1
+            elif self._scan_config_agrees(scan):
+                return
+            found = scan or found
+            if found is None and unreadable >= UNANSWERED_LIMIT:
+                return  # scans will show what it does
+            yield Pause(1.0)
+        raise DeviceError(
+            f"after mLMPsetscancfg to {wanted} the device still has {found}; is it write-protected?"
+        )
+
+    def _change_output_range(self) -> Dialogue[None]:
+        self.phase = "changing field of view"
+        wanted = self.output_range
+        yield from self._change("sWN", "LMPoutputRange", wanted.write)
+        found = yield from self._read("LMPoutputRange", OutputRange.read)
+        if found is not None and not found.agrees(wanted):
+            raise DeviceError(f"after a write the device has {found}, expected {wanted}; write-protected?")
+
+    def _change_scan_data(self) -> Dialogue[None]:
+        self.phase = "choosing echo and intensity"
+        wanted = self.scan_data_config
+        yield from self._change("sWN", "LMDscandatacfg", wanted.write)
+        found = yield from self._read("LMDscandatacfg", ScanDataConfig.read)
+        if found is not None and found != wanted:
+            raise DeviceError(f"after a write the device has {found}, expected {wanted}; can it do this?")
+
+    def _change(self, kind: str, name: str, write: Callable[[Writer], None]) -> Dialogue[Telegram | None]:
+        """Ask for a change until it is accepted; None where nobody ever answered."""
+        refusal = None
+        for attempt in range(CHANGE_ATTEMPTS):
+            if attempt:
+                yield Pause(CHANGE_PAUSE_S)
+                yield from self._log_in()  # a login during boot may have been forgotten
+            answer = yield from self._ask(kind, name, write, CHANGE_TIMEOUT_S)
+            if answer is not None and answer.kind != "sFA":
+                return answer
+            refusal = answer or refusal
+        if refusal is None:
+            return None
+        raise DeviceError(f"{name} refused {CHANGE_ATTEMPTS} times: {_refusal(refusal)}")
+
+    def _start_measuring(self) -> Dialogue[None]:
+        self.phase = "starting the laser"
+        for _ in range(START_ATTEMPTS):
+            answer = yield from self._ask("sMN", "LMCstartmeas", timeout_s=CHANGE_TIMEOUT_S)
+            if answer is None or (answer.kind != "sFA" and not _first_number(answer)):
+                break  # whether it runs, STlms and the scans tell
+            self.counters["starts_refused"] += 1
+            yield Pause(CHANGE_PAUSE_S)
+        yield from self._ask("sMN", "Run", timeout_s=CHANGE_TIMEOUT_S)  # logs out and applies the parameters
+
+    def _wait_until_measuring(self) -> Dialogue[None]:
+        unreadable, state = 0, "unknown"
+        for poll in range(READY_POLLS):
+            status = yield from self._read("STlms", DeviceStatus.read)
+            if status is None:
+                unreadable += 1
+                if unreadable >= UNANSWERED_LIMIT:
+                    return
+            else:
+                if status.state == STATE_READY:
+                    return
+                state = f"{status.state} ({STATES.get(status.state, 'not in the listing')})"
+                self.phase = f"waiting for the laser: state {state}"
+            if poll in RESTART_AT_POLLS:
+                yield from self._log_in()
+                yield from self._start_measuring()
+            yield Pause(1.0)
+        raise DeviceError(
+            f"still in state {state} {READY_POLLS} s after the start, expected 7 (measuring); see its LEDs"
+        )
+
+    def _subscribe(self) -> Dialogue[None]:
+        self.phase = "asking for scans"
+        answer = None
+        for _ in range(SUBSCRIBE_ATTEMPTS):
+            before = self.scans_seen
+            answer = yield from self._ask("sEN", "LMDscandata", lambda w: w.u8(1), 2.0 * ANSWER_TIMEOUT_S)
+            if self.scans_seen > before or (answer is not None and answer.kind != "sFA"):
+                self.subscribed = True
+                self.phase = "waiting for the first scan"
+                return
+            yield Pause(ANSWER_TIMEOUT_S)
+        if answer is None:
+            raise TransportError(f"no answer to {SUBSCRIBE_ATTEMPTS} times sEN LMDscandata")
+        raise DeviceError(f"sEN LMDscandata refused: {_refusal(answer)}")
+
+    def _watch(self) -> Dialogue[None]:
+        """Ask now and then how the device feels; ends where it answers neither question."""
+        silent: Counter[str] = Counter()
+        while min(silent["STlms"], silent["LCMstate"]) < UNANSWERED_LIMIT:
+            faults = []
+            if silent["STlms"] < UNANSWERED_LIMIT:
+                status = yield from self._read("STlms", DeviceStatus.read)
+                silent["STlms"] = silent["STlms"] + 1 if status is None else 0
+                if status is not None and status.state != STATE_READY:
+                    faults.append(f"state {status.state} ({STATES.get(status.state, 'not in the listing')})")
+                if status is not None and status.too_hot_or_cold:
+                    self.counters["polls_temperature_fault"] += 1
+                    faults.append("temperature out of range")
+            if silent["LCMstate"] < UNANSWERED_LIMIT:
+                contamination = yield from self._read("LCMstate", lambda r: r.u8())
+                silent["LCMstate"] = silent["LCMstate"] + 1 if contamination is None else 0
+                if contamination:
+                    self.counters["polls_contaminated"] += 1
+                    faults.append(CONTAMINATION.get(contamination, f"contamination {contamination}"))
+            self.fault = ", ".join(faults)
+            yield Pause(WATCH_PERIOD_S)
+
+    def _read(self, name: str, parse: Callable[[Reader], T]) -> Dialogue[T | None]:
+        """The variable's value, or None where it is not answered, refused, or answered wrongly."""
+        answer = yield from self._ask("sRN", name)
+        if answer is None or answer.kind == "sFA":
+            return None
+        try:
+            if answer.kind == "sRA":
+                return parse(reader(answer))
+        except ProtocolError:
+            pass
+        self.counters["answers_unusable"] += 1
+        return None
+
+    def _ask(
+        self,
+        kind: str,
+        name: str,
+        write: Callable[[Writer], None] | None = None,
+        timeout_s: float = ANSWER_TIMEOUT_S,
+    ) -> Dialogue[Telegram | None]:
+        assert self.dialect is not None
+        body = None
+        if write is not None:
+            w = writer(self.dialect)
+            write(w)
+            body = w.body
+        answer = yield Ask(Telegram(self.dialect, kind, name, body), timeout_s)
+        if answer is None:
+            self.counters["requests_unanswered"] += 1
+        elif answer.kind == "sFA":
+            self.counters["requests_refused"] += 1
+        return answer
+
+
+def _first_number(answer: Telegram) -> int | None:
+    """The status most answers begin with; None where the answer is empty, as older manuals show it."""
+    try:
+        return reader(answer).u8()
+    except ProtocolError:
+        return None
+
+
+def _refusal(answer: Telegram) -> str:
+    try:
+        return refusal_text(answer)
+    except ProtocolError:
+        return f"error {answer.body!r}"

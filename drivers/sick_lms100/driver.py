@@ -1,0 +1,306 @@
+"""Session with one LMS1xx: its dialogue over one connection, and scan telegrams into frames. No I/O.
+
+Time. The device counts microseconds since power-on and stamps each telegram twice: the zero index, and when
+it was handed to the network. The second against the arrival feeds the clock map, the first is translated by
+it. The listing puts the zero index before the measurement. The recorded LMS111 (V1.80.2) however sends whole
+telegrams 3.1 ms after it, while its sweep takes 15 ms, so there it lies behind the sweep. A telegram cannot
+leave before its last beam: where the two stamps say so, the first beam is put a whole sweep before sending.
+"""
+
+import math
+from collections import Counter
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.clock import ClockMap
+from drivers.errors import ProtocolError, TransportError
+from drivers.frames import NO_INTENSITY, LaserScan
+from drivers.sick_lms100.config import Lms100Config
+from drivers.sick_lms100.dialogue import ANSWERS, DIALECTS, Ask, Lms100Dialogue
+from drivers.sick_lms100.protocol import Decoder, Telegram, encode, writer
+from drivers.sick_lms100.telegrams import (
+    FIRST_RANGE_CODE,
+    FULL_FIRST_E4DEG,
+    FULL_LAST_E4DEG,
+    LOW_CODES,
+    Channel,
+    ScanTelegram,
+    read_scan,
+)
+
+FIRST_SCAN_TIMEOUT_S = 45.0  # after a change of the scan rate data flow again after some 30 s
+LOOK_NS = 200_000_000  # silence counts only while we look: a stalled host is not a silent device
+MALFORMED_LIMIT = 20  # scan telegrams in a row
+FLAGGED_SCANS_ARE_A_FAULT = 50  # the first 7 or so after a start carry the error flag and are good
+COUNTER_GAP_IS_A_RESTART = 1_000
+COUNTER_MODULUS = 1 << 16
+CLOCK_MODULUS = 1 << 32
+
+STATUS_BITS = {1: "device error", 2: "contamination warning", 4: "contamination error"}
+
+Echoes = list[tuple[Channel, Channel | None]]  # distance and remission of each echo, first echo first
+Rows = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]  # (N,) range in m, (N,) or (0,) intensity
+
+
+class Lms100Session:
+    """The life of one connection; see drivers.link.Session."""
+
+    def __init__(self, config: Lms100Config) -> None:
+        self._config = config
+        self._decoder = Decoder(DIALECTS.get(config.dialect))
+        self._dialogue = Lms100Dialogue(config)
+        self._steps = self._dialogue.run()
+        self._running = False
+        self._awaited = ""  # name of the command whose answer is due
+        self._deadline_ns: int | None = 0
+        self._timeout_ns = 0
+        self._now_ns: int | None = None
+        self._silent_ns = 0
+        self._clock = ClockMap(1_000.0, CLOCK_MODULUS, config.latency_us * 1_000)
+        self._start_before_zero_us: int | None = None
+        self._last: ScanTelegram | None = None
+        self._last_stamp_ns: int | None = None
+        self._malformed_in_a_row = 0
+        self._flagged_in_a_row = 0
+        self.outbox = bytearray()
+        self.counters: Counter[str] = self._dialogue.counters
+        self.identity: dict[str, str] = self._dialogue.identity
+        self.status = self._dialogue.phase
+
+    @property
+    def clock_offset_ns(self) -> int | None:
+        return None if self._last is None else self._clock.offset_ns
+
+    def receive_data(self, data: bytes, arrived_ns: int) -> list[LaserScan]:
+        scans = []
+        for telegram in self._decoder.receive_data(data):
+            if telegram.kind == "sSN":
+                if (
+                    telegram.name == "LMDscandata"
+                    and (scan := self._to_frame(telegram, arrived_ns)) is not None
+                ):
+                    scans.append(scan)
+            elif telegram.kind == "sFA" or telegram.name == self._awaited:
+                self._take_answer(telegram, arrived_ns)
+            else:
+                self.counters["answers_not_asked_for"] += 1
+        self._count("bytes_skipped", self._decoder.skipped_bytes)
+        self._count("checksum_errors", self._decoder.bad_checksums)
+        self._set_status()
+        return scans
+
+    def tick(self, now_ns: int) -> None:
+        looked_ns = 0 if self._now_ns is None else min(now_ns - self._now_ns, LOOK_NS)
+        self._now_ns = now_ns
+        if self._deadline_ns is not None and now_ns >= self._deadline_ns:
+            self._continue(None, now_ns)
+        if self._dialogue.subscribed:
+            self._silent_ns += looked_ns
+            limit_s = FIRST_SCAN_TIMEOUT_S if self._last is None else self._config.silence_timeout_s
+            if self._silent_ns > limit_s * 1e9:
+                raise TransportError(
+                    f"no scan for {limit_s:g} s; is the device in standby, rebooting or is the cable out?"
+                )
+        self._set_status()
+
+    def farewell(self) -> bytes:
+        if self._dialogue.dialect is None or not self._running:
+            return b""
+        w = writer(self._dialogue.dialect)
+        w.u8(0)
+        return encode(Telegram(self._dialogue.dialect, "sEN", "LMDscandata", w.body))
+
+    def _take_answer(self, telegram: Telegram, now_ns: int) -> None:
+        if not self._awaited:
+            self.counters["answers_not_asked_for"] += 1
+        elif telegram.kind == "sMA":  # accepted, the answer follows
+            self._deadline_ns = now_ns + self._timeout_ns
+        elif telegram.kind == "sFA" or telegram.kind in ANSWERS:
+            self._continue(telegram, now_ns)
+
+    def _continue(self, answer: Telegram | None, now_ns: int) -> None:
+        """Run the dialogue to its next request or pause."""
+        self._awaited = ""
+        try:
+            step = self._steps.send(answer) if self._running else next(self._steps)
+        except StopIteration:
+            self._deadline_ns = None
+            return
+        finally:
+            self._running = True
+        if isinstance(step, Ask):
+            self.outbox += encode(step.request)
+            self._awaited = step.request.name
+            self._timeout_ns = round(step.timeout_s * 1e9)
+        else:
+            self._timeout_ns = round(step.seconds * 1e9)
+        self._deadline_ns = now_ns + self._timeout_ns
+        if self._dialogue.dialect is not None:
+            self._decoder.dialect = self._dialogue.dialect
+
+    def _count(self, name: str, total: int) -> None:
+        if total:
+            self.counters[name] = total
+
+    def _set_status(self) -> None:
+        if self._last is None:
+            self.status = self._dialogue.phase
+            return
+        faults = [self._dialogue.fault] if self._dialogue.fault else []
+        if self._flagged_in_a_row >= FLAGGED_SCANS_ARE_A_FAULT:
+            flags = self._last.status[0] | self._last.status[1]
+            faults += [text for bit, text in STATUS_BITS.items() if flags & bit]
+        self.status = "; ".join(["streaming", *faults])
+
+    def _to_frame(self, telegram: Telegram, arrived_ns: int) -> LaserScan | None:
+        self._dialogue.scans_seen += 1
+        self._silent_ns = 0
+        try:
+            scan = read_scan(telegram)
+            echoes = self._echoes(scan)
+        except ProtocolError as error:
+            self.counters["scans_malformed"] += 1
+            self._malformed_in_a_row += 1
+            if self._malformed_in_a_row > MALFORMED_LIMIT:
+                raise ProtocolError(
+                    f"{self._malformed_in_a_row} malformed scans in a row: {error}"
+                ) from error
+            return None
+        self._malformed_in_a_row = 0
+        self.counters["scans_received"] += 1
+        if not self._is_new(scan):
+            return None
+        self._note_flags(scan)
+        self._last = scan
+        return self._frame(scan, echoes, arrived_ns)
+
+    def _is_new(self, scan: ScanTelegram) -> bool:
+        """Also counts what is missing in between."""
+        last = self._last
+        if last is None:
+            return True
+        if scan.scan_counter == last.scan_counter and scan.start_us == last.start_us:
+            self.counters["scans_duplicate"] += 1
+            return False
+        gap = (scan.scan_counter - last.scan_counter) % COUNTER_MODULUS
+        if 1 <= gap <= COUNTER_GAP_IS_A_RESTART:
+            self.counters["scans_missed"] += gap - 1
+        else:
+            self.counters["scan_counter_restarts"] += 1
+        return True
+
+    def _note_flags(self, scan: ScanTelegram) -> None:
+        flags = scan.status[0] | scan.status[1]
+        if not flags:
+            self._flagged_in_a_row = 0
+            return
+        self._flagged_in_a_row += 1
+        for bit, text in STATUS_BITS.items():
+            if flags & bit:
+                self.counters["scans_flagged_" + text.replace(" ", "_")] += 1
+
+    def _echoes(self, scan: ScanTelegram) -> Echoes:
+        """Distance and remission of each echo sent, first echo first. Raises ProtocolError."""
+        found = []
+        for echo in "12":
+            distance = scan.channel("DIST" + echo)
+            if distance is not None and distance.step_e4deg > 0 and len(distance.values) > 0:
+                found.append((distance, scan.channel("RSSI" + echo)))
+        if not found:
+            contents = [channel.content for channel in scan.channels_16bit + scan.channels_8bit]
+            raise ProtocolError(f"a scan with channels {contents}, expected DIST1")
+        for channel in (c for pair in found for c in pair if c is not None):
+            if len(channel.values) != len(found[0][0].values):
+                raise ProtocolError(
+                    f"channel {channel.content} has {len(channel.values)} beams, "
+                    f"{found[0][0].content} has {len(found[0][0].values)}"
+                )
+        return found
+
+    def _frame(self, scan: ScanTelegram, echoes: Echoes, arrived_ns: int) -> LaserScan | None:
+        geometry = echoes[0][0]
+        resets = self._clock.resets
+        self._clock.observe(scan.sent_us, arrived_ns)
+        restarted = self._clock.resets > resets
+        self._count("clock_resets", self._clock.resets)
+        shift_us = self._first_beam_before_zero_us(scan, geometry)
+        stamp_ns = self._clock.to_host_ns((scan.start_us - shift_us) % CLOCK_MODULUS)
+        if self._last_stamp_ns is not None and not restarted and stamp_ns <= self._last_stamp_ns:
+            self.counters["scans_out_of_order"] += 1
+            return None
+        self._last_stamp_ns = stamp_ns
+        range_m, intensity = (
+            self._last_echo(echoes) if self._config.echo == "last" else self._convert(*echoes[0])
+        )
+        self._count_codes(echoes[0][0].values)
+        expected = self._dialogue.scan_config
+        if geometry.step_e4deg != expected.step_e4deg or scan.frequency_chz != expected.frequency_chz:
+            self.counters["scans_not_as_configured"] += 1
+        return LaserScan(
+            sensor=self._config.name,
+            stamp_ns=stamp_ns,
+            arrived_ns=arrived_ns,
+            beam_interval_ns=self._beam_interval_ns(scan, geometry),
+            scan_period_ns=round(1e11 / scan.frequency_chz) if scan.frequency_chz else 0,
+            first_angle_rad=math.radians(geometry.first_e4deg / 10_000 - 90.0),
+            angle_step_rad=math.radians(geometry.step_e4deg / 10_000),
+            range_min_m=self._config.range_min_m,
+            range_max_m=self._config.range_max_m,
+            range_m=range_m,
+            intensity=intensity,
+        )
+
+    def _beam_interval_ns(self, scan: ScanTelegram, geometry: Channel) -> int:
+        """From the measurement frequency where it fits the rotation, else from the rotation."""
+        by_rotation_hz = scan.frequency_chz / 100.0 * 3_600_000 / geometry.step_e4deg
+        shots_hz = scan.shots_100hz * (1.0 if scan.shots_100hz > 10_000 else 100.0)
+        if shots_hz and (not by_rotation_hz or abs(shots_hz / by_rotation_hz - 1.0) < 0.1):
+            return round(1e9 / shots_hz)
+        self.counters["scans_odd_measurement_frequency"] += 1
+        return round(1e9 / by_rotation_hz) if by_rotation_hz else 0
+
+    def _first_beam_before_zero_us(self, scan: ScanTelegram, geometry: Channel) -> int:
+        """How long before the zero-index stamp the first beam was measured. Taken from the first scan and
+        kept, because the sending jitters by 0.2 ms and stamps shall not."""
+        if not scan.frequency_chz:
+            return 0
+        e4deg_per_us = scan.frequency_chz / 100.0 * 3_600_000 / 1e6
+        if self._start_before_zero_us is None:
+            sweep_us = round((FULL_LAST_E4DEG - FULL_FIRST_E4DEG) / e4deg_per_us)
+            beams_us = round(geometry.step_e4deg * (len(geometry.values) - 1) / e4deg_per_us)
+            sending_us = (scan.sent_us - scan.start_us) % CLOCK_MODULUS
+            self._start_before_zero_us = sweep_us - sending_us if sending_us < beams_us else 0
+        if not self._start_before_zero_us:
+            return 0
+        return self._start_before_zero_us - round((geometry.first_e4deg - FULL_FIRST_E4DEG) / e4deg_per_us)
+
+    def _first_echo(self, echoes: Echoes) -> Rows:
+        return self._convert(*echoes[0])
+
+    def _last_echo(self, echoes: Echoes) -> Rows:
+        """The second echo where there is one, else the first."""
+        range_m, intensity = self._convert(*echoes[0])
+        if len(echoes) == 2:
+            second_m, second_intensity = self._convert(*echoes[1])
+            there = ~np.isnan(second_m)
+            self.counters["beams_with_second_echo"] += int(np.count_nonzero(there))
+            range_m = np.where(there, second_m, range_m)
+            if len(intensity) and len(second_intensity):
+                intensity = np.where(there, second_intensity, intensity)
+        return range_m, intensity
+
+    @staticmethod
+    def _convert(distance: Channel, remission: Channel | None) -> Rows:
+        """Range in m with NaN for every code that is no distance, and intensity in device units."""
+        range_m = (distance.values * (distance.scale * 1e-3) + distance.offset * 1e-3).astype(np.float32)
+        range_m[distance.values < FIRST_RANGE_CODE] = np.nan
+        if remission is None:
+            return range_m, NO_INTENSITY
+        return range_m, remission.values * np.float32(remission.scale) + np.float32(remission.offset)
+
+    def _count_codes(self, values: npt.NDArray[np.uint16]) -> None:
+        low = values[values < FIRST_RANGE_CODE]
+        if len(low):
+            for code, count in zip(*np.unique(low, return_counts=True), strict=True):
+                self.counters["beams_" + LOW_CODES.get(int(code), "reserved_code")] += int(count)

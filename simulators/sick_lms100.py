@@ -1,0 +1,499 @@
+"""A pretended SICK LMS100: the other end of drivers.sick_lms100. No I/O.
+
+It answers what third-party clients ask at their start-up (libLMS1xx, Clearpath's LMS1xx, MRPT, sick_scan_xd)
+in the order and form they need, and has the habits of the real one: a port open before anything answers, one
+dialect and silence in the other, a login gate, half a minute lost to a new scan rate, an error flag on the
+first scans, a motor that turns a little slower than it says, a clock that drifts and wraps.
+"""
+
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from datetime import datetime, timedelta
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.errors import ProtocolError
+from drivers.sick_lms100.protocol import Decoder, Dialect, Reader, Telegram, Writer, encode, reader, writer
+from drivers.sick_lms100.telegrams import (
+    FIRST_RANGE_CODE,
+    FULL_FIRST_E4DEG,
+    FULL_LAST_E4DEG,
+    Calendar,
+    Channel,
+    DeviceStatus,
+    OutputRange,
+    ScanConfig,
+    ScanDataConfig,
+    ScanTelegram,
+    write_calendar,
+    write_scan,
+)
+from simulators.device import SweepSource
+
+FULL_RANGE = OutputRange(FULL_FIRST_E4DEG, FULL_LAST_E4DEG)
+LEGAL_PAIRS = {(2500, 2500), (2500, 5000), (5000, 5000)}  # 1/100 Hz, 1/10000 deg
+FULL_TURN_E4DEG = 3_600_000
+LEAVES_AFTER_SWEEP_NS = 300_000
+ZERO_TO_SENDING_NS = 3_107_000  # mean of 175 scans of a recorded LMS111, 3.07 to 3.27 ms
+SENDING_JITTER_NS = 60_000
+SCAN_COUNTER_AT_START = 4
+FLAGGED_SCANS = 7
+CALENDAR_LAG_NS = 3_850_000_000  # the calendar starts this long after the microsecond counter
+BUFFERED_SCANS = 10  # what the device keeps for a slow network; older ones are left out
+PASSWORDS = {2: 0xB21ACE26, 3: 0xF4724744, 4: 0x81BE23AA}
+STATE_BOOTING, STATE_IDLE, STATE_SPINNING_UP, STATE_STANDBY, STATE_MEASURING = 1, 3, 4, 6, 7
+
+ACCESS_DENIED, UNKNOWN_METHOD, UNKNOWN_VARIABLE, NOT_NOW = 0x1, 0x2, 0x3, 0x4
+TOO_FEW_PARAMETERS, WRITE_DENIED, UNKNOWN_COMMAND, UNKNOWN_EVENT = 0x8, 0xA, 0xC, 0xF
+
+EVENTS = ("LMDscandata", "LIDoutputstate", "LIDinputstate", "LFErec")
+PLAIN_SETTINGS = (
+    *("LCMcfg", "LFPparticle", "LFPmeanfilter", "LFPmedianfilter", "LFPnto1filter"),
+    *("LICencset", "LICsrc", "LICencres", "LocationName", "EIIpAddr", "EImask", "Elgate"),
+    *("TSCRole", "TSCTCInterface", "TSCTCSrvAddr", "TSCTCtimezone", "TSCTCupdatetime"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Lms100Setup:
+    """What this one was like when it left the factory, and what ails it."""
+
+    dialect: Dialect = Dialect.ASCII
+    scan: ScanConfig = field(default_factory=lambda: ScanConfig(5000, 5000))
+    output_range: OutputRange = field(default_factory=lambda: FULL_RANGE)
+    scan_data: ScanDataConfig = field(default_factory=lambda: ScanDataConfig(1, False, False))
+    measuring: bool = True  # as after a power-up long ago
+    serial_number: int = 18_090_362
+    device_name: str = "not defined"
+    boot_ns: int = 0  # the port is open but nothing answers
+    start_delay_ns: int = 200_000_000  # from standing still to measuring; a real one takes seconds
+    reconfigure_delay_ns: int = 300_000_000  # a real one takes 30 s
+    refusal_ns: int = 0  # silent towards a new client after one died without a farewell; real ones up to 60 s
+    first_writes_refused: int = 0  # with error 4, as after power-up
+    clock_start_us: int = 0  # counter at power-up; near 2**32 it soon wraps
+    clock_drift_ppm: float = 0.0  # positive: the device's clock runs fast
+    motor_speed: float = 0.9955  # of nominal; the recorded LMS111 turns with 49.6 to 49.8 Hz
+    zero_index_after_sweep: bool = (
+        True  # as the recorded LMS111; False: first beam, as the telegram listing has it
+    )
+    scale: float = 1.0  # mm per digit
+    reach_m: float = 20.0
+    repeat_every: int = 0  # every n-th scan telegram is sent twice
+
+
+class FakeLms100:
+    """One device with room for one client. Set `contamination` (0 to 3) and `failed` while it runs."""
+
+    def __init__(self, source: SweepSource, setup: Lms100Setup | None = None, seed: int = 0) -> None:
+        self.setup = setup or Lms100Setup()
+        self.contamination = 0
+        self.failed = False
+        self.counters: Counter[str] = Counter()
+        self._source = source
+        self._jitter = np.random.default_rng(seed)
+        self._scan, self._range, self._scan_data = (
+            self.setup.scan,
+            self.setup.output_range,
+            self.setup.scan_data,
+        )
+        self._dialect = self._next_dialect = self.setup.dialect
+        self._decoder = Decoder()
+        self._powered_on_ns: int | None = None
+        self._boots_until_ns = 0
+        self._turning_since_ns: int | None = None  # first beam of scan 0; None: not measuring
+        self._standby = False
+        self._telegram_base = 0xC1C3
+        self._next_scan = 0
+        self._last_scan: ScanTelegram | None = None
+        self._subscribed: set[str] = set()
+        self._logged_in = False
+        self._writes_to_refuse = self.setup.first_writes_refused
+        self._refuses_until_ns = 0
+        self._pending: deque[bytes] = deque()
+        self._output_changes = 0
+
+    def connected(self, now_ns: int) -> bytes:
+        self._decoder = Decoder()
+        self._dialect = self._next_dialect
+        self._subscribed.clear()
+        self._pending.clear()
+        self._logged_in = False
+        if self._powered_on_ns is None:
+            self._power_on(now_ns)
+            if self.setup.measuring:
+                self._turn_from(self._boots_until_ns)
+        return b""
+
+    def disconnected(self, now_ns: int) -> None:
+        if "LMDscandata" in self._subscribed:
+            self._refuses_until_ns = now_ns + self.setup.refusal_ns
+        self._subscribed.clear()
+        self._pending.clear()
+        self._logged_in = False
+
+    def receive_data(self, data: bytes, now_ns: int) -> bytes:
+        answers = b""
+        try:
+            telegrams = self._decoder.receive_data(data)
+        except ProtocolError:
+            self.counters["garbage"] += 1
+            return b""
+        for telegram in telegrams:
+            if telegram.dialect is not self._dialect:
+                self.counters["requests_in_other_dialect"] += 1
+            elif now_ns < max(self._boots_until_ns, self._refuses_until_ns):
+                self.counters["requests_while_deaf"] += 1
+            else:
+                answers += encode(self._answer(telegram, now_ns))
+        return answers
+
+    def next_due_ns(self, now_ns: int) -> int | None:
+        if self._pending:
+            return now_ns
+        if "LMDscandata" not in self._subscribed or self._turning_since_ns is None:
+            return None
+        return self._leaves_ns(self._next_scan)
+
+    def due(self, now_ns: int) -> bytes:
+        if self._pending:
+            return self._pending.popleft()
+        due_ns = self.next_due_ns(now_ns)
+        if due_ns is None or due_ns > now_ns:
+            return b""
+        left_out = self._scans_complete(now_ns) - 1 - BUFFERED_SCANS - self._next_scan
+        if left_out > 0:
+            self.counters["scans_left_out"] += left_out
+            self._telegram_base -= left_out
+            self._next_scan += left_out
+        scan = self._measure(self._next_scan)
+        self._next_scan += 1
+        self.counters["scans_sent"] += 1
+        message = encode(write_scan(scan, self._dialect))
+        if self.setup.repeat_every and self.counters["scans_sent"] % self.setup.repeat_every == 0:
+            self._pending.append(message)
+        if self._next_scan == FLAGGED_SCANS and "LIDoutputstate" in self._subscribed:
+            self._output_changes += 1
+            self._pending.append(self._output_event(now_ns))
+        return message
+
+    def state(self, now_ns: int) -> int:
+        """What STlms says."""
+        if now_ns < self._boots_until_ns:
+            return STATE_BOOTING
+        if self._turning_since_ns is None:
+            return STATE_STANDBY if self._standby else STATE_IDLE
+        return STATE_MEASURING if now_ns >= self._turning_since_ns else STATE_SPINNING_UP
+
+    def _power_on(self, now_ns: int) -> None:
+        self._powered_on_ns = now_ns
+        self._boots_until_ns = now_ns + self.setup.boot_ns
+
+    def _turn_from(self, since_ns: int) -> None:
+        """Measure anew: scan numbers start over, telegram numbers go on."""
+        self._telegram_base += self._next_scan
+        self._turning_since_ns = since_ns
+        self._standby = False
+        self._next_scan = 0
+
+    def _period_ns(self) -> float:
+        return 1e11 / self._scan.frequency_chz / self.setup.motor_speed
+
+    def _first_beam_ns(self, index: int) -> int:
+        """When scan `index` passes -45 deg, where a whole sweep begins."""
+        assert self._turning_since_ns is not None
+        return self._turning_since_ns + round(index * self._period_ns())
+
+    def _leaves_ns(self, index: int) -> int:
+        sweep_ns = self._period_ns() * (FULL_LAST_E4DEG - FULL_FIRST_E4DEG) / FULL_TURN_E4DEG
+        return self._first_beam_ns(index) + round(sweep_ns) + LEAVES_AFTER_SWEEP_NS
+
+    def _scans_complete(self, now_ns: int) -> int:
+        """How many scans have been measured since the start."""
+        if self._turning_since_ns is None or now_ns < self._leaves_ns(0):
+            return 0
+        return int((now_ns - self._leaves_ns(0)) / self._period_ns()) + 1
+
+    def _clock_us(self, host_ns: int) -> int:
+        assert self._powered_on_ns is not None
+        since_us = (host_ns - self._powered_on_ns) * (1.0 + self.setup.clock_drift_ppm * 1e-6) / 1000.0
+        return (self.setup.clock_start_us + round(since_us)) % (1 << 32)
+
+    def _calendar(self, host_ns: int) -> Calendar:
+        assert self._powered_on_ns is not None
+        since_us = max(0, host_ns - self._powered_on_ns - CALENDAR_LAG_NS) // 1000
+        t = datetime(1970, 1, 1) + timedelta(microseconds=since_us)
+        return Calendar(t.year, t.month, t.day, t.hour, t.minute, t.second, t.microsecond // 1000 * 1000)
+
+    def _measure(self, index: int) -> ScanTelegram:
+        """Cast the rays of one scan and lay them down in a telegram."""
+        begins_ns, leaves_ns = self._first_beam_ns(index), self._leaves_ns(index)
+        step_e4deg, first_e4deg = self._scan.step_e4deg, self._range.first_e4deg
+        beam_count = (self._range.last_e4deg - first_e4deg + step_e4deg // 2) // step_e4deg + 1
+        beam_interval_ns = self._period_ns() * step_e4deg / FULL_TURN_E4DEG
+        first_ray_ns = begins_ns + round(
+            self._period_ns() * (first_e4deg - FULL_FIRST_E4DEG) / FULL_TURN_E4DEG
+        )
+        sweep = self._source.sweep(
+            first_ray_ns,
+            round(beam_interval_ns),
+            float(np.radians(first_e4deg / 10_000 - 90.0)),
+            float(np.radians(step_e4deg / 10_000)),
+            beam_count,
+        )
+        zero_ns = leaves_ns - ZERO_TO_SENDING_NS if self.setup.zero_index_after_sweep else begins_ns
+        sent_ns = leaves_ns + round(self._jitter.uniform(-SENDING_JITTER_NS, SENDING_JITTER_NS))
+        error = self.failed or index < FLAGGED_SCANS
+        channels_16bit, channels_8bit = self._channels(sweep.range_m, sweep.intensity)
+        number = self._telegram_base + index
+        self._last_scan = ScanTelegram(
+            serial_number=self.setup.serial_number,
+            status=(int(error), {0: 0, 1: 2}.get(self.contamination, 5)),
+            telegram_counter=number % 65_536,
+            scan_counter=(SCAN_COUNTER_AT_START + index) % 65_536,
+            start_us=self._clock_us(zero_ns),
+            sent_us=self._clock_us(sent_ns),
+            frequency_chz=self._scan.frequency_chz,
+            shots_100hz=round(self._scan.frequency_chz * FULL_TURN_E4DEG / step_e4deg / 1e4),
+            channels_16bit=channels_16bit,
+            channels_8bit=channels_8bit,
+            outputs=(1 if error else 4, 0),
+            name=self.setup.device_name if self._scan_data.name else None,
+            comment="" if self._scan_data.comment else None,
+            position=(0.0,) * 7 if self._scan_data.position else None,
+            encoders=((0, 0),) if self._scan_data.encoder else (),
+            time=self._calendar(begins_ns) if self._scan_data.time else None,
+        )
+        return self._last_scan
+
+    def _channels(
+        self, range_m: npt.NDArray[np.float32], intensity: npt.NDArray[np.float32]
+    ) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
+        digits = np.nan_to_num(range_m, nan=0.0) * (1000.0 / self.setup.scale)
+        seen = (digits >= FIRST_RANGE_CODE) & (range_m <= self.setup.reach_m)
+        first_echo = np.where(seen, np.rint(digits), 0).astype(np.uint16)
+        nothing = np.zeros_like(first_echo)
+        most = 0xFFFE if self._scan_data.remission_16bit else 0xFE
+        remission = np.where(seen, np.rint(1 + intensity * (most - 1)), 0).astype(np.uint16)
+        distances, remissions = [], []
+        for echo, bit in ((1, 1), (2, 2)):
+            if self._scan_data.echoes & bit:
+                distances.append(
+                    self._channel(f"DIST{echo}", first_echo if echo == 1 else nothing, self.setup.scale)
+                )
+                remissions.append(self._channel(f"RSSI{echo}", remission if echo == 1 else nothing, 1.0))
+        if not self._scan_data.remission:
+            return tuple(distances), ()
+        if self._scan_data.remission_16bit:
+            return tuple(distances + remissions), ()
+        return tuple(distances), tuple(remissions)
+
+    def _channel(self, content: str, values: npt.NDArray[np.uint16], scale: float) -> Channel:
+        return Channel(content, values, self._range.first_e4deg, self._scan.step_e4deg, scale)
+
+    def _answer(self, request: Telegram, now_ns: int) -> Telegram:
+        self.counters["requests"] += 1
+        handlers = {
+            "sRN": self._read,
+            "sRI": self._read,
+            "sWN": self._write,
+            "sMN": self._call,
+            "sEN": self._enable,
+        }
+        handler = handlers.get(request.kind)
+        if handler is None:
+            return self._refuse(UNKNOWN_COMMAND)
+        try:
+            return handler(request, now_ns)
+        except ProtocolError:
+            return self._refuse(TOO_FEW_PARAMETERS)
+
+    def _refuse(self, code: int) -> Telegram:
+        w = writer(self._dialect)
+        w.u16(code)
+        self.counters["requests_refused"] += 1
+        return Telegram(self._dialect, "sFA", "", w.body)
+
+    def _reply(self, kind: str, name: str, write: Callable[[Writer], None] | None = None) -> Telegram:
+        w = writer(self._dialect)
+        if write is not None:
+            write(w)
+        empty_ascii = write is None and self._dialect is Dialect.ASCII
+        return Telegram(self._dialect, kind, name, None if empty_ascii else w.body)
+
+    def _read(self, request: Telegram, now_ns: int) -> Telegram:
+        name = request.name
+        if name == "LMDscandata":
+            complete = self._scans_complete(now_ns)
+            if complete and "LMDscandata" not in self._subscribed:
+                self._measure(complete - 1)
+            return (
+                self._refuse(NOT_NOW)
+                if self._last_scan is None
+                else write_scan(self._last_scan, self._dialect, "sRA")
+            )
+        values = self._variables(now_ns)
+        if name.startswith("field") and name[5:].isdigit() and int(name[5:]) < 30:
+            return self._reply("sRA", name, lambda w: w.u8(0))
+        return self._reply("sRA", name, values[name]) if name in values else self._refuse(UNKNOWN_VARIABLE)
+
+    def _variables(self, now_ns: int) -> dict[str, Callable[[Writer], None]]:
+        state = self.state(now_ns)
+        calendar = self._calendar(now_ns)
+        status = DeviceStatus(
+            state,
+            False,
+            f"{calendar.hour:02}:{calendar.minute:02}:{calendar.second:02}",
+            f"{calendar.day:02}.{calendar.month:02}.{calendar.year:04}",
+        )
+
+        def ident(w: Writer) -> None:
+            w.text("LMS10x_FieldEval")
+            w.text("V1.80.2")
+
+        def inputs(w: Writer) -> None:
+            w.u16(1)
+            w.u32(0)
+            w.u8(2, 2, 2, 2)
+            w.u16(0)
+
+        return {
+            "SCdevicestate": lambda w: w.u8(2 if self.failed else int(state == STATE_MEASURING)),
+            "STlms": lambda w: status.write(w, self._dialect),
+            "LMPscancfg": self._scan.write,
+            "LMPoutputRange": replace(self._range, step_e4deg=5000).write,
+            "LMDscandatacfg": self._scan_data.write,
+            "DeviceIdent": ident,
+            "0": ident,
+            "FirmwareVersion": lambda w: w.text("V1.80.2  "),
+            "SerialNumber": lambda w: w.text(str(self.setup.serial_number)),
+            "LocationName": lambda w: w.text(self.setup.device_name),
+            "ODoprh": lambda w: w.u32(1110),
+            "ODpwrc": lambda w: w.u32(63),
+            "LCMstate": lambda w: w.u8(self.contamination),
+            "EIHstCola": lambda w: w.u8(int(self._next_dialect is Dialect.BINARY)),
+            "LIDinputstate": inputs,
+            "LIDoutputstate": lambda w: self._write_outputs(w, now_ns),
+        }
+
+    def _write_outputs(self, w: Writer, now_ns: int) -> None:
+        """The LMS1xx's layout: 3 outputs of its own, 8 that are not there."""
+        w.u16(1)
+        w.u32(self._clock_us(now_ns))
+        for state, changes in ((0, 0), (0, 0), (1, self._output_changes), *((2, 0),) * 8):
+            w.u8(state)
+            w.u32(changes)
+        write_calendar(w, self._calendar(now_ns))
+
+    def _output_event(self, now_ns: int) -> bytes:
+        return encode(self._reply("sSN", "LIDoutputstate", lambda w: self._write_outputs(w, now_ns)))
+
+    def _write(self, request: Telegram, now_ns: int) -> Telegram:
+        name = request.name
+        if name not in (*PLAIN_SETTINGS, "LMPoutputRange", "LMDscandatacfg", "EIHstCola"):
+            return self._refuse(UNKNOWN_VARIABLE)
+        if not self._logged_in:
+            return self._refuse(WRITE_DENIED)
+        if self._writes_to_refuse:
+            self._writes_to_refuse -= 1
+            return self._refuse(NOT_NOW)
+        r = reader(request)
+        if name == "LMPoutputRange":
+            wanted = OutputRange.read(r)
+            if not FULL_FIRST_E4DEG - 100 <= wanted.first_e4deg < wanted.last_e4deg <= FULL_LAST_E4DEG + 100:
+                return self._refuse(NOT_NOW)
+            self._range = wanted
+        elif name == "LMDscandatacfg":
+            layout = ScanDataConfig.read(r)
+            if not 1 <= layout.echoes <= 3 or layout.interval < 1:
+                return self._refuse(NOT_NOW)
+            self._scan_data = layout
+        elif name == "EIHstCola":
+            self._next_dialect = Dialect.BINARY if r.u8() else Dialect.ASCII
+        return self._reply("sWA", name)
+
+    def _call(self, request: Telegram, now_ns: int) -> Telegram:
+        methods: dict[str, Callable[[Reader, int], Callable[[Writer], None]]] = {
+            "SetAccessMode": self._set_access_mode,
+            "mLMPsetscancfg": self._set_scan_config,
+            "LMCstartmeas": self._start,
+            "LMCstopmeas": self._stop,
+            "LMCstandby": self._stand_by,
+            "Run": self._run,
+            "mEEwriteall": lambda r, _: lambda w: w.u8(1),
+            "LSPsetdatetime": lambda r, _: lambda w: w.u8(1),
+            "mDOSetOutput": lambda r, _: lambda w: w.u8(1),
+            "mSCreboot": self._reboot,
+        }
+        method = methods.get(request.name)
+        if method is None:
+            return self._refuse(UNKNOWN_METHOD)
+        if not self._logged_in and request.name not in ("SetAccessMode", "Run", "mDOSetOutput"):
+            return self._refuse(ACCESS_DENIED)
+        return self._reply("sAN", request.name, method(reader(request), now_ns))
+
+    def _set_access_mode(self, r: Reader, now_ns: int) -> Callable[[Writer], None]:
+        level = r.u8()
+        self._logged_in = PASSWORDS.get(level) == r.u32()
+        return lambda w: w.u8(int(self._logged_in))
+
+    def _set_scan_config(self, r: Reader, now_ns: int) -> Callable[[Writer], None]:
+        wanted = ScanConfig.read(r)
+        pair = (wanted.frequency_chz, wanted.step_e4deg)
+        status = 0 if pair in LEGAL_PAIRS else 1 if pair[0] not in (2500, 5000) else 2
+        if status == 0:
+            changed = pair != (self._scan.frequency_chz, self._scan.step_e4deg)
+            self._scan = wanted = ScanConfig(*pair)
+            if changed:
+                self.counters["scan_config_changes"] += 1
+                if self._turning_since_ns is not None:
+                    self._turn_from(now_ns + self.setup.reconfigure_delay_ns)
+
+        def answer(w: Writer) -> None:
+            w.u8(status)
+            wanted.write(w)
+
+        return answer
+
+    def _start(self, r: Reader, now_ns: int) -> Callable[[Writer], None]:
+        if self._turning_since_ns is None:
+            self._turn_from(now_ns + self.setup.start_delay_ns)
+        elif now_ns >= self._turning_since_ns:
+            self._turn_from(min(now_ns, self._first_beam_ns(self._scans_complete(now_ns))))
+        self.counters["starts"] += 1
+        return lambda w: w.u8(0)
+
+    def _stop(self, r: Reader, now_ns: int) -> Callable[[Writer], None]:
+        self._telegram_base += self._next_scan
+        self._turning_since_ns, self._next_scan = None, 0
+        return lambda w: w.u8(0)
+
+    def _stand_by(self, r: Reader, now_ns: int) -> Callable[[Writer], None]:
+        answer = self._stop(r, now_ns)
+        self._standby = True
+        return answer
+
+    def _run(self, r: Reader, now_ns: int) -> Callable[[Writer], None]:
+        self._logged_in = False
+        if self._turning_since_ns is None:
+            self._turn_from(now_ns + self.setup.start_delay_ns)
+        return lambda w: w.u8(1)
+
+    def _reboot(self, r: Reader, now_ns: int) -> Callable[[Writer], None]:
+        self._power_on(now_ns)
+        self._subscribed.clear()
+        self._turn_from(self._boots_until_ns)
+        return lambda w: w.u8(1)
+
+    def _enable(self, request: Telegram, now_ns: int) -> Telegram:
+        if request.name not in EVENTS:
+            return self._refuse(UNKNOWN_EVENT)
+        on = reader(request).u8() != 0
+        if on:
+            self._subscribed.add(request.name)
+            if request.name == "LMDscandata":
+                self._next_scan = max(self._next_scan, self._scans_complete(now_ns))
+        else:
+            self._subscribed.discard(request.name)
+        return self._reply("sEA", request.name, lambda w: w.u8(int(on)))
