@@ -353,7 +353,10 @@ class AsciiReader:
 
     def text(self) -> str:
         count = self.u16()
-        return self.characters(count) if count else ""
+        if count:
+            return self.characters(count)
+        self._at += self._body[self._at : self._at + 1] == b" "  # some write the blank of an empty text
+        return ""
 
     def array(self, count: int, bits: int) -> npt.NDArray[np.uint16]:
         """(count,) unsigned numbers of 8 or 16 bits, all digits at once."""
@@ -451,7 +454,8 @@ class AsciiWriter:
 
     def text(self, text: str) -> None:
         self.u16(len(text))
-        self.characters(text)
+        if text:
+            self.characters(text)
 
     def array(self, values: npt.NDArray[np.uint16], bits: int) -> None:
         if len(values):
