@@ -1,0 +1,170 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.irobot_create.odometry import DeadReckoning, TwistWindow, counts_between, inside_truncated
+
+BASE_M = 0.235
+
+
+def reckoning(variance: float = 1e-4) -> DeadReckoning:
+    return DeadReckoning(BASE_M, variance)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "counts"),
+    [
+        (0, 17, 17),
+        (17, 0, -17),
+        (65_530, 4, 10),
+        (3, 65_534, -5),  # a known driver makes +65532 counts, 29 m, of this
+        (32_767, 32_768, 1),
+        (32_768, 32_767, -1),
+        (0, 0, 0),
+    ],
+)
+def test_counters_wrap_both_ways(old: int, new: int, counts: int):
+    assert counts_between(old, new) == counts
+
+
+@given(st.integers(0, 65_535), st.integers(-32_768, 32_767))
+def test_any_step_within_half_a_turn_of_the_counter_is_found(old: int, step: int):
+    assert counts_between(old, (old + step) % 65_536) == step
+
+
+@pytest.mark.parametrize(
+    ("whole", "predicted", "expected"),
+    [
+        (0, 0.4, 0.4),
+        (0, -0.4, -0.4),
+        (0, 7.0, 1.0),
+        (0, -7.0, -1.0),
+        (3, 3.7, 3.7),
+        (3, 2.0, 3.0),
+        (3, 9.0, 4.0),
+        (-3, -3.7, -3.7),
+        (-3, 0.0, -3.0),
+        (-3, -9.0, -4.0),
+    ],
+)
+def test_prediction_fills_in_the_fraction_that_was_cut(whole: int, predicted: float, expected: float):
+    assert inside_truncated(whole, predicted) == expected
+
+
+@given(st.floats(-1000, 1000))
+def test_a_right_prediction_is_never_changed(value: float):
+    assert inside_truncated(int(value), value) == value
+
+
+def by_small_steps(left_m: float, right_m: float, theta_rad: float) -> tuple[float, float, float]:
+    """The same motion in a million straight bits, by the midpoint rule."""
+    n = 1_000_000
+    ds, dth = 0.5 * (left_m + right_m) / n, (right_m - left_m) / BASE_M / n
+    headings = theta_rad + dth * (np.arange(n) + 0.5)
+    return float(ds * np.cos(headings).sum()), float(ds * np.sin(headings).sum()), theta_rad + n * dth
+
+
+@pytest.mark.parametrize(
+    ("left_m", "right_m"),
+    [(0.3, 0.5), (0.5, 0.3), (-0.2, 0.2), (-0.4, -0.1), (0.4, 0.4 + 1e-8), (0.4, 0.4), (0.0, 0.7)],
+)
+def test_arc_agrees_with_a_fine_integration(left_m: float, right_m: float):
+    way = reckoning()
+    way.roll(-0.1, 0.1)
+    start = way.theta_rad
+    expected = by_small_steps(left_m, right_m, start)
+    way.roll(left_m, right_m)
+    assert (way.x_m, way.y_m) == pytest.approx(expected[:2], abs=1e-10)
+    assert math.remainder(way.theta_rad - expected[2], math.tau) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_full_circle_closes():
+    way = reckoning()
+    for _ in range(1000):
+        way.roll((1.0 - BASE_M / 2) * math.tau / 1000, (1.0 + BASE_M / 2) * math.tau / 1000)
+    assert (way.x_m, way.y_m, way.theta_rad) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+
+
+def test_heading_stays_within_half_a_turn():
+    way = reckoning()
+    for _ in range(1000):
+        way.roll(-0.01, 0.01)
+        assert -math.pi <= way.theta_rad <= math.pi
+
+
+def test_covariance_agrees_with_ten_thousand_noisy_drives():
+    variance = 2e-6
+    rng = np.random.default_rng(7)
+    steps = [(0.010, 0.012)] * 60 + [(0.012, 0.009)] * 60
+    way = reckoning(variance)
+    for left_m, right_m in steps:
+        way.roll(left_m, right_m)
+    x, y, theta = np.zeros(10_000), np.zeros(10_000), np.zeros(10_000)
+    for left_m, right_m in steps:
+        left = left_m + rng.normal(0.0, math.sqrt(variance * left_m), x.shape)
+        right = right_m + rng.normal(0.0, math.sqrt(variance * right_m), x.shape)
+        ds, dth = 0.5 * (left + right), (right - left) / BASE_M
+        x += ds * np.cos(theta + 0.5 * dth)
+        y += ds * np.sin(theta + 0.5 * dth)
+        theta += dth
+    sampled = np.cov(np.vstack([x, y, theta]))
+    claimed = np.array(way.covariance).reshape(3, 3)
+    scale = np.sqrt(np.outer(np.diag(claimed), np.diag(claimed)))
+    np.testing.assert_allclose(claimed / scale, sampled / scale, atol=0.05)
+
+
+def test_covariance_of_a_straight_metre_is_the_formula_by_hand():
+    way = reckoning(1e-4)
+    way.roll(1.0, 1.0)
+    covariance = np.array(way.covariance).reshape(3, 3)
+    # both wheels 1e-4 m^2: half of it along, 2 / B^2 of it in heading, half a metre of lever between them
+    assert covariance[0, 0] == pytest.approx(0.5e-4)
+    assert covariance[2, 2] == pytest.approx(2e-4 / BASE_M**2)
+    assert covariance[1, 1] == pytest.approx(2e-4 * (0.5 / BASE_M) ** 2)
+    assert covariance[1, 2] == pytest.approx(2e-4 * 0.5 / BASE_M**2)
+    assert covariance[0, 2] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_covariance_grows_in_any_cutting_of_the_way():
+    whole, cut = reckoning(), reckoning()
+    whole.roll(1.0, 1.0)
+    traces = []
+    for _ in range(100):
+        cut.roll(0.01, 0.01)
+        traces.append(sum(cut.covariance[::4]))
+    assert all(np.diff(traces) > 0.0)
+    assert cut.covariance[8] == pytest.approx(whole.covariance[8])
+    # a single long step puts its error at the middle of the way, a fine one all along it: 1/4 against 1/3
+    assert cut.covariance[4] == pytest.approx(whole.covariance[4] * 4 / 3, rel=0.01)
+
+
+def test_resting_robot_does_not_grow_uncertain():
+    way = reckoning()
+    way.roll(0.1, 0.1)
+    before = way.covariance
+    way.roll(0.0, 0.0)
+    assert way.covariance == before
+
+
+def test_lost_time_widens_without_moving():
+    way = reckoning()
+    way.roll(0.1, 0.2)
+    pose, before = (way.x_m, way.y_m, way.theta_rad), way.covariance
+    way.lose(0.1)
+    assert (way.x_m, way.y_m, way.theta_rad) == pose
+    assert way.covariance[0] - before[0] == pytest.approx(0.05**2 / 3)
+    assert way.covariance[8] - before[8] == pytest.approx(2 * 0.05**2 / 3 / BASE_M**2)
+
+
+def test_twist_is_the_mean_over_the_window():
+    window = TwistWindow(samples=4)
+    assert window.add(0, 9.0, 9.0) == (0.0, 0.0, 0.0)
+    for i in range(1, 10):
+        twist = window.add(15_000_000 * i, 0.0075 if i % 2 else 0.0045, 0.003)
+    mean = (2 * 0.0075 + 0.0045) / 0.045
+    assert twist == pytest.approx((mean, 0.0, 0.2))
+    window.clear()
+    assert window.add(10**9, 1.0, 1.0) == (0.0, 0.0, 0.0)
