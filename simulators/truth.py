@@ -36,10 +36,22 @@ class Ride:
         """Seconds since departure; the clock of drive and people."""
         return (stamp_ns - self._departure_ns) * 1e-9
 
+    def poses(self, stamps_ns: npt.NDArray[np.int64]) -> Floats:
+        """(N, 3) x m, y m, theta rad in (-pi, pi] of the base in the frame of its start."""
+        time_s: Floats = (stamps_ns - self._departure_ns).astype(np.float64) * 1e-9
+        poses = self.world.drive.poses(time_s)
+        poses[:, 2] = -np.remainder(math.pi - poses[:, 2], 2.0 * math.pi) + math.pi
+        return poses
+
     def pose(self, stamp_ns: int) -> SE2:
         """Base in the frame of its start."""
-        x, y, theta = self.world.drive.poses(np.array([self.drive_s(stamp_ns)]))[0]
-        return SE2(float(x), float(y), math.remainder(float(theta), 2.0 * math.pi))
+        x, y, theta = self.poses(np.array([stamp_ns], dtype=np.int64))[0]
+        return SE2(float(x), float(y), float(theta))
+
+
+def seed_of(seed: int, sensor: str) -> int:
+    """A seed of its own for each sensor of a run."""
+    return zlib.crc32(f"{seed} {sensor}".encode())
 
 
 def noise_of(seed: int, sensor: str, moment: int) -> np.random.Generator:
@@ -212,6 +224,7 @@ class WheelModel:
     slip_m: tuple[float, float] = (0.005, 0.02)  # and how far
 
 
+CREATE_WHEELS = WheelModel()
 SLIP_STEP_S = 0.1
 SLIP_BLOCK = 600  # steps drawn at a time
 

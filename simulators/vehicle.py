@@ -1,0 +1,164 @@
+"""A vehicle full of fake devices: from `front=sick_lms100:port=2111` to a device on a wire."""
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from drivers.irobot_create.config import PRESETS
+from service.geometry.se2 import SE2
+from simulators.irobot_create import FakeCreate
+from simulators.sick_lms100 import FakeLms100, Lms100Setup
+from simulators.truth import CREATE_WHEELS, LMS100, LaserTruth, Ride, WheelTruth, seed_of
+from simulators.wire import PtyWire, TcpWire, serve_pty, serve_tcp
+from simulators.world import World
+
+DEFAULT_DEVICES = ("front=sick_lms100", "base=irobot_create")
+
+Wire = TcpWire | PtyWire
+
+
+class Lms100Options(BaseModel):
+    """What may stand behind `sick_lms100:`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    host: str = "127.0.0.1"
+    port: int = Field(default=0, ge=0, le=65535)  # 0: any free
+    x_m: float = 0.20  # mounting in the base frame, as in config/vehicle.yaml
+    y_m: float = 0.0
+    yaw_deg: float = 0.0
+    sigma_m: float = Field(default=LMS100.sigma_m, ge=0.0)
+    bias_m: float = LMS100.bias_m
+    clock_drift_ppm: float = 40.0
+
+
+class CreateOptions(BaseModel):
+    """What may stand behind `irobot_create:`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    model: Literal["create1", "create2", "roomba"] = "create2"
+    link: Path | None = None  # a symbolic link to the terminal, a name that stays
+    scale_sigma: float = Field(default=CREATE_WHEELS.scale_sigma, ge=0.0)
+    slip_sigma_m: float = Field(default=CREATE_WHEELS.slip_sigma_m, ge=0.0)
+    slips_per_m: float = Field(default=CREATE_WHEELS.slips_per_m, ge=0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceSpec:
+    """One device as it was asked for."""
+
+    name: str
+    kind: str
+    options: BaseModel
+
+
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    options: type[BaseModel]
+    build: Callable[[str, Any, Ride, int], Wire]  # name, options, ride, seed
+
+
+def _build_lms100(name: str, options: Lms100Options, ride: Ride, seed: int) -> Wire:
+    mounting = SE2(options.x_m, options.y_m, math.radians(options.yaw_deg))
+    model = replace(LMS100, sigma_m=options.sigma_m, bias_m=options.bias_m)
+    source = LaserTruth(ride, name, mounting, model, seed)
+    setup = Lms100Setup(clock_drift_ppm=options.clock_drift_ppm)
+    return serve_tcp(FakeLms100(source, setup, seed_of(seed, name)), options.host, options.port)
+
+
+def _build_create(name: str, options: CreateOptions, ride: Ride, seed: int) -> Wire:
+    model = replace(
+        CREATE_WHEELS,
+        wheel_base_m=PRESETS[options.model].wheel_base_m,
+        scale_sigma=options.scale_sigma,
+        slip_sigma_m=options.slip_sigma_m,
+        slips_per_m=options.slips_per_m,
+    )
+    wheels = WheelTruth(ride, name, model, seed)
+    return serve_pty(FakeCreate(wheels, options.model, wakes_on_connect=True), options.link)
+
+
+KINDS = {
+    "sick_lms100": _Kind(Lms100Options, _build_lms100),
+    "irobot_create": _Kind(CreateOptions, _build_create),
+}
+
+
+def parse_device(text: str) -> DeviceSpec:
+    """Read NAME=TYPE[:key=value,...]. Raises ValueError that says what is wrong."""
+    name, _, rest = text.partition("=")
+    kind, _, options_text = rest.partition(":")
+    if not name or kind not in KINDS:
+        raise ValueError(f"{text!r}: expected NAME=TYPE[:key=value,...] with TYPE one of {', '.join(KINDS)}")
+    options: dict[str, str] = {}
+    for item in options_text.split(",") if options_text else []:
+        key, equals, value = item.partition("=")
+        if not equals or key in options:
+            raise ValueError(f"{text!r}: {item!r} is not a new key=value")
+        options[key] = value
+    try:
+        return DeviceSpec(name, kind, KINDS[kind].options.model_validate(options))
+    except ValidationError as error:
+        known = ", ".join(KINDS[kind].options.model_fields)
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        raise ValueError(f"{text!r}: {key}: {first['msg']}; {kind} takes {known}") from error
+
+
+def parse_devices(texts: Sequence[str]) -> list[DeviceSpec]:
+    """Raises ValueError also where two devices share a name."""
+    specs = [parse_device(text) for text in texts or DEFAULT_DEVICES]
+    names = [spec.name for spec in specs]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"two devices are called {name!r}")
+    return specs
+
+
+def warm_up(world: World) -> None:
+    """Compile the kernels, or fetch them from the cache."""
+    LaserTruth(Ride(world, 0), "warm-up", SE2(), LMS100, 0).sweep(0, 27_778, -1.0, 0.01, 200)
+
+
+class FakeVehicle:
+    """Context manager: its devices are on their wires while it is entered."""
+
+    def __init__(self, specs: Sequence[DeviceSpec], ride: Ride, seed: int) -> None:
+        self._specs = list(specs)
+        self.wires = {
+            spec.name: KINDS[spec.kind].build(spec.name, spec.options, ride, seed) for spec in self._specs
+        }
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            for wire in self.wires.values():
+                stack.enter_context(wire)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
+
+    def endpoints(self) -> list[dict[str, str]]:
+        """One entry a device: name, device, endpoint (`tcp://host:port` or a path)."""
+        lines = []
+        for spec in self._specs:
+            endpoint = self.wires[spec.name].endpoint
+            where = endpoint if isinstance(endpoint, str) else f"tcp://{endpoint[0]}:{endpoint[1]}"
+            lines.append({"name": spec.name, "device": spec.kind, "endpoint": where})
+        return lines
+
+    @property
+    def failed(self) -> list[str]:
+        """Names of the devices whose wire ended on an error."""
+        return [name for name, wire in self.wires.items() if wire.failure is not None]

@@ -1,0 +1,110 @@
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+PATIENCE_S = 60.0  # kernels may have to be compiled
+COMMAND = (sys.executable, "-m", "simulators")
+
+
+@pytest.fixture
+def simulate() -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    running: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: str) -> subprocess.Popen[str]:
+        running.append(subprocess.Popen([*COMMAND, *arguments], stdout=subprocess.PIPE, text=True))
+        return running[-1]
+
+    yield start
+    for process in running:
+        process.kill()
+        process.wait(PATIENCE_S)
+        assert process.stdout is not None
+        process.stdout.close()
+
+
+def endpoints(process: subprocess.Popen[str]) -> dict[str, str]:
+    assert process.stdout is not None
+    found = {}
+    while "ready" not in (line := json.loads(process.stdout.readline())):
+        found[line["name"]] = line["endpoint"]
+    assert line == {"ready": True}
+    return found
+
+
+def test_both_devices_answer_and_the_truth_is_written(simulate, tmp_path: Path):
+    truth_path = tmp_path / "truth.txt"
+    process = simulate("--print-endpoints", "--truth", str(truth_path), "--stand-s", "0.2")
+    where = endpoints(process)
+
+    host, port = where["front"].removeprefix("tcp://").split(":")
+    with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as laser:
+        laser.sendall(b"\x02sEN LMDscandata 1\x03")
+        heard = b""
+        while heard.count(b"sSN LMDscandata") < 20:
+            heard += laser.recv(65536)
+    assert b"sEA LMDscandata" in heard
+
+    base = os.open(where["base"], os.O_RDWR | os.O_NOCTTY)
+    os.write(base, bytes([128, 142, 35]))  # start, ask for the mode: passive
+    assert select.select([base], [], [], PATIENCE_S)[0]
+    assert os.read(base, 100) == b"\x01"
+    os.close(base)
+
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(PATIENCE_S) == 0
+    stamps_ns = np.loadtxt(truth_path, usecols=0, dtype=np.int64)
+    poses = np.loadtxt(truth_path, usecols=(1, 2, 3))
+    assert (np.diff(stamps_ns) == 5_000_000).all()
+    assert (poses[:40] == 0.0).all()
+    assert poses[-1, 0] > 0.0
+    assert 0 <= time.monotonic_ns() - stamps_ns[-1] < PATIENCE_S * 1e9
+
+
+def test_interrupt_ends_it_cleanly(simulate):
+    process = simulate("--world", "ring", "--device", "only=sick_lms100", "--print-endpoints")
+    assert list(endpoints(process)) == ["only"]
+    process.send_signal(signal.SIGINT)
+    assert process.wait(PATIENCE_S) == 0
+
+
+def test_it_ends_when_its_parent_dies():
+    middleman = (
+        "import subprocess, sys; process = subprocess.Popen([sys.executable, '-m', 'simulators', "
+        "'--print-endpoints', '--die-with-parent'], stdout=subprocess.PIPE); "
+        "[process.stdout.readline() for _ in range(3)]; print(process.pid, flush=True); sys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", middleman], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as parent:
+        assert parent.stdout is not None
+        child = os.pidfd_open(int(parent.stdout.readline()))
+        parent.kill()
+    ended = bool(select.select([child], [], [], PATIENCE_S)[0])
+    if not ended:
+        signal.pidfd_send_signal(child, signal.SIGKILL)
+    os.close(child)
+    assert ended, "still running after its parent died"
+
+
+@pytest.mark.parametrize("arguments", [("--world", "moon"), ("--device", "front=toaster"), ("--frobnicate",)])
+def test_wrong_usage_is_64(arguments: tuple[str, ...]):
+    ended = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=PATIENCE_S)
+    assert ended.returncode == 64
+    assert "Traceback" not in ended.stderr
+
+
+def test_truth_that_cannot_be_written_is_74(tmp_path: Path):
+    arguments = [*COMMAND, "--truth", str(tmp_path / "nowhere" / "truth.txt")]
+    ended = subprocess.run(arguments, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert ended.returncode == 74
+    assert "nowhere" in ended.stderr

@@ -1,0 +1,93 @@
+import math
+from pathlib import Path
+
+import pytest
+
+from service.geometry.se2 import SE2
+from simulators.sick_lms100 import FakeLms100
+from simulators.trajectory import Follow, plan_drive
+from simulators.truth import LMS100, LaserTruth, Ride, seed_of
+from simulators.vehicle import FakeVehicle, parse_device, parse_devices, warm_up
+from simulators.world import Plan, World, make_world
+
+SUBSCRIBE = b"\x02sEN LMDscandata 1\x03"
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    plan = Plan()
+    plan.line((-5, -5), (5, -5), (5, 5), (-5, 5), (-5, -5))
+    return make_world("room", plan, [], plan_drive(SE2(), [Follow([(3, 0)])]))
+
+
+def test_device_is_read_with_its_options():
+    spec = parse_device("rear=sick_lms100:x_m=-0.3,yaw_deg=180,port=2111")
+    assert (spec.name, spec.kind) == ("rear", "sick_lms100")
+    options = spec.options.model_dump()
+    assert (options["x_m"], options["yaw_deg"], options["port"]) == (-0.3, 180.0, 2111)
+
+
+def test_without_a_word_there_are_a_laser_and_a_base():
+    assert [(spec.name, spec.kind) for spec in parse_devices([])] == [
+        ("front", "sick_lms100"),
+        ("base", "irobot_create"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("sick_lms100", "expected NAME=TYPE"),
+        ("front=sick", "TYPE one of sick_lms100, irobot_create"),
+        ("front=sick_lms100:colour=red", "colour: .*; sick_lms100 takes host, port, x_m"),
+        ("front=sick_lms100:port=high", "port: .*integer"),
+        ("front=sick_lms100:port", "'port' is not a new key=value"),
+        ("front=sick_lms100:port=1,port=2", "'port=2' is not a new key=value"),
+    ],
+)
+def test_wrong_device_is_refused_with_what_is_wrong(text: str, complaint: str):
+    with pytest.raises(ValueError, match=complaint):
+        parse_device(text)
+
+
+def test_two_devices_of_one_name_are_refused():
+    with pytest.raises(ValueError, match="two devices are called 'a'"):
+        parse_devices(["a=sick_lms100", "a=irobot_create"])
+
+
+def test_vehicle_tells_where_its_devices_answer(world: World, tmp_path: Path):
+    warm_up(world)
+    specs = parse_devices(["front=sick_lms100", f"base=irobot_create:link={tmp_path / 'create'}"])
+    with FakeVehicle(specs, Ride(world, 0), seed=1) as vehicle:
+        front, base = vehicle.endpoints()
+        port = vehicle.wires["front"].endpoint[1]
+        assert front == {"name": "front", "device": "sick_lms100", "endpoint": f"tcp://127.0.0.1:{port}"}
+        assert base == {"name": "base", "device": "irobot_create", "endpoint": str(tmp_path / "create")}
+        assert (tmp_path / "create").is_char_device()
+        assert vehicle.failed == []
+    assert not (tmp_path / "create").is_symlink()
+
+
+def telegrams(world: World, seed: int, looks_s: list[float]) -> bytes:
+    """What a laser sends, looked at in these moments of a made-up time."""
+    source = LaserTruth(Ride(world, 0, stand_s=0.0), "front", SE2(0.2, 0.0, 0.0), LMS100, seed)
+    device = FakeLms100(source, seed=seed_of(seed, "front"))
+    sent = device.connected(0) + device.receive_data(SUBSCRIBE, 10)
+    for look_s in looks_s:
+        now_ns = round(look_s * 1e9)
+        while (due_ns := device.next_due_ns(now_ns)) is not None and due_ns <= now_ns:
+            sent += device.due(now_ns)
+    return sent
+
+
+def test_same_seed_gives_the_same_bytes_whenever_they_are_fetched(world: World):
+    often, seldom = [k * 0.001 for k in range(1000)], [k * 0.1 for k in range(10)]
+    assert telegrams(world, 1, often) == telegrams(world, 1, [*seldom, often[-1]])
+    assert telegrams(world, 2, often) != telegrams(world, 1, often)
+
+
+def test_laser_sits_where_its_options_say(world: World):
+    sources = [LaserTruth(Ride(world, 0), "front", pose, LMS100, 1) for pose in (SE2(), SE2(1.0, 0, math.pi))]
+    ahead, behind = (source.sweep(0, 27_778, 0.0, 0.0, 50).range_m.mean() for source in sources)
+    assert ahead == pytest.approx(5.0, abs=0.01)
+    assert behind == pytest.approx(6.0, abs=0.01)
