@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from drivers.frames import NO_INTENSITY, ImuSample, LaserScan
-from service.encoding.frames import decode_frame, encode_frame
+from service.encoding.frames import decode_frame, encode_frame, frame_id
 from service.encoding.outputs import (
     Pose,
     Status,
@@ -18,6 +18,7 @@ from service.encoding.outputs import (
     decode_diagnostics,
     decode_event,
     decode_grid,
+    decode_mountings,
     decode_pose,
     decode_transforms,
     encode_diagnostics,
@@ -69,6 +70,7 @@ __all__ = [
     "decode_event",
     "decode_frame",
     "decode_grid",
+    "decode_mountings",
     "decode_pose",
     "decode_transforms",
     "encode_diagnostics",
@@ -80,6 +82,7 @@ __all__ = [
     "encode_tf",
     "encode_tf_static",
     "encode_tile",
+    "frame_id",
     "schema_text",
     "type_hash",
     "warm_up",

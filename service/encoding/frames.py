@@ -51,6 +51,12 @@ def decode_frame(message_type: str, payload: bytes, sensor: str, log_ns: int) ->
     return None if decode is None else decode(wire.read(message_type, payload), sensor, log_ns)
 
 
+def frame_id(message_type: str, payload: bytes) -> str:
+    """header.frame_id of a LaserScan, Imu or Odometry message. Raises InputError."""
+    content = cast(ros.sensor_msgs__msg__LaserScan, wire.read(message_type, payload))  # the header is alike
+    return content.header.frame_id.lstrip("/")  # tf 1 wrote "/laser"
+
+
 def _duration_ns(seconds: float) -> int:
     """0 where a foreign message leaves the field unset or senseless."""
     return round(seconds * 1e9) if 0.0 < seconds < 1e6 else 0

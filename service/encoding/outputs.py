@@ -45,6 +45,17 @@ class Transform:
     translation_m: tuple[float, float, float]
     rotation_wxyz: tuple[float, float, float, float]
 
+    @property
+    def is_planar(self) -> bool:
+        return not any(self.rotation_wxyz[1:3])
+
+    @property
+    def pose(self) -> SE2:
+        """pose_frame_child in the plane; what a planar pose becomes on the wire."""
+        w, x, y, z = self.rotation_wxyz
+        heading_rad = wire.yaw(ros.geometry_msgs__msg__Quaternion(x, y, z, w))
+        return SE2(self.translation_m[0], self.translation_m[1], heading_rad)
+
 
 def encode_pose(output: MapperOutput, log_ns: int) -> Message:
     """Base in map, as channel "pose"."""
@@ -178,6 +189,14 @@ def decode_transforms(payload: bytes) -> list[Transform]:
             )
         )
     return transforms
+
+
+def decode_mountings(payload: bytes) -> dict[str, SE2]:
+    """Sensor -> pose_base_sensor of what `encode_tf_static` made. Raises InputError.
+
+    The live mapper takes its mountings from here too, so that the replay has them to the last bit.
+    """
+    return {t.child: t.pose for t in decode_transforms(payload) if t.frame == wire.BASE_FRAME}
 
 
 def decode_event(payload: bytes) -> str:

@@ -359,6 +359,10 @@ def test_mountings_go_out_as_static_transforms():
     assert [(t.frame, t.child) for t in transforms] == [("base_link", "front"), ("base_link", "rear")]
     assert transforms[1].translation_m == (-0.3, 0.1, 0.0)
     assert transforms[1].rotation_wxyz == pytest.approx((0.0, 0.0, 0.0, 1.0))
+    once = encoding.decode_mountings(message.payload)
+    assert once["rear"].theta_rad == pytest.approx(math.pi)
+    again = encoding.encode_tf_static(once, T0_NS, T0_NS)
+    assert encoding.decode_mountings(again.payload) == once
 
 
 def test_a_grid_survives_and_its_rows_run_along_x():
