@@ -1,19 +1,22 @@
-"""What the service knows of itself, as diagnostic statuses: one a sensor, one for each part behind them."""
+"""What the service knows of itself: one diagnostic status a sensor, and one for each part behind them."""
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from drivers.link import LinkHealth
-from service.encoding import Status
-from service.outputs import MapperOutput
+from service.encoding import Message, Status, encode_diagnostics
+from service.publishing.zenoh_publisher import ZenohPublisher
+from service.recording.mcap_recorder import McapRecorder
+from service.runtime.map_keeper import MapKeeper
+from service.runtime.mapping import MappingLoop
 from service.runtime.metrics import LatencyHistogram, RateMeter
+from service.runtime.queues import FrameQueue
 
 OK, WARNING, ERROR, STALE = 0, 1, 2, 3  # levels of diagnostic_msgs/DiagnosticStatus
 STALE_AFTER_NS = 1_000_000_000
 
-_LEVEL_OF_STATE = {"streaming": OK, "starting": WARNING, "connecting": WARNING, "down": ERROR}
-_LEVEL_OF_MAPPING = {"ok": OK, "degraded": WARNING, "lost": ERROR}
+_LEVEL_OF_LINK = {"streaming": OK, "starting": WARNING, "connecting": WARNING, "down": ERROR}
+_LEVEL_OF_POSE = {"ok": OK, "degraded": WARNING, "lost": ERROR}
 
 
 class SensorHealth:
@@ -23,17 +26,22 @@ class SensorHealth:
         self._link = link
         self._frames = RateMeter()
         self._bytes = RateMeter()
+        self._first: tuple[int, int] | None = None  # frames and time of the newest, when first looked at
 
     @property
-    def streaming(self) -> bool:
-        return self._link.state == "streaming"
+    def mean_rate_hz(self) -> float:
+        """Frames a second from the first status on to the newest frame; gaps count."""
+        if self._first is None or self._link.last_frame_ns <= self._first[1]:
+            return 0.0
+        return (self._link.frames - self._first[0]) * 1e9 / (self._link.last_frame_ns - self._first[1])
 
     def status(self, dropped: int, unusable: int, now_ns: int) -> Status:
         """dropped: scans that had to make room in the queue; now_ns: host monotonic."""
         link = self._link
+        if self._first is None and link.frames > 0:
+            self._first = (link.frames, link.last_frame_ns)
         rate_hz = self._frames.read(link.frames, now_ns)
-        bytes_hz = self._bytes.read(link.bytes_read, now_ns)
-        level, words = _LEVEL_OF_STATE[link.state], link.status or link.state
+        level, words = _LEVEL_OF_LINK[link.state], link.status or link.state
         silent_s = (now_ns - link.last_frame_ns) / 1e9
         if link.state == "down":
             words = link.last_error
@@ -43,7 +51,7 @@ class SensorHealth:
             "state": link.state,
             "status": link.status,
             "rate_hz": f"{rate_hz:.1f}",
-            "kilobytes_per_s": f"{bytes_hz / 1e3:.1f}",
+            "kilobytes_per_s": f"{self._bytes.read(link.bytes_read, now_ns) / 1e3:.1f}",
             "frames": str(link.frames),
             "dropped": str(dropped),
             "unusable": str(unusable),
@@ -57,60 +65,143 @@ class SensorHealth:
         return Status(f"sensor/{link.name}", level, words, values)
 
 
-@dataclass(frozen=True, slots=True)
-class MappingCounts:
-    """What the mapping thread has done so far."""
+class HealthReport:
+    """All statuses, made anew by `update`."""
 
-    scans: int
-    scans_dropped: int  # in the queue and as late
-    samples_late: int
-    states: Mapping[str, int]
-    queue_length: int
-    queue_deepest: int
+    def __init__(
+        self,
+        links: Mapping[str, LinkHealth],
+        queue: FrameQueue,
+        loop: MappingLoop,
+        keeper: MapKeeper,
+        recorder: McapRecorder,
+        publisher: ZenohPublisher,
+        latency: LatencyHistogram,
+    ) -> None:
+        self._links = links
+        self._sensors = {name: SensorHealth(link) for name, link in links.items()}
+        self._queue = queue
+        self._loop = loop
+        self._keeper = keeper
+        self._recorder = recorder
+        self._publisher = publisher
+        self._latency = latency
+        self._scan_rate = RateMeter()
+        self._states = dict.fromkeys(links, "connecting")
+        self.statuses: list[Status] = []
+        self.clock_step_ns = 0
+
+    @property
+    def scans_dropped(self) -> int:
+        """Scans that came in whole and were not mapped, for whatever reason."""
+        late = sum(
+            count for name, count in _snapshot(self._loop.counters) if name.startswith("scans_dropped")
+        )
+        return (
+            sum(count for _, count in _snapshot(self._queue.dropped_scans)) + late + self._loop.unusable_scans
+        )
+
+    @property
+    def mean_rates_hz(self) -> dict[str, float]:
+        return {name: round(sensor.mean_rate_hz, 2) for name, sensor in self._sensors.items()}
+
+    @property
+    def streaming(self) -> dict[str, bool]:
+        return {name: link.state == "streaming" for name, link in self._links.items()}
+
+    @property
+    def line(self) -> str:
+        """One line for people who ask `systemctl status`."""
+        output, recorder = self._loop.last_output, self._recorder.health
+        state = "waiting for a scan" if output is None else f"mapping {output.state}"
+        recording = recorder.path.name if recorder.path and recorder.state == "recording" else recorder.state
+        return (
+            f"{state}, {sum(self.streaming.values())}/{len(self._links)} sensors, "
+            f"{self._scan_rate.rate_hz:.1f} scans/s, recording: {recording}"
+        )
+
+    def update(self, now_ns: int, clock_step_ns: int) -> None:
+        """Look at everything. now_ns: host monotonic; clock_step_ns: how far the wall clock has stepped."""
+        self.clock_step_ns = clock_step_ns
+        self._scan_rate.read(self._loop.counters["scans"], now_ns)
+        dropped, unusable = self._queue.dropped_scans, self._loop.unusable
+        sensors = [s.status(dropped[name], unusable[name], now_ns) for name, s in self._sensors.items()]
+        self.statuses = [
+            *sensors,
+            self._mapping(),
+            self._map(),
+            self._recording(),
+            self._zenoh(),
+            self._clock(),
+        ]
+
+    def message(self, channel: str, unix_ns: int) -> Message:
+        return encode_diagnostics(channel, self.statuses, unix_ns, unix_ns)
+
+    def take_state_changes(self) -> list[tuple[str, str]]:
+        """Sensors whose link is in another state than at the last call, with that state."""
+        states = {name: link.state for name, link in self._links.items()}
+        changes = [(name, state) for name, state in states.items() if state != self._states[name]]
+        self._states = states
+        return changes
+
+    def _mapping(self) -> Status:
+        loop, output = self._loop, self._loop.last_output
+        values = {name: str(count) for name, count in _snapshot(loop.counters)}
+        values |= {
+            "scan_rate_hz": f"{self._scan_rate.rate_hz:.1f}",
+            "scans_dropped": str(self.scans_dropped),
+            "queue_length": str(len(self._queue)),
+            "queue_deepest": str(self._queue.deepest),
+        }
+        values |= {f"scans_{state}": str(count) for state, count in _snapshot(loop.states)}
+        values |= {
+            f"latency_ms_{name}": f"{ms:.3f}" for name, ms in self._latency.percentiles().as_dict().items()
+        }
+        if output is None:
+            return Status("mapping", WARNING, "no scan mapped yet", values)
+        values |= {"state": output.state, "match_share": f"{output.match_share:.3f}"}
+        return Status("mapping", _LEVEL_OF_POSE[output.state], output.reason or output.state, values)
+
+    def _map(self) -> Status:
+        trouble = self._keeper.trouble
+        values = {"folder": str(self._keeper.folder), "saved_version": str(self._keeper.saved_version)}
+        return Status("map", ERROR if trouble else OK, trouble or "ok", values)
+
+    def _recording(self) -> Status:
+        recorder = self._recorder.health
+        level = OK if recorder.state in ("recording", "waiting", "finished") else ERROR
+        values = {
+            "state": recorder.state,
+            "file": str(recorder.path or ""),
+            "messages": str(recorder.messages),
+            "free_gb": f"{recorder.free_bytes / 1e9:.1f}",
+            "log_time_steps_back": str(recorder.steps_back),
+        }
+        values |= {f"dropped.{channel}": str(count) for channel, count in _snapshot(recorder.dropped)}
+        return Status("recording", level, recorder.last_error if level else recorder.state, values)
+
+    def _zenoh(self) -> Status:
+        failed, dropped = self._publisher.failed(), self._publisher.dropped()
+        values = {f"sent.{channel}": str(count) for channel, count in sorted(self._publisher.sent().items())}
+        values |= {f"dropped.{channel}": str(count) for channel, count in sorted(dropped.items())}
+        values |= {f"failed.{channel}": str(count) for channel, count in sorted(failed.items())}
+        values["endpoints"] = " ".join(self._publisher.endpoints)
+        if failed or dropped:
+            return Status(
+                "zenoh", WARNING, f"{sum(dropped.values())} dropped, {sum(failed.values())} failed", values
+            )
+        return Status("zenoh", OK, "ok", values)
+
+    def _clock(self) -> Status:
+        step_s = self.clock_step_ns / 1e9
+        values = {"step_s": f"{step_s:.3f}"}
+        if self.clock_step_ns == 0:
+            return Status("clock", OK, "steady", values)
+        words = f"the wall clock stepped by {step_s:+.3f} s since start; stamps keep to the time of the start"
+        return Status("clock", WARNING, words, values)
 
 
-def mapping_status(output: MapperOutput | None, counts: MappingCounts, latency: LatencyHistogram) -> Status:
-    """How the mapping goes; latency is from a scan's last byte to its pose on Zenoh."""
-    values = {
-        "scans": str(counts.scans),
-        "scans_dropped": str(counts.scans_dropped),
-        "samples_late": str(counts.samples_late),
-        "queue_length": str(counts.queue_length),
-        "queue_deepest": str(counts.queue_deepest),
-    }
-    values.update({f"scans_{state}": str(count) for state, count in sorted(counts.states.items())})
-    values.update({f"latency_ms_{name}": f"{ms:.3f}" for name, ms in latency.percentiles().as_dict().items()})
-    if output is None:
-        return Status("mapping", WARNING, "no scan mapped yet", values)
-    values["match_share"] = f"{output.match_share:.3f}"
-    values["state"] = output.state
-    level = _LEVEL_OF_MAPPING[output.state]
-    return Status("mapping", level, output.reason or output.state, values)
-
-
-def clock_status(step_ns: int) -> Status:
-    """Whether the wall clock has left the one the stamps are made with."""
-    values = {"step_s": f"{step_ns / 1e9:.3f}"}
-    if step_ns == 0:
-        return Status("clock", OK, "steady", values)
-    words = f"the wall clock stepped by {step_ns / 1e9:+.3f} s since start; stamps keep to the time of start"
-    return Status("clock", WARNING, words, values)
-
-
-def part_status(name: str, trouble: str, counts: Mapping[str, int | str]) -> Status:
-    """A part that either works or says what troubles it."""
-    values = {key: str(value) for key, value in counts.items()}
-    return Status(name, ERROR if trouble else OK, trouble or "ok", values)
-
-
-def status_line(statuses: list[Status], streaming: int, sensors: int, rate_hz: float, recording: str) -> str:
-    """One line for `systemctl status`."""
-    words = {status.name: status for status in statuses}["mapping"].message
-    recorded = f"recording {recording}" if recording else "not recording"
-    return f"mapping {words}, {streaming}/{sensors} sensors, {rate_hz:.1f} scans/s, {recorded}"
-
-
-def dropped_scans(queue_drops: Counter[str], counters: Counter[str]) -> int:
-    """Scans that came in and were not mapped, for whatever reason."""
-    late = sum(count for name, count in counters.items() if name.startswith("scans_dropped"))
-    return sum(queue_drops.values()) + late
+def _snapshot(counters: Counter[str]) -> list[tuple[str, int]]:
+    """By name. Copied in one step first: its owner, another thread, goes on counting."""
+    return sorted(dict(counters).items())

@@ -49,6 +49,7 @@ class MappingLoop:
 
     publish    takes a message and, for a pose, the moment its scan's last byte was read (host monotonic, ns)
     record     takes a message
+    on_tiles   takes tiles that the store holds by now, and the Unix time of the scan they are up to
     """
 
     def __init__(
@@ -59,6 +60,7 @@ class MappingLoop:
         host_time: HostTime,
         publish: Callable[[Message, int | None], Any],
         record: Callable[[Message], Any],
+        on_tiles: Callable[[list[TileUpdate], int], Any],
     ) -> None:
         self._queue = queue
         self._mapper = mapper
@@ -66,11 +68,13 @@ class MappingLoop:
         self._host_time = host_time
         self._publish = publish
         self._record = record
+        self._on_tiles = on_tiles
         self._log_clock = LogClock()
         self._tiles_due_ns = 0
         self.heartbeat = 0  # rises as long as the loop turns, with or without frames
         self.last_output: MapperOutput | None = None
         self.states: Counter[str] = Counter()  # scans by state: ok, degraded, lost
+        self.unusable_scans = 0
         self.unusable: Counter[str] = Counter()  # frames that hold nothing to map, by sensor
 
     @property
@@ -85,11 +89,15 @@ class MappingLoop:
             frame = self._queue.get(IDLE_S)
             if frame is not None:
                 self._take(frame)
-            now_ns = time.monotonic_ns()
-            if now_ns >= self._tiles_due_ns:
-                self._tiles.update(self._mapper.changed_tiles())
-                self._tiles_due_ns = now_ns + TILE_INTERVAL_NS
-        self._tiles.update(self._mapper.changed_tiles())
+            if time.monotonic_ns() >= self._tiles_due_ns:
+                self._hand_over_tiles()
+        self._hand_over_tiles()
+
+    def _hand_over_tiles(self) -> None:
+        self._tiles_due_ns = time.monotonic_ns() + TILE_INTERVAL_NS
+        if self.last_output is not None and (changed := self._mapper.changed_tiles()):
+            self._tiles.update(changed)
+            self._on_tiles(changed, self.last_output.stamp_ns)
 
     def _take(self, frame: Frame) -> None:
         log_ns = self._log_clock.next_ns(self._host_time.unix_ns(frame.arrived_ns))
@@ -99,6 +107,7 @@ class MappingLoop:
         eaten = decode_frame(message.type, message.payload, frame.sensor, log_ns)
         if eaten is None:
             self.unusable[frame.sensor] += 1
+            self.unusable_scans += isinstance(frame, LaserScan)
             return
         output = self._map(eaten)
         if output is None:

@@ -56,6 +56,7 @@ class Run:
     def __init__(self, mapper: FakeMapper, frames: list[Frame]) -> None:
         self.published: list[tuple[Message, int | None]] = []
         self.recorded: list[Message] = []
+        self.handed_over: list[tuple[int, int]] = []
         self.tiles = TileStore()
         queue = FrameQueue()
         for frame in frames:
@@ -68,6 +69,7 @@ class Run:
             HostTime(OFFSET_NS),
             lambda message, arrived_ns: self.published.append((message, arrived_ns)),
             self.recorded.append,
+            lambda tiles, stamp_ns: self.handed_over.append((tiles[-1].version, stamp_ns - OFFSET_NS)),
         )
 
 
@@ -119,6 +121,7 @@ def test_the_last_tiles_are_there_when_the_loop_ends():
     run = Run(FakeMapper(), FRAMES)
     run.loop.run()
     assert run.tiles.version == 2
+    assert run.handed_over[-1] == (2, 40)
 
 
 def test_a_frame_without_anything_to_map_is_counted_and_recorded():
@@ -145,10 +148,8 @@ def test_a_pose_that_is_no_number_ends_the_loop():
 
 
 def test_the_heart_beats_without_frames():
-    run = Run(FakeMapper(), [])
-    assert run.loop.heartbeat == 0
     queue = FrameQueue()
-    loop = MappingLoop(queue, FakeMapper(), TileStore(), HostTime(0), lambda *_: None, lambda _: None)
+    loop = MappingLoop(queue, FakeMapper(), TileStore(), HostTime(0), print, print, print)
     calls = 0
 
     def get(timeout_s: float) -> None:

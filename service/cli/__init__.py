@@ -1,0 +1,59 @@
+"""The `corridor` command. Parses, calls, prints; what a command does stands below."""
+
+import logging
+import os
+import sys
+from collections.abc import Callable, Sequence
+from importlib import import_module
+
+from service.cli.arguments import new_parser
+from service.cli.console import set_up_logging
+from service.errors import CorridorError, StorageError
+
+log = logging.getLogger(__name__)
+
+# command -> module and function; imported only when called, for numba and Zenoh take a second to import
+_COMMANDS = {
+    "run": ("service.cli.live", "run"),
+    "demo": ("service.cli.live", "demo"),
+    "replay": ("service.cli.sessions", "replay"),
+    "import": ("service.cli.sessions", "import_log"),
+    "recover": ("service.cli.sessions", "recover"),
+    "export": ("service.cli.sessions", "export"),
+    "score": ("service.cli.sessions", "score"),
+    "check": ("service.cli.upkeep", "check"),
+    "warmup": ("service.cli.upkeep", "warmup"),
+}
+INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; its exit code."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if arguments[:1] == ["simulate"]:
+        _become_the_simulators(arguments[1:])
+    parsed = new_parser().parse_args(arguments)
+    set_up_logging(parsed.verbose)
+    module, function = _COMMANDS[parsed.command]
+    command: Callable[..., int] = getattr(import_module(module), function)
+    try:
+        return command(parsed)
+    except CorridorError as error:
+        print(f"corridor: {error}", file=sys.stderr)
+        return error.exit_code
+    except BrokenPipeError:  # `corridor ... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return CorridorError.exit_code
+    except OSError as error:
+        print(f"corridor: {error}", file=sys.stderr)
+        return StorageError.exit_code
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except Exception:
+        log.exception("corridor %s failed; this is a fault of the program", parsed.command)
+        return CorridorError.exit_code
+
+
+def _become_the_simulators(arguments: Sequence[str]) -> None:
+    """They are a program of their own, which the service must not import."""
+    os.execv(sys.executable, [sys.executable, "-m", "simulators", *arguments])

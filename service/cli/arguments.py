@@ -1,0 +1,158 @@
+"""The command line, and nothing behind it: what each command is called and takes."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any, NoReturn
+
+from service.errors import UsageError
+from service.version import VERSION
+
+EPILOG = """exit codes: 0 done, 1 failed, 64 wrong usage, 65 bad input file, 74 I/O error, 78 bad config.
+Results go to stdout, progress and logs to stderr."""
+FORMATS = ("pgm", "png", "tum")
+
+
+class Parser(argparse.ArgumentParser):
+    """Exits with 64 on wrong usage, as sysexits.h has it, instead of argparse's 2."""
+
+    def error(self, message: str) -> NoReturn:
+        self.print_usage(sys.stderr)
+        self.exit(UsageError.exit_code, f"{self.prog}: {message}\n")
+
+
+def new_parser() -> Parser:
+    parser = Parser(
+        prog="corridor",
+        description="Live 2D laser mapping for a vehicle.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"corridor {VERSION}")
+    parser.add_argument("-v", "--verbose", action="store_true", help="log every detail")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    _add_live(commands)
+    _add_offline(commands)
+    _add_upkeep(commands)
+    return parser
+
+
+def _add_live(commands: Any) -> None:
+    run = _add(
+        commands, "run", "the live service: drivers, mapping, Zenoh, recording, until SIGTERM or Ctrl-C"
+    )
+    _add_config(run)
+
+    demo = _add(commands, "demo", "fake devices and the service on this machine, until Ctrl-C")
+    demo.add_argument("--seconds", type=_positive, metavar="S", help="end after S seconds")
+    demo.add_argument("--world", help="the world to drive in (default: office)")
+    demo.add_argument("--profile", help="mapping profile (default: corridor)")
+    demo.add_argument("--seed", type=int, default=1, help="of the world and its noise (default: 1)")
+    demo.add_argument(
+        "--out", type=Path, default=Path("out"), metavar="DIR", help="sessions and map go here (default: out)"
+    )
+
+    simulate = commands.add_parser(
+        "simulate", help="only the fake devices; takes what `python -m simulators` takes", add_help=False
+    )
+    simulate.add_argument("arguments", nargs=argparse.REMAINDER)
+
+
+def _add_offline(commands: Any) -> None:
+    replay = _add(
+        commands, "replay", "recordings through the same mapper; same input, same output, bit for bit"
+    )
+    replay.add_argument("files", type=Path, nargs="+", metavar="FILE.mcap")
+    replay.add_argument("--profile", help="map with this profile instead of the recorded one")
+    replay.add_argument(
+        "--config", type=Path, metavar="CONFIG.yaml", help="map with this config instead of the recorded one"
+    )
+    replay.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="trajectories, map and summary go here (several files: a folder each)",
+    )
+    replay.add_argument(
+        "--rate",
+        type=_rate,
+        default=0.0,
+        metavar="max|N",
+        help="N times real time, or as fast as it goes (default: max)",
+    )
+    replay.add_argument(
+        "--jobs",
+        type=_positive_int,
+        default=1,
+        metavar="N",
+        help="so many files at the same time (default: 1)",
+    )
+
+    import_ = commands.add_parser("import", help="a foreign log to a session")
+    kinds = import_.add_subparsers(dest="kind", metavar="KIND", required=True)
+    carmen = _add(kinds, "carmen", "a CARMEN log, plain or .gz")
+    carmen.add_argument("log", type=Path, metavar="LOG")
+    carmen.add_argument("out", type=Path, metavar="OUT.mcap")
+
+    export = _add(commands, "export", "a session, a map or a replay's folder to a file other programs read")
+    export.add_argument("input", type=Path, metavar="INPUT")
+    export.add_argument("--format", choices=FORMATS, required=True)
+    export.add_argument("--out", type=Path, required=True, metavar="PATH")
+
+    score = _add(commands, "score", "a trajectory against the truth: ATE, RPE, closure, relations")
+    score.add_argument("estimate", type=Path, metavar="EST.tum")
+    score.add_argument(
+        "truth", type=Path, metavar="TRUTH", help="a TUM file, or .relations (Kuemmerle et al. 2009)"
+    )
+    score.add_argument(
+        "--shift-s", type=float, default=0.0, metavar="S", help="add S to the estimate's stamps"
+    )
+    score.add_argument(
+        "--offset-x", type=float, default=0.0, metavar="M", help="score a frame M metres ahead"
+    )
+    score.add_argument(
+        "--pairs", choices=("all", "near"), default="all", help="near: only pairs within 0.12 s of a scan"
+    )
+
+
+def _add_upkeep(commands: Any) -> None:
+    check = _add(commands, "check", "validate a config; every fault with its place and what to write instead")
+    _add_config(check)
+
+    recover = _add(commands, "recover", "a session whose writer died, to a valid MCAP")
+    recover.add_argument("file", type=Path, metavar="FILE.mcap.active")
+
+    _add(commands, "warmup", "compile the kernels and keep them in the cache")
+
+
+def _add(commands: Any, name: str, help_text: str) -> argparse.ArgumentParser:
+    added: argparse.ArgumentParser = commands.add_parser(name, help=help_text, description=help_text)
+    added.add_argument("--json", action="store_true", help="one JSON object on stdout, nothing else")
+    return added
+
+
+def _add_config(parser: argparse.ArgumentParser) -> None:
+    given = parser.add_mutually_exclusive_group(required=True)
+    given.add_argument("config", type=Path, nargs="?", metavar="CONFIG.yaml")
+    given.add_argument(
+        "--config", type=Path, dest="config_option", metavar="CONFIG.yaml", help=argparse.SUPPRESS
+    )
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value
+
+
+def _positive_int(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value
+
+
+def _rate(text: str) -> float:
+    """0 stands for as fast as it goes."""
+    return 0.0 if text == "max" else _positive(text)

@@ -1,0 +1,97 @@
+"""What the commands say: progress and logs on stderr, results on stdout."""
+
+import json
+import logging
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, TextIO
+
+BAR_WIDTH = 30
+REDRAW_S = 0.1
+PLAIN_STEP = 0.1  # off a terminal a line each tenth
+
+_SYSLOG_LEVELS = {"DEBUG": 7, "INFO": 6, "WARNING": 4, "ERROR": 3, "CRITICAL": 2}
+
+
+class JournalFormatter(logging.Formatter):
+    """`<4>text`: systemd's journal takes the number for the severity, and has the time itself."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        text = super().format(record).replace("\n", "\n  ")
+        return f"<{_SYSLOG_LEVELS.get(record.levelname, 6)}>{text}"
+
+
+def set_up_logging(verbose: bool) -> None:
+    """Log to stderr: for the journal where systemd started us, with times for people elsewhere."""
+    handler = logging.StreamHandler(sys.stderr)
+    if "JOURNAL_STREAM" in os.environ:
+        handler.setFormatter(JournalFormatter("%(name)s: %(message)s"))
+    else:
+        handler.setFormatter(
+            logging.Formatter("%(asctime)s %(levelname)-7s %(name)s: %(message)s", "%H:%M:%S")
+        )
+    logging.basicConfig(level=logging.DEBUG if verbose else logging.INFO, handlers=[handler], force=True)
+    logging.getLogger("numba").setLevel(logging.WARNING)
+    logging.captureWarnings(True)
+
+
+def print_result(result: dict[str, Any], as_json: bool) -> None:
+    """The result of a command: one JSON object, or one `name: value` a line."""
+    if as_json:
+        print(json.dumps(result, allow_nan=False))
+    else:
+        print("\n".join(_lines(result, "")))
+
+
+def _lines(result: dict[str, Any], prefix: str) -> Iterator[str]:
+    for key, value in result.items():
+        if isinstance(value, dict) and value:
+            yield from _lines(value, f"{prefix}{key}.")
+        else:
+            shown = f"{value:.6g}" if isinstance(value, float) else value
+            yield f"{prefix}{key}: {shown}"
+
+
+class Progress:
+    """How far a long work has come, 0 to 1: a bar on a terminal, a line each tenth elsewhere."""
+
+    def __init__(self, what: str, stream: TextIO | None = None) -> None:
+        self._what = what
+        self._stream = stream if stream is not None else sys.stderr
+        self._terminal = self._stream.isatty()
+        self._drawn_s = 0.0
+        self._next_plain = PLAIN_STEP
+
+    def __call__(self, share: float) -> None:
+        share = min(max(share, 0.0), 1.0)
+        if self._terminal:
+            now_s = time.monotonic()
+            if now_s - self._drawn_s >= REDRAW_S or share == 1.0:
+                self._drawn_s = now_s
+                filled = round(share * BAR_WIDTH)
+                bar = "#" * filled + "." * (BAR_WIDTH - filled)
+                self._stream.write(f"\r{self._what} [{bar}] {share:4.0%}")
+                self._stream.flush()
+        elif share >= self._next_plain:
+            self._stream.write(f"{self._what}: {share:.0%}\n")
+            self._stream.flush()
+            self._next_plain = share - share % PLAIN_STEP + PLAIN_STEP
+
+    def end(self) -> None:
+        """Leave the bar's line."""
+        if self._terminal and self._drawn_s > 0.0:
+            self._stream.write("\n")
+            self._stream.flush()
+
+
+@contextmanager
+def progress(what: str) -> Iterator[Progress]:
+    """A Progress that leaves its line however the work ends."""
+    shown = Progress(what)
+    try:
+        yield shown
+    finally:
+        shown.end()

@@ -1,0 +1,30 @@
+"""run, demo: what needs devices."""
+
+import argparse
+
+from service.cli.console import print_result
+from service.cli.upkeep import config_path
+from service.kernel_cache import ensure_cache_dir
+
+
+def run(parsed: argparse.Namespace) -> int:
+    from service.config import load_config
+
+    config = load_config(config_path(parsed))  # its faults first: all else takes seconds
+    ensure_cache_dir()
+    from service.runtime.run import run as run_service
+
+    summary = run_service(config)
+    if parsed.json:
+        print_result(summary.as_dict(), as_json=True)
+    return 0
+
+
+def demo(parsed: argparse.Namespace) -> int:
+    ensure_cache_dir()
+    from service.demo import DemoOptions
+    from service.demo import demo as run_demo
+
+    options = DemoOptions(parsed.seconds, parsed.world, parsed.profile, parsed.seed, parsed.out)
+    print_result(run_demo(options), parsed.json)
+    return 0

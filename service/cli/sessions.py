@@ -1,0 +1,22 @@
+"""replay, import, recover, export, score: work on files."""
+
+import argparse
+
+from service.cli.console import print_result, progress
+from service.kernel_cache import ensure_cache_dir
+
+
+def replay(parsed: argparse.Namespace) -> int:
+    ensure_cache_dir()
+    from service.offline.replay import ReplayOptions, group_sessions, replay_all
+
+    sessions = group_sessions(parsed.files)
+    options = ReplayOptions(parsed.config, parsed.profile, parsed.rate)
+    with progress("replay") as shown:
+        summaries = replay_all(sessions, options, parsed.out, parsed.jobs, shown)
+    if len(summaries) == 1:
+        print_result(summaries[0], parsed.json)
+    else:
+        named = {str(session[0]): summary for session, summary in zip(sessions, summaries, strict=True)}
+        print_result(named, parsed.json)
+    return 0

@@ -1,0 +1,41 @@
+"""check, warmup: what one does before a drive."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from service.cli.console import print_result
+from service.errors import ConfigError
+from service.kernel_cache import ensure_cache_dir
+
+
+def config_path(parsed: argparse.Namespace) -> Path:
+    """`run CONFIG.yaml` and `run --config CONFIG.yaml` are the same."""
+    path: Path = parsed.config if parsed.config is not None else parsed.config_option
+    return path
+
+
+def check(parsed: argparse.Namespace) -> int:
+    from service.config import load_config
+
+    path = config_path(parsed)
+    faults: list[str] = []
+    try:
+        load_config(path)
+    except ConfigError as error:
+        faults = error.faults
+    if parsed.json:
+        print_result({"config": str(path), "ok": not faults, "faults": faults}, as_json=True)
+    elif faults:
+        print("\n".join(faults), file=sys.stderr)
+    else:
+        print(f"{path}: ok")
+    return ConfigError.exit_code if faults else 0
+
+
+def warmup(parsed: argparse.Namespace) -> int:
+    ensure_cache_dir()
+    from service.offline.warmup import warm_up
+
+    print_result(warm_up(), parsed.json)
+    return 0

@@ -1,0 +1,304 @@
+"""The configuration of one vehicle: config/*.yaml -> ServiceConfig, or every fault in it at once.
+
+The small models live beside what they configure (drivers/*/config.py, service/mapper, ...); this module joins
+them and turns what they refuse into `file:line:column: path: what is wrong, what to write instead`.
+"""
+
+import difflib
+import json
+import math
+import re
+import typing
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails
+
+from drivers.registry import SENSOR_KINDS
+from service.errors import ConfigError
+from service.geometry.se2 import SE2
+from service.located_yaml import Document, Fault, load
+from service.located_yaml import Path as KeyPath
+from service.mapper.profiles import MappingConfig
+from service.publishing.config import PublishingConfig
+
+NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")  # a chunk of a Zenoh key and a ROS 2 name at once
+NAME_RULE = "lower-case letters, digits and single _ in between, a letter first, at most 32 of them"
+MAX_NAME_LENGTH = 32
+# Taken by frames, topics and keys of the service itself.
+RESERVED_NAMES = frozenset(
+    ("alive", "base_link", "cmd", "diagnostics", "events", "health", "map", "odom", "pose", "tf", "tf_static")
+)
+
+_UNITS: dict[str, tuple[str, float, str]] = {  # suffix -> dimension, size, word
+    "ns": ("time", 1e-9, "nanoseconds"),
+    "us": ("time", 1e-6, "microseconds"),
+    "ms": ("time", 1e-3, "milliseconds"),
+    "s": ("time", 1.0, "seconds"),
+    "min": ("time", 60.0, "minutes"),
+    "h": ("time", 3600.0, "hours"),
+    "mm": ("length", 1e-3, "millimetres"),
+    "cm": ("length", 1e-2, "centimetres"),
+    "m": ("length", 1.0, "metres"),
+    "km": ("length", 1e3, "kilometres"),
+    "mrad": ("angle", 1e-3, "milliradians"),
+    "deg": ("angle", 0.017453292519943295, "degrees"),
+    "rad": ("angle", 1.0, "radians"),
+    "kb": ("size", 1e-3, "kilobytes"),
+    "mb": ("size", 1.0, "megabytes"),
+    "gb": ("size", 1e3, "gigabytes"),
+    "hz": ("rate", 1.0, "hertz"),
+    "khz": ("rate", 1e3, "kilohertz"),
+}
+
+
+class RecordingConfig(BaseModel):
+    """Where sessions go, and how much of the disk they may take."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    directory: Path
+    rotate_mb: int = Field(default=1024, ge=1, le=100_000)
+    rotate_min: float = Field(default=10.0, ge=0.1, le=1440.0)
+    keep_free_gb: float = Field(default=2.0, ge=0.0, le=100_000.0)
+
+
+class MapConfig(BaseModel):
+    """Where the map is kept, and how often it is saved on the way."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    directory: Path
+    checkpoint_s: float = Field(default=30.0, ge=1.0, le=3600.0)
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceConfig:
+    """Everything the service is told. `text` is the YAML itself, which goes into every recording."""
+
+    vehicle: str
+    sensors: Mapping[str, Any]  # name -> the config model of its type, see drivers.registry
+    mapping: MappingConfig
+    publishing: PublishingConfig
+    recording: RecordingConfig
+    map: MapConfig
+    text: str
+
+
+def sensor_poses(sensors: Mapping[str, Any]) -> dict[str, SE2]:
+    """pose_base_sensor of every sensor that has a mounting, by name."""
+    return {
+        name: SE2(sensor.mounting.x_m, sensor.mounting.y_m, math.radians(sensor.mounting.yaw_deg))
+        for name, sensor in sensors.items()
+        if hasattr(sensor, "mounting")
+    }
+
+
+_SECTIONS: dict[str, type[BaseModel]] = {
+    "mapping": MappingConfig,
+    "publishing": PublishingConfig,
+    "recording": RecordingConfig,
+    "map": MapConfig,
+}
+_KEYS = ("vehicle", "sensors", *_SECTIONS)
+
+
+def load_config(path: Path) -> ServiceConfig:
+    """Read a config file. Raises ConfigError with every fault, also where the file cannot be read."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError([f"{path}: cannot be read: {error}"]) from error
+    return parse_config(text, str(path))
+
+
+def parse_config(text: str, file: str) -> ServiceConfig:
+    """As load_config, for text already at hand; `file` names it in the faults."""
+    document = load(text)
+    reader = _Reader(document)
+    values = reader.read()
+    if document.faults:
+        faults = sorted(document.faults, key=lambda fault: (fault.position.line, fault.position.column))
+        raise ConfigError(list(dict.fromkeys(fault.text(file) for fault in faults)))
+    return ServiceConfig(**values, text=text)
+
+
+class _Reader:
+    """Collects values and faults of one document."""
+
+    def __init__(self, document: Document) -> None:
+        self._document = document
+
+    def read(self) -> dict[str, Any]:
+        root = self._document.value
+        if root is None and self._document.faults:
+            return {}
+        if not isinstance(root, dict):
+            self._fault((), f"a config is a mapping with the keys {', '.join(_KEYS)}")
+            return {}
+        for key in root.keys() - set(_KEYS):
+            self._fault((key,), _unknown_key(key, root[key], _KEYS))
+        values: dict[str, Any] = {
+            "vehicle": self._name((), root.get("vehicle"), "vehicle"),
+            "sensors": self._sensors(root.get("sensors")),
+        }
+        for key, model in _SECTIONS.items():
+            section = root.get(key)
+            values[key] = self._model(model, {} if section is None else section, (key,))
+        return values
+
+    def _name(self, parent: KeyPath, name: object, key: str) -> object:
+        if name is None:
+            self._fault(parent, f'"{key}" is missing; write {key}: veh1, say')
+        elif not isinstance(name, str):
+            self._fault((*parent, key), f'a name is text; write {key}: "{name}", or veh{name}')
+        elif fault := _name_fault(name):
+            self._fault((*parent, key), fault)
+        return name
+
+    def _sensors(self, sensors: object) -> dict[str, BaseModel]:
+        path: KeyPath = ("sensors",)
+        if not isinstance(sensors, dict) or not sensors:
+            kinds = " or ".join(SENSOR_KINDS)
+            self._fault(
+                path,
+                f"no sensors; write front: {{type: sick_lms100, host: 192.168.0.1}}, say (types: {kinds})",
+            )
+            return {}
+        read: dict[str, BaseModel] = {}
+        for name, settings in sensors.items():
+            if fault := _name_fault(name) or (
+                "reserved for the service itself" if name in RESERVED_NAMES else ""
+            ):
+                self._fault((*path, name), fault)
+            if (sensor := self._sensor(name, settings, (*path, name))) is not None:
+                read[name] = sensor
+        self._refuse_shared_wires(read)
+        return read
+
+    def _sensor(self, name: str, settings: object, path: KeyPath) -> BaseModel | None:
+        if not isinstance(settings, dict):
+            self._fault(path, "a sensor is a mapping; write {type: sick_lms100, host: 192.168.0.1}, say")
+            return None
+        kind = settings.get("type")
+        if kind not in SENSOR_KINDS:
+            where = (*path, "type") if "type" in settings else path
+            problem = f"{kind!r} is no type of sensor" if "type" in settings else '"type" is missing'
+            self._fault(where, f"{problem}; {_choose(str(kind), list(SENSOR_KINDS))}")
+            return None
+        if "name" in settings:
+            self._fault((*path, "name"), f"the name stands in front already ({name}); take this line out")
+            return None
+        return self._model(SENSOR_KINDS[str(kind)].config, {**settings, "name": name}, path)
+
+    def _refuse_shared_wires(self, sensors: Mapping[str, BaseModel]) -> None:
+        owners: dict[tuple[object, ...], str] = {}
+        for name, sensor in sensors.items():
+            for keys in (("host", "port"), ("device",)):
+                wire = tuple(getattr(sensor, key, None) for key in keys)
+                if None in wire:
+                    continue
+                owner = owners.setdefault(wire, name)
+                if owner != name:
+                    where = ":".join(map(str, wire))
+                    self._fault(
+                        ("sensors", name, keys[0]),
+                        f"{where} is taken by {owner}; two sensors cannot share a wire",
+                    )
+
+    def _model(self, model: type[BaseModel], settings: object, path: KeyPath) -> BaseModel | None:
+        if not isinstance(settings, dict):
+            self._fault(path, f"this is a mapping with the keys {', '.join(model.model_fields)}")
+            return None
+        try:
+            # JSON mode is strict about kinds ("2111" is no number, true is not 1), yet takes lists and paths.
+            return model.model_validate_json(json.dumps(settings), strict=True)
+        except ValidationError as error:
+            for detail in error.errors(include_url=False):
+                self._refuse(model, path, detail)
+            return None
+
+    def _refuse(self, model: type[BaseModel], path: KeyPath, detail: ErrorDetails) -> None:
+        positions = self._document.positions
+        at = path
+        for part in detail["loc"]:  # pydantic puts the tag of a union in between, which is no key
+            if (*at, part) in positions:
+                at = (*at, part)
+        match detail["type"]:
+            case "extra_forbidden":
+                key = str(detail["loc"][-1])
+                known = sorted(_fields_at(model, detail["loc"][:-1]) - {"name"})
+                self._fault(at, _unknown_key(key, detail["input"], known))
+            case "missing":
+                self._fault((*at, str(detail["loc"][-1])), "missing, and there is no sensible default")
+            case _:
+                message = detail["msg"].removeprefix("Value error, ").removeprefix("Input ")
+                got = detail["input"]
+                shown = (
+                    f" (got {json.dumps(got)})"
+                    if got is None or isinstance(got, bool | int | float | str)
+                    else ""
+                )
+                self._fault(at, message + shown)
+
+    def _fault(self, path: KeyPath, message: str) -> None:
+        if any(fault.path == path for fault in self._document.faults):
+            return  # what is not even YAML is said once
+        self._document.faults.append(Fault(self._document.position(path), path, message))
+
+
+def _name_fault(name: str) -> str:
+    if NAME.fullmatch(name) and len(name) <= MAX_NAME_LENGTH:
+        return ""
+    offer = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")[:MAX_NAME_LENGTH]
+    example = f"; {offer} would do" if NAME.fullmatch(offer) else ""
+    return f'"{name}" becomes part of Zenoh keys and ROS names, so it takes {NAME_RULE}{example}'
+
+
+def _unknown_key(key: str, value: object, known: typing.Sequence[str]) -> str:
+    return f"unknown key; {_other_unit(key, value, known) or _choose(key, known)}"
+
+
+def _other_unit(key: str, value: object, known: typing.Sequence[str]) -> str:
+    """Advice where `timeout_ms` stands for `timeout_s`, with the value converted; "" where that is not it."""
+    stem, _, unit = key.lower().rpartition("_")
+    if unit not in _UNITS:
+        stem, unit = key.lower(), ""
+    for other in known:
+        other_stem, _, other_unit = other.rpartition("_")
+        if other_stem != stem or other_unit not in _UNITS:
+            continue
+        _, size, word = _UNITS[other_unit]
+        advice = f'this setting is "{other}", in {word}'
+        if unit and _UNITS[unit][0] == _UNITS[other_unit][0] and isinstance(value, int | float):
+            return f"{advice}; write {other}: {value * _UNITS[unit][1] / size:.10g}"
+        return advice
+    return ""
+
+
+def _choose(key: str, known: typing.Sequence[str]) -> str:
+    if near := difflib.get_close_matches(key, known, n=1, cutoff=0.6):
+        return f'did you mean "{near[0]}"?'
+    return f"known here: {', '.join(known)}"
+
+
+def _fields_at(model: type[BaseModel], location: tuple[int | str, ...]) -> set[str]:
+    """Names of the fields of the model that `location` leads to."""
+    models = [model]
+    for part in location:
+        found = [inner for outer in models for inner in _models_in(outer, part)]
+        models = found or models  # a union's tag leads nowhere
+    return {name for found in models for name in found.model_fields}
+
+
+def _models_in(model: type[BaseModel], field: int | str) -> Iterator[type[BaseModel]]:
+    info = model.model_fields.get(str(field))
+    pending: list[Any] = [info.annotation] if info is not None else []
+    while pending:
+        annotation = pending.pop()
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            yield annotation
+        pending.extend(typing.get_args(annotation))

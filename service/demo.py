@@ -1,0 +1,219 @@
+"""Fake devices and the real service on one machine, and how well it mapped: the truth is known here."""
+
+import json
+import logging
+import math
+import select
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from service.config import ServiceConfig, parse_config
+from service.encoding import decode_pose
+from service.errors import CorridorError, UsageError
+from service.geometry.se2 import SE2
+from service.offline.warmup import warm_up
+from service.recording.mcap_reader import Recording
+from service.runtime.run import run
+from service.runtime.service import Service, Summary
+
+log = logging.getLogger(__name__)
+
+VEHICLE = "demo"
+ZENOH_PORT = 7447
+STAND_S = 4.0  # the vehicle waits so long; the drivers log in meanwhile, and the map begins where it stands
+READY_TIMEOUT_S = 120.0  # the simulators compile their ray caster first
+MOUNTINGS = {"sick_lms100": {"x_m": 0.20, "y_m": 0.0, "yaw_deg": 0.0}}  # as the simulators have it
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class DemoOptions:
+    seconds: float | None  # None: until a signal
+    world: str | None
+    profile: str | None
+    seed: int
+    out: Path
+
+
+class Simulators:
+    """The fake devices, in a process of their own."""
+
+    def __init__(self, process: subprocess.Popen[bytes], endpoints: list[dict[str, str]]) -> None:
+        self._process = process
+        self.endpoints = endpoints
+
+    def trouble(self) -> str:
+        """Why the demo cannot go on, "" while they run."""
+        code = self._process.poll()
+        return "" if code is None else f"the simulators ended with exit code {code}"
+
+
+def demo(options: DemoOptions) -> dict[str, Any]:
+    """Run the demo; its summary as INTERFACE has it. Raises CorridorError and its kin."""
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"--out {options.out}: {error}") from error
+    warm_up()  # before the vehicle drives: the map shall begin where it stands
+    truth = options.out / "truth.txt"
+    with simulators(options, truth) as fakes:
+        config = demo_config(fakes.endpoints, options, _zenoh_port())
+        summary = run(config, options.seconds, options.out / "map", _tell_where_to_look, fakes.trouble)
+    return {
+        "seconds": round(summary.seconds, 1),
+        "scans": summary.scans,
+        "scans_dropped": summary.scans_dropped,
+        **pose_error(summary, truth),
+        "latency_ms": summary.latency_ms.as_dict(),
+        "rates_hz": summary.rates_hz,
+        "cpu_percent": summary.cpu_percent,
+        "session": str(summary.sessions[-1]) if summary.sessions else None,
+        "map": str(summary.map_folder) if summary.map_folder else None,
+    }
+
+
+@contextmanager
+def simulators(options: DemoOptions, truth: Path) -> Iterator[Simulators]:
+    """Start them, wait until every device answers, and end them afterwards.
+
+    Raises CorridorError when they do not come up.
+    """
+    command = [sys.executable, "-m", "simulators", "--print-endpoints", "--die-with-parent"]
+    command += ["--truth", str(truth), "--seed", str(options.seed), "--stand-s", str(STAND_S)]
+    if options.world is not None:
+        command += ["--world", options.world]
+    # A session of its own: Ctrl-C is for the service, which wants its devices until it has stopped.
+    process = subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        bufsize=0,  # a line that waits in a buffer of ours is invisible to select
+        start_new_session=True,
+    )
+    try:
+        yield Simulators(process, _read_endpoints(process))
+    finally:
+        process.terminate()
+        try:
+            process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
+
+
+def demo_config(endpoints: Sequence[dict[str, str]], options: DemoOptions, zenoh_port: int) -> ServiceConfig:
+    """The config a user would write for these devices; it goes into the recording like any other."""
+    sensors: dict[str, Any] = {}
+    for endpoint in endpoints:
+        sensor: dict[str, Any] = {"type": endpoint["device"]}
+        where = endpoint["endpoint"]
+        if where.startswith("tcp://"):
+            host, _, port = where.removeprefix("tcp://").rpartition(":")
+            sensor |= {"host": host, "port": int(port)}
+        else:
+            sensor["device"] = where
+        if endpoint["device"] in MOUNTINGS:
+            sensor["mounting"] = MOUNTINGS[endpoint["device"]]
+        sensors[endpoint["name"]] = sensor
+    out = str(options.out)
+    text = yaml.safe_dump(
+        {
+            "vehicle": VEHICLE,
+            "sensors": sensors,
+            "mapping": {"profile": options.profile} if options.profile else {},
+            "publishing": {"listen": [f"tcp/127.0.0.1:{zenoh_port}"]},
+            "recording": {"directory": out, "keep_free_gb": 0.2},
+            "map": {"directory": out},
+        },
+        sort_keys=False,
+    )
+    return parse_config(text, "config of the demo")
+
+
+def pose_error(summary: Summary, truth: Path) -> dict[str, float | None]:
+    """RMSE of the recorded poses against the truth, both taken from where the first pose was.
+
+    None where nothing was mapped.
+    """
+    stamps_ns, poses = _recorded_poses(summary.sessions) if summary.sessions else ([], [])
+    if not poses:
+        return {"position_rmse_m": None, "heading_rmse_deg": None}
+    monotonic_ns = np.array(stamps_ns, dtype=np.int64) - summary.utc_offset_ns
+    true = interpolate(np.loadtxt(truth, ndmin=2), monotonic_ns)
+    first_true, first = true[0].inverse(), poses[0].inverse()
+    errors = [(first_true @ t).inverse() @ (first @ p) for t, p in zip(true, poses, strict=True)]
+    square_m2 = np.mean([e.x_m**2 + e.y_m**2 for e in errors])
+    square_rad2 = np.mean([e.theta_rad**2 for e in errors])
+    return {
+        "position_rmse_m": round(math.sqrt(square_m2), 4),
+        "heading_rmse_deg": round(math.degrees(math.sqrt(square_rad2)), 3),
+    }
+
+
+def interpolate(truth: FloatArray, stamps_ns: npt.NDArray[np.int64]) -> list[SE2]:
+    """Poses at stamps, linear between the rows of truth (N, 4): stamp ns, x m, y m, theta rad.
+
+    Raises CorridorError where the truth does not reach.
+    """
+    known_ns = truth[:, 0]
+    if stamps_ns.min() < known_ns[0] or stamps_ns.max() > known_ns[-1]:
+        raise CorridorError(
+            f"the truth covers {known_ns[0]:.0f} to {known_ns[-1]:.0f} ns, the poses "
+            f"{stamps_ns.min()} to {stamps_ns.max()}; were the simulators ended too early?"
+        )
+    x, y = (np.interp(stamps_ns, known_ns, truth[:, column]) for column in (1, 2))
+    theta = np.interp(stamps_ns, known_ns, np.unwrap(truth[:, 3]))
+    return [SE2(*pose) for pose in zip(x.tolist(), y.tolist(), theta.tolist(), strict=True)]
+
+
+def _recorded_poses(sessions: Sequence[Path]) -> tuple[list[int], list[SE2]]:
+    poses = [decode_pose(message.payload) for message in Recording(sessions).messages(["/pose"])]
+    return [pose.stamp_ns for pose in poses], [pose.pose for pose in poses]
+
+
+def _read_endpoints(process: subprocess.Popen[bytes]) -> list[dict[str, str]]:
+    assert process.stdout is not None
+    endpoints: list[dict[str, str]] = []
+    deadline_s = time.monotonic() + READY_TIMEOUT_S
+    while True:
+        ready, _, _ = select.select([process.stdout], [], [], max(deadline_s - time.monotonic(), 0.0))
+        line = process.stdout.readline() if ready else b""
+        if not line:
+            state = "ended" if ready else f"said nothing for {READY_TIMEOUT_S:.0f} s"
+            raise CorridorError(f"the simulators {state} before they were ready; their log stands above")
+        word = json.loads(line)
+        if word.get("ready"):
+            return endpoints
+        endpoints.append(word)
+
+
+def _zenoh_port() -> int:
+    """The usual port, or any free one where a service runs here already."""
+    with socket.socket() as probe:
+        try:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(("127.0.0.1", ZENOH_PORT))
+            return ZENOH_PORT
+        except OSError:
+            log.warning("port %d is taken; Zenoh listens at another one", ZENOH_PORT)
+            return 0
+
+
+def _tell_where_to_look(service: Service) -> None:
+    where = service.endpoints[0]
+    log.info("poses: subscribe to corridor/v1/%s/pose at %s as a Zenoh client, for instance", VEHICLE, where)
+    log.info("stop with Ctrl-C; the map is then in the folder named above, as map.png and map.yaml")

@@ -1,0 +1,287 @@
+"""Recordings through the same mapper as the live service: same input, same output, bit for bit."""
+
+import json
+import logging
+import math
+import re
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from service.config import ServiceConfig, load_config, parse_config, sensor_poses
+from service.encoding import LASER_SCAN
+from service.encoding import warm_up as warm_up_encoding
+from service.errors import ConfigError, InputError, StorageError
+from service.geometry.se2 import SE2
+from service.mapper.profiles import MappingConfig, build_mapper
+from service.mapper.profiles import warm_up as warm_up_kernels
+from service.mapstore.picture import picture_of_tiles
+from service.mapstore.png import write_png
+from service.mapstore.ros_map import write_ros_map
+from service.outputs import MapperOutput, TileUpdate
+from service.recording.mcap_source import Session, open_session
+from service.version import VERSION
+
+log = logging.getLogger(__name__)
+
+STATES = ("ok", "degraded", "lost")
+_SESSION_FILE = re.compile(r"(.+_\d{8}T\d{6}Z)_\d{4}\.mcap")
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayOptions:
+    """How to replay. Each None leaves it to the recording, which holds the config it was made with."""
+
+    config: Path | None = None
+    profile: str | None = None
+    rate: float = 0.0  # times real time; 0: as fast as it goes
+
+
+class StageTimes:
+    """Stopwatch of the mapper's stages."""
+
+    def __init__(self) -> None:
+        self._laps_ns: defaultdict[str, list[int]] = defaultdict(list)
+        self._at_ns = 0
+
+    def start(self) -> None:
+        self._at_ns = time.perf_counter_ns()
+
+    def lap(self, stage: str) -> None:
+        now_ns = time.perf_counter_ns()
+        self._laps_ns[stage].append(now_ns - self._at_ns)
+        self._at_ns = now_ns
+
+    def p50_ms(self) -> dict[str, float]:
+        return {stage: round(float(np.median(laps)) / 1e6, 3) for stage, laps in self._laps_ns.items()}
+
+
+@dataclass(slots=True)
+class Replay:
+    """What came out of one recording."""
+
+    outputs: list[MapperOutput]
+    tiles: list[TileUpdate]
+    summary: dict[str, Any]
+    notes: list[str] = field(default_factory=list)
+
+
+def group_sessions(paths: Sequence[Path]) -> list[list[Path]]:
+    """Files that belong to one drive, oldest first: a session may have been cut into several. Folders too.
+
+    Raises InputError for a folder without recordings.
+    """
+    files: list[Path] = []
+    for path in paths:
+        found = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+        if not found:
+            raise InputError(f"{path}: no *.mcap in this folder")
+        files += found
+    sessions: dict[tuple[Path, str], list[Path]] = {}
+    for file in dict.fromkeys(files):
+        part_of = _SESSION_FILE.fullmatch(file.name)
+        sessions.setdefault((file.parent, part_of[1] if part_of else file.name), []).append(file)
+    return [sorted(parts) for parts in sessions.values()]
+
+
+def replay_all(
+    sessions: Sequence[Sequence[Path]],
+    options: ReplayOptions,
+    out: Path | None,
+    jobs: int,
+    progress: Callable[[float], None],
+) -> list[dict[str, Any]]:
+    """Replay each session and write what `write_replay` says; their summaries, in the order given.
+
+    With `jobs` above 1 so many at a time, each in a process of its own. One session goes to `out` itself,
+    several to folders below it. Raises InputError, ConfigError, StorageError of the first that fails.
+    """
+    folders = [_folder(out, session, len(sessions)) for session in sessions]
+    if jobs == 1 or len(sessions) == 1:
+        return [
+            _replay_to(session, options, folder, _part_of(progress, k, len(sessions)))
+            for k, (session, folder) in enumerate(zip(sessions, folders, strict=True))
+        ]
+    # spawn: a forked child would inherit locks of numba's and of threads that it does not have
+    with ProcessPoolExecutor(min(jobs, len(sessions)), mp_context=get_context("spawn")) as pool:
+        futures = [
+            pool.submit(_replay_to, session, options, folder)
+            for session, folder in zip(sessions, folders, strict=True)
+        ]
+        for done, _ in enumerate(as_completed(futures), start=1):
+            progress(done / len(sessions))
+        return [future.result() for future in futures]
+
+
+def replay(
+    paths: Sequence[Path], options: ReplayOptions, progress: Callable[[float], None] = lambda share: None
+) -> Replay:
+    """Map one recording. Raises InputError, and ConfigError where the config cannot be used."""
+    session = open_session(paths)
+    for note in session.notes:
+        log.info("%s", note)
+    mapping, mountings = _setup(session, options)
+    warm_up_encoding()
+    warm_up_kernels()
+    stages, scan_ns, states = StageTimes(), [], Counter[str]()
+    mapper = build_mapper(mapping, mountings, stages)
+    outputs: list[MapperOutput] = []
+    recording = session.recording
+    span_ns = max(recording.last_log_ns - recording.first_log_ns, 1)
+    pace = _Pace(options.rate)
+    began_s = time.monotonic()
+    for frame in session.frames():
+        pace.wait_for(frame.arrived_ns)
+        before_ns = time.perf_counter_ns()
+        output = mapper.process(frame)
+        if output is not None:
+            scan_ns.append(time.perf_counter_ns() - before_ns)
+            states[output.state] += 1
+            outputs.append(output)
+            progress((frame.arrived_ns - recording.first_log_ns) / span_ns)
+    tiles = mapper.changed_tiles()
+    wall_s = time.monotonic() - began_s
+    if not outputs:
+        raise InputError(f"{paths[0]}: not one scan could be mapped ({dict(session.counters)})")
+    progress(1.0)
+    duration_s = (outputs[-1].stamp_ns - outputs[0].stamp_ns) / 1e9
+    summary = {
+        "corridor": VERSION,
+        "profile": mapping.profile,
+        "scans": len(outputs),
+        "scans_dropped": _dropped(session, mapper.counters),
+        "duration_s": round(duration_s, 3),
+        "wall_s": round(wall_s, 3),
+        "realtime_factor": round(duration_s / wall_s, 1),
+        "scan_ms": _percentiles_ms(scan_ns),
+        "stage_ms_p50": stages.p50_ms(),
+        "loop_closures": mapper.counters["loop_closures"],
+        "keyframes": mapper.counters["keyframes"],
+        "peak_rss_mb": _peak_rss_mb(),
+        "map_tiles": len(tiles),
+        "state": {state: states[state] for state in STATES},
+    }
+    return Replay(outputs, tiles, summary, session.notes)
+
+
+def write_replay(done: Replay, out: Path) -> None:
+    """trajectory.tum, trajectory_live.tum, map.pgm + map.yaml, map.png, summary.json. Raises StorageError."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        live = [tum_line(output) for output in done.outputs]
+        # Without a graph nothing is corrected afterwards: the finished trajectory is the live one.
+        for name in ("trajectory.tum", "trajectory_live.tum"):
+            (out / name).write_text("".join(live), encoding="ascii")
+        picture = picture_of_tiles(done.tiles)
+        write_ros_map(out / "map.pgm", out / "map.yaml", picture)
+        write_png(out / "map.png", picture)
+        (out / "summary.json").write_text(json.dumps(done.summary, indent=1) + "\n", encoding="ascii")
+    except OSError as error:
+        raise StorageError(f"cannot write to {out}: {error}") from error
+
+
+def tum_line(output: MapperOutput) -> str:
+    """`stamp x y z qx qy qz qw`, seconds and metres; the base in the map at the scan's first ray."""
+    pose = output.pose_map_base
+    half_rad = pose.theta_rad / 2.0
+    seconds, nanoseconds = divmod(output.stamp_ns, 1_000_000_000)
+    return (
+        f"{seconds}.{nanoseconds:09d} {pose.x_m:.9f} {pose.y_m:.9f} 0 "
+        f"0 0 {math.sin(half_rad):.12f} {math.cos(half_rad):.12f}\n"
+    )
+
+
+class _Pace:
+    """Keeps log time and the clock in step, `rate` seconds of log time a second."""
+
+    def __init__(self, rate: float) -> None:
+        self._rate = rate
+        self._start: tuple[float, int] | None = None
+
+    def wait_for(self, log_ns: int) -> None:
+        if self._rate == 0.0:
+            return
+        if self._start is None:
+            self._start = (time.monotonic(), log_ns)
+        due_s = self._start[0] + (log_ns - self._start[1]) / 1e9 / self._rate
+        if (ahead_s := due_s - time.monotonic()) > 0.0:
+            time.sleep(ahead_s)
+
+
+def _setup(session: Session, options: ReplayOptions) -> tuple[MappingConfig, Mapping[str, SE2]]:
+    """How to map and where the lasers sit: by --config, else by the recording's own config, else defaults."""
+    config: ServiceConfig | None = None
+    recorded = session.metadata.get("config", {}).get("yaml")
+    if options.config is not None:
+        config = load_config(options.config)
+    elif recorded is not None:
+        try:
+            config = parse_config(recorded, "recorded config")
+        except ConfigError as error:
+            raise ConfigError(
+                [*error.faults, "the recorded config is of another version; give one by --config"]
+            ) from error
+    mapping = config.mapping if config is not None else MappingConfig()
+    if options.profile is not None and options.profile != mapping.profile:
+        mapping = _with_profile(options.profile, mapping.cell_m)
+    # The config's own numbers, not those of /tf_static: a quaternion there and back is not the same angle.
+    configured = sensor_poses(config.sensors) if config is not None else {}
+    return mapping, {name: configured.get(name, pose) for name, pose in session.mountings.items()}
+
+
+def _with_profile(profile: str, cell_m: float) -> MappingConfig:
+    try:
+        return MappingConfig.model_validate({"profile": profile, "cell_m": cell_m})
+    except ValidationError as error:
+        raise ConfigError([f"--profile {profile}: {error.errors()[0]['msg']}"]) from error
+
+
+def _replay_to(
+    session: Sequence[Path],
+    options: ReplayOptions,
+    out: Path | None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> dict[str, Any]:
+    done = replay(session, options, progress)
+    if out is not None:
+        write_replay(done, out)
+    return done.summary
+
+
+def _part_of(progress: Callable[[float], None], part: int, parts: int) -> Callable[[float], None]:
+    return lambda share: progress((part + share) / parts)
+
+
+def _folder(out: Path | None, session: Sequence[Path], sessions: int) -> Path | None:
+    if out is None or sessions == 1:
+        return out
+    part_of = _SESSION_FILE.fullmatch(session[0].name)
+    return out / (part_of[1] if part_of else session[0].stem)
+
+
+def _dropped(session: Session, counters: Mapping[str, int]) -> int:
+    """Scans that were read and not mapped: out of order, or without anything to map."""
+    late = sum(count for name, count in counters.items() if name.startswith("scans_dropped"))
+    scans = [topic.name for topic in session.recording.topics if topic.type == LASER_SCAN]
+    return late + sum(session.counters[f"{topic} unusable"] for topic in scans)
+
+
+def _percentiles_ms(durations_ns: Sequence[int]) -> dict[str, float]:
+    p50, p95, p99 = np.percentile(durations_ns, (50, 95, 99)) / 1e6
+    largest = max(durations_ns) / 1e6
+    return {"p50": round(p50, 3), "p95": round(p95, 3), "p99": round(p99, 3), "max": round(largest, 3)}
+
+
+def _peak_rss_mb() -> int:
+    """Of this very process; getrusage would count what a parent held before exec."""
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    kilobytes = next(line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:"))
+    return round(int(kilobytes) / 1024)

@@ -1,0 +1,19 @@
+"""Compile the kernels ahead of time, so that the next start finds them in the cache."""
+
+import os
+import time
+
+from service.encoding import warm_up as warm_up_encoding
+from service.kernel_cache import KERNELS
+from service.mapper.profiles import warm_up as warm_up_kernels
+
+
+def warm_up() -> dict[str, float | str]:
+    """Run every kernel once. How long it took, and where the machine code is kept."""
+    began_s = time.monotonic()
+    warm_up_encoding()
+    warm_up_kernels()
+    return {
+        "seconds": round(time.monotonic() - began_s, 3),
+        "cache": os.environ.get("NUMBA_CACHE_DIR") or str(KERNELS / "__pycache__"),
+    }

@@ -1,0 +1,51 @@
+"""One run of the service in the foreground, from start to a signal, a deadline or a failure."""
+
+import logging
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from service.config import ServiceConfig
+from service.errors import CorridorError
+from service.runtime.notify import Notifier
+from service.runtime.service import Service, Summary
+from service.runtime.signals import StopSignals
+
+log = logging.getLogger(__name__)
+
+TICK_S = 0.1
+
+
+def run(
+    config: ServiceConfig,
+    seconds: float | None = None,
+    map_folder: Path | None = None,
+    on_ready: Callable[[Service], None] = lambda service: None,
+    give_up: Callable[[], str] = lambda: "",
+) -> Summary:
+    """Run the service until SIGTERM, SIGINT or SIGHUP, or for `seconds` from READY on. Main thread only.
+
+    `give_up` is asked several times a second and may say why to stop as a failure. Whatever ends the run, the
+    recording is finished and the map saved first. Raises CorridorError where a part failed, StorageError
+    where Zenoh cannot listen or the disk refuses.
+    """
+    notifier = Notifier()
+    with StopSignals() as signals:
+        service = Service(config, notifier, map_folder, on_failure=signals.wake)
+        failure = ""
+        try:
+            if service.start(cancelled=lambda: bool(signals.received)):
+                on_ready(service)
+                deadline_s = None if seconds is None else time.monotonic() + seconds
+                while not (failure := service.failure or give_up()):
+                    service.tick()
+                    left_s = TICK_S if deadline_s is None else deadline_s - time.monotonic()
+                    if left_s <= 0.0 or signals.wait(min(TICK_S, left_s)):
+                        break
+        finally:
+            log.info("stopping: %s", failure or signals.received or "time is up")
+            summary = service.stop()
+            notifier.close()
+    if failure := failure or service.failure:
+        raise CorridorError(f"{failure}; recording finished and map saved as far as they went")
+    return summary
