@@ -283,7 +283,9 @@ class TcpWire(_Wire):
         if isinstance(self._device, ManyClients):
             return self._device.new_client()
         for client in list(self._clients):  # it may have left a moment ago: its FIN precedes this SYN
-            while client in self._clients and select.select([client.fd], [], [], 0)[0]:
+            for _ in range(MESSAGES_A_ROUND):
+                if client not in self._clients or not select.select([client.fd], [], [], 0)[0]:
+                    break
                 self._serve(client, readable=True, writable=False)
         return self._device if not self._clients else None
 
