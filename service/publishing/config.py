@@ -11,7 +11,9 @@ _ENDPOINT = re.compile(r"(tcp|udp|ws)/(\[[0-9A-Fa-f:.%\w]+\]|[A-Za-z0-9_.-]+):(\
 def _check_endpoint(endpoint: str) -> str:
     found = _ENDPOINT.fullmatch(endpoint)
     if found is None or int(found[3] or 0) > 65535:
-        raise ValueError('a Zenoh endpoint is written "tcp/127.0.0.1:7447" (tcp, udp, ws or unixsock-stream/<path>)')
+        raise ValueError(
+            'write an endpoint as "tcp/127.0.0.1:7447" (tcp, udp, ws) or "unixsock-stream//path"'
+        )
     return endpoint
 
 
@@ -25,4 +27,6 @@ class PublishingConfig(BaseModel):
 
     listen: tuple[Endpoint, ...] = ("tcp/127.0.0.1:7447",)  # port 0: any free one
     connect: tuple[Endpoint, ...] = ()  # further routers, a site's say; tried for ever, never waited for
-    shared_memory: bool = False  # on, it takes 16 MiB of /dev/shm a process and saves 0.1 ms on large messages
+    shared_memory: bool = (
+        False  # on, it takes 16 MiB of /dev/shm a process and saves 0.1 ms on large messages
+    )

@@ -1,0 +1,134 @@
+"""What waits to be sent. Two lanes, so that a large map never stands in the way of a pose.
+
+`StreamLane` keeps order and lets the oldest go when full; `BulkLane` keeps only the newest of each thing.
+"""
+
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from service.encoding import Message
+from service.outputs import TileUpdate
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sending:
+    message: Message
+    origin_ns: int | None  # host monotonic time from which its latency counts
+
+
+class StreamLane:
+    """Any thread puts and never waits; one thread takes."""
+
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+        self._wake = threading.Condition()
+        self._waiting: deque[Sending] = deque()
+        self._closed = False
+        self._dropped: Counter[str] = Counter()
+
+    def put(self, sending: Sending) -> None:
+        with self._wake:
+            if self._closed:
+                self._dropped[sending.message.channel] += 1
+                return
+            if len(self._waiting) >= self._capacity:
+                self._dropped[self._waiting.popleft().message.channel] += 1
+            self._waiting.append(sending)
+            self._wake.notify()
+
+    def take(self) -> Sending | None:
+        """The oldest; waits for one. None when the lane is closed and empty."""
+        with self._wake:
+            while not self._waiting and not self._closed:
+                self._wake.wait()
+            return self._waiting.popleft() if self._waiting else None
+
+    def close(self) -> None:
+        with self._wake:
+            self._closed = True
+            self._wake.notify_all()
+
+    def dropped(self) -> Counter[str]:
+        """Messages lost so far, by channel."""
+        with self._wake:
+            return Counter(self._dropped)
+
+
+TileKey = tuple[int, int, int]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bulk:
+    """What is due now."""
+
+    messages: list[Message]
+    tiles: list[TileUpdate]
+    pictures: set[str]  # channels of which a new whole should be made
+
+
+class BulkLane:
+    """Messages at once, tiles and pictures of the whole at most once a period each."""
+
+    def __init__(self, tile_period_s: float, picture_period_s: float) -> None:
+        self._tile_period_s, self._picture_period_s = tile_period_s, picture_period_s
+        self._wake = threading.Condition()
+        self._messages: dict[str, Message] = {}
+        self._tiles: dict[TileKey, TileUpdate] = {}
+        self._pictures: set[str] = set()
+        self._tiles_at_s = self._pictures_at_s = 0.0
+        self._closed = False
+
+    def put(self, message: Message) -> None:
+        with self._wake:
+            self._messages[message.channel] = message
+            self._wake.notify()
+
+    def put_tiles(self, tiles: Iterable[TileUpdate]) -> None:
+        with self._wake:
+            for tile in tiles:
+                self._tiles[tile.level, tile.ix, tile.iy] = tile
+            self._wake.notify()
+
+    def ask_for(self, *pictures: str) -> None:
+        with self._wake:
+            self._pictures.update(pictures)
+            self._wake.notify()
+
+    def take(self) -> Bulk | None:
+        """What is due; waits for something. When closed: all that is left, then None."""
+        with self._wake:
+            while True:
+                now_s = time.monotonic()
+                tiles_due = bool(self._tiles) and (self._closed or now_s >= self._tiles_at_s)
+                pictures_due = bool(self._pictures) and (self._closed or now_s >= self._pictures_at_s)
+                if self._messages or tiles_due or pictures_due:
+                    return self._take(now_s, tiles_due, pictures_due)
+                if self._closed:
+                    return None
+                self._wake.wait(self._longest_wait_s(now_s))
+
+    def close(self) -> None:
+        with self._wake:
+            self._closed = True
+            self._wake.notify_all()
+
+    def _take(self, now_s: float, tiles_due: bool, pictures_due: bool) -> Bulk:
+        messages, self._messages = list(self._messages.values()), {}
+        tiles: list[TileUpdate] = []
+        pictures: set[str] = set()
+        if tiles_due:
+            tiles, self._tiles = list(self._tiles.values()), {}
+            self._tiles_at_s = now_s + self._tile_period_s
+        if pictures_due:
+            pictures, self._pictures = self._pictures, set()
+            self._pictures_at_s = now_s + self._picture_period_s
+        return Bulk(messages, tiles, pictures)
+
+    def _longest_wait_s(self, now_s: float) -> float | None:
+        due_s = [self._tiles_at_s] if self._tiles else []
+        if self._pictures:
+            due_s.append(self._pictures_at_s)
+        return min(due_s) - now_s if due_s else None

@@ -1,0 +1,96 @@
+"""Opening the Zenoh session, and saying in words why it does not open."""
+
+import json
+import re
+from pathlib import Path
+
+import zenoh
+
+from service.errors import StorageError
+from service.publishing.config import PublishingConfig
+
+QUEUE_SIZE = (
+    16  # batches a link and priority. Zenoh's own 2 lose one of a scan, pose, odom and tf put together
+)
+_LISTENING = "0A"  # state in /proc/net/tcp
+
+
+def open_session(config: PublishingConfig) -> zenoh.Session:
+    """A router that speaks only where the config says: no multicast, no gossip.
+
+    Routers to connect to are tried in the background for ever. Raises StorageError where it cannot listen.
+    """
+    settings = zenoh.Config()
+    for key, value in {
+        "mode": "router",
+        "listen/endpoints": config.listen,
+        "connect/endpoints": config.connect,
+        "connect/timeout_ms": -1,
+        "connect/exit_on_failure": False,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "scouting/delay": 0,  # nothing is scouted, so there is nothing to wait for
+        "timestamping/enabled": True,
+        "transport/shared_memory/enabled": config.shared_memory,
+        "adminspace/enabled": _has_free_choice(config),  # read by listened_at only
+        **{
+            f"transport/link/tx/queue/size/{priority}": QUEUE_SIZE
+            for priority in ("data_high", "data", "data_low")
+        },
+    }.items():
+        settings.insert_json5(key, json.dumps(value))
+    try:
+        return zenoh.open(settings)
+    except zenoh.ZError as error:
+        text = re.sub(r" at /\S+?:\d+\.?", "", str(error))  # where in Zenoh's own source
+        raise StorageError(_explain(text, config)) from error
+
+
+def listened_at(session: zenoh.Session, config: PublishingConfig) -> list[str]:
+    """The endpoints as they are, with the real port where port 0 asked for any free one."""
+    if not _has_free_choice(config):
+        return list(config.listen)
+    reply = next(iter(session.get(f"@/{session.zid()}/router", timeout=2.0)))
+    if reply.ok is None:
+        raise StorageError(f"Zenoh does not say where it listens: {reply.err}")
+    locators: list[str] = json.loads(reply.ok.payload.to_string())["locators"]
+    return locators
+
+
+def _has_free_choice(config: PublishingConfig) -> bool:
+    return any(endpoint.endswith(":0") for endpoint in config.listen)
+
+
+def _explain(error: str, config: PublishingConfig) -> str:
+    found = re.search(r"(tcp|udp|ws)/\S*?:(\d+)(?=[\s:\]])", error)
+    where = found[0] if found else ", ".join(config.listen)
+    if "os error 98" in error:
+        owner = _owner_of_port(int(found[2])) if found else ""
+        return (
+            f"Zenoh cannot listen at {where}: the port is taken{owner}; stop that process, "
+            "or change publishing.listen"
+        )
+    if "os error 99" in error:
+        return (
+            f"Zenoh cannot listen at {where}: this machine has no such address (yet); "
+            "change publishing.listen, tcp/[::]:7447 takes every address"
+        )
+    return f"Zenoh does not open with publishing.listen [{', '.join(config.listen)}]: {error}"
+
+
+def _owner_of_port(port: int) -> str:
+    """ " by python3 (process 123)" where the kernel tells us, else ""."""
+    sockets = set()
+    for table in ("tcp", "tcp6"):
+        path = Path("/proc/net") / table
+        for line in path.read_text().splitlines()[1:] if path.exists() else []:
+            fields = line.split()
+            if int(fields[1].rpartition(":")[2], 16) == port and fields[3] == _LISTENING:
+                sockets.add(f"socket:[{fields[9]}]")
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            if any(str(descriptor.readlink()) in sockets for descriptor in (process / "fd").iterdir()):
+                return f" by {(process / 'comm').read_text().strip()} (process {process.name})"
+        except OSError:
+            continue  # gone meanwhile, or another user's
+    return " by another user's process" if sockets else ""

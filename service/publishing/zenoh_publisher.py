@@ -1,0 +1,338 @@
+"""Messages and the map, out on Zenoh. Nothing here makes the mapper or a driver wait.
+
+Two threads send: one the stream (scans, poses, odometry), one the bulk (tiles, the whole map, states). Who
+comes late asks: tiles, map, map/meta, pose, tf_static and health are answered by get.
+"""
+
+import logging
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any, Protocol
+
+import zenoh
+import zenoh.ext
+
+from service.encoding import Message, Status, encode_diagnostics, encode_grid, encode_tile
+from service.errors import StorageError
+from service.outputs import Grid, TileUpdate
+from service.publishing.attachment import Attachment, make_gid
+from service.publishing.config import PublishingConfig
+from service.publishing.keys import alive_key, tile_channel, vehicle_key
+from service.publishing.lanes import BulkLane, Sending, StreamLane
+from service.publishing.session import listened_at, open_session
+
+log = logging.getLogger(__name__)
+
+STREAM_CAPACITY = 512  # messages; one to two seconds of a vehicle with five sensors
+TILE_PERIOD_S = 0.2  # a tile is sent at most so often: the newest counts, not each step on the way
+PICTURE_PERIOD_S = 1.0
+CLOSE_TIMEOUT_S = 5.0
+
+STATES = ("tf_static", "health")  # newest counts; cached for late joiners
+PICTURES = ("map", "map/meta")  # made here, when somebody listens or asks
+ANSWERED = ("pose", *STATES)  # the last one sent is the answer to a get
+TILES = "map/tile"
+_FRESH = frozenset(
+    ("scan", "imu", "odom", "pose", "tf", "fix")
+)  # late is worthless: first in line, no batching
+
+
+class MapSource(Protocol):
+    """The tile store as the publisher reads it."""
+
+    @property
+    def version(self) -> int: ...
+    def since(self, version: int) -> list[TileUpdate]: ...
+    def grid(self) -> Grid | None: ...
+
+
+class ZenohPublisher:
+    """One Zenoh session and all that is published on it; open when constructed, gone after close().
+
+    on_latency takes nanoseconds from a message's origin_ns to the moment after its put.
+    Raises StorageError where it cannot listen.
+    """
+
+    def __init__(
+        self,
+        config: PublishingConfig,
+        vehicle: str,
+        map_source: MapSource,
+        on_latency: Callable[[int], None] | None = None,
+        picture_period_s: float = PICTURE_PERIOD_S,
+    ) -> None:
+        self._vehicle = vehicle
+        self._map = map_source
+        self._on_latency = on_latency
+        self._map_stamp_ns = self._map_log_ns = 0
+        self._lock = threading.Lock()  # of the counters
+        self._token_lock = threading.Lock()
+        self._sent: Counter[str] = Counter()
+        self._failed: Counter[str] = Counter()
+        self._publishers: dict[str, zenoh.Publisher | zenoh.ext.AdvancedPublisher] = {}
+        self._gids: dict[str, bytes] = {}
+        self._last: dict[str, tuple[Message, int]] = {}  # with its sequence number
+        self._tokens: dict[str, zenoh.LivelinessToken] = {}
+        self._stream = StreamLane(STREAM_CAPACITY)
+        self._bulk = BulkLane(TILE_PERIOD_S, picture_period_s)
+        self._closed = False
+        self._session = open_session(config)
+        try:
+            self.endpoints = listened_at(self._session, config)
+            self._queryables = self._declare_queryables()
+            self._listeners = {channel: self._watch(channel) for channel in PICTURES}
+        except BaseException:
+            self._session.close()  # type: ignore[no-untyped-call]
+            raise
+        self._threads = [
+            threading.Thread(target=self._send_stream, name="zenoh-stream", daemon=True),
+            threading.Thread(target=self._send_bulk, name="zenoh-bulk", daemon=True),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def __enter__(self) -> "ZenohPublisher":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def put(self, message: Message, origin_ns: int | None = None) -> None:
+        """Hand over a message; never waits. Of a stream the oldest goes when the line is full, counted."""
+        if message.channel in STATES:
+            self._bulk.put(message)
+        else:
+            self._stream.put(Sending(message, origin_ns))
+
+    def map_changed(self, tiles: Iterable[TileUpdate], stamp_ns: int, log_ns: int) -> None:
+        """Hand over tiles that the map source holds already; never waits. Times are Unix time.
+
+        The source first: who subscribes and then asks must not fall between the two.
+        """
+        self._map_stamp_ns, self._map_log_ns = stamp_ns, log_ns
+        self._bulk.put_tiles(tiles)
+        self._bulk.ask_for(*PICTURES)
+
+    def set_alive(self, component: str, alive: bool = True) -> None:
+        """Put up or take down the token alive/<component>; all fall by themselves when the process dies."""
+        with self._token_lock:
+            if alive and component not in self._tokens:
+                key = alive_key(self._vehicle, component)
+                self._tokens[component] = self._session.liveliness().declare_token(key)
+            elif not alive and component in self._tokens:
+                self._tokens.pop(component).undeclare()  # type: ignore[no-untyped-call]
+
+    def sent(self) -> Counter[str]:
+        """Puts so far, by channel; tiles under map/tile."""
+        with self._lock:
+            return Counter(self._sent)
+
+    def dropped(self) -> Counter[str]:
+        """Messages that had to go before they were sent, by channel."""
+        return self._stream.dropped()
+
+    def failed(self) -> Counter[str]:
+        """Puts and answers that raised, by channel; the first of each is in the log."""
+        with self._lock:
+            return Counter(self._failed)
+
+    def close(self) -> None:
+        """Send what waits, then take everything down. A second call does nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        self._stream.close()
+        self._bulk.close()
+        for thread in self._threads:
+            thread.join(CLOSE_TIMEOUT_S)
+            if thread.is_alive():
+                log.error(
+                    "%s is still sending after %.0f s; closing Zenoh under it", thread.name, CLOSE_TIMEOUT_S
+                )
+        for component in list(self._tokens):
+            self.set_alive(component, False)
+        try:
+            for queryable in self._queryables:
+                queryable.undeclare()  # type: ignore[no-untyped-call]
+            self._session.close()  # type: ignore[no-untyped-call]
+        except zenoh.ZError as error:
+            log.error("Zenoh does not close: %s", error)
+
+    def _send_stream(self) -> None:
+        while (sending := self._stream.take()) is not None:
+            self._try(sending.message.channel, partial(self._send, sending.message))
+            if sending.origin_ns is not None and self._on_latency is not None:
+                self._on_latency(time.monotonic_ns() - sending.origin_ns)
+
+    def _send_bulk(self) -> None:
+        while (bulk := self._bulk.take()) is not None:
+            for message in bulk.messages:
+                self._try(message.channel, partial(self._send, message))
+            for tile in bulk.tiles:
+                self._try(TILES, partial(self._send_tile, tile))
+            for channel in bulk.pictures:
+                self._try(channel, partial(self._send_picture, channel))
+
+    def _send(self, message: Message, sequence: int | None = None) -> None:
+        channel = message.channel
+        publisher = self._publishers.get(channel)
+        if publisher is None:
+            publisher = self._publishers[channel] = self._declare(channel, message.type)
+        if sequence is None:
+            sequence = self._sent[channel] + 1
+        publisher.put(message.payload, attachment=self._attachment(channel, sequence, message.log_ns))
+        self._count(channel)
+        if channel in ANSWERED:
+            self._last[channel] = (message, sequence)
+
+    def _send_tile(self, tile: TileUpdate) -> None:
+        message = encode_tile(tile, self._map_stamp_ns, self._map_log_ns)
+        self._session.put(
+            vehicle_key(self._vehicle, message.channel),
+            message.payload,
+            encoding=_encoding(message.type),
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.DATA_LOW,
+            attachment=self._attachment(TILES, tile.version, message.log_ns),
+        )
+        self._count(TILES)
+
+    def _send_picture(self, channel: str) -> None:
+        watcher, _ = self._listeners[channel]
+        if _has_listeners(watcher) and (picture := self._make_picture(channel)) is not None:
+            self._send(*picture)
+
+    def _make_picture(self, channel: str) -> tuple[Message, int] | None:
+        """The whole map, or its index, with its version; None while there is no map."""
+        if channel == "map/meta":
+            return self._make_meta()
+        grid = self._map.grid()
+        return (
+            None if grid is None else (encode_grid(grid, self._map_stamp_ns, self._map_log_ns), grid.version)
+        )
+
+    def _make_meta(self) -> tuple[Message, int] | None:
+        tiles = self._map.since(0)
+        if not tiles:
+            return None
+        newest = tiles[-1]
+        about = {
+            "version": str(newest.version),
+            "tiles": str(len(tiles)),
+            "cell_m": f"{newest.cell_m:g}",
+            "tile_cells": str(newest.cells.shape[0]),
+            "gid": self._gid(TILES).hex(),
+        }
+        index = {f"{t.level}/{t.ix}/{t.iy}": str(t.version) for t in tiles}
+        statuses = [Status("map", 0, f"version {newest.version}", about), Status("tiles", 0, "", index)]
+        message = encode_diagnostics("map/meta", statuses, self._map_stamp_ns, self._map_log_ns)
+        return message, newest.version
+
+    def _declare(self, channel: str, message_type: str) -> zenoh.Publisher | zenoh.ext.AdvancedPublisher:
+        key = vehicle_key(self._vehicle, channel)
+        if channel in STATES or channel in PICTURES:
+            return zenoh.ext.declare_advanced_publisher(
+                self._session,
+                key,
+                encoding=_encoding(message_type),
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.DATA_LOW if channel == "map" else zenoh.Priority.DATA,
+                cache=zenoh.ext.CacheConfig(max_samples=1),
+                publisher_detection=True,
+            )
+        fresh = channel.rpartition("/")[2] in _FRESH
+        return self._session.declare_publisher(
+            key,
+            encoding=_encoding(message_type),
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.DATA_HIGH if fresh else zenoh.Priority.DATA,
+            express=fresh,
+        )
+
+    def _watch(self, channel: str) -> tuple[zenoh.Publisher, zenoh.MatchingListener[None]]:
+        """Know who listens: an advanced publisher cannot tell, a plain one on the same key can."""
+        watcher = self._session.declare_publisher(vehicle_key(self._vehicle, channel))
+
+        def changed(status: zenoh.MatchingStatus) -> None:
+            if status.matching:
+                self._bulk.ask_for(channel)
+
+        return watcher, watcher.declare_matching_listener(zenoh.handlers.Callback(changed, indirect=False))
+
+    def _declare_queryables(self) -> list[zenoh.Queryable[None]]:
+        answers: dict[str, Callable[[zenoh.Query], None]] = {f"{TILES}/**": self._answer_tiles}
+        answers |= {channel: partial(self._answer_picture, channel) for channel in PICTURES}
+        answers |= {channel: partial(self._answer_last, channel) for channel in ANSWERED}
+        return [
+            self._session.declare_queryable(
+                vehicle_key(self._vehicle, channel), partial(self._answer, channel, answer), complete=True
+            )
+            for channel, answer in answers.items()
+        ]
+
+    def _answer(self, channel: str, answer: Callable[[zenoh.Query], None], query: zenoh.Query) -> None:
+        with query:  # without it the asker would wait until its timeout
+            if not self._try(channel, partial(answer, query)):
+                query.reply_err(f"{channel} cannot be answered now; the service's log says why".encode())
+
+    def _answer_tiles(self, query: zenoh.Query) -> None:
+        since = query.parameters.get("since", "0") or ""
+        if not (since.isascii() and since.isdigit()):
+            query.reply_err(f'since={since}: expected a version, as in "map/tile/**?since=0"'.encode())
+            return
+        for tile in self._map.since(int(since)):
+            key = vehicle_key(self._vehicle, tile_channel(tile.level, tile.ix, tile.iy))
+            if query.key_expr.intersects(zenoh.KeyExpr(key)):
+                message = encode_tile(tile, self._map_stamp_ns, self._map_log_ns)
+                self._reply(query, message, self._attachment(TILES, tile.version, message.log_ns))
+
+    def _answer_picture(self, channel: str, query: zenoh.Query) -> None:
+        if (picture := self._make_picture(channel)) is not None:
+            message, version = picture
+            self._reply(query, message, self._attachment(channel, version, message.log_ns))
+
+    def _answer_last(self, channel: str, query: zenoh.Query) -> None:
+        if (last := self._last.get(channel)) is not None:
+            message, sequence = last
+            self._reply(query, message, self._attachment(channel, sequence, message.log_ns))
+
+    def _reply(self, query: zenoh.Query, message: Message, attachment: bytes) -> None:
+        key = vehicle_key(self._vehicle, message.channel)
+        query.reply(key, message.payload, encoding=_encoding(message.type), attachment=attachment)
+
+    def _attachment(self, channel: str, sequence: int, source_ns: int) -> bytes:
+        return Attachment(sequence, source_ns, self._gid(channel)).encode()
+
+    def _gid(self, channel: str) -> bytes:
+        gid = self._gids.get(channel)
+        if gid is None:
+            gid = self._gids[channel] = make_gid(str(self._session.zid()), channel)
+        return gid
+
+    def _count(self, channel: str) -> None:
+        with self._lock:
+            self._sent[channel] += 1
+
+    def _try(self, channel: str, action: Callable[[], None]) -> bool:
+        """Do it; a fault is counted and must not end the thread: the next message may well go through."""
+        try:
+            action()
+        except (zenoh.ZError, StorageError, ValueError) as error:
+            with self._lock:
+                self._failed[channel] += 1
+                first = self._failed[channel] == 1
+            log.log(logging.ERROR if first else logging.DEBUG, "zenoh %s: %s", channel, error)
+            return False
+        return True
+
+
+def _has_listeners(publisher: zenoh.Publisher) -> bool:
+    status: Any = publisher.matching_status  # its stub says bool; it is an object, and always true
+    return bool(status.matching)
+
+
+def _encoding(message_type: str) -> zenoh.Encoding:
+    return zenoh.Encoding.APPLICATION_CDR.with_schema(message_type)

@@ -1,0 +1,90 @@
+"""A publisher on a free port, and clients that are always closed."""
+
+import json
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+import zenoh
+
+from service.mapstore.tiles import TileStore
+from service.publishing.config import PublishingConfig
+from service.publishing.zenoh_publisher import ZenohPublisher
+
+ANY_PORT = PublishingConfig(listen=("tcp/127.0.0.1:0",))
+TIMEOUT_S = 10.0
+
+
+class Inbox:
+    """Samples of one subscriber; waits on a condition, with a timeout."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self.samples: list[zenoh.Sample] = []
+
+    def __call__(self, sample: zenoh.Sample) -> None:
+        with self._changed:
+            self.samples.append(sample)
+            self._changed.notify_all()
+
+    def wait_for(self, count: int, timeout_s: float = TIMEOUT_S) -> list[zenoh.Sample]:
+        with self._changed:
+            assert self._changed.wait_for(lambda: len(self.samples) >= count, timeout_s), (
+                f"{len(self.samples)} samples after {timeout_s} s, expected {count}"
+            )
+            return list(self.samples)
+
+
+def client_config(endpoint: str) -> zenoh.Config:
+    config = zenoh.Config()
+    for key, value in {
+        "mode": "client",
+        "connect/endpoints": [endpoint],
+        "connect/timeout_ms": 5000,
+        "scouting/multicast/enabled": False,
+    }.items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+@pytest.fixture
+def store() -> TileStore:
+    return TileStore()
+
+
+@pytest.fixture
+def open_publisher(store) -> Iterator[Callable[..., ZenohPublisher]]:
+    opened = []
+
+    def open_one(config: PublishingConfig = ANY_PORT, **settings: object) -> ZenohPublisher:
+        publisher = ZenohPublisher(config, "veh1", settings.pop("map_source", store), **settings)
+        opened.append(publisher)
+        return publisher
+
+    yield open_one
+    for publisher in opened:
+        publisher.close()
+
+
+@pytest.fixture
+def publisher(open_publisher) -> ZenohPublisher:
+    return open_publisher(picture_period_s=0.1)
+
+
+@pytest.fixture
+def open_client() -> Iterator[Callable[[str], zenoh.Session]]:
+    opened = []
+
+    def open_one(endpoint: str) -> zenoh.Session:
+        session = zenoh.open(client_config(endpoint))
+        opened.append(session)
+        return session
+
+    yield open_one
+    for session in opened:
+        session.close()
+
+
+@pytest.fixture
+def client(publisher, open_client) -> zenoh.Session:
+    return open_client(publisher.endpoints[0])
