@@ -141,6 +141,6 @@ def test_a_sample_and_a_reply_may_overtake_each_other(programs, monkeypatch):
     from service.publishing.attachment import Attachment
 
     mirror = MapMirror()
-    for version in (5, 4, 5, 6):
+    for version in (5, 4, 6, 5):
         mirror.apply("a", str(version).encode(), Attachment(version, 0, bytes(16)).encode())
     assert mirror.tiles == {"a": (6, b"6")}
