@@ -47,7 +47,7 @@ class Transform:
 
     @property
     def is_planar(self) -> bool:
-        return not any(self.rotation_wxyz[1:3])
+        return any(self.rotation_wxyz) and not any(self.rotation_wxyz[1:3])
 
     @property
     def pose(self) -> SE2:

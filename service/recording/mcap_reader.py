@@ -1,0 +1,177 @@
+"""Reads MCAP recordings of ROS 2 as one stream of messages in the order of their log times."""
+
+import heapq
+from collections import Counter
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import BinaryIO
+
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Schema, Statistics
+from mcap.summary import Summary
+from mcap.writer import MCAP0_MAGIC
+
+from service.encoding import Message
+from service.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """What a recording holds of one topic. type is the ROS 2 name, "sensor_msgs/msg/LaserScan"."""
+
+    name: str
+    type: str
+    encoding: str  # "cdr" for ROS 2
+    count: int
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.type}, {self.count})"
+
+
+@dataclass(frozen=True, slots=True)
+class _File:
+    path: Path
+    library: str
+    topics: tuple[Topic, ...]
+    first_log_ns: int
+    last_log_ns: int
+    metadata: dict[str, dict[str, str]]
+
+
+class Recording:
+    """One or more finished MCAP files, oldest first, as one recording. A folder stands for its files.
+
+    Raises InputError for a file that is missing, not MCAP, unfinished, or broken.
+    """
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        files = sorted((_open(p) for p in _expand(paths)), key=lambda file: file.first_log_ns)
+        self._files = files
+        self.paths = [file.path for file in files]
+        self.library = files[0].library  # who wrote it
+        self.first_log_ns = files[0].first_log_ns
+        self.last_log_ns = max(file.last_log_ns for file in files)
+        self.metadata: dict[str, dict[str, str]] = {}  # the last of a name wins
+        counts: Counter[tuple[str, str, str]] = Counter()
+        for file in files:
+            self.metadata.update(file.metadata)
+            for topic in file.topics:
+                counts[topic.name, topic.type, topic.encoding] += topic.count
+        self.topics = [Topic(*key, count) for key, count in sorted(counts.items())]
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+        """Messages by rising log time, those of equal log time as they stand in the file.
+
+        Raises InputError at a damaged place.
+        """
+        streams = [_messages(file.path, topics) for file in self._files]
+        if all(a.last_log_ns < b.first_log_ns for a, b in pairwise(self._files)):
+            for stream in streams:
+                yield from stream
+        else:
+            yield from heapq.merge(*streams, key=lambda message: message.log_ns)
+
+
+def _expand(paths: Sequence[Path]) -> list[Path]:
+    files: list[Path] = []
+    for path in paths:
+        files += sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+    if not files:
+        raise InputError(f"no MCAP files in {', '.join(map(str, paths))}")
+    return files
+
+
+def _open(path: Path) -> _File:
+    try:
+        with path.open("rb") as stream:
+            _check_ends(path, stream)
+            return _read_index(path, stream)
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from error
+    except InputError:
+        raise
+    except Exception as error:  # a broken index may fail in any way inside the library
+        raise InputError(f"{path} is damaged: {error}; try `corridor recover {path}`") from error
+
+
+def _check_ends(path: Path, stream: BinaryIO) -> None:
+    size = len(MCAP0_MAGIC)
+    magic = stream.read(size)
+    if magic != MCAP0_MAGIC:
+        raise InputError(f"{path} is not an MCAP file: it begins with {magic.hex(' ') or 'nothing'}")
+    stream.seek(-size, 2)
+    if stream.read(size) != MCAP0_MAGIC:
+        raise InputError(f"{path} was never finished; make it whole with `corridor recover {path}`")
+    stream.seek(0)
+
+
+def _read_index(path: Path, stream: BinaryIO) -> _File:
+    reader = SeekingReader(stream)
+    header = reader.get_header()
+    summary = reader.get_summary()
+    if summary is None or summary.statistics is None or not summary.channels:
+        summary = _count_messages(reader)
+    statistics = summary.statistics
+    assert statistics is not None
+    topics = tuple(
+        _topic(channel, summary.schemas, statistics.channel_message_counts.get(channel.id, 0))
+        for channel in summary.channels.values()
+    )
+    metadata = {record.name: dict(record.metadata) for record in reader.iter_metadata()}
+    return _File(
+        path, header.library, topics, statistics.message_start_time, statistics.message_end_time, metadata
+    )
+
+
+def _count_messages(reader: SeekingReader) -> Summary:
+    """The index that a file lacks; MCAP leaves it to the writer whether there is one."""
+    summary, times = Summary(), []
+    counts: Counter[int] = Counter()
+    for schema, channel, message in reader.iter_messages(log_time_order=False):
+        if schema is not None:
+            summary.schemas[schema.id] = schema
+        summary.channels[channel.id] = channel
+        counts[channel.id] += 1
+        times.append(message.log_time)
+    summary.statistics = Statistics(
+        attachment_count=0,
+        channel_count=len(summary.channels),
+        channel_message_counts=dict(counts),
+        chunk_count=0,
+        message_count=len(times),
+        message_end_time=max(times, default=0),
+        message_start_time=min(times, default=0),
+        metadata_count=0,
+        schema_count=len(summary.schemas),
+    )
+    return summary
+
+
+def _topic(channel: Channel, schemas: dict[int, Schema], count: int) -> Topic:
+    schema = schemas.get(channel.schema_id)
+    return Topic(
+        channel.topic, _type_name(schema.name if schema is not None else ""), channel.message_encoding, count
+    )
+
+
+def _type_name(schema: str) -> str:
+    """ "sensor_msgs/LaserScan", as some write it, is "sensor_msgs/msg/LaserScan" in ROS 2."""
+    package, _, name = schema.partition("/")
+    return schema if not name or "/" in name else f"{package}/msg/{name}"
+
+
+def _messages(path: Path, topics: Collection[str] | None) -> Iterator[Message]:
+    try:
+        with path.open("rb") as stream:
+            for schema, channel, record in SeekingReader(stream, validate_crcs=True).iter_messages(topics):
+                yield Message(
+                    channel=channel.topic.removeprefix("/"),
+                    type=_type_name(schema.name if schema is not None else ""),
+                    stamp_ns=record.publish_time,
+                    log_ns=record.log_time,
+                    payload=record.data,
+                )
+    except Exception as error:  # bad bytes may fail in any way inside the library
+        raise InputError(f"{path} is damaged: {error}; try `corridor recover {path}`") from error

@@ -1,0 +1,333 @@
+import errno
+import io
+import logging
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from rosbags.highlevel import AnyReader
+
+from service.encoding import Message
+from service.errors import StorageError
+from service.recording import mcap_recorder
+from service.recording.mcap_file import create_stream
+from service.recording.mcap_reader import Recording
+from service.recording.mcap_recorder import McapRecorder
+from service.recording.mcap_recovery import recover
+from tests.service.recording.sessions import (
+    T0_NS,
+    as_read,
+    drive,
+    mountings_message,
+    read_back,
+    scan_message,
+    write_file,
+)
+
+PLENTY = 1 << 40
+
+
+class Clock:
+    """A monotonic clock that a test sets; it wakes nobody, the recorder looks at it."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def recorder(tmp_path):
+    """Starts recorders into tmp_path and finishes them all."""
+    started = []
+
+    def start(**options) -> McapRecorder:
+        made = McapRecorder(tmp_path, "veh1", **({"free_bytes_of": lambda _: PLENTY} | options))
+        made.start()
+        started.append(made)
+        return made
+
+    yield start
+    for made in started:
+        made.finish()
+
+
+def wait_until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
+    """Wait for another thread's doing; ten milliseconds between looks."""
+    pause = threading.Event()
+    for _ in range(round(seconds * 100)):
+        if condition():
+            return
+        pause.wait(0.01)
+    raise AssertionError(f"not within {seconds} s")
+
+
+def test_what_was_put_is_what_rosbags_reads(recorder, tmp_path):
+    messages = drive(100)
+    session = recorder(metadata={"config": {"vehicle": "veh1"}, "version": {"corridor": "0.1.0"}})
+    for message in messages:
+        session.put(message)
+    (path,) = session.finish()
+    assert path.name == "veh1_20251121T100000Z_0001.mcap"
+    assert read_back(path) == as_read(messages)
+    assert list(tmp_path.iterdir()) == [path]
+    assert session.health.messages == len(messages)
+    assert not session.health.dropped
+    assert session.health.state == "finished"
+    with AnyReader([path]) as reader:
+        stamps = [
+            reader.deserialize(raw, c.msgtype).header.stamp
+            for c, _, raw in reader.messages([c for c in reader.connections if c.topic == "/front/scan"])
+        ]
+        (latched,) = [c for c in reader.connections if c.topic == "/tf_static"]
+        (volatile,) = [c for c in reader.connections if c.topic == "/front/scan"]
+    assert stamps[1].sec * 10**9 + stamps[1].nanosec == T0_NS + 20_000_000
+    assert latched.ext.offered_qos_profiles[0].durability.name == "TRANSIENT_LOCAL"
+    assert volatile.ext.offered_qos_profiles[0].durability.name == "VOLATILE"
+    recording = Recording([path])
+    assert recording.metadata == {"config": {"vehicle": "veh1"}, "version": {"corridor": "0.1.0"}}
+    assert recording.library == "corridor 0.1.0"
+
+
+def test_log_times_and_the_order_of_equal_ones_are_kept(recorder):
+    same = [scan_message(index, sensor=f"laser{index % 3}") for index in range(30)]
+    same = [Message(m.channel, m.type, m.stamp_ns, T0_NS, m.payload) for m in same]
+    session = recorder()
+    for message in same:
+        session.put(message)
+    (path,) = session.finish()
+    assert [payload for _, _, payload in read_back(path)] == [m.payload for m in same]
+    assert [m.payload for m in Recording([path]).messages()] == [m.payload for m in same]
+
+
+def test_a_log_time_that_steps_back_is_written_as_it_is_and_counted(recorder):
+    session = recorder()
+    for index in (0, 2, 1):
+        session.put(scan_message(index))
+    (path,) = session.finish()
+    assert session.health.steps_back == 1
+    assert [log_ns for _, log_ns, _ in read_back(path)] == sorted(scan_message(i).log_ns for i in range(3))
+
+
+def test_each_rotated_file_is_complete_by_itself(recorder):
+    session = recorder(rotate_s=1.0, metadata={"config": {"vehicle": "veh1"}})
+    messages = drive(120)
+    for message in messages[:60]:
+        session.put(message)
+    wait_until(lambda: session.health.messages == 60)
+    session.put_metadata("clock_step", {"step_ns": "17"})
+    for message in messages[60:]:
+        session.put(message)
+    paths = session.finish()
+    assert [path.name[-9:] for path in paths] == ["0001.mcap", "0002.mcap", "0003.mcap"]
+    for path in paths:
+        with AnyReader([path]) as reader:
+            assert reader.duration <= 1.0e9
+            first_topic, first_ns, _ = read_back(path)[0]
+            assert first_topic == "/tf_static"
+            assert first_ns == reader.start_time
+        metadata = Recording([path]).metadata
+        assert metadata["config"] == {"vehicle": "veh1"}
+    assert "clock_step" in Recording(paths[-1:]).metadata
+    together = [m.payload for m in Recording(paths).messages(["/front/scan", "/base/odom"])]
+    assert together == [payload for topic, _, payload in as_read(messages) if topic != "/tf_static"]
+
+
+def test_a_file_that_grew_large_is_followed_by_another(recorder):
+    session = recorder(rotate_bytes=300_000)
+    for message in (scan_message(index, beams=20_000) for index in range(40)):
+        session.put(message)
+    paths = session.finish()
+    assert len(paths) >= 2
+    assert sum(len(read_back(path)) for path in paths) == 40
+
+
+def test_an_existing_file_is_never_overwritten(recorder, tmp_path):
+    mine = tmp_path / "veh1_20251121T100000Z_0001.mcap"
+    mine.write_bytes(b"precious")
+    session = recorder()
+    session.put(scan_message(0))
+    (path,) = session.finish()
+    assert path.name == "veh1_20251121T100000Z_0002.mcap"
+    assert mine.read_bytes() == b"precious"
+
+
+class StuckStream(io.BytesIO):
+    """Nothing, as a stream: any write waits until the disk is let go."""
+
+    def __init__(self, path: Path, released: threading.Event) -> None:
+        super().__init__()
+        self._file = path.open("xb")
+        self._released = released
+
+    def fileno(self) -> int:
+        return self._file.fileno()
+
+    def write(self, data) -> int:
+        assert self._released.wait(60.0)
+        return self._file.write(data)
+
+    def flush(self) -> None:
+        self._file.flush()
+
+    def tell(self) -> int:
+        return self._file.tell()
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def test_put_never_waits_and_counts_what_a_stuck_disk_costs(recorder, monkeypatch, caplog):
+    monkeypatch.setattr(mcap_recorder, "QUEUE_MESSAGES", 10)
+    released = threading.Event()
+    session = recorder(open_stream=lambda path: StuckStream(path, released))
+    try:
+        session.put(scan_message(0))
+        wait_until(lambda: session.health.path is not None or not session._queue)
+        with caplog.at_level(logging.WARNING):
+            for index in range(1, 31):
+                session.put(scan_message(index))
+    finally:
+        released.set()
+    (path,) = session.finish()
+    assert session.health.dropped["front/scan"] == 20
+    assert len(read_back(path)) == 11
+    assert [r.message for r in caplog.records] == [
+        "recording drops front/scan: 10 messages wait; the disk does not keep up"
+    ]
+
+
+def test_recording_pauses_on_a_full_disk_and_resumes(recorder, caplog):
+    clock, free = Clock(), [PLENTY]
+    session = recorder(keep_free_bytes=1_000_000, free_bytes_of=lambda _: free[0], monotonic_s=clock)
+    session.put(scan_message(0))
+    wait_until(lambda: session.health.messages == 1)
+    free[0] = 999_999
+    clock.now_s += 1.0
+    wait_until(lambda: session.health.state == "disk full")
+    assert len(session.health.finished) == 1
+    session.put(scan_message(1))
+    wait_until(lambda: session.health.dropped["front/scan"] == 1)
+    free[0] = 1_000_001  # enough, but so little more that it would stop again at once
+    clock.now_s += 1.0
+    session.put(scan_message(2))
+    wait_until(lambda: session.health.dropped["front/scan"] == 2)
+    free[0] = PLENTY
+    clock.now_s += 1.0
+    session.put(scan_message(3))
+    wait_until(lambda: session.health.messages == 2)
+    assert session.health.state == "recording"
+    first, second = session.finish()
+    assert len(read_back(first)) == len(read_back(second)) == 1
+    assert "less than the 0.00 GB of recording.keep_free_gb; make room" in caplog.text
+
+
+class FailingStream(io.FileIO):
+    """A disk that is full after some bytes, as the kernel says it."""
+
+    def __init__(self, path: Path, room: int) -> None:
+        super().__init__(path, "xb")
+        self._room = room
+
+    def write(self, data) -> int:
+        if self.tell() + len(data) > self._room:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return super().write(data)
+
+
+def test_a_disk_error_costs_the_file_but_not_the_recording(recorder):
+    clock = Clock()
+    rooms = iter([2_000])
+
+    def open_stream(path: Path):
+        room = next(rooms, None)
+        return create_stream(path) if room is None else FailingStream(path, room)
+
+    session = recorder(open_stream=open_stream, monotonic_s=clock)
+    session.put(scan_message(0))
+    wait_until(lambda: session.health.messages == 1)
+    clock.now_s += 1.0  # the sync writes the chunk, and fails
+    wait_until(lambda: session.health.state == "disk error")
+    assert "No space left on device" in session.health.last_error
+    session.put(scan_message(1))
+    wait_until(lambda: session.health.dropped["front/scan"] == 1)
+    clock.now_s += mcap_recorder.RETRY_S
+    session.put(scan_message(2))
+    wait_until(lambda: session.health.state == "recording")
+    (path,) = session.finish()
+    assert path.name.endswith("_0002.mcap")
+    assert [payload for _, _, payload in read_back(path)] == [scan_message(2).payload]
+
+
+def test_a_directory_that_cannot_be_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match=r"cannot record to .*file/sessions: Not a directory"):
+        McapRecorder(tmp_path / "file" / "sessions", "veh1").start()
+
+
+def test_leftovers_are_recovered_while_recording_goes_on(recorder, tmp_path):
+    before = tmp_path / "veh1_20251120T100000Z_0007.mcap"
+    lost = write_file(before, drive(60), finish=False)
+    (tmp_path / "veh1_20251119T100000Z_0001.mcap.active").write_bytes(b"\x89MCAP0\r\n")
+    session = recorder()
+    session.put(scan_message(0))
+    wait_until(lambda: not session.recovering, seconds=60.0)
+    session.finish()
+    assert read_back(before) == as_read(lost)[:100]  # the rest was never synced
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "veh1_20251119T100000Z_0001.mcap.unreadable",
+        "veh1_20251120T100000Z_0007.mcap",
+        "veh1_20251121T100000Z_0001.mcap",
+    ]
+
+
+WRITER = """
+import sys, threading
+from pathlib import Path
+from service.recording.mcap_recorder import McapRecorder
+from tests.service.recording.sessions import scan_message, mountings_message
+recorder = McapRecorder(Path(sys.argv[1]), "veh1", keep_free_bytes=0)
+recorder.start()
+recorder.put(mountings_message())
+pace = threading.Event()
+for index in range(3000):
+    recorder.put(scan_message(index))
+    print(index, flush=True)
+    pace.wait(0.02)
+"""
+
+
+def test_a_kill_costs_at_most_a_second(tmp_path):
+    root = Path(__file__).parents[3]
+    with subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(tmp_path)], stdout=subprocess.PIPE, text=True, cwd=root
+    ) as writer:
+        try:
+            assert writer.stdout is not None
+            last_put = 0
+            for line in writer.stdout:
+                last_put = int(line)
+                if last_put >= 140:
+                    break
+        finally:
+            writer.send_signal(signal.SIGKILL)
+    (active,) = tmp_path.glob("*.active")
+    report = recover(active)
+    scans = [row for row in read_back(report.path) if row[0] == "/front/scan"]
+    assert [payload for _, _, payload in scans] == [scan_message(i).payload for i in range(len(scans))]
+    missing_s = (last_put + 1 - len(scans)) * 0.02
+    assert missing_s <= 1.1
+    assert not active.exists()
+
+
+def test_nothing_put_leaves_nothing_on_the_disk(recorder, tmp_path):
+    session = recorder()
+    assert session.finish() == []
+    assert list(tmp_path.iterdir()) == []
+    session.put(mountings_message())  # too late, and harmless
+    assert not session.health.dropped
