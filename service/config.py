@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from drivers.registry import SENSOR_KINDS
+from service.encoding import decode_mountings, encode_tf_static
 from service.errors import ConfigError
 from service.geometry.se2 import SE2
 from service.located_yaml import Document, Fault, load
@@ -88,13 +89,14 @@ class ServiceConfig:
     text: str
 
 
-def sensor_poses(sensors: Mapping[str, Any]) -> dict[str, SE2]:
-    """pose_base_sensor of every sensor that has a mounting, by name."""
-    return {
+def mountings(sensors: Mapping[str, Any]) -> dict[str, SE2]:
+    """pose_base_sensor of every sensor that has a mounting, by name; rounded as /tf_static rounds it."""
+    poses = {
         name: SE2(sensor.mounting.x_m, sensor.mounting.y_m, math.radians(sensor.mounting.yaw_deg))
         for name, sensor in sensors.items()
         if hasattr(sensor, "mounting")
     }
+    return decode_mountings(encode_tf_static(poses, 0, 0).payload)
 
 
 _SECTIONS: dict[str, type[BaseModel]] = {
@@ -235,7 +237,7 @@ class _Reader:
             case "missing":
                 self._fault((*at, str(detail["loc"][-1])), "missing, and there is no sensible default")
             case _:
-                message = detail["msg"].removeprefix("Value error, ").removeprefix("Input ")
+                message = detail["msg"].removeprefix("Value error, ").removeprefix("Input ").replace("valid array", "list")
                 got = detail["input"]
                 shown = (
                     f" (got {json.dumps(got)})"

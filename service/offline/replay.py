@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from service.config import ServiceConfig, load_config, parse_config, sensor_poses
+from service.config import ServiceConfig, load_config, mountings, parse_config
 from service.encoding import LASER_SCAN
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import ConfigError, InputError, StorageError
@@ -128,11 +128,11 @@ def replay(
     session = open_session(paths)
     for note in session.notes:
         log.info("%s", note)
-    mapping, mountings = _setup(session, options)
+    mapping, poses_base_sensor = _setup(session, options)
     warm_up_encoding()
     warm_up_kernels()
     stages, scan_ns, states = StageTimes(), [], Counter[str]()
-    mapper = build_mapper(mapping, mountings, stages)
+    mapper = build_mapper(mapping, poses_base_sensor, stages)
     outputs: list[MapperOutput] = []
     recording = session.recording
     span_ns = max(recording.last_log_ns - recording.first_log_ns, 1)
@@ -232,8 +232,7 @@ def _setup(session: Session, options: ReplayOptions) -> tuple[MappingConfig, Map
     mapping = config.mapping if config is not None else MappingConfig()
     if options.profile is not None and options.profile != mapping.profile:
         mapping = _with_profile(options.profile, mapping.cell_m)
-    # The config's own numbers, not those of /tf_static: a quaternion there and back is not the same angle.
-    configured = sensor_poses(config.sensors) if config is not None else {}
+    configured = mountings(config.sensors) if config is not None else {}
     return mapping, {name: configured.get(name, pose) for name, pose in session.mountings.items()}
 
 

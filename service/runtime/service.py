@@ -20,7 +20,7 @@ from typing import Any
 
 from drivers.link import LinkHealth, run_link
 from drivers.registry import SENSOR_KINDS
-from service.config import ServiceConfig, sensor_poses
+from service.config import ServiceConfig, mountings
 from service.encoding import encode_event, encode_tf_static
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import CorridorError, StorageError
@@ -120,7 +120,7 @@ class Service:
         self._publisher = ZenohPublisher(config.publishing, config.vehicle, self._tiles, self._latency.add)
         self._loop = MappingLoop(
             self._queue,
-            build_mapper(config.mapping, sensor_poses(config.sensors)),
+            build_mapper(config.mapping, mountings(config.sensors)),
             self._tiles,
             self.host_time,
             self._publisher.put,
@@ -236,7 +236,7 @@ class Service:
         return True
 
     def _start_drivers(self) -> None:
-        poses = sensor_poses(self._config.sensors)
+        poses = mountings(self._config.sensors)
         if poses:
             unix_ns = self._unix_ns()
             static = encode_tf_static(poses, unix_ns, unix_ns)

@@ -1,0 +1,173 @@
+import math
+from pathlib import Path
+
+import pytest
+
+from drivers.irobot_create.config import IrobotCreateConfig
+from drivers.sick_lms100.config import Lms100Config
+from service.config import load_config, mountings, parse_config
+from service.errors import ConfigError
+
+ROOT = Path(__file__).parents[2]
+GOOD = """\
+vehicle: veh1
+sensors:
+  front: {type: sick_lms100, host: 192.168.0.1, mounting: {x_m: 0.2, yaw_deg: 90.0}}
+  base:
+    type: irobot_create
+    device: /dev/ttyUSB0
+recording: {directory: sessions}
+map: {directory: maps}
+"""
+
+
+def faults(text: str) -> list[str]:
+    with pytest.raises(ConfigError) as caught:
+        parse_config(text, "c.yaml")
+    return caught.value.faults
+
+
+def with_line(line: str, number: int) -> str:
+    lines = GOOD.splitlines(keepends=True)
+    return "".join([*lines[: number - 1], line + "\n", *lines[number:]])
+
+
+def test_a_good_config_is_read_with_its_defaults():
+    config = parse_config(GOOD, "c.yaml")
+    assert config.vehicle == "veh1"
+    assert isinstance(config.sensors["front"], Lms100Config)
+    assert isinstance(config.sensors["base"], IrobotCreateConfig)
+    assert config.sensors["front"].name == "front"
+    assert config.recording.directory == Path("sessions")
+    assert config.recording.rotate_mb == 1024
+    assert config.publishing.listen == ("tcp/127.0.0.1:7447",)
+    assert config.mapping.profile == "corridor"
+    assert config.text == GOOD
+
+
+def test_only_sensors_with_a_mounting_have_one():
+    poses = mountings(parse_config(GOOD, "c.yaml").sensors)
+    assert list(poses) == ["front"]
+    assert (poses["front"].x_m, poses["front"].theta_rad) == pytest.approx((0.2, math.pi / 2))
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        (with_line("vehicle: Veh 1", 1), 'c.yaml:1:1: vehicle: "Veh 1" becomes part of Zenoh keys'),
+        (with_line("vehicle: 12", 1), 'c.yaml:1:1: vehicle: a name is text; write vehicle: "12", or veh12'),
+        (with_line("vehicle: a__b", 1), "a_b would do"),
+        (with_line(f"vehicle: {'v' * 33}", 1), "at most 32"),
+        (with_line("# none", 1), 'c.yaml:2:1: "vehicle" is missing; write vehicle: veh1, say'),
+        (with_line("  map: {type: sick_lms100, host: a}", 3), "c.yaml:3:3: sensors.map: reserved"),
+        (with_line("  a/b: {type: sick_lms100, host: a}", 3), "c.yaml:3:3: sensors.a/b: "),
+        (
+            with_line("  front: {type: sick_lms10, host: a}", 3),
+            "c.yaml:3:11: sensors.front.type: 'sick_lms10' is no type of sensor; did you mean",
+        ),
+        (with_line("  front: {host: a}", 3), 'c.yaml:3:3: sensors.front: "type" is missing; known here: '),
+        (with_line("  front:", 3), "c.yaml:3:3: sensors.front: a sensor is a mapping"),
+        (
+            with_line("  front: {type: sick_lms100, name: front, host: a}", 3),
+            "c.yaml:3:30: sensors.front.name: the name stands in front already (front)",
+        ),
+        (
+            with_line("  front: {type: sick_lms100}", 3),
+            "c.yaml:3:3: sensors.front.host: missing, and there is no sensible default",
+        ),
+        (
+            with_line("  front: {type: sick_lms100, hots: a, host: a}", 3),
+            'c.yaml:3:30: sensors.front.hots: unknown key; did you mean "host"?',
+        ),
+        (
+            with_line("  front: {type: sick_lms100, host: a, silence_timeout_ms: 250}", 3),
+            "c.yaml:3:39: sensors.front.silence_timeout_ms: unknown key; "
+            'this setting is "silence_timeout_s", in seconds; write silence_timeout_s: 0.25',
+        ),
+        (
+            with_line("  front: {type: sick_lms100, host: a, mounting: {yaw: 90}}", 3),
+            'c.yaml:3:50: sensors.front.mounting.yaw: unknown key; this setting is "yaw_deg", in degrees',
+        ),
+        (
+            with_line('  front: {type: sick_lms100, host: a, port: "2111"}', 3),
+            'c.yaml:3:39: sensors.front.port: should be a valid integer (got "2111")',
+        ),
+        (
+            with_line("  front: {type: sick_lms100, host: a, port: true}", 3),
+            "c.yaml:3:39: sensors.front.port: should be a valid integer (got true)",
+        ),
+        (
+            with_line("  front: {type: sick_lms100, host: a, scan_rate_hz: 40}", 3),
+            "c.yaml:3:39: sensors.front.scan_rate_hz: should be 25 or 50 (got 40)",
+        ),
+        (
+            with_line("  front: {type: sick_lms100, host: a, angle_step_deg: 0.25}", 3),
+            "c.yaml:3:3: sensors.front: front: angle_step_deg 0.25 needs scan_rate_hz 25, not 50",
+        ),
+        (
+            with_line("recording: {directory: s, rotate_gb: 1}", 7),
+            'rotate_gb: unknown key; this setting is "rotate_mb", in megabytes; write rotate_mb: 1000',
+        ),
+        (
+            with_line("recording: {directory: s, keep_free_gb: -1}", 7),
+            "recording.keep_free_gb: should be greater than or equal to 0 (got -1)",
+        ),
+        (with_line("recording: []", 7), "c.yaml:7:1: recording: this is a mapping with the keys directory, "),
+        (with_line("recroding: {}", 7), 'c.yaml:7:1: recroding: unknown key; did you mean "recording"'),
+        (with_line("map: {directory: no}", 8), "c.yaml:8:18: map.directory: YAML takes no for false"),
+        (GOOD + "publishing: {listen: [7447]}\n", "c.yaml:9:23: publishing.listen.0: should be a valid"),
+        (GOOD + "mapping: {settings: {matcher: {iteration: 3}}}\n", 'did you mean "iterations"?'),
+        (GOOD + "web: {listen: 127.0.0.1:8080}\n", "c.yaml:9:1: web: unknown key; known here: vehicle, "),
+        ("- a\n", "c.yaml:1:1: a config is a mapping with the keys vehicle, sensors, "),
+        ("", "c.yaml:1:1: a config is a mapping with the keys vehicle, sensors, "),
+    ],
+)
+def test_a_fault_says_where_it_is_and_what_to_write(text: str, fault: str):
+    assert any(fault in found for found in faults(text)), faults(text)
+
+
+def test_all_faults_come_at_once_and_in_order_of_place():
+    text = with_line("  front: {type: sick_lms100, hots: a, port: x}", 3) + "mapping: {cell_cm: 5}\n"
+    found = faults(text)
+    assert [line.split(": ")[1] for line in found] == [
+        "sensors.front.host",
+        "sensors.front.hots",
+        "sensors.front.port",
+        "mapping.cell_cm",
+    ]
+
+
+def test_two_sensors_on_one_wire_are_refused():
+    text = with_line("  front: {type: sick_lms100, host: a}\n  rear: {type: sick_lms100, host: a}", 3)
+    assert faults(text) == [
+        "c.yaml:4:29: sensors.rear.host: a:2111 is taken by front; two sensors cannot share a wire"
+    ]
+
+
+def test_what_is_wrong_already_as_yaml_is_said_once():
+    assert len(faults(with_line("  front: {type: sick_lms100, host: a, port: 012}", 3))) == 1
+
+
+def test_a_file_that_is_not_there_or_is_no_text_is_a_config_error(tmp_path: Path):
+    with pytest.raises(ConfigError, match=r"nowhere\.yaml: cannot be read"):
+        load_config(tmp_path / "nowhere.yaml")
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_config(tmp_path / "binary.yaml")
+
+
+def test_the_complete_example_is_right_and_shows_every_section():
+    config = load_config(ROOT / "config" / "vehicle.yaml")
+    for section in ("vehicle", "sensors", "mapping", "publishing", "recording", "map"):
+        assert f"\n{section}:" in config.text
+    for model in (config.publishing, config.recording, config.map):
+        for key in type(model).model_fields:
+            assert f"  {key}:" in config.text
+
+
+@pytest.mark.parametrize("kind", ["sick_lms100", "irobot_create"])
+def test_the_example_of_each_sensor_is_right(kind: str):
+    example = (ROOT / "config" / "sensors" / f"{kind}.yaml").read_text()
+    indented = "".join(f"    {line}\n" for line in example.splitlines())
+    text = f"vehicle: v\nsensors:\n  it:\n{indented}recording: {{directory: s}}\nmap: {{directory: m}}\n"
+    assert parse_config(text, "c.yaml").sensors["it"].type == kind
