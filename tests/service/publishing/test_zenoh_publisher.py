@@ -94,7 +94,7 @@ def test_a_burst_of_what_belongs_together_arrives_whole(publisher, client):
     channels = [
         f"{sensor}/{kind}" for sensor in ("front", "rear", "base") for kind in ("scan", "odom", "imu")
     ]
-    for burst in range(1, 41):
+    for burst in range(1, 201):
         for channel in (*channels, "pose", "odom", "tf"):
             publisher.put(message(channel, burst, payload=bytes(4000)))
         inbox.wait_for(12 * burst)
