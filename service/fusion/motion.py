@@ -19,6 +19,15 @@ class Motion:
     covariance: npt.NDArray[np.float64]  # (3, 3) of x, y, theta of the pose, in base axes; m^2, m rad, rad^2
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction(Motion):
+    """A motion before matching, and what the match may learn from it."""
+
+    step_covariance: npt.NDArray[np.float64]  # (3, 3) of the way since the last match alone, in base axes
+    elapsed_s: float  # since the last match; 0: there was none
+    twist_gain: float  # share of a correction of the pose that is put down to the twist
+
+
 class MotionModel(Protocol):
     """Predicts where the vehicle is when a scan begins, from whatever moves with it."""
 
@@ -26,6 +35,6 @@ class MotionModel(Protocol):
         """Take in a sample; False if it came out of order and was left out."""
         ...
 
-    def predict(self, stamp_ns: int) -> Motion: ...
+    def predict(self, stamp_ns: int) -> Prediction: ...
 
     def correct(self, stamp_ns: int, matched: Motion) -> None: ...

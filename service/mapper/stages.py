@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.frames import LaserScan
-from service.fusion.motion import Motion, MotionModel
+from service.fusion.motion import Motion, MotionModel, Prediction
 from service.geometry.se2 import SE2
 from service.outputs import State, TileUpdate
 
@@ -68,7 +68,7 @@ ReadableMap_contra = TypeVar("ReadableMap_contra", bound=LocalMap, contravariant
 class Matcher(Protocol[ReadableMap_contra]):
     """A matcher names the map type it can read, so a wrong pairing fails in mypy, not on the road."""
 
-    def match(self, points: Points, motion: Motion, local_map: ReadableMap_contra) -> Match: ...
+    def match(self, points: Points, predicted: Prediction, local_map: ReadableMap_contra) -> Match: ...
 
 
 class Graph(Protocol):

@@ -1,0 +1,72 @@
+"""Ranges -> end points at one instant: the motion during the sweep is taken out beam by beam."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+
+class Returns(NamedTuple):
+    """Room for the beams of one scan that came back."""
+
+    xy_raw: npt.NDArray[np.float64]  # (N, 2) m, base frame at each beam's own moment
+    beam_time_s: npt.NDArray[np.float64]  # (N,) since beam 0
+    beam: npt.NDArray[np.int32]  # (N,) which beam of the scan
+
+
+@njit(cache=True, nogil=True)
+def project_returns(range_m, direction_base, mount_xy_m, gate_m, beam_interval_s, returns):
+    """End points of the beams that returned, each in the base frame of its own moment.
+
+    range_m           (N,)    float32   m; NaN where nothing came back
+    direction_base    (N, 2)  float64   unit vector of each beam in base axes
+    mount_xy_m        (2,)    float64   the sensor in the base frame
+    gate_m            (2,)    float64   nearest and farthest range that is used
+    beam_interval_s   float             from one beam to the next
+    returns           Returns           out: arrays of at least N rows
+    Returns the number of rows written.
+    """
+    count = 0
+    for i in range(range_m.shape[0]):
+        r = range_m[i]
+        if not (gate_m[0] <= r <= gate_m[1]):  # also skips NaN
+            continue
+        returns.xy_raw[count, 0] = mount_xy_m[0] + r * direction_base[i, 0]
+        returns.xy_raw[count, 1] = mount_xy_m[1] + r * direction_base[i, 1]
+        returns.beam_time_s[count] = i * beam_interval_s
+        returns.beam[count] = i
+        count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def deskew_points(xy_raw, beam_time_s, twist, xy_base):
+    """Bring points to the base frame of beam 0, for a base that moves with a constant twist.
+
+    xy_raw        (N, 2) float64   m, base frame at each point's own moment
+    beam_time_s   (N,)   float64   s since beam 0
+    twist         (3,)   float64   m/s forward, m/s left, rad/s
+    xy_base       (N, 2) float64   out: m, base frame at beam 0
+    Source: exponential map of SE(2) in closed form; its Taylor series below 1e-6 rad.
+    """
+    for i in range(xy_raw.shape[0]):
+        t = beam_time_s[i]
+        turn = twist[2] * t
+        forward = twist[0] * t
+        left = twist[1] * t
+        if abs(turn) < 1e-6:
+            a = 1.0 - turn * turn / 6.0
+            b = 0.5 * turn
+            c = 1.0 - 0.5 * turn * turn
+            s = turn
+        else:
+            c = math.cos(turn)
+            s = math.sin(turn)
+            a = s / turn
+            b = (1.0 - c) / turn
+        x = xy_raw[i, 0]
+        y = xy_raw[i, 1]
+        xy_base[i, 0] = a * forward - b * left + c * x - s * y
+        xy_base[i, 1] = b * forward + a * left + s * x + c * y

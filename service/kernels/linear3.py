@@ -1,0 +1,55 @@
+"""Three unknowns x, y, theta: solving and inverting by hand. np.linalg costs seven seconds of compiling."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def cholesky_3x3(A, L):
+    """Lower Cholesky factor of a symmetric 3 x 3 matrix.
+
+    A  (3, 3) float64   symmetric; the lower triangle is read
+    L  (3, 3) float64   out: lower factor, the upper triangle is left as it was
+    Returns False where A is not positive definite; L then means nothing.
+    """
+    for j in range(3):
+        d = A[j, j]
+        for k in range(j):
+            d -= L[j, k] * L[j, k]
+        if not d > 0.0:  # also refuses NaN
+            return False
+        L[j, j] = math.sqrt(d)
+        for i in range(j + 1, 3):
+            s = A[i, j]
+            for k in range(j):
+                s -= L[i, k] * L[j, k]
+            L[i, j] = s / L[j, j]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def solve_3x3(A, b, x):
+    """Solve A x = b for a symmetric positive definite A.
+
+    A  (3, 3) float64
+    b  (3,)   float64
+    x  (3,)   float64   out
+    Returns False, and leaves x alone, where A is not positive definite.
+    """
+    L = np.zeros((3, 3))
+    if not cholesky_3x3(A, L):
+        return False
+    y = np.empty(3)
+    for i in range(3):
+        s = b[i]
+        for k in range(i):
+            s -= L[i, k] * y[k]
+        y[i] = s / L[i, i]
+    for i in range(2, -1, -1):
+        s = y[i]
+        for k in range(i + 1, 3):
+            s -= L[k, i] * x[k]
+        x[i] = s / L[i, i]
+    return True

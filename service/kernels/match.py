@@ -1,0 +1,367 @@
+"""Scan to sub-map: a coarse step on the likelihood field, then Gauss-Newton on surfels, deskewing anew between."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from service.kernels.deskew import deskew_points
+from service.kernels.likelihood import field_with_gradient
+from service.kernels.linear3 import solve_3x3
+from service.kernels.surfels import nearest_surfel
+
+
+class Prior(NamedTuple):
+    """Where the base should be. Covariances in base axes of the predicted pose, theta last."""
+
+    pose: npt.NDArray[np.float64]  # (3,) m, m, rad in the frame of the grid
+    twist: npt.NDArray[np.float64]  # (3,) m/s forward, m/s left, rad/s
+    step_covariance: npt.NDArray[np.float64]  # (3, 3) of the motion since the last match
+    covariance: npt.NDArray[np.float64]  # (3, 3) of the pose
+    elapsed_s: float  # since the last match; 0: no twist can be learnt from this one
+    twist_gain: float  # share of a correction of the pose that is put down to the twist
+
+
+class MatchSettings(NamedTuple):
+    """Documented where they are configured."""
+
+    sigma_m: float
+    cauchy_m: float
+    least_normal_cosine: float
+    young_count: float
+    iterations: int
+    deskew_rounds: int
+    inlier_m: float
+    coarse_sigma: float
+    coarse_beams: int
+    coarse_iterations: int
+    covariance_scale: float
+
+
+class MatchResult(NamedTuple):
+    pose: npt.NDArray[np.float64]  # (3,)
+    twist: npt.NDArray[np.float64]  # (3,)
+    covariance: npt.NDArray[np.float64]  # (3, 3) of the pose, in its base axes
+    share: float  # of the points used that lie on the map
+    used: int  # points that were asked
+    weakest_sigma_m: (
+        float  # standard deviation along the direction that the scan fixes least; inf: not at all
+    )
+    weakest_direction_rad: float  # that direction, in base axes
+
+
+@njit(cache=True, nogil=True)
+def wrap(theta):
+    """The same direction in [-pi, pi)."""
+    return (theta + math.pi) % (2.0 * math.pi) - math.pi
+
+
+@njit(cache=True, nogil=True)
+def invert_3x3(A, inverse):
+    """Inverse of a symmetric positive definite matrix; False, and `inverse` undefined, where it is not.
+
+    A, inverse   (3, 3) float64
+    """
+    unit = np.zeros(3)
+    column = np.empty(3)
+    for k in range(3):
+        unit[:] = 0.0
+        unit[k] = 1.0
+        if not solve_3x3(A, unit, column):
+            return False
+        inverse[:, k] = column
+    return True
+
+
+@njit(cache=True, nogil=True)
+def rotate_information(information, theta, rotated):
+    """Information of (x, y, theta) from axes that are turned by theta into the axes they are turned in.
+
+    information, rotated   (3, 3) float64
+    theta                  float
+    """
+    c = math.cos(theta)
+    s = math.sin(theta)
+    R = np.zeros((3, 3))
+    R[0, 0] = c
+    R[0, 1] = -s
+    R[1, 0] = s
+    R[1, 1] = c
+    R[2, 2] = 1.0
+    for i in range(3):
+        for j in range(3):
+            total = 0.0
+            for k in range(3):
+                for m in range(3):
+                    total += R[i, k] * information[k, m] * R[j, m]
+            rotated[i, j] = total
+
+
+@njit(cache=True, nogil=True)
+def add_prior(pose, prior_pose, information, H, g):
+    """Add the prior to the normal equations; returns its cost.
+
+    pose, prior_pose   (3,)   float64
+    information        (3, 3) float64   in the axes of the grid
+    H, g               (3, 3), (3,) float64   in and out: Hessian, and gradient of half the cost
+    """
+    e = np.empty(3)
+    e[0] = pose[0] - prior_pose[0]
+    e[1] = pose[1] - prior_pose[1]
+    e[2] = wrap(pose[2] - prior_pose[2])
+    cost = 0.0
+    for i in range(3):
+        total = 0.0
+        for j in range(3):
+            total += information[i, j] * e[j]
+            H[i, j] += information[i, j]
+        g[i] += total
+        cost += e[i] * total
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def surfel_normal_equations(xy_base, normals, pose, grid, settings, H, g):
+    """Gauss-Newton system of the distances, along the surfels' normals, between points and nearest means.
+
+    xy_base    (N, 2) float64    m, base frame
+    normals    (N, 3) float64    from estimate_normals
+    pose       (3,)   float64    base in the frame of the grid
+    grid       SurfelGrid
+    settings   MatchSettings
+    H, g       (3, 3), (3,) float64   out: Hessian, and gradient of half the cost, over x, y, theta
+    Returns (half cost, points asked, points within settings.inlier_m).
+    Source: point-to-line ICP, Censi 2008; Cauchy weight 1 / (1 + e^2 / c^2).
+    """
+    H[:] = 0.0
+    g[:] = 0.0
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    information = 1.0 / (settings.sigma_m * settings.sigma_m)
+    squared_cauchy = settings.cauchy_m * settings.cauchy_m
+    surfel = np.empty(5)
+    cost = 0.0
+    used = 0
+    inliers = 0
+    for i in range(xy_base.shape[0]):
+        weight = normals[i, 2]
+        if weight == 0.0:
+            continue
+        used += 1
+        rx = c * xy_base[i, 0] - s * xy_base[i, 1]
+        ry = s * xy_base[i, 0] + c * xy_base[i, 1]
+        x = pose[0] + rx
+        y = pose[1] + ry
+        nx = c * normals[i, 0] - s * normals[i, 1]
+        ny = s * normals[i, 0] + c * normals[i, 1]
+        if not nearest_surfel(x, y, nx, ny, settings.least_normal_cosine, grid, surfel):
+            continue
+        e = surfel[2] * (x - surfel[0]) + surfel[3] * (y - surfel[1])
+        if abs(e) < settings.inlier_m:
+            inliers += 1
+        weight *= information * min(1.0, surfel[4] / settings.young_count)
+        ratio = e * e / squared_cauchy
+        cost += 0.5 * weight * squared_cauchy * math.log1p(ratio)
+        weight /= 1.0 + ratio
+        jt = -surfel[2] * ry + surfel[3] * rx
+        g[0] += weight * e * surfel[2]
+        g[1] += weight * e * surfel[3]
+        g[2] += weight * e * jt
+        H[0, 0] += weight * surfel[2] * surfel[2]
+        H[1, 0] += weight * surfel[2] * surfel[3]
+        H[1, 1] += weight * surfel[3] * surfel[3]
+        H[2, 0] += weight * surfel[2] * jt
+        H[2, 1] += weight * surfel[3] * jt
+        H[2, 2] += weight * jt * jt
+    H[0, 1] = H[1, 0]
+    H[0, 2] = H[2, 0]
+    H[1, 2] = H[2, 1]
+    return cost, used, inliers
+
+
+@njit(cache=True, nogil=True)
+def coarse_normal_equations(xy_base, stride, pose, grid, sigma, H, g):
+    """Gauss-Newton system of 1 - likelihood over every stride-th point, weighed as if all had been asked.
+
+    xy_base    (N, 2) float64    m, base frame
+    stride     int
+    pose       (3,)   float64    base in the frame of the grid
+    grid       SurfelGrid
+    sigma      float             of 1 - likelihood
+    H, g       (3, 3), (3,) float64   out: Hessian, and gradient of half the cost
+    Returns half the cost.
+    Source: Kohlbrecher et al. 2011, eqs. (7) to (13).
+    """
+    H[:] = 0.0
+    g[:] = 0.0
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    weight = stride / (sigma * sigma)
+    cost = 0.0
+    for i in range(0, xy_base.shape[0], stride):
+        rx = c * xy_base[i, 0] - s * xy_base[i, 1]
+        ry = s * xy_base[i, 0] + c * xy_base[i, 1]
+        value, slope_x, slope_y = field_with_gradient(pose[0] + rx, pose[1] + ry, grid)
+        e = 1.0 - value
+        cost += 0.5 * weight * e * e
+        jt = slope_x * ry - slope_y * rx
+        g[0] -= weight * e * slope_x
+        g[1] -= weight * e * slope_y
+        g[2] += weight * e * jt
+        H[0, 0] += weight * slope_x * slope_x
+        H[1, 0] += weight * slope_x * slope_y
+        H[1, 1] += weight * slope_y * slope_y
+        H[2, 0] -= weight * slope_x * jt
+        H[2, 1] -= weight * slope_y * jt
+        H[2, 2] += weight * jt * jt
+    H[0, 1] = H[1, 0]
+    H[0, 2] = H[2, 0]
+    H[1, 2] = H[2, 1]
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def coarse_align(xy_base, prior_pose, information, grid, settings, pose):
+    """Levenberg-Marquardt on the likelihood field, held by the prior.
+
+    xy_base       (N, 2) float64   m, base frame
+    prior_pose    (3,)   float64
+    information   (3, 3) float64   of the prior, in the axes of the grid
+    grid          SurfelGrid
+    settings      MatchSettings
+    pose          (3,)   float64   in: where to start; out: where it ended
+    """
+    stride = max(1, xy_base.shape[0] // settings.coarse_beams)
+    H = np.empty((3, 3))
+    g = np.empty(3)
+    damped = np.empty((3, 3))
+    step = np.empty(3)
+    trial = np.empty(3)
+    trial_H = np.empty((3, 3))
+    trial_g = np.empty(3)
+    damping = 1e-3
+    cost = coarse_normal_equations(xy_base, stride, pose, grid, settings.coarse_sigma, H, g)
+    cost += 0.5 * add_prior(pose, prior_pose, information, H, g)
+    for _ in range(settings.coarse_iterations):
+        for i in range(3):
+            for j in range(3):
+                damped[i, j] = H[i, j]
+            damped[i, i] += damping * H[i, i]
+        if not solve_3x3(damped, g, step):
+            return
+        for i in range(3):
+            trial[i] = pose[i] - step[i]
+        trial_cost = coarse_normal_equations(
+            xy_base, stride, trial, grid, settings.coarse_sigma, trial_H, trial_g
+        )
+        trial_cost += 0.5 * add_prior(trial, prior_pose, information, trial_H, trial_g)
+        if not trial_cost < cost:  # NaN too
+            damping *= 10.0
+            if damping > 1e3:
+                return
+            continue
+        moved = math.hypot(trial[0] - pose[0], trial[1] - pose[1])
+        turned = abs(trial[2] - pose[2])
+        pose[:] = trial
+        H[:] = trial_H
+        g[:] = trial_g
+        cost = trial_cost
+        damping = max(0.1 * damping, 1e-6)
+        if moved < 1e-3 and turned < 1e-4:
+            return
+
+
+@njit(cache=True, nogil=True)
+def learn_twist(prior, pose, twist):
+    """Twist that explains where the match ended, starting from the prior's.
+
+    prior   Prior
+    pose    (3,) float64   matched
+    twist   (3,) float64   out
+    """
+    c = math.cos(prior.pose[2])
+    s = math.sin(prior.pose[2])
+    dx = pose[0] - prior.pose[0]
+    dy = pose[1] - prior.pose[1]
+    gain = prior.twist_gain / prior.elapsed_s if prior.elapsed_s > 0.0 else 0.0
+    twist[0] = prior.twist[0] + gain * (c * dx + s * dy)
+    twist[1] = prior.twist[1] + gain * (-s * dx + c * dy)
+    twist[2] = prior.twist[2] + gain * wrap(pose[2] - prior.pose[2])
+
+
+@njit(cache=True, nogil=True)
+def weakest_direction(H):
+    """How well a Hessian over x, y, theta fixes the position where it fixes it least.
+
+    H   (3, 3) float64
+    Returns (information in 1/m^2 with theta left free, direction in rad).
+    """
+    k = 1.0 / H[2, 2] if H[2, 2] > 0.0 else 0.0
+    a = H[0, 0] - k * H[0, 2] * H[0, 2]
+    b = H[0, 1] - k * H[0, 2] * H[1, 2]
+    d = H[1, 1] - k * H[1, 2] * H[1, 2]
+    half = 0.5 * (a - d)
+    root = math.sqrt(half * half + b * b)
+    return 0.5 * (a + d) - root, 0.5 * math.atan2(2.0 * b, a - d) + 0.5 * math.pi
+
+
+@njit(cache=True, nogil=True)
+def match_scan(returns, normals, prior, grid, settings, xy_base):
+    """Pose of a scan in a sub-map.
+
+    returns     Returns            end points at their own moments
+    normals     (N, 3) float64     from estimate_normals, base frame
+    prior       Prior
+    grid        SurfelGrid
+    settings    MatchSettings
+    xy_base     (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
+    Returns MatchResult.
+    """
+    pose = prior.pose.copy()
+    twist = prior.twist.copy()
+    H = np.empty((3, 3))
+    g = np.empty(3)
+    step = np.empty(3)
+    information = np.zeros((3, 3))
+    prior_information = np.zeros((3, 3))
+    if invert_3x3(prior.step_covariance, information):
+        rotate_information(information, prior.pose[2], prior_information)
+    if settings.coarse_iterations > 0:
+        coarse_align(xy_base, prior.pose, prior_information, grid, settings, pose)
+    count = xy_base.shape[0]
+    sweep_s = returns.beam_time_s[count - 1] if count > 0 else 0.0
+    rounds = settings.deskew_rounds if sweep_s > 0.0 and prior.elapsed_s > 0.0 else 1
+    inner = max(1, settings.iterations // rounds)
+    used = 0
+    inliers = 0
+    for k in range(rounds):
+        if k > 0:
+            learn_twist(prior, pose, twist)
+            deskew_points(returns.xy_raw, returns.beam_time_s, twist, xy_base)
+        for _ in range(inner):
+            _cost, used, inliers = surfel_normal_equations(xy_base, normals, pose, grid, settings, H, g)
+            add_prior(pose, prior.pose, prior_information, H, g)
+            if not solve_3x3(H, g, step):
+                break
+            for i in range(3):
+                pose[i] -= step[i]
+            if abs(step[0]) + abs(step[1]) < 1e-4 and abs(step[2]) < 1e-5:
+                break
+    pose[2] = wrap(pose[2])
+    learn_twist(prior, pose, twist)
+    _cost, used, inliers = surfel_normal_equations(xy_base, normals, pose, grid, settings, H, g)
+    least, direction = weakest_direction(H)
+    weakest = math.sqrt(settings.covariance_scale / least) if least > 0.0 else math.inf
+    # The points of a scan share errors (of the map, of the range) that do not average out: hence the scale.
+    rotate_information(H, -pose[2], information)
+    if invert_3x3(prior.covariance, prior_information):
+        for i in range(3):
+            for j in range(3):
+                information[i, j] = information[i, j] / settings.covariance_scale + prior_information[i, j]
+    covariance = np.zeros((3, 3))
+    if not invert_3x3(information, covariance):
+        covariance[:] = prior.covariance
+    share = inliers / used if used > 0 else 0.0
+    return MatchResult(pose, twist, covariance, share, used, weakest, wrap(direction - pose[2]))

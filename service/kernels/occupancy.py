@@ -1,0 +1,156 @@
+"""Hits and misses along beams, in tiles of the map that is shown."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
+
+TILE_BITS = 6
+TILE_CELLS = 1 << TILE_BITS
+TILE_MASK = TILE_CELLS - 1
+
+
+class OccupancyGrid(NamedTuple):
+    """The shown map.
+
+    index      TileIndex
+    evidence   (capacity, T, T) int8     log-odds in steps of the configured size; 0: never seen
+    touched    (capacity, T, T) uint16   number of the scan that last changed a cell
+    changed    (capacity,)      uint8    1: the tile changed since it was last handed out
+    cell_m     float
+    """
+
+    index: TileIndex
+    evidence: npt.NDArray[np.int8]
+    touched: npt.NDArray[np.uint16]
+    changed: npt.NDArray[np.uint8]
+    cell_m: float
+
+
+class Evidence(NamedTuple):
+    """What one scan says to a cell, in steps of log-odds."""
+
+    hit: int
+    miss: int
+    least: int
+    most: int
+
+
+@njit(cache=True, nogil=True)
+def touch_tile(grid, tile_row, tile_column):
+    """Slot of a tile, made where there was none."""
+    slot = find_tile(grid.index, tile_row, tile_column)
+    if slot == NO_TILE:
+        slot, used_before = take_slot(grid.index, tile_row, tile_column)
+        if used_before:
+            grid.evidence[slot] = np.int8(0)
+            grid.touched[slot] = np.uint16(0)
+    return slot
+
+
+@njit(cache=True, nogil=True)
+def weigh_cell(grid, slot, row, column, amount, evidence, scan_number):
+    """Add to a cell what a scan says, unless that scan has spoken of it already."""
+    if grid.touched[slot, row, column] == scan_number:
+        return
+    grid.touched[slot, row, column] = scan_number
+    old = np.int64(grid.evidence[slot, row, column])
+    new = min(max(old + amount, evidence.least), evidence.most)
+    if new == 0:
+        new = 1 if amount > 0 else -1  # 0 is kept for "never seen"
+    if new != old:
+        grid.evidence[slot, row, column] = np.int8(new)
+        grid.changed[slot] = np.uint8(1)
+
+
+@njit(cache=True, nogil=True)
+def trace_beam(u, v, du, dv, grid, evidence, scan_number):
+    """Weigh the cells between two points as free, that of the end point left out.
+
+    u, v          float         start, in cells
+    du, dv        float         from start to end, in cells
+    grid          OccupancyGrid   in and out
+    evidence      Evidence
+    scan_number   uint16
+    Source: Amanatides and Woo, A fast voxel traversal algorithm for ray tracing, 1987.
+    """
+    column = math.floor(u)
+    row = math.floor(v)
+    step_column = 1 if du > 0.0 else -1
+    step_row = 1 if dv > 0.0 else -1
+    # ray parameter, 0 at the start and 1 at the end, at the next vertical and horizontal border
+    next_column = ((column + 1 if du > 0.0 else column) - u) / du if du != 0.0 else np.inf
+    next_row = ((row + 1 if dv > 0.0 else row) - v) / dv if dv != 0.0 else np.inf
+    per_column = abs(1.0 / du) if du != 0.0 else np.inf
+    per_row = abs(1.0 / dv) if dv != 0.0 else np.inf
+    tile_row = row >> TILE_BITS
+    tile_column = column >> TILE_BITS
+    slot = touch_tile(grid, tile_row, tile_column)
+    for _ in range(abs(math.floor(u + du) - column) + abs(math.floor(v + dv) - row)):
+        if row >> TILE_BITS != tile_row or column >> TILE_BITS != tile_column:
+            tile_row = row >> TILE_BITS
+            tile_column = column >> TILE_BITS
+            slot = touch_tile(grid, tile_row, tile_column)
+        weigh_cell(grid, slot, row & TILE_MASK, column & TILE_MASK, evidence.miss, evidence, scan_number)
+        if next_column < next_row:
+            column += step_column
+            next_column += per_column
+        else:
+            row += step_row
+            next_row += per_row
+
+
+@njit(cache=True, nogil=True)
+def trace_scan(xy_base, sensor_xy_m, pose, grid, evidence, free_range_m, scan_number):
+    """Weigh the cells that a scan saw: end points first, so that no beam clears what another one hit.
+
+    xy_base        (N, 2) float64   end points, m, base frame
+    sensor_xy_m    (2,)   float64   where the beams start, m, base frame
+    pose           (3,)   float64   base in the map frame
+    grid           OccupancyGrid    in and out; its index covers end points and sensor
+    evidence       Evidence
+    free_range_m   float            beams clear cells up to here
+    scan_number    uint16           differs from that of the last scan, and is not 0
+    Source: Thrun, Burgard, Fox, Probabilistic Robotics, table 9.1.
+    """
+    cell_m = grid.cell_m
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    for i in range(xy_base.shape[0]):
+        column = math.floor((pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) / cell_m)
+        row = math.floor((pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) / cell_m)
+        slot = touch_tile(grid, row >> TILE_BITS, column >> TILE_BITS)
+        weigh_cell(grid, slot, row & TILE_MASK, column & TILE_MASK, evidence.hit, evidence, scan_number)
+    u = (pose[0] + c * sensor_xy_m[0] - s * sensor_xy_m[1]) / cell_m
+    v = (pose[1] + s * sensor_xy_m[0] + c * sensor_xy_m[1]) / cell_m
+    for i in range(xy_base.shape[0]):
+        du = (pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) / cell_m - u
+        dv = (pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) / cell_m - v
+        shrink = min(1.0, free_range_m / cell_m / max(math.hypot(du, dv), 1e-9))
+        trace_beam(u, v, shrink * du, shrink * dv, grid, evidence, scan_number)
+
+
+@njit(cache=True, nogil=True)
+def to_per_cent(evidence, per_step, cells):
+    """Log-odds -> occupancy in per cent; -1 where never seen.
+
+    evidence   (T, T) int8
+    per_step   float         log-odds of one step
+    cells      (T, T) int8   out
+    Returns True where any cell differs from what `cells` held.
+    """
+    differs = False
+    for row in range(evidence.shape[0]):
+        for column in range(evidence.shape[1]):
+            value = evidence[row, column]
+            shown = np.int8(-1)
+            if value != 0:
+                shown = np.int8(math.floor(100.0 / (1.0 + math.exp(-per_step * value)) + 0.5))
+            if cells[row, column] != shown:
+                cells[row, column] = shown
+                differs = True
+    return differs

@@ -1,0 +1,51 @@
+"""Addressing of tiled maps: a dense index of slot numbers over a pool of equal tiles."""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+NO_TILE = -1
+
+
+class TileIndex(NamedTuple):
+    """Where the tiles of one map lie in a pool that several maps share.
+
+    slots    (H, W)       int32   slot of tile (origin[0] + row, origin[1] + column), or NO_TILE
+    origin   (2,)         int64   tile row and tile column of slots[0, 0]
+    free     (capacity,)  int32   stack of slots that were handed back
+    counts   (2,)         int64   height of that stack; first slot that was never used
+    """
+
+    slots: npt.NDArray[np.int32]
+    origin: npt.NDArray[np.int64]
+    free: npt.NDArray[np.int32]
+    counts: npt.NDArray[np.int64]
+
+
+@njit(cache=True, nogil=True)
+def find_tile(index, tile_row, tile_column):
+    """Slot of a tile, NO_TILE where there is none or where it lies outside the index."""
+    row = tile_row - index.origin[0]
+    column = tile_column - index.origin[1]
+    if row < 0 or column < 0 or row >= index.slots.shape[0] or column >= index.slots.shape[1]:
+        return NO_TILE
+    return index.slots[row, column]
+
+
+@njit(cache=True, nogil=True)
+def take_slot(index, tile_row, tile_column):
+    """Give a tile that has none a slot. The caller has made sure that index and pool have room.
+
+    Returns (slot, used_before); a slot used before still holds its old cells, which the caller clears.
+    """
+    used_before = index.counts[0] > 0
+    if used_before:
+        index.counts[0] -= 1
+        slot = np.int64(index.free[index.counts[0]])
+    else:
+        slot = index.counts[1]
+        index.counts[1] += 1
+    index.slots[tile_row - index.origin[0], tile_column - index.origin[1]] = slot
+    return slot, used_before

@@ -1,0 +1,67 @@
+"""Scan -> points: beams that cannot be used go, the motion during the sweep is taken out."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
+
+from drivers.frames import LaserScan
+from service.errors import InputError
+from service.fusion.motion import Motion
+from service.geometry.se2 import SE2
+from service.kernels.deskew import Returns, deskew_points, project_returns
+from service.mapper.stages import Points
+
+
+class BeamsConfig(BaseModel):
+    """Which returns are used, besides what the sensor itself says of its range."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    nearest_m: float = Field(default=0.10, ge=0.0)  # nearer: error codes of some devices, dirt on the window
+    farthest_m: float = Field(default=100.0, gt=0.0)
+
+
+class DeskewByTwist:
+    """Callable stage; remembers the directions of the beams of each sensor."""
+
+    def __init__(self, config: BeamsConfig, mountings: Mapping[str, SE2]) -> None:
+        self._config = config
+        self._mountings = dict(mountings)
+        self._directions: dict[tuple[str, float, float, int], npt.NDArray[np.float64]] = {}
+
+    def __call__(self, scan: LaserScan, motion: Motion) -> Points:
+        mounting = self._mountings.get(scan.sensor)
+        if mounting is None:
+            known = ", ".join(sorted(self._mountings)) or "none"
+            raise InputError(
+                f"{scan.sensor}: a scan of a laser whose mounting is not known (known: {known}); "
+                "give its mounting in the config, or its transform in the recording"
+            )
+        beam_count = len(scan.range_m)
+        returns = Returns(np.empty((beam_count, 2)), np.empty(beam_count), np.empty(beam_count, np.int32))
+        count = project_returns(
+            scan.range_m,
+            self._directions_of(scan, mounting),
+            np.array([mounting.x_m, mounting.y_m]),
+            np.array(
+                [
+                    max(scan.range_min_m, self._config.nearest_m),
+                    min(scan.range_max_m, self._config.farthest_m),
+                ]
+            ),
+            scan.beam_interval_ns * 1e-9,
+            returns,
+        )
+        xy_raw, beam_time_s = returns.xy_raw[:count], returns.beam_time_s[:count]
+        xy_base = np.empty((count, 2))
+        deskew_points(xy_raw, beam_time_s, np.array(motion.twist_base), xy_base)
+        return Points(xy_base, xy_raw, beam_time_s, returns.beam[:count], mounting, scan)
+
+    def _directions_of(self, scan: LaserScan, mounting: SE2) -> npt.NDArray[np.float64]:
+        key = (scan.sensor, scan.first_angle_rad, scan.angle_step_rad, len(scan.range_m))
+        if key not in self._directions:
+            angle = mounting.theta_rad + scan.first_angle_rad + np.arange(key[3]) * scan.angle_step_rad
+            self._directions[key] = np.ascontiguousarray(np.stack([np.cos(angle), np.sin(angle)], axis=1))
+        return self._directions[key]

@@ -1,0 +1,184 @@
+"""What scans are matched to: two overlapping sub-maps of surfels, of which the older one is read."""
+
+import logging
+import math
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.geometry.grid import tiles_of
+from service.geometry.se2 import SE2, wrap_angle
+from service.kernels.likelihood import SPLAT_REACH_CELLS, splat_likelihood
+from service.kernels.normals import NormalSettings, estimate_normals
+from service.kernels.surfels import TILE_BITS, TILE_CELLS, SurfelGrid, insert_surfels
+from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
+from service.mapper.stages import MapChange, Match, Points
+
+log = logging.getLogger(__name__)
+
+POOL_TILES = 16_384  # 700 MB of address space; a sub-map in a large hall touches a few hundred tiles
+
+
+class NormalsConfig(BaseModel):
+    """Which neighbouring beams form one piece of wall, and when a beam is too grazing to be used."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    beams_each_side: int = Field(default=4, ge=1, le=32)
+    gap_m: float = Field(default=0.06, gt=0.0)
+    gap_steps: float = Field(default=5.0, ge=0.0)  # in distances between neighbouring beams at that range
+    planar_ratio: float = Field(default=0.03, gt=0.0, lt=1.0)
+    least_cos_incidence: float = Field(default=0.05, ge=0.0, lt=1.0)
+    rough_weight: float = Field(default=0.3, ge=0.0, le=1.0)
+
+    def settings(self) -> NormalSettings:
+        return NormalSettings(
+            self.beams_each_side,
+            self.gap_m,
+            self.gap_steps,
+            self.planar_ratio,
+            self.least_cos_incidence,
+            self.rough_weight,
+        )
+
+
+class SubmapsConfig(BaseModel):
+    """How sub-maps are cut and filled."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    cell_m: float = Field(default=0.10, ge=0.02, le=0.5)
+    spacing_m: float = Field(default=10.0, gt=0.0)  # a new sub-map each time so far was travelled
+    keyframe_distance_m: float = Field(default=0.30, gt=0.0)
+    keyframe_turn_rad: float = Field(default=0.15, gt=0.0)
+    first_scans: int = Field(default=5, ge=1)  # all of the first ones of a map are taken, even standing
+    count_limit: int = Field(default=50, ge=2)
+    field_sigma_m: float = Field(default=0.15, gt=0.0)
+    field_enough: float = Field(default=0.95, gt=0.0, le=1.0)
+    restart_after_lost: int = Field(default=10, ge=1)  # scans
+
+
+class Submap:
+    """One sheet of surfels, in the odom frame."""
+
+    def __init__(self, number: int, pool: TilePool, config: SubmapsConfig) -> None:
+        self.number = number
+        self.scan_count = 0
+        self._config = config
+        self._tiles = TileMap(pool)
+
+    def grid(self) -> SurfelGrid:
+        surfels, field = self._tiles.pool.arrays
+        return SurfelGrid(self._tiles.index(), surfels, field, self._config.cell_m)  # type: ignore[arg-type]
+
+    def insert(self, points: Points, normals: np.ndarray, pose: SE2) -> None:  # type: ignore[type-arg]
+        if len(points.xy_base) == 0:
+            return
+        config = self._config
+        reach_m = reach_of(points.xy_base)
+        self._tiles.cover(
+            tiles_of(
+                (pose.x_m - reach_m, pose.y_m - reach_m),
+                (pose.x_m + reach_m, pose.y_m + reach_m),
+                config.cell_m,
+                TILE_BITS,
+                margin_cells=SPLAT_REACH_CELLS,
+            )
+        )
+        grid = self.grid()
+        pose_vector = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+        insert_surfels(points.xy_base, normals, pose_vector, grid, float(config.count_limit))
+        splat_likelihood(points.xy_base, pose_vector, grid, config.field_sigma_m, config.field_enough)
+        self.scan_count += 1
+
+    def release(self) -> None:
+        self._tiles.release()
+
+
+class SurfelSubmaps:
+    """The pair. Key frames go into both; when the younger one has grown spacing_m long, it takes over."""
+
+    def __init__(self, config: SubmapsConfig, normals: NormalsConfig) -> None:
+        self._config = config
+        self._normals = normals.settings()
+        self._pool = TilePool(
+            (
+                Layer((TILE_CELLS, TILE_CELLS, 2, 5), np.float32),
+                Layer((TILE_CELLS, TILE_CELLS), np.float32),
+            ),
+            POOL_TILES,
+        )
+        self._next_number = 0
+        self._submaps: list[Submap] = []
+        self._travelled_m = 0.0  # since the youngest sub-map was begun
+        self._last_keyframe: SE2 | None = None
+        self._lost_count = 0
+
+    @property
+    def active(self) -> Submap | None:
+        """The sub-map that a scan is matched to; None before the first scan."""
+        return self._submaps[0] if self._submaps else None
+
+    @property
+    def tile_count(self) -> int:
+        return self._pool.used_count
+
+    def insert(self, points: Points, match: Match) -> MapChange:
+        pose = match.motion.pose_odom_base
+        closed = None
+        if match.state == "lost":
+            self._lost_count += 1
+            if self._lost_count < self._config.restart_after_lost:
+                return MapChange()
+            closed = self._restart()
+        self._lost_count = 0
+        if not self._is_keyframe(pose):
+            return MapChange(closed)
+        if self._last_keyframe is not None:
+            self._travelled_m += math.hypot(
+                pose.x_m - self._last_keyframe.x_m, pose.y_m - self._last_keyframe.y_m
+            )
+        self._last_keyframe = pose
+        if not self._submaps or self._travelled_m >= self._config.spacing_m:
+            retired = self._begin_submap()
+            closed = retired if retired is not None else closed
+        normals = np.empty((len(points.xy_base), 3))
+        estimate_normals(
+            points.xy_base,
+            np.array([points.sensor_base.x_m, points.sensor_base.y_m]),
+            abs(points.scan.angle_step_rad),
+            self._normals,
+            normals,
+        )
+        for submap in self._submaps:
+            submap.insert(points, normals, pose)
+        return MapChange(closed)
+
+    def _is_keyframe(self, pose: SE2) -> bool:
+        last = self._last_keyframe
+        if last is None or self._submaps[0].scan_count < self._config.first_scans:
+            return True
+        moved_m = math.hypot(pose.x_m - last.x_m, pose.y_m - last.y_m)
+        turned_rad = abs(wrap_angle(pose.theta_rad - last.theta_rad))
+        return moved_m >= self._config.keyframe_distance_m or turned_rad >= self._config.keyframe_turn_rad
+
+    def _begin_submap(self) -> int | None:
+        """Start a sub-map; of three the oldest is closed. Returns its number."""
+        self._submaps.append(Submap(self._next_number, self._pool, self._config))
+        self._next_number += 1
+        self._travelled_m = 0.0
+        if len(self._submaps) <= 2:
+            return None
+        oldest = self._submaps.pop(0)
+        oldest.release()
+        return oldest.number
+
+    def _restart(self) -> int | None:
+        """The map does not fit what is seen any more: begin afresh where the vehicle is believed to be."""
+        closed = self._submaps[-1].number if self._submaps else None
+        for submap in self._submaps:
+            submap.release()
+        self._submaps.clear()
+        self._last_keyframe = None
+        self._lost_count = 0
+        return closed

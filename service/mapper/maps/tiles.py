@@ -1,0 +1,152 @@
+"""Tiles without bound: a pool that never moves a cell, and an index that grows in all directions.
+
+A pool reserves address space once and commits it page by page as tiles are touched. Where the kernel refuses
+the reservation (strict overcommit, address-space limit), or when it is used up, the pool doubles with a copy
+and says so in the log: slower for one scan, never wrong.
+"""
+
+import logging
+import math
+import mmap
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry.grid import TileRange
+from service.kernels.tiles import NO_TILE, TileIndex
+
+log = logging.getLogger(__name__)
+
+MAP_NORESERVE = getattr(mmap, "MAP_NORESERVE", 0x4000)  # Linux; in the mmap module from Python 3.13 on
+LEAST_CAPACITY = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """One array of a pool: what a tile holds."""
+
+    shape: tuple[int, ...]
+    dtype: npt.DTypeLike
+
+    @property
+    def tile_bytes(self) -> int:
+        return int(np.prod(self.shape)) * np.dtype(self.dtype).itemsize
+
+
+def reserve(layer: Layer, capacity: int) -> npt.NDArray[np.generic]:
+    """A zeroed (capacity, *shape) array whose pages cost nothing until touched.
+
+    Raises OSError where the kernel refuses that much address space.
+    """
+    memory = mmap.mmap(
+        -1, capacity * layer.tile_bytes, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | MAP_NORESERVE
+    )
+    return np.frombuffer(memory, dtype=layer.dtype).reshape(capacity, *layer.shape)
+
+
+def reach_of(xy_base: npt.NDArray[np.float64]) -> float:
+    """Distance of the farthest of some points, (N, 2) with N > 0, from the origin of their frame, m."""
+    return math.sqrt(float(np.max(np.einsum("ij,ij->i", xy_base, xy_base))))
+
+
+class TilePool:
+    """Slots for equal tiles, in one or more arrays of the same capacity."""
+
+    def __init__(self, layers: tuple[Layer, ...], capacity: int) -> None:
+        self._layers = layers
+        try:
+            self.arrays = [reserve(layer, capacity) for layer in layers]
+        except (OSError, ValueError) as error:
+            wanted = sum(capacity * layer.tile_bytes for layer in layers)
+            log.warning(
+                "map: the system refuses to reserve %d MB of address space (%s); the map will be copied each "
+                "time it doubles. Allow overcommit, or raise the limit on address space",
+                wanted >> 20,
+                error,
+            )
+            capacity = LEAST_CAPACITY
+            self.arrays = [np.zeros((capacity, *layer.shape), layer.dtype) for layer in layers]
+        self.free = np.empty(capacity, np.int32)
+        self.counts = np.zeros(2, np.int64)
+
+    @property
+    def capacity(self) -> int:
+        return int(self.free.shape[0])
+
+    @property
+    def used_count(self) -> int:
+        """Slots that hold a tile now."""
+        return int(self.counts[1] - self.counts[0])
+
+    def make_room(self, tile_count: int) -> None:
+        """See to it that so many tiles can be taken without asking again."""
+        short = self.used_count + tile_count - self.capacity
+        if short <= 0:
+            return
+        capacity = max(2 * self.capacity, self.capacity + short)
+        log.warning("map: %d tiles used up; copying them to make room for %d", self.capacity, capacity)
+        self.arrays = [self._copied(array, capacity) for array in self.arrays]
+        free = np.empty(capacity, np.int32)
+        free[: self.counts[0]] = self.free[: self.counts[0]]
+        self.free = free
+
+    def release(self, slots: npt.NDArray[np.int32]) -> None:
+        """Hand slots back; whoever takes one clears it."""
+        top = int(self.counts[0])
+        self.free[top : top + len(slots)] = slots
+        self.counts[0] = top + len(slots)
+
+    def _copied(self, array: npt.NDArray[np.generic], capacity: int) -> npt.NDArray[np.generic]:
+        wider = np.zeros((capacity, *array.shape[1:]), array.dtype)
+        wider[: array.shape[0]] = array
+        return wider
+
+
+class TileMap:
+    """Which tiles one map has, and in which slots of the pool. Growing copies slot numbers, never cells."""
+
+    def __init__(self, pool: TilePool) -> None:
+        self.pool = pool
+        self.slots = np.full((1, 1), NO_TILE, np.int32)
+        self.origin = np.zeros(2, np.int64)
+        self._empty = True
+
+    def cover(self, tiles: TileRange) -> None:
+        """Make index and pool ready for any of these tiles to be touched."""
+        self.pool.make_room(tiles.tile_count)
+        if self._empty:
+            self.origin[:] = tiles.first_row, tiles.first_column
+            self._empty = False
+        row, column = int(self.origin[0]), int(self.origin[1])
+        height, width = self.slots.shape
+        above, left = max(row - tiles.first_row, 0), max(column - tiles.first_column, 0)
+        below = max(tiles.last_row - (row + height - 1), 0)
+        right = max(tiles.last_column - (column + width - 1), 0)
+        if above == below == left == right == 0:
+            return
+        # each side that is too short grows by at least half of what there is, so growing stays rare
+        above, below = (max(n, height // 2 + 1) if n else 0 for n in (above, below))
+        left, right = (max(n, width // 2 + 1) if n else 0 for n in (left, right))
+        slots = np.full((above + height + below, left + width + right), NO_TILE, np.int32)
+        slots[above : above + height, left : left + width] = self.slots
+        self.slots = slots
+        self.origin = np.array([row - above, column - left], np.int64)
+
+    def index(self) -> TileIndex:
+        """The view a kernel works on; valid until the next cover()."""
+        return TileIndex(self.slots, self.origin, self.pool.free, self.pool.counts)
+
+    def tiles(self) -> list[tuple[int, int, int]]:
+        """(tile row, tile column, slot) of every tile, by row and column."""
+        rows, columns = np.nonzero(self.slots != NO_TILE)
+        return [
+            (int(row + self.origin[0]), int(column + self.origin[1]), int(self.slots[row, column]))
+            for row, column in zip(rows, columns, strict=True)
+        ]
+
+    def release(self) -> None:
+        """Hand every tile back to the pool; the map is empty afterwards."""
+        self.pool.release(self.slots[self.slots != NO_TILE])
+        self.slots = np.full((1, 1), NO_TILE, np.int32)
+        self._empty = True

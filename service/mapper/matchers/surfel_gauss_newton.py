@@ -1,0 +1,146 @@
+"""The matcher of the default profile: coarse on the likelihood field, fine on surfels, deskewed in between."""
+
+import math
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.fusion.motion import Motion, Prediction
+from service.geometry.se2 import SE2
+from service.kernels.deskew import Returns
+from service.kernels.match import MatchResult, MatchSettings, Prior, match_scan
+from service.kernels.normals import estimate_normals
+from service.mapper.maps.submaps import NormalsConfig, SurfelSubmaps
+from service.mapper.stages import Match, Points
+from service.outputs import State
+
+
+class SurfelMatcherConfig(BaseModel):
+    """How a scan is laid on the sub-map, and when the result is believed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    beam_sigma_m: float = Field(default=0.05, gt=0.0)
+    cauchy_m: float = Field(default=0.10, gt=0.0)
+    least_normal_cosine: float = Field(default=0.6, ge=-1.0, lt=1.0)
+    young_count: float = Field(default=3.0, ge=1.0)
+    iterations: int = Field(default=15, ge=1, le=100)
+    deskew_rounds: int = Field(default=3, ge=1, le=10)
+    coarse_sigma: float = Field(default=0.3, gt=0.0)  # of 1 - likelihood
+    coarse_beams: int = Field(default=180, ge=10)
+    coarse_iterations: int = Field(default=15, ge=0, le=100)
+
+    inlier_m: float = Field(default=0.10, gt=0.0)
+    lost_share: float = Field(default=0.30, ge=0.0, le=1.0)
+    degraded_share: float = Field(default=0.45, ge=0.0, le=1.0)
+    degraded_sigma_m: float = Field(default=0.10, gt=0.0)
+    least_points: int = Field(default=20, ge=3)
+
+    covariance_scale: float = Field(default=2.0, gt=0.0)
+    floor_position_m: float = Field(default=0.006, ge=0.0)
+    floor_heading_rad: float = Field(default=0.0015, ge=0.0)
+
+
+class SurfelGaussNewton:
+    """Matcher[SurfelSubmaps]."""
+
+    def __init__(self, config: SurfelMatcherConfig, normals: NormalsConfig) -> None:
+        self._config = config
+        self._normals = normals.settings()
+        self._settings = MatchSettings(
+            config.beam_sigma_m,
+            config.cauchy_m,
+            config.least_normal_cosine,
+            config.young_count,
+            config.iterations,
+            config.deskew_rounds,
+            config.inlier_m,
+            config.coarse_sigma,
+            config.coarse_beams,
+            config.coarse_iterations,
+            config.covariance_scale,
+        )
+        self._floor = np.diag(
+            [config.floor_position_m**2, config.floor_position_m**2, config.floor_heading_rad**2]
+        )
+
+    def match(self, points: Points, predicted: Prediction, local_map: SurfelSubmaps) -> Match:
+        submap = local_map.active
+        count = len(points.xy_base)
+        if submap is None:
+            first = Motion(predicted.pose_odom_base, predicted.twist_base, self._floor)
+            if count < self._config.least_points:
+                return Match(first, points, 0.0, "lost", self._too_few(points))
+            return Match(first, points, 1.0)
+        if count < self._config.least_points:
+            return Match(_as_motion(predicted), points, 0.0, "lost", self._too_few(points))
+        pose = predicted.pose_odom_base
+        xy_base = points.xy_base.copy()
+        normals = np.empty((count, 3))
+        estimate_normals(
+            xy_base,
+            np.array([points.sensor_base.x_m, points.sensor_base.y_m]),
+            abs(points.scan.angle_step_rad),
+            self._normals,
+            normals,
+        )
+        result: MatchResult = match_scan(
+            Returns(points.xy_raw, points.beam_time_s, points.beam),
+            normals,
+            Prior(
+                np.array([pose.x_m, pose.y_m, pose.theta_rad]),
+                np.array(predicted.twist_base),
+                predicted.step_covariance,
+                predicted.covariance,
+                predicted.elapsed_s,
+                predicted.twist_gain,
+            ),
+            submap.grid(),
+            self._settings,
+            xy_base,
+        )
+        state, reason = self._judge(result)
+        if state == "lost":
+            return Match(_as_motion(predicted), points, result.share, state, reason)
+        x_m, y_m, theta_rad = result.pose.tolist()
+        forward, left, turn = result.twist.tolist()
+        motion = Motion(SE2(x_m, y_m, theta_rad), (forward, left, turn), self._floored(result.covariance))
+        deskewed = Points(
+            xy_base, points.xy_raw, points.beam_time_s, points.beam, points.sensor_base, points.scan
+        )
+        return Match(motion, deskewed, result.share, state, reason)
+
+    def _judge(self, result: MatchResult) -> tuple[State, str]:
+        config = self._config
+        if result.share < config.lost_share:
+            return "lost", (
+                f"{result.share:.0%} of {result.used} returns lie on the map (at least {config.lost_share:.0%}); "
+                "the pose follows odometry"
+            )
+        if result.share < config.degraded_share:
+            return "degraded", (
+                f"{result.share:.0%} of {result.used} returns lie on the map "
+                f"(expected {config.degraded_share:.0%}): much has changed, or the prediction was far off"
+            )
+        if result.weakest_sigma_m > config.degraded_sigma_m:
+            towards_deg = math.degrees(result.weakest_direction_rad) % 180.0
+            return "degraded", (
+                f"the walls in view do not fix the position along {towards_deg:.0f} deg of the vehicle "
+                f"(sigma {result.weakest_sigma_m:.2f} m); odometry holds it"
+            )
+        return "ok", ""
+
+    def _too_few(self, points: Points) -> str:
+        return (
+            f"{points.scan.sensor}: {len(points.xy_base)} of {len(points.scan.range_m)} beams returned "
+            f"(at least {self._config.least_points}); is the window covered, or is there nothing in range?"
+        )
+
+    def _floored(self, covariance: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+        """Raised where it claims to know better than the map can say; raising it again changes nothing."""
+        short = np.maximum(np.diag(self._floor) - np.diag(covariance), 0.0)
+        return covariance + np.diag(short)
+
+
+def _as_motion(predicted: Prediction) -> Motion:
+    return Motion(predicted.pose_odom_base, predicted.twist_base, predicted.covariance)
