@@ -201,7 +201,7 @@ class Lms100Dialogue:
                 return  # scans will show what it does
             yield Pause(1.0)
         raise DeviceError(
-            f"after mLMPsetscancfg to {wanted} the device still has {found}; is it write-protected?"
+            f"after mLMPsetscancfg the device has {found}, expected {wanted}; is it write-protected?"
         )
 
     def _change_output_range(self) -> Dialogue[None]:

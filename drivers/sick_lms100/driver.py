@@ -57,7 +57,7 @@ class Lms100Session:
         self._timeout_ns = 0
         self._now_ns: int | None = None
         self._silent_ns = 0
-        self._clock = ClockMap(1_000.0, CLOCK_MODULUS, config.latency_us * 1_000)
+        self._clock = ClockMap(1_000.0, CLOCK_MODULUS, round(config.latency_ms * 1e6))
         self._start_before_zero_us: int | None = None
         self._last: ScanTelegram | None = None
         self._last_stamp_ns: int | None = None
@@ -76,10 +76,9 @@ class Lms100Session:
         scans = []
         for telegram in self._decoder.receive_data(data):
             if telegram.kind == "sSN":
-                if (
-                    telegram.name == "LMDscandata"
-                    and (scan := self._to_frame(telegram, arrived_ns)) is not None
-                ):
+                if telegram.name != "LMDscandata":
+                    self.counters["events_ignored"] += 1
+                elif (scan := self._to_frame(telegram, arrived_ns)) is not None:
                     scans.append(scan)
             elif telegram.kind == "sFA" or telegram.name == self._awaited:
                 self._take_answer(telegram, arrived_ns)
@@ -151,7 +150,7 @@ class Lms100Session:
         if self._flagged_in_a_row >= FLAGGED_SCANS_ARE_A_FAULT:
             flags = self._last.status[0] | self._last.status[1]
             faults += [text for bit, text in STATUS_BITS.items() if flags & bit]
-        self.status = "; ".join(["streaming", *faults])
+        self.status = "; ".join(dict.fromkeys(["streaming", *faults]))
 
     def _to_frame(self, telegram: Telegram, arrived_ns: int) -> LaserScan | None:
         self._dialogue.scans_seen += 1
@@ -268,11 +267,10 @@ class Lms100Session:
         e4deg_per_us = scan.frequency_chz / 100.0 * 3_600_000 / 1e6
         if self._start_before_zero_us is None:
             sweep_us = round((FULL_LAST_E4DEG - FULL_FIRST_E4DEG) / e4deg_per_us)
-            beams_us = round(geometry.step_e4deg * (len(geometry.values) - 1) / e4deg_per_us)
+            last_e4deg = geometry.first_e4deg + geometry.step_e4deg * (len(geometry.values) - 1)
+            last_us = round((last_e4deg - FULL_FIRST_E4DEG) / e4deg_per_us)
             sending_us = (scan.sent_us - scan.start_us) % CLOCK_MODULUS
-            self._start_before_zero_us = sweep_us - sending_us if sending_us < beams_us else 0
-        if not self._start_before_zero_us:
-            return 0
+            self._start_before_zero_us = sweep_us - sending_us if sending_us < last_us else 0
         return self._start_before_zero_us - round((geometry.first_e4deg - FULL_FIRST_E4DEG) / e4deg_per_us)
 
     def _first_echo(self, echoes: Echoes) -> Rows:

@@ -1,0 +1,295 @@
+"""Scan telegrams into frames: values, flags, stamps; and the whole driver over loopback."""
+
+import json
+import math
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.errors import ProtocolError
+from drivers.link import LinkHealth, run_link
+from drivers.registry import SENSOR_KINDS
+from drivers.sick_lms100.driver import Lms100Session
+from drivers.sick_lms100.protocol import Dialect, encode
+from drivers.sick_lms100.telegrams import Channel, OutputRange, write_scan
+from simulators.sick_lms100 import FakeLms100, Lms100Setup
+from simulators.wire import serve_tcp
+from tests.drivers.lms100 import Room, config, talk, telegram
+from tests.drivers.virtual_time import SECOND_NS
+
+ASCII, BINARY = Dialect.ASCII, Dialect.BINARY
+BEAM_INTERVAL_NS = 27_778
+SWEEP_US = 15_000  # 270 deg at 50 Hz
+
+
+def frames_of(*scans, session=None, arrived_after_ns=1_000_000, dialect=ASCII, **changes):
+    session = session or Lms100Session(config(**changes))
+    frames = []
+    for scan in scans:
+        arrived_ns = scan.sent_us * 1000 + arrived_after_ns
+        frames += session.receive_data(encode(write_scan(scan, dialect)), arrived_ns)
+    return frames, session
+
+
+@pytest.mark.parametrize("dialect", [ASCII, BINARY])
+def test_frame_carries_what_the_telegram_says(dialect):
+    [frame], session = frames_of(telegram(), dialect=dialect, range_max_m=25.0)
+    assert (frame.sensor, frame.arrived_ns) == ("front", 1_016_300_000)
+    assert frame.stamp_ns == 1_001_000_000  # first beam, late by the shortest delay
+    assert (frame.beam_interval_ns, frame.scan_period_ns) == (BEAM_INTERVAL_NS, 20_000_000)
+    assert frame.first_angle_rad == pytest.approx(math.radians(-135.0))
+    assert frame.angle_step_rad == pytest.approx(math.radians(0.5))
+    assert (frame.range_min_m, frame.range_max_m) == (0.05, 25.0)
+    np.testing.assert_array_equal(frame.range_m, np.full(541, 1.5, np.float32))
+    assert frame.range_m.dtype == np.float32
+    assert frame.intensity.shape == (0,)
+    assert session.clock_offset_ns == 1_000_000
+
+
+def test_latency_makes_stamps_earlier():
+    [frame], _ = frames_of(telegram(), latency_ms=1.0)
+    assert frame.stamp_ns == 1_000_000_000
+
+
+def test_codes_that_are_no_distance_become_nan_and_are_counted():
+    [frame], session = frames_of(telegram(values=(0, 0, 1, 2, 3, 4, 15, 16, 65_535)))
+    assert np.isnan(frame.range_m).tolist() == [True] * 7 + [False] * 2
+    assert frame.range_m[-2:].tolist() == [np.float32(0.016), np.float32(65.535)]
+    counted = {name: count for name, count in session.counters.items() if name.startswith("beams")}
+    assert counted == {
+        "beams_no_echo": 2,
+        "beams_dazzled": 1,
+        "beams_implausible": 1,
+        "beams_filtered": 1,
+        "beams_reserved_code": 2,
+    }
+
+
+def test_scale_and_offset_are_applied():
+    channel = Channel("DIST1", np.array([15, 20_000], dtype=np.uint16), -450_000, 5000, 2.0, 10.0)
+    [frame], _ = frames_of(telegram(channels_16bit=(channel,)))
+    assert np.isnan(frame.range_m[0])
+    assert frame.range_m[1] == np.float32(40.01)
+
+
+def two_echoes(bits):
+    def channel(content, *values):
+        return Channel(content, np.array(values, dtype=np.uint16), -450_000, 5000)
+
+    distances = channel("DIST1", 1000, 1000, 0), channel("DIST2", 2000, 0, 0)
+    remissions = channel("RSSI1", 10, 20, 0), channel("RSSI2", 30, 0, 0)
+    if bits == 16:
+        return {"channels_16bit": distances + remissions}
+    return {"channels_16bit": distances, "channels_8bit": remissions}
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize(
+    ("echo", "range_m", "intensity"),
+    [("first", [1.0, 1.0, np.nan], [10.0, 20.0, 0.0]), ("last", [2.0, 1.0, np.nan], [30.0, 20.0, 0.0])],
+)
+def test_echo_and_its_intensity_are_chosen(bits, echo, range_m, intensity):
+    [frame], _ = frames_of(telegram(**two_echoes(bits)), echo=echo)
+    np.testing.assert_array_equal(frame.range_m, np.array(range_m, np.float32))
+    np.testing.assert_array_equal(frame.intensity, np.array(intensity, np.float32))
+
+
+@pytest.mark.parametrize(
+    ("shots", "interval_ns"), [(360, 27_778), (36_000, 27_778), (0, 27_778), (720, 27_778)]
+)
+def test_beam_interval_is_right_whatever_unit_the_firmware_takes(shots, interval_ns):
+    [frame], session = frames_of(telegram(shots_100hz=shots))
+    assert frame.beam_interval_ns == interval_ns
+    assert session.counters["scans_odd_measurement_frequency"] == (shots in (0, 720))
+
+
+@pytest.mark.parametrize("field_of_view", [(0, 541), (90, 361)])
+def test_zero_index_behind_the_sweep_puts_the_first_beam_a_sweep_before_the_sending(field_of_view):
+    skipped, count = field_of_view
+    channel = Channel("DIST1", np.full(count, 900, np.uint16), -450_000 + 5000 * skipped, 5000)
+    scan = telegram(sent_after_us=3_100, channels_16bit=(channel,))
+    [frame], _ = frames_of(scan)
+    assert frame.stamp_ns == pytest.approx(
+        (scan.sent_us - SWEEP_US) * 1000 + 1_000_000 + skipped * BEAM_INTERVAL_NS, abs=1_000
+    )
+
+
+def test_repeated_scan_is_dropped_and_missing_ones_are_counted():
+    scans = [telegram(counter, counter * 20_060) for counter in (65_534, 65_535, 65_535, 0, 3)]
+    scans[3] = telegram(0, 65_536 * 20_060)
+    scans[4] = telegram(3, 65_539 * 20_060)
+    frames, session = frames_of(*scans)
+    assert len(frames) == 4
+    assert session.counters["scans_duplicate"] == 1
+    assert session.counters["scans_missed"] == 2
+
+
+def test_counters_and_clock_that_jump_back_are_a_restart_of_the_device():
+    session = Lms100Session(config())
+    scans = [telegram(counter, 5_000_000 + counter * 20_060) for counter in range(50, 60)]
+    first, _ = frames_of(*scans, session=session)
+    again, _ = frames_of(*scans, session=session, arrived_after_ns=1_000_000 + SECOND_NS)
+    assert len(first) == len(again) == 10
+    assert session.counters["clock_resets"] == 1
+    assert session.counters["scan_counter_restarts"] == 1
+    assert again[0].stamp_ns > first[-1].stamp_ns
+
+
+def test_clock_that_wraps_goes_on():
+    scans = [telegram(k, (2**32 - 100_000 + k * 20_060) % 2**32) for k in range(10)]
+    scans = [replace(s, sent_us=s.sent_us % 2**32) for s in scans]
+    session = Lms100Session(config())
+    frames = []
+    for k, scan in enumerate(scans):
+        frames += session.receive_data(encode(write_scan(scan, BINARY)), 5_000_000_000 + k * 20_060_000)
+    assert np.diff([frame.stamp_ns for frame in frames]).tolist() == [20_060_000] * 9
+
+
+def test_scan_that_would_go_back_in_time_is_dropped():
+    late, soon = telegram(4, 1_000_000), telegram(5, 1_020_060)
+    session = Lms100Session(config())
+    wire = [encode(write_scan(scan, ASCII)) for scan in (late, soon)]
+    assert len(session.receive_data(wire[0], 2_050_000_000)) == 1
+    assert session.receive_data(wire[1], 2_050_000_000) == []
+    assert session.counters["scans_out_of_order"] == 1
+
+
+def test_one_malformed_scan_is_counted_and_twenty_one_are_a_protocol_error():
+    bad = encode(write_scan(telegram(channels_16bit=()), BINARY))
+    session = Lms100Session(config())
+    for _ in range(20):
+        assert session.receive_data(bad, 1) == []
+    assert session.counters["scans_malformed"] == 20
+    with pytest.raises(ProtocolError, match="expected DIST1"):
+        session.receive_data(bad, 1)
+
+
+def test_channels_of_different_length_are_malformed():
+    short = Channel("RSSI1", np.zeros(3, np.uint16), -450_000, 5000)
+    frames, session = frames_of(telegram(channels_8bit=(short,)))
+    assert frames == []
+    assert session.counters["scans_malformed"] == 1
+
+
+def test_garbage_between_telegrams_is_counted():
+    session = Lms100Session(config())
+    wire = bytearray(encode(write_scan(telegram(), BINARY)))
+    wire[-1] ^= 1
+    session.receive_data(b"junk" + bytes(wire), 1)
+    assert session.counters["checksum_errors"] == 1
+    assert session.counters["bytes_skipped"] >= 4
+
+
+# Time, with a device whose truth is known
+
+
+@pytest.mark.parametrize("zero_index_after_sweep", [True, False])
+@pytest.mark.parametrize("first_angle_deg", [-135.0, -90.0])
+def test_stamps_are_those_of_the_first_ray_through_drift_jitter_and_a_wrap(
+    zero_index_after_sweep, first_angle_deg
+):
+    rng = np.random.default_rng(5)
+    setup = Lms100Setup(
+        clock_drift_ppm=100.0,
+        clock_start_us=2**32 - 10_000_000,
+        zero_index_after_sweep=zero_index_after_sweep,
+        output_range=OutputRange(round((first_angle_deg + 90) * 1e4), 2_250_000),
+    )
+    t = talk(setup, first_angle_deg=first_angle_deg)
+    t.delay_ns = lambda: (
+        round(rng.uniform(0.1e6, 3.1e6)) + (round(rng.uniform(0, 50e6)) if rng.random() < 0.05 else 0)
+    )
+    t.run(30.0)
+    truth_ns = np.array(t.device._source.first_rays_ns)
+    stamps_ns = np.array([frame.stamp_ns for frame in t.frames])
+    nearest = np.abs(stamps_ns[600:, None] - truth_ns[None, :]).argmin(axis=1)
+    late_ms = (stamps_ns[600:] - truth_ns[nearest]) / 1e6
+    assert len(late_ms) > 800
+    assert np.std(late_ms) <= 0.2
+    assert 0.0 < np.mean(late_ms) < 0.7  # sending after the sweep and the shortest delay
+    assert np.diff(stamps_ns).min() > 0
+
+
+def test_recorded_lms111_plays_through_the_session(shared):
+    rows = [
+        json.loads(line) for line in (shared / "captures/sick/20210302_lms111.jsonl").read_text().splitlines()
+    ]
+    session, frames = Lms100Session(config()), []
+    for row in rows:
+        if row["dir"] == "dev":
+            frames += session.receive_data(bytes.fromhex(row["hex"]), 10**12 + round(row["t"] * 1e9))
+    repeated = session.counters["scans_duplicate"]
+    assert repeated == 3
+    assert len(frames) == 175 - repeated
+    assert session.counters["scans_missed"] == 0
+    assert session.counters["scans_flagged_device_error"] == 7
+    assert {len(frame.range_m) for frame in frames} == {541}
+    assert all((frame.arrived_ns - frame.stamp_ns) > SWEEP_US * 1000 - 200_000 for frame in frames)
+    step_ms = np.diff([frame.stamp_ns for frame in frames[100:]]) / 1e6
+    assert ((step_ms > 20.06) & (step_ms < 20.19)).all()
+
+
+def test_answers_nobody_asked_for_are_counted():
+    session = Lms100Session(config())
+    session.receive_data(b"\x02sAN Run 1\x03\x02sFA 3\x03\x02sSN LIDoutputstate 1\x03", 1)
+    assert session.counters["answers_not_asked_for"] == 2
+    assert session.counters["events_ignored"] == 1
+
+
+@pytest.fixture
+def frames_over_tcp():
+    """Runs run_link against a fake device on a loopback port until `enough` frames were read."""
+
+    def run(setup, enough, at_frame=lambda count, wire: None):
+        stop, frames = threading.Event(), []
+        wire = serve_tcp(FakeLms100(Room(), setup))
+        with wire as (host, port):
+            settings = config(host=host, port=port)
+
+            def sink(frame):
+                frames.append(frame)
+                at_frame(len(frames), wire)
+                if len(frames) >= enough:
+                    stop.set()
+
+            health = LinkHealth("front")
+            guard = threading.Timer(30.0, stop.set)
+            guard.start()
+            kind = SENSOR_KINDS["sick_lms100"]
+            try:
+                run_link(
+                    health,
+                    lambda: kind.open_transport(settings),
+                    lambda: kind.new_session(settings),
+                    sink,
+                    stop,
+                )
+            finally:
+                guard.cancel()
+                guard.join()
+        return frames, health
+
+    return run
+
+
+@pytest.mark.parametrize("dialect", [ASCII, BINARY])
+def test_frames_come_over_tcp_with_stamps_of_this_hosts_clock(frames_over_tcp, dialect):
+    frames, health = frames_over_tcp(Lms100Setup(dialect=dialect), enough=20)
+    assert len(frames) == 20
+    assert health.state == "streaming"
+    for frame in frames:
+        assert 14.8e6 < frame.arrived_ns - frame.stamp_ns < 500e6
+
+
+def test_link_that_breaks_is_made_anew(frames_over_tcp):
+    def cut_once(count, wire):
+        if count == 5:
+            wire.cut()
+            wire.restore()
+
+    frames, health = frames_over_tcp(Lms100Setup(), enough=200, at_frame=cut_once)
+    assert len(frames) == 200
+    assert health.connects == 2
+    assert health.counters["scans_received"] >= 200
