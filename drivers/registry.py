@@ -7,11 +7,12 @@ from typing import Any
 from pydantic import BaseModel
 
 from drivers.irobot_create.config import IrobotCreateConfig
-from drivers.irobot_create.driver import IrobotCreateSession
+from drivers.irobot_create.driver import new_session as new_irobot_create_session
+from drivers.irobot_create.port import open_port as open_irobot_create_port
 from drivers.link import Session
 from drivers.sick_lms100.config import Lms100Config
 from drivers.sick_lms100.driver import Lms100Session
-from drivers.transport import SerialTransport, TcpTransport, Transport
+from drivers.transport import TcpTransport, Transport
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +26,5 @@ class SensorKind:
 
 SENSOR_KINDS: dict[str, SensorKind] = {
     "sick_lms100": SensorKind(Lms100Config, lambda c: TcpTransport(c.host, c.port), Lms100Session),
-    "irobot_create": SensorKind(
-        IrobotCreateConfig, lambda c: SerialTransport(c.device, c.baud), IrobotCreateSession
-    ),
+    "irobot_create": SensorKind(IrobotCreateConfig, open_irobot_create_port, new_irobot_create_session),
 }

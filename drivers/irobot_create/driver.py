@@ -1,0 +1,219 @@
+"""Session with a Create 2 or a Roomba: start it, have it stream, turn encoder counts into odometry.
+
+It reads. No command that moves a wheel, a brush or a lamp is ever sent, and the robot stays in Passive mode.
+"""
+
+import logging
+from collections import Counter
+
+from drivers.errors import TransportError
+from drivers.frames import OdometrySample
+from drivers.irobot_create.config import GIVE_UP_NS, RETRY_START_NS, IrobotCreateConfig
+from drivers.irobot_create.create1 import Create1Session
+from drivers.irobot_create.frame_clock import FrameClock
+from drivers.irobot_create.health import HEALTH_IDS, RobotHealth
+from drivers.irobot_create.odometry import DeadReckoning, TwistWindow, counts_between
+from drivers.irobot_create.protocol import (
+    BANNER_END_NS,
+    FRAME_PERIOD_NS,
+    MODE_SWITCH_NS,
+    Opcode,
+    PacketId,
+    StreamDecoder,
+    StreamFrame,
+    banner_identity,
+    encode_stream_request,
+    frame_bytes,
+    is_banner,
+)
+from drivers.link import Session
+
+log = logging.getLogger(__name__)
+
+# 37 bytes a frame. The mode comes last: where a byte 0x13 of the last packet is lost, the next frame's header
+# stands in for the checksum and the sum still fits; a mode is never 0x13.
+STREAM_IDS = (PacketId.LEFT_ENCODER, PacketId.RIGHT_ENCODER, *HEALTH_IDS)
+MODE_SETTLED_NS = 200_000_000  # by then packet 35 shows what 128 did
+KEEP_ALIVE_NS = 60_000_000_000
+UNSTICKING_STARTS = 4  # a robot that waits for the rest of a command eats the first ones as its data
+MAX_COUNTS = 2000  # 17 counts are 0.5 m/s; this many in one step is a reset or a corrupt reading
+
+
+class IrobotCreateSession:
+    """One connection's life; see drivers.link.Session.
+
+    Yields an OdometrySample per stream frame, 66.7 a second. The pose never jumps: what cannot be known or
+    believed is left out of it, and put into its covariance instead.
+    """
+
+    def __init__(self, config: IrobotCreateConfig, odometry: DeadReckoning | None = None) -> None:
+        self._config = config
+        self.outbox = bytearray()
+        self.counters: Counter[str] = Counter()
+        self.status = "waking the robot"
+        self.identity: dict[str, str] = {"model": config.model}
+        self._decoder = StreamDecoder(STREAM_IDS)
+        self._health = RobotHealth(self.counters)
+        self._odometry = odometry or DeadReckoning(config.wheel_base_m, config.travel_variance_m2_per_m)
+        self._twist = TwistWindow()
+        self._byte_ns = 10e9 / config.baud
+        self._frame_bytes = frame_bytes(STREAM_IDS)
+        self._clock = FrameClock(round(self._frame_bytes * self._byte_ns + config.latency_ms * 1e6))
+        self._counts: tuple[int, int] | None = None  # left, right; None: not read since the last reset
+        self._last_heard_ns: int | None = None  # frame or banner; None before the first tick
+        self._started_ns: int | None = None  # 128 went out
+        self._start_at_ns: int | None = None
+        self._request_at_ns: int | None = None
+        self._keep_alive_at_ns = 0
+        self._stream_from_ns: int | None = None  # frames before this are of an older stream; None: all are
+        self._in_banner_until_ns = 0
+        self._mode_learned = False
+        self._bytes_heard = 0
+
+    @property
+    def clock_offset_ns(self) -> int | None:
+        return self._clock.offset_ns
+
+    def farewell(self) -> bytes:
+        return bytes([Opcode.START, Opcode.STOP])  # Stop ends stream and mode; else Safe drains the battery
+
+    def tick(self, now_ns: int) -> None:
+        if self._last_heard_ns is None:
+            self._last_heard_ns = self._start_at_ns = now_ns
+            self._keep_alive_at_ns = now_ns + KEEP_ALIVE_NS
+        silence_ns = now_ns - self._last_heard_ns
+        if silence_ns > GIVE_UP_NS:
+            raise TransportError(self._explain_silence())
+        if self._start_at_ns is None and silence_ns > RETRY_START_NS:
+            self.status = "no stream; starting the robot again"
+            self.counters["silences"] += 1
+            self._start_at_ns = now_ns
+        if self._start_at_ns is not None and now_ns >= self._start_at_ns:
+            self._start(now_ns)
+        if self._request_at_ns is not None and now_ns >= self._request_at_ns:
+            self._request_at_ns = None
+            self.outbox += encode_stream_request(STREAM_IDS)
+            self._stream_from_ns = now_ns + FRAME_PERIOD_NS
+            self._clock.restart()  # a stream asked for again runs in another phase
+            self._twist.clear()
+        if now_ns >= self._keep_alive_at_ns:
+            # resuming a stream that runs changes nothing and answers nothing, but it is activity
+            self.outbox += bytes([Opcode.PAUSE_RESUME_STREAM, 1])
+            self._keep_alive_at_ns = now_ns + KEEP_ALIVE_NS
+
+    def _start(self, now_ns: int) -> None:
+        self.counters["starts"] += 1
+        again = self._started_ns is not None
+        self.outbox += bytes([Opcode.START]) * (UNSTICKING_STARTS if again else 1)
+        self._started_ns = now_ns
+        self._request_at_ns = now_ns + MODE_SWITCH_NS
+        self._start_at_ns = now_ns + RETRY_START_NS  # unless a frame comes
+        self._stream_from_ns = None
+
+    def receive_data(self, data: bytes, arrived_ns: int) -> list[OdometrySample]:
+        self._bytes_heard += len(data)
+        frames = self._decoder.receive_data(data)
+        self._read_text(arrived_ns)
+        samples = [sample for frame in frames if (sample := self._to_sample(frame, arrived_ns))]
+        self.counters["bytes_skipped"] = self._decoder.bytes_skipped
+        self.counters["checksum_failures"] = self._decoder.checksum_failures
+        self.counters["frames_missed"] = self._clock.frames_missed
+        self.counters["frame_clock_retunes"] = self._clock.retunes
+        return samples
+
+    def _read_text(self, arrived_ns: int) -> None:
+        for line in self._decoder.lines:
+            self.counters["text_lines"] += 1
+            log.debug("%s says: %s", self._config.name, line)
+            if not is_banner(line):
+                continue
+            self.identity |= banner_identity(line)
+            if arrived_ns > self._in_banner_until_ns and self.counters["frames_received"]:
+                self.counters["robot_resets"] += 1
+            self._in_banner_until_ns = self._start_at_ns = arrived_ns + BANNER_END_NS
+            self._request_at_ns = self._stream_from_ns = None
+            self._last_heard_ns = arrived_ns
+            self._counts = None
+            self.status = "the robot was reset; waiting for the end of its banner"
+        self._decoder.lines.clear()
+
+    def _to_sample(self, frame: StreamFrame, arrived_ns: int) -> OdometrySample | None:
+        if self._stream_from_ns is None or arrived_ns < self._stream_from_ns:
+            self.counters["frames_of_old_stream"] += 1
+            return None
+        self.counters["frames_received"] += 1
+        self._last_heard_ns = arrived_ns
+        self._start_at_ns = None
+        if not self._mode_learned and self._started_ns is not None:
+            self._learn_mode(frame, arrived_ns - self._started_ns)
+        stamp_ns = self._clock.stamp(
+            arrived_ns - round(frame.bytes_after * self._byte_ns),
+            missing_at_most=-(-frame.damaged_bytes_before // self._frame_bytes),
+            newest=frame.bytes_after < self._frame_bytes,
+        )
+        ds_m, dth_rad = self._roll(frame, stamp_ns)
+        self._odometry.stamp_ns = stamp_ns
+        self._health.observe(frame.values)
+        self.status = f"streaming; {self._health.words()}"
+        return OdometrySample(
+            sensor=self._config.name,
+            stamp_ns=stamp_ns,
+            arrived_ns=arrived_ns,
+            x_m=self._odometry.x_m,
+            y_m=self._odometry.y_m,
+            theta_rad=self._odometry.theta_rad,
+            twist_mps_radps=self._twist.add(stamp_ns, ds_m, dth_rad),
+            covariance=self._odometry.covariance,
+        )
+
+    def _learn_mode(self, frame: StreamFrame, since_start_ns: int) -> None:
+        if since_start_ns < MODE_SETTLED_NS:
+            return
+        self._mode_learned = True
+        if self._health.learn_mode_offset(frame.values[PacketId.OI_MODE]):
+            self.identity["oi_mode"] = "reported one too high"
+
+    def _roll(self, frame: StreamFrame, stamp_ns: int) -> tuple[float, float]:
+        """Integrate the counts since the last frame; (m, rad), zeros where they cannot be believed."""
+        counts = (frame.values[PacketId.LEFT_ENCODER], frame.values[PacketId.RIGHT_ENCODER])
+        before, self._counts = self._counts, counts
+        if before is not None:
+            left, right = counts_between(before[0], counts[0]), counts_between(before[1], counts[1])
+            if max(abs(left), abs(right)) <= MAX_COUNTS:
+                return self._odometry.roll(
+                    left * self._config.left_m_per_count, right * self._config.right_m_per_count
+                )
+            self.counters["encoder_faults"] += 1
+            log.warning(
+                "%s: encoders jumped by %d and %d counts, at most %d are possible; way not counted",
+                self._config.name,
+                left,
+                right,
+                MAX_COUNTS,
+            )
+        if self._odometry.stamp_ns is not None:
+            self._odometry.lose((stamp_ns - self._odometry.stamp_ns) * 1e-9)
+        return 0.0, 0.0
+
+    def _explain_silence(self) -> str:
+        seconds = GIVE_UP_NS / 1e9
+        if self.counters["frames_received"]:
+            return (
+                f"silent for {seconds:.0f} s after {self.counters['frames_received']} frames; fell asleep, "
+                "was switched off or unplugged? press its Clean button, or wire BRC to RTS or DTR"
+            )
+        if self._bytes_heard:
+            return (
+                f"{self._bytes_heard} bytes but no stream frame in {seconds:.0f} s; is {self._config.baud} "
+                f"the robot's baud rate, is it a {self._config.model}, is another program reading this port?"
+            )
+        return (
+            f"no answer to Start (128) in {seconds:.0f} s; is the robot asleep or off? press its Clean "
+            f"button, or wire BRC to RTS or DTR; else look at cable and baud rate ({self._config.baud})"
+        )
+
+
+def new_session(config: IrobotCreateConfig, odometry: DeadReckoning | None = None) -> Session:
+    """The session that suits the model. Given the same `odometry` again, the pose survives a reconnect."""
+    session = Create1Session if config.model == "create1" else IrobotCreateSession
+    return session(config, odometry)

@@ -1,0 +1,484 @@
+import itertools
+import math
+import queue
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.errors import TransportError
+from drivers.frames import Frame, OdometrySample
+from drivers.irobot_create.config import IrobotCreateConfig
+from drivers.irobot_create.create1 import Create1Session
+from drivers.irobot_create.driver import STREAM_IDS, IrobotCreateSession, new_session
+from drivers.irobot_create.odometry import DeadReckoning
+from drivers.irobot_create.port import open_port, wake_line_low
+from drivers.irobot_create.protocol import CommandDecoder, Mode, Opcode, PacketId, encode_frame
+from drivers.link import LinkHealth, run_link
+from simulators.irobot_create import FakeCreate
+from simulators.wire import serve_pty
+
+S, MS = 1_000_000_000, 1_000_000
+HARMLESS = {
+    Opcode.START,
+    Opcode.STREAM,
+    Opcode.PAUSE_RESUME_STREAM,
+    Opcode.QUERY_LIST,
+    Opcode.STOP,
+}
+CONFIG = IrobotCreateConfig(name="base", device="/dev/null")
+CREATE1 = IrobotCreateConfig(name="base", device="/dev/null", model="create1")
+
+
+class Curve:
+    """WheelSource: speed and turn rate that swing, so that nothing cancels."""
+
+    def __init__(self, speed_mps: float = 0.3, turn_radps: float = 0.5, base_m: float = 0.235) -> None:
+        self.speed, self.turn, self.half_m = speed_mps, turn_radps, base_m / 2
+
+    def motion(self, time_s: float) -> tuple[float, float]:
+        """Way and heading since the start."""
+        return self.speed * time_s, self.turn * (1.0 - math.cos(0.7 * time_s)) / 0.7
+
+    def wheel_travel_m(self, now_ns: int) -> tuple[float, float]:
+        way_m, heading_rad = self.motion(now_ns / S)
+        return way_m - self.half_m * heading_rad, way_m + self.half_m * heading_rad
+
+    def pose_between(self, from_ns: int, to_ns: int) -> tuple[float, float, float]:
+        """True pose at the later moment in the frame of the earlier, by small steps."""
+        times_s = np.linspace(from_ns / S, to_ns / S, 20_001)
+        ways, headings = np.array([self.motion(float(t)) for t in times_s]).T
+        headings -= headings[0]
+        middle = 0.5 * (headings[1:] + headings[:-1])
+        steps = np.diff(ways)
+        return float(steps @ np.cos(middle)), float(steps @ np.sin(middle)), float(headings[-1])
+
+
+STANDING = Curve(0.0, 0.0)
+
+
+class Bench:
+    """A session and a fake robot on a table: time is passed by hand, in steps of 1 ms."""
+
+    def __init__(
+        self,
+        robot: FakeCreate,
+        session: Any,
+        read_every_ms: int = 1,
+        spoil: Callable[[bytes, int], bytes] = lambda data, now_ns: data,
+    ) -> None:
+        self.robot, self.session = robot, session
+        self.samples: list[OdometrySample] = []
+        self.sent = bytearray()  # by the session
+        self.now_ns = 0
+        self._read_every_ms = read_every_ms
+        self._spoil = spoil
+        self._waiting = bytearray()
+        robot.connected(0)
+
+    def run(self, duration_s: float) -> list[OdometrySample]:
+        before = len(self.samples)
+        for _ in range(round(duration_s * 1000)):
+            self.now_ns += MS
+            self.session.tick(self.now_ns)
+            if self.session.outbox:
+                self.sent += self.session.outbox
+                self._waiting += self.robot.receive_data(bytes(self.session.outbox), self.now_ns)
+                self.session.outbox.clear()
+            if (due_ns := self.robot.next_due_ns(self.now_ns)) is not None and due_ns <= self.now_ns:
+                self._waiting += self._spoil(self.robot.due(self.now_ns), self.now_ns)
+            if self._waiting and self.now_ns // MS % self._read_every_ms == 0:
+                self.samples += self.session.receive_data(bytes(self._waiting), self.now_ns)
+                self._waiting.clear()
+        return self.samples[before:]
+
+
+def bench(wheels: Curve = STANDING, config: IrobotCreateConfig = CONFIG, **robot: Any) -> Bench:
+    return Bench(FakeCreate(wheels, config.model, **robot), new_session(config))
+
+
+def errors_m_rad(wheels: Curve, samples: list[OdometrySample]) -> tuple[float, float]:
+    """How far the reckoned pose is from the true one at the end, both seen from the first sample."""
+    first, last = samples[0], samples[-1]
+    x_m, y_m, theta_rad = wheels.pose_between(first.stamp_ns, last.stamp_ns)
+    c, s = math.cos(first.theta_rad), math.sin(first.theta_rad)
+    dx_m, dy_m = last.x_m - first.x_m, last.y_m - first.y_m
+    forward_m, left_m = c * dx_m + s * dy_m, -s * dx_m + c * dy_m
+    turned_rad = math.remainder(last.theta_rad - first.theta_rad - theta_rad, math.tau)
+    return math.hypot(forward_m - x_m, left_m - y_m), abs(turned_rad)
+
+
+def largest_step_m(samples: list[OdometrySample]) -> float:
+    return max(math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) for a, b in itertools.pairwise(samples))
+
+
+def test_robot_is_started_and_streams_within_a_fifth_of_a_second():
+    table = bench()
+    table.run(0.2)
+    assert table.samples
+    assert table.sent == bytes([128, 148, len(STREAM_IDS), *STREAM_IDS])
+    first = table.samples[0]
+    assert (first.x_m, first.y_m, first.theta_rad) == (0.0, 0.0, 0.0)
+    assert set(first.covariance) == {0.0}
+    assert table.session.status == "streaming; battery 84 % (13.9 V, not charging), mode passive"
+
+
+def test_pose_follows_the_truth_at_66_samples_a_second():
+    wheels = Curve()
+    table = bench(wheels, start_counts=(65_500, 40))
+    samples = table.run(30.0)
+    assert 30 * 66.6 - 15 < len(samples) <= 30 * 66.7
+    position_m, heading_rad = errors_m_rad(wheels, samples)
+    assert position_m < 0.01  # one count is 0.44 mm, of which one wheel may be ahead of the other
+    assert heading_rad < 0.004
+    assert table.session.counters["encoder_faults"] == 0
+    traces = [sum(s.covariance[::4]) for s in samples[::66]]
+    assert all(np.diff(traces) > 0.0)
+
+
+def test_driving_backwards_over_the_wrap_does_not_jump():
+    wheels = Curve(-0.3, 0.0)
+    table = bench(wheels, start_counts=(100, 5))
+    samples = table.run(10.0)
+    assert samples[-1].x_m == pytest.approx(-0.3 * (samples[-1].stamp_ns - samples[0].stamp_ns) / S, abs=2e-3)
+    assert largest_step_m(samples) < 0.006
+
+
+def test_twist_is_smooth_though_reads_are_bunched():
+    wheels = Curve(0.3, 0.0)
+    table = Bench(FakeCreate(wheels), IrobotCreateSession(CONFIG), read_every_ms=80)
+    samples = table.run(10.0)[100:]
+    assert len({s.arrived_ns for s in samples}) < len(samples) / 5
+    speeds = [s.twist_mps_radps[0] for s in samples]
+    assert max(abs(speed - 0.3) for speed in speeds) < 0.01
+    assert max(abs(s.twist_mps_radps[2]) for s in samples) < 0.04
+    steps_ns = np.diff([s.stamp_ns for s in samples])
+    assert np.abs(steps_ns - 15 * MS).max() < 0.3 * MS
+
+
+def test_stamps_are_the_moments_of_measurement():
+    wheels = Curve(0.3, 0.0)
+    samples = bench(wheels).run(10.0)[100:]
+    true_m = [wheels.motion(s.stamp_ns / S)[0] for s in samples]
+    offset_m = np.array([s.x_m for s in samples]) - true_m
+    assert np.ptp(offset_m) < 1e-3  # 3 ms of driving, less one count
+    assert all(s.arrived_ns - s.stamp_ns > 3 * MS for s in samples)
+
+
+def test_text_of_the_robot_costs_one_frame_and_no_way():
+    wheels = Curve()
+    table = bench(wheels, text_every_ns=2 * S)
+    samples = table.run(20.0)
+    counters = table.session.counters
+    assert counters["text_lines"] >= 8
+    assert counters["frames_missed"] >= 3
+    assert counters["encoder_faults"] == 0
+    assert errors_m_rad(wheels, samples)[0] < 0.01
+    expected = (samples[-1].stamp_ns - samples[0].stamp_ns) / 15e6 + 1 - counters["frames_missed"]
+    assert len(samples) == round(expected)
+
+
+def test_damaged_bytes_cost_frames_and_no_way():
+    rng = np.random.default_rng(1)
+
+    def spoil(data: bytes, now_ns: int) -> bytes:
+        damaged = bytearray(data)
+        if now_ns > S and rng.random() < 0.1:
+            damaged[int(rng.integers(len(damaged)))] ^= int(rng.integers(1, 256))
+        if now_ns > S and rng.random() < 0.05:
+            del damaged[int(rng.integers(len(damaged)))]
+        return bytes(damaged)
+
+    wheels = Curve()
+    table = Bench(FakeCreate(wheels), IrobotCreateSession(CONFIG), spoil=spoil)
+    samples = table.run(30.0)
+    assert table.session.counters["checksum_failures"] > 50
+    assert errors_m_rad(wheels, samples)[0] < 0.01
+    assert largest_step_m(samples) < 0.05
+
+
+def test_impossible_step_of_the_encoders_is_counted_and_not_driven():
+    table = bench(STANDING)
+    table.run(1.0)
+    before = table.samples[-1]
+    counts = {43: 5000, 44: 5000, 22: 14_000}
+    frames = [encode_frame(STREAM_IDS, counts), encode_frame(STREAM_IDS, counts | {43: 5002, 44: 5002})]
+    jumped, moved = (
+        table.session.receive_data(frame, table.now_ns + 15 * MS * (i + 1))[0]
+        for i, frame in enumerate(frames)
+    )
+    assert (jumped.x_m, jumped.y_m) == (before.x_m, before.y_m)
+    assert jumped.covariance[0] > before.covariance[0]
+    assert table.session.counters["encoder_faults"] == 1
+    assert moved.x_m == pytest.approx(before.x_m + 2 * CONFIG.left_m_per_count)
+
+
+def test_reset_robot_is_started_again_without_a_jump():
+    wheels = Curve(0.3, 0.0)
+    table = bench(wheels, start_counts=(30_000, 31_000))
+    table.run(3.0)
+    before = table.samples[-1]
+    table.robot.reset(table.now_ns)
+    samples = table.run(4.0)
+    counters = table.session.counters
+    assert counters["robot_resets"] == 1
+    assert counters["encoder_faults"] == 0
+    assert table.session.identity["firmware"].startswith("3.3.0")
+    assert len(samples) > 100
+    assert largest_step_m([before, *samples]) < 0.006
+    gap_s = (samples[0].stamp_ns - before.stamp_ns) / S
+    assert samples[0].covariance[0] - before.covariance[0] == pytest.approx((0.5 * gap_s) ** 2 / 3, rel=0.01)
+
+
+def test_robot_that_was_stopped_by_somebody_else_is_started_again():
+    table = bench()
+    table.run(1.0)
+    table.robot.receive_data(bytes([173]), table.now_ns)
+    samples = table.run(2.0)
+    assert samples
+    assert table.session.counters["silences"] == 1
+    assert table.robot.mode is Mode.PASSIVE
+
+
+def test_robot_stuck_in_half_a_command_is_freed():
+    table = bench()
+    table.robot.receive_data(bytes([128, 145, 0]), 0)  # drive direct wants three more bytes
+    assert table.run(3.0)
+
+
+def test_sleeping_robot_is_reported_in_plain_words():
+    table = bench()
+    table.robot.asleep = True
+    with pytest.raises(TransportError, match=r"no answer to Start \(128\) in 8 s.*Clean button.*BRC"):
+        table.run(9.0)
+
+
+def test_robot_that_falls_asleep_is_reported_in_plain_words():
+    table = bench(sleep_after_ns=2 * S)
+    with pytest.raises(TransportError, match=r"silent for 8 s after \d+ frames; fell asleep"):
+        table.run(12.0)
+
+
+def test_wrong_baud_is_suspected_when_bytes_make_no_frames():
+    table = Bench(FakeCreate(STANDING), IrobotCreateSession(CONFIG), spoil=lambda data, _: b"\xe6\x00\x98")
+    with pytest.raises(TransportError, match="bytes but no stream frame in 8 s; is 115200"):
+        table.run(9.0)
+    assert table.samples == []
+
+
+def test_robot_is_kept_awake_for_hours():
+    session = IrobotCreateSession(CONFIG)
+    sent = bytearray()
+    frame = encode_frame(STREAM_IDS, {})
+    for now_ns in range(0, 310 * S, S // 10):
+        session.tick(now_ns)
+        sent += session.outbox
+        session.outbox.clear()
+        session.receive_data(frame, now_ns + S // 20)
+    assert sent.count(bytes([150, 1])) == 5
+    assert sent.count(bytes([128])) == 1
+
+
+def test_nothing_that_moves_is_ever_sent():
+    for config in (CONFIG, CREATE1):
+        table = bench(Curve(), config)
+        table.run(3.0)
+        table.robot.reset(table.now_ns)
+        table.run(70.0)
+        heard = CommandDecoder().receive_data(bytes(table.sent) + table.session.farewell())
+        assert {command.opcode for command in heard} <= HARMLESS
+        assert heard[-1].opcode in (Opcode.STOP, Opcode.START)
+
+
+def test_mode_counted_from_one_is_found_out():
+    table = bench(mode_one_too_high=True)
+    table.run(1.0)
+    assert table.session.identity["oi_mode"] == "reported one too high"
+    assert "mode passive" in table.session.status
+    table.robot.mode = Mode.SAFE
+    table.run(0.1)
+    assert "mode safe" in table.session.status
+
+
+def test_wheel_drop_and_fallback_are_reported():
+    table = bench()
+    table.run(1.0)
+    table.robot.receive_data(bytes([131]), table.now_ns)
+    table.run(0.1)
+    table.robot.drop_wheel()
+    table.run(0.1)
+    counters = table.session.counters
+    assert (counters["wheel_drops"], counters["fallbacks_to_passive"], counters["mode_changes"]) == (1, 1, 2)
+    assert table.session.status.startswith("streaming; wheel dropped: is the robot lifted?, battery")
+    table.robot.drop_wheel(False)
+    table.run(0.1)
+    assert "wheel" not in table.session.status
+
+
+def test_bumps_cliffs_and_battery_are_reported():
+    table = bench()
+    table.run(1.0)
+    values = table.robot.values
+    values |= {PacketId.BUMPS_WHEEL_DROPS: 1, PacketId.CLIFF_RIGHT: 1, PacketId.BATTERY_CHARGE: 206}
+    table.run(0.1)
+    assert table.session.status == (
+        "streaming; cliff ahead, bumper pressed, low battery 10 % (13.9 V, not charging), mode passive"
+    )
+    assert (table.session.counters["bumps"], table.session.counters["cliffs"]) == (1, 1)
+    values |= {PacketId.CHARGING_STATE: 2, PacketId.OI_MODE: 1}
+    table.run(0.1)
+    assert "cliff" not in table.session.status  # every sensor sees one on the dock
+    assert "battery 10 % (13.9 V, charging)" in table.session.status
+
+
+def test_mode_that_is_in_no_manual_is_survived():
+    table = bench()
+    table.run(1.0)
+    table.session.receive_data(encode_frame(STREAM_IDS, {35: 32}), table.now_ns + 15 * MS)
+    assert "mode 32" in table.session.status
+
+
+def test_older_stream_of_the_same_packets_is_not_counted():
+    table = bench()
+    table.robot.receive_data(bytes([128, 148, len(STREAM_IDS), *STREAM_IDS]), 0)
+    table.run(1.0)
+    assert table.session.counters["frames_of_old_stream"] >= 5
+    steps_ns = np.diff([s.stamp_ns for s in table.samples])
+    assert np.abs(steps_ns - 15 * MS).max() < 1.1 * MS
+
+
+def test_pose_survives_a_reconnect_when_the_reckoning_is_handed_on():
+    for config in (CONFIG, CREATE1):
+        odometry = DeadReckoning(config.wheel_base_m, config.travel_variance_m2_per_m)
+        robot = FakeCreate(Curve(0.3, 0.0, config.wheel_base_m), config.model)
+        table = Bench(robot, new_session(config, odometry))
+        before = table.run(3.0)[-1]
+        table.session = new_session(config, odometry)
+        samples = table.run(3.0)
+        assert largest_step_m([before, *samples]) < 0.04
+        assert samples[0].x_m == pytest.approx(before.x_m)
+        assert samples[0].covariance[0] > before.covariance[0]
+        assert all(b.stamp_ns > a.stamp_ns for a, b in itertools.pairwise([before, *samples]))
+
+
+def test_create_1_keeps_the_turn_that_its_degrees_lose():
+    wheels = Curve(0.2, 0.15, base_m=0.258)
+    table = bench(wheels, CREATE1)
+    samples = table.run(60.0)
+    assert isinstance(table.session, Create1Session)
+    assert 590 < len(samples) <= 600
+    position_m, heading_rad = errors_m_rad(wheels, samples)
+    assert heading_rad < math.radians(2.0)
+    assert position_m < 0.15  # of 12 m
+    truncated_deg = 0.0
+    for a, b in itertools.pairwise(samples):
+        turned_deg = math.degrees(wheels.motion(b.stamp_ns / S)[1] - wheels.motion(a.stamp_ns / S)[1])
+        truncated_deg += abs(turned_deg) - abs(int(turned_deg))
+    assert truncated_deg > 90.0  # what would be lost without the requested speeds
+    assert table.session.status == "polling; battery 84 % (13.9 V, not charging), mode passive"
+
+
+def test_create_1_survives_lost_and_damaged_answers():
+    rng = np.random.default_rng(2)
+    wheels = Curve(0.2, 0.1, base_m=0.258)
+    robot = FakeCreate(wheels, "create1")
+    session = Create1Session(CREATE1)
+    listen = robot.receive_data
+
+    def spoiled(data: bytes, now_ns: int) -> bytes:
+        answer = bytearray(listen(data, now_ns))
+        if answer and rng.random() < 0.1:
+            del answer[int(rng.integers(len(answer)))]
+        return bytes(answer)
+
+    robot.receive_data = spoiled  # type: ignore[method-assign]
+    samples = Bench(robot, session).run(30.0)
+    assert session.counters["answers_missed"] > 10
+    assert len(samples) > 150
+    assert largest_step_m(samples) < 0.1
+    assert all(b.stamp_ns > a.stamp_ns for a, b in itertools.pairwise(samples))
+
+
+def test_create_1_that_sleeps_is_reported_in_plain_words():
+    table = bench(STANDING, CREATE1)
+    table.robot.asleep = True
+    with pytest.raises(TransportError, match=r"no answer to Start \(128\) in 8 s"):
+        table.run(9.0)
+
+
+def test_create_1_after_a_battery_change_is_started_again():
+    wheels = Curve(0.2, 0.0, 0.258)
+    table = bench(wheels, CREATE1)
+    before = table.run(3.0)[-1]
+    table.robot.reset(table.now_ns)
+    samples = table.run(5.0)
+    assert len(samples) > 25
+    assert table.session.identity["firmware"].startswith("3.3.0")
+    assert table.session.counters["robot_resets"] == 1
+    assert errors_m_rad(wheels, [before, *samples])[0] < 0.03  # what the robot forgot of a tenth of a second
+    assert (
+        samples[0].covariance[0] - before.covariance[0] > 0.1
+    )  # it said where it is, but may have lost more
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.binary(max_size=120), max_size=20), st.sampled_from([CONFIG, CREATE1]))
+def test_any_bytes_are_survived_and_the_next_good_ones_used(chunks: list[bytes], config: IrobotCreateConfig):
+    table = bench(STANDING, config)
+    table.run(0.5)
+    for chunk in chunks:
+        table.now_ns += 5 * MS
+        table.session.tick(table.now_ns)
+        table.session.receive_data(chunk, table.now_ns)
+    assert len(table.run(2.5)) >= 5
+
+
+@pytest.mark.parametrize(
+    ("second", "low"),
+    [(0.0, False), (0.3, True), (0.9, False), (30.0, False), (60.5, True), (61.5, False), (120.1, True)],
+)
+def test_wake_line_is_pulsed_once_and_then_every_minute(second: float, low: bool):
+    assert wake_line_low(second) is low
+
+
+@pytest.fixture
+def read_from() -> Any:
+    """Runs run_link on a config in a thread; returns (queue of frames, health). Always stopped."""
+    stop = threading.Event()
+    threads = []
+
+    def start(config: IrobotCreateConfig) -> tuple["queue.Queue[Frame]", LinkHealth]:
+        frames: queue.Queue[Frame] = queue.Queue()
+        health = LinkHealth(config.name)
+        thread = threading.Thread(
+            target=run_link,
+            args=(health, lambda: open_port(config), lambda: new_session(config), frames.put, stop),
+        )
+        threads.append(thread)
+        thread.start()
+        return frames, health
+
+    yield start
+    stop.set()
+    for thread in threads:
+        thread.join(5.0)
+        assert not thread.is_alive()
+
+
+@pytest.mark.parametrize("model", ["create2", "create1"])
+def test_driver_reads_the_simulator_over_a_terminal(read_from: Any, model: Any):
+    robot = FakeCreate(Curve(0.3, 0.2), model, wakes_on_connect=True)
+    robot.receive_data(bytes([128, 133]), 0)
+    assert robot.asleep
+    with serve_pty(robot) as path:
+        frames, health = read_from(IrobotCreateConfig(name="base", device=str(path), model=model))
+        samples = [frames.get(timeout=5.0) for _ in range(20)]
+    assert all(isinstance(sample, OdometrySample) for sample in samples)
+    assert samples[-1].x_m > 0.0
+    assert health.state in ("streaming", "down", "connecting")
+    assert "battery 84 %" in health.status
+    assert health.counters["bytes_skipped"] == 0
