@@ -93,6 +93,12 @@ def _add_offline(commands: Any) -> None:
     carmen = _add(kinds, "carmen", "a CARMEN log, plain or .gz")
     carmen.add_argument("log", type=Path, metavar="LOG")
     carmen.add_argument("out", type=Path, metavar="OUT.mcap")
+    carmen.add_argument(
+        "--odometry",
+        choices=("auto", "logged", "none"),
+        default="auto",
+        help="auto: poses of a corrected log are a result and no odometry; logged: take them all the same",
+    )
 
     export = _add(commands, "export", "a session, a map or a replay's folder to a file other programs read")
     export.add_argument("input", type=Path, metavar="INPUT")

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from typing import Any, TextIO
 
 BAR_WIDTH = 30
@@ -44,6 +45,14 @@ def print_result(result: dict[str, Any], as_json: bool) -> None:
         print(json.dumps(result, allow_nan=False))
     else:
         print("\n".join(_lines(result, "")))
+
+
+def print_report(report: Any, as_json: bool) -> None:
+    """A dataclass that knows how to say itself: its fields as one JSON object, or its words."""
+    if as_json:
+        print(json.dumps(asdict(report), allow_nan=False, default=str))
+    else:
+        print(report)
 
 
 def _lines(result: dict[str, Any], prefix: str) -> Iterator[str]:

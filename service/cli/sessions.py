@@ -2,7 +2,7 @@
 
 import argparse
 
-from service.cli.console import print_result, progress
+from service.cli.console import print_report, print_result, progress
 from service.kernel_cache import ensure_cache_dir
 
 
@@ -19,4 +19,19 @@ def replay(parsed: argparse.Namespace) -> int:
     else:
         named = {str(session[0]): summary for session, summary in zip(sessions, summaries, strict=True)}
         print_result(named, parsed.json)
+    return 0
+
+
+def import_log(parsed: argparse.Namespace) -> int:
+    from service.offline.carmen import import_carmen
+
+    report = import_carmen(parsed.log, parsed.out, parsed.odometry)
+    print_report(report, parsed.json)
+    return 0
+
+
+def recover(parsed: argparse.Namespace) -> int:
+    from service.recording.mcap_recovery import recover as recover_file
+
+    print_report(recover_file(parsed.file), parsed.json)
     return 0
