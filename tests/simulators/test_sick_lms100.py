@@ -1,0 +1,452 @@
+"""The pretended LMS100: what third-party clients ask, what they need as an answer, the habits of a real one.
+
+The dialogues are replayed from recordings of libLMS1xx, MRPT and sick_scan_xd where those are at hand; what each
+client parses is stated here from its source (LMS1xx.cpp, CLMS100eth.cpp, sick_scan_common.cpp).
+"""
+
+import ast
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from drivers.sick_lms100.protocol import Decoder, Dialect, Telegram, encode, reader, writer
+from drivers.sick_lms100.telegrams import (
+    OutputRange,
+    ScanConfig,
+    ScanDataConfig,
+    read_scan,
+)
+from simulators.device import Sweep
+from simulators.sick_lms100 import FakeLms100, Lms100Setup
+
+ASCII, BINARY = Dialect.ASCII, Dialect.BINARY
+START_NS = 5_000 * 10**9
+MS = 1_000_000
+LOGIN = b"\x02sMN SetAccessMode 03 F4724744\x03"
+
+
+class Corridor:
+    """Ranges that depend on the beam alone: 1 m, 1.001 m, ...; remembers what was asked."""
+
+    def __init__(self, range_m=None):
+        self.asked = []
+        self._range_m = range_m
+
+    def sweep(self, first_ray_ns, beam_interval_ns, first_angle_rad, angle_step_rad, beam_count):
+        self.asked.append((first_ray_ns, beam_interval_ns, first_angle_rad, angle_step_rad, beam_count))
+        range_m = self._range_m
+        if range_m is None:
+            range_m = (1.0 + np.arange(beam_count) * 1e-3).astype(np.float32)
+        return Sweep(range_m, np.linspace(0.0, 1.0, len(range_m), dtype=np.float32))
+
+
+class Bench:
+    """A device, a clock that is moved by hand, and what came out."""
+
+    def __init__(self, setup=None, source=None):
+        self.source = source or Corridor()
+        self.device = FakeLms100(self.source, setup or Lms100Setup())
+        self.now_ns = START_NS
+        self.device.connected(self.now_ns)
+
+    def say(self, data):
+        self.now_ns += MS
+        return self.device.receive_data(data, self.now_ns)
+
+    def let(self, ms):
+        """Let time pass; returns every message that left, with its time."""
+        end_ns, out = self.now_ns + round(ms * MS), []
+        while (due_ns := self.device.next_due_ns(self.now_ns)) is not None and due_ns <= end_ns:
+            self.now_ns = max(self.now_ns, due_ns)
+            if message := self.device.due(self.now_ns):
+                out.append((self.now_ns, message))
+        self.now_ns = end_ns
+        return out
+
+    def scans(self, ms):
+        decoder = Decoder()
+        telegrams = [(at_ns, t) for at_ns, message in self.let(ms) for t in decoder.receive_data(message)]
+        return [(at_ns, read_scan(t)) for at_ns, t in telegrams if t.name == "LMDscandata"]
+
+
+def streaming(setup=None, source=None):
+    bench = Bench(setup, source)
+    dialect = bench.device.setup.dialect
+    assert bench.say(encode(Telegram(dialect, "sEN", "LMDscandata", b"1" if dialect is ASCII else b"\1")))
+    return bench
+
+
+def dialogue(path):
+    """The requests in one recorded dialogue: a list of sessions, each a list of framed requests."""
+    sessions = []
+    for line in path.read_text().splitlines():
+        if line == "ACCEPT":
+            sessions.append([])
+        elif line[:1].isdigit():
+            _, letter, payload = line.split(" ", 2)
+            payload = ast.literal_eval(payload)
+            if letter == "A":
+                sessions[-1].append(b"\x02" + payload + b"\x03")
+            else:
+                checksum = int(np.bitwise_xor.reduce(np.frombuffer(payload, np.uint8)))
+                sessions[-1].append(
+                    b"\x02\x02\x02\x02" + len(payload).to_bytes(4, "big") + payload + bytes([checksum])
+                )
+    return sessions
+
+
+KINDS = {"sRN": "sRA", "sWN": "sWA", "sMN": "sAN", "sEN": "sEA"}
+
+
+def test_liblms1xx_and_mrpt_get_through_their_start_up(shared):
+    lib, mrpt = dialogue(shared / "captures/sick/client_dialogue_libLMS1xx_then_MRPT_colaA.txt")
+    bench = Bench()
+    answers = {}
+    for request in lib:
+        answer = bench.say(request)
+        assert answer.startswith(b"\x02")
+        assert answer.count(b"\x03") == 1
+        assert answer.endswith(b"\x03")
+        [asked], [said] = Decoder().receive_data(request), Decoder().receive_data(answer)
+        assert (said.kind, said.name) == (KINDS[asked.kind], asked.name)
+        answers[asked.name] = answer
+        if asked.name == "LMCstartmeas":
+            bench.let(1000)
+        elif request.endswith(b"LMDscandata 1\x03"):
+            messages = bench.let(200)
+            scan = messages[0][1]
+            assert scan.startswith(b"\x02")
+            assert scan.endswith(b"\x03")
+            tokens = scan[1:-1].split(b" ")
+            # libLMS1xx: status, inputs and outputs are two tokens each, then encoders and channels.
+            assert tokens[18:21] == [b"0", b"2", b"DIST1"]
+            assert tokens[25] == b"21D"
+    assert answers["SetAccessMode"] == b"\x02sAN SetAccessMode 1\x03"
+    assert answers["LMPscancfg"] == b"\x02sRA LMPscancfg 1388 1 1388 FFF92230 225510\x03"
+    assert answers["mLMPsetscancfg"] == b"\x02sAN mLMPsetscancfg 0 1388 1 1388 FFF92230 225510\x03"
+    assert answers["STlms"][10:12] == b" 7"  # both clients look at this byte
+    bench.device.disconnected(bench.now_ns)
+    bench.device.connected(bench.now_ns)
+    for request in mrpt[:-5]:
+        assert Decoder().receive_data(bench.say(request))[0].kind != "sFA"
+        bench.let(1000)
+    bench.let(1000)
+    for request in mrpt[-5:]:
+        tokens = bench.say(request)[1:-1].split(b" ")
+        assert tokens[:2] == [b"sRA", b"LMDscandata"]
+        assert (tokens[20], int(tokens[25], 16)) == (b"DIST1", 1081)
+        assert len(tokens) > 26 + 1081
+        bench.let(140)
+
+
+def test_clearpath_finds_a_measuring_device_ready_at_once():
+    bench = Bench()
+    for request in (
+        LOGIN,
+        b"\x02sRN LMPscancfg\x03",
+        b"\x02sRN LMPoutputRange\x03",
+        b"\x02sWN LMDscandatacfg 01 00 1 1 0 00 00 0 0 0 0 +1\x03",
+    ):
+        assert b"sFA" not in bench.say(request)
+    assert bench.say(b"\x02sMN LMCstartmeas\x03") == b"\x02sAN LMCstartmeas 0\x03"
+    assert bench.say(b"\x02sRN STlms\x03").startswith(b"\x02sRA STlms 7 ")
+    assert bench.say(b"\x02sMN Run\x03") == b"\x02sAN Run 1\x03"
+    assert bench.say(b"\x02sEN LMDscandata 1\x03") == b"\x02sEA LMDscandata 1\x03"
+    [(_, first), *_] = bench.scans(100)
+    assert [channel.content for channel in first.channels_16bit] == ["DIST1", "RSSI1"]
+
+
+def test_sick_scan_xd_gets_through_its_start_up(shared):
+    [requests] = dialogue(shared / "captures/sick/client_dialogue_sick_scan_xd_colaB.txt")
+    bench = Bench(Lms100Setup(dialect=BINARY))
+    answers = {}
+    for request in requests:
+        [asked] = Decoder().receive_data(request)
+        [said] = Decoder().receive_data(bench.say(request))
+        assert (said.kind, said.name) == (KINDS[asked.kind], asked.name)
+        answers[asked.name] = said
+    assert answers["SCdevicestate"].body == b"\1"
+    assert answers["FirmwareVersion"].body == b"\0\x09V1.80.2  "
+    assert answers["LMDscandatacfg"].body.hex() == "01000000000000000000010001"
+    assert answers["EIHstCola"].body == b""
+    assert len(bench.scans(1000)) > 45
+
+
+def test_output_state_has_the_layout_and_length_of_an_lms1xx():
+    bench = Bench(Lms100Setup(dialect=BINARY))
+    for name in ("LIDoutputstate", "LMDscandata"):
+        bench.say(encode(Telegram(BINARY, "sEN", name, b"\1")))
+    messages = [m for _, m in bench.let(500)]
+    [event] = [m for m in messages if b"LIDoutputstate" in m]
+    assert len(event) == 93 + 9
+    [telegram] = Decoder().receive_data(event)
+    r = reader(telegram)
+    assert r.u16() == 1
+    r.u32()
+    states = [(r.u8(), r.u32()) for _ in range(11)]
+    assert [state for state, _ in states] == [0, 0, 1] + [2] * 8
+    assert messages.index(event) == 7  # between scans, when the error flag goes
+
+
+@pytest.mark.parametrize("dialect", [ASCII, BINARY])
+def test_other_dialect_is_met_with_silence(dialect):
+    other = BINARY if dialect is ASCII else ASCII
+    bench = Bench(Lms100Setup(dialect=dialect))
+    assert bench.say(encode(Telegram(other, "sRN", "SCdevicestate"))) == b""
+    assert bench.say(encode(Telegram(dialect, "sRN", "SCdevicestate"))) != b""
+    assert bench.device.counters["requests_in_other_dialect"] == 1
+
+
+def test_dialect_changes_with_the_next_connection_and_is_acknowledged_in_the_old_one():
+    bench = Bench()
+    bench.say(LOGIN)
+    assert bench.say(b"\x02sWN EIHstCola 1\x03") == b"\x02sWA EIHstCola\x03"
+    assert bench.say(b"\x02sRN SCdevicestate\x03") == b"\x02sRA SCdevicestate 1\x03"
+    bench.device.disconnected(bench.now_ns)
+    bench.device.connected(bench.now_ns)
+    assert bench.say(b"\x02sRN SCdevicestate\x03") == b""
+    assert bench.say(encode(Telegram(BINARY, "sRN", "SCdevicestate"))).endswith(b"\x01\x1e")
+
+
+@pytest.mark.parametrize(
+    ("request_text", "code"),
+    [
+        ("sWN LMPoutputRange 1 1388 0 1B7740", "A"),
+        ("sMN LMCstartmeas", "1"),
+        ("sRN NoSuchThing", "3"),
+        ("sRN field030", "3"),
+        ("sWN FREchoFilter 0", "3"),
+        ("sMN NoSuchThing", "2"),
+        ("sEN NoSuchThing 1", "F"),
+        ("sEN LMDscandata", "8"),
+        ("sXN What", "C"),
+    ],
+)
+def test_what_is_not_allowed_is_refused_with_the_right_code(request_text, code):
+    assert Bench().say(b"\x02" + request_text.encode() + b"\x03") == b"\x02sFA " + code.encode() + b"\x03"
+
+
+def test_refusal_in_binary_has_no_blank():
+    bench = Bench(Lms100Setup(dialect=BINARY))
+    assert bench.say(encode(Telegram(BINARY, "sRN", "field030"))).hex() == "0202020200000005734641000377"
+
+
+def test_login_is_checked_and_ends_with_run_and_with_the_connection():
+    bench = Bench()
+    write = b"\x02sWN LMDscandatacfg 01 00 0 0 0 00 00 0 0 0 1 +1\x03"
+    assert bench.say(b"\x02sMN SetAccessMode 3 12345678\x03") == b"\x02sAN SetAccessMode 0\x03"
+    assert bench.say(write) == b"\x02sFA A\x03"
+    assert bench.say(LOGIN) == b"\x02sAN SetAccessMode 1\x03"
+    assert bench.say(write) == b"\x02sWA LMDscandatacfg\x03"
+    bench.say(b"\x02sMN Run\x03")
+    assert bench.say(write) == b"\x02sFA A\x03"
+    bench.say(LOGIN)
+    bench.device.disconnected(bench.now_ns)
+    bench.device.connected(bench.now_ns)
+    assert bench.say(write) == b"\x02sFA A\x03"
+
+
+@pytest.mark.parametrize(
+    ("frequency", "step", "status"),
+    [(5000, 5000, 0), (2500, 2500, 0), (2500, 5000, 0), (5000, 2500, 2), (4000, 5000, 1)],
+)
+def test_scan_config_knows_the_three_legal_pairs(frequency, step, status):
+    bench = Bench()
+    bench.say(LOGIN)
+    answer = bench.say(f"\x02sMN mLMPsetscancfg +{frequency} +1 +{step} -450000 +2250000\x03".encode())
+    r = reader(Decoder().receive_data(answer)[0])
+    assert r.u8() == status
+    now = ScanConfig.read(reader(Decoder().receive_data(bench.say(b"\x02sRN LMPscancfg\x03"))[0]))
+    assert (now == ScanConfig(frequency, step)) == (status == 0)
+
+
+def test_new_scan_config_costs_time_without_scans():
+    bench = streaming(Lms100Setup(reconfigure_delay_ns=2_000 * MS))
+    bench.say(LOGIN)
+    assert len(bench.let(1000)) > 40
+    bench.say(b"\x02sMN mLMPsetscancfg +2500 +1 +2500 -450000 +2250000\x03")
+    assert bench.say(b"\x02sRN STlms\x03").startswith(b"\x02sRA STlms 4")
+    assert bench.let(1900) == []
+    scans = bench.scans(1000)
+    assert 20 <= len(scans) <= 25
+    assert {len(scan.channels_16bit[0].values) for _, scan in scans} == {1081}
+    assert scans[-1][1].shots_100hz == 360
+
+
+def test_output_range_always_claims_half_a_degree():
+    bench = Bench(Lms100Setup(scan=ScanConfig(2500, 2500), output_range=OutputRange(0, 1_800_000, 2500)))
+    assert bench.say(b"\x02sRN LMPoutputRange\x03") == b"\x02sRA LMPoutputRange 1 1388 0 1B7740\x03"
+    assert bench.say(b"\x02sRN LMPscancfg\x03").split(b" ")[4] == b"9C4"
+
+
+def test_boot_is_silence_and_then_state_one_is_over():
+    bench = Bench(Lms100Setup(boot_ns=10_000 * MS))
+    assert bench.device.state(bench.now_ns) == 1
+    assert bench.say(b"\x02sRN STlms\x03") == b""
+    bench.let(10_100)
+    assert bench.say(b"\x02sRN STlms\x03").startswith(b"\x02sRA STlms 7 0 8 00:00:0")
+
+
+def test_motor_takes_its_time_from_standstill():
+    bench = Bench(Lms100Setup(measuring=False, start_delay_ns=5_000 * MS))
+    bench.say(LOGIN)
+    states = [bench.device.state(bench.now_ns)]
+    bench.say(b"\x02sMN LMCstartmeas\x03")
+    states.append(bench.device.state(bench.now_ns))
+    bench.let(5000)
+    states.append(bench.device.state(bench.now_ns))
+    bench.say(b"\x02sMN LMCstandby\x03")
+    states.append(bench.device.state(bench.now_ns))
+    assert states == [3, 4, 7, 6]
+
+
+def test_reboot_forgets_the_client_and_comes_back():
+    bench = Bench(Lms100Setup(boot_ns=3_000 * MS))
+    bench.let(4000)
+    bench.say(b"\x02sEN LMDscandata 1\x03")
+    assert len(bench.let(1000)) > 40
+    bench.say(LOGIN)
+    assert bench.say(b"\x02sMN mSCreboot\x03") == b"\x02sAN mSCreboot 1\x03"
+    assert bench.let(2900) == []
+    assert bench.say(b"\x02sRN STlms\x03") == b""
+    bench.let(200)
+    assert bench.say(b"\x02sRN STlms\x03") != b""
+
+
+def test_client_that_died_leaves_a_deaf_device_for_a_while():
+    bench = streaming(Lms100Setup(refusal_ns=30_000 * MS))
+    bench.device.disconnected(bench.now_ns)
+    bench.device.connected(bench.now_ns)
+    assert bench.say(b"\x02sRN STlms\x03") == b""
+    bench.let(30_000)
+    assert bench.say(b"\x02sRN STlms\x03") != b""
+    assert bench.say(b"\x02sEN LMDscandata 0\x03") == b"\x02sEA LMDscandata 0\x03"
+    bench.device.disconnected(bench.now_ns)
+    bench.device.connected(bench.now_ns)
+    assert bench.say(b"\x02sRN STlms\x03") != b""
+
+
+def test_scan_leaves_after_its_last_ray_and_its_stamps_are_a_real_ones():
+    bench = streaming(Lms100Setup(clock_drift_ppm=100.0))
+    scans = bench.scans(20_000)
+    first_rays_ns = np.array([asked[0] for asked in bench.source.asked])
+    leaves_ns = np.array([at_ns for at_ns, _ in scans])
+    assert len(scans) == len(first_rays_ns)
+    sweep_ns = 540 * bench.source.asked[0][1]
+    assert ((leaves_ns - first_rays_ns) > sweep_ns).all()
+    assert ((leaves_ns - first_rays_ns) < sweep_ns + 500_000).all()
+    start_us = np.array([scan.start_us for _, scan in scans])
+    after_us = np.array([scan.sent_us for _, scan in scans]) - start_us
+    assert 3_000 < after_us.min() < after_us.max() < 3_300
+    step_ms = np.diff(start_us) / 1e3
+    assert 20.07 < step_ms.min() <= step_ms.max() < 20.18
+    truth_ms = np.diff(first_rays_ns) / 1e6
+    assert np.mean(step_ms / truth_ms) == pytest.approx(1 + 100e-6, abs=5e-6)
+
+
+def test_first_scans_carry_the_error_flag_and_numbers_go_on():
+    scans = [scan for _, scan in streaming(Lms100Setup(clock_start_us=2**32 - 100_000)).scans(1000)]
+    assert [scan.status for scan in scans[:8]] == [(1, 0)] * 7 + [(0, 0)]
+    assert [scan.outputs[0] for scan in scans[6:8]] == [1, 4]
+    counters = np.array([scan.scan_counter for scan in scans])
+    assert (np.diff(counters) == 1).all()
+    assert len({scan.telegram_counter - scan.scan_counter for scan in scans}) == 1
+    assert any(b.start_us < a.start_us for a, b in pairwise(scans))  # the wrap
+
+
+def test_slow_network_costs_whole_scans_and_the_counters_tell():
+    bench = streaming()
+    bench.scans(100)
+    bench.now_ns += 1_000 * MS
+    scans = [scan for _, scan in bench.scans(10)]
+    assert len(scans) in (11, 12)
+    assert bench.device.counters["scans_left_out"] >= 37
+
+
+def test_stopped_and_started_again_scan_numbers_start_over_and_telegrams_go_on():
+    bench = streaming()
+    bench.say(LOGIN)
+    before = bench.scans(1000)[-1][1]
+    bench.say(b"\x02sMN LMCstopmeas\x03")
+    assert bench.let(1000) == []
+    bench.say(b"\x02sMN LMCstartmeas\x03")
+    after = bench.scans(1000)[0][1]
+    assert after.scan_counter == 4
+    assert after.telegram_counter == before.telegram_counter + 1
+
+
+@pytest.mark.parametrize(("bits", "most"), [(8, 254), (16, 65_534)])
+def test_remission_and_second_echo_are_sent_where_asked_for(bits, most):
+    layout = ScanDataConfig(3, True, bits == 16)
+    [(_, scan), *_] = streaming(Lms100Setup(scan_data=layout)).scans(100)
+    assert scan.channel("RSSI1").values[[0, -1]].tolist() == [1, most]
+    assert not scan.channel("DIST2").values.any()
+    assert len(scan.channels_8bit) == (2 if bits == 8 else 0)
+
+
+def test_ranges_become_digits_and_what_cannot_be_measured_becomes_zero():
+    source = Corridor(np.array([np.nan, 0.005, 0.016, 3.0, 19.9994, 20.5], np.float32))
+    [(_, scan), *_] = streaming(source=source).scans(100)
+    assert scan.channel("DIST1").values.tolist() == [0, 0, 16, 3000, 19_999, 0]
+    setup = Lms100Setup(scale=2.0, reach_m=80.0)
+    [(_, scan), *_] = streaming(setup, Corridor(np.array([70.0], np.float32))).scans(100)
+    assert (scan.channel("DIST1").values.tolist(), scan.channel("DIST1").scale) == ([35_000], 2.0)
+
+
+def test_narrow_field_of_view_is_cast_at_its_own_time_and_angle():
+    setup = Lms100Setup(output_range=OutputRange(0, 900_000))
+    bench = streaming(setup)
+    bench.scans(100)
+    full = streaming()
+    full.scans(100)
+    narrow, wide = bench.source.asked[0], full.source.asked[0]
+    assert narrow[4] == 181
+    assert narrow[2] == pytest.approx(-np.pi / 2)
+    assert narrow[0] - wide[0] == pytest.approx(90 * wide[1], abs=200)
+
+
+def test_contamination_and_failure_show_in_every_place():
+    bench = streaming()
+    bench.scans(1000)
+    bench.device.contamination = 2
+    bench.device.failed = True
+    assert bench.scans(100)[0][1].status == (1, 5)
+    assert bench.say(b"\x02sRN LCMstate\x03") == b"\x02sRA LCMstate 2\x03"
+    assert bench.say(b"\x02sRN SCdevicestate\x03") == b"\x02sRA SCdevicestate 2\x03"
+
+
+def test_repeated_telegrams_are_identical():
+    messages = [m for _, m in streaming(Lms100Setup(repeat_every=5)).let(1000)]
+    repeated = [k for k in range(1, len(messages)) if messages[k] == messages[k - 1]]
+    assert len(repeated) == len(messages) // 6
+
+
+def test_without_subscriber_nothing_leaves_and_nothing_is_cast():
+    bench = Bench()
+    assert bench.device.next_due_ns(bench.now_ns) is None
+    assert bench.let(1000) == []
+    assert bench.source.asked == []
+
+
+def test_garbage_is_answered_with_nothing():
+    bench = Bench()
+    for _ in range(100):
+        assert bench.say(b"\x00\xff\x02garbage" * 100) == b""
+    assert bench.device.counters["garbage"] > 0
+    assert bench.say(b"\x02sRN SCdevicestate\x03") != b""
+
+
+def test_name_comment_position_and_encoder_are_sent_where_asked_for():
+    layout = replace(
+        ScanDataConfig(1, False, False), name=True, comment=True, position=True, encoder=1, time=False
+    )
+    w = writer(ASCII)
+    layout.write(w)
+    bench = streaming()
+    bench.say(LOGIN)
+    assert bench.say(b"\x02sWN LMDscandatacfg " + w.body + b"\x03") == b"\x02sWA LMDscandatacfg\x03"
+    [(_, scan), *_] = bench.scans(100)
+    assert (scan.name, scan.comment, scan.encoders, scan.time) == ("not defined", "", ((0, 0),), None)
+    assert scan.position == (0.0,) * 7
