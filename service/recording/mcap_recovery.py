@@ -13,6 +13,7 @@ import shutil
 import struct
 import subprocess
 import sys
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -259,6 +260,9 @@ class _Walk:
         try:
             content = zstandard.ZstdDecompressor().decompressobj().decompress(self._data[start:])
         except zstandard.ZstdError:
+            return
+        _, _, size, crc, _ = _CHUNK_FIXED.unpack_from(self._data, offset + _FRAME.size)
+        if len(content) == size and crc and zlib.crc32(content) != crc:
             return
         yield from self._counted(_whole_records(content))
 

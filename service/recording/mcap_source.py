@@ -1,0 +1,267 @@
+"""Frames out of recordings, for the replay: our own sessions, and those of any other ROS 2 system.
+
+In a session of ours a sensor's topics are `/<sensor>/scan`, `/<sensor>/imu` and `/<sensor>/odom`. In others
+they are found by type; where several fit, one is chosen, and the notes say what was passed over.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.frames import Frame, LaserScan
+from service.encoding import (
+    BASE_FRAME,
+    IMU,
+    LASER_SCAN,
+    MAP_FRAME,
+    ODOMETRY,
+    TF,
+    Message,
+    Transform,
+    decode_frame,
+    decode_pose,
+    decode_transforms,
+    frame_id,
+)
+from service.errors import InputError
+from service.geometry.se2 import SE2
+from service.recording.mcap_reader import Recording, Topic
+
+FRAME_TYPES = {LASER_SCAN: "scan", IMU: "imu", ODOMETRY: "odom"}
+BASE_FRAMES = (BASE_FRAME, "base_footprint")
+MOST_TILT_DEG = 10.0  # what a planar mapper can take; upside down is fine
+DERIVED = ("filter", "fused", "icp", "visual", "amcl", "slam", "merged")  # made by others from the raw topic
+
+Matrix = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class _Mount:
+    """Where a sensor sits, as far as a planar mapper wants to know."""
+
+    pose_base_sensor: SE2
+    upside_down: bool  # its angles run clockwise seen from above
+
+
+@dataclass(slots=True)
+class Session:
+    """What a recording offers to a mapper.
+
+    sensors        topic -> sensor name; the topics whose frames come out
+    mountings      sensor name -> pose_base_sensor, for lasers; from /tf_static
+    metadata       config, calibration, clocks as written by the recorder; empty in foreign recordings
+    notes          what was chosen and what was passed over, one line each, for people
+    counters       filled while reading: frames by topic, and messages without usable content
+    """
+
+    recording: Recording
+    sensors: dict[str, str]
+    mountings: dict[str, SE2]
+    notes: list[str]
+    upside_down: frozenset[str]
+    counters: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        return self.recording.metadata
+
+    def frames(self) -> Iterator[Frame]:
+        """Frames by rising log time, which in our sessions is the order in which the mapper had them.
+
+        A message that is no use to a mapper is counted and left out. Raises InputError at a damaged place.
+        """
+        self.counters.clear()
+        for message in self.recording.messages(self.sensors):
+            topic = f"/{message.channel}"
+            sensor = self.sensors[topic]
+            try:
+                frame = decode_frame(message.type, message.payload, sensor, message.log_ns)
+            except InputError:
+                frame = None
+            if frame is None:
+                self.counters[f"{topic} unusable"] += 1
+                continue
+            self.counters[topic] += 1
+            if sensor in self.upside_down and isinstance(frame, LaserScan):
+                first, step = -frame.first_angle_rad, -frame.angle_step_rad
+                frame = replace(frame, first_angle_rad=first, angle_step_rad=step)
+            yield frame
+
+
+def open_session(paths: Sequence[Path]) -> Session:
+    """Look into finished recordings. Raises InputError where there is no laser scan that can be mapped."""
+    recording = Recording(paths)
+    notes: list[str] = []
+    readable = [topic for topic in recording.topics if topic.type in FRAME_TYPES and topic.count]
+    for topic in [t for t in readable if t.encoding != "cdr"]:
+        notes.append(f"passed over {topic}: encoded as {topic.encoding!r}; only ROS 2's cdr is read")
+    readable = [topic for topic in readable if topic.encoding == "cdr"]
+    ours = [topic for topic in readable if _is_ours(topic)] if _is_our_session(recording) else []
+    heads = {topic.name: _head(recording, topic) for topic in ours or readable}
+    chosen = ours or _choose(readable, heads, notes)
+    sensors = _name_sensors(chosen)
+    tree = _Tree(recording)
+    moved = [decode_pose(heads[t.name].payload).child.lstrip("/") for t in chosen if t.type == ODOMETRY]
+    bases = tuple(dict.fromkeys([*filter(None, moved), *BASE_FRAMES]))  # what the odometry moves is the base
+    mounts: dict[str, _Mount] = {}
+    for topic in chosen:
+        if topic.type == ODOMETRY or (topic.type == IMU and ours):
+            continue
+        try:
+            sensor_frame = frame_id(topic.type, heads[topic.name].payload)
+            mount = _mount(tree, bases, sensor_frame, topic, notes)
+            if topic.type == LASER_SCAN:
+                mounts[sensors[topic.name]] = mount
+            elif mount.upside_down:
+                raise _TiltedError("mounted upside down")
+        except _TiltedError as error:
+            notes.append(f"passed over {topic}: {error}")
+            del sensors[topic.name]
+    if not mounts:
+        raise InputError(_nothing_to_map(recording, notes))
+    used = ", ".join(str(topic) for topic in chosen if topic.name in sensors)
+    return Session(
+        recording=recording,
+        sensors=sensors,
+        mountings={sensor: mount.pose_base_sensor for sensor, mount in mounts.items()},
+        notes=[f"reading {used}", *notes],
+        upside_down=frozenset(sensor for sensor, mount in mounts.items() if mount.upside_down),
+    )
+
+
+def _is_our_session(recording: Recording) -> bool:
+    """By who wrote it; or, where another program rewrote it, by what only we write."""
+    by_us = recording.library.startswith("corridor ") or any(t.name == "/pose" for t in recording.topics)
+    return by_us and any(_is_ours(t) and t.type == LASER_SCAN for t in recording.topics)
+
+
+def _is_ours(topic: Topic) -> bool:
+    parts = topic.name.split("/")
+    return len(parts) == 3 and parts[0] == "" and FRAME_TYPES.get(topic.type) == parts[2]
+
+
+def _name_sensors(topics: Sequence[Topic]) -> dict[str, str]:
+    """ "/front/scan" is "front", "/scan" is "scan", "/robot1/base_scan" is "robot1_base_scan"."""
+    names: dict[str, str] = {}
+    for topic in topics:
+        whole = topic.name.strip("/").replace("/", "_")
+        name = whole.removesuffix(f"_{FRAME_TYPES[topic.type]}") or whole
+        taken = {names[t.name] for t in topics if t.name in names and t.type == topic.type}
+        names[topic.name] = whole if name in taken else name
+    return names
+
+
+def _head(recording: Recording, topic: Topic) -> Message:
+    first = next(recording.messages([topic.name]), None)
+    if first is None:
+        raise InputError(
+            f"{recording.paths[0]}: the index counts {topic}, but there is none; try `corridor recover`"
+        )
+    return first
+
+
+def _choose(readable: Sequence[Topic], heads: dict[str, Message], notes: list[str]) -> list[Topic]:
+    chosen = []
+    by_frame: dict[str, list[Topic]] = {}
+    for topic in readable:
+        if topic.type == LASER_SCAN:
+            by_frame.setdefault(frame_id(LASER_SCAN, heads[topic.name].payload), []).append(topic)
+    for sensor_frame, topics in by_frame.items():
+        chosen += _first(topics, f"another of the laser at {sensor_frame}", ("/scan",), notes)
+    odometries = [topic for topic in readable if topic.type == ODOMETRY]
+    for topic in [t for t in odometries if decode_pose(heads[t.name].payload).frame == MAP_FRAME]:
+        notes.append(f"passed over {topic}: poses in the map are a result, not odometry")
+        odometries.remove(topic)
+    chosen += _first(odometries, "one odometry is used", ("/odom", "/odometry"), notes)
+    imus = [topic for topic in readable if topic.type == IMU]
+    chosen += _first(imus, "one IMU is used", ("/imu/data", "/imu"), notes)
+    return chosen
+
+
+def _first(topics: Sequence[Topic], reason: str, preferred: Sequence[str], notes: list[str]) -> list[Topic]:
+    """The raw topic: by its usual name, else not a derived one, else the fullest."""
+
+    def rank(topic: Topic) -> tuple[bool, bool, int, str]:
+        derived = any(word in topic.name for word in DERIVED)
+        return topic.name not in preferred, derived, -topic.count, topic.name
+
+    best, *others = sorted(topics, key=rank) if topics else (None,)
+    notes += [f"passed over {topic}: {reason}, {best}" for topic in others]
+    return [best] if best is not None else []
+
+
+def _nothing_to_map(recording: Recording, notes: Sequence[str]) -> str:
+    where = ", ".join(map(str, recording.paths))
+    held = ", ".join(map(str, recording.topics)) or "nothing"
+    reasons = "".join(f"; {note}" for note in notes)
+    return f"{where}: no {LASER_SCAN} that can be mapped; it holds {held}{reasons}"
+
+
+class _TiltedError(Exception):
+    pass
+
+
+class _Tree:
+    """The static transforms of a recording: child -> parent with its 4 x 4 matrix."""
+
+    def __init__(self, recording: Recording) -> None:
+        names = [t.name for t in recording.topics if t.type == TF and t.name.endswith("tf_static")]
+        self.parents: dict[str, tuple[str, Matrix]] = {}
+        self.edges: dict[str, Transform] = {}
+        for message in recording.messages(names) if names else ():
+            for transform in decode_transforms(message.payload):
+                self.parents.setdefault(transform.child, (transform.frame, _matrix(transform)))
+                self.edges.setdefault(transform.child, transform)
+
+    def chain(self, frame: str) -> dict[str, Matrix]:
+        """Every frame above, with the matrix that takes coordinates of `frame` to it."""
+        matrix, above = np.eye(4), {frame: np.eye(4)}
+        while frame in self.parents:
+            frame, step = self.parents[frame]
+            if frame in above:  # a loop in a broken tree
+                break
+            matrix = step @ matrix
+            above[frame] = matrix
+        return above
+
+
+def _matrix(transform: Transform) -> Matrix:
+    w, x, y, z = np.array(transform.rotation_wxyz) / (math.hypot(*transform.rotation_wxyz) or 1.0)
+    matrix = np.eye(4)
+    matrix[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    matrix[:3, 3] = transform.translation_m
+    return matrix
+
+
+def _mount(tree: _Tree, bases: Sequence[str], sensor_frame: str, topic: Topic, notes: list[str]) -> _Mount:
+    above = tree.chain(sensor_frame)
+    base = next((name for name in bases if name in above), None)
+    if base is None:
+        notes.append(
+            f"{topic}: /tf_static does not lead from {sensor_frame or 'its empty frame_id'} to "
+            f"{' or '.join(bases)}; taken as mounted at the base's origin, looking ahead"
+        )
+        return _Mount(SE2(), upside_down=False)
+    edge = tree.edges.get(sensor_frame)
+    if edge is not None and edge.frame == base and edge.is_planar:
+        return _Mount(edge.pose, upside_down=False)  # exactly as the live mapper had it
+    matrix = above[base]
+    up = float(np.clip(matrix[2, 2], -1.0, 1.0))
+    tilt_deg = math.degrees(math.acos(abs(up)))
+    if tilt_deg > MOST_TILT_DEG:
+        raise _TiltedError(
+            f"tilted by {tilt_deg:.0f} deg against {base}; at most {MOST_TILT_DEG:.0f} can be mapped"
+        )
+    yaw_rad = math.atan2(matrix[1, 0], matrix[0, 0])
+    if up < 0.0 and topic.type == LASER_SCAN:
+        notes.append(f"{topic}: mounted upside down; its angles are mirrored")
+    return _Mount(SE2(float(matrix[0, 3]), float(matrix[1, 3]), yaw_rad), upside_down=up < 0.0)
