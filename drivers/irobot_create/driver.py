@@ -149,7 +149,6 @@ class IrobotCreateSession:
         stamp_ns = self._clock.stamp(
             arrived_ns - round(frame.bytes_after * self._byte_ns),
             missing_at_most=-(-frame.damaged_bytes_before // self._frame_bytes),
-            newest=frame.bytes_after < self._frame_bytes,
         )
         ds_m, dth_rad = self._roll(frame, stamp_ns)
         self._odometry.stamp_ns = stamp_ns

@@ -53,12 +53,11 @@ class FrameClock:
         """Host minus frame clock (count times period), None before the first frame."""
         return None if self._origin is None else self._clock.offset_ns
 
-    def stamp(self, arrived_ns: int, missing_at_most: int, newest: bool) -> int:
+    def stamp(self, arrived_ns: int, missing_at_most: int) -> int:
         """Stamp, ns, of the next frame; later than that of every frame before it.
 
         arrived_ns       when its own last byte came, host clock
         missing_at_most  how many frames the damaged bytes before it can have been
-        newest           whether it is the last one of its read; those before it waited in a buffer
         """
         self._count += 1
         if self._origin is None:
@@ -69,7 +68,7 @@ class FrameClock:
             missing = round((lateness_ns - floor_ns) / self.period_ns)
             lateness_ns = self._count_missing(min(max(missing, 0), missing_at_most), lateness_ns)
         self._recent.append((arrived_ns, lateness_ns))
-        if newest and (missing := self._steps_up()):
+        if missing := self._steps_up():
             lateness_ns = self._count_missing(missing, lateness_ns)
         self._measure_period(lateness_ns)
         self._clock.observe(self._count, arrived_ns)

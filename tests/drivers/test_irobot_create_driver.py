@@ -1,8 +1,6 @@
 import itertools
-import math
 import queue
 import threading
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,7 +11,6 @@ from hypothesis import strategies as st
 from drivers.errors import TransportError
 from drivers.frames import Frame, OdometrySample
 from drivers.irobot_create.config import IrobotCreateConfig
-from drivers.irobot_create.create1 import Create1Session
 from drivers.irobot_create.driver import STREAM_IDS, IrobotCreateSession, new_session
 from drivers.irobot_create.odometry import DeadReckoning
 from drivers.irobot_create.port import open_port, wake_line_low
@@ -21,8 +18,19 @@ from drivers.irobot_create.protocol import CommandDecoder, Mode, Opcode, PacketI
 from drivers.link import LinkHealth, run_link
 from simulators.irobot_create import FakeCreate
 from simulators.wire import serve_pty
+from tests.drivers.irobot_bench import (
+    CONFIG,
+    CREATE1,
+    MS,
+    STANDING,
+    Bench,
+    Curve,
+    S,
+    bench,
+    errors_m_rad,
+    largest_step_m,
+)
 
-S, MS = 1_000_000_000, 1_000_000
 HARMLESS = {
     Opcode.START,
     Opcode.STREAM,
@@ -30,90 +38,6 @@ HARMLESS = {
     Opcode.QUERY_LIST,
     Opcode.STOP,
 }
-CONFIG = IrobotCreateConfig(name="base", device="/dev/null")
-CREATE1 = IrobotCreateConfig(name="base", device="/dev/null", model="create1")
-
-
-class Curve:
-    """WheelSource: speed and turn rate that swing, so that nothing cancels."""
-
-    def __init__(self, speed_mps: float = 0.3, turn_radps: float = 0.5, base_m: float = 0.235) -> None:
-        self.speed, self.turn, self.half_m = speed_mps, turn_radps, base_m / 2
-
-    def motion(self, time_s: float) -> tuple[float, float]:
-        """Way and heading since the start."""
-        return self.speed * time_s, self.turn * (1.0 - math.cos(0.7 * time_s)) / 0.7
-
-    def wheel_travel_m(self, now_ns: int) -> tuple[float, float]:
-        way_m, heading_rad = self.motion(now_ns / S)
-        return way_m - self.half_m * heading_rad, way_m + self.half_m * heading_rad
-
-    def pose_between(self, from_ns: int, to_ns: int) -> tuple[float, float, float]:
-        """True pose at the later moment in the frame of the earlier, by small steps."""
-        times_s = np.linspace(from_ns / S, to_ns / S, 20_001)
-        ways, headings = np.array([self.motion(float(t)) for t in times_s]).T
-        headings -= headings[0]
-        middle = 0.5 * (headings[1:] + headings[:-1])
-        steps = np.diff(ways)
-        return float(steps @ np.cos(middle)), float(steps @ np.sin(middle)), float(headings[-1])
-
-
-STANDING = Curve(0.0, 0.0)
-
-
-class Bench:
-    """A session and a fake robot on a table: time is passed by hand, in steps of 1 ms."""
-
-    def __init__(
-        self,
-        robot: FakeCreate,
-        session: Any,
-        read_every_ms: int = 1,
-        spoil: Callable[[bytes, int], bytes] = lambda data, now_ns: data,
-    ) -> None:
-        self.robot, self.session = robot, session
-        self.samples: list[OdometrySample] = []
-        self.sent = bytearray()  # by the session
-        self.now_ns = 0
-        self._read_every_ms = read_every_ms
-        self._spoil = spoil
-        self._waiting = bytearray()
-        robot.connected(0)
-
-    def run(self, duration_s: float) -> list[OdometrySample]:
-        before = len(self.samples)
-        for _ in range(round(duration_s * 1000)):
-            self.now_ns += MS
-            self.session.tick(self.now_ns)
-            if self.session.outbox:
-                self.sent += self.session.outbox
-                self._waiting += self.robot.receive_data(bytes(self.session.outbox), self.now_ns)
-                self.session.outbox.clear()
-            if (due_ns := self.robot.next_due_ns(self.now_ns)) is not None and due_ns <= self.now_ns:
-                self._waiting += self._spoil(self.robot.due(self.now_ns), self.now_ns)
-            if self._waiting and self.now_ns // MS % self._read_every_ms == 0:
-                self.samples += self.session.receive_data(bytes(self._waiting), self.now_ns)
-                self._waiting.clear()
-        return self.samples[before:]
-
-
-def bench(wheels: Curve = STANDING, config: IrobotCreateConfig = CONFIG, **robot: Any) -> Bench:
-    return Bench(FakeCreate(wheels, config.model, **robot), new_session(config))
-
-
-def errors_m_rad(wheels: Curve, samples: list[OdometrySample]) -> tuple[float, float]:
-    """How far the reckoned pose is from the true one at the end, both seen from the first sample."""
-    first, last = samples[0], samples[-1]
-    x_m, y_m, theta_rad = wheels.pose_between(first.stamp_ns, last.stamp_ns)
-    c, s = math.cos(first.theta_rad), math.sin(first.theta_rad)
-    dx_m, dy_m = last.x_m - first.x_m, last.y_m - first.y_m
-    forward_m, left_m = c * dx_m + s * dy_m, -s * dx_m + c * dy_m
-    turned_rad = math.remainder(last.theta_rad - first.theta_rad - theta_rad, math.tau)
-    return math.hypot(forward_m - x_m, left_m - y_m), abs(turned_rad)
-
-
-def largest_step_m(samples: list[OdometrySample]) -> float:
-    return max(math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) for a, b in itertools.pairwise(samples))
 
 
 def test_robot_is_started_and_streams_within_a_fifth_of_a_second():
@@ -167,6 +91,19 @@ def test_stamps_are_the_moments_of_measurement():
     offset_m = np.array([s.x_m for s in samples]) - true_m
     assert np.ptp(offset_m) < 1e-3  # 3 ms of driving, less one count
     assert all(s.arrived_ns - s.stamp_ns > 3 * MS for s in samples)
+
+
+def test_bytes_behind_a_frame_in_its_read_do_not_make_it_late():
+    session = IrobotCreateSession(CONFIG)
+    for now_ns in (0, 100 * MS):
+        session.tick(now_ns)
+    frame, byte_ns = encode_frame(STREAM_IDS, {}), 10e9 / 115_200
+    cut = 0
+    for i in range(10, 100):
+        last_cut, cut = cut, 10 + i % 20
+        ended_ns = i * 15 * MS + round((37 + cut) * byte_ns)  # this frame and the beginning of the next
+        (sample,) = session.receive_data(frame[last_cut:] + frame[:cut], ended_ns)
+        assert abs(sample.stamp_ns - i * 15 * MS) < 1000
 
 
 def test_text_of_the_robot_costs_one_frame_and_no_way():
@@ -363,66 +300,6 @@ def test_pose_survives_a_reconnect_when_the_reckoning_is_handed_on():
         assert samples[0].x_m == pytest.approx(before.x_m)
         assert samples[0].covariance[0] > before.covariance[0]
         assert all(b.stamp_ns > a.stamp_ns for a, b in itertools.pairwise([before, *samples]))
-
-
-def test_create_1_keeps_the_turn_that_its_degrees_lose():
-    wheels = Curve(0.2, 0.15, base_m=0.258)
-    table = bench(wheels, CREATE1)
-    samples = table.run(60.0)
-    assert isinstance(table.session, Create1Session)
-    assert 590 < len(samples) <= 600
-    position_m, heading_rad = errors_m_rad(wheels, samples)
-    assert heading_rad < math.radians(2.0)
-    assert position_m < 0.15  # of 12 m
-    truncated_deg = 0.0
-    for a, b in itertools.pairwise(samples):
-        turned_deg = math.degrees(wheels.motion(b.stamp_ns / S)[1] - wheels.motion(a.stamp_ns / S)[1])
-        truncated_deg += abs(turned_deg) - abs(int(turned_deg))
-    assert truncated_deg > 90.0  # what would be lost without the requested speeds
-    assert table.session.status == "polling; battery 84 % (13.9 V, not charging), mode passive"
-
-
-def test_create_1_survives_lost_and_damaged_answers():
-    rng = np.random.default_rng(2)
-    wheels = Curve(0.2, 0.1, base_m=0.258)
-    robot = FakeCreate(wheels, "create1")
-    session = Create1Session(CREATE1)
-    listen = robot.receive_data
-
-    def spoiled(data: bytes, now_ns: int) -> bytes:
-        answer = bytearray(listen(data, now_ns))
-        if answer and rng.random() < 0.1:
-            del answer[int(rng.integers(len(answer)))]
-        return bytes(answer)
-
-    robot.receive_data = spoiled  # type: ignore[method-assign]
-    samples = Bench(robot, session).run(30.0)
-    assert session.counters["answers_missed"] > 10
-    assert len(samples) > 150
-    assert largest_step_m(samples) < 0.1
-    assert all(b.stamp_ns > a.stamp_ns for a, b in itertools.pairwise(samples))
-
-
-def test_create_1_that_sleeps_is_reported_in_plain_words():
-    table = bench(STANDING, CREATE1)
-    table.robot.asleep = True
-    with pytest.raises(TransportError, match=r"no answer to Start \(128\) in 8 s"):
-        table.run(9.0)
-
-
-def test_create_1_after_a_battery_change_is_started_again():
-    wheels = Curve(0.2, 0.0, 0.258)
-    table = bench(wheels, CREATE1)
-    before = table.run(3.0)[-1]
-    table.robot.reset(table.now_ns)
-    samples = table.run(5.0)
-    assert len(samples) > 25
-    assert table.session.identity["firmware"].startswith("3.3.0")
-    assert table.session.counters["robot_resets"] == 1
-    assert errors_m_rad(wheels, [before, *samples])[0] < 0.03  # what the robot forgot of a tenth of a second
-    assert (
-        samples[0].covariance[0] - before.covariance[0] > 0.1
-    )  # it said where it is, but may have lost more
 
 
 @settings(max_examples=60, deadline=None)

@@ -25,7 +25,7 @@ def stamps(clock: FrameClock, measured: Ints, read_at: Ints, gap_known: bool = F
         missing = 0
         if gap_known and i and measured[i] - measured[i - 1] > 1.5 * FRAME_PERIOD_NS:
             missing = round((measured[i] - measured[i - 1]) / FRAME_PERIOD_NS) - 1
-        got.append(clock.stamp(int(read_ns) - behind * 3_200_000, missing, newest=behind == 0))
+        got.append(clock.stamp(int(read_ns) - behind * 3_200_000, missing))
     assert (np.diff(got) > 0).all()
     return np.array(got)
 
