@@ -8,6 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,7 @@ from service.recording.mcap_reader import Recording, Topic
 FRAME_TYPES = {LASER_SCAN: "scan", IMU: "imu", ODOMETRY: "odom"}
 BASE_FRAMES = (BASE_FRAME, "base_footprint")
 MOST_TILT_DEG = 10.0  # what a planar mapper can take; upside down is fine
+MOST_BROKEN = 100  # messages at the beginning of a topic
 DERIVED = ("filter", "fused", "icp", "visual", "amcl", "slam", "merged")  # made by others from the raw topic
 
 Matrix = npt.NDArray[np.float64]
@@ -157,12 +159,14 @@ def _name_sensors(topics: Sequence[Topic]) -> dict[str, str]:
 
 
 def _head(recording: Recording, topic: Topic) -> Message:
-    first = next(recording.messages([topic.name]), None)
-    if first is None:
-        raise InputError(
-            f"{recording.paths[0]}: the index counts {topic}, but there is none; try `corridor recover`"
-        )
-    return first
+    """The first message of a topic that can be read."""
+    for message in islice(recording.messages([topic.name]), MOST_BROKEN):
+        try:
+            frame_id(message.type, message.payload)
+        except InputError:
+            continue
+        return message
+    raise InputError(f"{recording.paths[0]}: the first messages of {topic} cannot be read as what they claim")
 
 
 def _choose(readable: Sequence[Topic], heads: dict[str, Message], notes: list[str]) -> list[Topic]:

@@ -98,24 +98,25 @@ def test_random_damage_never_crashes_nor_invents_messages(active):
     path, synced = active
     whole = path.read_bytes()
     known = set(as_read(synced))
+    end_of_first_chunk = chunk_offsets(path)[1]
     rng, refused = np.random.default_rng(6), 0
     for _ in range(30):
-        data = bytearray(whole)
-        for at in rng.integers(8, len(data), 3):
+        data, places = bytearray(whole), rng.integers(8, len(whole), 3).tolist()
+        for at in places:
             data[at] ^= 1 << int(rng.integers(8))
         path.write_bytes(data)
         try:
             report = recover(path)
-        except CorridorError:  # the first chunk, which names the channels, was hit
+        except CorridorError:
+            assert min(places) < end_of_first_chunk  # which names the channels
             refused += 1
             continue
-        rows = [
-            row for row in read_back(report.path) if row[0] in ("/front/scan", "/base/odom", "/tf_static")
-        ]
-        assert len(set(rows) & known) >= len(synced) - 3 * SYNCED
+        rows = read_back(report.path)
+        assert set(rows) <= known
+        assert len(rows) >= len(synced) - 3 * SYNCED
         report.path.unlink()
         path.with_name("s_0001.mcap.damaged").unlink(missing_ok=True)
-    assert refused <= 15
+    assert 0 < refused < 30
 
 
 def test_channels_of_a_lost_first_chunk_come_from_the_index(tmp_path):

@@ -1,0 +1,87 @@
+import pytest
+from mcap.writer import IndexType, Writer
+
+from service.errors import InputError
+from service.recording.mcap_reader import Recording
+from tests.service.recording.sessions import drive, scan_message, write_file
+from tests.service.recording.test_mcap_recovery import chunk_offsets, damage
+
+
+def test_rotated_files_are_one_recording_whatever_their_order(tmp_path):
+    messages = drive(60)
+    write_file(tmp_path / "b.mcap", messages[:40])
+    write_file(tmp_path / "a.mcap", messages[40:80])
+    write_file(tmp_path / "c.mcap", messages[80:])
+    recording = Recording([tmp_path / "a.mcap", tmp_path / "c.mcap", tmp_path / "b.mcap"])
+    assert [path.name for path in recording.paths] == ["b.mcap", "a.mcap", "c.mcap"]
+    read = [(f"{m.channel}", m.type, m.stamp_ns, m.log_ns, m.payload) for m in recording.messages()]
+    assert read == [(m.channel, m.type, m.stamp_ns, m.log_ns, m.payload) for m in messages]
+    assert {topic.name: topic.count for topic in recording.topics} == {
+        "/tf_static": 1,
+        "/base/odom": 60,
+        "/front/scan": 60,
+    }
+    assert (recording.first_log_ns, recording.last_log_ns) == (messages[0].log_ns, messages[-1].log_ns)
+    assert [m.log_ns for m in Recording([tmp_path]).messages()] == [m.log_ns for m in messages]
+
+
+def test_files_that_overlap_in_time_are_merged(tmp_path):
+    scans = [scan_message(index) for index in range(20)]
+    write_file(tmp_path / "even.mcap", scans[::2])
+    write_file(tmp_path / "odd.mcap", scans[1::2])
+    merged = Recording([tmp_path / "odd.mcap", tmp_path / "even.mcap"]).messages(["/front/scan"])
+    assert [m.payload for m in merged] == [m.payload for m in scans]
+
+
+def test_a_file_without_an_index_is_read_all_the_same(tmp_path):
+    path = tmp_path / "bare.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(
+            stream,
+            index_types=IndexType.NONE,
+            repeat_channels=False,
+            repeat_schemas=False,
+            use_statistics=False,
+            use_summary_offsets=False,
+        )
+        writer.start(profile="ros2", library="bare")
+        schema = writer.register_schema("sensor_msgs/LaserScan", "ros2msg", b"")
+        channel = writer.register_channel("/scan", "cdr", schema)
+        for index in (1, 0):
+            message = scan_message(index)
+            writer.add_message(channel, message.log_ns, message.payload, message.stamp_ns)
+        writer.finish()
+    recording = Recording([path])
+    assert [str(topic) for topic in recording.topics] == ["/scan (sensor_msgs/msg/LaserScan, 2)"]
+    assert recording.first_log_ns == scan_message(0).log_ns
+    assert [m.log_ns for m in recording.messages()] == [scan_message(i).log_ns for i in (0, 1)]
+
+
+def test_an_unfinished_file_is_refused_with_the_command_that_mends_it(tmp_path):
+    path = tmp_path / "s_0001.mcap"
+    write_file(path, drive(60), finish=False)
+    with pytest.raises(InputError, match=r"never finished; make it whole with `corridor recover .*active`"):
+        Recording([path.with_name(path.name + ".active")])
+
+
+def test_what_is_no_mcap_or_not_there_is_refused(tmp_path):
+    path = tmp_path / "x.mcap"
+    path.write_bytes(b"PK\x03\x04....")
+    with pytest.raises(InputError, match="not an MCAP file: it begins with 50 4b"):
+        Recording([path])
+    path.write_bytes(b"")
+    with pytest.raises(InputError, match="begins with nothing"):
+        Recording([path])
+    with pytest.raises(InputError, match="No such file"):
+        Recording([tmp_path / "missing.mcap"])
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="no MCAP files in"):
+        Recording([tmp_path / "empty"])
+
+
+def test_damage_is_met_with_the_command_that_mends_it(tmp_path):
+    path = tmp_path / "s_0001.mcap"
+    write_file(path, drive(60)[:120])
+    damage(path, chunk_offsets(path)[1] + 5_000)
+    with pytest.raises(InputError, match=r"is damaged: .*; try `corridor recover"):
+        list(Recording([path]).messages())

@@ -1,0 +1,255 @@
+import math
+import time
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.stores import ros2_jazzy as ros
+
+from drivers.frames import ImuSample, LaserScan, OdometrySample
+from service import encoding
+from service.encoding import Message, decode_frame, encode_frame, encode_pose
+from service.errors import InputError
+from service.geometry.se2 import SE2
+from service.outputs import MapperOutput
+from service.recording.mcap_source import open_session
+from tests.service.recording.sessions import MOUNTINGS, T0_NS, drive, scan_message, write_file
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+IMAGE = "sensor_msgs/msg/CompressedImage"
+
+
+def bits(frame):
+    fields = (getattr(frame, name) for name in frame.__slots__)
+    return tuple(f.tobytes() if isinstance(f, np.ndarray) else f for f in fields)
+
+
+def test_our_session_gives_back_the_very_frames_the_mapper_had(tmp_path):
+    messages = drive(50)
+    live = [
+        decode_frame(m.type, m.payload, m.channel.split("/")[0], m.log_ns)
+        for m in messages
+        if m.channel != "tf_static"
+    ]
+    write_file(tmp_path / "b.mcap", messages[60:])
+    write_file(tmp_path / "a.mcap", messages[:60])
+    session = open_session([tmp_path / "b.mcap", tmp_path / "a.mcap"])
+    assert session.sensors == {"/base/odom": "base", "/front/scan": "front"}
+    assert session.mountings == {"front": SE2(0.2, 0.0, pytest.approx(MOUNTINGS["front"].theta_rad))}
+    assert session.metadata == {"config": {"vehicle": "test"}}
+    for _ in range(2):  # it can be read again
+        replayed = list(session.frames())
+        assert [bits(frame) for frame in replayed] == [bits(frame) for frame in live]
+        assert session.counters == {"/base/odom": 50, "/front/scan": 50}
+
+
+def test_mountings_of_our_session_are_those_of_the_live_mapper_to_the_last_bit(tmp_path):
+    for yaw_rad in np.random.default_rng(2).uniform(-math.pi, math.pi, 20).tolist():
+        mountings = encoding.encode_tf_static({"front": SE2(0.123, -0.456, yaw_rad)}, T0_NS, T0_NS)
+        path = tmp_path / f"{yaw_rad}.mcap"
+        write_file(path, [mountings, scan_message(0)])
+        assert open_session([path]).mountings == encoding.decode_mountings(mountings.payload)
+
+
+def test_outputs_in_our_session_are_not_taken_for_odometry(tmp_path):
+    output = MapperOutput(T0_NS, SE2(), SE2(), (0.0, 0.0, 0.0), np.eye(3), "ok", "", 1.0)
+    outputs = [encode_pose(output, T0_NS + 9), encoding.encode_odom(output, T0_NS + 9)]
+    write_file(tmp_path / "s.mcap", [*drive(5), *outputs])
+    assert "/odom" not in open_session([tmp_path / "s.mcap"]).sensors
+
+
+class Foreign:
+    """A recording as another ROS 2 program writes it."""
+
+    def __init__(self, path):
+        self.path = path
+        self._stream = path.open("wb")
+        self._writer = Writer(self._stream)
+        self._writer.start(profile="ros2", library="rosbag2")
+        self._channels = {}
+
+    def add(self, topic, type_name, payload, log_ns=T0_NS, encoding_name="cdr"):
+        if topic not in self._channels:
+            schema = self._writer.register_schema(type_name, "ros2msg", b"")
+            self._channels[topic] = self._writer.register_channel(topic, encoding_name, schema)
+        self._writer.add_message(self._channels[topic], log_ns, payload, log_ns)
+        return self
+
+    def add_message(self, topic, message: Message):
+        return self.add(topic, message.type, message.payload, message.log_ns)
+
+    def tf(self, *edges):
+        """Each edge: parent, child, (x, y, z), quaternion (w, x, y, z)."""
+        transforms = [
+            ros.geometry_msgs__msg__TransformStamped(
+                ros.std_msgs__msg__Header(ros.builtin_interfaces__msg__Time(0, 0), parent),
+                child,
+                ros.geometry_msgs__msg__Transform(
+                    ros.geometry_msgs__msg__Vector3(*xyz),
+                    ros.geometry_msgs__msg__Quaternion(x, y, z, w),
+                ),
+            )
+            for parent, child, xyz, (w, x, y, z) in edges
+        ]
+        content = ros.tf2_msgs__msg__TFMessage(transforms)
+        return self.add("/tf_static", encoding.TF, bytes(STORE.serialize_cdr(content, encoding.TF)))
+
+    def close(self):
+        self._writer.finish()
+        self._stream.close()
+        return [self.path]
+
+
+@pytest.fixture
+def foreign(tmp_path):
+    return Foreign(tmp_path / "foreign.mcap")
+
+
+def turn(roll=0.0, pitch=0.0, yaw=0.0):
+    """Quaternion (w, x, y, z) of roll, pitch or yaw in degrees about one axis."""
+    half = [math.radians(angle) / 2 for angle in (roll, pitch, yaw)]
+    w = math.cos(sum(half))
+    return (w, *(math.sin(angle) for angle in half))
+
+
+LEVEL = turn()
+
+
+def odometry(frame="odom", child="base_link"):
+    sample = OdometrySample("x", T0_NS, T0_NS, 1.0, 2.0, 0.5, (0.0, 0.0, 0.0), (0.0,) * 9)
+    content = STORE.deserialize_cdr(encode_frame(sample).payload, encoding.ODOMETRY)
+    content.header.frame_id, content.child_frame_id = frame, child
+    payload = bytes(STORE.serialize_cdr(content, encoding.ODOMETRY))
+    return Message("", encoding.ODOMETRY, T0_NS, T0_NS, payload)
+
+
+def test_a_foreign_laser_is_found_by_type_and_mounted_by_its_chain(foreign):
+    paths = (
+        foreign.tf(
+            ("base_footprint", "base_link", (0.0, 0.0, 0.1), LEVEL),
+            ("base_link", "mast", (0.3, 0.1, 0.5), turn(yaw=90.0)),
+            ("mast", "front", (0.2, 0.0, 0.0), turn(yaw=-30.0)),
+        )
+        .add_message("/scan", scan_message(0))
+        .add_message("/odom", odometry())
+        .close()
+    )
+    session = open_session(paths)
+    assert session.sensors == {"/scan": "scan", "/odom": "odom"}
+    pose = session.mountings["scan"]
+    assert (pose.x_m, pose.y_m) == pytest.approx((0.3, 0.3))
+    assert math.degrees(pose.theta_rad) == pytest.approx(60.0)
+    assert session.metadata == {}
+    assert {type(frame) for frame in session.frames()} == {LaserScan, OdometrySample}
+
+
+def test_what_the_odometry_moves_is_the_base(foreign):
+    foreign.tf(
+        ("base_footprint", "base_link", (1.0, 0.0, 0.1), LEVEL),
+        ("base_link", "front", (0.2, 0.0, 0.5), LEVEL),
+    )
+    foreign.add_message("/scan", scan_message(0)).add_message("/odom", odometry(child="base_footprint"))
+    assert open_session(foreign.close()).mountings["scan"] == SE2(1.2, 0.0, 0.0)
+
+
+def test_a_laser_without_a_chain_is_taken_as_unmounted_and_said_so(foreign):
+    session = open_session(foreign.add_message("/scan", scan_message(0)).close())
+    assert session.mountings == {"scan": SE2()}
+    assert any("does not lead from front to base_link or base_footprint" in note for note in session.notes)
+
+
+def test_a_laser_upside_down_is_mirrored(foreign):
+    foreign.tf(("base_link", "front", (0.1, 0.0, 0.2), turn(roll=180.0)))
+    session = open_session(foreign.add_message("/scan", scan_message(0)).close())
+    (frame,) = session.frames()
+    original = decode_frame(encoding.LASER_SCAN, scan_message(0).payload, "scan", 0)
+    assert (frame.first_angle_rad, frame.angle_step_rad) == (
+        -original.first_angle_rad,
+        -original.angle_step_rad,
+    )
+    np.testing.assert_array_equal(frame.range_m, original.range_m)
+    assert session.mountings["scan"].theta_rad == pytest.approx(0.0)
+    assert any("upside down" in note for note in session.notes)
+
+
+def test_a_laser_that_looks_at_the_floor_is_refused_with_its_angle(foreign):
+    foreign.tf(("base_link", "front", (0.1, 0.0, 0.2), turn(pitch=35.0)))
+    with pytest.raises(InputError, match="tilted by 35 deg against base_link; at most 10 can be mapped"):
+        open_session(foreign.add_message("/scan", scan_message(0)).close())
+
+
+def test_of_two_topics_of_one_laser_the_raw_one_is_taken(foreign):
+    for index in range(3):
+        foreign.add_message("/base_scan_filtered", scan_message(index))
+    foreign.add_message("/base_scan", scan_message(0))
+    foreign.add_message("/rear_scan", scan_message(0, sensor="rear"))
+    session = open_session(foreign.close())
+    assert session.sensors == {"/base_scan": "base", "/rear_scan": "rear"}
+    assert any(note.startswith("passed over /base_scan_filtered") for note in session.notes)
+
+
+def test_of_several_odometries_the_usual_one_is_taken_and_none_in_the_map(foreign):
+    foreign.add_message("/scan", scan_message(0))
+    for topic, frame in (("/odometry/filtered", "odom"), ("/odom", "odom"), ("/amcl_odom", "map")):
+        foreign.add_message(topic, odometry(frame))
+    session = open_session(foreign.close())
+    assert set(session.sensors) == {"/scan", "/odom"}
+    assert any("/amcl_odom" in note and "a result, not odometry" in note for note in session.notes)
+    assert any("/odometry/filtered" in note for note in session.notes)
+
+
+def test_an_imu_that_is_not_level_is_passed_over(foreign):
+    imu = encode_frame(ImuSample("imu_link", T0_NS, T0_NS, (0.0, 0.0, 0.1), (0.0, 0.0, 9.81)))
+    foreign.tf(
+        ("base_link", "front", (0.0, 0.0, 0.0), LEVEL),
+        ("base_link", "imu_link", (0.0, 0.0, 0.0), turn(roll=90.0)),
+    )
+    foreign.add_message("/scan", scan_message(0)).add_message("/imu/data", imu)
+    session = open_session(foreign.close())
+    assert set(session.sensors) == {"/scan"}
+    assert any("/imu/data" in note and "tilted by 90 deg" in note for note in session.notes)
+
+
+def test_messages_that_are_no_use_are_counted_not_fatal(foreign):
+    empty = scan_message(1, beams=1)
+    foreign.add_message("/scan", scan_message(0))
+    foreign.add("/scan", empty.type, empty.payload[:-4], T0_NS + 1)
+    session = open_session(foreign.close())
+    assert len(list(session.frames())) == 1
+    assert session.counters == {"/scan": 1, "/scan unusable": 1}
+
+
+def test_a_recording_without_a_scan_is_refused_with_what_it_holds(foreign):
+    foreign.add("/camera", IMAGE, b"\x00\x01\x00\x00").add_message("/odom", odometry())
+    with pytest.raises(
+        InputError, match=r"no sensor_msgs/msg/LaserScan .* it holds /camera \(.*Image, 1\), /odom"
+    ):
+        open_session(foreign.close())
+
+
+def test_scans_in_another_encoding_are_refused(foreign):
+    message = scan_message(0)
+    foreign.add("/scan", message.type, message.payload, encoding_name="ros1")
+    with pytest.raises(InputError, match="encoded as 'ros1'; only ROS 2's cdr is read"):
+        open_session(foreign.close())
+
+
+def test_a_real_drive_of_4791_scans_is_read_within_a_second(shared):
+    encoding.warm_up()
+    began_s = time.perf_counter()
+    session = open_session([shared / "datasets" / "fr079" / "fr079.mcap"])
+    frames = list(session.frames())
+    wall_s = time.perf_counter() - began_s
+    assert session.counters == {"/scan": 4791, "/odom": 4934}
+    assert session.mountings == {"scan": SE2()}
+    scans = [frame for frame in frames if isinstance(frame, LaserScan)]
+    assert {scan.range_m.size for scan in scans} == {360}
+    assert all(a.stamp_ns < b.stamp_ns for a, b in pairwise(scans))
+    assert wall_s < 1.0
+
+
+def test_the_laser_of_mines1_sits_ahead_of_the_axle(shared):
+    session = open_session([shared / "datasets" / "mines1" / "mines1.mcap"])
+    assert session.mountings == {"scan": SE2(0.145, 0.0, 0.0)}
