@@ -2,7 +2,6 @@
 
 import json
 import logging
-import math
 import re
 import time
 from collections import Counter, defaultdict
@@ -26,6 +25,7 @@ from service.mapper.profiles import warm_up as warm_up_kernels
 from service.mapstore.picture import picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
+from service.offline.trajectory import write_tum
 from service.outputs import MapperOutput, TileUpdate
 from service.recording.mcap_source import Session, open_session
 from service.version import VERSION
@@ -176,27 +176,15 @@ def write_replay(done: Replay, out: Path) -> None:
     """trajectory.tum, trajectory_live.tum, map.pgm + map.yaml, map.png, summary.json. Raises StorageError."""
     try:
         out.mkdir(parents=True, exist_ok=True)
-        live = [tum_line(output) for output in done.outputs]
-        # Without a graph nothing is corrected afterwards: the finished trajectory is the live one.
-        for name in ("trajectory.tum", "trajectory_live.tum"):
-            (out / name).write_text("".join(live), encoding="ascii")
+        live = [(output.stamp_ns, output.pose_map_base) for output in done.outputs]
+        write_tum(out / "trajectory_live.tum", live)
+        write_tum(out / "trajectory.tum", live)  # nothing corrects a pose afterwards until there is a graph
         picture = picture_of_tiles(done.tiles)
         write_ros_map(out / "map.pgm", out / "map.yaml", picture)
         write_png(out / "map.png", picture)
         (out / "summary.json").write_text(json.dumps(done.summary, indent=1) + "\n", encoding="ascii")
     except OSError as error:
         raise StorageError(f"cannot write to {out}: {error}") from error
-
-
-def tum_line(output: MapperOutput) -> str:
-    """`stamp x y z qx qy qz qw`, seconds and metres; the base in the map at the scan's first ray."""
-    pose = output.pose_map_base
-    half_rad = pose.theta_rad / 2.0
-    seconds, nanoseconds = divmod(output.stamp_ns, 1_000_000_000)
-    return (
-        f"{seconds}.{nanoseconds:09d} {pose.x_m:.9f} {pose.y_m:.9f} 0 "
-        f"0 0 {math.sin(half_rad):.12f} {math.cos(half_rad):.12f}\n"
-    )
 
 
 class _Pace:

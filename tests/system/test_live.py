@@ -1,0 +1,145 @@
+"""Simulators -> service -> Zenoh and MCAP, each in a process of its own."""
+
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from rosbags.highlevel import AnyReader
+
+from service.cli import main
+from service.demo import interpolate
+from service.encoding import decode_diagnostics, decode_event, decode_frame, decode_pose, encode_pose
+from service.mapstore.files import load_map
+from service.offline.replay import ReplayOptions, replay
+from service.recording.mcap_reader import Recording
+from tests.system.machine import FakeVehicle, LiveService, Subscriber
+
+Subscribe = Callable[[str], Subscriber]
+
+
+def test_a_whole_drive(fake_vehicle: FakeVehicle, live_service: LiveService, subscribe: Subscribe):
+    subscriber = subscribe(live_service.endpoint)
+    subscriber.wait_for("front/scan", 1)
+    first = subscriber.count("front/scan")
+    subscriber.wait_for("front/scan", 400)  # 8 s at 50 Hz
+
+    heard = subscriber.heard
+    began_s, ended_s = heard["front/scan"][first][0], heard["front/scan"][first + 399][0]
+    assert 47.0 < 399 / (ended_s - began_s) < 53.0
+    assert abs(len(heard["pose"]) - len(heard["front/scan"])) <= 5
+    assert {"base/odom", "odom", "tf", "health"} <= heard.keys()
+    statuses = {s.name: s for s in decode_diagnostics(heard["health"][-1][1])}
+    assert statuses["sensor/front"].values["state"] == statuses["sensor/base"].values["state"] == "streaming"
+    assert {"mapping", "map", "recording", "zenoh", "clock"} <= statuses.keys()
+    live_service.systemd.wait_for("WATCHDOG=1", 5.0)
+    live_service.systemd.wait_for("STATUS=mapping ok, 2/2 sensors, ", 5.0)
+
+    late = subscribe(live_service.endpoint)
+    fetched = late.get("map/tile/**?since=0")
+    assert len(fetched) > 5
+    assert "map" in late.get("map")
+
+    before = len(live_service.systemd.words)
+    live_service.signal(signal.SIGTERM)
+    live_service.signal(signal.SIGINT)  # the second must not spoil what the first began
+    live_service.systemd.wait_for("STOPPING=1", 5.0, after=before)
+    assert live_service.wait() == 0, live_service.log
+
+    (map_folder,) = live_service.maps.iterdir()
+    stored = {f"map/tile/{t.level}/{t.ix}/{t.iy}": t.version for t in load_map(map_folder).tiles}
+    live_tiles = {key: max(subscriber.versions.get(key, 0), fetched.get(key, (0, b""))[0]) for key in stored}
+    assert live_tiles == stored  # every tile was sent or fetched, in its last version
+
+    (session,) = live_service.sessions.iterdir()
+    assert session.suffix == ".mcap"
+    _check_recording(session, fake_vehicle.truth)
+
+
+def _check_recording(session: Path, truth: Path) -> None:
+    recording = Recording([session])
+    counts = {topic.name: topic.count for topic in recording.topics}
+    assert {
+        "/front/scan",
+        "/base/odom",
+        "/pose",
+        "/odom",
+        "/tf",
+        "/tf_static",
+        "/map",
+        "/diagnostics",
+    } <= counts.keys()
+    assert counts["/pose"] == counts["/front/scan"]  # no scan lost
+    assert "sick_lms100" in recording.metadata["config"]["yaml"]
+    events = [decode_event(m.payload) for m in recording.messages(["/events"])]
+    assert '{"event": "start"}' in events
+    assert any('"stop"' in event for event in events)
+
+    # live and replay: the same poses to the last bit
+    recorded = [m.payload for m in recording.messages(["/pose"])]
+    replayed = replay([session], ReplayOptions())
+    assert [encode_pose(output, 0).payload for output in replayed.outputs] == recorded
+    assert replayed.summary["scans_dropped"] == 0
+
+    poses = [decode_pose(payload) for payload in recorded]
+    offset_ns = int(recording.metadata["clock"]["utc_offset_ns"])
+    stamps_ns = np.array([pose.stamp_ns for pose in poses]) - offset_ns
+    true = interpolate(np.loadtxt(truth), stamps_ns)
+    start = true[0].inverse()
+    errors_m = [np.hypot(*_offset(start @ t, p.pose)) for t, p in zip(true, poses, strict=True)]
+    assert np.sqrt(np.mean(np.square(errors_m))) < 0.03
+    assert np.hypot(*_offset(true[0], true[-1])) > 1.0  # it really drove
+
+
+def _offset(a, b) -> tuple[float, float]:
+    return a.x_m - b.x_m, a.y_m - b.y_m
+
+
+def test_a_device_returns_and_a_kill_costs_a_second(
+    fake_vehicle: FakeVehicle, live_service: LiveService, subscribe: Subscribe
+):
+    subscriber = subscribe(live_service.endpoint)
+    subscriber.wait_for("pose", 10)
+    fake_vehicle.stop()
+    subscriber.wait_until(lambda: _state(subscriber, "front") == _state(subscriber, "base") == "down", 15.0)
+    fake_vehicle.start()
+    subscriber.wait_until(
+        lambda: _state(subscriber, "front") == _state(subscriber, "base") == "streaming", 30.0
+    )
+    subscriber.wait_for("pose", 125)
+    connects = {s.name: s.values["connects"] for s in decode_diagnostics(subscriber.heard["health"][-1][1])
+                if s.name.startswith("sensor/")}  # fmt: skip
+    assert connects == {"sensor/front": "2", "sensor/base": "2"}
+
+    live_service.signal(signal.SIGKILL)
+    assert live_service.wait() == -signal.SIGKILL
+    last_heard = decode_frame("sensor_msgs/msg/LaserScan", subscriber.heard["front/scan"][-1][1], "front", 0)
+    assert last_heard is not None
+    (left,) = live_service.sessions.glob("*.mcap.active")
+    assert main(["recover", str(left)]) == 0
+    (session,) = live_service.sessions.glob("*.mcap")
+    with AnyReader([session]) as reader:
+        stamps_ns = [
+            m[1] for m in reader.messages([c for c in reader.connections if c.topic == "/front/scan"])
+        ]
+    scans = [
+        decode_frame(m.type, m.payload, "front", m.log_ns)
+        for m in Recording([session]).messages(["/front/scan"])
+    ]
+    assert len(scans) == len(stamps_ns) > 100
+    assert scans[-1] is not None
+    assert (last_heard.stamp_ns - scans[-1].stamp_ns) / 1e9 <= 1.1
+
+
+def _state(subscriber: Subscriber, sensor: str) -> str:
+    if "health" not in subscriber.heard:
+        return ""
+    statuses = decode_diagnostics(subscriber.heard["health"][-1][1])
+    return next(s.values["state"] for s in statuses if s.name == f"sensor/{sensor}")
+
+
+def test_the_service_is_the_one_installed_here():
+    import service
+
+    assert Path(service.__file__).parents[1] == Path(__file__).parents[2], os.getcwd()
