@@ -1,0 +1,492 @@
+"""Imports CARMEN logs: text, one message a line, plain or gzip; and the two relatives found beside them.
+
+Read are FLASER, RLASER, ROBOTLASER1, ROBOTLASER2, ODOM and PARAM of CARMEN's logger, LASER_READING and ODOM
+of GMapping's .gfs, and L and O lines (centimetres) of the logs handed out with CMU's course 16-831.
+Sources: the comment lines CARMEN's logger puts at the head of its logs; GMapping's gfsreader and
+carmenconfiguration; the course's instruct.txt.
+
+Many published logs are "corrected": their poses are the result of somebody's SLAM. Those never become
+odometry unless asked for.
+"""
+
+import gzip
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+from typing import IO, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
+from service.encoding import LogClock, encode_frame, encode_tf_static
+from service.errors import InputError, StorageError
+from service.geometry.se2 import SE2, wrap_angle
+from service.recording.mcap_file import McapFile
+
+OdometryChoice = Literal["auto", "logged", "none"]
+
+FLASER_RANGE_MAX_M = 50.0  # logs cap at 50 m or flag with 81.9 m; FLASER does not say which
+SICK_RANGE_MAX_M = 80.0  # SICK flags errors with 81.83 m and more, whatever the line gives as its maximum
+RIGID_M, RIGID_RAD = 0.02, math.radians(1.0)  # how constant laser against robot must be to be a mounting
+LASERS = {
+    "FLASER": "front",
+    "RLASER": "rear",
+    "ROBOTLASER1": "front",
+    "ROBOTLASER2": "rear",
+    "LASER_READING": "front",
+    "L": "front",
+}
+CORRECTED_MARKS = {"NEFF": "GMapping's NEFF lines", "SM_UPDATE": "GMapping's SM_UPDATE lines"}
+
+
+@dataclass(slots=True)
+class ImportReport:
+    """What was found in a log and what became of it."""
+
+    source: Path
+    path: Path
+    scans: Counter[str] = field(default_factory=Counter)  # by sensor
+    odometry: int = 0
+    odometry_source: str = "none"
+    corrected: str = ""  # why the log is taken for a corrected one, or ""
+    malformed: Counter[str] = field(default_factory=Counter)  # by line type; skipped
+    ignored: Counter[str] = field(default_factory=Counter)  # line types that hold nothing for a mapper
+    out_of_order: int = 0  # lines whose stamp lay before that of the line above; put in order
+    mountings: dict[str, SE2] = field(default_factory=dict)
+    duration_s: float = 0.0
+
+    def __str__(self) -> str:
+        scans = ", ".join(f"{count} scans of {sensor}" for sensor, count in sorted(self.scans.items()))
+        lines = [f"{self.path}: {scans}, {self.odometry} odometry samples over {self.duration_s:.1f} s"]
+        if self.corrected:
+            lines.append(
+                f"{self.source.name} is a corrected log ({self.corrected}): "
+                "the poses of its scans are a result, not odometry"
+            )
+        lines.append(f"odometry: {self.odometry_source}")
+        if self.malformed:
+            lines.append(f"skipped as malformed: {_listed(self.malformed)}")
+        if self.ignored:
+            lines.append(f"not used: {_listed(self.ignored)}")
+        if self.out_of_order:
+            lines.append(f"put in the order of their stamps: {self.out_of_order} lines")
+        return "\n".join(lines)
+
+
+def _listed(counts: Counter[str]) -> str:
+    return ", ".join(f"{count} {kind}" for kind, count in sorted(counts.items()))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scan:
+    stamp_ns: int
+    sensor: str
+    range_m: npt.NDArray[np.float32]
+    first_angle_rad: float
+    angle_step_rad: float
+    range_max_m: float
+    pose_laser: SE2
+    pose_robot: SE2
+
+
+@dataclass(frozen=True, slots=True)
+class _Odometry:
+    stamp_ns: int  # 0: GMapping repeats the corrected pose of the scan above
+    pose: SE2
+    tv_mps: float = 0.0
+    rv_radps: float = 0.0
+
+
+@dataclass(slots=True)
+class _Log:
+    """A log as it stands, in the order of its lines."""
+
+    scans: list[_Scan] = field(default_factory=list)
+    odometry: list[_Odometry] = field(default_factory=list)
+    params: dict[str, str] = field(default_factory=dict)
+    kinds: Counter[str] = field(default_factory=Counter)
+    out_of_order: int = 0
+    scan_above: _Scan | None = None  # the scan on the line before
+
+
+def import_carmen(log_path: Path, out_path: Path, odometry: OdometryChoice = "auto") -> ImportReport:
+    """Turn a log into a session: /front/scan, /rear/scan, /base/odom, /tf_static, in the log's own time.
+
+    odometry    "auto": from ODOM lines, else from the odometry of the scans; of a corrected log only what is
+                odometry. "logged": the poses as they stand, corrected or not. "none": leave it out.
+    Raises InputError for a file that is no such log or has no usable time, StorageError when writing fails.
+    """
+    report = ImportReport(log_path, out_path)
+    log = _read(log_path, report)
+    report.corrected = _why_corrected(log, log_path)
+    samples = _odometry_of(log, odometry, report)
+    for sensor in sorted({scan.sensor for scan in log.scans}):
+        report.mountings[sensor] = _mounting(log, sensor, bool(report.corrected))
+    frames: list[Frame] = [*samples, *map(_scan_frame, log.scans)]  # at equal stamps odometry comes first
+    frames.sort(key=lambda frame: frame.stamp_ns)
+    report.scans.update(scan.sensor for scan in log.scans)
+    report.odometry, report.out_of_order = len(samples), log.out_of_order
+    report.duration_s = (frames[-1].stamp_ns - frames[0].stamp_ns) / 1e9
+    _write(frames, report)
+    return report
+
+
+def _write(frames: Sequence[Frame], report: ImportReport) -> None:
+    clock = LogClock()
+    first_ns = clock.next_ns(frames[0].stamp_ns)
+    file = None
+    try:
+        file = McapFile(report.path, first_ns)
+        file.write_metadata(
+            "import",
+            {
+                "source": report.source.name,
+                "format": "carmen",
+                "corrected": report.corrected,
+                "odometry": report.odometry_source,
+            },
+        )
+        file.write(encode_tf_static(report.mountings, first_ns, first_ns))
+        for frame in frames:
+            file.write(encode_frame(frame, log_ns=clock.next_ns(frame.stamp_ns)))
+        file.finish()
+    except FileExistsError as error:
+        raise StorageError(
+            f"{error.filename} is in the way; is another import writing {report.path}?"
+        ) from error
+    except OSError as error:
+        if file is not None:
+            file.abandon()
+            file.active_path.unlink(missing_ok=True)
+        raise StorageError(f"cannot write {report.path}: {error.strerror}") from error
+
+
+def _read(path: Path, report: ImportReport) -> _Log:
+    log, first_line = _Log(), ""
+    last_ns = 0
+    try:
+        with path.open("rb") as probe:
+            zipped = probe.read(2) == b"\x1f\x8b"
+        with (gzip.open if zipped else open)(path, "rt", encoding="latin-1") as stream:
+            for line in _lines(stream):
+                first_line = first_line or line.strip()[:60]
+                fields = line.split()
+                try:
+                    stamp_ns = _take(log, fields, report)
+                except (ValueError, IndexError, InvalidOperation):
+                    report.malformed[fields[0][:20]] += 1
+                    continue
+                if stamp_ns:
+                    log.out_of_order += stamp_ns < last_ns
+                    last_ns = stamp_ns
+    except (OSError, EOFError) as error:
+        raise InputError(f"cannot read {path}: {error}") from error
+    if not log.scans:
+        raise InputError(
+            f"{path} holds no line of {', '.join(LASERS)} that can be read; is it a CARMEN log? "
+            f"It begins with {first_line!r}"
+        )
+    distinct = len({scan.stamp_ns for scan in log.scans})
+    if distinct <= len(log.scans) // 2:
+        raise InputError(
+            f"{path}: {len(log.scans)} scans carry {distinct} different times, so when they were taken is "
+            "lost (some logs were written with six digits); look for another copy, such as its .gfs"
+        )
+    return log
+
+
+def _lines(stream: IO[str]) -> Iterator[str]:
+    return (line for line in stream if line.strip() and not line.startswith("#"))
+
+
+def _take(log: _Log, fields: list[str], report: ImportReport) -> int:
+    """Take in one line; its stamp, or 0 where it has none.
+
+    Raises ValueError, IndexError, InvalidOperation for a line that is not as it should be.
+    """
+    kind, above = fields[0], log.scan_above
+    log.scan_above = None
+    match kind:
+        case "FLASER" | "RLASER":
+            scan = _flaser(fields)
+        case "ROBOTLASER1" | "ROBOTLASER2":
+            scan = _robotlaser(fields)
+        case "LASER_READING":
+            scan = _laser_reading(fields)
+        case "L":
+            scan = _l_line(fields)
+        case "ODOM" | "O":
+            odometry = _o_line(fields) if kind == "O" else _odom(fields, above)
+            log.odometry.append(odometry)
+            return odometry.stamp_ns
+        case "PARAM":
+            log.params[fields[1]] = fields[2]
+            return 0
+        case _:
+            log.kinds[kind] += 1
+            report.ignored[kind[:20]] += 1
+            return 0
+    log.scans.append(scan)
+    log.scan_above = scan
+    return scan.stamp_ns
+
+
+def _flaser(fields: list[str]) -> _Scan:
+    """FLASER n [ranges] laser_x y theta robot_x y theta ipc_timestamp host logger_timestamp"""
+    count = int(fields[1])
+    first_rad, step_rad = _guessed_angles(count)
+    return _Scan(
+        stamp_ns=_ns(fields[8 + count]),
+        sensor=LASERS[fields[0]],
+        range_m=_ranges(fields[2 : 2 + count], count),
+        first_angle_rad=first_rad,
+        angle_step_rad=step_rad,
+        range_max_m=FLASER_RANGE_MAX_M,
+        pose_laser=_pose(fields[2 + count : 5 + count]),
+        pose_robot=_pose(fields[5 + count : 8 + count]),
+    )
+
+
+def _robotlaser(fields: list[str]) -> _Scan:
+    """ROBOTLASERn type start_angle fov resolution max_range accuracy remission_mode n [ranges] m [remissions]
+    laser_x y theta robot_x y theta tv rv forward_safety side_safety turn_axis timestamp host logger_timestamp
+    """
+    start_rad, _, step_rad, max_range_m = map(_finite, fields[2:6])
+    if not step_rad:
+        raise ValueError("angular resolution 0")
+    count = int(fields[8])
+    after = 10 + count + int(fields[9 + count])
+    return _Scan(
+        stamp_ns=_ns(fields[after + 11]),
+        sensor=LASERS[fields[0]],
+        range_m=_ranges(fields[9 : 9 + count], count),
+        first_angle_rad=start_rad,
+        angle_step_rad=step_rad,
+        range_max_m=min(max_range_m, SICK_RANGE_MAX_M) if max_range_m > 0 else SICK_RANGE_MAX_M,
+        pose_laser=_pose(fields[after : after + 3]),
+        pose_robot=_pose(fields[after + 3 : after + 6]),
+    )
+
+
+def _laser_reading(fields: list[str]) -> _Scan:
+    """LASER_READING n [ranges] x y theta timestamp; the pose is that of the best particle."""
+    count = int(fields[1])
+    first_rad, step_rad = _guessed_angles(count)
+    pose = _pose(fields[2 + count : 5 + count])
+    ranges = _ranges(fields[2 : 2 + count], count)
+    stamp_ns = _ns(fields[5 + count])
+    return _Scan(stamp_ns, "front", ranges, first_rad, step_rad, FLASER_RANGE_MAX_M, pose, pose)
+
+
+def _l_line(fields: list[str]) -> _Scan:
+    """L robot_x y theta laser_x y theta [180 ranges] timestamp; centimetres and radians."""
+    count = len(fields) - 8
+    first_rad, step_rad = _guessed_angles(count)
+    ranges = _ranges(fields[7 : 7 + count], count) * np.float32(0.01)
+    robot, laser = _pose(fields[1:4], 0.01), _pose(fields[4:7], 0.01)
+    return _Scan(_ns(fields[-1]), "front", ranges, first_rad, step_rad, SICK_RANGE_MAX_M, laser, robot)
+
+
+def _odom(fields: list[str], above: _Scan | None) -> _Odometry:
+    """CARMEN: ODOM x y theta tv rv accel ipc_timestamp host logger_timestamp. GMapping: ODOM x y theta time
+
+    GMapping writes a corrected pose twice, in the scan and in an ODOM line below it, whose time is 0 or
+    whatever lay in memory.
+    """
+    pose = _pose(fields[1:4])
+    if len(fields) == 5:
+        return _Odometry(_ns(fields[4]), pose)
+    if above is not None and pose == above.pose_robot and Decimal(fields[7]).scaleb(9) < above.stamp_ns:
+        return _Odometry(0, pose)
+    return _Odometry(_ns(fields[7]), pose, _finite(fields[4]), _finite(fields[5]))
+
+
+def _o_line(fields: list[str]) -> _Odometry:
+    """O x y theta timestamp; centimetres and radians."""
+    return _Odometry(_ns(fields[4]), _pose(fields[1:4], 0.01))
+
+
+def _guessed_angles(count: int) -> tuple[float, float]:
+    """First angle and step of a laser that only says how many beams it has.
+
+    180 or 181 beams are 1 deg apart, 360 or 361 0.5 deg, from -90 deg on; 401 are the 100 deg mode of the
+    SICK LMS with 0.25 deg. Any other number is taken to span 180 deg evenly, both ends included.
+    """
+    if count < 2:
+        raise ValueError(f"{count} beams")
+    known = {180: (-90.0, 1.0), 181: (-90.0, 1.0), 360: (-90.0, 0.5), 361: (-90.0, 0.5), 401: (-50.0, 0.25)}
+    first_deg, step_deg = known.get(count, (-90.0, 180.0 / (count - 1)))
+    return math.radians(first_deg), math.radians(step_deg)
+
+
+def _ranges(texts: Sequence[str], count: int) -> npt.NDArray[np.float32]:
+    if len(texts) != count:
+        raise ValueError(f"{len(texts)} ranges instead of {count}")
+    return np.array([float(text) for text in texts], dtype=np.float32)
+
+
+def _pose(texts: Sequence[str], unit_m: float = 1.0) -> SE2:
+    x, y, theta_rad = map(_finite, texts)
+    return SE2(x * unit_m, y * unit_m, theta_rad)
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is not finite")
+    return value
+
+
+def _ns(text: str) -> int:
+    """Seconds as text to ns, exactly: a double holds today's Unix time to 0.2 us only."""
+    value = int(Decimal(text).scaleb(9))
+    if not 0 <= value < 2**62:
+        raise ValueError(f"time {text}")
+    return value
+
+
+def _why_corrected(log: _Log, path: Path) -> str:
+    """What gives a corrected log away, or ""."""
+    reasons = [mark for kind, mark in CORRECTED_MARKS.items() if log.kinds[kind]]
+    restated = sum(not sample.stamp_ns for sample in log.odometry)
+    if restated > len(log.scans) // 2:
+        reasons.append(f"{restated} ODOM lines without a time that restate the poses of scans")
+    if "corrected" in path.name.lower():
+        reasons.append("its name")
+    if not _is_rigid(log.scans):
+        reasons.append("the laser moves against the robot")
+    return ", ".join(reasons)
+
+
+def _is_rigid(scans: Sequence[_Scan]) -> bool:
+    """Whether the laser keeps its place on the robot; where it does not, its pose was corrected."""
+    for sensor in {scan.sensor for scan in scans}:
+        relative = [s.pose_robot.inverse() @ s.pose_laser for s in scans if s.sensor == sensor]
+        middle = _median(relative)
+        off = [
+            math.hypot(p.x_m - middle.x_m, p.y_m - middle.y_m) > RIGID_M
+            or abs(wrap_angle(p.theta_rad - middle.theta_rad)) > RIGID_RAD
+            for p in relative
+        ]
+        if sum(off) > len(off) // 10:
+            return False
+    return True
+
+
+def _median(poses: Sequence[SE2]) -> SE2:
+    turned = [wrap_angle(pose.theta_rad - poses[0].theta_rad) for pose in poses]
+    return SE2(
+        float(np.median([pose.x_m for pose in poses])),
+        float(np.median([pose.y_m for pose in poses])),
+        wrap_angle(poses[0].theta_rad + float(np.median(turned))),
+    )
+
+
+def _mounting(log: _Log, sensor: str, corrected: bool) -> SE2:
+    """By the poses of laser and robot where both are logged; else by PARAM; else at the robot's centre."""
+    relative = _median([s.pose_robot.inverse() @ s.pose_laser for s in log.scans if s.sensor == sensor])
+    if not corrected and relative.log() != (0.0, 0.0, 0.0):
+        return SE2(round(relative.x_m, 4), round(relative.y_m, 4), round(relative.theta_rad, 6))
+    prefix = f"robot_{sensor}laser"
+    ahead_m, left_m, turn_rad = (
+        float(log.params.get(f"{prefix}_{name}", default))
+        for name, default in (
+            ("offset", 0.0),
+            ("side_offset", 0.0),
+            ("angular_offset", math.pi if sensor == "rear" else 0.0),
+        )
+    )
+    return SE2(ahead_m, left_m, wrap_angle(turn_rad))
+
+
+def _odometry_of(log: _Log, choice: OdometryChoice, report: ImportReport) -> list[OdometrySample]:
+    timed = [sample for sample in log.odometry if sample.stamp_ns]
+    from_scans = [_Odometry(scan.stamp_ns, scan.pose_robot) for scan in log.scans]
+    restated = len(timed) < len(log.odometry)
+    if choice == "none":
+        report.odometry_source = "left out as asked"
+        return []
+    if choice == "logged":
+        report.odometry_source = "the poses of the scans as logged"
+        return _samples(from_scans)
+    if timed and report.corrected and restated:
+        report.odometry_source = (
+            f"the increments of {len(timed)} ODOM lines between corrections; "
+            "where GMapping wrote the log, its motion noise is in them"
+        )
+        return _samples(_chained(log.odometry))
+    if timed:
+        report.odometry_source = f"{len(timed)} ODOM lines"
+        return _samples(timed)
+    if not report.corrected:
+        report.odometry_source = (
+            "the odometry pose of each scan; there are no ODOM lines to tell whether it was corrected"
+        )
+        return _samples(from_scans)
+    if not _is_rigid(log.scans):
+        report.odometry_source = "the odometry pose of each scan; its corrected pose is left out"
+        return _samples(from_scans)
+    report.odometry_source = (
+        "none: the log holds corrected poses only; `odometry=logged` imports them, "
+        "but what is mapped with them must not be scored"
+    )
+    return []
+
+
+def _chained(logged: Sequence[_Odometry]) -> list[_Odometry]:
+    """The way between corrections, put end to end: a pose without a time starts anew without moving."""
+    chain, last, result = SE2(), SE2(), []
+    for sample in logged:
+        if sample.stamp_ns:
+            chain = chain @ (last.inverse() @ sample.pose)
+            result.append(_Odometry(sample.stamp_ns, chain, sample.tv_mps, sample.rv_radps))
+        last = sample.pose
+    return result
+
+
+def _samples(logged: Sequence[_Odometry]) -> list[OdometrySample]:
+    """Twists come from the log, or from the way since the sample before where the log has only zeros."""
+    has_twist = any(sample.tv_mps or sample.rv_radps for sample in logged)
+    samples = []
+    last: _Odometry | None = None
+    for sample in sorted(logged, key=lambda s: s.stamp_ns):
+        twist = (sample.tv_mps, 0.0, sample.rv_radps)
+        if not has_twist and last is not None and sample.stamp_ns > last.stamp_ns:
+            dt_s = (sample.stamp_ns - last.stamp_ns) / 1e9
+            forward_m, left_m, turn_rad = (last.pose.inverse() @ sample.pose).log()
+            twist = (forward_m / dt_s, left_m / dt_s, turn_rad / dt_s)
+        samples.append(
+            OdometrySample(
+                sensor="base",
+                stamp_ns=sample.stamp_ns,
+                arrived_ns=sample.stamp_ns,
+                x_m=sample.pose.x_m,
+                y_m=sample.pose.y_m,
+                theta_rad=wrap_angle(sample.pose.theta_rad),
+                twist_mps_radps=twist,
+                covariance=(0.0,) * 9,
+            )
+        )
+        last = sample
+    return samples
+
+
+def _scan_frame(scan: _Scan) -> LaserScan:
+    """CARMEN logs no times of beams, so a sweep is one instant."""
+    return LaserScan(
+        sensor=scan.sensor,
+        stamp_ns=scan.stamp_ns,
+        arrived_ns=scan.stamp_ns,
+        beam_interval_ns=0,
+        scan_period_ns=0,
+        first_angle_rad=scan.first_angle_rad,
+        angle_step_rad=scan.angle_step_rad,
+        range_min_m=0.0,
+        range_max_m=scan.range_max_m,
+        range_m=scan.range_m,
+        intensity=NO_INTENSITY,
+    )
