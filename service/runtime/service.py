@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from drivers.frames import Frame
 from drivers.link import LinkHealth, run_link
 from drivers.registry import SENSOR_KINDS
 from service.config import ServiceConfig, mountings
@@ -142,6 +143,12 @@ class Service:
         self._ready_ns = self._health_due_ns = self._watchdog_due_ns = 0
         self._cpu_s = 0.0
         self._last_beat = -1
+        self.stopped = False
+
+    @property
+    def frame_sink(self) -> Callable[[Frame], None]:
+        """Where the drivers put their frames, from any thread."""
+        return self._queue.put
 
     @property
     def failure(self) -> str:
@@ -188,6 +195,7 @@ class Service:
 
         Raises StorageError where the map could not be saved; everything is ended by then.
         """
+        self.stopped = True
         self._notifier.stopping()
         seconds = (time.monotonic_ns() - self._ready_ns) / 1e9 if self._ready_ns else 0.0
         cpu_s = time.process_time() - self._cpu_s
@@ -254,7 +262,7 @@ class Service:
                 self._links[name],
                 lambda: kind.open_transport(sensor),
                 lambda: kind.new_session(sensor),
-                self._queue.put,
+                self.frame_sink,
                 self._stop_drivers,
             )
 

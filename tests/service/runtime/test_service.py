@@ -1,0 +1,224 @@
+"""The service in this process: what ends it, and what it leaves behind. Its devices answer nothing."""
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from service.config import ServiceConfig, parse_config
+from service.encoding import decode_event
+from service.errors import CorridorError, StorageError
+from service.mapper.pipeline import Mapper
+from service.recording.mcap_reader import Recording
+from service.runtime import service as service_module
+from service.runtime.notify import Notifier
+from service.runtime.service import Service
+from tests.service.runtime.test_mapping import scan
+
+
+@pytest.fixture
+def silent_laser() -> Iterator[int]:
+    """Port of a laser that takes connections and says nothing."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield server.getsockname()[1]
+
+
+@pytest.fixture
+def config(tmp_path: Path, silent_laser: int) -> ServiceConfig:
+    return parse_config(
+        f"""
+vehicle: veh1
+sensors: {{front: {{type: sick_lms100, host: 127.0.0.1, port: {silent_laser}}}}}
+publishing: {{listen: ["tcp/127.0.0.1:0"]}}
+recording: {{directory: {tmp_path}/sessions, keep_free_gb: 0.0}}
+map: {{directory: {tmp_path}/maps}}
+""",
+        "test",
+    )
+
+
+class Words(Notifier):
+    """Keeps what systemd would hear."""
+
+    def __init__(self, watchdog_s: float | None = None) -> None:
+        super().__init__({})
+        self.watchdog_s = watchdog_s
+        self.words: list[str] = []
+
+    def send(self, line: str) -> None:
+        self.words.append(line)
+
+
+@pytest.fixture
+def open_service(config: ServiceConfig) -> Iterator[Callable[..., Service]]:
+    """Builds services, and stops them where the test has not."""
+    opened: list[Service] = []
+
+    def open_one(**settings: object) -> Service:
+        settings.setdefault("notifier", Words())
+        opened.append(Service(config, **settings))  # type: ignore[arg-type]
+        return opened[-1]
+
+    yield open_one
+    for service in opened:
+        if not service.stopped:
+            service.stop()
+
+
+def tick_until(service: Service, what: Callable[[], bool], timeout_s: float = 20.0) -> None:
+    pause = threading.Event()
+    deadline_s = time.monotonic() + timeout_s
+    while not what():
+        assert time.monotonic() < deadline_s, "it did not come about"
+        service.tick()
+        pause.wait(0.02)
+
+
+def test_nothing_mapped_is_no_error_and_leaves_no_map(open_service: Callable[..., Service], tmp_path: Path):
+    service = open_service()
+    assert service.start()
+    service.tick()
+    summary = service.stop()
+    assert (summary.scans, summary.map_folder, service.failure) == (0, None, "")
+    assert not (tmp_path / "maps").exists()
+    events = [decode_event(m.payload) for m in Recording(summary.sessions).messages(["/events"])]
+    assert events[0] == '{"event": "start"}'
+    assert events[-1] == '{"event": "stop", "reason": "asked to"}'
+
+
+def test_systemd_hears_ready_once_everything_runs(open_service: Callable[..., Service]):
+    notifier = Words()
+    service = open_service(notifier=notifier)
+    service.start()
+    assert notifier.words[-1] == "READY=1"
+    assert any(word.startswith("EXTEND_TIMEOUT_USEC=") for word in notifier.words)
+    service.tick()
+    assert notifier.words[-1].startswith("STATUS=waiting for a scan, 0/1 sensors, 0.0 scans/s, ")
+    service.stop()
+    assert "STOPPING=1" in notifier.words
+
+
+def test_the_watchdog_starves_when_the_mapping_thread_hangs(
+    open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    hangs, release = threading.Event(), threading.Event()
+
+    def hang(self: Mapper[object], frame: object) -> None:
+        hangs.set()
+        release.wait(30.0)
+
+    monkeypatch.setattr(Mapper, "process", hang)
+    monkeypatch.setattr(service_module, "warm_up_kernels", lambda: None)
+    notifier = Words(watchdog_s=0.25)
+    service = open_service(notifier=notifier)
+    service.start()
+    tick_until(service, lambda: notifier.words.count("WATCHDOG=1") >= 2)
+    service.frame_sink(scan(1, time.monotonic_ns(), [1.0, 2.0, 3.0]))
+    assert hangs.wait(5.0)
+    tick_until(service, lambda: "the mapping thread has not moved" in caplog.text)
+    fed = notifier.words.count("WATCHDOG=1")
+    tick_until(service, lambda: caplog.text.count("has not moved") >= 3)
+    assert notifier.words.count("WATCHDOG=1") == fed
+    release.set()
+
+
+def test_a_mapper_that_fails_brings_the_service_down_with_its_recording_finished(
+    open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch
+):
+    told = threading.Event()
+
+    def fail(self: Mapper[object], frame: object) -> None:
+        raise IndexError("no such tile")
+
+    monkeypatch.setattr(Mapper, "process", fail)
+    monkeypatch.setattr(service_module, "warm_up_kernels", lambda: None)
+    service = open_service(on_failure=told.set)
+    service.start()
+    service.frame_sink(scan(1, time.monotonic_ns(), [1.0, 2.0, 3.0]))
+    assert told.wait(10.0)
+    assert "mapping: MapperError: scan of front" in service.failure
+    summary = service.stop()
+    recording = Recording(summary.sessions)
+    assert [m.channel for m in recording.messages(["/front/scan"])] == ["front/scan"]
+    stop = [decode_event(m.payload) for m in recording.messages(["/events"])][-1]
+    assert "no such tile" in stop
+
+
+def test_a_thread_nobody_watches_brings_the_service_down_too(
+    open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch
+):
+    told = threading.Event()
+    service = open_service(on_failure=told.set)
+    service.start()
+    stray = threading.Thread(target=lambda: [][0], name="stray")
+    stray.start()
+    assert told.wait(5.0)
+    stray.join()
+    assert service.failure == "stray: IndexError: list index out of range"
+    service.stop()
+
+
+def test_kernels_that_do_not_compile_stop_the_start(
+    open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch
+):
+    def broken() -> None:
+        raise TypeError("cannot lower")
+
+    monkeypatch.setattr(service_module, "warm_up_kernels", broken)
+    service = open_service()
+    with pytest.raises(CorridorError, match="kernels do not compile: warm-up: TypeError: cannot lower"):
+        service.start()
+    assert service.stop().sessions == []
+
+
+def test_a_start_can_be_called_off(open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch):
+    release = threading.Event()
+    monkeypatch.setattr(service_module, "warm_up_kernels", lambda: release.wait(30.0))
+    service = open_service()
+    assert not service.start(cancelled=lambda: True)
+    release.set()
+    assert service.stop().sessions == []
+
+
+def test_a_map_that_cannot_be_saved_is_raised_after_everything_ended(
+    open_service: Callable[..., Service], tmp_path: Path
+):
+    (tmp_path / "maps").write_text("in the way")
+    service = open_service()
+    service.start()
+    for k in range(40):
+        stamp_ns = time.monotonic_ns()
+        service.frame_sink(scan(stamp_ns + k, stamp_ns + k, [2.0] * 60))
+    with pytest.raises(StorageError, match="cannot save the map"):
+        service.stop()
+    (session,) = (tmp_path / "sessions").glob("*.mcap")
+    assert any(t.name == "/pose" for t in Recording([session]).topics)
+
+
+def test_a_folder_that_cannot_be_written_stops_the_start(
+    open_service: Callable[..., Service], tmp_path: Path
+):
+    (tmp_path / "sessions").write_text("in the way")
+    service = open_service()
+    with pytest.raises(StorageError, match="cannot record"):
+        service.start()
+
+
+def test_a_step_of_the_wall_clock_is_reported_and_not_applied(
+    open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch
+):
+    service = open_service()
+    service.start()
+    before_ns = service.host_time.offset_ns
+    stepped = service_module.HostTime(before_ns + 3_600_000_000_000)
+    monkeypatch.setattr(service_module.HostTime, "now", lambda: stepped)
+    service.tick()
+    assert service.host_time.offset_ns == before_ns
+    summary = service.stop()
+    recording = Recording(summary.sessions)
+    assert recording.metadata["clock"]["wall_clock_step_ns"] == "3600000000000"
+    events = [decode_event(m.payload) for m in recording.messages(["/events"])]
+    assert '{"event": "clock_step", "step_ns": 3600000000000}' in events
