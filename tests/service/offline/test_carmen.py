@@ -104,7 +104,7 @@ def test_robotlaser_says_its_own_angles_and_range(imported):
 
 
 def test_parameters_tell_the_mounting_where_the_poses_do_not(imported):
-    params = "PARAM robot_frontlaser_offset -0.04 1.0 merlin 1.0\nPARAM robot_rearlaser_offset -0.3 1.0 merlin 1.0\n"
+    params = "PARAM robot_frontlaser_offset -0.04 1 merlin 1\nPARAM robot_rearlaser_offset -0.3 1 merlin 1\n"
     pose = (1.0, 0.0, 0.0)
     _, session, _, _ = imported(params + flaser("1.0", pose) + flaser("1.1", pose, kind="RLASER"))
     assert session.mountings["front"] == SE2(-0.04, 0.0, 0.0)
