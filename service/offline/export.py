@@ -1,0 +1,100 @@
+"""Maps and trajectories as files that other programs read."""
+
+from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+from service.encoding import OCCUPANCY_GRID, ODOMETRY, decode_grid, decode_pose
+from service.errors import InputError, StorageError, UsageError
+from service.geometry.se2 import SE2
+from service.mapstore.files import is_map_folder, load_map
+from service.mapstore.picture import Picture, picture_of_grid, picture_of_tiles
+from service.mapstore.png import write_png
+from service.mapstore.ros_map import read_ros_map, write_ros_map
+from service.offline.trajectory import read_tum, write_tum
+from service.recording.mcap_reader import Recording
+
+Format = Literal["pgm", "png", "tum"]
+
+
+def export(source: Path, to: Format, out: Path) -> None:
+    """Write the map (pgm with its yaml, png) or the trajectory (tum) of `source` to `out`.
+
+    source    a finished session (.mcap), the folder of a stored map, or the folder that a replay wrote
+
+    Raises InputError where the source does not hold it, UsageError for a PGM by another name, StorageError.
+    """
+    if to == "pgm" and out.suffix != ".pgm":
+        raise UsageError(
+            f"--out {out}: a map becomes NAME.pgm and NAME.yaml; write --out {out.with_suffix('.pgm')}"
+        )
+    if not source.exists():
+        raise InputError(f"{source}: no such file or folder")
+    if is_map_folder(source) and source.resolve() in out.resolve().parents:
+        raise UsageError(f"--out {out} lies inside the stored map {source}, which would damage it")
+    write: Callable[[], object]
+    match to:
+        case "pgm":
+            write = partial(write_ros_map, out, out.with_suffix(".yaml"), _picture(source))
+        case "png":
+            write = partial(write_png, out, _picture(source))
+        case "tum":
+            write = partial(write_tum, out, _poses(source))
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write()
+    except OSError as error:
+        raise StorageError(f"cannot write {out}: {error}") from error
+
+
+def _picture(source: Path) -> Picture:
+    if not source.is_dir():
+        return _recorded_picture(source)
+    if is_map_folder(source):
+        return picture_of_tiles(load_map(source).tiles)
+    if (source / "map.yaml").exists():
+        return picture_of_grid(read_ros_map(source / "map.yaml"))
+    raise InputError(_no_such_folder(source))
+
+
+def _recorded_picture(source: Path) -> Picture:
+    """The last map in a session."""
+    recording = Recording([source])
+    last = None
+    for message in recording.messages([_topic(recording, "/map", OCCUPANCY_GRID)]):
+        last = message
+    if last is None:
+        raise InputError(f"{source}: its topic /map is empty")
+    return picture_of_grid(decode_grid(last.payload))
+
+
+def _poses(source: Path) -> Iterable[tuple[int, SE2]]:
+    if source.is_dir():
+        if (source / "trajectory.tum").exists():
+            trajectory = read_tum(source / "trajectory.tum")
+            return zip(
+                trajectory.stamp_ns.tolist(), (SE2(*pose) for pose in trajectory.pose.tolist()), strict=True
+            )
+        if is_map_folder(source):
+            raise InputError(f"{source}: a stored map holds no trajectory; export the session or replay it")
+        raise InputError(_no_such_folder(source))
+    recording = Recording([source])
+    topic = _topic(recording, "/pose", ODOMETRY)
+    poses = [decode_pose(message.payload) for message in recording.messages([topic])]
+    return [(pose.stamp_ns, pose.pose) for pose in poses]
+
+
+def _topic(recording: Recording, name: str, type_name: str) -> str:
+    if any(topic.name == name and topic.type == type_name and topic.count for topic in recording.topics):
+        return name
+    source = recording.paths[0]
+    held = ", ".join(map(str, recording.topics)) or "nothing"
+    raise InputError(
+        f"{source}: no {name} ({type_name}) in it; it holds {held}. "
+        f"Map it first: corridor replay {source} --out DIR, then export DIR"
+    )
+
+
+def _no_such_folder(source: Path) -> str:
+    return f"{source}: neither a stored map (v000001/ ...) nor a replay's folder (map.yaml, trajectory.tum)"
