@@ -110,6 +110,17 @@ def test_every_kind_of_driver_error_is_followed_by_a_new_connection_with_a_new_s
     assert str(error) in health.last_error
 
 
+def test_counters_are_summed_while_the_second_connection_still_runs(quick_retries):
+    stop, seen = threading.Event(), []
+    broken = ScriptedTransport([b"a", b"x"])
+    health = LinkHealth("front")
+    wires = iter([broken, StoppableTransport([b"b", b"c"], stop)])
+    run_link(
+        health, lambda: next(wires), EchoSession, lambda frame: seen.append(health.counters["chunks"]), stop
+    )
+    assert seen == [0, 1, 2, 3]
+
+
 def test_refused_connection_and_failing_timer_are_retried_too(quick_retries):
     stop = threading.Event()
     transports = [TransportError("refused"), ScriptedTransport([b"a"]), StoppableTransport([b"d"], stop)]

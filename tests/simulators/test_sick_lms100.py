@@ -1,7 +1,7 @@
 """The pretended LMS100: what third-party clients ask, what they need as an answer, the habits of a real one.
 
-The dialogues are replayed from recordings of libLMS1xx, MRPT and sick_scan_xd where those are at hand; what each
-client parses is stated here from its source (LMS1xx.cpp, CLMS100eth.cpp, sick_scan_common.cpp).
+The dialogues are replayed from recordings of libLMS1xx, MRPT and sick_scan_xd where those are at hand; what
+each client parses is stated here from its source (LMS1xx.cpp, CLMS100eth.cpp, sick_scan_common.cpp).
 """
 
 import ast
