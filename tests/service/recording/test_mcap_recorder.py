@@ -160,15 +160,16 @@ def test_an_existing_file_is_never_overwritten(recorder, tmp_path):
 class StuckStream(io.BytesIO):
     """Nothing, as a stream: any write waits until the disk is let go."""
 
-    def __init__(self, path: Path, released: threading.Event) -> None:
+    def __init__(self, path: Path, entered: threading.Event, released: threading.Event) -> None:
         super().__init__()
         self._file = path.open("xb")
-        self._released = released
+        self._entered, self._released = entered, released
 
     def fileno(self) -> int:
         return self._file.fileno()
 
     def write(self, data) -> int:
+        self._entered.set()
         assert self._released.wait(60.0)
         return self._file.write(data)
 
@@ -184,11 +185,11 @@ class StuckStream(io.BytesIO):
 
 def test_put_never_waits_and_counts_what_a_stuck_disk_costs(recorder, monkeypatch, caplog):
     monkeypatch.setattr(mcap_recorder, "QUEUE_MESSAGES", 10)
-    released = threading.Event()
-    session = recorder(open_stream=lambda path: StuckStream(path, released))
+    entered, released = threading.Event(), threading.Event()
+    session = recorder(open_stream=lambda path: StuckStream(path, entered, released))
     try:
         session.put(scan_message(0))
-        wait_until(lambda: session.health.path is not None or not session._queue)
+        assert entered.wait(10.0)
         with caplog.at_level(logging.WARNING):
             for index in range(1, 31):
                 session.put(scan_message(index))
@@ -209,8 +210,8 @@ def test_recording_pauses_on_a_full_disk_and_resumes(recorder, caplog):
     wait_until(lambda: session.health.messages == 1)
     free[0] = 999_999
     clock.now_s += 1.0
-    wait_until(lambda: session.health.state == "disk full")
-    assert len(session.health.finished) == 1
+    wait_until(lambda: len(session.health.finished) == 1)
+    assert session.health.state == "disk full"
     session.put(scan_message(1))
     wait_until(lambda: session.health.dropped["front/scan"] == 1)
     free[0] = 1_000_001  # enough, but so little more that it would stop again at once
