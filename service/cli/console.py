@@ -2,6 +2,7 @@
 
 import json
 import logging
+import math
 import os
 import sys
 import time
@@ -12,7 +13,7 @@ from typing import Any, TextIO
 
 BAR_WIDTH = 30
 REDRAW_S = 0.1
-PLAIN_STEP = 0.1  # off a terminal a line each tenth
+PLAIN_STEPS = 10  # off a terminal a line each tenth
 
 _SYSLOG_LEVELS = {"DEBUG": 7, "INFO": 6, "WARNING": 4, "ERROR": 3, "CRITICAL": 2}
 
@@ -72,7 +73,7 @@ class Progress:
         self._stream = stream if stream is not None else sys.stderr
         self._terminal = self._stream.isatty()
         self._drawn_s = 0.0
-        self._next_plain = PLAIN_STEP
+        self._plain_step = 0
 
     def __call__(self, share: float) -> None:
         share = min(max(share, 0.0), 1.0)
@@ -84,10 +85,10 @@ class Progress:
                 bar = "#" * filled + "." * (BAR_WIDTH - filled)
                 self._stream.write(f"\r{self._what} [{bar}] {share:4.0%}")
                 self._stream.flush()
-        elif share >= self._next_plain:
-            self._stream.write(f"{self._what}: {share:.0%}\n")
+        elif (step := math.floor(share * PLAIN_STEPS + 1e-9)) > self._plain_step:
+            self._plain_step = step
+            self._stream.write(f"{self._what}: {step / PLAIN_STEPS:.0%}\n")
             self._stream.flush()
-            self._next_plain = share - share % PLAIN_STEP + PLAIN_STEP
 
     def end(self) -> None:
         """Leave the bar's line."""

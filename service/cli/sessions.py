@@ -35,3 +35,19 @@ def recover(parsed: argparse.Namespace) -> int:
 
     print_report(recover_file(parsed.file), parsed.json)
     return 0
+
+
+def export(parsed: argparse.Namespace) -> int:
+    from service.offline.export import export as export_file
+
+    export_file(parsed.input, parsed.format, parsed.out)
+    print_result({"input": str(parsed.input), "format": parsed.format, "out": str(parsed.out)}, parsed.json)
+    return 0
+
+
+def score(parsed: argparse.Namespace) -> int:
+    from service.offline.score import score as score_trajectory
+
+    scored = score_trajectory(parsed.estimate, parsed.truth, parsed.shift_s, parsed.offset_x, parsed.pairs)
+    print_report(scored, parsed.json)
+    return 0

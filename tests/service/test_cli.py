@@ -1,0 +1,191 @@
+import io
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from service.cli import arguments, console, main
+from service.errors import ConfigError, CorridorError, InputError, StorageError, UsageError
+from service.version import VERSION
+
+GOOD = """\
+vehicle: v
+sensors: {front: {type: sick_lms100, host: a}}
+recording: {directory: s}
+map: {directory: m}
+"""
+CORRIDOR = Path(sys.executable).parent / "corridor"
+
+
+@pytest.fixture
+def good(tmp_path: Path) -> Path:
+    path = tmp_path / "good.yaml"
+    path.write_text(GOOD)
+    return path
+
+
+def code_of(arguments: list[str]) -> int:
+    """Exit code, also where argparse leaves by itself."""
+    try:
+        return main(arguments)
+    except SystemExit as left:
+        return left.code if isinstance(left.code, int) else -1
+
+
+def test_the_version_is_the_one_that_stands_in_one_place(capsys: pytest.CaptureFixture[str]):
+    assert code_of(["--version"]) == 0
+    assert capsys.readouterr().out == f"corridor {VERSION}\n"
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        [],
+        ["drive"],
+        ["run"],
+        ["run", "a.yaml", "--config", "b.yaml"],
+        ["demo", "--seconds", "0"],
+        ["demo", "--seconds", "soon"],
+        ["replay"],
+        ["replay", "a.mcap", "--rate", "-1"],
+        ["replay", "a.mcap", "--jobs", "0"],
+        ["export", "x", "--format", "jpeg", "--out", "y"],
+        ["simulate", "--world", "nowhere at all"],
+    ],
+)
+def test_wrong_usage_exits_with_64(wrong: list[str]):
+    done = subprocess.run([CORRIDOR, *wrong], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == UsageError.exit_code
+    assert done.stdout == ""
+    assert "usage: corridor" in done.stderr
+
+
+def test_help_is_there_at_once():
+    began_s = time.monotonic()
+    done = subprocess.run([CORRIDOR, "--help"], capture_output=True, text=True, timeout=60, check=True)
+    assert "64 wrong usage" in done.stdout
+    assert time.monotonic() - began_s < 5.0  # 0.05 s; numba and Zenoh alone would take longer when cold
+    code = "import sys, service.cli; service.cli.new_parser(); print(*sys.modules)"
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert not {"numba", "numpy", "zenoh", "pydantic"} & set(loaded.stdout.split())
+
+
+@pytest.mark.parametrize("form", [["check", "{}"], ["check", "--config", "{}"]])
+def test_check_accepts_a_good_config_both_ways(
+    form: list[str], good: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert main([part.format(good) for part in form]) == 0
+    assert capsys.readouterr().out == f"{good}: ok\n"
+
+
+def test_check_lists_every_fault_and_exits_with_78(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    bad = tmp_path / "bad.yaml"
+    bad.write_text(GOOD.replace("vehicle: v", "vehicle: V") + "maping: {}\n")
+    assert main(["check", str(bad)]) == ConfigError.exit_code
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert len(said.err.splitlines()) == 2
+    assert main(["check", str(bad), "--json"]) == ConfigError.exit_code
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["ok"], len(answer["faults"])) == (False, 2)
+
+
+def test_run_refuses_a_bad_config_before_anything_starts(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["run", str(tmp_path / "nowhere.yaml")]) == ConfigError.exit_code
+    assert "nowhere.yaml: cannot be read" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (CorridorError("x"), 1),
+        (InputError("x"), 65),
+        (StorageError("x"), 74),
+        (OSError(28, "No space left on device"), 74),
+        (ConfigError(["x"]), 78),
+        (ZeroDivisionError("x"), 1),
+        (KeyboardInterrupt(), 130),
+    ],
+)
+def test_each_error_has_its_exit_code(
+    error: BaseException, code: int, good: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def fail(path: Path) -> None:
+        raise error
+
+    monkeypatch.setattr("service.config.load_config", fail)
+    assert main(["run", str(good)]) == code
+
+
+def test_a_file_that_is_no_recording_is_a_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    (tmp_path / "x.mcap").write_text("not MCAP")
+    assert main(["replay", str(tmp_path / "x.mcap")]) == InputError.exit_code
+    assert "x.mcap is not an MCAP file" in capsys.readouterr().err
+
+
+def test_a_reader_that_has_gone_is_no_crash(good: Path):
+    with subprocess.Popen(
+        [CORRIDOR, "check", good], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert b"Traceback" not in process.stderr.read()
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_progress_is_a_bar_on_a_terminal_and_lines_elsewhere():
+    terminal, pipe = Terminal(), io.StringIO()
+    for stream in (terminal, pipe):
+        shown = console.Progress("replay", stream)
+        for step in range(101):
+            shown(step / 100)
+        shown.end()
+    assert terminal.getvalue().startswith("\rreplay [..")
+    assert terminal.getvalue().endswith("] 100%\n")
+    assert pipe.getvalue().splitlines() == [f"replay: {tenth}0%" for tenth in range(1, 11)]
+
+
+def test_results_are_words_or_one_json_object(capsys: pytest.CaptureFixture[str]):
+    result = {"scans": 3, "scan_ms": {"p50": 0.12345678}, "map": None}
+    console.print_result(result, as_json=False)
+    assert capsys.readouterr().out == "scans: 3\nscan_ms.p50: 0.123457\nmap: None\n"
+    console.print_result(result, as_json=True)
+    assert json.loads(capsys.readouterr().out) == result
+
+
+def test_the_journal_is_told_the_severity(monkeypatch: pytest.MonkeyPatch):
+    record = console.logging.LogRecord(
+        "drivers.link", console.logging.WARNING, "", 0, "gone\nback", None, None
+    )
+    assert console.JournalFormatter("%(name)s: %(message)s").format(record) == "<4>drivers.link: gone\n  back"
+
+
+def test_every_command_of_the_parser_is_implemented():
+    from importlib import import_module
+
+    from service.cli import _COMMANDS
+
+    (choices,) = [a.choices for a in arguments.new_parser()._actions if a.dest == "command"]
+    assert choices is not None
+    assert set(choices) == {*_COMMANDS, "simulate"}
+    for module, function in _COMMANDS.values():
+        assert callable(getattr(import_module(module), function))
+
+
+def test_simulate_is_the_simulators_own_program():
+    done = subprocess.run(
+        [CORRIDOR, "simulate", "--help"], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert "--print-endpoints" in done.stdout
+    assert os.path.exists(CORRIDOR)
