@@ -43,8 +43,6 @@ _FRESH = frozenset(
 class MapSource(Protocol):
     """The tile store as the publisher reads it."""
 
-    @property
-    def version(self) -> int: ...
     def since(self, version: int) -> list[TileUpdate]: ...
     def grid(self) -> Grid | None: ...
 
@@ -119,7 +117,7 @@ class ZenohPublisher:
     def set_alive(self, component: str, alive: bool = True) -> None:
         """Put up or take down the token alive/<component>; all fall by themselves when the process dies."""
         with self._token_lock:
-            if alive and component not in self._tokens:
+            if alive and component not in self._tokens and not self._closed:
                 key = alive_key(self._vehicle, component)
                 self._tokens[component] = self._session.liveliness().declare_token(key)
             elif not alive and component in self._tokens:
