@@ -68,7 +68,7 @@ class RecoveryReport:
     first_log_ns: int = 0
     last_log_ns: int = 0
     bad_chunks: int = 0  # in the middle; what they held is lost
-    skipped_bytes: int = 0  # that belong to nothing readable
+    skipped_bytes: int = 0  # of records that are cut off or damaged, even if messages were saved from them
     orphans: int = 0  # messages whose channel's definition was lost
     kept_original: Path | None = None
 
@@ -81,7 +81,7 @@ class RecoveryReport:
         if self.bad_chunks or self.orphans:
             text += f"; lost {self.bad_chunks} damaged chunks and {self.orphans} messages without a channel"
         if self.skipped_bytes:
-            text += f"; {self.skipped_bytes} bytes could not be read"
+            text += f"; {self.skipped_bytes} bytes were cut off or damaged"
         if self.kept_original is not None:
             text += f"; the original is kept as {self.kept_original}"
         return text
