@@ -2,12 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from pydantic import BaseModel
 
 from drivers.irobot_create.config import IrobotCreateConfig
-from drivers.irobot_create.driver import new_session as new_irobot_create_session
+from drivers.irobot_create.driver import session_maker as irobot_create_session_maker
 from drivers.irobot_create.port import open_port as open_irobot_create_port
 from drivers.link import Session
 from drivers.sick_lms100.config import Lms100Config
@@ -17,14 +18,20 @@ from drivers.transport import TcpTransport, Transport
 
 @dataclass(frozen=True, slots=True)
 class SensorKind:
-    """How to talk to one type of sensor. The callables take the sensor's own config model."""
+    """How to talk to one type of sensor. The callables take the sensor's own config model.
+
+    `session_maker` is called once a sensor; what it returns, once a connection. What has to outlive
+    a connection (the pose that wheels have added up) lives in between.
+    """
 
     config: type[BaseModel]
     open_transport: Callable[[Any], Transport]
-    new_session: Callable[[Any], Session]
+    session_maker: Callable[[Any], Callable[[], Session]]
 
 
 SENSOR_KINDS: dict[str, SensorKind] = {
-    "sick_lms100": SensorKind(Lms100Config, lambda c: TcpTransport(c.host, c.port), Lms100Session),
-    "irobot_create": SensorKind(IrobotCreateConfig, open_irobot_create_port, new_irobot_create_session),
+    "sick_lms100": SensorKind(
+        Lms100Config, lambda c: TcpTransport(c.host, c.port), lambda c: partial(Lms100Session, c)
+    ),
+    "irobot_create": SensorKind(IrobotCreateConfig, open_irobot_create_port, irobot_create_session_maker),
 }

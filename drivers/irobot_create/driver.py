@@ -5,6 +5,7 @@ It reads. No command that moves a wheel, a brush or a lamp is ever sent, and the
 
 import logging
 from collections import Counter
+from collections.abc import Callable
 
 from drivers.errors import TransportError
 from drivers.frames import OdometrySample
@@ -212,7 +213,8 @@ class IrobotCreateSession:
         )
 
 
-def new_session(config: IrobotCreateConfig, odometry: DeadReckoning | None = None) -> Session:
-    """The session that suits the model. Given the same `odometry` again, the pose survives a reconnect."""
+def session_maker(config: IrobotCreateConfig) -> Callable[[], Session]:
+    """Makes the sessions that suit the model, one a connection; the pose goes on from one to the next."""
+    odometry = DeadReckoning(config.wheel_base_m, config.travel_variance_m2_per_m)
     session = Create1Session if config.model == "create1" else IrobotCreateSession
-    return session(config, odometry)
+    return lambda: session(config, odometry)

@@ -255,13 +255,14 @@ class Service:
 
     def _reader(self, name: str, sensor: Any) -> Callable[[], None]:
         kind = SENSOR_KINDS[sensor.type]
+        new_session = kind.session_maker(sensor)
 
         def read() -> None:
             _take_priority()
             run_link(
                 self._links[name],
                 lambda: kind.open_transport(sensor),
-                lambda: kind.new_session(sensor),
+                new_session,
                 self.frame_sink,
                 self._stop_drivers,
             )

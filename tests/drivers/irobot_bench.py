@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.frames import OdometrySample
 from drivers.irobot_create.config import IrobotCreateConfig
-from drivers.irobot_create.driver import new_session
+from drivers.irobot_create.driver import session_maker
 from simulators.irobot_create import FakeCreate
 
 S, MS = 1_000_000_000, 1_000_000
@@ -81,7 +81,7 @@ class Bench:
 
 
 def bench(wheels: Curve = STANDING, config: IrobotCreateConfig = CONFIG, **robot: Any) -> Bench:
-    return Bench(FakeCreate(wheels, config.model, **robot), new_session(config))
+    return Bench(FakeCreate(wheels, config.model, **robot), session_maker(config)())
 
 
 def errors_m_rad(wheels: Curve, samples: list[OdometrySample]) -> tuple[float, float]:

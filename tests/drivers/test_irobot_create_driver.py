@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from drivers.errors import TransportError
 from drivers.frames import Frame, OdometrySample
 from drivers.irobot_create.config import IrobotCreateConfig
-from drivers.irobot_create.driver import STREAM_IDS, IrobotCreateSession, new_session
-from drivers.irobot_create.odometry import DeadReckoning
+from drivers.irobot_create.driver import STREAM_IDS, IrobotCreateSession, session_maker
 from drivers.irobot_create.port import open_port, wake_line_low
 from drivers.irobot_create.protocol import CommandDecoder, Mode, Opcode, PacketId, encode_frame
 from drivers.link import LinkHealth, run_link
@@ -288,13 +287,13 @@ def test_older_stream_of_the_same_packets_is_not_counted():
     assert np.abs(steps_ns - 15 * MS).max() < 1.1 * MS
 
 
-def test_pose_survives_a_reconnect_when_the_reckoning_is_handed_on():
+def test_pose_survives_a_reconnect():
     for config in (CONFIG, CREATE1):
-        odometry = DeadReckoning(config.wheel_base_m, config.travel_variance_m2_per_m)
+        new_session = session_maker(config)
         robot = FakeCreate(Curve(0.3, 0.0, config.wheel_base_m), config.model)
-        table = Bench(robot, new_session(config, odometry))
+        table = Bench(robot, new_session())
         before = table.run(3.0)[-1]
-        table.session = new_session(config, odometry)
+        table.session = new_session()
         samples = table.run(3.0)
         assert largest_step_m([before, *samples]) < 0.04
         assert samples[0].x_m == pytest.approx(before.x_m)
@@ -333,7 +332,7 @@ def read_from() -> Any:
         health = LinkHealth(config.name)
         thread = threading.Thread(
             target=run_link,
-            args=(health, lambda: open_port(config), lambda: new_session(config), frames.put, stop),
+            args=(health, lambda: open_port(config), session_maker(config), frames.put, stop),
         )
         threads.append(thread)
         thread.start()

@@ -262,7 +262,7 @@ def frames_over_tcp():
                 run_link(
                     health,
                     lambda: kind.open_transport(settings),
-                    lambda: kind.new_session(settings),
+                    kind.session_maker(settings),
                     sink,
                     stop,
                 )
