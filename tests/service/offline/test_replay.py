@@ -1,0 +1,197 @@
+import json
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.frames import NO_INTENSITY, LaserScan, OdometrySample
+from service.encoding import encode_frame, encode_tf_static
+from service.errors import ConfigError, InputError, StorageError
+from service.geometry.se2 import SE2
+from service.offline.replay import ReplayOptions, group_sessions, replay, replay_all, write_replay
+from service.offline.trajectory import read_tum
+from service.recording.mcap_recorder import McapRecorder
+
+T0_NS = 1_700_000_000_000_000_000
+BEAMS = 271
+CONFIG = """\
+vehicle: v
+sensors: {front: {type: sick_lms100, host: a, mounting: {x_m: %s}}}
+recording: {directory: s}
+map: {directory: m}
+"""
+
+
+def room_scan(stamp_ns: int, x_m: float) -> LaserScan:
+    """A laser at (x, 0) in a room from -4 to 6 m by -3 to 3 m, looking along x."""
+    angle = np.radians(np.linspace(-135.0, 135.0, BEAMS))
+    with np.errstate(divide="ignore"):
+        to_side = 3.0 / np.abs(np.sin(angle))
+        to_end = np.where(np.cos(angle) > 0.0, 6.0 - x_m, 4.0 + x_m) / np.abs(np.cos(angle))
+    range_m = np.minimum(to_side, to_end).astype(np.float32)
+    step = math.radians(270.0) / (BEAMS - 1)
+    period_ns = 20_000_000
+    return LaserScan(
+        "front",
+        stamp_ns,
+        stamp_ns + period_ns,
+        0,
+        period_ns,
+        angle[0],
+        step,
+        0.05,
+        20.0,
+        range_m,
+        NO_INTENSITY,
+    )
+
+
+RecordDrive = Callable[..., Path]
+
+
+@pytest.fixture
+def record_drive(tmp_path: Path) -> RecordDrive:
+    """Records half a metre a second through the room; the laser is at the base's origin."""
+
+    def record(
+        name: str = "v",
+        scans: int = 40,
+        config: str | None = CONFIG % 0.0,
+        late: bool = False,
+        start_ns: int = T0_NS,
+    ) -> Path:
+        metadata = {"config": {"yaml": config}} if config is not None else {}
+        recorder = McapRecorder(tmp_path / "in", name, keep_free_bytes=0, metadata=metadata)
+        recorder.start()
+        recorder.put(encode_tf_static({"front": SE2()}, start_ns, start_ns))
+        for k in range(scans):
+            stamp_ns, x_m = start_ns + k * 20_000_000, 0.01 * k
+            sample = OdometrySample(
+                "base", stamp_ns, stamp_ns + 1_000_000, x_m, 0.0, 0.0, (0.5, 0.0, 0.0), (0.0,) * 9
+            )
+            recorder.put(encode_frame(sample))
+            recorder.put(encode_frame(room_scan(stamp_ns, x_m)))
+        if late:
+            recorder.put(
+                encode_frame(room_scan(start_ns, 0.0), log_ns=start_ns + scans * 20_000_000 + 30_000_000)
+            )
+        (session,) = recorder.finish()
+        return session
+
+    return record
+
+
+def test_a_replay_writes_what_other_programs_read(record_drive: RecordDrive, tmp_path: Path):
+    done = replay([record_drive()], ReplayOptions())
+    write_replay(done, tmp_path / "out")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "trajectory.tum", "trajectory_live.tum", "map.pgm", "map.yaml", "map.png", "summary.json",
+    }  # fmt: skip
+    trajectory = read_tum(tmp_path / "out" / "trajectory.tum")
+    assert trajectory.stamp_ns.tolist() == [T0_NS + k * 20_000_000 for k in range(40)]
+    np.testing.assert_allclose(trajectory.pose[:, 0], 0.01 * np.arange(40), atol=0.01)
+    np.testing.assert_allclose(trajectory.pose[:, 1], 0.0, atol=0.01)
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary == done.summary
+
+
+def test_the_summary_counts_what_happened(record_drive: RecordDrive):
+    summary = replay([record_drive(late=True)], ReplayOptions()).summary
+    assert list(summary) == [
+        "corridor", "profile", "scans", "scans_dropped", "duration_s", "wall_s", "realtime_factor", "scan_ms",
+        "stage_ms_p50", "loop_closures", "keyframes", "peak_rss_mb", "map_tiles", "state",
+    ]  # fmt: skip
+    assert (summary["scans"], summary["scans_dropped"]) == (40, 1)
+    assert summary["duration_s"] == pytest.approx(39 * 0.02)
+    assert summary["scan_ms"].keys() == {"p50", "p95", "p99", "max"}
+    assert summary["stage_ms_p50"].keys() == {"deskew", "match", "insert"}
+    assert sum(summary["state"].values()) == 40
+    assert summary["map_tiles"] > 0
+    assert 50 < summary["peak_rss_mb"] < 2000
+
+
+def test_the_same_recording_gives_the_same_bytes_alone_and_among_others(
+    record_drive: RecordDrive, tmp_path: Path
+):
+    sessions = [[record_drive("a")], [record_drive("b", scans=30)]]
+    shares: list[float] = []
+    one_by_one = replay_all(sessions, ReplayOptions(), tmp_path / "1", 1, shares.append)
+    at_once = replay_all(sessions, ReplayOptions(), tmp_path / "2", 2, lambda share: None)
+    assert [s["scans"] for s in one_by_one] == [s["scans"] for s in at_once] == [40, 30]
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    written = [path.relative_to(tmp_path / "1") for path in (tmp_path / "1").rglob("*.*") if path.is_file()]
+    assert len(written) == 12
+    for path in written:
+        if path.name != "summary.json":
+            assert (tmp_path / "1" / path).read_bytes() == (tmp_path / "2" / path).read_bytes()
+
+
+def test_the_recorded_config_counts_unless_another_is_given(record_drive: RecordDrive, tmp_path: Path):
+    """Where the laser is believed to sit moves the map."""
+    session = record_drive(config=CONFIG % 1.0)
+    (tmp_path / "other.yaml").write_text(CONFIG % 2.0)
+    pictures = []
+    for options in (ReplayOptions(), ReplayOptions(config=tmp_path / "other.yaml")):
+        write_replay(replay([session], options), tmp_path / "out")
+        pictures.append((tmp_path / "out" / "map.pgm").read_bytes())
+    assert pictures[0] != pictures[1]
+
+
+def test_without_a_recorded_config_the_defaults_and_tf_static_serve(record_drive: RecordDrive):
+    done = replay([record_drive(config=None)], ReplayOptions())
+    assert done.summary["profile"] == "corridor"
+    assert len(done.outputs) == 40
+
+
+def test_a_recorded_config_that_cannot_be_read_asks_for_one(record_drive: RecordDrive):
+    session = record_drive(config=CONFIG % 0.0 + "radar: {}\n")
+    with pytest.raises(ConfigError, match=r"radar: unknown key(.|\n)*--config"):
+        replay([session], ReplayOptions())
+
+
+def test_an_unknown_profile_is_a_config_error(record_drive: RecordDrive):
+    with pytest.raises(ConfigError, match="--profile fast"):
+        replay([record_drive()], ReplayOptions(profile="fast"))
+
+
+def test_a_recording_without_a_usable_scan_is_bad_input(record_drive: RecordDrive):
+    with pytest.raises(InputError):
+        replay([record_drive(scans=0)], ReplayOptions())
+
+
+def test_a_paced_replay_takes_its_time(record_drive: RecordDrive):
+    session = record_drive(scans=20)
+    replay([session], ReplayOptions())  # kernels and caches
+    began_s = time.monotonic()
+    replay([session], ReplayOptions(rate=2.0))
+    assert time.monotonic() - began_s >= 19 * 0.02 / 2.0
+
+
+def test_a_folder_that_cannot_be_written_is_a_storage_error(record_drive: RecordDrive, tmp_path: Path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="cannot write to"):
+        write_replay(replay([record_drive()], ReplayOptions()), tmp_path / "file")
+
+
+def test_files_of_one_session_are_one_drive(tmp_path: Path):
+    names = [
+        "v_20261121T101500Z_0002.mcap",
+        "v_20261121T101500Z_0001.mcap",
+        "v_20261121T120000Z_0001.mcap",
+        "x.mcap",
+    ]
+    for name in names:
+        (tmp_path / name).touch()
+    groups = [[path.name for path in group] for group in group_sessions([tmp_path])]
+    assert groups == [[names[1], names[0]], [names[2]], [names[3]]]
+    given = [tmp_path / names[3], tmp_path / names[0], tmp_path / names[0]]
+    assert group_sessions(given) == [[given[0]], [given[1]]]
+
+
+def test_a_folder_without_recordings_is_bad_input(tmp_path: Path):
+    with pytest.raises(InputError, match=r"no \*\.mcap in this folder"):
+        group_sessions([tmp_path])

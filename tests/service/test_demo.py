@@ -1,0 +1,136 @@
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service import demo
+from service.demo import DemoOptions, Simulators, demo_config, interpolate, pose_error
+from service.encoding import encode_pose
+from service.errors import ConfigError, CorridorError, UsageError
+from service.geometry.se2 import SE2
+from service.outputs import MapperOutput
+from service.recording.mcap_recorder import McapRecorder
+from service.runtime.metrics import Percentiles
+from service.runtime.service import Summary
+
+OFFSET_NS = 1_700_000_000_000_000_000
+ENDPOINTS = [
+    {"name": "front", "device": "sick_lms100", "endpoint": "tcp://127.0.0.1:2111"},
+    {"name": "base", "device": "irobot_create", "endpoint": "/dev/pts/3"},
+]
+
+
+def options(out: Path, profile: str | None = None) -> DemoOptions:
+    return DemoOptions(seconds=1.0, world=None, profile=profile, seed=1, out=out)
+
+
+def test_the_config_is_what_a_user_would_write_for_these_devices(tmp_path: Path):
+    config = demo_config(ENDPOINTS, options(tmp_path), 7447)
+    assert config.sensors["front"].port == 2111
+    assert config.sensors["front"].mounting.x_m == 0.20
+    assert config.sensors["base"].device == "/dev/pts/3"
+    assert config.recording.directory == tmp_path
+    assert config.publishing.listen == ("tcp/127.0.0.1:7447",)
+
+
+def test_a_profile_that_there_is_not_is_a_config_error(tmp_path: Path):
+    with pytest.raises(ConfigError, match=r"mapping\.profile"):
+        demo_config(ENDPOINTS, options(tmp_path, "corridr"), 7447)
+
+
+def test_the_truth_is_read_between_its_rows_and_across_half_a_turn():
+    truth = np.array([[0.0, 0.0, 0.0, 3.0], [10.0, 1.0, 2.0, -3.0]])
+    (middle,) = interpolate(truth, np.array([5]))
+    assert (middle.x_m, middle.y_m) == (0.5, 1.0)
+    assert abs(math.remainder(middle.theta_rad - math.pi, math.tau)) < 1e-12
+
+
+def test_truth_that_does_not_reach_is_said():
+    truth = np.array([[0.0, 0.0, 0.0, 0.0], [10.0, 1.0, 0.0, 0.0]])
+    with pytest.raises(CorridorError, match="ended too early"):
+        interpolate(truth, np.array([5, 11]))
+
+
+def record(folder: Path, poses: list[tuple[int, SE2]]) -> Summary:
+    """A finished session with these poses, stamped in host monotonic time."""
+    recorder = McapRecorder(folder, "demo", keep_free_bytes=0)
+    recorder.start()
+    for stamp_ns, pose in poses:
+        unix_ns = stamp_ns + OFFSET_NS
+        output = MapperOutput(unix_ns, pose, SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 1.0)
+        recorder.put(encode_pose(output, unix_ns))
+    nothing = Percentiles(0.0, 0.0, 0.0, 0.0)
+    return Summary(1.0, len(poses), 0, {}, nothing, {}, 0.0, recorder.finish(), None, OFFSET_NS)
+
+
+def test_the_error_is_that_against_the_truth_from_the_first_pose_on(tmp_path: Path):
+    """The vehicle starts at (5, 5) looking up. One of two poses is 3 cm and 2 deg off."""
+    truth = tmp_path / "truth.txt"
+    truth.write_text("0 5.0 5.0 1.5707963\n2000000000 5.0 7.0 1.5707963\n")
+    off = SE2(1.0, 0.03, math.radians(2.0))
+    summary = record(tmp_path, [(0, SE2()), (1_000_000_000, off)])
+    assert pose_error(summary, truth) == {
+        "position_rmse_m": pytest.approx(0.03 / math.sqrt(2), abs=1e-4),
+        "heading_rmse_deg": pytest.approx(2.0 / math.sqrt(2), abs=1e-3),
+    }
+
+
+def test_without_poses_there_is_no_error_to_tell(tmp_path: Path):
+    summary = record(tmp_path, [])
+    assert pose_error(summary, tmp_path / "truth.txt") == {"position_rmse_m": None, "heading_rmse_deg": None}
+
+
+def test_simulators_that_do_not_come_up_are_said(tmp_path: Path):
+    wrong = DemoOptions(seconds=1.0, world="no such world", profile=None, seed=1, out=tmp_path)
+    with (
+        pytest.raises(CorridorError, match="the simulators ended before they were ready"),
+        demo.simulators(wrong, tmp_path / "truth.txt"),
+    ):
+        pass
+
+
+def test_simulators_that_end_on_the_way_end_the_demo():
+    with subprocess.Popen([sys.executable, "-c", "raise SystemExit(3)"]) as process:
+        process.wait(10.0)
+        assert Simulators(process, []).trouble() == "the simulators ended with exit code 3"
+
+
+def test_a_folder_that_cannot_be_made_is_wrong_usage(tmp_path: Path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError, match="--out"):
+        demo.demo(options(tmp_path / "file" / "out"))
+
+
+def test_the_demo_maps_to_a_centimetre_and_loses_no_scan(tmp_path: Path):
+    command = [
+        Path(sys.executable).parent / "corridor",
+        "demo",
+        "--seconds",
+        "9",
+        "--json",
+        "--out",
+        tmp_path / "o",
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=110, check=False)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert summary.keys() == {
+        "seconds", "scans", "scans_dropped", "position_rmse_m", "heading_rmse_deg",
+        "latency_ms", "rates_hz", "cpu_percent", "session", "map",
+    }  # fmt: skip
+    assert summary["scans"] >= 9 * 50 - 5
+    assert summary["scans_dropped"] == 0
+    assert summary["position_rmse_m"] < 0.03
+    assert summary["heading_rmse_deg"] < 0.3
+    assert summary["latency_ms"].keys() == {"p50", "p95", "p99", "max"}
+    assert 0.0 < summary["latency_ms"]["p50"] < 20.0
+    assert summary["rates_hz"] == {
+        "front": pytest.approx(50.0, abs=1.5),
+        "base": pytest.approx(66.7, abs=1.5),
+    }
+    assert Path(summary["session"]).suffix == ".mcap"
+    assert (Path(summary["map"]) / "map.yaml").read_text().startswith("image: map.pgm")
