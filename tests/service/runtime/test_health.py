@@ -1,0 +1,158 @@
+from collections import Counter
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.link import LinkHealth
+from service.encoding import decode_diagnostics
+from service.geometry.se2 import SE2
+from service.outputs import MapperOutput
+from service.runtime.health import ERROR, OK, STALE, WARNING, HealthReport, SensorHealth
+from service.runtime.metrics import LatencyHistogram
+from service.runtime.queues import FrameQueue
+
+S = 1_000_000_000
+
+
+def streaming(frames: int = 100, last_frame_ns: int = 10 * S) -> LinkHealth:
+    return LinkHealth(
+        "front", state="streaming", status="measuring", frames=frames, last_frame_ns=last_frame_ns
+    )
+
+
+def report(link: LinkHealth, **parts: Any) -> HealthReport:
+    """A report on parts that only have what it looks at."""
+    loop = SimpleNamespace(
+        counters=Counter(scans=90, scans_dropped_late=2, samples_dropped_late=1),
+        states=Counter(ok=90),
+        unusable=Counter(),
+        unusable_scans=0,
+        last_output=None,
+    )
+    recorder = SimpleNamespace(
+        health=SimpleNamespace(
+            state="recording",
+            path=None,
+            messages=7,
+            free_bytes=5e9,
+            steps_back=0,
+            dropped=Counter(),
+            last_error="",
+        )
+    )
+    publisher = SimpleNamespace(
+        sent=lambda: Counter(pose=90), dropped=Counter, failed=Counter, endpoints=["tcp/127.0.0.1:7447"]
+    )
+    defaults = {
+        "queue": FrameQueue(),
+        "loop": loop,
+        "keeper": SimpleNamespace(trouble="", folder="maps/x", saved_version=4),
+        "recorder": recorder,
+        "publisher": publisher,
+        "latency": LatencyHistogram(),
+    }
+    return HealthReport({"front": link}, **(defaults | parts))
+
+
+def status(made: HealthReport, name: str) -> Any:
+    made.update(11 * S, 0)
+    return next(status for status in made.statuses if status.name == name)
+
+
+@pytest.mark.parametrize(
+    ("link", "level", "words"),
+    [
+        (streaming(), OK, "measuring"),
+        (LinkHealth("front"), WARNING, "connecting"),
+        (LinkHealth("front", state="starting", status="logging in"), WARNING, "logging in"),
+        (LinkHealth("front", state="down", last_error="cable out; reconnecting in 1 s"), ERROR, "cable out"),
+        (streaming(last_frame_ns=7 * S), STALE, "no frame for 4.0 s"),
+    ],
+)
+def test_a_sensor_says_in_words_how_it_is(link: LinkHealth, level: int, words: str):
+    told = SensorHealth(link).status(dropped=0, unusable=0, now_ns=11 * S)
+    assert told.level == level
+    assert told.message.startswith(words)
+
+
+def test_rates_drops_offset_counters_and_identity_are_told():
+    link = streaming()
+    sensor = SensorHealth(link)
+    sensor.status(0, 0, 10 * S)
+    link.frames, link.bytes_read, link.last_frame_ns = 150, 80_000, 11 * S
+    link.clock_offset_ns, link.counters, link.identity = 1_500_000, Counter(resync=2), {"serial": "123"}
+    values = sensor.status(dropped=3, unusable=1, now_ns=11 * S).values
+    assert (values["rate_hz"], values["kilobytes_per_s"]) == ("50.0", "80.0")
+    assert (values["dropped"], values["unusable"], values["clock_offset_ms"]) == ("3", "1", "1.500")
+    assert (values["count.resync"], values["identity.serial"]) == ("2", "123")
+    assert sensor.mean_rate_hz == 50.0
+
+
+def test_a_sensor_that_never_came_has_no_rate():
+    assert SensorHealth(LinkHealth("front")).mean_rate_hz == 0.0
+
+
+def test_scans_are_lost_in_the_queue_or_late_or_unusable():
+    made = report(streaming())
+    assert made.scans_dropped == 2
+    made._queue.dropped_scans["front"] = 5
+    made._loop.unusable_scans = 1
+    assert made.scans_dropped == 8
+
+
+@pytest.mark.parametrize(("state", "level"), [("ok", OK), ("degraded", WARNING), ("lost", ERROR)])
+def test_the_pose_s_state_is_the_mapping_s_health(state: Any, level: int):
+    made = report(streaming())
+    assert status(made, "mapping").message == "no scan mapped yet"
+    reason = "" if state == "ok" else "few beams agree"
+    made._loop.last_output = MapperOutput(
+        1, SE2(), SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), state, reason, 0.8
+    )
+    told = status(made, "mapping")
+    assert (told.level, told.message) == (level, reason or "ok")
+    assert told.values["match_share"] == "0.800"
+    assert made.line.startswith(f"mapping {state}, 1/1 sensors, ")
+
+
+def test_trouble_with_disk_and_bus_is_told():
+    made = report(streaming())
+    assert [status(made, name).level for name in ("recording", "map", "zenoh")] == [OK, OK, OK]
+    made._recorder.health.state, made._recorder.health.last_error = "disk full", "0.1 GB left"
+    made._keeper.trouble = "cannot save the map"
+    made._publisher.dropped = lambda: Counter({"front/scan": 4})
+    assert (status(made, "recording").level, status(made, "recording").message) == (ERROR, "0.1 GB left")
+    assert (status(made, "map").level, status(made, "map").message) == (ERROR, "cannot save the map")
+    assert (status(made, "zenoh").level, status(made, "zenoh").message) == (WARNING, "4 dropped, 0 failed")
+
+
+def test_a_stepped_wall_clock_is_told():
+    made = report(streaming())
+    made.update(11 * S, -3_600 * S)
+    told = next(status for status in made.statuses if status.name == "clock")
+    assert told.level == WARNING
+    assert "stepped by -3600.000 s" in told.message
+
+
+def test_a_change_of_state_is_told_once():
+    link = LinkHealth("front")
+    made = report(link)
+    assert made.take_state_changes() == []
+    link.state = "streaming"
+    assert made.take_state_changes() == [("front", "streaming")]
+    assert made.take_state_changes() == []
+
+
+def test_the_message_holds_all_of_it():
+    made = report(streaming())
+    made.update(11 * S, 0)
+    told = decode_diagnostics(made.message("health", 1).payload)
+    assert [status.name for status in told] == [
+        "sensor/front",
+        "mapping",
+        "map",
+        "recording",
+        "zenoh",
+        "clock",
+    ]
