@@ -37,6 +37,8 @@ class MatchSettings(NamedTuple):
     coarse_sigma: float
     coarse_beams: int
     coarse_iterations: int
+    second_start_m: float
+    second_start_rad: float
     covariance_scale: float
 
 
@@ -142,6 +144,8 @@ def surfel_normal_equations(xy_base, normals, pose, grid, settings, H, g):
     information = 1.0 / (settings.sigma_m * settings.sigma_m)
     squared_cauchy = settings.cauchy_m * settings.cauchy_m
     surfel = np.empty(5)
+    # a point without a surfel costs as much as one that lies at the edge of the search
+    unmatched = 0.5 * information * squared_cauchy * math.log1p(2.25 * grid.cell_m**2 / squared_cauchy)
     cost = 0.0
     used = 0
     inliers = 0
@@ -157,6 +161,7 @@ def surfel_normal_equations(xy_base, normals, pose, grid, settings, H, g):
         nx = c * normals[i, 0] - s * normals[i, 1]
         ny = s * normals[i, 0] + c * normals[i, 1]
         if not nearest_surfel(x, y, nx, ny, settings.least_normal_cosine, grid, surfel):
+            cost += weight * unmatched
             continue
         e = surfel[2] * (x - surfel[0]) + surfel[3] * (y - surfel[1])
         if abs(e) < settings.inlier_m:
@@ -308,6 +313,45 @@ def weakest_direction(H):
 
 
 @njit(cache=True, nogil=True)
+def fine_align(returns, normals, prior, prior_information, grid, settings, xy_base, pose):
+    """Gauss-Newton on surfels, held by the prior, deskewing anew with the twist that each round finds.
+
+    returns             Returns            end points at their own moments
+    normals             (N, 3) float64     base frame
+    prior               Prior
+    prior_information   (3, 3) float64     of the step, in the axes of the grid
+    grid                SurfelGrid
+    settings            MatchSettings
+    xy_base             (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
+    pose                (3,)   float64     in: where to start; out: where it ended
+    Returns the cost there: robust distances and prior.
+    """
+    H = np.empty((3, 3))
+    g = np.empty(3)
+    step = np.empty(3)
+    twist = np.empty(3)
+    count = xy_base.shape[0]
+    sweep_s = returns.beam_time_s[count - 1] if count > 0 else 0.0
+    rounds = settings.deskew_rounds if sweep_s > 0.0 and prior.elapsed_s > 0.0 else 1
+    cost = 0.0
+    for k in range(rounds):
+        if rounds > 1:
+            learn_twist(prior, pose, twist)
+            deskew_points(returns.xy_raw, returns.beam_time_s, twist, xy_base)
+        for _ in range(max(1, settings.iterations // rounds)):
+            cost, _used, _inliers = surfel_normal_equations(xy_base, normals, pose, grid, settings, H, g)
+            cost += 0.5 * add_prior(pose, prior.pose, prior_information, H, g)
+            if not solve_3x3(H, g, step):
+                break
+            for i in range(3):
+                pose[i] -= step[i]
+            if abs(step[0]) + abs(step[1]) < 1e-4 and abs(step[2]) < 1e-5:
+                break
+    pose[2] = wrap(pose[2])
+    return cost
+
+
+@njit(cache=True, nogil=True)
 def match_scan(returns, normals, prior, grid, settings, xy_base):
     """Pose of a scan in a sub-map.
 
@@ -319,37 +363,28 @@ def match_scan(returns, normals, prior, grid, settings, xy_base):
     xy_base     (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
     Returns MatchResult.
     """
-    pose = prior.pose.copy()
-    twist = prior.twist.copy()
     H = np.empty((3, 3))
     g = np.empty(3)
-    step = np.empty(3)
     information = np.zeros((3, 3))
     prior_information = np.zeros((3, 3))
     if invert_3x3(prior.step_covariance, information):
         rotate_information(information, prior.pose[2], prior_information)
+    pose = prior.pose.copy()
     if settings.coarse_iterations > 0:
         coarse_align(xy_base, prior.pose, prior_information, grid, settings, pose)
-    count = xy_base.shape[0]
-    sweep_s = returns.beam_time_s[count - 1] if count > 0 else 0.0
-    rounds = settings.deskew_rounds if sweep_s > 0.0 and prior.elapsed_s > 0.0 else 1
-    inner = max(1, settings.iterations // rounds)
-    used = 0
-    inliers = 0
-    for k in range(rounds):
-        if k > 0:
-            learn_twist(prior, pose, twist)
-            deskew_points(returns.xy_raw, returns.beam_time_s, twist, xy_base)
-        for _ in range(inner):
-            _cost, used, inliers = surfel_normal_equations(xy_base, normals, pose, grid, settings, H, g)
-            add_prior(pose, prior.pose, prior_information, H, g)
-            if not solve_3x3(H, g, step):
-                break
-            for i in range(3):
-                pose[i] -= step[i]
-            if abs(step[0]) + abs(step[1]) < 1e-4 and abs(step[2]) < 1e-5:
-                break
-    pose[2] = wrap(pose[2])
+    moved_m = math.hypot(pose[0] - prior.pose[0], pose[1] - prior.pose[1])
+    is_far = moved_m > settings.second_start_m or abs(pose[2] - prior.pose[2]) > settings.second_start_rad
+    other_xy = xy_base.copy()
+    cost = fine_align(returns, normals, prior, prior_information, grid, settings, xy_base, pose)
+    if is_far:  # the coarse step may have been led astray: start at the prediction too, and keep the better
+        other_pose = prior.pose.copy()
+        other_cost = fine_align(
+            returns, normals, prior, prior_information, grid, settings, other_xy, other_pose
+        )
+        if other_cost < cost:
+            pose[:] = other_pose
+            xy_base[:] = other_xy
+    twist = np.empty(3)
     learn_twist(prior, pose, twist)
     _cost, used, inliers = surfel_normal_equations(xy_base, normals, pose, grid, settings, H, g)
     least, direction = weakest_direction(H)

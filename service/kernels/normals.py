@@ -10,6 +10,8 @@ class NormalSettings(NamedTuple):
     """What counts as one piece of wall; documented where it is configured."""
 
     beams_each_side: int
+    most_beams_each_side: int
+    half_length_m: float
     gap_m: float
     gap_steps: float
     planar_ratio: float
@@ -29,6 +31,7 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, settings, normals):
                                       point: 1 on a planar piece, settings.rough_weight elsewhere, 0 where the beam grazes
     """
     count = xy_base.shape[0]
+    half_length_squared = settings.half_length_m * settings.half_length_m
     for i in range(count):
         bx = sensor_xy_m[0] - xy_base[i, 0]
         by = sensor_xy_m[1] - xy_base[i, 1]
@@ -40,13 +43,15 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, settings, normals):
         for side in (-1, 1):
             last_x = 0.0
             last_y = 0.0
-            for k in range(1, settings.beams_each_side + 1):
+            for k in range(1, settings.most_beams_each_side + 1):
                 j = i + side * k
                 if j < 0 or j >= count:
                     break
                 dx = xy_base[j, 0] - xy_base[i, 0]
                 dy = xy_base[j, 1] - xy_base[i, 1]
                 if (dx - last_x) ** 2 + (dy - last_y) ** 2 >= gap_squared:
+                    break
+                if k > settings.beams_each_side and dx * dx + dy * dy > half_length_squared:
                     break
                 last_x = dx
                 last_y = dy

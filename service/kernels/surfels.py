@@ -48,7 +48,7 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit):
     """Merge the points of a scan into the surfels of a sub-map whose index covers them.
 
     xy_base       (N, 2) float64   m, base frame
-    normals       (N, 3) float64   from estimate_normals; rows of weight 0 are left out
+    normals       (N, 3) float64   from estimate_normals; only planar points, of weight 1, are taken
     pose          (3,)   float64   pose of the base in the frame of the grid
     grid          SurfelGrid       in and out
     count_limit   float            a surfel forgets: it never stands for more points than this
@@ -57,7 +57,7 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit):
     s = math.sin(pose[2])
     limit = np.float32(count_limit)
     for i in range(xy_base.shape[0]):
-        if normals[i, 2] == 0.0:
+        if normals[i, 2] < 1.0:
             continue
         x = pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]
         y = pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]

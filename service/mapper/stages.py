@@ -36,6 +36,7 @@ class Match:
     score: float
     state: State = "ok"
     reason: str = ""
+    submap: int | None = None  # which one was matched to, where a method has several
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,9 +1,9 @@
 """What scans are matched to: two overlapping sub-maps of surfels, of which the older one is read."""
 
-import logging
 import math
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.geometry.grid import tiles_of
@@ -14,8 +14,6 @@ from service.kernels.surfels import TILE_BITS, TILE_CELLS, SurfelGrid, insert_su
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
 from service.mapper.stages import MapChange, Match, Points
 
-log = logging.getLogger(__name__)
-
 POOL_TILES = 16_384  # 700 MB of address space; a sub-map in a large hall touches a few hundred tiles
 
 
@@ -24,7 +22,9 @@ class NormalsConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    beams_each_side: int = Field(default=4, ge=1, le=32)
+    beams_each_side: int = Field(default=4, ge=1, le=32)  # at least, if they hang together
+    half_length_m: float = Field(default=0.10, ge=0.0, le=1.0)  # ... and as many more as lie this near
+    most_beams_each_side: int = Field(default=16, ge=1, le=128)
     gap_m: float = Field(default=0.06, gt=0.0)
     gap_steps: float = Field(default=5.0, ge=0.0)  # in distances between neighbouring beams at that range
     planar_ratio: float = Field(default=0.03, gt=0.0, lt=1.0)
@@ -34,6 +34,8 @@ class NormalsConfig(BaseModel):
     def settings(self) -> NormalSettings:
         return NormalSettings(
             self.beams_each_side,
+            self.most_beams_each_side,
+            self.half_length_m,
             self.gap_m,
             self.gap_steps,
             self.planar_ratio,
@@ -55,7 +57,6 @@ class SubmapsConfig(BaseModel):
     count_limit: int = Field(default=50, ge=2)
     field_sigma_m: float = Field(default=0.15, gt=0.0)
     field_enough: float = Field(default=0.95, gt=0.0, le=1.0)
-    restart_after_lost: int = Field(default=10, ge=1)  # scans
 
 
 class Submap:
@@ -71,9 +72,7 @@ class Submap:
         surfels, field = self._tiles.pool.arrays
         return SurfelGrid(self._tiles.index(), surfels, field, self._config.cell_m)  # type: ignore[arg-type]
 
-    def insert(self, points: Points, normals: np.ndarray, pose: SE2) -> None:  # type: ignore[type-arg]
-        if len(points.xy_base) == 0:
-            return
+    def insert(self, points: Points, normals: npt.NDArray[np.float64], pose: SE2) -> None:
         config = self._config
         reach_m = reach_of(points.xy_base)
         self._tiles.cover(
@@ -96,7 +95,12 @@ class Submap:
 
 
 class SurfelSubmaps:
-    """The pair. Key frames go into both; when the younger one has grown spacing_m long, it takes over."""
+    """The chain. Key frames go into two sub-maps; when the younger one has grown spacing_m long, it takes over.
+
+    Where a scan fits neither, a detached sub-map is begun at the pose that odometry gives. The next scans are
+    tried on the old one first: if they fit, the detached one was a passing trouble and is dropped; if they fit
+    the detached one alone, the vehicle has come to where the old one tells nothing, and it is replaced.
+    """
 
     def __init__(self, config: SubmapsConfig, normals: NormalsConfig) -> None:
         self._config = config
@@ -109,39 +113,60 @@ class SurfelSubmaps:
             POOL_TILES,
         )
         self._next_number = 0
-        self._submaps: list[Submap] = []
-        self._travelled_m = 0.0  # since the youngest sub-map was begun
+        self._pair: list[Submap] = []
+        self._detached: Submap | None = None
+        self._travelled_m = 0.0  # since the younger of the pair was begun
         self._last_keyframe: SE2 | None = None
-        self._lost_count = 0
 
     @property
-    def active(self) -> Submap | None:
-        """The sub-map that a scan is matched to; None before the first scan."""
-        return self._submaps[0] if self._submaps else None
+    def candidates(self) -> list[Submap]:
+        """Sub-maps that a scan is matched to, the first that fits; none before the first scan."""
+        return [*self._pair[:1], *([self._detached] if self._detached is not None else [])]
 
     @property
     def tile_count(self) -> int:
         return self._pool.used_count
 
     def insert(self, points: Points, match: Match) -> MapChange:
+        if not len(points.xy_base):
+            return MapChange()
         pose = match.motion.pose_odom_base
-        closed = None
-        if match.state == "lost":
-            self._lost_count += 1
-            if self._lost_count < self._config.restart_after_lost:
-                return MapChange()
-            closed = self._restart()
-        self._lost_count = 0
-        if not self._is_keyframe(pose):
+        if match.state == "lost" and self._pair:
+            if self._detached is None:
+                self._detached = self._new_submap()
+                self._last_keyframe = None
+            if self._is_keyframe(pose, self._detached):
+                self._insert_keyframe([self._detached], points, pose)
+            return MapChange()
+        closed = self._settle(match.submap)
+        if self._pair and not self._is_keyframe(pose, self._pair[0]):
             return MapChange(closed)
+        if not self._pair or self._travelled_m >= self._config.spacing_m:
+            retired = self._begin_submap()
+            closed = closed if retired is None else retired
+        self._insert_keyframe(self._pair, points, pose)
+        return MapChange(closed)
+
+    def _is_keyframe(self, pose: SE2, submap: Submap) -> bool:
+        """Whether a sub-map wants a scan from here: one that is new, or farther on than the last."""
+        last = self._last_keyframe
+        if last is None or submap.scan_count < self._config.first_scans:
+            return True
+        moved_m = math.hypot(pose.x_m - last.x_m, pose.y_m - last.y_m)
+        turned_rad = abs(wrap_angle(pose.theta_rad - last.theta_rad))
+        return moved_m >= self._config.keyframe_distance_m or turned_rad >= self._config.keyframe_turn_rad
+
+    def _insert_keyframe(self, submaps: list[Submap], points: Points, pose: SE2) -> None:
         if self._last_keyframe is not None:
             self._travelled_m += math.hypot(
                 pose.x_m - self._last_keyframe.x_m, pose.y_m - self._last_keyframe.y_m
             )
         self._last_keyframe = pose
-        if not self._submaps or self._travelled_m >= self._config.spacing_m:
-            retired = self._begin_submap()
-            closed = retired if retired is not None else closed
+        normals = self._normals_of(points)
+        for submap in submaps:
+            submap.insert(points, normals, pose)
+
+    def _normals_of(self, points: Points) -> npt.NDArray[np.float64]:
         normals = np.empty((len(points.xy_base), 3))
         estimate_normals(
             points.xy_base,
@@ -150,35 +175,33 @@ class SurfelSubmaps:
             self._normals,
             normals,
         )
-        for submap in self._submaps:
-            submap.insert(points, normals, pose)
-        return MapChange(closed)
+        return normals
 
-    def _is_keyframe(self, pose: SE2) -> bool:
-        last = self._last_keyframe
-        if last is None or self._submaps[0].scan_count < self._config.first_scans:
-            return True
-        moved_m = math.hypot(pose.x_m - last.x_m, pose.y_m - last.y_m)
-        turned_rad = abs(wrap_angle(pose.theta_rad - last.theta_rad))
-        return moved_m >= self._config.keyframe_distance_m or turned_rad >= self._config.keyframe_turn_rad
+    def _new_submap(self) -> Submap:
+        self._next_number += 1
+        return Submap(self._next_number - 1, self._pool, self._config)
 
     def _begin_submap(self) -> int | None:
         """Start a sub-map; of three the oldest is closed. Returns its number."""
-        self._submaps.append(Submap(self._next_number, self._pool, self._config))
-        self._next_number += 1
+        self._pair.append(self._new_submap())
         self._travelled_m = 0.0
-        if len(self._submaps) <= 2:
+        if len(self._pair) <= 2:
             return None
-        oldest = self._submaps.pop(0)
+        oldest = self._pair.pop(0)
         oldest.release()
         return oldest.number
 
-    def _restart(self) -> int | None:
-        """The map does not fit what is seen any more: begin afresh where the vehicle is believed to be."""
-        closed = self._submaps[-1].number if self._submaps else None
-        for submap in self._submaps:
+    def _settle(self, matched: int | None) -> int | None:
+        """A scan fits (again): keep the sub-map that it fits. Returns the number of the one that is closed."""
+        if self._detached is None:
+            return None
+        detached, self._detached = self._detached, None
+        if matched != detached.number:
+            detached.release()
+            return None
+        closed = self._pair[0].number
+        for submap in self._pair:
             submap.release()
-        self._submaps.clear()
-        self._last_keyframe = None
-        self._lost_count = 0
+        self._pair = [detached]
+        self._travelled_m = 0.0
         return closed

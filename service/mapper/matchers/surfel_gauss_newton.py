@@ -1,8 +1,10 @@
 """The matcher of the default profile: coarse on the likelihood field, fine on surfels, deskewed in between."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.fusion.motion import Motion, Prediction
@@ -10,7 +12,7 @@ from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns
 from service.kernels.match import MatchResult, MatchSettings, Prior, match_scan
 from service.kernels.normals import estimate_normals
-from service.mapper.maps.submaps import NormalsConfig, SurfelSubmaps
+from service.mapper.maps.submaps import NormalsConfig, Submap, SurfelSubmaps
 from service.mapper.stages import Match, Points
 from service.outputs import State
 
@@ -29,6 +31,9 @@ class SurfelMatcherConfig(BaseModel):
     coarse_sigma: float = Field(default=0.3, gt=0.0)  # of 1 - likelihood
     coarse_beams: int = Field(default=180, ge=10)
     coarse_iterations: int = Field(default=15, ge=0, le=100)
+
+    second_start_m: float = Field(default=0.05, gt=0.0)
+    second_start_rad: float = Field(default=0.02, gt=0.0)
 
     inlier_m: float = Field(default=0.10, gt=0.0)
     lost_share: float = Field(default=0.30, ge=0.0, le=1.0)
@@ -58,6 +63,8 @@ class SurfelGaussNewton:
             config.coarse_sigma,
             config.coarse_beams,
             config.coarse_iterations,
+            config.second_start_m,
+            config.second_start_rad,
             config.covariance_scale,
         )
         self._floor = np.diag(
@@ -65,25 +72,33 @@ class SurfelGaussNewton:
         )
 
     def match(self, points: Points, predicted: Prediction, local_map: SurfelSubmaps) -> Match:
-        submap = local_map.active
         count = len(points.xy_base)
-        if submap is None:
-            first = Motion(predicted.pose_odom_base, predicted.twist_base, self._floor)
-            if count < self._config.least_points:
-                return Match(first, points, 0.0, "lost", self._too_few(points))
-            return Match(first, points, 1.0)
         if count < self._config.least_points:
             return Match(_as_motion(predicted), points, 0.0, "lost", self._too_few(points))
-        pose = predicted.pose_odom_base
-        xy_base = points.xy_base.copy()
+        if not local_map.candidates:
+            first = Motion(predicted.pose_odom_base, predicted.twist_base, self._floor)
+            return Match(first, points, 1.0)
         normals = np.empty((count, 3))
         estimate_normals(
-            xy_base,
+            points.xy_base,
             np.array([points.sensor_base.x_m, points.sensor_base.y_m]),
             abs(points.scan.angle_step_rad),
             self._normals,
             normals,
         )
+        matches = (self._match_to(submap, points, normals, predicted) for submap in local_map.candidates)
+        best = next(matches)
+        for match in matches:
+            if best.state != "lost":
+                break
+            best = match
+        return best
+
+    def _match_to(
+        self, submap: Submap, points: Points, normals: npt.NDArray[np.float64], predicted: Prediction
+    ) -> Match:
+        pose = predicted.pose_odom_base
+        xy_base = points.xy_base.copy()
         result: MatchResult = match_scan(
             Returns(points.xy_raw, points.beam_time_s, points.beam),
             normals,
@@ -105,10 +120,8 @@ class SurfelGaussNewton:
         x_m, y_m, theta_rad = result.pose.tolist()
         forward, left, turn = result.twist.tolist()
         motion = Motion(SE2(x_m, y_m, theta_rad), (forward, left, turn), self._floored(result.covariance))
-        deskewed = Points(
-            xy_base, points.xy_raw, points.beam_time_s, points.beam, points.sensor_base, points.scan
-        )
-        return Match(motion, deskewed, result.share, state, reason)
+        deskewed = replace(points, xy_base=xy_base)
+        return Match(motion, deskewed, result.share, state, reason, submap.number)
 
     def _judge(self, result: MatchResult) -> tuple[State, str]:
         config = self._config
@@ -136,10 +149,11 @@ class SurfelGaussNewton:
             f"(at least {self._config.least_points}); is the window covered, or is there nothing in range?"
         )
 
-    def _floored(self, covariance: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    def _floored(self, covariance: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Raised where it claims to know better than the map can say; raising it again changes nothing."""
         short = np.maximum(np.diag(self._floor) - np.diag(covariance), 0.0)
-        return covariance + np.diag(short)
+        raised: npt.NDArray[np.float64] = covariance + np.diag(short)
+        return raised
 
 
 def _as_motion(predicted: Prediction) -> Motion:
