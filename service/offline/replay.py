@@ -49,7 +49,7 @@ class StageTimes:
     """Stopwatch of the mapper's stages."""
 
     def __init__(self) -> None:
-        self._laps_ns: defaultdict[str, list[int]] = defaultdict(list)
+        self.laps_ns: defaultdict[str, list[int]] = defaultdict(list)
         self._at_ns = 0
 
     def start(self) -> None:
@@ -57,11 +57,11 @@ class StageTimes:
 
     def lap(self, stage: str) -> None:
         now_ns = time.perf_counter_ns()
-        self._laps_ns[stage].append(now_ns - self._at_ns)
+        self.laps_ns[stage].append(now_ns - self._at_ns)
         self._at_ns = now_ns
 
     def p50_ms(self) -> dict[str, float]:
-        return {stage: round(float(np.median(laps)) / 1e6, 3) for stage, laps in self._laps_ns.items()}
+        return {stage: round(float(np.median(laps)) / 1e6, 3) for stage, laps in self.laps_ns.items()}
 
 
 @dataclass(slots=True)

@@ -1,0 +1,64 @@
+"""The benchmarks: `python -m tests.bench [--only NAME] [--out bench.json]`. Prints a table, writes JSON."""
+
+import argparse
+import json
+import os
+import platform
+import sys
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from service.kernel_cache import ensure_cache_dir
+from service.version import VERSION
+
+Row = tuple[str, float, str]  # what was measured, how much, of what unit
+
+
+def main() -> int:
+    ensure_cache_dir()
+    from tests.bench import decoding, replaying, scans, start_up
+
+    benchmarks: dict[str, Callable[[], list[Row]]] = {
+        "scans": scans.measure,
+        "decoding": decoding.measure,
+        "replay": replaying.measure,
+        "start-up": start_up.measure,
+    }
+    parser = argparse.ArgumentParser(prog="python -m tests.bench", description=__doc__)
+    parser.add_argument("--only", action="append", choices=sorted(benchmarks), default=[])
+    parser.add_argument("--out", type=Path, default=Path("bench.json"))
+    parsed = parser.parse_args()
+    results: dict[str, Any] = {
+        "corridor": VERSION,
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "python": platform.python_version(),
+        "machine": f"{os.cpu_count()} x {_processor()}",
+        "load_average": os.getloadavg()[0],
+    }
+    print(f"corridor {VERSION}, Python {results['python']}, {results['machine']}")
+    if results["load_average"] > 0.5:
+        print(
+            f"load average {results['load_average']:.1f}: something else runs here, figures are pessimistic"
+        )
+    for name, measure in benchmarks.items():
+        if parsed.only and name not in parsed.only:
+            continue
+        rows = measure()
+        results[name] = {what: value for what, value, _ in rows}
+        for what, value, unit in rows:
+            print(f"{name:<9} {what:<44} {value:>10.3f} {unit}", flush=True)
+    parsed.out.write_text(json.dumps(results, indent=1) + "\n")
+    return 0
+
+
+def _processor() -> str:
+    for line in Path("/proc/cpuinfo").read_text().splitlines():
+        if line.startswith("model name"):
+            return line.partition(":")[2].strip()
+    return platform.machine()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,43 @@
+"""From `corridor run` to the first pose on Zenoh, with no kernel in the cache and with all of them."""
+
+import os
+import tempfile
+import time
+from pathlib import Path
+
+from tests.system.machine import FakeVehicle, LiveService, Subscriber
+
+
+def measure() -> list[tuple[str, float, str]]:
+    with tempfile.TemporaryDirectory() as folder:
+        vehicle = FakeVehicle(Path(folder), stand_s=1e6)
+        vehicle.start()
+        before = os.environ.get("NUMBA_CACHE_DIR")
+        os.environ["NUMBA_CACHE_DIR"] = str(Path(folder) / "kernels")
+        try:
+            return [
+                (f"to the first pose, {cache} cache", _to_first_pose_s(Path(folder) / cache, vehicle), "s")
+                for cache in ("cold", "warm")
+            ]
+        finally:
+            if before is None:
+                del os.environ["NUMBA_CACHE_DIR"]
+            else:
+                os.environ["NUMBA_CACHE_DIR"] = before
+            vehicle.stop()
+
+
+def _to_first_pose_s(folder: Path, vehicle: FakeVehicle) -> float:
+    folder.mkdir()
+    service = LiveService(folder, vehicle.sensors())
+    began_s = time.monotonic()
+    try:
+        service.start(watchdog_s=10.0)
+        subscriber = Subscriber(service.endpoint)
+        try:
+            subscriber.wait_for("pose", 1)
+            return time.monotonic() - began_s
+        finally:
+            subscriber.close()
+    finally:
+        service.close()
