@@ -7,6 +7,8 @@ from collections.abc import Mapping
 
 log = logging.getLogger(__name__)
 
+SEND_TIMEOUT_S = 0.2
+
 
 class Notifier:
     """Sends to $NOTIFY_SOCKET. That it is gone is no reason to stop mapping: said once, then ignored."""
@@ -40,8 +42,8 @@ class Notifier:
             return
         try:
             self._socket.send(line.encode())
-        except BlockingIOError:
-            return  # systemd is slower than we talk; the next word says the same
+        except TimeoutError:
+            log.warning("systemd does not take %s", line)  # its queue is full
         except OSError as error:
             log.warning("cannot notify systemd any more: %s", error)
             self.close()
@@ -59,7 +61,7 @@ class Notifier:
             notify.close()
             log.warning("NOTIFY_SOCKET is set to %r, but nobody listens there: %s", address, error)
             return
-        notify.setblocking(False)
+        notify.settimeout(SEND_TIMEOUT_S)
         self._socket = notify
 
 

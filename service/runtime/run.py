@@ -32,7 +32,7 @@ def run(
     notifier = Notifier()
     with StopSignals() as signals:
         service = Service(config, notifier, map_folder, on_failure=signals.wake)
-        failure = ""
+        reason = failure = ""
         try:
             if service.start(cancelled=lambda: bool(signals.received)):
                 on_ready(service)
@@ -40,10 +40,13 @@ def run(
                 while not (failure := service.failure or give_up()):
                     service.tick()
                     left_s = TICK_S if deadline_s is None else deadline_s - time.monotonic()
-                    if left_s <= 0.0 or signals.wait(min(TICK_S, left_s)):
+                    if left_s <= 0.0:
+                        reason = f"{seconds:g} s are over"
+                        break
+                    if signals.wait(min(TICK_S, left_s)):
                         break
         finally:
-            log.info("stopping: %s", failure or signals.received or "time is up")
+            log.info("stopping: %s", failure or reason or signals.received or "the start failed")
             summary = service.stop()
             notifier.close()
     if failure := failure or service.failure:

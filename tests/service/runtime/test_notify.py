@@ -59,6 +59,23 @@ def test_a_listener_that_goes_away_does_not_stop_us(tmp_path: Path, caplog: pyte
     assert caplog.text.count("cannot notify systemd any more") == 1
 
 
+def test_a_listener_that_sleeps_does_not_hold_us_up(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(str(tmp_path / "notify"))
+        notifier = Notifier({"NOTIFY_SOCKET": str(tmp_path / "notify")})
+        for _ in range(100_000):
+            notifier.alive()
+            if caplog.text:
+                break
+        assert "systemd does not take WATCHDOG=1" in caplog.text
+        listener.recv(256)
+        notifier.ready()  # and we still talk to it
+        while (word := listener.recv(256)) == b"WATCHDOG=1":
+            pass
+        assert word == b"READY=1"
+        notifier.close()
+
+
 @pytest.mark.parametrize(
     ("environment", "watchdog_s"),
     [
