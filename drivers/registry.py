@@ -7,10 +7,13 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from drivers.advice import NO_ADVICE, Advice
+from drivers.irobot_create.advice import ADVICE as IROBOT_CREATE_ADVICE
 from drivers.irobot_create.config import IrobotCreateConfig
 from drivers.irobot_create.driver import session_maker as irobot_create_session_maker
 from drivers.irobot_create.port import open_port as open_irobot_create_port
 from drivers.link import Session
+from drivers.sick_lms100.advice import ADVICE as LMS100_ADVICE
 from drivers.sick_lms100.config import Lms100Config
 from drivers.sick_lms100.driver import Lms100Session
 from drivers.transport import TcpTransport, Transport
@@ -21,17 +24,23 @@ class SensorKind:
     """How to talk to one type of sensor. The callables take the sensor's own config model.
 
     `session_maker` is called once a sensor; what it returns, once a connection. What has to outlive
-    a connection (the pose that wheels have added up) lives in between.
+    a connection (the pose that wheels have added up) lives in between. `advice` is for `corridor doctor`.
     """
 
     config: type[BaseModel]
     open_transport: Callable[[Any], Transport]
     session_maker: Callable[[Any], Callable[[], Session]]
+    advice: Advice = NO_ADVICE
 
 
 SENSOR_KINDS: dict[str, SensorKind] = {
     "sick_lms100": SensorKind(
-        Lms100Config, lambda c: TcpTransport(c.host, c.port), lambda c: partial(Lms100Session, c)
+        Lms100Config,
+        lambda c: TcpTransport(c.host, c.port),
+        lambda c: partial(Lms100Session, c),
+        LMS100_ADVICE,
     ),
-    "irobot_create": SensorKind(IrobotCreateConfig, open_irobot_create_port, irobot_create_session_maker),
+    "irobot_create": SensorKind(
+        IrobotCreateConfig, open_irobot_create_port, irobot_create_session_maker, IROBOT_CREATE_ADVICE
+    ),
 }

@@ -1,0 +1,44 @@
+"""What `corridor doctor` may be told of a type of sensor beyond its config, its wire and its session.
+
+It stands beside the sensor (drivers/<sensor>/advice.py) and every part of it may be left out: a sensor
+without advice is looked at all the same, by its session alone.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+
+class OtherSettings(NamedTuple):
+    """A config worth a try where nobody answers, and the settings that make it: `dialect: cola_b`."""
+
+    words: str
+    config: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """The callables take the sensor's own config model.
+
+    rate_hz         frames a second that the config asks for, None where nobody knows
+    recognise       who speaks in these bytes, in words; "" where it is not this type of sensor. Never raises
+                    for any bytes up to 16 KiB
+    bauds           rates that this sensor may be set to, worth listening at; empty where a rate means nothing
+    other_settings  tried in turn where nobody answers; each is a start-up dialogue of the driver's own
+    doubt           why this is not the device the config means, from its identity; "" where nothing speaks so
+    worries         words in a status beside "streaming" that somebody has to act on
+    start_up_s      how long the first frame may take where nothing is wrong
+    silence         what to do about a device that says nothing
+    """
+
+    rate_hz: Callable[[Any], float | None] = lambda config: None
+    recognise: Callable[[bytes], str] = lambda data: ""
+    bauds: tuple[int, ...] = ()
+    other_settings: Callable[[Any], Sequence[OtherSettings]] = lambda config: ()
+    doubt: Callable[[Any, Mapping[str, str]], str] = lambda config, identity: ""
+    worries: tuple[str, ...] = ()
+    start_up_s: float = 12.0
+    silence: str = "is it switched on, has it finished booting, is the cable in, does another host hold it?"
+
+
+NO_ADVICE = Advice()
