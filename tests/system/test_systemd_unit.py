@@ -31,7 +31,7 @@ def test_systemd_accepts_the_unit(rendered: Path):
     assert verified.returncode == 0
 
 
-def test_the_unit_is_as_closed_as_it_can_be(rendered: Path):
+def test_the_unit_is_well_closed(rendered: Path):
     command = ["systemd-analyze", "security", "--offline=true", f"--threshold={MOST_EXPOSED}", str(rendered)]
     judged = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert judged.returncode == 0, judged.stdout + judged.stderr
