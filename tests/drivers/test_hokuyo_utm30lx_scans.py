@@ -1,0 +1,180 @@
+"""Coded scans: both directions, every kind, damaged ones, and what decoding costs."""
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.errors import ProtocolError
+from drivers.hokuyo_utm30lx.protocol import Reply, ReplyDecoder, checksum, encode_number
+from drivers.hokuyo_utm30lx.scans import (
+    NO_ECHO,
+    Scan,
+    ScanRequest,
+    read_request,
+    read_scan,
+    write_scan,
+)
+from tests.drivers.utm30lx import random_scan
+
+KINDS = ("GD", "GS", "GE", "MD", "MS", "ME", "HD", "HE", "ND", "NE")
+
+
+def reply(wire):
+    (only,) = ReplyDecoder().receive_data(wire)
+    return only
+
+
+def slow_values(body, chars):
+    """Data lines to numbers, one by one: [[echo, ...] of each beam]; the reference."""
+    text = b"".join(line[:-1] for line in body.split(b"\n")[1:-1]).decode()
+    beams = []
+    while text:
+        further, text = text.startswith("&"), text.removeprefix("&")
+        value, text = text[:chars], text[chars:]
+        number = 0
+        for char in value:
+            number = number * 64 + ord(char) - 0x30
+        if further:
+            beams[-1].append(number)
+        else:
+            beams.append([number])
+    return beams
+
+
+@pytest.mark.parametrize("command", KINDS)
+@pytest.mark.parametrize(("first", "last", "cluster"), [(0, 1080, 1), (5, 6, 0), (100, 203, 7)])
+@pytest.mark.parametrize("seed", range(3))
+def test_scan_survives_the_wire(command, first, last, cluster, seed):
+    streams = command[0] in "MN"
+    request = ScanRequest(command, first, last, cluster, 3 if streams else 0, 42 if streams else 0)
+    scan = random_scan(seed, request)
+    wire = write_scan(scan)
+    back = read_scan(reply(wire))
+    assert back.request == request
+    assert back.stamp_ms == scan.stamp_ms
+    rows = len(back.distance_mm)
+    np.testing.assert_array_equal(back.distance_mm, scan.distance_mm[:rows])
+    np.testing.assert_array_equal(back.intensity, scan.intensity[:rows])
+    assert (scan.distance_mm[rows:] == NO_ECHO).all()
+    assert write_scan(back) == wire
+
+
+@pytest.mark.parametrize("command", ["MD", "MS", "ND"])
+def test_values_agree_with_a_slow_reference(command):
+    scan = random_scan(11, ScanRequest(command, 0, 300))
+    beams = slow_values(reply(write_scan(scan)).body, scan.request.value_chars)
+    assert [[v for v in column if v != NO_ECHO] for column in scan.distance_mm.T.tolist()] == beams
+
+
+def test_short_ranges_saturate():
+    request = ScanRequest("MS", 0, 2)
+    scan = Scan(request, 0, np.array([[4094, 4095, 30_000]], np.int32), np.empty((0, 3), np.int32))
+    assert read_scan(reply(write_scan(scan))).distance_mm.tolist() == [[4094, 4095, 4095]]
+
+
+def test_requests_read_as_they_are_written():
+    assert read_request("MD0000108001000") == ScanRequest("MD", 0, 1080, 1, 0, 0)
+    assert read_request("NE0010020002399;abc") == ScanRequest("NE", 10, 200, 2, 3, 99)
+    assert read_request("GE0000000100").beam_count == 2
+    assert ScanRequest("MD", 0, 1080, 3).beam_count == 361
+    for text in ("MD0000108001000", "GS0001000203", "HE0000108001"):
+        assert read_request(text).text == text
+    for text in ("", "VV", "MD00001080010", "MD000010800100x", "MD0100000001000", "GD00001080010 0"):
+        with pytest.raises(ProtocolError):
+            read_request(text)
+
+
+GOOD = write_scan(random_scan(3, ScanRequest("NE", 0, 200)))
+
+
+def data_line(text):
+    return text + bytes([checksum(text)]) + b"\n"
+
+
+STAMP = data_line(encode_number(77, 4))
+
+
+@pytest.mark.parametrize(
+    ("body", "complaint"),
+    [
+        (b"", "stamp"),
+        (b"000\n" + data_line(b"000111"), "stamp"),
+        (STAMP, "no values"),
+        (STAMP + b"000111", "no values"),
+        (STAMP + b"\n", "line of"),
+        (STAMP + data_line(b"0" * 65), "line of"),
+        (STAMP + b"000111~\n", "wrong sum"),
+        (STAMP + data_line(b"00011"), "whole number"),
+        (STAMP + data_line(b"000111222"), "3 beams"),
+        (STAMP + data_line(b"000"), "1 beams"),
+        (STAMP + data_line(b"000 11"), "six-bit"),
+    ],
+)
+def test_damaged_scans_are_refused_with_a_reason(body, complaint):
+    with pytest.raises(ProtocolError, match=complaint):
+        read_scan(Reply("MD0000000101000", "99", body))
+    assert read_scan(Reply("MD0000000101000", "99", STAMP + data_line(b"000111")))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [b"&000111", b"00&0111", b"000111&", b"000&&111222", b"000&111&222&333444", b"&", b"000&11"],
+)
+def test_ampersands_in_wrong_places_are_refused(text):
+    with pytest.raises(ProtocolError):
+        read_scan(Reply("ND0000000101000", "99", STAMP + data_line(text)))
+
+
+def test_further_echoes_stand_below_the_beam_they_belong_to():
+    scan = read_scan(Reply("ND0000000201000", "99", STAMP + data_line(b"001002&003&004005&006")))
+    assert scan.distance_mm.tolist() == [[1, 2, 5], [NO_ECHO, 3, 6], [NO_ECHO, 4, NO_ECHO]]
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    flips=st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), min_size=1, max_size=4),
+    cut=st.integers(0, 10**6),
+    dropped=st.integers(0, 100),
+    command=st.sampled_from(("MD", "ME", "ND", "NE", "HD")),
+)
+def test_mutated_bodies_raise_protocol_errors_or_have_the_right_shape(flips, cut, dropped, command):
+    request = ScanRequest(command, 0, 120)
+    body = bytearray(reply(write_scan(random_scan(4, request))).body)
+    for place, byte in flips:
+        body[place % len(body)] = byte
+    cut %= len(body)
+    del body[cut : cut + dropped]
+    try:
+        scan = read_scan(Reply(request.text, "99", bytes(body)))
+    except ProtocolError:
+        return
+    assert scan.distance_mm.shape[1] == 121
+    assert len(scan.distance_mm) <= 3
+    assert scan.distance_mm.max() <= 262_143
+
+
+def test_every_single_flipped_bit_of_a_data_line_is_noticed():
+    good = reply(write_scan(random_scan(5, ScanRequest("MD", 0, 60))))
+    start = good.body.index(b"\n") + 1
+    for place in range(start, len(good.body)):
+        for bit in range(8):
+            body = bytearray(good.body)
+            body[place] ^= 1 << bit
+            with pytest.raises(ProtocolError):
+                read_scan(Reply(good.echo, good.status, bytes(body)))
+
+
+@pytest.mark.bench
+def test_a_scan_of_1081_beams_decodes_in_less_than_300_us():
+    wire = write_scan(random_scan(0, ScanRequest("MD", 0, 1080)))
+    decoder = ReplyDecoder()
+    costs_s = []
+    for _ in range(200):
+        began_s = time.perf_counter()
+        (one,) = decoder.receive_data(wire)
+        read_scan(one)
+        costs_s.append(time.perf_counter() - began_s)
+    assert np.median(costs_s) <= 300e-6
