@@ -1,0 +1,99 @@
+"""The scan clock alone: what TM1 bounds, the line below the upper bounds, 24 hours of wraps."""
+
+import numpy as np
+import pytest
+
+from drivers.hokuyo_utm30lx.scan_clock import (
+    ScanClock,
+    TimeSample,
+    _edge_below,
+    bounds_of_time,
+    since_ms,
+)
+
+MS = 1_000_000
+WRAP = 1 << 24
+DELAY_MS = 19.4
+
+
+def test_differences_of_the_device_clock_pass_its_wrap_in_both_directions():
+    assert since_ms(5, WRAP - 5) == 10
+    assert since_ms(WRAP - 5, 5) == -10
+    assert since_ms(7, 7) == 0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_bounds_from_tm1_hold_the_truth_and_get_narrow(seed):
+    rng = np.random.default_rng(seed)
+    offset_ms = 123_456.7 + rng.random()  # host minus device clock
+    samples, host_ms = [], offset_ms + WRAP - 5.0  # the wrap comes in between
+    for _ in range(40):
+        there_ms, back_ms = rng.uniform(0.05, 0.3, 2)
+        shown_ms = int(host_ms + there_ms - offset_ms) % WRAP
+        samples.append(TimeSample(round(host_ms * MS), shown_ms, round((host_ms + there_ms + back_ms) * MS)))
+        host_ms += there_ms + back_ms + rng.uniform(0.0, 0.4)
+    lowest, highest = bounds_of_time(samples)
+    truth = (offset_ms + (samples[0].device_ms if samples[0].device_ms > 10 else WRAP)) * MS
+    assert lowest <= truth <= highest
+    assert highest - lowest < 0.6 * MS
+
+
+def test_contradicting_samples_bound_nothing():
+    assert bounds_of_time([]) is None
+    assert not ScanClock(25e6, 0).synchronise([TimeSample(0, 0, MS), TimeSample(5 * MS, 50, 6 * MS)])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_edge_below_is_the_best_of_all_lines_below_the_points(seed):
+    rng = np.random.default_rng(seed)
+    x = np.sort(rng.choice(500, 40, replace=False)).astype(np.int64)
+    y = 3_000_000 * x + rng.integers(0, 900_000, 40)
+    left, right = _edge_below(x, y)
+
+    def above_line(i, j):
+        return y - y[i] - (x - x[i]) * ((y[j] - y[i]) / (x[j] - x[i]))
+
+    lines = [above_line(i, j) for i in range(40) for j in range(i + 1, 40)]
+    best = min(line.sum() for line in lines if line.min() > -1e-3)
+    assert above_line(left, right).min() > -1e-3
+    assert above_line(left, right).sum() == pytest.approx(best, rel=1e-9)
+
+
+def test_five_wraps_of_24_hours_are_passed():
+    """Scans at 40 Hz for some seconds around each wrap, and one in half an hour in between."""
+    rng = np.random.default_rng(0)
+    period_ms, drift = 25.05, 60e-6
+    clock = ScanClock(period_ms * MS, round(DELAY_MS * MS))
+    wrap_ms = WRAP / (1 + drift)
+    dense = np.concatenate(
+        [np.arange(n * wrap_ms - 5_000, n * wrap_ms + 15_000, period_ms) for n in range(1, 6)]
+    )
+    sparse = np.arange(0.0, 24 * 3_600_000, 1_800_000)
+    began_ms = np.sort(np.concatenate([sparse, dense]))
+    began_ms = began_ms[np.diff(began_ms, prepend=-1e3) > 20.0]
+    error_ms = []
+    for begun_ms in began_ms:
+        arrived_ms = begun_ms + DELAY_MS + rng.exponential(0.2)
+        stamp_ns = clock.stamp(int(begun_ms * (1 + drift)) % WRAP, round(arrived_ms * MS))
+        error_ms.append(stamp_ns / MS - begun_ms)
+    error_ms = np.array(error_ms)
+    after_wrap = np.zeros(len(began_ms), dtype=bool)
+    for n in range(1, 6):
+        after_wrap |= (began_ms > n * wrap_ms + 5_000) & (began_ms < n * wrap_ms + 14_000)
+    assert clock.resets == 0
+    assert np.abs(error_ms[after_wrap]).max() < 0.6
+    assert np.abs(error_ms).max() < 25.0
+
+
+@pytest.mark.parametrize("wander_us", [0.0, 5.0, 20.0])
+def test_a_motor_that_wanders_is_followed(wander_us):
+    rng = np.random.default_rng(7)
+    began_ms = 1_000.0 + np.cumsum(25.05 + rng.normal(0.0, wander_us / 1_000, 1_600))
+    clock = ScanClock(25e6, round(DELAY_MS * MS))
+    error_ms = []
+    for begun_ms in began_ms:
+        late_ms = rng.uniform(0.0, 3.0) + (rng.uniform(0.0, 50.0) if rng.random() < 0.05 else 0.0)
+        stamp_ns = clock.stamp(int(begun_ms), round((begun_ms + DELAY_MS + late_ms) * MS))
+        error_ms.append(stamp_ns / MS - begun_ms)
+    assert np.std(error_ms[400:]) <= 0.2
+    assert clock.period_ns / MS == pytest.approx(25.05, abs=0.01)
