@@ -1,0 +1,59 @@
+"""Settings of one UTM-30LX (USB) or UTM-30LX-EW (Ethernet), as they stand in config/*.yaml."""
+
+from typing import Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from drivers.mounting import Mounting
+
+
+class HokuyoUtm30lxConfig(BaseModel):
+    """What the device shall do, and by which wire: `device` for USB, `host` for Ethernet, never both."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    type: Literal["hokuyo_utm30lx"] = "hokuyo_utm30lx"
+    name: str = Field(min_length=1)
+    device: str | None = Field(default=None, min_length=1)  # UTM-30LX: path, or a pyserial URL
+    host: str | None = Field(default=None, min_length=1)  # UTM-30LX-EW; 192.168.0.10 from the factory
+    port: int = Field(default=10940, ge=1, le=65535)  # with host alone
+    serial_number: str | None = Field(default=None, min_length=1)  # as VV says; another unit is refused
+    first_angle_deg: float = Field(default=-135.0, ge=-180.0, le=180.0)  # sensor frame, 0 straight ahead;
+    last_angle_deg: float = Field(default=135.0, ge=-180.0, le=180.0)  # cut to what the device can see
+    cluster: int = Field(default=1, ge=1, le=99)  # neighbouring beams put together into their nearest
+    skip_scans: int = Field(default=0, ge=0, le=9)  # left out after each one sent: 1 is 20 Hz
+    intensity: bool = False
+    echo: Literal["first", "last", "strongest"] = "first"  # others than first: Ethernet alone
+    time_sync: bool = True  # ask the device's clock at the start; takes half a second
+    stamp_moment: Literal["first_step", "rear"] = "first_step"  # what the device stamps; see its page in docs
+    range_min_m: float = Field(default=0.1, ge=0.0, le=5.0)
+    range_max_m: float = Field(default=30.0, gt=0.0, le=262.0)
+    latency_us: int = Field(default=0, ge=-50_000, le=50_000)  # from calibration; makes stamps earlier
+    silence_timeout_s: float = Field(default=2.0, ge=0.5, le=60.0)  # without a scan the link is made anew
+    mounting: Mounting = Mounting()
+
+    @model_validator(mode="after")
+    def _one_wire_that_can_do_it(self) -> Self:
+        if (self.device is None) == (self.host is None):
+            raise ValueError(
+                f"{self.name}: give either device (UTM-30LX on USB, such as /dev/ttyACM0) "
+                "or host (UTM-30LX-EW), and not both"
+            )
+        if self.host is None and self.echo != "first":
+            raise ValueError(f"{self.name}: echo {self.echo} needs a UTM-30LX-EW (host); USB has echo: first")
+        if self.first_angle_deg >= self.last_angle_deg:
+            raise ValueError(
+                f"{self.name}: first_angle_deg {self.first_angle_deg} must lie below "
+                f"last_angle_deg {self.last_angle_deg}"
+            )
+        if self.range_min_m >= self.range_max_m:
+            raise ValueError(
+                f"{self.name}: range_min_m {self.range_min_m} must be below range_max_m {self.range_max_m}"
+            )
+        return self
+
+    @property
+    def scan_command(self) -> str:
+        """The stream that holds what is wanted. The strongest echo is told by intensities."""
+        stream = "M" if self.echo == "first" else "N"
+        return stream + ("E" if self.intensity or self.echo == "strongest" else "D")

@@ -1,0 +1,277 @@
+"""Session with one UTM-30LX or UTM-30LX-EW: its dialogue over one connection, and scans into frames. No I/O.
+
+Time. Each scan is stamped in whole milliseconds with the moment its sweep began: step 0 by C-42-03320B,
+while ros-drivers/urg_node takes it for the moment the mirror looked straight back (stamp_moment: rear).
+ScanClock makes host time of it; from there the first beam asked for is some steps away.
+"""
+
+from collections import Counter
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.errors import DeviceError, ProtocolError, TransportError
+from drivers.frames import NO_INTENSITY, LaserScan
+from drivers.hokuyo_utm30lx.config import HokuyoUtm30lxConfig
+from drivers.hokuyo_utm30lx.dialogue import Answer, Ask, UtmDialogue, status_text
+from drivers.hokuyo_utm30lx.geometry import Geometry
+from drivers.hokuyo_utm30lx.protocol import (
+    ABNORMAL,
+    OK,
+    RESUMED,
+    SCAN_FOLLOWS,
+    Reply,
+    ReplyDecoder,
+)
+from drivers.hokuyo_utm30lx.scan_clock import ScanClock
+from drivers.hokuyo_utm30lx.scans import NO_ECHO, Scan, ScanRequest, read_scan
+
+FIRST_SCAN_TIMEOUT_S = 10.0  # the motor may have to come to speed
+LOOK_NS = 200_000_000  # silence counts only while we look: a stalled host is not a silent device
+MALFORMED_LIMIT = 40  # scans in a row
+SENDING_NS = 300_000  # from the last beam to arrival, a guess until TM1 says better
+VERIFYING, TROUBLE = range(21, 50), range(50, 98)  # statuses in a stream
+NO_RETURN_MM = 65_533  # of a UTM-30LX-EW
+# C-42-03320B, table 4; 0 was seen too.
+ERROR_CODES = {
+    1: "beams_no_return",
+    2: "beams_too_near",
+    3: "beams_interference",
+    4: "beams_near_limit",
+}
+OTHER_CODE = "beams_other_error"
+
+Rows = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]  # (N,) range in m, (N,) or (0,) intensity
+
+
+class HokuyoUtm30lxSession:
+    """The life of one connection; see drivers.link.Session."""
+
+    def __init__(self, config: HokuyoUtm30lxConfig) -> None:
+        self._config = config
+        self._decoder = ReplyDecoder()
+        self._dialogue = UtmDialogue(config)
+        self._steps = self._dialogue.run()
+        self._running = False
+        self._asked: Ask | None = None  # the command whose answer is due
+        self._asked_ns = 0
+        self._next: Ask | None = None  # goes out at the next tick, which knows the time best
+        self._deadline_ns: int | None = 0
+        self._now_ns: int | None = None
+        self._silent_ns = 0
+        self._clock: ScanClock | None = None
+        self._last_ms: int | None = None
+        self._last_stamp_ns: int | None = None
+        self._malformed_in_a_row = 0
+        self._verifying = ""
+        self.outbox = bytearray(b"\n")  # ends whatever a dead client left half said
+        self.counters: Counter[str] = self._dialogue.counters
+        self.identity: dict[str, str] = self._dialogue.identity
+        self.status = self._dialogue.phase
+
+    @property
+    def clock_offset_ns(self) -> int | None:
+        return None if self._last_ms is None or self._clock is None else self._clock.offset_ns
+
+    def receive_data(self, data: bytes, arrived_ns: int) -> list[LaserScan]:
+        scans = []
+        for reply in self._decoder.receive_data(data):
+            if self._asked is not None and reply.echo == self._asked.command:
+                self._continue(Answer(reply, self._asked_ns, arrived_ns), arrived_ns)
+            elif reply.echo[0] in "MN" and reply.status != OK:
+                if (scan := self._take_scan(reply, arrived_ns)) is not None:
+                    scans.append(scan)
+            else:
+                self.counters["answers_not_asked_for"] += 1
+        self._count("bytes_skipped", self._decoder.skipped_bytes)
+        self._count("replies_unreadable", self._decoder.unreadable_blocks)
+        self._set_status()
+        return scans
+
+    def tick(self, now_ns: int) -> None:
+        looked_ns = 0 if self._now_ns is None else min(now_ns - self._now_ns, LOOK_NS)
+        self._now_ns = now_ns
+        if self._next is None and self._deadline_ns is not None and now_ns >= self._deadline_ns:
+            self._continue(None, now_ns)
+        if self._next is not None:
+            self._asked, self._next = self._next, None
+            self._asked_ns = now_ns
+            self._deadline_ns = now_ns + round(self._asked.timeout_s * 1e9)
+            self.outbox += self._asked.command.encode("ascii") + b"\n"
+        if self._dialogue.request is not None:
+            self._silent_ns += looked_ns
+            limit_s = FIRST_SCAN_TIMEOUT_S if self._last_ms is None else self._config.silence_timeout_s
+            if self._silent_ns > limit_s * 1e9:
+                raise TransportError(f"no scan for {limit_s:g} s; did it lose power or reboot?")
+        self._set_status()
+
+    def farewell(self) -> bytes:
+        return b"QT\n" if self._running else b""  # else a USB unit streams on for nobody
+
+    def _continue(self, answer: Answer | None, now_ns: int) -> None:
+        """Run the dialogue to its next request or pause."""
+        self._asked = None
+        try:
+            step = self._steps.send(answer) if self._running else next(self._steps)
+        except StopIteration:
+            self._deadline_ns = None
+            self._begin_stream()
+            return
+        finally:
+            self._running = True
+        if isinstance(step, Ask):
+            self._next = step
+        else:
+            self._deadline_ns = now_ns + round(step.seconds * 1e9)
+
+    def _begin_stream(self) -> None:
+        dialogue = self._dialogue
+        geometry, request = dialogue.geometry, dialogue.request
+        assert geometry is not None
+        assert request is not None
+        sweep_ns = (request.last_step - self._stamped_step(geometry)) * geometry.step_ns
+        self._clock = ScanClock(geometry.turn_ns * (1 + request.skip), round(sweep_ns) + SENDING_NS)
+        if dialogue.time_samples and not self._clock.synchronise(dialogue.time_samples):
+            self.counters["time_sync_contradictory"] += 1
+
+    def _stamped_step(self, geometry: Geometry) -> float:
+        """Which step the device's stamp belongs to."""
+        if self._config.stamp_moment == "rear":
+            return geometry.front_step - geometry.steps_per_turn / 2
+        return 0.0
+
+    def _count(self, name: str, total: int) -> None:
+        if total:
+            self.counters[name] = total
+
+    def _set_status(self) -> None:
+        if self._last_ms is None:
+            self.status = self._dialogue.phase
+        else:
+            self.status = "; ".join(
+                text for text in ("streaming", self._verifying, self._dialogue.fault) if text
+            )
+
+    def _take_scan(self, reply: Reply, arrived_ns: int) -> LaserScan | None:
+        request = self._dialogue.request
+        if request is None:
+            self.counters["scans_of_old_stream"] += 1
+            return None
+        if reply.status != SCAN_FOLLOWS:
+            self._note_trouble(reply)
+            return None
+        if reply.echo != request.text:
+            self.counters["scans_of_old_stream"] += 1
+            return None
+        try:
+            scan = read_scan(reply)
+        except ProtocolError as error:
+            self.counters["scans_malformed"] += 1
+            self._malformed_in_a_row += 1
+            if self._malformed_in_a_row > MALFORMED_LIMIT:
+                raise ProtocolError(
+                    f"{self._malformed_in_a_row} malformed scans in a row: {error}"
+                ) from error
+            return None
+        self._malformed_in_a_row = 0
+        self.counters["scans_received"] += 1
+        return self._frame(scan, request, arrived_ns)
+
+    def _note_trouble(self, reply: Reply) -> None:
+        """Statuses 21 to 98 of a stream: the device looks after itself, or gives up."""
+        number = int(reply.status) if reply.status.isdigit() else 0
+        if reply.status == RESUMED:
+            self._verifying = ""
+        elif number in VERIFYING:
+            self.counters["stops_to_verify_an_error"] += 1
+            self._verifying = f"stopped to verify an error (status {reply.status})"
+        elif number in TROUBLE:
+            raise DeviceError(
+                f"hardware trouble (status {reply.status}); cut its power, then have it repaired"
+            )
+        else:
+            raise (DeviceError if reply.status == ABNORMAL else TransportError)(
+                f"the stream ended: {status_text(reply.status)}"
+            )
+
+    def _frame(self, scan: Scan, request: ScanRequest, arrived_ns: int) -> LaserScan | None:
+        geometry, clock = self._dialogue.geometry, self._clock
+        assert geometry is not None
+        assert clock is not None
+        if scan.stamp_ms == self._last_ms:
+            self.counters["scans_with_a_stamp_twice"] += 1  # a stalled device is a silent one
+            return None
+        self._silent_ns = 0
+        resets = clock.resets
+        moment_ns = clock.stamp(scan.stamp_ms, arrived_ns)
+        self._last_ms = scan.stamp_ms
+        self._count("clock_resets", clock.resets)
+        step_ns = clock.period_ns / (1 + request.skip) / geometry.steps_per_turn
+        first_beam_ns = (geometry.first_beam_step(request) - self._stamped_step(geometry)) * step_ns
+        stamp_ns = moment_ns + round(first_beam_ns) - self._config.latency_us * 1_000
+        if self._last_stamp_ns is not None and clock.resets == resets:
+            since_ns = stamp_ns - self._last_stamp_ns
+            if since_ns <= 0:
+                self.counters["scans_out_of_order"] += 1
+                return None
+            if (missed := round(since_ns / clock.period_ns) - 1) > 0:
+                self.counters["scans_missed"] += missed
+        self._last_stamp_ns = stamp_ns
+        range_m, intensity = self._convert(scan, geometry)
+        cluster = max(request.cluster, 1)
+        return LaserScan(
+            sensor=self._config.name,
+            stamp_ns=stamp_ns,
+            arrived_ns=arrived_ns,
+            beam_interval_ns=round(cluster * step_ns),
+            scan_period_ns=round(clock.period_ns),
+            first_angle_rad=geometry.first_angle_rad(request),
+            angle_step_rad=cluster * geometry.step_rad,
+            range_min_m=self._config.range_min_m,
+            range_max_m=self._config.range_max_m,
+            range_m=range_m,
+            intensity=intensity,
+        )
+
+    def _convert(self, scan: Scan, geometry: Geometry) -> Rows:
+        """Range in m with NaN for every code that is no distance, and intensity in device units."""
+        distance_mm = scan.distance_mm
+        self._count_codes(distance_mm[0], geometry)
+        row = self._chosen_echo(scan, geometry)
+        if row is not None:
+            distance_mm = np.take_along_axis(distance_mm, row[np.newaxis], axis=0)
+        range_m = (distance_mm[0] / 1000.0).astype(np.float32)
+        range_m[~_is_distance(distance_mm[0], geometry)] = np.nan
+        if not self._config.intensity:
+            return range_m, NO_INTENSITY
+        intensity = (
+            scan.intensity if row is None else np.take_along_axis(scan.intensity, row[np.newaxis], axis=0)
+        )
+        return range_m, intensity[0].astype(np.float32)
+
+    def _chosen_echo(self, scan: Scan, geometry: Geometry) -> npt.NDArray[np.int64] | None:
+        """(N,) row of the echo to take, or None where there is but the first."""
+        echoes = len(scan.distance_mm)
+        if echoes == 1:
+            return None
+        there = scan.distance_mm != NO_ECHO
+        self.counters["beams_with_further_echoes"] += int(np.count_nonzero(there[1]))
+        there &= _is_distance(scan.distance_mm, geometry)
+        if self._config.echo == "strongest":
+            score = np.where(there, scan.intensity, NO_ECHO)
+        else:
+            score = np.where(there, np.arange(echoes)[:, np.newaxis], NO_ECHO)
+        rows: npt.NDArray[np.int64] = np.argmax(score, axis=0)
+        return rows
+
+    def _count_codes(self, first_mm: npt.NDArray[np.int32], geometry: Geometry) -> None:
+        for code, count in enumerate(np.bincount(first_mm[first_mm < geometry.distance_min_mm])):
+            if count:
+                self.counters[ERROR_CODES.get(code, OTHER_CODE)] += int(count)
+        beyond = np.count_nonzero(first_mm >= geometry.distance_max_mm)
+        if beyond:
+            self.counters["beams_beyond_range"] += int(beyond)
+
+
+def _is_distance(distance_mm: npt.NDArray[np.int32], geometry: Geometry) -> npt.NDArray[np.bool_]:
+    return (distance_mm >= geometry.distance_min_mm) & (distance_mm < geometry.distance_max_mm)

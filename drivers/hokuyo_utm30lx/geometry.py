@@ -1,0 +1,62 @@
+"""Where the beams of a device look and when, from what PP says. No constants of a model in here."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from drivers.errors import ProtocolError
+from drivers.hokuyo_utm30lx.scans import ScanRequest
+
+PP_KEYS = ("DMIN", "DMAX", "ARES", "AMIN", "AMAX", "AFRT", "SCAN")
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """Steps count counter-clockwise seen from above."""
+
+    distance_min_mm: int  # smaller values are error codes
+    distance_max_mm: int
+    steps_per_turn: int
+    first_step: int
+    last_step: int
+    front_step: int
+    speed_rpm: int
+
+    @classmethod
+    def of(cls, pairs: Mapping[str, str]) -> "Geometry":
+        """From PP's lines. Raises ProtocolError where one is missing or senseless."""
+        try:
+            values = [int(pairs[key]) for key in PP_KEYS]
+        except (KeyError, ValueError) as error:
+            raise ProtocolError(f"PP: {error} among {dict(pairs)}; expected numbers for {PP_KEYS}") from error
+        geometry = cls(*values)
+        steps_in_order = 0 <= geometry.first_step < geometry.last_step <= 9999
+        if not steps_in_order or min(geometry.steps_per_turn, geometry.speed_rpm) <= 0:
+            raise ProtocolError(
+                f"PP: {dict(pairs)} describes no laser; expected AMIN < AMAX, ARES and SCAN > 0"
+            )
+        return geometry
+
+    @property
+    def turn_ns(self) -> float:
+        return 60e9 / self.speed_rpm
+
+    @property
+    def step_ns(self) -> float:
+        return self.turn_ns / self.steps_per_turn
+
+    @property
+    def step_rad(self) -> float:
+        return 2.0 * math.pi / self.steps_per_turn
+
+    def step_at(self, angle_deg: float) -> int:
+        """The step that looks nearest to an angle, within what can be seen."""
+        step = self.front_step + round(angle_deg / 360.0 * self.steps_per_turn)
+        return min(max(step, self.first_step), self.last_step)
+
+    def first_angle_rad(self, request: ScanRequest) -> float:
+        """Of the first beam; one that stands for several neighbours looks into their middle."""
+        return (self.first_beam_step(request) - self.front_step) * self.step_rad
+
+    def first_beam_step(self, request: ScanRequest) -> float:
+        return request.first_step + (max(request.cluster, 1) - 1) / 2.0

@@ -1,0 +1,468 @@
+"""A pretended UTM-30LX (USB) or UTM-30LX-EW (Ethernet): the other end of drivers.hokuyo_utm30lx. No I/O.
+
+It answers what third-party clients ask at their start-up (urg_library, hokuyo_node, MRPT, hokuyolx) in the
+order and form they need, and has the habits of the real ones: silence while booting, 0M until the motor
+turns evenly, a USB unit that streams on for a client that died, a clock of milliseconds that drifts and
+wraps.
+"""
+
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from drivers.errors import ProtocolError
+from drivers.hokuyo_utm30lx.protocol import (
+    ABNORMAL,
+    CLOCK_MODULUS,
+    DENIED,
+    MAX_STRING_CHARS,
+    NOT_DEFINED,
+    OK,
+    RESUMED,
+    SCIP_1,
+    UNSTABLE,
+    CommandDecoder,
+    encode_info,
+    encode_number,
+    encode_reply,
+)
+from drivers.hokuyo_utm30lx.scans import ScanRequest, read_request, write_scan
+from simulators.device import SweepSource
+from simulators.hokuyo_optics import Optics
+
+LEAVES_AFTER_SWEEP_NS = 300_000
+REBOOT_WINDOW_NS = 1_000_000_000  # the second RB must come within
+TOO_SHORT, TOO_LONG = {"usb": "0C", "ethernet": "0H"}, {"usb": "0G", "ethernet": "0D"}
+STRING_TOO_LONG, NOT_SUPPORTED, ALREADY, INCOMPATIBLE, NOT_ADJUSTING = "0G", "0F", "02", "04", "04"
+LASER_BROKEN = "01"
+LENGTHS = {  # of a command with its parameters
+    **dict.fromkeys(("VV", "PP", "II", "BM", "QT", "RS", "RT", "RB"), 2),
+    **{"TM": 3, "SS": 8, "CR": 4, "HS": 3, "DB": 4},
+    **dict.fromkeys(("GD", "GS", "GE"), 12),
+    **dict.fromkeys(("MD", "MS", "ME"), 15),
+}
+ETHERNET_LENGTHS = {
+    **{"%ST": 3, "%SL": 3},
+    **dict.fromkeys(("HD", "HE"), 12),
+    **dict.fromkeys(("ND", "NE"), 15),
+}
+SCANS = ("GD", "GS", "GE", "HD", "HE", "MD", "MS", "ME", "ND", "NE")
+IN_ABNORMAL_STATE = ("VV", "PP", "II", "RB")
+IN_TIME_ADJUST = ("VV", "II", "TM", "%ST", "RB")
+
+
+@dataclass(frozen=True, slots=True)
+class Utm30lxSetup:
+    """What this one was like when it left the factory, and what ails it."""
+
+    wire: Literal["usb", "ethernet"] = "usb"
+    serial_number: str = "00903971"
+    firmware: str = ""  # filled in by the wire where empty
+    first_step: int = 0
+    last_step: int = 1080
+    front_step: int = 540
+    boot_ns: int = 0  # nothing answers; a real one takes 1 to 2 s by USB, several by Ethernet
+    warm_up_ns: int = 0  # after that: laser and scans are answered 0M
+    scip_1: bool = False  # until it is told SCIP2.0
+    clock_start_ms: int = 0  # at power-up; near 2**24 it soon wraps
+    clock_drift_ppm: float = 0.0  # positive: the device's clock runs fast
+    motor_speed: float = 1.0  # of nominal; one was seen to take 25.05 ms a turn
+    stamps_rear: bool = False  # the moment the mirror looks back, instead of step 0
+    no_return_mm: int = 1  # what a beam without echo says; 65533 by Ethernet
+    further_echo_share: float = 0.0  # of the beams, see through to something behind; Ethernet alone
+    sums_count_semicolons: bool = False
+    cuts_scan_on_quit: bool = False  # QT is answered in the middle of a scan
+
+
+class FakeUtm30lx:
+    """One device with room for one client. While it runs set `abnormal`, `laser_broken`, `trouble` (a status
+    from 21 to 97 its stream shall stop with) or `stalled` (the same scan again and again)."""
+
+    def __init__(self, source: SweepSource, setup: Utm30lxSetup | None = None, seed: int = 0) -> None:
+        setup = setup or Utm30lxSetup()
+        self.setup = setup
+        self.abnormal = False
+        self.laser_broken = False
+        self.trouble = ""
+        self.stalled = False
+        self.counters: Counter[str] = Counter()
+        self._optics = Optics(source, setup.front_step, setup.no_return_mm, setup.further_echo_share, seed)
+        self._decoder = CommandDecoder()
+        self._lengths = LENGTHS if setup.wire == "usb" else LENGTHS | ETHERNET_LENGTHS
+        self._powered_on_ns: int | None = None
+        self._answers_from_ns = 0
+        self._steady_from_ns = 0
+        self._clock_zero_ns = 0
+        self._clock_zero_ms = 0
+        self._scip_1 = setup.scip_1
+        self._laser_on = False
+        self._adjusting = False
+        self._asleep = False
+        self._speaks_high = False
+        self._baud = 19_200
+        self._reboot_asked_ns: int | None = None
+        self._stream: ScanRequest | None = None
+        self._stream_echo = ""
+        self._stopped_with = ""
+        self._next_turn = self._measured_turn = 0
+        self._single: deque[tuple[ScanRequest, str, int]] = deque()  # request, echo, turn
+
+    def connected(self, now_ns: int) -> bytes:
+        self._decoder = CommandDecoder()
+        if self._powered_on_ns is None:
+            self.power_on(now_ns)
+        if self._stream is None:
+            return b""
+        self._next_turn = self._turn_after(now_ns)
+        whole = self._scan_message(self._stream, self._stream_echo, self._next_turn - 1, "99")
+        return whole[len(whole) // 2 :]  # we come in the middle
+
+    def disconnected(self, now_ns: int) -> None:
+        self._single.clear()
+        if self.setup.wire == "ethernet":
+            self._stop()
+
+    def power_on(self, now_ns: int) -> None:
+        """As after a power cut: all is forgotten."""
+        self._powered_on_ns = now_ns
+        self._answers_from_ns = now_ns + self.setup.boot_ns
+        self._steady_from_ns = self._answers_from_ns + self.setup.warm_up_ns
+        self._set_clock(now_ns, self.setup.clock_start_ms)
+        self._scip_1 = self.setup.scip_1
+        self._adjusting = self._asleep = False
+        self._stop()
+
+    def restart_clock(self, now_ns: int) -> None:
+        """Its milliseconds begin at 0, as after RS by another client; all else goes on."""
+        self._set_clock(now_ns, 0)
+
+    def receive_data(self, data: bytes, now_ns: int) -> bytes:
+        commands = self._decoder.receive_data(data)
+        if now_ns < self._answers_from_ns:
+            self.counters["commands_while_deaf"] += len(commands)
+            return b""
+        return b"".join(self._answer(command, now_ns) for command in commands)
+
+    def next_due_ns(self, now_ns: int) -> int | None:
+        if now_ns < self._answers_from_ns:
+            return None
+        times = [self._leaves_ns(turn, request) for request, _, turn in self._single]
+        if self._stream is not None:
+            if bool(self.trouble) != bool(self._stopped_with):
+                return now_ns
+            if not self._stopped_with:
+                times.append(self._leaves_ns(self._next_turn, self._stream))
+        return min(times, default=None)
+
+    def due(self, now_ns: int) -> bytes:
+        due_ns = self.next_due_ns(now_ns)
+        if due_ns is None or due_ns > now_ns:
+            return b""
+        if self._single and self._leaves_ns(self._single[0][2], self._single[0][0]) <= now_ns:
+            request, echo, turn = self._single.popleft()
+            return self._scan_message(request, echo, turn, OK)
+        return self._stream_on(now_ns)
+
+    def first_ray_ns(self, turn: int) -> int:
+        """When the mirror passed step 0 in that turn, counted from power-up."""
+        return self._steady_from_ns + round(turn * self._turn_ns())
+
+    def _stream_on(self, now_ns: int) -> bytes:
+        request = self._stream
+        assert request is not None
+        if self.trouble and not self._stopped_with:
+            return self._stop_for_trouble()
+        if self._stopped_with and not self.trouble:
+            self._stopped_with = ""
+            self._next_turn = self._turn_after(now_ns)
+            return encode_reply(self._stream_echo, RESUMED)
+        remaining = max(request.count - 1, 0)
+        text = replace(request, count=remaining).text
+        echo = text + self._stream_echo[len(text) :]
+        self._measured_turn = self._measured_turn if self.stalled else self._next_turn
+        message = self._scan_message(request, echo, self._measured_turn, "99")
+        late = (now_ns - self._leaves_ns(self._next_turn, request)) // round(self._turn_ns())
+        self._next_turn += 1 + max(request.skip, late)
+        self.counters["scans_sent"] += 1
+        if request.count:
+            self._stream = replace(request, count=remaining)
+            if not remaining:
+                self._stop()
+        return message
+
+    def _stop_for_trouble(self) -> bytes:
+        self._stopped_with = self.trouble
+        message = encode_reply(self._stream_echo, self.trouble)
+        if self.trouble >= "50":
+            self._stop()
+            self.abnormal, self.trouble = True, ""
+        return message
+
+    def _stop(self) -> None:
+        self._stream = None
+        self._stopped_with = ""
+        self._laser_on = False
+        self._single.clear()
+
+    def _turn_ns(self) -> float:
+        return 25e6 / self.setup.motor_speed
+
+    def _turn_after(self, now_ns: int) -> int:
+        """The first turn that begins at now_ns or later."""
+        return max(0, -int(-(now_ns - self._steady_from_ns) // self._turn_ns()))
+
+    def _leaves_ns(self, turn: int, request: ScanRequest) -> int:
+        sweep_ns = self._turn_ns() * request.last_step / Optics.STEPS_PER_TURN
+        return self.first_ray_ns(turn) + round(sweep_ns) + LEAVES_AFTER_SWEEP_NS
+
+    def _set_clock(self, now_ns: int, ms: int) -> None:
+        self._clock_zero_ns, self._clock_zero_ms = now_ns, ms
+
+    def _clock_ms(self, host_ns: int) -> int:
+        since_ms = (host_ns - self._clock_zero_ns) * (1.0 + self.setup.clock_drift_ppm * 1e-6) / 1e6
+        return (self._clock_zero_ms + int(since_ms // 1)) % CLOCK_MODULUS
+
+    def _scan_message(self, request: ScanRequest, echo: str, turn: int, status: str) -> bytes:
+        step_ns = self._turn_ns() / Optics.STEPS_PER_TURN
+        stamped_ns = self.first_ray_ns(turn)
+        if self.setup.stamps_rear:
+            stamped_ns += round((self.setup.front_step - Optics.STEPS_PER_TURN / 2) * step_ns)
+        scan = self._optics.measure(request, self.first_ray_ns(turn), step_ns, self._clock_ms(stamped_ns))
+        return write_scan(scan, echo, status)
+
+    def _answer(self, command: str, now_ns: int) -> bytes:
+        self.counters["commands"] += 1
+        if self._scip_1:
+            self._scip_1 = command != "SCIP2.0"
+            return encode_reply(command, SCIP_1 if self._scip_1 else "0")
+        name = command[:3] if command.startswith("%") else command[:2]
+        length = self._lengths.get(name)
+        if length is None:
+            return self._refuse(command, NOT_DEFINED)
+        text, string = command[:length], command[length:]
+        if len(text) < length:
+            return self._refuse(command, TOO_SHORT[self.setup.wire])
+        if string and self.setup.wire == "ethernet" and not string.startswith(";"):
+            return self._refuse(command, TOO_LONG[self.setup.wire])
+        if len(string.removeprefix(";")) > MAX_STRING_CHARS:
+            return self._refuse(command, STRING_TOO_LONG)
+        if self.abnormal and name not in IN_ABNORMAL_STATE:
+            return self._refuse(command, ABNORMAL)
+        if self._adjusting and name not in IN_TIME_ADJUST:
+            return self._refuse(command, NOT_DEFINED if name == "QT" else DENIED)
+        if name in SCANS:
+            return self._scan(text, command, now_ns)
+        return self._handlers()[name](text, command, now_ns)
+
+    def _handlers(self) -> dict[str, Callable[[str, str, int], bytes]]:
+        return {
+            "VV": self._version,
+            "PP": self._parameters,
+            "II": self._information,
+            "BM": self._light,
+            "QT": self._quit,
+            "RS": self._reset,
+            "RT": self._reset,
+            "RB": self._reboot,
+            "TM": self._time,
+            "SS": self._set_baud,
+            "CR": self._set_speed,
+            "HS": self._set_sensitivity,
+            "DB": self._pretend,
+            "%ST": self._state,
+            "%SL": self._sleep,
+        }
+
+    def _refuse(self, echo: str, status: str) -> bytes:
+        self.counters["commands_refused"] += 1
+        return encode_reply(echo, status)
+
+    def _info(self, echo: str, *pairs: tuple[str, str]) -> bytes:
+        if not self.setup.sums_count_semicolons:
+            return encode_info(echo, pairs)
+        return encode_reply(echo, OK, [f"{key}:{value};".encode("ascii") for key, value in pairs])
+
+    def _version(self, text: str, echo: str, now_ns: int) -> bytes:
+        usb = self.setup.wire == "usb"
+        firmware = self.setup.firmware or ("P.1.05(17/Apr./2009)" if usb else "1.1.0 (2011-09-30)")
+        return self._info(
+            echo,
+            ("VEND", "Hokuyo Automatic Co.,Ltd." if usb else "Hokuyo Automatic Co., Ltd."),
+            ("PROD", "SOKUIKI Sensor TOP-URG UTM-30LX" if usb else "UTM-30LX-EW"),
+            ("FIRM", firmware),
+            ("PROT", "SCIP 2.0" if usb else "SCIP 2.2"),
+            ("SERI", self.setup.serial_number),
+        )
+
+    def _parameters(self, text: str, echo: str, now_ns: int) -> bytes:
+        usb = self.setup.wire == "usb"
+        pairs = [
+            ("MODL", "UTM-30LX(Hokuyo Automatic Co.,Ltd.)" if usb else "UTM-30LX-EW"),
+            ("DMIN", "23"),
+            ("DMAX", "60000"),
+            *([] if usb else [("PROT", "SCIP 2.2")]),
+            ("ARES", str(Optics.STEPS_PER_TURN)),
+            ("AMIN", str(self.setup.first_step)),
+            ("AMAX", str(self.setup.last_step)),
+            ("AFRT", str(self.setup.front_step)),
+            ("SCAN", "2400" if usb else str(round(2400 * self.setup.motor_speed))),
+        ]
+        return self._info(echo, *pairs)
+
+    def _information(self, text: str, echo: str, now_ns: int) -> bytes:
+        usb = self.setup.wire == "usb"
+        well, ill = "Sensor works well.", "Trouble!! Error No. =[00->33]"
+        if not usb:
+            well, ill = "Stable 000 no error.", "Error 033"
+        mode = "CLASSIC" if usb else {"000": "000 Idle", "001": "001 Booting"}.get(self._state_code(now_ns))
+        mode = mode or {"003": "003 Single_scan", "004": "004 Multi_scan"}.get(
+            self._state_code(now_ns), "000 Idle"
+        )
+        return self._info(
+            echo,
+            ("MODL", "UTM-30LX(Hokuyo Automatic Co.,Ltd.)" if usb else "UTM-30LX-EW"),
+            ("LASR", "ON" if self._laser_on else "OFF"),
+            ("SCSP", "Initial(2400[rpm])<-Default setting by user" if usb else "2400"),
+            ("MESM", mode),
+            ("SBPS", "USB Full Speed" if usb else "Ethernet 100 [Mbps]"),
+            ("TIME", f"{self._clock_ms(now_ns):06X}"),
+            ("STAT", ill if self.abnormal else well),
+        )
+
+    def _light(self, text: str, echo: str, now_ns: int) -> bytes:
+        if now_ns < self._steady_from_ns:
+            return self._refuse(echo, UNSTABLE)
+        if self.laser_broken:
+            return self._refuse(echo, LASER_BROKEN)
+        status = ALREADY if self._laser_on else OK
+        self._laser_on, self._asleep = True, False
+        return encode_reply(echo, status)
+
+    def _quit(self, text: str, echo: str, now_ns: int) -> bytes:
+        stump = b""
+        if self._stream is not None and self.setup.cuts_scan_on_quit:
+            whole = self._scan_message(self._stream, self._stream_echo, self._next_turn, "99")
+            stump = whole[: whole.index(b"\n", len(whole) // 2) + 1]
+        self._stop()
+        self._asleep = False
+        return stump + encode_reply(echo, OK)
+
+    def _reset(self, text: str, echo: str, now_ns: int) -> bytes:
+        self._stop()
+        self._set_clock(now_ns, 0)
+        self._speaks_high = self._asleep = False
+        return encode_reply(echo, OK)
+
+    def _reboot(self, text: str, echo: str, now_ns: int) -> bytes:
+        asked_ns, self._reboot_asked_ns = self._reboot_asked_ns, now_ns
+        if asked_ns is None or now_ns - asked_ns > REBOOT_WINDOW_NS:
+            return encode_reply(echo, "01")
+        self.counters["reboots"] += 1
+        self._reboot_asked_ns = None
+        self.abnormal = False
+        self.power_on(now_ns)
+        return encode_reply(echo, OK)
+
+    def _time(self, text: str, echo: str, now_ns: int) -> bytes:
+        match text[2]:
+            case "0":
+                if self._laser_on:
+                    return self._refuse(echo, DENIED)
+                status, self._adjusting = (ALREADY if self._adjusting else OK), True
+                return encode_reply(echo, status)
+            case "1":
+                if not self._adjusting and self.setup.wire == "usb":
+                    return self._refuse(echo, NOT_ADJUSTING)
+                return encode_reply(echo, OK, [encode_number(self._clock_ms(now_ns), 4)])
+            case "2":
+                status, self._adjusting = (OK if self._adjusting else "03"), False
+                return encode_reply(echo, status)
+        return self._refuse(echo, "01")
+
+    def _set_baud(self, text: str, echo: str, now_ns: int) -> bytes:
+        if self.setup.wire == "ethernet":
+            return self._refuse(echo, NOT_SUPPORTED)
+        if not text[2:].isdigit():
+            return self._refuse(echo, "01")
+        baud, before = int(text[2:]), self._baud
+        if baud not in (19_200, 38_400, 57_600, 115_200, 250_000, 500_000, 750_000):
+            return self._refuse(echo, "02")
+        self._baud = baud
+        return encode_reply(echo, "03" if baud == before else OK)
+
+    def _set_speed(self, text: str, echo: str, now_ns: int) -> bytes:
+        return self._refuse(echo, INCOMPATIBLE if text[2:].isdigit() else "01")
+
+    def _set_sensitivity(self, text: str, echo: str, now_ns: int) -> bytes:
+        if self.setup.wire == "ethernet":
+            return self._refuse(echo, NOT_DEFINED)
+        if text[2] not in "01":
+            return self._refuse(echo, "01")
+        high, before = text[2] == "1", self._speaks_high
+        self._speaks_high = high
+        return encode_reply(echo, ALREADY if high == before else OK)
+
+    def _pretend(self, text: str, echo: str, now_ns: int) -> bytes:
+        """DB: simulate a failure, 10 to end it."""
+        if text[2:] not in ("02", "03", "04", "05", "10"):
+            return self._refuse(echo, "01")
+        self.abnormal = text[2:] != "10"
+        if self.abnormal:
+            self._stop()
+        return encode_reply(echo, OK)
+
+    def _state_code(self, now_ns: int) -> str:
+        if self.abnormal:
+            return "900"
+        if now_ns < self._steady_from_ns:
+            return "001"
+        if self._adjusting:
+            return "002"
+        if self._asleep:
+            return "005"
+        return "004" if self._stream is not None else "003" if self._laser_on else "000"
+
+    def _state(self, text: str, echo: str, now_ns: int) -> bytes:
+        return encode_reply(echo, OK, [self._state_code(now_ns).encode("ascii")])
+
+    def _sleep(self, text: str, echo: str, now_ns: int) -> bytes:
+        self._stop()
+        self._asleep = True
+        return encode_reply(echo, OK)
+
+    def _scan(self, text: str, echo: str, now_ns: int) -> bytes:
+        for status, digits in (("01", text[2:6]), ("02", text[6:10]), ("03", text[10:12])):
+            if not digits.isdigit():
+                return self._refuse(echo, status)
+        first, last = int(text[2:6]), int(text[6:10])
+        if not self.setup.first_step <= first <= self.setup.last_step or last > self.setup.last_step:
+            return self._refuse(echo, "04")
+        if last <= first:
+            return self._refuse(echo, "05")
+        if text[0] in "MN":
+            for status, digits in (("06", text[12]), ("07", text[13:15])):
+                if not digits.isdigit():
+                    return self._refuse(echo, status)
+        try:
+            request = read_request(text)
+        except ProtocolError:
+            return self._refuse(echo, NOT_DEFINED)
+        if now_ns < self._steady_from_ns:
+            return self._refuse(echo, UNSTABLE)
+        return self._start(request, echo, now_ns)
+
+    def _start(self, request: ScanRequest, echo: str, now_ns: int) -> bytes:
+        if not request.streams:
+            if not self._laser_on:
+                return self._refuse(echo, DENIED)
+            self._single.append((request, echo, self._turn_after(now_ns)))
+            return b""
+        if self.laser_broken:
+            return self._refuse(echo, "50")
+        if self._stream is not None and self._stream.command != request.command:
+            return self._refuse(echo, DENIED)
+        self._laser_on, self._asleep = True, False
+        self._stream, self._stream_echo, self._stopped_with = request, echo, ""
+        self._next_turn = self._turn_after(now_ns)
+        return encode_reply(echo, OK)

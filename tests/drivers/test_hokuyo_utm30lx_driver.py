@@ -1,0 +1,331 @@
+"""The session against the pretended device in virtual time: start-up from any state, frames, faults."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.errors import DeviceError, ProtocolError, TransportError
+from drivers.hokuyo_utm30lx.driver import MALFORMED_LIMIT, HokuyoUtm30lxSession
+from drivers.hokuyo_utm30lx.protocol import encode_reply
+from drivers.hokuyo_utm30lx.scans import Scan, ScanRequest, write_scan
+from simulators.device import Sweep
+from simulators.hokuyo_utm30lx import FakeUtm30lx, Utm30lxSetup
+from tests.drivers.utm30lx import Room, config, talk
+from tests.drivers.virtual_time import Talk
+
+USB, ETHERNET = Utm30lxSetup(), Utm30lxSetup(wire="ethernet", serial_number="H0123456", no_return_mm=65_533)
+HOST = "192.168.0.10"
+
+
+def test_scans_come_at_40_hz_with_1081_beams_and_say_who_measured_them():
+    t = talk().run(4.0)
+    frame = t.frames[-1]
+    assert len(t.frames) >= 40 * 2.9
+    assert frame.sensor == "rear"
+    assert len(frame.range_m) == 1081
+    assert frame.first_angle_rad == pytest.approx(math.radians(-135.0))
+    assert frame.angle_step_rad == pytest.approx(math.radians(0.25))
+    assert frame.beam_interval_ns == pytest.approx(17_361, abs=10)
+    assert frame.scan_period_ns == pytest.approx(25_000_000, rel=1e-3)
+    assert (frame.range_min_m, frame.range_max_m) == (0.1, 30.0)
+    assert frame.intensity.shape == (0,)
+    assert np.isnan(frame.range_m[::10]).all()
+    seen = np.delete(np.arange(1081), np.s_[::10])
+    np.testing.assert_array_equal(frame.range_m[seen], np.float32(1.0 + seen * 1e-3))
+    assert frame.range_m.dtype == frame.intensity.dtype == np.float32
+    assert t.session.status == "streaming"
+    assert t.session.identity == {
+        "product": "SOKUIKI Sensor TOP-URG UTM-30LX",
+        "firmware": "P.1.05(17/Apr./2009)",
+        "protocol": "SCIP 2.0",
+        "serial": "00903971",
+    }
+    assert t.session.counters["scans_missed"] == 0
+    assert t.session.counters["beams_no_return"] == 109 * len(t.frames)
+    assert t.session.clock_offset_ns is not None
+
+
+@pytest.mark.parametrize("host", [None, HOST])
+def test_intensities_are_in_device_units(host):
+    t = talk(**({"host": host} if host else {}), intensity=True).run(3.0)
+    frame = t.frames[-1]
+    seen = np.delete(np.arange(1081), np.s_[::10])
+    np.testing.assert_allclose(frame.intensity[seen], np.linspace(0.1, 1.0, 1081)[seen] * 16_000, atol=1.0)
+
+
+def test_cluster_skip_and_field_of_view_are_asked_for_and_understood():
+    t = talk(cluster=3, skip_scans=1, first_angle_deg=-90.0, last_angle_deg=90.0).run(4.0)
+    frame = t.frames[-1]
+    assert b"MD0180090003100\n" in t.sent
+    assert len(frame.range_m) == 241
+    assert frame.angle_step_rad == pytest.approx(math.radians(0.75))
+    assert frame.first_angle_rad == pytest.approx(math.radians(-90.0 + 0.25))  # middle of three
+    assert frame.beam_interval_ns == pytest.approx(3 * 17_361, abs=30)
+    assert frame.scan_period_ns == pytest.approx(50_000_000, rel=1e-3)
+    assert t.session.counters["scans_missed"] == 0
+    assert not np.isnan(frame.range_m[:-1]).any()  # the nearest of three that has one; the last is alone
+
+
+def test_the_field_of_view_is_cut_to_what_pp_says_and_steps_are_counted_from_its_front():
+    early_unit = Utm30lxSetup(last_step=1100, front_step=560)
+    t = talk(early_unit, first_angle_deg=-180.0, last_angle_deg=180.0).run(3.0)
+    assert len(t.frames[-1].range_m) == 1101
+    assert t.frames[-1].first_angle_rad == pytest.approx(math.radians(-140.0))
+    with pytest.raises(DeviceError, match="cannot look there"):
+        talk(first_angle_deg=150.0, last_angle_deg=170.0).run(3.0)
+
+
+class Panes:
+    """Beam 0 sees nothing, beam 1 one echo at 2 m."""
+
+    def sweep(self, first_ray_ns, beam_interval_ns, first_angle_rad, angle_step_rad, beam_count):
+        range_m = np.full(beam_count, 2.0, np.float32)
+        range_m[0] = np.nan
+        return Sweep(range_m, np.full(beam_count, 0.5, np.float32))
+
+
+def frame_of(rows_mm, rows_intensity=None, **changes):
+    """The frame made of one hand-made multi-echo scan."""
+    t = Talk(HokuyoUtm30lxSession(config(host=HOST, **changes)), FakeUtm30lx(Panes(), ETHERNET)).connect()
+    t.run(5.0, until=lambda: t.frames != [])
+    request = ScanRequest(config(host=HOST, **changes).scan_command, 0, 1080)
+    distance_mm = np.full((3, 1081), -1, np.int32)
+    distance_mm[0] = 5000
+    intensity = np.where(distance_mm >= 0, 100, -1).astype(np.int32)
+    for row, (values, strengths) in enumerate(zip(rows_mm, rows_intensity or rows_mm, strict=True)):
+        distance_mm[row, : len(values)] = values
+        intensity[row, : len(values)] = strengths
+    scan = Scan(request, 100, distance_mm, intensity if request.with_intensity else distance_mm[:0])
+    stamp_ms = 1 + max(int(t.session._last_ms), 0)
+    wire = write_scan(replace(scan, stamp_ms=stamp_ms + 50))
+    (frame,) = t.session.receive_data(wire, t.now_ns + 70_000_000)
+    return frame, t.session
+
+
+DISTANCES = ([1000, 1000, 1, 1000], [2000, 65_533, 3000, -1], [2500, -1, 2, -1])
+
+
+def test_the_last_echo_is_the_last_that_is_a_distance():
+    frame, session = frame_of(DISTANCES, echo="last")
+    np.testing.assert_array_equal(frame.range_m[:5], np.float32([2.5, 1.0, 3.0, 1.0, 5.0]))
+    assert session.counters["beams_with_further_echoes"] >= 3
+
+
+def test_the_strongest_echo_is_chosen_among_distances_and_brings_its_intensity():
+    strengths = ([100, 100, 900, 300], [500, 800, 200, -1], [400, -1, 900, -1])
+    frame, _ = frame_of(DISTANCES, strengths, echo="strongest", intensity=True)
+    np.testing.assert_array_equal(frame.range_m[:5], np.float32([2.0, 1.0, 3.0, 1.0, 5.0]))
+    np.testing.assert_array_equal(frame.intensity[:5], np.float32([500, 100, 200, 300, 100]))
+    frame, _ = frame_of(DISTANCES, strengths, echo="strongest")
+    assert frame.intensity.shape == (0,)
+
+
+def test_a_scan_without_a_single_echo_is_all_nan_whatever_echo_is_chosen():
+    nothing = ([65_533] * 1081, [-1] * 1081, [-1] * 1081)
+    for echo in ("last", "strongest"):
+        frame, session = frame_of(nothing, echo=echo)
+        assert np.isnan(frame.range_m).all()
+        assert session.counters["beams_beyond_range"] >= 1081
+
+
+def test_error_codes_become_nan_and_counted_reasons():
+    t = talk().run(5.0)
+    distance_mm = np.full((1, 1081), 4000, np.int32)
+    distance_mm[0, :9] = [0, 1, 2, 3, 4, 5, 22, 23, 60_000]
+    before = t.session.counters.copy()
+    scan = Scan(ScanRequest("MD", 0, 1080), 999_999, distance_mm, distance_mm[:0])
+    (frame,) = t.session.receive_data(write_scan(scan), t.now_ns)
+    assert np.isnan(frame.range_m[:7]).all()
+    assert frame.range_m[7] == np.float32(0.023)
+    assert np.isnan(frame.range_m[8])
+    counted = t.session.counters - before
+    assert {name: count for name, count in counted.items() if name.startswith("beams")} == {
+        "beams_no_return": 1,
+        "beams_too_near": 1,
+        "beams_interference": 1,
+        "beams_near_limit": 1,
+        "beams_other_error": 3,
+        "beams_beyond_range": 1,
+    }
+
+
+@pytest.mark.parametrize(
+    ("setup", "changes"),
+    [
+        (replace(USB, boot_ns=2_000_000_000, warm_up_ns=3_000_000_000), {}),
+        (replace(ETHERNET, boot_ns=6_000_000_000, warm_up_ns=1_000_000_000), {"host": HOST}),
+        (replace(USB, scip_1=True), {}),
+        (replace(USB, sums_count_semicolons=True), {}),
+        (replace(USB, cuts_scan_on_quit=True), {}),
+    ],
+)
+def test_a_device_in_any_state_of_its_start_comes_to_stream(setup, changes):
+    t = talk(setup, **changes).run(16.0)
+    assert t.session.status == "streaming"
+    assert "resets" not in t.session.counters
+
+
+@pytest.mark.parametrize(
+    "left_with",
+    [
+        b"ME0000108001000\n",
+        b"MD0000108001000\n",  # even the very stream we want, but not ours
+        b"TM0\n",
+        b"BM\n",
+        b"MD00001080",  # half a command
+        b"BM\nGD0000108001\n",
+    ],
+)
+@pytest.mark.parametrize("cuts", [False, True])
+def test_a_usb_unit_left_in_any_state_by_a_dead_client_is_taken_over(left_with, cuts):
+    device = FakeUtm30lx(Room(), replace(USB, cuts_scan_on_quit=cuts))
+    now_ns = 1_000_000_000_000
+    device.connected(now_ns)
+    device.receive_data(left_with, now_ns)
+    device.disconnected(now_ns + 500_000_000)
+    t = Talk(HokuyoUtm30lxSession(config()), device, now_ns=now_ns + 900_000_000)
+    if left_with.startswith(b"M") and left_with.endswith(b"\n"):
+        assert device.next_due_ns(now_ns) is not None  # it streams on
+    t.connect().run(4.0)
+    assert t.session.status == "streaming"
+    assert t.session.counters["scans_malformed"] == 0
+    assert np.diff([frame.stamp_ns for frame in t.frames]).max() < 26_000_000
+
+
+def test_only_the_unit_with_the_configured_serial_number_is_taken():
+    assert talk(serial_number="00903971").run(3.0).frames
+    assert talk(ETHERNET, host=HOST, serial_number="h0123456").run(3.0).frames
+    with pytest.raises(DeviceError, match=r"unit 00903971, expected serial_number 00906000.*/dev/ttyACM0"):
+        talk(serial_number="00906000").run(3.0)
+
+
+def test_a_unit_without_multi_echo_is_said_to_have_none():
+    with pytest.raises(DeviceError, match=r"does not know ND.*echo: first"):
+        talk(USB, host=HOST, echo="last").run(4.0)
+
+
+def test_a_laser_that_does_not_light_is_reported_after_some_attempts():
+    t = talk()
+    t.device.laser_broken = True
+    with pytest.raises(DeviceError, match="laser does not light"):
+        t.run(60.0)
+    assert t.sent.count(b"BM\n") == 10
+
+
+def test_an_abnormal_device_is_rebooted_and_the_next_connection_streams():
+    device = FakeUtm30lx(Room(), replace(USB, boot_ns=1_000_000_000))
+    t = Talk(HokuyoUtm30lxSession(config()), device).connect()
+    device.abnormal = True
+    with pytest.raises(DeviceError, match=r"abnormal state.*Trouble!! Error No.*rebooted"):
+        t.run(5.0)
+    assert device.counters["reboots"] == 1
+    again = Talk(HokuyoUtm30lxSession(config()), device, now_ns=t.now_ns + 10_000_000_000).connect().run(4.0)
+    assert again.session.status == "streaming"
+
+
+def test_an_unsteady_motor_is_reported_in_the_end():
+    with pytest.raises(DeviceError, match="unstable"):
+        talk(replace(USB, warm_up_ns=3_600_000_000_000)).run(120.0)
+
+
+def test_hardware_trouble_in_the_stream_is_a_device_error():
+    t = talk().run(4.0)
+    t.device.trouble = "54"
+    with pytest.raises(DeviceError, match="status 54"):
+        t.run(1.0)
+
+
+def test_a_device_that_stops_to_verify_an_error_is_waited_for():
+    t = talk().run(4.0)
+    t.device.trouble = "21"
+    t.run(1.0)
+    assert t.session.status == "streaming; stopped to verify an error (status 21)"
+    before, t.device.trouble = len(t.frames), ""
+    t.run(1.0)
+    assert t.session.status == "streaming"
+    assert len(t.frames) > before + 30
+    assert t.session.counters["stops_to_verify_an_error"] == 1
+
+
+def test_power_loss_is_noticed_within_the_silence_timeout():
+    t = talk().run(4.0)
+    t.device.power_on(t.now_ns)
+    with pytest.raises(TransportError, match="no scan for 2 s"):
+        t.run(2.5)
+
+
+def test_a_stalled_device_that_repeats_a_scan_is_a_silent_one():
+    t = talk().run(4.0)
+    t.device.stalled, before = True, len(t.frames)
+    with pytest.raises(TransportError, match="no scan for 2 s"):
+        t.run(3.0)
+    assert len(t.frames) == before
+    assert t.session.counters["scans_with_a_stamp_twice"] > 50
+
+
+def test_a_host_that_did_not_look_for_a_while_does_not_blame_the_device():
+    t = talk().run(4.0)
+    t.now_ns += 30_000_000_000
+    t.run(1.0)
+    assert t.session.status == "streaming"
+
+
+def test_nobody_at_the_other_end_is_a_transport_error_with_advice():
+    t = talk(replace(USB, boot_ns=3_600_000_000_000))
+    with pytest.raises(TransportError, match="no answer to 15 times QT"):
+        t.run(40.0)
+
+
+def test_one_bad_block_costs_one_scan():
+    t = talk().run(4.0)
+    request = ScanRequest("MD", 0, 1080)
+    distance_mm = np.full((1, 1081), 4000, np.int32)
+    last_ms = t.session._last_ms
+    wires = [write_scan(Scan(request, last_ms + 25 * i, distance_mm, distance_mm[:0])) for i in range(1, 6)]
+    wires[1] = wires[1][:800] + b"~" + wires[1][801:]
+    wires[3] = wires[3][:500] + wires[3][700:]
+    frames = [
+        frame
+        for i, wire in enumerate(wires)
+        for frame in t.session.receive_data(wire, t.now_ns + i * 25_000_000)
+    ]
+    assert len(frames) == 3
+    assert t.session.counters["scans_malformed"] == 2
+    assert t.session.counters["scans_missed"] == 2
+
+
+def test_nothing_but_malformed_scans_ends_the_session():
+    t = talk().run(4.0)
+    bad = encode_reply("MD0000108001000", "99", [b"0000", b"000"])
+    for _ in range(MALFORMED_LIMIT):
+        assert t.session.receive_data(bad, t.now_ns) == []
+    with pytest.raises(ProtocolError, match="malformed scans in a row"):
+        t.session.receive_data(bad, t.now_ns)
+
+
+def test_a_clock_that_cannot_be_asked_costs_nothing_but_the_calibration():
+    t = talk()
+    refuse = FakeUtm30lx._time
+    t.device._time = lambda text, echo, now_ns: (
+        encode_reply(echo, "10") if text == "TM0" else refuse(t.device, text, echo, now_ns)
+    )
+    t.run(4.0)
+    assert t.session.status == "streaming"
+    assert t.session.counters["time_sync_refused"] == 1
+
+
+def test_scans_pass_the_wrap_of_the_milliseconds_without_a_hitch():
+    t = talk(replace(USB, clock_start_ms=2**24 - 3_000)).run(6.0)
+    assert t.session._last_ms < 4_000
+    assert np.ptp(np.diff([frame.stamp_ns for frame in t.frames])) < 2_000_000
+    assert t.session.counters["clock_resets"] == t.session.counters["scans_missed"] == 0
+
+
+def test_farewell_ends_the_stream_a_usb_unit_would_go_on_with():
+    t = talk().run(4.0)
+    assert t.device.next_due_ns(t.now_ns) is not None
+    t.device.receive_data(t.session.farewell(), t.now_ns)
+    assert t.device.next_due_ns(t.now_ns) is None
+    assert HokuyoUtm30lxSession(config()).farewell() == b""

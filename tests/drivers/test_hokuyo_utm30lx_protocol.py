@@ -1,0 +1,226 @@
+"""SCIP framing: whole, cut anywhere, behind garbage, too long; numbers, sums and info lines."""
+
+import contextlib
+import json
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.errors import ProtocolError
+from drivers.hokuyo_utm30lx.protocol import (
+    MAX_COMMAND_BYTES,
+    MAX_REPLY_BYTES,
+    CommandDecoder,
+    Reply,
+    ReplyDecoder,
+    checksum,
+    decode_number,
+    encode_info,
+    encode_number,
+    encode_reply,
+    read_info,
+    read_time,
+)
+from drivers.hokuyo_utm30lx.scans import read_scan, write_scan
+from tests.drivers.utm30lx import random_scan
+
+# A UTM-30LX, firmware P.1.05; gbiggs/hokuyoaist, commit 51d99db, examples.
+REAL_PP = bytes.fromhex(
+    "50500a3030500a4d4f444c3a55544d2d33304c5828486f6b75796f204175746f6d6174696320436f2e2c4c74642e293b550a"
+    "444d494e3a32333b370a444d41583a36303030303b4a0a415245533a313434303b5e0a414d494e3a303b3f0a414d41583a31"
+    "3038303b5a0a414652543a3534303b300a5343414e3a323430303b550a0a"
+)
+REAL_TM1 = b"TM1\n00P\n<SfkP\n\n"
+SCAN = write_scan(random_scan(0))
+REPLIES = [
+    (b"QT\n00P\n\n", Reply("QT", "00")),
+    (b"BM\n02R\n\n", Reply("BM", "02")),
+    (b"CR00\n04T\n\n", Reply("CR00", "04")),
+    (b"QT\n0Ee\n\n", Reply("QT", "0E")),
+    (b"SCIP2.0\n0\n\n", Reply("SCIP2.0", "0")),
+    (b"QT\nE\n\n", Reply("QT", "E")),
+    (b"MD0000108001000;17\n00P\n\n", Reply("MD0000108001000;17", "00")),
+    (REAL_TM1, Reply("TM1", "00", b"<SfkP\n")),
+]
+
+
+@pytest.mark.parametrize(("wire", "reply"), REPLIES)
+def test_reply_survives_any_cutting_of_the_stream(wire, reply):
+    assert ReplyDecoder().receive_data(wire) == [reply]
+    decoder = ReplyDecoder()
+    assert [r for byte in wire for r in decoder.receive_data(bytes([byte]))] == [reply]
+    assert decoder.skipped_bytes == 0
+    if not reply.body:
+        assert encode_reply(reply.echo, reply.status) == wire
+
+
+@pytest.mark.parametrize(("wire", "reply"), REPLIES)
+@pytest.mark.parametrize("before", [b"\xff\x00 noise", b"0a1b\n0c@\n", SCAN[:-2], SCAN[:1000], b"\n\n\n"])
+def test_reply_is_found_behind_garbage_and_behind_the_stump_of_a_scan(wire, reply, before):
+    decoder = ReplyDecoder()
+    assert decoder.receive_data(before + wire)[-1] == reply
+    assert decoder.skipped_bytes == len(before.lstrip(b"\n"))
+
+
+def test_two_scans_whose_border_was_lost_cost_the_first_alone():
+    decoder = ReplyDecoder()
+    replies = decoder.receive_data(SCAN[:-2] + SCAN)
+    assert [read_scan(reply).stamp_ms for reply in replies] == [random_scan(0).stamp_ms]
+    assert decoder.unreadable_blocks == 1
+
+
+def test_endless_noise_is_bounded_and_what_follows_is_read():
+    decoder = ReplyDecoder()
+    for _ in range(40):
+        assert decoder.receive_data(b"x" * 10_000) == []
+        assert len(decoder._buffer) <= MAX_REPLY_BYTES
+    assert decoder.receive_data(b"\n\n" + SCAN)
+    assert decoder.skipped_bytes == 400_001
+
+
+def test_reply_that_began_in_overlong_noise_is_still_read():
+    decoder = ReplyDecoder()
+    decoder.receive_data(b"x" * (MAX_REPLY_BYTES - 100))
+    assert decoder.receive_data(SCAN)
+
+
+def test_block_with_a_wrong_status_sum_is_counted_and_dropped():
+    decoder = ReplyDecoder()
+    assert decoder.receive_data(b"QT\n00Q\n\n") == []
+    assert (decoder.unreadable_blocks, decoder.skipped_bytes) == (1, 7)
+
+
+@pytest.mark.parametrize(
+    ("value", "chars", "text"),
+    [
+        (1234, 2, b"CB"),
+        (5432, 3, b"1Dh"),
+        (16_000_000, 4, b"m2@0"),
+        (4_821_609, 4, b"BI9Y"),
+        (3_292_603, 4, b"<Sfk"),
+        (353, 3, b"05Q"),
+    ],
+)
+def test_numbers_are_six_bits_a_character(value, chars, text):
+    assert encode_number(value, chars) == text
+    assert decode_number(text) == value
+
+
+def test_numbers_that_do_not_fit_and_characters_outside_the_code_are_refused():
+    with pytest.raises(ValueError, match="does not fit"):
+        encode_number(4096, 2)
+    with pytest.raises(ProtocolError, match="six-bit"):
+        decode_number(b"0p")
+
+
+@pytest.mark.parametrize(
+    ("status", "total"), [("00", "P"), ("99", "b"), ("02", "R"), ("04", "T"), ("0E", "e"), ("01", "Q")]
+)
+def test_sum_of_a_status(status, total):
+    assert checksum(status.encode()) == ord(total)
+
+
+def test_parameters_of_a_real_unit():
+    (reply,) = ReplyDecoder().receive_data(REAL_PP)
+    said = read_info(reply)
+    assert said == {
+        "MODL": "UTM-30LX(Hokuyo Automatic Co.,Ltd.)",
+        "DMIN": "23",
+        "DMAX": "60000",
+        "ARES": "1440",
+        "AMIN": "0",
+        "AMAX": "1080",
+        "AFRT": "540",
+        "SCAN": "2400",
+    }
+    assert encode_info("PP", list(said.items())) == REAL_PP
+
+
+def test_all_habits_of_summing_an_info_line_are_accepted_and_no_other():
+    text = b"SCSP:Initial(2400[rpm])<-Default setting by user"
+    for summed in (text, text + b";", text.partition(b"<-")[0]):
+        line = text + b";" + bytes([checksum(summed)]) + b"\n"
+        assert read_info(Reply("II", "00", line)) == {"SCSP": text.decode()[5:]}
+    with pytest.raises(ProtocolError, match="wrong sum"):
+        read_info(Reply("II", "00", text + b";" + bytes([checksum(text) ^ 1]) + b"\n"))
+    with pytest.raises(ProtocolError, match="KEY:value"):
+        read_info(Reply("II", "00", b"nokey;" + bytes([checksum(b"nokey")]) + b"\n"))
+
+
+def test_time_of_a_real_unit_and_a_damaged_one():
+    (reply,) = ReplyDecoder().receive_data(REAL_TM1)
+    assert read_time(reply) == 3_292_603
+    for body in (b"", b"<SfkQ\n", b"<Sfk\n"):
+        with pytest.raises(ProtocolError, match="not a time"):
+            read_time(Reply("TM1", "00", body))
+
+
+def test_device_end_takes_commands_ended_by_either_character_and_forgets_endless_ones():
+    decoder = CommandDecoder()
+    assert decoder.receive_data(b"\nQT\rPP\n\nV") == ["QT", "PP"]
+    assert decoder.receive_data(b"V\n") == ["VV"]
+    decoder.receive_data(b"x" * 100_000)
+    assert len(decoder._buffer) == MAX_COMMAND_BYTES
+    assert decoder.receive_data(b"\xff\nQT\n")[-1] == "QT"
+
+
+def test_every_line_of_a_recorded_unit_decodes_and_encodes_to_the_same_bytes(shared):
+    said = b"".join(recorded(shared, "utm_30lx.jsonl"))
+    decoder = ReplyDecoder()
+    encoded = b""
+    for reply in decoder.receive_data(said):
+        if reply.echo in ("VV", "PP", "II"):
+            encoded += encode_info(reply.echo, list(read_info(reply).items()))
+        elif reply.status == "99":
+            scan = read_scan(reply)
+            assert scan.stamp_ms == 4_821_609
+            assert scan.distance_mm[0, :5].tolist() == [45, 48, 49, 50, 49]
+            assert scan.intensity[0, :4].tolist() == [1809, 1780, 1792, 1746]
+            assert (scan.intensity.min(), scan.intensity.max()) == (137, 16_219)
+            assert (scan.distance_mm.min(), scan.distance_mm.max()) == (45, 5856)
+            encoded += write_scan(scan)
+        else:
+            encoded += encode_reply(reply.echo, reply.status)
+    assert encoded == said
+    assert decoder.skipped_bytes == 0
+
+
+def recorded(shared, name):
+    """What the device said, in the pieces it was read in."""
+    for line in (shared / "captures" / "hokuyo" / name).read_text().splitlines():
+        message = json.loads(line)
+        if message["dir"] == "dev":
+            yield bytes.fromhex(message["hex"])
+
+
+GOOD = [wire for wire, _ in REPLIES] + [REAL_PP, write_scan(random_scan(1))]
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    wires=st.lists(st.sampled_from(GOOD), min_size=1, max_size=4),
+    flips=st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), max_size=6),
+    cut=st.integers(0, 10**6),
+    dropped=st.integers(0, 40),
+    chunk=st.integers(1, 4000),
+)
+def test_mutated_replies_raise_nothing_but_protocol_errors_and_the_next_good_one_is_read(
+    wires, flips, cut, dropped, chunk
+):
+    stream = bytearray(b"".join(wires))
+    for place, byte in flips:
+        stream[place % len(stream)] = byte
+    cut %= len(stream)
+    del stream[cut : cut + dropped]
+    stream += b"\n\n" + SCAN
+    decoder = ReplyDecoder()
+    replies = []
+    for start in range(0, len(stream), chunk):
+        replies += decoder.receive_data(bytes(stream[start : start + chunk]))
+    for reply in replies:
+        for read in (read_info, read_time, read_scan):
+            with contextlib.suppress(ProtocolError):
+                read(reply)
+    assert read_scan(replies[-1]).stamp_ms == random_scan(0).stamp_ms
+    assert len(decoder._buffer) == 0
