@@ -22,6 +22,7 @@ _COMMANDS = {
     "export": ("service.cli.sessions", "export"),
     "score": ("service.cli.sessions", "score"),
     "check": ("service.cli.upkeep", "check"),
+    "doctor": ("service.cli.upkeep", "doctor"),
     "warmup": ("service.cli.upkeep", "warmup"),
 }
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it

@@ -125,6 +125,17 @@ def _add_upkeep(commands: Any) -> None:
     check = _add(commands, "check", "validate a config; every fault with its place and what to write instead")
     _add_config(check)
 
+    doctor = _add(
+        commands, "doctor", "look at ports, rights, devices, clocks, disk, cache; what is wrong, what to do"
+    )
+    doctor.add_argument("config", type=Path, nargs="?", metavar="CONFIG.yaml")
+    doctor.add_argument(
+        "--seconds",
+        type=_positive,
+        metavar="S",
+        help="measure each device so long once it streams (default: 3)",
+    )
+
     recover = _add(commands, "recover", "a session whose writer died, to a valid MCAP")
     recover.add_argument("file", type=Path, metavar="FILE.mcap.active")
 

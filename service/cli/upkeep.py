@@ -1,6 +1,8 @@
-"""check, warmup: what one does before a drive."""
+"""check, doctor, warmup: what one does before a drive."""
 
 import argparse
+import logging
+import shutil
 import sys
 from pathlib import Path
 
@@ -31,6 +33,25 @@ def check(parsed: argparse.Namespace) -> int:
     else:
         print(f"{path}: ok")
     return ConfigError.exit_code if faults else 0
+
+
+def doctor(parsed: argparse.Namespace) -> int:
+    from service.offline.doctor.devices import Patience
+    from service.offline.doctor.examine import examine
+
+    logging.getLogger("drivers").setLevel(logging.ERROR)  # the report says it in its own words
+    patience = Patience() if parsed.seconds is None else Patience(measure_s=parsed.seconds)
+    report, exit_code = examine(parsed.config, patience=patience)
+    if parsed.json:
+        print_result(report.as_dict(), as_json=True)
+    else:
+        print(report.text(_width(), colour=sys.stdout.isatty()))
+    return exit_code
+
+
+def _width() -> int:
+    """Of the terminal; elsewhere what reads well in a log."""
+    return shutil.get_terminal_size((110, 24)).columns if sys.stdout.isatty() else 110
 
 
 def warmup(parsed: argparse.Namespace) -> int:

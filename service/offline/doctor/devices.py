@@ -1,0 +1,166 @@
+"""One sensor from the outside in: its wire, then its own session on it. Knows no type of sensor by name."""
+
+import errno
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from drivers.registry import SENSOR_KINDS, SensorKind
+from drivers.transport import SerialTransport, Transport
+from service.offline.doctor import verdict
+from service.offline.doctor.findings import Finding, fault, note
+from service.offline.doctor.machine import Machine
+from service.offline.doctor.network import call_failed, errno_of, look_at_route, resolve
+from service.offline.doctor.probe import Probe, listen, probe
+from service.offline.doctor.processes import Process
+from service.offline.doctor.serial_ports import busy_finding, look_at_port
+from service.offline.doctor.voices import recognise_sensor
+
+OTHER_SETTINGS_S = 4.0
+LISTEN_S = 0.6  # a stream of 10 messages a second shows itself in it
+MEASURE_S = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """How long a device is looked at. `start_up_s` None: as long as its type may take."""
+
+    measure_s: float = MEASURE_S
+    start_up_s: float | None = None
+    other_settings_s: float = OTHER_SETTINGS_S
+    listen_s: float = LISTEN_S
+
+
+@dataclass(frozen=True, slots=True)
+class TcpWire:
+    host: str
+    port: int
+
+
+@dataclass(frozen=True, slots=True)
+class PortWire:
+    device: str
+
+
+def wire_of(config: Any) -> TcpWire | PortWire | None:
+    """By the settings' names, which all types share: host and port, or device. None: another kind of wire."""
+    host, device = getattr(config, "host", None), getattr(config, "device", None)
+    if host is not None:
+        return TcpWire(host, config.port)
+    if device is None:
+        return None
+    scheme, separator, rest = device.partition("://")
+    if not separator:
+        return PortWire(device) if device.startswith(("/", ".")) or Path(device).exists() else None
+    name, _, port = rest.partition("?")[0].rpartition(":")
+    return TcpWire(name, int(port)) if scheme in ("socket", "rfc2217") and port.isdigit() else None
+
+
+def examine_sensor(
+    machine: Machine,
+    config: Any,
+    service: Process | None,
+    patience: Patience,
+    stop: threading.Event,
+) -> list[Finding]:
+    """All that can be said of one sensor, the cause before what follows from it.
+
+    service    the running service that holds this sensor, if there is one: then nothing is sent to it
+    """
+    kind, who, wire = SENSOR_KINDS[config.type], config.name, wire_of(config)
+    if service is not None:
+        return [
+            note(
+                who,
+                f"not looked at: {service} runs and uses it",
+                "its state stands in the service's health; stop the service to look at the device itself",
+            )
+        ]
+    found: list[Finding] = []
+    if isinstance(wire, PortWire):
+        port = look_at_port(machine, who, wire.device)
+        found += port.findings
+        if not port.can_be_opened:
+            return found
+    if isinstance(wire, TcpWire):
+        address, unknown = resolve(who, wire.host, wire.port)
+        blocking = unknown or look_at_route(machine, who, address, wire.port)
+        if blocking is not None:
+            return [blocking]
+    start_up_s = kind.advice.start_up_s if patience.start_up_s is None else patience.start_up_s
+    seen = _probe(kind, config, start_up_s, patience.measure_s, stop)
+    if not seen.opened:
+        return [*found, _not_opened(machine, who, wire, seen)]
+    return [*found, *_judge(kind, config, wire, seen, patience, stop)]
+
+
+def _probe(
+    kind: SensorKind,
+    config: Any,
+    start_up_s: float,
+    measure_s: float,
+    stop: threading.Event,
+    until_answered: bool = False,
+) -> Probe:
+    opening: Callable[[], Transport] = partial(kind.open_transport, config)
+    return probe(opening, kind.session_maker(config), start_up_s, measure_s, stop, until_answered)
+
+
+def _not_opened(machine: Machine, who: str, wire: TcpWire | PortWire | None, seen: Probe) -> Finding:
+    error = seen.error
+    assert error is not None
+    if isinstance(wire, TcpWire):
+        address, unknown = resolve(who, wire.host, wire.port)
+        return unknown or call_failed(machine, who, address, wire.port, error)
+    if isinstance(wire, PortWire) and errno_of(error) in (errno.EBUSY, errno.EAGAIN):
+        return busy_finding(who, wire.device, [])
+    measured, _, remedy = str(error).partition("; ")
+    return fault(who, measured, "an open wire", remedy or "see the device's page in docs/devices")
+
+
+def _judge(
+    kind: SensorKind,
+    config: Any,
+    wire: TcpWire | PortWire | None,
+    seen: Probe,
+    patience: Patience,
+    stop: threading.Event,
+) -> list[Finding]:
+    if seen.frames:
+        return verdict.streaming(kind, config, seen)
+    heard = bytes(seen.first_bytes)
+    if heard and (identity := _said_who_it_is(kind, config, seen)) and seen.error is None:
+        return [verdict.slow(config, seen, identity)]
+    if _is_known(kind, config, seen):
+        return [verdict.refused(config, seen)]
+    if isinstance(wire, PortWire):
+        for baud in _other_bauds(kind, config):
+            opening = partial(SerialTransport, wire.device, baud)
+            if words := recognise_sensor(listen(opening, patience.listen_s, stop), config.type):
+                return [verdict.wrong_baud(config, seen, baud, words)]
+    if not heard:
+        for other in kind.advice.other_settings(config):
+            answer = _probe(kind, other.config, patience.other_settings_s, 0.0, stop, until_answered=True)
+            if answer.frames or _said_who_it_is(kind, other.config, answer):
+                return [verdict.other_settings(config, seen, other.words, answer)]
+        return [verdict.silent(kind, config, seen)]
+    return [verdict.stranger(config, seen, isinstance(wire, PortWire))]
+
+
+def _said_who_it_is(kind: SensorKind, config: Any, seen: Probe) -> dict[str, str]:
+    """What the device itself added to the identity that a session begins with."""
+    at_first = kind.session_maker(config)().identity
+    return {key: text for key, text in seen.identity.items() if at_first.get(key) != text}
+
+
+def _is_known(kind: SensorKind, config: Any, seen: Probe) -> bool:
+    """Whether a device of this type is there, though it gives no frames."""
+    heard = bytes(seen.first_bytes)
+    return bool(_said_who_it_is(kind, config, seen) or kind.advice.recognise(heard))
+
+
+def _other_bauds(kind: SensorKind, config: Any) -> list[int]:
+    return [baud for baud in kind.advice.bauds if baud != getattr(config, "baud", None)]

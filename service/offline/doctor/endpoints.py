@@ -1,0 +1,61 @@
+"""Where Zenoh is to listen: free, taken by the service itself, or by somebody else."""
+
+import errno
+import re
+import socket
+
+from service.config import ServiceConfig
+from service.offline.doctor.findings import Finding, fault, note, ok
+from service.offline.doctor.machine import Machine
+from service.offline.doctor.processes import Process, listeners, running_services
+
+
+def look_at_zenoh(machine: Machine, config: ServiceConfig) -> tuple[list[Finding], Process | None]:
+    """A finding for each place to listen at, and the running service that holds one."""
+    found, service = [], None
+    for endpoint in config.publishing.listen:
+        finding, holder = _endpoint(machine, endpoint)
+        found.append(finding)
+        service = service or holder
+    return found, service
+
+
+def _endpoint(machine: Machine, endpoint: str) -> tuple[Finding, Process | None]:
+    parts = re.fullmatch(r"(tcp|udp|ws)/\[?([^\]]+?)\]?:(\d+)", endpoint)
+    if parts is None:
+        return ok("zenoh", f"{endpoint} is not tried"), None
+    host, port = parts[2], int(parts[3])
+    kind = socket.SOCK_DGRAM if parts[1] == "udp" else socket.SOCK_STREAM
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=kind, flags=socket.AI_PASSIVE)[0]
+        with socket.socket(family, kind) as trial:
+            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            trial.bind(address)
+            if kind == socket.SOCK_STREAM:
+                trial.listen(1)
+    except OSError as error:
+        return _taken(machine, endpoint, port, error)
+    return ok("zenoh", f"{endpoint} is free"), None
+
+
+def _taken(machine: Machine, endpoint: str, port: int, error: OSError) -> tuple[Finding, Process | None]:
+    if error.errno != errno.EADDRINUSE:
+        words = "this machine has no such address" if error.errno == errno.EADDRNOTAVAIL else str(error)
+        remedy = "change publishing.listen; tcp/[::]:7447 takes every address"
+        return fault("zenoh", f"cannot listen at {endpoint}: {words}", "a place to listen at", remedy), None
+    owners, _ = listeners(machine, port)
+    services = [owner for owner in owners if owner.is_service]
+    if not owners:
+        services = running_services(machine)  # another user's: the kernel shows its name, not its sockets
+    if services:
+        words = f"{services[0]} is the running service and listens at {endpoint}"
+        return note(
+            "zenoh", words, "devices are busy because of it; stop it to look at them, or read its health"
+        ), services[0]
+    held = " and ".join(map(str, owners)) or "another user's process, which only root sees"
+    return fault(
+        "zenoh",
+        f"{endpoint} is taken by {held}",
+        "a free port",
+        "stop that program, or change publishing.listen",
+    ), None

@@ -1,0 +1,70 @@
+"""`corridor doctor`: looks at everything, changes nothing on this machine, and says what is in the way."""
+
+import threading
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from service.config import ServiceConfig, load_config
+from service.errors import ConfigError
+from service.offline.doctor import endpoints, folders, host
+from service.offline.doctor.cache import look_at_cache
+from service.offline.doctor.devices import Patience, examine_sensor
+from service.offline.doctor.findings import Finding, Report, fault, ok
+from service.offline.doctor.machine import Machine
+
+
+def examine(
+    config_path: Path | None,
+    machine: Machine | None = None,
+    patience: Patience | None = None,
+) -> tuple[Report, int]:
+    """The report, and the exit code: 0 all good, 1 something needs mending, 78 the config is wrong.
+
+    Without a config the machine alone is looked at. The devices are looked at side by side, each for some
+    seconds; what is written to them is what the live driver writes at its start.
+    """
+    machine = machine or Machine()
+    general = [host.look_at_clock(machine), look_at_cache(machine)]
+    general += [host.look_at_rights(machine), host.look_at_unit(machine)]
+    if config_path is None:
+        report = Report("", tuple(general))
+        return report, report.exit_code
+    try:
+        config = load_config(config_path)
+    except ConfigError as error:
+        found = [_config_fault(text) for text in error.faults]
+        return Report(str(config_path), (*found, *general)), ConfigError.exit_code
+    report = Report(
+        str(config_path), (*_with_config(machine, config_path, config, patience or Patience()), *general)
+    )
+    return report, report.exit_code
+
+
+def _config_fault(text: str) -> Finding:
+    return fault("config", text, "", "mend it; corridor check says when it is right")
+
+
+def _with_config(
+    machine: Machine, path: Path, config: ServiceConfig, patience: Patience
+) -> Sequence[Finding]:
+    kinds = ", ".join(f"{name} ({sensor.type})" for name, sensor in config.sensors.items())
+    zenoh, service = endpoints.look_at_zenoh(machine, config)
+    stop = threading.Event()
+    with ThreadPoolExecutor(max_workers=len(config.sensors), thread_name_prefix="doctor") as workers:
+        try:
+            asked = [
+                workers.submit(examine_sensor, machine, sensor, service, patience, stop)
+                for sensor in config.sensors.values()
+            ]
+            devices = [finding for future in asked for finding in future.result()]
+        finally:
+            stop.set()  # Ctrl-C: let the devices go in good order
+    return (
+        ok("config", f"{path} is valid: vehicle {config.vehicle} with {kinds}"),
+        *devices,
+        *zenoh,
+        *folders.look_at_folders(machine, config),
+        folders.look_at_disk(machine, config),
+        *folders.look_at_leftovers(machine, config),
+    )

@@ -1,0 +1,109 @@
+"""What the doctor found, and how it is said."""
+
+import textwrap
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+Severity = Literal["ok", "note", "fault"]
+EXIT_CODES = {False: 0, True: 1}
+
+_LABELS: dict[Severity, str] = {"ok": "ok", "note": "note", "fault": "FAULT"}
+_COLOURS: dict[Severity, str] = {"ok": "\x1b[32m", "note": "\x1b[33m", "fault": "\x1b[1;31m"}
+_PLAIN = "\x1b[0m"
+_LABEL_WIDTH = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that was looked at. A note is worth knowing, a fault is in the way."""
+
+    severity: Severity
+    who: str  # a sensor's name, or the part of the machine: disk, clock, zenoh
+    measured: str
+    expected: str = ""  # "" where that is said already
+    remedy: str = ""  # "" where nothing has to be done
+    values: Mapping[str, float | str] = field(default_factory=dict)  # for programs: rate_hz, identity.serial
+
+
+def ok(who: str, measured: str, **values: float | str) -> Finding:
+    return Finding("ok", who, measured, values=values)
+
+
+def note(who: str, measured: str, remedy: str, expected: str = "") -> Finding:
+    return Finding("note", who, measured, expected, remedy)
+
+
+def fault(who: str, measured: str, expected: str, remedy: str) -> Finding:
+    return Finding("fault", who, measured, expected, remedy)
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """All findings of one look. `config` is the file's name, "" where none was given."""
+
+    config: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        found = Counter(finding.severity for finding in self.findings)
+        return {severity: found[severity] for severity in _LABELS}
+
+    @property
+    def exit_code(self) -> int:
+        """1 where something needs mending; a note does not."""
+        return EXIT_CODES[self.counts["fault"] > 0]
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        findings = [
+            {
+                "severity": finding.severity,
+                "who": finding.who,
+                "measured": finding.measured,
+                "expected": finding.expected,
+                "remedy": finding.remedy,
+                "values": dict(finding.values),
+            }
+            for finding in self.findings
+        ]
+        return {"config": self.config, "ok": self.exit_code == 0, **self.counts, "findings": findings}
+
+    def text(self, width: int = 110, colour: bool = False) -> str:
+        """Aligned lines for people; `colour` only where a terminal reads them."""
+        name_width = max((len(finding.who) for finding in self.findings), default=0) + 2
+        lines = [line for finding in self.findings for line in _lines(finding, name_width, width, colour)]
+        return "\n".join([*lines, "", self._summary()])
+
+    def _summary(self) -> str:
+        counts = self.counts
+        if not counts["fault"]:
+            return f"nothing to mend: {counts['ok']} ok" + _counted(counts["note"], "note")
+        return f"{counts['ok']} ok" + _counted(counts["note"], "note") + _counted(counts["fault"], "fault")
+
+
+def _counted(count: int, word: str) -> str:
+    return f", {count} {word}{'' if count == 1 else 's'}" if count else ""
+
+
+def _lines(finding: Finding, name_width: int, width: int, colour: bool) -> Sequence[str]:
+    label = _LABELS[finding.severity].ljust(_LABEL_WIDTH)
+    if colour:
+        label = _COLOURS[finding.severity] + label + _PLAIN
+    indent = " " * (_LABEL_WIDTH + name_width)
+    room = max(width - len(indent), 40)
+    paragraphs = [finding.measured]
+    if finding.expected:
+        paragraphs.append(f"expected: {finding.expected}")
+    if finding.remedy:
+        paragraphs.append(f"to do: {finding.remedy}")
+    wrapped = [
+        line
+        for paragraph in paragraphs
+        for line in textwrap.wrap(
+            paragraph, room, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+        )
+    ]
+    return [label + finding.who.ljust(name_width) + wrapped[0], *(indent + line for line in wrapped[1:])]

@@ -1,0 +1,177 @@
+"""A device on the network: the way to it before it is called, and why a call failed, in words."""
+
+import errno
+import ipaddress
+import socket
+from dataclasses import dataclass
+
+from service.offline.doctor.findings import Finding, fault
+from service.offline.doctor.machine import Machine
+
+_UP, _GATEWAY = 0x1, 0x2  # flags in /proc/net/route
+_ARP_COMPLETE = 0x2
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """The way this machine takes to an address; `gateway` is "" within the interface's own net."""
+
+    interface: str
+    gateway: str
+    has_carrier: bool  # False where the kernel knows that the cable is out
+
+
+def resolve(who: str, host: str, port: int) -> tuple[str, Finding | None]:
+    """The address of a host's name, or a fault."""
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    except (socket.gaierror, UnicodeError) as error:
+        return "", fault(
+            who,
+            f"the name {host} has no address: {error}",
+            "an address, or a name this machine knows",
+            "write the device's address as `host`, or the name into /etc/hosts",
+        )
+    return str(family[0][4][0]), None
+
+
+def route_to(machine: Machine, address: str) -> Route | None:
+    """By the kernel's table; None where no line of it fits. IPv4 alone: other addresses look direct."""
+    target = ipaddress.ip_address(address)
+    if target.is_loopback or target.version != 4:
+        return Route("lo", "", True)
+    best: tuple[int, Route] | None = None
+    for line in machine.text("/proc/net/route").splitlines()[1:]:
+        interface, network, gateway, flags, *_, mask = line.split()[:8]
+        length = int.from_bytes(bytes.fromhex(mask), "little").bit_count()
+        if not int(flags, 16) & _UP or not _matches(target, network, mask):
+            continue
+        if best is None or length > best[0]:
+            by = str(_address(gateway)) if int(flags, 16) & _GATEWAY else ""
+            best = (length, Route(interface, by, _has_carrier(machine, interface)))
+    return best[1] if best else None
+
+
+def look_at_route(machine: Machine, who: str, address: str, port: int) -> Finding | None:
+    """A fault where this machine has no way to the address, or a way without a cable."""
+    if not machine.text("/proc/net/route"):
+        return None  # no table to be seen: the call itself will tell
+    route = route_to(machine, address)
+    if route is None:
+        return fault(
+            who,
+            f"this machine has no route to {address}; {_own_addresses(machine)}",
+            "an interface with an address in the device's net",
+            f"sudo ip addr add {_neighbour(address)}/24 dev <interface at the device's cable>",
+        )
+    if not route.has_carrier:
+        return fault(
+            who,
+            f"the way to {address} is {route.interface}, and nothing is plugged in there (no carrier)",
+            "a link",
+            "look at the cable, the switch and the device's supply",
+        )
+    return None
+
+
+def call_failed(machine: Machine, who: str, address: str, port: int, error: Exception) -> Finding:
+    """Why a TCP connection did not come about; `error` is what the transport raised."""
+    number = errno_of(error)
+    where = f"{address}:{port}"
+    if number == errno.ECONNREFUSED:
+        return fault(
+            who,
+            f"{address} is there, but nothing listens at port {port} (connection refused)",
+            f"the device at port {port}",
+            "just switched on: wait; else is `port` right, is `host` really this device?",
+        )
+    if number in (errno.ENETUNREACH, errno.EADDRNOTAVAIL):
+        return fault(
+            who,
+            f"this machine has no route to {address}; {_own_addresses(machine)}",
+            "an interface with an address in the device's net",
+            f"sudo ip addr add {_neighbour(address)}/24 dev <interface>",
+        )
+    if number == errno.ECONNRESET:
+        return fault(
+            who,
+            f"{where} accepts and hangs up at once",
+            "the device to talk to us",
+            "it serves another host or program: end that one; after a broken connection wait a minute",
+        )
+    if number in (errno.EHOSTUNREACH, errno.ETIMEDOUT) or isinstance(error.__cause__, TimeoutError):
+        return _nobody_there(machine, who, address, port)
+    return fault(
+        who,
+        f"cannot connect to {where}: {error.__cause__ or error}",
+        "a connection",
+        "look at host, port and the cable",
+    )
+
+
+def _nobody_there(machine: Machine, who: str, address: str, port: int) -> Finding:
+    route = route_to(machine, address)
+    if route is not None and route.gateway:
+        return fault(
+            who,
+            f"no answer from {address}; the way there leads over {route.interface} and the gateway "
+            f"{route.gateway}, for {_own_addresses(machine)}",
+            "an interface in the device's own net",
+            f"sudo ip addr add {_neighbour(address)}/24 dev <interface at the device's cable>",
+        )
+    on = f" on {route.interface}" if route else ""
+    if _arp_answered(machine, address) is False:
+        measured = f"nobody has the address {address}{on} (no answer to ARP)"
+    else:
+        measured = f"no answer from {address} at port {port}{on}"
+    return fault(
+        who,
+        measured,
+        "the device to answer within 3 s",
+        "is it switched on, is the cable in, has it another address? a firewall looks like this too",
+    )
+
+
+def errno_of(error: Exception) -> int | None:
+    """The system's number behind an error of a transport, None where there is none."""
+    cause = error.__cause__ if isinstance(error.__cause__, OSError) else error
+    return cause.errno if isinstance(cause, OSError) else None
+
+
+def _arp_answered(machine: Machine, address: str) -> bool | None:
+    """None where the kernel's table has no word of it."""
+    for line in machine.text("/proc/net/arp").splitlines()[1:]:
+        fields = line.split()
+        if fields[0] == address:
+            return bool(int(fields[2], 16) & _ARP_COMPLETE)
+    return None
+
+
+def _own_addresses(machine: Machine) -> str:
+    nets = []
+    for line in machine.text("/proc/net/route").splitlines()[1:]:
+        interface, network, _, flags, *_, mask = line.split()[:8]
+        if int(flags, 16) & _GATEWAY or network == "00000000":
+            continue
+        length = int.from_bytes(bytes.fromhex(mask), "little").bit_count()
+        nets.append(f"{_address(network)}/{length} on {interface}")
+    return "its own nets are " + ", ".join(nets) if nets else "it is in no net of its own"
+
+
+def _has_carrier(machine: Machine, interface: str) -> bool:
+    return machine.text(f"/sys/class/net/{interface}/carrier") != "0"
+
+
+def _matches(target: ipaddress.IPv4Address | ipaddress.IPv6Address, network: str, mask: str) -> bool:
+    bits = int.from_bytes(bytes.fromhex(mask), "little")
+    return int(target) & bits == int(_address(network))
+
+
+def _address(little_endian_hex: str) -> ipaddress.IPv4Address:
+    return ipaddress.IPv4Address(int.from_bytes(bytes.fromhex(little_endian_hex), "little"))
+
+
+def _neighbour(address: str) -> str:
+    """A free-looking address in the same /24, for an example."""
+    head, _, last = address.rpartition(".")
+    return f"{head}.{'200' if last != '200' else '201'}" if head else address

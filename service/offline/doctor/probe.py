@@ -1,0 +1,160 @@
+"""Runs a sensor's own session for some seconds and keeps what came of it.
+
+It does what the live driver does on the first connection, and nothing more: the session says what is written.
+"""
+
+import statistics
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from drivers.errors import DriverError, TransportError
+from drivers.frames import Frame
+from drivers.link import Session
+from drivers.transport import Transport
+
+READ_TIMEOUT_S = 0.02  # as drivers.link has it
+KEPT_BYTES = 16_384
+TALK_S = 0.3  # how long the answer is read that shows that somebody understands us
+
+
+@dataclass(slots=True)
+class Probe:
+    """What one wire did while it was looked at. Times are the host's monotonic clock."""
+
+    error: DriverError | None = None
+    opened: bool = False
+    first_bytes: bytearray = field(default_factory=bytearray)
+    bytes_read: int = 0
+    bytes_written: int = 0
+    stamps_ns: list[int] = field(default_factory=list)
+    arrivals_ns: list[int] = field(default_factory=list)
+    status: str = ""
+    identity: dict[str, str] = field(default_factory=dict)
+    counters_at_first: Counter[str] = field(default_factory=Counter)
+    counters: Counter[str] = field(default_factory=Counter)
+    clock_offset_ns: int | None = None
+    seconds: float = 0.0  # from the open wire to the end
+
+    @property
+    def frames(self) -> int:
+        return len(self.stamps_ns)
+
+    @property
+    def rate_hz(self) -> float | None:
+        """By the stamps, which are free of the wire's bunching; None below three frames."""
+        span_ns = self.stamps_ns[-1] - self.stamps_ns[0] if self.frames >= 3 else 0
+        return (self.frames - 1) * 1e9 / span_ns if span_ns > 0 else None
+
+    @property
+    def arrival_rate_hz(self) -> float | None:
+        """Frames a second that really came; None below three frames."""
+        span_ns = self.arrivals_ns[-1] - self.arrivals_ns[0] if self.frames >= 3 else 0
+        return (self.frames - 1) * 1e9 / span_ns if span_ns > 0 else None
+
+    @property
+    def delay_ms(self) -> tuple[float, float] | None:
+        """Median and largest time from a frame's stamp to its arrival."""
+        if not self.frames:
+            return None
+        delays = [(a - s) / 1e6 for s, a in zip(self.stamps_ns, self.arrivals_ns, strict=True)]
+        return statistics.median(delays), max(delays)
+
+    @property
+    def losses(self) -> dict[str, int]:
+        """What the session counted since the first frame and did not count among the good."""
+        since = self.counters - self.counters_at_first
+        return {name: count for name, count in sorted(since.items()) if _is_loss(name)}
+
+
+_LOSSES = (
+    *("missed", "malformed", "checksum", "skipped", "cut", "truncated", "damaged", "fault", "failure"),
+    *("duplicate", "repeated", "out_of_order", "not_as_configured", "unreadable", "reset", "restart"),
+)
+
+
+def _is_loss(counter: str) -> bool:
+    return any(word in counter for word in _LOSSES)
+
+
+def probe(
+    open_transport: Callable[[], Transport],
+    new_session: Callable[[], Session],
+    start_up_s: float,
+    measure_s: float,
+    stop: threading.Event,
+    until_answered: bool = False,
+) -> Probe:
+    """Open, talk until the first frame (start_up_s at most), measure for measure_s, part in good order.
+
+    until_answered    end as soon as the session knows who is there: enough to see that settings fit
+    """
+    seen = Probe()
+    try:
+        with open_transport() as transport:
+            seen.opened = True
+            _talk(seen, transport, new_session(), start_up_s, measure_s, stop, until_answered)
+    except DriverError as error:
+        seen.error = error
+    return seen
+
+
+def _talk(
+    seen: Probe,
+    transport: Transport,
+    session: Session,
+    start_up_s: float,
+    measure_s: float,
+    stop: threading.Event,
+    until_answered: bool,
+) -> None:
+    began_s = time.monotonic()
+    known = dict(session.identity)
+    end_s = began_s + start_up_s
+    try:
+        while not stop.is_set() and time.monotonic() < end_s:
+            frames = _step(seen, transport, session)
+            if frames and not seen.frames:
+                seen.counters_at_first = Counter(session.counters)
+                end_s = time.monotonic() + measure_s
+            for frame in frames:
+                seen.stamps_ns.append(frame.stamp_ns)
+                seen.arrivals_ns.append(frame.arrived_ns)
+            if until_answered and (frames or session.identity != known):
+                end_s = min(end_s, time.monotonic() + TALK_S)
+        if last_words := session.farewell():
+            transport.write(last_words)
+    finally:
+        seen.seconds = time.monotonic() - began_s
+        seen.status, seen.identity = session.status, dict(session.identity)
+        seen.counters, seen.clock_offset_ns = Counter(session.counters), session.clock_offset_ns
+
+
+def _step(seen: Probe, transport: Transport, session: Session) -> list[Frame]:
+    session.tick(time.monotonic_ns())
+    if session.outbox:
+        seen.bytes_written += len(session.outbox)
+        transport.write(bytes(session.outbox))
+        session.outbox.clear()
+    data = transport.read(READ_TIMEOUT_S)
+    if not data:
+        return []
+    arrived_ns = time.monotonic_ns()
+    seen.bytes_read += len(data)
+    seen.first_bytes += data[: KEPT_BYTES - len(seen.first_bytes)]
+    return list(session.receive_data(data, arrived_ns))
+
+
+def listen(open_transport: Callable[[], Transport], seconds: float, stop: threading.Event) -> bytes:
+    """What comes by itself; nothing is written. b"" also where the wire cannot be opened."""
+    heard = bytearray()
+    try:
+        with open_transport() as transport:
+            end_s = time.monotonic() + seconds
+            while len(heard) < KEPT_BYTES and time.monotonic() < end_s and not stop.is_set():
+                heard += transport.read(READ_TIMEOUT_S)
+    except TransportError:
+        pass
+    return bytes(heard[:KEPT_BYTES])

@@ -1,0 +1,81 @@
+"""Who runs on this machine and holds what, from /proc. Other users' processes show only their name."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from service.offline.doctor.machine import Machine
+
+_LISTENING = "0A"  # state in /proc/net/tcp
+_LIVE_COMMANDS = ("run", "demo")
+
+
+@dataclass(frozen=True, slots=True)
+class Process:
+    number: int
+    name: str
+    arguments: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return f"{self.name} (process {self.number})"
+
+    @property
+    def is_service(self) -> bool:
+        """Whether this is `corridor run` or `corridor demo`, by whatever path it was started."""
+        for at, argument in enumerate(self.arguments[:-1]):
+            if Path(argument).name == "corridor" and self.arguments[at + 1] in _LIVE_COMMANDS:
+                return True
+        return False
+
+
+def processes(machine: Machine) -> Iterator[Process]:
+    for folder in sorted(machine.path("/proc").glob("[0-9]*")):
+        if (process := _read(folder)) is not None:
+            yield process
+
+
+def named(machine: Machine, *names: str) -> list[Process]:
+    """Processes of one of these names. The kernel keeps the first 15 characters of a name."""
+    short = {name[:15] for name in names}
+    return [process for process in processes(machine) if process.name in short]
+
+
+def running_services(machine: Machine) -> list[Process]:
+    return [process for process in processes(machine) if process.is_service]
+
+
+def holders(machine: Machine, path: Path) -> list[Process]:
+    """Processes that have this file or device open, as far as we may look; `path` without links in it."""
+    return _with_descriptor(machine, {str(path), str(machine.path(path))})
+
+
+def listeners(machine: Machine, port: int) -> tuple[list[Process], bool]:
+    """Processes that listen at a TCP port, as far as we may look, and whether anybody does."""
+    sockets = set()
+    for table in ("tcp", "tcp6"):
+        for line in machine.text(f"/proc/net/{table}").splitlines()[1:]:
+            fields = line.split()
+            if int(fields[1].rpartition(":")[2], 16) == port and fields[3] == _LISTENING:
+                sockets.add(f"socket:[{fields[9]}]")
+    return _with_descriptor(machine, sockets), bool(sockets)
+
+
+def _with_descriptor(machine: Machine, targets: set[str]) -> list[Process]:
+    found = []
+    for folder in sorted(machine.path("/proc").glob("[0-9]*")) if targets else ():
+        try:
+            held = any(str(descriptor.readlink()) in targets for descriptor in (folder / "fd").iterdir())
+        except OSError:
+            continue  # gone meanwhile, or another user's
+        if held and (process := _read(folder)) is not None:
+            found.append(process)
+    return found
+
+
+def _read(folder: Path) -> Process | None:
+    try:
+        name = (folder / "comm").read_text(errors="replace").strip()
+        arguments = (folder / "cmdline").read_bytes().decode("utf-8", "replace").split("\0")
+    except OSError:
+        return None
+    return Process(int(folder.name), name, tuple(argument for argument in arguments if argument))

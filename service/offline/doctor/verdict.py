@@ -1,0 +1,174 @@
+"""From what a probe saw to findings: one function for each way a device can disappoint, one for success."""
+
+from typing import Any
+
+from drivers.errors import DeviceError
+from drivers.registry import SensorKind
+from service.offline.doctor.findings import Finding, fault, note, ok
+from service.offline.doctor.probe import Probe
+from service.offline.doctor.voices import describe, recognise_sensor, recognise_stranger
+
+RATE_SHARE = 0.95  # of the configured rate; motors turn up to 1 % slower than they say
+STAMP_AHEAD_MS = 0.5  # jitter of the estimate; more is a wrong latency setting
+
+
+def streaming(kind: SensorKind, config: Any, seen: Probe) -> list[Finding]:
+    """It works; what is still wrong stands behind."""
+    found = [_success(kind, config, seen)]
+    if doubt := kind.advice.doubt(config, seen.identity) or _other_unit(config, seen):
+        measured, _, remedy = doubt.partition("; ")
+        found.append(
+            fault(config.name, measured, "the device that the config means", remedy or _page(config))
+        )
+    if seen.error is not None:
+        measured, _, remedy = str(seen.error).partition("; ")
+        found.append(
+            fault(
+                config.name,
+                f"after {seen.frames} frames: {measured}",
+                "a steady stream",
+                remedy or _page(config),
+            )
+        )
+    elif slow := _slow_rate(kind, config, seen):
+        found.append(slow)
+    for part in seen.status.split("; ")[1:]:
+        if any(word in part for word in kind.advice.worries):
+            found.append(fault(config.name, f"the device reports: {part}", "no complaint", _page(config)))
+    if losses := seen.losses:
+        counted = ", ".join(f"{name} {count}" for name, count in losses.items())
+        found.append(
+            note(config.name, f"while it streamed: {counted}", f"{_page(config)} says what is counted")
+        )
+    if (delay := seen.delay_ms) and delay[0] < -STAMP_AHEAD_MS:
+        found.append(
+            fault(
+                config.name,
+                f"stamps lie {-delay[0]:.1f} ms after the arrival of the frame",
+                "before it: a message is measured before it comes",
+                "make its latency setting larger",
+            )
+        )
+    return found
+
+
+def _success(kind: SensorKind, config: Any, seen: Probe) -> Finding:
+    rate_hz, delay = seen.arrival_rate_hz, seen.delay_ms
+    parts = [f"{rate_hz:.1f} frames/s" if rate_hz else f"{seen.frames} frames"]
+    if seen.identity:
+        parts.append(", ".join(f"{key} {text}" for key, text in seen.identity.items()))
+    parts += seen.status.split("; ")[1:]
+    values: dict[str, float | str] = {f"identity.{key}": text for key, text in seen.identity.items()}
+    values |= {"frames": seen.frames, "kilobytes": round(seen.bytes_read / 1e3, 1), "status": seen.status}
+    if rate_hz:
+        values["rate_hz"] = round(rate_hz, 2)
+    if delay:
+        values |= {"delay_ms_p50": round(delay[0], 3), "delay_ms_max": round(delay[1], 3)}
+        parts.append(f"stamped {delay[0]:.1f} ms before arrival, at most {delay[1]:.1f} ms")
+    if seen.clock_offset_ns is not None:
+        values["clock_offset_ms"] = round(seen.clock_offset_ns / 1e6, 3)
+        parts.append("its clock is known")
+    values |= {f"count.{name}": count for name, count in sorted(seen.counters.items())}
+    return ok(config.name, f"{config.type} streams: {'; '.join(parts)}", **values)
+
+
+def _slow_rate(kind: SensorKind, config: Any, seen: Probe) -> Finding | None:
+    wanted_hz, rate_hz = kind.advice.rate_hz(config), seen.arrival_rate_hz
+    if wanted_hz is None or rate_hz is None or rate_hz >= RATE_SHARE * wanted_hz:
+        return None
+    made_hz = seen.rate_hz
+    if made_hz is not None and made_hz < RATE_SHARE * wanted_hz and not seen.losses:
+        remedy = "the device itself is slower than the config: has somebody else set it, can this type do it?"
+    else:
+        remedy = "frames are lost on the way: look at the cable, the network's load, and this machine's"
+    return fault(config.name, f"{rate_hz:.1f} frames/s", f"{wanted_hz:g} frames/s as configured", remedy)
+
+
+def _other_unit(config: Any, seen: Probe) -> str:
+    wanted, found = getattr(config, "serial_number", None), seen.identity.get("serial")
+    if wanted is None or found is None or str(wanted).casefold() == found.casefold():
+        return ""
+    return f"this is unit {found}, expected {wanted}; are two sensors swapped?"
+
+
+def slow(config: Any, seen: Probe, identity: dict[str, str]) -> Finding:
+    """It answers, and has not come to its first frame in time."""
+    return fault(
+        config.name,
+        f"{_identity(identity)} answers, but no frame in {seen.seconds:.0f} s; it is at: {seen.status}",
+        "the first frame by then",
+        f"look again in a minute: it may be starting or taking over new settings; {_page(config)}",
+    )
+
+
+def refused(config: Any, seen: Probe) -> Finding:
+    """It is the right type, and something keeps it from streaming."""
+    if seen.error is None:
+        return fault(
+            config.name,
+            f"a {config.type} is there, but no frame in {seen.seconds:.0f} s; it is at: {seen.status}",
+            "frames",
+            _page(config),
+        )
+    measured, _, remedy = str(seen.error).partition("; ")
+    expected = "a device that does what it is asked" if isinstance(seen.error, DeviceError) else "frames"
+    return fault(config.name, measured, expected, remedy or _page(config))
+
+
+def silent(kind: SensorKind, config: Any, seen: Probe) -> Finding:
+    measured = (
+        f"the wire is open, {seen.bytes_written} bytes were sent, and nothing came in {seen.seconds:.0f} s"
+    )
+    if seen.error is not None and "closed the connection" in str(seen.error):
+        measured = "accepts and hangs up without a word"
+    return fault(config.name, measured, f"a {config.type} to answer", kind.advice.silence)
+
+
+def other_settings(config: Any, seen: Probe, words: str, answer: Probe) -> Finding:
+    return fault(
+        config.name,
+        f"nothing answers as configured, but with {words} a device does: {_identity(answer.identity)}",
+        f"an answer with the config's own settings, within {seen.seconds:.0f} s",
+        f"write {words}",
+    )
+
+
+def wrong_baud(config: Any, seen: Probe, baud: int, words: str) -> Finding:
+    return fault(
+        config.name,
+        f"noise at {config.baud} baud, while {words} speaks at {baud}"
+        if seen.bytes_read
+        else f"silent at {config.baud} baud, while {words} speaks at {baud}",
+        f"messages at {config.baud} baud, as configured",
+        f"write baud: {baud}, or set the device to {config.baud}",
+    )
+
+
+def stranger(config: Any, seen: Probe, is_serial: bool) -> Finding:
+    """Something talks, and it is no device of this type."""
+    heard = bytes(seen.first_bytes)
+    words = describe(heard)
+    expected = f"messages of a {config.type}"
+    if recognise_sensor(heard):
+        return fault(
+            config.name, f"{words} answers here", expected, "wrong `type`, or two sensors' wires are swapped"
+        )
+    if recognise_stranger(heard) or not is_serial:
+        where = "device" if is_serial else "host and port"
+        return fault(config.name, f"wrong protocol: {words}", expected, f"is {where} right? {_page(config)}")
+    baud = getattr(config, "baud", None)
+    at = f"at {baud} baud " if baud else ""
+    return fault(
+        config.name,
+        f"{at}only noise comes: {words}",
+        expected,
+        f"is it the right port, is baud right, do levels (RS-232, TTL) and ground fit? {_page(config)}",
+    )
+
+
+def _identity(identity: dict[str, str]) -> str:
+    return ", ".join(f"{key} {text}" for key, text in identity.items()) or "it"
+
+
+def _page(config: Any) -> str:
+    return f"docs/devices/{config.type}.md"
