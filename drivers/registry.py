@@ -8,6 +8,13 @@ from typing import Any
 from pydantic import BaseModel
 
 from drivers.advice import NO_ADVICE, Advice
+from drivers.hokuyo_utm30lx.advice import ADVICE as UTM30LX_ADVICE
+from drivers.hokuyo_utm30lx.config import HokuyoUtm30lxConfig
+from drivers.hokuyo_utm30lx.driver import HokuyoUtm30lxSession
+from drivers.hokuyo_utm30lx.port import open_port as open_utm30lx_port
+from drivers.ibeo_lux.advice import ADVICE as IBEO_LUX_ADVICE
+from drivers.ibeo_lux.config import IbeoLuxConfig
+from drivers.ibeo_lux.driver import IbeoLuxSession
 from drivers.irobot_create.advice import ADVICE as IROBOT_CREATE_ADVICE
 from drivers.irobot_create.config import IrobotCreateConfig
 from drivers.irobot_create.driver import session_maker as irobot_create_session_maker
@@ -40,7 +47,16 @@ SENSOR_KINDS: dict[str, SensorKind] = {
         lambda c: partial(Lms100Session, c),
         LMS100_ADVICE,
     ),
+    "hokuyo_utm30lx": SensorKind(
+        HokuyoUtm30lxConfig, open_utm30lx_port, lambda c: partial(HokuyoUtm30lxSession, c), UTM30LX_ADVICE
+    ),
     "irobot_create": SensorKind(
         IrobotCreateConfig, open_irobot_create_port, irobot_create_session_maker, IROBOT_CREATE_ADVICE
+    ),
+    "ibeo_lux": SensorKind(
+        IbeoLuxConfig,
+        lambda c: TcpTransport(c.host, c.port),
+        lambda c: partial(IbeoLuxSession, c),
+        IBEO_LUX_ADVICE,
     ),
 }

@@ -28,7 +28,7 @@ class HokuyoUtm30lxConfig(BaseModel):
     stamp_moment: Literal["first_step", "rear"] = "first_step"  # what the device stamps; see its page in docs
     range_min_m: float = Field(default=0.1, ge=0.0, le=5.0)
     range_max_m: float = Field(default=30.0, gt=0.0, le=262.0)
-    latency_us: int = Field(default=0, ge=-50_000, le=50_000)  # from calibration; makes stamps earlier
+    latency_ms: float = Field(default=0.0, ge=-50.0, le=50.0)  # from calibration; makes stamps earlier
     silence_timeout_s: float = Field(default=2.0, ge=0.5, le=60.0)  # without a scan the link is made anew
     mounting: Mounting = Mounting()
 

@@ -208,7 +208,7 @@ class HokuyoUtm30lxSession:
         self._count("clock_resets", clock.resets)
         step_ns = clock.period_ns / (1 + request.skip) / geometry.steps_per_turn
         first_beam_ns = (geometry.first_beam_step(request) - self._stamped_step(geometry)) * step_ns
-        stamp_ns = moment_ns + round(first_beam_ns) - self._config.latency_us * 1_000
+        stamp_ns = moment_ns + round(first_beam_ns) - round(self._config.latency_ms * 1e6)
         if self._last_stamp_ns is not None and clock.resets == resets:
             since_ns = stamp_ns - self._last_stamp_ns
             if since_ns <= 0:

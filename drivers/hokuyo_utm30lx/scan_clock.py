@@ -170,8 +170,8 @@ class ScanClock:
 
 
 def _edge_below(x: Stamps, y: Stamps) -> tuple[int, int]:
-    """Ends of that edge of the points' lower convex hull which spans the mean of x: of all lines below the points
-    the one with the least sum of distances. x (N,) ascending, y (N,); indices into both.
+    """Ends of that edge of the points' lower convex hull which spans the mean of x: of all lines below the
+    points the one with the least sum of distances. x (N,) ascending, y (N,); indices into both.
     """
     middle = float(x.mean())
     flat = (

@@ -1,9 +1,30 @@
-"""Settings that a device could never follow die at the start, with words."""
+"""The example is valid; settings that a device could never follow die at the start, with words."""
+
+from pathlib import Path
 
 import pytest
+import yaml
 from pydantic import ValidationError
 
+from drivers.hokuyo_utm30lx.advice import ADVICE
+from drivers.hokuyo_utm30lx.config import HokuyoUtm30lxConfig
+from drivers.registry import SENSOR_KINDS
 from tests.drivers.utm30lx import config
+
+EXAMPLE = yaml.safe_load((Path(__file__).parents[2] / "config/sensors/hokuyo_utm30lx.yaml").read_text())
+
+
+def test_example_is_valid_and_shows_every_key_with_its_default():
+    assert set(EXAMPLE) == set(HokuyoUtm30lxConfig.model_fields) - {"name"}
+    assert HokuyoUtm30lxConfig(name="rear", **EXAMPLE) == config(device=EXAMPLE["device"])
+
+
+def test_the_registry_knows_the_sensor_by_its_type():
+    kind = SENSOR_KINDS[EXAMPLE["type"]]
+    assert kind.config is HokuyoUtm30lxConfig
+    assert kind.advice is ADVICE
+    sessions = kind.session_maker(config())
+    assert sessions() is not sessions()
 
 
 @pytest.mark.parametrize(
@@ -39,3 +60,19 @@ def test_settings_no_device_can_follow_are_refused(changes, complaint):
 )
 def test_the_stream_asked_for_holds_what_is_wanted_and_no_more(changes, command):
     assert config(**changes).scan_command == command
+
+
+def test_the_doctor_knows_the_rate_the_voice_and_the_name():
+    assert ADVICE.rate_hz(config()) == 40.0
+    assert ADVICE.rate_hz(config(skip_scans=3)) == 10.0
+    assert "SCIP" in ADVICE.recognise(b"noise\nQT\n00P\n\n")
+    for stranger in (
+        b"",
+        b"\x02sRA SCdevicestate 1\x03",
+        b"HTTP/1.1 200 OK\r\n\r\n",
+        b"QT\n00Q\n\n",
+        b"\n" * 16_384,
+    ):
+        assert ADVICE.recognise(stranger) == ""
+    assert ADVICE.doubt(config(), {"product": "UTM-30LX-EW"}) == ADVICE.doubt(config(), {}) == ""
+    assert "URG-04LX, expected a UTM-30LX" in ADVICE.doubt(config(), {"product": "URG-04LX"})

@@ -92,7 +92,7 @@ def test_a_device_that_stamps_the_rear_is_understood():
 def test_latency_from_calibration_makes_stamps_earlier():
     setup = Utm30lxSetup(motor_speed=25.0 / 25.05)
     plain, _, _ = stamp_errors(setup, prompt(3), 4.0)
-    early, _, _ = stamp_errors(setup, prompt(3), 4.0, latency_us=2_500)
+    early, _, _ = stamp_errors(setup, prompt(3), 4.0, latency_ms=2.5)
     np.testing.assert_allclose(plain - early, 2.5, atol=1e-6)
 
 

@@ -1,0 +1,39 @@
+"""What the doctor should know of the UTM-30LX: how it speaks, what it calls itself, why it may be silent."""
+
+from collections.abc import Mapping
+
+from drivers.advice import Advice
+from drivers.hokuyo_utm30lx.config import HokuyoUtm30lxConfig
+from drivers.hokuyo_utm30lx.protocol import ReplyDecoder
+
+FULL_RATE_HZ = 40.0
+NAME = "UTM-30LX"
+
+
+def rate_hz(config: HokuyoUtm30lxConfig) -> float:
+    return FULL_RATE_HZ / (1 + config.skip_scans)
+
+
+def recognise(data: bytes) -> str:
+    replies = ReplyDecoder().receive_data(data)
+    return "a Hokuyo laser that speaks SCIP" if replies else ""
+
+
+def doubt(config: HokuyoUtm30lxConfig, identity: Mapping[str, str]) -> str:
+    """PROD of the USB unit ends in UTM-30LX, that of the Ethernet unit is UTM-30LX-EW."""
+    product = identity.get("product", "")
+    if not product or NAME in product:
+        return ""
+    where = config.device or config.host
+    return f"it calls itself {product}, expected a {NAME}; is {where} the right laser?"
+
+
+ADVICE = Advice(
+    rate_hz=rate_hz,
+    recognise=recognise,
+    doubt=doubt,
+    worries=("stopped", "trouble", "Trouble", "error", "Error", "nstable"),
+    start_up_s=15.0,
+    silence="just switched on it needs some seconds; does it have 12 V and 1 A, does its lamp blink? another "
+    "program may hold it: ModemManager opens every /dev/ttyACM*, an Ethernet unit takes one client alone",
+)
