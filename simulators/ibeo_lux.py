@@ -1,0 +1,488 @@
+"""A pretended IBEO LUX: the other end of drivers.ibeo_lux. No I/O.
+
+It measures from power-up, whether somebody listens or not, answers every command but Reset, and has the
+habits of the real one: label bits set at random where the labelling did not run, two of the four layers
+missing at the rims of the field, silence for odd angles, refusal of what its firmware does not know, a clock
+that counts from power-up until it is set and drifts. The points a scan agree with a real one: 742 from 50 to
+-50 deg, where an LD-MRS announced 740 (SICKAG/sick_scan_xd, tools/test_server/config/test_server_ldmrs.yaml).
+
+Assumed, as no source tells: which two layers remain at the right rim (the upper ones), and the sectors of the
+focused resolution (0.125 deg within 10 deg of straight ahead, 0.25 within 30, 0.5 beyond).
+"""
+
+import math
+import struct
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.errors import ProtocolError
+from drivers.ibeo_lux.messages import (
+    POINT,
+    TICKS_PER_TURN,
+    Command,
+    DeviceStatus,
+    ErrorRegisters,
+    Parameter,
+    PointFlag,
+    Scan,
+    ScanFlag,
+    ScannerStatus,
+    read_command,
+    signed_16,
+    write_parameter,
+    write_reply,
+    write_scan,
+)
+from drivers.ibeo_lux.protocol import NTP_MODULUS, DataType, Decoder, Message, encode
+from simulators.device import SweepSource
+
+DEVICE_ID = 7
+LEAVES_AFTER_SWEEP_NS = 2_000_000
+BUFFERED_SCANS = 5  # what the device keeps for a slow network; older ones are left out
+FAULT_PERIOD_NS = 1_000_000_000
+COMPENSATIONS = 0x0300  # set in every status of a real unit
+LOWER_PAIR_LAST_TICKS = -1600  # layers 0 and 1 from 50 to -50 deg, as recorded
+UPPER_PAIR_FIRST_TICKS = 1120  # layers 2 and 3 from 35 deg
+SHOT_TICKS = 8  # between two shots; they go to the lower and the upper pair by turns
+FOCUSED_SECTORS = ((320, 4), (960, 8), (1920, 16))  # up to so many ticks off the middle, ticks a shot
+LAYER_STEP_RAD = math.radians(0.8)
+NEAREST_CM, FARTHEST_CM = 30, 20_000
+FREQUENCIES = (3200, 6400, 12_800)
+FLEXRES, FLEXRES_AT_WRONG_FREQUENCY, FLEXRES_NOT_IDLE = 2, 0x6E, 0x70
+READ_ONLY = (0x1105, Parameter.BEAM_TILT, Parameter.OPERATING_MINUTES, Parameter.FLEXRES_ERROR)
+DEFAULTS = {
+    **dict.fromkeys(range(0x1000, 0x1004), 0),
+    **dict.fromkeys(range(0x1010, 0x1019), 0),
+    Parameter.START_ANGLE: 1600,
+    Parameter.END_ANGLE: -1920 & 0xFFFF,
+    Parameter.SCAN_FREQUENCY: 3200,
+    Parameter.SYNC_ANGLE: 0,
+    Parameter.RESOLUTION: 1,
+    0x1105: TICKS_PER_TURN,
+    **dict.fromkeys(range(0x1108, 0x110C), 0),
+    **dict.fromkeys(range(0x1200, 0x1211), 0),
+    Parameter.BEAM_TILT: 0,
+    Parameter.OPERATING_MINUTES: 61_234,
+    0x3600: 0,
+    **dict.fromkeys(range(0x4000, 0x4011), 0),
+    Parameter.FLEXRES_ERROR: 0,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class LuxSetup:
+    """What this one was like when it left the factory, and what ails it."""
+
+    measuring: bool = True  # by itself after power-up
+    boot_ns: int = 0  # the port is open but nothing answers
+    start_delay_ns: int = 300_000_000  # from standing still to measuring; a real one takes seconds
+    parameters: dict[int, int] = field(default_factory=dict)  # stored in its flash, over DEFAULTS
+    unsupported: frozenset[int] = frozenset()  # parameters this firmware does not know
+    refused: frozenset[int] = frozenset()  # commands
+    sets_ntp_at_once: bool = True  # command 0x0034, newer firmware
+    says_ntp: bool = True  # in its message headers
+    clock_drift_ppm: float = 0.0  # positive: the device's clock runs fast
+    clock_start_ntp: int = 0
+    first_scan_number: int = 0
+    motor_speed: float = 1.0  # of nominal
+    labels: int = ScanFlag.DIRT_LABELLED
+    height_m: float | None = None  # above ground; None: no ground
+    rain_share: float = 0.0  # of the shots that meet a drop before the wall
+    sends_vehicle_state: bool = False
+    firmware_code: int = 0x3035
+    serial_code: tuple[int, int, int] = (0x1502, 147, 1)
+    temperature_c: float = 31.0
+
+
+class FakeIbeoLux:
+    """One device with room for one client. Set `motor_failed` and `silent` while it runs."""
+
+    def __init__(self, source: SweepSource, setup: LuxSetup | None = None, seed: int = 0) -> None:
+        self.setup = setup or LuxSetup()
+        self.motor_failed = False  # scans end, and it says so once a second
+        self.silent = False  # nothing more is said
+        self.counters: Counter[str] = Counter()
+        self._source = source
+        self._noise = np.random.default_rng(seed)
+        self._stored = DEFAULTS | self.setup.parameters
+        self._parameters = dict(self._stored)
+        self._decoder = Decoder()
+        self._powered_on_ns: int | None = None
+        self._boots_until_ns = 0
+        self._clock_set_ns = 0  # the clock was at _clock_set_ntp then
+        self._clock_set_ntp = 0
+        self._turning_since_ns: int | None = None  # begin of sweep 0; None: standing still
+        self._next_scan = 0
+        self._number_base = 0
+        self._pending: deque[bytes] = deque()
+        self._next_fault_ns = 0
+        self._is_connected = False
+
+    def connected(self, now_ns: int) -> bytes:
+        self._decoder = Decoder()
+        self._pending.clear()
+        self._is_connected = True
+        if self._powered_on_ns is None:
+            self.power_on(now_ns)
+        elif self._turning_since_ns is not None:
+            self._next_scan = max(self._next_scan, self._scans_complete(now_ns))
+        return b""
+
+    def disconnected(self, now_ns: int) -> None:
+        self._is_connected = False
+        self._pending.clear()
+
+    def receive_data(self, data: bytes, now_ns: int) -> bytes:
+        answers = b""
+        try:
+            messages = self._decoder.receive_data(data)
+        except ProtocolError:
+            self.counters["garbage"] += 1
+            return b""
+        for message in messages:
+            if self.silent or now_ns < self._boots_until_ns:
+                self.counters["requests_while_deaf"] += 1
+            elif message.data_type != DataType.COMMAND:
+                self.counters["messages_ignored"] += 1
+            else:
+                answers += self._answer(message.payload, now_ns)
+        return answers
+
+    def next_due_ns(self, now_ns: int) -> int | None:
+        if not self._is_connected or self.silent:
+            return None
+        if self._pending:
+            return now_ns
+        if self.motor_failed:
+            return max(now_ns, self._next_fault_ns)
+        return None if self._turning_since_ns is None else self._leaves_ns(self._next_scan)
+
+    def due(self, now_ns: int) -> bytes:
+        due_ns = self.next_due_ns(now_ns)
+        if due_ns is None or due_ns > now_ns:
+            return b""
+        if self._pending:
+            return self._pending.popleft()
+        if self.motor_failed:
+            self._next_fault_ns = now_ns + FAULT_PERIOD_NS
+            self.report(ErrorRegisters(errors_1=0x0002), now_ns)
+            return self._pending.popleft() if self._pending else b""
+        return self._next_message(now_ns)
+
+    def power_on(self, now_ns: int) -> None:
+        """Also off and on again: the clock starts over, what is not in the flash is forgotten."""
+        self._powered_on_ns = self._clock_set_ns = now_ns
+        self._clock_set_ntp = self.setup.clock_start_ntp
+        self._boots_until_ns = now_ns + self.setup.boot_ns
+        self._parameters = dict(self._stored)
+        self._number_base, self._next_scan = self.setup.first_scan_number, 0
+        self._turning_since_ns = None
+        self._pending.clear()
+        if self.setup.measuring:
+            self._turning_since_ns = self._boots_until_ns
+
+    def report(self, registers: ErrorRegisters, now_ns: int) -> None:
+        """Tell errors and warnings, if this is not switched off."""
+        if not self._parameters[Parameter.DATA_OUTPUT] & 0x0010:
+            self._pending.append(self._message(DataType.ERRORS, registers.write(), now_ns))
+
+    def parameter(self, index: int) -> int:
+        """As it stands now."""
+        return self._parameters[index]
+
+    def ntp(self, now_ns: int) -> int:
+        """What its clock shows."""
+        since_ns = (now_ns - self._clock_set_ns) * (1.0 + self.setup.clock_drift_ppm * 1e-6)
+        return (self._clock_set_ntp + (round(since_ns) << 32) // 1_000_000_000) % NTP_MODULUS
+
+    def scanner_status(self, now_ns: int) -> int:
+        if self.motor_failed or self._turning_since_ns is None:
+            return COMPENSATIONS
+        motor = COMPENSATIONS | ScannerStatus.MOTOR_ON
+        if now_ns < self._turning_since_ns:
+            return motor
+        return motor | ScannerStatus.LASER_ON | ScannerStatus.FREQUENCY_REACHED
+
+    def _message(self, data_type: int, payload: bytes, now_ns: int) -> bytes:
+        return encode(Message(data_type, payload, DEVICE_ID, self.ntp(now_ns) if self.setup.says_ntp else 0))
+
+    def _period_ns(self) -> float:
+        return 256e9 / self._parameters[Parameter.SCAN_FREQUENCY] / self.setup.motor_speed
+
+    def _angles_ticks(self) -> tuple[int, int]:
+        return (
+            signed_16(self._parameters[Parameter.START_ANGLE]),
+            signed_16(self._parameters[Parameter.END_ANGLE]),
+        )
+
+    def _begins_ns(self, index: int) -> int:
+        assert self._turning_since_ns is not None
+        return self._turning_since_ns + round(index * self._period_ns())
+
+    def _sweep_ns(self) -> int:
+        start, end = self._angles_ticks()
+        return round(self._period_ns() * (start - end) / TICKS_PER_TURN)
+
+    def _leaves_ns(self, index: int) -> int:
+        return self._begins_ns(index) + self._sweep_ns() + LEAVES_AFTER_SWEEP_NS
+
+    def _scans_complete(self, now_ns: int) -> int:
+        """How many have been measured since the mirror turns."""
+        if now_ns < self._leaves_ns(0):
+            return 0
+        return int((now_ns - self._leaves_ns(0)) / self._period_ns()) + 1
+
+    def _turn_from(self, since_ns: int) -> None:
+        self._number_base += self._next_scan
+        self._turning_since_ns, self._next_scan = since_ns, 0
+
+    def _next_message(self, now_ns: int) -> bytes:
+        left_out = self._scans_complete(now_ns) - 1 - BUFFERED_SCANS - self._next_scan
+        if left_out > 0:
+            self.counters["scans_left_out"] += left_out
+            self._next_scan += left_out
+        index = self._next_scan
+        self._next_scan += 1
+        start, end = self._angles_ticks()
+        output = self._parameters[Parameter.DATA_OUTPUT]
+        if not output & 0x0004:
+            self._pending.append(self._message(DataType.OBJECTS, self._objects(index), now_ns))
+        if self.setup.sends_vehicle_state:
+            self._pending.append(self._message(DataType.VEHICLE_STATE, self._vehicle_state(index), now_ns))
+        if output & 0x0001 or start % 2 or end % 2:
+            return self._pending.popleft() if self._pending else b""
+        self.counters["scans_sent"] += 1
+        return self._message(DataType.SCAN, write_scan(self._measure(index)), now_ns)
+
+    def _measure(self, index: int) -> Scan:
+        """Cast the rays of one sweep and lay them down as points."""
+        begins_ns = self._begins_ns(index)
+        ends_ns = begins_ns + self._sweep_ns()
+        start, end = self._angles_ticks()
+        focused = self._parameters[Parameter.RESOLUTION] == 0
+        ray_ticks = FOCUSED_SECTORS[0][1] if focused else SHOT_TICKS
+        ray_count = (start - end) // ray_ticks + 1
+        radians_per_tick = 2.0 * math.pi / TICKS_PER_TURN
+        sweep = self._source.sweep(
+            begins_ns,
+            round(self._period_ns() * ray_ticks / TICKS_PER_TURN),
+            start * radians_per_tick,
+            -ray_ticks * radians_per_tick,
+            ray_count,
+        )
+        angle_ticks = start - ray_ticks * np.arange(ray_count)
+        shot = np.flatnonzero(_is_shot(angle_ticks, start)) if focused else np.arange(ray_count)
+        rear = bool(self._number(index) % 2)
+        return Scan(
+            number=self._number(index),
+            status=self.scanner_status(ends_ns),
+            start_ntp=self.ntp(begins_ns),
+            end_ntp=self.ntp(ends_ns),
+            start_ticks=start,
+            end_ticks=end,
+            points=self._points(angle_ticks[shot], sweep.range_m[shot], sweep.intensity[shot]),
+            flags=self.setup.labels | (ScanFlag.REAR_MIRROR_SIDE if rear else 0),
+        )
+
+    def _number(self, index: int) -> int:
+        return (self._number_base + index) % 65_536
+
+    def _points(
+        self,
+        angle_ticks: npt.NDArray[np.int64],
+        range_m: npt.NDArray[np.float32],
+        intensity: npt.NDArray[np.float32],
+    ) -> npt.NDArray[np.void]:
+        """Two layers a shot, two echoes a layer where there is rain, in the order of the wire."""
+        count = len(angle_ticks)
+        points = np.zeros((count, 2, 2), POINT)  # shot, layer of the pair, echo
+        upper = np.arange(count) % 2 == 1
+        layer = np.where(upper, 2, 0)[:, None] + np.arange(2)
+        visible = np.where(upper, angle_ticks <= UPPER_PAIR_FIRST_TICKS, angle_ticks >= LOWER_PAIR_LAST_TICKS)
+        elevation = (layer - 1.5) * LAYER_STEP_RAD
+        wall_m = range_m[:, None] / np.cos(elevation)
+        ground_m = np.full_like(wall_m, np.inf)
+        if self.setup.height_m is not None:
+            down = elevation < 0.0
+            ground_m[down] = self.setup.height_m / np.sin(-elevation[down])
+        is_ground = ~(wall_m <= ground_m) & np.isfinite(ground_m)
+        wall_m = np.where(is_ground, ground_m, wall_m)
+        wet = self._noise.random((count, 2)) < self.setup.rain_share
+        drop_m = np.where(wet, self._noise.uniform(0.5, 5.0, (count, 2)), np.nan)
+        wet &= drop_m < np.where(np.isnan(wall_m), np.inf, wall_m)
+
+        cm = np.nan_to_num(np.rint(np.stack([drop_m, wall_m], axis=2) * 100.0))
+        points["range_cm"] = np.clip(cm, 0, FARTHEST_CM + 1)
+        points["angle_ticks"] = angle_ticks[:, None, None]
+        points["width_cm"][:, :, 0] = 60
+        points["width_cm"][:, :, 1] = (80 + np.rint(40 * intensity) * 4)[:, None]
+        points["layer_echo"][:, :, 0] = layer
+        points["layer_echo"][:, :, 1] = layer | wet.astype(np.int64) << 4
+        points["flags"] = self._flags(is_ground, wet)
+        there = (
+            (points["range_cm"] >= NEAREST_CM) & (points["range_cm"] <= FARTHEST_CM) & visible[:, None, None]
+        )
+        there[:, :, 0] &= wet
+        return points[there]
+
+    def _flags(self, is_ground: npt.NDArray[np.bool_], wet: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint8]:
+        """(S, 2, 2) reserved bits as recorded, labels where they ran and chance where they did not."""
+        flags = 0x40 | self._noise.integers(0, 2, (*is_ground.shape, 2)) << 4
+        if self.setup.labels & ScanFlag.GROUND_LABELLED:
+            flags[:, :, 1] |= is_ground * PointFlag.GROUND
+        else:
+            flags |= (self._noise.random(flags.shape) < 0.86) * PointFlag.GROUND
+        if self.setup.labels & ScanFlag.RAIN_LABELLED:
+            flags[:, :, 0] |= wet * PointFlag.RAIN
+        return flags.astype(np.uint8)
+
+    def _objects(self, index: int) -> bytes:
+        """An object list with one object that has no contour."""
+        return struct.pack("<QH", self.ntp(self._begins_ns(index)), 1) + bytes(58)
+
+    def _vehicle_state(self, index: int) -> bytes:
+        return struct.pack("<QH", self.ntp(self._begins_ns(index)), self._number(index)) + bytes(36)
+
+    def _answer(self, payload: bytes, now_ns: int) -> bytes:
+        self.counters["requests"] += 1
+        try:
+            command, body = read_command(payload)
+        except ProtocolError:
+            self.counters["requests_unusable"] += 1
+            return b""
+        if command == Command.RESET:
+            self.power_on(now_ns)  # the real one drops the connection; here it is deaf until it has booted
+            return b""
+        handlers: dict[int, Callable[[bytes, int], bytes]] = {
+            Command.GET_STATUS: self._get_status,
+            Command.SAVE_CONFIG: self._save,
+            Command.SET_PARAMETER: self._set_parameter,
+            Command.GET_PARAMETER: self._get_parameter,
+            Command.RESET_PARAMETERS: self._reset_parameters,
+            Command.START: self._start,
+            Command.STOP: self._stop,
+            Command.SET_NTP_SECONDS: self._set_seconds,
+            Command.SET_NTP_FRACTION: self._set_fraction,
+            Command.SET_NTP: self._set_ntp,
+        }
+        handler = handlers.get(command)
+        try:
+            if handler is None or command in self.setup.refused:
+                raise _RefusedError
+            reply = write_reply(command, handler(body, now_ns))
+        except (_RefusedError, struct.error):
+            self.counters["requests_refused"] += 1
+            reply = write_reply(command, refused=True)
+        return self._message(DataType.REPLY, reply, now_ns)
+
+    def _get_status(self, body: bytes, now_ns: int) -> bytes:
+        return DeviceStatus(
+            firmware_code=self.setup.firmware_code,
+            fpga_code=0x3021,
+            status=self.scanner_status(now_ns),
+            reserved=bytes(4),
+            temperature_raw=round(579.2364 - 3.63 * self.setup.temperature_c),
+            serial_code=self.setup.serial_code,
+            fpga_time_code=(0x2014, 0x0611, 0x0928),
+            firmware_time_code=(0x2015, 0x0114, 0x1332),
+        ).write()
+
+    def _save(self, body: bytes, now_ns: int) -> bytes:
+        self._stored = dict(self._parameters)
+        self.counters["saves"] += 1
+        return b""
+
+    def _reset_parameters(self, body: bytes, now_ns: int) -> bytes:
+        self._parameters = dict(DEFAULTS)
+        return b""
+
+    def _get_parameter(self, body: bytes, now_ns: int) -> bytes:
+        (index,) = struct.unpack_from("<H", body)
+        return write_parameter(index, self._parameters[self._known(index)])
+
+    def _set_parameter(self, body: bytes, now_ns: int) -> bytes:
+        index, value = struct.unpack_from("<HI", body)
+        self._check(self._known(index), value)
+        if index == Parameter.SCAN_FREQUENCY and self._turning_since_ns is not None:
+            self._turn_from(max(now_ns, self._turning_since_ns))
+        self._parameters[index] = value
+        self.counters["parameters_set"] += 1
+        return b""
+
+    def _known(self, index: int) -> int:
+        if index not in self._parameters or index in self.setup.unsupported:
+            raise _RefusedError
+        return index
+
+    def _check(self, index: int, value: int) -> None:
+        """Raises _RefusedError for what the device cannot have."""
+        start, end = self._angles_ticks()
+        ticks = signed_16(value)
+        legal = index not in READ_ONLY
+        if index == Parameter.START_ANGLE:
+            legal = max(-1919, end + 1) <= ticks <= 1600
+        elif index == Parameter.END_ANGLE:
+            legal = -1920 <= ticks <= min(1599, start - 1)
+        elif index == Parameter.SCAN_FREQUENCY:
+            legal = value in FREQUENCIES
+        elif index == Parameter.RESOLUTION:
+            fault = 0
+            if self._turning_since_ns is not None:
+                fault = FLEXRES_NOT_IDLE
+            elif value == FLEXRES and self._parameters[Parameter.SCAN_FREQUENCY] != FREQUENCIES[0]:
+                fault = FLEXRES_AT_WRONG_FREQUENCY
+            self._parameters[Parameter.FLEXRES_ERROR] = fault
+            legal = fault == 0 and value in (0, 1, FLEXRES)
+        if not legal:
+            raise _RefusedError
+
+    def _start(self, body: bytes, now_ns: int) -> bytes:
+        self.counters["starts"] += 1
+        if self._turning_since_ns is None:
+            self._turn_from(now_ns + self.setup.start_delay_ns)
+        return b""
+
+    def _stop(self, body: bytes, now_ns: int) -> bytes:
+        self.counters["stops"] += 1
+        self._number_base += self._next_scan
+        self._turning_since_ns, self._next_scan = None, 0
+        return b""
+
+    def _set_seconds(self, body: bytes, now_ns: int) -> bytes:
+        _, seconds = struct.unpack_from("<HI", body)
+        self._set_clock(seconds << 32 | self.ntp(now_ns) & 0xFFFF_FFFF, now_ns)
+        return b""
+
+    def _set_fraction(self, body: bytes, now_ns: int) -> bytes:
+        _, fraction = struct.unpack_from("<HI", body)
+        self._set_clock(self.ntp(now_ns) >> 32 << 32 | fraction, now_ns)
+        return b""
+
+    def _set_ntp(self, body: bytes, now_ns: int) -> bytes:
+        if not self.setup.sets_ntp_at_once:
+            raise _RefusedError
+        _, seconds, fraction = struct.unpack_from("<HII", body)
+        self._set_clock(seconds << 32 | fraction, now_ns)
+        return b""
+
+    def _set_clock(self, ntp: int, now_ns: int) -> None:
+        self.counters["clock_sets"] += 1
+        self._clock_set_ns, self._clock_set_ntp = now_ns, ntp
+
+
+class _RefusedError(Exception):
+    """The device does not do this."""
+
+
+def _is_shot(angle_ticks: npt.NDArray[np.int64], start_ticks: int) -> npt.NDArray[np.bool_]:
+    """Which rays the focused resolution fires."""
+    off = np.abs(angle_ticks)
+    step = np.full(len(angle_ticks), FOCUSED_SECTORS[-1][1])
+    for limit, ticks in reversed(FOCUSED_SECTORS):
+        step[off <= limit] = ticks
+    fired: npt.NDArray[np.bool_] = (start_ticks - angle_ticks) % step == 0
+    return fired
