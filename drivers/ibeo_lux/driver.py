@@ -1,0 +1,324 @@
+"""Session with one LUX: its dialogue over one connection, and scans into frames. No I/O.
+
+Time. Each scan says when its sweep began and ended, on the device's clock, which counts from power-up until
+it is set. The end against the arrival feeds the clock map; the stamp of a frame is the moment its first beam
+was measured, found from the sweep's begin by the beam's angle. Scans that come before the dialogue is through
+are left out: the clock is being set, and what they show may not be what the config asks for.
+"""
+
+import math
+import time
+from collections import Counter
+from collections.abc import Callable
+
+from drivers.errors import DeviceError, ProtocolError, TransportError
+from drivers.frames import NO_INTENSITY, LaserScan
+from drivers.ibeo_lux.config import IbeoLuxConfig
+from drivers.ibeo_lux.device_clock import NEAR_SCANS, NUMBER_MODULUS, DeviceClock
+from drivers.ibeo_lux.dialogue import Ask, IbeoLuxDialogue, status_faults
+from drivers.ibeo_lux.messages import (
+    TICKS_PER_TURN,
+    Command,
+    ErrorRegisters,
+    Reply,
+    Scan,
+    ScanFlag,
+    ScannerStatus,
+    read_reply,
+    read_scan,
+    write_command,
+)
+from drivers.ibeo_lux.protocol import FOREIGN_SCANS, DataType, Decoder, Message, encode, ntp_difference_ns
+from drivers.ibeo_lux.reduction import LayerReduction
+
+FIRST_SCAN_TIMEOUT_S = 20.0  # a recorded dialogue has its first scan 5 s after Start
+LOOK_NS = 200_000_000  # silence counts only while we look: a stalled host is not a silent device
+REPORT_SHOWN_NS = 15_000_000_000  # an error stays in the status for so long after the device last told it
+MALFORMED_LIMIT = 20  # scans in a row
+REPEATED_LIMIT = 20  # scans in a row
+MIN_TURN_NS, MAX_TURN_NS = 10_000_000, 160_000_000  # of the mirror; 20 to 80 ms are asked for
+RATE_TOLERANCE = 0.05
+DEVICE_ID = 1
+COUNTED_TYPES: dict[int, str] = {
+    DataType.OBJECTS: "object_lists_ignored",
+    DataType.VEHICLE_STATE: "vehicle_states_ignored",
+    DataType.VEHICLE_STATE_ECU: "vehicle_states_ignored",
+    DataType.LOG_ERROR: "log_texts_ignored",
+    DataType.LOG_WARNING: "log_texts_ignored",
+    DataType.LOG_NOTE: "log_texts_ignored",
+    DataType.LOG_DEBUG: "log_texts_ignored",
+}
+
+
+class IbeoLuxSession:
+    """The life of one connection; see drivers.link.Session. The device's clock is set to `unix_ns`."""
+
+    def __init__(self, config: IbeoLuxConfig, unix_ns: Callable[[], int] = time.time_ns) -> None:
+        self._config = config
+        self._decoder = Decoder()
+        self._dialogue = IbeoLuxDialogue(config, unix_ns)
+        self._dialogue.explain_faults = lambda: ", ".join(self._errors_shown())
+        self._steps = self._dialogue.run()
+        self._running = False
+        self._awaited: Ask | None = None  # whose reply is due
+        self._deadline_ns: int | None = 0
+        self._now_ns: int | None = None
+        self._silent_ns = 0
+        self._clock = DeviceClock(round(config.latency_ms * 1e6))
+        self._last: Scan | None = None
+        self._last_stamp_ns: int | None = None
+        self._malformed_in_a_row = 0
+        self._repeated_in_a_row = 0
+        self._errors: dict[str, int] = {}  # words -> when last told
+        self._warnings: dict[str, int] = {}
+        self.outbox = bytearray()
+        self.counters: Counter[str] = self._dialogue.counters
+        self.identity: dict[str, str] = self._dialogue.identity
+        self.status = self._dialogue.phase
+        self._reduction = LayerReduction(config, self.counters)
+
+    @property
+    def clock_offset_ns(self) -> int | None:
+        return self._clock.offset_ns
+
+    def receive_data(self, data: bytes, arrived_ns: int) -> list[LaserScan]:
+        self._now_ns = arrived_ns if self._now_ns is None else max(self._now_ns, arrived_ns)
+        frames = []
+        for message in self._decoder.receive_data(data):
+            match message.data_type:
+                case DataType.SCAN:
+                    if (frame := self._take_scan(message, arrived_ns)) is not None:
+                        frames.append(frame)
+                case DataType.REPLY:
+                    self._take_reply(message, arrived_ns)
+                case DataType.ERRORS:
+                    self._take_errors(message, arrived_ns)
+                case other:
+                    self._pass_over(other)
+        for name, total in (
+            ("bytes_skipped", self._decoder.skipped_bytes),
+            ("bad_headers", self._decoder.bad_headers),
+            ("messages_cut", self._decoder.cut_messages),
+        ):
+            if total:
+                self.counters[name] = total
+        self._set_status()
+        return frames
+
+    def tick(self, now_ns: int) -> None:
+        looked_ns = 0 if self._now_ns is None else min(max(now_ns - self._now_ns, 0), LOOK_NS)
+        self._now_ns = now_ns
+        if self._deadline_ns is not None and now_ns >= self._deadline_ns:
+            self._continue(None, now_ns)
+        if self._dialogue.ready:
+            self._silent_ns += looked_ns
+            limit_s = FIRST_SCAN_TIMEOUT_S if self._last is None else self._config.silence_timeout_s
+            if self._silent_ns > limit_s * 1e9:
+                self._give_up(limit_s)
+        self._set_status()
+
+    def farewell(self) -> bytes:
+        """Nothing: the device goes on measuring, as it does by itself after power-up."""
+        return b""
+
+    def _give_up(self, silent_s: float) -> None:
+        """Raises DeviceError where the device told why, else TransportError."""
+        status = self._dialogue.device_status
+        faults = self._errors_shown()
+        if status is not None:
+            faults += status_faults(status.status)
+        if faults:
+            raise DeviceError(f"no scan for {silent_s:g} s, the device reports: {', '.join(faults)}")
+        if self._dialogue.foreign:
+            raise TransportError(
+                f"no scan of a LUX for {silent_s:g} s, but those of {self._dialogue.foreign}; wrong address?"
+            )
+        raise TransportError(
+            f"no scan for {silent_s:g} s; is the device rebooting, was it stopped, or is the cable out?"
+        )
+
+    def _take_reply(self, message: Message, now_ns: int) -> None:
+        try:
+            reply = read_reply(message.payload)
+        except ProtocolError:
+            self.counters["replies_unusable"] += 1
+            return
+        if self._awaited is None or not _answers(reply, self._awaited):
+            self.counters["replies_not_asked_for"] += 1
+            return
+        self._continue(reply, now_ns)
+
+    def _continue(self, reply: Reply | None, now_ns: int) -> None:
+        """Run the dialogue to its next request or pause."""
+        self._awaited = None
+        try:
+            step = self._steps.send(reply) if self._running else next(self._steps)
+        except StopIteration:
+            self._deadline_ns = None
+            return
+        finally:
+            self._running = True
+        if isinstance(step, Ask):
+            payload = write_command(step.command, step.body)
+            self.outbox += encode(Message(DataType.COMMAND, payload, DEVICE_ID))
+            self._awaited = step
+            self._deadline_ns = now_ns + round(step.timeout_s * 1e9)
+        else:
+            self._deadline_ns = now_ns + round(step.seconds * 1e9)
+        self._reduction.beam_tilt_rad = self._dialogue.beam_tilt_rad
+        self._reduction.upside_down = self._dialogue.upside_down
+
+    def _take_errors(self, message: Message, now_ns: int) -> None:
+        try:
+            registers = ErrorRegisters.read(message.payload)
+        except ProtocolError:
+            self.counters["error_messages_unusable"] += 1
+            return
+        for kind, words, told in (
+            ("error", registers.error_words, self._errors),
+            ("warning", registers.warning_words, self._warnings),
+        ):
+            for text in words:
+                self.counters[f"{kind}: {text}"] += 1
+                told[text] = now_ns
+
+    def _pass_over(self, data_type: int) -> None:
+        self.counters[COUNTED_TYPES.get(data_type, "other_messages_ignored")] += 1
+        self._dialogue.foreign = FOREIGN_SCANS.get(data_type, self._dialogue.foreign)
+
+    def _errors_shown(self) -> list[str]:
+        return self._shown(self._errors)
+
+    def _shown(self, told: dict[str, int]) -> list[str]:
+        since_ns = (self._now_ns or 0) - REPORT_SHOWN_NS
+        return [text for text, told_ns in told.items() if told_ns >= since_ns]
+
+    def _set_status(self) -> None:
+        state = self._dialogue.phase if self._last is None else "streaming"
+        parts = [state]
+        if self._last is not None:
+            parts += status_faults(self._last.status)
+            synced = self._last.status & ScannerStatus.SYNC_SEEN
+            if self._config.sync_angle_deg is not None and not synced:
+                parts.append("no external synchronisation signal")
+            if self._repeated_in_a_row > REPEATED_LIMIT:
+                parts.append("scan number and clock stand still, scans are not used")
+        parts += [f"error: {text}" for text in self._errors_shown()]
+        parts += [f"warning: {text}" for text in self._shown(self._warnings)]
+        status = self._dialogue.device_status
+        if self._last is not None and status is not None and status.temperature_c is not None:
+            parts.append(f"{status.temperature_c:.0f} C")
+        self.status = "; ".join(parts)
+
+    def _take_scan(self, message: Message, arrived_ns: int) -> LaserScan | None:
+        self._dialogue.scans_seen += 1
+        self._silent_ns = 0
+        try:
+            scan = read_scan(message.payload)
+            _check(scan)
+        except ProtocolError as error:
+            self.counters["scans_malformed"] += 1
+            self._malformed_in_a_row += 1
+            if self._malformed_in_a_row > MALFORMED_LIMIT:
+                raise ProtocolError(
+                    f"{self._malformed_in_a_row} malformed scans in a row: {error}"
+                ) from error
+            return None
+        self._malformed_in_a_row = 0
+        self.counters["scans_received"] += 1
+        if scan.is_truncated:
+            self.counters["scans_truncated"] += 1
+        if not self._dialogue.ready:
+            self.counters["scans_before_ready"] += 1
+            return None
+        if not self._is_new(scan):
+            return None
+        self._last = scan
+        return self._frame(scan, arrived_ns)
+
+    def _is_new(self, scan: Scan) -> bool:
+        """Also counts what is missing in between."""
+        last = self._last
+        if last is None:
+            return True
+        if scan.number == last.number and scan.start_ntp == last.start_ntp:
+            self.counters["scans_repeated"] += 1
+            self._repeated_in_a_row += 1
+            return False
+        self._repeated_in_a_row = 0
+        gap = (scan.number - last.number) % NUMBER_MODULUS
+        if 1 <= gap <= 10 * NEAR_SCANS:
+            self.counters["scans_missed"] += gap - 1
+        else:
+            self.counters["scan_number_restarts"] += 1
+        return True
+
+    def _frame(self, scan: Scan, arrived_ns: int) -> LaserScan | None:
+        sweep_ns = ntp_difference_ns(scan.end_ntp, scan.start_ntp)
+        sweep_ticks = scan.start_ticks - scan.end_ticks
+        period_ns = round(sweep_ns * scan.ticks_per_turn / sweep_ticks)
+        resets = self._clock.resets
+        self._clock.observe(scan, period_ns, arrived_ns)
+        restarted = self._clock.resets > resets
+        if self._clock.resets:
+            self.counters["clock_resets"] = self._clock.resets
+        self._check_against_config(scan, period_ns)
+        if not self._is_side_wanted(scan):
+            self.counters["scans_of_other_mirror_side"] += 1
+            return None
+        beams = self._reduction.reduce(scan)
+        tick_ns = sweep_ns / sweep_ticks
+        stamp_ns = self._clock.to_host_ns(scan.start_ntp)
+        stamp_ns -= round((beams.first_ticks - scan.start_ticks) * tick_ns)
+        if self._last_stamp_ns is not None and not restarted and stamp_ns <= self._last_stamp_ns:
+            self.counters["scans_out_of_order"] += 1
+            return None
+        self._last_stamp_ns = stamp_ns
+        radians_per_tick = 2.0 * math.pi / scan.ticks_per_turn
+        return LaserScan(
+            sensor=self._config.name,
+            stamp_ns=stamp_ns,
+            arrived_ns=arrived_ns,
+            beam_interval_ns=round(beams.step_ticks * tick_ns),
+            scan_period_ns=period_ns if self._config.mirror_sides == "both" else 2 * period_ns,
+            first_angle_rad=beams.first_ticks * radians_per_tick,
+            angle_step_rad=-beams.step_ticks * radians_per_tick,
+            range_min_m=self._config.range_min_m,
+            range_max_m=self._config.range_max_m,
+            range_m=beams.range_m,
+            intensity=beams.width_cm if self._config.intensity else NO_INTENSITY,
+        )
+
+    def _is_side_wanted(self, scan: Scan) -> bool:
+        side = "rear" if scan.flags & ScanFlag.REAR_MIRROR_SIDE else "front"
+        return self._config.mirror_sides in ("both", side)
+
+    def _check_against_config(self, scan: Scan, period_ns: int) -> None:
+        rate = 1e9 / period_ns / self._config.scan_rate_hz
+        angles = (scan.start_ticks, scan.end_ticks)
+        if abs(rate - 1.0) > RATE_TOLERANCE or angles != (self._config.first_ticks, self._config.last_ticks):
+            self.counters["scans_not_as_configured"] += 1
+
+
+def _answers(reply: Reply, asked: Ask) -> bool:
+    """A late reply about another parameter does not."""
+    if reply.command != asked.command:
+        return False
+    return reply.refused or reply.command != Command.GET_PARAMETER or reply.body[:2] == asked.body
+
+
+def _check(scan: Scan) -> None:
+    """Raises ProtocolError where no time or direction can be had from the header."""
+    if scan.ticks_per_turn != TICKS_PER_TURN:
+        raise ProtocolError(f"a scan with {scan.ticks_per_turn} ticks a turn, expected {TICKS_PER_TURN}")
+    sweep_ticks = scan.start_ticks - scan.end_ticks
+    if not 0 < sweep_ticks <= TICKS_PER_TURN:
+        raise ProtocolError(
+            f"a scan from {scan.start_ticks} to {scan.end_ticks} ticks, expected a sweep from left to right"
+        )
+    turn_ns = ntp_difference_ns(scan.end_ntp, scan.start_ntp) * TICKS_PER_TURN / sweep_ticks
+    if not MIN_TURN_NS <= turn_ns <= MAX_TURN_NS:
+        raise ProtocolError(
+            f"a scan at {turn_ns / 1e6:g} ms a turn of the mirror, expected 20, 40 or 80 ms; "
+            "its begin and end stamps do not fit"
+        )

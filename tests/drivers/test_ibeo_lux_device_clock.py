@@ -1,0 +1,86 @@
+"""Jumps of the device's clock are told from late messages; the era ends and nothing happens."""
+
+import numpy as np
+
+from drivers.ibeo_lux.device_clock import DeviceClock
+from tests.drivers.lux import ntp, scan
+from tests.drivers.virtual_time import SECOND_NS
+
+PERIOD_NS = 40_000_000
+
+
+def feed(
+    clock, numbers, at_ns=lambda k: 10 * SECOND_NS + k * PERIOD_NS, late_ns=lambda k: 1_000_000, status=0x030B
+):
+    """Scans k = 0, 1, ... with these numbers; gives what the clock says of each end, minus the truth."""
+    errors_ns = []
+    for k, number in enumerate(numbers):
+        made = scan(number=number % 65_536, start_ns=at_ns(k), status=status)
+        ended_ns = 77 * SECOND_NS + k * PERIOD_NS
+        clock.observe(made, PERIOD_NS, ended_ns + late_ns(k))
+        errors_ns.append(clock.to_host_ns(made.end_ntp) - ended_ns)
+    return np.array(errors_ns)
+
+
+def test_steady_clock_is_followed_over_the_wrap_of_the_scan_number():
+    clock = DeviceClock(0)
+    errors_ns = feed(clock, range(65_500, 65_600))
+    assert np.ptp(errors_ns) < 10
+    assert clock.resets == 0
+
+
+def test_clock_that_is_set_is_learnt_anew_at_once():
+    for jump_ns in (30_000_000, 300_000_000, -300_000_000, 3_900_000_000 * SECOND_NS):
+        clock = DeviceClock(0)
+        errors_ns = feed(
+            clock, range(100), lambda k, j=jump_ns: 10 * SECOND_NS + k * PERIOD_NS + (j if k >= 50 else 0)
+        )
+        assert clock.resets == clock.jumps == 1
+        assert np.abs(errors_ns - 1_000_000).max() < 10
+
+
+def test_missing_scans_and_late_ones_are_no_jump():
+    clock = DeviceClock(0)
+    for k in (*range(20), *range(27, 60), *range(150, 200)):
+        start_ns = 10 * SECOND_NS + k * PERIOD_NS
+        late_ns = 90_000_000 * (k % 5 == 0)
+        clock.observe(scan(number=k, start_ns=start_ns), PERIOD_NS, start_ns + 67 * SECOND_NS + late_ns)
+    assert clock.resets == 0
+
+
+def test_mirror_that_comes_up_to_speed_is_no_jump():
+    clock = DeviceClock(0)
+    feed(clock, range(40), lambda k: 10 * SECOND_NS + k * (PERIOD_NS + 20_000_000 // (k + 1)), status=0x0303)
+    assert clock.jumps == 0
+
+
+def test_restart_with_a_clock_at_zero_and_new_numbers_is_learnt_anew():
+    clock = DeviceClock(0)
+    feed(clock, range(5000, 5050), lambda k: 500 * SECOND_NS + k * PERIOD_NS)
+    errors_ns = feed(clock, range(50), lambda k: SECOND_NS + k * PERIOD_NS)
+    assert clock.resets == 1
+    assert np.abs(errors_ns - 1_000_000).max() < 10
+
+
+def test_end_of_the_era_is_no_jump():
+    clock = DeviceClock(0)
+    era_ns = 2**32 * SECOND_NS
+
+    def at_ns(k):
+        return era_ns - SECOND_NS + k * PERIOD_NS
+
+    for k in range(60):
+        made = scan(number=k, start_ns=0)
+        start, end = ntp(at_ns(k)) % 2**64, ntp(at_ns(k) + 12_000_000) % 2**64
+        made = type(made)(k, 0x030B, start, end, 1600, -1920, made.points)
+        clock.observe(made, PERIOD_NS, 77 * SECOND_NS + k * PERIOD_NS)
+        assert abs(clock.to_host_ns(end) - 77 * SECOND_NS - k * PERIOD_NS) < 10
+    assert clock.resets == 0
+
+
+def test_offset_is_host_minus_device():
+    clock = DeviceClock(0)
+    assert clock.offset_ns is None
+    feed(clock, range(10))
+    sweep_ns = 12_222_222
+    assert abs(clock.offset_ns - (67 * SECOND_NS + 1_000_000 - sweep_ns)) < 10

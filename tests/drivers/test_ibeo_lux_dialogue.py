@@ -1,0 +1,248 @@
+"""What is said to a LUX, by a fake one that answers, refuses, boots, or knows less."""
+
+import pytest
+
+from drivers.errors import DeviceError, TransportError
+from drivers.ibeo_lux.messages import Command, Parameter, read_command
+from drivers.ibeo_lux.protocol import DataType, Decoder, Message, encode, ntp_difference_ns, ntp_from_unix_ns
+from simulators.ibeo_lux import LuxSetup
+from tests.drivers.lux import UNIX_NS, reconnect, talk
+from tests.drivers.virtual_time import SECOND_NS
+
+
+def commands(t):
+    return [read_command(message.payload) for message in Decoder().receive_data(bytes(t.sent))]
+
+
+def codes(t):
+    return [code for code, _ in commands(t)]
+
+
+def changes(t):
+    return [
+        Parameter(int.from_bytes(body[:2], "little"))
+        for code, body in commands(t)
+        if code == Command.SET_PARAMETER
+    ]
+
+
+AS_WANTED = {0x1012: 0xFFEE, 0x1102: 6400}
+
+
+def test_device_that_is_as_it_should_be_is_not_stopped_or_changed():
+    t = talk(LuxSetup(parameters=AS_WANTED)).run(3.0)
+    assert changes(t) == []
+    assert Command.STOP not in codes(t)
+    assert Command.START not in codes(t)
+    assert len(t.frames) > 60
+    assert t.session.identity == {
+        "firmware": "3.03.5 2015-01-14 13:32",
+        "serial": "1502-147",
+        "operating_hours": "1021",
+    }
+
+
+def test_what_differs_is_changed_with_the_scanner_stopped_and_read_back():
+    t = talk(
+        scan_rate_hz=50,
+        first_angle_deg=40.0,
+        last_angle_deg=-30.0,
+        resolution="focused",
+        sync_angle_deg=-90.0,
+        upside_down=True,
+    ).run(3.0)
+    assert sorted(changes(t)) == sorted(
+        [
+            Parameter.DATA_OUTPUT,
+            Parameter.SCAN_FREQUENCY,
+            Parameter.START_ANGLE,
+            Parameter.END_ANGLE,
+            Parameter.RESOLUTION,
+            Parameter.SYNC_ANGLE,
+            Parameter.UPSIDE_DOWN,
+        ]
+    )
+    said = codes(t)
+    assert said.index(Command.STOP) < said.index(Command.SET_PARAMETER) < said.index(Command.START)
+    for parameter, value in (
+        (Parameter.SCAN_FREQUENCY, 12_800),
+        (Parameter.START_ANGLE, 1280),
+        (Parameter.END_ANGLE, 0x10000 - 960),
+        (Parameter.RESOLUTION, 0),
+        (Parameter.SYNC_ANGLE, 0x4000 - 2880),
+        (Parameter.UPSIDE_DOWN, 1),
+    ):
+        assert t.device.parameter(parameter) == value
+    assert t.device.counters["saves"] == 0
+    assert len(t.frames) > 80
+    assert t.session.counters["scans_not_as_configured"] == 0
+
+
+def test_data_output_alone_is_changed_without_stopping():
+    t = talk(LuxSetup(parameters={0x1102: 6400})).run(1.0)
+    assert changes(t) == [Parameter.DATA_OUTPUT]
+    assert Command.STOP not in codes(t)
+    assert t.device.parameter(Parameter.DATA_OUTPUT) == 0xFFEE
+
+
+@pytest.mark.parametrize(
+    ("stored", "wanted", "order"),
+    [
+        ((1600, -1920), (10.0, -10.0), [Parameter.START_ANGLE, Parameter.END_ANGLE]),
+        ((-320, -960), (50.0, 0.0), [Parameter.START_ANGLE, Parameter.END_ANGLE]),
+        ((1600, 320), (0.0, -50.0), [Parameter.END_ANGLE, Parameter.START_ANGLE]),
+        ((1600, 320), (10.0, -50.0), [Parameter.END_ANGLE, Parameter.START_ANGLE]),
+    ],
+)
+def test_start_angle_stays_above_the_end_angle_on_the_way(stored, wanted, order):
+    parameters = AS_WANTED | {0x1100: stored[0] & 0xFFFF, 0x1101: stored[1] & 0xFFFF}
+    t = talk(LuxSetup(parameters=parameters), first_angle_deg=wanted[0], last_angle_deg=wanted[1]).run(2.0)
+    assert changes(t) == order
+    assert t.session.counters["requests_refused"] == 0
+    assert t.frames
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_clock_is_set_to_utc_before_scans_are_used(at_once):
+    t = talk(LuxSetup(sets_ntp_at_once=at_once)).run(2.0)
+    assert t.device.counters["clock_sets"] == (1 if at_once else 2)
+    shows = t.device.ntp(t.now_ns)
+    assert abs(ntp_difference_ns(shows, ntp_from_unix_ns(UNIX_NS + t.now_ns))) < 1_000_000
+    assert t.session.counters["clock_resets"] == 0
+    assert t.frames
+
+
+def test_clock_whose_second_turns_between_the_two_commands_is_set_again():
+    t = talk(LuxSetup(sets_ntp_at_once=False))
+    readings = iter([0, 999_999_999, 1_000_000_001, 1_000_000_002, 1_000_000_003])
+    t.session._dialogue._unix_ns = lambda: UNIX_NS + next(readings)
+    t.run(1.0)
+    assert t.device.counters["clock_sets"] == 4
+    assert t.device.ntp(t.now_ns) >> 32 == (ntp_from_unix_ns(UNIX_NS) >> 32) + 1 + (
+        t.now_ns // SECOND_NS - 1000
+    )
+
+
+def test_clock_is_left_alone_if_so_configured():
+    t = talk(set_clock=False).run(2.0)
+    assert t.device.counters["clock_sets"] == 0
+    assert len(t.frames) > 30
+
+
+def test_clock_that_cannot_be_set_is_no_fault():
+    refused = frozenset({Command.SET_NTP, Command.SET_NTP_SECONDS})
+    t = talk(LuxSetup(refused=refused)).run(2.0)
+    assert t.session.counters["clock_not_set"] == 1
+    assert t.frames
+
+
+def test_old_firmware_that_does_not_know_a_parameter_is_taken():
+    unsupported = frozenset({Parameter.UPSIDE_DOWN, Parameter.BEAM_TILT, Parameter.OPERATING_MINUTES})
+    t = talk(LuxSetup(unsupported=unsupported), upside_down=False).run(2.0)
+    assert t.session.counters["parameters_not_supported"] == 3
+    assert t.frames
+
+
+@pytest.mark.parametrize(
+    ("setup", "wanted", "words"),
+    [
+        (
+            LuxSetup(unsupported=frozenset({Parameter.UPSIDE_DOWN})),
+            {"upside_down": True},
+            "set upside_down .0x1109.",
+        ),
+        (
+            LuxSetup(refused=frozenset({Command.SET_PARAMETER})),
+            {},
+            "set data_output .0x1012. to 65518 was refused",
+        ),
+        (
+            LuxSetup(measuring=False, refused=frozenset({Command.START})),
+            {},
+            "Start was refused 3 times; motor off",
+        ),
+    ],
+)
+def test_refusal_of_what_is_needed_is_a_device_error_in_words(setup, wanted, words):
+    t = talk(setup, **wanted)
+    with pytest.raises(DeviceError, match=words):
+        t.run(60.0)
+
+
+def test_device_that_forgets_what_was_written_is_found_out():
+    t = talk()
+    keep = dict(t.device._parameters)
+    receive = t.device.receive_data
+
+    def forget(data, now_ns):
+        answer = receive(data, now_ns)
+        t.device._parameters = dict(keep)
+        return answer
+
+    t.device.receive_data = forget
+    with pytest.raises(DeviceError, match="the device has 0; write-protected"):
+        t.run(10.0)
+
+
+def test_device_that_stands_still_is_started_and_waited_for():
+    t = talk(LuxSetup(measuring=False, start_delay_ns=4 * SECOND_NS)).run(8.0)
+    assert t.device.counters["starts"] == 1
+    assert any("waiting for the mirror: laser off" in status for status in t.statuses)
+    assert len(t.frames) > 60
+
+
+def test_device_that_says_it_runs_but_sends_nothing_is_started():
+    t = talk(LuxSetup(parameters=AS_WANTED))
+    t.device._turning_since_ns = t.now_ns + 3_600 * SECOND_NS
+    t.device.scanner_status = lambda now_ns: 0x030B
+    t.run(2.5)
+    assert t.device.counters["starts"] == 1
+
+
+def test_device_that_boots_is_waited_for():
+    t = talk(LuxSetup(boot_ns=9 * SECOND_NS)).run(8.0)
+    assert t.session.status == "waiting for the first answer: booting?"
+    t.run(6.0)
+    assert t.session.counters["requests_unanswered"] == 18
+    assert len(t.frames) > 100
+
+
+def test_device_that_never_answers_is_given_up():
+    t = talk()
+    t.device.silent = True
+    with pytest.raises(TransportError, match="no answer to 40 times Get status and no scan"):
+        t.run(60.0)
+
+
+def test_device_that_sends_but_does_not_answer_is_taken_as_it_is():
+    t = talk(LuxSetup(parameters={0x1102: 6400}))
+    receive = t.device.receive_data
+    t.device.receive_data = lambda data, now_ns: receive(data, now_ns) and b""
+    t.run(10.0)
+    assert t.session.identity == {"commands": "not answered; taken as it is"}
+    assert len(t.frames) > 100
+
+
+def test_motor_that_does_not_start_is_a_device_error_in_words():
+    t = talk(LuxSetup(measuring=False))
+    t.device.motor_failed = True
+    with pytest.raises(DeviceError, match=r"no scan 30 s after Start: motor off.*it reports: motor 1 fault"):
+        t.run(60.0)
+
+
+def test_late_reply_about_another_parameter_is_not_taken():
+    t = talk(LuxSetup(parameters=AS_WANTED))
+    t.session.tick(t.now_ns)
+    t._say()
+    reply = encode(Message(DataType.REPLY, bytes.fromhex("1100") + bytes.fromhex("0033") + bytes(4)))
+    asked_before = t.session.counters["replies_not_asked_for"]
+    t.session.receive_data(reply, t.now_ns)
+    assert t.session.counters["replies_not_asked_for"] == asked_before + 1
+
+
+def test_second_connection_finds_nothing_to_change():
+    t = talk().run(2.0)
+    t.sent.clear()
+    reconnect(t).run(2.0)
+    assert changes(t) == []
+    assert t.session.counters["scans_not_as_configured"] == 0
