@@ -11,11 +11,10 @@ from typing import Any
 from drivers.registry import SENSOR_KINDS, SensorKind
 from drivers.transport import SerialTransport, Transport
 from service.offline.doctor import verdict
-from service.offline.doctor.findings import Finding, fault, note
+from service.offline.doctor.findings import Finding, fault
 from service.offline.doctor.machine import Machine
 from service.offline.doctor.network import call_failed, errno_of, look_at_route, resolve
 from service.offline.doctor.probe import Probe, listen, probe
-from service.offline.doctor.processes import Process
 from service.offline.doctor.serial_ports import busy_finding, look_at_port
 from service.offline.doctor.voices import recognise_sensor
 
@@ -62,23 +61,11 @@ def wire_of(config: Any) -> TcpWire | PortWire | None:
 def examine_sensor(
     machine: Machine,
     config: Any,
-    service: Process | None,
     patience: Patience,
     stop: threading.Event,
 ) -> list[Finding]:
-    """All that can be said of one sensor, the cause before what follows from it.
-
-    service    the running service that holds this sensor, if there is one: then nothing is sent to it
-    """
+    """All that can be said of one sensor, the cause before what follows from it."""
     kind, who, wire = SENSOR_KINDS[config.type], config.name, wire_of(config)
-    if service is not None:
-        return [
-            note(
-                who,
-                f"not looked at: {service} runs and uses it",
-                "its state stands in the service's health; stop the service to look at the device itself",
-            )
-        ]
     found: list[Finding] = []
     if isinstance(wire, PortWire):
         port = look_at_port(machine, who, wire.device)

@@ -7,10 +7,11 @@ import socket
 from service.config import ServiceConfig
 from service.offline.doctor.findings import Finding, fault, note, ok
 from service.offline.doctor.machine import Machine
-from service.offline.doctor.processes import Process, listeners, running_services
+from service.offline.doctor.processes import listeners, running_services
+from service.offline.doctor.running import RunningService
 
 
-def look_at_zenoh(machine: Machine, config: ServiceConfig) -> tuple[list[Finding], Process | None]:
+def look_at_zenoh(machine: Machine, config: ServiceConfig) -> tuple[list[Finding], RunningService | None]:
     """A finding for each place to listen at, and the running service that holds one."""
     found, service = [], None
     for endpoint in config.publishing.listen:
@@ -20,7 +21,7 @@ def look_at_zenoh(machine: Machine, config: ServiceConfig) -> tuple[list[Finding
     return found, service
 
 
-def _endpoint(machine: Machine, endpoint: str) -> tuple[Finding, Process | None]:
+def _endpoint(machine: Machine, endpoint: str) -> tuple[Finding, RunningService | None]:
     parts = re.fullmatch(r"(tcp|udp|ws)/\[?([^\]]+?)\]?:(\d+)", endpoint)
     if parts is None:
         return ok("zenoh", f"{endpoint} is not tried"), None
@@ -35,10 +36,12 @@ def _endpoint(machine: Machine, endpoint: str) -> tuple[Finding, Process | None]
                 trial.listen(1)
     except OSError as error:
         return _taken(machine, endpoint, port, error)
-    return ok("zenoh", f"{endpoint} is free"), None
+    return ok("zenoh", f"{endpoint} is free" if port else f"{endpoint} takes any free port"), None
 
 
-def _taken(machine: Machine, endpoint: str, port: int, error: OSError) -> tuple[Finding, Process | None]:
+def _taken(
+    machine: Machine, endpoint: str, port: int, error: OSError
+) -> tuple[Finding, RunningService | None]:
     if error.errno != errno.EADDRINUSE:
         words = "this machine has no such address" if error.errno == errno.EADDRNOTAVAIL else str(error)
         remedy = "change publishing.listen; tcp/[::]:7447 takes every address"
@@ -48,10 +51,11 @@ def _taken(machine: Machine, endpoint: str, port: int, error: OSError) -> tuple[
     if not owners:
         services = running_services(machine)  # another user's: the kernel shows its name, not its sockets
     if services:
-        words = f"{services[0]} is the running service and listens at {endpoint}"
-        return note(
-            "zenoh", words, "devices are busy because of it; stop it to look at them, or read its health"
-        ), services[0]
+        words = (
+            f"{services[0]} is the running service and listens at {endpoint}; its devices are busy with it"
+        )
+        remedy = "what follows of devices is what it says; stop it to have them looked at"
+        return note("zenoh", words, remedy), RunningService(services[0], endpoint)
     held = " and ".join(map(str, owners)) or "another user's process, which only root sees"
     return fault(
         "zenoh",

@@ -12,6 +12,7 @@ from service.offline.doctor.cache import look_at_cache
 from service.offline.doctor.devices import Patience, examine_sensor
 from service.offline.doctor.findings import Finding, Report, fault, ok
 from service.offline.doctor.machine import Machine
+from service.offline.doctor.running import ask_health, from_health
 
 
 def examine(
@@ -49,22 +50,31 @@ def _with_config(
     machine: Machine, path: Path, config: ServiceConfig, patience: Patience
 ) -> Sequence[Finding]:
     kinds = ", ".join(f"{name} ({sensor.type})" for name, sensor in config.sensors.items())
-    zenoh, service = endpoints.look_at_zenoh(machine, config)
-    stop = threading.Event()
-    with ThreadPoolExecutor(max_workers=len(config.sensors), thread_name_prefix="doctor") as workers:
-        try:
-            asked = [
-                workers.submit(examine_sensor, machine, sensor, service, patience, stop)
-                for sensor in config.sensors.values()
-            ]
-            devices = [finding for future in asked for finding in future.result()]
-        finally:
-            stop.set()  # Ctrl-C: let the devices go in good order
+    zenoh, running = endpoints.look_at_zenoh(machine, config)
+    if running is not None:
+        statuses = ask_health(running, config.vehicle)
+        devices = from_health(running, config.vehicle, list(config.sensors), statuses)
+    else:
+        devices = _devices(machine, config, patience)
     return (
         ok("config", f"{path} is valid: vehicle {config.vehicle} with {kinds}"),
-        *devices,
         *zenoh,
+        *devices,
         *folders.look_at_folders(machine, config),
         folders.look_at_disk(machine, config),
         *folders.look_at_leftovers(machine, config),
     )
+
+
+def _devices(machine: Machine, config: ServiceConfig, patience: Patience) -> list[Finding]:
+    """Of all sensors, looked at side by side."""
+    stop = threading.Event()
+    with ThreadPoolExecutor(max_workers=len(config.sensors), thread_name_prefix="doctor") as workers:
+        try:
+            asked = [
+                workers.submit(examine_sensor, machine, sensor, patience, stop)
+                for sensor in config.sensors.values()
+            ]
+            return [finding for future in asked for finding in future.result()]
+        finally:
+            stop.set()  # Ctrl-C: let the devices go in good order

@@ -69,7 +69,12 @@ class Report:
             }
             for finding in self.findings
         ]
-        return {"config": self.config, "ok": self.exit_code == 0, **self.counts, "findings": findings}
+        return {
+            "config": self.config,
+            "ok": self.exit_code == 0,
+            "counts": self.counts,
+            "findings": findings,
+        }
 
     def text(self, width: int = 110, colour: bool = False) -> str:
         """Aligned lines for people; `colour` only where a terminal reads them."""

@@ -1,0 +1,86 @@
+"""The service runs already: then its devices are its own, and it is asked for their state instead."""
+
+import json
+import queue
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import zenoh
+
+from service.encoding import Status, decode_diagnostics
+from service.errors import InputError
+from service.offline.doctor.findings import Finding, Severity, fault, note
+from service.offline.doctor.processes import Process
+from service.publishing.keys import vehicle_key
+
+HEALTH_WAIT_S = 3.0  # it comes each second
+_SEVERITIES: Mapping[int, Severity] = {0: "ok", 1: "note"}
+SENSOR_PREFIX = "sensor/"
+
+
+@dataclass(frozen=True, slots=True)
+class RunningService:
+    process: Process
+    endpoint: str  # of Zenoh, where it listens
+
+
+def ask_health(running: RunningService, vehicle: str, wait_s: float = HEALTH_WAIT_S) -> list[Status]:
+    """The newest health message of this vehicle's service; empty where none comes in time."""
+    settings = zenoh.Config()
+    for key, value in {
+        "mode": "client",
+        "connect/endpoints": [running.endpoint],
+        "connect/timeout_ms": round(wait_s * 1e3),
+        "scouting/multicast/enabled": False,
+    }.items():
+        settings.insert_json5(key, json.dumps(value))
+    heard: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    try:
+        with zenoh.open(settings) as session:
+            session.declare_subscriber(
+                vehicle_key(vehicle, "health"), lambda sample: heard.put(sample.payload.to_bytes())
+            )
+            return decode_diagnostics(heard.get(timeout=wait_s))
+    except (zenoh.ZError, queue.Empty, InputError):
+        return []
+
+
+def from_health(
+    running: RunningService, vehicle: str, sensors: Sequence[str], statuses: Sequence[Status]
+) -> list[Finding]:
+    """A finding for each sensor of the config and each part of the service."""
+    if not statuses:
+        return [
+            fault(
+                "service",
+                f"{running.process} listens at {running.endpoint}, but no health of vehicle {vehicle} comes",
+                "a health message each second",
+                "is that another vehicle's service? if not: systemctl status, journalctl -u 'corridor@*'",
+            )
+        ]
+    found = [_from_status(status) for status in statuses]
+    told = {status.name.removeprefix(SENSOR_PREFIX) for status in statuses}
+    found += [
+        note(
+            name,
+            f"the running service ({running.process}) knows no such sensor",
+            "it was started with another config; start it again to take this one",
+        )
+        for name in sensors
+        if name not in told
+    ]
+    return found
+
+
+def _from_status(status: Status) -> Finding:
+    who = status.name.removeprefix(SENSOR_PREFIX)
+    measured = f"as the service has it: {status.message}"
+    if who != status.name and (rate := status.values.get("rate_hz")):
+        measured += f"; {rate} frames/s"
+    severity = _SEVERITIES.get(status.level, "fault")
+    if severity == "ok":
+        return Finding("ok", who, measured, values=dict(status.values))
+    remedy = "stop the service and look again: then the device itself is asked"
+    if who == status.name:
+        remedy = "docs/operations.md says what this line means"
+    return Finding(severity, who, measured, "level ok", remedy, dict(status.values))
