@@ -17,6 +17,7 @@ from drivers.hokuyo_utm30lx.dialogue import Answer, Ask, UtmDialogue, status_tex
 from drivers.hokuyo_utm30lx.geometry import Geometry
 from drivers.hokuyo_utm30lx.protocol import (
     ABNORMAL,
+    GENERAL_STATUS,
     OK,
     RESUMED,
     SCAN_FOLLOWS,
@@ -157,13 +158,15 @@ class HokuyoUtm30lxSession:
         if request is None:
             self.counters["scans_of_old_stream"] += 1
             return None
-        if reply.status != SCAN_FOLLOWS:
-            self._note_trouble(reply)
-            return None
         if reply.echo != request.text:
             self.counters["scans_of_old_stream"] += 1
             return None
+        if reply.status != SCAN_FOLLOWS and not reply.body:
+            self._note_trouble(reply.status)
+            return None
         try:
+            if reply.status != SCAN_FOLLOWS:
+                raise ProtocolError(f"{reply.echo}: a scan with status {reply.status}, expected 99")
             scan = read_scan(reply)
         except ProtocolError as error:
             self.counters["scans_malformed"] += 1
@@ -177,22 +180,24 @@ class HokuyoUtm30lxSession:
         self.counters["scans_received"] += 1
         return self._frame(scan, request, arrived_ns)
 
-    def _note_trouble(self, reply: Reply) -> None:
-        """Statuses 21 to 98 of a stream: the device looks after itself, or gives up."""
-        number = int(reply.status) if reply.status.isdigit() else 0
-        if reply.status == RESUMED:
+    def _note_trouble(self, status: str) -> None:
+        """Statuses without a scan: the device looks after itself, gives up, or refuses to go on."""
+        number = int(status) if status.isdigit() else 0
+        if status == RESUMED:
             self._verifying = ""
         elif number in VERIFYING:
             self.counters["stops_to_verify_an_error"] += 1
-            self._verifying = f"stopped to verify an error (status {reply.status})"
+            self._verifying = f"stopped to verify an error (status {status})"
         elif number in TROUBLE:
             raise DeviceError(
-                f"hardware trouble (status {reply.status}); cut its power, then have it repaired"
+                f"hardware trouble (status {status}); cut its power once, else have it repaired"
             )
+        elif status == ABNORMAL:
+            raise DeviceError(f"the stream ended: {status_text(status)}; it is rebooted at the next try")
+        elif status in GENERAL_STATUS:
+            raise TransportError(f"the stream ended: {status_text(status)}")
         else:
-            raise (DeviceError if reply.status == ABNORMAL else TransportError)(
-                f"the stream ended: {status_text(reply.status)}"
-            )
+            self.counters["answers_unusable"] += 1
 
     def _frame(self, scan: Scan, request: ScanRequest, arrived_ns: int) -> LaserScan | None:
         geometry, clock = self._dialogue.geometry, self._clock

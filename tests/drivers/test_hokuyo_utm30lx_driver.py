@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.hokuyo_utm30lx.driver import MALFORMED_LIMIT, HokuyoUtm30lxSession
@@ -189,6 +191,7 @@ def test_a_usb_unit_left_in_any_state_by_a_dead_client_is_taken_over(left_with, 
     if left_with.startswith(b"M") and left_with.endswith(b"\n"):
         assert device.next_due_ns(now_ns) is not None  # it streams on
     t.connect().run(4.0)
+    assert t.sent.startswith(b"\n")  # ends what was half said
     assert t.session.status == "streaming"
     assert t.session.counters["scans_malformed"] == 0
     assert np.diff([frame.stamp_ns for frame in t.frames]).max() < 26_000_000
@@ -294,6 +297,46 @@ def test_one_bad_block_costs_one_scan():
     assert len(frames) == 3
     assert t.session.counters["scans_malformed"] == 2
     assert t.session.counters["scans_missed"] == 2
+
+
+def test_statuses_that_end_a_stream_and_those_that_are_noise():
+    t = talk().run(4.0)
+    for noise in ("01", "0Z", "99"):
+        assert t.session.receive_data(encode_reply("MD0000108001000", noise), t.now_ns) == []
+    assert t.session.receive_data(encode_reply("MD0000108001000", "54", [b"<Sfk", b"000"]), t.now_ns) == []
+    assert t.session.receive_data(encode_reply("ME0000108001000", "54"), t.now_ns) == []  # not our stream
+    with pytest.raises(TransportError, match="denied"):
+        t.session.receive_data(encode_reply("MD0000108001000", "10"), t.now_ns)
+    with pytest.raises(DeviceError, match="abnormal state"):
+        t.session.receive_data(encode_reply("MD0000108001000", "0L"), t.now_ns)
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(
+    flips=st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), min_size=1, max_size=5),
+    cut=st.integers(0, 10**6),
+    dropped=st.integers(0, 300),
+)
+def test_a_mutated_scan_raises_nothing_and_the_next_one_is_a_frame(running, flips, cut, dropped):
+    session, scan, moment = running
+    wire = bytearray(write_scan(scan))
+    for place, byte in flips:
+        wire[place % len(wire)] = byte
+    cut %= len(wire)
+    del wire[cut : cut + dropped]
+    ms = moment["ms"] = moment["ms"] + 50
+    session.receive_data(bytes(wire), moment["ns"] + ms * 1_000_000)
+    good = write_scan(replace(scan, stamp_ms=scan.stamp_ms + ms))
+    assert session.receive_data(b"\n\n" + good, moment["ns"] + ms * 1_000_000)
+
+
+@pytest.fixture(scope="module")
+def running():
+    """A streaming session, a scan of its stream, and the time that has passed since."""
+    t = talk().run(8.0)
+    distance_mm = np.full((1, 1081), 4000, np.int32)
+    scan = Scan(ScanRequest("MD", 0, 1080), t.session._last_ms, distance_mm, distance_mm[:0])
+    return t.session, scan, {"ms": 0, "ns": t.now_ns}
 
 
 def test_nothing_but_malformed_scans_ends_the_session():
