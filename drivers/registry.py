@@ -14,7 +14,8 @@ from drivers.hokuyo_utm30lx.driver import HokuyoUtm30lxSession
 from drivers.hokuyo_utm30lx.port import open_port as open_utm30lx_port
 from drivers.ibeo_lux.advice import ADVICE as IBEO_LUX_ADVICE
 from drivers.ibeo_lux.config import IbeoLuxConfig
-from drivers.ibeo_lux.driver import IbeoLuxSession
+from drivers.ibeo_lux.port import open_port as open_ibeo_lux_port
+from drivers.ibeo_lux.port import session_maker as ibeo_lux_session_maker
 from drivers.irobot_create.advice import ADVICE as IROBOT_CREATE_ADVICE
 from drivers.irobot_create.config import IrobotCreateConfig
 from drivers.irobot_create.driver import session_maker as irobot_create_session_maker
@@ -53,10 +54,5 @@ SENSOR_KINDS: dict[str, SensorKind] = {
     "irobot_create": SensorKind(
         IrobotCreateConfig, open_irobot_create_port, irobot_create_session_maker, IROBOT_CREATE_ADVICE
     ),
-    "ibeo_lux": SensorKind(
-        IbeoLuxConfig,
-        lambda c: TcpTransport(c.host, c.port),
-        lambda c: partial(IbeoLuxSession, c),
-        IBEO_LUX_ADVICE,
-    ),
+    "ibeo_lux": SensorKind(IbeoLuxConfig, open_ibeo_lux_port, ibeo_lux_session_maker, IBEO_LUX_ADVICE),
 }

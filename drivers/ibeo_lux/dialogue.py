@@ -258,8 +258,8 @@ class IbeoLuxDialogue:
             yield Pause(START_POLL_S)
         waited_s = START_POLLS * START_POLL_S
         raise DeviceError(
-            f"no scan {waited_s:g} s after Start: {self._state_words()}; does the mirror turn, is it too hot or "
-            "too cold?"
+            f"no scan {waited_s:g} s after Start: {self._state_words()}; does the mirror turn, "
+            "is it too hot or too cold?"
         )
 
     def _watch(self) -> Dialogue[None]:

@@ -7,7 +7,6 @@ are left out: the clock is being set, and what they show may not be what the con
 """
 
 import math
-import time
 from collections import Counter
 from collections.abc import Callable
 
@@ -53,7 +52,7 @@ COUNTED_TYPES: dict[int, str] = {
 class IbeoLuxSession:
     """The life of one connection; see drivers.link.Session. The device's clock is set to `unix_ns`."""
 
-    def __init__(self, config: IbeoLuxConfig, unix_ns: Callable[[], int] = time.time_ns) -> None:
+    def __init__(self, config: IbeoLuxConfig, unix_ns: Callable[[], int]) -> None:
         self._config = config
         self._decoder = Decoder()
         self._dialogue = IbeoLuxDialogue(config, unix_ns)

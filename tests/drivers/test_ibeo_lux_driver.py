@@ -5,6 +5,8 @@ import threading
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.ibeo_lux.driver import IbeoLuxSession
@@ -290,6 +292,33 @@ def test_clock_that_others_set_while_it_runs_is_followed(kept):
     assert np.abs(errors_ms(t, before + 1) - LEAVES_AFTER_SWEEP_NS / 1e6 - 0.1).max() < 0.1
 
 
+GOOD = [
+    wire(scan((1, 0, 0, 1600, 1000, 60), number=k, start_ns=10 * SECOND_NS + k * PERIOD_NS)) for k in range(3)
+]
+ERRORS = encode(Message(DataType.ERRORS, ErrorRegisters(errors_1=2).write()))
+STATUS = encode(Message(DataType.REPLY, bytes.fromhex("0100") + bytes(30)))
+
+
+@given(data=st.data())
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_mutated_messages_do_no_harm_and_the_next_good_scan_is_a_frame(data):
+    session = IbeoLuxSession(config(), lambda: 0)
+    session._dialogue.ready = data.draw(st.booleans())
+    spoilt = bytearray(data.draw(st.sampled_from([GOOD[0], ERRORS, STATUS])))
+    for _ in range(data.draw(st.integers(1, 4))):
+        place = data.draw(st.integers(0, len(spoilt) - 1))
+        spoilt[place] = data.draw(st.integers(0, 255))
+    for k, message in enumerate([GOOD[0], bytes(spoilt), GOOD[1]]):
+        now_ns = 10**12 + k * PERIOD_NS
+        session.tick(now_ns)
+        for frame in session.receive_data(message, now_ns):
+            assert len(frame.range_m) <= 1 + 11_520 // 4
+            assert frame.beam_interval_ns > 0
+    session._dialogue.ready = True
+    [frame] = session.receive_data(GOOD[2], 10**12 + 3 * PERIOD_NS)
+    assert np.count_nonzero(~np.isnan(frame.range_m)) == 1
+
+
 @pytest.fixture
 def frames_over_tcp():
     """Runs run_link against a fake device on a loopback port; gives the frames until `enough` were read."""
@@ -298,7 +327,7 @@ def frames_over_tcp():
         stop, frames = threading.Event(), []
         port_wire = serve_tcp(FakeIbeoLux(Room(), setup))
         with port_wire as (host, port):
-            settings = config(host=host, port=port)
+            chosen = config(host=host, port=port)
 
             def sink(frame):
                 frames.append(frame)
@@ -313,8 +342,8 @@ def frames_over_tcp():
             try:
                 run_link(
                     health,
-                    lambda: kind.open_transport(settings),
-                    kind.session_maker(settings),
+                    lambda: kind.open_transport(chosen),
+                    kind.session_maker(chosen),
                     sink,
                     stop,
                 )
