@@ -90,6 +90,15 @@ UTM30LX = LaserModel(
     sigma_per_m=0.0007,
     divergence_rad=0.006,
 )
+# IBEO LUX data sheet: 200 m, 50 m at 10 % remission, 4 cm in steps of a centimetre, beam 0.08 deg wide.
+IBEO_LUX = LaserModel(
+    range_min_m=0.3,
+    range_max_m=200.0,
+    tenth_range_m=50.0,
+    sigma_m=0.04,
+    quantum_m=0.01,
+    divergence_rad=0.0014,
+)
 
 
 class LaserTruth:

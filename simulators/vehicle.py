@@ -12,9 +12,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.irobot_create.config import PRESETS
 from service.geometry.se2 import SE2
+from simulators.ibeo_lux import FakeIbeoLux, LuxSetup
 from simulators.irobot_create import FakeCreate
 from simulators.sick_lms100 import FakeLms100, Lms100Setup
-from simulators.truth import CREATE_WHEELS, LMS100, LaserTruth, Ride, WheelTruth, seed_of
+from simulators.truth import CREATE_WHEELS, IBEO_LUX, LMS100, LaserTruth, Ride, WheelTruth, seed_of
 from simulators.wire import PtyWire, TcpWire, serve_pty, serve_tcp
 from simulators.world import World
 
@@ -36,6 +37,23 @@ class Lms100Options(BaseModel):
     sigma_m: float = Field(default=LMS100.sigma_m, ge=0.0)
     bias_m: float = LMS100.bias_m
     clock_drift_ppm: float = 40.0
+
+
+class LuxOptions(BaseModel):
+    """What may stand behind `ibeo_lux:`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    host: str = "127.0.0.1"
+    port: int = Field(default=0, ge=0, le=65535)  # 0: any free
+    x_m: float = 0.25  # mounting in the base frame
+    y_m: float = 0.0
+    yaw_deg: float = 0.0
+    sigma_m: float = Field(default=IBEO_LUX.sigma_m, ge=0.0)
+    bias_m: float = IBEO_LUX.bias_m
+    clock_drift_ppm: float = 40.0
+    height_m: float | None = Field(default=None, gt=0.0)  # above ground, which the low layers then meet
+    rain_share: float = Field(default=0.0, ge=0.0, le=1.0)  # of the shots that meet a drop first
 
 
 class CreateOptions(BaseModel):
@@ -73,6 +91,16 @@ def _build_lms100(name: str, options: Lms100Options, ride: Ride, seed: int) -> W
     return serve_tcp(FakeLms100(source, setup, seed_of(seed, name)), options.host, options.port)
 
 
+def _build_lux(name: str, options: LuxOptions, ride: Ride, seed: int) -> Wire:
+    mounting = SE2(options.x_m, options.y_m, math.radians(options.yaw_deg))
+    model = replace(IBEO_LUX, sigma_m=options.sigma_m, bias_m=options.bias_m)
+    source = LaserTruth(ride, name, mounting, model, seed)
+    setup = LuxSetup(
+        clock_drift_ppm=options.clock_drift_ppm, height_m=options.height_m, rain_share=options.rain_share
+    )
+    return serve_tcp(FakeIbeoLux(source, setup, seed_of(seed, name)), options.host, options.port)
+
+
 def _build_create(name: str, options: CreateOptions, ride: Ride, seed: int) -> Wire:
     model = replace(
         CREATE_WHEELS,
@@ -88,6 +116,7 @@ def _build_create(name: str, options: CreateOptions, ride: Ride, seed: int) -> W
 KINDS = {
     "sick_lms100": _Kind(Lms100Options, _build_lms100),
     "irobot_create": _Kind(CreateOptions, _build_create),
+    "ibeo_lux": _Kind(LuxOptions, _build_lux),
 }
 
 
