@@ -29,6 +29,7 @@ class MappingConfig(BaseModel):
 
     profile: Literal["corridor"] = "corridor"
     cell_m: float = Field(default=0.05, ge=0.01, le=0.5)
+    mode: Literal["mapping"] = "mapping"
     settings: CorridorConfig = CorridorConfig()
 
 

@@ -117,6 +117,10 @@ def test_only_sensors_with_a_mounting_have_one():
         (with_line("map: {directory: no}", 8), "c.yaml:8:18: map.directory: YAML takes no for false"),
         (GOOD + "publishing: {listen: [7447]}\n", "c.yaml:9:23: publishing.listen.0: should be a valid"),
         (GOOD + "mapping: {settings: {matcher: {iteration: 3}}}\n", 'did you mean "iterations"?'),
+        (
+            GOOD + "mapping: {mode: localization}\n",
+            "c.yaml:9:11: mapping.mode: should be 'mapping' (got \"localization\")",
+        ),
         (GOOD + "web: {listen: 127.0.0.1:8080}\n", "c.yaml:9:1: web: unknown key; known here: vehicle, "),
         ("- a\n", "c.yaml:1:1: a config is a mapping with the keys vehicle, sensors, "),
         ("", "c.yaml:1:1: a config is a mapping with the keys vehicle, sensors, "),
