@@ -150,4 +150,5 @@ def _is_known(kind: SensorKind, config: Any, seen: Probe) -> bool:
 
 
 def _other_bauds(kind: SensorKind, config: Any) -> list[int]:
-    return [baud for baud in kind.advice.bauds if baud != getattr(config, "baud", None)]
+    configured = getattr(config, "baud", None)
+    return [baud for baud in kind.advice.bauds if baud != configured] if isinstance(configured, int) else []

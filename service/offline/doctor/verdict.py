@@ -1,10 +1,12 @@
 """From what a probe saw to findings: one function for each way a device can disappoint, one for success."""
 
+import errno
 from typing import Any
 
 from drivers.errors import DeviceError
 from drivers.registry import SensorKind
 from service.offline.doctor.findings import Finding, fault, note, ok
+from service.offline.doctor.network import errno_of
 from service.offline.doctor.probe import Probe
 from service.offline.doctor.voices import describe, recognise_sensor, recognise_stranger
 
@@ -119,9 +121,13 @@ def silent(kind: SensorKind, config: Any, seen: Probe) -> Finding:
     measured = (
         f"the wire is open, {seen.bytes_written} bytes were sent, and nothing came in {seen.seconds:.0f} s"
     )
-    if seen.error is not None and "closed the connection" in str(seen.error):
+    if seen.error is not None and _hung_up(seen.error):
         measured = "accepts and hangs up without a word"
     return fault(config.name, measured, f"a {config.type} to answer", kind.advice.silence)
+
+
+def _hung_up(error: Exception) -> bool:
+    return errno_of(error) in (errno.ECONNRESET, errno.EPIPE) or "closed the connection" in str(error)
 
 
 def other_settings(config: Any, seen: Probe, words: str, answer: Probe) -> Finding:

@@ -1,0 +1,168 @@
+"""A machine whose /proc, /sys and /dev are folders, and things on real wires that no driver expects."""
+
+import os
+import select
+import socket
+import subprocess
+import sys
+import termios
+import threading
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from service.offline.doctor.machine import KernelClock, Machine
+from simulators.wire import serve_tcp
+
+PATIENCE_S = 10.0
+HOLD = """
+import sys, serial
+port = serial.Serial(sys.argv[1], 115200, exclusive=True)
+print("held", flush=True)
+sys.stdin.read()
+"""
+
+
+class FakeTree:
+    """Files below a folder that stands for /."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    def write(self, name: str, text: str | bytes) -> Path:
+        path = self.root / name.lstrip("/")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(text.encode() if isinstance(text, str) else text)
+        return path
+
+    def link(self, name: str, target: str | Path) -> Path:
+        path = self.root / name.lstrip("/")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.symlink_to(target)
+        return path
+
+    def process(self, number: int, name: str, *arguments: str, holds: str = "") -> None:
+        self.write(f"/proc/{number}/comm", name + "\n")
+        self.write(f"/proc/{number}/cmdline", b"\0".join(a.encode() for a in arguments) + b"\0")
+        (self.root / f"proc/{number}/fd").mkdir()
+        if holds:
+            self.link(f"/proc/{number}/fd/7", holds)
+
+    def machine(self, **changes: object) -> Machine:
+        """A user without any special right, on a machine with a good clock and a large disk."""
+        settings: dict[str, object] = {
+            "root": self.root,
+            "environment": {"HOME": str(self.root / "home")},
+            "user": "driver",
+            "group_ids": frozenset({1000}),
+            "is_root": False,
+            "may_read_and_write": lambda path: True,
+            "free_bytes": lambda path: 100_000_000_000,
+            "kernel_clock": lambda: KernelClock(True, 0.004),
+            "unix_s": lambda: 1.8e9,
+        }
+        return Machine(**(settings | changes))  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> FakeTree:
+    (tmp_path / "root").mkdir()
+    return FakeTree(tmp_path / "root")
+
+
+class Parrot:
+    """A FakeDevice that says always the same: once when somebody comes, and to everything it hears."""
+
+    def __init__(self, answer: bytes, greeting: bytes = b"") -> None:
+        self._answer, self._greeting = answer, greeting
+        self.heard = bytearray()
+
+    def connected(self, now_ns: int) -> bytes:
+        return self._greeting
+
+    def receive_data(self, data: bytes, now_ns: int) -> bytes:
+        self.heard += data
+        return self._answer
+
+    def next_due_ns(self, now_ns: int) -> int | None:
+        return None
+
+    def due(self, now_ns: int) -> bytes:
+        return b""
+
+    def disconnected(self, now_ns: int) -> None:
+        pass
+
+
+@pytest.fixture
+def on_tcp() -> Iterator[Callable[..., tuple[str, int]]]:
+    """Puts fake devices on loopback ports, as long as the test runs."""
+    with ExitStack() as stack:
+        yield lambda device: stack.enter_context(serve_tcp(device))
+
+
+@pytest.fixture
+def closed_port() -> int:
+    with socket.socket() as door:
+        door.bind(("127.0.0.1", 0))
+        return int(door.getsockname()[1])
+
+
+class Line:
+    """A serial line that says what it likes at each baud rate; `heard` is what was written to it."""
+
+    def __init__(self, says: Callable[[int], bytes]) -> None:
+        self._says = says
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._master)
+        tty.setraw(self._slave)
+        self.path = os.ttyname(self._slave)
+        self.heard = bytearray()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def __enter__(self) -> "Line":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self._stop.set()
+        self._thread.join(PATIENCE_S)
+        os.close(self._slave)
+        os.close(self._master)
+
+    def _run(self) -> None:
+        bauds = {termios.B57600: 57_600, termios.B115200: 115_200, termios.B38400: 38_400}
+        while not self._stop.wait(0.01):
+            if select.select([self._master], [], [], 0.0)[0]:
+                self.heard += os.read(self._master, 4096)
+            if words := self._says(bauds.get(termios.tcgetattr(self._master)[4], 0)):
+                os.write(self._master, words)
+
+
+@pytest.fixture
+def serial_line() -> Iterator[Callable[..., Line]]:
+    with ExitStack() as stack:
+        yield lambda says=lambda baud: b"": stack.enter_context(Line(says))
+
+
+@pytest.fixture
+def hold() -> Iterator[Callable[[str], int]]:
+    """Opens a port exclusively in another process; gives its number."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(path: str) -> int:
+        process = subprocess.Popen(
+            [sys.executable, "-c", HOLD, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        started.append(process)
+        assert process.stdout is not None
+        assert process.stdout.readline() == "held\n"
+        return process.pid
+
+    yield start
+    for process in started:
+        process.communicate(timeout=PATIENCE_S)

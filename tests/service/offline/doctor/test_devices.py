@@ -1,0 +1,218 @@
+"""The doctor against things on real wires: good devices, ill ones, and strangers."""
+
+import random
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from drivers.hokuyo_utm30lx.protocol import encode_reply
+from drivers.irobot_create.config import IrobotCreateConfig
+from drivers.irobot_create.driver import STREAM_IDS
+from drivers.irobot_create.protocol import encode_frame
+from drivers.sick_lms100.config import Lms100Config
+from drivers.sick_lms100.protocol import Dialect
+from drivers.transport import TcpTransport
+from service.offline.doctor.devices import Patience, PortWire, TcpWire, examine_sensor, wire_of
+from service.offline.doctor.findings import Finding
+from service.offline.doctor.machine import Machine
+from simulators.irobot_create import FakeCreate
+from simulators.sick_lms100 import FakeLms100, Lms100Setup
+from simulators.wire import serve_pty
+from tests.drivers.irobot_bench import STANDING
+from tests.drivers.lms100 import Room
+from tests.service.offline.doctor.conftest import FakeTree, Line, Parrot
+
+QUICK = Patience(measure_s=0.5, start_up_s=0.8, other_settings_s=2.5, listen_s=0.3)
+WAITING = Patience(measure_s=0.6, start_up_s=8.0)
+OnTcp = Callable[[Any], tuple[str, int]]
+SerialLine = Callable[..., Line]
+
+
+def lms100(at: tuple[str, int], **changes: Any) -> Lms100Config:
+    return Lms100Config(name="front", host=at[0], port=at[1], **changes)
+
+
+def create(path: str, **changes: Any) -> IrobotCreateConfig:
+    return IrobotCreateConfig(name="base", device=path, **changes)
+
+
+def examine(config: Any, patience: Patience = QUICK, machine: Machine | None = None) -> list[Finding]:
+    return examine_sensor(machine or Machine(), config, patience, threading.Event())
+
+
+def fake_lms100(**setup: Any) -> FakeLms100:
+    return FakeLms100(Room(), Lms100Setup(**setup))
+
+
+def only(findings: list[Finding], severity: str = "fault") -> Finding:
+    (finding,) = findings
+    assert finding.severity == severity, finding
+    assert finding.who in ("front", "base")
+    assert severity == "ok" or finding.remedy
+    return finding
+
+
+def test_a_good_device_is_named_with_rate_identity_and_clock(on_tcp: OnTcp):
+    finding = only(examine(lms100(on_tcp(fake_lms100())), WAITING), "ok")
+    assert "device LMS10x_FieldEval" in finding.measured
+    assert "serial 18090362" in finding.measured
+    assert finding.values["identity.dialect"] == "CoLa-A"
+    assert float(finding.values["rate_hz"]) == pytest.approx(49.8, rel=0.1)
+    assert 3.0 < float(finding.values["delay_ms_p50"]) < 60.0
+
+
+def test_a_good_robot_is_named_with_rate_and_battery():
+    with serve_pty(FakeCreate(STANDING, wakes_on_connect=True)) as path:
+        finding = only(examine(create(path), WAITING), "ok")
+    assert "battery" in finding.measured
+    assert float(finding.values["rate_hz"]) == pytest.approx(66.7, rel=0.1)
+
+
+def test_a_closed_port_is_named(closed_port: int):
+    finding = only(examine(lms100(("127.0.0.1", closed_port))))
+    assert f"nothing listens at port {closed_port}" in finding.measured
+
+
+def test_a_web_server_in_the_devices_place_is_recognised(on_tcp: OnTcp):
+    page = b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\n\r\n<html></html>"
+    finding = only(examine(lms100(on_tcp(Parrot(page)))))
+    assert finding.measured == 'wrong protocol: a web server ("HTTP/1.1 400 Bad Request")'
+    assert finding.expected == "messages of a sick_lms100"
+
+
+def test_another_type_of_sensor_is_recognised(on_tcp: OnTcp):
+    finding = only(examine(lms100(on_tcp(Parrot(encode_reply("QT", "00"))))))
+    assert finding.measured == "a Hokuyo laser that speaks SCIP answers here"
+    assert "wires are swapped" in finding.remedy
+
+
+def test_the_other_dialect_is_found_by_asking_in_it(on_tcp: OnTcp):
+    finding = only(examine(lms100(on_tcp(fake_lms100(dialect=Dialect.BINARY)), dialect="cola_a")))
+    assert "with dialect: cola_b a device does: dialect CoLa-B" in finding.measured
+    assert finding.remedy == "write dialect: cola_b"
+
+
+def test_a_device_that_says_nothing_is_told_from_one_that_is_not_there(on_tcp: OnTcp):
+    parrot = Parrot(b"")
+    finding = only(examine(lms100(on_tcp(parrot))))
+    assert f"{len(parrot.heard)} bytes were sent, and nothing came" in finding.measured
+    assert "SOPAS ET" in finding.remedy
+
+
+def test_a_device_that_serves_somebody_else_is_recognised(on_tcp: OnTcp):
+    at = on_tcp(fake_lms100())
+    with TcpTransport(*at):
+        finding = only(examine(lms100(at)))
+    assert finding.measured == "accepts and hangs up without a word"
+    assert "is another host" in finding.remedy
+
+
+def test_a_slow_start_is_named_with_what_the_device_is_at(on_tcp: OnTcp):
+    finding = only(examine(lms100(on_tcp(fake_lms100(measuring=False, start_delay_ns=60_000_000_000)))))
+    assert "answers, but no frame in 1 s" in finding.measured
+    assert "it is at: waiting for the laser" in finding.measured
+
+
+def test_a_refusal_is_said_with_the_drivers_own_advice(on_tcp: OnTcp):
+    at = on_tcp(fake_lms100(measuring=False))
+    finding = only(examine(lms100(at, password_hash="00000000"), WAITING))
+    assert "login as authorised client refused" in finding.measured
+    assert "Set password_hash" in finding.remedy
+
+
+def test_a_rate_below_the_configured_one_is_a_fault(on_tcp: OnTcp):
+    first, second = examine(lms100(on_tcp(fake_lms100(motor_speed=0.8))), WAITING)
+    assert first.severity == "ok"
+    assert second.severity == "fault"
+    assert second.expected == "50 frames/s as configured"
+    assert float(second.measured.split()[0]) == pytest.approx(40.0, rel=0.1)
+
+
+def test_what_is_counted_beside_good_frames_is_noted(on_tcp: OnTcp):
+    _, second = examine(lms100(on_tcp(fake_lms100(repeat_every=3))), WAITING)
+    assert second.severity == "note"
+    assert "scans_duplicate" in second.measured
+
+
+def test_a_dirty_window_is_a_fault_of_the_device(on_tcp: OnTcp):
+    device = fake_lms100()
+    device.contamination = 2
+    findings = examine(lms100(on_tcp(device)), Patience(measure_s=1.0))
+    assert [finding.severity for finding in findings][:2] == ["ok", "fault"]
+    assert "the device reports: contamination error" in findings[1].measured
+
+
+def test_a_silent_robot_is_to_be_woken(serial_line: SerialLine):
+    line = serial_line()
+    finding = only(examine(create(line.path)))
+    assert "nothing came" in finding.measured
+    assert "Clean button" in finding.remedy
+    assert line.heard.startswith(b"\x80")
+
+
+def test_a_stream_at_another_rate_is_found_by_listening_alone(serial_line: SerialLine):
+    frame = encode_frame(STREAM_IDS, dict.fromkeys(STREAM_IDS, 0))
+    noise = bytes([0xFE, 0x80, 0xF8, 0x00, 0xE0, 0x66])
+    line = serial_line(lambda baud: frame if baud == 57_600 else noise if baud == 115_200 else b"")
+    finding = only(examine(create(line.path)))
+    assert finding.measured == "noise at 115200 baud, while an iRobot Create or Roomba speaks at 57600"
+    assert finding.remedy == "write baud: 57600, or set the device to 115200"
+
+
+def test_noise_at_every_rate_is_said_in_words(serial_line: SerialLine):
+    dice = random.Random(1)
+    line = serial_line(lambda baud: dice.randbytes(8))
+    finding = only(examine(create(line.path)))
+    assert finding.measured.startswith("at 115200 baud only noise comes: ")
+    assert "RS-232" in finding.remedy
+
+
+def test_a_gnss_receiver_on_the_robots_port_is_recognised(serial_line: SerialLine):
+    line = serial_line(lambda baud: b"$GPGGA,123519,4807.038,N,01131.000,E*47\r\n")
+    finding = only(examine(create(line.path)))
+    assert "wrong protocol: a GNSS receiver" in finding.measured
+
+
+def test_a_busy_port_is_not_touched(serial_line: SerialLine, hold: Callable[[str], int]):
+    line = serial_line()
+    number = hold(line.path)
+    finding = only(examine(create(line.path)))
+    assert f"(process {number})" in finding.measured
+    assert not line.heard
+
+
+def test_a_port_held_by_a_process_that_is_hidden_is_busy_all_the_same(
+    tree: FakeTree, serial_line: SerialLine, hold: Callable[[str], int]
+):
+    line = serial_line()
+    hold(line.path)
+    tree.link(line.path, line.path)  # a /proc without that process
+    finding = only(examine(create(line.path), machine=tree.machine()))
+    assert "another user's process" in finding.measured
+    assert "fuser" in finding.remedy
+
+
+def test_asking_to_stop_ends_a_look_at_once(on_tcp: OnTcp):
+    stop = threading.Event()
+    stop.set()
+    examine_sensor(Machine(), lms100(on_tcp(Parrot(b""))), Patience(start_up_s=3600.0), stop)
+
+
+@pytest.mark.parametrize(
+    ("device", "wire"),
+    [
+        ("/dev/ttyUSB0", PortWire("/dev/ttyUSB0")),
+        ("socket://10.0.0.7:4000", TcpWire("10.0.0.7", 4000)),
+        ("rfc2217://10.0.0.7:4000?logging=debug", TcpWire("10.0.0.7", 4000)),
+        ("usb:0770123", None),
+        ("loop://", None),
+    ],
+)
+def test_a_wire_is_known_by_its_settings(device: str, wire: object):
+    assert wire_of(create(device)) == wire
+
+
+def test_a_host_is_a_wire_too():
+    assert wire_of(lms100(("192.168.0.1", 2111))) == TcpWire("192.168.0.1", 2111)

@@ -1,0 +1,93 @@
+import errno
+import socket
+
+import pytest
+
+from drivers.errors import TransportError
+from service.offline.doctor.network import call_failed, look_at_route, resolve, route_to
+from tests.service.offline.doctor.conftest import FakeTree
+
+HEAD = "Iface\tDestination\tGateway\tFlags\tRefCnt\tUse\tMetric\tMask\tMTU\tWindow\tIRTT\n"
+VEHICLE_NET = "eth1\t0000A8C0\t00000000\t0001\t0\t0\t0\t00FFFFFF\t0\t0\t0\n"  # 192.168.0.0/24
+OFFICE_NET = "eth0\t0000000A\t00000000\t0001\t0\t0\t0\t000000FF\t0\t0\t0\n"  # 10.0.0.0/8
+DEFAULT = "eth0\t00000000\t0100000A\t0003\t0\t0\t0\t00000000\t0\t0\t0\n"  # by 10.0.0.1
+
+
+def failed(number: int) -> TransportError:
+    error = TransportError("cannot connect to 192.168.0.1:2111")
+    error.__cause__ = TimeoutError("timed out") if number == 0 else OSError(number, "")
+    return error
+
+
+def test_the_narrowest_route_is_taken(tree: FakeTree):
+    tree.write("/proc/net/route", HEAD + DEFAULT + OFFICE_NET + VEHICLE_NET)
+    near, far = route_to(tree.machine(), "192.168.0.1"), route_to(tree.machine(), "8.8.8.8")
+    assert near is not None
+    assert (near.interface, near.gateway) == ("eth1", "")
+    assert far is not None
+    assert (far.interface, far.gateway) == ("eth0", "10.0.0.1")
+
+
+def test_no_route_says_which_nets_there_are(tree: FakeTree):
+    tree.write("/proc/net/route", HEAD + OFFICE_NET)
+    finding = look_at_route(tree.machine(), "front", "192.168.0.1", 2111)
+    assert finding is not None
+    assert finding.measured == "this machine has no route to 192.168.0.1; its own nets are 10.0.0.0/8 on eth0"
+    assert "ip addr add 192.168.0.200/24" in finding.remedy
+
+
+def test_a_cable_that_is_out_is_seen_before_the_device_is_called(tree: FakeTree):
+    tree.write("/proc/net/route", HEAD + VEHICLE_NET)
+    assert look_at_route(tree.machine(), "front", "192.168.0.1", 2111) is None
+    tree.write("/sys/class/net/eth1/carrier", "0\n")
+    finding = look_at_route(tree.machine(), "front", "192.168.0.1", 2111)
+    assert finding is not None
+    assert "nothing is plugged in there" in finding.measured
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (errno.ECONNREFUSED, "nothing listens at port 2111"),
+        (errno.ENETUNREACH, "no route to 192.168.0.1"),
+        (errno.ECONNRESET, "hangs up at once"),
+        (errno.EHOSTUNREACH, "no answer from 192.168.0.1"),
+        (0, "no answer from 192.168.0.1"),
+        (errno.EPROTO, "cannot connect to 192.168.0.1:2111"),
+    ],
+)
+def test_each_way_to_fail_has_its_own_words(tree: FakeTree, number: int, words: str):
+    tree.write("/proc/net/route", HEAD + VEHICLE_NET)
+    finding = call_failed(tree.machine(), "front", "192.168.0.1", 2111, failed(number))
+    assert words in finding.measured
+    assert finding.remedy
+
+
+def test_silence_by_way_of_a_gateway_blames_the_missing_net(tree: FakeTree):
+    tree.write("/proc/net/route", HEAD + DEFAULT + OFFICE_NET)
+    finding = call_failed(tree.machine(), "front", "192.168.0.1", 2111, failed(0))
+    assert "leads over eth0 and the gateway 10.0.0.1" in finding.measured
+    assert "ip addr add" in finding.remedy
+
+
+def test_an_address_that_nobody_has_is_told_from_a_silent_device(tree: FakeTree):
+    tree.write("/proc/net/route", HEAD + VEHICLE_NET)
+    arp = "IP address HW type Flags HW address Mask Device\n192.168.0.1 0x1 0x{} 00:06:77:00:00:01 * eth1\n"
+    tree.write("/proc/net/arp", arp.format(0))
+    assert "nobody has the address" in (
+        call_failed(tree.machine(), "front", "192.168.0.1", 2111, failed(0)).measured
+    )
+    tree.write("/proc/net/arp", arp.format(2))
+    assert "no answer from" in call_failed(tree.machine(), "front", "192.168.0.1", 2111, failed(0)).measured
+
+
+def test_a_name_without_an_address_is_said(monkeypatch: pytest.MonkeyPatch):
+    assert resolve("front", "127.0.0.1", 2111) == ("127.0.0.1", None)
+
+    def nobody(*_: object, **__: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", nobody)
+    _, finding = resolve("front", "front-scanner", 2111)
+    assert finding is not None
+    assert "front-scanner has no address" in finding.measured

@@ -1,0 +1,83 @@
+import threading
+from collections import Counter
+
+import pytest
+
+from drivers.errors import ProtocolError, TransportError
+from drivers.frames import OdometrySample
+from drivers.transport import ScriptedTransport
+from service.offline.doctor.probe import KEPT_BYTES, Probe, listen, probe
+
+MS = 1_000_000
+
+
+class Echo:
+    """A session that makes a frame of every read, 10 ms apart, and counts."""
+
+    def __init__(self, fail_at: int = 0) -> None:
+        self.outbox = bytearray(b"start")
+        self.counters: Counter[str] = Counter()
+        self.status, self.identity = "streaming; warm", {"serial": "7"}
+        self.clock_offset_ns = 5
+        self._fail_at = fail_at
+
+    def receive_data(self, data: bytes, arrived_ns: int) -> list[OdometrySample]:
+        self.counters["frames_received"] += 1
+        self.counters["bytes_skipped"] += 3
+        if self.counters["frames_received"] == self._fail_at:
+            raise ProtocolError("what is this?")
+        stamp_ns = self.counters["frames_received"] * 10 * MS
+        return [
+            OdometrySample("base", stamp_ns, stamp_ns + 2 * MS, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), (0.0,) * 9)
+        ]
+
+    def tick(self, now_ns: int) -> None:
+        pass
+
+    def farewell(self) -> bytes:
+        return b"stop"
+
+
+def run(transport: ScriptedTransport, session: Echo, measure_s: float = 1.0) -> Probe:
+    return probe(lambda: transport, lambda: session, 1.0, measure_s, threading.Event())
+
+
+def test_what_a_session_does_is_kept_whole():
+    transport = ScriptedTransport([b"abc"] * 5)
+    seen = run(transport, Echo())
+    assert isinstance(seen.error, TransportError)  # the script's end, as a closed connection
+    assert (seen.opened, seen.frames, seen.bytes_read, seen.bytes_written) == (True, 5, 15, 5)
+    assert seen.rate_hz == pytest.approx(100.0)
+    assert seen.delay_ms == (2.0, 2.0)
+    assert seen.losses == {"bytes_skipped": 12}  # those before the first frame belong to the start
+    assert bytes(seen.first_bytes) == b"abc" * 5
+    assert transport.closed
+
+
+def test_the_device_is_left_with_the_sessions_last_words():
+    transport = ScriptedTransport([b"abc"] * 100_000)
+    seen = run(transport, Echo(), measure_s=0.0)
+    assert seen.error is None
+    assert transport.written == b"startstop"
+
+
+def test_an_error_of_the_protocol_ends_the_look_and_is_kept():
+    seen = run(ScriptedTransport([b"abc"] * 5), Echo(fail_at=3))
+    assert isinstance(seen.error, ProtocolError)
+    assert seen.frames == 2
+
+
+def test_a_wire_that_does_not_open_is_told_from_one_that_breaks():
+    def closed() -> ScriptedTransport:
+        raise TransportError("no such port")
+
+    seen = probe(closed, Echo, 1.0, 1.0, threading.Event())
+    assert not seen.opened
+    assert str(seen.error) == "no such port"
+
+
+def test_listening_writes_nothing_and_keeps_no_more_than_it_needs():
+    transport = ScriptedTransport([bytes(1000)] * 100)
+    assert listen(lambda: transport, 60.0, threading.Event()) == bytes(KEPT_BYTES)
+    assert transport.written == b""
+    assert listen(lambda: ScriptedTransport([b"x"]), 60.0, threading.Event()) == b"x"
