@@ -375,6 +375,6 @@ class ErrorRegisters:
 
 
 def _words(register: int, names: Mapping[int, str], register_name: str) -> list[str]:
-    words = [name for bit, name in names.items() if register & bit]
-    unknown = register & ~sum(names)
-    return words + ([f"{register_name} 0x{unknown:04x}"] if unknown else [])
+    """A name a bit, so that there are only so many, whatever comes."""
+    bits = [1 << place for place in range(16) if register & 1 << place]
+    return [names.get(bit, f"{register_name} bit 0x{bit:04x}") for bit in bits]

@@ -67,6 +67,15 @@ def test_latency_makes_stamps_earlier():
     assert frame.intensity.shape == (0,)
 
 
+def test_scans_before_the_device_is_set_up_are_left_out():
+    session = IbeoLuxSession(config(), lambda: 0)
+    session.tick(10**12)
+    assert session.receive_data(wire(scan((1, 0, 0, 0, 1000, 60))), 10**12) == []
+    assert session.counters["scans_before_ready"] == 1
+    assert session.status == "waiting for the first answer: booting?"
+    assert session.clock_offset_ns is None
+
+
 def test_truncated_scan_is_a_frame_of_what_came():
     made = scan((1, 0, 0, 1600, 1000, 60), announced_points=740)
     [frame], session = frames_of(made)

@@ -145,7 +145,12 @@ def test_errors_and_warnings_are_told_in_words():
         "no scan data",
         "APD temperature out of range (register 0x0100)",
     ]
-    assert registers.warning_words == ["high temperature", "Ethernet blocked", "warning register 2 0x8000"]
+    assert registers.warning_words == [
+        "high temperature",
+        "Ethernet blocked",
+        "warning register 2 bit 0x8000",
+    ]
+    assert len(ErrorRegisters(0x8030).error_words) == 3  # a name a bit, so that counters stay few
     assert ErrorRegisters(errors_1=0x0300).error_words == ["APD temperature sensor defective"]
     assert ErrorRegisters().error_words == ErrorRegisters().warning_words == []
     with pytest.raises(ProtocolError, match="at least 8"):
