@@ -33,6 +33,15 @@ from drivers.ibeo_lux.reduction import LayerReduction
 FIRST_SCAN_TIMEOUT_S = 20.0  # a recorded dialogue has its first scan 5 s after Start
 LOOK_NS = 200_000_000  # silence counts only while we look: a stalled host is not a silent device
 REPORT_SHOWN_NS = 15_000_000_000  # an error stays in the status for so long after the device last told it
+GRAVE_ERRORS = (
+    "motor",
+    "APD",
+    "internal error",
+    "no scan data",
+    "FPGA",
+    "bad configuration",
+    "bad parameter",
+)
 MALFORMED_LIMIT = 20  # scans in a row
 REPEATED_LIMIT = 20  # scans in a row
 MIN_TURN_NS, MAX_TURN_NS = 10_000_000, 160_000_000  # of the mirror; 20 to 80 ms are asked for
@@ -121,19 +130,23 @@ class IbeoLuxSession:
         return b""
 
     def _give_up(self, silent_s: float) -> None:
-        """Raises DeviceError where the device told why, else TransportError."""
-        status = self._dialogue.device_status
-        faults = self._errors_shown()
-        if status is not None:
-            faults += status_faults(status.status)
-        if faults:
-            raise DeviceError(f"no scan for {silent_s:g} s, the device reports: {', '.join(faults)}")
+        """Raises DeviceError where the device told a fault that ends the scans, else TransportError."""
+        told = self._errors_shown()
+        grave = any(text.startswith(GRAVE_ERRORS) for text in told)
+        if self._last is not None:
+            told += status_faults(self._last.status)
+        elif self._dialogue.device_status is not None:
+            told += status_faults(self._dialogue.device_status.status)
+            grave = grave or bool(status_faults(self._dialogue.device_status.status))
+        if grave:
+            raise DeviceError(f"no scan for {silent_s:g} s, the device reports: {', '.join(told)}")
         if self._dialogue.foreign:
             raise TransportError(
                 f"no scan of a LUX for {silent_s:g} s, but those of {self._dialogue.foreign}; wrong address?"
             )
         raise TransportError(
-            f"no scan for {silent_s:g} s; is the device rebooting, was it stopped, or is the cable out?"
+            f"no scan for {silent_s:g} s{''.join(f', it reported {text}' for text in told)}; is the device "
+            "rebooting, was it stopped, or is the cable out?"
         )
 
     def _take_reply(self, message: Message, now_ns: int) -> None:
@@ -258,9 +271,9 @@ class IbeoLuxSession:
         period_ns = round(sweep_ns * scan.ticks_per_turn / sweep_ticks)
         resets = self._clock.resets
         self._clock.observe(scan, period_ns, arrived_ns)
-        restarted = self._clock.resets > resets
-        if self._clock.resets:
+        if self._clock.resets > resets:
             self.counters["clock_resets"] = self._clock.resets
+            self._last_stamp_ns = None
         self._check_against_config(scan, period_ns)
         if not self._is_side_wanted(scan):
             self.counters["scans_of_other_mirror_side"] += 1
@@ -269,7 +282,7 @@ class IbeoLuxSession:
         tick_ns = sweep_ns / sweep_ticks
         stamp_ns = self._clock.to_host_ns(scan.start_ntp)
         stamp_ns -= round((beams.first_ticks - scan.start_ticks) * tick_ns)
-        if self._last_stamp_ns is not None and not restarted and stamp_ns <= self._last_stamp_ns:
+        if self._last_stamp_ns is not None and stamp_ns <= self._last_stamp_ns:
             self.counters["scans_out_of_order"] += 1
             return None
         self._last_stamp_ns = stamp_ns

@@ -193,6 +193,17 @@ def test_silence_is_a_transport_error():
         t.run(3.0)
 
 
+def test_error_that_does_not_end_the_scans_is_no_reason_to_wait_with_a_new_link():
+    t = talk().run(3.0)
+    t.device.report(ErrorRegisters(errors_2=0x0040), t.now_ns)
+    t.run(0.5)
+    t.device.silent = True
+    with pytest.raises(
+        TransportError, match="no scan for 2 s, it reported processing timeout; is the device"
+    ):
+        t.run(3.0)
+
+
 def test_motor_that_fails_is_a_device_error_in_words():
     t = talk().run(3.0)
     t.device.motor_failed = True
