@@ -8,7 +8,7 @@ from drivers.registry import SensorKind
 from service.offline.doctor.findings import Finding, fault, note, ok
 from service.offline.doctor.network import errno_of
 from service.offline.doctor.probe import Probe
-from service.offline.doctor.voices import describe, recognise_sensor, recognise_stranger
+from service.offline.doctor.voices import describe, is_text, recognise_sensor, recognise_stranger
 
 RATE_SHARE = 0.95  # of the configured rate; motors turn up to 1 % slower than they say
 STAMP_AHEAD_MS = 0.5  # jitter of the estimate; more is a wrong latency setting
@@ -113,7 +113,7 @@ def refused(config: Any, seen: Probe) -> Finding:
             _page(config),
         )
     measured, _, remedy = str(seen.error).partition("; ")
-    expected = "a device that does what it is asked" if isinstance(seen.error, DeviceError) else "frames"
+    expected = "a device that takes what the config asks" if isinstance(seen.error, DeviceError) else "frames"
     return fault(config.name, measured, expected, remedy or _page(config))
 
 
@@ -159,7 +159,7 @@ def stranger(config: Any, seen: Probe, is_serial: bool) -> Finding:
         return fault(
             config.name, f"{words} answers here", expected, "wrong `type`, or two sensors' wires are swapped"
         )
-    if recognise_stranger(heard) or not is_serial:
+    if recognise_stranger(heard) or is_text(heard) or not is_serial:
         where = "device" if is_serial else "host and port"
         return fault(config.name, f"wrong protocol: {words}", expected, f"is {where} right? {_page(config)}")
     baud = getattr(config, "baud", None)

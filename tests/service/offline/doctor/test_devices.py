@@ -49,7 +49,7 @@ def fake_lms100(**setup: Any) -> FakeLms100:
 def only(findings: list[Finding], severity: str = "fault") -> Finding:
     (finding,) = findings
     assert finding.severity == severity, finding
-    assert finding.who in ("front", "base")
+    assert finding.who
     assert severity == "ok" or finding.remedy
     return finding
 
@@ -167,6 +167,12 @@ def test_noise_at_every_rate_is_said_in_words(serial_line: SerialLine):
     finding = only(examine(create(line.path)))
     assert finding.measured.startswith("at 115200 baud only noise comes: ")
     assert "RS-232" in finding.remedy
+
+
+def test_text_is_a_wrong_protocol_and_not_noise(serial_line: SerialLine):
+    line = serial_line(lambda baud: b"temp 21.5 C\r\n")
+    finding = only(examine(create(line.path)))
+    assert finding.measured.startswith('wrong protocol: text that begins "')
 
 
 def test_a_gnss_receiver_on_the_robots_port_is_recognised(serial_line: SerialLine):
