@@ -16,6 +16,7 @@ from drivers.ibeo_lux.config import IbeoLuxConfig
 from drivers.ibeo_lux.device_clock import NEAR_SCANS, NUMBER_MODULUS, DeviceClock
 from drivers.ibeo_lux.dialogue import Ask, IbeoLuxDialogue, status_faults
 from drivers.ibeo_lux.messages import (
+    TICKS_PER_DEG,
     TICKS_PER_TURN,
     Command,
     ErrorRegisters,
@@ -44,6 +45,7 @@ GRAVE_ERRORS = (
 )
 MALFORMED_LIMIT = 20  # scans in a row
 REPEATED_LIMIT = 20  # scans in a row
+OTHER_LIMIT = 10  # scans in a row
 MIN_TURN_NS, MAX_TURN_NS = 10_000_000, 160_000_000  # of the mirror; 20 to 80 ms are asked for
 RATE_TOLERANCE = 0.05
 DEVICE_ID = 1
@@ -77,6 +79,8 @@ class IbeoLuxSession:
         self._last_stamp_ns: int | None = None
         self._malformed_in_a_row = 0
         self._repeated_in_a_row = 0
+        self._other_in_a_row = 0
+        self._was_as_configured = False
         self._errors: dict[str, int] = {}  # words -> when last told
         self._warnings: dict[str, int] = {}
         self.outbox = bytearray()
@@ -306,10 +310,21 @@ class IbeoLuxSession:
         return self._config.mirror_sides in ("both", side)
 
     def _check_against_config(self, scan: Scan, period_ns: int) -> None:
+        """Raises TransportError where a device that was as configured no longer is: it forgot on a restart."""
         rate = 1e9 / period_ns / self._config.scan_rate_hz
         angles = (scan.start_ticks, scan.end_ticks)
-        if abs(rate - 1.0) > RATE_TOLERANCE or angles != (self._config.first_ticks, self._config.last_ticks):
-            self.counters["scans_not_as_configured"] += 1
+        wanted = (self._config.first_ticks, self._config.last_ticks)
+        if abs(rate - 1.0) <= RATE_TOLERANCE and angles == wanted:
+            self._other_in_a_row, self._was_as_configured = 0, True
+            return
+        self.counters["scans_not_as_configured"] += 1
+        self._other_in_a_row += 1
+        if self._was_as_configured and self._other_in_a_row > OTHER_LIMIT:
+            raise TransportError(
+                f"{self._other_in_a_row} scans in a row at {1e9 / period_ns:.3g} Hz from {angles[0] / TICKS_PER_DEG:g} to "
+                f"{angles[1] / TICKS_PER_DEG:g} deg, set were {self._config.scan_rate_hz:g} Hz from {wanted[0] / TICKS_PER_DEG:g} to "
+                f"{wanted[1] / TICKS_PER_DEG:g}; it restarted or another host changed it"
+            )
 
 
 def _answers(reply: Reply, asked: Ask) -> bool:

@@ -299,6 +299,25 @@ def test_restart_of_the_device_is_recovered_in_three_seconds():
     assert np.diff([frame.stamp_ns for frame in t.frames]).min() > 0
 
 
+def test_device_that_restarts_unseen_and_forgets_is_set_up_anew():
+    t = talk().run(5.0)
+    t.device.power_on(t.now_ns)
+    with pytest.raises(
+        TransportError, match="11 scans in a row at 12.5 Hz from 50 to -60 deg, set were 25 Hz"
+    ):
+        t.run(3.0)
+    reconnect(t).run(2.0)
+    assert t.session.counters["scans_not_as_configured"] == 0
+
+
+def test_device_that_never_was_as_configured_is_read_all_the_same():
+    session = ready_session()
+    for k in range(50):
+        made = scan(number=k, start_ns=10 * SECOND_NS + k * PERIOD_NS, rate_hz=25.0, first=1598)
+        assert session.receive_data(wire(made), 10**12 + k * PERIOD_NS)
+    assert session.counters["scans_not_as_configured"] == 50
+
+
 @pytest.mark.parametrize("kept", [True, False])
 def test_clock_that_others_set_while_it_runs_is_followed(kept):
     """At once where the scan numbers go on, else as soon as lateness is told from a held-back network."""
