@@ -39,6 +39,44 @@ class ManyClients(Protocol):
     def new_client(self) -> FakeDevice: ...
 
 
+@runtime_checkable
+class Restartable(Protocol):
+    """A device whose power can be cycled."""
+
+    def restart(self, now_ns: int) -> None:
+        """Power comes back: connection, unsaved settings, counters and clock start over."""
+        ...
+
+
+@runtime_checkable
+class HasClock(Protocol):
+    """A device that shows a clock of its own on the wire."""
+
+    def jump_clock(self, seconds: float) -> None:
+        """Set the clock forward, or back where negative; the device does not mention it."""
+        ...
+
+
+@runtime_checkable
+class HasChecksum(Protocol):
+    """A device that knows where its checksums stand."""
+
+    def spoil_checksum(self, message: bytes) -> bytes:
+        """The message with a wrong checksum and all else whole; unchanged where it carries none."""
+        ...
+
+
+@runtime_checkable
+class Unpluggable(Protocol):
+    """A device that is unplugged at times: the wire asks, resets its clients and closes its port."""
+
+    def plugged(self, now_ns: int) -> bool: ...
+
+    def next_plug_ns(self, now_ns: int) -> int | None:
+        """When `plugged` may change next; None: never."""
+        ...
+
+
 class SweepSource(Protocol):
     """What a laser sees: the truth, with this laser's own errors on it."""
 

@@ -27,7 +27,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from simulators.device import FakeDevice, ManyClients
+from simulators.device import FakeDevice, ManyClients, Unpluggable
 
 log = logging.getLogger(__name__)
 
@@ -86,16 +86,19 @@ class _Client:
 class _Wire:
     """The loop both kinds share: wait for bytes or for the next due time, whichever is first."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, device: FakeDevice | ManyClients) -> None:
         self.name = name
+        self.device = device  # may be replaced by one that wraps it until the wire is entered
         self.counters: Counter[str] = Counter()  # clients, refused, bytes, dropped; names are for people
         self.failure: BaseException | None = None  # what a device raised; it ends the wire
         self._clients: list[_Client] = []
+        self._plug: Unpluggable | None = None
         self._thread: threading.Thread | None = None
         self._wake_read, self._wake_write = -1, -1
 
     def _start(self) -> None:
         self._wake_read, self._wake_write = os.pipe()
+        self._plug = self.device if isinstance(self.device, Unpluggable) else None
         self._thread = threading.Thread(target=self._run, name=f"wire {self.name}", daemon=True)
         self._thread.start()
 
@@ -114,14 +117,38 @@ class _Wire:
         """Let nothing pass in either direction; links stay open. The device is not told."""
         self._stop()
 
+    def restore(self) -> Self:
+        """Open and serve, after a cut in the same place. Raises OSError where it is taken."""
+        if self._thread is None:
+            self._plug_in()
+            self._start()
+        return self
+
+    def cut(self) -> None:
+        """Unplug: clients get an error, and there is nothing to open until restore()."""
+        self._stop()
+        self._pull()
+
     def close(self) -> None:
         """End for good. Raises what the device raised in the wire's thread, if it did."""
-        self._end()
+        self._stop()
+        self._go()
         if self.failure is not None:
             failure, self.failure = self.failure, None
             raise failure
 
-    def _end(self) -> None:
+    def _is_plugged(self) -> bool:
+        raise NotImplementedError
+
+    def _plug_in(self) -> None:
+        """Nothing where it is plugged in."""
+        raise NotImplementedError
+
+    def _pull(self) -> None:
+        raise NotImplementedError
+
+    def _go(self) -> None:
+        """Leave in good order."""
         raise NotImplementedError
 
     def __exit__(
@@ -143,6 +170,11 @@ class _Wire:
     def _round(self) -> bool:
         """One wait and what follows from it; False when asked to stop."""
         now_ns = time.monotonic_ns()
+        if self._plug is not None and self._plug.plugged(now_ns) != self._is_plugged():
+            if self._is_plugged():
+                self._pull()
+            else:
+                self._plug_in()
         due_ns = self._earliest_ns(now_ns)
         timeout_s = None if due_ns is None else max(0, due_ns - now_ns) * 1e-9
         reading = [self._wake_read, *self._doors(), *(client.fd for client in self._clients)]
@@ -183,6 +215,8 @@ class _Wire:
 
     def _earliest_ns(self, now_ns: int) -> int | None:
         times = [client.device.next_due_ns(now_ns) for client in self._clients]
+        if self._plug is not None:
+            times.append(self._plug.next_plug_ns(now_ns))
         return min((due_ns for due_ns in times if due_ns is not None), default=None)
 
     def _admit(self, fd: int, device: FakeDevice) -> None:
@@ -221,8 +255,7 @@ class TcpWire(_Wire):
     """
 
     def __init__(self, device: FakeDevice | ManyClients, host: str, port: int) -> None:
-        super().__init__(f"tcp {host}:{port}")
-        self._device = device
+        super().__init__(f"tcp {host}:{port}", device)
         self._address = (host, port)
         self._server: socket.socket | None = None
 
@@ -234,27 +267,24 @@ class TcpWire(_Wire):
         self.restore()
         return self._address
 
-    def restore(self) -> Self:
-        """Listen and serve, on the same port after a cut. Raises OSError if the port is taken."""
+    def _is_plugged(self) -> bool:
+        return self._server is not None
+
+    def _plug_in(self) -> None:
         if self._server is None:
             self._server = socket.create_server(self._address)
             self._server.setblocking(False)
             self._address = self._server.getsockname()[:2]
             self.name = f"tcp {self._address[0]}:{self._address[1]}"
-        if self._thread is None:
-            self._start()
-        return self
 
-    def cut(self) -> None:
+    def _pull(self) -> None:
         """Reset every client and stop listening: a new connection is refused."""
-        self._stop()
         for client in self._clients:
             with socket.socket(fileno=os.dup(client.fd)) as link:
                 link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET_ON_CLOSE)
-        self._end()
+        self._go()
 
-    def _end(self) -> None:
-        self._stop()
+    def _go(self) -> None:
         self._drop_all()
         if self._server is not None:
             self._server.close()
@@ -280,14 +310,14 @@ class TcpWire(_Wire):
         self._admit(link.detach(), device)
 
     def _device_for_newcomer(self) -> FakeDevice | None:
-        if isinstance(self._device, ManyClients):
-            return self._device.new_client()
+        if isinstance(self.device, ManyClients):
+            return self.device.new_client()
         for client in list(self._clients):  # it may have left a moment ago: its FIN precedes this SYN
             for _ in range(MESSAGES_A_ROUND):
                 if client not in self._clients or not select.select([client.fd], [], [], 0)[0]:
                     break
                 self._serve(client, readable=True, writable=False)
-        return self._device if not self._clients else None
+        return self.device if not self._clients else None
 
     def _close_link(self, fd: int) -> None:
         os.close(fd)
@@ -302,49 +332,47 @@ class PtyWire(_Wire):
     """
 
     def __init__(self, device: FakeDevice, link: Path | None) -> None:
-        super().__init__("pty")
-        self._device = device
-        self._link = link
+        super().__init__("pty", device)
+        self.link = link  # may be set until the wire is entered
         self._master = -1
         self._path = ""
 
     @property
     def endpoint(self) -> str:
-        return str(self._link) if self._link is not None else self._path
+        return str(self.link) if self.link is not None else self._path
 
     def __enter__(self) -> str:
         self.restore()
         return self.endpoint
 
-    def restore(self) -> Self:
-        """Open and serve. After a cut this is a new terminal."""
-        if self._master < 0:
-            self._master, slave = os.openpty()
-            tty.setraw(self._master)
-            tty.setraw(slave)
-            self._path = os.ttyname(slave)
-            os.close(slave)  # so that the master can see whether a client holds the other end
-            os.set_blocking(self._master, False)
-            self.name = f"pty {self._path}"
-            if self._link is not None:
-                self._link.unlink(missing_ok=True)
-                self._link.symlink_to(self._path)
-        if self._thread is None:
-            self._start()
-        return self
+    def _is_plugged(self) -> bool:
+        return self._master >= 0
 
-    def cut(self) -> None:
-        """Unplug: the path disappears and whoever holds it open reads an error."""
-        self._end()
+    def _plug_in(self) -> None:
+        if self._master >= 0:
+            return
+        self._master, slave = os.openpty()
+        tty.setraw(self._master)
+        tty.setraw(slave)
+        self._path = os.ttyname(slave)
+        os.close(slave)  # so that the master can see whether a client holds the other end
+        os.set_blocking(self._master, False)
+        self.name = f"pty {self._path}"
+        if self.link is not None:
+            self.link.unlink(missing_ok=True)
+            self.link.symlink_to(self._path)
 
-    def _end(self) -> None:
-        self._stop()
+    def _pull(self) -> None:
+        """The path disappears and whoever holds it open reads an error."""
+        self._go()
+
+    def _go(self) -> None:
         self._drop_all()
         if self._master >= 0:
             os.close(self._master)
             self._master = -1
-        if self._link is not None:
-            self._link.unlink(missing_ok=True)
+        if self.link is not None:
+            self.link.unlink(missing_ok=True)
 
     def _earliest_ns(self, now_ns: int) -> int | None:
         return super()._earliest_ns(now_ns) if self._clients else now_ns + PTY_LOOK_NS
@@ -353,8 +381,9 @@ class PtyWire(_Wire):
         return []
 
     def _look_for_clients(self, readable: Sequence[int]) -> None:
-        if not self._clients and not self._hung_up():
-            self._admit(self._master, self._device)
+        if not self._clients and self._is_plugged() and not self._hung_up():
+            assert not isinstance(self.device, ManyClients), "a terminal has one client"
+            self._admit(self._master, self.device)
 
     def _hung_up(self) -> bool:
         """Whether nobody holds the other end."""

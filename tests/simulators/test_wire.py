@@ -6,10 +6,13 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
 
 from simulators.wire import BACKLOG_BYTES, serve_pty, serve_tcp
+
+Result = TypeVar("Result")
 
 PERIOD_NS = 5_000_000
 PATIENCE_S = 5.0
@@ -159,6 +162,58 @@ def test_cut_resets_the_client_and_refuses_until_restored():
         wire.restore()
         with connect(address) as client:
             assert client.recv(6) == b"hello "
+
+
+class Loose(Ticker):
+    """Unplugged from its third tick on, until it is told."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.mended = threading.Event()
+
+    def plugged(self, now_ns: int) -> bool:
+        return len(self.lateness_ns) < 3 or self.mended.is_set()
+
+    def next_plug_ns(self, now_ns: int) -> int | None:
+        return now_ns + 1_000_000
+
+
+def test_device_that_is_unplugged_resets_its_client_and_refuses_until_it_is_plugged_in():
+    ticker = Loose()
+    with serve_tcp(ticker) as address:
+        with connect(address) as client, pytest.raises(ConnectionResetError):
+            read_until(lambda: client.recv(4096), lambda data: False)
+        assert ticker.events == ["connected", "disconnected"]
+        with pytest.raises(ConnectionRefusedError):
+            connect(address)
+        ticker.mended.set()
+        client = retry(lambda: connect(address), ConnectionRefusedError)
+        with client:
+            read_until(lambda: client.recv(4096), lambda data: data.count(b".") >= 5)
+
+
+def test_terminal_of_a_device_that_is_unplugged_goes_and_comes_back(tmp_path: Path):
+    ticker = Loose()
+    with serve_pty(ticker, tmp_path / "create") as path:
+        fd = open_terminal(path)
+        poll = select.poll()
+        poll.register(fd, 0)
+        assert poll.poll(PATIENCE_S * 1000)[0][1] & select.POLLHUP
+        os.close(fd)
+        ticker.mended.set()
+        fd = retry(lambda: open_terminal(path), FileNotFoundError)
+        read_until(lambda: read_terminal(fd), lambda data: data.count(b".") >= 5)
+        os.close(fd)
+
+
+def retry(attempt: Callable[[], Result], error: type[OSError]) -> Result:
+    """Until it succeeds or patience ends."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while True:
+        try:
+            return attempt()
+        except error:
+            assert time.monotonic() < deadline_s
 
 
 def test_frozen_wire_is_silent_and_wakes_with_the_same_client():
