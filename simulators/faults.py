@@ -1,0 +1,272 @@
+"""Faults on the wire: a fake device that is another one with troubles. No I/O.
+
+What ails the link              cut, delay, burst
+what ails the bytes it sends    garbage, bit_flips, half_messages, wrong_checksum, duplicate, drop
+what ails the device            silence, restart, slow_start, clock_jump
+
+A message is what the device returns in one piece. Several faults may act at a time; on a message they act in
+the order of the file. What the host sends is never harmed, only lost while there is nobody to hear it.
+"""
+
+import logging
+import math
+from collections import Counter, deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from simulators.device import FakeDevice, HasChecksum, HasClock, Restartable
+from simulators.fault_file import (
+    BitFlips,
+    Burst,
+    ClockJump,
+    Cut,
+    Delay,
+    Drop,
+    Duplicate,
+    Fault,
+    Garbage,
+    HalfMessages,
+    MessageFault,
+    RepeatedFault,
+    Restart,
+    Silence,
+    SlowStart,
+    WrongChecksum,
+)
+
+log = logging.getLogger(__name__)
+
+TIMES, CONTENT = 0, 1  # generators of a fault: when it comes shall not depend on what was sent
+
+
+class _Schedule:
+    """When a fault acts: from begin_ns to before end_ns, of its next or present time. None: never again."""
+
+    def __init__(self, fault: RepeatedFault, zero_ns: int, generator: np.random.Generator) -> None:
+        self._fault = fault
+        self._first_ns = zero_ns + round(fault.at_s * 1e9)
+        self._lasts_ns = round(fault.lasts_s * 1e9)
+        self._generator = generator
+        self._done = 0
+        self.begin_ns: int | None = self._first_ns
+
+    @property
+    def end_ns(self) -> int | None:
+        return None if self.begin_ns is None else self.begin_ns + self._lasts_ns
+
+    def go_on(self) -> None:
+        """To the next time."""
+        fault = self._fault
+        self._done += 1
+        if fault.every_s is None or self._done == fault.times:
+            self.begin_ns = None
+            return
+        late_s = self._generator.uniform(0.0, fault.jitter_up_to_s)
+        self.begin_ns = self._first_ns + round((self._done * fault.every_s + late_s) * 1e9)
+
+
+class _Trouble:
+    """A fault of one device, where it stands in its schedule, and the chance that belongs to it."""
+
+    def __init__(self, fault: RepeatedFault, zero_ns: int, seed: int, number: int) -> None:
+        self.fault = fault
+        self.when = _Schedule(fault, zero_ns, np.random.default_rng([seed, number, TIMES]))
+        self.chance = np.random.default_rng([seed, number, CONTENT])
+        self.active = False
+
+
+class Faulty:
+    """A FakeDevice that stands for `device` and has these faults; also Unpluggable.
+
+    zero_ns    host time that the faults' times count from
+    counters   messages harmed, lost and delayed, and how often each kind came; names are for people
+
+    The same seed and the same messages give the same faults.
+    """
+
+    def __init__(self, device: FakeDevice, faults: Sequence[Fault], seed: int, zero_ns: int) -> None:
+        self.device = device
+        self.counters: Counter[str] = Counter()
+        self._troubles = [
+            _Trouble(fault, zero_ns, seed, number)
+            for number, fault in enumerate(faults)
+            if isinstance(fault, RepeatedFault)
+        ]
+        self._slow_starts = [
+            (zero_ns + round(fault.at_s * 1e9), round(fault.for_s * 1e9))
+            for fault in faults
+            if isinstance(fault, SlowStart)
+        ]
+        self._deaf_until_ns = 0
+        self._held: deque[tuple[int, bytes]] = deque()  # host time to let go, message
+        self._note_start(zero_ns)
+
+    def connected(self, now_ns: int) -> bytes:
+        self._advance(now_ns)
+        self._accept(self.device.connected(now_ns), now_ns)
+        return self._let_go(now_ns)
+
+    def disconnected(self, now_ns: int) -> None:
+        self._advance(now_ns)
+        self._held.clear()
+        self.device.disconnected(now_ns)
+
+    def receive_data(self, data: bytes, now_ns: int) -> bytes:
+        self._advance(now_ns)
+        if self._is_dead(now_ns):
+            self.counters["requests_lost"] += 1
+        else:
+            self._accept(self.device.receive_data(data, now_ns), now_ns)
+        return self._let_go(now_ns)
+
+    def next_due_ns(self, now_ns: int) -> int | None:
+        self._advance(now_ns)
+        times = [self.device.next_due_ns(now_ns), self._held[0][0] if self._held else None]
+        times += [self._next_change_ns(trouble) for trouble in self._troubles]
+        return min((due_ns for due_ns in times if due_ns is not None), default=None)
+
+    def due(self, now_ns: int) -> bytes:
+        self._advance(now_ns)
+        due_ns = self.device.next_due_ns(now_ns)
+        if due_ns is not None and due_ns <= now_ns:
+            self._accept(self.device.due(now_ns), now_ns)
+        return self._let_go(now_ns)
+
+    def plugged(self, now_ns: int) -> bool:
+        self._advance(now_ns)
+        return not any(trouble.active and _unplugs(trouble.fault) for trouble in self._troubles)
+
+    def next_plug_ns(self, now_ns: int) -> int | None:
+        self._advance(now_ns)
+        times = [self._next_change_ns(trouble) for trouble in self._troubles if _unplugs(trouble.fault)]
+        return min((at_ns for at_ns in times if at_ns is not None), default=None)
+
+    def _next_change_ns(self, trouble: _Trouble) -> int | None:
+        return trouble.when.end_ns if trouble.active else trouble.when.begin_ns
+
+    def _advance(self, now_ns: int) -> None:
+        """Begin and end what has its time, in the order of time."""
+        while True:
+            changes = [
+                (at_ns, number)
+                for number, trouble in enumerate(self._troubles)
+                if (at_ns := self._next_change_ns(trouble)) is not None and at_ns <= now_ns
+            ]
+            if not changes:
+                return
+            at_ns, number = min(changes)
+            trouble = self._troubles[number]
+            if trouble.active:
+                self._end(trouble, at_ns)
+            else:
+                self._begin(trouble, at_ns)
+
+    def _begin(self, trouble: _Trouble, at_ns: int) -> None:
+        fault = trouble.fault
+        trouble.active = True
+        self.counters[fault.kind] += 1
+        log.info("%s: %s%s", fault.device, fault.kind, f" for {fault.lasts_s:g} s" if fault.lasts_s else "")
+        if isinstance(fault, ClockJump):
+            assert isinstance(self.device, HasClock)
+            self.device.jump_clock(fault.by_s)
+        elif isinstance(fault, Restart):
+            self._held.clear()
+
+    def _end(self, trouble: _Trouble, at_ns: int) -> None:
+        trouble.active = False
+        trouble.when.go_on()
+        if isinstance(trouble.fault, Restart):
+            assert isinstance(self.device, Restartable)
+            self.device.restart(at_ns)
+            self._note_start(at_ns)
+
+    def _note_start(self, at_ns: int) -> None:
+        for since_ns, lasts_ns in self._slow_starts:
+            if since_ns <= at_ns:
+                self._deaf_until_ns = max(self._deaf_until_ns, at_ns + lasts_ns)
+
+    def _is_dead(self, now_ns: int) -> bool:
+        """Whether it neither hears nor speaks."""
+        off = any(trouble.active and isinstance(trouble.fault, Restart) for trouble in self._troubles)
+        return off or now_ns < self._deaf_until_ns
+
+    def _accept(self, message: bytes, now_ns: int) -> None:
+        """Take a message of the device; what becomes of it stands in _held."""
+        if not message:
+            return
+        active = [trouble for trouble in self._troubles if trouble.active]
+        if self._is_dead(now_ns) or any(isinstance(trouble.fault, Silence) for trouble in active):
+            self.counters["messages_unsaid"] += 1
+            return
+        messages = [message]
+        for trouble in active:
+            messages = [harmed for whole in messages for harmed in self._harm(whole, trouble)]
+        leaves_ns = self._leaves_ns(now_ns, active)
+        self._held += [(leaves_ns, harmed) for harmed in messages if harmed]
+
+    def _leaves_ns(self, now_ns: int, active: Sequence[_Trouble]) -> int:
+        leaves_ns = now_ns
+        for trouble in active:
+            if isinstance(trouble.fault, Delay):
+                leaves_ns += round(trouble.chance.uniform(0.0, trouble.fault.up_to_ms) * 1e6)
+        for trouble in active:
+            if isinstance(trouble.fault, Burst):
+                begin_ns, end_ns = trouble.when.begin_ns, trouble.when.end_ns
+                assert begin_ns is not None
+                assert end_ns is not None
+                hold_ns = round(trouble.fault.hold_ms * 1e6)
+                gate_ns = begin_ns + math.ceil((leaves_ns - begin_ns) / hold_ns) * hold_ns
+                leaves_ns = max(leaves_ns, min(gate_ns, end_ns))
+        if leaves_ns > now_ns:
+            self.counters["messages_delayed"] += 1
+        return max(leaves_ns, self._held[-1][0]) if self._held else leaves_ns  # none overtakes another
+
+    def _let_go(self, now_ns: int) -> bytes:
+        leaving = bytearray()
+        while self._held and self._held[0][0] <= now_ns:
+            leaving += self._held.popleft()[1]
+        return bytes(leaving)
+
+    def _harm(self, message: bytes, trouble: _Trouble) -> list[bytes]:
+        fault, chance = trouble.fault, trouble.chance
+        if isinstance(fault, BitFlips):
+            harmed = [_flip_bits(message, fault.rate, chance)]
+        elif not isinstance(fault, MessageFault) or chance.random() >= fault.share:
+            return [message]
+        else:
+            match fault:
+                case Garbage():
+                    harmed = [
+                        chance.bytes(int(chance.integers(1, fault.up_to_bytes, endpoint=True))),
+                        message,
+                    ]
+                case HalfMessages():
+                    harmed = [message[: int(chance.integers(0, len(message)))]]
+                case WrongChecksum():
+                    harmed = [self._spoil_checksum(message)]
+                case Duplicate():
+                    harmed = [message, message]
+                case Drop():
+                    harmed = []
+                case _:
+                    raise AssertionError(f"nobody knows what {fault.kind} does to a message")
+        if harmed != [message]:
+            self.counters[f"messages_hit_by_{fault.kind}"] += 1
+        return harmed
+
+    def _spoil_checksum(self, message: bytes) -> bytes:
+        if isinstance(self.device, HasChecksum):
+            return self.device.spoil_checksum(message)
+        return message[:-1] + bytes([message[-1] ^ 0xFF])
+
+
+def _unplugs(fault: RepeatedFault) -> bool:
+    return isinstance(fault, Cut) or (isinstance(fault, Restart) and fault.link_drops)
+
+
+def _flip_bits(message: bytes, rate: float, chance: np.random.Generator) -> bytes:
+    bits = np.unpackbits(np.frombuffer(message, np.uint8))
+    flipped = chance.integers(0, len(bits), int(chance.binomial(len(bits), rate)))
+    np.bitwise_xor.at(bits, flipped, 1)
+    return np.packbits(bits).tobytes()
