@@ -69,4 +69,18 @@ class OdometrySample:
     covariance: tuple[float, ...]  # 9 values, row-major (x, y, theta); m^2, m rad, rad^2. All 0: unknown
 
 
-Frame = LaserScan | ImuSample | OdometrySample
+@dataclass(frozen=True, slots=True)
+class GnssFix:
+    """Where a satellite receiver finds its antenna, WGS 84. Without a fix the three places are NaN."""
+
+    sensor: str
+    stamp_ns: int
+    arrived_ns: int
+    status: int  # as sensor_msgs/NavSatStatus: -1 no fix, 0 fix, 1 augmented by satellites, 2 from the ground
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float  # above the ellipsoid
+    covariance: tuple[float, ...]  # 9 values, row-major (east, north, up), m^2. All 0: unknown
+
+
+Frame = LaserScan | ImuSample | OdometrySample | GnssFix

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from drivers.frames import NO_INTENSITY, ImuSample, LaserScan
+from drivers.frames import NO_INTENSITY, GnssFix, ImuSample, LaserScan
 from service.encoding.frames import decode_frame, encode_frame, frame_id
 from service.encoding.outputs import (
     Pose,
@@ -36,6 +36,7 @@ from service.encoding.wire import (
     IMU,
     LASER_SCAN,
     MAP_FRAME,
+    NAV_SAT_FIX,
     OCCUPANCY_GRID,
     ODOM_FRAME,
     ODOMETRY,
@@ -56,6 +57,7 @@ __all__ = [
     "IMU",
     "LASER_SCAN",
     "MAP_FRAME",
+    "NAV_SAT_FIX",
     "OCCUPANCY_GRID",
     "ODOMETRY",
     "ODOM_FRAME",
@@ -94,6 +96,7 @@ _ONE_OF_EACH: tuple[Callable[[], Message], ...] = (
         LaserScan("s", 1, 1, 1, 1, 0.0, 0.1, 0.0, 1.0, np.ones(2, np.float32), NO_INTENSITY)
     ),
     lambda: encode_frame(ImuSample("s", 1, 1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))),
+    lambda: encode_frame(GnssFix("s", 1, 1, 0, 0.0, 0.0, 0.0, (0.0,) * 9)),
     lambda: encode_pose(_OUTPUT, 1),
     lambda: encode_tf(_OUTPUT, 1),
     lambda: encode_grid(Grid(0, 0.05, 0.0, 0.0, np.zeros((1, 1), np.int8)), 1, 1),

@@ -7,11 +7,13 @@ from typing import cast
 import numpy as np
 from rosbags.typesys.stores import ros2_jazzy as ros
 
-from drivers.frames import NO_INTENSITY, Frame, ImuSample, LaserScan, OdometrySample
+from drivers.frames import NO_INTENSITY, Frame, GnssFix, ImuSample, LaserScan, OdometrySample
 from service.encoding import wire
 from service.encoding.wire import Message
 from service.geometry.se2 import SE2
 
+SERVICE_GPS = 1  # sensor_msgs/NavSatStatus
+COVARIANCE_UNKNOWN, COVARIANCE_DIAGONAL, COVARIANCE_KNOWN = 0, 2, 3  # sensor_msgs/NavSatFix
 UNSET_RANGE_MAX_M = 100.0  # for a foreign scan whose range_max is 0, inf or NaN
 
 _UNKNOWN_9 = np.zeros(9)
@@ -37,22 +39,24 @@ def encode_frame(frame: Frame, utc_offset_ns: int = 0, log_ns: int | None = None
             kind, type_name, content = "imu", wire.IMU, _imu_ros(frame, stamp_ns)
         case OdometrySample():
             kind, type_name, content = "odom", wire.ODOMETRY, _odometry_ros(frame, stamp_ns)
+        case GnssFix():
+            kind, type_name, content = "fix", wire.NAV_SAT_FIX, _fix_ros(frame, stamp_ns)
     return wire.to_message(f"{frame.sensor}/{kind}", type_name, stamp_ns, log_ns, content)
 
 
 def decode_frame(message_type: str, payload: bytes, sensor: str, log_ns: int) -> Frame | None:
-    """The frame in a LaserScan, Imu or Odometry message of any origin; arrived_ns becomes log_ns.
+    """The frame in a LaserScan, Imu, Odometry or NavSatFix message of any origin; arrived_ns becomes log_ns.
 
     None for another type and for content that no mapper can use: a scan without beams or with an impossible
-    angle step, an Imu without a gyroscope, values that are not finite. Raises InputError on bytes that are
-    not the message they are said to be.
+    angle step, an Imu without a gyroscope, values that are not finite. A NavSatFix without a fix is content.
+    Raises InputError on bytes that are not the message they are said to be.
     """
     decode = _FRAME_DECODERS.get(message_type)
     return None if decode is None else decode(wire.read(message_type, payload), sensor, log_ns)
 
 
 def frame_id(message_type: str, payload: bytes) -> str:
-    """header.frame_id of a LaserScan, Imu or Odometry message. Raises InputError."""
+    """header.frame_id of a message that decode_frame knows. Raises InputError."""
     content = cast(ros.sensor_msgs__msg__LaserScan, wire.read(message_type, payload))  # the header is alike
     return content.header.frame_id.lstrip("/")  # tf 1 wrote "/laser"
 
@@ -164,8 +168,54 @@ def _odometry_frame(content: object, sensor: str, log_ns: int) -> OdometrySample
     )
 
 
+def _fix_ros(fix: GnssFix, stamp_ns: int) -> object:
+    covariance = np.array(fix.covariance)
+    return ros.sensor_msgs__msg__NavSatFix(
+        header=wire.header_ros(stamp_ns, fix.sensor),
+        status=ros.sensor_msgs__msg__NavSatStatus(fix.status, SERVICE_GPS),  # type: ignore[arg-type]
+        latitude=fix.latitude_deg,
+        longitude=fix.longitude_deg,
+        altitude=fix.altitude_m,
+        position_covariance=covariance,
+        position_covariance_type=_covariance_type(covariance),
+    )
+
+
+def _covariance_type(covariance: wire.FloatArray) -> int:
+    if not covariance.any():
+        return COVARIANCE_UNKNOWN
+    diagonal = np.diag(covariance.reshape(3, 3))
+    return (
+        COVARIANCE_DIAGONAL
+        if np.count_nonzero(covariance) == np.count_nonzero(diagonal)
+        else COVARIANCE_KNOWN
+    )
+
+
+def _fix_frame(content: object, sensor: str, log_ns: int) -> GnssFix | None:
+    m = cast(ros.sensor_msgs__msg__NavSatFix, content)
+    place = (m.latitude, m.longitude, m.altitude)
+    known = m.position_covariance_type != COVARIANCE_UNKNOWN
+    covariance = tuple(m.position_covariance.tolist()) if known else (0.0,) * 9
+    if m.status.status < 0:
+        place, covariance = (math.nan, math.nan, math.nan), (0.0,) * 9
+    elif not wire.all_finite(*place, *covariance):
+        return None
+    return GnssFix(
+        sensor=sensor,
+        stamp_ns=wire.stamp_ns_of(m.header.stamp),
+        arrived_ns=log_ns,
+        status=m.status.status,
+        latitude_deg=place[0],
+        longitude_deg=place[1],
+        altitude_m=place[2],
+        covariance=covariance,
+    )
+
+
 _FRAME_DECODERS: dict[str, Callable[[object, str, int], Frame | None]] = {
     wire.LASER_SCAN: _scan_frame,
     wire.IMU: _imu_frame,
     wire.ODOMETRY: _odometry_frame,
+    wire.NAV_SAT_FIX: _fix_frame,
 }

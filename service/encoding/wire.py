@@ -17,6 +17,7 @@ from service.geometry.se2 import SE2
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 IMU = "sensor_msgs/msg/Imu"
 ODOMETRY = "nav_msgs/msg/Odometry"
+NAV_SAT_FIX = "sensor_msgs/msg/NavSatFix"
 OCCUPANCY_GRID = "nav_msgs/msg/OccupancyGrid"
 TF = "tf2_msgs/msg/TFMessage"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"

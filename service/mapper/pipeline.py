@@ -3,7 +3,7 @@
 from collections import Counter
 from typing import Generic
 
-from drivers.frames import Frame, LaserScan
+from drivers.frames import Frame, GnssFix, LaserScan
 from service.mapper.stages import ReadableMap, Stages, Stopwatch
 from service.outputs import MapperOutput, TileUpdate
 
@@ -27,6 +27,9 @@ class Mapper(Generic[ReadableMap]):
 
         A scan that is older than one already mapped is dropped and counted; time never runs backwards.
         """
+        if isinstance(frame, GnssFix):
+            self.counters["fixes_passed_over"] += 1  # no stage takes them
+            return None
         if not isinstance(frame, LaserScan):
             if not self._stages.motion_model.add(frame):
                 self.counters["samples_dropped_late"] += 1

@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as hnp
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.stores import ros2_jazzy as ros
 
-from drivers.frames import NO_INTENSITY, Frame, ImuSample, LaserScan, OdometrySample
+from drivers.frames import NO_INTENSITY, Frame, GnssFix, ImuSample, LaserScan, OdometrySample
 from service import encoding
 from service.encoding import LogClock, Status, decode_frame, encode_frame
 from service.errors import InputError
@@ -116,9 +116,20 @@ odometry_samples = st.builds(
     twist_mps_radps=triples,
     covariance=st.tuples(*[finite] * 9),
 )
+fixes = st.builds(
+    GnssFix,
+    sensor=names,
+    stamp_ns=times,
+    arrived_ns=times,
+    status=st.integers(-1, 2),
+    latitude_deg=st.floats(-90, 90),
+    longitude_deg=st.floats(-180, 180),
+    altitude_m=metres,
+    covariance=st.just((0.0,) * 9) | st.tuples(*[finite] * 9),
+)
 
 
-@given(scans() | imu_samples | odometry_samples)
+@given(scans() | imu_samples | odometry_samples | fixes)
 def test_a_frame_that_went_through_the_wire_once_never_changes_again(frame):
     once = through_the_wire(frame)
     assert once is not None
@@ -283,6 +294,40 @@ def test_an_imu_without_gyroscope_is_none():
     content = STORE.deserialize_cdr(message.payload, message.type)
     content.angular_velocity_covariance = np.array([-1.0, *[0.0] * 8])
     assert decode_frame(encoding.IMU, serialized(content, encoding.IMU), "imu", 9) is None
+
+
+@given(fixes.filter(lambda fix: fix.status >= 0))
+def test_a_fix_comes_back_bit_for_bit(fix):
+    message = encode_frame(fix)
+    assert (message.channel, message.type) == (f"{fix.sensor}/fix", "sensor_msgs/msg/NavSatFix")
+    decoded = through_the_wire(fix)
+    assert decoded is not None
+    if any(fix.covariance):
+        assert bits(decoded) == bits(fix)
+    else:
+        assert decoded == fix
+
+
+def test_a_fix_is_an_ordinary_ros_message():
+    diagonal = (4.0, 0.0, 0.0, 0.0, 4.0, 0.0, 0.0, 0.0, 9.0)
+    for covariance, kind in (((0.0,) * 9, 0), (diagonal, 2), ((4.0, 1.0, *diagonal[2:]), 3)):
+        message = encode_frame(GnssFix("imu", 5, 6, 1, 60.161, 24.546, 51.7, covariance), utc_offset_ns=T0_NS)
+        content = STORE.deserialize_cdr(message.payload, message.type)
+        assert content.header.frame_id == "imu"
+        assert content.header.stamp.sec * 10**9 + content.header.stamp.nanosec == T0_NS + 5
+        assert (content.latitude, content.longitude, content.altitude) == (60.161, 24.546, 51.7)
+        assert (content.status.status, content.position_covariance_type) == (1, kind)
+        assert tuple(content.position_covariance) == covariance
+
+
+def test_a_receiver_without_a_fix_is_told_of_without_a_place():
+    lost = GnssFix("imu", 1, 2, -1, 0.0, 0.0, 0.0, (1.0,) * 9)
+    decoded = through_the_wire(lost)
+    assert isinstance(decoded, GnssFix)
+    assert decoded.status == -1
+    assert math.isnan(decoded.latitude_deg)
+    assert not any(decoded.covariance)
+    assert through_the_wire(GnssFix("imu", 1, 2, 0, math.nan, 0.0, 0.0, (0.0,) * 9)) is None
 
 
 def test_odometry_that_is_not_finite_is_none():
