@@ -17,6 +17,7 @@ from drivers.transport import Transport
 
 READ_TIMEOUT_S = 0.02  # as drivers.link has it
 KEPT_BYTES = 16_384
+STALL_PERIODS = 10  # longer than a wire that bunches frames is quiet
 TALK_S = 0.3  # how long the answer is read that shows that somebody understands us
 
 
@@ -37,6 +38,7 @@ class Probe:
     counters: Counter[str] = field(default_factory=Counter)
     clock_offset_ns: int | None = None
     seconds: float = 0.0  # from the open wire to the end
+    ended_ns: int = 0
 
     @property
     def frames(self) -> int:
@@ -50,8 +52,13 @@ class Probe:
 
     @property
     def arrival_rate_hz(self) -> float | None:
-        """Frames a second that really came; None below three frames."""
-        span_ns = self.arrivals_ns[-1] - self.arrivals_ns[0] if self.frames >= 3 else 0
+        """Frames a second that really came; None below three frames. A stall at the end counts."""
+        if self.frames < 3:
+            return None
+        span_ns = self.arrivals_ns[-1] - self.arrivals_ns[0]
+        quiet_ns = self.ended_ns - self.arrivals_ns[-1]
+        if quiet_ns > STALL_PERIODS * span_ns / (self.frames - 1):
+            span_ns += quiet_ns
         return (self.frames - 1) * 1e9 / span_ns if span_ns > 0 else None
 
     @property
@@ -127,7 +134,7 @@ def _talk(
         if last_words := session.farewell():
             transport.write(last_words)
     finally:
-        seen.seconds = time.monotonic() - began_s
+        seen.seconds, seen.ended_ns = time.monotonic() - began_s, time.monotonic_ns()
         seen.status, seen.identity = session.status, dict(session.identity)
         seen.counters, seen.clock_offset_ns = Counter(session.counters), session.clock_offset_ns
 

@@ -76,14 +76,15 @@ def _success(kind: SensorKind, config: Any, seen: Probe) -> Finding:
 
 def _slow_rate(kind: SensorKind, config: Any, seen: Probe) -> Finding | None:
     wanted_hz, rate_hz = kind.advice.rate_hz(config), seen.arrival_rate_hz
-    if wanted_hz is None or rate_hz is None or rate_hz >= RATE_SHARE * wanted_hz:
+    if wanted_hz is None or (rate_hz is not None and rate_hz >= RATE_SHARE * wanted_hz):
         return None
     made_hz = seen.rate_hz
     if made_hz is not None and made_hz < RATE_SHARE * wanted_hz and not seen.losses:
         remedy = "the device itself is slower than the config: has somebody else set it, can this type do it?"
     else:
         remedy = "frames are lost on the way: look at the cable, the network's load, and this machine's"
-    return fault(config.name, f"{rate_hz:.1f} frames/s", f"{wanted_hz:g} frames/s as configured", remedy)
+    measured = f"{seen.frames} frames, then none" if rate_hz is None else f"{rate_hz:.1f} frames/s"
+    return fault(config.name, measured, f"{wanted_hz:g} frames/s as configured", remedy)
 
 
 def _other_unit(config: Any, seen: Probe) -> str:

@@ -130,6 +130,14 @@ def test_a_rate_below_the_configured_one_is_a_fault(on_tcp: OnTcp):
     assert float(second.measured.split()[0]) == pytest.approx(40.0, rel=0.1)
 
 
+def test_a_stream_that_dries_up_is_a_fault(serial_line: SerialLine):
+    frames = [encode_frame(STREAM_IDS, dict.fromkeys(STREAM_IDS, 0))] * 8
+    line = serial_line(lambda baud: frames.pop() if frames and len(line.heard) > 10 else b"")
+    first, second, *_ = examine(create(line.path), Patience(measure_s=0.9, start_up_s=5.0))
+    assert (first.severity, second.severity) == ("ok", "fault")
+    assert second.expected == "66.6667 frames/s as configured"
+
+
 def test_what_is_counted_beside_good_frames_is_noted(on_tcp: OnTcp):
     _, second = examine(lms100(on_tcp(fake_lms100(repeat_every=3))), WAITING)
     assert second.severity == "note"

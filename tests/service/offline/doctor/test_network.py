@@ -20,7 +20,7 @@ def failed(number: int) -> TransportError:
 
 
 def test_the_narrowest_route_is_taken(tree: FakeTree):
-    tree.write("/proc/net/route", HEAD + DEFAULT + OFFICE_NET + VEHICLE_NET)
+    tree.write("/proc/net/route", HEAD + VEHICLE_NET + OFFICE_NET + DEFAULT)
     near, far = route_to(tree.machine(), "192.168.0.1"), route_to(tree.machine(), "8.8.8.8")
     assert near is not None
     assert (near.interface, near.gateway) == ("eth1", "")

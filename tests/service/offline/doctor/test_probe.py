@@ -54,6 +54,15 @@ def test_what_a_session_does_is_kept_whole():
     assert transport.closed
 
 
+def test_a_stall_at_the_end_lowers_the_rate():
+    arrivals_ns = [number * 20 * MS for number in range(51)]
+    seen = Probe(stamps_ns=arrivals_ns, arrivals_ns=arrivals_ns, ended_ns=1_010 * MS)
+    assert seen.arrival_rate_hz == pytest.approx(50.0)
+    seen.ended_ns = 3_000 * MS
+    assert seen.arrival_rate_hz == pytest.approx(50.0 / 3.0)
+    assert Probe(stamps_ns=[0, 20], arrivals_ns=[0, 20], ended_ns=3_000 * MS).arrival_rate_hz is None
+
+
 def test_the_device_is_left_with_the_sessions_last_words():
     transport = ScriptedTransport([b"abc"] * 100_000)
     seen = run(transport, Echo(), measure_s=0.0)

@@ -82,7 +82,7 @@ def test_who_has_no_rights_learns_which_group_to_join(
 
     monkeypatch.setattr("service.offline.doctor.serial_ports._members", lambda _: ["driver"])
     (finding,) = look_at_port(machine, "base", PORT).findings
-    assert "log out and in again" in finding.remedy
+    assert "since after this login" in finding.remedy
 
     machine = tree.machine(may_read_and_write=lambda path: False, group_ids=frozenset({group}))
     (finding,) = look_at_port(machine, "base", PORT).findings
