@@ -10,6 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from drivers.frames import NO_INTENSITY, GnssFix, ImuSample, LaserScan
+from service.encoding.controls import decode_control
 from service.encoding.frames import decode_frame, encode_frame, frame_id
 from service.encoding.outputs import (
     Pose,
@@ -68,6 +69,7 @@ __all__ = [
     "Pose",
     "Status",
     "Transform",
+    "decode_control",
     "decode_diagnostics",
     "decode_event",
     "decode_frame",

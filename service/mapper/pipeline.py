@@ -4,6 +4,7 @@ from collections import Counter
 from typing import Generic
 
 from drivers.frames import Frame, GnssFix, LaserScan
+from service.fusion.motion import Motion
 from service.mapper.stages import ReadableMap, Stages, Stopwatch
 from service.outputs import MapperOutput, TileUpdate
 
@@ -40,6 +41,18 @@ class Mapper(Generic[ReadableMap]):
         self._last_stamp_ns = frame.stamp_ns
         self.counters["scans"] += 1
         return self._process_scan(frame)
+
+    def skip(self, scan: LaserScan) -> None:
+        """Let a scan pass unmapped: the base is where wheels and gyro say it is, or stands without them.
+
+        Dead reckoning goes from scan to scan, for the motion model forgets samples after a while.
+        """
+        if self._last_stamp_ns is None or scan.stamp_ns <= self._last_stamp_ns:
+            return
+        self._last_stamp_ns = scan.stamp_ns
+        model = self._stages.motion_model
+        predicted = model.predict(scan.stamp_ns)
+        model.correct(scan.stamp_ns, Motion(predicted.pose_odom_base, (0.0, 0.0, 0.0), predicted.covariance))
 
     def changed_tiles(self) -> list[TileUpdate]:
         """Tiles of the shown map that changed since the last call."""

@@ -22,6 +22,7 @@ from service.errors import ConfigError, InputError, StorageError
 from service.geometry.se2 import SE2
 from service.mapper.profiles import MappingConfig, build_mapper
 from service.mapper.profiles import warm_up as warm_up_kernels
+from service.mapper.steering import Control, SteeredMapper
 from service.mapstore.picture import picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
@@ -69,7 +70,7 @@ class Replay:
     """What came out of one recording."""
 
     outputs: list[MapperOutput]
-    tiles: list[TileUpdate]
+    tiles: list[TileUpdate]  # of the map at the end; after a reset, of the newest
     summary: dict[str, Any]
     notes: list[str] = field(default_factory=list)
 
@@ -132,22 +133,28 @@ def replay(
     warm_up_encoding()
     warm_up_kernels()
     stages, scan_ns, states = StageTimes(), [], Counter[str]()
-    mapper = build_mapper(mapping, poses_base_sensor, stages)
+    mapper = SteeredMapper(lambda: build_mapper(mapping, poses_base_sensor, stages))
+    tiles: list[TileUpdate] = []
     outputs: list[MapperOutput] = []
     recording = session.recording
     span_ns = max(recording.last_log_ns - recording.first_log_ns, 1)
     pace = _Pace(options.rate)
     began_s = time.monotonic()
-    for frame in session.frames():
-        pace.wait_for(frame.arrived_ns)
+    for step in session.steps():
+        pace.wait_for(step.arrived_ns)
+        if isinstance(step, Control):
+            if step.steering == "reset_map":
+                tiles = mapper.changed_tiles() or tiles
+            mapper.steer(step.steering)
+            continue
         before_ns = time.perf_counter_ns()
-        output = mapper.process(frame)
+        output = mapper.process(step)
         if output is not None:
             scan_ns.append(time.perf_counter_ns() - before_ns)
             states[output.state] += 1
             outputs.append(output)
-            progress((frame.arrived_ns - recording.first_log_ns) / span_ns)
-    tiles = mapper.changed_tiles()
+            progress((step.arrived_ns - recording.first_log_ns) / span_ns)
+    tiles = mapper.changed_tiles() or tiles  # of a map that a reset left empty there is nothing to show
     wall_s = time.monotonic() - began_s
     if not outputs:
         raise InputError(f"{paths[0]}: not one scan could be mapped ({dict(session.counters)})")
@@ -158,6 +165,7 @@ def replay(
         "profile": mapping.profile,
         "scans": len(outputs),
         "scans_dropped": _dropped(session, mapper.counters),
+        "scans_paused": mapper.counters["scans_paused"],
         "duration_s": round(duration_s, 3),
         "wall_s": round(wall_s, 3),
         "realtime_factor": round(duration_s / wall_s, 1),
@@ -167,6 +175,7 @@ def replay(
         "keyframes": mapper.counters["keyframes"],
         "peak_rss_mb": _peak_rss_mb(),
         "map_tiles": len(tiles),
+        "map_resets": mapper.counters["map_resets"],
         "state": {state: states[state] for state in STATES},
     }
     return Replay(outputs, tiles, summary, session.notes)

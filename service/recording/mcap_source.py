@@ -21,9 +21,11 @@ from service.encoding import (
     LASER_SCAN,
     MAP_FRAME,
     ODOMETRY,
+    STRING,
     TF,
     Message,
     Transform,
+    decode_control,
     decode_frame,
     decode_pose,
     decode_transforms,
@@ -31,6 +33,7 @@ from service.encoding import (
 )
 from service.errors import InputError
 from service.geometry.se2 import SE2
+from service.mapper.steering import Control
 from service.recording.mcap_reader import Recording, Topic
 
 FRAME_TYPES = {LASER_SCAN: "scan", IMU: "imu", ODOMETRY: "odom"}
@@ -57,6 +60,7 @@ class Session:
     sensors        topic -> sensor name; the topics whose frames come out
     mountings      sensor name -> pose_base_sensor, for lasers; from /tf_static
     metadata       config, calibration, clocks as written by the recorder; empty in foreign recordings
+    events         topics whose events may steer the mapper: ours has one, others have none
     notes          what was chosen and what was passed over, one line each, for people
     counters       filled while reading: frames by topic, and messages without usable content
     """
@@ -66,6 +70,7 @@ class Session:
     mountings: dict[str, SE2]
     notes: list[str]
     upside_down: frozenset[str]
+    events: tuple[str, ...] = ()
     counters: Counter[str] = field(default_factory=Counter)
 
     @property
@@ -73,13 +78,20 @@ class Session:
         return self.recording.metadata
 
     def frames(self) -> Iterator[Frame]:
-        """Frames by rising log time, which in our sessions is the order in which the mapper had them.
+        """What `steps` gives, without the wishes in between."""
+        return (step for step in self.steps() if not isinstance(step, Control))
+
+    def steps(self) -> Iterator[Frame | Control]:
+        """Frames and wishes by rising log time, in our sessions the order in which the mapper had them.
 
         A message that is no use to a mapper is counted and left out. Raises InputError at a damaged place.
         """
         self.counters.clear()
-        for message in self.recording.messages(self.sensors):
+        for message in self.recording.messages([*self.sensors, *self.events]):
             topic = f"/{message.channel}"
+            if topic in self.events:
+                yield from self._control(message)
+                continue
             sensor = self.sensors[topic]
             try:
                 frame = decode_frame(message.type, message.payload, sensor, message.log_ns)
@@ -93,6 +105,14 @@ class Session:
                 first, step = -frame.first_angle_rad, -frame.angle_step_rad
                 frame = replace(frame, first_angle_rad=first, angle_step_rad=step)
             yield frame
+
+    def _control(self, event: Message) -> list[Control]:
+        try:
+            control = decode_control(event.payload, event.log_ns)
+        except InputError:
+            self.counters[f"/{event.channel} unusable"] += 1
+            return []
+        return [] if control is None else [control]
 
 
 def open_session(paths: Sequence[Path]) -> Session:
@@ -133,6 +153,7 @@ def open_session(paths: Sequence[Path]) -> Session:
         mountings={sensor: mount.pose_base_sensor for sensor, mount in mounts.items()},
         notes=[f"reading {used}", *notes],
         upside_down=frozenset(sensor for sensor, mount in mounts.items() if mount.upside_down),
+        events=tuple(t.name for t in recording.topics if ours and (t.name, t.type) == ("/events", STRING)),
     )
 
 

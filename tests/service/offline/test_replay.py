@@ -1,14 +1,15 @@
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
 
 from drivers.frames import NO_INTENSITY, LaserScan, OdometrySample
-from service.encoding import encode_frame, encode_tf_static
+from service.encoding import encode_event, encode_frame, encode_tf_static
 from service.errors import ConfigError, InputError, StorageError
 from service.geometry.se2 import SE2
 from service.offline.replay import ReplayOptions, group_sessions, replay, replay_all, write_replay
@@ -62,11 +63,15 @@ def record_drive(tmp_path: Path) -> RecordDrive:
         config: str | None = CONFIG % 0.0,
         late: bool = False,
         start_ns: int = T0_NS,
+        wishes: Mapping[int, str] = MappingProxyType({}),
     ) -> Path:
         metadata = {"config": {"yaml": config}} if config is not None else {}
         recorder = McapRecorder(tmp_path / "in", name, keep_free_bytes=0, metadata=metadata)
         recorder.start()
         recorder.put(encode_tf_static({"front": SE2()}, start_ns, start_ns))
+        for k, wish in wishes.items():
+            log_ns = start_ns + k * 20_000_000 + 1
+            recorder.put(encode_event(json.dumps({"event": wish}), log_ns, log_ns))
         for k in range(scans):
             stamp_ns, x_m = start_ns + k * 20_000_000, 0.01 * k
             sample = OdometrySample(
@@ -101,8 +106,9 @@ def test_a_replay_writes_what_other_programs_read(record_drive: RecordDrive, tmp
 def test_the_summary_counts_what_happened(record_drive: RecordDrive):
     summary = replay([record_drive(late=True)], ReplayOptions()).summary
     assert list(summary) == [
-        "corridor", "profile", "scans", "scans_dropped", "duration_s", "wall_s", "realtime_factor", "scan_ms",
-        "stage_ms_p50", "loop_closures", "keyframes", "peak_rss_mb", "map_tiles", "state",
+        "corridor", "profile", "scans", "scans_dropped", "scans_paused", "duration_s", "wall_s",
+        "realtime_factor", "scan_ms", "stage_ms_p50", "loop_closures", "keyframes", "peak_rss_mb",
+        "map_tiles", "map_resets", "state",
     ]  # fmt: skip
     assert (summary["scans"], summary["scans_dropped"]) == (40, 1)
     assert summary["duration_s"] == pytest.approx(39 * 0.02)
@@ -111,6 +117,28 @@ def test_the_summary_counts_what_happened(record_drive: RecordDrive):
     assert sum(summary["state"].values()) == 40
     assert summary["map_tiles"] > 0
     assert 50 < summary["peak_rss_mb"] < 2000
+
+
+def test_recorded_wishes_are_fulfilled_where_they_stand(record_drive: RecordDrive):
+    """Wish k comes before scan k was read; scan k is at k centimetres."""
+    done = replay([record_drive(wishes={10: "pause", 20: "resume", 30: "reset_map"})], ReplayOptions())
+    mapped = [(o.stamp_ns - T0_NS) // 20_000_000 for o in done.outputs]
+    assert mapped == [*range(10), *range(20, 40)]
+    assert (done.summary["scans"], done.summary["scans_paused"], done.summary["map_resets"]) == (30, 10, 1)
+    assert done.summary["scans_dropped"] == 0
+    x_m = {k: output.pose_map_base.x_m for k, output in zip(mapped, done.outputs, strict=True)}
+    assert x_m[29] == pytest.approx(0.29, abs=0.01)
+    assert x_m[30] == pytest.approx(0.0, abs=1e-9)
+    assert x_m[39] == pytest.approx(0.09, abs=0.01)
+    assert done.outputs[-1].pose_odom_base.x_m == pytest.approx(0.38, abs=0.01)
+
+
+def test_a_reset_at_the_very_end_leaves_the_map_before_to_be_shown(record_drive: RecordDrive, tmp_path: Path):
+    plain = replay([record_drive("a")], ReplayOptions())
+    done = replay([record_drive("b", wishes={40: "reset_map"})], ReplayOptions())
+    assert len(done.outputs) == 40
+    assert done.summary["map_tiles"] == plain.summary["map_tiles"] > 0
+    write_replay(done, tmp_path / "out")
 
 
 def test_the_same_recording_gives_the_same_bytes_alone_and_among_others(
