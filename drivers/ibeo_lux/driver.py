@@ -310,21 +310,27 @@ class IbeoLuxSession:
         return self._config.mirror_sides in ("both", side)
 
     def _check_against_config(self, scan: Scan, period_ns: int) -> None:
-        """Raises TransportError where a device that was as configured no longer is: it forgot on a restart."""
-        rate = 1e9 / period_ns / self._config.scan_rate_hz
+        """Raises TransportError where a device that was as configured no longer is: a restart forgets."""
+        config = self._config
+        rate = 1e9 / period_ns / config.scan_rate_hz
         angles = (scan.start_ticks, scan.end_ticks)
-        wanted = (self._config.first_ticks, self._config.last_ticks)
+        wanted = (config.first_ticks, config.last_ticks)
         if abs(rate - 1.0) <= RATE_TOLERANCE and angles == wanted:
             self._other_in_a_row, self._was_as_configured = 0, True
             return
         self.counters["scans_not_as_configured"] += 1
         self._other_in_a_row += 1
         if self._was_as_configured and self._other_in_a_row > OTHER_LIMIT:
+            found, set_to = _words(1e9 / period_ns, angles), _words(config.scan_rate_hz, wanted)
             raise TransportError(
-                f"{self._other_in_a_row} scans in a row at {1e9 / period_ns:.3g} Hz from {angles[0] / TICKS_PER_DEG:g} to "
-                f"{angles[1] / TICKS_PER_DEG:g} deg, set were {self._config.scan_rate_hz:g} Hz from {wanted[0] / TICKS_PER_DEG:g} to "
-                f"{wanted[1] / TICKS_PER_DEG:g}; it restarted or another host changed it"
+                f"{self._other_in_a_row} scans in a row at {found}, set was {set_to}; "
+                "it restarted or another host changed it"
             )
+
+
+def _words(rate_hz: float, angles_ticks: tuple[int, int]) -> str:
+    first_deg, last_deg = (ticks / TICKS_PER_DEG for ticks in angles_ticks)
+    return f"{rate_hz:.3g} Hz from {first_deg:g} to {last_deg:g} deg"
 
 
 def _answers(reply: Reply, asked: Ask) -> bool:
