@@ -27,13 +27,15 @@ def splat_likelihood(xy_base, pose, grid, sigma_m, enough):
     scale = -0.5 / (sigma_m * sigma_m)
     width = 2 * SPLAT_REACH_CELLS + 1
     along_x = np.empty(width, np.float32)
+    field = grid.field
+    index = grid.index
     for i in range(xy_base.shape[0]):
         x = pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]
         y = pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]
         column = math.floor(x / grid.cell_m)
         row = math.floor(y / grid.cell_m)
-        slot = touch_tile(grid, row >> TILE_BITS, column >> TILE_BITS)
-        if grid.field[slot, row & TILE_MASK, column & TILE_MASK] >= enough:
+        slot = find_tile(index, row >> TILE_BITS, column >> TILE_BITS)
+        if slot != NO_TILE and field[slot, row & TILE_MASK, column & TILE_MASK] >= enough:
             continue
         for k in range(width):
             dx = (column + k - SPLAT_REACH_CELLS + 0.5) * grid.cell_m - x
@@ -48,51 +50,65 @@ def splat_likelihood(xy_base, pose, grid, sigma_m, enough):
                     tile_column = q >> TILE_BITS
                     slot = touch_tile(grid, r >> TILE_BITS, tile_column)
                 value = along_y * along_x[k]
-                if value > grid.field[slot, r & TILE_MASK, q & TILE_MASK]:
-                    grid.field[slot, r & TILE_MASK, q & TILE_MASK] = value
+                if value > field[slot, r & TILE_MASK, q & TILE_MASK]:
+                    field[slot, r & TILE_MASK, q & TILE_MASK] = value
 
 
 @njit(cache=True, nogil=True)
-def field_cell(grid, row, column):
+def field_cell(field, index, row, column):
     """Likelihood in a cell; 0 where no tile lies."""
-    slot = find_tile(grid.index, row >> TILE_BITS, column >> TILE_BITS)
+    slot = find_tile(index, row >> TILE_BITS, column >> TILE_BITS)
     if slot == NO_TILE:
         return 0.0
-    return np.float64(grid.field[slot, row & TILE_MASK, column & TILE_MASK])
+    return np.float64(field[slot, row & TILE_MASK, column & TILE_MASK])
 
 
 @njit(cache=True, nogil=True)
-def field_with_gradient(x, y, grid):
-    """Likelihood at a point, bilinear between the centres of cells, and its gradient.
+def read_field(xy_base, stride, pose, grid, values):
+    """Likelihood at every stride-th point, bilinear between the centres of cells, and its gradient.
 
-    x, y    float        m, frame of the grid
-    grid    SurfelGrid
-    Returns (likelihood, d/dx, d/dy); 1, 1/m, 1/m.
+    xy_base   (N, 2) float64   m, base frame
+    stride    int
+    pose      (3,)   float64   base in the frame of the grid
+    grid      SurfelGrid
+    values    (N, 3) float64   out, in the rows that were asked: likelihood, d/dx and d/dy in 1/m
     Source: Kohlbrecher et al. 2011, eqs. (4) to (6).
     """
-    u = x / grid.cell_m - 0.5
-    v = y / grid.cell_m - 0.5
-    column = math.floor(u)
-    row = math.floor(v)
-    a = u - column
-    b = v - row
-    local_row = row & TILE_MASK
-    local_column = column & TILE_MASK
-    if local_row < TILE_MASK and local_column < TILE_MASK:
-        slot = find_tile(grid.index, row >> TILE_BITS, column >> TILE_BITS)
-        if slot == NO_TILE:
-            return 0.0, 0.0, 0.0
-        tile = grid.field[slot]
-        f00 = np.float64(tile[local_row, local_column])
-        f01 = np.float64(tile[local_row, local_column + 1])
-        f10 = np.float64(tile[local_row + 1, local_column])
-        f11 = np.float64(tile[local_row + 1, local_column + 1])
-    else:
-        f00 = field_cell(grid, row, column)
-        f01 = field_cell(grid, row, column + 1)
-        f10 = field_cell(grid, row + 1, column)
-        f11 = field_cell(grid, row + 1, column + 1)
-    value = (1.0 - b) * ((1.0 - a) * f00 + a * f01) + b * ((1.0 - a) * f10 + a * f11)
-    slope_x = ((1.0 - b) * (f01 - f00) + b * (f11 - f10)) / grid.cell_m
-    slope_y = ((1.0 - a) * (f10 - f00) + a * (f11 - f01)) / grid.cell_m
-    return value, slope_x, slope_y
+    field = grid.field  # taken out once, as in find_surfels
+    index = grid.index
+    slots = grid.index.slots
+    first_row = grid.index.origin[0]
+    first_column = grid.index.origin[1]
+    cells_per_m = 1.0 / grid.cell_m
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    for i in range(0, xy_base.shape[0], stride):
+        u = (pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) * cells_per_m - 0.5
+        v = (pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) * cells_per_m - 0.5
+        column = math.floor(u)
+        row = math.floor(v)
+        q = column & TILE_MASK
+        r = row & TILE_MASK
+        if q < TILE_MASK and r < TILE_MASK:
+            tile_row = (row >> TILE_BITS) - first_row
+            tile_column = (column >> TILE_BITS) - first_column
+            slot = np.int64(NO_TILE)
+            if 0 <= tile_row < slots.shape[0] and 0 <= tile_column < slots.shape[1]:
+                slot = slots[tile_row, tile_column]
+            if slot == NO_TILE:
+                values[i, 0] = values[i, 1] = values[i, 2] = 0.0
+                continue
+            f00 = np.float64(field[slot, r, q])
+            f01 = np.float64(field[slot, r, q + 1])
+            f10 = np.float64(field[slot, r + 1, q])
+            f11 = np.float64(field[slot, r + 1, q + 1])
+        else:
+            f00 = field_cell(field, index, row, column)
+            f01 = field_cell(field, index, row, column + 1)
+            f10 = field_cell(field, index, row + 1, column)
+            f11 = field_cell(field, index, row + 1, column + 1)
+        a = u - column
+        b = v - row
+        values[i, 0] = (1.0 - b) * ((1.0 - a) * f00 + a * f01) + b * ((1.0 - a) * f10 + a * f11)
+        values[i, 1] = ((1.0 - b) * (f01 - f00) + b * (f11 - f10)) * cells_per_m
+        values[i, 2] = ((1.0 - a) * (f10 - f00) + a * (f11 - f01)) * cells_per_m

@@ -8,9 +8,9 @@ import numpy.typing as npt
 from numba import njit
 
 from service.kernels.deskew import deskew_points
-from service.kernels.likelihood import field_with_gradient
+from service.kernels.likelihood import read_field
 from service.kernels.linear3 import solve_3x3
-from service.kernels.surfels import nearest_surfel
+from service.kernels.surfels import find_surfels
 
 
 class Prior(NamedTuple):
@@ -37,8 +37,9 @@ class MatchSettings(NamedTuple):
     coarse_sigma: float
     coarse_beams: int
     coarse_iterations: int
-    second_start_m: float
-    second_start_rad: float
+    coarse_below_share: float
+    settled_m: float
+    settled_rad: float
     covariance_scale: float
 
 
@@ -125,77 +126,80 @@ def add_prior(pose, prior_pose, information, H, g):
 
 
 @njit(cache=True, nogil=True)
-def surfel_normal_equations(xy_base, normals, pose, grid, settings, H, g):
-    """Gauss-Newton system of the distances, along the surfels' normals, between points and nearest means.
+def surfel_normal_equations(xy_base, normals, found, pose, unmatched_m, settings, H, g):
+    """Gauss-Newton system of the distances, along the surfels' normals, between points and their surfels.
 
-    xy_base    (N, 2) float64    m, base frame
-    normals    (N, 3) float64    from estimate_normals
-    pose       (3,)   float64    base in the frame of the grid
-    grid       SurfelGrid
-    settings   MatchSettings
-    H, g       (3, 3), (3,) float64   out: Hessian, and gradient of half the cost, over x, y, theta
+    xy_base       (N, 2) float64    m, base frame
+    normals       (N, 3) float64    from estimate_normals
+    found         (N, 5) float64    from find_surfels
+    pose          (3,)   float64    base in the frame of the surfels
+    unmatched_m   float             a point without a surfel costs as much as one that is so far off
+    settings      MatchSettings
+    H, g          (3, 3), (3,) float64   out: Hessian, and gradient of half the cost, over x, y, theta
     Returns (half cost, points asked, points within settings.inlier_m).
     Source: point-to-line ICP, Censi 2008; Cauchy weight 1 / (1 + e^2 / c^2).
     """
-    H[:] = 0.0
-    g[:] = 0.0
     c = math.cos(pose[2])
     s = math.sin(pose[2])
-    information = 1.0 / (settings.sigma_m * settings.sigma_m)
     squared_cauchy = settings.cauchy_m * settings.cauchy_m
-    surfel = np.empty(5)
-    # a point without a surfel costs as much as one that lies at the edge of the search
-    unmatched = 0.5 * information * squared_cauchy * math.log1p(2.25 * grid.cell_m**2 / squared_cauchy)
+    scale = 1.0 / (settings.sigma_m * settings.sigma_m)
+    unmatched = 0.5 * squared_cauchy * math.log1p(unmatched_m * unmatched_m / squared_cauchy)
     cost = 0.0
     used = 0
     inliers = 0
+    gx = gy = gt = 0.0
+    hxx = hxy = hyy = hxt = hyt = htt = 0.0
     for i in range(xy_base.shape[0]):
         weight = normals[i, 2]
         if weight == 0.0:
             continue
         used += 1
-        rx = c * xy_base[i, 0] - s * xy_base[i, 1]
-        ry = s * xy_base[i, 0] + c * xy_base[i, 1]
-        x = pose[0] + rx
-        y = pose[1] + ry
-        nx = c * normals[i, 0] - s * normals[i, 1]
-        ny = s * normals[i, 0] + c * normals[i, 1]
-        if not nearest_surfel(x, y, nx, ny, settings.least_normal_cosine, grid, surfel):
+        if found[i, 4] == 0.0:
             cost += weight * unmatched
             continue
-        e = surfel[2] * (x - surfel[0]) + surfel[3] * (y - surfel[1])
+        nx = found[i, 2]
+        ny = found[i, 3]
+        rx = c * xy_base[i, 0] - s * xy_base[i, 1]
+        ry = s * xy_base[i, 0] + c * xy_base[i, 1]
+        e = nx * (pose[0] + rx - found[i, 0]) + ny * (pose[1] + ry - found[i, 1])
         if abs(e) < settings.inlier_m:
             inliers += 1
-        weight *= information * min(1.0, surfel[4] / settings.young_count)
+        weight *= min(1.0, found[i, 4] / settings.young_count)
         ratio = e * e / squared_cauchy
         cost += 0.5 * weight * squared_cauchy * math.log1p(ratio)
         weight /= 1.0 + ratio
-        jt = -surfel[2] * ry + surfel[3] * rx
-        g[0] += weight * e * surfel[2]
-        g[1] += weight * e * surfel[3]
-        g[2] += weight * e * jt
-        H[0, 0] += weight * surfel[2] * surfel[2]
-        H[1, 0] += weight * surfel[2] * surfel[3]
-        H[1, 1] += weight * surfel[3] * surfel[3]
-        H[2, 0] += weight * surfel[2] * jt
-        H[2, 1] += weight * surfel[3] * jt
-        H[2, 2] += weight * jt * jt
-    H[0, 1] = H[1, 0]
-    H[0, 2] = H[2, 0]
-    H[1, 2] = H[2, 1]
-    return cost, used, inliers
+        jt = ny * rx - nx * ry
+        gx += weight * e * nx
+        gy += weight * e * ny
+        gt += weight * e * jt
+        hxx += weight * nx * nx
+        hxy += weight * nx * ny
+        hyy += weight * ny * ny
+        hxt += weight * nx * jt
+        hyt += weight * ny * jt
+        htt += weight * jt * jt
+    g[0] = scale * gx
+    g[1] = scale * gy
+    g[2] = scale * gt
+    H[0, 0] = scale * hxx
+    H[0, 1] = H[1, 0] = scale * hxy
+    H[1, 1] = scale * hyy
+    H[0, 2] = H[2, 0] = scale * hxt
+    H[1, 2] = H[2, 1] = scale * hyt
+    H[2, 2] = scale * htt
+    return scale * cost, used, inliers
 
 
 @njit(cache=True, nogil=True)
-def coarse_normal_equations(xy_base, stride, pose, grid, sigma, H, g):
+def coarse_normal_equations(xy_base, values, stride, pose, sigma, H, g):
     """Gauss-Newton system of 1 - likelihood over every stride-th point, weighed as if all had been asked.
 
-    xy_base    (N, 2) float64    m, base frame
-    stride     int
-    pose       (3,)   float64    base in the frame of the grid
-    grid       SurfelGrid
-    sigma      float             of 1 - likelihood
-    H, g       (3, 3), (3,) float64   out: Hessian, and gradient of half the cost
+    xy_base   (N, 2) float64    m, base frame
+    values    (N, 3) float64    from read_field at this pose
+    stride    int
+    pose      (3,)   float64    base in the frame of the field
+    sigma     float             of 1 - likelihood
+    H, g      (3, 3), (3,) float64   out: Hessian, and gradient of half the cost, over x, y, theta
     Returns half the cost.
     Source: Kohlbrecher et al. 2011, eqs. (7) to (13).
     """
@@ -206,21 +210,20 @@ def coarse_normal_equations(xy_base, stride, pose, grid, sigma, H, g):
     weight = stride / (sigma * sigma)
     cost = 0.0
     for i in range(0, xy_base.shape[0], stride):
-        rx = c * xy_base[i, 0] - s * xy_base[i, 1]
-        ry = s * xy_base[i, 0] + c * xy_base[i, 1]
-        value, slope_x, slope_y = field_with_gradient(pose[0] + rx, pose[1] + ry, grid)
-        e = 1.0 - value
+        e = 1.0 - values[i, 0]
+        sx = values[i, 1]
+        sy = values[i, 2]
         cost += 0.5 * weight * e * e
-        jt = slope_x * ry - slope_y * rx
-        g[0] -= weight * e * slope_x
-        g[1] -= weight * e * slope_y
-        g[2] += weight * e * jt
-        H[0, 0] += weight * slope_x * slope_x
-        H[1, 0] += weight * slope_x * slope_y
-        H[1, 1] += weight * slope_y * slope_y
-        H[2, 0] -= weight * slope_x * jt
-        H[2, 1] -= weight * slope_y * jt
-        H[2, 2] += weight * jt * jt
+        st = sy * (c * xy_base[i, 0] - s * xy_base[i, 1]) - sx * (s * xy_base[i, 0] + c * xy_base[i, 1])
+        g[0] -= weight * e * sx
+        g[1] -= weight * e * sy
+        g[2] -= weight * e * st
+        H[0, 0] += weight * sx * sx
+        H[1, 0] += weight * sx * sy
+        H[1, 1] += weight * sy * sy
+        H[2, 0] += weight * sx * st
+        H[2, 1] += weight * sy * st
+        H[2, 2] += weight * st * st
     H[0, 1] = H[1, 0]
     H[0, 2] = H[2, 0]
     H[1, 2] = H[2, 1]
@@ -239,6 +242,7 @@ def coarse_align(xy_base, prior_pose, information, grid, settings, pose):
     pose          (3,)   float64   in: where to start; out: where it ended
     """
     stride = max(1, xy_base.shape[0] // settings.coarse_beams)
+    values = np.empty((xy_base.shape[0], 3))
     H = np.empty((3, 3))
     g = np.empty(3)
     damped = np.empty((3, 3))
@@ -247,7 +251,8 @@ def coarse_align(xy_base, prior_pose, information, grid, settings, pose):
     trial_H = np.empty((3, 3))
     trial_g = np.empty(3)
     damping = 1e-3
-    cost = coarse_normal_equations(xy_base, stride, pose, grid, settings.coarse_sigma, H, g)
+    read_field(xy_base, stride, pose, grid, values)
+    cost = coarse_normal_equations(xy_base, values, stride, pose, settings.coarse_sigma, H, g)
     cost += 0.5 * add_prior(pose, prior_pose, information, H, g)
     for _ in range(settings.coarse_iterations):
         for i in range(3):
@@ -258,8 +263,9 @@ def coarse_align(xy_base, prior_pose, information, grid, settings, pose):
             return
         for i in range(3):
             trial[i] = pose[i] - step[i]
+        read_field(xy_base, stride, trial, grid, values)
         trial_cost = coarse_normal_equations(
-            xy_base, stride, trial, grid, settings.coarse_sigma, trial_H, trial_g
+            xy_base, values, stride, trial, settings.coarse_sigma, trial_H, trial_g
         )
         trial_cost += 0.5 * add_prior(trial, prior_pose, information, trial_H, trial_g)
         if not trial_cost < cost:  # NaN too
@@ -267,14 +273,12 @@ def coarse_align(xy_base, prior_pose, information, grid, settings, pose):
             if damping > 1e3:
                 return
             continue
-        moved = math.hypot(trial[0] - pose[0], trial[1] - pose[1])
-        turned = abs(trial[2] - pose[2])
         pose[:] = trial
         H[:] = trial_H
         g[:] = trial_g
         cost = trial_cost
         damping = max(0.1 * damping, 1e-6)
-        if moved < 1e-3 and turned < 1e-4:
+        if math.hypot(step[0], step[1]) < 1e-3 and abs(step[2]) < 1e-4:
             return
 
 
@@ -313,8 +317,8 @@ def weakest_direction(H):
 
 
 @njit(cache=True, nogil=True)
-def fine_align(returns, normals, prior, prior_information, grid, settings, xy_base, pose):
-    """Gauss-Newton on surfels, held by the prior, deskewing anew with the twist that each round finds.
+def fine_align(returns, normals, prior, prior_information, grid, settings, xy_base, pose, H):
+    """Gauss-Newton on surfels, held by the prior, deskewing anew with the twist that each step finds.
 
     returns             Returns            end points at their own moments
     normals             (N, 3) float64     base frame
@@ -324,31 +328,38 @@ def fine_align(returns, normals, prior, prior_information, grid, settings, xy_ba
     settings            MatchSettings
     xy_base             (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
     pose                (3,)   float64     in: where to start; out: where it ended
-    Returns the cost there: robust distances and prior.
+    H                   (3, 3) float64     out: Hessian of the points alone
+    Returns (half the cost there, of points and prior; points asked; points that lie on the map).
     """
-    H = np.empty((3, 3))
     g = np.empty(3)
     step = np.empty(3)
     twist = np.empty(3)
+    system = np.empty((3, 3))
     count = xy_base.shape[0]
-    sweep_s = returns.beam_time_s[count - 1] if count > 0 else 0.0
-    rounds = settings.deskew_rounds if sweep_s > 0.0 and prior.elapsed_s > 0.0 else 1
+    found = np.empty((count, 5))
+    unmatched_m = 1.5 * grid.cell_m
+    moves = count > 0 and returns.beam_time_s[count - 1] > 0.0 and prior.elapsed_s > 0.0
     cost = 0.0
-    for k in range(rounds):
-        if rounds > 1:
+    used = 0
+    inliers = 0
+    for k in range(settings.iterations + 1):
+        if moves and 0 < k <= settings.deskew_rounds:
             learn_twist(prior, pose, twist)
             deskew_points(returns.xy_raw, returns.beam_time_s, twist, xy_base)
-        for _ in range(max(1, settings.iterations // rounds)):
-            cost, _used, _inliers = surfel_normal_equations(xy_base, normals, pose, grid, settings, H, g)
-            cost += 0.5 * add_prior(pose, prior.pose, prior_information, H, g)
-            if not solve_3x3(H, g, step):
-                break
-            for i in range(3):
-                pose[i] -= step[i]
-            if abs(step[0]) + abs(step[1]) < 1e-4 and abs(step[2]) < 1e-5:
-                break
+        find_surfels(xy_base, normals, pose, grid, settings.least_normal_cosine, found)
+        cost, used, inliers = surfel_normal_equations(
+            xy_base, normals, found, pose, unmatched_m, settings, H, g
+        )
+        system[:] = H
+        cost += 0.5 * add_prior(pose, prior.pose, prior_information, system, g)
+        if k == settings.iterations or not solve_3x3(system, g, step):
+            break
+        for i in range(3):
+            pose[i] -= step[i]
+        if math.hypot(step[0], step[1]) < settings.settled_m and abs(step[2]) < settings.settled_rad:
+            break
     pose[2] = wrap(pose[2])
-    return cost
+    return cost, used, inliers
 
 
 @njit(cache=True, nogil=True)
@@ -364,29 +375,31 @@ def match_scan(returns, normals, prior, grid, settings, xy_base):
     Returns MatchResult.
     """
     H = np.empty((3, 3))
-    g = np.empty(3)
     information = np.zeros((3, 3))
     prior_information = np.zeros((3, 3))
     if invert_3x3(prior.step_covariance, information):
         rotate_information(information, prior.pose[2], prior_information)
     pose = prior.pose.copy()
-    if settings.coarse_iterations > 0:
-        coarse_align(xy_base, prior.pose, prior_information, grid, settings, pose)
-    moved_m = math.hypot(pose[0] - prior.pose[0], pose[1] - prior.pose[1])
-    is_far = moved_m > settings.second_start_m or abs(pose[2] - prior.pose[2]) > settings.second_start_rad
     other_xy = xy_base.copy()
-    cost = fine_align(returns, normals, prior, prior_information, grid, settings, xy_base, pose)
-    if is_far:  # the coarse step may have been led astray: start at the prediction too, and keep the better
+    cost, used, inliers = fine_align(
+        returns, normals, prior, prior_information, grid, settings, xy_base, pose, H
+    )
+    if inliers < settings.coarse_below_share * used:
+        # the prediction may lie outside the catchment of the surfels: let the coarse map lead there
         other_pose = prior.pose.copy()
-        other_cost = fine_align(
-            returns, normals, prior, prior_information, grid, settings, other_xy, other_pose
+        other_H = np.empty((3, 3))
+        coarse_align(other_xy, prior.pose, prior_information, grid, settings, other_pose)
+        other_cost, other_used, other_inliers = fine_align(
+            returns, normals, prior, prior_information, grid, settings, other_xy, other_pose, other_H
         )
         if other_cost < cost:
             pose[:] = other_pose
             xy_base[:] = other_xy
+            H[:] = other_H
+            used = other_used
+            inliers = other_inliers
     twist = np.empty(3)
     learn_twist(prior, pose, twist)
-    _cost, used, inliers = surfel_normal_equations(xy_base, normals, pose, grid, settings, H, g)
     least, direction = weakest_direction(H)
     weakest = math.sqrt(settings.covariance_scale / least) if least > 0.0 else math.inf
     # The points of a scan share errors (of the map, of the range) that do not average out: hence the scale.

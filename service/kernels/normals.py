@@ -3,6 +3,7 @@
 import math
 from typing import NamedTuple
 
+import numpy as np
 from numba import njit
 
 
@@ -28,50 +29,51 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, settings, normals):
     angle_step_rad   float            between neighbouring beams, > 0
     settings         NormalSettings
     normals          (N, 3) float64   out: unit normal towards the sensor in base axes, and the weight of the
-                                      point: 1 on a planar piece, settings.rough_weight elsewhere, 0 where the beam grazes
+                                      point: 1 on a planar piece, settings.rough_weight elsewhere, 0 where the
+                                      beam grazes
     """
     count = xy_base.shape[0]
-    half_length_squared = settings.half_length_m * settings.half_length_m
+    sums = np.zeros((count + 1, 5))  # of x, y, xx, xy, yy up to each point, relative to the sensor
+    range_m = np.empty(count)
+    first = np.empty(count, np.int64)  # of the run of points without a gap that each belongs to
     for i in range(count):
-        bx = sensor_xy_m[0] - xy_base[i, 0]
-        by = sensor_xy_m[1] - xy_base[i, 1]
-        range_m = math.sqrt(bx * bx + by * by)
-        gap = settings.gap_m + settings.gap_steps * angle_step_rad * range_m
-        gap_squared = gap * gap
-        n = 1.0
-        sx = sy = sxx = sxy = syy = 0.0  # relative to point i, so nothing cancels far from the base
-        for side in (-1, 1):
-            last_x = 0.0
-            last_y = 0.0
-            for k in range(1, settings.most_beams_each_side + 1):
-                j = i + side * k
-                if j < 0 or j >= count:
-                    break
-                dx = xy_base[j, 0] - xy_base[i, 0]
-                dy = xy_base[j, 1] - xy_base[i, 1]
-                if (dx - last_x) ** 2 + (dy - last_y) ** 2 >= gap_squared:
-                    break
-                if k > settings.beams_each_side and dx * dx + dy * dy > half_length_squared:
-                    break
-                last_x = dx
-                last_y = dy
-                n += 1.0
-                sx += dx
-                sy += dy
-                sxx += dx * dx
-                sxy += dx * dy
-                syy += dy * dy
+        x = xy_base[i, 0] - sensor_xy_m[0]
+        y = xy_base[i, 1] - sensor_xy_m[1]
+        sums[i + 1, 0] = sums[i, 0] + x
+        sums[i + 1, 1] = sums[i, 1] + y
+        sums[i + 1, 2] = sums[i, 2] + x * x
+        sums[i + 1, 3] = sums[i, 3] + x * y
+        sums[i + 1, 4] = sums[i, 4] + y * y
+        range_m[i] = math.sqrt(x * x + y * y)
+        first[i] = i
+        if i > 0:
+            gap_m = settings.gap_m + settings.gap_steps * angle_step_rad * min(range_m[i - 1], range_m[i])
+            step_m = math.hypot(xy_base[i, 0] - xy_base[i - 1, 0], xy_base[i, 1] - xy_base[i - 1, 1])
+            if step_m < gap_m:
+                first[i] = first[i - 1]
+    end = count  # of the run
+    for i in range(count - 1, -1, -1):
+        if i + 1 < count and first[i + 1] != first[i]:
+            end = i + 1
+        reach = settings.beams_each_side
+        if range_m[i] > 0.0:
+            wanted = settings.half_length_m / (angle_step_rad * range_m[i])
+            reach = int(min(max(wanted, settings.beams_each_side), settings.most_beams_each_side))
+        low = max(first[i], i - reach)
+        high = min(end, i + reach + 1)
+        n = high - low
+        nx = 1.0
+        ny = 0.0
+        if range_m[i] > 0.0:
+            nx = (sensor_xy_m[0] - xy_base[i, 0]) / range_m[i]
+            ny = (sensor_xy_m[1] - xy_base[i, 1]) / range_m[i]
         weight = settings.rough_weight
-        if range_m > 0.0:
-            nx = bx / range_m
-            ny = by / range_m
-        else:
-            nx = 1.0
-            ny = 0.0
-        if n >= 3.0:
-            a = sxx - sx * sx / n
-            b = sxy - sx * sy / n
-            c = syy - sy * sy / n
+        if n >= 3:
+            sx = sums[high, 0] - sums[low, 0]
+            sy = sums[high, 1] - sums[low, 1]
+            a = sums[high, 2] - sums[low, 2] - sx * sx / n
+            b = sums[high, 3] - sums[low, 3] - sx * sy / n
+            c = sums[high, 4] - sums[low, 4] - sy * sy / n
             half = 0.5 * (a - c)
             root = math.sqrt(half * half + b * b)
             mean = 0.5 * (a + c)
@@ -82,7 +84,7 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, settings, normals):
                 ex = half - root
                 ey = b
             length = math.sqrt(ex * ex + ey * ey)
-            if length > 0.0 and mean + root > 0.0:
+            if length > 0.0:
                 ex /= length
                 ey /= length
                 cosine = ex * nx + ey * ny

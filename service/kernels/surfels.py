@@ -56,6 +56,9 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit):
     c = math.cos(pose[2])
     s = math.sin(pose[2])
     limit = np.float32(count_limit)
+    surfels = grid.surfels
+    cell_m = grid.cell_m
+    cells_per_m = 1.0 / cell_m
     for i in range(xy_base.shape[0]):
         if normals[i, 2] < 1.0:
             continue
@@ -63,73 +66,98 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit):
         y = pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]
         nx = np.float32(c * normals[i, 0] - s * normals[i, 1])
         ny = np.float32(s * normals[i, 0] + c * normals[i, 1])
-        column = math.floor(x / grid.cell_m)
-        row = math.floor(y / grid.cell_m)
-        dx = np.float32(x - (column + 0.5) * grid.cell_m)
-        dy = np.float32(y - (row + 0.5) * grid.cell_m)
+        column = math.floor(x * cells_per_m)
+        row = math.floor(y * cells_per_m)
+        dx = np.float32(x - (column + 0.5) * cell_m)
+        dy = np.float32(y - (row + 0.5) * cell_m)
         slot = touch_tile(grid, row >> TILE_BITS, column >> TILE_BITS)
-        cell = grid.surfels[slot, row & TILE_MASK, column & TILE_MASK]
+        r = row & TILE_MASK
+        q = column & TILE_MASK
         side = 0
-        if cell[0, COUNT] > 0.0 and cell[0, NORMAL_X] * nx + cell[0, NORMAL_Y] * ny <= 0.0:
-            side = 1
-        surfel = cell[side]
-        n = min(surfel[COUNT], limit - np.float32(1.0))
+        if surfels[slot, r, q, 0, COUNT] > 0.0:
+            if surfels[slot, r, q, 0, NORMAL_X] * nx + surfels[slot, r, q, 0, NORMAL_Y] * ny <= 0.0:
+                side = 1
+        n = min(surfels[slot, r, q, side, COUNT], limit - np.float32(1.0))
         share = np.float32(1.0) / (n + np.float32(1.0))
-        surfel[MEAN_X] += (dx - surfel[MEAN_X]) * share
-        surfel[MEAN_Y] += (dy - surfel[MEAN_Y]) * share
-        mx = n * surfel[NORMAL_X] + nx
-        my = n * surfel[NORMAL_Y] + ny
+        surfels[slot, r, q, side, MEAN_X] += (dx - surfels[slot, r, q, side, MEAN_X]) * share
+        surfels[slot, r, q, side, MEAN_Y] += (dy - surfels[slot, r, q, side, MEAN_Y]) * share
+        mx = n * surfels[slot, r, q, side, NORMAL_X] + nx
+        my = n * surfels[slot, r, q, side, NORMAL_Y] + ny
         length = math.sqrt(mx * mx + my * my)
         if length > 0.0:
-            surfel[NORMAL_X] = mx / length
-            surfel[NORMAL_Y] = my / length
-        surfel[COUNT] = n + np.float32(1.0)
+            surfels[slot, r, q, side, NORMAL_X] = mx / length
+            surfels[slot, r, q, side, NORMAL_Y] = my / length
+        surfels[slot, r, q, side, COUNT] = n + np.float32(1.0)
 
 
 @njit(cache=True, nogil=True)
-def nearest_surfel(x, y, nx, ny, least_cosine, grid, surfel):
-    """Nearest mean in the 3 x 3 cells around a point, among surfels that face the same way.
+def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
+    """For each point the nearest mean in the 3 x 3 cells around it, among surfels that face the same way.
 
-    x, y           float            m, frame of the grid
-    nx, ny         float            normal of the point
-    least_cosine   float            between the two normals; -2 takes any
+    xy_base        (N, 2) float64   m, base frame
+    normals        (N, 3) float64   from estimate_normals; points of weight 0 get none
+    pose           (3,)   float64   base in the frame of the grid
     grid           SurfelGrid
-    surfel         (5,) float64     out: mean x, mean y (m, frame of the grid), normal x, normal y, count
-    Returns False where there is none.
+    least_cosine   float            between the two normals; -2 takes any
+    found          (N, 5) float64   out: mean x, mean y (m, frame of the grid), normal x, normal y, count; the count
+                                    is 0 where there is none, and the rest then means nothing
     """
+    # Arrays are taken out of the tuples once, and cells are read by scalars: a reference taken in the loop
+    # costs more than the search itself.
+    surfels = grid.surfels
+    slots = grid.index.slots
+    first_row = grid.index.origin[0]
+    first_column = grid.index.origin[1]
     cell_m = grid.cell_m
-    column = math.floor(x / cell_m)
-    row = math.floor(y / cell_m)
-    best = np.inf
-    local_row = row & TILE_MASK
-    local_column = column & TILE_MASK
-    inside = 0 < local_row < TILE_MASK and 0 < local_column < TILE_MASK
-    slot = find_tile(grid.index, row >> TILE_BITS, column >> TILE_BITS)
-    if inside and slot == NO_TILE:
-        return False
-    for r in range(row - 1, row + 2):
-        for q in range(column - 1, column + 2):
-            if not inside:
-                slot = find_tile(grid.index, r >> TILE_BITS, q >> TILE_BITS)
+    cells_per_m = 1.0 / cell_m
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    for i in range(xy_base.shape[0]):
+        found[i, 4] = 0.0
+        if normals[i, 2] == 0.0:
+            continue
+        x = pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]
+        y = pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]
+        nx = c * normals[i, 0] - s * normals[i, 1]
+        ny = s * normals[i, 0] + c * normals[i, 1]
+        column = math.floor(x * cells_per_m)
+        row = math.floor(y * cells_per_m)
+        dx = x - (column + 0.5) * cell_m
+        dy = y - (row + 0.5) * cell_m
+        best = np.inf
+        last_row = np.int64(-(2**62))
+        last_column = last_row
+        slot = np.int64(NO_TILE)
+        for v in range(-1, 2):
+            tile_row = ((row + v) >> TILE_BITS) - first_row
+            r = (row + v) & TILE_MASK
+            for u in range(-1, 2):
+                tile_column = ((column + u) >> TILE_BITS) - first_column
+                if tile_row != last_row or tile_column != last_column:
+                    last_row = tile_row
+                    last_column = tile_column
+                    slot = NO_TILE
+                    if 0 <= tile_row < slots.shape[0] and 0 <= tile_column < slots.shape[1]:
+                        slot = slots[tile_row, tile_column]
                 if slot == NO_TILE:
                     continue
-            cell = grid.surfels[slot, r & TILE_MASK, q & TILE_MASK]
-            for side in range(2):
-                n = cell[side, COUNT]
-                if n == 0.0:
-                    break  # the second side is never filled before the first
-                sx = np.float64(cell[side, NORMAL_X])
-                sy = np.float64(cell[side, NORMAL_Y])
-                if sx * nx + sy * ny <= least_cosine:
-                    continue
-                mx = (q + 0.5) * cell_m + cell[side, MEAN_X]
-                my = (r + 0.5) * cell_m + cell[side, MEAN_Y]
-                d = (mx - x) ** 2 + (my - y) ** 2
-                if d < best:
+                q = (column + u) & TILE_MASK
+                for side in range(2):
+                    n = surfels[slot, r, q, side, COUNT]
+                    if n == 0.0:
+                        break  # the second side is never filled before the first
+                    mx = u * cell_m + surfels[slot, r, q, side, MEAN_X]
+                    my = v * cell_m + surfels[slot, r, q, side, MEAN_Y]
+                    d = (mx - dx) * (mx - dx) + (my - dy) * (my - dy)
+                    if d >= best:
+                        continue
+                    sx = np.float64(surfels[slot, r, q, side, NORMAL_X])
+                    sy = np.float64(surfels[slot, r, q, side, NORMAL_Y])
+                    if sx * nx + sy * ny <= least_cosine:
+                        continue
                     best = d
-                    surfel[0] = mx
-                    surfel[1] = my
-                    surfel[2] = sx
-                    surfel[3] = sy
-                    surfel[4] = n
-    return best < np.inf
+                    found[i, 0] = mx + (column + 0.5) * cell_m
+                    found[i, 1] = my + (row + 0.5) * cell_m
+                    found[i, 2] = sx
+                    found[i, 3] = sy
+                    found[i, 4] = n

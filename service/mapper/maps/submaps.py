@@ -23,13 +23,13 @@ class NormalsConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     beams_each_side: int = Field(default=4, ge=1, le=32)  # at least, if they hang together
-    half_length_m: float = Field(default=0.10, ge=0.0, le=1.0)  # ... and as many more as lie this near
+    half_length_m: float = Field(default=0.15, ge=0.0, le=1.0)  # ... and as many more as lie this near
     most_beams_each_side: int = Field(default=16, ge=1, le=128)
     gap_m: float = Field(default=0.06, gt=0.0)
     gap_steps: float = Field(default=5.0, ge=0.0)  # in distances between neighbouring beams at that range
     planar_ratio: float = Field(default=0.03, gt=0.0, lt=1.0)
     least_cos_incidence: float = Field(default=0.05, ge=0.0, lt=1.0)
-    rough_weight: float = Field(default=0.3, ge=0.0, le=1.0)
+    rough_weight: float = Field(default=0.2, ge=0.0, le=1.0)
 
     def settings(self) -> NormalSettings:
         return NormalSettings(
@@ -51,8 +51,8 @@ class SubmapsConfig(BaseModel):
 
     cell_m: float = Field(default=0.10, ge=0.02, le=0.5)
     spacing_m: float = Field(default=10.0, gt=0.0)  # a new sub-map each time so far was travelled
-    keyframe_distance_m: float = Field(default=0.30, gt=0.0)
-    keyframe_turn_rad: float = Field(default=0.15, gt=0.0)
+    keyframe_distance_m: float = Field(default=0.05, gt=0.0)
+    keyframe_turn_rad: float = Field(default=0.05, gt=0.0)
     first_scans: int = Field(default=5, ge=1)  # all of the first ones of a map are taken, even standing
     count_limit: int = Field(default=50, ge=2)
     field_sigma_m: float = Field(default=0.15, gt=0.0)

@@ -32,8 +32,9 @@ class SurfelMatcherConfig(BaseModel):
     coarse_beams: int = Field(default=180, ge=10)
     coarse_iterations: int = Field(default=15, ge=0, le=100)
 
-    second_start_m: float = Field(default=0.05, gt=0.0)
-    second_start_rad: float = Field(default=0.02, gt=0.0)
+    coarse_below_share: float = Field(default=0.7, ge=0.0, le=1.01)
+    settled_m: float = Field(default=0.0005, gt=0.0)
+    settled_rad: float = Field(default=0.0001, gt=0.0)
 
     inlier_m: float = Field(default=0.10, gt=0.0)
     lost_share: float = Field(default=0.30, ge=0.0, le=1.0)
@@ -63,8 +64,9 @@ class SurfelGaussNewton:
             config.coarse_sigma,
             config.coarse_beams,
             config.coarse_iterations,
-            config.second_start_m,
-            config.second_start_rad,
+            config.coarse_below_share,
+            config.settled_m,
+            config.settled_rad,
             config.covariance_scale,
         )
         self._floor = np.diag(
