@@ -59,3 +59,13 @@ def test_no_place_for_kernels_is_a_fault(tree: FakeTree, monkeypatch: pytest.Mon
     assert finding.severity == "fault"
     assert "home/.cache/numba" in finding.measured
     assert "NUMBA_CACHE_DIR" in finding.remedy
+
+
+def test_only_functions_that_numba_keeps_are_counted(tmp_path: Path):
+    source = tmp_path / "kernel.py"
+    source.write_text(
+        "@njit(cache=True,\n      nogil=True)\ndef kept(x):\n    return x\n\n\n"
+        "@njit(nogil=True)\ndef compiled_anew(x):\n    return x\n\n\n"
+        "@vectorised\ndef other(x):\n    return x\n\n\ndef plain(x):\n    return x\n"
+    )
+    assert cache._cached_functions(source) == [("kept", 1)]
