@@ -33,6 +33,6 @@ ADVICE = Advice(
     bauds=(115_200, 57_600, 38_400, 28_800, 19_200),
     worries=("low battery", "wheel dropped", "charging fault"),
     start_up_s=9.0,
-    silence="press the robot's Clean button: asleep it answers nothing; is it off, is the cable's level shifter "
+    silence="press the robot's Clean button: asleep it answers nothing; is it off, is the level shifter "
     "powered, is baud what the robot was set to?",
 )
