@@ -5,6 +5,7 @@ Tiles come from the mapping thread; everything else reads. An update never waits
 
 import threading
 from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +19,19 @@ MIN_SPARE_TILES = 4  # how far the canvas grows beyond the tile that made it gro
 TileKey = tuple[int, int, int]  # level, ix, iy
 
 
+@dataclass(frozen=True, slots=True)
+class NumberedMap:
+    """One of the maps that a run made one after another."""
+
+    number: int  # from 1
+    tiles: list[TileUpdate]  # oldest change first
+
+    @property
+    def version(self) -> int:
+        """Of the newest tile; 0 where there is none."""
+        return self.tiles[-1].version if self.tiles else 0
+
+
 class TileStore:
     """The newest version of every tile. Thread-safe."""
 
@@ -26,7 +40,17 @@ class TileStore:
         self._tiles: dict[TileKey, TileUpdate] = {}
         self._version = 0
         self._stale: dict[TileKey, TileUpdate] = {}  # level 0, not yet painted
+        self._painting = threading.Lock()  # holds `_canvas`; taken before `_lock`
         self._canvas = _Canvas()
+        self._blank: TileUpdate | None = None  # first tile of a new canvas, to be begun with the next picture
+        self._number = 1
+        self._began_version = 0  # tiles up to this one are of maps before, emptied
+        self._ended: list[NumberedMap] = []
+
+    @property
+    def number(self) -> int:
+        """Counts the maps: rises with each `begin_anew` that had something to empty."""
+        return self._number
 
     @property
     def version(self) -> int:
@@ -54,28 +78,69 @@ class TileStore:
         return taken
 
     def since(self, version: int) -> list[TileUpdate]:
-        """Every tile newer than `version`, oldest change first; 0 gives the whole map."""
+        """Every tile newer than `version`, oldest change first; 0 gives the whole map.
+
+        Tiles of an emptied map are among them, all unknown: who holds them has to hear that they are gone.
+        """
         with self._lock:
-            newer = [tile for tile in self._tiles.values() if tile.version > version]
+            return self._newer(version)
+
+    def begin_anew(self) -> list[TileUpdate]:
+        """Empty the map, and give its tiles back as they are now: unknown, with new versions.
+
+        The map as it was waits for `take`. Tiles of the next map need versions above `version`.
+        """
+        with self._lock:
+            ended = self._newer(self._began_version)
+            if not ended:
+                return []
+            self._ended.append(NumberedMap(self._number, ended))
+            self._number += 1
+            emptied = [
+                replace(tile, version=self._version + k, cells=_unknown(tile))
+                for k, tile in enumerate(ended, start=1)
+            ]
+            self._tiles.update({(tile.level, tile.ix, tile.iy): tile for tile in emptied})
+            self._version = self._began_version = emptied[-1].version
+            self._stale = {}
+            self._blank = replace(emptied[-1], level=0, ix=0, iy=0)  # where the next map begins
+        return emptied
+
+    def take(self) -> tuple[list[NumberedMap], NumberedMap]:
+        """Maps ended since the last call, oldest first, and the present one, all at one moment."""
+        with self._lock:
+            ended, self._ended = self._ended, []
+            return ended, NumberedMap(self._number, self._newer(self._began_version))
+
+    def _newer(self, version: int) -> list[TileUpdate]:
+        newer = [tile for tile in self._tiles.values() if tile.version > version]
         return sorted(newer, key=lambda tile: tile.version)
 
     def grid(self) -> Grid | None:
         """The finest level as one picture, None while it is empty; paints only what changed meanwhile.
 
-        Raises StorageError beyond MAX_GRID_CELLS.
+        Of an emptied map it is one tile of unknown cells, so that who shows a map sees it go. Raises
+        StorageError beyond MAX_GRID_CELLS.
         """
-        with self._canvas.lock:
+        with self._painting:
             with self._lock:
                 stale, self._stale = self._stale, {}
+                if self._blank is not None:
+                    self._canvas, stale = _Canvas(), {(0, 0, 0): self._blank} | stale
+                    self._blank = None
             self._canvas.paint(stale.values())
             return self._canvas.grid()
 
 
+def _unknown(tile: TileUpdate) -> npt.NDArray[np.int8]:
+    """Shares one cell's memory among all, however many tiles a map had."""
+    return np.broadcast_to(np.int8(UNKNOWN), tile.cells.shape)
+
+
 class _Canvas:
-    """One array that grows to where the tiles are. The caller holds `lock`."""
+    """One array that grows to where the tiles are."""
 
     def __init__(self) -> None:
-        self.lock = threading.Lock()
         self._tiles: dict[tuple[int, int], TileUpdate] = {}  # to be painted
         self._cells: npt.NDArray[np.int8] = np.empty((0, 0), dtype=np.int8)
         self._first_ix = self._first_iy = 0  # tile at cells[0, 0]

@@ -112,3 +112,59 @@ def test_updates_and_pictures_from_two_threads_end_in_the_same_map():
     for t in store.since(0):
         row, column = (t.iy + 3) * EDGE, (t.ix + 5) * EDGE
         assert (grid.cells[row : row + EDGE, column : column + EDGE] == t.cells[0, 0]).all()
+
+
+def test_an_emptied_map_is_unknown_tiles_with_new_versions_for_those_who_hold_the_old():
+    store = TileStore()
+    store.update([tile(0, 0, 5), tile(3, -2, 6), tile(0, 0, 2, level=1)])
+    emptied = store.begin_anew()
+    assert [(t.level, t.ix, t.iy, t.version) for t in emptied] == [(1, 0, 0, 7), (0, 0, 0, 8), (0, 3, -2, 9)]
+    assert all((t.cells == UNKNOWN).all() and not t.cells.flags.writeable for t in emptied)
+    assert [t.version for t in store.since(0)] == [7, 8, 9]
+    assert store.version == 9
+    store.update([tile(0, 0, 10, value=100)])
+    assert [(t.ix, t.version) for t in store.since(8)] == [(3, 9), (0, 10)]
+
+
+def test_the_picture_of_an_emptied_map_is_one_unknown_tile_and_the_next_map_does_not_span_the_old():
+    store = TileStore()
+    store.update([tile(k, 5, k + 1, value=100) for k in range(9)])
+    assert store.grid() is not None
+    store.begin_anew()
+    blank = store.grid()
+    assert blank is not None
+    assert (blank.version, blank.x_min_m, blank.y_min_m, blank.cells.shape) == (18, 0.0, 0.0, (EDGE, EDGE))
+    assert (blank.cells == UNKNOWN).all()
+    store.update([tile(-1, 0, 19, value=100)])
+    grid = store.grid()
+    assert grid is not None
+    assert (grid.version, grid.x_min_m, grid.cells.shape) == (19, -EDGE * CELL_M, (EDGE, 2 * EDGE))
+    assert np.count_nonzero(grid.cells == 100) == EDGE * EDGE
+
+
+def test_maps_are_handed_out_whole_one_after_another():
+    store = TileStore()
+    assert store.begin_anew() == []
+    assert store.number == 1
+    store.update([tile(0, 0, 1, value=100), tile(1, 0, 2, value=100)])
+    store.begin_anew()
+    store.begin_anew()  # nothing to empty
+    store.update([tile(0, 0, 5, value=50)])
+    assert store.number == 2
+    ended, present = store.take()
+    assert [(m.number, m.version, [t.version for t in m.tiles]) for m in ended] == [(1, 2, [1, 2])]
+    assert all((t.cells == 100).all() for t in ended[0].tiles)
+    assert (present.number, present.version, len(present.tiles)) == (2, 5, 1)
+    assert store.take()[0] == []
+
+
+def test_a_map_too_large_for_a_picture_is_no_trouble_to_the_next():
+    store = TileStore()
+    store.update([tile(0, 0, 1), tile(100_000, 100_000, 2)])
+    with pytest.raises(StorageError, match="one picture holds at most"):
+        store.grid()
+    store.begin_anew()
+    store.update([tile(0, 0, 9, value=0)])
+    grid = store.grid()
+    assert grid is not None
+    assert (grid.cells == 0).all()
