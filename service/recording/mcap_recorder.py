@@ -29,17 +29,44 @@ log = logging.getLogger(__name__)
 
 SYNC_PERIOD_S = 0.9  # with the flush and the sync themselves, less than a second is at risk
 QUEUE_MESSAGES, QUEUE_BYTES = 20_000, 64 << 20  # a disk may stall for a minute before scans are lost
+RAW_SUFFIX, RAW_SHARE = "/raw", 0.5  # of the queue: bytes as they came never push out the frames made of them
 RETRY_S = 5.0  # after a disk error, until a new file is tried
 RESUME_FACTOR = 1.05  # free space must exceed the limit by this before recording resumes, or it would flutter
 FINISH_TIMEOUT_S = 30.0
 
-State = Literal["waiting", "recording", "disk full", "disk error", "finished"]
+State = Literal["waiting", "recording", "stopped", "disk full", "disk error", "finished"]
 
 
 @dataclass(frozen=True, slots=True)
 class _Metadata:
     name: str
     values: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class SessionChange:
+    """What became of the wish to begin or to end a session."""
+
+    changed: bool  # False: it was so already
+    files: list[Path]  # the one being written; of an ended session all, complete, oldest first
+    error: str  # why the disk does not do it, else ""
+
+
+Heard = Callable[[SessionChange], None]
+
+
+@dataclass(frozen=True, slots=True)
+class _Begin:
+    first: Message
+    heard: Heard
+
+
+@dataclass(frozen=True, slots=True)
+class _End:
+    heard: Heard
+
+
+_Item = Message | _Metadata | _Begin | _End
 
 
 @dataclass(slots=True)
@@ -58,6 +85,9 @@ class RecorderHealth:
 
 class McapRecorder:
     """Puts messages on disk. `start`, then `put` from any thread, at the end `finish`.
+
+    It begins to record at once. `end_session` and `begin_session` cut the stream of messages where they are
+    called; what is put in between is let go, uncounted, but for what a new session has to know (LATCHED).
 
     directory          where sessions go; made if it is not there
     rotate_bytes       a new file when the current one is this large
@@ -90,13 +120,16 @@ class McapRecorder:
         self._free_bytes_of = free_bytes_of
         self._monotonic_s = monotonic_s
         self._wake = threading.Condition()  # guards the queue, its size, stopping and health.dropped
-        self._queue: deque[Message | _Metadata] = deque()
+        self._queue: deque[_Item] = deque()
         self._queue_bytes = 0
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._leftovers: Leftovers | None = None
         self._file: McapFile | None = None
+        self._enabled = True
         self._session = ""
+        self._session_began_s = 0
+        self._session_files = 0  # how many were finished before it
         self._file_count = 0
         self._latched: dict[str, Message] = {}
         self._last_log_ns = 0
@@ -129,7 +162,8 @@ class McapRecorder:
         with self._wake:
             if self._stopping:
                 return
-            if len(self._queue) >= QUEUE_MESSAGES or self._queue_bytes >= QUEUE_BYTES:
+            share = RAW_SHARE if message.channel.endswith(RAW_SUFFIX) else 1.0
+            if len(self._queue) >= QUEUE_MESSAGES * share or self._queue_bytes >= QUEUE_BYTES * share:
                 self._drop(message, f"{len(self._queue)} messages wait; the disk does not keep up")
                 return
             self._queue.append(message)
@@ -141,6 +175,18 @@ class McapRecorder:
         with self._wake:
             self._queue.append(_Metadata(name, dict(values)))
             self._wake.notify()
+
+    def begin_session(self, first: Message, heard: Heard) -> None:
+        """Record again, into a new file that opens with metadata, latched messages and `first`.
+
+        Where a session is being recorded it goes on, and takes `first`. `heard` is called by the recorder's
+        thread and must not wait.
+        """
+        self._wish(_Begin(first, heard))
+
+    def end_session(self, heard: Heard) -> None:
+        """Complete the file with what was put until now, and record no more. `heard` as in begin_session."""
+        self._wish(_End(heard))
 
     def finish(self) -> list[Path]:
         """Write what is queued, complete the file and stop. Returns the session's files, oldest first."""
@@ -159,6 +205,14 @@ class McapRecorder:
             self._leftovers.stop()
         return list(self.health.finished)
 
+    def _wish(self, wish: _Begin | _End) -> None:
+        with self._wake:
+            if not self._stopping:
+                self._queue.append(wish)
+                self._wake.notify()
+                return
+        wish.heard(SessionChange(False, [], "the recorder is being stopped"))
+
     def _run(self) -> None:
         while True:
             with self._wake:
@@ -175,7 +229,36 @@ class McapRecorder:
                 self.health.state = "finished"
                 return
 
-    def _take(self, item: Message | _Metadata) -> None:
+    def _take(self, item: _Item) -> None:
+        match item:
+            case _Begin():
+                item.heard(self._begin(item.first))
+            case _End():
+                item.heard(self._end())
+            case _:
+                self._keep(item)
+
+    def _begin(self, first: Message) -> SessionChange:
+        changed = not self._enabled
+        if changed:
+            self._enabled, self._session, self._file_count = True, "", 0
+            self._session_files = len(self.health.finished)
+            self._retry_at_s = 0.0
+            self.health.state = "waiting"
+        self._keep(first)
+        if self._file is None:
+            return SessionChange(changed, [], self.health.last_error)
+        return SessionChange(changed, [self._file.active_path], "")
+
+    def _end(self) -> SessionChange:
+        changed, self._enabled = self._enabled, False
+        broken = self._file
+        self._close()
+        error = self.health.last_error if self.health.state == "disk error" and broken is not None else ""
+        self.health.state = "stopped"
+        return SessionChange(changed, self.health.finished[self._session_files :], error)
+
+    def _keep(self, item: Message | _Metadata) -> None:
         try:
             if isinstance(item, _Metadata):
                 self._metadata[item.name] = item.values
@@ -184,6 +267,8 @@ class McapRecorder:
                 return
             if item.channel in LATCHED:
                 self._latched[item.channel] = item
+            if not self._enabled:
+                return
             if self._may_write():
                 self._write(item)
                 return
@@ -226,12 +311,16 @@ class McapRecorder:
             file = self._open(message)
         file.write(message)
         self.health.messages += 1
+        if message.channel.endswith(RAW_SUFFIX):
+            return  # put by the readers themselves, ahead of frames that wait to be mapped
         self.health.steps_back += message.log_ns < self._last_log_ns
         self._last_log_ns = message.log_ns
 
     def _open(self, first: Message) -> McapFile:
         if not self._session:
-            start = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime(first.log_ns // 1_000_000_000))
+            # never that of the session before: files of one name are one drive
+            self._session_began_s = max(first.log_ns // 1_000_000_000, self._session_began_s + 1)
+            start = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime(self._session_began_s))
             self._session = f"{self._vehicle}_{start}"
         while True:
             self._file_count += 1
@@ -257,7 +346,7 @@ class McapRecorder:
                 self._file.sync()
                 if not self._has_room(self._keep_free_bytes):
                     self._close()
-            except Exception as error:  # as in _take
+            except Exception as error:  # as in _keep
                 self._abandon(error)
         self._sync_at_s = self._monotonic_s() + SYNC_PERIOD_S
 
@@ -267,7 +356,7 @@ class McapRecorder:
             return
         try:
             file.finish()
-        except Exception as error:  # as in _take
+        except Exception as error:  # as in _keep
             self._file = file
             self._abandon(error)
             return

@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 from rosbags.highlevel import AnyReader
 
-from service.encoding import Message
+from service.encoding import STRING, Message, encode_event
 from service.errors import StorageError
 from service.recording import mcap_recorder
 from service.recording.mcap_file import create_stream
 from service.recording.mcap_reader import Recording
-from service.recording.mcap_recorder import McapRecorder
+from service.recording.mcap_recorder import McapRecorder, SessionChange
 from service.recording.mcap_recovery import recover
 from tests.service.recording.sessions import (
     T0_NS,
@@ -263,6 +263,121 @@ def test_a_disk_error_costs_the_file_but_not_the_recording(recorder):
     (path,) = session.finish()
     assert path.name.endswith("_0002.mcap")
     assert [payload for _, _, payload in read_back(path)] == [scan_message(2).payload]
+
+
+class Changes:
+    """What the recorder's thread says of begun and ended sessions."""
+
+    def __init__(self) -> None:
+        self._came = threading.Semaphore(0)
+        self._heard: list[SessionChange] = []
+
+    def __call__(self, change: SessionChange) -> None:
+        self._heard.append(change)
+        self._came.release()
+
+    def next(self) -> SessionChange:
+        assert self._came.acquire(timeout=10.0)
+        return self._heard.pop(0)
+
+
+@pytest.fixture
+def changes() -> Changes:
+    return Changes()
+
+
+def event(text: str, log_ns: int) -> Message:
+    return encode_event(text, log_ns, log_ns)
+
+
+def test_a_session_ends_and_another_begins_where_it_was_asked_for(recorder, changes):
+    session = recorder(metadata={"config": {"vehicle": "veh1"}})
+    session.put(mountings_message())
+    for index in range(5):
+        session.put(scan_message(index))
+    session.end_session(changes)
+    ended = changes.next()
+    (first,) = ended.files
+    assert (ended.changed, ended.error) == (True, "")
+    assert session.health.state == "stopped"
+    assert [topic for topic, _, _ in read_back(first)] == ["/tf_static", *["/front/scan"] * 5]
+    for index in range(5, 10):
+        session.put(scan_message(index))
+    session.put_metadata("clock", {"step_ns": "3"})
+    session.begin_session(event("go", scan_message(9).log_ns + 1), changes)
+    session.put(scan_message(10))
+    begun = changes.next()
+    assert (begun.changed, begun.error) == (True, "")
+    assert begun.files[0].name.endswith(".mcap.active")
+    assert session.finish() == [first, begun.files[0].with_suffix("")]
+    second = begun.files[0].with_suffix("")
+    assert second.name == "veh1_20251121T100001Z_0001.mcap"  # it began within the same second
+    assert [topic for topic, _, _ in read_back(second)] == ["/tf_static", "/events", "/front/scan"]
+    assert Recording([second]).metadata == {"config": {"vehicle": "veh1"}, "clock": {"step_ns": "3"}}
+    assert not session.health.dropped
+
+
+def test_what_is_so_already_is_said(recorder, changes):
+    session = recorder()
+    session.put(scan_message(0))
+    session.begin_session(event("go", T0_NS + 1), changes)
+    begun = changes.next()
+    assert (begun.changed, len(begun.files), begun.error) == (False, 1, "")
+    session.end_session(changes)
+    files = changes.next().files
+    assert [topic for topic, _, _ in read_back(files[0])] == ["/events", "/front/scan"]
+    session.end_session(changes)
+    assert changes.next() == SessionChange(False, files, "")
+    assert session.finish() == files
+    session.end_session(changes)
+    assert changes.next() == SessionChange(False, [], "the recorder is being stopped")
+
+
+def test_a_session_of_several_files_is_named_whole_when_it_ends(recorder, changes):
+    session = recorder(rotate_s=1.0)
+    session.put(scan_message(0))
+    session.end_session(changes)
+    session.begin_session(scan_message(100), changes)
+    for index in range(101, 180):
+        session.put(scan_message(index))
+    session.end_session(changes)
+    changes.next()
+    changes.next()
+    assert [path.name for path in changes.next().files] == [
+        "veh1_20251121T100002Z_0001.mcap",
+        "veh1_20251121T100002Z_0002.mcap",
+    ]
+
+
+def test_a_full_disk_is_told_to_who_wants_to_record(recorder, changes):
+    free = [PLENTY]
+    session = recorder(keep_free_bytes=1_000_000, free_bytes_of=lambda _: free[0])
+    session.end_session(changes)
+    changes.next()
+    free[0] = 999_999
+    session.begin_session(scan_message(0), changes)
+    refused = changes.next()
+    assert (refused.changed, refused.files) == (True, [])
+    assert "make room to record again" in refused.error
+
+
+def test_bytes_as_they_came_leave_half_the_queue_to_frames(recorder, monkeypatch):
+    monkeypatch.setattr(mcap_recorder, "QUEUE_MESSAGES", 10)
+    entered, released = threading.Event(), threading.Event()
+    session = recorder(open_stream=lambda path: StuckStream(path, entered, released))
+    raw = Message("front/raw", STRING, T0_NS, T0_NS, event("", 1).payload)
+    try:
+        session.put(scan_message(0))
+        assert entered.wait(10.0)
+        for _ in range(8):
+            session.put(raw)
+        for index in range(1, 7):
+            session.put(scan_message(index))
+    finally:
+        released.set()
+    session.finish()
+    assert session.health.dropped == {"front/raw": 3, "front/scan": 1}
+    assert session.health.steps_back == 0  # raw bytes lie before the frames, as their log times do
 
 
 def test_a_directory_that_cannot_be_is_refused(tmp_path):
