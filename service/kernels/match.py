@@ -380,24 +380,31 @@ def match_scan(returns, normals, prior, grid, settings, xy_base):
     if invert_3x3(prior.step_covariance, information):
         rotate_information(information, prior.pose[2], prior_information)
     pose = prior.pose.copy()
-    other_xy = xy_base.copy()
+    predicted_xy = xy_base.copy()
     cost, used, inliers = fine_align(
         returns, normals, prior, prior_information, grid, settings, xy_base, pose, H
     )
-    if inliers < settings.coarse_below_share * used:
-        # the prediction may lie outside the catchment of the surfels: let the coarse map lead there
-        other_pose = prior.pose.copy()
-        other_H = np.empty((3, 3))
+    # The prediction may lie outside the catchment of the surfels: then let the coarse map lead there, from the
+    # predicted heading and from two beside it. What costs least is kept.
+    other_pose = np.empty(3)
+    other_H = np.empty((3, 3))
+    for side in (0.0, 1.0, -1.0):
+        if inliers >= settings.coarse_below_share * used:
+            break
+        other_xy = predicted_xy.copy()
+        other_pose[:] = prior.pose
+        other_pose[2] += 2.0 * side * math.sqrt(prior.step_covariance[2, 2])
         coarse_align(other_xy, prior.pose, prior_information, grid, settings, other_pose)
         other_cost, other_used, other_inliers = fine_align(
             returns, normals, prior, prior_information, grid, settings, other_xy, other_pose, other_H
         )
         if other_cost < cost:
+            cost = other_cost
+            used = other_used
+            inliers = other_inliers
             pose[:] = other_pose
             xy_base[:] = other_xy
             H[:] = other_H
-            used = other_used
-            inliers = other_inliers
     twist = np.empty(3)
     learn_twist(prior, pose, twist)
     least, direction = weakest_direction(H)
