@@ -137,6 +137,20 @@ class FakeUtm30lx:
         """Its milliseconds begin at 0, as after RS by another client; all else goes on."""
         self._set_clock(now_ns, 0)
 
+    def restart(self, now_ns: int) -> None:
+        self._decoder = CommandDecoder()
+        self._speaks_high, self._baud, self._reboot_asked_ns = False, 19_200, None
+        self.power_on(now_ns)
+
+    def jump_clock(self, seconds: float) -> None:
+        self._clock_zero_ms += round(seconds * 1000)
+
+    def spoil_checksum(self, message: bytes) -> bytes:
+        """Of its last line; a lone echo has none."""
+        if len(message) < 4 or not message.endswith(b"\n\n"):
+            return message
+        return message[:-3] + bytes([message[-3] ^ 0x01]) + message[-2:]
+
     def receive_data(self, data: bytes, now_ns: int) -> bytes:
         commands = self._decoder.receive_data(data)
         if now_ns < self._answers_from_ns:

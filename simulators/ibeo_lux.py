@@ -185,6 +185,17 @@ class FakeIbeoLux:
         if self.setup.measuring:
             self._turning_since_ns = self._boots_until_ns
 
+    def restart(self, now_ns: int) -> None:
+        self._decoder = Decoder()
+        self.power_on(now_ns)
+
+    def jump_clock(self, seconds: float) -> None:
+        self._clock_set_ntp += round(seconds * (1 << 32))
+
+    def spoil_checksum(self, message: bytes) -> bytes:
+        """It has none."""
+        return message
+
     def report(self, registers: ErrorRegisters, now_ns: int) -> None:
         """Tell errors and warnings, if this is not switched off."""
         if not self._parameters[Parameter.DATA_OUTPUT] & 0x0010:

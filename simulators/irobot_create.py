@@ -11,6 +11,7 @@ from typing import Literal
 from drivers.errors import ProtocolError
 from drivers.irobot_create.config import PRESETS
 from drivers.irobot_create.protocol import (
+    FRAME_HEADER,
     FRAME_PERIOD_NS,
     Command,
     CommandDecoder,
@@ -128,8 +129,22 @@ class FakeCreate:
         if dropped and self.mode is Mode.SAFE:
             self.mode = Mode.PASSIVE
 
+    def restart(self, now_ns: int) -> None:
+        """Pull the battery and put it back."""
+        self._ear = CommandDecoder(demo_takes_data=not self._encoders)
+        self._texts_sent = 0
+        self.reset(now_ns)
+
+    def spoil_checksum(self, message: bytes) -> bytes:
+        """Of the first stream frame in it; answers and texts carry none."""
+        start = message.find(FRAME_HEADER)
+        end = start + 3 + message[start + 1] if 0 <= start < len(message) - 1 else len(message) + 1
+        if end > len(message):
+            return message
+        return message[: end - 1] + bytes([message[end - 1] ^ 0xFF]) + message[end:]
+
     def reset(self, now_ns: int) -> None:
-        """Pull the battery and put it back: encoders at zero, mode Off, and the banner."""
+        """As after opcode 7: encoders at zero, mode Off, and the banner."""
         self._go_off()
         self._start_counts, self._reset_travel_m = (0, 0), self._wheels.wheel_travel_m(now_ns)
         self._read_travel_m = dict.fromkeys((PacketId.DISTANCE, PacketId.ANGLE), self._reset_travel_m)

@@ -12,16 +12,23 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 
 import numpy as np
-import numpy.typing as npt
 
 from drivers.errors import ProtocolError
-from drivers.sick_lms100.protocol import Decoder, Dialect, Reader, Telegram, Writer, encode, reader, writer
+from drivers.sick_lms100.protocol import (
+    STX,
+    Decoder,
+    Dialect,
+    Reader,
+    Telegram,
+    Writer,
+    encode,
+    reader,
+    writer,
+)
 from drivers.sick_lms100.telegrams import (
-    FIRST_RANGE_CODE,
     FULL_FIRST_E4DEG,
     FULL_LAST_E4DEG,
     Calendar,
-    Channel,
     DeviceStatus,
     OutputRange,
     ScanConfig,
@@ -31,6 +38,7 @@ from drivers.sick_lms100.telegrams import (
     write_scan,
 )
 from simulators.device import SweepSource
+from simulators.sick_optics import lay_down
 
 FULL_RANGE = OutputRange(FULL_FIRST_E4DEG, FULL_LAST_E4DEG)
 LEGAL_PAIRS = {(2500, 2500), (2500, 5000), (5000, 5000)}  # 1/100 Hz, 1/10000 deg
@@ -75,9 +83,7 @@ class Lms100Setup:
     clock_start_us: int = 0  # counter at power-up; near 2**32 it soon wraps
     clock_drift_ppm: float = 0.0  # positive: the device's clock runs fast
     motor_speed: float = 0.9955  # of nominal; the recorded LMS111 turns with 49.6 to 49.8 Hz
-    zero_index_after_sweep: bool = (
-        True  # as the recorded LMS111; False: first beam, as the telegram listing has it
-    )
+    zero_index_after_sweep: bool = True  # as the recorded LMS111; False: at the first beam, as documented
     scale: float = 1.0  # mm per digit
     reach_m: float = 20.0
     repeat_every: int = 0  # every n-th scan telegram is sent twice
@@ -93,14 +99,10 @@ class FakeLms100:
         self.counters: Counter[str] = Counter()
         self._source = source
         self._jitter = np.random.default_rng(seed)
-        self._scan, self._range, self._scan_data = (
-            self.setup.scan,
-            self.setup.output_range,
-            self.setup.scan_data,
-        )
-        self._dialect = self._next_dialect = self.setup.dialect
+        self._take_factory_settings()
         self._decoder = Decoder()
         self._powered_on_ns: int | None = None
+        self._clock_ahead_us = 0
         self._boots_until_ns = 0
         self._turning_since_ns: int | None = None  # first beam of scan 0; None: not measuring
         self._standby = False
@@ -109,17 +111,20 @@ class FakeLms100:
         self._last_scan: ScanTelegram | None = None
         self._subscribed: set[str] = set()
         self._logged_in = False
-        self._writes_to_refuse = self.setup.first_writes_refused
         self._refuses_until_ns = 0
         self._pending: deque[bytes] = deque()
         self._output_changes = 0
 
+    def _take_factory_settings(self) -> None:
+        self._scan, self._range = self.setup.scan, self.setup.output_range
+        self._scan_data = self.setup.scan_data
+        self._dialect = self._next_dialect = self.setup.dialect
+        self._writes_to_refuse = self.setup.first_writes_refused
+
     def connected(self, now_ns: int) -> bytes:
+        self._forget_client()
         self._decoder = Decoder()
         self._dialect = self._next_dialect
-        self._subscribed.clear()
-        self._pending.clear()
-        self._logged_in = False
         if self._powered_on_ns is None:
             self._power_on(now_ns)
             if self.setup.measuring:
@@ -129,6 +134,9 @@ class FakeLms100:
     def disconnected(self, now_ns: int) -> None:
         if "LMDscandata" in self._subscribed:
             self._refuses_until_ns = now_ns + self.setup.refusal_ns
+        self._forget_client()
+
+    def _forget_client(self) -> None:
         self._subscribed.clear()
         self._pending.clear()
         self._logged_in = False
@@ -186,8 +194,29 @@ class FakeLms100:
             return STATE_STANDBY if self._standby else STATE_IDLE
         return STATE_MEASURING if now_ns >= self._turning_since_ns else STATE_SPINNING_UP
 
+    def restart(self, now_ns: int) -> None:
+        """Off and on again. Nothing is in its flash: it comes back as it left the factory."""
+        self._forget_client()
+        self._decoder = Decoder()
+        self._take_factory_settings()
+        self._refuses_until_ns = 0
+        self._power_on(now_ns)
+        self._turning_since_ns, self._next_scan, self._last_scan = None, 0, None
+        if self.setup.measuring:
+            self._turn_from(self._boots_until_ns + self.setup.start_delay_ns)
+        self._telegram_base = self._output_changes = 0
+
+    def jump_clock(self, seconds: float) -> None:
+        self._clock_ahead_us += round(seconds * 1e6)
+
+    def spoil_checksum(self, message: bytes) -> bytes:
+        """CoLa-A has none."""
+        binary = message.startswith(4 * STX)
+        return message[:-1] + bytes([message[-1] ^ 0xFF]) if binary else message
+
     def _power_on(self, now_ns: int) -> None:
         self._powered_on_ns = now_ns
+        self._clock_ahead_us = 0
         self._boots_until_ns = now_ns + self.setup.boot_ns
 
     def _turn_from(self, since_ns: int) -> None:
@@ -218,12 +247,12 @@ class FakeLms100:
     def _clock_us(self, host_ns: int) -> int:
         assert self._powered_on_ns is not None
         since_us = (host_ns - self._powered_on_ns) * (1.0 + self.setup.clock_drift_ppm * 1e-6) / 1000.0
-        return (self.setup.clock_start_us + round(since_us)) % (1 << 32)
+        return (self.setup.clock_start_us + self._clock_ahead_us + round(since_us)) % (1 << 32)
 
     def _calendar(self, host_ns: int) -> Calendar:
         assert self._powered_on_ns is not None
-        since_us = max(0, host_ns - self._powered_on_ns - CALENDAR_LAG_NS) // 1000
-        t = datetime(1970, 1, 1) + timedelta(microseconds=since_us)
+        since_us = (host_ns - self._powered_on_ns - CALENDAR_LAG_NS) // 1000 + self._clock_ahead_us
+        t = datetime(1970, 1, 1) + timedelta(microseconds=max(0, since_us))
         return Calendar(t.year, t.month, t.day, t.hour, t.minute, t.second, t.microsecond // 1000 * 1000)
 
     def _measure(self, index: int) -> ScanTelegram:
@@ -245,7 +274,9 @@ class FakeLms100:
         zero_ns = leaves_ns - ZERO_TO_SENDING_NS if self.setup.zero_index_after_sweep else begins_ns
         sent_ns = leaves_ns + round(self._jitter.uniform(-SENDING_JITTER_NS, SENDING_JITTER_NS))
         error = self.failed or index < FLAGGED_SCANS
-        channels_16bit, channels_8bit = self._channels(sweep.range_m, sweep.intensity)
+        channels_16bit, channels_8bit = lay_down(
+            sweep, self._scan_data, first_e4deg, step_e4deg, self.setup.scale, self.setup.reach_m
+        )
         number = self._telegram_base + index
         self._last_scan = ScanTelegram(
             serial_number=self.setup.serial_number,
@@ -267,40 +298,10 @@ class FakeLms100:
         )
         return self._last_scan
 
-    def _channels(
-        self, range_m: npt.NDArray[np.float32], intensity: npt.NDArray[np.float32]
-    ) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
-        digits = np.nan_to_num(range_m, nan=0.0) * (1000.0 / self.setup.scale)
-        seen = (digits >= FIRST_RANGE_CODE) & (range_m <= self.setup.reach_m)
-        first_echo = np.where(seen, np.rint(digits), 0).astype(np.uint16)
-        nothing = np.zeros_like(first_echo)
-        most = 0xFFFE if self._scan_data.remission_16bit else 0xFE
-        remission = np.where(seen, np.rint(1 + intensity * (most - 1)), 0).astype(np.uint16)
-        distances, remissions = [], []
-        for echo, bit in ((1, 1), (2, 2)):
-            if self._scan_data.echoes & bit:
-                distances.append(
-                    self._channel(f"DIST{echo}", first_echo if echo == 1 else nothing, self.setup.scale)
-                )
-                remissions.append(self._channel(f"RSSI{echo}", remission if echo == 1 else nothing, 1.0))
-        if not self._scan_data.remission:
-            return tuple(distances), ()
-        if self._scan_data.remission_16bit:
-            return tuple(distances + remissions), ()
-        return tuple(distances), tuple(remissions)
-
-    def _channel(self, content: str, values: npt.NDArray[np.uint16], scale: float) -> Channel:
-        return Channel(content, values, self._range.first_e4deg, self._scan.step_e4deg, scale)
-
     def _answer(self, request: Telegram, now_ns: int) -> Telegram:
         self.counters["requests"] += 1
-        handlers = {
-            "sRN": self._read,
-            "sRI": self._read,
-            "sWN": self._write,
-            "sMN": self._call,
-            "sEN": self._enable,
-        }
+        handlers = {"sRN": self._read, "sWN": self._write, "sMN": self._call, "sEN": self._enable}
+        handlers["sRI"] = self._read
         handler = handlers.get(request.kind)
         if handler is None:
             return self._refuse(UNKNOWN_COMMAND)
@@ -328,11 +329,9 @@ class FakeLms100:
             complete = self._scans_complete(now_ns)
             if complete and "LMDscandata" not in self._subscribed:
                 self._measure(complete - 1)
-            return (
-                self._refuse(NOT_NOW)
-                if self._last_scan is None
-                else write_scan(self._last_scan, self._dialect, "sRA")
-            )
+            if self._last_scan is None:
+                return self._refuse(NOT_NOW)
+            return write_scan(self._last_scan, self._dialect, "sRA")
         values = self._variables(now_ns)
         if name.startswith("field") and name[5:].isdigit() and int(name[5:]) < 30:
             return self._reply("sRA", name, lambda w: w.u8(0))

@@ -317,6 +317,36 @@ def test_reset_puts_the_clock_to_zero_and_ends_the_stream():
         assert int(read_info(ReplyDecoder().receive_data(bench.say("II"))[0])["TIME"], 16) == 201
 
 
+def test_power_cut_costs_stream_and_clock_and_a_command_half_heard():
+    bench = Bench(replace(USB, boot_ns=1_000 * MS))
+    bench.now_ns += 60_000 * MS
+    bench.say("MD0000108001000")
+    bench.device.receive_data(b"MD00001", bench.now_ns)
+    bench.device.restart(bench.now_ns)
+    assert bench.let(2000.0) == []
+    assert int(read_info(ReplyDecoder().receive_data(bench.say("II"))[0])["TIME"], 16) == 2001
+
+
+@pytest.mark.parametrize("seconds", [30.0, -1.5])
+def test_clock_that_jumps_shows(seconds):
+    bench = Bench(replace(USB, clock_start_ms=5_000_000))
+    bench.device.jump_clock(seconds)
+    told_ms = int(read_info(ReplyDecoder().receive_data(bench.say("II"))[0])["TIME"], 16)
+    assert told_ms == 5_000_001 + seconds * 1000
+
+
+def test_spoilt_checksum_costs_one_line_and_an_echo_has_none():
+    bench = Bench()
+    bench.say("MD0000108001000")
+    (_, message), *_ = bench.let(100.0)
+    spoilt = bench.device.spoil_checksum(message)
+    assert len(spoilt) == len(message)
+    line = spoilt.splitlines()[-2]
+    assert line[-1] != checksum(line[:-1])
+    assert spoilt[:-3] == message[:-3]
+    assert bench.device.spoil_checksum(b"MD\n") == b"MD\n"
+
+
 def test_states_of_an_ethernet_unit():
     bench = Bench(ETHERNET)
 

@@ -231,6 +231,21 @@ def test_clock_counts_from_power_up_drifts_and_is_set_in_two_steps():
     assert client.device.ntp(client.now_ns) == 4_000_000_000 << 32 | 1 << 31
 
 
+def test_power_cut_and_jumps_show_in_its_clock():
+    client = Client(LuxSetup(boot_ns=SECOND_NS))
+    client.now_ns += 100 * SECOND_NS
+    client.device.jump_clock(30.5)
+    assert client.device.ntp(client.now_ns) == round(130.5 * 2**32)
+    client.device.jump_clock(-1.0)
+    assert client.device.ntp(client.now_ns) == round(129.5 * 2**32)
+    client.ask(Command.SET_PARAMETER, write_parameter(0x1102, 12_800))
+    client.device.restart(client.now_ns)
+    assert client.say(Command.GET_STATUS) == b""
+    client.now_ns += 2 * SECOND_NS
+    assert client.device.ntp(client.now_ns) == 2 << 32
+    assert client.device.parameter(0x1102) == 3200
+
+
 def test_saved_parameters_survive_a_reset_and_others_do_not():
     client = Client(LuxSetup(boot_ns=SECOND_NS))
     client.now_ns += 2 * SECOND_NS

@@ -242,6 +242,32 @@ def test_reset_prints_the_banner_and_leaves_it_off(started: Callable[..., FakeCr
     assert ask(robot, 43, 3 * S) == {43: math.floor(0.2 / M_PER_COUNT)}
 
 
+def test_power_cut_does_so_even_to_one_asleep_or_in_the_middle_of_a_command(
+    started: Callable[..., FakeCreate],
+):
+    robot = started(Rolling(0.1, 0.1), start_counts=(40_000, 40_000))
+    robot.receive_data(bytes([133]), S)  # power: asleep
+    robot.restart(2 * S)
+    assert run(robot, 3 * S) == [(2 * S + 500 * MS, BANNER)]
+    robot.receive_data(bytes([128, 148, 3, 43]), 3 * S)  # two of three packets
+    robot.restart(4 * S)
+    run(robot, 5 * S)
+    robot.receive_data(bytes([128]), 5 * S)
+    assert ask(robot, 43, 5 * S) == {43: math.floor(0.1 / M_PER_COUNT)}
+
+
+def test_spoilt_checksum_is_noticed_and_what_has_none_stays(started: Callable[..., FakeCreate]):
+    robot = started()
+    robot.receive_data(encode_stream_request((35,)), 0)
+    (_, frame), *_ = run(robot, 100 * MS)
+    decoder = StreamDecoder((35,))
+    assert decoder.receive_data(robot.spoil_checksum(frame) + frame) != []
+    assert decoder.checksum_failures == 1
+    assert robot.spoil_checksum(FLASH_TEXT) == FLASH_TEXT
+    assert robot.spoil_checksum(b"\x13") == b"\x13"
+    assert robot.spoil_checksum(b"") == b""
+
+
 def test_pycreate2_dialogue(started: Callable[..., FakeCreate]):
     """What pycreate2 0.8 sends: start, safe, four songs cleared, group 100, drive direct, and its close."""
     robot = FakeCreate(STANDING)

@@ -315,6 +315,46 @@ def test_reboot_forgets_the_client_and_comes_back():
     assert bench.say(b"\x02sRN STlms\x03") != b""
 
 
+def test_power_cut_costs_settings_client_counters_and_clock():
+    bench = Bench(Lms100Setup(start_delay_ns=500 * MS, boot_ns=1_000 * MS))
+    bench.let(1_500)
+    bench.say(LOGIN)
+    bench.say(b"\x02sMN mLMPsetscancfg +2500 +1 +2500 -450000 +2250000\x03")
+    bench.let(60_000)
+    restarted_ns = bench.now_ns
+    bench.device.restart(restarted_ns)
+    assert bench.say(b"\x02sRN STlms\x03") == b""
+    assert bench.let(2000) == []
+    assert b"sRA LMPscancfg 1388 1 1388" in bench.say(b"\x02sRN LMPscancfg\x03")
+    assert b"sFA" in bench.say(b"\x02sMN LMCstopmeas\x03")
+    bench.say(b"\x02sEN LMDscandata 1\x03")
+    left_ns, scan = bench.scans(100)[0]
+    assert scan.sent_us == pytest.approx((left_ns - restarted_ns) / 1000, abs=100)
+    assert scan.telegram_counter == scan.scan_counter - 4 < 30  # it turns for half a second
+
+
+@pytest.mark.parametrize("seconds", [30.0, -1.5])
+def test_clock_that_jumps_shows_in_stamps_and_calendar(seconds):
+    bench = streaming()
+    bench.device._scan_data = replace(bench.device._scan_data, time=True)
+    (at_ns, before), *_ = bench.scans(6000)[-1:]
+    bench.device.jump_clock(seconds)
+    (later_ns, after), *_ = bench.scans(100)[-1:]
+    passed_us = (later_ns - at_ns) / 1000 + seconds * 1e6
+    assert after.sent_us - before.sent_us == pytest.approx(passed_us, abs=150)
+    told_s = [t.time.minute * 60 + t.time.second + t.time.microsecond / 1e6 for t in (before, after)]
+    assert told_s[1] - told_s[0] == pytest.approx(passed_us / 1e6, abs=0.025)
+
+
+def test_spoilt_checksum_is_noticed_in_binary_and_there_is_none_in_text():
+    [(_, message)] = streaming(Lms100Setup(dialect=BINARY)).let(30)
+    decoder = Decoder()
+    assert decoder.receive_data(FakeLms100(Corridor()).spoil_checksum(message)) == []
+    assert decoder.bad_checksums == 1
+    [(_, message)] = streaming().let(30)
+    assert FakeLms100(Corridor()).spoil_checksum(message) == message
+
+
 def test_client_that_died_leaves_a_deaf_device_for_a_while():
     bench = streaming(Lms100Setup(refusal_ns=30_000 * MS))
     bench.device.disconnected(bench.now_ns)
