@@ -1,0 +1,115 @@
+"""drivers.link's loop in virtual time: sessions end on errors and unplugged cables, new ones come."""
+
+from collections import Counter
+from collections.abc import Callable
+
+from drivers.errors import DeviceError, ProtocolError, TransportError
+from drivers.frames import Frame
+from drivers.link import (
+    DEVICE_ERROR_RETRY_S,
+    FIRST_RETRY_S,
+    LAST_RETRY_S,
+    PROVEN_AFTER_S,
+    READ_TIMEOUT_S,
+    Session,
+)
+from simulators.faults import Faulty
+from tests.drivers.virtual_time import SECOND_NS
+
+TICK_NS = round(READ_TIMEOUT_S * SECOND_NS)
+DELAY_NS = 100_000  # of the network, from the device
+
+
+class VirtualLink:
+    """One device with faults and the sessions that talk to it, one after the other.
+
+    errors     what ended sessions, with the time; what drivers.link does not catch is raised
+    sent       with the time, what the device sent, as the session read it
+    """
+
+    def __init__(self, new_session: Callable[[], Session], device: Faulty, now_ns: int) -> None:
+        self.device = device
+        self.now_ns = now_ns
+        self.frames: list[Frame] = []
+        self.errors: list[tuple[int, Exception]] = []
+        self.sent: list[tuple[int, bytes]] = []
+        self.connects = 0
+        self._new_session = new_session
+        self._session: Session | None = None
+        self._counters: Counter[str] = Counter()  # of sessions that have ended
+        self._retry_s = FIRST_RETRY_S
+        self._connect_at_ns = self._connected_ns = now_ns
+
+    @property
+    def counters(self) -> Counter[str]:
+        """Over all sessions."""
+        return self._counters + (Counter() if self._session is None else self._session.counters)
+
+    @property
+    def status(self) -> str:
+        return "" if self._session is None else self._session.status
+
+    def run(self, seconds: float) -> list[Frame]:
+        """Let that much time pass; the frames that came meanwhile."""
+        before = len(self.frames)
+        end_ns = self.now_ns + round(seconds * SECOND_NS)
+        while self.now_ns < end_ns:
+            try:
+                self._step(min(self.now_ns + TICK_NS, end_ns))
+            except (TransportError, ProtocolError, DeviceError) as error:
+                self._hang_up(error)
+        return self.frames[before:]
+
+    def _step(self, until_ns: int) -> None:
+        """One tick of the session and what the device says until the next."""
+        if self._session is None:
+            self.now_ns = until_ns
+            self.device.next_due_ns(self.now_ns)
+            if self.now_ns >= self._connect_at_ns:
+                self._connect()
+            return
+        if not self.device.plugged(self.now_ns):
+            raise TransportError("unplugged")
+        self._session.tick(self.now_ns)
+        self._say()
+        while (due_ns := self.device.next_due_ns(self.now_ns)) is not None and due_ns <= until_ns:
+            self.now_ns = max(self.now_ns, due_ns)
+            if not self.device.plugged(self.now_ns):
+                raise TransportError("unplugged")
+            self._deliver(self.device.due(self.now_ns))
+        self.now_ns = max(self.now_ns, until_ns)
+
+    def _connect(self) -> None:
+        if not self.device.plugged(self.now_ns):
+            self._hang_up(TransportError("refused"))
+            return
+        self.connects += 1
+        self._connected_ns = self.now_ns
+        self._session = self._new_session()
+        self._deliver(self.device.connected(self.now_ns))
+
+    def _hang_up(self, error: Exception) -> None:
+        self.errors.append((self.now_ns, error))
+        if self._session is not None:
+            self._counters += self._session.counters
+            self._session = None
+            self.device.disconnected(self.now_ns)
+            if self.now_ns - self._connected_ns > PROVEN_AFTER_S * SECOND_NS:
+                self._retry_s = FIRST_RETRY_S
+        wait_s = DEVICE_ERROR_RETRY_S if isinstance(error, DeviceError) else self._retry_s
+        self._retry_s = min(2.0 * self._retry_s, LAST_RETRY_S)
+        self._connect_at_ns = self.now_ns + round(wait_s * SECOND_NS)
+
+    def _say(self) -> None:
+        assert self._session is not None
+        while self._session.outbox:
+            said = bytes(self._session.outbox)
+            self._session.outbox.clear()
+            self._deliver(self.device.receive_data(said, self.now_ns))
+
+    def _deliver(self, data: bytes) -> None:
+        assert self._session is not None
+        if data:
+            self.sent.append((self.now_ns, data))
+            self.frames += self._session.receive_data(data, self.now_ns + DELAY_NS)
+            self._say()
