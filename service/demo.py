@@ -20,7 +20,7 @@ import yaml
 
 from service.config import ServiceConfig, parse_config
 from service.encoding import decode_pose
-from service.errors import CorridorError, UsageError
+from service.errors import ConfigError, CorridorError, UsageError
 from service.geometry.se2 import SE2
 from service.offline.warmup import warm_up
 from service.recording.mcap_reader import Recording
@@ -45,6 +45,7 @@ class DemoOptions:
     profile: str | None
     seed: int
     out: Path
+    faults: Path | None = None
 
 
 class Simulators:
@@ -88,12 +89,14 @@ def demo(options: DemoOptions) -> dict[str, Any]:
 def simulators(options: DemoOptions, truth: Path) -> Iterator[Simulators]:
     """Start them, wait until every device answers, and end them afterwards.
 
-    Raises CorridorError when they do not come up.
+    Raises CorridorError when they do not come up, ConfigError where the faults are refused.
     """
     command = [sys.executable, "-m", "simulators", "--print-endpoints", "--die-with-parent"]
     command += ["--truth", str(truth), "--seed", str(options.seed), "--stand-s", str(STAND_S)]
     if options.world is not None:
         command += ["--world", options.world]
+    if options.faults is not None:
+        command += ["--faults", str(options.faults)]
     # A session of its own: Ctrl-C is for the service, which wants its devices until it has stopped.
     process = subprocess.Popen(
         command,
@@ -192,6 +195,8 @@ def _read_endpoints(process: subprocess.Popen[bytes]) -> list[dict[str, str]]:
     while True:
         ready, _, _ = select.select([process.stdout], [], [], max(deadline_s - time.monotonic(), 0.0))
         line = process.stdout.readline() if ready else b""
+        if ready and not line and process.wait(READY_TIMEOUT_S) == ConfigError.exit_code:
+            raise ConfigError(["the simulators refused the file of faults; what is wrong stands above"])
         if not line:
             state = "ended" if ready else f"said nothing for {READY_TIMEOUT_S:.0f} s"
             raise CorridorError(f"the simulators {state} before they were ready; their log stands above")

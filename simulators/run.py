@@ -14,6 +14,8 @@ from typing import NoReturn, TextIO
 
 import numpy as np
 
+from service.errors import ConfigError
+from simulators.fault_file import read_faults
 from simulators.truth import Ride
 from simulators.vehicle import KINDS, FakeVehicle, parse_devices, warm_up
 from simulators.worlds import WORLDS, build_world
@@ -48,6 +50,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--stand-s", type=float, default=2.0, help="how long the vehicle stands before it drives (default 2)"
     )
+    parser.add_argument("--faults", type=Path, metavar="FILE", help="what goes wrong, and when; a YAML file")
     parser.add_argument(
         "--print-endpoints", action="store_true", help="JSON lines on stdout, the last is ready"
     )
@@ -89,6 +92,9 @@ def _run(options: argparse.Namespace) -> int:
     warm_up(world)  # before the ride begins
     ride = Ride(world, time.monotonic_ns(), options.stand_s)
     vehicle = FakeVehicle(options.device, ride, options.seed)
+    if options.faults is not None:
+        faults = read_faults(options.faults, vehicle.devices)
+        vehicle.afflict(faults, options.seed, ride.start_ns)
     gc.collect()
     gc.freeze()
     sys.setswitchinterval(SWITCH_INTERVAL_S)
@@ -103,6 +109,8 @@ def _run(options: argparse.Namespace) -> int:
                 log.info("parent process %d has gone; ending", parent)
                 break
         truth.write_until(time.monotonic_ns())
+    for name, counters in vehicle.fault_counters().items():
+        log.info("%s had %s", name, ", ".join(f"{count} {what}" for what, count in counters.items()))
     return DONE
 
 
@@ -121,6 +129,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     try:
         return _run(options)
+    except ConfigError as error:
+        log.error("%s", error)
+        return error.exit_code
     except OSError as error:
         log.error("simulate: %s", error)
         return IO_ERROR

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any, Literal, Self
 
@@ -12,6 +13,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.irobot_create.config import PRESETS
 from service.geometry.se2 import SE2
+from simulators.device import FakeDevice, ManyClients
+from simulators.fault_file import Fault
+from simulators.faults import Faulty
 from simulators.ibeo_lux import FakeIbeoLux, LuxSetup
 from simulators.irobot_create import FakeCreate
 from simulators.sick_lms100 import FakeLms100, Lms100Setup
@@ -166,9 +170,31 @@ class FakeVehicle:
         }
         self._stack = ExitStack()
 
+    @property
+    def devices(self) -> dict[str, FakeDevice | ManyClients]:
+        return {name: wire.device for name, wire in self.wires.items()}
+
+    def afflict(self, faults: Sequence[Fault], seed: int, zero_ns: int) -> None:
+        """Give each device its faults, timed from host time zero_ns. To be done before it is entered."""
+        for name, device in self.devices.items():
+            own = [fault for fault in faults if fault.device == name]
+            if own:
+                assert not isinstance(device, ManyClients), "refused by whoever read the faults"
+                self.wires[name].device = Faulty(device, own, seed_of(seed, f"faults of {name}"), zero_ns)
+
+    def fault_counters(self) -> dict[str, dict[str, int]]:
+        """What the faults have done so far, by device."""
+        return {
+            name: dict(device.counters) for name, device in self.devices.items() if isinstance(device, Faulty)
+        }
+
     def __enter__(self) -> Self:
         with ExitStack() as stack:
-            for wire in self.wires.values():
+            for name, wire in self.wires.items():
+                if isinstance(wire, PtyWire) and isinstance(wire.device, Faulty) and wire.link is None:
+                    # each time it is plugged in it is another terminal; a name that stays leads there
+                    folder = stack.enter_context(TemporaryDirectory(prefix="corridor-"))
+                    wire.link = Path(folder) / name
                 stack.enter_context(wire)
             self._stack = stack.pop_all()
         return self

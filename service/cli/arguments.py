@@ -49,6 +49,9 @@ def _add_live(commands: Any) -> None:
     demo.add_argument("--profile", help="mapping profile (default: corridor)")
     demo.add_argument("--seed", type=int, default=1, help="of the world and its noise (default: 1)")
     demo.add_argument(
+        "--faults", type=Path, metavar="FILE", help="what goes wrong with the devices, and when"
+    )
+    demo.add_argument(
         "--out", type=Path, default=Path("out"), metavar="DIR", help="sessions and map go here (default: out)"
     )
 

@@ -25,6 +25,8 @@ def demo(parsed: argparse.Namespace) -> int:
     from service.demo import DemoOptions
     from service.demo import demo as run_demo
 
-    options = DemoOptions(parsed.seconds, parsed.world, parsed.profile, parsed.seed, parsed.out)
+    options = DemoOptions(
+        parsed.seconds, parsed.world, parsed.profile, parsed.seed, parsed.out, parsed.faults
+    )
     print_result(run_demo(options), parsed.json)
     return 0

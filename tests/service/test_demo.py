@@ -93,6 +93,16 @@ def test_simulators_that_do_not_come_up_are_said(tmp_path: Path):
         pass
 
 
+def test_faults_that_cannot_be_are_a_config_error(tmp_path: Path):
+    (tmp_path / "faults.yaml").write_text("faults:\n  - {device: rear, kind: cut}\n")
+    wrong = DemoOptions(1.0, None, None, 1, tmp_path, tmp_path / "faults.yaml")
+    with (
+        pytest.raises(ConfigError, match="refused the file of faults"),
+        demo.simulators(wrong, tmp_path / "truth.txt"),
+    ):
+        pass
+
+
 def test_simulators_that_end_on_the_way_end_the_demo():
     with subprocess.Popen([sys.executable, "-c", "raise SystemExit(3)"]) as process:
         process.wait(10.0)

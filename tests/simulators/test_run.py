@@ -108,3 +108,46 @@ def test_truth_that_cannot_be_written_is_74(tmp_path: Path):
     ended = subprocess.run(arguments, capture_output=True, text=True, timeout=PATIENCE_S)
     assert ended.returncode == 74
     assert "nowhere" in ended.stderr
+
+
+def test_faults_come_at_their_time_and_are_summed_up(tmp_path: Path):
+    faults = tmp_path / "faults.yaml"
+    faults.write_text(
+        "faults:\n"
+        "  - {device: front, kind: cut, at_s: 0.2, for_s: 0.3}\n"
+        "  - {device: base, kind: restart, at_s: 0.2, for_s: 0.3}\n"
+    )
+    command = [*COMMAND, "--print-endpoints", "--faults", str(faults)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            where = endpoints(process)
+            host, port = where["front"].removeprefix("tcp://").split(":")
+            assert process.stderr is not None
+            begun = {process.stderr.readline() for _ in range(2)}
+            assert begun == {"front: cut for 0.3 s\n", "base: restart for 0.3 s\n"}
+            deadline_s = time.monotonic() + PATIENCE_S
+            while True:
+                try:
+                    with socket.create_connection((host, int(port)), timeout=PATIENCE_S):
+                        os.close(os.open(where["base"], os.O_RDWR | os.O_NOCTTY))
+                        break
+                except (ConnectionRefusedError, FileNotFoundError):
+                    assert time.monotonic() < deadline_s
+        finally:
+            process.send_signal(signal.SIGTERM)
+        _, told = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
+    assert "front had 1 cut" in told
+    assert "base had 1 restart" in told
+    assert not Path(where["base"]).parent.exists()
+
+
+def test_faults_that_cannot_be_are_78_and_name_the_place(tmp_path: Path):
+    faults = tmp_path / "faults.yaml"
+    faults.write_text("faults:\n  - {device: rear, kind: cut}\n")
+    ended = subprocess.run(
+        [*COMMAND, "--faults", str(faults)], capture_output=True, text=True, timeout=PATIENCE_S
+    )
+    assert ended.returncode == 78
+    assert f"{faults}:2:6: faults.0.device: there is no device 'rear'" in ended.stderr
+    assert "Traceback" not in ended.stderr
