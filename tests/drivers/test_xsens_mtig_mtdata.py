@@ -1,0 +1,166 @@
+"""Legacy MTData against traces of a real MTi-G, and every layout against itself."""
+
+import struct
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.errors import ProtocolError
+from drivers.xsens_mtig.mtdata import (
+    KNOWN_MODE,
+    Layout,
+    LegacyCodec,
+    LegacyData,
+    Mode,
+    RawGps,
+    Settings,
+)
+from drivers.xsens_mtig.mtdata2 import LocalFrame, Utc
+from drivers.xsens_mtig.protocol import MessageDecoder, Mid
+
+# ethz-asl/ethzasl_xsens_driver, issue 66: the data of a real MTi-G, checksum added.
+REAL = (
+    "FAFF32363D618499BD2559AD411D13ED3B1B5260BAC11234BB7F213FBE3A38CC3E49C10CBEA3FCDA3E8BAD87BB5302CB"
+    "3BF3D3BABF7647E04B3341"
+)
+CALIBRATED = Mode.CALIBRATED | Mode.ORIENTATION
+
+
+def test_real_message_holds_what_it_says():
+    [message] = MessageDecoder().receive_data(bytes.fromhex(REAL))
+    assert message.mid == Mid.MTDATA
+    sample = LegacyCodec(Layout(CALIBRATED, Settings.SAMPLE_COUNTER)).decode(message.data)
+    assert sample.acceleration_mps2 == pytest.approx((0.0551, -0.0404, 9.8174), abs=1e-4)
+    assert sample.rate_radps == pytest.approx((0.00237, -0.00147, -0.00389), abs=1e-5)
+    assert sample.magnetic_field == pytest.approx((-0.182, 0.197, -0.320), abs=1e-3)
+    assert sample.orientation == pytest.approx((0.2728, -0.0032, 0.0074, -0.9620), abs=1e-4)
+    assert sample.sample_counter == 19_251
+
+
+def test_traces_of_an_mti_g_are_read_and_made_again(shared: Path):
+    recorded = (shared / "captures/xsens/mtig_legacy_issue66_mtdata_x2.bin").read_bytes()
+    codec = LegacyCodec(Layout(CALIBRATED, Settings.SAMPLE_COUNTER))
+    messages = MessageDecoder().receive_data(recorded)
+    decoded = [codec.decode(message.data) for message in messages]
+    assert [sample.sample_counter for sample in decoded] == [19_251, 19_252]
+    assert [codec.encode(sample) for sample in decoded] == [message.data for message in messages]
+
+
+def test_configuration_of_a_real_mti_g_announces_the_layouts_length(shared: Path):
+    recorded = (shared / "captures/xsens/mtig_legacy_issue66_configuration.bin").read_bytes()
+    [message] = MessageDecoder().receive_data(recorded)
+    assert (message.mid, len(message.data)) == (Mid.CONFIGURATION, 118)
+    length, mode, settings = (
+        int.from_bytes(message.data[a:b], "big") for a, b in ((102, 104), (104, 106), (106, 110))
+    )
+    assert (length, mode, settings) == (54, CALIBRATED, Settings.SAMPLE_COUNTER)
+    assert Layout(mode, settings).data_bytes == length
+
+
+@pytest.mark.parametrize(
+    ("mode", "settings", "length"),
+    [
+        (0x0006, 0x0000_0001, 54),
+        (0x0836, 0x8000_0C05, 36 + 12 + 12 + 12 + 1 + 2),  # paparazzi: Euler, NED
+        (0x1837, 0x0000_0001, 44 + 4 + 36 + 16 + 12 + 12 + 1 + 2),  # mtdevice.py tcopvsg
+        (0x4000, 0x0000_0001, 22),
+        (0x5000, 0x0000_0000, 64),
+        (0x000E, 0x0000_0000, 36 + 16 + 4),
+        (0x000E, 0x0000_0C00, 36 + 16),
+        (0x0002, 0x0000_0071, 2),
+        (0x0002, 0x0000_0203, 54 + 2 + 12),
+    ],
+)
+def test_length_follows_from_mode_and_settings(mode: int, settings: int, length: int):
+    assert Layout(mode, settings).data_bytes == length
+
+
+def test_bit_31_is_the_local_frame():
+    assert Layout(4, 0x8000_0000).local_frame is LocalFrame.NED
+    assert Layout(4, 0).local_frame is LocalFrame.NWU
+
+
+settings_words = st.builds(
+    lambda time, orientation, switches, precision, analog, ned: (
+        time | orientation << 2 | switches << 4 | precision << 8 | analog << 10 | ned << 31
+    ),
+    st.integers(0, 3),
+    st.integers(0, 2),
+    st.integers(0, 7),
+    st.integers(0, 3),
+    st.integers(0, 3),
+    st.integers(0, 1),
+)
+layouts = st.builds(Layout, st.integers(0, 0xFFFF).map(lambda bits: bits & KNOWN_MODE), settings_words)
+
+
+def filled(layout: Layout) -> LegacyData:
+    """A sample with a number of its own in each place."""
+    numbers = iter(range(1, 100))
+    reals = {
+        name: next(numbers) + 0.5 if count == 1 else tuple(next(numbers) - 0.25 for _ in range(count))
+        for name, count in layout.reals()
+    }
+    return LegacyData(
+        raw_inertial=tuple(range(10)) if layout.mode & Mode.RAW_INERTIAL else None,
+        raw_gps=RawGps(1, 2, 3, 4, 5, 6, -7, -8, -9, 10, 11, 12, 13) if layout.mode & Mode.RAW_GPS else None,
+        analog=tuple(range(layout.analog_inputs)) or None,
+        status=7 if layout.mode & Mode.STATUS else None,
+        sample_counter=65_535 if layout.settings & Settings.SAMPLE_COUNTER else None,
+        utc=Utc(1, 2019, 2, 3, 4, 5, 6, 1) if layout.settings & Settings.UTC else None,
+        **reals,
+    )
+
+
+@given(layouts)
+def test_every_layout_comes_back_in_every_format(layout: Layout):
+    codec = LegacyCodec(layout)
+    sample = filled(layout)
+    data = codec.encode(sample)
+    assert len(data) == layout.data_bytes
+    assert codec.decode(data) == sample
+    assert codec.encode(codec.decode(data)) == data
+    for wrong in (data + b"\0", data[:-1]):
+        if len(wrong) != len(data):
+            with pytest.raises(ProtocolError, match=f"makes {len(data)}"):
+                codec.decode(wrong)
+
+
+def test_parts_stand_where_the_manual_puts_them():
+    sample = LegacyData(
+        raw_inertial=(1,) * 10,
+        raw_gps=RawGps(2, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 3),
+        temperature_c=4.0,
+        acceleration_mps2=(5.0,) * 3,
+        rate_radps=(6.0,) * 3,
+        magnetic_field=(7.0,) * 3,
+        orientation=(8.0,) * 4,
+        analog=(9, 9),
+        position=(10.0,) * 3,
+        velocity_mps=(11.0,) * 3,
+        status=12,
+        sample_counter=13,
+        utc=Utc(0, 2019, 2, 3, 4, 5, 6, 14),
+    )
+    data = LegacyCodec(Layout(KNOWN_MODE, Settings.SAMPLE_COUNTER | Settings.UTC)).encode(sample)
+    parts = struct.unpack(">10H H41sB f3f3f3f4f 2H 3f3f BH 4sH5BB", data)
+    assert parts[:10] == (1,) * 10
+    assert (parts[10], parts[12]) == (2, 3)
+    assert parts[13:27] == (4.0, *(5.0,) * 3, *(6.0,) * 3, *(7.0,) * 3, *(8.0,) * 4)
+    assert parts[27:37] == (9, 9, *(10.0,) * 3, *(11.0,) * 3, 12, 13)
+    assert parts[38:] == (2019, 2, 3, 4, 5, 6, 14)
+
+
+def test_orientation_format_3_does_not_exist():
+    with pytest.raises(ProtocolError, match="orientation format 3"):
+        LegacyCodec(Layout(Mode.ORIENTATION, 0xC))
+
+
+def test_a_sample_of_another_layout_is_refused():
+    codec = LegacyCodec(Layout(Mode.CALIBRATED, 1))
+    with pytest.raises(ValueError, match="acceleration_mps2 is missing"):
+        codec.encode(LegacyData(sample_counter=1))
+    with pytest.raises(ValueError, match="the layout has 38"):
+        codec.encode(filled(Layout(Mode.CALIBRATED | Mode.STATUS, 1)))

@@ -1,0 +1,221 @@
+"""Items of MTData2 against recordings, the manual's example, and themselves."""
+
+import math
+import struct
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.errors import ProtocolError
+from drivers.xsens_mtig.mtdata2 import (
+    GnssPvt,
+    Item,
+    Kind,
+    Utc,
+    decode_items,
+    encode_items,
+    item_bytes,
+    join,
+    read_output_configuration,
+    split,
+    write_item,
+    write_output_configuration,
+)
+from drivers.xsens_mtig.protocol import Message, MessageDecoder, Mid, encode
+from drivers.xsens_mtig.reals import BYTES, Precision, read_reals, write_reals
+
+# Output configuration and one message of MT0101P, their checksums verified.
+MANUAL_CONFIG = "FAFFC0281020FFFF1060FFFF201000644020019080200190C0200064E020FFFF5042006450220064D012006473"
+MANUAL_DATA = (
+    "FAFF3631102002DFC510600400459DA040200CBEDC9AFA3F549F37411CBB7080200CBBAA5C803B8C5501BB813300"
+    "E020040000008145"
+)
+
+
+def recorded(shared: Path, name: str) -> list[Message]:
+    wire = (shared / "captures/xsens" / f"einride_xsens-go_{name}.bin").read_bytes()
+    return MessageDecoder().receive_data(wire)
+
+
+def test_the_manuals_message_holds_what_it_says():
+    [message] = MessageDecoder().receive_data(bytes.fromhex(MANUAL_DATA))
+    items = {item.id: item.value for item in decode_items(message.data)}
+    assert items[0x1020] == 0xDFC5
+    assert items[0x1060] == 0x00459DA0
+    assert items[0x4020] == pytest.approx((-0.43087, 0.83056, 9.79576), abs=1e-4)
+    assert items[0x8020] == pytest.approx((-0.005199, 0.004282, -0.003943), abs=1e-6)
+    assert items[0xE020] == 0x81
+
+
+def test_the_manuals_output_configuration_is_coded_and_read():
+    [message] = MessageDecoder().receive_data(bytes.fromhex(MANUAL_CONFIG))
+    wanted = read_output_configuration(message.data)
+    assert wanted[:2] == [(0x1020, 0xFFFF), (0x1060, 0xFFFF)]
+    assert (0x5042, 100) in wanted
+    assert encode(Mid.OUTPUT_CONFIGURATION, write_output_configuration(wanted)).hex().upper() == MANUAL_CONFIG
+
+
+@pytest.mark.parametrize(("name", "precision"), [("t1", 0), ("t2", 1), ("t3", 2)])
+def test_recordings_in_three_formats_agree_on_where_the_unit_was(shared: Path, name: str, precision: int):
+    """It lay on its side in Gothenburg, hardly moving: 9.8 m/s^2 within 0.3, 57.679 deg north."""
+    whole = partial = solutions = 0
+    for message in recorded(shared, f"{name}_output"):
+        items = {item.id & 0xFFF0: item for item in decode_items(message.data)}
+        if Kind.GNSS_PVT in items:
+            solutions += 1
+            pvt = items[Kind.GNSS_PVT].value
+            assert isinstance(pvt, GnssPvt)
+            assert (pvt.fix, pvt.flags & 1) == (3, 1)
+            assert pvt.lat_1e7deg == pytest.approx(576_794_430, abs=60)
+            assert pvt.lon_1e7deg == pytest.approx(118_825_750, abs=80)
+            continue
+        assert items[Kind.ACCELERATION].id & 3 == precision
+        force = items[Kind.ACCELERATION].value
+        assert isinstance(force, tuple)
+        if Kind.EULER in items:
+            assert math.hypot(*force) == pytest.approx(9.8, abs=0.35)
+        if Kind.LAT_LON in items:
+            whole += 1
+            assert items[Kind.LAT_LON].value == pytest.approx((57.67944, 11.88258), abs=1e-3)
+            euler = items[Kind.EULER].value
+            assert isinstance(euler, tuple)
+            assert euler[:2] == pytest.approx((-99.5, 0.0), abs=1.0)
+        else:
+            partial += 1
+    assert (whole, partial, solutions) == {"t1": (76, 20, 4), "t2": (88, 8, 4), "t3": (74, 22, 4)}[name]
+
+
+@pytest.mark.parametrize("name", ["t1_output", "t2_output", "t3_output"])
+def test_every_recorded_message_is_made_again_from_its_values(shared: Path, name: str):
+    for message in recorded(shared, name):
+        assert encode_items(decode_items(message.data)) == message.data
+
+
+@pytest.mark.parametrize("name", ["t1", "t2", "t3"])
+def test_recorded_output_configurations_are_read_and_made_again(shared: Path, name: str):
+    data = (shared / "captures/xsens" / f"einride_xsens-go_{name}_outputconfig.bin").read_bytes()
+    wanted = read_output_configuration(data)
+    assert len(wanted) == 13
+    assert wanted[-1] == (Kind.GNSS_PVT, 4)
+    assert write_output_configuration(wanted) == data
+
+
+def test_counters_of_a_recording_run_without_a_gap_across_both_streams(shared: Path):
+    for name in ("t1", "t2", "t3"):
+        packets = [
+            item.value
+            for message in recorded(shared, f"{name}_output")
+            for item in decode_items(message.data)
+            if item.id == Kind.PACKET_COUNTER
+        ]
+        assert packets == list(range(packets[0], packets[0] + 100))
+
+
+def test_fixed_16_32_has_its_fraction_first():
+    """The y acceleration of the second recorded message in that format, -9.68 m/s^2."""
+    assert read_reals(bytes.fromhex("52873000FFF6"), Precision.FP1632, 1)[0] == pytest.approx(
+        -9.67762, abs=1e-5
+    )
+    assert write_reals((-0.5,), Precision.FP1632) == bytes.fromhex("80000000FFFF")
+    assert write_reals((1.25,), Precision.FP1220) == bytes.fromhex("00140000")
+
+
+@pytest.mark.parametrize("precision", list(Precision))
+def test_numbers_survive_every_format(precision: Precision):
+    values = (0.0, 1.0, -1.0, 9.8125, -273.15625, 32_767.5 if precision != Precision.FP1220 else 2_047.5)
+    data = write_reals(values, precision)
+    assert len(data) == len(values) * BYTES[precision]
+    assert read_reals(data, precision, len(values)) == values
+
+
+@given(st.sampled_from([Precision.FP1220, Precision.FP1632]), st.binary(min_size=12, max_size=12))
+def test_every_bit_pattern_of_the_fixed_formats_comes_back(precision: Precision, data: bytes):
+    count = 12 // BYTES[precision]
+    assert write_reals(read_reals(data, precision, count), precision) == data
+
+
+def test_numbers_that_do_not_fit_are_refused():
+    for value, precision in (
+        (2048.0, Precision.FP1220),
+        (32_768.0, Precision.FP1632),
+        (1e39, Precision.FLOAT32),
+    ):
+        with pytest.raises(ValueError, match="do not fit"):
+            write_reals((value,), precision)
+
+
+def values_for(identifier: int) -> st.SearchStrategy[object]:
+    kind = Kind(identifier & 0xFFF0)
+    count = {Kind.QUATERNION: 4, Kind.ACCELERATION: 3, Kind.RATE: 3, Kind.LAT_LON: 2}.get(kind)
+    if count is not None:
+        number = st.integers(-(2**20), 2**20).map(lambda n: n / 1024)
+        return st.tuples(*[number] * count)
+    return st.integers(0, 0xFFFF)
+
+
+identifiers = st.sampled_from(
+    [
+        kind | frame | precision
+        for kind in (0x2010, 0x4020, 0x8020, 0x5040)
+        for frame in (0, 4)
+        for precision in range(4)
+    ]
+    + [Kind.PACKET_COUNTER, Kind.SAMPLE_TIME_FINE, Kind.STATUS_WORD, Kind.PRESSURE]
+)
+item_lists = st.lists(identifiers, max_size=8).flatmap(
+    lambda ids: st.tuples(*[values_for(i).map(lambda v, i=i: Item(int(i), v)) for i in ids])
+)
+
+
+@given(item_lists)
+def test_items_in_any_order_and_format_come_back(items: tuple[Item, ...]):
+    assert tuple(decode_items(encode_items(items))) == items
+
+
+@given(st.binary(max_size=80))
+def test_any_data_are_items_or_refused(data: bytes):
+    try:
+        items = decode_items(data)
+    except ProtocolError:
+        return
+    assert sum(3 + len(payload) for _, payload in split(data)) == len(data)
+    assert len(items) == len(split(data))
+
+
+@pytest.mark.parametrize(
+    ("data", "complaint"),
+    [
+        ("1020", "item at byte 0 of 2"),
+        ("10200200", "item at byte 0 of 4"),
+        ("102003AABBCC", "3 bytes of PACKET_COUNTER, expected 2"),
+        ("10200100", "1 bytes of PACKET_COUNTER, expected 2"),
+        ("40200B" + "00" * 11, "11 bytes of ACCELERATION, expected 12"),
+        ("70105D" + "00" * 93, "93 bytes of GNSS_PVT, expected 94"),
+    ],
+)
+def test_items_of_a_wrong_size_are_refused(data: str, complaint: str):
+    with pytest.raises(ProtocolError, match=complaint):
+        decode_items(bytes.fromhex(data))
+
+
+def test_items_nobody_knows_are_kept_as_they_are():
+    data = join([(0x9999, b"abc"), (Kind.PACKET_COUNTER, b"\0\1")])
+    assert decode_items(data) == [Item(0x9999, b"abc"), Item(0x1020, 1)]
+    assert encode_items(decode_items(data)) == data
+
+
+def test_sizes_of_items_are_known_before_they_are_sent():
+    assert item_bytes(Kind.GNSS_PVT) == 97
+    assert item_bytes(Kind.QUATERNION | Precision.FP1632) == 27
+    utc = Utc(5, 2019, 1, 20, 13, 47, 24, 0x37)
+    assert len(join([(Kind.UTC, write_item(Kind.UTC, utc))])) == item_bytes(Kind.UTC) == 15
+    assert struct.calcsize(">H") + 3 == item_bytes(Kind.PACKET_COUNTER)
+
+
+def test_a_solution_without_a_fix_reads_as_a_real_one_did():
+    """Indoors an MTi-G-700 said 1980, fix 0, accuracy FFFFFFFF, every dilution 9999."""
+    blank = GnssPvt._make([0] * 35)._replace(year=1980, horizontal_accuracy_mm=0xFFFF_FFFF, time_dop_1e2=9999)
+    [item] = decode_items(join([(Kind.GNSS_PVT, write_item(Kind.GNSS_PVT, blank))]))
+    assert item.value == blank
