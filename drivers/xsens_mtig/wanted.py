@@ -1,0 +1,110 @@
+"""What to ask the device to send: as much of what we can use as its line carries. No I/O."""
+
+from dataclasses import dataclass
+
+from drivers.errors import DeviceError
+from drivers.xsens_mtig.config import XsensMtigConfig
+from drivers.xsens_mtig.mtdata import PRECISION_SHIFT as SETTINGS_PRECISION_SHIFT
+from drivers.xsens_mtig.mtdata import Layout, Mode, Settings
+from drivers.xsens_mtig.mtdata2 import EVERY_MESSAGE, Kind, item_bytes
+from drivers.xsens_mtig.protocol import OVERHEAD_BYTES
+from drivers.xsens_mtig.reals import Precision
+
+BITS_A_BYTE = 10  # start and stop bit
+USABLE_SHARE = 0.95  # of the line; what is fuller than that falls behind at the first hiccup
+GNSS_HZ = 4
+PERIOD_HZ = 115_200  # the legacy output period counts these
+PERIODS = range(225, 1153)  # 512 Hz to 100 Hz; slower by skipping
+
+OutputItems = list[tuple[int, int]]  # (id, rate)
+
+
+@dataclass(frozen=True, slots=True)
+class LegacyOutput:
+    layout: Layout
+    period: int  # in 1 / PERIOD_HZ s
+    skip: int  # samples left out between two that are sent
+
+    @property
+    def rate_hz(self) -> float:
+        return PERIOD_HZ / (self.period * (self.skip + 1))
+
+
+def line_bits_per_s(items: OutputItems) -> int:
+    """Load of an MTData2 configuration: inertial messages at their rate, GNSS messages on their own."""
+    fast = [identifier for identifier, rate in items if rate not in (EVERY_MESSAGE, GNSS_HZ)]
+    slow = [identifier for identifier, rate in items if rate == GNSS_HZ]
+    always = OVERHEAD_BYTES + sum(item_bytes(i) for i, rate in items if rate == EVERY_MESSAGE)
+    rate_hz = max((rate for _, rate in items if rate not in (EVERY_MESSAGE, GNSS_HZ)), default=0)
+    total = rate_hz * (always + sum(map(item_bytes, fast)))
+    if slow:
+        total += GNSS_HZ * (always + sum(map(item_bytes, slow)))
+    return total * BITS_A_BYTE
+
+
+def wanted_items(config: XsensMtigConfig, baud: int | None) -> OutputItems:
+    """The output configuration of an MTi-G-700/710 on a line of `baud`; None: one without limit.
+    Raises DeviceError where the line cannot carry what the config demands.
+    """
+    precision, rate = config.precision, config.rate_hz
+    demanded: OutputItems = [
+        (Kind.PACKET_COUNTER, EVERY_MESSAGE),
+        (Kind.SAMPLE_TIME_FINE, EVERY_MESSAGE),
+        (Kind.ACCELERATION | precision, rate),
+        (Kind.RATE | precision, rate),
+    ]
+    if config.gnss:
+        demanded.append((Kind.GNSS_PVT, GNSS_HZ))
+    if config.orientation is True:
+        demanded.append((Kind.QUATERNION | precision, rate))
+    _check(config, line_bits_per_s([*demanded, (Kind.STATUS_BYTE, EVERY_MESSAGE)]), baud)
+    options: list[OutputItems] = []
+    if config.orientation == "auto":
+        options.append([(Kind.QUATERNION | precision, rate), (Kind.STATUS_BYTE, EVERY_MESSAGE)])
+    best = [*demanded, (Kind.STATUS_BYTE, EVERY_MESSAGE)]
+    for option in options:
+        if _carries(baud, line_bits_per_s([*demanded, *option])):
+            best = [*demanded, *option]
+    richer = [(Kind.STATUS_WORD, r) if i == Kind.STATUS_BYTE else (i, r) for i, r in best]
+    return sorted(richer if _carries(baud, line_bits_per_s(richer)) else best)
+
+
+def wanted_layout(config: XsensMtigConfig, baud: int | None) -> LegacyOutput:
+    """Mode, settings and period of an MTi-G on a line of `baud`. Raises DeviceError where the line cannot
+    carry what the config demands.
+    """
+    if config.precision == Precision.FLOAT64:
+        raise DeviceError("an MTi-G has no number_format float64; write float32, fp12.20 or fp16.32")
+    settings = Settings.SAMPLE_COUNTER | Settings.NO_MAGNETIC_FIELD
+    settings |= Settings.NO_ANALOG_1 | Settings.NO_ANALOG_2
+    bits = int(settings) | config.precision << SETTINGS_PRECISION_SHIFT
+    skip = next(s for s in range(PERIOD_HZ) if PERIOD_HZ // (config.rate_hz * (s + 1)) in PERIODS)
+    period = PERIOD_HZ // (config.rate_hz * (skip + 1))
+
+    def load(mode: Mode) -> int:
+        return (Layout(mode, bits).data_bytes + OVERHEAD_BYTES) * BITS_A_BYTE * config.rate_hz
+
+    mode = Mode.CALIBRATED | Mode.STATUS
+    if config.orientation is True:
+        mode |= Mode.ORIENTATION
+    smallest = mode | Mode.POSITION if config.gnss else mode
+    _check(config, load(smallest), baud)
+    if config.gnss:  # the receiver's own solution tells its accuracy; the filter's position does not
+        mode = mode | Mode.RAW_GPS if _carries(baud, load(mode | Mode.RAW_GPS)) else smallest
+    if config.orientation == "auto" and _carries(baud, load(mode | Mode.ORIENTATION)):
+        mode |= Mode.ORIENTATION
+    return LegacyOutput(Layout(int(mode), bits), period, skip)
+
+
+def _carries(baud: int | None, bits_per_s: int) -> bool:
+    return baud is None or bits_per_s <= USABLE_SHARE * baud
+
+
+def _check(config: XsensMtigConfig, bits_per_s: int, baud: int | None) -> None:
+    if not _carries(baud, bits_per_s):
+        raise DeviceError(
+            f"{config.rate_hz} Hz in {config.number_format} with gnss {config.gnss} and orientation "
+            f"{config.orientation} makes {bits_per_s / 1000:.1f} kbit/s, the line at {baud} baud takes "
+            f"{USABLE_SHARE:.0%} of {(baud or 0) / 1000:.1f}; write store_baud: 460800 with baud: auto, "
+            "a lower rate_hz, or less of it"
+        )

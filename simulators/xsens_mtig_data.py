@@ -1,0 +1,317 @@
+"""What a fake MTi-G puts into its data messages: one sample of the truth, coded as it is configured."""
+
+import math
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+
+from drivers.xsens_mtig.health import FILTER_VALID, GNSS_FIX, SELFTEST_OK
+from drivers.xsens_mtig.mtdata import EULER, QUATERNION, LegacyCodec, LegacyData, Mode, RawGps, Settings
+from drivers.xsens_mtig.mtdata2 import (
+    FRAME_MASK,
+    KIND_MASK,
+    GnssPvt,
+    Kind,
+    LocalFrame,
+    Utc,
+    Value,
+    join,
+    write_item,
+)
+from drivers.xsens_mtig.orientation import quaternion_of_matrix
+from simulators.inertial import Place
+from simulators.trajectory import Floats
+
+WEEK_MS = 604_800_000
+GPS_EPOCH_S, LEAP_S = 315_964_800, 18
+UTC_VALID, UTC_UNKNOWN = 0x37, 0x00
+GNSS_OFF_NS = -231_000  # the receiver's solutions lie this much beside the whole 250 ms
+FIELD_ENU = (0.0, 0.28, -0.96)  # of the earth in northern Europe, 1 = its strength
+WGS84_A_M, WGS84_E2 = 6_378_137.0, 6.694_379_990_14e-3
+
+# Columns: east, north, up -> the local frame. From the matrices RotLocal of the MTi User Manual MT0605P.
+LOCAL_FROM_ENU = {
+    LocalFrame.ENU: np.eye(3),
+    LocalFrame.NED: np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]),
+    LocalFrame.NWU: np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """One moment as the device knows it."""
+
+    ticks: int  # SampleTimeFine
+    packet: int
+    utc_ns: int
+    utc_known: bool
+    rate_radps: Floats
+    force_mps2: Floats
+    enu_from_sensor: Floats  # (3, 3)
+    filter_valid: bool
+    clipped: int  # bits 8 to 16 of the status word
+    period_s: float
+    place: Place | None  # the newest solution
+
+
+def euler_deg(matrix: Floats) -> tuple[float, float, float]:
+    """Roll, pitch, yaw of the aerospace order."""
+    return (
+        math.degrees(math.atan2(matrix[2, 1], matrix[2, 2])),
+        math.degrees(-math.asin(max(-1.0, min(1.0, matrix[2, 0])))),
+        math.degrees(math.atan2(matrix[1, 0], matrix[0, 0])),
+    )
+
+
+def calendar(utc_ns: int, known: int) -> Utc:
+    seconds, nanosecond = divmod(utc_ns, 1_000_000_000)
+    t = datetime.fromtimestamp(seconds, UTC)
+    return Utc(nanosecond, t.year, t.month, t.day, t.hour, t.minute, t.second, known)
+
+
+def status_word(sample: Sample) -> int:
+    word = SELFTEST_OK | sample.clipped
+    word |= FILTER_VALID if sample.filter_valid else 0
+    word |= 0x80000 if sample.clipped else 0
+    return word | (GNSS_FIX | 0x180_0000 if sample.place is not None else 0)
+
+
+def _local(identifier: int) -> Floats:
+    return LOCAL_FROM_ENU[LocalFrame(identifier & FRAME_MASK)]
+
+
+def _orientation(identifier: int, sample: Sample) -> Floats:
+    rotation: Floats = _local(identifier) @ sample.enu_from_sensor
+    return rotation
+
+
+def _delta_q(sample: Sample) -> tuple[float, ...]:
+    half = sample.rate_radps * (sample.period_s / 2.0)
+    size = float(np.linalg.norm(half))
+    return (math.cos(size), *(half * (math.sin(size) / size if size else 1.0)).tolist())
+
+
+def _velocity(identifier: int, sample: Sample) -> tuple[float, ...]:
+    enu = np.zeros(3) if sample.place is None else np.array(sample.place.velocity_enu_mps)
+    return tuple((_local(identifier) @ enu).tolist())
+
+
+def _free(identifier: int, sample: Sample) -> tuple[float, ...]:
+    enu = sample.enu_from_sensor @ sample.force_mps2 - np.array([0.0, 0.0, 9.81])
+    return tuple((_local(identifier) @ enu).tolist())
+
+
+def _ecef(sample: Sample) -> tuple[float, ...]:
+    p = sample.place
+    assert p is not None
+    latitude, longitude = math.radians(p.latitude_deg), math.radians(p.longitude_deg)
+    n = WGS84_A_M / math.sqrt(1.0 - WGS84_E2 * math.sin(latitude) ** 2)
+    ring = (n + p.height_m) * math.cos(latitude)
+    up = (n * (1.0 - WGS84_E2) + p.height_m) * math.sin(latitude)
+    return ring * math.cos(longitude), ring * math.sin(longitude), up
+
+
+def _magnetic(sample: Sample) -> tuple[float, ...]:
+    return tuple((sample.enu_from_sensor.T @ np.array(FIELD_ENU)).tolist())
+
+
+def _utc(sample: Sample) -> Utc:
+    return calendar(sample.utc_ns, UTC_VALID if sample.utc_known else UTC_UNKNOWN)
+
+
+NEEDS_FILTER = frozenset((Kind.QUATERNION, Kind.MATRIX, Kind.EULER, Kind.FREE_ACCELERATION))
+NEEDS_PLACE = frozenset((Kind.ALTITUDE, Kind.ECEF, Kind.LAT_LON, Kind.VELOCITY))
+_VALUES: dict[int, Callable[[int, Sample], Value]] = {
+    Kind.TEMPERATURE: lambda i, s: (31.5,),
+    Kind.UTC: lambda i, s: _utc(s),
+    Kind.PACKET_COUNTER: lambda i, s: s.packet,
+    Kind.SAMPLE_TIME_FINE: lambda i, s: s.ticks,
+    Kind.SAMPLE_TIME_COARSE: lambda i, s: s.ticks // 10_000,
+    Kind.QUATERNION: lambda i, s: quaternion_of_matrix(_orientation(i, s).ravel().tolist()),
+    Kind.MATRIX: lambda i, s: tuple(_orientation(i, s).ravel().tolist()),
+    Kind.EULER: lambda i, s: euler_deg(_orientation(i, s)),
+    Kind.PRESSURE: lambda i, s: 101_325,
+    Kind.DELTA_V: lambda i, s: tuple((s.force_mps2 * s.period_s).tolist()),
+    Kind.ACCELERATION: lambda i, s: tuple(s.force_mps2.tolist()),
+    Kind.FREE_ACCELERATION: _free,
+    Kind.ACCELERATION_HR: lambda i, s: tuple(s.force_mps2.tolist()),
+    Kind.ALTITUDE: lambda i, s: (s.place.height_m if s.place else 0.0,),
+    Kind.ECEF: lambda i, s: _ecef(s),
+    Kind.LAT_LON: lambda i, s: (s.place.latitude_deg, s.place.longitude_deg) if s.place else (0.0, 0.0),
+    Kind.RATE: lambda i, s: tuple(s.rate_radps.tolist()),
+    Kind.DELTA_Q: lambda i, s: _delta_q(s),
+    Kind.RATE_HR: lambda i, s: tuple(s.rate_radps.tolist()),
+    Kind.MAGNETIC_FIELD: lambda i, s: _magnetic(s),
+    Kind.VELOCITY: _velocity,
+    Kind.STATUS_BYTE: lambda i, s: status_word(s) & 0xFF,
+    Kind.STATUS_WORD: lambda i, s: status_word(s),
+    Kind.DEVICE_ID: lambda i, s: struct.pack(">I", 0x0770_0DB1),
+}
+
+
+def can_send(identifier: int) -> bool:
+    return identifier & KIND_MASK in _VALUES or identifier & KIND_MASK == Kind.GNSS_PVT
+
+
+def inertial_message(identifiers: list[int], sample: Sample) -> bytes:
+    """Data of an MTData2 message. What the filter or the receiver does not know yet is left out."""
+    items = []
+    for identifier in identifiers:
+        kind = identifier & KIND_MASK
+        if (kind in NEEDS_FILTER and not sample.filter_valid) or (
+            kind in NEEDS_PLACE and sample.place is None
+        ):
+            continue
+        items.append((identifier, write_item(identifier, _VALUES[kind](identifier, sample))))
+    return join(items)
+
+
+def gnss_message(identifiers: list[int], sample: Sample) -> bytes:
+    """As real ones: the solution first, the times behind it, no status."""
+    items = [(int(Kind.GNSS_PVT), write_item(Kind.GNSS_PVT, solution(sample)))]
+    for kind in (Kind.UTC, Kind.SAMPLE_TIME_FINE, Kind.PACKET_COUNTER):
+        if kind in identifiers:
+            items.append((int(kind), write_item(kind, _VALUES[kind](kind, sample))))
+    return join(items)
+
+
+def itow_ms(utc_ns: int) -> int:
+    """GPS time of week."""
+    return (utc_ns // 1_000_000 - GPS_EPOCH_S * 1000 + LEAP_S * 1000) % WEEK_MS
+
+
+def solution(sample: Sample) -> GnssPvt:
+    """What the receiver says at this moment, a whole 250 ms of UTC; without satellites as a real one does."""
+    p = sample.place
+    if p is None:
+        blank = GnssPvt._make([0] * len(GnssPvt._fields))
+        dilution = {name: 9999 for name in GnssPvt._fields if name.endswith("dop_1e2")}
+        return blank._replace(
+            itow_ms=itow_ms(sample.utc_ns),
+            year=1980,
+            month=1,
+            day=6,
+            horizontal_accuracy_mm=0xFFFF_FFFF,
+            vertical_accuracy_mm=0xFFFF_FFFF,
+            time_accuracy_ns=0xFFFF_FFFF,
+            **dilution,
+        )
+    utc = calendar(sample.utc_ns, UTC_VALID)
+    east, north, up = p.velocity_enu_mps
+    speed = math.hypot(east, north)
+    return GnssPvt(
+        itow_ms=itow_ms(sample.utc_ns),
+        year=utc.year,
+        month=utc.month,
+        day=utc.day,
+        hour=utc.hour,
+        minute=utc.minute,
+        second=utc.second,
+        valid=UTC_VALID,
+        time_accuracy_ns=5,
+        nanosecond=utc.nanosecond,
+        fix=3,
+        flags=1,
+        satellites=p.satellites,
+        reserved=0,
+        lon_1e7deg=round(p.longitude_deg * 1e7),
+        lat_1e7deg=round(p.latitude_deg * 1e7),
+        height_mm=round(p.height_m * 1000),
+        height_msl_mm=round((p.height_m - 18.0) * 1000),
+        horizontal_accuracy_mm=round(p.horizontal_accuracy_m * 1000),
+        vertical_accuracy_mm=round(p.vertical_accuracy_m * 1000),
+        velocity_north_mmps=round(north * 1000),
+        velocity_east_mmps=round(east * 1000),
+        velocity_down_mmps=round(-up * 1000),
+        ground_speed_mmps=round(speed * 1000),
+        heading_of_motion_1e5deg=round(math.degrees(math.atan2(east, north)) * 1e5),
+        speed_accuracy_mmps=300,
+        heading_accuracy_1e5deg=500_000,
+        heading_of_vehicle_1e5deg=0,
+        geometric_dop_1e2=180,
+        position_dop_1e2=150,
+        time_dop_1e2=90,
+        vertical_dop_1e2=120,
+        horizontal_dop_1e2=80,
+        northing_dop_1e2=60,
+        easting_dop_1e2=50,
+    )
+
+
+def legacy_message(codec: LegacyCodec, sample: Sample, count: int, fix_age: int, fix_utc_ns: int) -> bytes:
+    """Data of an MTData message.
+
+    count       the 16-bit sample counter
+    fix_age     samples since the receiver's newest solution, which was of fix_utc_ns
+    """
+    mode, settings = codec.layout.mode, codec.layout.settings
+    rotation: Floats = LOCAL_FROM_ENU[codec.layout.local_frame] @ sample.enu_from_sensor
+    orientation: tuple[float, ...] | None = None
+    if mode & Mode.ORIENTATION:
+        kind = codec.layout.orientation
+        flat = rotation.ravel().tolist()
+        orientation = (
+            quaternion_of_matrix(flat)
+            if kind == QUATERNION
+            else euler_deg(rotation)
+            if kind == EULER
+            else tuple(flat)
+        )
+    p = sample.place
+    velocity = LOCAL_FROM_ENU[codec.layout.local_frame] @ np.array(
+        p.velocity_enu_mps if p else (0.0, 0.0, 0.0)
+    )
+    calibrated = bool(mode & Mode.CALIBRATED)
+    return codec.encode(
+        LegacyData(
+            raw_inertial=(32768,) * 10 if mode & Mode.RAW_INERTIAL else None,
+            raw_gps=_raw_gps(p, fix_age, fix_utc_ns) if mode & Mode.RAW_GPS else None,
+            temperature_c=31.5 if mode & Mode.TEMPERATURE else None,
+            acceleration_mps2=_if(calibrated and not settings & Settings.NO_ACCELERATION, sample.force_mps2),
+            rate_radps=_if(calibrated and not settings & Settings.NO_RATE, sample.rate_radps),
+            magnetic_field=_magnetic(sample)
+            if calibrated and not settings & Settings.NO_MAGNETIC_FIELD
+            else None,
+            orientation=orientation,
+            analog=(0,) * codec.layout.analog_inputs if mode & Mode.AUXILIARY else None,
+            position=((p.latitude_deg, p.longitude_deg, p.height_m) if p else (0.0, 0.0, 0.0))
+            if mode & Mode.POSITION
+            else None,
+            velocity_mps=_if(mode & Mode.VELOCITY, velocity),
+            status=status_word(sample) & 0xFF if mode & Mode.STATUS else None,
+            sample_counter=count if settings & Settings.SAMPLE_COUNTER else None,
+            utc=calendar(sample.utc_ns, int(sample.utc_known)) if settings & Settings.UTC else None,
+        )
+    )
+
+
+def _if(wanted: int, vector: Floats) -> tuple[float, ...] | None:
+    return tuple(vector.tolist()) if wanted else None
+
+
+def _raw_gps(p: Place | None, age: int, utc_ns: int) -> RawGps:
+    age = min(age, 255)
+    if p is None:
+        return RawGps(50_662, 0, itow_ms(utc_ns), 0, 0, 0, 0, 0, 0, NO_FIX, NO_FIX, NO_FIX, age)
+    east, north, up = p.velocity_enu_mps
+    return RawGps(
+        pressure_2pa=50_662,
+        pressure_age=0,
+        itow_ms=itow_ms(utc_ns),
+        lat_1e7deg=round(p.latitude_deg * 1e7),
+        lon_1e7deg=round(p.longitude_deg * 1e7),
+        height_mm=round(p.height_m * 1000),
+        velocity_north_cmps=round(north * 100),
+        velocity_east_cmps=round(east * 100),
+        velocity_down_cmps=round(-up * 100),
+        horizontal_accuracy_mm=round(p.horizontal_accuracy_m * 1000),
+        vertical_accuracy_mm=round(p.vertical_accuracy_m * 1000),
+        speed_accuracy_cmps=30,
+        age=age,
+    )
+
+
+NO_FIX = 0xFFFF_FFFF
