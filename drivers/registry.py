@@ -25,6 +25,10 @@ from drivers.sick_lms100.advice import ADVICE as LMS100_ADVICE
 from drivers.sick_lms100.config import Lms100Config
 from drivers.sick_lms100.driver import Lms100Session
 from drivers.transport import TcpTransport, Transport
+from drivers.xsens_mtig.advice import ADVICE as XSENS_MTIG_ADVICE
+from drivers.xsens_mtig.config import XsensMtigConfig
+from drivers.xsens_mtig.driver import XsensMtigSession
+from drivers.xsens_mtig.port import open_port as open_xsens_mtig_port
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,4 +59,7 @@ SENSOR_KINDS: dict[str, SensorKind] = {
         IrobotCreateConfig, open_irobot_create_port, irobot_create_session_maker, IROBOT_CREATE_ADVICE
     ),
     "ibeo_lux": SensorKind(IbeoLuxConfig, open_ibeo_lux_port, ibeo_lux_session_maker, IBEO_LUX_ADVICE),
+    "xsens_mtig": SensorKind(
+        XsensMtigConfig, open_xsens_mtig_port, lambda c: partial(XsensMtigSession, c), XSENS_MTIG_ADVICE
+    ),
 }

@@ -105,6 +105,20 @@ class SerialTransport:
         except (serial.SerialException, OSError) as error:
             raise TransportError(f"{self._where}: cannot send {len(data)} bytes: {error}") from error
 
+    def set_baud(self, baud: int) -> None:
+        """Go on at another rate. Raises TransportError where the port cannot do it."""
+        try:
+            self._port.baudrate = baud
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise TransportError(f"{self._where}: cannot go to {baud} baud: {error}") from error
+
+    def set_low_latency(self) -> None:
+        """Have a USB adapter hand over bytes at once, not every 16 ms; other ports ignore it."""
+        try:
+            self._port.set_low_latency_mode(True)
+        except (AttributeError, NotImplementedError, OSError, ValueError):
+            return
+
     def set_wake_line(self, low: bool) -> None:
         """Pull RTS and DTR, which iRobot cables wire to BRC; ports without modem lines (pty) ignore it."""
         try:

@@ -1,0 +1,331 @@
+"""What is said to the device from the first byte to the stream. No I/O, no clock.
+
+A dialogue is a generator: it yields what to ask or how long to pause, and is sent the answer, or None when
+none came in time. The order: into config state, who are you, what do you send, write what differs, read back,
+into measurement state.
+
+A device that streams acknowledges GoToConfig behind some data, and was seen not to hear it at all until it
+was reset. What it stores it stores at once and for good, so nothing is written that stands there already.
+Sources: MT0101P, chapters 4 and 5; markvilar/xsensmti-py (MTi-G-700 by USB, deaf to GoToConfig);
+ethz-asl/ethzasl_xsens_driver issues 55, 66 (answers of an MTi-G).
+"""
+
+import struct
+from collections import Counter
+from collections.abc import Generator
+from dataclasses import dataclass
+from typing import TypeVar
+
+from drivers.errors import DeviceError, ProtocolError, TransportError
+from drivers.xsens_mtig.config import AUTO, XsensMtigConfig
+from drivers.xsens_mtig.mtdata import KNOWN_MODE, Layout, Settings
+from drivers.xsens_mtig.mtdata2 import (
+    EVERY_MESSAGE,
+    Kind,
+    read_output_configuration,
+    write_output_configuration,
+)
+from drivers.xsens_mtig.protocol import (
+    BAUD_OF_CODE,
+    CODE_OF_BAUD,
+    UNSUPPORTED,
+    Message,
+    Mid,
+    error_text,
+)
+from drivers.xsens_mtig.wanted import LegacyOutput, OutputItems, wanted_items, wanted_layout
+
+KNOCK_S = 0.2  # between two GoToConfig
+SEARCH_KNOCKS = 75  # 15 s: three rounds of all baud rates
+DEAF_KNOCKS = 10  # of a device that is heard; then it is reset
+RESETS = 2
+WAKE_KNOCKS = 50  # of 100 ms after a reset; real ones took 1.7 s
+WAKE_KNOCK_S = 0.1
+ANSWER_S = 0.5
+WRITE_S = 2.0  # into its flash
+ATTEMPTS = 3
+SCENARIO_BYTES, SCENARIO_LABEL_BYTES = 22, 20
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    mid: int
+    data: bytes
+    timeout_s: float
+
+
+Dialogue = Generator[Ask, Message | None, T]
+
+
+class MtigDialogue:
+    """Both halves of one connection's talk: `run` is the generator, the attributes are what it found out."""
+
+    def __init__(self, config: XsensMtigConfig) -> None:
+        self._config = config
+        self.counters: Counter[str] = Counter()
+        self.identity: dict[str, str] = {}
+        self.phase = "waiting for an answer"
+        self.fault = ""  # what was asked for and cannot be had, "" where all is well
+        self.heard = False  # any whole message; kept by the session
+        self.awaits_wake_up = False  # after our own reset
+        self.baud: int | None = None if config.over_usb else 115_200
+        self.legacy: LegacyOutput | None = None  # of a device that sends MTData; None: MTData2
+        self.measuring = False
+
+    def run(self) -> Dialogue[None]:
+        """Raises TransportError where nobody answers, DeviceError where the device refuses."""
+        self.measuring = False
+        yield from self._enter_config()
+        yield from self._identify()
+        yield from self._find_baud()
+        current = yield from self._ask(Mid.OUTPUT_CONFIGURATION)
+        if current is None:
+            yield from self._set_up_legacy()
+        else:
+            self.legacy = None
+            yield from self._set_up_mtdata2(read_output_configuration(current))
+        if self._config.configure:
+            yield from self._set_lever_arm()
+            yield from self._set_filter_profile()
+        self.phase = "starting to measure"
+        yield from self._ask(Mid.GO_TO_MEASUREMENT, needed=True)
+        self.measuring = True
+        self.phase = "waiting for samples"
+
+    def _enter_config(self) -> Dialogue[None]:
+        self.phase = "waiting for an answer"
+        knocks_heard = resets = 0
+        for _ in range(SEARCH_KNOCKS):
+            if (yield Ask(Mid.GO_TO_CONFIG, b"", KNOCK_S)) is not None:
+                return
+            knocks_heard += self.heard
+            if knocks_heard < DEAF_KNOCKS:
+                continue
+            if resets == RESETS:
+                raise TransportError(
+                    f"it sends data but answers neither GoToConfig nor {RESETS} resets; is the line to it "
+                    "(our TX) broken, or another program on this port?"
+                )
+            resets += 1
+            knocks_heard = 0
+            if (yield from self._reset()):
+                return
+        raise TransportError(self._explain_silence())
+
+    def _reset(self) -> Dialogue[bool]:
+        """True where it is in config state afterwards."""
+        self.phase = "it does not hear GoToConfig; resetting it"
+        self.counters["resets_sent"] += 1
+        self.awaits_wake_up = True
+        yield Ask(Mid.RESET, b"", ANSWER_S)
+        for _ in range(WAKE_KNOCKS):
+            if (yield Ask(Mid.GO_TO_CONFIG, b"", WAKE_KNOCK_S)) is not None:
+                self.awaits_wake_up = False
+                return True
+        self.awaits_wake_up = False
+        return False
+
+    def _explain_silence(self) -> str:
+        seconds = SEARCH_KNOCKS * KNOCK_S
+        if self.heard:
+            return f"messages came, but no answer to GoToConfig in {seconds:.0f} s; is our TX line broken?"
+        if self._config.over_usb:
+            return f"no answer in {seconds:.0f} s over USB; unplug it and plug it in again"
+        if self._config.baud == AUTO:
+            return f"no answer in {seconds:.0f} s at any baud rate; is it powered, is this its port?"
+        return (
+            f"no answer in {seconds:.0f} s at {self._config.baud} baud; is it powered, is this its port? "
+            "baud: auto looks for another rate"
+        )
+
+    def _identify(self) -> Dialogue[None]:
+        self.phase = "reading identity"
+        device_id = yield from self._ask(Mid.REQ_DEVICE_ID)
+        if device_id:
+            self.identity["device_id"] = device_id.hex().upper()
+        code = yield from self._ask(Mid.REQ_PRODUCT_CODE)
+        if code:
+            self.identity["product"] = "".join(chr(b) for b in code if 0x20 < b < 0x7F)
+        firmware = yield from self._ask(Mid.REQ_FIRMWARE)
+        if firmware and len(firmware) >= 3:
+            self.identity["firmware"] = ".".join(map(str, firmware[:3]))
+
+    def _find_baud(self) -> Dialogue[None]:
+        """Which rate the line has; and store_baud, which ends this connection."""
+        if self._config.over_usb:
+            return
+        code = yield from self._ask(Mid.BAUDRATE)
+        reported = BAUD_OF_CODE.get(code[0]) if code else None
+        self.baud = self._config.baud if isinstance(self._config.baud, int) else reported or self.baud
+        self.identity["baud"] = str(self.baud)
+        wanted = self._config.store_baud
+        if wanted is None or reported is None or wanted == reported:
+            return
+        self.phase = f"storing {wanted} baud"
+        yield from self._ask(Mid.BAUDRATE, bytes((CODE_OF_BAUD[wanted],)), needed=True)
+        yield Ask(Mid.RESET, b"", ANSWER_S)  # from here on it speaks at the new rate
+        raise TransportError(f"it goes from {reported} to {wanted} baud as store_baud asks for")
+
+    def _set_up_mtdata2(self, current: OutputItems) -> Dialogue[None]:
+        self.phase = "reading output configuration"
+        self.identity["protocol"] = "MTData2"
+        if self._config.configure:
+            wanted = wanted_items(self._config, self.baud)
+            if sorted(current) != wanted:
+                self.phase = "writing output configuration"
+                self.counters["settings_written"] += 1
+                yield from self._ask(
+                    Mid.OUTPUT_CONFIGURATION, write_output_configuration(wanted), needed=True
+                )
+                again = yield from self._ask(Mid.OUTPUT_CONFIGURATION, needed=True)
+                current = read_output_configuration(again or b"")
+            self.fault = _difference(wanted, current)
+        kinds = {identifier & 0xFFF0 for identifier, _ in current}
+        times = {Kind.SAMPLE_TIME_FINE, Kind.UTC}
+        if Kind.RATE not in kinds or Kind.ACCELERATION not in kinds or not times & kinds:
+            have = ", ".join(f"{identifier:04X}" for identifier, _ in current) or "nothing"
+            raise DeviceError(
+                f"it sends {have}; needed are 8020 (rate of turn), 4020 (acceleration) and 1060 (sample "
+                "time) or 1010 (UTC). Is it a unit without calibrated data, or configure: false?"
+            )
+
+    def _set_up_legacy(self) -> Dialogue[None]:
+        self.phase = "reading output mode and settings"
+        self.identity["protocol"] = "MTData"
+        current = yield from self._read_legacy()
+        if self._config.configure:
+            wanted = wanted_layout(self._config, self.baud)
+            if current != wanted:
+                self.phase = "writing output mode and settings"
+                self.counters["settings_written"] += 1
+                yield from self._write_legacy(current, wanted)
+                current = yield from self._read_legacy()
+            if current != wanted:
+                self.fault = (
+                    f"it took mode 0x{current.layout.mode:04X}, settings 0x{current.layout.settings:08X}, "
+                    f"{current.rate_hz:g} Hz instead of 0x{wanted.layout.mode:04X}, "
+                    f"0x{wanted.layout.settings:08X}, {wanted.rate_hz:g} Hz"
+                )
+        unknown = current.layout.mode & ~KNOWN_MODE
+        if unknown:
+            raise DeviceError(
+                f"output mode 0x{current.layout.mode:04X} holds data (0x{unknown:04X}) of unknown length; "
+                "write configure: true"
+            )
+        names = {name for name, _ in current.layout.reals()}
+        timed = current.layout.settings & (Settings.SAMPLE_COUNTER | Settings.UTC)
+        if not timed or not {"rate_radps", "acceleration_mps2"} <= names:
+            raise DeviceError(
+                f"mode 0x{current.layout.mode:04X} with settings 0x{current.layout.settings:08X} lacks "
+                "rate of turn, acceleration, or a sample counter; write configure: true"
+            )
+        said = yield from self._ask(Mid.REQ_DATA_LENGTH)
+        length = int.from_bytes(said, "big") if said else current.layout.data_bytes
+        if length != current.layout.data_bytes:
+            raise DeviceError(
+                f"it announces {length} bytes a message, mode 0x{current.layout.mode:04X} with settings "
+                f"0x{current.layout.settings:08X} makes {current.layout.data_bytes}"
+            )
+        self.legacy = current
+
+    def _read_legacy(self) -> Dialogue[LegacyOutput]:
+        mode = yield from self._number(Mid.OUTPUT_MODE, ">H")
+        settings = yield from self._number(Mid.OUTPUT_SETTINGS, ">I")
+        period = yield from self._number(Mid.PERIOD, ">H")
+        skip = yield from self._number(Mid.SKIP_FACTOR, ">H")
+        if not period:
+            raise DeviceError("output period 0; reset it to factory defaults")
+        return LegacyOutput(Layout(mode, settings), period, skip)
+
+    def _write_legacy(self, current: LegacyOutput, wanted: LegacyOutput) -> Dialogue[None]:
+        """The rate first where it falls and last where it rises: no state in between is too much for it."""
+        layout, rate = [], []
+        if wanted.layout.mode != current.layout.mode:
+            layout.append((Mid.OUTPUT_MODE, struct.pack(">H", wanted.layout.mode)))
+        if wanted.layout.settings != current.layout.settings:
+            layout.append((Mid.OUTPUT_SETTINGS, struct.pack(">I", wanted.layout.settings)))
+        if wanted.period != current.period:
+            rate.append((Mid.PERIOD, struct.pack(">H", wanted.period)))
+        if wanted.skip != current.skip:
+            rate.append((Mid.SKIP_FACTOR, struct.pack(">H", wanted.skip)))
+        for mid, data in layout + rate if wanted.rate_hz > current.rate_hz else rate + layout:
+            yield from self._ask(mid, data, needed=True)
+
+    def _set_lever_arm(self) -> Dialogue[None]:
+        wanted = self._config.lever_arm_m
+        if wanted is None:
+            return
+        data = struct.pack(">3f", *wanted)
+        current = yield from self._ask(Mid.LEVER_ARM)
+        if current != data:
+            self.counters["settings_written"] += 1
+            yield from self._ask(Mid.LEVER_ARM, data, needed=True)
+
+    def _set_filter_profile(self) -> Dialogue[None]:
+        wanted = self._config.filter_profile
+        if wanted is None:
+            return
+        table = yield from self._ask(Mid.REQ_SCENARIOS, needed=True)
+        profiles = dict(_scenarios(table or b""))
+        number = next((n for label, n in profiles.items() if label.lower() == wanted.lower()), None)
+        if number is None:
+            raise DeviceError(f"no filter_profile {wanted!r}; it has {', '.join(profiles) or 'none'}")
+        current = yield from self._ask(Mid.SCENARIO, needed=True)
+        if not current or current[-1] != number:
+            self.counters["settings_written"] += 1
+            yield from self._ask(Mid.SCENARIO, struct.pack(">H", number), needed=True)
+        self.identity["filter_profile"] = wanted
+
+    def _number(self, mid: int, code: str) -> Dialogue[int]:
+        answer = yield from self._ask(mid, needed=True)
+        try:
+            (value,) = struct.unpack(code, answer or b"")
+        except struct.error as error:
+            raise ProtocolError(f"answer to 0x{mid:02X} is {(answer or b'').hex()}") from error
+        return int(value)
+
+    def _ask(self, mid: int, data: bytes = b"", needed: bool = False) -> Dialogue[bytes | None]:
+        """Data of the answer; None where the device does not know the message and it is not needed.
+        Raises TransportError where it does not answer, DeviceError where it refuses.
+        """
+        for _ in range(ATTEMPTS):
+            answer = yield Ask(mid, data, WRITE_S if data else ANSWER_S)
+            if answer is None:
+                continue
+            if answer.mid != Mid.ERROR:
+                return answer.data
+            if answer.data[:1] == bytes((UNSUPPORTED,)) and not needed:
+                self.counters["requests_unsupported"] += 1
+                return None
+            raise DeviceError(f"refused {_name(mid)} {data.hex()}: {error_text(answer)}".replace("  ", " "))
+        raise TransportError(f"no answer to {ATTEMPTS} times {_name(mid)}; rebooting, or a bad cable?")
+
+
+def _name(mid: int) -> str:
+    return Mid(mid).name if mid in list(Mid) else f"0x{mid:02X}"
+
+
+def _scenarios(table: bytes) -> list[tuple[str, int]]:
+    """(label, number) of each filter profile held by the device: type, version, label padded with blanks."""
+    found = []
+    for at in range(0, len(table) - SCENARIO_BYTES + 1, SCENARIO_BYTES):
+        label = table[at + 2 : at + 2 + SCENARIO_LABEL_BYTES]
+        text = "".join(chr(b) for b in label if 0x20 <= b < 0x7F).strip()
+        if text:
+            found.append((text, table[at]))
+    return found
+
+
+def _difference(wanted: OutputItems, current: OutputItems) -> str:
+    """What the device gives instead of what was asked for, in words; effective rates are its own choice."""
+    given = dict(current)
+    missing = [f"{identifier:04X}" for identifier, _ in wanted if identifier not in given]
+    slower = [
+        f"{identifier:04X} at {given[identifier]} instead of {rate} Hz"
+        for identifier, rate in wanted
+        if rate != EVERY_MESSAGE and given.get(identifier, rate) != rate
+    ]
+    texts = [f"it does not send {', '.join(missing)}"] if missing else []
+    return "; ".join(texts + slower)

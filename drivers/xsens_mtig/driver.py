@@ -1,0 +1,187 @@
+"""Session with one MTi-G, MTi-G-700 or MTi-G-710: its dialogue, and its data into frames. No I/O."""
+
+from collections import Counter
+
+from drivers.errors import ProtocolError, TransportError
+from drivers.frames import Frame
+from drivers.xsens_mtig.config import XsensMtigConfig
+from drivers.xsens_mtig.dialogue import Ask, MtigDialogue
+from drivers.xsens_mtig.health import DeviceHealth
+from drivers.xsens_mtig.protocol import (
+    Message,
+    MessageDecoder,
+    Mid,
+    encode,
+    error_text,
+    warning_text,
+)
+from drivers.xsens_mtig.streams import LegacyStream, Mtdata2Stream
+
+BITS_A_BYTE = 10
+STALE_NS = 250_000_000  # a message takes at most 0.2 s, at 115 200 baud
+FIRST_SAMPLE_TIMEOUT_S = 5.0
+LOOK_NS = 200_000_000  # silence counts only while we look: a stalled host is not a silent device
+MALFORMED_LIMIT = 100  # messages in a row
+
+
+class XsensMtigSession:
+    """The life of one connection; see drivers.link.Session. Yields an ImuSample per inertial message and a
+    GnssFix per solution of the receiver.
+    """
+
+    def __init__(self, config: XsensMtigConfig) -> None:
+        self._config = config
+        self._decoder = MessageDecoder()
+        self._dialogue = MtigDialogue(config)
+        self._steps = self._dialogue.run()
+        self._running = False
+        self._asked: Ask | None = None
+        self._deadline_ns: int | None = 0
+        self._now_ns: int | None = None
+        self._heard_ns: int | None = None
+        self._silent_ns = 0
+        self._stream: Mtdata2Stream | LegacyStream | None = None
+        self._streaming = False
+        self._malformed_in_a_row = 0
+        self.outbox = bytearray()
+        self.counters: Counter[str] = self._dialogue.counters
+        self.identity: dict[str, str] = self._dialogue.identity
+        self.status = self._dialogue.phase
+        self._health = DeviceHealth(self.counters)
+
+    @property
+    def clock_offset_ns(self) -> int | None:
+        return None if self._stream is None else self._stream.offset_ns
+
+    @property
+    def utc_minus_host_ns(self) -> int | None:
+        """Unix time minus the host's monotonic clock, by the GNSS receiver; None: it does not know."""
+        return None if self._stream is None else self._stream.utc_minus_host_ns
+
+    def receive_data(self, data: bytes, arrived_ns: int) -> list[Frame]:
+        self._heard_ns = arrived_ns
+        frames = self._take_all(self._decoder.receive_data(data), arrived_ns)
+        self._set_status(arrived_ns)
+        return frames
+
+    def tick(self, now_ns: int) -> None:
+        looked_ns = 0 if self._now_ns is None else min(now_ns - self._now_ns, LOOK_NS)
+        self._now_ns = now_ns
+        if self._decoder.waiting_bytes and now_ns - (self._heard_ns or 0) > STALE_NS:
+            self._take_all(self._decoder.give_up_waiting(), now_ns, old=True)
+        if self._deadline_ns is not None and now_ns >= self._deadline_ns:
+            self._continue(None, now_ns)
+        if self._dialogue.measuring:
+            self._silent_ns += looked_ns
+            limit_s = self._config.silence_timeout_s if self._streaming else FIRST_SAMPLE_TIMEOUT_S
+            if self._silent_ns > limit_s * 1e9:
+                raise TransportError(f"no sample for {limit_s:g} s; did it lose power, or is the cable out?")
+        self._set_status(now_ns)
+
+    def farewell(self) -> bytes:
+        return encode(Mid.GO_TO_CONFIG)  # units left streaming over USB were seen deaf to the next client
+
+    def _take_all(self, messages: list[Message], arrived_ns: int, old: bool = False) -> list[Frame]:
+        """old: they came a while before arrived_ns, so they are no use as samples."""
+        frames: list[Frame] = []
+        for message in messages:
+            self._dialogue.heard = True
+            match message.mid:
+                case Mid.MTDATA2 | Mid.MTDATA:
+                    if self._dialogue.measuring and not old:
+                        frames += self._take_data(message, arrived_ns)
+                    else:
+                        self.counters["messages_before_start"] += 1
+                case Mid.WAKE_UP:
+                    self._wake_up(arrived_ns)
+                case Mid.WARNING:
+                    self.counters["device_warnings"] += 1
+                    self._health.say(warning_text(message), arrived_ns)
+                case _:
+                    self._take_answer(message, arrived_ns)
+        for name, total in (
+            ("bytes_skipped", self._decoder.skipped_bytes),
+            ("checksum_errors", self._decoder.bad_checksums),
+        ):
+            if total:
+                self.counters[name] = total
+        return frames
+
+    def _take_answer(self, message: Message, now_ns: int) -> None:
+        asked = self._asked
+        if asked is not None and message.mid == (asked.mid + 1) & 0xFF:
+            self._continue(message, now_ns)
+        elif message.mid == Mid.ERROR:
+            if asked is not None and asked.mid not in (Mid.GO_TO_CONFIG, Mid.RESET):
+                self._continue(message, now_ns)
+                return
+            self.counters["device_errors"] += 1
+            self._health.say(error_text(message), now_ns)
+        else:
+            self.counters["messages_ignored"] += 1
+
+    def _wake_up(self, now_ns: int) -> None:
+        """It has just come up; if it hears within half a second that we are there, it waits for us."""
+        self.outbox += encode(Mid.WAKE_UP_ACK)
+        self.counters["wake_ups"] += 1
+        if self._dialogue.awaits_wake_up:
+            return
+        if self._streaming:
+            self.counters["device_restarts"] += 1
+        self._steps.close()
+        self._steps = self._dialogue.run()
+        self._running = self._streaming = False
+        self._continue(None, now_ns)
+
+    def _continue(self, answer: Message | None, now_ns: int) -> None:
+        """Run the dialogue to its next request."""
+        self._asked = None
+        try:
+            step = self._steps.send(answer) if self._running else next(self._steps)
+        except StopIteration:
+            self._deadline_ns = None
+            self._begin_stream()
+            return
+        finally:
+            self._running = True
+        self.outbox += encode(step.mid, step.data)
+        self._asked = step
+        self._deadline_ns = now_ns + round(step.timeout_s * 1e9)
+
+    def _begin_stream(self) -> None:
+        dialogue = self._dialogue
+        byte_ns = BITS_A_BYTE * 1e9 / dialogue.baud if dialogue.baud else 0.0
+        self._silent_ns = 0
+        if dialogue.legacy is None:
+            self._stream = Mtdata2Stream(self._config, self.counters, self._health, byte_ns)
+        else:
+            self._stream = LegacyStream(self._config, self.counters, self._health, byte_ns, dialogue.legacy)
+
+    def _take_data(self, message: Message, arrived_ns: int) -> list[Frame]:
+        assert self._stream is not None
+        legacy = self._dialogue.legacy is not None
+        if legacy is not (message.mid == Mid.MTDATA):
+            self.counters["messages_of_the_other_protocol"] += 1
+            return []
+        try:
+            frames = self._stream.take(message.data, message.wire_bytes, message.bytes_after, arrived_ns)
+        except ProtocolError as error:
+            self.counters["messages_malformed"] += 1
+            self._malformed_in_a_row += 1
+            if self._malformed_in_a_row > MALFORMED_LIMIT:
+                raise ProtocolError(
+                    f"{self._malformed_in_a_row} malformed messages in a row: {error}"
+                ) from error
+            return []
+        self._malformed_in_a_row = 0
+        if frames:
+            self._silent_ns = 0
+            self._streaming = True
+        return frames
+
+    def _set_status(self, now_ns: int) -> None:
+        if not self._streaming:
+            texts: tuple[str, ...] = (self._dialogue.phase, self._health.said(now_ns))
+        else:
+            texts = ("streaming", self._dialogue.fault, self._health.words(now_ns))
+        self.status = "; ".join(text for text in texts if text)

@@ -1,0 +1,400 @@
+"""MTData2 and legacy MTData into frames: axes, units, stamps, gaps. No I/O.
+
+Inertial samples and GNSS solutions are two streams that run through one another. What is missing is counted
+for each on its own: samples by SampleTimeFine, solutions by the receiver's time of week, and whole messages
+by the packet counter, which counts both.
+"""
+
+import math
+from collections import Counter
+from datetime import UTC, datetime
+
+from drivers.errors import ProtocolError
+from drivers.frames import Frame, GnssFix, ImuSample
+from drivers.xsens_mtig.config import XsensMtigConfig
+from drivers.xsens_mtig.health import GNSS_FIX, DeviceHealth
+from drivers.xsens_mtig.mtdata import LegacyCodec, LegacyData, RawGps, Settings
+from drivers.xsens_mtig.mtdata2 import (
+    FRAME_MASK,
+    KIND_MASK,
+    GnssPvt,
+    Kind,
+    LocalFrame,
+    Utc,
+    read_item,
+    split,
+)
+from drivers.xsens_mtig.orientation import Vector, apply, axes_of, device_from_axes, to_enu
+from drivers.xsens_mtig.reals import Reals
+from drivers.xsens_mtig.sample_clock import FINE_TICK_NS, CounterClock, FineClock
+from drivers.xsens_mtig.wanted import GNSS_HZ, LegacyOutput
+
+PACKET_MODULUS = 1 << 16
+GAP_IS_A_RESTART = 2_000  # messages; 10 s at 200 Hz
+GNSS_PERIOD_MS = 1000 // GNSS_HZ
+WEEK_MS = 604_800_000
+MOST_MISSED_FIXES = 240
+UTC_ALL_VALID = 0b111
+LEGACY_UTC_VALID = 1
+NO_ACCURACY = 0xFFFF_FFFF
+USABLE_FIXES = (2, 3, 4)
+PERIOD_SHOWS_AFTER = 20  # steps between samples
+NO_PLACE = (math.nan, math.nan, math.nan)
+UNKNOWN_COVARIANCE = (0.0,) * 9
+
+_READ = frozenset(
+    (
+        Kind.PACKET_COUNTER,
+        Kind.SAMPLE_TIME_FINE,
+        Kind.UTC,
+        Kind.QUATERNION,
+        Kind.EULER,
+        Kind.MATRIX,
+        Kind.ACCELERATION,
+        Kind.RATE,
+        Kind.GNSS_PVT,
+        Kind.STATUS_BYTE,
+        Kind.STATUS_WORD,
+    )
+)
+
+
+def utc_ns(utc: Utc | GnssPvt) -> int:
+    """Unix time. Raises ProtocolError for a date that cannot be."""
+    try:
+        moment = datetime(utc.year, utc.month, utc.day, utc.hour, utc.minute, min(utc.second, 59), tzinfo=UTC)
+    except ValueError as error:
+        raise ProtocolError(f"{tuple(utc)[:8]} is no date and time") from error
+    leap_s = utc.second - min(utc.second, 59)
+    return (round(moment.timestamp()) + leap_s) * 1_000_000_000 + utc.nanosecond
+
+
+class _Stream:
+    """What both protocols share."""
+
+    def __init__(
+        self, config: XsensMtigConfig, counters: Counter[str], health: DeviceHealth, byte_ns: float
+    ) -> None:
+        self._config = config
+        self._counters = counters
+        self._health = health
+        self._byte_ns = byte_ns
+        self._axes = axes_of(config.forward_axis, config.up_axis)
+        self._device = device_from_axes(self._axes)
+        self._latency_ns = round(config.latency_ms * 1e6)
+        self._last_stamp_ns: int | None = None
+        self._last_fix_ns: int | None = None
+        self.utc_minus_host_ns: int | None = None  # None: the device does not know UTC (yet)
+
+    def _sent_ns(self, arrived_ns: int, message_bytes: int, bytes_after: int) -> int:
+        """When the first byte of the message was on the line."""
+        return arrived_ns - round((bytes_after + message_bytes) * self._byte_ns)
+
+    def _sample(
+        self,
+        stamp_ns: int,
+        arrived_ns: int,
+        rate: Reals,
+        force: Reals,
+        local: LocalFrame,
+        orientation: Reals | None,
+        restarted: bool,
+    ) -> list[Frame]:
+        if not all(map(math.isfinite, (*rate, *force))):
+            self._counters["samples_not_finite"] += 1
+            return []
+        if self._last_stamp_ns is not None and not restarted and stamp_ns <= self._last_stamp_ns:
+            self._counters["samples_out_of_order"] += 1
+            return []
+        self._last_stamp_ns = stamp_ns
+        enu_from_sensor = None
+        if orientation is not None and all(map(math.isfinite, orientation)):
+            enu_from_sensor = to_enu(local, orientation, self._device)
+        return [
+            ImuSample(
+                sensor=self._config.name,
+                stamp_ns=stamp_ns,
+                arrived_ns=arrived_ns,
+                rate_radps=self._turned(rate),
+                force_mps2=self._turned(force),
+                orientation_wxyz=enu_from_sensor,
+            )
+        ]
+
+    def _turned(self, vector: Reals) -> Vector:
+        return apply(self._axes, vector)
+
+    def _fix(
+        self,
+        stamp_ns: int,
+        arrived_ns: int,
+        status: int,
+        place: tuple[float, float, float],
+        accuracy_m: tuple[float, float] | None,
+        restarted: bool,
+    ) -> list[Frame]:
+        """accuracy_m: horizontal and vertical, one sigma; None: not told."""
+        if self._last_fix_ns is not None and not restarted and stamp_ns <= self._last_fix_ns:
+            self._counters["fixes_out_of_order"] += 1
+            return []
+        self._last_fix_ns = stamp_ns
+        self._counters["fixes_good" if status >= 0 else "fixes_none"] += 1
+        covariance = UNKNOWN_COVARIANCE
+        if status >= 0 and accuracy_m is not None:
+            plane, height = accuracy_m[0] ** 2, accuracy_m[1] ** 2
+            covariance = (plane, 0.0, 0.0, 0.0, plane, 0.0, 0.0, 0.0, height)
+        where = place if status >= 0 else NO_PLACE
+        return [GnssFix(self._config.name, stamp_ns, arrived_ns, status, *where, covariance)]
+
+
+class Mtdata2Stream(_Stream):
+    """One connection's MTData2. byte_ns: time of a byte on the line, 0 over USB."""
+
+    def __init__(
+        self, config: XsensMtigConfig, counters: Counter[str], health: DeviceHealth, byte_ns: float
+    ) -> None:
+        super().__init__(config, counters, health, byte_ns)
+        self._clock = FineClock(self._latency_ns)
+        self._last_packet: int | None = None
+        self._last_itow_ms: int | None = None
+        self._period_ticks = 0  # between samples; the shortest of the first steps
+        self._steps = 0
+
+    @property
+    def offset_ns(self) -> int | None:
+        return self._clock.offset_ns
+
+    def take(self, data: bytes, message_bytes: int, bytes_after: int, arrived_ns: int) -> list[Frame]:
+        """Frames of one message. Raises ProtocolError where its content is not MTData2."""
+        found: dict[int, tuple[int, bytes]] = {}
+        for identifier, payload in split(data):
+            kind = identifier & KIND_MASK
+            if kind in _READ:
+                found[kind] = (identifier, payload)
+        packet, ticks = self._integer(found, Kind.PACKET_COUNTER), self._ticks(found)
+        if ticks is None:
+            self._counters["messages_without_sample_time"] += 1
+            return []
+        inertial = Kind.RATE in found and Kind.ACCELERATION in found
+        resets, step = self._clock.resets, self._clock.step(ticks)
+        if inertial or self._clock.offset_ns is None:
+            self._clock.observe(ticks, self._sent_ns(arrived_ns, message_bytes, bytes_after))
+        restarted = self._clock.resets > resets
+        if restarted:
+            self._last_packet = self._last_itow_ms = None
+            step = 0
+            self._counters["clock_resets"] += 1
+        self._count_packets(packet)
+        for kind in (Kind.STATUS_WORD, Kind.STATUS_BYTE):
+            if (status := self._integer(found, kind)) is not None:
+                self._health.observe_status(status)
+                break
+        stamp_ns = self._clock.to_host_ns(ticks)
+        frames: list[Frame] = []
+        if inertial:
+            self._count_samples(step)
+            frames += self._inertial(found, stamp_ns, arrived_ns, restarted)
+        if Kind.GNSS_PVT in found:
+            pvt = read_item(*found[Kind.GNSS_PVT])
+            assert isinstance(pvt, GnssPvt)
+            frames += self._gnss(pvt, stamp_ns, arrived_ns, restarted)
+        elif Kind.UTC in found:
+            utc = read_item(*found[Kind.UTC])
+            assert isinstance(utc, Utc)
+            if utc.valid & UTC_ALL_VALID == UTC_ALL_VALID:
+                self.utc_minus_host_ns = utc_ns(utc) - stamp_ns
+        elif not inertial:
+            self._counters["messages_without_samples"] += 1
+        return frames
+
+    def _ticks(self, found: dict[int, tuple[int, bytes]]) -> int | None:
+        """SampleTimeFine; else UTC in ticks of the same length, valid or not: it runs all the same."""
+        if Kind.SAMPLE_TIME_FINE in found or Kind.UTC not in found:
+            return self._integer(found, Kind.SAMPLE_TIME_FINE)
+        utc = read_item(*found[Kind.UTC])
+        assert isinstance(utc, Utc)
+        return utc_ns(utc) // FINE_TICK_NS
+
+    def _integer(self, found: dict[int, tuple[int, bytes]], kind: Kind) -> int | None:
+        if kind not in found:
+            return None
+        value = read_item(*found[kind])
+        assert isinstance(value, int)
+        return value
+
+    def _count_packets(self, packet: int | None) -> None:
+        if packet is None:
+            return
+        if self._last_packet is not None:
+            gap = (packet - self._last_packet) % PACKET_MODULUS
+            if 1 <= gap <= GAP_IS_A_RESTART:
+                self._counters["messages_missed"] += gap - 1
+            else:
+                self._counters["packet_counter_restarts"] += 1
+        self._last_packet = packet
+
+    def _count_samples(self, step: int) -> None:
+        """By device time, so what is lost of the GNSS stream does not count here, nor the other way round.
+
+        step  in ticks since the last sample; 0: there was none
+        """
+        self._counters["samples_received"] += 1
+        if step <= 0:
+            return
+        if self._steps < PERIOD_SHOWS_AFTER:
+            self._steps += 1
+            self._period_ticks = min(self._period_ticks or step, step)
+        if step <= GAP_IS_A_RESTART * self._period_ticks:
+            self._counters["samples_missed"] += max(0, round(step / self._period_ticks) - 1)
+
+    def _inertial(
+        self, found: dict[int, tuple[int, bytes]], stamp_ns: int, arrived_ns: int, restarted: bool
+    ) -> list[Frame]:
+        rate, force = read_item(*found[Kind.RATE]), read_item(*found[Kind.ACCELERATION])
+        assert isinstance(rate, tuple)
+        assert isinstance(force, tuple)
+        orientation: Reals | None = None
+        local = LocalFrame.ENU
+        for kind in (Kind.QUATERNION, Kind.EULER, Kind.MATRIX):
+            if kind in found:
+                identifier, payload = found[kind]
+                value = read_item(identifier, payload)
+                assert isinstance(value, tuple)
+                orientation, local = value, _local_frame(identifier)
+                break
+        return self._sample(stamp_ns, arrived_ns, rate, force, local, orientation, restarted)
+
+    def _gnss(self, pvt: GnssPvt, stamp_ns: int, arrived_ns: int, restarted: bool) -> list[Frame]:
+        self._counters["fixes_received"] += 1
+        if self._last_itow_ms is not None:
+            missed = (pvt.itow_ms - self._last_itow_ms) % WEEK_MS // GNSS_PERIOD_MS - 1
+            if 0 < missed <= MOST_MISSED_FIXES:
+                self._counters["fixes_missed"] += missed
+        self._last_itow_ms = pvt.itow_ms
+        good = bool(pvt.flags & 1)
+        self._health.observe_gnss(pvt.fix, good, pvt.satellites)
+        if pvt.valid & UTC_ALL_VALID == UTC_ALL_VALID:
+            self.utc_minus_host_ns = utc_ns(pvt) - stamp_ns
+        usable = pvt.fix in USABLE_FIXES and good and pvt.horizontal_accuracy_mm != NO_ACCURACY
+        status = (1 if pvt.flags & 2 else 0) if usable else -1
+        place = (pvt.lat_1e7deg * 1e-7, pvt.lon_1e7deg * 1e-7, pvt.height_mm * 1e-3)
+        accuracy_m = (pvt.horizontal_accuracy_mm * 1e-3, pvt.vertical_accuracy_mm * 1e-3)
+        return self._fix(stamp_ns, arrived_ns, status, place, accuracy_m, restarted)
+
+
+def _local_frame(identifier: int) -> LocalFrame:
+    try:
+        return LocalFrame(identifier & FRAME_MASK)
+    except ValueError as error:
+        raise ProtocolError(f"id 0x{identifier:04X}: local frame 0xC does not exist") from error
+
+
+class LegacyStream(_Stream):
+    """One connection's MTData, of the layout that the device was asked for or says it has."""
+
+    def __init__(
+        self,
+        config: XsensMtigConfig,
+        counters: Counter[str],
+        health: DeviceHealth,
+        byte_ns: float,
+        output: LegacyOutput,
+    ) -> None:
+        super().__init__(config, counters, health, byte_ns)
+        self._codec = LegacyCodec(output.layout)
+        self._local = output.layout.local_frame
+        self._period_ns = 1e9 / output.rate_hz
+        counts = output.layout.settings & Settings.SAMPLE_COUNTER
+        self._counter = CounterClock(self._period_ns, output.skip, self._latency_ns) if counts else None
+        self._utc = FineClock(self._latency_ns)  # for a device that was told to send no counter
+        self._samples_per_fix = max(1, round(output.rate_hz / GNSS_HZ))
+        self._since_fix = 0
+        self._last_itow_ms: int | None = None
+
+    @property
+    def _clock(self) -> CounterClock | FineClock:
+        return self._counter or self._utc
+
+    @property
+    def offset_ns(self) -> int | None:
+        return self._clock.offset_ns
+
+    def _observe(self, sample: LegacyData, sent_ns: int) -> tuple[int, int]:
+        """Stamp of the sample, and how many are missing before it. Raises ProtocolError without a time."""
+        if self._counter is not None and sample.sample_counter is not None:
+            missed = self._counter.observe(sample.sample_counter, sent_ns)
+            return self._counter.to_host_ns(sample.sample_counter), missed
+        if sample.utc is None:
+            raise ProtocolError("MTData with neither sample counter nor UTC")
+        ticks = utc_ns(sample.utc) // FINE_TICK_NS
+        missed = max(0, round(self._utc.step(ticks) * FINE_TICK_NS / self._period_ns) - 1)
+        self._utc.observe(ticks, sent_ns)
+        return self._utc.to_host_ns(ticks), missed
+
+    def take(self, data: bytes, message_bytes: int, bytes_after: int, arrived_ns: int) -> list[Frame]:
+        """Frames of one message. Raises ProtocolError where its length is not the layout's."""
+        sample = self._codec.decode(data)
+        resets = self._clock.resets
+        stamp_ns, missed = self._observe(sample, self._sent_ns(arrived_ns, message_bytes, bytes_after))
+        restarted = self._clock.resets > resets
+        if restarted:
+            self._counters["clock_resets"] += 1
+            self._last_itow_ms = None
+        elif missed < GAP_IS_A_RESTART:
+            self._counters["samples_missed"] += missed
+        self._counters["samples_received"] += 1
+        if sample.status is not None:
+            self._health.observe_status(sample.status)
+        if sample.utc is not None and sample.utc.valid == LEGACY_UTC_VALID:
+            self.utc_minus_host_ns = utc_ns(sample.utc) - stamp_ns
+        frames: list[Frame] = []
+        if sample.rate_radps is not None and sample.acceleration_mps2 is not None:
+            frames += self._sample(
+                stamp_ns,
+                arrived_ns,
+                sample.rate_radps,
+                sample.acceleration_mps2,
+                self._local,
+                sample.orientation,
+                restarted,
+            )
+        else:
+            self._counters["messages_without_samples"] += 1
+        return frames + self._position(sample, stamp_ns, arrived_ns, restarted)
+
+    def _position(self, sample: LegacyData, stamp_ns: int, arrived_ns: int, restarted: bool) -> list[Frame]:
+        has_fix = None if sample.status is None else bool(sample.status & GNSS_FIX)
+        if sample.raw_gps is not None:
+            return self._receiver(sample.raw_gps, has_fix, stamp_ns, arrived_ns, restarted)
+        if sample.position is None:
+            return []
+        self._since_fix += 1
+        if self._since_fix < self._samples_per_fix:
+            return []
+        self._since_fix = 0
+        self._counters["fixes_received"] += 1
+        self._health.observe_gnss_words("GNSS fix" if has_fix else "no GNSS fix")
+        latitude, longitude, height = sample.position
+        usable = bool(has_fix) and all(map(math.isfinite, sample.position))
+        place = (latitude, longitude, height)
+        return self._fix(stamp_ns, arrived_ns, 0 if usable else -1, place, None, restarted)
+
+    def _receiver(
+        self, gps: RawGps, has_fix: bool | None, stamp_ns: int, arrived_ns: int, restarted: bool
+    ) -> list[Frame]:
+        """The receiver's own solution, repeated in every message until there is a new one."""
+        if gps.itow_ms == self._last_itow_ms:
+            return []
+        if self._last_itow_ms is not None:
+            missed = (gps.itow_ms - self._last_itow_ms) % WEEK_MS // GNSS_PERIOD_MS - 1
+            if 0 < missed <= MOST_MISSED_FIXES:
+                self._counters["fixes_missed"] += missed
+        self._last_itow_ms = gps.itow_ms
+        self._counters["fixes_received"] += 1
+        self._health.observe_gnss_words("GNSS fix" if has_fix else "no GNSS fix")
+        age_ns = gps.age * self._period_ns
+        accuracy_m = (gps.horizontal_accuracy_mm * 1e-3, gps.vertical_accuracy_mm * 1e-3)
+        usable = bool(has_fix) and gps.horizontal_accuracy_mm not in (0, NO_ACCURACY)
+        place = (gps.lat_1e7deg * 1e-7, gps.lon_1e7deg * 1e-7, gps.height_mm * 1e-3)
+        status = 0 if usable else -1
+        return self._fix(stamp_ns - round(age_ns), arrived_ns, status, place, accuracy_m, restarted)

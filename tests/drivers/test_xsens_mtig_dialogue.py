@@ -1,0 +1,266 @@
+"""From the first byte to the stream: quiet and deaf devices, settings written only where they differ."""
+
+import struct
+
+import pytest
+
+from drivers.errors import DeviceError, TransportError
+from drivers.xsens_mtig.protocol import Message, MessageDecoder, Mid, encode
+from simulators.xsens_mtig import FakeMtiG, MtigSetup
+from simulators.xsens_mtig_settings import FACTORY_OUTPUT
+from tests.drivers.mtig import MS, ZERO_NS, Swing, fixes, legacy, mtdata2, samples, talk
+from tests.drivers.virtual_time import SECOND_NS
+
+BOTH = pytest.mark.parametrize("make", [mtdata2, legacy])
+
+
+def said(wire: bytes) -> list[Message]:
+    return MessageDecoder().receive_data(bytes(wire))
+
+
+def sent_with_data(wire: bytes) -> list[int]:
+    """Ids of what was set."""
+    return [message.mid for message in said(wire) if message.data]
+
+
+@BOTH
+def test_samples_come_at_200_hz_a_third_of_a_second_after_the_first_byte(make):
+    t = talk(make()).run(0.35)
+    assert samples(t.frames)
+    t.run(10.0)
+    assert len(samples(t.frames)) == pytest.approx(2055, abs=15)
+    assert len(fixes(t.frames)) == pytest.approx(40, abs=3)
+    assert t.session.status.startswith("streaming; filter valid, GNSS")
+
+
+@BOTH
+def test_a_streaming_device_sends_data_before_it_acknowledges(make):
+    t = talk(make())
+    t.now_ns += 12 * MS  # a message is under way
+    t.run(1.0)
+    assert t.session.counters["messages_before_start"] >= 1
+    assert t.session.counters["bytes_skipped"] == 0
+
+
+def test_who_it_is_is_read():
+    t = talk(mtdata2()).run(1.0)
+    assert t.session.identity == {
+        "device_id": "07700DB1",
+        "product": "MTi-G-710-2A5G4",
+        "firmware": "1.6.0",
+        "baud": "115200",
+        "protocol": "MTData2",
+    }
+    t = talk(legacy()).run(1.0)
+    assert t.session.identity["product"] == "MTi-G-28A53G35"
+    assert t.session.identity["protocol"] == "MTData"
+
+
+@BOTH
+def test_settings_are_written_once_read_back_and_left_alone_ever_after(make):
+    device = make()
+    first = talk(device).run(2.0)
+    assert first.session.counters["settings_written"] == 1
+    assert sent_with_data(first.sent)
+    device.receive_data(first.session.farewell(), first.now_ns)
+    second = talk(device)
+    second.now_ns = first.now_ns + 1_000_000_000
+    second.run(2.0)
+    assert samples(second.frames)
+    assert second.session.counters["settings_written"] == 0
+    assert sent_with_data(second.sent) == []
+
+
+def test_only_what_differs_is_written_to_a_legacy_unit():
+    device = legacy(baud=460_800)
+    device.settings.write(Mid.PERIOD, struct.pack(">H", 576))
+    device.settings.write(Mid.OUTPUT_MODE, struct.pack(">H", 0x1806))
+    t = talk(device).run(1.0)
+    assert sent_with_data(t.sent) == [Mid.OUTPUT_SETTINGS]
+    assert samples(t.frames)
+
+
+def test_rate_of_a_legacy_unit_falls_before_its_messages_grow():
+    device = legacy(baud=460_800)
+    t = talk(device, rate_hz=50).run(1.0)
+    assert sent_with_data(t.sent) == [Mid.SKIP_FACTOR, Mid.OUTPUT_MODE, Mid.OUTPUT_SETTINGS]
+    assert device.settings.skip == 1
+    t = talk(legacy(baud=460_800), rate_hz=200).run(1.0)
+    assert sent_with_data(t.sent) == [Mid.OUTPUT_MODE, Mid.OUTPUT_SETTINGS, Mid.PERIOD]
+
+
+def test_a_unit_that_shall_not_be_configured_is_not():
+    device = mtdata2()
+    device.settings.output = [(0x1020, 0xFFFF), (0x1060, 0xFFFF), (0x2034, 100), (0x4022, 100), (0x8021, 100)]
+    kept = list(device.settings.output)
+    t = talk(device, configure=False).run(2.0)
+    assert device.settings.output == kept
+    assert sent_with_data(t.sent) == []
+    assert len(samples(t.frames)) == pytest.approx(190, abs=10)
+    assert samples(t.frames)[-1].orientation_wxyz is not None
+
+
+def test_factory_output_holds_no_samples_and_says_so():
+    device = mtdata2()
+    assert device.settings.output == FACTORY_OUTPUT
+    with pytest.raises(DeviceError, match=r"it sends 1020, 1060, 2010, .* needed are 8020.*configure: false"):
+        talk(device, configure=False).run(2.0)
+
+
+@pytest.mark.parametrize(
+    ("mode", "settings", "complaint"),
+    [
+        (0x4000, 0x1, "lacks rate of turn"),
+        (0x0002, 0x0, "lacks rate of turn, acceleration, or a sample counter"),
+        (0x0002, 0x21, "lacks rate of turn"),
+        (0x0102, 0x1, r"holds data \(0x0100\) of unknown length"),
+    ],
+)
+def test_legacy_output_that_is_no_use_says_so(mode: int, settings: int, complaint: str):
+    device = legacy()
+    device.settings.write(Mid.OUTPUT_MODE, struct.pack(">H", mode))
+    device.settings.write(Mid.OUTPUT_SETTINGS, struct.pack(">I", settings))
+    with pytest.raises(DeviceError, match=complaint):
+        talk(device, configure=False).run(2.0)
+
+
+def test_deaf_device_is_reset_and_found_again():
+    device = FakeMtiG(Swing(), deaf_to_config=True)
+    t = talk(device).run(6.0)
+    assert t.session.counters["resets_sent"] == 1
+    assert "it does not hear GoToConfig; resetting it" in t.statuses
+    assert samples(t.frames)
+    assert t.session.counters["wake_ups"] == 1
+    assert t.session.counters["device_restarts"] == 0
+
+
+class Earless(FakeMtiG):
+    """Its receive line is broken."""
+
+    def receive_data(self, data: bytes, now_ns: int) -> bytes:
+        return b""
+
+
+def test_device_that_hears_nothing_at_all_is_given_up_in_words():
+    t = talk(Earless(Swing()))
+    with pytest.raises(TransportError, match="neither GoToConfig nor 2 resets"):
+        t.run(60.0)
+    assert t.now_ns < ZERO_NS + 30 * SECOND_NS
+
+
+class Mute:
+    """A port with nobody at its other end."""
+
+    def connected(self, now_ns: int) -> bytes:
+        return b""
+
+    def receive_data(self, data: bytes, now_ns: int) -> bytes:
+        return b""
+
+    def next_due_ns(self, now_ns: int) -> int | None:
+        return None
+
+    def due(self, now_ns: int) -> bytes:
+        return b""
+
+    def disconnected(self, now_ns: int) -> None: ...
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({}, "no answer in 15 s at any baud rate; is it powered"),
+        ({"baud": 115_200}, "at 115200 baud.*baud: auto looks for another rate"),
+        ({"device": "usb"}, "over USB; unplug it"),
+    ],
+)
+def test_silence_is_given_up_in_words(changes: dict[str, object], complaint: str):
+    with pytest.raises(TransportError, match=complaint):
+        talk(Mute(), **changes).run(20.0)
+
+
+def test_new_baud_rate_is_stored_and_the_unit_reset():
+    device = mtdata2()
+    t = talk(device, store_baud=460_800)
+    with pytest.raises(TransportError, match="goes from 115200 to 460800 baud"):
+        t.run(2.0)
+    t._say()
+    assert device.settings.baud == 460_800
+    t = talk(device, store_baud=460_800)
+    t.now_ns += 3_000_000_000
+    t.run(4.0)
+    assert t.session.identity["baud"] == "460800"
+    assert samples(t.frames)[-1].orientation_wxyz is not None  # the faster line carries it
+
+
+@BOTH
+def test_lever_arm_and_filter_profile_are_written_where_they_differ(make):
+    device = make()
+    changes = {"lever_arm_m": (0.25, 0.0, 0.5), "filter_profile": "automotive"}
+    t = talk(device, **changes).run(1.5)
+    assert {Mid.LEVER_ARM, Mid.SCENARIO} <= set(sent_with_data(t.sent))
+    assert device.settings.scenario in (4, 9)
+    assert t.session.identity["filter_profile"] == "automotive"
+    again = talk(device, **changes)
+    again.now_ns = t.now_ns
+    again.run(1.5)
+    assert sent_with_data(again.sent) == []
+    with pytest.raises(DeviceError, match="no filter_profile 'submarine'; it has General"):
+        talk(make(), filter_profile="submarine").run(2.0)
+
+
+def test_line_that_cannot_carry_it_is_refused_in_numbers():
+    with pytest.raises(DeviceError, match="the line at 115200 baud takes"):
+        talk(mtdata2(), orientation=True).run(2.0)
+
+
+class Stubborn(FakeMtiG):
+    """Gives half the rate, and no status."""
+
+    def _act(self, message: Message, now_ns: int) -> bytes | None:
+        if message.mid == Mid.OUTPUT_CONFIGURATION and message.data:
+            super()._act(message, now_ns)
+            self.settings.output = [
+                (i, 100 if rate == 200 else rate) for i, rate in self.settings.output if i != 0xE010
+            ]
+            return b"".join(struct.pack(">HH", *item) for item in self.settings.output)
+        return super()._act(message, now_ns)
+
+
+def test_what_the_device_makes_of_our_wishes_is_told():
+    t = talk(Stubborn(Swing())).run(2.0)
+    assert t.session.status.startswith(
+        "streaming; it does not send E010; 4020 at 100 instead of 200 Hz; 8020 at 100 instead of 200 Hz"
+    )
+
+
+class Forgetful(FakeMtiG):
+    """One request is never answered."""
+
+    def _obey(self, message: Message, now_ns: int) -> None:
+        if message.mid != Mid.REQ_FIRMWARE:
+            super()._obey(message, now_ns)
+
+
+def test_an_answer_that_never_comes_is_given_up():
+    t = talk(Forgetful(Swing()))
+    with pytest.raises(TransportError, match="no answer to 3 times REQ_FIRMWARE; rebooting, or a bad cable"):
+        t.run(5.0)
+    assert [message.mid for message in said(t.sent)].count(Mid.REQ_FIRMWARE) == 3
+
+
+def test_wake_up_is_answered_at_once():
+    t = talk(mtdata2())
+    t.session.tick(t.now_ns)
+    t.session.outbox.clear()
+    t.session.receive_data(encode(Mid.WAKE_UP), t.now_ns)
+    assert said(t.session.outbox)[0].mid == Mid.WAKE_UP_ACK
+
+
+def test_device_that_boots_while_it_is_looked_for_streams_soon():
+    device = FakeMtiG(Swing(), MtigSetup())
+    t = talk(device)
+    device.restart(t.now_ns)
+    t.run(1.5)
+    assert len(samples(t.frames)) > 50
+    assert t.session.counters["device_restarts"] == 0
