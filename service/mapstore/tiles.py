@@ -83,7 +83,8 @@ class TileStore:
         Tiles of an emptied map are among them, all unknown: who holds them has to hear that they are gone.
         """
         with self._lock:
-            return self._newer(version)
+            newer = self._newer(version)
+        return _by_version(newer)
 
     def begin_anew(self) -> list[TileUpdate]:
         """Empty the map, and give its tiles back as they are now: unknown, with new versions.
@@ -91,7 +92,7 @@ class TileStore:
         The map as it was waits for `take`. Tiles of the next map need versions above `version`.
         """
         with self._lock:
-            ended = self._newer(self._began_version)
+            ended = _by_version(self._newer(self._began_version))
             if not ended:
                 return []
             self._ended.append(NumberedMap(self._number, ended))
@@ -110,11 +111,7 @@ class TileStore:
         """Maps ended since the last call, oldest first, and the present one, all at one moment."""
         with self._lock:
             ended, self._ended = self._ended, []
-            return ended, NumberedMap(self._number, self._newer(self._began_version))
-
-    def _newer(self, version: int) -> list[TileUpdate]:
-        newer = [tile for tile in self._tiles.values() if tile.version > version]
-        return sorted(newer, key=lambda tile: tile.version)
+            return ended, NumberedMap(self._number, _by_version(self._newer(self._began_version)))
 
     def grid(self) -> Grid | None:
         """The finest level as one picture, None while it is empty; paints only what changed meanwhile.
@@ -130,6 +127,13 @@ class TileStore:
                     self._blank = None
             self._canvas.paint(stale.values())
             return self._canvas.grid()
+
+    def _newer(self, version: int) -> list[TileUpdate]:
+        return [tile for tile in self._tiles.values() if tile.version > version]
+
+
+def _by_version(tiles: list[TileUpdate]) -> list[TileUpdate]:
+    return sorted(tiles, key=lambda tile: tile.version)
 
 
 def _unknown(tile: TileUpdate) -> npt.NDArray[np.int8]:

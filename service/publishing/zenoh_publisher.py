@@ -19,6 +19,8 @@ from service.encoding import Message, Status, encode_diagnostics, encode_grid, e
 from service.errors import StorageError
 from service.outputs import Grid, TileUpdate
 from service.publishing.attachment import Attachment, make_gid
+from service.publishing.command_queryable import CommandQueryable
+from service.publishing.commands import Answer
 from service.publishing.config import PublishingConfig
 from service.publishing.keys import alive_key, tile_channel, vehicle_key
 from service.publishing.lanes import BulkLane, Sending, StreamLane
@@ -76,6 +78,7 @@ class ZenohPublisher:
         self._tokens: dict[str, zenoh.LivelinessToken] = {}
         self._stream = StreamLane(STREAM_CAPACITY)
         self._bulk = BulkLane(TILE_PERIOD_S, picture_period_s)
+        self._commands: CommandQueryable | None = None
         self._closed = False
         self._session = open_session(config)
         try:
@@ -123,6 +126,10 @@ class ZenohPublisher:
             elif not alive and component in self._tokens:
                 self._tokens.pop(component).undeclare()  # type: ignore[no-untyped-call]
 
+    def answer_commands(self, answer: Callable[[str, bytes], Answer]) -> None:
+        """Answer cmd/<verb> from now on; `answer` takes verb and payload and may wait, in bounded time."""
+        self._commands = CommandQueryable(self._session, self._vehicle, answer)
+
     def sent(self) -> Counter[str]:
         """Puts so far, by channel; tiles under map/tile."""
         with self._lock:
@@ -153,6 +160,8 @@ class ZenohPublisher:
         for component in list(self._tokens):
             self.set_alive(component, False)
         try:
+            if self._commands is not None:
+                self._commands.close()
             for queryable in self._queryables:
                 queryable.undeclare()  # type: ignore[no-untyped-call]
             self._session.close()  # type: ignore[no-untyped-call]

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 from drivers.link import LinkHealth
 from service.encoding import Message, Status, encode_diagnostics
+from service.publishing.commands import CommandDesk
 from service.publishing.zenoh_publisher import ZenohPublisher
 from service.recording.mcap_recorder import McapRecorder
 from service.runtime.map_keeper import MapKeeper
@@ -16,6 +17,14 @@ OK, WARNING, ERROR, STALE = 0, 1, 2, 3  # levels of diagnostic_msgs/DiagnosticSt
 STALE_AFTER_NS = 1_000_000_000
 
 _LEVEL_OF_LINK = {"streaming": OK, "starting": WARNING, "connecting": WARNING, "down": ERROR}
+_LEVEL_OF_RECORDING = {
+    "waiting": OK,
+    "recording": OK,
+    "finished": OK,
+    "stopped": WARNING,
+    "disk full": ERROR,
+    "disk error": ERROR,
+}
 _LEVEL_OF_POSE = {"ok": OK, "degraded": WARNING, "lost": ERROR}
 
 
@@ -77,6 +86,7 @@ class HealthReport:
         recorder: McapRecorder,
         publisher: ZenohPublisher,
         latency: LatencyHistogram,
+        desk: CommandDesk,
     ) -> None:
         self._links = links
         self._sensors = {name: SensorHealth(link) for name, link in links.items()}
@@ -86,6 +96,7 @@ class HealthReport:
         self._recorder = recorder
         self._publisher = publisher
         self._latency = latency
+        self._desk = desk
         self._scan_rate = RateMeter()
         self._states = dict.fromkeys(links, "connecting")
         self.statuses: list[Status] = []
@@ -113,7 +124,10 @@ class HealthReport:
     def line(self) -> str:
         """One line for people who ask `systemctl status`."""
         output, recorder = self._loop.last_output, self._recorder.health
-        state = "waiting for a scan" if output is None else f"mapping {output.state}"
+        if self._loop.paused:
+            state = "mapping paused"
+        else:
+            state = "waiting for a scan" if output is None else f"mapping {output.state}"
         recording = recorder.path.name if recorder.path and recorder.state == "recording" else recorder.state
         return (
             f"{state}, {sum(self.streaming.values())}/{len(self._links)} sensors, "
@@ -133,6 +147,7 @@ class HealthReport:
             self._recording(),
             self._zenoh(),
             self._clock(),
+            self._commands(),
         ]
 
     def message(self, channel: str, unix_ns: int) -> Message:
@@ -158,6 +173,9 @@ class HealthReport:
         values |= {
             f"latency_ms_{name}": f"{ms:.3f}" for name, ms in self._latency.percentiles().as_dict().items()
         }
+        if self._loop.paused:
+            values["state"] = "paused"
+            return Status("mapping", WARNING, "paused by a command; scans are recorded, not mapped", values)
         if output is None:
             return Status("mapping", WARNING, "no scan mapped yet", values)
         values |= {"state": output.state, "match_share": f"{output.match_share:.3f}"}
@@ -170,7 +188,7 @@ class HealthReport:
 
     def _recording(self) -> Status:
         recorder = self._recorder.health
-        level = OK if recorder.state in ("recording", "waiting", "finished") else ERROR
+        level = _LEVEL_OF_RECORDING[recorder.state]
         values = {
             "state": recorder.state,
             "file": str(recorder.path or ""),
@@ -179,7 +197,8 @@ class HealthReport:
             "log_time_steps_back": str(recorder.steps_back),
         }
         values |= {f"dropped.{channel}": str(count) for channel, count in _snapshot(recorder.dropped)}
-        return Status("recording", level, recorder.last_error if level else recorder.state, values)
+        words = {OK: recorder.state, WARNING: "stopped by a command"}.get(level, recorder.last_error)
+        return Status("recording", level, words, values)
 
     def _zenoh(self) -> Status:
         failed, dropped = self._publisher.failed(), self._publisher.dropped()
@@ -200,6 +219,11 @@ class HealthReport:
             return Status("clock", OK, "steady", values)
         words = f"the wall clock stepped by {step_s:+.3f} s since start; stamps keep to the time of the start"
         return Status("clock", WARNING, words, values)
+
+    def _commands(self) -> Status:
+        """Counts of marks, pauses ... since the start."""
+        counts = self._desk.counts()
+        return Status("commands", OK, "ok", {name: str(count) for name, count in sorted(counts.items())})
 
 
 def _snapshot(counters: Counter[str]) -> list[tuple[str, int]]:

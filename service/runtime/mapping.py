@@ -1,40 +1,35 @@
 """The mapping thread: frames in order of arrival -> recording, subscribers and mapper."""
 
+import json
 import logging
 import math
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, Protocol
+from dataclasses import replace
+from typing import Any
 
 from drivers.frames import Frame, LaserScan
 from service.encoding import (
     LogClock,
     Message,
     decode_frame,
+    encode_event,
     encode_frame,
     encode_odom,
     encode_pose,
     encode_tf,
 )
+from service.mapper.steering import SteeredMapper, Steering
 from service.mapstore.tiles import TileStore
 from service.outputs import MapperOutput, TileUpdate
 from service.runtime.host_time import HostTime
-from service.runtime.queues import FrameQueue
+from service.runtime.queues import Command, FrameQueue
 
 log = logging.getLogger(__name__)
 
 IDLE_S = 0.2  # how long to wait for a frame before the loop beats anyway
 TILE_INTERVAL_NS = 200_000_000
-
-
-class FrameMapper(Protocol):
-    """What the loop needs of service.mapper.pipeline.Mapper, whatever map it matches to."""
-
-    counters: Counter[str]
-
-    def process(self, frame: Frame) -> MapperOutput | None: ...
-    def changed_tiles(self) -> list[TileUpdate]: ...
 
 
 class MapperError(Exception):
@@ -45,7 +40,7 @@ class MappingLoop:
     """Owns the mapper. Waits for nothing but the next frame: `publish` and `record` only queue.
 
     The mapper eats what the recording holds: each frame is encoded once, and what is decoded from those very
-    bytes goes on, so a replay of the file gives the same poses.
+    bytes goes on, so a replay of the file gives the same poses. Commands stand among the frames, there too.
 
     publish    takes a message and, for a pose, the moment its scan's last byte was read (host monotonic, ns)
     record     takes a message
@@ -55,7 +50,7 @@ class MappingLoop:
     def __init__(
         self,
         queue: FrameQueue,
-        mapper: FrameMapper,
+        mapper: SteeredMapper,
         tiles: TileStore,
         host_time: HostTime,
         publish: Callable[[Message, int | None], Any],
@@ -71,6 +66,8 @@ class MappingLoop:
         self._on_tiles = on_tiles
         self._log_clock = LogClock()
         self._tiles_due_ns = 0
+        self._map_stamp_ns = 0  # Unix time of the newest scan in the map
+        self._began_version = 0  # the map's versions count from here
         self.heartbeat = 0  # rises as long as the loop turns, with or without frames
         self.last_output: MapperOutput | None = None
         self.states: Counter[str] = Counter()  # scans by state: ok, degraded, lost
@@ -82,22 +79,46 @@ class MappingLoop:
         """The mapper's own: scans, scans_dropped_late ..."""
         return self._mapper.counters
 
+    @property
+    def paused(self) -> bool:
+        return self._mapper.paused
+
     def run(self) -> None:
         """Map until the queue is closed and empty. Raises MapperError."""
         while not self._queue.drained:
             self.heartbeat += 1
-            frame = self._queue.get(IDLE_S)
-            if frame is not None:
-                self._take(frame)
+            item = self._queue.get(IDLE_S)
+            if isinstance(item, Command):
+                self._carry_out(item)
+            elif item is not None:
+                self._take(item)
             if time.monotonic_ns() >= self._tiles_due_ns:
-                self._hand_over_tiles()
-        self._hand_over_tiles()
+                self.hand_over_tiles()
+        self.hand_over_tiles()
 
-    def _hand_over_tiles(self) -> None:
+    def steer(self, steering: Steering) -> bool:
+        """Pause, resume or reset the mapper; whether that changed anything. For commands, between frames."""
+        if steering == "reset_map":
+            self.hand_over_tiles()
+            emptied = self._tiles.begin_anew()
+            if emptied:
+                self._on_tiles(emptied, self._map_stamp_ns)
+            self._began_version = self._tiles.version
+            self.last_output = None
+        return self._mapper.steer(steering)
+
+    def hand_over_tiles(self) -> None:
+        """Bring tile store and subscribers up to the newest scan. For commands, between frames."""
         self._tiles_due_ns = time.monotonic_ns() + TILE_INTERVAL_NS
-        if self.last_output is not None and (changed := self._mapper.changed_tiles()):
+        changed = self._mapper.changed_tiles()
+        if changed:
+            changed = [replace(tile, version=self._began_version + tile.version) for tile in changed]
             self._tiles.update(changed)
-            self._on_tiles(changed, self.last_output.stamp_ns)
+            self._on_tiles(changed, self._map_stamp_ns)
+
+    def _carry_out(self, command: Command) -> None:
+        log_ns = self._log_clock.next_ns(self._host_time.unix_ns(command.arrived_ns))
+        command.carry_out(encode_event(json.dumps(dict(command.event)), log_ns, log_ns))
 
     def _take(self, frame: Frame) -> None:
         log_ns = self._log_clock.next_ns(self._host_time.unix_ns(frame.arrived_ns))
@@ -112,7 +133,7 @@ class MappingLoop:
         output = self._map(eaten)
         if output is None:
             return
-        self.last_output = output
+        self.last_output, self._map_stamp_ns = output, output.stamp_ns
         self.states[output.state] += 1
         pose, odom, tf = encode_pose(output, log_ns), encode_odom(output, log_ns), encode_tf(output, log_ns)
         self._publish(pose, frame.arrived_ns)

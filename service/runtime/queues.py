@@ -6,11 +6,29 @@ less costs little, but a missing odometry or IMU sample bends the prediction, so
 
 import threading
 from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 from drivers.frames import Frame, LaserScan
+from service.encoding import Message
 
 SCAN_CAPACITY = 64  # over a second of one laser; the mapper needs a few milliseconds a scan
 SAMPLE_CAPACITY = 20_000  # minutes of odometry; only a mapping thread that is stuck lets it fill
+COMMAND_CAPACITY = 32  # who commands waits for the answer, so more than a few are a fault
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Command:
+    """Travels among the frames, for its place among them matters; carried out between two of them.
+
+    event        what stands in /events at that place
+    carry_out    takes that event, encoded, with the log time of the place; runs in the mapping thread, so it
+                 waits for nothing and raises nothing
+    """
+
+    arrived_ns: int  # host monotonic
+    event: Mapping[str, str]
+    carry_out: Callable[[Message], None]
 
 
 class FrameQueue:
@@ -19,8 +37,8 @@ class FrameQueue:
     def __init__(self, scan_capacity: int = SCAN_CAPACITY, sample_capacity: int = SAMPLE_CAPACITY) -> None:
         self._scan_capacity = scan_capacity
         self._sample_capacity = sample_capacity
-        self._frames: deque[Frame] = deque()
-        self._scans = 0
+        self._waiting: deque[Frame | Command] = deque()
+        self._scans = self._commands = 0
         self._closed = False
         self._changed = threading.Condition()
         self.dropped_scans: Counter[str] = Counter()  # by sensor
@@ -38,24 +56,37 @@ class FrameQueue:
                 if self._scans == self._scan_capacity:
                     self._drop_oldest_scan()
                 self._scans += 1
-            elif len(self._frames) - self._scans >= self._sample_capacity:
+            elif len(self._waiting) - self._scans - self._commands >= self._sample_capacity:
                 raise OverflowError(
                     f"{frame.sensor}: {self._sample_capacity} samples wait; the mapping thread is stuck"
                 )
-            self._frames.append(frame)
-            self.deepest = max(self.deepest, len(self._frames))
+            self._waiting.append(frame)
+            self.deepest = max(self.deepest, len(self._waiting))
             self._changed.notify()
 
-    def get(self, timeout_s: float) -> Frame | None:
-        """The next frame; None when none came within timeout_s, or when closed and empty."""
+    def put_command(self, command: Command) -> str:
+        """Append a command; why it is not taken, "" if it is."""
         with self._changed:
-            if not self._frames and not self._closed:
+            if self._closed:
+                return "the service is stopping"
+            if self._commands >= COMMAND_CAPACITY:
+                return f"{self._commands} commands wait for the mapping thread"
+            self._commands += 1
+            self._waiting.append(command)
+            self._changed.notify()
+            return ""
+
+    def get(self, timeout_s: float) -> Frame | Command | None:
+        """What is next; None when nothing came within timeout_s, or when closed and empty."""
+        with self._changed:
+            if not self._waiting and not self._closed:
                 self._changed.wait(timeout_s)
-            if not self._frames:
+            if not self._waiting:
                 return None
-            frame = self._frames.popleft()
-            self._scans -= isinstance(frame, LaserScan)
-            return frame
+            item = self._waiting.popleft()
+            self._scans -= isinstance(item, LaserScan)
+            self._commands -= isinstance(item, Command)
+            return item
 
     def close(self) -> None:
         """Take no more frames; what waits can still be taken out."""
@@ -67,15 +98,15 @@ class FrameQueue:
     def drained(self) -> bool:
         """Closed and empty: nothing will come any more."""
         with self._changed:
-            return self._closed and not self._frames
+            return self._closed and not self._waiting
 
     def __len__(self) -> int:
-        return len(self._frames)
+        return len(self._waiting)
 
     def _drop_oldest_scan(self) -> None:
-        for index, waiting in enumerate(self._frames):
+        for index, waiting in enumerate(self._waiting):
             if isinstance(waiting, LaserScan):
-                del self._frames[index]
+                del self._waiting[index]
                 self._scans -= 1
                 self.dropped_scans[waiting.sensor] += 1
                 return

@@ -27,10 +27,13 @@ from service.encoding import warm_up as warm_up_encoding
 from service.errors import CorridorError, StorageError
 from service.mapper.profiles import build_mapper
 from service.mapper.profiles import warm_up as warm_up_kernels
+from service.mapper.steering import SteeredMapper
 from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
+from service.publishing.commands import CommandDesk
 from service.publishing.zenoh_publisher import ZenohPublisher
 from service.recording.mcap_recorder import McapRecorder
+from service.runtime.commands import Commands
 from service.runtime.health import HealthReport
 from service.runtime.host_time import HostTime
 from service.runtime.map_keeper import MapKeeper
@@ -63,7 +66,7 @@ class Summary:
     rates_hz: dict[str, float]  # by sensor
     cpu_percent: float  # of one core, this process
     sessions: list[Path]
-    map_folder: Path | None  # None where nothing was mapped
+    map_folder: Path | None  # of the newest map; None where nothing was mapped
     utc_offset_ns: int  # Unix time minus host monotonic time, for the whole run
 
     def as_dict(self) -> dict[str, Any]:
@@ -102,7 +105,7 @@ class Service:
         self.host_time = HostTime.now()
         self._workers = Workers(on_failure)
         self._excepthook = threading.excepthook
-        self._stop_drivers, self._stop_keeper = threading.Event(), threading.Event()
+        self._stop_drivers = threading.Event()
         self._readers: list[threading.Thread] = []
         self._mapping: threading.Thread | None = None
         self._keeping: threading.Thread | None = None
@@ -121,7 +124,7 @@ class Service:
         self._publisher = ZenohPublisher(config.publishing, config.vehicle, self._tiles, self._latency.add)
         self._loop = MappingLoop(
             self._queue,
-            build_mapper(config.mapping, mountings(config.sensors)),
+            SteeredMapper(lambda: build_mapper(config.mapping, mountings(config.sensors))),
             self._tiles,
             self.host_time,
             self._publisher.put,
@@ -137,8 +140,17 @@ class Service:
             {"vehicle": config.vehicle, "profile": config.mapping.profile},
             self._recorder.put,
         )
+        self._commands = Commands(self._queue, self._loop, self._tiles, self._keeper, self._recorder)
+        self._desk = CommandDesk(self._commands.verbs())
         self._report = HealthReport(
-            self._links, self._queue, self._loop, self._keeper, self._recorder, self._publisher, self._latency
+            self._links,
+            self._queue,
+            self._loop,
+            self._keeper,
+            self._recorder,
+            self._publisher,
+            self._latency,
+            self._desk,
         )
         self._ready_ns = self._health_due_ns = self._watchdog_due_ns = 0
         self._cpu_s = 0.0
@@ -171,8 +183,9 @@ class Service:
         self._recorder.start()
         self._event("start")
         self._mapping = self._workers.start("mapping", self._loop.run)
-        self._keeping = self._workers.start("map-keeper", lambda: self._keeper.run(self._stop_keeper))
+        self._keeping = self._workers.start("map-keeper", self._keeper.run)
         self._start_drivers()
+        self._publisher.answer_commands(self._desk.answer)
         gc.collect()
         gc.freeze()  # what stands now stands for the whole run; a full collection would stall the readers
         self._ready_ns, self._cpu_s = time.monotonic_ns(), time.process_time()
@@ -207,6 +220,7 @@ class Service:
             self._tell_health(time.monotonic_ns())
             self._event("stop", reason=self.failure or "asked to")
         sessions = self._recorder.finish()
+        self._commands.close()
         self._publisher.close()
         threading.excepthook = self._excepthook
         gc.unfreeze()
@@ -221,7 +235,7 @@ class Service:
             rates_hz=self._report.mean_rates_hz,
             cpu_percent=round(100.0 * cpu_s / seconds, 1) if seconds else 0.0,
             sessions=sessions,
-            map_folder=self._keeper.folder if self._keeper.saved_version else None,
+            map_folder=self._keeper.newest.folder if self._keeper.newest else None,
             utc_offset_ns=self.host_time.offset_ns,
         )
 
@@ -272,7 +286,7 @@ class Service:
     def _stop_mapping(self) -> StorageError | None:
         """Let the mapper eat what waits, then save the map. What went wrong with the saving, if anything."""
         self._queue.close()
-        self._stop_keeper.set()
+        self._keeper.stop()
         if self._mapping is None or self._keeping is None:
             return None
         self._notifier.need_more_time(MAPPING_STOP_S + KEEPER_STOP_S)

@@ -30,6 +30,7 @@ def report(link: LinkHealth, **parts: Any) -> HealthReport:
         unusable=Counter(),
         unusable_scans=0,
         last_output=None,
+        paused=False,
     )
     recorder = SimpleNamespace(
         health=SimpleNamespace(
@@ -52,6 +53,7 @@ def report(link: LinkHealth, **parts: Any) -> HealthReport:
         "recorder": recorder,
         "publisher": publisher,
         "latency": LatencyHistogram(),
+        "desk": SimpleNamespace(counts=lambda: Counter(mark=2, refused=1)),
     }
     return HealthReport({"front": link}, **(defaults | parts))
 
@@ -155,4 +157,23 @@ def test_the_message_holds_all_of_it():
         "recording",
         "zenoh",
         "clock",
+        "commands",
     ]
+
+
+def test_a_pause_and_a_stopped_recording_are_warnings_until_they_end():
+    made = report(streaming())
+    made._loop.paused = True
+    made._recorder.health.state = "stopped"
+    told = status(made, "mapping")
+    assert (told.level, told.values["state"]) == (WARNING, "paused")
+    assert made.line.startswith("mapping paused, 1/1 sensors, ")
+    assert made.line.endswith("recording: stopped")
+    assert (status(made, "recording").level, status(made, "recording").message) == (
+        WARNING,
+        "stopped by a command",
+    )
+
+
+def test_commands_are_counted():
+    assert status(report(streaming()), "commands").values == {"mark": "2", "refused": "1"}

@@ -1,4 +1,5 @@
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from service.mapstore.files import load_map
 from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
 from service.runtime.host_time import HostTime
-from service.runtime.map_keeper import MapKeeper
+from service.runtime.map_keeper import MOST_UNSAVED, MapKeeper, SavedMap
 
 
 def tile(version: int) -> TileUpdate:
@@ -67,8 +68,7 @@ def test_an_empty_map_leaves_nothing(tmp_path: Path):
 def test_checkpoints_are_made_on_the_way_until_told_to_stop(tmp_path: Path):
     kept = Kept(tmp_path / "map", checkpoint_s=0.01)
     kept.tiles.update([tile(1)])
-    stop = threading.Event()
-    thread = threading.Thread(target=kept.keeper.run, args=(stop,))
+    thread = threading.Thread(target=kept.keeper.run)
     thread.start()
     assert kept.recorded_one.wait(10.0)
     kept.tiles.update([tile(2)])
@@ -77,7 +77,7 @@ def test_checkpoints_are_made_on_the_way_until_told_to_stop(tmp_path: Path):
         if kept.keeper.saved_version == 2:
             break
         deadline.wait(0.01)
-    stop.set()
+    kept.keeper.stop()
     thread.join(10.0)
     assert kept.keeper.saved_version == 2
     assert [t.version for t in load_map(tmp_path / "map").tiles] == [2]
@@ -98,3 +98,93 @@ def test_a_folder_that_cannot_be_written_is_health_on_the_way_and_an_error_at_th
     (tmp_path / "map").unlink()
     kept.keeper.finish()
     assert kept.keeper.trouble == ""
+
+
+class Answers:
+    """What a keeper says to whoever asked it to save."""
+
+    def __init__(self) -> None:
+        self.came = threading.Semaphore(0)
+        self.heard: list[tuple[SavedMap | None, str]] = []
+
+    def __call__(self, saved: SavedMap | None, trouble: str) -> None:
+        self.heard.append((saved, trouble))
+        self.came.release()
+
+
+@pytest.fixture
+def answers() -> Answers:
+    return Answers()
+
+
+@pytest.fixture
+def running(tmp_path: Path) -> Iterator[Kept]:
+    """A keeper whose thread runs and whose checkpoints are far away."""
+    kept = Kept(tmp_path / "map", checkpoint_s=3600.0)
+    thread = threading.Thread(target=kept.keeper.run)
+    thread.start()
+    yield kept
+    kept.keeper.stop()
+    thread.join(10.0)
+    assert not thread.is_alive()
+
+
+def test_who_asks_hears_where_the_map_is_once_it_is_there(running: Kept, answers: Answers, tmp_path: Path):
+    running.keeper.ask_to_save(answers)
+    assert answers.came.acquire(timeout=10.0)
+    running.tiles.update([tile(4)])
+    for _ in range(2):  # the second time there is nothing new to save
+        running.keeper.ask_to_save(answers)
+        assert answers.came.acquire(timeout=10.0)
+    saved = SavedMap(tmp_path / "map", 1, 4)
+    assert answers.heard == [(None, ""), (saved, ""), (saved, "")]
+    assert load_map(tmp_path / "map").number == 1
+
+
+def test_the_map_before_a_reset_is_saved_whole_and_the_next_goes_beside_it(
+    running: Kept, answers: Answers, tmp_path: Path
+):
+    running.tiles.update([tile(1)])
+    running.tiles.begin_anew()
+    running.keeper.ask_to_save(answers)
+    assert answers.came.acquire(timeout=10.0)
+    assert answers.heard == [(None, "")]  # of the present map there is nothing yet
+    assert running.keeper.newest == SavedMap(tmp_path / "map", 1, 1)
+    assert (running.keeper.folder, running.keeper.saved_version) == (tmp_path / "map_2", 0)
+    assert not (tmp_path / "map_2").exists()
+    running.tiles.update([tile(3)])
+    running.keeper.ask_to_save(answers)
+    assert answers.came.acquire(timeout=10.0)
+    assert answers.heard[1] == (SavedMap(tmp_path / "map_2", 1, 3), "")
+    assert [t.version for t in load_map(tmp_path / "map").tiles] == [1]
+    assert [t.version for t in load_map(tmp_path / "map_2").tiles] == [3]
+
+
+def test_a_map_that_the_disk_refused_is_saved_later_even_after_resets(tmp_path: Path, answers: Answers):
+    (tmp_path / "map").write_text("in the way")
+    kept = Kept(tmp_path / "map")
+    kept.tiles.update([tile(1)])
+    kept.tiles.begin_anew()
+    kept.tiles.update([tile(5)])
+    kept.keeper.ask_to_save(answers)
+    with pytest.raises(StorageError, match="cannot save the map"):
+        kept.keeper.finish()
+    assert answers.heard[0][0] is None
+    assert "cannot save the map" in answers.heard[0][1]
+    (tmp_path / "map").unlink()
+    kept.tiles.begin_anew()
+    kept.keeper.finish()
+    assert [t.version for t in load_map(tmp_path / "map").tiles] == [1]
+    assert [t.version for t in load_map(tmp_path / "map_2").tiles] == [5]
+    assert kept.keeper.newest == SavedMap(tmp_path / "map_2", 1, 5)
+
+
+def test_unsaved_maps_do_not_pile_up_without_end(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    (tmp_path / "map").write_text("in the way")
+    kept = Kept(tmp_path / "map")
+    for _ in range(MOST_UNSAVED + 1):
+        kept.tiles.update([tile(kept.tiles.version + 1)])
+        kept.tiles.begin_anew()
+    kept.keeper._try_to_save()
+    assert "map 1 is given up" in caplog.text
+    assert len(kept.keeper._unsaved) == 0  # only the first had something in its way

@@ -1,17 +1,19 @@
 import math
 from collections import Counter
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
 
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
-from service.encoding import Message, decode_frame, decode_pose
+from service.encoding import Message, decode_event, decode_frame, decode_pose
 from service.geometry.se2 import SE2
+from service.mapper.steering import SteeredMapper
 from service.mapstore.tiles import TileStore
-from service.outputs import MapperOutput, TileUpdate
+from service.outputs import UNKNOWN, MapperOutput, TileUpdate
 from service.runtime.host_time import HostTime
 from service.runtime.mapping import MapperError, MappingLoop
-from service.runtime.queues import FrameQueue
+from service.runtime.queues import Command, FrameQueue
 
 OFFSET_NS = 1_700_000_000_000_000_000
 
@@ -22,6 +24,8 @@ class FakeMapper:
     def __init__(self, fault: Exception | None = None, x_m: float | None = None) -> None:
         self.counters: Counter[str] = Counter()
         self.eaten: list[Frame] = []
+        self.skipped = 0
+        self._mapped = self._changed = 0
         self._fault = fault
         self._x_m = x_m
 
@@ -32,12 +36,17 @@ class FakeMapper:
         if self._fault is not None:
             raise self._fault
         self.counters["scans"] += 1
-        x_m = float(self.counters["scans"]) if self._x_m is None else self._x_m
+        self._mapped += 1
+        self._changed = self._mapped
+        x_m = float(self._mapped) if self._x_m is None else self._x_m
         pose = SE2(x_m, 0.0, 0.0)
         return MapperOutput(frame.stamp_ns, pose, SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 1.0)
 
+    def skip(self, scan: LaserScan) -> None:
+        self.skipped += 1
+
     def changed_tiles(self) -> list[TileUpdate]:
-        version = self.counters["scans"]
+        version, self._changed = self._changed, 0
         return [TileUpdate(0, 0, 0, version, 0.05, np.zeros((4, 4), np.int8))] if version else []
 
 
@@ -53,24 +62,31 @@ def sample(stamp_ns: int, arrived_ns: int) -> OdometrySample:
 class Run:
     """A mapping loop run over frames to its end, with everything it put out."""
 
-    def __init__(self, mapper: FakeMapper, frames: list[Frame]) -> None:
+    def __init__(self, mapper: FakeMapper, frames: Sequence[Frame | Command]) -> None:
         self.published: list[tuple[Message, int | None]] = []
         self.recorded: list[Message] = []
         self.handed_over: list[tuple[int, int]] = []
         self.tiles = TileStore()
         queue = FrameQueue()
         for frame in frames:
-            queue.put(frame)
+            if isinstance(frame, Command):
+                assert queue.put_command(frame) == ""
+            else:
+                queue.put(frame)
+        fresh = iter([mapper])
         queue.close()
         self.loop = MappingLoop(
             queue,
-            mapper,
+            SteeredMapper(lambda: next(fresh, None) or FakeMapper()),
             self.tiles,
             HostTime(OFFSET_NS),
             lambda message, arrived_ns: self.published.append((message, arrived_ns)),
             self.recorded.append,
-            lambda tiles, stamp_ns: self.handed_over.append((tiles[-1].version, stamp_ns - OFFSET_NS)),
+            self._hand_over,
         )
+
+    def _hand_over(self, tiles: list[TileUpdate], stamp_ns: int) -> None:
+        self.handed_over.append((tiles[-1].version, stamp_ns - OFFSET_NS))
 
 
 FRAMES: list[Frame] = [sample(5, 30), scan(10, 20, [1.0, math.nan, 2.0]), scan(40, 60, [1.1, 1.2, 1.3])]
@@ -147,9 +163,81 @@ def test_a_pose_that_is_no_number_ends_the_loop():
         run.loop.run()
 
 
+class Steered:
+    """A loop over scans with commands in between; a command's action gets the loop and its event."""
+
+    def __init__(self) -> None:
+        self.mapper = FakeMapper()
+        self.events: list[Message] = []
+        self.queued: list[Frame | Command] = []
+
+    def scan(self, at_ns: int) -> "Steered":
+        self.queued.append(scan(at_ns, at_ns, [1.0, 2.0, 3.0]))
+        return self
+
+    def command(self, at_ns: int, name: str, action: Callable[[Run], object]) -> "Steered":
+        def carry_out(event: Message) -> None:
+            self.events.append(event)
+            self.run.recorded.append(event)
+            action(self.run)
+
+        self.queued.append(Command(at_ns, {"event": name}, carry_out))
+        return self
+
+    def go(self) -> Run:
+        self.run = Run(self.mapper, self.queued)
+        self.run.loop.run()
+        return self.run
+
+
+def test_a_command_is_carried_out_between_the_frames_it_came_between():
+    steered = Steered().scan(10).command(8, "pause", lambda run: run.loop.steer("pause")).scan(20)
+    run = steered.command(30, "resume", lambda run: run.loop.steer("resume")).scan(40).go()
+    assert [m.channel for m in run.recorded if m.channel not in ("odom", "tf")] == [
+        "front/scan", "pose", "events", "front/scan", "events", "front/scan", "pose",
+    ]  # fmt: skip
+    assert [decode_event(e.payload) for e in steered.events] == ['{"event": "pause"}', '{"event": "resume"}']
+    log_ns = [m.log_ns - OFFSET_NS for m in run.recorded if m.channel in ("front/scan", "events")]
+    assert log_ns == [
+        10,
+        11,
+        20,
+        30,
+        40,
+    ]  # the pause was asked for at 8, but the scan of 10 was mapped already
+    assert steered.mapper.skipped == 1
+    assert run.loop.counters["scans_paused"] == 1
+
+
+def test_a_reset_empties_the_map_for_all_and_versions_go_on():
+    seen: list[tuple[int, bool]] = []
+
+    def look(run: Run) -> None:
+        run.loop.hand_over_tiles()
+        (held,) = run.tiles.since(0)
+        seen.append((held.version, bool((held.cells == UNKNOWN).all())))
+
+    steered = Steered().scan(10).scan(20)
+    steered.command(21, "reset_map", lambda run: (look(run), run.loop.steer("reset_map"), look(run)))
+    run = steered.scan(30).command(31, "mark", look).go()
+    assert seen == [(2, False), (3, True), (4, False)]
+    assert run.handed_over == [(1, 10), (2, 20), (3, 20), (4, 30)]
+    assert [m.tiles[0].version for m in run.tiles.take()[0]] == [2]
+    poses = [decode_pose(m.payload).pose.x_m for m in run.recorded if m.channel == "pose"]
+    assert poses == [1.0, 2.0, 1.0]
+
+
+def test_after_a_reset_there_is_no_pose_until_the_next_scan():
+    outputs = []
+    steered = Steered().scan(10).command(11, "reset_map", lambda run: run.loop.steer("reset_map"))
+    steered.command(12, "mark", lambda run: outputs.append(run.loop.last_output)).scan(20).go()
+    assert outputs == [None]
+    assert steered.run.loop.last_output is not None
+
+
 def test_the_heart_beats_without_frames():
     queue = FrameQueue()
-    loop = MappingLoop(queue, FakeMapper(), TileStore(), HostTime(0), print, print, print)
+    loop = MappingLoop(queue, SteeredMapper(FakeMapper), TileStore(), HostTime(0), print, print, print)
     calls = 0
 
     def get(timeout_s: float) -> None:

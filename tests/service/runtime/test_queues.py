@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from drivers.frames import NO_INTENSITY, LaserScan, OdometrySample
-from service.runtime.queues import FrameQueue
+from service.runtime.queues import COMMAND_CAPACITY, Command, FrameQueue
 
 
 def scan(stamp_ns: int, sensor: str = "front") -> LaserScan:
@@ -79,3 +79,33 @@ def test_closing_wakes_a_waiting_reader():
     queue.close()
     reader.join(5.0)
     assert answers == [None]
+
+
+def command(at_ns: int) -> Command:
+    return Command(at_ns, {"event": "mark"}, lambda event: None)
+
+
+def test_commands_keep_their_place_and_are_neither_dropped_nor_counted_as_samples():
+    queue = FrameQueue(scan_capacity=1, sample_capacity=1)
+    queue.put(scan(1))
+    assert queue.put_command(command(2)) == ""
+    queue.put(sample(3))
+    assert queue.put_command(command(4)) == ""
+    queue.put(scan(5))
+    items = [queue.get(0.0) for _ in range(4)]
+    assert [item.arrived_ns if isinstance(item, Command) else item.stamp_ns for item in items if item] == [
+        2, 3, 4, 5,
+    ]  # fmt: skip
+    assert queue.dropped_scans == {"front": 1}
+    queue.put(sample(6))
+
+
+def test_too_many_commands_and_those_after_the_end_are_refused_with_words():
+    queue = FrameQueue()
+    for at_ns in range(COMMAND_CAPACITY):
+        assert queue.put_command(command(at_ns)) == ""
+    assert queue.put_command(command(99)) == f"{COMMAND_CAPACITY} commands wait for the mapping thread"
+    assert queue.get(0.0) is not None
+    assert queue.put_command(command(99)) == ""
+    queue.close()
+    assert queue.put_command(command(99)) == "the service is stopping"

@@ -1,0 +1,83 @@
+"""cmd/<verb> on Zenoh: one queryable, a thread for each command that is being answered."""
+
+import logging
+import threading
+from collections.abc import Callable
+
+import zenoh
+
+from service.publishing.commands import Answer, refusal
+from service.publishing.keys import vehicle_key
+
+log = logging.getLogger(__name__)
+
+MOST_AT_ONCE = 16  # each waits some seconds at most; who asks faster than that hears so
+CLOSE_TIMEOUT_S = 10.0
+
+
+class CommandQueryable:
+    """Open when constructed. `answer` takes verb and payload; it may wait, in bounded time."""
+
+    def __init__(self, session: zenoh.Session, vehicle: str, answer: Callable[[str, bytes], Answer]) -> None:
+        self._answer = answer
+        self._root = vehicle_key(vehicle, "cmd/")
+        self._lock = threading.Lock()
+        self._threads: set[threading.Thread] = set()
+        self._queryable = session.declare_queryable(self._root + "*", self._take, complete=True)
+
+    def close(self) -> None:
+        """Take no more, and let those be answered that were taken."""
+        self._queryable.undeclare()  # type: ignore[no-untyped-call]
+        with self._lock:
+            threads = list(self._threads)
+        for thread in threads:
+            thread.join(CLOSE_TIMEOUT_S)
+
+    def _take(self, query: zenoh.Query) -> None:
+        """Zenoh's thread: hand the query on."""
+        key = str(query.key_expr)
+        if "*" in key:
+            # Whoever asks for everything asks for no command; `corridor/v1/*/cmd/pause` does not say whom.
+            with query:
+                if "/cmd/" in key:
+                    _refuse(query, f"a command has one key, {self._root}<verb>, without wildcards")
+            return
+        thread = threading.Thread(target=self._reply, args=(key, query), name="zenoh-command", daemon=True)
+        with self._lock:
+            busy = len(self._threads) >= MOST_AT_ONCE
+            if not busy:
+                self._threads.add(thread)
+        if busy:
+            with query:
+                _refuse(query, f"{MOST_AT_ONCE} commands are being worked on; ask again in a moment")
+            return
+        thread.start()
+
+    def _reply(self, key: str, query: zenoh.Query) -> None:
+        try:
+            with query:  # without it the asker would wait until its timeout
+                if str(query.parameters):
+                    _refuse(query, "a command takes its settings as JSON in the payload, not behind a ?")
+                    return
+                payload = query.payload.to_bytes() if query.payload is not None else b""
+                answer = self._words(key.removeprefix(self._root), payload)
+                if answer.ok:
+                    query.reply(key, answer.body, encoding=zenoh.Encoding.APPLICATION_JSON)
+                else:
+                    query.reply_err(answer.body, encoding=zenoh.Encoding.APPLICATION_JSON)
+        except zenoh.ZError as error:
+            log.error("%s was answered, but nobody hears: %s", key, error)
+        finally:
+            with self._lock:
+                self._threads.discard(threading.current_thread())
+
+    def _words(self, verb: str, payload: bytes) -> Answer:
+        try:
+            return self._answer(verb, payload)
+        except Exception as error:  # whatever a stranger writes must not bring the service down
+            log.exception("command %s failed", verb)
+            return refusal(f"{verb} failed: {error!r}; the service's log says more")
+
+
+def _refuse(query: zenoh.Query, error: str) -> None:
+    query.reply_err(refusal(error).body, encoding=zenoh.Encoding.APPLICATION_JSON)

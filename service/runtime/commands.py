@@ -1,0 +1,135 @@
+"""What each command does. All of them go through the frame queue: their place among the frames is exact."""
+
+import json
+import threading
+import time
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Protocol
+
+from pydantic import Field
+
+from service.encoding import Message, encode_event
+from service.mapper.steering import Steering
+from service.mapstore.tiles import TileStore
+from service.publishing.commands import CommandError, Outcome, Request, Verb
+from service.recording.mcap_recorder import McapRecorder, SessionChange
+from service.runtime.map_keeper import MapKeeper, SavedMap
+from service.runtime.mapping import MappingLoop
+from service.runtime.queues import Command, FrameQueue
+
+
+class MarkRequest(Request):
+    text: Annotated[str, Field(min_length=1, max_length=1000)]
+
+
+class CarryOut(Protocol):
+    """Runs in the mapping thread, between two frames: waits for nothing and raises nothing."""
+
+    def __call__(self, event: Message, outcome: Outcome) -> None: ...
+
+
+class Commands:
+    """Verbs for a CommandDesk. Whoever is asked settles the outcome when it is done."""
+
+    def __init__(
+        self,
+        queue: FrameQueue,
+        loop: MappingLoop,
+        tiles: TileStore,
+        keeper: MapKeeper,
+        recorder: McapRecorder,
+    ) -> None:
+        self._queue = queue
+        self._loop = loop
+        self._tiles = tiles
+        self._keeper = keeper
+        self._recorder = recorder
+        self._lock = threading.Lock()
+        self._open: list[Outcome] = []
+
+    def verbs(self) -> dict[str, Verb]:
+        return {
+            "pause": self._verb("pause", partial(self._steer, "pause")),
+            "resume": self._verb("resume", partial(self._steer, "resume")),
+            "reset_map": self._verb("reset_map", self._reset_map),
+            "save_map": self._verb("save_map", self._save_map),
+            "start_recording": self._verb("start_recording", self._start_recording),
+            "stop_recording": self._verb("stop_recording", self._stop_recording),
+            "mark": self._verb("mark", self._mark, MarkRequest),
+        }
+
+    def close(self) -> None:
+        """Let nobody wait for what nobody does any more: the service is at its end."""
+        with self._lock:
+            for outcome in self._open:
+                outcome.failed("the service is stopping")
+
+    def _verb(self, name: str, carry_out: CarryOut, request: type[Request] = Request) -> Verb:
+        def start(request: Request, outcome: Outcome) -> None:
+            event = {"event": name, **request.model_dump(exclude_none=True)}
+            command = Command(time.monotonic_ns(), event, lambda message: carry_out(message, outcome))
+            with self._lock:
+                self._open = [*(o for o in self._open if not o.settled), outcome]
+            if refused := self._queue.put_command(command):
+                outcome.failed(refused)
+                raise CommandError(refused)
+
+        return Verb(request, start)
+
+    def _steer(self, steering: Steering, event: Message, outcome: Outcome) -> None:
+        self._recorder.put(event)
+        outcome.done(changed=self._loop.steer(steering))
+
+    def _reset_map(self, event: Message, outcome: Outcome) -> None:
+        """Answered when the map before is on disk."""
+        self._recorder.put(event)
+        number = self._tiles.number
+        self._loop.steer("reset_map")
+        before = self._keeper.folder_of(number) if self._tiles.number != number else None
+
+        def saved(present: SavedMap | None, trouble: str) -> None:
+            if trouble:
+                outcome.failed(f"the map is reset, but the one before is not saved yet: {trouble}")
+            else:
+                outcome.done(folder=str(self._keeper.folder), folder_before=_text(before))
+
+        self._keeper.ask_to_save(saved)
+
+    def _save_map(self, event: Message, outcome: Outcome) -> None:
+        self._recorder.put(event)
+        self._loop.hand_over_tiles()
+
+        def saved(present: SavedMap | None, trouble: str) -> None:
+            if trouble:
+                outcome.failed(trouble)
+            elif present is None:
+                outcome.failed("there is no map yet; it begins with the first scan that is mapped")
+            else:
+                outcome.done(folder=str(present.folder), version=present.number, map_version=present.version)
+
+        self._keeper.ask_to_save(saved)
+
+    def _start_recording(self, event: Message, outcome: Outcome) -> None:
+        self._recorder.begin_session(event, partial(self._recording_changed, outcome))
+        if self._loop.paused:  # a session holds all that its replay needs
+            text = json.dumps({"event": "pause", "reason": "paused before the recording began"})
+            self._recorder.put(encode_event(text, event.stamp_ns, event.log_ns))
+
+    def _stop_recording(self, event: Message, outcome: Outcome) -> None:
+        self._recorder.put(event)
+        self._recorder.end_session(partial(self._recording_changed, outcome))
+
+    def _recording_changed(self, outcome: Outcome, change: SessionChange) -> None:
+        if change.error:
+            outcome.failed(change.error)
+        else:
+            outcome.done(changed=change.changed, files=[str(path) for path in change.files])
+
+    def _mark(self, event: Message, outcome: Outcome) -> None:
+        self._recorder.put(event)
+        outcome.done(log_ns=event.log_ns)
+
+
+def _text(path: Path | None) -> str | None:
+    return None if path is None else str(path)

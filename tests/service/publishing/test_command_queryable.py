@@ -1,0 +1,135 @@
+import json
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+import zenoh
+
+from service.publishing import command_queryable
+from service.publishing.commands import Answer, refusal
+from service.publishing.zenoh_publisher import ZenohPublisher
+
+ROOT = "corridor/v1/veh1"
+
+
+class Asked:
+    """What came in; answers with it, or fails, or waits to be let go."""
+
+    def __init__(self) -> None:
+        self.heard: list[tuple[str, bytes]] = []
+        self.entered = threading.Semaphore(0)
+        self.go = threading.Event()
+        self.go.set()
+
+    def __call__(self, verb: str, payload: bytes) -> Answer:
+        self.heard.append((verb, payload))
+        self.entered.release()
+        assert self.go.wait(20.0)
+        if verb == "break":
+            raise KeyError("boards")
+        return refusal("no") if verb == "refuse" else Answer(True, b'{"ok": true}')
+
+
+@pytest.fixture
+def asked() -> Asked:
+    return Asked()
+
+
+@pytest.fixture
+def served(publisher: ZenohPublisher, asked: Asked) -> Iterator[ZenohPublisher]:
+    publisher.answer_commands(asked)
+    yield publisher
+    asked.go.set()
+
+
+def ask(session: zenoh.Session, key: str, payload: str | None = None) -> list[tuple[bool, str, str]]:
+    """Replies as (good, encoding, text)."""
+    told = []
+    for reply in session.get(f"{ROOT}/{key}", payload=payload, timeout=10.0):
+        sample = reply.ok if reply.ok is not None else reply.err
+        assert sample is not None
+        told.append((reply.ok is not None, str(sample.encoding), sample.payload.to_string()))
+    return told
+
+
+def test_verb_and_payload_go_in_and_json_comes_out(
+    served: ZenohPublisher, client: zenoh.Session, asked: Asked
+):
+    assert ask(client, "cmd/mark", '{"text": "bump"}') == [(True, "application/json", '{"ok": true}')]
+    assert ask(client, "cmd/refuse") == [(False, "application/json", '{"ok": false, "error": "no"}')]
+    assert asked.heard == [("mark", b'{"text": "bump"}'), ("refuse", b"")]
+
+
+def test_asking_for_everything_commands_nothing(served: ZenohPublisher, client: zenoh.Session, asked: Asked):
+    assert ask(client, "**") == []
+    for key in ("cmd/*", "cmd/**"):
+        ((good, _, text),) = ask(client, key)
+        assert not good
+        assert f"a command has one key, {ROOT}/cmd/<verb>, without wildcards" in text
+    assert asked.heard == []
+
+
+def test_a_whole_fleet_is_not_commanded_by_one_get(
+    served: ZenohPublisher, client: zenoh.Session, asked: Asked
+):
+    replies = list(client.get("corridor/v1/*/cmd/pause", timeout=10.0))
+    assert [reply.ok for reply in replies] == [None]
+    assert asked.heard == []
+
+
+def test_settings_behind_a_question_mark_are_refused(
+    served: ZenohPublisher, client: zenoh.Session, asked: Asked
+):
+    ((good, _, text),) = ask(client, "cmd/mark?text=bump")
+    assert not good
+    assert "as JSON in the payload" in text
+    assert asked.heard == []
+
+
+def test_a_fault_in_a_command_is_an_answer_and_no_end(served: ZenohPublisher, client: zenoh.Session):
+    ((good, _, text),) = ask(client, "cmd/break")
+    assert not good
+    assert "break failed: KeyError('boards')" in json.loads(text)["error"]
+    assert ask(client, "cmd/mark")[0][0]
+
+
+def test_a_slow_command_holds_up_no_other_and_a_flood_is_turned_away(
+    served: ZenohPublisher, client: zenoh.Session, asked: Asked, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(command_queryable, "MOST_AT_ONCE", 2)
+    asked.go.clear()
+    answers: list[list[tuple[bool, str, str]]] = []
+    asking = [threading.Thread(target=lambda: answers.append(ask(client, "cmd/mark"))) for _ in range(2)]
+    for thread in asking:
+        thread.start()
+    for _ in asking:
+        assert asked.entered.acquire(timeout=10.0)
+    ((good, _, text),) = ask(client, "cmd/pause")
+    assert not good
+    assert "2 commands are being worked on" in text
+    asked.go.set()
+    for thread in asking:
+        thread.join(10.0)
+    assert [good for ((good, _, _),) in answers] == [True, True]
+    assert ask(client, "cmd/pause")[0][0]
+
+
+def test_what_was_taken_is_answered_before_the_session_closes(
+    open_publisher: Callable[..., ZenohPublisher],
+    open_client: Callable[[str], zenoh.Session],
+    asked: Asked,
+):
+    publisher = open_publisher()
+    publisher.answer_commands(asked)
+    session = open_client(publisher.endpoints[0])
+    asked.go.clear()
+    answers: list[list[tuple[bool, str, str]]] = []
+    asking = threading.Thread(target=lambda: answers.append(ask(session, "cmd/mark")))
+    asking.start()
+    assert asked.entered.acquire(timeout=10.0)
+    closing = threading.Thread(target=publisher.close)
+    closing.start()
+    asked.go.set()
+    closing.join(10.0)
+    asking.join(10.0)
+    assert answers == [[(True, "application/json", '{"ok": true}')]]

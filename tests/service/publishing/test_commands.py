@@ -1,0 +1,152 @@
+import json
+import threading
+from typing import Annotated, Any
+
+import pytest
+from pydantic import Field
+
+from service.publishing import commands
+from service.publishing.commands import REMEMBER_S, CommandDesk, CommandError, Outcome, Request, Verb
+
+
+class Paint(Request):
+    colour: Annotated[str, Field(min_length=1, max_length=5)]
+
+
+class Workshop:
+    """Verbs that note what was begun and settle at once, unless told to wait."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        self.begun: list[Request] = []
+        self.outcomes: list[Outcome] = []
+        self.settles = True
+        self.refuses = ""
+        verbs = {"paint": Verb(Paint, self._start), "wash": Verb(Request, self._start)}
+        self.desk = CommandDesk(verbs, answer_timeout_s=0.05, monotonic_s=lambda: self.now_s)
+
+    def _start(self, request: Request, outcome: Outcome) -> None:
+        if self.refuses:
+            raise CommandError(self.refuses)
+        self.begun.append(request)
+        self.outcomes.append(outcome)
+        if self.settles:
+            outcome.done(number=len(self.begun))
+
+    def ask(self, verb: str, request: object = None) -> dict[str, Any]:
+        payload = request if isinstance(request, bytes) else json.dumps(request).encode() if request else b""
+        answer = self.desk.answer(verb, payload)
+        told: dict[str, Any] = json.loads(answer.body)
+        assert told["ok"] is answer.ok
+        return told
+
+
+@pytest.fixture
+def workshop() -> Workshop:
+    return Workshop()
+
+
+def test_a_request_is_done_and_its_answer_told(workshop: Workshop):
+    assert workshop.ask("paint", {"colour": "red"}) == {"ok": True, "number": 1}
+    assert workshop.ask("wash") == {"ok": True, "number": 2}
+    assert workshop.ask("wash", {"id": "a"}) == {"ok": True, "id": "a", "number": 3}
+    assert workshop.begun == [Paint(colour="red"), Request(), Request(id="a")]
+    assert workshop.desk.counts() == {"paint": 1, "wash": 2}
+
+
+@pytest.mark.parametrize(
+    ("verb", "request_", "words"),
+    [
+        ("iron", {}, "there is no command 'iron'; known: paint, wash"),
+        ("paint", b"red", "the payload is no JSON: Expecting value: line 1 column 1 (char 0); expected "),
+        ("paint", b"\xff\xfe\xfd", "the payload is no JSON: "),
+        ("paint", b"[" * 60_000, "the payload is no JSON: "),
+        ("paint", b'["red"]', 'the payload is no JSON object; expected {"colour": ..., "id": ...}'),
+        ("paint", None, '\'colour\' is missing; expected {"colour": ..., "id": ...} (id may be left out)'),
+        ("paint", {"color": "red"}, "unknown key 'color', did you mean 'colour'?"),
+        ("wash", {"hot": True}, "unknown key 'hot'; expected {\"id\": ...} (id may be left out)"),
+        ("paint", {"colour": 7}, "'colour' should be a valid string; expected "),
+        ("paint", {"colour": "vermilion"}, "'colour' should have at most 5 characters"),
+        ("paint", b'{"colour": "\\ud800"}', "'colour' should be a valid string"),
+        ("wash", {"id": 7}, "'id' should be a valid string"),
+        ("wash", {"id": ""}, "'id' should have at least 1 character"),
+        ("wash", b" " * 65_537, "a request of 65537 bytes; at most 65536 are read"),
+    ],
+)
+def test_what_cannot_be_done_is_told_in_words(workshop: Workshop, verb: str, request_: object, words: str):
+    told = workshop.ask(verb, request_)
+    assert words in told["error"]
+    assert workshop.begun == []
+    assert workshop.desk.counts() == {"refused": 1}
+
+
+def test_the_same_id_gives_the_same_answer_and_is_done_once(workshop: Workshop):
+    first = workshop.ask("paint", {"colour": "red", "id": "7"})
+    workshop.now_s = REMEMBER_S
+    assert workshop.ask("paint", {"id": "7", "colour": "red"}) == first
+    assert len(workshop.begun) == 1
+    workshop.now_s = REMEMBER_S + 0.001
+    assert workshop.ask("paint", {"colour": "red", "id": "7"})["number"] == 2
+
+
+def test_an_id_does_not_serve_for_another_command(workshop: Workshop):
+    workshop.ask("paint", {"colour": "red", "id": "7"})
+    workshop.now_s = 12.0
+    for verb, request in (("paint", {"colour": "blue", "id": "7"}), ("wash", {"id": "7"})):
+        told = workshop.ask(verb, request)
+        assert told["error"].startswith("the id '7' was taken 12 s ago by paint, with other content")
+    assert len(workshop.begun) == 1
+
+
+def test_a_refused_command_leaves_its_id_free(workshop: Workshop):
+    workshop.refuses = "32 commands wait"
+    assert workshop.ask("wash", {"id": "7"}) == {"ok": False, "id": "7", "error": "32 commands wait"}
+    workshop.refuses = ""
+    assert workshop.ask("wash", {"id": "7"})["ok"]
+
+
+def test_ids_do_not_pile_up_without_end(workshop: Workshop, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(commands, "REMEMBER_MOST", 3)
+    for k in range(4):
+        workshop.ask("wash", {"id": str(k)})
+    assert workshop.ask("wash", {"id": "3"})["number"] == 4
+    assert workshop.ask("wash", {"id": "0"})["number"] == 5
+
+
+def test_what_takes_too_long_is_told_and_its_end_can_be_asked_for(workshop: Workshop):
+    workshop.settles = False
+    told = workshop.ask("wash", {"id": "7"})
+    assert told["error"].startswith("taken up, but not finished within 0.05 s")
+    workshop.outcomes[0].failed("no water")
+    assert workshop.ask("wash", {"id": "7"}) == {"ok": False, "id": "7", "error": "no water"}
+    assert len(workshop.begun) == 1
+
+
+def test_two_who_ask_at_once_with_one_id_share_one_outcome():
+    began, release = threading.Event(), threading.Event()
+
+    def start(request: Request, outcome: Outcome) -> None:
+        began.set()
+        threading.Thread(target=lambda: release.wait(10.0) and outcome.done(number=1)).start()
+
+    desk = CommandDesk({"wash": Verb(Request, start)})
+    answers = []
+    asking = [
+        threading.Thread(target=lambda: answers.append(desk.answer("wash", b'{"id": "7"}'))) for _ in range(2)
+    ]
+    for thread in asking:
+        thread.start()
+    assert began.wait(5.0)
+    release.set()
+    for thread in asking:
+        thread.join(10.0)
+    assert [json.loads(a.body) for a in answers] == [{"ok": True, "id": "7", "number": 1}] * 2
+    assert desk.counts() == {"wash": 1}
+
+
+def test_an_outcome_is_settled_once():
+    outcome = Outcome()
+    outcome.done(number=1)
+    outcome.failed("too late")
+    assert outcome.wait(0.0) == {"number": 1}
+    assert outcome.settled

@@ -1,0 +1,221 @@
+"""What commands do to real parts: queue, loop, map keeper and recorder, each with its own thread."""
+
+import json
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from service.encoding import STRING, Message, decode_event
+from service.mapper.steering import SteeredMapper
+from service.mapstore.files import load_map
+from service.mapstore.tiles import TileStore
+from service.publishing.commands import CommandDesk
+from service.recording.mcap_reader import Recording
+from service.recording.mcap_recorder import McapRecorder
+from service.runtime.commands import Commands
+from service.runtime.host_time import HostTime
+from service.runtime.map_keeper import MapKeeper
+from service.runtime.mapping import MappingLoop
+from service.runtime.queues import FrameQueue
+from tests.service.runtime.test_mapping import OFFSET_NS, FakeMapper, scan
+
+
+class Machine:
+    """All that commands act on."""
+
+    def __init__(self, folder: Path, free_bytes: list[int]) -> None:
+        self.queue, self.tiles = FrameQueue(), TileStore()
+        host_time = HostTime(OFFSET_NS)
+        self.recorder = McapRecorder(
+            folder / "in", "veh1", keep_free_bytes=1000, free_bytes_of=lambda _: free_bytes[0]
+        )
+        self.loop = MappingLoop(
+            self.queue,
+            SteeredMapper(FakeMapper),
+            self.tiles,
+            host_time,
+            lambda message, origin_ns: None,
+            self.recorder.put,
+            lambda tiles, stamp_ns: None,
+        )
+        self.keeper = MapKeeper(folder / "map", self.tiles, host_time, 3600.0, {}, self.recorder.put)
+        self.commands = Commands(self.queue, self.loop, self.tiles, self.keeper, self.recorder)
+        self.desk = CommandDesk(self.commands.verbs(), answer_timeout_s=20.0)
+        self._scans = 0
+        self._threads = [threading.Thread(target=self.loop.run), threading.Thread(target=self.keeper.run)]
+
+    def start(self) -> None:
+        self.recorder.start()
+        for thread in self._threads:
+            thread.start()
+
+    def scan(self, count: int = 1) -> None:
+        for _ in range(count):
+            self._scans += 1
+            now_ns = time.monotonic_ns()
+            self.queue.put(scan(now_ns, now_ns, [1.0, 2.0, float(self._scans)]))
+
+    def ask(self, verb: str, **request: object) -> dict[str, Any]:
+        told: dict[str, Any] = json.loads(self.desk.answer(verb, json.dumps(request).encode()).body)
+        return told
+
+    def stop(self) -> list[Path]:
+        self.queue.close()
+        self.keeper.stop()
+        for thread in self._threads:
+            thread.join(20.0)
+        self.keeper.finish()
+        return self.recorder.finish()
+
+
+@pytest.fixture
+def free_bytes() -> list[int]:
+    return [1 << 40]
+
+
+@pytest.fixture
+def machine(tmp_path: Path, free_bytes: list[int]) -> Iterator[Machine]:
+    made = Machine(tmp_path, free_bytes)
+    made.start()
+    yield made
+    made.stop()
+
+
+def events(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(decode_event(m.payload)) for m in Recording([path]).messages(["/events"])]
+
+
+def channels(path: Path) -> list[str]:
+    """In the order of log times, without what a pose brings with it."""
+    return [m.channel for m in Recording([path]).messages() if m.channel not in ("odom", "tf", "map")]
+
+
+def test_the_known_verbs(machine: Machine):
+    told = machine.ask("load_map")
+    assert told == {
+        "ok": False,
+        "error": "there is no command 'load_map'; known: mark, pause, reset_map, resume, save_map, "
+        "start_recording, stop_recording",
+    }
+
+
+def test_a_pause_and_a_mark_stand_in_the_recording_where_they_came(machine: Machine):
+    machine.scan()
+    assert machine.ask("pause", id="a") == {"ok": True, "id": "a", "changed": True}
+    assert machine.ask("pause") == {"ok": True, "changed": False}
+    assert machine.loop.paused
+    machine.scan()
+    marked = machine.ask("mark", text="der T\u00fcrrahmen, \U0001f6aa \u0000")
+    assert machine.ask("resume") == {"ok": True, "changed": True}
+    machine.scan()
+    (session,) = machine.stop()
+    assert channels(session) == [
+        "front/scan", "pose", "events", "events", "front/scan", "events", "events", "front/scan", "pose",
+    ]  # fmt: skip
+    assert events(session) == [
+        {"event": "pause", "id": "a"},
+        {"event": "pause"},
+        {"event": "mark", "text": "der T\u00fcrrahmen, \U0001f6aa \u0000"},
+        {"event": "resume"},
+    ]
+    assert marked["log_ns"] in {m.log_ns for m in Recording([session]).messages(["/events"])}
+
+
+def test_save_map_answers_when_every_scan_before_it_is_on_disk(machine: Machine, tmp_path: Path):
+    assert "there is no map yet" in machine.ask("save_map")["error"]
+    machine.scan(5)
+    told = machine.ask("save_map")
+    assert told == {"ok": True, "folder": str(tmp_path / "map"), "version": 1, "map_version": 5}
+    stored = load_map(tmp_path / "map")
+    assert (stored.number, [t.version for t in stored.tiles]) == (1, [5])
+    assert machine.ask("save_map") == told  # nothing new
+    machine.scan()
+    assert machine.ask("save_map")["version"] == 2
+
+
+def test_a_map_that_cannot_be_saved_is_told(machine: Machine, tmp_path: Path):
+    (tmp_path / "map").write_text("in the way")
+    machine.scan()
+    assert "cannot save the map to" in machine.ask("save_map")["error"]
+    told = machine.ask("reset_map")
+    assert told["error"].startswith("the map is reset, but the one before is not saved yet: cannot save")
+    (tmp_path / "map").unlink()
+
+
+def test_reset_map_answers_when_the_map_before_is_on_disk(machine: Machine, tmp_path: Path):
+    empty = machine.ask("reset_map")
+    assert empty == {"ok": True, "folder": str(tmp_path / "map"), "folder_before": None}
+    machine.scan(3)
+    told = machine.ask("reset_map")
+    assert told == {"ok": True, "folder": str(tmp_path / "map_2"), "folder_before": str(tmp_path / "map")}
+    assert [t.version for t in load_map(tmp_path / "map").tiles] == [3]
+    machine.scan(2)
+    assert machine.ask("save_map") == {
+        "ok": True, "folder": str(tmp_path / "map_2"), "version": 1, "map_version": 6,
+    }  # fmt: skip
+    assert machine.loop.counters["map_resets"] == 2
+
+
+def test_recording_stops_and_starts_between_two_frames(machine: Machine):
+    machine.scan(2)
+    stopped = machine.ask("stop_recording")
+    (first,) = [Path(path) for path in stopped["files"]]
+    assert stopped["changed"]
+    assert channels(first) == ["front/scan", "pose", "front/scan", "pose", "events"]
+    assert events(first) == [{"event": "stop_recording"}]
+    machine.scan(2)
+    started = machine.ask("start_recording")
+    assert started["changed"]
+    machine.scan()
+    (active,) = started["files"]
+    assert machine.stop() == [first, Path(active.removesuffix(".active"))]
+    second = Path(active.removesuffix(".active"))
+    assert channels(second) == ["events", "front/scan", "pose"]
+    assert events(second) == [{"event": "start_recording"}]
+
+
+def test_a_recording_begun_in_a_pause_says_so_first(machine: Machine):
+    machine.scan()
+    machine.ask("stop_recording")
+    machine.ask("pause")
+    machine.ask("start_recording")
+    machine.scan()
+    machine.ask("resume")
+    _, second = machine.stop()
+    assert [event["event"] for event in events(second)] == ["start_recording", "pause", "resume"]
+
+
+def test_a_disk_that_is_full_is_told_to_who_wants_to_record(machine: Machine, free_bytes: list[int]):
+    machine.scan()
+    machine.ask("stop_recording")
+    free_bytes[0] = 10
+    assert "make room to record again" in machine.ask("start_recording")["error"]
+
+
+def test_who_asks_while_the_service_stops_hears_so(machine: Machine):
+    machine.queue.close()
+    assert machine.ask("pause") == {"ok": False, "error": "the service is stopping"}
+
+
+def test_nobody_is_left_waiting_when_a_thread_is_gone(tmp_path: Path, free_bytes: list[int]):
+    machine = Machine(tmp_path, free_bytes)  # not started: nobody carries anything out
+    told: list[dict[str, Any]] = []
+    asking = threading.Thread(target=lambda: told.append(machine.ask("pause")))
+    asking.start()
+    pause = threading.Event()
+    while not len(machine.queue):
+        pause.wait(0.005)
+    machine.commands.close()
+    asking.join(10.0)
+    assert told == [{"ok": False, "error": "the service is stopping"}]
+
+
+def test_events_are_ros_strings(machine: Machine):
+    machine.ask("mark", text="x")
+    (session,) = machine.stop()
+    assert {type(m) for m in Recording([session]).messages(["/events"])} == {Message}
+    assert [t.type for t in Recording([session]).topics if t.name == "/events"] == [STRING]
