@@ -1,4 +1,4 @@
-"""The motion model of the default profile: wheels where there are any, gyro for turns, else the last speed."""
+"""The motion model of the default profile: wheels if there are any, gyro for turns, else the last speed."""
 
 import math
 
@@ -28,7 +28,7 @@ class MotionConfig(BaseModel):
     heading_sigma_per_rad: float = Field(default=0.15, ge=0.0)
     heading_sigma_per_m_rad: float = Field(default=0.02, ge=0.0)
 
-    acceleration_mps2: float = Field(default=2.0, gt=0.0)  # what a speed may change by while it is only guessed
+    acceleration_mps2: float = Field(default=2.0, gt=0.0)  # of a speed that is only guessed
     turn_acceleration_radps2: float = Field(default=4.0, gt=0.0)
     first_speed_mps: float = Field(default=1.0, ge=0.0)  # without odometry, at the second scan
     first_turn_radps: float = Field(default=0.5, ge=0.0)
@@ -44,7 +44,7 @@ class MotionConfig(BaseModel):
     odometry_max_guess_s: float = Field(default=1.0, ge=0.0)
     odometry_speed_window_s: float = Field(default=0.05, gt=0.0)
 
-    twist_gain: float = Field(default=1.0, ge=0.0, le=1.0)
+    twist_time_s: float = Field(default=0.05, gt=0.0)  # a speed is learnt from matches over about so long
     drift_m_per_sqrt_m: float = Field(default=0.03, ge=0.0)  # reported: how the wheels' error grows where
     drift_rad_per_sqrt_m: float = Field(default=0.01, ge=0.0)  # no match holds it
     drift_m_per_sqrt_s: float = Field(default=0.005, ge=0.0)
@@ -95,7 +95,7 @@ class WeighedMotion:
             covariance=self._grown(last.covariance, step, elapsed_s, way is not None, (sigma_m, sigma_rad)),
             step_covariance=np.diag([sigma_m**2, sigma_m**2, sigma_rad**2]),
             elapsed_s=elapsed_s,
-            twist_gain=self._config.twist_gain,
+            twist_gain=1.0 - math.exp(-elapsed_s / self._config.twist_time_s),
         )
 
     def correct(self, stamp_ns: int, matched: Motion) -> None:
@@ -155,7 +155,7 @@ class WeighedMotion:
         config = self._config
         c, s = math.cos(step.theta_rad), math.sin(step.theta_rad)
         # a turn of the old base moves the new one; both expressed in the new base's axes
-        F = np.array(
+        carry = np.array(
             [
                 [c, s, -c * step.y_m + s * step.x_m],
                 [-s, c, s * step.y_m + c * step.x_m],
@@ -168,5 +168,5 @@ class WeighedMotion:
             heading = config.drift_rad_per_sqrt_m**2 * (d + abs(step.theta_rad)) + 1e-8
         else:
             position, heading = sigmas[0] ** 2, sigmas[1] ** 2
-        grown: npt.NDArray[np.float64] = F @ covariance @ F.T + np.diag([position, position, heading])
+        grown: npt.NDArray[np.float64] = carry @ covariance @ carry.T + np.diag([position, position, heading])
         return grown

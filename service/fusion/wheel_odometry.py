@@ -75,7 +75,7 @@ class OdometryTrack:
         return Way(self._pose_at(from_ns).inverse() @ self._pose_at(to_ns), before_s + after_s)
 
     def twist_at(self, stamp_ns: int) -> tuple[float, float, float] | None:
-        """Speed around a moment (m/s forward, m/s left, rad/s), from the samples nearest to it; None as above."""
+        """Speed around a moment (m/s forward, m/s left, rad/s), by the nearest samples; None as above."""
         if len(self._stamps) < 2:
             return None
         last = min(max(bisect_right(self._stamps, stamp_ns), 1), len(self._stamps) - 1)

@@ -1,5 +1,8 @@
-"""Metres <-> cells <-> tiles. Cell (row, column) covers [column, column + 1) x [row, row + 1) times the cell's
-edge, in the frame of the map; so rows run along y, columns along x, and both may be negative."""
+"""Metres <-> cells <-> tiles.
+
+Cell (row, column) covers [column, column + 1) x [row, row + 1) times the edge of a cell, in the frame of the
+map; so rows run along y, columns along x, and both may be negative.
+"""
 
 import math
 from dataclasses import dataclass

@@ -28,13 +28,13 @@ def splat_likelihood(xy_base, pose, grid, sigma_m, enough):
     width = 2 * SPLAT_REACH_CELLS + 1
     along_x = np.empty(width, np.float32)
     field = grid.field
-    index = grid.index
+    tiles = grid.tiles
     for i in range(xy_base.shape[0]):
         x = pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]
         y = pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]
         column = math.floor(x / grid.cell_m)
         row = math.floor(y / grid.cell_m)
-        slot = find_tile(index, row >> TILE_BITS, column >> TILE_BITS)
+        slot = find_tile(tiles, row >> TILE_BITS, column >> TILE_BITS)
         if slot != NO_TILE and field[slot, row & TILE_MASK, column & TILE_MASK] >= enough:
             continue
         for k in range(width):
@@ -55,9 +55,9 @@ def splat_likelihood(xy_base, pose, grid, sigma_m, enough):
 
 
 @njit(cache=True, nogil=True)
-def field_cell(field, index, row, column):
+def field_cell(field, tiles, row, column):
     """Likelihood in a cell; 0 where no tile lies."""
-    slot = find_tile(index, row >> TILE_BITS, column >> TILE_BITS)
+    slot = find_tile(tiles, row >> TILE_BITS, column >> TILE_BITS)
     if slot == NO_TILE:
         return 0.0
     return np.float64(field[slot, row & TILE_MASK, column & TILE_MASK])
@@ -75,10 +75,10 @@ def read_field(xy_base, stride, pose, grid, values):
     Source: Kohlbrecher et al. 2011, eqs. (4) to (6).
     """
     field = grid.field  # taken out once, as in find_surfels
-    index = grid.index
-    slots = grid.index.slots
-    first_row = grid.index.origin[0]
-    first_column = grid.index.origin[1]
+    tiles = grid.tiles
+    slots = grid.tiles.slots
+    first_row = grid.tiles.origin[0]
+    first_column = grid.tiles.origin[1]
     cells_per_m = 1.0 / grid.cell_m
     c = math.cos(pose[2])
     s = math.sin(pose[2])
@@ -92,7 +92,7 @@ def read_field(xy_base, stride, pose, grid, values):
         if q < TILE_MASK and r < TILE_MASK:
             tile_row = (row >> TILE_BITS) - first_row
             tile_column = (column >> TILE_BITS) - first_column
-            slot = np.int64(NO_TILE)
+            slot = NO_TILE
             if 0 <= tile_row < slots.shape[0] and 0 <= tile_column < slots.shape[1]:
                 slot = slots[tile_row, tile_column]
             if slot == NO_TILE:
@@ -103,10 +103,10 @@ def read_field(xy_base, stride, pose, grid, values):
             f10 = np.float64(field[slot, r + 1, q])
             f11 = np.float64(field[slot, r + 1, q + 1])
         else:
-            f00 = field_cell(field, index, row, column)
-            f01 = field_cell(field, index, row, column + 1)
-            f10 = field_cell(field, index, row + 1, column)
-            f11 = field_cell(field, index, row + 1, column + 1)
+            f00 = field_cell(field, tiles, row, column)
+            f01 = field_cell(field, tiles, row, column + 1)
+            f10 = field_cell(field, tiles, row + 1, column)
+            f11 = field_cell(field, tiles, row + 1, column + 1)
         a = u - column
         b = v - row
         values[i, 0] = (1.0 - b) * ((1.0 - a) * f00 + a * f01) + b * ((1.0 - a) * f10 + a * f11)

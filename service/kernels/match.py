@@ -1,4 +1,4 @@
-"""Scan to sub-map: a coarse step on the likelihood field, then Gauss-Newton on surfels, deskewing anew between."""
+"""Scan to sub-map: Gauss-Newton on surfels, deskewing anew between; a coarse map leads where that fails."""
 
 import math
 from typing import NamedTuple
@@ -37,7 +37,6 @@ class MatchSettings(NamedTuple):
     coarse_sigma: float
     coarse_beams: int
     coarse_iterations: int
-    coarse_below_share: float
     settled_m: float
     settled_rad: float
     covariance_scale: float
@@ -363,7 +362,7 @@ def fine_align(returns, normals, prior, prior_information, grid, settings, xy_ba
 
 
 @njit(cache=True, nogil=True)
-def match_scan(returns, normals, prior, grid, settings, xy_base):
+def match_scan(returns, normals, prior, grid, settings, doubt_share, xy_base):
     """Pose of a scan in a sub-map.
 
     returns     Returns            end points at their own moments
@@ -371,6 +370,7 @@ def match_scan(returns, normals, prior, grid, settings, xy_base):
     prior       Prior
     grid        SurfelGrid
     settings    MatchSettings
+    doubt_share float              with fewer points than that on the map, other starts are tried
     xy_base     (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
     Returns MatchResult.
     """
@@ -384,12 +384,12 @@ def match_scan(returns, normals, prior, grid, settings, xy_base):
     cost, used, inliers = fine_align(
         returns, normals, prior, prior_information, grid, settings, xy_base, pose, H
     )
-    # The prediction may lie outside the catchment of the surfels: then let the coarse map lead there, from the
-    # predicted heading and from two beside it. What costs least is kept.
+    # The prediction may lie outside the catchment of the surfels: then let the coarse map lead there, from
+    # the predicted heading and from two beside it. What costs least is kept.
     other_pose = np.empty(3)
     other_H = np.empty((3, 3))
     for side in (0.0, 1.0, -1.0):
-        if inliers >= settings.coarse_below_share * used:
+        if inliers >= doubt_share * used:
             break
         other_xy = predicted_xy.copy()
         other_pose[:] = prior.pose

@@ -17,14 +17,14 @@ TILE_MASK = TILE_CELLS - 1
 class OccupancyGrid(NamedTuple):
     """The shown map.
 
-    index      TileIndex
+    tiles      TileIndex
     evidence   (capacity, T, T) int8     log-odds in steps of the configured size; 0: never seen
     touched    (capacity, T, T) uint16   number of the scan that last changed a cell
     changed    (capacity,)      uint8    1: the tile changed since it was last handed out
     cell_m     float
     """
 
-    index: TileIndex
+    tiles: TileIndex
     evidence: npt.NDArray[np.int8]
     touched: npt.NDArray[np.uint16]
     changed: npt.NDArray[np.uint8]
@@ -43,9 +43,9 @@ class Evidence(NamedTuple):
 @njit(cache=True, nogil=True)
 def touch_tile(grid, tile_row, tile_column):
     """Slot of a tile, made where there was none."""
-    slot = find_tile(grid.index, tile_row, tile_column)
+    slot = find_tile(grid.tiles, tile_row, tile_column)
     if slot == NO_TILE:
-        slot, used_before = take_slot(grid.index, tile_row, tile_column)
+        slot, used_before = take_slot(grid.tiles, tile_row, tile_column)
         if used_before:
             grid.evidence[slot] = np.int8(0)
             grid.touched[slot] = np.uint16(0)
@@ -111,7 +111,7 @@ def trace_scan(xy_base, sensor_xy_m, pose, grid, evidence, free_range_m, scan_nu
     xy_base        (N, 2) float64   end points, m, base frame
     sensor_xy_m    (2,)   float64   where the beams start, m, base frame
     pose           (3,)   float64   base in the map frame
-    grid           OccupancyGrid    in and out; its index covers end points and sensor
+    grid           OccupancyGrid    in and out; its tiles' index covers end points and sensor
     evidence       Evidence
     free_range_m   float            beams clear cells up to here
     scan_number    uint16           differs from that of the last scan, and is not 0

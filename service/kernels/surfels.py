@@ -12,20 +12,20 @@ from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
 TILE_BITS = 5
 TILE_CELLS = 1 << TILE_BITS
 TILE_MASK = TILE_CELLS - 1
-# Columns of a surfel: how many points it stands for, mean relative to the centre of its cell (m), unit normal.
+# Columns of a surfel: how many points it stands for, mean from the centre of its cell (m), unit normal.
 COUNT, MEAN_X, MEAN_Y, NORMAL_X, NORMAL_Y = range(5)
 
 
 class SurfelGrid(NamedTuple):
     """One sub-map.
 
-    index     TileIndex                        tiles of TILE_CELLS a side
+    tiles     TileIndex                        tiles of TILE_CELLS a side
     surfels   (capacity, T, T, 2, 5)  float32  two surfels a cell, facing apart
     field     (capacity, T, T)        float32  likelihood of an end point, read by the coarse stage
     cell_m    float
     """
 
-    index: TileIndex
+    tiles: TileIndex
     surfels: npt.NDArray[np.float32]
     field: npt.NDArray[np.float32]
     cell_m: float
@@ -34,9 +34,9 @@ class SurfelGrid(NamedTuple):
 @njit(cache=True, nogil=True)
 def touch_tile(grid, tile_row, tile_column):
     """Slot of a tile of the grid; made, and cleared, where there was none."""
-    slot = find_tile(grid.index, tile_row, tile_column)
+    slot = find_tile(grid.tiles, tile_row, tile_column)
     if slot == NO_TILE:
-        slot, used_before = take_slot(grid.index, tile_row, tile_column)
+        slot, used_before = take_slot(grid.tiles, tile_row, tile_column)
         if used_before:
             grid.surfels[slot] = np.float32(0.0)
             grid.field[slot] = np.float32(0.0)
@@ -74,9 +74,9 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit):
         r = row & TILE_MASK
         q = column & TILE_MASK
         side = 0
-        if surfels[slot, r, q, 0, COUNT] > 0.0:
-            if surfels[slot, r, q, 0, NORMAL_X] * nx + surfels[slot, r, q, 0, NORMAL_Y] * ny <= 0.0:
-                side = 1
+        cosine = surfels[slot, r, q, 0, NORMAL_X] * nx + surfels[slot, r, q, 0, NORMAL_Y] * ny
+        if surfels[slot, r, q, 0, COUNT] > 0.0 and cosine <= 0.0:
+            side = 1
         n = min(surfels[slot, r, q, side, COUNT], limit - np.float32(1.0))
         share = np.float32(1.0) / (n + np.float32(1.0))
         surfels[slot, r, q, side, MEAN_X] += (dx - surfels[slot, r, q, side, MEAN_X]) * share
@@ -99,15 +99,15 @@ def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
     pose           (3,)   float64   base in the frame of the grid
     grid           SurfelGrid
     least_cosine   float            between the two normals; -2 takes any
-    found          (N, 5) float64   out: mean x, mean y (m, frame of the grid), normal x, normal y, count; the count
-                                    is 0 where there is none, and the rest then means nothing
+    found          (N, 5) float64   out: mean x, mean y (m, frame of the grid), normal x, normal y, count;
+                                    the count is 0 where there is none, and the rest then means nothing
     """
     # Arrays are taken out of the tuples once, and cells are read by scalars: a reference taken in the loop
     # costs more than the search itself.
     surfels = grid.surfels
-    slots = grid.index.slots
-    first_row = grid.index.origin[0]
-    first_column = grid.index.origin[1]
+    slots = grid.tiles.slots
+    first_row = grid.tiles.origin[0]
+    first_column = grid.tiles.origin[1]
     cell_m = grid.cell_m
     cells_per_m = 1.0 / cell_m
     c = math.cos(pose[2])
@@ -125,9 +125,8 @@ def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
         dx = x - (column + 0.5) * cell_m
         dy = y - (row + 0.5) * cell_m
         best = np.inf
-        last_row = np.int64(-(2**62))
-        last_column = last_row
-        slot = np.int64(NO_TILE)
+        last_row = last_column = -(2**62)
+        slot = NO_TILE
         for v in range(-1, 2):
             tile_row = ((row + v) >> TILE_BITS) - first_row
             r = (row + v) & TILE_MASK

@@ -105,7 +105,8 @@ class OccupancyTiles:
             if not changed[slot]:
                 continue
             changed[slot] = 0
-            cells = self._shown[slot].copy() if slot in self._shown else np.full((TILE_CELLS,) * 2, UNKNOWN, np.int8)
+            before = self._shown.get(slot)
+            cells = np.full((TILE_CELLS,) * 2, UNKNOWN, np.int8) if before is None else before.copy()
             if not to_per_cent(evidence[slot], STEP_LOG_ODDS, cells):
                 continue
             cells.setflags(write=False)

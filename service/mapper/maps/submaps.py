@@ -23,11 +23,11 @@ class NormalsConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     beams_each_side: int = Field(default=4, ge=1, le=32)  # at least, if they hang together
-    half_length_m: float = Field(default=0.15, ge=0.0, le=1.0)  # ... and as many more as lie this near
+    half_length_m: float = Field(default=0.10, ge=0.0, le=1.0)  # ... and as many more as lie this near
     most_beams_each_side: int = Field(default=16, ge=1, le=128)
     gap_m: float = Field(default=0.06, gt=0.0)
     gap_steps: float = Field(default=5.0, ge=0.0)  # in distances between neighbouring beams at that range
-    planar_ratio: float = Field(default=0.03, gt=0.0, lt=1.0)
+    planar_ratio: float = Field(default=0.02, gt=0.0, lt=1.0)
     least_cos_incidence: float = Field(default=0.05, ge=0.0, lt=1.0)
     rough_weight: float = Field(default=0.2, ge=0.0, le=1.0)
 
@@ -95,11 +95,11 @@ class Submap:
 
 
 class SurfelSubmaps:
-    """The chain. Key frames go into two sub-maps; when the younger one has grown spacing_m long, it takes over.
+    """The chain. Key frames go into two sub-maps; when the younger has grown spacing_m long, it takes over.
 
-    Where a scan fits neither, a detached sub-map is begun at the pose that odometry gives. The next scans are
-    tried on the old one first: if they fit, the detached one was a passing trouble and is dropped; if they fit
-    the detached one alone, the vehicle has come to where the old one tells nothing, and it is replaced.
+    Where a scan fits neither, a detached sub-map is begun at the pose that odometry gives. The next scans
+    are tried on the old one first: if they fit, that was a passing trouble and the detached one is dropped;
+    if they fit the detached one alone, the old one tells nothing about this place, and is replaced.
     """
 
     def __init__(self, config: SubmapsConfig, normals: NormalsConfig) -> None:
@@ -192,7 +192,7 @@ class SurfelSubmaps:
         return oldest.number
 
     def _settle(self, matched: int | None) -> int | None:
-        """A scan fits (again): keep the sub-map that it fits. Returns the number of the one that is closed."""
+        """A scan fits (again): keep the sub-map that it fits. Returns the number of one that is closed."""
         if self._detached is None:
             return None
         detached, self._detached = self._detached, None

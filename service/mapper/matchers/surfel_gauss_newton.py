@@ -1,4 +1,4 @@
-"""The matcher of the default profile: coarse on the likelihood field, fine on surfels, deskewed in between."""
+"""The matcher of the default profile: Gauss-Newton on surfels, with a coarse map to fall back on."""
 
 import math
 from dataclasses import replace
@@ -32,7 +32,8 @@ class SurfelMatcherConfig(BaseModel):
     coarse_beams: int = Field(default=180, ge=10)
     coarse_iterations: int = Field(default=15, ge=0, le=100)
 
-    coarse_below_share: float = Field(default=0.7, ge=0.0, le=1.01)
+    doubt_ratio: float = Field(default=0.9, ge=0.0, le=1.0)  # of the usual share on the map
+    usual_share_scans: int = Field(default=50, ge=1)  # over which the usual share is taken
     settled_m: float = Field(default=0.0005, gt=0.0)
     settled_rad: float = Field(default=0.0001, gt=0.0)
 
@@ -64,11 +65,11 @@ class SurfelGaussNewton:
             config.coarse_sigma,
             config.coarse_beams,
             config.coarse_iterations,
-            config.coarse_below_share,
             config.settled_m,
             config.settled_rad,
             config.covariance_scale,
         )
+        self._usual_share = 1.0
         self._floor = np.diag(
             [config.floor_position_m**2, config.floor_position_m**2, config.floor_heading_rad**2]
         )
@@ -114,11 +115,13 @@ class SurfelGaussNewton:
             ),
             submap.grid(),
             self._settings,
+            self._config.doubt_ratio * self._usual_share,
             xy_base,
         )
         state, reason = self._judge(result)
         if state == "lost":
             return Match(_as_motion(predicted), points, result.share, state, reason)
+        self._usual_share += (result.share - self._usual_share) / self._config.usual_share_scans
         x_m, y_m, theta_rad = result.pose.tolist()
         forward, left, turn = result.twist.tolist()
         motion = Motion(SE2(x_m, y_m, theta_rad), (forward, left, turn), self._floored(result.covariance))
@@ -129,8 +132,8 @@ class SurfelGaussNewton:
         config = self._config
         if result.share < config.lost_share:
             return "lost", (
-                f"{result.share:.0%} of {result.used} returns lie on the map (at least {config.lost_share:.0%}); "
-                "the pose follows odometry"
+                f"{result.share:.0%} of {result.used} returns lie on the map "
+                f"(at least {config.lost_share:.0%}); the pose follows the prediction"
             )
         if result.share < config.degraded_share:
             return "degraded", (
@@ -141,7 +144,7 @@ class SurfelGaussNewton:
             towards_deg = math.degrees(result.weakest_direction_rad) % 180.0
             return "degraded", (
                 f"the walls in view do not fix the position along {towards_deg:.0f} deg of the vehicle "
-                f"(sigma {result.weakest_sigma_m:.2f} m); odometry holds it"
+                f"(sigma {result.weakest_sigma_m:.2f} m); the prediction holds it"
             )
         return "ok", ""
 
