@@ -27,8 +27,8 @@ class UsbTransport:
         self, vendor: int, products: Collection[int], serial: str | None = None, backend: Any = None
     ) -> None:
         self._where = f"USB {vendor:04x}" + (f" serial {serial}" if serial else "")
-        self._detached = False
-        self._closed = False
+        self._device: Any = None
+        self._claimed = self._detached = False
         try:
             self._device = self._find(vendor, products, serial, backend)
             self._interface, self._in, self._out = self._endpoints()
@@ -38,6 +38,7 @@ class UsbTransport:
                 f"{self._where}: no libusb-1.0 here; on Debian and Ubuntu: apt install libusb-1.0-0"
             ) from error
         except usb.core.USBError as error:
+            self.close()
             raise TransportError(f"{self._where}: cannot open: {_words(error)}") from error
 
     def _find(self, vendor: int, products: Collection[int], serial: str | None, backend: Any) -> Any:
@@ -88,6 +89,7 @@ class UsbTransport:
         except usb.core.USBError:
             self._device.set_configuration()
         usb.util.claim_interface(self._device, self._interface)
+        self._claimed = True
 
     def read(self, timeout_s: float) -> bytes:
         try:
@@ -106,17 +108,18 @@ class UsbTransport:
             raise TransportError(f"{self._where}: {sent} of {len(data)} bytes sent")
 
     def close(self) -> None:
-        if self._closed:
+        device, self._device = self._device, None
+        if device is None:
             return
-        self._closed = True
         try:
-            usb.util.release_interface(self._device, self._interface)
+            if self._claimed:
+                usb.util.release_interface(device, self._interface)
             if self._detached:
-                self._device.attach_kernel_driver(self._interface)
+                device.attach_kernel_driver(self._interface)
         except (usb.core.USBError, NotImplementedError):  # it may be unplugged already
             pass
         finally:
-            usb.util.dispose_resources(self._device)
+            usb.util.dispose_resources(device)
 
     def __enter__(self) -> Self:
         return self
