@@ -9,19 +9,22 @@ from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from drivers.irobot_create.config import PRESETS
+from drivers.xsens_mtig.protocol import CODE_OF_BAUD
 from service.geometry.se2 import SE2
 from simulators.device import FakeDevice, ManyClients
 from simulators.fault_file import Fault
 from simulators.faults import Faulty
 from simulators.ibeo_lux import FakeIbeoLux, LuxSetup
+from simulators.inertial import Datum, ImuMounting, InertialTruth
 from simulators.irobot_create import FakeCreate
 from simulators.sick_lms100 import FakeLms100, Lms100Setup
 from simulators.truth import CREATE_WHEELS, IBEO_LUX, LMS100, LaserTruth, Ride, WheelTruth, seed_of
 from simulators.wire import PtyWire, TcpWire, serve_pty, serve_tcp
 from simulators.world import World
+from simulators.xsens_mtig import FakeMtiG, MtigSetup, Personality
 
 DEFAULT_DEVICES = ("front=sick_lms100", "base=irobot_create")
 
@@ -72,6 +75,33 @@ class CreateOptions(BaseModel):
     slips_per_m: float = Field(default=CREATE_WHEELS.slips_per_m, ge=0.0)
 
 
+class MtigOptions(BaseModel):
+    """What may stand behind `xsens_mtig:`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    personality: Personality = "mtdata2"  # MTi-G-710; legacy: MTi-G
+    link: Path | None = None  # a symbolic link to the terminal, a name that stays
+    baud: int = 115_200  # stored in the unit; the pace of its line
+    x_m: float = 0.0  # mounting in the base frame
+    y_m: float = 0.0
+    yaw_deg: float = 0.0
+    clock_drift_ppm: float = 40.0
+    satellites: bool = True
+    gnss_sigma_m: float = Field(default=1.5, ge=0.0)
+    latitude_deg: float = Field(default=Datum().latitude_deg, ge=-85.0, le=85.0)  # of the world's origin
+    longitude_deg: float = Field(default=Datum().longitude_deg, ge=-180.0, le=180.0)
+    height_m: float = Datum().height_m
+    heading_deg: float = 0.0  # of the world's x axis, counter-clockwise from east
+
+    @field_validator("baud")
+    @classmethod
+    def _possible(cls, baud: int) -> int:
+        if baud not in CODE_OF_BAUD:
+            raise ValueError(f"{baud} is none of {sorted(CODE_OF_BAUD)}")
+        return baud
+
+
 @dataclass(frozen=True, slots=True)
 class DeviceSpec:
     """One device as it was asked for."""
@@ -117,10 +147,26 @@ def _build_create(name: str, options: CreateOptions, ride: Ride, seed: int) -> W
     return serve_pty(FakeCreate(wheels, options.model, wakes_on_connect=True), options.link)
 
 
+def _build_mtig(name: str, options: MtigOptions, ride: Ride, seed: int) -> Wire:
+    source = InertialTruth(
+        ride,
+        name,
+        ImuMounting(options.x_m, options.y_m, math.radians(options.yaw_deg)),
+        seed=seed,
+        datum=Datum(
+            options.latitude_deg, options.longitude_deg, options.height_m, math.radians(options.heading_deg)
+        ),
+        gnss_sigma_m=options.gnss_sigma_m if options.satellites else None,
+    )
+    setup = MtigSetup(options.personality, options.baud, options.clock_drift_ppm)
+    return serve_pty(FakeMtiG(source, setup), options.link)
+
+
 KINDS = {
     "sick_lms100": _Kind(Lms100Options, _build_lms100),
     "irobot_create": _Kind(CreateOptions, _build_create),
     "ibeo_lux": _Kind(LuxOptions, _build_lux),
+    "xsens_mtig": _Kind(MtigOptions, _build_mtig),
 }
 
 

@@ -381,4 +381,4 @@ class FakeMtiG:
         """The acknowledgement still goes out at the old rate."""
         last = self._line.pop()
         self.restart(now_ns)
-        self._line.append((now_ns, last[1]))
+        self._line.append(last)
