@@ -10,7 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Literal, Protocol
 
 from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.frames import Frame
@@ -19,7 +19,24 @@ from drivers.transport import Transport
 log = logging.getLogger(__name__)
 
 Sink = Callable[[Frame], None]
-RawTee = Callable[[int, bytes], None]
+ChunkKind = Literal["connected", "received", "sent"]
+
+
+@dataclass(frozen=True, slots=True)
+class RawChunk:
+    """One thing that happened on a wire: all that a session needs to live through it once more.
+
+    connected    a new connection, hence a new session; no bytes
+    received     bytes as they came
+    sent         bytes that the session had in its outbox after the tick of at_ns; last words are left out
+    """
+
+    at_ns: int  # host monotonic
+    kind: ChunkKind
+    data: bytes = b""
+
+
+RawTee = Callable[[RawChunk], None]
 
 READ_TIMEOUT_S = 0.02  # how often a session's timers run when the wire is silent
 FIRST_RETRY_S, LAST_RETRY_S = 0.25, 5.0  # back-off after a lost link; doubles in between
@@ -78,7 +95,10 @@ def run_link(
     stop: threading.Event,
     tee: RawTee | None = None,
 ) -> None:
-    """Keep one device talking until `stop` is set; never raises for what a device or a cable does."""
+    """Keep one device talking until `stop` is set; never raises for what a device or a cable does.
+
+    `tee` hears of everything on the wire, before the session does; it must not wait.
+    """
     retry_s = FIRST_RETRY_S
     while not stop.is_set():
         health.state = "connecting"
@@ -118,16 +138,21 @@ def _pump(
     tee: RawTee | None,
 ) -> None:
     before = Counter(health.counters)
+    if tee is not None:
+        tee(RawChunk(time.monotonic_ns(), "connected"))
     try:
         while not stop.is_set():
-            session.tick(time.monotonic_ns())
+            now_ns = time.monotonic_ns()
+            session.tick(now_ns)
             if session.outbox:
+                if tee is not None:
+                    tee(RawChunk(now_ns, "sent", bytes(session.outbox)))
                 transport.write(bytes(session.outbox))
                 session.outbox.clear()
             if data := transport.read(READ_TIMEOUT_S):
                 arrived_ns = time.monotonic_ns()
                 if tee is not None:
-                    tee(arrived_ns, data)
+                    tee(RawChunk(arrived_ns, "received", data))
                 health.bytes_read += len(data)
                 for frame in session.receive_data(data, arrived_ns):
                     if health.state != "streaming":

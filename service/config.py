@@ -65,6 +65,7 @@ class RecordingConfig(BaseModel):
     rotate_mb: int = Field(default=1024, ge=1, le=100_000)
     rotate_min: float = Field(default=10.0, ge=0.1, le=1440.0)
     keep_free_gb: float = Field(default=2.0, ge=0.0, le=100_000.0)
+    raw: bool = False
 
 
 class MapConfig(BaseModel):
@@ -237,7 +238,12 @@ class _Reader:
             case "missing":
                 self._fault((*at, str(detail["loc"][-1])), "missing, and there is no sensible default")
             case _:
-                message = detail["msg"].removeprefix("Value error, ").removeprefix("Input ").replace("valid array", "list")
+                message = (
+                    detail["msg"]
+                    .removeprefix("Value error, ")
+                    .removeprefix("Input ")
+                    .replace("valid array", "list")
+                )
                 got = detail["input"]
                 shown = (
                     f" (got {json.dumps(got)})"

@@ -10,6 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from drivers.frames import NO_INTENSITY, GnssFix, ImuSample, LaserScan
+from drivers.link import RawChunk
 from service.encoding.controls import decode_control
 from service.encoding.frames import decode_frame, encode_frame, frame_id
 from service.encoding.outputs import (
@@ -31,8 +32,10 @@ from service.encoding.outputs import (
     encode_tf_static,
     encode_tile,
 )
+from service.encoding.raw import decode_raw, encode_raw
 from service.encoding.wire import (
     BASE_FRAME,
+    BYTES,
     DIAGNOSTICS,
     IMU,
     LASER_SCAN,
@@ -54,6 +57,7 @@ from service.outputs import Grid, MapperOutput
 
 __all__ = [
     "BASE_FRAME",
+    "BYTES",
     "DIAGNOSTICS",
     "IMU",
     "LASER_SCAN",
@@ -76,6 +80,7 @@ __all__ = [
     "decode_grid",
     "decode_mountings",
     "decode_pose",
+    "decode_raw",
     "decode_transforms",
     "encode_diagnostics",
     "encode_event",
@@ -83,6 +88,7 @@ __all__ = [
     "encode_grid",
     "encode_odom",
     "encode_pose",
+    "encode_raw",
     "encode_tf",
     "encode_tf_static",
     "encode_tile",
@@ -104,6 +110,7 @@ _ONE_OF_EACH: tuple[Callable[[], Message], ...] = (
     lambda: encode_grid(Grid(0, 0.05, 0.0, 0.0, np.zeros((1, 1), np.int8)), 1, 1),
     lambda: encode_diagnostics("health", [Status("s", 0, "", {"k": "v"})], 1, 1),
     lambda: encode_event("", 1, 1),
+    lambda: encode_raw("s", RawChunk(1, "received"), 0),
 )
 
 

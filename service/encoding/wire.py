@@ -22,6 +22,7 @@ OCCUPANCY_GRID = "nav_msgs/msg/OccupancyGrid"
 TF = "tf2_msgs/msg/TFMessage"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 STRING = "std_msgs/msg/String"
+BYTES = "std_msgs/msg/UInt8MultiArray"
 
 MAP_FRAME, ODOM_FRAME, BASE_FRAME = "map", "odom", "base_link"  # ROS REP 105
 

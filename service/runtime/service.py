@@ -15,14 +15,15 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from drivers.frames import Frame
-from drivers.link import LinkHealth, run_link
+from drivers.link import LinkHealth, RawChunk, run_link
 from drivers.registry import SENSOR_KINDS
 from service.config import ServiceConfig, mountings
-from service.encoding import encode_event, encode_tf_static
+from service.encoding import encode_event, encode_raw, encode_tf_static
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import CorridorError, StorageError
 from service.mapper.profiles import build_mapper
@@ -270,6 +271,7 @@ class Service:
     def _reader(self, name: str, sensor: Any) -> Callable[[], None]:
         kind = SENSOR_KINDS[sensor.type]
         new_session = kind.session_maker(sensor)
+        tee = partial(self._tee, name) if self._config.recording.raw else None
 
         def read() -> None:
             _take_priority()
@@ -279,9 +281,13 @@ class Service:
                 new_session,
                 self.frame_sink,
                 self._stop_drivers,
+                tee,
             )
 
         return read
+
+    def _tee(self, name: str, chunk: RawChunk) -> None:
+        self._recorder.put(encode_raw(name, chunk, self.host_time.offset_ns))
 
     def _stop_mapping(self) -> StorageError | None:
         """Let the mapper eat what waits, then save the map. What went wrong with the saving, if anything."""

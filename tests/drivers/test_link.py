@@ -86,11 +86,14 @@ def run(transports, sessions, stop, tee=None):
 def test_outbox_is_written_frames_reach_the_sink_and_the_end_is_polite():
     stop, teed = threading.Event(), []
     wire = StoppableTransport([b"a", b"", b"b"], stop)
-    health, frames = run([wire], [EchoSession()], stop, lambda at_ns, data: teed.append(data))
+    health, frames = run([wire], [EchoSession()], stop, teed.append)
     assert bytes(wire.written) == b"hellobye"
     assert wire.closed
     assert len(frames) == health.frames == 2
-    assert teed == [b"a", b"b"]
+    assert [(chunk.kind, chunk.data) for chunk in teed] == [
+        ("connected", b""), ("sent", b"hello"), ("received", b"a"), ("received", b"b"),
+    ]  # fmt: skip
+    assert [chunk.at_ns for chunk in teed] == sorted(chunk.at_ns for chunk in teed)
     assert health.bytes_read == 2
     assert health.state == "streaming"
     assert (health.status, health.identity, health.clock_offset_ns) == ("streaming", {"firmware": "1"}, 7)
@@ -101,12 +104,15 @@ def test_outbox_is_written_frames_reach_the_sink_and_the_end_is_polite():
 def test_every_kind_of_driver_error_is_followed_by_a_new_connection_with_a_new_session(error, quick_retries):
     stop = threading.Event()
     broken = ScriptedTransport([b"a", b"b", b"c"])
-    sessions = [EchoSession(fails_with=error), EchoSession()]
-    health, frames = run([broken, StoppableTransport([b"d"], stop)], sessions, stop)
+    sessions, teed = [EchoSession(fails_with=error), EchoSession()], []
+    health, frames = run([broken, StoppableTransport([b"d"], stop)], sessions, stop, teed.append)
     assert broken.closed
     assert len(frames) == 2
     assert health.connects == 2
     assert health.counters["chunks"] == 3  # summed over both sessions
+    assert [chunk.kind for chunk in teed] == [
+        "connected", "sent", "received", "received", "connected", "sent", "received",
+    ]  # fmt: skip
     assert str(error) in health.last_error
 
 

@@ -1,0 +1,184 @@
+"""Wires recorded and lived through again: the frames of then, bit for bit."""
+
+import threading
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from drivers import link
+from drivers.errors import ProtocolError, TransportError
+from drivers.frames import OdometrySample
+from drivers.link import LinkHealth, RawChunk, run_link
+from drivers.transport import ScriptedTransport
+from service.encoding import BYTES, Message, decode_raw, encode_raw
+from service.errors import InputError
+from service.recording.mcap_reader import Recording
+from service.recording.mcap_recorder import McapRecorder
+from service.recording.mcap_source import open_session
+from service.recording.raw_wire import frames_from_wire, raw_chunks
+from tests.service.recording.sessions import T0_NS, drive
+
+OFFSET_NS = 1_700_000_000_123_456_789
+CLOCK = {"clock": {"utc_offset_ns": str(OFFSET_NS)}}
+
+
+class AskingSession:
+    """Asks at each tick after an answer, and stamps a sample half-way between question and answer.
+
+    b"garbage" is a ProtocolError. Samples count on from one session to the next.
+    """
+
+    def __init__(self, count: list[int]) -> None:
+        self.outbox = bytearray()
+        self.counters: Counter[str] = Counter()
+        self.status = ""
+        self.identity: dict[str, str] = {}
+        self.clock_offset_ns = None
+        self._count = count
+        self._asked_ns: int | None = None
+
+    def tick(self, now_ns: int) -> None:
+        if self._asked_ns is None:
+            self._asked_ns = now_ns
+            self.outbox += b"how far?"
+
+    def receive_data(self, data: bytes, arrived_ns: int) -> list[OdometrySample]:
+        if data == b"garbage":
+            raise ProtocolError("garbage")
+        assert self._asked_ns is not None
+        stamp_ns, self._asked_ns = (self._asked_ns + arrived_ns) // 2, None
+        self._count[0] += 1
+        return [
+            OdometrySample(
+                "base", stamp_ns, arrived_ns, data[0], float(self._count[0]), 0.0, (0.0, 0.0, 0.0), (0.0,) * 9
+            )
+        ]
+
+    def farewell(self) -> bytes:
+        return b"bye"
+
+
+class LastTransport(ScriptedTransport):
+    """Stops the link where its script ends."""
+
+    def __init__(self, chunks: list[bytes], stop: threading.Event) -> None:
+        super().__init__(chunks)
+        self._stop = stop
+
+    def read(self, timeout_s: float) -> bytes:
+        if not self._chunks:
+            self._stop.set()
+            return b""
+        return super().read(timeout_s)
+
+
+def live_through(tmp_path: Path) -> tuple[list[OdometrySample], Path]:
+    """Two connections, the first of which ends in garbage; the frames, and the recording of the wire."""
+    stop = threading.Event()
+    transports = iter(
+        [ScriptedTransport([b"\x01", b"\x02", b"garbage"]), LastTransport([b"\x03", b"\x04"], stop)]
+    )
+    recorder = McapRecorder(tmp_path, "veh1", keep_free_bytes=0, metadata=CLOCK)
+    recorder.start()
+    count, frames = [0], []
+    run_link(
+        LinkHealth("base"),
+        lambda: next(transports),
+        lambda: AskingSession(count),
+        frames.append,
+        stop,
+        lambda chunk: recorder.put(encode_raw("base", chunk, OFFSET_NS)),
+    )
+    (session,) = recorder.finish()
+    return frames, session
+
+
+def test_sessions_fed_from_a_recorded_wire_make_the_very_frames(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(link, "FIRST_RETRY_S", 0.0)
+    frames, session = live_through(tmp_path)
+    assert [frame.x_m for frame in frames] == [1, 2, 3, 4]
+    count = [0]
+    again = frames_from_wire(raw_chunks(Recording([session]), "base"), lambda: AskingSession(count))
+    assert list(again) == frames
+
+
+def test_what_came_before_the_first_connection_is_passed_over():
+    chunks = [
+        RawChunk(1, "received", b"\x01"),
+        RawChunk(2, "sent", b"how far?"),
+        RawChunk(3, "connected"),
+        RawChunk(4, "sent", b"how far?"),
+        RawChunk(6, "received", b"\x02"),
+    ]
+    (frame,) = frames_from_wire(chunks, lambda: AskingSession([0]))
+    assert (frame.stamp_ns, frame.arrived_ns) == (5, 6)
+
+
+def test_a_session_that_gives_up_in_a_tick_is_replaced_at_the_next_connection():
+    class Impatient(AskingSession):
+        def tick(self, now_ns: int) -> None:
+            if now_ns == 13:
+                raise TransportError("silent")
+            super().tick(now_ns)
+
+    chunks = [
+        RawChunk(10, "connected"),
+        RawChunk(13, "sent", b"?"),
+        RawChunk(14, "received", b"\x01"),
+        RawChunk(20, "connected"),
+        RawChunk(21, "sent", b"?"),
+        RawChunk(23, "received", b"\x02"),
+    ]
+    assert [f.stamp_ns for f in frames_from_wire(chunks, lambda: Impatient([0]))] == [22]
+
+
+@pytest.mark.parametrize(
+    "chunk",
+    [
+        RawChunk(1, "connected"),
+        RawChunk(123_456_789_012_345, "received", bytes(range(256)) * 40),
+        RawChunk(2, "sent", b"\x02sRN"),
+    ],
+)
+def test_a_chunk_survives_to_the_nanosecond(chunk: RawChunk):
+    message = encode_raw("front", chunk, OFFSET_NS)
+    assert (message.channel, message.type) == ("front/raw", BYTES)
+    assert message.log_ns == chunk.at_ns + OFFSET_NS
+    assert decode_raw(message.payload, message.log_ns, OFFSET_NS) == chunk
+
+
+def test_bytes_of_another_program_are_no_chunk(tmp_path: Path):
+    payload = encode_raw("front", RawChunk(1, "sent", b"x"), 0).payload.replace(b"sent", b"what")
+    with pytest.raises(InputError, match="raw bytes labelled 'what'; expected connected, received, sent"):
+        decode_raw(payload, 1, 0)
+
+
+def record(tmp_path: Path, messages: list[Message], metadata: dict[str, dict[str, str]]) -> Path:
+    recorder = McapRecorder(tmp_path, "veh1", keep_free_bytes=0, metadata=metadata)
+    recorder.start()
+    for message in messages:
+        recorder.put(message)
+    (session,) = recorder.finish()
+    return session
+
+
+def test_a_recording_without_the_wire_says_how_to_get_one(tmp_path: Path):
+    recording = Recording([record(tmp_path, drive(1), CLOCK)])
+    with pytest.raises(InputError, match=r"no /front/raw; it is recorded where .* recording: \{raw: true\}"):
+        list(raw_chunks(recording, "front"))
+
+
+def test_a_recording_without_its_clock_cannot_tell_when(tmp_path: Path):
+    raw = encode_raw("front", RawChunk(T0_NS, "connected"), 0)
+    with pytest.raises(InputError, match=r"no clock\.utc_offset_ns"):
+        list(raw_chunks(Recording([record(tmp_path, [raw], {})]), "front"))
+
+
+def test_a_replay_does_not_look_at_the_wire(tmp_path: Path):
+    raw = [encode_raw("front", RawChunk(T0_NS + k, "received", b"x"), 0) for k in range(5)]
+    session = open_session([record(tmp_path, [*drive(3), *raw], CLOCK)])
+    assert session.sensors == {"/base/odom": "base", "/front/scan": "front"}
+    assert len(list(session.steps())) == 6
