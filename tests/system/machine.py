@@ -107,7 +107,7 @@ class Systemd:
 class LiveService:
     """`corridor run` in a process of its own, with a fake systemd beside it."""
 
-    def __init__(self, folder: Path, sensors: dict[str, Any]) -> None:
+    def __init__(self, folder: Path, sensors: dict[str, Any], raw: bool = False) -> None:
         self.systemd = Systemd(folder)
         self.sessions, self.maps = folder / "sessions", folder / "maps"
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
@@ -118,7 +118,7 @@ class LiveService:
             "vehicle": VEHICLE,
             "sensors": sensors,
             "publishing": {"listen": [self.endpoint]},
-            "recording": {"directory": str(self.sessions), "keep_free_gb": 0.1},
+            "recording": {"directory": str(self.sessions), "keep_free_gb": 0.1, "raw": raw},
             "map": {"directory": str(self.maps)},
         }
         self.config.write_text(yaml.safe_dump(settings, sort_keys=False))
@@ -212,6 +212,15 @@ class Subscriber:
             channel = str(reply.ok.key_expr).removeprefix(self._root)
             answers[channel] = (version, reply.ok.payload.to_bytes())
         return answers
+
+    def ask(self, verb: str, **request: object) -> dict[str, Any]:
+        """The answer to a command, good or not."""
+        (reply,) = self._session.get(f"{self._root}cmd/{verb}", payload=json.dumps(request), timeout=15.0)
+        sample = reply.ok if reply.ok is not None else reply.err
+        assert sample is not None
+        told: dict[str, Any] = json.loads(sample.payload.to_string())
+        assert told["ok"] is (reply.ok is not None)
+        return told
 
     def close(self) -> None:
         self._session.close()

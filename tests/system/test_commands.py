@@ -1,0 +1,162 @@
+"""Commands from another process to a service that maps, and what a replay makes of them."""
+
+import json
+import math
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.registry import SENSOR_KINDS
+from service.config import parse_config
+from service.encoding import (
+    decode_diagnostics,
+    decode_event,
+    decode_frame,
+    decode_grid,
+    decode_pose,
+    encode_frame,
+    encode_pose,
+)
+from service.mapstore.files import load_map
+from service.offline.replay import ReplayOptions, replay
+from service.outputs import UNKNOWN
+from service.recording.mcap_reader import Recording
+from service.recording.raw_wire import frames_from_wire, raw_chunks
+from tests.system.machine import FakeVehicle, LiveService, Subscriber
+
+Subscribe = Callable[[str], Subscriber]
+
+
+@pytest.fixture
+def live_service(fake_vehicle: FakeVehicle, tmp_path: Path) -> Iterator[LiveService]:
+    """One that also records the wires."""
+    service = LiveService(tmp_path, fake_vehicle.sensors(), raw=True)
+    service.start()
+    yield service
+    service.close()
+
+
+def test_a_drive_with_commands(live_service: LiveService, subscribe: Subscribe):
+    subscriber = subscribe(live_service.endpoint)
+    subscriber.wait_for("pose", 200)  # it stands for three seconds of them
+
+    marked = subscriber.ask("mark", text="begin", id="1")
+    assert subscriber.ask("mark", text="begin", id="1") == marked
+    assert "did you mean 'text'" in subscriber.ask("mark", txt="begin")["error"]
+
+    assert subscriber.ask("pause")["changed"]
+    subscriber.wait_for("front/scan", 50)
+    subscriber.wait_until(lambda: _state(subscriber) == "paused", 5.0)
+    assert subscriber.ask("resume")["changed"]
+    subscriber.wait_for("pose", 50)
+
+    saved = subscriber.ask("save_map")
+    first_map = Path(saved["folder"])
+    stored = load_map(first_map)
+    assert (stored.number, max(tile.version for tile in stored.tiles)) == (
+        saved["version"],
+        saved["map_version"],
+    )
+
+    reset = subscriber.ask("reset_map")
+    assert (reset["folder_before"], reset["folder"]) == (str(first_map), f"{first_map}_2")
+    before = load_map(first_map)
+    subscriber.wait_for("pose", 100)
+    _check_the_old_map_is_gone(subscribe(live_service.endpoint), before.tiles)
+
+    stopped = subscriber.ask("stop_recording")
+    subscriber.wait_for("front/scan", 25)
+    started = subscriber.ask("start_recording")
+    assert stopped["changed"]
+    assert started["changed"]
+    subscriber.wait_for("pose", 50)
+    live_service.signal(signal.SIGTERM)
+    assert live_service.wait() == 0, live_service.log
+
+    (first,) = [Path(path) for path in stopped["files"]]
+    (second,) = [Path(path.removesuffix(".active")) for path in started["files"]]
+    assert sorted(live_service.sessions.iterdir()) == sorted([first, second])
+    assert sorted(live_service.maps.iterdir()) == [first_map, Path(f"{first_map}_2")]
+    _check_the_commands_stand_in_the_recording(first)
+    _check_the_replay_is_the_drive(first)
+    _check_the_wires_make_the_frames_again(first)
+    _check_a_session_of_its_own(second)
+
+
+def _state(subscriber: Subscriber) -> str:
+    statuses = decode_diagnostics(subscriber.heard["health"][-1][1]) if "health" in subscriber.heard else []
+    return next((s.values.get("state", "") for s in statuses if s.name == "mapping"), "")
+
+
+def _check_the_old_map_is_gone(late: Subscriber, before: list[Any]) -> None:
+    """For who joins after the reset: each tile is of the new map, or all unknown, and newer in any case."""
+    last_before = max(tile.version for tile in before)
+    fetched = late.get("map/tile/**?since=0")
+    assert {f"map/tile/{t.level}/{t.ix}/{t.iy}" for t in before} <= fetched.keys()
+    assert all(version > last_before for version, _ in fetched.values())
+    emptied = last_before + len(before)
+    known = {key for key, (_, payload) in fetched.items() if (decode_grid(payload).cells != UNKNOWN).any()}
+    assert known == {key for key, (version, _) in fetched.items() if version > emptied}
+    assert len(known) > 3
+
+
+def _check_the_commands_stand_in_the_recording(session: Path) -> None:
+    events = [json.loads(decode_event(m.payload)) for m in Recording([session]).messages(["/events"])]
+    names = [event["event"] for event in events if event["event"] not in ("start", "sensor")]
+    assert names == ["mark", "pause", "resume", "save_map", "reset_map", "stop_recording"]
+    assert {"event": "mark", "id": "1", "text": "begin"} in events
+
+
+def _check_the_replay_is_the_drive(session: Path) -> None:
+    recording = Recording([session])
+    recorded = [m.payload for m in recording.messages(["/pose"])]
+    replayed = replay([session], ReplayOptions())
+    assert [encode_pose(output, 0).payload for output in replayed.outputs] == recorded
+    assert replayed.summary["map_resets"] == 1
+    assert replayed.summary["scans_paused"] >= 45
+    assert replayed.summary["scans_dropped"] == 0
+    _check_odom_goes_on_over_the_reset(recording)
+
+
+def _check_odom_goes_on_over_the_reset(recording: Recording) -> None:
+    events = recording.messages(["/events"])
+    reset_ns = next(m.log_ns for m in events if '"reset_map"' in decode_event(m.payload))
+    for topic, jumps in (("/odom", False), ("/pose", True)):
+        poses = [(m.log_ns, decode_pose(m.payload).pose) for m in recording.messages([topic])]
+        before = [pose for log_ns, pose in poses if log_ns < reset_ns][-1]
+        after = next(pose for log_ns, pose in poses if log_ns > reset_ns)
+        assert (math.hypot(after.x_m - before.x_m, after.y_m - before.y_m) > 0.2) is jumps
+
+
+def _check_the_wires_make_the_frames_again(session: Path) -> None:
+    recording = Recording([session])
+    config = parse_config(recording.metadata["config"]["yaml"], "recorded config")
+    offset_ns = int(recording.metadata["clock"]["utc_offset_ns"])
+    for name, channel, least in (("front", "/front/scan", 350), ("base", "/base/odom", 450)):
+        sensor = config.sensors[name]
+        new_session = SENSOR_KINDS[sensor.type].session_maker(sensor)
+        frames = list(frames_from_wire(raw_chunks(recording, name), new_session))
+        recorded = list(recording.messages([channel]))
+        assert len(recorded) > least
+        again = [
+            encode_frame(frame, offset_ns, message.log_ns).payload
+            for frame, message in zip(frames, recorded, strict=False)
+        ]
+        assert again == [message.payload for message in recorded]
+
+
+def _check_a_session_of_its_own(session: Path) -> None:
+    recording = Recording([session])
+    counts = {topic.name: topic.count for topic in recording.topics}
+    assert counts["/front/scan"] >= 50
+    assert counts["/tf_static"] == 1
+    assert "sick_lms100" in recording.metadata["config"]["yaml"]
+    assert next(iter(recording.messages())).channel in ("tf_static", "map")
+    replayed = replay([session], ReplayOptions())
+    assert len(replayed.outputs) == counts["/front/scan"]
+    assert replayed.outputs[0].pose_map_base.x_m == 0.0  # a map of its own
+    first = next(iter(recording.messages(["/front/scan"])))
+    assert decode_frame(first.type, first.payload, "front", first.log_ns) is not None
