@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 from drivers.errors import DeviceError, ProtocolError, TransportError
-from drivers.frames import Frame
+from drivers.frames import Frame, GnssFix
 from drivers.transport import Transport
 
 log = logging.getLogger(__name__)
@@ -79,7 +79,7 @@ class LinkHealth:
     status: str = ""
     last_error: str = ""
     connects: int = 0
-    frames: int = 0
+    frames: int = 0  # GNSS fixes, which come beside the samples, are not counted
     bytes_read: int = 0
     last_frame_ns: int = 0  # host monotonic, 0 before the first
     clock_offset_ns: int | None = None
@@ -158,7 +158,7 @@ def _pump(
                     if health.state != "streaming":
                         health.state = "streaming"
                         log.info("%s: streaming%s", health.name, _identity_text(session.identity))
-                    health.frames += 1
+                    health.frames += not isinstance(frame, GnssFix)  # rates are those of what is mapped
                     health.last_frame_ns = arrived_ns
                     sink(frame)
             health.status = session.status

@@ -3,7 +3,7 @@
 from collections import Counter
 
 from drivers.errors import ProtocolError, TransportError
-from drivers.frames import Frame
+from drivers.frames import Frame, ImuSample
 from drivers.xsens_mtig.config import XsensMtigConfig
 from drivers.xsens_mtig.dialogue import Ask, MtigDialogue
 from drivers.xsens_mtig.health import DeviceHealth
@@ -174,7 +174,7 @@ class XsensMtigSession:
                 ) from error
             return []
         self._malformed_in_a_row = 0
-        if frames:
+        if any(isinstance(frame, ImuSample) for frame in frames):
             self._silent_ns = 0
             self._streaming = True
         return frames

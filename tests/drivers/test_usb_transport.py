@@ -53,7 +53,7 @@ def test_one_of_several_is_chosen_by_its_serial_number():
     with open_usb(bus, "0380B") as transport:
         transport.write(encode(Mid.GO_TO_CONFIG))
     assert (list(one.device.received), list(other.device.received)) == ([], [Mid.GO_TO_CONFIG])  # type: ignore[attr-defined]
-    with pytest.raises(TransportError, match="serial 0380C: no such device .* serial 0380A, 0380B"):
+    with pytest.raises(TransportError, match=r"serial 0380C: no such device .* serial 0380A, 0380B"):
         open_usb(bus, "0380C")
 
 
@@ -89,7 +89,7 @@ def test_missing_libusb_is_told_with_its_remedy(monkeypatch: pytest.MonkeyPatch)
         raise usb.core.NoBackendError("No backend available")
 
     monkeypatch.setattr("usb.core.find", nothing)
-    with pytest.raises(TransportError, match="no libusb-1.0 here; .* apt install libusb-1.0-0"):
+    with pytest.raises(TransportError, match=r"no libusb-1.0 here; .* apt install libusb-1.0-0"):
         UsbTransport(VENDOR, PRODUCTS)
 
 
@@ -97,9 +97,9 @@ def test_unplugging_ends_the_link_in_words():
     there = unit()
     transport = open_usb(FakeBus(there))
     there.plugged = False
-    with pytest.raises(TransportError, match="USB 2639: .*unplugged"):
+    with pytest.raises(TransportError, match=r"USB 2639: .*unplugged"):
         transport.read(0.02)
-    with pytest.raises(TransportError, match="cannot send 5 bytes: .*unplugged"):
+    with pytest.raises(TransportError, match=r"cannot send 5 bytes: .*unplugged"):
         transport.write(encode(Mid.GO_TO_CONFIG))
     transport.close()
 

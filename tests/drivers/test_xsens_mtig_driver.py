@@ -268,6 +268,14 @@ def test_silence_of_a_stream_is_told():
         t.run(4.0)
 
 
+def test_fixes_alone_are_no_stream():
+    device = mtdata2()
+    t = talk(device).run(2.0)
+    device.settings.output = [(0x1020, 0xFFFF), (0x1060, 0xFFFF), (0x7010, 4), (0x8020, 1)]
+    with pytest.raises(TransportError, match="no sample for 2 s"):
+        t.run(5.0)
+
+
 def test_device_that_came_back_is_configured_and_stamped_anew():
     for make in (mtdata2, legacy):
         device = make()
@@ -412,5 +420,8 @@ def test_driver_reads_the_simulator_over_a_terminal(personality):
     assert sum(isinstance(frame, ImuSample) for frame in taken) > 290
     assert len(fixes(taken)) >= 2
     assert health.identity["product"].startswith("MTi-G")
+    assert health.frames >= len(samples(taken))
+    assert health.counters["fixes_received"] >= 2
+    assert health.frames <= health.counters["samples_received"]  # fixes are not counted: 200 Hz is 200 Hz
     assert health.counters["samples_missed"] == 0
     assert abs(taken[-1].arrived_ns - taken[-1].stamp_ns) < SECOND_NS
