@@ -43,7 +43,8 @@ class SE2:
         if abs(turn_rad) < 1e-6:
             a, b = 1.0 - turn_rad**2 / 6.0, turn_rad / 2.0
         else:
-            a, b = math.sin(turn_rad) / turn_rad, (1.0 - math.cos(turn_rad)) / turn_rad
+            # 2 sin^2(turn / 2) is 1 - cos(turn) without its cancellation
+            a, b = math.sin(turn_rad) / turn_rad, 2.0 * math.sin(turn_rad / 2.0) ** 2 / turn_rad
         return SE2(a * forward_m - b * left_m, b * forward_m + a * left_m, wrap_angle(turn_rad))
 
     def log(self) -> tuple[float, float, float]:

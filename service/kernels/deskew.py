@@ -65,7 +65,8 @@ def deskew_points(xy_raw, beam_time_s, twist, xy_base):
             c = math.cos(turn)
             s = math.sin(turn)
             a = s / turn
-            b = (1.0 - c) / turn
+            half = math.sin(0.5 * turn)
+            b = 2.0 * half * half / turn
         x = xy_raw[i, 0]
         y = xy_raw[i, 1]
         xy_base[i, 0] = a * forward - b * left + c * x - s * y

@@ -1,0 +1,222 @@
+import math
+
+import numpy as np
+import pytest
+
+from service.kernels.deskew import Returns
+from service.kernels.likelihood import read_field, splat_likelihood
+from service.kernels.match import (
+    MatchSettings,
+    Prior,
+    add_prior,
+    coarse_align,
+    coarse_normal_equations,
+    invert_3x3,
+    learn_twist,
+    match_scan,
+    rotate_information,
+    surfel_normal_equations,
+    weakest_direction,
+)
+from service.kernels.normals import NormalSettings, estimate_normals
+from service.kernels.surfels import SurfelGrid, find_surfels, insert_surfels
+from tests.service.kernels.surfel_grids import empty_grid
+
+SETTINGS = MatchSettings(
+    sigma_m=0.05,
+    cauchy_m=0.1,
+    least_normal_cosine=0.6,
+    young_count=3.0,
+    iterations=15,
+    deskew_rounds=3,
+    inlier_m=0.1,
+    coarse_sigma=0.3,
+    coarse_beams=180,
+    coarse_iterations=15,
+    settled_m=1e-6,
+    settled_rad=1e-7,
+    covariance_scale=2.0,
+)
+NORMALS = NormalSettings(4, 16, 0.1, 0.06, 5.0, 0.02, 0.05, 0.2)
+STEP_RAD = math.radians(0.5)
+
+
+def room_scan(pose: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
+    """End points, in the base frame, of beams all around in a room of x -3..4, y -2..2.5."""
+    angle = np.arange(-math.pi, math.pi, STEP_RAD)
+    c, s = np.cos(angle + pose[2]), np.sin(angle + pose[2])
+    with np.errstate(divide="ignore"):
+        along_x = np.where(c > 0.0, 4.0 - pose[0], -3.0 - pose[0]) / c
+        along_y = np.where(s > 0.0, 2.5 - pose[1], -2.0 - pose[1]) / s
+    return np.minimum(along_x, along_y)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def normals_of(xy: np.ndarray) -> np.ndarray:
+    normals = np.empty((len(xy), 3))
+    estimate_normals(xy, np.zeros(2), STEP_RAD, NORMALS, normals)
+    return normals
+
+
+def room_grid() -> SurfelGrid:
+    grid = empty_grid()
+    xy = room_scan()
+    for _ in range(3):
+        insert_surfels(xy, normals_of(xy), np.zeros(3), grid, 50.0)
+    splat_likelihood(xy, np.zeros(3), grid, 0.15, 0.95)
+    return grid
+
+
+def prior_at(pose: tuple[float, float, float], sigma: float = 0.1, **changes: object) -> Prior:
+    covariance = np.diag([sigma**2, sigma**2, sigma**2])
+    prior = Prior(np.array(pose), np.zeros(3), covariance, covariance, 0.1, 1.0)
+    return prior._replace(**changes)
+
+
+def match(xy: np.ndarray, prior: Prior, grid: SurfelGrid, doubt_share: float = 0.8):
+    returns = Returns(xy, np.zeros(len(xy)), np.arange(len(xy), dtype=np.int32))
+    return match_scan(returns, normals_of(xy), prior, grid, SETTINGS, doubt_share, xy.copy())
+
+
+def slopes(cost, pose: np.ndarray) -> np.ndarray:
+    """Gradient by central differences."""
+    steps = 1e-6 * np.eye(3)
+    return np.array([(cost(pose + step) - cost(pose - step)) / 2e-6 for step in steps])
+
+
+def test_the_surfel_gradient_is_the_slope_of_its_cost() -> None:
+    grid, xy = room_grid(), room_scan()
+    normals, pose = normals_of(xy), np.array([0.03, -0.02, 0.015])
+    found = np.empty((len(xy), 5))
+    find_surfels(xy, normals, pose, grid, 0.6, found)
+    matrix, gradient = np.empty((3, 3)), np.empty(3)
+
+    def cost(at: np.ndarray) -> float:
+        return surfel_normal_equations(xy, normals, found, at, 0.15, SETTINGS, matrix, gradient)[0]
+
+    expected = slopes(cost, pose)
+    cost(pose)
+    np.testing.assert_allclose(gradient, expected, rtol=1e-5)
+    assert np.abs(expected).min() > 1.0
+
+
+def test_the_hessian_is_that_of_weighted_least_squares() -> None:
+    grid, xy = room_grid(), room_scan()
+    normals, pose = normals_of(xy), np.array([0.03, -0.02, 0.015])
+    found = np.empty((len(xy), 5))
+    find_surfels(xy, normals, pose, grid, 0.6, found)
+    matrix, gradient = np.empty((3, 3)), np.empty(3)
+    _, used, inliers = surfel_normal_equations(xy, normals, found, pose, 0.15, SETTINGS, matrix, gradient)
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    expected = np.zeros((3, 3))
+    for point, normal, (mx, my, nx, ny, n) in zip(xy, normals, found, strict=True):
+        if normal[2] == 0.0 or n == 0.0:
+            continue
+        rx, ry = c * point[0] - s * point[1], s * point[0] + c * point[1]
+        e = nx * (pose[0] + rx - mx) + ny * (pose[1] + ry - my)
+        row = np.array([nx, ny, ny * rx - nx * ry])
+        weight = normal[2] * min(1.0, n / 3.0) / (1.0 + (e / 0.1) ** 2) / 0.05**2
+        expected += weight * np.outer(row, row)
+    np.testing.assert_allclose(matrix, expected, rtol=1e-9)
+    assert used == np.count_nonzero(normals[:, 2])
+    assert 0 < inliers <= used
+
+
+def test_the_coarse_gradient_is_the_slope_of_its_cost() -> None:
+    grid, xy, pose = room_grid(), room_scan(), np.array([0.08, -0.05, 0.03])
+    values, matrix, gradient = np.empty((len(xy), 3)), np.empty((3, 3)), np.empty(3)
+
+    def cost(at: np.ndarray) -> float:
+        read_field(xy, 3, at, grid, values)
+        return coarse_normal_equations(xy, values, 3, at, 0.3, matrix, gradient)
+
+    expected = slopes(cost, pose)
+    cost(pose)
+    np.testing.assert_allclose(gradient, expected, rtol=0.02)  # a few points step over a kink of the field
+
+
+def test_the_prior_is_a_parabola_around_its_pose() -> None:
+    root = np.random.default_rng(1).normal(size=(3, 3))
+    information, centre = root @ root.T, np.array([1.0, 2.0, 3.1])
+    matrix, gradient = np.zeros((3, 3)), np.zeros(3)
+    pose = np.array([1.2, 1.9, 3.1 + 0.1 - 2.0 * math.pi])  # a whole turn away
+    cost = add_prior(pose, centre, information, matrix, gradient)
+    e = np.array([0.2, -0.1, 0.1])
+    assert cost == pytest.approx(e @ information @ e)
+    np.testing.assert_allclose(matrix, information)
+    np.testing.assert_allclose(gradient, information @ e)
+
+
+def test_information_turns_with_its_axes() -> None:
+    turned = np.empty((3, 3))
+    rotate_information(np.diag([1.0, 9.0, 4.0]), math.pi / 2.0, turned)
+    np.testing.assert_allclose(turned, np.diag([9.0, 1.0, 4.0]), atol=1e-12)
+
+
+def test_an_inverse_agrees_with_numpy() -> None:
+    a, inverse = np.array([[4.0, 1.0, 0.5], [1.0, 3.0, 0.2], [0.5, 0.2, 2.0]]), np.empty((3, 3))
+    assert invert_3x3(a, inverse)
+    np.testing.assert_allclose(inverse, np.linalg.inv(a), rtol=1e-12)
+
+
+def test_the_weakest_direction_is_that_along_a_corridor() -> None:
+    towards = math.radians(30.0)
+    across = np.array([-math.sin(towards), math.cos(towards)])
+    along = np.array([math.cos(towards), math.sin(towards)])
+    information = np.zeros((3, 3))
+    information[:2, :2] = 1e4 * np.outer(across, across) + 25.0 * np.outer(along, along)
+    information[2, 2] = 1e5
+    least, direction = weakest_direction(information)
+    assert least == pytest.approx(25.0)
+    assert direction % math.pi == pytest.approx(towards)
+
+
+def test_a_scan_finds_its_pose_to_a_tenth_of_a_millimetre() -> None:
+    truth = (0.21, -0.13, 0.08)
+    result = match(room_scan(truth), prior_at((0.15, -0.08, 0.05)), room_grid())
+    np.testing.assert_allclose(result.pose, truth, atol=1e-4)
+    assert result.share > 0.95
+    assert result.used > 600
+
+
+def test_the_coarse_map_leads_where_the_surfels_are_out_of_reach() -> None:
+    truth = (1.0, 0.5, 0.3)
+    prior = prior_at((0.0, 0.0, 0.0), sigma=0.3)
+    led = match(room_scan(truth), prior, room_grid())
+    alone = match(room_scan(truth), prior, room_grid(), doubt_share=0.0)
+    assert np.abs(alone.pose - truth).max() > 0.05
+    np.testing.assert_allclose(led.pose, truth, atol=2e-3)
+
+
+def test_the_coarse_step_alone_comes_within_centimetres() -> None:
+    truth, pose = np.array([0.3, -0.2, 0.1]), np.zeros(3)
+    coarse_align(room_scan(tuple(truth)), np.zeros(3), np.eye(3), room_grid(), SETTINGS, pose)
+    np.testing.assert_allclose(pose, truth, atol=0.04)
+
+
+def test_what_a_correction_of_the_pose_says_of_the_twist() -> None:
+    prior = prior_at(
+        (1.0, 2.0, math.pi / 2.0), twist=np.array([1.0, 0.0, 0.2]), elapsed_s=0.1, twist_gain=0.5
+    )
+    twist = np.empty(3)
+    learn_twist(prior, np.array([1.0, 2.02, math.pi / 2.0 + 0.01]), twist)
+    np.testing.assert_allclose(twist, [1.1, 0.0, 0.25], atol=1e-12)
+    learn_twist(prior._replace(elapsed_s=0.0), np.array([9.0, 9.0, 9.0]), twist)
+    np.testing.assert_allclose(twist, prior.twist)
+
+
+def test_a_scan_far_from_any_map_keeps_the_prediction_and_says_so() -> None:
+    prior = prior_at((0.1, 0.2, 0.3))
+    result = match(room_scan() + 100.0, prior, room_grid())
+    np.testing.assert_allclose(result.pose, prior.pose, atol=1e-9)
+    assert result.share == 0.0
+    assert result.weakest_sigma_m == math.inf
+    np.testing.assert_allclose(result.covariance, prior.covariance, rtol=1e-9)
+
+
+def test_covariance_shrinks_with_what_the_walls_tell() -> None:
+    prior = prior_at((0.0, 0.0, 0.0))
+    result = match(room_scan(), prior, room_grid())
+    eigenvalues = np.linalg.eigvalsh(result.covariance)
+    assert 0.0 < eigenvalues[0]
+    assert np.sqrt(eigenvalues[-1]) < 0.01
+    assert result.weakest_sigma_m < 0.01

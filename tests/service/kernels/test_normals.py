@@ -1,0 +1,94 @@
+import math
+
+import numpy as np
+
+from service.kernels.normals import NormalSettings, estimate_normals
+
+SETTINGS = NormalSettings(
+    beams_each_side=4,
+    most_beams_each_side=16,
+    half_length_m=0.1,
+    gap_m=0.06,
+    gap_steps=5.0,
+    planar_ratio=0.02,
+    least_cos_incidence=0.05,
+    rough_weight=0.2,
+)
+STEP_RAD = math.radians(0.5)
+
+
+def normals_of(xy: np.ndarray, sensor: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    normals = np.full((len(xy), 3), np.nan)
+    estimate_normals(np.ascontiguousarray(xy), np.array(sensor), STEP_RAD, SETTINGS, normals)
+    return normals
+
+
+def wall(distance_m: float, angles: np.ndarray) -> np.ndarray:
+    """A wall at x = distance_m as beams at these angles hit it."""
+    return np.column_stack([np.full(len(angles), distance_m), distance_m * np.tan(angles)])
+
+
+def slow_normals(xy: np.ndarray) -> np.ndarray:
+    """The same by its definition, with eigh over windows found by walking outwards."""
+    answer = np.zeros((len(xy), 3))
+    for i, point in enumerate(xy):
+        reach = int(min(max(SETTINGS.half_length_m / (STEP_RAD * np.hypot(*point)), 4), 16))
+        window = [point]
+        for side in (-1, 1):
+            for k in range(1, reach + 1):
+                a, b = i + side * (k - 1), i + side * k
+                if not 0 <= b < len(xy):
+                    break
+                nearer = min(np.hypot(*xy[a]), np.hypot(*xy[b]))
+                if np.hypot(*(xy[b] - xy[a])) >= 0.06 + 5.0 * STEP_RAD * nearer:
+                    break
+                window.append(xy[b])
+        towards = -point / np.hypot(*point)
+        answer[i] = *towards, SETTINGS.rough_weight
+        if len(window) < 3:
+            continue
+        values, vectors = np.linalg.eigh(np.cov(np.array(window).T))
+        normal = vectors[:, 0] * np.sign(vectors[:, 0] @ towards)
+        answer[i, :2] = normal
+        if values[0] < SETTINGS.planar_ratio * values[1]:
+            answer[i, 2] = 1.0 if normal @ towards >= 0.05 else 0.0
+    return answer
+
+
+def test_normals_agree_with_eigh_over_the_same_windows() -> None:
+    rng = np.random.default_rng(1)
+    angles = np.arange(-1.2, 1.2, STEP_RAD)
+    ranges = np.minimum(3.0 / np.cos(angles), 2.0 / np.maximum(np.sin(np.abs(angles)), 0.1))
+    ranges[100:120] -= 0.8  # a pillar, so that there are gaps
+    ranges += rng.normal(0.0, 0.01, len(angles))
+    xy = ranges[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    normals, expected = normals_of(xy), slow_normals(xy)
+    np.testing.assert_allclose(normals, expected, atol=1e-6)
+    assert set(np.unique(normals[:, 2])) == {0.2, 1.0}
+
+
+def test_a_wall_faces_the_sensor() -> None:
+    normals = normals_of(wall(3.0, np.arange(-0.5, 0.5, STEP_RAD)))
+    np.testing.assert_allclose(normals[:, :2], [[-1.0, 0.0]] * len(normals), atol=1e-9)
+    np.testing.assert_array_equal(normals[:, 2], 1.0)
+
+
+def test_the_side_that_is_seen_decides_the_normal() -> None:
+    xy = wall(3.0, np.arange(-0.3, 0.3, STEP_RAD))
+    from_behind = normals_of(xy, sensor=(6.0, 0.0))
+    np.testing.assert_allclose(from_behind[:, 0], 1.0, atol=1e-9)
+
+
+def test_grazing_beams_are_dropped() -> None:
+    y = np.arange(10.0, 10.5, 0.02)
+    normals = normals_of(np.column_stack([np.full(len(y), 0.2), y]))
+    np.testing.assert_array_equal(normals[:, 2], 0.0)
+
+
+def test_lone_points_are_rough_and_face_the_sensor() -> None:
+    normals = normals_of(np.array([[2.0, 0.0], [0.0, 3.0], [-4.0, 0.0]]))
+    np.testing.assert_allclose(normals, [[-1, 0, 0.2], [0, -1, 0.2], [1, 0, 0.2]], atol=1e-12)
+
+
+def test_nothing_is_asked_of_no_points() -> None:
+    assert len(normals_of(np.empty((0, 2)))) == 0

@@ -1,0 +1,132 @@
+import math
+
+import numpy as np
+
+from service.kernels.surfels import TILE_BITS, TILE_MASK, SurfelGrid, find_surfels, insert_surfels
+from service.kernels.tiles import find_tile
+from tests.service.kernels.surfel_grids import empty_grid
+
+POSE = np.array([0.3, -0.4, 0.7])
+
+
+def random_points(count: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    angle = rng.uniform(-math.pi, math.pi, count)
+    normals = np.column_stack([np.cos(angle), np.sin(angle), rng.choice([0.0, 0.2, 1.0], count)])
+    return rng.uniform(-4.0, 4.0, (count, 2)), normals
+
+
+def to_map(xy: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return xy @ np.array([[c, s], [-s, c]]) + pose[:2]
+
+
+def turned(normals: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    return to_map(normals[:, :2], np.array([0.0, 0.0, pose[2]]))
+
+
+def read_all(grid: SurfelGrid) -> list[tuple[float, float, float, float, float]]:
+    """(mean x, mean y, normal x, normal y, count) of every surfel."""
+    found = []
+    for tile_row, tile_column in np.argwhere(grid.tiles.slots >= 0):
+        slot = grid.tiles.slots[tile_row, tile_column]
+        for row, column, side in np.argwhere(grid.surfels[slot, :, :, :, 0] > 0.0):
+            n, x, y, nx, ny = grid.surfels[slot, row, column, side].astype(float)
+            x += (((tile_column + grid.tiles.origin[1]) << TILE_BITS) + column + 0.5) * grid.cell_m
+            y += (((tile_row + grid.tiles.origin[0]) << TILE_BITS) + row + 0.5) * grid.cell_m
+            found.append((x, y, nx, ny, n))
+    return found
+
+
+def test_surfels_are_means_of_the_points_that_face_one_way() -> None:
+    xy, normals = random_points(6000)
+    grid = empty_grid(cell_m=0.4)
+    insert_surfels(xy, normals, POSE, grid, 1e6)
+    expected: dict[tuple[int, int], list[list[np.ndarray]]] = {}
+    facing: dict[tuple[int, int], list[np.ndarray]] = {}
+    for point, normal, weight in zip(to_map(xy, POSE), turned(normals, POSE), normals[:, 2], strict=True):
+        if weight < 1.0:
+            continue
+        key = math.floor(point[1] / 0.4), math.floor(point[0] / 0.4)
+        members = expected.setdefault(key, [[], []])
+        directions = facing.setdefault(key, [np.zeros(2), np.zeros(2)])
+        side = 1 if members[0] and directions[0] @ normal <= 0.0 else 0
+        merged = len(members[side]) * directions[side] + normal
+        directions[side] = merged / np.hypot(*merged)
+        members[side].append(point)
+    for (row, column), sides in expected.items():
+        slot = find_tile(grid.tiles, row >> TILE_BITS, column >> TILE_BITS)
+        for side, members in enumerate(sides):
+            surfel = grid.surfels[slot, row & TILE_MASK, column & TILE_MASK, side]
+            assert surfel[0] == len(members)
+            if members:
+                centre = (np.array([column, row]) + 0.5) * 0.4
+                np.testing.assert_allclose(surfel[1:3] + centre, np.mean(members, axis=0), atol=1e-5)
+                np.testing.assert_allclose(surfel[3:], facing[row, column][side], atol=1e-4)
+    assert sum(n for *_, n in read_all(grid)) == np.count_nonzero(normals[:, 2] == 1.0)
+
+
+def test_a_thin_wall_keeps_two_sides() -> None:
+    grid = empty_grid()
+    y = np.linspace(-0.5, 0.5, 50)
+    for x, facing in ((0.02, -1.0), (0.07, 1.0)):
+        xy = np.column_stack([np.full(50, x), y])
+        insert_surfels(xy, np.tile([facing, 0.0, 1.0], (50, 1)), np.zeros(3), grid, 50.0)
+    means = {round(nx): [x for x, _, n, _, _ in read_all(grid) if n == nx] for nx in (-1.0, 1.0)}
+    np.testing.assert_allclose(means[-1], 0.02, atol=1e-6)
+    np.testing.assert_allclose(means[1], 0.07, atol=1e-6)
+
+
+def test_a_surfel_forgets_beyond_its_limit() -> None:
+    grid = empty_grid()
+    for x, times in ((0.02, 100), (0.06, 60)):
+        xy = np.tile([x, 0.05], (times, 1))
+        insert_surfels(xy, np.tile([-1.0, 0.0, 1.0], (times, 1)), np.zeros(3), grid, 10.0)
+    ((x, _, _, _, count),) = read_all(grid)
+    assert count == 10.0
+    assert abs(x - 0.06) < 1e-3
+
+
+def test_a_used_slot_is_cleared_before_it_is_filled() -> None:
+    grid = empty_grid(used_slots=3)
+    insert_surfels(np.array([[0.05, 0.05]]), np.array([[1.0, 0.0, 1.0]]), np.zeros(3), grid, 50.0)
+    assert [n for *_, n in read_all(grid)] == [1.0]
+
+
+def test_the_nearest_surfel_that_faces_the_same_way_is_found() -> None:
+    grid = empty_grid()
+    insert_surfels(*random_points(20_000, seed=2), np.zeros(3), grid, 50.0)
+    surfels = np.array(read_all(grid))
+    cells = np.floor(surfels[:, :2] / 0.1)
+    cells_stored = np.round(cells)
+    xy, normals = random_points(400, seed=3)
+    found = np.empty((len(xy), 5))
+    find_surfels(xy, normals, POSE, grid, 0.6, found)
+    matched = 0
+    for point, normal, weight, row in zip(
+        to_map(xy, POSE), turned(normals, POSE), normals[:, 2], found, strict=True
+    ):
+        near = np.abs(cells_stored - np.floor(point / 0.1)).max(axis=1) <= 1.0
+        near &= surfels[:, 2:4] @ normal > 0.6
+        if weight == 0.0 or not near.any():
+            assert row[4] == 0.0
+            continue
+        candidates = surfels[near]
+        nearest = candidates[np.argmin(np.hypot(*(candidates[:, :2] - point).T))]
+        np.testing.assert_allclose(row, nearest, atol=1e-6)
+        matched += 1
+    assert matched > 100
+
+
+def test_far_from_the_origin_nothing_is_lost() -> None:
+    far = np.array([-12.75, 9.6, 0.0])
+    xy, normals = random_points(3000, seed=4)
+    near_grid, far_grid = empty_grid(tiles_each_way=8), empty_grid(tiles_each_way=8)
+    insert_surfels(xy, normals, np.zeros(3), near_grid, 50.0)
+    insert_surfels(xy, normals, far, far_grid, 50.0)
+    moved = np.array(sorted(read_all(far_grid)))
+    assert len(moved) > 100
+    total = np.array([(x * n, y * n, n) for x, y, _, _, n in read_all(near_grid)]).sum(axis=0)
+    moved_total = np.array([(x * n, y * n, n) for x, y, _, _, n in moved]).sum(axis=0)
+    assert total[2] == moved_total[2]
+    np.testing.assert_allclose(moved_total[:2] / total[2] - total[:2] / total[2], far[:2], atol=1e-4)
