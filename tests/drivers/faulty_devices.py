@@ -32,6 +32,7 @@ class Bench:
     sessions     now_ns of the link -> what makes a session
     has_clock    the device shows one
     has_sum      its messages carry a checksum
+    fineness_ns  how well its stamps can be told, from one connection to the next
     """
 
     device: Callable[[], FakeDevice]
@@ -39,6 +40,7 @@ class Bench:
     rate_hz: float
     has_clock: bool = True
     has_sum: bool = True
+    fineness_ns: int = 100_000
 
 
 def _lms100(dialect: Dialect, **changes: Any) -> Bench:
@@ -51,10 +53,13 @@ def _lms100(dialect: Dialect, **changes: Any) -> Bench:
 
 
 def _utm30lx(wire: Any, **changes: Any) -> Bench:
+    """Its motor is a little off: at 25 ms sharp, its milliseconds would always say the same of the phase."""
+    setup = Utm30lxSetup(wire=wire, motor_speed=0.998, clock_drift_ppm=20.0)
     return Bench(
-        lambda: FakeUtm30lx(utm30lx.Room(), Utm30lxSetup(wire=wire)),
+        lambda: FakeUtm30lx(utm30lx.Room(), setup),
         lambda now: partial(HokuyoUtm30lxSession, utm30lx.config(**changes)),
-        rate_hz=40.0,
+        rate_hz=39.92,
+        fineness_ns=1_000_000,  # it counts milliseconds
     )
 
 
