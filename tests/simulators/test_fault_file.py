@@ -134,3 +134,11 @@ def test_all_that_is_wrong_is_said_at_once():
 def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path):
     with pytest.raises(ConfigError, match="cannot be read"):
         read_faults(tmp_path / "nowhere.yaml", DEVICES)
+
+
+def test_the_documented_file_can_be_read():
+    page = Path(__file__).parents[2] / "docs" / "simulation.md"
+    text = page.read_text(encoding="utf-8")
+    example = text.split("```yaml\n")[1].split("```")[0]
+    assert [fault.kind for fault in parse(example)] == ["cut", "burst", "restart", "slow_start", "bit_flips"]
+    assert all(f"`{kind}`" in text for kind in KINDS)
