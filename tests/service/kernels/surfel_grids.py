@@ -7,7 +7,7 @@ from service.kernels.tiles import NO_TILE, TileIndex
 
 
 def empty_grid(cell_m: float = 0.1, tiles_each_way: int = 4, used_slots: int = 0) -> SurfelGrid:
-    """Room for tiles_each_way tiles on each side of the origin. used_slots were handed back, with dirt in them."""
+    """Room for tiles_each_way tiles on each side of the origin; used_slots were handed back, dirt in them."""
     width = 2 * tiles_each_way
     capacity = width * width + used_slots
     index = TileIndex(

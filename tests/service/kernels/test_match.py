@@ -217,6 +217,6 @@ def test_covariance_shrinks_with_what_the_walls_tell() -> None:
     prior = prior_at((0.0, 0.0, 0.0))
     result = match(room_scan(), prior, room_grid())
     eigenvalues = np.linalg.eigvalsh(result.covariance)
-    assert 0.0 < eigenvalues[0]
+    assert eigenvalues[0] > 0.0
     assert np.sqrt(eigenvalues[-1]) < 0.01
     assert result.weakest_sigma_m < 0.01

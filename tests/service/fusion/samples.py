@@ -1,0 +1,18 @@
+"""Samples for the tests of fusion."""
+
+from drivers.frames import ImuSample, OdometrySample
+from service.geometry.se2 import SE2
+
+MS = 1_000_000
+
+
+def odometry(stamp_ms: float, pose: SE2) -> OdometrySample:
+    stamp_ns = round(stamp_ms * MS)
+    return OdometrySample(
+        "base", stamp_ns, stamp_ns, pose.x_m, pose.y_m, pose.theta_rad, (0.0, 0.0, 0.0), (0.0,) * 9
+    )
+
+
+def gyro(stamp_ms: float, rate_radps: float) -> ImuSample:
+    stamp_ns = round(stamp_ms * MS)
+    return ImuSample("imu", stamp_ns, stamp_ns, (0.0, 0.0, rate_radps), (0.0, 0.0, 9.81))

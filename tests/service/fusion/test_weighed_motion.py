@@ -1,0 +1,120 @@
+import math
+
+import numpy as np
+import pytest
+
+from service.fusion.motion import Motion, Prediction
+from service.fusion.weighed_motion import MotionConfig, WeighedMotion
+from service.geometry.se2 import SE2
+from tests.service.fusion.samples import MS, gyro, odometry
+
+SURE = np.diag([1e-6, 1e-6, 1e-8])
+
+
+def matched(pose: SE2, twist: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Motion:
+    return Motion(pose, twist, SURE)
+
+
+def sigmas(predicted: Prediction) -> np.ndarray:
+    return np.sqrt(np.diag(predicted.step_covariance))
+
+
+def test_the_odom_frame_is_the_base_at_the_first_scan() -> None:
+    model = WeighedMotion(MotionConfig())
+    model.add(odometry(0, SE2(70.0, 8.0, 1.0)))
+    model.add(odometry(20, SE2(70.02, 8.0, 1.0)))
+    predicted = model.predict(20 * MS)
+    assert predicted.pose_odom_base == SE2()
+    assert predicted.elapsed_s == 0.0
+    forward, left, turn = predicted.twist_base
+    assert (forward, left, turn) == pytest.approx((math.cos(1.0), -math.sin(1.0), 0.0))
+
+
+def test_wheels_carry_the_pose_from_match_to_scan() -> None:
+    model = WeighedMotion(MotionConfig())
+    for stamp_ms in range(0, 201, 20):
+        model.add(odometry(stamp_ms, SE2(70.0, 8.0, 1.0) @ SE2(stamp_ms / 1e3, 0.0, 0.0)))
+    model.correct(50 * MS, matched(SE2(1.0, 2.0, math.pi / 2.0)))
+    predicted = model.predict(150 * MS)
+    assert predicted.pose_odom_base.x_m == pytest.approx(1.0)
+    assert predicted.pose_odom_base.y_m == pytest.approx(2.1)
+    assert predicted.twist_base == pytest.approx((1.0, 0.0, 0.0), abs=1e-12)
+    assert predicted.elapsed_s == pytest.approx(0.1)
+    assert sigmas(predicted) == pytest.approx([0.02 + 0.01, 0.02 + 0.01, 0.02 + 0.002])
+
+
+def test_a_guess_beyond_the_samples_is_trusted_less() -> None:
+    model = WeighedMotion(MotionConfig())
+    for stamp_ms in range(0, 201, 20):
+        model.add(odometry(stamp_ms, SE2(stamp_ms / 1e3, 0.0, 0.0)))
+    model.correct(100 * MS, matched(SE2()))
+    assert sigmas(model.predict(200 * MS))[0] == pytest.approx(0.03)
+    guessed = model.predict(500 * MS)
+    assert guessed.pose_odom_base.x_m == pytest.approx(0.4)
+    assert sigmas(guessed)[0] == pytest.approx(0.02 + 0.04 + 0.5 * 2.0 * 0.3**2)
+
+
+def test_without_odometry_the_last_speed_goes_on() -> None:
+    model = WeighedMotion(MotionConfig())
+    model.correct(0, matched(SE2()))
+    assert model.predict(100 * MS).pose_odom_base == SE2()
+    assert sigmas(model.predict(100 * MS))[0] == pytest.approx(0.02 + 0.1)  # it may be moving already
+    model.correct(100 * MS, matched(SE2(0.1, 0.0, 0.0), (1.0, 0.0, 0.2)))
+    predicted = model.predict(200 * MS)
+    expected = SE2(0.1, 0.0, 0.0) @ SE2.exp(0.1, 0.0, 0.02)
+    assert predicted.pose_odom_base == expected
+    assert sigmas(predicted)[0] == pytest.approx(0.02 + 2.0 * 0.1**2)
+
+
+def test_the_gyro_turns_and_the_wheels_drive() -> None:
+    model = WeighedMotion(MotionConfig())
+    for stamp_ms in range(0, 201, 20):
+        model.add(odometry(stamp_ms, SE2(stamp_ms / 1e3, 0.0, 0.0)))
+        model.add(gyro(stamp_ms, 0.5))
+    model.correct(0, matched(SE2()))
+    predicted = model.predict(200 * MS)
+    assert predicted.pose_odom_base.theta_rad == pytest.approx(0.1)
+    arc = SE2.exp(0.2, 0.0, 0.1)
+    assert predicted.pose_odom_base.x_m == pytest.approx(arc.x_m)
+    assert predicted.pose_odom_base.y_m == pytest.approx(arc.y_m)
+    assert predicted.twist_base == pytest.approx((1.0, 0.0, 0.5))
+    assert sigmas(predicted)[2] == pytest.approx(0.005 + 0.02 * 0.1)
+
+
+def test_late_samples_are_refused() -> None:
+    model = WeighedMotion(MotionConfig())
+    assert model.add(odometry(20, SE2()))
+    assert not model.add(odometry(10, SE2()))
+    assert model.add(gyro(20, 0.0))
+    assert not model.add(gyro(20, 0.0))
+
+
+def test_a_short_scan_interval_teaches_the_twist_little() -> None:
+    model = WeighedMotion(MotionConfig())
+    model.correct(0, matched(SE2()))
+    assert model.predict(20 * MS).twist_gain == pytest.approx(1.0 - math.exp(-0.4))
+    assert model.predict(500 * MS).twist_gain > 0.99
+
+
+def test_uncertainty_is_carried_along_and_grows_with_the_way() -> None:
+    model = WeighedMotion(MotionConfig())
+    model.add(odometry(0, SE2()))
+    model.add(odometry(1000, SE2(10.0, 0.0, 0.0)))
+    model.correct(0, Motion(SE2(), (10.0, 0.0, 0.0), np.diag([1e-4, 1e-4, 1e-4])))
+    covariance = model.predict(1000 * MS).covariance
+    assert covariance[0, 0] == pytest.approx(1e-4 + 0.03**2 * 10.0 + 0.005**2)
+    assert covariance[1, 1] == pytest.approx(covariance[0, 0] + 1e-4 * 10.0**2)  # 0.01 rad over 10 m
+    assert covariance[1, 2] == pytest.approx(1e-4 * 10.0)
+    assert covariance[2, 2] > 1e-4
+
+
+def test_only_differences_of_time_count() -> None:
+    def run(offset_ns: int) -> Prediction:
+        model = WeighedMotion(MotionConfig())
+        model.correct(offset_ns, matched(SE2()))
+        model.correct(offset_ns + 100 * MS, matched(SE2(0.1, 0.0, 0.01), (1.0, 0.0, 0.1)))
+        return model.predict(offset_ns + 133 * MS)
+
+    near, unix = run(5), run(1_700_000_000_000_000_005)
+    assert near.pose_odom_base == unix.pose_odom_base
+    np.testing.assert_array_equal(near.covariance, unix.covariance)
