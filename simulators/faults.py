@@ -99,7 +99,7 @@ class Faulty:
             if isinstance(fault, SlowStart)
         ]
         self._deaf_until_ns = 0
-        self._held: deque[tuple[int, bytes]] = deque()  # host time to let go, message
+        self._held: deque[tuple[int, bytes]] = deque()  # host time to let go, message; none overtakes another
         self._note_start(zero_ns)
 
     def connected(self, now_ns: int) -> bytes:
@@ -220,7 +220,7 @@ class Faulty:
                 leaves_ns = max(leaves_ns, min(gate_ns, end_ns))
         if leaves_ns > now_ns:
             self.counters["messages_delayed"] += 1
-        return max(leaves_ns, self._held[-1][0]) if self._held else leaves_ns  # none overtakes another
+        return leaves_ns
 
     def _let_go(self, now_ns: int) -> bytes:
         leaving = bytearray()
