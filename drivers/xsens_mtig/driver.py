@@ -18,7 +18,7 @@ from drivers.xsens_mtig.protocol import (
 from drivers.xsens_mtig.streams import LegacyStream, Mtdata2Stream
 
 BITS_A_BYTE = 10
-STALE_NS = 250_000_000  # a message takes at most 0.2 s, at 115 200 baud
+STALE_NS = 100_000_000  # bytes of a message follow upon each other; adapters hold them back for 16 ms
 FIRST_SAMPLE_TIMEOUT_S = 5.0
 LOOK_NS = 200_000_000  # silence counts only while we look: a stalled host is not a silent device
 MALFORMED_LIMIT = 100  # messages in a row

@@ -257,6 +257,18 @@ def test_wake_up_is_answered_at_once():
     assert said(t.session.outbox)[0].mid == Mid.WAKE_UP_ACK
 
 
+def test_a_preamble_in_garbage_does_not_hold_up_the_answers():
+    """It promises 192 bytes; a device in config state sends 5 at a time, five times a second."""
+    device = mtdata2()
+    t = talk(device)
+    device.receive_data(encode(Mid.GO_TO_CONFIG), t.now_ns)
+    t.now_ns += 30 * MS
+    device.due(t.now_ns)
+    t.session.receive_data(b"\xfa\xff\x36\xc0", t.now_ns)
+    t.run(1.5)
+    assert len(samples(t.frames)) > 50
+
+
 def test_device_that_boots_while_it_is_looked_for_streams_soon():
     device = FakeMtiG(Swing(), MtigSetup())
     t = talk(device)

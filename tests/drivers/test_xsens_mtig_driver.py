@@ -3,6 +3,7 @@
 import itertools
 import math
 import queue
+import random
 import threading
 import time
 from pathlib import Path
@@ -32,7 +33,7 @@ from tests.drivers.mtig import (
     samples,
     talk,
 )
-from tests.drivers.test_xsens_mtig_protocol import mutate
+from tests.drivers.test_xsens_mtig_protocol import GOOD, mutate
 from tests.drivers.virtual_time import SECOND_NS, Talk
 
 FORMATS = ("float32", "fp12.20", "fp16.32", "float64")
@@ -425,3 +426,39 @@ def test_driver_reads_the_simulator_over_a_terminal(personality):
     assert health.frames <= health.counters["samples_received"]  # fixes are not counted: 200 Hz is 200 Hz
     assert health.counters["samples_missed"] == 0
     assert abs(taken[-1].arrived_ns - taken[-1].stamp_ns) < SECOND_NS
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(900)
+def test_a_million_damaged_recorded_messages_are_survived(shared: Path):
+    """Every other one is damaged before its checksum is made, so that its content is read. Where the session
+    gives the link up, or takes a message for a restart of the device, it is made anew as the link would.
+    """
+    chance, messages = random.Random(7), []
+    for name in ("einride_xsens-go_t1_output", "einride_xsens-go_t3_output", "mtig_legacy_issue66_mtdata_x2"):
+        recorded = (shared / f"captures/xsens/{name}.bin").read_bytes()
+        messages += [(m.mid, m.data) for m in MessageDecoder().receive_data(recorded)]
+    makers = (mtdata2, legacy)
+    streams = [talk(make(baud=460_800)).run(1.0) for make in makers]
+    ended = malformed = 0
+    for i in range(1_000_000):
+        t = streams[i % 2]
+        t.now_ns += 5_000_000
+        mid, data = messages[chance.randrange(len(messages))]
+        wire = encode(mid, mutate(data, chance)) if i & 2 else mutate(encode(mid, data), chance)
+        try:
+            t.session.receive_data(wire, t.now_ns)
+        except ProtocolError:
+            ended += 1
+        if t.session._malformed_in_a_row > MALFORMED_LIMIT or not t.session._dialogue.measuring:
+            malformed += t.session.counters["messages_malformed"]
+            streams[i % 2] = talk(makers[i % 2](baud=460_800)).run(1.0)
+        assert t.session._decoder.waiting_bytes <= 2_055
+    assert ended > 0
+    assert malformed + sum(t.session.counters["messages_malformed"] for t in streams) > 50_000
+    for t in streams:
+        assert len(t.session.counters) < 60
+        t.session.receive_data(GOOD * 400, t.now_ns)  # longer than any message that garbage can announce
+        before = t.session.counters["bytes_skipped"]
+        t.session.receive_data(GOOD, t.now_ns)
+        assert t.session.counters["bytes_skipped"] == before
