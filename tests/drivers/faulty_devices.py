@@ -11,6 +11,7 @@ from drivers.irobot_create.driver import session_maker as create_sessions
 from drivers.link import Session
 from drivers.sick_lms100.driver import Lms100Session
 from drivers.sick_lms100.protocol import Dialect
+from drivers.xsens_mtig.driver import XsensMtigSession
 from simulators.device import FakeDevice
 from simulators.fault_file import parse_faults
 from simulators.faults import Faulty
@@ -18,7 +19,8 @@ from simulators.hokuyo_utm30lx import FakeUtm30lx, Utm30lxSetup
 from simulators.ibeo_lux import FakeIbeoLux, LuxSetup
 from simulators.irobot_create import FakeCreate
 from simulators.sick_lms100 import FakeLms100, Lms100Setup
-from tests.drivers import irobot_bench, lms100, lux, utm30lx
+from simulators.xsens_mtig import FakeMtiG, MtigSetup
+from tests.drivers import irobot_bench, lms100, lux, mtig, utm30lx
 from tests.drivers.virtual_link import VirtualLink
 from tests.drivers.virtual_time import SECOND_NS
 
@@ -63,6 +65,15 @@ def _utm30lx(wire: Any, **changes: Any) -> Bench:
     )
 
 
+def _mtig(personality: Any) -> Bench:
+    setup = MtigSetup(personality=personality)
+    return Bench(
+        lambda: FakeMtiG(mtig.Swing(), setup),
+        lambda now: partial(XsensMtigSession, mtig.config()),
+        rate_hz=200.0,
+    )
+
+
 BENCHES = {
     "lms100 cola_a": _lms100(Dialect.ASCII),
     "lms100 cola_b": _lms100(Dialect.BINARY, port=2112),
@@ -74,6 +85,8 @@ BENCHES = {
         rate_hz=25.0,
         has_sum=False,
     ),
+    "mtig legacy": _mtig("legacy"),
+    "mtig mtdata2": _mtig("mtdata2"),
     "create2": Bench(
         lambda: FakeCreate(irobot_bench.STANDING, wakes_on_connect=True),
         lambda now: create_sessions(irobot_bench.CONFIG),

@@ -33,10 +33,10 @@ LOSSES = {  # kind -> what the drivers call the loss; one of them has to grow
     "bit_flips": {
         *("bytes_skipped", "scans_malformed", "checksum_errors", "checksum_failures", "answers_refused"),
     },
-    "half_messages": {"bytes_skipped", "scans_missed", "frames_missed", "answers_missed"},
+    "half_messages": {"bytes_skipped", "scans_missed", "frames_missed", "answers_missed", "samples_missed"},
     "wrong_checksum": {"checksum_errors", "checksum_failures", "scans_malformed"},
-    "drop": {"scans_missed", "frames_missed", "answers_missed"},
-    "duplicate": {"scans_duplicate", "scans_with_a_stamp_twice", "scans_repeated"},
+    "drop": {"scans_missed", "frames_missed", "answers_missed", "samples_missed"},
+    "duplicate": {"scans_duplicate", "scans_with_a_stamp_twice", "scans_repeated", "samples_out_of_order"},
 }
 STAYS = (
     *("duplicate, for_s: 1", "delay, for_s: 1, up_to_ms: 30", "burst, for_s: 1, hold_ms: 200"),
