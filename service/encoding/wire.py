@@ -140,6 +140,11 @@ def planar_pose(pose: ros.geometry_msgs__msg__Pose) -> SE2:
     return SE2(pose.position.x, pose.position.y, yaw(pose.orientation))
 
 
+def pose_on_wire(pose: SE2) -> SE2:
+    """The pose as whoever decodes the message has it: its heading has been a quaternion."""
+    return planar_pose(planar_pose_ros(pose))
+
+
 def quaternion_ros(theta_rad: float) -> ros.geometry_msgs__msg__Quaternion:
     return ros.geometry_msgs__msg__Quaternion(0.0, 0.0, math.sin(theta_rad / 2.0), math.cos(theta_rad / 2.0))
 

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from service.config import ServiceConfig, load_config, mountings, parse_config
-from service.encoding import LASER_SCAN
+from service.encoding import LASER_SCAN, pose_on_wire
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import ConfigError, InputError, StorageError
 from service.geometry.se2 import SE2
@@ -182,10 +182,13 @@ def replay(
 
 
 def write_replay(done: Replay, out: Path) -> None:
-    """trajectory.tum, trajectory_live.tum, map.pgm + map.yaml, map.png, summary.json. Raises StorageError."""
+    """trajectory.tum, trajectory_live.tum, map.pgm + map.yaml, map.png, summary.json. Raises StorageError.
+
+    Poses are written as a subscriber or an export of the live session has them, to the last digit.
+    """
     try:
         out.mkdir(parents=True, exist_ok=True)
-        live = [(output.stamp_ns, output.pose_map_base) for output in done.outputs]
+        live = [(output.stamp_ns, pose_on_wire(output.pose_map_base)) for output in done.outputs]
         write_tum(out / "trajectory_live.tum", live)
         write_tum(out / "trajectory.tum", live)  # nothing corrects a pose afterwards until there is a graph
         picture = picture_of_tiles(done.tiles)

@@ -12,7 +12,8 @@ from service.cli import main
 from service.demo import interpolate
 from service.encoding import decode_diagnostics, decode_event, decode_frame, decode_pose, encode_pose
 from service.mapstore.files import load_map
-from service.offline.replay import ReplayOptions, replay
+from service.offline.export import export
+from service.offline.replay import ReplayOptions, replay, write_replay
 from service.recording.mcap_reader import Recording
 from tests.system.machine import FakeVehicle, LiveService, Subscriber
 
@@ -81,6 +82,10 @@ def _check_recording(session: Path, truth: Path) -> None:
     replayed = replay([session], ReplayOptions())
     assert [encode_pose(output, 0).payload for output in replayed.outputs] == recorded
     assert replayed.summary["scans_dropped"] == 0
+    write_replay(replayed, session.parent / "replayed")
+    export(session, "tum", session.parent / "live.tum")
+    replayed_live = (session.parent / "replayed" / "trajectory_live.tum").read_bytes()
+    assert replayed_live == (session.parent / "live.tum").read_bytes()
 
     poses = [decode_pose(payload) for payload in recorded]
     offset_ns = int(recording.metadata["clock"]["utc_offset_ns"])
