@@ -44,7 +44,7 @@ class MotionConfig(BaseModel):
     odometry_max_guess_s: float = Field(default=1.0, ge=0.0)
     odometry_speed_window_s: float = Field(default=0.05, gt=0.0)
 
-    twist_time_s: float = Field(default=0.05, gt=0.0)  # a speed is learnt from matches over about so long
+    twist_time_s: float = Field(default=0.03, gt=0.0)  # a speed is learnt from matches over about so long
     drift_m_per_sqrt_m: float = Field(default=0.03, ge=0.0)  # reported: how the wheels' error grows where
     drift_rad_per_sqrt_m: float = Field(default=0.01, ge=0.0)  # no match holds it
     drift_m_per_sqrt_s: float = Field(default=0.005, ge=0.0)

@@ -12,6 +12,8 @@ from service.kernels.likelihood import read_field
 from service.kernels.linear3 import solve_3x3
 from service.kernels.surfels import find_surfels
 
+HOLD_INFORMATION = 1e6  # 1/m^2: to a millimetre
+
 
 class Prior(NamedTuple):
     """Where the base should be. Covariances in base axes of the predicted pose, theta last."""
@@ -39,6 +41,7 @@ class MatchSettings(NamedTuple):
     coarse_iterations: int
     settled_m: float
     settled_rad: float
+    blind_sigma_m: float
     covariance_scale: float
 
 
@@ -316,6 +319,32 @@ def weakest_direction(H):
 
 
 @njit(cache=True, nogil=True)
+def hold_blind_direction(pose, prior_pose, H, settings, system, g):
+    """Leave the direction that the points fix least to the prediction, where they hardly fix it at all.
+
+    What they say of it then is noise of the map, which pulls once and for all the same way.
+
+    pose, prior_pose   (3,)   float64
+    H                  (3, 3) float64   Hessian of the points alone
+    settings           MatchSettings
+    system, g          (3, 3), (3,) float64   in and out: Hessian, and gradient of half the cost
+    Source: Zhang, Kaess, Singh, On degeneracy of optimization-based state estimation problems, 2016.
+    """
+    least, direction = weakest_direction(H)
+    if least * settings.blind_sigma_m * settings.blind_sigma_m >= settings.covariance_scale:
+        return
+    vx = math.cos(direction)
+    vy = math.sin(direction)
+    away = vx * (pose[0] - prior_pose[0]) + vy * (pose[1] - prior_pose[1])
+    system[0, 0] += HOLD_INFORMATION * vx * vx
+    system[0, 1] += HOLD_INFORMATION * vx * vy
+    system[1, 0] += HOLD_INFORMATION * vx * vy
+    system[1, 1] += HOLD_INFORMATION * vy * vy
+    g[0] += HOLD_INFORMATION * away * vx
+    g[1] += HOLD_INFORMATION * away * vy
+
+
+@njit(cache=True, nogil=True)
 def fine_align(returns, normals, prior, prior_information, grid, settings, xy_base, pose, H):
     """Gauss-Newton on surfels, held by the prior, deskewing anew with the twist that each step finds.
 
@@ -351,6 +380,7 @@ def fine_align(returns, normals, prior, prior_information, grid, settings, xy_ba
         )
         system[:] = H
         cost += 0.5 * add_prior(pose, prior.pose, prior_information, system, g)
+        hold_blind_direction(pose, prior.pose, H, settings, system, g)
         if k == settings.iterations or not solve_3x3(system, g, step):
             break
         for i in range(3):

@@ -40,6 +40,7 @@ class SurfelMatcherConfig(BaseModel):
     inlier_m: float = Field(default=0.10, gt=0.0)
     lost_share: float = Field(default=0.30, ge=0.0, le=1.0)
     degraded_share: float = Field(default=0.45, ge=0.0, le=1.0)
+    blind_sigma_m: float = Field(default=0.05, gt=0.0)  # directions known less well keep to the prediction
     degraded_sigma_m: float = Field(default=0.10, gt=0.0)
     least_points: int = Field(default=20, ge=3)
 
@@ -67,6 +68,7 @@ class SurfelGaussNewton:
             config.coarse_iterations,
             config.settled_m,
             config.settled_rad,
+            config.blind_sigma_m,
             config.covariance_scale,
         )
         self._usual_share = 1.0

@@ -92,7 +92,7 @@ def test_late_samples_are_refused() -> None:
 def test_a_short_scan_interval_teaches_the_twist_little() -> None:
     model = WeighedMotion(MotionConfig())
     model.correct(0, matched(SE2()))
-    assert model.predict(20 * MS).twist_gain == pytest.approx(1.0 - math.exp(-0.4))
+    assert model.predict(20 * MS).twist_gain == pytest.approx(1.0 - math.exp(-2.0 / 3.0))
     assert model.predict(500 * MS).twist_gain > 0.99
 
 

@@ -35,6 +35,7 @@ SETTINGS = MatchSettings(
     coarse_iterations=15,
     settled_m=1e-6,
     settled_rad=1e-7,
+    blind_sigma_m=0.1,
     covariance_scale=2.0,
 )
 NORMALS = NormalSettings(4, 16, 0.1, 0.06, 5.0, 0.02, 0.05, 0.2)
@@ -211,6 +212,28 @@ def test_a_scan_far_from_any_map_keeps_the_prediction_and_says_so() -> None:
     assert result.share == 0.0
     assert result.weakest_sigma_m == math.inf
     np.testing.assert_allclose(result.covariance, prior.covariance, rtol=1e-9)
+
+
+def test_a_direction_that_no_wall_fixes_keeps_to_the_prediction() -> None:
+    """Noise of the map looks like a weak hold along a corridor; it must not pull."""
+    rng = np.random.default_rng(1)
+    grid = empty_grid()
+
+    def corridor() -> np.ndarray:
+        angle = np.concatenate([np.arange(0.3, 2.8, STEP_RAD), np.arange(-2.8, -0.3, STEP_RAD)])
+        range_m = 1.0 / np.abs(np.sin(angle)) + rng.normal(0.0, 0.012, len(angle))
+        return range_m[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+
+    xy = corridor()
+    for _ in range(3):
+        insert_surfels(xy, normals_of(xy), np.zeros(3), grid, 50.0)
+    splat_likelihood(xy, np.zeros(3), grid, 0.15, 0.95)
+    result = match(corridor(), prior_at((0.05, 0.03, 0.02)), grid)
+    assert result.pose[0] == pytest.approx(0.05, abs=0.002)
+    np.testing.assert_allclose(result.pose[1:], 0.0, atol=0.004)
+    assert result.weakest_sigma_m > 0.05
+    assert math.cos(result.weakest_direction_rad) ** 2 > 0.99
+    assert result.covariance[0, 0] > 20.0 * result.covariance[1, 1]
 
 
 def test_covariance_shrinks_with_what_the_walls_tell() -> None:

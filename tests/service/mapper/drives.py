@@ -1,0 +1,147 @@
+"""Made-up drives with truth: walls, a motion, and what laser and wheels report of it.
+
+Written apart from the simulators on purpose: an error in one of them cannot hide behind the other.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
+from service.geometry.se2 import SE2
+
+ROOM = [  # an L-shaped room with a pillar: (x0, y0, x1, y1), m
+    (-3.0, -2.0, 6.0, -2.0),
+    (6.0, -2.0, 6.0, 2.5),
+    (6.0, 2.5, 2.0, 2.5),
+    (2.0, 2.5, 2.0, 5.0),
+    (2.0, 5.0, -3.0, 5.0),
+    (-3.0, 5.0, -3.0, -2.0),
+    (-1.5, 2.0, -1.0, 2.0),
+    (-1.0, 2.0, -1.0, 2.6),
+    (-1.0, 2.6, -1.5, 2.6),
+    (-1.5, 2.6, -1.5, 2.0),
+]
+CORRIDOR = [(-60.0, -1.0, 60.0, -1.0), (-60.0, 1.0, 60.0, 1.0)]
+
+BEAMS, FIRST_RAD, STEP_RAD = 541, math.radians(-135.0), math.radians(0.5)
+BEAM_NS, PERIOD_NS, ODOMETRY_NS = 27_778, 20_000_000, 15_000_000
+MOUNTING = SE2(0.2, 0.05, 0.1)
+
+Motion = Callable[[float], SE2]  # seconds -> base in the world
+
+
+@dataclass(frozen=True)
+class Drive:
+    frames: list[Frame]
+    truth: dict[int, SE2]  # scan stamp -> base in the frame of the first scan
+
+
+def cast(walls: list[tuple[float, float, float, float]], origins: np.ndarray, ways: np.ndarray) -> np.ndarray:
+    """Distance along each ray to the nearest wall, inf where there is none."""
+    nearest = np.full(len(origins), np.inf)
+    for x0, y0, x1, y1 in walls:
+        ex, ey = x1 - x0, y1 - y0
+        denominator = ways[:, 0] * ey - ways[:, 1] * ex
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along = ((x0 - origins[:, 0]) * ey - (y0 - origins[:, 1]) * ex) / denominator
+            share = ((x0 - origins[:, 0]) * ways[:, 1] - (y0 - origins[:, 1]) * ways[:, 0]) / denominator
+        hit = (along > 0.0) & (share >= 0.0) & (share <= 1.0)
+        nearest = np.where(hit & (along < nearest), along, nearest)
+    return nearest
+
+
+def scan_at(
+    walls: list[tuple[float, float, float, float]],
+    motion: Motion,
+    stamp_ns: int,
+    start_ns: int,
+    noise: np.random.Generator,
+    sigma_m: float,
+) -> LaserScan:
+    """One sweep; every beam leaves from where the laser is at its own moment."""
+    origins, ways = np.empty((BEAMS, 2)), np.empty((BEAMS, 2))
+    for i in range(BEAMS):
+        laser = motion((stamp_ns - start_ns + i * BEAM_NS) * 1e-9) @ MOUNTING
+        angle = laser.theta_rad + FIRST_RAD + i * STEP_RAD
+        origins[i] = laser.x_m, laser.y_m
+        ways[i] = math.cos(angle), math.sin(angle)
+    range_m = cast(walls, origins, ways) + sigma_m * noise.standard_normal(BEAMS)
+    range_m[~(range_m < 20.0)] = np.nan
+    return LaserScan(
+        "front",
+        stamp_ns,
+        stamp_ns + BEAMS * BEAM_NS,
+        BEAM_NS,
+        PERIOD_NS,
+        FIRST_RAD,
+        STEP_RAD,
+        0.05,
+        20.0,
+        range_m.astype(np.float32),
+        NO_INTENSITY,
+    )
+
+
+def drive(
+    walls: list[tuple[float, float, float, float]],
+    motion: Motion,
+    seconds: float,
+    start_ns: int = 1_000_000_000,
+    sigma_m: float = 0.01,
+    wheel_scale: float | None = 1.01,
+) -> Drive:
+    """Scans at 50 Hz and odometry at 67 Hz, by arrival. wheel_scale: what the wheels make of a metre; None: no wheels."""
+    noise = np.random.default_rng(1)
+    frames: list[Frame] = []
+    truth = {}
+    if wheel_scale is not None:
+        pose = SE2()
+        for k in range(int(seconds * 1e9) // ODOMETRY_NS + 1):
+            before = motion(max(k - 1, 0) * ODOMETRY_NS * 1e-9)
+            forward, left, turn = (before.inverse() @ motion(k * ODOMETRY_NS * 1e-9)).log()
+            pose = pose @ SE2.exp(wheel_scale * forward, wheel_scale * left, turn)
+            stamp_ns = start_ns + k * ODOMETRY_NS
+            frames.append(
+                OdometrySample(
+                    "base",
+                    stamp_ns,
+                    stamp_ns + 2_000_000,
+                    pose.x_m,
+                    pose.y_m,
+                    pose.theta_rad,
+                    (0.0, 0.0, 0.0),
+                    (0.0,) * 9,
+                )
+            )
+    for k in range(int(seconds * 1e9) // PERIOD_NS):
+        stamp_ns = start_ns + k * PERIOD_NS + 1_234_567
+        frames.append(scan_at(walls, motion, stamp_ns, start_ns, noise, sigma_m))
+        truth[stamp_ns] = motion((stamp_ns - start_ns) * 1e-9)
+    first = next(iter(truth.values())).inverse()
+    frames.sort(key=lambda frame: frame.arrived_ns)
+    return Drive(frames, {stamp_ns: first @ pose for stamp_ns, pose in truth.items()})
+
+
+def eased(time_s: float) -> float:
+    """Time that stands still for 0.4 s and then takes a second to run at full speed."""
+    since_s = max(time_s - 0.4, 0.0)
+    return since_s**2 / 2.0 if since_s < 1.0 else since_s - 0.5
+
+
+def round_the_room(time_s: float) -> SE2:
+    """From rest along an ellipse with changing speed, heading along it."""
+    time_s = eased(time_s)
+    phase = 0.5 * time_s + 0.2 * math.sin(time_s)
+    x, y = 1.0 + 1.5 * math.cos(phase), 0.4 + 0.8 * math.sin(phase)
+    return SE2(x, y, math.atan2(0.8 * math.cos(phase), -1.5 * math.sin(phase)))
+
+
+def down_the_corridor(time_s: float) -> SE2:
+    return SE2(eased(time_s), 0.1, 0.02)
+
+
+def standing(time_s: float) -> SE2:
+    return SE2(0.5, 0.3, 0.4)

@@ -1,0 +1,228 @@
+"""The default profile as a whole, on drives whose truth is known."""
+
+import importlib
+import math
+import pkgutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+import service.kernels
+from drivers.frames import LaserScan, OdometrySample
+from service.errors import InputError
+from service.geometry.se2 import SE2
+from service.mapper.pipeline import Mapper
+from service.mapper.profiles import MappingConfig, build_mapper, warm_up
+from service.outputs import MapperOutput, TileUpdate
+from tests.service.mapper.drives import (
+    CORRIDOR,
+    MOUNTING,
+    ROOM,
+    Drive,
+    down_the_corridor,
+    drive,
+    round_the_room,
+    standing,
+)
+
+FOREIGN_KERNELS = ("raycast",)  # those of the simulators
+
+
+@pytest.fixture(scope="module")
+def room_drive() -> Drive:
+    return drive(ROOM, round_the_room, 8.0)
+
+
+def new_mapper() -> Mapper:
+    return build_mapper(MappingConfig(), {"front": MOUNTING})
+
+
+def run(frames: list, mapper: Mapper | None = None) -> list[MapperOutput]:
+    mapper = new_mapper() if mapper is None else mapper
+    return [output for frame in frames if (output := mapper.process(frame)) is not None]
+
+
+def errors(outputs: list[MapperOutput], truth: dict[int, SE2]) -> np.ndarray:
+    """(N, 3) forward m, left m, turn rad from the true pose."""
+    away = [truth[o.stamp_ns].inverse() @ o.pose_map_base for o in outputs]
+    return np.array([(e.x_m, e.y_m, e.theta_rad) for e in away])
+
+
+def digest(output: MapperOutput) -> tuple:
+    return (
+        output.pose_odom_base,
+        output.twist_base,
+        output.covariance.tobytes(),
+        output.state,
+        output.match_share,
+    )
+
+
+@pytest.mark.parametrize("wheels", [True, False])
+def test_a_drive_round_a_room_is_followed_to_millimetres(room_drive: Drive, wheels: bool) -> None:
+    frames = [f for f in room_drive.frames if wheels or isinstance(f, LaserScan)]
+    outputs = run(frames)
+    away = errors(outputs, room_drive.truth)
+    assert {o.state for o in outputs} == {"ok"}
+    assert np.sqrt((away[:, :2] ** 2).sum(axis=1).mean()) < 0.002
+    assert np.hypot(away[:, 0], away[:, 1]).max() < 0.005
+    assert np.degrees(np.abs(away[:, 2]).max()) < 0.1
+
+
+def test_motion_during_the_sweep_is_taken_out(room_drive: Drive) -> None:
+    """The same drive with sweeps declared to be instants: the error that deskewing saves."""
+    frozen = [replace(f, beam_interval_ns=0) if isinstance(f, LaserScan) else f for f in room_drive.frames]
+    skewed, deskewed = (
+        np.hypot(*errors(run(frames), room_drive.truth)[:, :2].T).mean()
+        for frames in (frozen, room_drive.frames)
+    )
+    assert skewed > 2.5 * deskewed
+
+
+def test_the_twist_is_that_of_the_truth(room_drive: Drive) -> None:
+    outputs = run(room_drive.frames)[50:]
+    stamps = sorted(room_drive.truth)
+    true_twists = []
+    for output in outputs:
+        k = min(stamps.index(output.stamp_ns), len(stamps) - 2)
+        step = room_drive.truth[stamps[k]].inverse() @ room_drive.truth[stamps[k + 1]]
+        true_twists.append([rate / 0.02 for rate in step.log()])
+    away = np.array([o.twist_base for o in outputs]) - true_twists
+    assert np.sqrt((away[:, 0] ** 2).mean()) < 0.15
+    assert np.sqrt((away[:, 2] ** 2).mean()) < 0.1
+
+
+def test_the_free_direction_of_a_corridor_is_held_on_odometry() -> None:
+    corridor = drive(CORRIDOR, down_the_corridor, 6.0, wheel_scale=1.05)
+    outputs = run(corridor.frames)
+    away = errors(outputs, corridor.truth)
+    way_m = 5.08
+    assert away[-1, 0] == pytest.approx(0.05 * way_m, abs=0.01)  # what the wheels say, no more and no less
+    assert np.abs(away[:, 1]).max() < 0.02
+    assert np.degrees(np.abs(away[:, 2]).max()) < 0.15
+    last = outputs[-1]
+    assert last.state == "degraded"
+    assert "do not fix the position along" in last.reason
+    along_m, across_m = np.sqrt(np.diag(last.covariance)[:2])
+    assert along_m > 5.0 * across_m
+    grown = [o.covariance[0, 0] for o in outputs[10::50]]
+    assert grown == sorted(grown)
+
+
+def test_standing_still_the_pose_stays() -> None:
+    still = drive(ROOM, standing, 4.0, wheel_scale=None)
+    outputs = run(still.frames)
+    away = errors(outputs, still.truth)
+    assert np.hypot(away[:, 0], away[:, 1]).max() < 0.004
+    assert np.degrees(np.abs(away[:, 2]).max()) < 0.1
+    assert np.abs(away[-50:, :2].mean(axis=0) - away[50:100, :2].mean(axis=0)).max() < 0.001
+
+
+def test_covariance_is_sane_and_honest(room_drive: Drive) -> None:
+    outputs = run(room_drive.frames)
+    away = errors(outputs, room_drive.truth)
+    nees = []
+    for output, error in zip(outputs[5:], away[5:], strict=True):
+        covariance = output.covariance
+        np.testing.assert_allclose(covariance, covariance.T, atol=1e-12)
+        assert np.linalg.eigvalsh(covariance)[0] > 0.0
+        nees.append(error @ np.linalg.solve(covariance, error))
+    assert np.mean(nees) < 3.0  # 3 were perfect; below it is caution
+    assert max(math.sqrt(o.covariance[0, 0]) for o in outputs) < 0.01
+
+
+def test_the_same_frames_give_the_same_outputs_bit_for_bit(room_drive: Drive) -> None:
+    one, two = new_mapper(), new_mapper()
+    first, second = run(room_drive.frames, one), run(room_drive.frames, two)
+    assert [digest(o) for o in first] == [digest(o) for o in second]
+    for a, b in zip(one.changed_tiles(), two.changed_tiles(), strict=True):
+        assert (a.ix, a.iy, a.version) == (b.ix, b.iy, b.version)
+        np.testing.assert_array_equal(a.cells, b.cells)
+
+
+def test_only_differences_of_time_count(room_drive: Drive) -> None:
+    offset_ns = 1_763_716_515_123_456_789
+    later = [
+        replace(f, stamp_ns=f.stamp_ns + offset_ns, arrived_ns=f.arrived_ns + offset_ns)
+        for f in room_drive.frames[:400]
+    ]
+    assert [digest(o) for o in run(later)] == [digest(o) for o in run(room_drive.frames[:400])]
+
+
+def test_a_late_scan_and_a_late_sample_are_dropped_and_counted(room_drive: Drive) -> None:
+    mapper = new_mapper()
+    scans = [f for f in room_drive.frames if isinstance(f, LaserScan)]
+    samples = [f for f in room_drive.frames if isinstance(f, OdometrySample)]
+    run([samples[1], samples[0], scans[1]], mapper)
+    assert mapper.process(scans[0]) is None
+    assert mapper.process(scans[1]) is None
+    assert mapper.counters == {"scans": 1, "scans_dropped_late": 2, "samples_dropped_late": 1}
+
+
+def test_a_scan_without_returns_is_lost_and_maps_nothing(room_drive: Drive) -> None:
+    mapper = new_mapper()
+    scans = [f for f in room_drive.frames if isinstance(f, LaserScan)]
+    blind = replace(scans[3], range_m=np.full(541, np.nan, np.float32))
+    outputs = run([*scans[:3], blind, *scans[4:8]], mapper)
+    assert [o.state for o in outputs] == ["ok"] * 3 + ["lost"] + ["ok"] * 4
+    assert "0 of 541 beams returned" in outputs[3].reason
+
+
+def test_blind_from_the_first_scan_the_map_begins_with_the_first_that_sees(room_drive: Drive) -> None:
+    scans = [f for f in room_drive.frames if isinstance(f, LaserScan)]
+    blind = [replace(s, range_m=np.full(541, np.nan, np.float32)) for s in scans[:3]]
+    assert [o.state for o in run([*blind, *scans[3:6]])] == ["lost"] * 3 + ["ok"] * 3
+
+
+def test_a_laser_without_a_mounting_is_refused_by_name(room_drive: Drive) -> None:
+    mapper = build_mapper(MappingConfig(), {"rear": SE2()})
+    scan = next(f for f in room_drive.frames if isinstance(f, LaserScan))
+    with pytest.raises(InputError, match="front.*known: rear"):
+        mapper.process(scan)
+
+
+def test_the_shown_map_has_the_walls_and_the_floor_between(room_drive: Drive) -> None:
+    mapper = new_mapper()
+    run(room_drive.frames, mapper)
+    tiles = mapper.changed_tiles()
+    assert mapper.changed_tiles() == []
+    start = round_the_room(0.001234567)
+    for world_xy, expected in (((0.0, -2.0), "wall"), ((6.0, 0.0), "wall"), ((1.0, 0.4), "floor")):
+        place = start.inverse() @ SE2(*world_xy, 0.0)
+        assert shown(tiles, place.x_m, place.y_m) == expected
+
+
+def shown(tiles: list[TileUpdate], x_m: float, y_m: float) -> str:
+    """What the map shows within a cell of a place."""
+    column, row = math.floor(x_m / 0.05), math.floor(y_m / 0.05)
+    seen = []
+    for r in range(row - 1, row + 2):
+        for c in range(column - 1, column + 2):
+            tile = next(t for t in tiles if (t.ix, t.iy) == (c // 64, r // 64))
+            seen.append(tile.cells[r % 64, c % 64])
+    return "wall" if max(seen) > 65 else "floor" if max(seen) < 20 and min(seen) >= 0 else f"unclear: {seen}"
+
+
+def test_kernels_are_compiled_once_for_warm_up_and_all_that_follows(room_drive: Drive) -> None:
+    warm_up()
+    run(room_drive.frames[:200], mapper := new_mapper())
+    mapper.changed_tiles()
+    seen = 0
+    for module in pkgutil.iter_modules(service.kernels.__path__):
+        if module.name in FOREIGN_KERNELS:
+            continue
+        kernels = vars(importlib.import_module(f"service.kernels.{module.name}"))
+        for name, kernel in kernels.items():
+            if hasattr(kernel, "signatures") and kernel.py_func.__module__.endswith(module.name):
+                assert len(kernel.signatures) <= 1, (module.name, name, kernel.signatures)
+                seen += 1
+    assert seen > 15
+
+
+def test_a_misspelt_key_is_refused() -> None:
+    with pytest.raises(ValidationError, match="spacing"):
+        MappingConfig.model_validate({"settings": {"submaps": {"spacing": 10.0}}})
+    with pytest.raises(ValidationError, match="profile"):
+        MappingConfig.model_validate({"profile": "corridoor"})
