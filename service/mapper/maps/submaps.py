@@ -136,11 +136,13 @@ class SurfelSubmaps:
                 self._detached = self._new_submap()
                 self._last_keyframe = None
             if self._is_keyframe(pose, self._detached):
+                self._advance(pose)
                 self._insert_keyframe([self._detached], points, pose)
             return MapChange()
         closed = self._settle(match.submap)
         if self._pair and not self._is_keyframe(pose, self._pair[0]):
             return MapChange(closed)
+        self._advance(pose)
         if not self._pair or self._travelled_m >= self._config.spacing_m:
             retired = self._begin_submap()
             closed = closed if retired is None else retired
@@ -156,12 +158,13 @@ class SurfelSubmaps:
         turned_rad = abs(wrap_angle(pose.theta_rad - last.theta_rad))
         return moved_m >= self._config.keyframe_distance_m or turned_rad >= self._config.keyframe_turn_rad
 
-    def _insert_keyframe(self, submaps: list[Submap], points: Points, pose: SE2) -> None:
-        if self._last_keyframe is not None:
-            self._travelled_m += math.hypot(
-                pose.x_m - self._last_keyframe.x_m, pose.y_m - self._last_keyframe.y_m
-            )
+    def _advance(self, pose: SE2) -> None:
+        last = self._last_keyframe
+        if last is not None:
+            self._travelled_m += math.hypot(pose.x_m - last.x_m, pose.y_m - last.y_m)
         self._last_keyframe = pose
+
+    def _insert_keyframe(self, submaps: list[Submap], points: Points, pose: SE2) -> None:
         normals = self._normals_of(points)
         for submap in submaps:
             submap.insert(points, normals, pose)

@@ -27,7 +27,7 @@ class SurfelMatcherConfig(BaseModel):
     least_normal_cosine: float = Field(default=0.6, ge=-1.0, lt=1.0)
     young_count: float = Field(default=3.0, ge=1.0)
     iterations: int = Field(default=15, ge=1, le=100)
-    deskew_rounds: int = Field(default=3, ge=1, le=10)
+    deskew_rounds: int = Field(default=8, ge=0, le=100)
     coarse_sigma: float = Field(default=0.3, gt=0.0)  # of 1 - likelihood
     coarse_beams: int = Field(default=180, ge=10)
     coarse_iterations: int = Field(default=15, ge=0, le=100)

@@ -93,7 +93,10 @@ def drive(
     sigma_m: float = 0.01,
     wheel_scale: float | None = 1.01,
 ) -> Drive:
-    """Scans at 50 Hz and odometry at 67 Hz, by arrival. wheel_scale: what the wheels make of a metre; None: no wheels."""
+    """Scans at 50 Hz and odometry at 67 Hz, by arrival.
+
+    wheel_scale: what the wheels make of a metre; None where there are none.
+    """
     noise = np.random.default_rng(1)
     frames: list[Frame] = []
     truth = {}

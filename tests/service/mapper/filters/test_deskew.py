@@ -1,0 +1,54 @@
+import math
+
+import numpy as np
+import pytest
+
+from drivers.frames import NO_INTENSITY, LaserScan
+from service.errors import InputError
+from service.fusion.motion import Motion
+from service.geometry.se2 import SE2
+from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist
+
+
+def scan(
+    range_m: list[float], sensor: str = "front", beam_ns: int = 1_000_000, step_rad: float = 0.1
+) -> LaserScan:
+    ranges = np.array(range_m, np.float32)
+    return LaserScan(sensor, 5, 6, beam_ns, 20_000_000, 0.0, step_rad, 0.05, 20.0, ranges, NO_INTENSITY)
+
+
+def moving(*twist: float) -> Motion:
+    return Motion(SE2(), (twist[0], twist[1], twist[2]), np.eye(3))
+
+
+def test_points_stand_in_the_base_frame_of_beam_zero() -> None:
+    deskew = DeskewByTwist(BeamsConfig(), {"front": SE2(0.2, -0.1, math.pi / 2.0)})
+    points = deskew(scan([2.0, 2.0]), moving(1.0, 0.0, 0.0))
+    raw = [(0.2, 1.9), (0.2 - 2.0 * math.sin(0.1), -0.1 + 2.0 * math.cos(0.1))]
+    np.testing.assert_allclose(points.xy_raw, raw, atol=1e-9)
+    np.testing.assert_allclose(points.xy_base[1], [raw[1][0] + 0.001, raw[1][1]], atol=1e-9)
+    np.testing.assert_allclose(points.beam_time_s, [0.0, 0.001])
+
+
+def test_beams_that_cannot_be_used_are_left_out() -> None:
+    deskew = DeskewByTwist(BeamsConfig(nearest_m=0.3, farthest_m=10.0), {"front": SE2()})
+    points = deskew(scan([math.nan, 0.2, 1.0, 15.0, math.inf, 2.0]), moving(0.0, 0.0, 0.0))
+    assert points.beam.tolist() == [2, 5]
+
+
+def test_a_sweep_the_other_way_round_is_mirrored() -> None:
+    deskew = DeskewByTwist(BeamsConfig(), {"front": SE2()})
+    points = deskew(scan([2.0, 2.0], step_rad=-0.1), moving(0.0, 0.0, 0.0))
+    np.testing.assert_allclose(points.xy_base[1], [2.0 * math.cos(0.1), -2.0 * math.sin(0.1)], atol=1e-9)
+
+
+def test_each_sensor_has_its_own_mounting() -> None:
+    deskew = DeskewByTwist(BeamsConfig(), {"front": SE2(1.0, 0.0, 0.0), "rear": SE2(-1.0, 0.0, math.pi)})
+    front = deskew(scan([2.0], "front"), moving(0.0, 0.0, 0.0))
+    rear = deskew(scan([2.0], "rear"), moving(0.0, 0.0, 0.0))
+    np.testing.assert_allclose([front.xy_base[0], rear.xy_base[0]], [[3.0, 0.0], [-3.0, 0.0]], atol=1e-9)
+
+
+def test_a_sensor_without_a_mounting_is_named() -> None:
+    with pytest.raises(InputError, match=r"left: .*known: front, rear"):
+        DeskewByTwist(BeamsConfig(), {"rear": SE2(), "front": SE2()})(scan([1.0], "left"), moving(0, 0, 0))

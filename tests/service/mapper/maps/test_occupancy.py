@@ -1,0 +1,106 @@
+import numpy as np
+import pytest
+
+from service.geometry.se2 import SE2
+from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
+from service.outputs import TileUpdate
+from tests.service.mapper.maps.points import points_of, square
+
+SECOND_NS = 1_000_000_000
+
+
+def new_map(**changes: float) -> OccupancyTiles:
+    return OccupancyTiles(OccupancyConfig.model_validate(changes), cell_m=0.05)
+
+
+def cell(tiles: list[TileUpdate], x_m: float, y_m: float) -> int:
+    column, row = int(np.floor(x_m / 0.05)), int(np.floor(y_m / 0.05))
+    tile = next(t for t in tiles if (t.ix, t.iy) == (column // 64, row // 64))
+    return int(tile.cells[row % 64, column % 64])
+
+
+def test_a_room_is_free_inside_occupied_at_its_walls_and_unknown_beyond() -> None:
+    shown = new_map()
+    for k in range(5):
+        shown.insert(square(2.01), SE2(0.2 * k, 0.0, 0.0) if k % 2 else SE2(0.2 * k, 0.0, 0.1))
+        shown.insert(square(2.01, stamp_ns=(k + 1) * SECOND_NS), SE2())
+    tiles = shown.changed_tiles()
+    assert cell(tiles, 2.01, 0.5) > 80
+    assert cell(tiles, 0.5, 0.5) < 20
+    assert cell(tiles, -1.0, -1.0) < 20
+    assert cell(tiles, -3.1, 0.0) == -1
+
+
+def test_the_map_frame_counts_and_not_the_base() -> None:
+    shown = new_map()
+    shown.insert(points_of(np.array([[2.0, 0.0]])), SE2(10.0, -5.0, np.pi / 2.0))
+    assert cell(shown.changed_tiles(), 10.0, -3.0) > 60
+
+
+def test_only_what_changed_is_handed_out_with_rising_versions() -> None:
+    shown = new_map()
+    shown.insert(points_of(np.array([[1.0, 0.01], [8.0, 0.01]])), SE2())
+    first = shown.changed_tiles()
+    assert sorted(t.ix for t in first) == [0, 1, 2]
+    assert len({t.version for t in first}) == 3
+    assert shown.changed_tiles() == []
+    shown.insert(points_of(np.array([[1.0, 0.01]]), SECOND_NS), SE2())
+    (second,) = shown.changed_tiles()
+    assert second.ix == 0
+    assert second.version > max(t.version for t in first)
+    assert not second.cells.flags.writeable
+
+
+def test_handed_out_cells_never_change_afterwards() -> None:
+    shown = new_map()
+    shown.insert(points_of(np.array([[1.0, 0.01]])), SE2())
+    (tile,) = shown.changed_tiles()
+    before = tile.cells.copy()
+    shown.insert(points_of(np.array([[2.0, 0.01]]), SECOND_NS), SE2())
+    shown.changed_tiles()
+    np.testing.assert_array_equal(tile.cells, before)
+
+
+def test_evidence_that_is_full_changes_no_tile() -> None:
+    shown = new_map()
+    for k in range(30):
+        shown.insert(square(2.01, k * SECOND_NS), SE2())
+        tiles = shown.changed_tiles()
+    assert tiles == []
+
+
+@pytest.mark.parametrize(
+    ("pose", "after_s", "drawn"),
+    [
+        (SE2(0.05, 0.0, 0.0), 0.1, False),
+        (SE2(0.11, 0.0, 0.0), 0.1, True),
+        (SE2(0.0, 0.0, 0.1), 0.1, True),
+        (SE2(0.0, 0.0, 0.0), 0.6, True),
+    ],
+)
+def test_a_scan_is_drawn_after_a_way_a_turn_or_a_while(pose: SE2, after_s: float, drawn: bool) -> None:
+    shown = new_map()
+    shown.insert(square(), SE2())
+    shown.changed_tiles()
+    shown.insert(square(stamp_ns=round(after_s * 1e9)), pose)
+    assert bool(shown.changed_tiles()) == drawn
+
+
+def test_who_walked_away_is_cleared() -> None:
+    shown = new_map()
+    person, gone = points_of(np.array([[1.0, 0.01]])), np.array([[3.0, 0.01]])
+    shown.insert(person, SE2())
+    assert cell(shown.changed_tiles(), 1.0, 0.01) > 60
+    for k in range(1, 6):
+        shown.insert(points_of(gone, k * SECOND_NS), SE2())
+    assert cell(shown.changed_tiles(), 1.0, 0.01) < 30
+
+
+def test_a_map_spreads_to_negative_tiles_and_keeps_what_it_had() -> None:
+    shown = new_map()
+    for k, (x, y) in enumerate([(0.0, 0.0), (-40.0, 3.0), (25.0, -60.0), (-5.0, 70.0)]):
+        shown.insert(points_of(np.array([[1.0, 0.01]]), k * SECOND_NS), SE2(x, y, 0.0))
+    tiles = shown.changed_tiles()
+    for x, y in [(0.0, 0.0), (-40.0, 3.0), (25.0, -60.0), (-5.0, 70.0)]:
+        assert cell(tiles, x + 1.0, y + 0.01) > 60
+    assert shown.tile_count == len(tiles)

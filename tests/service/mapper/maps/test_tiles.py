@@ -1,0 +1,124 @@
+import logging
+import mmap
+
+import numpy as np
+import pytest
+
+from service.geometry.grid import TileRange
+from service.kernels.tiles import NO_TILE, find_tile, take_slot
+from service.mapper.maps import tiles
+from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
+
+LAYERS = (Layer((4, 4), np.float32), Layer((), np.uint8))
+
+
+def at(row: int, column: int) -> TileRange:
+    return TileRange(row, column, row, column)
+
+
+def put(tile_map: TileMap, row: int, column: int, value: float) -> int:
+    tile_map.cover(at(row, column))
+    slot, used_before = take_slot(tile_map.index(), row, column)
+    if used_before:
+        tile_map.pool.arrays[0][slot] = 0.0
+    tile_map.pool.arrays[0][slot] += value
+    return int(slot)
+
+
+def read(tile_map: TileMap, row: int, column: int) -> float:
+    slot = find_tile(tile_map.index(), row, column)
+    return float("nan") if slot == NO_TILE else float(tile_map.pool.arrays[0][slot, 0, 0])
+
+
+def test_a_map_grows_in_all_directions_without_moving_a_cell() -> None:
+    pool = TilePool(LAYERS, 5000)
+    tile_map = TileMap(pool)
+    cells_at = pool.arrays[0].ctypes.data
+    places = {}
+    for k, (row, column) in enumerate([(0, 0), (3, 0), (0, -7), (-20, 1), (40, 33), (-5, -60), (1, 1)]):
+        places[row, column] = put(tile_map, row, column, float(k + 1))
+    assert pool.arrays[0].ctypes.data == cells_at
+    for k, ((row, column), slot) in enumerate(places.items()):
+        assert find_tile(tile_map.index(), row, column) == slot
+        assert read(tile_map, row, column) == k + 1
+    assert {(row, column): slot for row, column, slot in tile_map.tiles()} == places
+    assert np.isnan(read(tile_map, 2, 2))
+
+
+def test_growing_step_by_step_is_rare() -> None:
+    tile_map = TileMap(TilePool(LAYERS, 5000))
+    sizes = set()
+    for column in range(300):
+        put(tile_map, 0, -column, 1.0)
+        sizes.add(tile_map.slots.shape)
+    assert len(sizes) < 20
+
+
+def test_covering_what_is_covered_keeps_the_index() -> None:
+    tile_map = TileMap(TilePool(LAYERS, 5000))
+    tile_map.cover(TileRange(-3, -3, 3, 3))
+    slots = tile_map.slots
+    tile_map.cover(TileRange(-2, 0, 3, 1))
+    assert tile_map.slots is slots
+
+
+def test_two_maps_share_a_pool_and_not_a_tile() -> None:
+    pool = TilePool(LAYERS, 64)
+    one, two = TileMap(pool), TileMap(pool)
+    assert put(one, 0, 0, 1.0) != put(two, 0, 0, 2.0)
+    assert (read(one, 0, 0), read(two, 0, 0)) == (1.0, 2.0)
+    assert pool.used_count == 2
+
+
+def test_released_tiles_are_used_again_and_come_clean() -> None:
+    pool = TilePool(LAYERS, 64)
+    one, two = TileMap(pool), TileMap(pool)
+    slots = {put(one, 0, column, 5.0) for column in range(3)}
+    one.release()
+    assert pool.used_count == 0
+    assert one.tiles() == []
+    assert {put(two, 7, column, 2.0) for column in range(3)} == slots
+    assert read(two, 7, 1) == 2.0
+    assert put(one, 0, 0, 1.0) not in slots
+
+
+def test_a_pool_that_is_used_up_doubles_and_says_so(caplog: pytest.LogCaptureFixture) -> None:
+    pool = TilePool(LAYERS, 4)
+    tile_map = TileMap(pool)
+    with caplog.at_level(logging.WARNING):
+        for column in range(9):
+            put(tile_map, 0, column, float(column))
+    assert pool.capacity >= 9
+    assert "used up" in caplog.text
+    assert [read(tile_map, 0, column) for column in range(9)] == list(range(9))
+
+
+def test_where_address_space_is_refused_the_map_grows_by_copies(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refuse(*_args: object, **_more: object) -> mmap.mmap:
+        raise OSError(12, "Cannot allocate memory")
+
+    monkeypatch.setattr(tiles.mmap, "mmap", refuse)
+    with caplog.at_level(logging.WARNING):
+        pool = TilePool(LAYERS, 1 << 20)
+    assert "refuses to reserve" in caplog.text
+    tile_map = TileMap(pool)
+    for column in range(200):
+        put(tile_map, 0, column, float(column))
+    assert [read(tile_map, 0, column) for column in range(200)] == list(range(200))
+
+
+def test_reserved_space_costs_no_memory_until_it_is_touched() -> None:
+    def resident_kb() -> int:
+        with open("/proc/self/statm") as statm:
+            return int(statm.read().split()[1]) * mmap.PAGESIZE // 1024
+
+    before_kb = resident_kb()
+    pool = TilePool((Layer((64, 64), np.float32),), 100_000)  # 1.6 GB
+    pool.arrays[0][99_999] = 1.0
+    assert resident_kb() - before_kb < 20_000
+
+
+def test_the_reach_of_points_is_that_of_the_farthest() -> None:
+    assert reach_of(np.array([[1.0, 0.0], [-3.0, 4.0], [0.0, 2.0]])) == 5.0

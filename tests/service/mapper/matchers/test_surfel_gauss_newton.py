@@ -1,0 +1,96 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from service.fusion.motion import Prediction
+from service.geometry.se2 import SE2
+from service.mapper.maps.submaps import NormalsConfig, SubmapsConfig, SurfelSubmaps
+from service.mapper.matchers.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
+from service.mapper.stages import Match, Points
+from tests.service.mapper.maps.points import match_at, points_of, square
+
+
+def new_matcher() -> SurfelGaussNewton:
+    return SurfelGaussNewton(SurfelMatcherConfig(), NormalsConfig())
+
+
+def mapped(points: Points) -> SurfelSubmaps:
+    chain = SurfelSubmaps(SubmapsConfig(), NormalsConfig())
+    for _ in range(5):
+        chain.insert(points, match_at(SE2(), points, submap=0))
+    return chain
+
+
+def predicted(pose: SE2, sigma: float = 0.05) -> Prediction:
+    covariance = np.diag([sigma**2] * 3)
+    return Prediction(pose, (0.1, 0.0, 0.0), covariance, covariance, elapsed_s=0.1, twist_gain=1.0)
+
+
+def match(points: Points, pose: SE2, chain: SurfelSubmaps) -> Match:
+    return new_matcher().match(points, predicted(pose), chain)
+
+
+def test_a_scan_of_the_same_room_is_put_where_it_belongs() -> None:
+    result = match(square(), SE2(0.04, -0.03, 0.02), mapped(square()))
+    pose = result.motion.pose_odom_base
+    np.testing.assert_allclose([pose.x_m, pose.y_m, pose.theta_rad], 0.0, atol=5e-4)
+    assert (result.state, result.reason, result.submap) == ("ok", "", 0)
+    assert result.score > 0.95
+
+
+def test_the_first_scan_defines_the_map() -> None:
+    empty = SurfelSubmaps(SubmapsConfig(), NormalsConfig())
+    result = match(square(), SE2(), empty)
+    assert (result.motion.pose_odom_base, result.state, result.score) == (SE2(), "ok", 1.0)
+
+
+def test_a_room_that_is_not_on_the_map_is_lost_and_keeps_the_prediction() -> None:
+    pose = SE2(30.0, 0.0, 0.2)
+    result = match(square(), pose, mapped(square()))
+    assert result.state == "lost"
+    assert result.motion.pose_odom_base == pose
+    assert result.motion.twist_base == (0.1, 0.0, 0.0)
+    assert "0% of 360 returns lie on the map (at least 30%)" in result.reason
+
+
+def test_where_half_the_room_was_rebuilt_the_match_is_degraded() -> None:
+    xy = square().xy_base
+    rebuilt = np.where((np.abs(np.arctan2(xy[:, 1], xy[:, 0])) < 1.95)[:, None], 3.5 * xy, xy)
+    result = match(points_of(rebuilt), SE2(), mapped(square()))
+    assert result.state == "degraded"
+    assert "expected 45%" in result.reason
+
+
+def test_too_few_returns_name_the_sensor_and_what_to_look_at() -> None:
+    result = match(points_of(square().xy_base[:7]), SE2(), mapped(square()))
+    assert result.state == "lost"
+    assert result.reason.startswith("front: 7 of 7 beams returned (at least 20)")
+
+
+def test_a_detached_submap_is_tried_where_the_old_one_fails() -> None:
+    chain = mapped(square())
+    far = square(3.0)
+    chain.insert(far, match_at(SE2(50.0, 0.0, 0.0), far, "lost"))
+    result = match(far, SE2(50.03, 0.0, 0.01), chain)
+    assert (result.state, result.submap) == ("ok", 1)
+    assert abs(result.motion.pose_odom_base.x_m - 50.0) < 1e-3
+
+
+def test_the_points_come_back_deskewed_with_the_matched_twist() -> None:
+    """Seen while driving at 1 m/s, predicted as standing: the match must notice and straighten the walls."""
+    still = square()
+    time_s = np.linspace(0.0, 0.1, len(still.xy_base))
+    raw = still.xy_base - np.outer(time_s, [1.0, 0.0])
+    skewed = replace(still, xy_base=raw.copy(), xy_raw=raw, beam_time_s=time_s)
+    standing = replace(predicted(SE2(-0.1, 0.0, 0.0), sigma=0.2), twist_base=(0.0, 0.0, 0.0))
+    result = new_matcher().match(skewed, standing, mapped(still))
+    assert abs(result.motion.pose_odom_base.x_m) < 0.002
+    np.testing.assert_allclose(result.motion.twist_base, [1.0, 0.0, 0.0], atol=0.03)
+    np.testing.assert_allclose(result.points.xy_base, still.xy_base, atol=0.004)
+
+
+def test_covariance_never_claims_more_than_its_floor() -> None:
+    covariance = match(square(), SE2(), mapped(square())).motion.covariance
+    assert (np.sqrt(np.diag(covariance)) >= [0.006, 0.006, 0.0015]).all()
+    assert math.sqrt(covariance[0, 0]) < 0.02

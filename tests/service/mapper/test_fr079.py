@@ -1,0 +1,93 @@
+"""The front end on a real building: Freiburg 079, against the relations of Kuemmerle et al. 2009."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
+from service.geometry.se2 import SE2
+from service.mapper.profiles import MappingConfig, build_mapper
+from service.outputs import MapperOutput
+
+
+def frames_of(path: Path) -> list[Frame]:
+    """Scans and odometry by stamp; of equal stamps odometry first, as a vehicle would have it."""
+    frames: list[Frame] = []
+    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        for connection, _, raw in reader.messages():
+            if connection.topic not in ("/scan", "/odom"):
+                continue
+            message = reader.deserialize(raw, connection.msgtype)
+            stamp_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+            if connection.topic == "/odom":
+                place, turn = message.pose.pose.position, message.pose.pose.orientation
+                theta_rad = 2.0 * math.atan2(turn.z, turn.w)
+                frames.append(
+                    OdometrySample(
+                        "base", stamp_ns, stamp_ns, place.x, place.y, theta_rad, (0.0, 0.0, 0.0), (0.0,) * 9
+                    )
+                )
+                continue
+            range_m = np.array(message.ranges, np.float32)
+            range_m[~np.isfinite(range_m)] = np.nan
+            frames.append(
+                LaserScan(
+                    "laser",
+                    stamp_ns,
+                    stamp_ns,
+                    round(message.time_increment * 1e9),
+                    round(message.scan_time * 1e9),
+                    message.angle_min,
+                    message.angle_increment,
+                    message.range_min,
+                    message.range_max,
+                    range_m,
+                    NO_INTENSITY,
+                )
+            )
+    return sorted(frames, key=lambda frame: (frame.stamp_ns, isinstance(frame, LaserScan)))
+
+
+def poses_at(outputs: list[MapperOutput], time_s: np.ndarray) -> np.ndarray:
+    """(N, 3), interpolated."""
+    stamps = np.array([o.stamp_ns for o in outputs]) * 1e-9
+    poses = np.array([(p.x_m, p.y_m, p.theta_rad) for p in (o.pose_map_base for o in outputs)])
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    return np.column_stack([np.interp(time_s, stamps, column) for column in poses.T])
+
+
+def relation_errors(outputs: list[MapperOutput], relations: np.ndarray) -> np.ndarray:
+    """(N, 2) m and rad of expected^-1 * relative."""
+    first, second = (poses_at(outputs, relations[:, k]) for k in (0, 1))
+    errors = []
+    for a, b, row in zip(first, second, relations, strict=True):
+        relative = SE2(*a.tolist()).inverse() @ SE2(*b.tolist())
+        error = SE2(row[2], row[3], row[7]).inverse() @ relative
+        errors.append((math.hypot(error.x_m, error.y_m), abs(error.theta_rad)))
+    return np.array(errors)
+
+
+@pytest.fixture(scope="module")
+def outputs(shared: Path) -> list[MapperOutput]:
+    mapper = build_mapper(MappingConfig(), {"laser": SE2()})
+    frames = frames_of(shared / "datasets" / "fr079" / "fr079.mcap")
+    return [output for frame in frames if (output := mapper.process(frame)) is not None]
+
+
+def test_the_front_end_alone_keeps_the_building_together(shared: Path, outputs: list[MapperOutput]) -> None:
+    relations = np.loadtxt(shared / "datasets" / "fr079" / "official.relations")
+    errors = relation_errors(outputs, relations)
+    assert len(errors) == 1685
+    assert errors[:, 0].mean() < 0.07
+    assert np.degrees(errors[:, 1].mean()) < 1.0
+    assert errors[:, 0].max() < 0.6
+
+
+def test_it_is_never_lost(outputs: list[MapperOutput]) -> None:
+    assert len(outputs) == 4791
+    assert sum(o.state == "lost" for o in outputs) == 0
+    assert sum(o.state == "degraded" for o in outputs) < 10
