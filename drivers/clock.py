@@ -70,14 +70,18 @@ class ClockMap:
 
     `observe` first, with the ticks of the moment the message left; then `to_host_ns` for any tick near it.
     Messages held back by a network come late for a while and change nothing. A message far too early, ticks
-    that go back, or lateness that does not end, are a restart of the device: all is learnt anew.
+    that go back and stay back, or lateness that does not end, are a restart of the device: all is learnt anew.
+    A single message from before the newest is late, and changes nothing.
     """
 
     def __init__(self, tick_ns: float, wrap_ticks: int | None = None, latency_ns: int = 0) -> None:
         self._tick_ns = tick_ns
         self._wrap_ticks = wrap_ticks
         self._latency_ns = latency_ns
-        self._last_ticks: int | None = None  # unwrapped
+        self._last_ticks: int | None = None  # unwrapped, the furthest so far
+        self._back_ticks: int | None = (
+            None  # unwrapped, of a message before those: out of order, or a restart
+        )
         self._hull: _Hull | None = None
         self._young: _Hull | None = None
         self._line = (0.0, 0.0)
@@ -110,7 +114,11 @@ class ClockMap:
         if self._hull is not None and self._restarted(unwrapped, arrived_ns):
             self._hull = self._young = self._late_since_ns = None
             self.resets += 1
-        self._last_ticks = unwrapped
+        elif self._last_ticks is not None and unwrapped < self._last_ticks:
+            self._back_ticks = unwrapped
+            self.residual_ns = arrived_ns - self._translate(unwrapped)
+            return
+        self._last_ticks, self._back_ticks = unwrapped, None
         offset_ns = arrived_ns - device_ns
         if self._hull is None:
             self._hull = _Hull(device_ns, offset_ns)
@@ -134,10 +142,13 @@ class ClockMap:
         late_ns = arrived_ns - self._translate(unwrapped_ticks)
         if late_ns < -JUMP_NS:
             return True
+        back = self._last_ticks is not None and unwrapped_ticks < self._last_ticks
+        if back and self._back_ticks is not None and unwrapped_ticks > self._back_ticks:
+            return True
         if late_ns <= JUMP_NS:
             self._late_since_ns = None
             return False
-        if self._last_ticks is not None and unwrapped_ticks < self._last_ticks:
+        if back:
             return True
         if self._late_since_ns is None:
             self._late_since_ns = arrived_ns

@@ -63,6 +63,32 @@ def test_skew_of_a_young_hull_cannot_run_wild():
         assert np.abs(error_ms[young] - LATENCY_S * 1e3).max() < 1.0, seed
 
 
+@pytest.mark.parametrize("jump_us", [-60_000, -200_000, -499_000])
+def test_clock_set_back_a_little_is_learnt_anew_with_the_second_message(jump_us):
+    stream = Stream(1)
+    stream.ticks[1500:] += jump_us
+    clock = microseconds()
+    error_ms, _ = stream.through(clock)
+    assert clock.resets == 1
+    assert np.abs(error_ms[1501 : 1500 + round(3.0 / PERIOD_S)]).max() < 60.0
+    assert np.abs(error_ms[1500 + round(3.0 / PERIOD_S) :] - LATENCY_S * 1e3).max() < 1.0
+
+
+@pytest.mark.parametrize("back", [0, 1, 5, 20])
+def test_messages_out_of_order_or_twice_change_nothing(back):
+    undisturbed_ms, _ = Stream(1).through(microseconds())
+    stream, clock = Stream(1), microseconds()
+    for name in ("ticks", "sent_s", "arrived_s"):
+        values = getattr(stream, name)
+        for at in (2500, 2000, 1500, 1000):
+            again = values[at] if name == "arrived_s" else values[at - back]
+            values = np.insert(values, at + 1, again)
+        setattr(stream, name, values)
+    error_ms, _ = stream.through(clock)
+    assert clock.resets == 0
+    np.testing.assert_allclose(np.delete(error_ms, [1001, 1502, 2003, 2504]), undisturbed_ms, atol=0.01)
+
+
 @pytest.mark.parametrize("jump_us", [-30_000_000, -2_000_000_000, 5_000_000, 1_500_000_000])
 def test_restart_of_the_device_is_noticed_and_recovered_within_three_seconds(jump_us):
     stream = Stream(1)
