@@ -33,8 +33,8 @@ class TileUpdate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grid:
-    """A whole map as one picture: cells[row, column], row 0 lowest. The lower left corner of cells[0, 0] lies at
-    (x_min_m, y_min_m) in the map frame; no turn.
+    """A whole map as one picture: cells[row, column], row 0 lowest. The lower left corner of cells[0, 0]
+    lies at (x_min_m, y_min_m) in the map frame; no turn.
     """
 
     version: int  # of the newest tile in it

@@ -4,9 +4,11 @@ import importlib
 import math
 import pkgutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from pydantic import ValidationError
 
 import service.kernels
@@ -27,6 +29,7 @@ from tests.service.mapper.drives import (
     standing,
 )
 
+ROOT = Path(__file__).parents[3]
 FOREIGN_KERNELS = ("raycast",)  # those of the simulators
 
 
@@ -226,3 +229,17 @@ def test_a_misspelt_key_is_refused() -> None:
         MappingConfig.model_validate({"settings": {"submaps": {"spacing": 10.0}}})
     with pytest.raises(ValidationError, match="profile"):
         MappingConfig.model_validate({"profile": "corridoor"})
+
+
+def test_the_example_names_every_parameter_with_its_default() -> None:
+    example = yaml.safe_load((ROOT / "config/profiles/corridor.yaml").read_text())
+    defaults = MappingConfig().model_dump()
+    assert example == {key: defaults[key] for key in ("profile", "cell_m", "settings")}
+
+
+def test_every_parameter_is_documented() -> None:
+    page = (ROOT / "docs/mapping.md").read_text()
+    for stage, settings in MappingConfig().settings.model_dump().items():
+        section = page.split(f"### `{stage}`")[1].split("###")[0]
+        for key in settings:
+            assert f"`{key}`" in section, f"{stage}.{key} is missing in docs/mapping.md"
