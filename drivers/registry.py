@@ -37,12 +37,14 @@ class SensorKind:
 
     `session_maker` is called once a sensor; what it returns, once a connection. What has to outlive
     a connection (the pose that wheels have added up) lives in between. `advice` is for `corridor doctor`.
+    A `laser` gives LaserScans.
     """
 
     config: type[BaseModel]
     open_transport: Callable[[Any], Transport]
     session_maker: Callable[[Any], Callable[[], Session]]
     advice: Advice = NO_ADVICE
+    laser: bool = False
 
 
 SENSOR_KINDS: dict[str, SensorKind] = {
@@ -51,14 +53,21 @@ SENSOR_KINDS: dict[str, SensorKind] = {
         lambda c: TcpTransport(c.host, c.port),
         lambda c: partial(Lms100Session, c),
         LMS100_ADVICE,
+        laser=True,
     ),
     "hokuyo_utm30lx": SensorKind(
-        HokuyoUtm30lxConfig, open_utm30lx_port, lambda c: partial(HokuyoUtm30lxSession, c), UTM30LX_ADVICE
+        HokuyoUtm30lxConfig,
+        open_utm30lx_port,
+        lambda c: partial(HokuyoUtm30lxSession, c),
+        UTM30LX_ADVICE,
+        laser=True,
     ),
     "irobot_create": SensorKind(
         IrobotCreateConfig, open_irobot_create_port, irobot_create_session_maker, IROBOT_CREATE_ADVICE
     ),
-    "ibeo_lux": SensorKind(IbeoLuxConfig, open_ibeo_lux_port, ibeo_lux_session_maker, IBEO_LUX_ADVICE),
+    "ibeo_lux": SensorKind(
+        IbeoLuxConfig, open_ibeo_lux_port, ibeo_lux_session_maker, IBEO_LUX_ADVICE, laser=True
+    ),
     "xsens_mtig": SensorKind(
         XsensMtigConfig, open_xsens_mtig_port, lambda c: partial(XsensMtigSession, c), XSENS_MTIG_ADVICE
     ),

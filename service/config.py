@@ -100,6 +100,17 @@ def mountings(sensors: Mapping[str, Any]) -> dict[str, SE2]:
     return decode_mountings(encode_tf_static(poses, 0, 0).payload)
 
 
+def laser_names(sensors: Mapping[str, Any]) -> list[str]:
+    """Those of the sensors that give scans, in the order of the config."""
+    return [name for name, sensor in sensors.items() if SENSOR_KINDS[sensor.type].laser]
+
+
+def mapped_laser(config: ServiceConfig) -> str | None:
+    """Whose scans are mapped: as `mapping.lasers` says, else the first laser's. None: there is no laser."""
+    named = config.mapping.lasers
+    return next(iter(named if named is not None else laser_names(config.sensors)), None)
+
+
 _SECTIONS: dict[str, type[BaseModel]] = {
     "mapping": MappingConfig,
     "publishing": PublishingConfig,
@@ -151,6 +162,8 @@ class _Reader:
         for key, model in _SECTIONS.items():
             section = root.get(key)
             values[key] = self._model(model, {} if section is None else section, (key,))
+        if isinstance(mapping := values["mapping"], MappingConfig):
+            self._refuse_what_is_no_laser(mapping.lasers or (), root.get("sensors"))
         return values
 
     def _name(self, parent: KeyPath, name: object, key: str) -> object:
@@ -211,6 +224,19 @@ class _Reader:
                         ("sensors", name, keys[0]),
                         f"{where} is taken by {owner}; two sensors cannot share a wire",
                     )
+
+    def _refuse_what_is_no_laser(self, names: tuple[str, ...], sensors: object) -> None:
+        kinds = {
+            name: SENSOR_KINDS.get(str(settings.get("type")))
+            for name, settings in (sensors.items() if isinstance(sensors, dict) else ())
+            if isinstance(settings, dict)
+        }
+        lasers = [name for name, kind in kinds.items() if kind is not None and kind.laser]
+        for index, name in enumerate(names):
+            if name not in lasers and kinds.get(name, kinds) is not None:  # a faulty type is said already
+                what = "gives no scans" if name in kinds else "is no sensor of this config"
+                offer = _choose(name, lasers) if lasers else "there is no laser at all"
+                self._fault(("mapping", "lasers", index), f"{name} {what}; {offer}")
 
     def _model(self, model: type[BaseModel], settings: object, path: KeyPath) -> BaseModel | None:
         if not isinstance(settings, dict):

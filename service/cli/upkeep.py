@@ -18,21 +18,32 @@ def config_path(parsed: argparse.Namespace) -> Path:
 
 
 def check(parsed: argparse.Namespace) -> int:
-    from service.config import load_config
+    from service.config import laser_names, load_config, mapped_laser
 
     path = config_path(parsed)
     faults: list[str] = []
+    mapped, others = None, []
     try:
-        load_config(path)
+        config = load_config(path)
+        mapped = mapped_laser(config)
+        others = [name for name in laser_names(config.sensors) if name != mapped]
     except ConfigError as error:
         faults = error.faults
     if parsed.json:
-        print_result({"config": str(path), "ok": not faults, "faults": faults}, as_json=True)
+        result = {"config": str(path), "ok": not faults, "faults": faults, "mapped_laser": mapped}
+        print_result(result, as_json=True)
     elif faults:
         print("\n".join(faults), file=sys.stderr)
     else:
-        print(f"{path}: ok")
+        print(f"{path}: ok; {_what_is_mapped(mapped, others)}")
     return ConfigError.exit_code if faults else 0
+
+
+def _what_is_mapped(mapped: str | None, others: list[str]) -> str:
+    if mapped is None:
+        return "there is no laser, so nothing will be mapped"
+    beside = f"; scans of {' and '.join(others)} are published and recorded, not mapped" if others else ""
+    return f"{mapped} is mapped{beside}"
 
 
 def doctor(parsed: argparse.Namespace) -> int:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from drivers.frames import NO_INTENSITY, ImuSample, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
@@ -30,7 +30,18 @@ class MappingConfig(BaseModel):
     profile: Literal["corridor"] = "corridor"
     cell_m: float = Field(default=0.05, ge=0.01, le=0.5)
     mode: Literal["mapping"] = "mapping"
+    lasers: tuple[str, ...] | None = None  # whose scans are mapped; None: those of the first laser
     settings: CorridorConfig = CorridorConfig()
+
+    @field_validator("lasers")
+    @classmethod
+    def _one(cls, lasers: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        if lasers is not None and len(lasers) != 1:
+            raise ValueError(
+                f"one laser is mapped, not {len(lasers)}; name one of them, or leave lasers out. "
+                "The scans of the others are published and recorded all the same"
+            )
+        return lasers
 
 
 def build_mapper(

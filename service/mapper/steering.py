@@ -1,4 +1,4 @@
-"""A mapper that can be paused and begun anew between two frames, live and in a replay by the same code."""
+"""One laser's mapper that can be paused and begun anew between two frames, live and in a replay alike."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -33,12 +33,16 @@ class FrameMapper(Protocol):
 class SteeredMapper:
     """Frames and wishes in, outputs out. Same order in, same outputs out.
 
+    Of several lasers one is mapped, `laser`: their sweeps overlap in time, and what is older than the newest
+    scan mapped would be late. Scans of the others are counted and pass. None: no laser is mapped.
+
     In a pause no scan is mapped and no pose comes out; samples go on to the motion model, so that it knows
     the way driven meanwhile. A reset puts a fresh mapper in the place of the old: map and `pose_map_base`
     begin anew, while `pose_odom_base` goes on where it was, because odom never jumps.
     """
 
-    def __init__(self, new_mapper: Callable[[], FrameMapper]) -> None:
+    def __init__(self, new_mapper: Callable[[], FrameMapper], laser: str | None) -> None:
+        self.laser = laser
         self._new_mapper = new_mapper
         self._mapper = new_mapper()
         self._last_odom: tuple[int, SE2] | None = None  # stamp and pose of the newest output
@@ -50,6 +54,9 @@ class SteeredMapper:
         """As Mapper.process. A scan that is older than one mapped before a reset is dropped as late."""
         if not isinstance(frame, LaserScan):
             return self._mapper.process(frame)
+        if frame.sensor != self.laser:
+            self.counters["scans_not_mapped"] += 1
+            return None
         if self._began is not None and frame.stamp_ns <= self._began[0]:
             self.counters["scans_dropped_late"] += 1
             return None

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from service.config import ServiceConfig, load_config, mountings, parse_config
+from service.config import ServiceConfig, laser_names, load_config, mapped_laser, mountings, parse_config
 from service.encoding import LASER_SCAN, pose_on_wire
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import ConfigError, InputError, StorageError
@@ -129,11 +129,12 @@ def replay(
     session = open_session(paths)
     for note in session.notes:
         log.info("%s", note)
-    mapping, poses_base_sensor = _setup(session, options)
+    mapping, poses_base_sensor, laser = _setup(session, options)
+    log.info("mapping the scans of %s", laser)
     warm_up_encoding()
     warm_up_kernels()
     stages, scan_ns, states = StageTimes(), [], Counter[str]()
-    mapper = SteeredMapper(lambda: build_mapper(mapping, poses_base_sensor, stages))
+    mapper = SteeredMapper(lambda: build_mapper(mapping, poses_base_sensor, stages), laser)
     tiles: list[TileUpdate] = []
     outputs: list[MapperOutput] = []
     recording = session.recording
@@ -164,7 +165,8 @@ def replay(
         "corridor": VERSION,
         "profile": mapping.profile,
         "scans": len(outputs),
-        "scans_dropped": _dropped(session, mapper.counters),
+        "scans_dropped": _dropped(session, mapper),
+        "scans_not_mapped": mapper.counters["scans_not_mapped"],
         "scans_paused": mapper.counters["scans_paused"],
         "duration_s": round(duration_s, 3),
         "wall_s": round(wall_s, 3),
@@ -216,8 +218,11 @@ class _Pace:
             time.sleep(ahead_s)
 
 
-def _setup(session: Session, options: ReplayOptions) -> tuple[MappingConfig, Mapping[str, SE2]]:
-    """How to map and where the lasers sit: by --config, else by the recording's own config, else defaults."""
+def _setup(session: Session, options: ReplayOptions) -> tuple[MappingConfig, Mapping[str, SE2], str]:
+    """How to map, where the lasers sit, and which of them is mapped.
+
+    By --config, else by the recording's own config, else defaults.
+    """
     config: ServiceConfig | None = None
     recorded = session.metadata.get("config", {}).get("yaml")
     if options.config is not None:
@@ -231,14 +236,30 @@ def _setup(session: Session, options: ReplayOptions) -> tuple[MappingConfig, Map
             ) from error
     mapping = config.mapping if config is not None else MappingConfig()
     if options.profile is not None and options.profile != mapping.profile:
-        mapping = _with_profile(options.profile, mapping.cell_m)
+        mapping = _with_profile(options.profile, mapping)
     configured = mountings(config.sensors) if config is not None else {}
-    return mapping, {name: configured.get(name, pose) for name, pose in session.mountings.items()}
+    poses = {name: configured.get(name, pose) for name, pose in session.mountings.items()}
+    return mapping, poses, _laser(session, config)
 
 
-def _with_profile(profile: str, cell_m: float) -> MappingConfig:
+def _laser(session: Session, config: ServiceConfig | None) -> str:
+    """Whose scans are mapped: as the config says; where that knows none, those of the fullest topic."""
+    scans = session.scan_counts
+    if config is None or (config.mapping.lasers is None and not scans.keys() & laser_names(config.sensors)):
+        return min(scans, key=lambda name: (-scans[name], name))
+    laser = mapped_laser(config)
+    if laser not in scans:
+        raise InputError(
+            f"{session.recording.paths[0]}: the config maps {laser or 'no laser'}, but the scans here are of "
+            f"{' and '.join(scans)}; name one of these in mapping.lasers of a config and give it by --config"
+        )
+    return laser
+
+
+def _with_profile(profile: str, mapping: MappingConfig) -> MappingConfig:
+    settings = {"profile": profile, "cell_m": mapping.cell_m, "lasers": mapping.lasers}
     try:
-        return MappingConfig.model_validate({"profile": profile, "cell_m": cell_m})
+        return MappingConfig.model_validate(settings)
     except ValidationError as error:
         raise ConfigError([f"--profile {profile}: {error.errors()[0]['msg']}"]) from error
 
@@ -266,10 +287,14 @@ def _folder(out: Path | None, session: Sequence[Path], sessions: int) -> Path | 
     return out / (part_of[1] if part_of else session[0].stem)
 
 
-def _dropped(session: Session, counters: Mapping[str, int]) -> int:
-    """Scans that were read and not mapped: out of order, or without anything to map."""
-    late = sum(count for name, count in counters.items() if name.startswith("scans_dropped"))
-    scans = [topic.name for topic in session.recording.topics if topic.type == LASER_SCAN]
+def _dropped(session: Session, mapper: SteeredMapper) -> int:
+    """Scans of the mapped laser that were read and not mapped: out of order, or without anything to map."""
+    late = sum(count for name, count in mapper.counters.items() if name.startswith("scans_dropped"))
+    scans = [
+        topic.name
+        for topic in session.recording.topics
+        if topic.type == LASER_SCAN and session.sensors.get(topic.name) == mapper.laser
+    ]
     return late + sum(session.counters[f"{topic} unusable"] for topic in scans)
 
 

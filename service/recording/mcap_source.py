@@ -77,6 +77,15 @@ class Session:
     def metadata(self) -> dict[str, dict[str, str]]:
         return self.recording.metadata
 
+    @property
+    def scan_counts(self) -> dict[str, int]:
+        """Laser -> how many of its scans the recording says it holds."""
+        return {
+            self.sensors[topic.name]: topic.count
+            for topic in self.recording.topics
+            if topic.type == LASER_SCAN and topic.name in self.sensors
+        }
+
     def frames(self) -> Iterator[Frame]:
         """What `steps` gives, without the wishes in between."""
         return (step for step in self.steps() if not isinstance(step, Control))

@@ -164,6 +164,7 @@ class HealthReport:
         loop, output = self._loop, self._loop.last_output
         values = {name: str(count) for name, count in _snapshot(loop.counters)}
         values |= {
+            "laser": loop.laser or "",
             "scan_rate_hz": f"{self._scan_rate.rate_hz:.1f}",
             "scans_dropped": str(self.scans_dropped),
             "queue_length": str(len(self._queue)),
@@ -177,7 +178,8 @@ class HealthReport:
             values["state"] = "paused"
             return Status("mapping", WARNING, "paused by a command; scans are recorded, not mapped", values)
         if output is None:
-            return Status("mapping", WARNING, "no scan mapped yet", values)
+            words = f"no scan of {loop.laser} mapped yet" if loop.laser else "no laser is configured"
+            return Status("mapping", WARNING, words, values)
         values |= {"state": output.state, "match_share": f"{output.match_share:.3f}"}
         return Status("mapping", _LEVEL_OF_POSE[output.state], output.reason or output.state, values)
 

@@ -71,13 +71,18 @@ class MappingLoop:
         self.heartbeat = 0  # rises as long as the loop turns, with or without frames
         self.last_output: MapperOutput | None = None
         self.states: Counter[str] = Counter()  # scans by state: ok, degraded, lost
-        self.unusable_scans = 0
+        self.unusable_scans = 0  # of the laser that is mapped
         self.unusable: Counter[str] = Counter()  # frames that hold nothing to map, by sensor
 
     @property
     def counters(self) -> Counter[str]:
         """The mapper's own: scans, scans_dropped_late ..."""
         return self._mapper.counters
+
+    @property
+    def laser(self) -> str | None:
+        """Whose scans are mapped."""
+        return self._mapper.laser
 
     @property
     def paused(self) -> bool:
@@ -128,7 +133,7 @@ class MappingLoop:
         eaten = decode_frame(message.type, message.payload, frame.sensor, log_ns)
         if eaten is None:
             self.unusable[frame.sensor] += 1
-            self.unusable_scans += isinstance(frame, LaserScan)
+            self.unusable_scans += isinstance(frame, LaserScan) and frame.sensor == self.laser
             return
         output = self._map(eaten)
         if output is None:

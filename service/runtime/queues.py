@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from drivers.frames import Frame, LaserScan
 from service.encoding import Message
 
-SCAN_CAPACITY = 64  # over a second of one laser; the mapper needs a few milliseconds a scan
+SCAN_CAPACITY = 128  # a second of three lasers; the mapper needs a few milliseconds a scan
 SAMPLE_CAPACITY = 20_000  # minutes of odometry; only a mapping thread that is stuck lets it fill
 COMMAND_CAPACITY = 32  # who commands waits for the answer, so more than a few are a fault
 

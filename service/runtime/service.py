@@ -22,7 +22,7 @@ from typing import Any
 from drivers.frames import Frame
 from drivers.link import LinkHealth, RawChunk, run_link
 from drivers.registry import SENSOR_KINDS
-from service.config import ServiceConfig, mountings
+from service.config import ServiceConfig, mapped_laser, mountings
 from service.encoding import encode_event, encode_raw, encode_tf_static
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import CorridorError, StorageError
@@ -125,7 +125,9 @@ class Service:
         self._publisher = ZenohPublisher(config.publishing, config.vehicle, self._tiles, self._latency.add)
         self._loop = MappingLoop(
             self._queue,
-            SteeredMapper(lambda: build_mapper(config.mapping, mountings(config.sensors))),
+            SteeredMapper(
+                lambda: build_mapper(config.mapping, mountings(config.sensors)), mapped_laser(config)
+            ),
             self._tiles,
             self.host_time,
             self._publisher.put,
@@ -243,9 +245,9 @@ class Service:
     def _warm_up(self, cancelled: Callable[[], bool]) -> bool:
         """Compile the kernels or load them, in a thread, so that systemd can be told that it goes on."""
         self._notifier.status("compiling kernels")
-        began_s = time.monotonic()
+        self._notifier.need_more_time(WARM_UP_MORE_S)
+        began_s = asked_s = time.monotonic()
         worker = self._workers.start("warm-up", _warm_up)
-        asked_s = 0.0
         while worker.is_alive():
             if cancelled():
                 return False

@@ -5,7 +5,7 @@ import pytest
 
 from drivers.irobot_create.config import IrobotCreateConfig
 from drivers.sick_lms100.config import Lms100Config
-from service.config import load_config, mountings, parse_config
+from service.config import laser_names, load_config, mapped_laser, mountings, parse_config
 from service.errors import ConfigError
 
 ROOT = Path(__file__).parents[2]
@@ -121,6 +121,16 @@ def test_only_sensors_with_a_mounting_have_one():
             GOOD + "mapping: {mode: localization}\n",
             "c.yaml:9:11: mapping.mode: should be 'mapping' (got \"localization\")",
         ),
+        (
+            GOOD + "mapping: {lasers: [frnt]}\n",
+            'c.yaml:9:20: mapping.lasers.0: frnt is no sensor of this config; did you mean "front"?',
+        ),
+        (GOOD + "mapping: {lasers: [base]}\n", "c.yaml:9:20: mapping.lasers.0: base gives no scans; known"),
+        (
+            GOOD + "mapping: {lasers: [front, front]}\n",
+            "c.yaml:9:11: mapping.lasers: one laser is mapped, not 2; name one of them, or leave lasers out",
+        ),
+        (GOOD + "mapping: {lasers: []}\n", "c.yaml:9:11: mapping.lasers: one laser is mapped, not 0"),
         (GOOD + "web: {listen: 127.0.0.1:8080}\n", "c.yaml:9:1: web: unknown key; known here: vehicle, "),
         ("- a\n", "c.yaml:1:1: a config is a mapping with the keys vehicle, sensors, "),
         ("", "c.yaml:1:1: a config is a mapping with the keys vehicle, sensors, "),
@@ -139,6 +149,21 @@ def test_all_faults_come_at_once_and_in_order_of_place():
         "sensors.front.port",
         "mapping.cell_cm",
     ]
+
+
+def test_the_first_laser_is_mapped_unless_another_is_named():
+    text = with_line("  imu: {type: xsens_mtig, device: /dev/i}\n  lux: {type: ibeo_lux, host: b}\n"
+                     "  rear: {type: hokuyo_utm30lx, host: c}", 3)  # fmt: skip
+    config = parse_config(text, "c.yaml")
+    assert laser_names(config.sensors) == ["lux", "rear"]
+    assert mapped_laser(config) == "lux"
+    assert mapped_laser(parse_config(text + "mapping: {lasers: [rear]}\n", "c.yaml")) == "rear"
+    assert mapped_laser(parse_config(with_line("", 3), "c.yaml")) is None
+
+
+def test_a_laser_whose_type_is_wrong_is_said_once():
+    text = with_line("  front: {type: sick_lms10, host: a}", 3) + "mapping: {lasers: [front]}\n"
+    assert [fault.split(": ")[1] for fault in faults(text)] == ["sensors.front.type"]
 
 
 def test_two_sensors_on_one_wire_are_refused():

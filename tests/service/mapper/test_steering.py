@@ -1,5 +1,6 @@
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -47,7 +48,7 @@ def mapper(made: list[FakeMapper]) -> SteeredMapper:
         made.append(FakeMapper())
         return made[-1]
 
-    return SteeredMapper(new)
+    return SteeredMapper(new, "front")
 
 
 def scan(stamp_ns: int) -> LaserScan:
@@ -71,6 +72,22 @@ def test_in_a_pause_samples_go_on_and_scans_are_let_pass(mapper: SteeredMapper, 
     assert made[0].processed == [first, moved, later]
     assert made[0].skipped == [in_pause]
     assert mapper.counters == {"scans": 2, "scans_paused": 1}
+
+
+def test_of_several_lasers_one_is_mapped(mapper: SteeredMapper, made: list[FakeMapper]):
+    """What another laser sees comes between, newer and older than what is mapped; in a pause too."""
+    rear = replace(scan(3), sensor="rear")
+    assert [mapper.process(s) is None for s in (scan(1), rear, scan(2))] == [False, True, False]
+    mapper.steer("pause")
+    assert mapper.process(rear) is None
+    assert made[0].skipped == []
+    assert mapper.counters == {"scans": 2, "scans_not_mapped": 2}
+
+
+def test_without_a_laser_nothing_is_mapped(made: list[FakeMapper]):
+    mapper = SteeredMapper(FakeMapper, None)
+    assert mapper.process(scan(1)) is None
+    assert mapper.counters == {"scans_not_mapped": 1}
 
 
 def test_a_wish_that_is_fulfilled_already_changes_nothing(mapper: SteeredMapper):
@@ -126,7 +143,7 @@ def drive(
 
 
 def real_mapper() -> SteeredMapper:
-    return SteeredMapper(lambda: build_mapper(MappingConfig(), {"front": SE2()}))
+    return SteeredMapper(lambda: build_mapper(MappingConfig(), {"front": SE2()}), "front")
 
 
 def test_the_way_driven_in_a_pause_is_known_after_it():

@@ -2,6 +2,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -64,6 +65,7 @@ def record_drive(tmp_path: Path) -> RecordDrive:
         late: bool = False,
         start_ns: int = T0_NS,
         wishes: Mapping[int, str] = MappingProxyType({}),
+        rear_scans: int = 0,
     ) -> Path:
         metadata = {"config": {"yaml": config}} if config is not None else {}
         recorder = McapRecorder(tmp_path / "in", name, keep_free_bytes=0, metadata=metadata)
@@ -79,6 +81,9 @@ def record_drive(tmp_path: Path) -> RecordDrive:
             )
             recorder.put(encode_frame(sample))
             recorder.put(encode_frame(room_scan(stamp_ns, x_m)))
+            if k < rear_scans:  # arrives before the scan of the front laser, yet is the newer of the two
+                rear = replace(room_scan(stamp_ns + 1_000_000, x_m), sensor="rear")
+                recorder.put(encode_frame(rear, log_ns=stamp_ns + 1_500_000))
         if late:
             recorder.put(
                 encode_frame(room_scan(start_ns, 0.0), log_ns=start_ns + scans * 20_000_000 + 30_000_000)
@@ -87,6 +92,31 @@ def record_drive(tmp_path: Path) -> RecordDrive:
         return session
 
     return record
+
+
+TWO_LASERS = CONFIG.replace("}}}", "}}, rear: {type: hokuyo_utm30lx, host: b, mounting: {x_m: %s}}}") % (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("config", "mapped", "others"),
+    [
+        (TWO_LASERS, 40, 30),
+        (TWO_LASERS + "mapping: {lasers: [rear]}\n", 30, 40),
+        (None, 40, 30),  # of a foreign recording the laser with the most scans
+    ],
+)
+def test_one_laser_is_mapped_and_the_others_cost_it_nothing(
+    record_drive: RecordDrive, config: str | None, mapped: int, others: int
+):
+    done = replay([record_drive(config=config, rear_scans=30)], ReplayOptions())
+    assert (done.summary["scans"], done.summary["scans_not_mapped"]) == (mapped, others)
+    assert done.summary["scans_dropped"] == 0
+
+
+def test_a_laser_that_the_recording_does_not_hold_is_said(record_drive: RecordDrive):
+    session = record_drive(config=TWO_LASERS + "mapping: {lasers: [rear]}\n")
+    with pytest.raises(InputError, match=r"maps rear, but the scans here are of front; .*--config"):
+        replay([session], ReplayOptions())
 
 
 def test_a_replay_writes_what_other_programs_read(record_drive: RecordDrive, tmp_path: Path):
@@ -106,8 +136,8 @@ def test_a_replay_writes_what_other_programs_read(record_drive: RecordDrive, tmp
 def test_the_summary_counts_what_happened(record_drive: RecordDrive):
     summary = replay([record_drive(late=True)], ReplayOptions()).summary
     assert list(summary) == [
-        "corridor", "profile", "scans", "scans_dropped", "scans_paused", "duration_s", "wall_s",
-        "realtime_factor", "scan_ms", "stage_ms_p50", "loop_closures", "keyframes", "peak_rss_mb",
+        "corridor", "profile", "scans", "scans_dropped", "scans_not_mapped", "scans_paused", "duration_s",
+        "wall_s", "realtime_factor", "scan_ms", "stage_ms_p50", "loop_closures", "keyframes", "peak_rss_mb",
         "map_tiles", "map_resets", "state",
     ]  # fmt: skip
     assert (summary["scans"], summary["scans_dropped"]) == (40, 1)

@@ -35,7 +35,7 @@ class Machine:
         )
         self.loop = MappingLoop(
             self.queue,
-            SteeredMapper(FakeMapper),
+            SteeredMapper(FakeMapper, "front"),
             self.tiles,
             host_time,
             lambda message, origin_ns: None,

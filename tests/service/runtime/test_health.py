@@ -29,6 +29,7 @@ def report(link: LinkHealth, **parts: Any) -> HealthReport:
         states=Counter(ok=90),
         unusable=Counter(),
         unusable_scans=0,
+        laser="front",
         last_output=None,
         paused=False,
     )
@@ -107,7 +108,7 @@ def test_scans_are_lost_in_the_queue_or_late_or_unusable():
 @pytest.mark.parametrize(("state", "level"), [("ok", OK), ("degraded", WARNING), ("lost", ERROR)])
 def test_the_pose_s_state_is_the_mapping_s_health(state: Any, level: int):
     made = report(streaming())
-    assert status(made, "mapping").message == "no scan mapped yet"
+    assert status(made, "mapping").message == "no scan of front mapped yet"
     reason = "" if state == "ok" else "few beams agree"
     made._loop.last_output = MapperOutput(
         1, SE2(), SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), state, reason, 0.8

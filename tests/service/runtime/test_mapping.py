@@ -1,6 +1,7 @@
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -77,7 +78,7 @@ class Run:
         queue.close()
         self.loop = MappingLoop(
             queue,
-            SteeredMapper(lambda: next(fresh, None) or FakeMapper()),
+            SteeredMapper(lambda: next(fresh, None) or FakeMapper(), "front"),
             self.tiles,
             HostTime(OFFSET_NS),
             lambda message, arrived_ns: self.published.append((message, arrived_ns)),
@@ -105,6 +106,17 @@ def test_the_mapper_eats_what_the_recording_holds():
         if isinstance(again, LaserScan):
             assert isinstance(eaten, LaserScan)
             np.testing.assert_array_equal(again.range_m, eaten.range_m)
+
+
+def test_a_laser_that_is_not_mapped_is_published_and_recorded():
+    rear, blind = replace(scan(20, 30, [1.0, 2.0]), sensor="rear"), replace(scan(21, 40, []), sensor="rear")
+    run = Run(FakeMapper(), [scan(10, 20, [1.0]), rear, blind, scan(40, 60, [1.1])])
+    run.loop.run()
+    assert [m.channel for m in run.recorded].count("rear/scan") == 2
+    assert [m.channel for m, _ in run.published].count("rear/scan") == 2
+    assert [m.channel for m in run.recorded].count("pose") == 2
+    assert run.loop.counters["scans_not_mapped"] == 1
+    assert (run.loop.unusable_scans, run.loop.unusable["rear"]) == (0, 1)
 
 
 def test_log_times_keep_the_order_in_which_the_mapper_ate():
@@ -237,7 +249,9 @@ def test_after_a_reset_there_is_no_pose_until_the_next_scan():
 
 def test_the_heart_beats_without_frames():
     queue = FrameQueue()
-    loop = MappingLoop(queue, SteeredMapper(FakeMapper), TileStore(), HostTime(0), print, print, print)
+    loop = MappingLoop(
+        queue, SteeredMapper(FakeMapper, "front"), TileStore(), HostTime(0), print, print, print
+    )
     calls = 0
 
     def get(timeout_s: float) -> None:
