@@ -33,7 +33,13 @@ VEHICLE = "demo"
 ZENOH_PORT = 7447
 STAND_S = 4.0  # the vehicle waits so long; the drivers log in meanwhile, and the map begins where it stands
 READY_TIMEOUT_S = 120.0  # the simulators compile their ray caster first
-MOUNTINGS = {"sick_lms100": {"x_m": 0.20, "y_m": 0.0, "yaw_deg": 0.0}}  # as the simulators have it
+DEVICES: dict[str, tuple[str, dict[str, float]]] = {  # name -> type and mounting
+    "front": ("sick_lms100", {"x_m": 0.20, "y_m": 0.0, "yaw_deg": 0.0}),
+    "rear": ("hokuyo_utm30lx", {"x_m": -0.20, "y_m": 0.0, "yaw_deg": 180.0}),
+    "lux": ("ibeo_lux", {"x_m": 0.25, "y_m": 0.0, "yaw_deg": 0.0}),
+    "imu": ("xsens_mtig", {"x_m": 0.0, "y_m": 0.0, "yaw_deg": 0.0}),
+    "base": ("irobot_create", {}),
+}
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -93,6 +99,9 @@ def simulators(options: DemoOptions, truth: Path) -> Iterator[Simulators]:
     """
     command = [sys.executable, "-m", "simulators", "--print-endpoints", "--die-with-parent"]
     command += ["--truth", str(truth), "--seed", str(options.seed), "--stand-s", str(STAND_S)]
+    for name, (kind, mounting) in DEVICES.items():
+        where = ",".join(f"{key}={value}" for key, value in mounting.items())
+        command += ["--device", f"{name}={kind}:{where}" if where else f"{name}={kind}"]
     if options.world is not None:
         command += ["--world", options.world]
     if options.faults is not None:
@@ -129,8 +138,8 @@ def demo_config(endpoints: Sequence[dict[str, str]], options: DemoOptions, zenoh
             sensor |= {"host": host, "port": int(port)}
         else:
             sensor["device"] = where
-        if endpoint["device"] in MOUNTINGS:
-            sensor["mounting"] = MOUNTINGS[endpoint["device"]]
+        if mounting := DEVICES[endpoint["name"]][1]:
+            sensor["mounting"] = mounting
         sensors[endpoint["name"]] = sensor
     out = str(options.out)
     text = yaml.safe_dump(

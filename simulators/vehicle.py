@@ -17,11 +17,21 @@ from service.geometry.se2 import SE2
 from simulators.device import FakeDevice, ManyClients
 from simulators.fault_file import Fault
 from simulators.faults import Faulty
+from simulators.hokuyo_utm30lx import FakeUtm30lx, Utm30lxSetup
 from simulators.ibeo_lux import FakeIbeoLux, LuxSetup
 from simulators.inertial import Datum, ImuMounting, InertialTruth
 from simulators.irobot_create import FakeCreate
 from simulators.sick_lms100 import FakeLms100, Lms100Setup
-from simulators.truth import CREATE_WHEELS, IBEO_LUX, LMS100, LaserTruth, Ride, WheelTruth, seed_of
+from simulators.truth import (
+    CREATE_WHEELS,
+    IBEO_LUX,
+    LMS100,
+    UTM30LX,
+    LaserTruth,
+    Ride,
+    WheelTruth,
+    seed_of,
+)
 from simulators.wire import PtyWire, TcpWire, serve_pty, serve_tcp
 from simulators.world import World
 from simulators.xsens_mtig import FakeMtiG, MtigSetup, Personality
@@ -44,6 +54,24 @@ class Lms100Options(BaseModel):
     sigma_m: float = Field(default=LMS100.sigma_m, ge=0.0)
     bias_m: float = LMS100.bias_m
     clock_drift_ppm: float = 40.0
+
+
+class Utm30lxOptions(BaseModel):
+    """What may stand behind `hokuyo_utm30lx:`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    wire: Literal["usb", "ethernet"] = "usb"  # UTM-30LX on a terminal; UTM-30LX-EW on a TCP port
+    link: Path | None = None  # usb: a symbolic link to the terminal, a name that stays
+    host: str = "127.0.0.1"  # ethernet
+    port: int = Field(default=0, ge=0, le=65535)  # 0: any free
+    x_m: float = 0.20  # mounting in the base frame
+    y_m: float = 0.0
+    yaw_deg: float = 0.0
+    sigma_m: float = Field(default=UTM30LX.sigma_m, ge=0.0)
+    bias_m: float = UTM30LX.bias_m
+    clock_drift_ppm: float = 40.0
+    motor_speed: float = Field(default=1.0, ge=0.9, le=1.1)  # of 40 turns a second
 
 
 class LuxOptions(BaseModel):
@@ -125,6 +153,19 @@ def _build_lms100(name: str, options: Lms100Options, ride: Ride, seed: int) -> W
     return serve_tcp(FakeLms100(source, setup, seed_of(seed, name)), options.host, options.port)
 
 
+def _build_utm30lx(name: str, options: Utm30lxOptions, ride: Ride, seed: int) -> Wire:
+    mounting = SE2(options.x_m, options.y_m, math.radians(options.yaw_deg))
+    model = replace(UTM30LX, sigma_m=options.sigma_m, bias_m=options.bias_m)
+    source = LaserTruth(ride, name, mounting, model, seed)
+    setup = Utm30lxSetup(
+        options.wire, clock_drift_ppm=options.clock_drift_ppm, motor_speed=options.motor_speed
+    )
+    device = FakeUtm30lx(source, setup, seed_of(seed, name))
+    if options.wire == "usb":
+        return serve_pty(device, options.link)
+    return serve_tcp(device, options.host, options.port)
+
+
 def _build_lux(name: str, options: LuxOptions, ride: Ride, seed: int) -> Wire:
     mounting = SE2(options.x_m, options.y_m, math.radians(options.yaw_deg))
     model = replace(IBEO_LUX, sigma_m=options.sigma_m, bias_m=options.bias_m)
@@ -164,6 +205,7 @@ def _build_mtig(name: str, options: MtigOptions, ride: Ride, seed: int) -> Wire:
 
 KINDS = {
     "sick_lms100": _Kind(Lms100Options, _build_lms100),
+    "hokuyo_utm30lx": _Kind(Utm30lxOptions, _build_utm30lx),
     "irobot_create": _Kind(CreateOptions, _build_create),
     "ibeo_lux": _Kind(LuxOptions, _build_lux),
     "xsens_mtig": _Kind(MtigOptions, _build_mtig),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from service import demo
+from service.config import mapped_laser
 from service.demo import DemoOptions, Simulators, demo_config, interpolate, pose_error
 from service.encoding import encode_pose
 from service.errors import ConfigError, CorridorError, UsageError
@@ -20,6 +21,9 @@ from service.runtime.service import Summary
 OFFSET_NS = 1_700_000_000_000_000_000
 ENDPOINTS = [
     {"name": "front", "device": "sick_lms100", "endpoint": "tcp://127.0.0.1:2111"},
+    {"name": "rear", "device": "hokuyo_utm30lx", "endpoint": "/dev/pts/4"},
+    {"name": "lux", "device": "ibeo_lux", "endpoint": "tcp://127.0.0.1:12002"},
+    {"name": "imu", "device": "xsens_mtig", "endpoint": "/dev/pts/5"},
     {"name": "base", "device": "irobot_create", "endpoint": "/dev/pts/3"},
 ]
 
@@ -32,7 +36,12 @@ def test_the_config_is_what_a_user_would_write_for_these_devices(tmp_path: Path)
     config = demo_config(ENDPOINTS, options(tmp_path), 7447)
     assert config.sensors["front"].port == 2111
     assert config.sensors["front"].mounting.x_m == 0.20
+    assert config.sensors["rear"].device == "/dev/pts/4"
+    assert config.sensors["rear"].mounting.yaw_deg == 180.0
+    assert config.sensors["lux"].port == 12002
+    assert config.sensors["imu"].device == "/dev/pts/5"
     assert config.sensors["base"].device == "/dev/pts/3"
+    assert mapped_laser(config) == "front"
     assert config.recording.directory == tmp_path
     assert config.publishing.listen == ("tcp/127.0.0.1:7447",)
 
@@ -94,7 +103,7 @@ def test_simulators_that_do_not_come_up_are_said(tmp_path: Path):
 
 
 def test_faults_that_cannot_be_are_a_config_error(tmp_path: Path):
-    (tmp_path / "faults.yaml").write_text("faults:\n  - {device: rear, kind: cut}\n")
+    (tmp_path / "faults.yaml").write_text("faults:\n  - {device: roof, kind: cut}\n")
     wrong = DemoOptions(1.0, None, None, 1, tmp_path, tmp_path / "faults.yaml")
     with (
         pytest.raises(ConfigError, match="refused the file of faults"),
@@ -140,6 +149,9 @@ def test_the_demo_maps_to_a_centimetre_and_loses_no_scan(tmp_path: Path):
     assert 0.0 < summary["latency_ms"]["p50"] < 20.0
     assert summary["rates_hz"] == {
         "front": pytest.approx(50.0, abs=1.5),
+        "rear": pytest.approx(40.0, abs=1.2),
+        "lux": pytest.approx(25.0, abs=0.8),
+        "imu": pytest.approx(200.0, abs=6.0),
         "base": pytest.approx(66.7, abs=1.5),
     }
     assert Path(summary["session"]).suffix == ".mcap"

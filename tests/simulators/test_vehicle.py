@@ -38,7 +38,7 @@ def test_without_a_word_there_are_a_laser_and_a_base():
     ("text", "complaint"),
     [
         ("sick_lms100", "expected NAME=TYPE"),
-        ("front=sick", "TYPE one of sick_lms100, irobot_create"),
+        ("front=sick", "TYPE one of sick_lms100, hokuyo_utm30lx, irobot_create"),
         ("front=sick_lms100:colour=red", "colour: .*; sick_lms100 takes host, port, x_m"),
         ("front=sick_lms100:port=high", "port: .*integer"),
         ("front=sick_lms100:port", "'port' is not a new key=value"),
@@ -66,6 +66,16 @@ def test_vehicle_tells_where_its_devices_answer(world: World, tmp_path: Path):
         assert (tmp_path / "create").is_char_device()
         assert vehicle.failed == []
     assert not (tmp_path / "create").is_symlink()
+
+
+def test_a_hokuyo_is_on_the_wire_it_was_given(world: World, tmp_path: Path):
+    specs = parse_devices([f"rear=hokuyo_utm30lx:link={tmp_path / 'usb'}", "ew=hokuyo_utm30lx:wire=ethernet"])
+    with FakeVehicle(specs, Ride(world, 0), seed=1) as vehicle:
+        usb, ethernet = vehicle.endpoints()
+        assert usb["endpoint"] == str(tmp_path / "usb")
+        assert (tmp_path / "usb").is_char_device()
+        host, port = vehicle.wires["ew"].endpoint
+        assert ethernet["endpoint"] == f"tcp://{host}:{port}"
 
 
 def telegrams(world: World, seed: int, looks_s: list[float]) -> bytes:
