@@ -6,6 +6,7 @@ It reads. No command that moves a wheel, a brush or a lamp is ever sent, and the
 import logging
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from drivers.errors import TransportError
 from drivers.frames import OdometrySample
@@ -13,7 +14,7 @@ from drivers.irobot_create.config import GIVE_UP_NS, RETRY_START_NS, IrobotCreat
 from drivers.irobot_create.create1 import Create1Session
 from drivers.irobot_create.frame_clock import FrameClock
 from drivers.irobot_create.health import HEALTH_IDS, RobotHealth
-from drivers.irobot_create.odometry import DeadReckoning, TwistWindow, counts_between
+from drivers.irobot_create.odometry import FASTEST_MPS, DeadReckoning, TwistWindow, counts_between
 from drivers.irobot_create.protocol import (
     BANNER_END_NS,
     FRAME_PERIOD_NS,
@@ -37,7 +38,17 @@ STREAM_IDS = (PacketId.LEFT_ENCODER, PacketId.RIGHT_ENCODER, *HEALTH_IDS)
 MODE_SETTLED_NS = 200_000_000  # by then packet 35 shows what 128 did
 KEEP_ALIVE_NS = 60_000_000_000
 UNSTICKING_STARTS = 4  # a robot that waits for the rest of a command eats the first ones as its data
-MAX_COUNTS = 2000  # 17 counts are 0.5 m/s; this many in one step is a reset or a corrupt reading
+REACH_MARGIN = 1.5  # over the fastest the wheels turn by themselves; more is a reset or a corrupt reading
+REACH_SLACK_NS = 80_000_000  # stamps may be so late: USB adapters hold frames back
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Of the encoders, in counts."""
+
+    left: int
+    right: int
+    stamp_ns: int
 
 
 class IrobotCreateSession:
@@ -60,7 +71,10 @@ class IrobotCreateSession:
         self._byte_ns = 10e9 / config.baud
         self._frame_bytes = frame_bytes(STREAM_IDS)
         self._clock = FrameClock(round(self._frame_bytes * self._byte_ns + config.latency_ms * 1e6))
-        self._counts: tuple[int, int] | None = None  # left, right; None: not read since the last reset
+        self._read: Reading | None = None  # the last believed; None: not read since the last reset
+        self._doubtful: Reading | None = None  # too far from that; the next one tells which of them was right
+        self._heard_ns: int | None = None
+        self._backdated = False  # the read at hand: its bytes had the time to come one after the other
         self._last_heard_ns: int | None = None  # frame or banner; None before the first tick
         self._started_ns: int | None = None  # 128 went out
         self._start_at_ns: int | None = None
@@ -113,6 +127,9 @@ class IrobotCreateSession:
 
     def receive_data(self, data: bytes, arrived_ns: int) -> list[OdometrySample]:
         self._bytes_heard += len(data)
+        since_ns = arrived_ns if self._heard_ns is None else arrived_ns - self._heard_ns
+        self._backdated = len(data) * self._byte_ns <= since_ns
+        self._heard_ns = arrived_ns
         frames = self._decoder.receive_data(data)
         self._read_text(arrived_ns)
         samples = [sample for frame in frames if (sample := self._to_sample(frame, arrived_ns))]
@@ -134,7 +151,7 @@ class IrobotCreateSession:
             self._in_banner_until_ns = self._start_at_ns = arrived_ns + BANNER_END_NS
             self._request_at_ns = self._stream_from_ns = None
             self._last_heard_ns = arrived_ns
-            self._counts = None
+            self._read = self._doubtful = None
             self.status = "the robot was reset; waiting for the end of its banner"
         self._decoder.lines.clear()
 
@@ -148,10 +165,10 @@ class IrobotCreateSession:
         if not self._mode_learned and self._started_ns is not None:
             self._learn_mode(frame, arrived_ns - self._started_ns)
         stamp_ns = self._clock.stamp(
-            arrived_ns - round(frame.bytes_after * self._byte_ns),
+            self._ended_ns(frame, arrived_ns),
             missing_at_most=-(-frame.damaged_bytes_before // self._frame_bytes),
         )
-        ds_m, dth_rad = self._roll(frame, stamp_ns)
+        ds_m, dth_rad = self._roll(frame, stamp_ns, arrived_ns)
         self._odometry.stamp_ns = stamp_ns
         self._health.observe(frame.values)
         self.status = f"streaming; {self._health.words()}"
@@ -166,6 +183,14 @@ class IrobotCreateSession:
             covariance=self._odometry.covariance,
         )
 
+    def _ended_ns(self, frame: StreamFrame, arrived_ns: int) -> int:
+        """When the frame's last byte was on the line; never too early.
+
+        What came behind it in the same read took its time on the line. Not so where the read holds more than
+        the line can have brought since the read before: that was held up elsewhere.
+        """
+        return arrived_ns - (round(frame.bytes_after * self._byte_ns) if self._backdated else 0)
+
     def _learn_mode(self, frame: StreamFrame, since_start_ns: int) -> None:
         if since_start_ns < MODE_SETTLED_NS:
             return
@@ -173,27 +198,37 @@ class IrobotCreateSession:
         if self._health.learn_mode_offset(frame.values[PacketId.OI_MODE]):
             self.identity["oi_mode"] = "reported one too high"
 
-    def _roll(self, frame: StreamFrame, stamp_ns: int) -> tuple[float, float]:
-        """Integrate the counts since the last frame; (m, rad), zeros where they cannot be believed."""
+    def _roll(self, frame: StreamFrame, stamp_ns: int, arrived_ns: int) -> tuple[float, float]:
+        """Integrate the counts since the last reading; (m, rad), zeros where they cannot be believed."""
         counts = (frame.values[PacketId.LEFT_ENCODER], frame.values[PacketId.RIGHT_ENCODER])
-        before, self._counts = self._counts, counts
-        if before is not None:
-            left, right = counts_between(before[0], counts[0]), counts_between(before[1], counts[1])
-            if max(abs(left), abs(right)) <= MAX_COUNTS:
-                return self._odometry.roll(
-                    left * self._config.left_m_per_count, right * self._config.right_m_per_count
-                )
+        reading = Reading(*counts, stamp_ns)
+        for before in (self._read, self._doubtful):
+            if before is not None and (ways_m := self._ways_m(before, reading, arrived_ns)) is not None:
+                self._read, self._doubtful = reading, None
+                return self._odometry.roll(*ways_m)
+        if self._read is None:
+            self._read = reading
+        else:
+            self._doubtful = reading
             self.counters["encoder_faults"] += 1
             log.warning(
-                "%s: encoders jumped by %d and %d counts, at most %d are possible; way not counted",
+                "%s: encoders jumped from %d, %d to %d, %d, at most %.3f m are possible; way not counted",
                 self._config.name,
-                left,
-                right,
-                MAX_COUNTS,
+                self._read.left,
+                self._read.right,
+                *counts,
+                _reach_m(self._read, arrived_ns),
             )
         if self._odometry.stamp_ns is not None:
             self._odometry.lose((stamp_ns - self._odometry.stamp_ns) * 1e-9)
         return 0.0, 0.0
+
+    def _ways_m(self, before: Reading, now: Reading, arrived_ns: int) -> tuple[float, float] | None:
+        """Of the left and the right wheel; None where they cannot have turned so far."""
+        left_m = counts_between(before.left, now.left) * self._config.left_m_per_count
+        right_m = counts_between(before.right, now.right) * self._config.right_m_per_count
+        possible = max(abs(left_m), abs(right_m)) <= _reach_m(before, arrived_ns)
+        return (left_m, right_m) if possible else None
 
     def _explain_silence(self) -> str:
         seconds = GIVE_UP_NS / 1e9
@@ -211,6 +246,12 @@ class IrobotCreateSession:
             f"no answer to Start (128) in {seconds:.0f} s; is the robot asleep or off? press its Clean "
             f"button, or wire BRC to RTS or DTR; else look at cable and baud rate ({self._config.baud})"
         )
+
+
+def _reach_m(since: Reading, arrived_ns: int) -> float:
+    """How far a wheel can have turned until a reading that arrived then; its stamp may not know yet of
+    frames that were lost."""
+    return REACH_MARGIN * FASTEST_MPS * (arrived_ns - since.stamp_ns + REACH_SLACK_NS) * 1e-9
 
 
 def session_maker(config: IrobotCreateConfig) -> Callable[[], Session]:

@@ -153,6 +153,52 @@ def test_impossible_step_of_the_encoders_is_counted_and_not_driven():
     assert moved.x_m == pytest.approx(before.x_m + 2 * CONFIG.left_m_per_count)
 
 
+def test_damaged_reading_adds_nothing_and_the_way_around_it_is_kept():
+    table = bench(STANDING)
+    table.run(1.0)
+    before = table.samples[-1]
+    base = {43: 0, 44: 0, 22: 14_000}
+    frames = [base | {43: counts, 44: counts} for counts in (10, 20 ^ 1 << 10, 30, 40)]
+    poses = [
+        table.session.receive_data(encode_frame(STREAM_IDS, values), table.now_ns + 15 * MS * (i + 1))[0]
+        for i, values in enumerate(frames)
+    ]
+    ways = [(pose.x_m - before.x_m) / CONFIG.left_m_per_count for pose in poses]
+    assert ways == pytest.approx([10, 10, 30, 40])
+    assert table.session.counters["encoder_faults"] == 1
+
+
+@pytest.mark.parametrize("lost", [1, 10, 200])
+def test_way_at_full_speed_through_lost_frames_is_kept(lost):
+    wheels = Curve(0.5, 0.0)
+    gone = []
+
+    def spoil(data: bytes, now_ns: int) -> bytes:
+        if data and now_ns > 2 * S and len(gone) < lost:
+            gone.append(now_ns)
+            return b""
+        return data
+
+    table = bench(wheels)
+    table._spoil = spoil
+    samples = table.run(2.0 + lost * 0.015 + 3.0)
+    assert len(gone) == lost
+    assert table.session.counters["encoder_faults"] == 0
+    assert samples[-1].x_m == pytest.approx(0.5 * (samples[-1].stamp_ns - samples[0].stamp_ns) / S, abs=0.01)
+
+
+def test_what_a_burst_of_noise_holds_does_not_make_frames_old():
+    table = bench(STANDING)
+    table.run(1.0)
+    frame = encode_frame(STREAM_IDS, {43: 0, 44: 0, 22: 14_000})
+    before_ns, came_ns = table.samples[-1].stamp_ns, table.samples[-1].arrived_ns
+    table.session.receive_data(frame, came_ns + 15 * MS)
+    samples = table.session.receive_data(frame + bytes(9_000), came_ns + 30 * MS)  # 0.8 s of the line
+    samples += table.session.receive_data(frame, came_ns + 45 * MS)
+    for number, sample in enumerate(samples, start=2):
+        assert sample.stamp_ns == pytest.approx(before_ns + number * 15 * MS, abs=5 * MS)
+
+
 def test_reset_robot_is_started_again_without_a_jump():
     wheels = Curve(0.3, 0.0)
     table = bench(wheels, start_counts=(30_000, 31_000))
