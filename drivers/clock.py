@@ -70,8 +70,8 @@ class ClockMap:
 
     `observe` first, with the ticks of the moment the message left; then `to_host_ns` for any tick near it.
     Messages held back by a network come late for a while and change nothing. A message far too early, ticks
-    that go back and stay back, or lateness that does not end, are a restart of the device: all is learnt anew.
-    A single message from before the newest is late, and changes nothing.
+    that go back and stay there, or lateness that does not end, are a restart of the device: all is learnt
+    anew. A single message from before the newest is out of order, and changes nothing.
     """
 
     def __init__(self, tick_ns: float, wrap_ticks: int | None = None, latency_ns: int = 0) -> None:
@@ -79,9 +79,7 @@ class ClockMap:
         self._wrap_ticks = wrap_ticks
         self._latency_ns = latency_ns
         self._last_ticks: int | None = None  # unwrapped, the furthest so far
-        self._back_ticks: int | None = (
-            None  # unwrapped, of a message before those: out of order, or a restart
-        )
+        self._back_ticks: int | None = None  # unwrapped, of a message before those
         self._hull: _Hull | None = None
         self._young: _Hull | None = None
         self._line = (0.0, 0.0)

@@ -39,6 +39,8 @@ class XsensMtigSession:
         self._deadline_ns: int | None = 0
         self._now_ns: int | None = None
         self._heard_ns: int | None = None
+        self._backdated = False  # the read at hand: its bytes had the time to come one after the other
+        self._byte_ns = 0.0  # on the line; over USB none
         self._silent_ns = 0
         self._stream: Mtdata2Stream | LegacyStream | None = None
         self._streaming = False
@@ -59,6 +61,8 @@ class XsensMtigSession:
         return None if self._stream is None else self._stream.utc_minus_host_ns
 
     def receive_data(self, data: bytes, arrived_ns: int) -> list[Frame]:
+        since_ns = arrived_ns if self._heard_ns is None else arrived_ns - self._heard_ns
+        self._backdated = len(data) * self._byte_ns <= since_ns
         self._heard_ns = arrived_ns
         frames = self._take_all(self._decoder.receive_data(data), arrived_ns)
         self._set_status(arrived_ns)
@@ -150,12 +154,12 @@ class XsensMtigSession:
 
     def _begin_stream(self) -> None:
         dialogue = self._dialogue
-        byte_ns = BITS_A_BYTE * 1e9 / dialogue.baud if dialogue.baud else 0.0
+        self._byte_ns = BITS_A_BYTE * 1e9 / dialogue.baud if dialogue.baud else 0.0
         self._silent_ns = 0
         if dialogue.legacy is None:
-            self._stream = Mtdata2Stream(self._config, self.counters, self._health, byte_ns)
+            self._stream = Mtdata2Stream(self._config, self.counters, self._health)
         else:
-            self._stream = LegacyStream(self._config, self.counters, self._health, byte_ns, dialogue.legacy)
+            self._stream = LegacyStream(self._config, self.counters, self._health, dialogue.legacy)
 
     def _take_data(self, message: Message, arrived_ns: int) -> list[Frame]:
         assert self._stream is not None
@@ -164,7 +168,7 @@ class XsensMtigSession:
             self.counters["messages_of_the_other_protocol"] += 1
             return []
         try:
-            frames = self._stream.take(message.data, message.wire_bytes, message.bytes_after, arrived_ns)
+            frames = self._stream.take(message.data, self._sent_ns(message, arrived_ns), arrived_ns)
         except ProtocolError as error:
             self.counters["messages_malformed"] += 1
             self._malformed_in_a_row += 1
@@ -178,6 +182,15 @@ class XsensMtigSession:
             self._silent_ns = 0
             self._streaming = True
         return frames
+
+    def _sent_ns(self, message: Message, arrived_ns: int) -> int:
+        """When the first byte of the message was on the line; never too early.
+
+        What came behind it in the same read took its time on the line too. Not so where the read holds more
+        than the line can have brought since the read before: that was held up elsewhere.
+        """
+        byte_count = message.wire_bytes + (message.bytes_after if self._backdated else 0)
+        return arrived_ns - round(byte_count * self._byte_ns)
 
     def _set_status(self, now_ns: int) -> None:
         if not self._streaming:

@@ -72,23 +72,16 @@ def utc_ns(utc: Utc | GnssPvt) -> int:
 class _Stream:
     """What both protocols share."""
 
-    def __init__(
-        self, config: XsensMtigConfig, counters: Counter[str], health: DeviceHealth, byte_ns: float
-    ) -> None:
+    def __init__(self, config: XsensMtigConfig, counters: Counter[str], health: DeviceHealth) -> None:
         self._config = config
         self._counters = counters
         self._health = health
-        self._byte_ns = byte_ns
         self._axes = axes_of(config.forward_axis, config.up_axis)
         self._device = device_from_axes(self._axes)
         self._latency_ns = round(config.latency_ms * 1e6)
         self._last_stamp_ns: int | None = None
         self._last_fix_ns: int | None = None
         self.utc_minus_host_ns: int | None = None  # None: the device does not know UTC (yet)
-
-    def _sent_ns(self, arrived_ns: int, message_bytes: int, bytes_after: int) -> int:
-        """When the first byte of the message was on the line."""
-        return arrived_ns - round((bytes_after + message_bytes) * self._byte_ns)
 
     def _sample(
         self,
@@ -98,12 +91,14 @@ class _Stream:
         force: Reals,
         local: LocalFrame,
         orientation: Reals | None,
-        restarted: bool,
     ) -> list[Frame]:
         if not all(map(math.isfinite, (*rate, *force))):
             self._counters["samples_not_finite"] += 1
             return []
-        if self._last_stamp_ns is not None and not restarted and stamp_ns <= self._last_stamp_ns:
+        if stamp_ns > arrived_ns:
+            self._counters["samples_ahead_of_arrival"] += 1
+            return []
+        if self._last_stamp_ns is not None and stamp_ns <= self._last_stamp_ns:
             self._counters["samples_out_of_order"] += 1
             return []
         self._last_stamp_ns = stamp_ns
@@ -131,10 +126,12 @@ class _Stream:
         status: int,
         place: tuple[float, float, float],
         accuracy_m: tuple[float, float] | None,
-        restarted: bool,
     ) -> list[Frame]:
         """accuracy_m: horizontal and vertical, one sigma; None: not told."""
-        if self._last_fix_ns is not None and not restarted and stamp_ns <= self._last_fix_ns:
+        if stamp_ns > arrived_ns:
+            self._counters["fixes_ahead_of_arrival"] += 1
+            return []
+        if self._last_fix_ns is not None and stamp_ns <= self._last_fix_ns:
             self._counters["fixes_out_of_order"] += 1
             return []
         self._last_fix_ns = stamp_ns
@@ -148,12 +145,10 @@ class _Stream:
 
 
 class Mtdata2Stream(_Stream):
-    """One connection's MTData2. byte_ns: time of a byte on the line, 0 over USB."""
+    """One connection's MTData2."""
 
-    def __init__(
-        self, config: XsensMtigConfig, counters: Counter[str], health: DeviceHealth, byte_ns: float
-    ) -> None:
-        super().__init__(config, counters, health, byte_ns)
+    def __init__(self, config: XsensMtigConfig, counters: Counter[str], health: DeviceHealth) -> None:
+        super().__init__(config, counters, health)
         self._clock = FineClock(self._latency_ns)
         self._last_packet: int | None = None
         self._last_itow_ms: int | None = None
@@ -164,8 +159,9 @@ class Mtdata2Stream(_Stream):
     def offset_ns(self) -> int | None:
         return self._clock.offset_ns
 
-    def take(self, data: bytes, message_bytes: int, bytes_after: int, arrived_ns: int) -> list[Frame]:
-        """Frames of one message. Raises ProtocolError where its content is not MTData2."""
+    def take(self, data: bytes, sent_ns: int, arrived_ns: int) -> list[Frame]:
+        """Frames of one message, which was on the line from sent_ns on. Raises ProtocolError where its
+        content is not MTData2."""
         found: dict[int, tuple[int, bytes]] = {}
         for identifier, payload in split(data):
             kind = identifier & KIND_MASK
@@ -178,9 +174,8 @@ class Mtdata2Stream(_Stream):
         inertial = Kind.RATE in found and Kind.ACCELERATION in found
         resets, step = self._clock.resets, self._clock.step(ticks)
         if inertial or self._clock.offset_ns is None:
-            self._clock.observe(ticks, self._sent_ns(arrived_ns, message_bytes, bytes_after))
-        restarted = self._clock.resets > resets
-        if restarted:
+            self._clock.observe(ticks, sent_ns)
+        if self._clock.resets > resets:
             self._last_packet = self._last_itow_ms = None
             step = 0
             self._counters["clock_resets"] += 1
@@ -193,11 +188,11 @@ class Mtdata2Stream(_Stream):
         frames: list[Frame] = []
         if inertial:
             self._count_samples(step)
-            frames += self._inertial(found, stamp_ns, arrived_ns, restarted)
+            frames += self._inertial(found, stamp_ns, arrived_ns)
         if Kind.GNSS_PVT in found:
             pvt = read_item(*found[Kind.GNSS_PVT])
             assert isinstance(pvt, GnssPvt)
-            frames += self._gnss(pvt, stamp_ns, arrived_ns, restarted)
+            frames += self._gnss(pvt, stamp_ns, arrived_ns)
         elif Kind.UTC in found:
             utc = read_item(*found[Kind.UTC])
             assert isinstance(utc, Utc)
@@ -247,9 +242,7 @@ class Mtdata2Stream(_Stream):
         if step <= GAP_IS_A_RESTART * self._period_ticks:
             self._counters["samples_missed"] += max(0, round(step / self._period_ticks) - 1)
 
-    def _inertial(
-        self, found: dict[int, tuple[int, bytes]], stamp_ns: int, arrived_ns: int, restarted: bool
-    ) -> list[Frame]:
+    def _inertial(self, found: dict[int, tuple[int, bytes]], stamp_ns: int, arrived_ns: int) -> list[Frame]:
         rate, force = read_item(*found[Kind.RATE]), read_item(*found[Kind.ACCELERATION])
         assert isinstance(rate, tuple)
         assert isinstance(force, tuple)
@@ -262,9 +255,9 @@ class Mtdata2Stream(_Stream):
                 assert isinstance(value, tuple)
                 orientation, local = value, _local_frame(identifier)
                 break
-        return self._sample(stamp_ns, arrived_ns, rate, force, local, orientation, restarted)
+        return self._sample(stamp_ns, arrived_ns, rate, force, local, orientation)
 
-    def _gnss(self, pvt: GnssPvt, stamp_ns: int, arrived_ns: int, restarted: bool) -> list[Frame]:
+    def _gnss(self, pvt: GnssPvt, stamp_ns: int, arrived_ns: int) -> list[Frame]:
         self._counters["fixes_received"] += 1
         if self._last_itow_ms is not None:
             missed = (pvt.itow_ms - self._last_itow_ms) % WEEK_MS // GNSS_PERIOD_MS - 1
@@ -279,7 +272,7 @@ class Mtdata2Stream(_Stream):
         status = (1 if pvt.flags & 2 else 0) if usable else -1
         place = (pvt.lat_1e7deg * 1e-7, pvt.lon_1e7deg * 1e-7, pvt.height_mm * 1e-3)
         accuracy_m = (pvt.horizontal_accuracy_mm * 1e-3, pvt.vertical_accuracy_mm * 1e-3)
-        return self._fix(stamp_ns, arrived_ns, status, place, accuracy_m, restarted)
+        return self._fix(stamp_ns, arrived_ns, status, place, accuracy_m)
 
 
 def _local_frame(identifier: int) -> LocalFrame:
@@ -297,10 +290,9 @@ class LegacyStream(_Stream):
         config: XsensMtigConfig,
         counters: Counter[str],
         health: DeviceHealth,
-        byte_ns: float,
         output: LegacyOutput,
     ) -> None:
-        super().__init__(config, counters, health, byte_ns)
+        super().__init__(config, counters, health)
         self._codec = LegacyCodec(output.layout)
         self._local = output.layout.local_frame
         self._period_ns = 1e9 / output.rate_hz
@@ -331,13 +323,13 @@ class LegacyStream(_Stream):
         self._utc.observe(ticks, sent_ns)
         return self._utc.to_host_ns(ticks), missed
 
-    def take(self, data: bytes, message_bytes: int, bytes_after: int, arrived_ns: int) -> list[Frame]:
-        """Frames of one message. Raises ProtocolError where its length is not the layout's."""
+    def take(self, data: bytes, sent_ns: int, arrived_ns: int) -> list[Frame]:
+        """Frames of one message, which was on the line from sent_ns on. Raises ProtocolError where its
+        length is not the layout's."""
         sample = self._codec.decode(data)
         resets = self._clock.resets
-        stamp_ns, missed = self._observe(sample, self._sent_ns(arrived_ns, message_bytes, bytes_after))
-        restarted = self._clock.resets > resets
-        if restarted:
+        stamp_ns, missed = self._observe(sample, sent_ns)
+        if self._clock.resets > resets:
             self._counters["clock_resets"] += 1
             self._last_itow_ms = None
         elif missed < GAP_IS_A_RESTART:
@@ -356,16 +348,15 @@ class LegacyStream(_Stream):
                 sample.acceleration_mps2,
                 self._local,
                 sample.orientation,
-                restarted,
             )
         else:
             self._counters["messages_without_samples"] += 1
-        return frames + self._position(sample, stamp_ns, arrived_ns, restarted)
+        return frames + self._position(sample, stamp_ns, arrived_ns)
 
-    def _position(self, sample: LegacyData, stamp_ns: int, arrived_ns: int, restarted: bool) -> list[Frame]:
+    def _position(self, sample: LegacyData, stamp_ns: int, arrived_ns: int) -> list[Frame]:
         has_fix = None if sample.status is None else bool(sample.status & GNSS_FIX)
         if sample.raw_gps is not None:
-            return self._receiver(sample.raw_gps, has_fix, stamp_ns, arrived_ns, restarted)
+            return self._receiver(sample.raw_gps, has_fix, stamp_ns, arrived_ns)
         if sample.position is None:
             return []
         self._since_fix += 1
@@ -377,11 +368,9 @@ class LegacyStream(_Stream):
         latitude, longitude, height = sample.position
         usable = bool(has_fix) and all(map(math.isfinite, sample.position))
         place = (latitude, longitude, height)
-        return self._fix(stamp_ns, arrived_ns, 0 if usable else -1, place, None, restarted)
+        return self._fix(stamp_ns, arrived_ns, 0 if usable else -1, place, None)
 
-    def _receiver(
-        self, gps: RawGps, has_fix: bool | None, stamp_ns: int, arrived_ns: int, restarted: bool
-    ) -> list[Frame]:
+    def _receiver(self, gps: RawGps, has_fix: bool | None, stamp_ns: int, arrived_ns: int) -> list[Frame]:
         """The receiver's own solution, repeated in every message until there is a new one."""
         if gps.itow_ms == self._last_itow_ms:
             return []
@@ -397,4 +386,4 @@ class LegacyStream(_Stream):
         usable = bool(has_fix) and gps.horizontal_accuracy_mm not in (0, NO_ACCURACY)
         place = (gps.lat_1e7deg * 1e-7, gps.lon_1e7deg * 1e-7, gps.height_mm * 1e-3)
         status = 0 if usable else -1
-        return self._fix(stamp_ns - round(age_ns), arrived_ns, status, place, accuracy_m, restarted)
+        return self._fix(stamp_ns - round(age_ns), arrived_ns, status, place, accuracy_m)

@@ -462,3 +462,14 @@ def test_a_million_damaged_recorded_messages_are_survived(shared: Path):
         before = t.session.counters["bytes_skipped"]
         t.session.receive_data(GOOD, t.now_ns)
         assert t.session.counters["bytes_skipped"] == before
+
+
+def test_fix_from_the_future_is_refused_and_does_not_stop_the_next():
+    t = talk(mtdata2()).run(3.0)
+    stream = t.session._stream
+    before = len(fixes(t.frames))
+    wrong_ns = t.now_ns + 40 * SECOND_NS
+    assert stream._fix(wrong_ns, t.now_ns, 0, (60.0, 24.0, 5.0), None) == []
+    t.run(3.0)
+    assert t.session.counters["fixes_ahead_of_arrival"] == 1
+    assert len(fixes(t.frames)) > before + 8

@@ -8,7 +8,7 @@ import pytest
 from drivers.frames import ImuSample
 from drivers.xsens_mtig.sample_clock import CounterClock, FineClock
 from simulators.xsens_mtig import FakeMtiG, MtigSetup
-from tests.drivers.mtig import MS, ZERO_NS, Swing, samples, talk
+from tests.drivers.mtig import MS, ZERO_NS, Swing, legacy, mtdata2, samples, talk
 from tests.drivers.virtual_time import SECOND_NS, Talk
 
 LATENCY_MS = 1.0  # of the fake device
@@ -152,3 +152,21 @@ def test_a_counter_that_counts_skipped_samples_is_found_out_and_one_lost_first_i
     missing = [clock.observe(count, count * 20 * MS) for count in counts]
     assert clock.to_host_ns(199) == pytest.approx(199 * 20 * MS, abs=MS)
     assert sum(missing) == 0  # the one before we knew
+
+
+@pytest.mark.parametrize("make", [mtdata2, legacy])
+def test_what_a_burst_of_noise_holds_does_not_make_samples_old(make):
+    """Half a second of samples among garbage in one read: 160 kB, which would be 14 s of the line."""
+    t = talk(make()).run(5.0)
+    held, rng = bytearray(), np.random.default_rng(1)
+    for _ in range(200):
+        t.now_ns = max(t.now_ns, t.device.next_due_ns(t.now_ns))
+        held += rng.integers(0, 0xF0, 800, dtype=np.uint8).tobytes() + t.device.due(t.now_ns)
+    before = len(t.frames)
+    t.frames += t.session.receive_data(bytes(held), t.now_ns)
+    t.run(5.0)
+    taken = samples(t.frames)
+    assert len(samples(t.frames[before:])) > 1_080
+    assert np.abs(errors_ms(taken[10:]) - 1.0).max() < 5.0
+    assert min(np.diff([sample.stamp_ns for sample in taken])) > 0
+    assert t.session.counters["clock_resets"] == 0
