@@ -12,7 +12,7 @@ export CORRIDOR_SHARED ?= $(abspath ../shared)
 # One thread a process: the mapper is single-threaded, and BLAS pools only steal its core.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv demo test check bench chaos soak clean
+.PHONY: help venv demo test check bench chaos interop soak clean
 
 help: ## this list
 	@awk -F':.*## ' '/^[a-z]+:.*## /{printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -44,8 +44,11 @@ bench: venv ## the benchmarks: a table, and bench.json
 chaos: venv ## every driver through every fault, then the whole machine: a table
 	$(BIN)/python -m tests.chaos $(CHAOS_ARGS)
 
+interop: venv ## third-party programs, each in a venv of its own, against ours: a table
+	$(BIN)/python -m tests.interop $(INTEROP_ARGS)
+
 soak: venv ## the long checks
 	$(BIN)/python -m pytest -q -m soak $(TEST_ARGS)
 
 clean: ## remove what make made
-	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache out bench.json
+	rm -rf $(VENV) .venv-interop build *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache out bench.json

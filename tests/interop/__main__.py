@@ -1,0 +1,76 @@
+"""Third-party programs against ours: `python -m tests.interop [--only NAME] [--strict]`. Prints a table.
+
+The programs live in venvs under .venv-interop, made here by name from the package index, and run as
+processes of their own; they never see our code, and we never import theirs. What we lend them is a fake
+device on loopback or a pseudo terminal, a recording, or a trajectory, and the truth as JSON; they judge
+with their own reading.
+
+Everything is bounded: each process has a timeout and is ended by its id, each wire is closed by its context.
+Where a package cannot be had, its checks are skipped and the table says why; --strict makes that a failure.
+Exits 1 where a check failed.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from service.kernel_cache import ensure_cache_dir
+from tests.interop.programs import ROOT, InteropError, UnavailableError, Venv
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One program and what it is put to. `run` returns what was seen, in words, or raises InteropError."""
+
+    program: str
+    against: str
+    venv: Venv
+    run: Callable[[Venv, Path], str]
+
+
+def _checks() -> list[Check]:
+    from tests.interop import create, hokuyo
+
+    serial_clients = Venv("clients", ("hokuyolx", "pycreate2", "pyroombaadapter", "setuptools"))
+    return [
+        Check("hokuyolx", "fake UTM-30LX-EW, TCP", serial_clients, hokuyo.run_hokuyolx),
+        Check("pycreate2", "fake Create 2, terminal", serial_clients, create.run_pycreate2),
+        Check("pyroombaadapter", "fake Create 2, terminal", serial_clients, create.run_pyroombaadapter),
+    ]
+
+
+def main() -> int:
+    ensure_cache_dir()
+    checks = _checks()
+    parser = argparse.ArgumentParser(prog="python -m tests.interop", description=__doc__)
+    parser.add_argument("--only", action="append", choices=[check.program for check in checks], default=[])
+    parser.add_argument("--strict", action="store_true", help="a program that cannot be had is a failure")
+    options = parser.parse_args()
+    failed = skipped = 0
+    with TemporaryDirectory(prefix="corridor-interop-") as folder:
+        for check in checks:
+            if options.only and check.program not in options.only:
+                continue
+            began_s, version = time.monotonic(), "-"
+            try:
+                check.venv.ensure()
+                version = check.venv.version(check.program)
+                words = f"ok: {check.run(check.venv, Path(folder))}"
+            except UnavailableError as reason:
+                skipped += 1
+                words = f"skipped: {reason}"
+            except InteropError as reason:
+                failed += 1
+                words = f"FAILED: {reason}"
+            seconds = time.monotonic() - began_s
+            print(f"{check.program:18} {version:8} {check.against:24} {seconds:5.1f} s  {words}", flush=True)
+    print(f"{failed} failed, {skipped} skipped; the programs are in {ROOT}")
+    return int(failed > 0 or (options.strict and skipped > 0))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
