@@ -50,7 +50,7 @@ class SubmapsConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     cell_m: float = Field(default=0.10, ge=0.02, le=0.5)
-    spacing_m: float = Field(default=10.0, gt=0.0)  # a new sub-map each time so far was travelled
+    spacing_m: float = Field(default=20.0, gt=0.0)  # a new sub-map each time so far was travelled
     keyframe_distance_m: float = Field(default=0.05, gt=0.0)
     keyframe_turn_rad: float = Field(default=0.05, gt=0.0)
     first_scans: int = Field(default=5, ge=1)  # all of the first ones of a map are taken, even standing
