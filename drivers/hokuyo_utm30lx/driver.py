@@ -77,7 +77,8 @@ class HokuyoUtm30lxSession:
     def receive_data(self, data: bytes, arrived_ns: int) -> list[LaserScan]:
         scans = []
         for reply in self._decoder.receive_data(data):
-            if self._asked is not None and reply.echo == self._asked.command:
+            answers = self._asked is not None and reply.echo == self._asked.command
+            if answers and reply.status != SCAN_FOLLOWS:  # else its answer was damaged; it is asked again
                 self._continue(Answer(reply, self._asked_ns, arrived_ns), arrived_ns)
             elif reply.echo[0] in "MN" and reply.status != OK:
                 if (scan := self._take_scan(reply, arrived_ns)) is not None:
@@ -132,8 +133,8 @@ class HokuyoUtm30lxSession:
         assert request is not None
         sweep_ns = (request.last_step - self._stamped_step(geometry)) * geometry.step_ns
         self._clock = ScanClock(geometry.turn_ns * (1 + request.skip), round(sweep_ns) + SENDING_NS)
-        if dialogue.time_samples and not self._clock.synchronise(dialogue.time_samples):
-            self.counters["time_sync_contradictory"] += 1
+        if dialogue.time_samples:
+            self._clock.synchronise(dialogue.time_samples)
 
     def _stamped_step(self, geometry: Geometry) -> float:
         """Which step the device's stamp belongs to."""
@@ -206,22 +207,27 @@ class HokuyoUtm30lxSession:
         if scan.stamp_ms == self._last_ms:
             self.counters["scans_with_a_stamp_twice"] += 1  # a stalled device is a silent one
             return None
-        self._silent_ns = 0
         resets = clock.resets
         moment_ns = clock.stamp(scan.stamp_ms, arrived_ns)
         self._last_ms = scan.stamp_ms
         self._count("clock_resets", clock.resets)
+        self._count("time_sync_contradictory", clock.contradictions)
         step_ns = clock.period_ns / (1 + request.skip) / geometry.steps_per_turn
         first_beam_ns = (geometry.first_beam_step(request) - self._stamped_step(geometry)) * step_ns
         stamp_ns = moment_ns + round(first_beam_ns) - round(self._config.latency_ms * 1e6)
-        if self._last_stamp_ns is not None and clock.resets == resets:
+        if stamp_ns > arrived_ns:
+            self.counters["scans_ahead_of_arrival"] += 1
+            return None
+        if self._last_stamp_ns is not None:
             since_ns = stamp_ns - self._last_stamp_ns
             if since_ns <= 0:
                 self.counters["scans_out_of_order"] += 1
                 return None
-            if (missed := round(since_ns / clock.period_ns) - 1) > 0:
+            missed = round(since_ns / clock.period_ns) - 1
+            if missed > 0 and clock.resets == resets:
                 self.counters["scans_missed"] += missed
         self._last_stamp_ns = stamp_ns
+        self._silent_ns = 0  # a device whose scans are of no use is a silent one
         range_m, intensity = self._convert(scan, geometry)
         cluster = max(request.cluster, 1)
         return LaserScan(

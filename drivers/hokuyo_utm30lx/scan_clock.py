@@ -26,6 +26,7 @@ WINDOW_NS = 4_800_000_000  # shorter than a motor's speed wanders, long enough f
 LINE_AFTER_NS = 1_500_000_000  # a shorter window says too little of the period
 PERIOD_KNOWN_AFTER_NS = 3_600_000_000  # so measured it outlives a restart of the device's clock
 FIT_EVERY = 8  # scans
+MOST_DELAY_OFF_NS = 50_000_000  # from the nominal delay: two scans may be on their way
 NEAR_SYNC_MS = 1_000  # of the stream's beginning: so long no crystal drifts far from what TM1 said
 
 Stamps = npt.NDArray[np.int64]
@@ -68,6 +69,8 @@ class ScanClock:
     def __init__(self, period_ns: float, delay_ns: int) -> None:
         self.period_ns = period_ns  # as measured, once that can be done
         self.delay_ns = delay_ns  # within what TM1 allows, once it was asked
+        self.contradictions = 0  # of TM1 with itself, or with the scans: then the delay stays as it is
+        self._most_delay_ns = delay_ns + MOST_DELAY_OFF_NS
         self._clock = ClockMap(TICK_NS, CLOCK_MODULUS)
         self._sync: tuple[int, int, int] | None = None  # device ms, bounds of its host time
         self._window: deque[tuple[int, int, int]] = deque()  # sweep, stamp in ms, arrived_ns; two unwrapped
@@ -88,17 +91,22 @@ class ScanClock:
     def synchronise(self, samples: Sequence[TimeSample]) -> bool:
         """Take in what TM1 said; False where it contradicts itself."""
         bounds = bounds_of_time(samples)
-        if bounds is not None:
-            self._sync = (samples[0].device_ms, *bounds)
-        return bounds is not None
+        if bounds is None:
+            self.contradictions += 1
+            return False
+        self._sync = (samples[0].device_ms, *bounds)
+        return True
 
     def stamp(self, device_ms: int, arrived_ns: int) -> int:
-        """Host time, ns, of what the device stamped device_ms (modulo 2**24)."""
+        """Host time, ns, of what the device stamped device_ms (modulo 2**24). A stamp from before the newest
+        is put before it; it says nothing of the line."""
         resets = self._clock.resets
         self._clock.observe(device_ms, arrived_ns)
         if self._clock.resets > resets:
             self._window.clear()
             self._line = self._sync = None
+        elif self._window and since_ms(device_ms, self._window[-1][1] % CLOCK_MODULUS) < 0:
+            return self._clock.to_host_ns(device_ms) - self.delay_ns
         self._append(device_ms, arrived_ns)
         self._since_fit += 1
         if self._since_fit >= FIT_EVERY or self._line is None:
@@ -158,15 +166,20 @@ class ScanClock:
         return first_ns + ((stamp_ms - first) * slope_ns).astype(np.int64)
 
     def _bound_delay(self, stamp_ms: Stamps, ideal_ns: Stamps) -> None:
-        """A sweep began in the millisecond of its stamp, and TM1 said when that was."""
+        """A sweep began in the millisecond of its stamp, and TM1 said when that was. No scan is stamped
+        behind its arrival, nor are many on their way: then the clock was set since TM1."""
         assert self._sync is not None
         device_ms, earliest_ns, latest_ns = self._sync
         elapsed_ms = stamp_ms - stamp_ms[0] + since_ms(int(stamp_ms[0]) % CLOCK_MODULUS, device_ms)
         elapsed_ns = (elapsed_ms * (TICK_NS * (1.0 + self._clock.skew_ppm * 1e-6))).astype(np.int64)
         lowest = int((ideal_ns - elapsed_ns).max()) - TICK_NS - latest_ns
         highest = int((ideal_ns - elapsed_ns).min()) - earliest_ns
-        if lowest < highest:
-            self.delay_ns = (lowest + highest) // 2
+        delay_ns = (lowest + highest) // 2
+        if lowest < highest and 0 <= delay_ns <= self._most_delay_ns:
+            self.delay_ns = delay_ns
+        else:
+            self.contradictions += 1
+            self._sync = None
 
 
 def _edge_below(x: Stamps, y: Stamps) -> tuple[int, int]:

@@ -73,6 +73,7 @@ class IbeoLuxSession:
         self._awaited: Ask | None = None  # whose reply is due
         self._deadline_ns: int | None = 0
         self._now_ns: int | None = None
+        self._looked_at_ns: int | None = None
         self._silent_ns = 0
         self._clock = DeviceClock(round(config.latency_ms * 1e6))
         self._last: Scan | None = None
@@ -118,8 +119,8 @@ class IbeoLuxSession:
         return frames
 
     def tick(self, now_ns: int) -> None:
-        looked_ns = 0 if self._now_ns is None else min(max(now_ns - self._now_ns, 0), LOOK_NS)
-        self._now_ns = now_ns
+        looked_ns = 0 if self._looked_at_ns is None else min(now_ns - self._looked_at_ns, LOOK_NS)
+        self._now_ns = self._looked_at_ns = now_ns
         if self._deadline_ns is not None and now_ns >= self._deadline_ns:
             self._continue(None, now_ns)
         if self._dialogue.ready:
@@ -148,6 +149,8 @@ class IbeoLuxSession:
             raise TransportError(
                 f"no scan of a LUX for {silent_s:g} s, but those of {self._dialogue.foreign}; wrong address?"
             )
+        if self._repeated_in_a_row > REPEATED_LIMIT:
+            raise TransportError(f"no new scan for {silent_s:g} s: scan number and clock stand still")
         raise TransportError(
             f"no scan for {silent_s:g} s{''.join(f', it reported {text}' for text in told)}; is the device "
             "rebooting, was it stopped, or is the cable out?"
@@ -228,7 +231,6 @@ class IbeoLuxSession:
 
     def _take_scan(self, message: Message, arrived_ns: int) -> LaserScan | None:
         self._dialogue.scans_seen += 1
-        self._silent_ns = 0
         try:
             scan = read_scan(message.payload)
             _check(scan)
@@ -273,11 +275,9 @@ class IbeoLuxSession:
         sweep_ns = ntp_difference_ns(scan.end_ntp, scan.start_ntp)
         sweep_ticks = scan.start_ticks - scan.end_ticks
         period_ns = round(sweep_ns * scan.ticks_per_turn / sweep_ticks)
-        resets = self._clock.resets
         self._clock.observe(scan, period_ns, arrived_ns)
-        if self._clock.resets > resets:
+        if self._clock.resets:
             self.counters["clock_resets"] = self._clock.resets
-            self._last_stamp_ns = None
         self._check_against_config(scan, period_ns)
         if not self._is_side_wanted(scan):
             self.counters["scans_of_other_mirror_side"] += 1
@@ -286,10 +286,14 @@ class IbeoLuxSession:
         tick_ns = sweep_ns / sweep_ticks
         stamp_ns = self._clock.to_host_ns(scan.start_ntp)
         stamp_ns -= round((beams.first_ticks - scan.start_ticks) * tick_ns)
+        if stamp_ns > arrived_ns:
+            self.counters["scans_ahead_of_arrival"] += 1
+            return None
         if self._last_stamp_ns is not None and stamp_ns <= self._last_stamp_ns:
             self.counters["scans_out_of_order"] += 1
             return None
         self._last_stamp_ns = stamp_ns
+        self._silent_ns = 0  # a device whose scans are of no use is a silent one
         radians_per_tick = 2.0 * math.pi / scan.ticks_per_turn
         return LaserScan(
             sensor=self._config.name,

@@ -154,7 +154,6 @@ class Lms100Session:
 
     def _to_frame(self, telegram: Telegram, arrived_ns: int) -> LaserScan | None:
         self._dialogue.scans_seen += 1
-        self._silent_ns = 0
         try:
             scan = read_scan(telegram)
             echoes = self._echoes(scan)
@@ -219,16 +218,18 @@ class Lms100Session:
 
     def _frame(self, scan: ScanTelegram, echoes: Echoes, arrived_ns: int) -> LaserScan | None:
         geometry = echoes[0][0]
-        resets = self._clock.resets
         self._clock.observe(scan.sent_us, arrived_ns)
-        restarted = self._clock.resets > resets
         self._count("clock_resets", self._clock.resets)
         shift_us = self._first_beam_before_zero_us(scan, geometry)
         stamp_ns = self._clock.to_host_ns((scan.start_us - shift_us) % CLOCK_MODULUS)
-        if self._last_stamp_ns is not None and not restarted and stamp_ns <= self._last_stamp_ns:
+        if stamp_ns > arrived_ns:
+            self.counters["scans_ahead_of_arrival"] += 1
+            return None
+        if self._last_stamp_ns is not None and stamp_ns <= self._last_stamp_ns:
             self.counters["scans_out_of_order"] += 1
             return None
         self._last_stamp_ns = stamp_ns
+        self._silent_ns = 0  # a device whose scans are of no use is a silent one
         range_m, intensity = (
             self._last_echo(echoes) if self._config.echo == "last" else self._convert(*echoes[0])
         )

@@ -372,3 +372,55 @@ def test_farewell_ends_the_stream_a_usb_unit_would_go_on_with():
     t.device.receive_data(t.session.farewell(), t.now_ns)
     assert t.device.next_due_ns(t.now_ns) is None
     assert HokuyoUtm30lxSession(config()).farewell() == b""
+
+
+@pytest.mark.parametrize("by_s", [-676.0, 676.0, -2.0, 0.7])
+def test_a_clock_set_between_time_sync_and_stream_costs_the_calibration_alone(by_s):
+    t = talk()
+    t.run(4.0, until=lambda: t.session.status == "lighting the laser")
+    t.device.jump_clock(by_s)
+    t.run(8.0)
+    assert t.session.status == "streaming"
+    assert t.session.counters["time_sync_contradictory"] == 1
+    assert t.session.counters["scans_out_of_order"] == 0
+    lag_ms = [(frame.arrived_ns - frame.stamp_ns) / 1e6 for frame in t.frames[-200:]]
+    assert len(lag_ms) == 200
+    assert 18.0 < min(lag_ms) <= max(lag_ms) < 24.0
+
+
+def test_a_device_whose_scans_all_come_out_of_order_is_a_silent_one():
+    t = talk().run(4.0)
+    t.session._last_stamp_ns = t.now_ns + 1_000_000_000_000
+    with pytest.raises(TransportError, match="no scan for 2 s"):
+        t.run(2.5)
+
+
+def test_a_damaged_answer_to_the_scan_command_is_asked_for_again():
+    t = talk()
+    answer, damaged = t.device.receive_data, []
+
+    def damage_the_first(data, now_ns):
+        said = answer(data, now_ns)
+        if data.startswith(b"MD") and not damaged:
+            damaged.append(data)
+            return said.replace(b"\n00", b"\n0~", 1)
+        return said
+
+    t.device.receive_data = damage_the_first
+    t.run(4.0)
+    assert damaged
+    assert t.session.status == "streaming"
+    assert t.session.counters["requests_unanswered"] >= 1
+    assert np.diff([frame.stamp_ns for frame in t.frames]).max() < 26_000_000
+
+
+def test_a_stamp_from_the_future_is_refused_and_does_not_stop_the_next_scans():
+    t = talk().run(9.0)  # what TM1 said is of no use any more
+    clock, before = t.session._clock, len(t.frames)
+    clock.delay_ns -= 1_000_000_000
+    t.run(0.1)
+    assert len(t.frames) == before
+    clock.delay_ns += 1_000_000_000
+    t.run(1.0)
+    assert t.session.counters["scans_ahead_of_arrival"] >= 3
+    assert len(t.frames) >= before + 39

@@ -113,6 +113,30 @@ def test_device_whose_number_and_clock_stand_still_is_told_of():
     _, session = frames_of(*[scan()] * 30)
     assert session.counters["scans_repeated"] == 29
     assert "scan number and clock stand still" in session.status
+    for tick in range(11):
+        session.tick(100 * SECOND_NS + tick * 200_000_000)
+    with pytest.raises(TransportError, match="no new scan for 2 s: scan number and clock stand still"):
+        session.tick(102_200_000_000)
+
+
+def test_device_whose_scans_all_come_out_of_order_is_a_silent_one():
+    t = talk().run(6.0)
+    before, t.session._last_stamp_ns = len(t.frames), t.now_ns + 1_000 * SECOND_NS
+    with pytest.raises(TransportError, match="no scan for 2 s"):
+        t.run(2.5)
+    assert before > 25
+    assert len(t.frames) == before
+
+
+def test_scan_from_the_future_is_refused_and_does_not_stop_the_next():
+    made = [scan(number=k, start_ns=10 * SECOND_NS + PERIOD_NS * k) for k in range(5)]
+    frames, session = frames_of(*made[:3])
+    session._clock._map._latency_ns = -SECOND_NS
+    more, _ = frames_of(made[3], session=session)
+    session._clock._map._latency_ns = 0
+    again, _ = frames_of(made[4], session=session)
+    assert (len(frames), len(more), len(again)) == (3, 0, 1)
+    assert session.counters["scans_ahead_of_arrival"] == 1
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.errors import ProtocolError
+from drivers.errors import ProtocolError, TransportError
 from drivers.link import LinkHealth, run_link
 from drivers.registry import SENSOR_KINDS
 from drivers.sick_lms100.driver import Lms100Session
@@ -154,6 +154,21 @@ def test_scan_that_would_go_back_in_time_is_dropped():
     assert len(session.receive_data(wire[0], 2_050_000_000)) == 1
     assert session.receive_data(wire[1], 2_050_000_000) == []
     assert session.counters["scans_out_of_order"] == 1
+
+
+def test_scan_from_the_future_is_refused_and_does_not_stop_the_next():
+    scans = [telegram(counter, counter * 20_060) for counter in range(100, 110)]
+    scans[5] = replace(scans[5], start_us=scans[5].start_us + 500_000_000)
+    frames, session = frames_of(*scans)
+    assert len(frames) == 9
+    assert session.counters["scans_ahead_of_arrival"] == 1
+
+
+def test_device_whose_scans_all_come_out_of_order_is_a_silent_one():
+    t = talk().run(4.0)
+    t.session._last_stamp_ns = t.now_ns + 1_000 * SECOND_NS
+    with pytest.raises(TransportError, match="no scan for 2 s"):
+        t.run(2.5)
 
 
 def test_one_malformed_scan_is_counted_and_twenty_one_are_a_protocol_error():
