@@ -33,13 +33,19 @@ class Check:
 
 
 def _checks() -> list[Check]:
-    from tests.interop import create, hokuyo
+    from tests.interop import create, hokuyo, recording, trajectory
 
-    serial_clients = Venv("clients", ("hokuyolx", "pycreate2", "pyroombaadapter", "setuptools"))
+    clients = Venv("clients", ("hokuyolx", "pycreate2", "pyroombaadapter", "setuptools"))
+    readers = Venv("readers", ("mcap-ros2-support",))
+    viewer = Venv("rerun", ("rerun-sdk",))
+    scorer = Venv("evo", ("evo",))
     return [
-        Check("hokuyolx", "fake UTM-30LX-EW, TCP", serial_clients, hokuyo.run_hokuyolx),
-        Check("pycreate2", "fake Create 2, terminal", serial_clients, create.run_pycreate2),
-        Check("pyroombaadapter", "fake Create 2, terminal", serial_clients, create.run_pyroombaadapter),
+        Check("hokuyolx", "fake UTM-30LX-EW, TCP", clients, hokuyo.run_hokuyolx),
+        Check("pycreate2", "fake Create 2, terminal", clients, create.run_pycreate2),
+        Check("pyroombaadapter", "fake Create 2, terminal", clients, create.run_pyroombaadapter),
+        Check("mcap-ros2-support", "a recorded session", readers, recording.run_mcap_ros2),
+        Check("rerun-sdk", "a recorded session", viewer, recording.run_rerun),
+        Check("evo", "corridor score", scorer, trajectory.run_evo),
     ]
 
 
