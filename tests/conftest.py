@@ -1,6 +1,8 @@
 """Fixtures that every test file may use."""
 
+import logging
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -8,8 +10,17 @@ import pytest
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """Folder of real captures and recordings, $CORRIDOR_SHARED or ../shared; a skip says that there is none."""
+    """Folder of real captures and recordings, $CORRIDOR_SHARED or ../shared; else a skip says so."""
     root = Path(os.environ.get("CORRIDOR_SHARED", Path(__file__).parents[2] / "shared"))
     if not (root / "captures").is_dir():
         pytest.skip(f"no real recordings at {root}; set CORRIDOR_SHARED to the folder that holds them")
     return root
+
+
+@pytest.fixture(autouse=True)
+def logging_as_before() -> Iterator[None]:
+    """Commands configure the root logger: the next test sees neither its level nor a closed stream."""
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    yield
+    root.handlers[:], root.level = handlers, level
