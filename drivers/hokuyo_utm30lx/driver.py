@@ -26,9 +26,9 @@ from drivers.hokuyo_utm30lx.protocol import (
 )
 from drivers.hokuyo_utm30lx.scan_clock import ScanClock
 from drivers.hokuyo_utm30lx.scans import NO_ECHO, Scan, ScanRequest, read_scan
+from drivers.watch import MalformedRun, SilenceWatch
 
 FIRST_SCAN_TIMEOUT_S = 10.0  # the motor may have to come to speed
-LOOK_NS = 200_000_000  # silence counts only while we look: a stalled host is not a silent device
 MALFORMED_LIMIT = 40  # scans in a row
 SENDING_NS = 300_000  # from the last beam to arrival, a guess until TM1 says better
 VERIFYING, TROUBLE = range(21, 50), range(50, 98)  # statuses in a stream
@@ -58,15 +58,14 @@ class HokuyoUtm30lxSession:
         self._asked_ns = 0
         self._next: Ask | None = None  # goes out at the next tick, which knows the time best
         self._deadline_ns: int | None = 0
-        self._now_ns: int | None = None
-        self._silent_ns = 0
+        self._silence = SilenceWatch()
         self._clock: ScanClock | None = None
         self._last_ms: int | None = None
         self._last_stamp_ns: int | None = None
-        self._malformed_in_a_row = 0
         self._verifying = ""
         self.outbox = bytearray(b"\n")  # ends whatever a dead client left half said
         self.counters: Counter[str] = self._dialogue.counters
+        self._malformed = MalformedRun(self.counters, "scans", MALFORMED_LIMIT)
         self.identity: dict[str, str] = self._dialogue.identity
         self.status = self._dialogue.phase
 
@@ -91,8 +90,6 @@ class HokuyoUtm30lxSession:
         return scans
 
     def tick(self, now_ns: int) -> None:
-        looked_ns = 0 if self._now_ns is None else min(now_ns - self._now_ns, LOOK_NS)
-        self._now_ns = now_ns
         if self._next is None and self._deadline_ns is not None and now_ns >= self._deadline_ns:
             self._continue(None, now_ns)
         if self._next is not None:
@@ -100,11 +97,10 @@ class HokuyoUtm30lxSession:
             self._asked_ns = now_ns
             self._deadline_ns = now_ns + round(self._asked.timeout_s * 1e9)
             self.outbox += self._asked.command.encode("ascii") + b"\n"
-        if self._dialogue.request is not None:
-            self._silent_ns += looked_ns
-            limit_s = FIRST_SCAN_TIMEOUT_S if self._last_ms is None else self._config.silence_timeout_s
-            if self._silent_ns > limit_s * 1e9:
-                raise TransportError(f"no scan for {limit_s:g} s; did it lose power or reboot?")
+        self._silence.look(now_ns, waiting=self._dialogue.request is not None)
+        limit_s = FIRST_SCAN_TIMEOUT_S if self._last_ms is None else self._config.silence_timeout_s
+        if self._silence.exceeds(limit_s):
+            raise TransportError(f"no scan for {limit_s:g} s; did it lose power or reboot?")
         self._set_status()
 
     def farewell(self) -> bytes:
@@ -170,14 +166,9 @@ class HokuyoUtm30lxSession:
                 raise ProtocolError(f"{reply.echo}: a scan with status {reply.status}, expected 99")
             scan = read_scan(reply)
         except ProtocolError as error:
-            self.counters["scans_malformed"] += 1
-            self._malformed_in_a_row += 1
-            if self._malformed_in_a_row > MALFORMED_LIMIT:
-                raise ProtocolError(
-                    f"{self._malformed_in_a_row} malformed scans in a row: {error}"
-                ) from error
+            self._malformed.bad(error)
             return None
-        self._malformed_in_a_row = 0
+        self._malformed.good()
         self.counters["scans_received"] += 1
         return self._frame(scan, request, arrived_ns)
 
@@ -227,7 +218,7 @@ class HokuyoUtm30lxSession:
             if missed > 0 and clock.resets == resets:
                 self.counters["scans_missed"] += missed
         self._last_stamp_ns = stamp_ns
-        self._silent_ns = 0  # a device whose scans are of no use is a silent one
+        self._silence.heard()
         range_m, intensity = self._convert(scan, geometry)
         cluster = max(request.cluster, 1)
         return LaserScan(

@@ -30,9 +30,9 @@ from drivers.ibeo_lux.messages import (
 )
 from drivers.ibeo_lux.protocol import FOREIGN_SCANS, DataType, Decoder, Message, encode, ntp_difference_ns
 from drivers.ibeo_lux.reduction import LayerReduction
+from drivers.watch import MalformedRun, SilenceWatch
 
 FIRST_SCAN_TIMEOUT_S = 20.0  # a recorded dialogue has its first scan 5 s after Start
-LOOK_NS = 200_000_000  # silence counts only while we look: a stalled host is not a silent device
 REPORT_SHOWN_NS = 15_000_000_000  # an error stays in the status for so long after the device last told it
 GRAVE_ERRORS = (
     "motor",
@@ -73,12 +73,10 @@ class IbeoLuxSession:
         self._awaited: Ask | None = None  # whose reply is due
         self._deadline_ns: int | None = 0
         self._now_ns: int | None = None
-        self._looked_at_ns: int | None = None
-        self._silent_ns = 0
+        self._silence = SilenceWatch()
         self._clock = DeviceClock(round(config.latency_ms * 1e6))
         self._last: Scan | None = None
         self._last_stamp_ns: int | None = None
-        self._malformed_in_a_row = 0
         self._repeated_in_a_row = 0
         self._other_in_a_row = 0
         self._was_as_configured = False
@@ -86,6 +84,7 @@ class IbeoLuxSession:
         self._warnings: dict[str, int] = {}
         self.outbox = bytearray()
         self.counters: Counter[str] = self._dialogue.counters
+        self._malformed = MalformedRun(self.counters, "scans", MALFORMED_LIMIT)
         self.identity: dict[str, str] = self._dialogue.identity
         self.status = self._dialogue.phase
         self._reduction = LayerReduction(config, self.counters)
@@ -119,15 +118,13 @@ class IbeoLuxSession:
         return frames
 
     def tick(self, now_ns: int) -> None:
-        looked_ns = 0 if self._looked_at_ns is None else min(now_ns - self._looked_at_ns, LOOK_NS)
-        self._now_ns = self._looked_at_ns = now_ns
+        self._now_ns = now_ns
         if self._deadline_ns is not None and now_ns >= self._deadline_ns:
             self._continue(None, now_ns)
-        if self._dialogue.ready:
-            self._silent_ns += looked_ns
-            limit_s = FIRST_SCAN_TIMEOUT_S if self._last is None else self._config.silence_timeout_s
-            if self._silent_ns > limit_s * 1e9:
-                self._give_up(limit_s)
+        self._silence.look(now_ns, waiting=self._dialogue.ready)
+        limit_s = FIRST_SCAN_TIMEOUT_S if self._last is None else self._config.silence_timeout_s
+        if self._silence.exceeds(limit_s):
+            self._give_up(limit_s)
         self._set_status()
 
     def farewell(self) -> bytes:
@@ -235,14 +232,9 @@ class IbeoLuxSession:
             scan = read_scan(message.payload)
             _check(scan)
         except ProtocolError as error:
-            self.counters["scans_malformed"] += 1
-            self._malformed_in_a_row += 1
-            if self._malformed_in_a_row > MALFORMED_LIMIT:
-                raise ProtocolError(
-                    f"{self._malformed_in_a_row} malformed scans in a row: {error}"
-                ) from error
+            self._malformed.bad(error)
             return None
-        self._malformed_in_a_row = 0
+        self._malformed.good()
         self.counters["scans_received"] += 1
         if scan.is_truncated:
             self.counters["scans_truncated"] += 1
@@ -280,6 +272,7 @@ class IbeoLuxSession:
             self.counters["clock_resets"] = self._clock.resets
         self._check_against_config(scan, period_ns)
         if not self._is_side_wanted(scan):
+            self._silence.heard()  # its frame is not wanted, but it is good
             self.counters["scans_of_other_mirror_side"] += 1
             return None
         beams = self._reduction.reduce(scan)
@@ -293,7 +286,7 @@ class IbeoLuxSession:
             self.counters["scans_out_of_order"] += 1
             return None
         self._last_stamp_ns = stamp_ns
-        self._silent_ns = 0  # a device whose scans are of no use is a silent one
+        self._silence.heard()
         radians_per_tick = 2.0 * math.pi / scan.ticks_per_turn
         return LaserScan(
             sensor=self._config.name,

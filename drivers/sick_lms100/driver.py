@@ -28,9 +28,9 @@ from drivers.sick_lms100.telegrams import (
     ScanTelegram,
     read_scan,
 )
+from drivers.watch import MalformedRun, SilenceWatch
 
 FIRST_SCAN_TIMEOUT_S = 45.0  # after a change of the scan rate data flow again after some 30 s
-LOOK_NS = 200_000_000  # silence counts only while we look: a stalled host is not a silent device
 MALFORMED_LIMIT = 20  # scan telegrams in a row
 FLAGGED_SCANS_ARE_A_FAULT = 50  # the first 7 or so after a start carry the error flag and are good
 COUNTER_GAP_IS_A_RESTART = 1_000
@@ -55,16 +55,15 @@ class Lms100Session:
         self._awaited = ""  # name of the command whose answer is due
         self._deadline_ns: int | None = 0
         self._timeout_ns = 0
-        self._now_ns: int | None = None
-        self._silent_ns = 0
+        self._silence = SilenceWatch()
         self._clock = ClockMap(1_000.0, CLOCK_MODULUS, round(config.latency_ms * 1e6))
         self._start_before_zero_us: int | None = None
         self._last: ScanTelegram | None = None
         self._last_stamp_ns: int | None = None
-        self._malformed_in_a_row = 0
         self._flagged_in_a_row = 0
         self.outbox = bytearray()
         self.counters: Counter[str] = self._dialogue.counters
+        self._malformed = MalformedRun(self.counters, "scans", MALFORMED_LIMIT)
         self.identity: dict[str, str] = self._dialogue.identity
         self.status = self._dialogue.phase
 
@@ -90,17 +89,14 @@ class Lms100Session:
         return scans
 
     def tick(self, now_ns: int) -> None:
-        looked_ns = 0 if self._now_ns is None else min(now_ns - self._now_ns, LOOK_NS)
-        self._now_ns = now_ns
         if self._deadline_ns is not None and now_ns >= self._deadline_ns:
             self._continue(None, now_ns)
-        if self._dialogue.subscribed:
-            self._silent_ns += looked_ns
-            limit_s = FIRST_SCAN_TIMEOUT_S if self._last is None else self._config.silence_timeout_s
-            if self._silent_ns > limit_s * 1e9:
-                raise TransportError(
-                    f"no scan for {limit_s:g} s; is the device in standby, rebooting or is the cable out?"
-                )
+        self._silence.look(now_ns, waiting=self._dialogue.subscribed)
+        limit_s = FIRST_SCAN_TIMEOUT_S if self._last is None else self._config.silence_timeout_s
+        if self._silence.exceeds(limit_s):
+            raise TransportError(
+                f"no scan for {limit_s:g} s; is the device in standby, rebooting or is the cable out?"
+            )
         self._set_status()
 
     def farewell(self) -> bytes:
@@ -158,14 +154,9 @@ class Lms100Session:
             scan = read_scan(telegram)
             echoes = self._echoes(scan)
         except ProtocolError as error:
-            self.counters["scans_malformed"] += 1
-            self._malformed_in_a_row += 1
-            if self._malformed_in_a_row > MALFORMED_LIMIT:
-                raise ProtocolError(
-                    f"{self._malformed_in_a_row} malformed scans in a row: {error}"
-                ) from error
+            self._malformed.bad(error)
             return None
-        self._malformed_in_a_row = 0
+        self._malformed.good()
         self.counters["scans_received"] += 1
         if not self._is_new(scan):
             return None
@@ -229,7 +220,7 @@ class Lms100Session:
             self.counters["scans_out_of_order"] += 1
             return None
         self._last_stamp_ns = stamp_ns
-        self._silent_ns = 0  # a device whose scans are of no use is a silent one
+        self._silence.heard()
         range_m, intensity = (
             self._last_echo(echoes) if self._config.echo == "last" else self._convert(*echoes[0])
         )

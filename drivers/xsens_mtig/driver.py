@@ -4,6 +4,7 @@ from collections import Counter
 
 from drivers.errors import ProtocolError, TransportError
 from drivers.frames import Frame, ImuSample
+from drivers.watch import MalformedRun, SilenceWatch
 from drivers.xsens_mtig.config import XsensMtigConfig
 from drivers.xsens_mtig.dialogue import Ask, MtigDialogue
 from drivers.xsens_mtig.health import DeviceHealth
@@ -20,7 +21,6 @@ from drivers.xsens_mtig.streams import LegacyStream, Mtdata2Stream
 BITS_A_BYTE = 10
 STALE_NS = 100_000_000  # bytes of a message follow upon each other; adapters hold them back for 16 ms
 FIRST_SAMPLE_TIMEOUT_S = 5.0
-LOOK_NS = 200_000_000  # silence counts only while we look: a stalled host is not a silent device
 MALFORMED_LIMIT = 100  # messages in a row
 
 
@@ -37,16 +37,15 @@ class XsensMtigSession:
         self._running = False
         self._asked: Ask | None = None
         self._deadline_ns: int | None = 0
-        self._now_ns: int | None = None
         self._heard_ns: int | None = None
         self._backdated = False  # the read at hand: its bytes had the time to come one after the other
         self._byte_ns = 0.0  # on the line; over USB none
-        self._silent_ns = 0
+        self._silence = SilenceWatch()
         self._stream: Mtdata2Stream | LegacyStream | None = None
         self._streaming = False
-        self._malformed_in_a_row = 0
         self.outbox = bytearray()
         self.counters: Counter[str] = self._dialogue.counters
+        self._malformed = MalformedRun(self.counters, "messages", MALFORMED_LIMIT)
         self.identity: dict[str, str] = self._dialogue.identity
         self.status = self._dialogue.phase
         self._health = DeviceHealth(self.counters)
@@ -69,17 +68,14 @@ class XsensMtigSession:
         return frames
 
     def tick(self, now_ns: int) -> None:
-        looked_ns = 0 if self._now_ns is None else min(now_ns - self._now_ns, LOOK_NS)
-        self._now_ns = now_ns
         if self._decoder.waiting_bytes and now_ns - (self._heard_ns or 0) > STALE_NS:
             self._take_all(self._decoder.give_up_waiting(), now_ns, old=True)
         if self._deadline_ns is not None and now_ns >= self._deadline_ns:
             self._continue(None, now_ns)
-        if self._dialogue.measuring:
-            self._silent_ns += looked_ns
-            limit_s = self._config.silence_timeout_s if self._streaming else FIRST_SAMPLE_TIMEOUT_S
-            if self._silent_ns > limit_s * 1e9:
-                raise TransportError(f"no sample for {limit_s:g} s; did it lose power, or is the cable out?")
+        self._silence.look(now_ns, waiting=self._dialogue.measuring)
+        limit_s = self._config.silence_timeout_s if self._streaming else FIRST_SAMPLE_TIMEOUT_S
+        if self._silence.exceeds(limit_s):
+            raise TransportError(f"no sample for {limit_s:g} s; did it lose power, or is the cable out?")
         self._set_status(now_ns)
 
     def farewell(self) -> bytes:
@@ -155,7 +151,7 @@ class XsensMtigSession:
     def _begin_stream(self) -> None:
         dialogue = self._dialogue
         self._byte_ns = BITS_A_BYTE * 1e9 / dialogue.baud if dialogue.baud else 0.0
-        self._silent_ns = 0
+        self._silence.heard()
         if dialogue.legacy is None:
             self._stream = Mtdata2Stream(self._config, self.counters, self._health)
         else:
@@ -170,16 +166,11 @@ class XsensMtigSession:
         try:
             frames = self._stream.take(message.data, self._sent_ns(message, arrived_ns), arrived_ns)
         except ProtocolError as error:
-            self.counters["messages_malformed"] += 1
-            self._malformed_in_a_row += 1
-            if self._malformed_in_a_row > MALFORMED_LIMIT:
-                raise ProtocolError(
-                    f"{self._malformed_in_a_row} malformed messages in a row: {error}"
-                ) from error
+            self._malformed.bad(error)
             return []
-        self._malformed_in_a_row = 0
+        self._malformed.good()
         if any(isinstance(frame, ImuSample) for frame in frames):
-            self._silent_ns = 0
+            self._silence.heard()
             self._streaming = True
         return frames
 

@@ -128,6 +128,16 @@ def test_device_whose_scans_all_come_out_of_order_is_a_silent_one():
     assert len(t.frames) == before
 
 
+def test_first_scan_of_the_side_not_wanted_is_a_sign_of_life_all_the_same():
+    session = ready_session(mirror_sides="rear")
+    for tick in range(25):
+        session.tick(50 * SECOND_NS + tick * 200_000_000)
+    frames, _ = frames_of(scan(), session=session)
+    session.tick(55 * SECOND_NS)
+    assert frames == []
+    assert session.counters["scans_of_other_mirror_side"] == 1
+
+
 def test_scan_from_the_future_is_refused_and_does_not_stop_the_next():
     made = [scan(number=k, start_ns=10 * SECOND_NS + PERIOD_NS * k) for k in range(5)]
     frames, session = frames_of(*made[:3])

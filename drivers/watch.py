@@ -1,0 +1,54 @@
+"""What every session watches for: a device that says nothing of use, or nothing but nonsense."""
+
+from collections import Counter
+
+from drivers.errors import ProtocolError
+
+LOOK_NS = 200_000_000  # silence counts only while we look: a stalled host is not a silent device
+
+
+class SilenceWatch:
+    """How long a device has been silent, as far as anybody looked.
+
+    Call `look` at every tick, and `heard` for each frame that leaves: what is dropped is no sign of life.
+    """
+
+    def __init__(self) -> None:
+        self._looked_at_ns: int | None = None
+        self._silent_ns = 0
+
+    def look(self, now_ns: int, waiting: bool) -> None:
+        """waiting: the device should be sending; time before it was asked to does not count."""
+        if waiting and self._looked_at_ns is not None:
+            self._silent_ns += min(now_ns - self._looked_at_ns, LOOK_NS)
+        self._looked_at_ns = now_ns
+
+    def heard(self) -> None:
+        self._silent_ns = 0
+
+    def exceeds(self, limit_s: float) -> bool:
+        return self._silent_ns > limit_s * 1e9
+
+
+class MalformedRun:
+    """Counts malformed messages as `<what>_malformed`, and ends a session where nothing else comes.
+
+    what     plural, as in the counters: scans
+    limit    so many in a row are borne
+    """
+
+    def __init__(self, counters: Counter[str], what: str, limit: int) -> None:
+        self._counters = counters
+        self._what = what
+        self._limit = limit
+        self._in_a_row = 0
+
+    def bad(self, error: ProtocolError) -> None:
+        """Take in one. Raises ProtocolError where they are too many in a row."""
+        self._counters[f"{self._what}_malformed"] += 1
+        self._in_a_row += 1
+        if self._in_a_row > self._limit:
+            raise ProtocolError(f"{self._in_a_row} malformed {self._what} in a row: {error}") from error
+
+    def good(self) -> None:
+        self._in_a_row = 0
