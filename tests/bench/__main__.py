@@ -18,11 +18,12 @@ Row = tuple[str, float, str]  # what was measured, how much, of what unit
 
 def main() -> int:
     ensure_cache_dir()
-    from tests.bench import decoding, replaying, scans, start_up
+    from tests.bench import decoding, reading, replaying, scans, start_up
 
     benchmarks: dict[str, Callable[[], list[Row]]] = {
         "scans": scans.measure,
         "decoding": decoding.measure,
+        "reading": reading.measure,
         "replay": replaying.measure,
         "start-up": start_up.measure,
     }

@@ -1,31 +1,42 @@
-"""What it costs the driver to turn a telegram of 541 beams into a scan, in both dialects."""
+"""What it costs each driver to turn the bytes of one scan, or of one sample, into a frame."""
 
 import time
+from typing import Any
 
 import numpy as np
 
 from drivers.sick_lms100.protocol import Dialect
 from simulators.sick_lms100 import Lms100Setup
-from tests.drivers.lms100 import talk
+from tests.drivers import lms100, lux, mtig, utm30lx
+from tests.drivers.virtual_time import Talk
 
-SECONDS = 20.0  # of virtual time, 50 scans each
+SECONDS = 20.0  # of virtual time
 
 
 def measure() -> list[tuple[str, float, str]]:
-    rows = []
-    for name, dialect in (("CoLa-A", Dialect.ASCII), ("CoLa-B", Dialect.BINARY)):
-        conversation = talk(Lms100Setup(dialect=dialect))
-        receive = conversation.session.receive_data
-        took_us: list[float] = []
+    conversations = {
+        "541 beams, CoLa-A": lms100.talk(Lms100Setup(dialect=Dialect.ASCII)),
+        "541 beams, CoLa-B": lms100.talk(Lms100Setup(dialect=Dialect.BINARY)),
+        "1081 beams, SCIP MD": utm30lx.talk(),
+        "1081 beams, SCIP ME": utm30lx.talk(intensity=True),
+        "LUX scan of 4 layers": lux.talk(),
+        "MTData2 sample": mtig.talk(),
+        "MTData sample of an MTi-G": mtig.talk(mtig.legacy()),
+    }
+    return [(f"{what}, p50", _median_us(talk), "us") for what, talk in conversations.items()]
 
-        def timed(data: bytes, arrived_ns: int, receive=receive, took_us=took_us):
-            began_ns = time.perf_counter_ns()
-            frames = receive(data, arrived_ns)
-            if frames:
-                took_us.append((time.perf_counter_ns() - began_ns) / 1e3)
-            return frames
 
-        conversation.session.receive_data = timed  # type: ignore[method-assign]
-        conversation.run(SECONDS)
-        rows.append((f"541 beams, {name}, p50", float(np.median(took_us)), "us"))
-    return rows
+def _median_us(conversation: Talk) -> float:
+    receive = conversation.session.receive_data
+    took_us: list[float] = []
+
+    def timed(data: bytes, arrived_ns: int) -> Any:
+        began_ns = time.perf_counter_ns()
+        frames = receive(data, arrived_ns)
+        if frames:
+            took_us.append((time.perf_counter_ns() - began_ns) / 1e3)
+        return frames
+
+    conversation.session.receive_data = timed  # type: ignore[method-assign]
+    conversation.run(SECONDS)
+    return float(np.median(took_us))
