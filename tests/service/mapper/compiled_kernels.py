@@ -1,0 +1,35 @@
+"""Warm up, map a drive, print as JSON how often each kernel was compiled. In a process of its own, because other
+tests call kernels in their own ways.
+"""
+
+import importlib
+import json
+import pkgutil
+
+import service.kernels
+from service.kernel_cache import ensure_cache_dir
+from service.mapper.profiles import MappingConfig, build_mapper, warm_up
+from tests.service.mapper.drives import MOUNTING, ROOM, drive, round_the_room
+
+FOREIGN_KERNELS = ("raycast",)  # those of the simulators
+
+
+def main() -> None:
+    ensure_cache_dir()
+    warm_up()
+    mapper = build_mapper(MappingConfig(), {"front": MOUNTING})
+    for frame in drive(ROOM, round_the_room, 2.0).frames:
+        mapper.process(frame)
+    mapper.changed_tiles()
+    counts = {}
+    for module in pkgutil.iter_modules(service.kernels.__path__):
+        if module.name in FOREIGN_KERNELS:
+            continue
+        for name, kernel in vars(importlib.import_module(f"service.kernels.{module.name}")).items():
+            if hasattr(kernel, "signatures") and kernel.py_func.__module__.endswith(module.name):
+                counts[f"{module.name}.{name}"] = len(kernel.signatures)
+    print(json.dumps(counts))
+
+
+if __name__ == "__main__":
+    main()
