@@ -231,6 +231,21 @@ def test_stream_runs_at_40_hz_and_a_scan_leaves_when_its_sweep_is_over():
     assert stamps_ms == [(2**24 - 500 + int(ms)) % 2**24 for ms in since_ms]
 
 
+@pytest.mark.parametrize(("late_turns", "left_out"), [(4, 0), (6, 6)])
+def test_scans_wait_for_a_slow_host_for_a_while(late_turns: int, left_out: int):
+    bench = Bench()
+    bench.say("BM")
+    bench.say("MD0000108001000")
+    first_due_ns = bench.device.next_due_ns(bench.now_ns)
+    asked_ns = first_due_ns + late_turns * 25_000_000 + 1_000
+    stamps_ms = []
+    while len(stamps_ms) < 2:
+        (message,) = ReplyDecoder().receive_data(bench.device.due(asked_ns))
+        stamps_ms.append(read_scan(message).stamp_ms)
+        asked_ns = max(asked_ns, bench.device.next_due_ns(asked_ns))
+    assert stamps_ms[1] - stamps_ms[0] == 25 * (left_out + 1)
+
+
 def test_skip_leaves_scans_out_and_cluster_takes_the_nearest():
     bench = Bench()
     bench.say("MD0000108004300")
