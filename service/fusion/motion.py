@@ -26,6 +26,7 @@ class Prediction(Motion):
     step_covariance: npt.NDArray[np.float64]  # (3, 3) of the way since the last match alone, in base axes
     elapsed_s: float  # since the last match; 0: there was none
     twist_gain: float  # share of a correction of the pose that is put down to the twist
+    is_measured: bool  # wheels measured the way; else it is the last speed gone on
 
 
 class MotionModel(Protocol):

@@ -96,6 +96,7 @@ class WeighedMotion:
             step_covariance=np.diag([sigma_m**2, sigma_m**2, sigma_rad**2]),
             elapsed_s=elapsed_s,
             twist_gain=1.0 - math.exp(-elapsed_s / self._config.twist_time_s),
+            is_measured=way is not None,
         )
 
     def correct(self, stamp_ns: int, matched: Motion) -> None:
@@ -109,7 +110,7 @@ class WeighedMotion:
     def _first(self, stamp_ns: int) -> Prediction:
         twist = self._odometry.twist_at(stamp_ns) or STANDING
         nothing = np.zeros((3, 3))
-        return Prediction(SE2(), twist, nothing, nothing, elapsed_s=0.0, twist_gain=0.0)
+        return Prediction(SE2(), twist, nothing, nothing, elapsed_s=0.0, twist_gain=0.0, is_measured=False)
 
     def _wheel_sigmas(self, step: SE2, guessed_s: float) -> tuple[float, float]:
         config = self._config

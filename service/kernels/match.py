@@ -24,6 +24,7 @@ class Prior(NamedTuple):
     covariance: npt.NDArray[np.float64]  # (3, 3) of the pose
     elapsed_s: float  # since the last match; 0: no twist can be learnt from this one
     twist_gain: float  # share of a correction of the pose that is put down to the twist
+    is_measured: bool  # wheels measured the way since the last match
 
 
 class MatchSettings(NamedTuple):
@@ -319,23 +320,27 @@ def weakest_direction(H):
 
 
 @njit(cache=True, nogil=True)
-def hold_blind_direction(pose, prior_pose, H, settings, system, g):
+def hold_blind_direction(pose, prior, H, settings, system, g):
     """Leave the direction that the points fix least to the prediction, where they hardly fix it at all.
 
-    What they say of it then is noise of the map, which pulls once and for all the same way.
+    What they say of it then is noise of the map, which pulls once and for all the same way. A prediction
+    that nobody measured is no better, it would roll on for ever: there the points keep the little they say.
 
-    pose, prior_pose   (3,)   float64
-    H                  (3, 3) float64   Hessian of the points alone
-    settings           MatchSettings
-    system, g          (3, 3), (3,) float64   in and out: Hessian, and gradient of half the cost
+    pose        (3,)   float64
+    prior       Prior
+    H           (3, 3) float64   Hessian of the points alone
+    settings    MatchSettings
+    system, g   (3, 3), (3,) float64   in and out: Hessian, and gradient of half the cost
     Source: Zhang, Kaess, Singh, On degeneracy of optimization-based state estimation problems, 2016.
     """
+    if not prior.is_measured:
+        return
     least, direction = weakest_direction(H)
     if least * settings.blind_sigma_m * settings.blind_sigma_m >= settings.covariance_scale:
         return
     vx = math.cos(direction)
     vy = math.sin(direction)
-    away = vx * (pose[0] - prior_pose[0]) + vy * (pose[1] - prior_pose[1])
+    away = vx * (pose[0] - prior.pose[0]) + vy * (pose[1] - prior.pose[1])
     system[0, 0] += HOLD_INFORMATION * vx * vx
     system[0, 1] += HOLD_INFORMATION * vx * vy
     system[1, 0] += HOLD_INFORMATION * vx * vy
@@ -380,7 +385,7 @@ def fine_align(returns, normals, prior, prior_information, grid, settings, xy_ba
         )
         system[:] = H
         cost += 0.5 * add_prior(pose, prior.pose, prior_information, system, g)
-        hold_blind_direction(pose, prior.pose, H, settings, system, g)
+        hold_blind_direction(pose, prior, H, settings, system, g)
         if k == settings.iterations or not solve_3x3(system, g, step):
             break
         for i in range(3):

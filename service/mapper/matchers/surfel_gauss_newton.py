@@ -40,7 +40,7 @@ class SurfelMatcherConfig(BaseModel):
     inlier_m: float = Field(default=0.10, gt=0.0)
     lost_share: float = Field(default=0.30, ge=0.0, le=1.0)
     degraded_share: float = Field(default=0.45, ge=0.0, le=1.0)
-    blind_sigma_m: float = Field(default=0.05, gt=0.0)  # directions known less well keep to the prediction
+    blind_sigma_m: float = Field(default=0.05, gt=0.0)  # directions known less well keep to the wheels
     degraded_sigma_m: float = Field(default=0.10, gt=0.0)
     least_points: int = Field(default=20, ge=3)
 
@@ -114,6 +114,7 @@ class SurfelGaussNewton:
                 predicted.covariance,
                 predicted.elapsed_s,
                 predicted.twist_gain,
+                predicted.is_measured,
             ),
             submap.grid(),
             self._settings,

@@ -69,7 +69,7 @@ def room_grid() -> SurfelGrid:
 
 def prior_at(pose: tuple[float, float, float], sigma: float = 0.1, **changes: object) -> Prior:
     covariance = np.diag([sigma**2, sigma**2, sigma**2])
-    prior = Prior(np.array(pose), np.zeros(3), covariance, covariance, 0.1, 1.0)
+    prior = Prior(np.array(pose), np.zeros(3), covariance, covariance, 0.1, 1.0, True)
     return prior._replace(**changes)
 
 
@@ -232,6 +232,8 @@ def test_a_direction_that_no_wall_fixes_keeps_to_the_prediction() -> None:
     assert result.pose[0] == pytest.approx(0.05, abs=0.002)
     np.testing.assert_allclose(result.pose[1:], 0.0, atol=0.004)
     assert result.weakest_sigma_m > 0.05
+    coasting = match(corridor(), prior_at((0.05, 0.03, 0.02), is_measured=False), grid)
+    assert abs(coasting.pose[0] - 0.05) > 5.0 * abs(result.pose[0] - 0.05)
     assert math.cos(result.weakest_direction_rad) ** 2 > 0.99
     assert result.covariance[0, 0] > 20.0 * result.covariance[1, 1]
 

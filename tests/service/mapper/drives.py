@@ -25,6 +25,17 @@ ROOM = [  # an L-shaped room with a pillar: (x0, y0, x1, y1), m
     (-1.5, 2.6, -1.5, 2.0),
 ]
 CORRIDOR = [(-60.0, -1.0, 60.0, -1.0), (-60.0, 1.0, 60.0, 1.0)]
+DOORS = CORRIDOR + [  # frames that stand 8 cm proud of the wall
+    wall
+    for k in range(-8, 12)
+    for side in (-1.0, 1.0)
+    for x in [3.1 * k + 0.4 * side + 0.3 * (k % 3)]
+    for wall in (
+        (x, side, x, 0.92 * side),
+        (x, 0.92 * side, x + 0.9, 0.92 * side),
+        (x + 0.9, 0.92 * side, x + 0.9, side),
+    )
+]
 
 BEAMS, FIRST_RAD, STEP_RAD = 541, math.radians(-135.0), math.radians(0.5)
 BEAM_NS, PERIOD_NS, ODOMETRY_NS = 27_778, 20_000_000, 15_000_000

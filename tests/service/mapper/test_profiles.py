@@ -20,6 +20,7 @@ from service.mapper.profiles import MappingConfig, build_mapper
 from service.outputs import MapperOutput, TileUpdate
 from tests.service.mapper.drives import (
     CORRIDOR,
+    DOORS,
     MOUNTING,
     ROOM,
     Drive,
@@ -111,6 +112,19 @@ def test_the_free_direction_of_a_corridor_is_held_on_odometry() -> None:
     assert along_m > 5.0 * across_m
     grown = [o.covariance[0, 0] for o in outputs[10::50]]
     assert grown == sorted(grown)
+
+
+def test_without_wheels_the_little_that_a_corridor_shows_is_used() -> None:
+    """A stop in the middle: a prediction that is only the last speed gone on would roll on."""
+
+    def stopping(time_s: float) -> SE2:
+        return down_the_corridor(min(time_s, 3.0))
+
+    corridor = drive(DOORS, stopping, 5.0, wheel_scale=None)
+    away = errors(run(corridor.frames), corridor.truth)
+    assert np.abs(away[:, 0]).max() < 0.12
+    assert np.abs(away[-25:, 0]).mean() < 0.04
+    assert np.abs(away[:, 1]).max() < 0.01
 
 
 def test_standing_still_the_pose_stays() -> None:

@@ -24,7 +24,9 @@ def mapped(points: Points) -> SurfelSubmaps:
 
 def predicted(pose: SE2, sigma: float = 0.05) -> Prediction:
     covariance = np.diag([sigma**2] * 3)
-    return Prediction(pose, (0.1, 0.0, 0.0), covariance, covariance, elapsed_s=0.1, twist_gain=1.0)
+    return Prediction(
+        pose, (0.1, 0.0, 0.0), covariance, covariance, elapsed_s=0.1, twist_gain=1.0, is_measured=True
+    )
 
 
 def match(points: Points, pose: SE2, chain: SurfelSubmaps) -> Match:
