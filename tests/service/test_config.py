@@ -1,9 +1,11 @@
 import math
+import re
 from pathlib import Path
 
 import pytest
 
 from drivers.irobot_create.config import IrobotCreateConfig
+from drivers.registry import SENSOR_KINDS
 from drivers.sick_lms100.config import Lms100Config
 from service.config import laser_names, load_config, mapped_laser, mountings, parse_config
 from service.errors import ConfigError
@@ -194,7 +196,15 @@ def test_the_complete_example_is_right_and_shows_every_section():
             assert f"  {key}:" in config.text
 
 
-@pytest.mark.parametrize("kind", ["sick_lms100", "irobot_create"])
+def test_what_the_complete_example_leaves_out_is_right_too():
+    text = (ROOT / "config" / "vehicle.yaml").read_text()
+    whole = parse_config(re.sub(r"(?m)^  # (?=rear:|lux:|imu:|  \w+: )", "  ", text), "vehicle.yaml")
+    assert {sensor.type for sensor in whole.sensors.values()} == set(SENSOR_KINDS)
+    assert mapped_laser(whole) == "front"
+    assert "\n  lasers: null" in text
+
+
+@pytest.mark.parametrize("kind", sorted(SENSOR_KINDS))
 def test_the_example_of_each_sensor_is_right(kind: str):
     example = (ROOT / "config" / "sensors" / f"{kind}.yaml").read_text()
     indented = "".join(f"    {line}\n" for line in example.splitlines())
