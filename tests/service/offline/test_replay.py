@@ -13,7 +13,15 @@ from drivers.frames import NO_INTENSITY, LaserScan, OdometrySample
 from service.encoding import encode_event, encode_frame, encode_tf_static
 from service.errors import ConfigError, InputError, StorageError
 from service.geometry.se2 import SE2
-from service.offline.replay import ReplayOptions, group_sessions, replay, replay_all, write_replay
+from service.mapper.profiles import MappingConfig
+from service.offline.replay import (
+    ReplayOptions,
+    _with_profile,
+    group_sessions,
+    replay,
+    replay_all,
+    write_replay,
+)
 from service.offline.trajectory import read_tum
 from service.recording.mcap_recorder import McapRecorder
 
@@ -111,6 +119,25 @@ def test_one_laser_is_mapped_and_the_others_cost_it_nothing(
     done = replay([record_drive(config=config, rear_scans=30)], ReplayOptions())
     assert (done.summary["scans"], done.summary["scans_not_mapped"]) == (mapped, others)
     assert done.summary["scans_dropped"] == 0
+
+
+def test_another_profile_maps_the_same_laser():
+    mapping = MappingConfig(profile="corridor", lasers=("rear",), cell_m=0.1)
+    other = _with_profile("corridor", mapping)
+    assert (other.lasers, other.cell_m) == (("rear",), 0.1)
+
+
+def test_a_config_that_does_not_know_the_lasers_maps_the_fullest(record_drive: RecordDrive, tmp_path: Path):
+    """As it is for a recording of another system, and not so where the config names one."""
+    session = record_drive(config=None, rear_scans=30)
+    config = tmp_path / "c.yaml"
+    config.write_text((CONFIG % 0.0).replace("front", "other"))
+    assert replay([session], ReplayOptions(config=config)).summary["scans"] == 40
+    config.write_text((CONFIG % 0.0).replace("front", "rear"))
+    assert replay([session], ReplayOptions(config=config)).summary["scans"] == 30
+    config.write_text((CONFIG % 0.0).replace("front", "other") + "mapping: {lasers: [other]}\n")
+    with pytest.raises(InputError, match="maps other"):
+        replay([session], ReplayOptions(config=config))
 
 
 def test_a_laser_that_the_recording_does_not_hold_is_said(record_drive: RecordDrive):

@@ -109,6 +109,10 @@ def test_scans_are_lost_in_the_queue_or_late_or_unusable():
 def test_the_pose_s_state_is_the_mapping_s_health(state: Any, level: int):
     made = report(streaming())
     assert status(made, "mapping").message == "no scan of front mapped yet"
+    assert status(made, "mapping").values["laser"] == "front"
+    made._loop.laser = None
+    made.update(0, 0)
+    assert status(made, "mapping").message == "no laser is configured"
     reason = "" if state == "ok" else "few beams agree"
     made._loop.last_output = MapperOutput(
         1, SE2(), SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), state, reason, 0.8
