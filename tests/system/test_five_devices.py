@@ -49,7 +49,6 @@ def test_ten_minutes_of_five_devices_lose_nothing_and_take_no_more_memory(tmp_pa
     resident_mb: list[float] = []
     summary = _demo(SOAK_S, tmp_path, lambda process: resident_mb.extend(_resident_mb(process)))
     assert summary["rates_hz"] == {name: pytest.approx(rate, rel=0.01) for name, rate in RATES_HZ.items()}
-    assert summary["position_rmse_m"] < 0.03
     _check_that_nothing_is_lost(summary)
     assert len(resident_mb) > 0.8 * SOAK_S / SOAK_LOOKS_S
     after_a_lap = len(resident_mb) // 5
