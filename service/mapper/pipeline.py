@@ -69,6 +69,7 @@ class Mapper(Generic[ReadableMap]):
         watch.lap("match")
         kept = s.keep_static(match.points, match)
         change = s.local_map.insert(kept, match)
+        self.counters["keyframes"] += change.is_keyframe
         pose_map_odom = s.graph.add(change)  # identity where a method has no graph
         s.free_space.insert(kept, pose_map_odom @ match.motion.pose_odom_base)
         watch.lap("insert")

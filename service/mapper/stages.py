@@ -41,9 +41,10 @@ class Match:
 
 @dataclass(frozen=True, slots=True)
 class MapChange:
-    """What an insert did: the sub-map it closed, if any."""
+    """What an insert did: the sub-map it closed, if any, and whether the scan entered as a key frame."""
 
     closed_submap: int | None = None
+    is_keyframe: bool = False
 
 
 class LocalMap(Protocol):

@@ -8,7 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice
+from itertools import groupby, islice
 from pathlib import Path
 
 import numpy as np
@@ -93,10 +93,13 @@ class Session:
     def steps(self) -> Iterator[Frame | Control]:
         """Frames and wishes by rising log time, in our sessions the order in which the mapper had them.
 
+        Where a foreign recording gives a scan and a sample one log time, the sample goes first: a scan that
+        is mapped before the odometry of its own moment has to guess the last piece of its way.
+
         A message that is no use to a mapper is counted and left out. Raises InputError at a damaged place.
         """
         self.counters.clear()
-        for message in self.recording.messages([*self.sensors, *self.events]):
+        for message in self._in_order():
             topic = f"/{message.channel}"
             if topic in self.events:
                 yield from self._control(message)
@@ -114,6 +117,11 @@ class Session:
                 first, step = -frame.first_angle_rad, -frame.angle_step_rad
                 frame = replace(frame, first_angle_rad=first, angle_step_rad=step)
             yield frame
+
+    def _in_order(self) -> Iterator[Message]:
+        messages = self.recording.messages([*self.sensors, *self.events])
+        for _, of_one_time in groupby(messages, key=lambda message: message.log_ns):
+            yield from sorted(of_one_time, key=lambda message: message.type == LASER_SCAN)
 
     def _control(self, event: Message) -> list[Control]:
         try:

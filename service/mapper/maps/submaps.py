@@ -138,6 +138,7 @@ class SurfelSubmaps:
             if self._is_keyframe(pose, self._detached):
                 self._advance(pose)
                 self._insert_keyframe([self._detached], points, pose)
+                return MapChange(is_keyframe=True)
             return MapChange()
         closed = self._settle(match.submap)
         if self._pair and not self._is_keyframe(pose, self._pair[0]):
@@ -147,7 +148,7 @@ class SurfelSubmaps:
             retired = self._begin_submap()
             closed = closed if retired is None else retired
         self._insert_keyframe(self._pair, points, pose)
-        return MapChange(closed)
+        return MapChange(closed, is_keyframe=True)
 
     def _is_keyframe(self, pose: SE2, submap: Submap) -> bool:
         """Whether a sub-map wants a scan from here: one that is new, or farther on than the last."""

@@ -1,5 +1,6 @@
-"""Warm up, map a drive, print as JSON how often each kernel was compiled. In a process of its own, because other
-tests call kernels in their own ways.
+"""Warm up, map a drive, print as JSON how often each kernel was compiled.
+
+In a process of its own, because other tests call kernels in their own ways.
 """
 
 import importlib

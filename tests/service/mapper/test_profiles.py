@@ -174,7 +174,9 @@ def test_a_late_scan_and_a_late_sample_are_dropped_and_counted(room_drive: Drive
     run([samples[1], samples[0], scans[1]], mapper)
     assert mapper.process(scans[0]) is None
     assert mapper.process(scans[1]) is None
-    assert mapper.counters == {"scans": 1, "scans_dropped_late": 2, "samples_dropped_late": 1}
+    assert mapper.counters == {
+        "scans": 1, "keyframes": 1, "scans_dropped_late": 2, "samples_dropped_late": 1
+    }  # fmt: skip
 
 
 def test_a_scan_without_returns_is_lost_and_maps_nothing(room_drive: Drive) -> None:

@@ -173,6 +173,7 @@ def test_the_summary_counts_what_happened(record_drive: RecordDrive):
     assert summary["stage_ms_p50"].keys() == {"deskew", "match", "insert"}
     assert sum(summary["state"].values()) == 40
     assert summary["map_tiles"] > 0
+    assert 3 < summary["keyframes"] < 40
     assert 50 < summary["peak_rss_mb"] < 2000
 
 

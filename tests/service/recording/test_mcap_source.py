@@ -241,6 +241,14 @@ def test_an_imu_that_is_not_level_is_passed_over(foreign):
     assert any("/imu/data" in note and "tilted by 90 deg" in note for note in session.notes)
 
 
+def test_of_one_moment_odometry_goes_before_the_scan(foreign):
+    scan = scan_message(0)
+    foreign.add_message("/scan", scan).add("/odom", encoding.ODOMETRY, odometry().payload, scan.log_ns)
+    frames = list(open_session(foreign.close()).frames())
+    assert frames[0].arrived_ns == frames[1].arrived_ns
+    assert [type(frame) for frame in frames] == [OdometrySample, LaserScan]
+
+
 def test_messages_that_are_no_use_are_counted_not_fatal(foreign):
     empty = scan_message(1, beams=1)
     foreign.add_message("/scan", scan_message(0))
