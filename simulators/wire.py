@@ -21,6 +21,7 @@ import termios
 import threading
 import time
 import tty
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -83,7 +84,7 @@ class _Client:
             return None
 
 
-class _Wire:
+class _Wire(ABC):
     """The loop both kinds share: wait for bytes or for the next due time, whichever is first."""
 
     def __init__(self, name: str, device: FakeDevice | ManyClients) -> None:
@@ -137,19 +138,19 @@ class _Wire:
             failure, self.failure = self.failure, None
             raise failure
 
-    def _is_plugged(self) -> bool:
-        raise NotImplementedError
+    @abstractmethod
+    def _is_plugged(self) -> bool: ...
 
+    @abstractmethod
     def _plug_in(self) -> None:
         """Nothing where it is plugged in."""
-        raise NotImplementedError
 
-    def _pull(self) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _pull(self) -> None: ...
 
+    @abstractmethod
     def _go(self) -> None:
         """Leave in good order."""
-        raise NotImplementedError
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -238,15 +239,15 @@ class _Wire:
         for client in list(self._clients):
             self._drop(client)
 
+    @abstractmethod
     def _doors(self) -> Sequence[int]:
         """Descriptors that turn readable when somebody comes."""
-        raise NotImplementedError
 
-    def _look_for_clients(self, readable: Sequence[int]) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _look_for_clients(self, readable: Sequence[int]) -> None: ...
 
-    def _close_link(self, fd: int) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _close_link(self, fd: int) -> None: ...
 
 
 class TcpWire(_Wire):
@@ -285,10 +286,10 @@ class TcpWire(_Wire):
         self._go()
 
     def _go(self) -> None:
-        self._drop_all()
-        if self._server is not None:
+        if self._server is not None:  # first, so that whoever was dropped cannot come back meanwhile
             self._server.close()
             self._server = None
+        self._drop_all()
 
     def _doors(self) -> Sequence[int]:
         return [] if self._server is None else [self._server.fileno()]

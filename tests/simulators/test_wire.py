@@ -170,6 +170,11 @@ class Loose(Ticker):
     def __init__(self) -> None:
         super().__init__()
         self.mended = threading.Event()
+        self.pulled = threading.Event()
+
+    def disconnected(self, now_ns: int) -> None:
+        super().disconnected(now_ns)
+        self.pulled.set()
 
     def plugged(self, now_ns: int) -> bool:
         return len(self.lateness_ns) < 3 or self.mended.is_set()
@@ -183,6 +188,7 @@ def test_device_that_is_unplugged_resets_its_client_and_refuses_until_it_is_plug
     with serve_tcp(ticker) as address:
         with connect(address) as client, pytest.raises(ConnectionResetError):
             read_until(lambda: client.recv(4096), lambda data: False)
+        assert ticker.pulled.wait(5.0)
         assert ticker.events == ["connected", "disconnected"]
         with pytest.raises(ConnectionRefusedError):
             connect(address)
