@@ -23,7 +23,7 @@ from service.errors import ConfigError
 from service.geometry.se2 import SE2
 from service.located_yaml import Document, Fault, load
 from service.located_yaml import Path as KeyPath
-from service.mapper.profiles import MappingConfig
+from service.mapper.profiles import MappingConfig, mapping_model
 from service.publishing.config import PublishingConfig
 
 NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")  # a chunk of a Zenoh key and a ROS 2 name at once
@@ -160,8 +160,10 @@ class _Reader:
             "sensors": self._sensors(root.get("sensors")),
         }
         for key, model in _SECTIONS.items():
-            section = root.get(key)
-            values[key] = self._model(model, {} if section is None else section, (key,))
+            section = {} if root.get(key) is None else root[key]
+            if model is MappingConfig and isinstance(section, dict):
+                model = mapping_model(section)
+            values[key] = self._model(model, section, (key,))
         if isinstance(mapping := values["mapping"], MappingConfig):
             self._refuse_what_is_no_laser(mapping.lasers or (), root.get("sensors"))
         return values

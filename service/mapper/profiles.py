@@ -1,37 +1,85 @@
-"""Profile name -> its config and its assembly. The only module that knows methods by name.
+"""Profile name -> its stages and their settings. The only module that knows methods by name.
 
-Another profile is another module in methods/ and a line in PROFILES.
+Another profile is another module in methods/ and a line in METHODS. A config may put a stage of one method
+into a box of another's: `stages: {matcher: surfel_gauss_newton}`; what that stage cannot read is refused.
 """
 
+import difflib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
+from copy import copy
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, create_model, field_validator
+from pydantic.fields import FieldInfo
 
 from drivers.frames import NO_INTENSITY, ImuSample, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
 from service.mapper.methods import corridor
-from service.mapper.methods.corridor import CorridorConfig
 from service.mapper.pipeline import Mapper
-from service.mapper.stages import Stages, Stopwatch
+from service.mapper.stages import BOXES, Box, Method, StageKind, Stages, Stopwatch, Surroundings
 
-PROFILES: dict[str, Callable[[Any, float, Mapping[str, SE2]], Stages[Any]]] = {
-    "corridor": corridor.assemble,
-}
+METHODS: dict[str, Method] = {method.name: method for method in (corridor.METHOD,)}
+
+
+def stage_kinds(box: Box) -> dict[str, StageKind]:
+    """Everything that can stand in a box, by name."""
+    return {method.stages[box].name: method.stages[box] for method in METHODS.values()}
+
+
+def chosen_stages(profile: str, stages: Mapping[Box, str]) -> dict[Box, StageKind]:
+    """What stands in each box: the profile's own, or what `stages` names instead.
+
+    Raises ValueError, in words, for a stage that is not there or that cannot read the local map chosen.
+    """
+    chosen = dict(METHODS[profile].stages)
+    for box, name in stages.items():
+        kinds = stage_kinds(box)
+        if name not in kinds:
+            raise ValueError(f"{name} is no {box}; {_choose(name, kinds)}")
+        chosen[box] = kinds[name]
+    local_map = chosen["local_map"]
+    for box, kind in chosen.items():
+        if _fits(kind, local_map):
+            continue
+        maps = [other.name for other in stage_kinds("local_map").values() if _fits(kind, other)]
+        readers = [other.name for other in stage_kinds(box).values() if _fits(other, local_map)]
+        raise ValueError(
+            f"the {box} {kind.name} cannot read the local_map {local_map.name}; it reads {', '.join(maps)}. "
+            f"What reads {local_map.name} as {box}: {', '.join(readers) or 'nothing'}"
+        )
+    return chosen
 
 
 class MappingConfig(BaseModel):
-    """Which method maps, with which parameters, and how fine the shown map is."""
+    """Which method maps, with which parameters, and how fine the shown map is.
+
+    mapping_model gives the class whose `settings` know the stages that were chosen.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    profile: Literal["corridor"] = "corridor"
+    profile: str = "corridor"
     cell_m: float = Field(default=0.05, ge=0.01, le=0.5)
     mode: Literal["mapping"] = "mapping"
     lasers: tuple[str, ...] | None = None  # whose scans are mapped; None: those of the first laser
-    settings: CorridorConfig = CorridorConfig()
+    stages: dict[Box, str] = {}
+    settings: Any = None  # by box: the settings of the stage in it; None: the profile's
+
+    @field_validator("profile")
+    @classmethod
+    def _known(cls, profile: str) -> str:
+        if profile not in METHODS:
+            raise ValueError(f"{profile} is no profile; {_choose(profile, METHODS)}")
+        return profile
+
+    @field_validator("stages")
+    @classmethod
+    def _fitting(cls, stages: dict[Box, str], info: ValidationInfo) -> dict[Box, str]:
+        if "profile" in info.data:
+            chosen_stages(info.data["profile"], stages)
+        return stages
 
     @field_validator("lasers")
     @classmethod
@@ -44,12 +92,76 @@ class MappingConfig(BaseModel):
         return lasers
 
 
+def mapping_model(section: Mapping[str, Any]) -> type[MappingConfig]:
+    """The model for a mapping section: its settings are those of the stages that the section chooses.
+
+    A section that chooses what is not there gets the plain model, which says so.
+    """
+    profile, stages = section.get("profile", "corridor"), section.get("stages") or {}
+    try:
+        chosen = chosen_stages(profile, stages)
+    except (ValueError, TypeError, KeyError, AttributeError):
+        return MappingConfig
+    method = METHODS[profile]
+    fields: dict[str, Any] = {}
+    for box, kind in chosen.items():
+        if not kind.config.model_fields:
+            continue
+        own = method.settings.get(box, {}) if kind is method.stages[box] else {}
+        model = _with_defaults(kind.config, own)
+        fields[box] = (model, model())
+    settings = create_model("Settings", __config__=ConfigDict(frozen=True, extra="forbid"), **fields)
+    return create_model("MappingConfig", __base__=MappingConfig, settings=(settings, settings()))
+
+
+def mapping_config(section: Mapping[str, Any] | None = None) -> MappingConfig:
+    """A mapping section as it stands in a config, read. Raises pydantic.ValidationError."""
+    section = section or {}
+    return mapping_model(section).model_validate(section)
+
+
 def build_mapper(
     config: MappingConfig, mountings: Mapping[str, SE2], stopwatch: Stopwatch | None = None
 ) -> Mapper[Any]:
     """A mapper that has seen nothing yet. mountings: pose_base_sensor of each laser, by its name."""
-    stages = PROFILES[config.profile](config.settings, config.cell_m, mountings)
-    return Mapper(stages, stopwatch)
+    if config.settings is None:
+        config = mapping_config(config.model_dump(exclude={"settings"}))
+    around = Surroundings(config.cell_m, mountings)
+    chosen = chosen_stages(config.profile, config.stages)
+    built = {box: chosen[box].build(getattr(config.settings, box, None), around) for box in BOXES}
+    return Mapper(Stages(**built), stopwatch)
+
+
+def _with_defaults(config: type[BaseModel], defaults: Mapping[str, Any]) -> type[BaseModel]:
+    """The same settings with other defaults. Keys of a nested model may be given alone."""
+    if not defaults:
+        return config
+    fields: dict[str, Any] = {}
+    for key, value in defaults.items():
+        annotation = config.model_fields[key].annotation
+        if isinstance(value, Mapping) and isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            annotation = _with_defaults(annotation, value)
+            fields[key] = (annotation, annotation())
+        else:
+            fields[key] = (annotation, _field_with_default(config, key, value))
+    return create_model(config.__name__, __base__=config, **fields)
+
+
+def _field_with_default(config: type[BaseModel], key: str, value: Any) -> FieldInfo:
+    field = copy(config.model_fields[key])
+    field.default = value
+    return field
+
+
+def _fits(reader: StageKind, local_map: StageKind) -> bool:
+    return reader.reads is None or (local_map.makes is not None and issubclass(local_map.makes, reader.reads))
+
+
+def _choose(name: str, known: Iterable[str]) -> str:
+    known = list(known)
+    if near := difflib.get_close_matches(name, known, n=1):
+        return f'did you mean "{near[0]}"?'
+    return f"known here: {', '.join(known)}"
 
 
 def warm_up() -> None:
@@ -57,8 +169,8 @@ def warm_up() -> None:
 
     Drives each mapper a little way through a made-up room, so that kernels meet the very types of a real run.
     """
-    for profile in PROFILES:
-        mapper = build_mapper(MappingConfig.model_validate({"profile": profile}), {"laser": SE2()})
+    for profile in METHODS:
+        mapper = build_mapper(mapping_config({"profile": profile}), {"laser": SE2()})
         for k in range(4):
             stamp_ns = k * 100_000_000
             x_m = 0.4 * k

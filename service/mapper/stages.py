@@ -1,11 +1,12 @@
 """The seams of the mapper: what each stage takes and gives. No algorithm lives here."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Literal, Protocol, TypeVar, get_args
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict
 
 from drivers.frames import LaserScan
 from service.fusion.motion import Motion, MotionModel, Prediction
@@ -88,6 +89,8 @@ class Stopwatch(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Stages(Generic[ReadableMap]):
+    """What stands in the boxes of one mapper."""
+
     motion_model: MotionModel
     deskew: Callable[[LaserScan, Motion], Points]
     matcher: Matcher[ReadableMap]
@@ -95,3 +98,48 @@ class Stages(Generic[ReadableMap]):
     keep_static: Callable[[Points, Match], Points]
     graph: Graph
     free_space: FreeSpaceMap
+
+
+Box = Literal["motion_model", "deskew", "matcher", "local_map", "keep_static", "graph", "free_space"]
+BOXES: tuple[Box, ...] = get_args(Box)  # the fields of Stages
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What a stage is told besides its own settings."""
+
+    cell_m: float  # of the shown map
+    mountings: Mapping[str, SE2]  # pose_base_sensor of each laser, by its name
+
+
+@dataclass(frozen=True, slots=True)
+class StageKind:
+    """Something that can stand in a box: its name in a config, its settings, and how it is made.
+
+    makes   the class that build gives, where another stage reads it (local maps); else None
+    reads   the class of the local map that this stage reads, None where it reads none
+    """
+
+    name: str
+    config: type[BaseModel]
+    build: Callable[[Any, Surroundings], Any]
+    makes: type | None = None
+    reads: type | None = None
+
+
+class NoSettings(BaseModel):
+    """Of a stage that has nothing to set."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """A page that says which stages stand in the boxes, and with which settings where those are its own.
+
+    settings   by box: keys whose values differ from the stage's defaults
+    """
+
+    name: str
+    stages: Mapping[Box, StageKind]
+    settings: Mapping[Box, Mapping[str, Any]]

@@ -20,7 +20,7 @@ from service.encoding import LASER_SCAN, pose_on_wire
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import ConfigError, InputError, StorageError
 from service.geometry.se2 import SE2
-from service.mapper.profiles import MappingConfig, build_mapper
+from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
 from service.mapper.profiles import warm_up as warm_up_kernels
 from service.mapper.steering import Control, SteeredMapper
 from service.mapstore.picture import picture_of_tiles
@@ -234,7 +234,7 @@ def _setup(session: Session, options: ReplayOptions) -> tuple[MappingConfig, Map
             raise ConfigError(
                 [*error.faults, "the recorded config is of another version; give one by --config"]
             ) from error
-    mapping = config.mapping if config is not None else MappingConfig()
+    mapping = config.mapping if config is not None else mapping_config()
     if options.profile is not None and options.profile != mapping.profile:
         mapping = _with_profile(options.profile, mapping)
     configured = mountings(config.sensors) if config is not None else {}
@@ -259,7 +259,7 @@ def _laser(session: Session, config: ServiceConfig | None) -> str:
 def _with_profile(profile: str, mapping: MappingConfig) -> MappingConfig:
     settings = {"profile": profile, "cell_m": mapping.cell_m, "lasers": mapping.lasers}
     try:
-        return MappingConfig.model_validate(settings)
+        return mapping_config(settings)
     except ValidationError as error:
         raise ConfigError([f"--profile {profile}: {error.errors()[0]['msg']}"]) from error
 

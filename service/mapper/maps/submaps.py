@@ -49,6 +49,7 @@ class SubmapsConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    normals: NormalsConfig = NormalsConfig()
     cell_m: float = Field(default=0.10, ge=0.02, le=0.5)
     spacing_m: float = Field(default=20.0, gt=0.0)  # a new sub-map each time so far was travelled
     keyframe_distance_m: float = Field(default=0.05, gt=0.0)
@@ -102,9 +103,9 @@ class SurfelSubmaps:
     if they fit the detached one alone, the old one tells nothing about this place, and is replaced.
     """
 
-    def __init__(self, config: SubmapsConfig, normals: NormalsConfig) -> None:
+    def __init__(self, config: SubmapsConfig) -> None:
         self._config = config
-        self._normals = normals.settings()
+        self._normals = config.normals.settings()
         self._pool = TilePool(
             (
                 Layer((TILE_CELLS, TILE_CELLS, 2, 5), np.float32),
@@ -126,6 +127,18 @@ class SurfelSubmaps:
     @property
     def tile_count(self) -> int:
         return self._pool.used_count
+
+    def normals_of(self, points: Points) -> npt.NDArray[np.float64]:
+        """(N, 3) of each point: normal towards the sensor, and its weight; as estimate_normals gives it."""
+        normals = np.empty((len(points.xy_base), 3))
+        estimate_normals(
+            points.xy_base,
+            np.array([points.sensor_base.x_m, points.sensor_base.y_m]),
+            abs(points.scan.angle_step_rad),
+            self._normals,
+            normals,
+        )
+        return normals
 
     def insert(self, points: Points, match: Match) -> MapChange:
         if not len(points.xy_base):
@@ -166,20 +179,9 @@ class SurfelSubmaps:
         self._last_keyframe = pose
 
     def _insert_keyframe(self, submaps: list[Submap], points: Points, pose: SE2) -> None:
-        normals = self._normals_of(points)
+        normals = self.normals_of(points)
         for submap in submaps:
             submap.insert(points, normals, pose)
-
-    def _normals_of(self, points: Points) -> npt.NDArray[np.float64]:
-        normals = np.empty((len(points.xy_base), 3))
-        estimate_normals(
-            points.xy_base,
-            np.array([points.sensor_base.x_m, points.sensor_base.y_m]),
-            abs(points.scan.angle_step_rad),
-            self._normals,
-            normals,
-        )
-        return normals
 
     def _new_submap(self) -> Submap:
         self._next_number += 1

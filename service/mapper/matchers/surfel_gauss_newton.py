@@ -11,8 +11,7 @@ from service.fusion.motion import Motion, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns
 from service.kernels.match import MatchResult, MatchSettings, Prior, match_scan
-from service.kernels.normals import estimate_normals
-from service.mapper.maps.submaps import NormalsConfig, Submap, SurfelSubmaps
+from service.mapper.maps.submaps import Submap, SurfelSubmaps
 from service.mapper.stages import Match, Points
 from service.outputs import State
 
@@ -52,9 +51,8 @@ class SurfelMatcherConfig(BaseModel):
 class SurfelGaussNewton:
     """Matcher[SurfelSubmaps]."""
 
-    def __init__(self, config: SurfelMatcherConfig, normals: NormalsConfig) -> None:
+    def __init__(self, config: SurfelMatcherConfig) -> None:
         self._config = config
-        self._normals = normals.settings()
         self._settings = MatchSettings(
             config.beam_sigma_m,
             config.cauchy_m,
@@ -83,14 +81,7 @@ class SurfelGaussNewton:
         if not local_map.candidates:
             first = Motion(predicted.pose_odom_base, predicted.twist_base, self._floor)
             return Match(first, points, 1.0)
-        normals = np.empty((count, 3))
-        estimate_normals(
-            points.xy_base,
-            np.array([points.sensor_base.x_m, points.sensor_base.y_m]),
-            abs(points.scan.angle_step_rad),
-            self._normals,
-            normals,
-        )
+        normals = local_map.normals_of(points)
         matches = (self._match_to(submap, points, normals, predicted) for submap in local_map.candidates)
         best = next(matches)
         for match in matches:

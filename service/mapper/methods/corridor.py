@@ -1,40 +1,43 @@
 """The default profile: every scan matched to surfels, odometry or IMU holding what the scan does not see."""
 
-from collections.abc import Mapping
-
-from pydantic import BaseModel, ConfigDict
-
 from service.fusion.weighed_motion import MotionConfig, WeighedMotion
-from service.geometry.se2 import SE2
 from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist
 from service.mapper.filters.keep_all import keep_all
 from service.mapper.graph.no_graph import NoGraph
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
-from service.mapper.maps.submaps import NormalsConfig, SubmapsConfig, SurfelSubmaps
+from service.mapper.maps.submaps import SubmapsConfig, SurfelSubmaps
 from service.mapper.matchers.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
-from service.mapper.stages import Stages
+from service.mapper.stages import Method, NoSettings, StageKind
 
+WEIGHED_MOTION = StageKind("weighed_motion", MotionConfig, lambda config, _: WeighedMotion(config))
+DESKEW_BY_TWIST = StageKind(
+    "deskew_by_twist", BeamsConfig, lambda config, around: DeskewByTwist(config, around.mountings)
+)
+SURFEL_GAUSS_NEWTON = StageKind(
+    "surfel_gauss_newton",
+    SurfelMatcherConfig,
+    lambda config, _: SurfelGaussNewton(config),
+    reads=SurfelSubmaps,
+)
+SURFEL_SUBMAPS = StageKind(
+    "surfel_submaps", SubmapsConfig, lambda config, _: SurfelSubmaps(config), makes=SurfelSubmaps
+)
+KEEP_ALL = StageKind("keep_all", NoSettings, lambda _, __: keep_all)
+NO_GRAPH = StageKind("no_graph", NoSettings, lambda _, __: NoGraph())
+OCCUPANCY_TILES = StageKind(
+    "occupancy_tiles", OccupancyConfig, lambda config, around: OccupancyTiles(config, around.cell_m)
+)
 
-class CorridorConfig(BaseModel):
-    """All parameters of the profile, each beside the stage that it belongs to."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    beams: BeamsConfig = BeamsConfig()
-    motion: MotionConfig = MotionConfig()
-    normals: NormalsConfig = NormalsConfig()
-    matcher: SurfelMatcherConfig = SurfelMatcherConfig()
-    submaps: SubmapsConfig = SubmapsConfig()
-    occupancy: OccupancyConfig = OccupancyConfig()
-
-
-def assemble(config: CorridorConfig, cell_m: float, mountings: Mapping[str, SE2]) -> Stages[SurfelSubmaps]:
-    return Stages(
-        motion_model=WeighedMotion(config.motion),
-        deskew=DeskewByTwist(config.beams, mountings),
-        matcher=SurfelGaussNewton(config.matcher, config.normals),
-        local_map=SurfelSubmaps(config.submaps, config.normals),
-        keep_static=keep_all,
-        graph=NoGraph(),
-        free_space=OccupancyTiles(config.occupancy, cell_m),
-    )
+METHOD = Method(
+    "corridor",
+    stages={
+        "motion_model": WEIGHED_MOTION,
+        "deskew": DESKEW_BY_TWIST,
+        "matcher": SURFEL_GAUSS_NEWTON,
+        "local_map": SURFEL_SUBMAPS,
+        "keep_static": KEEP_ALL,
+        "graph": NO_GRAPH,
+        "free_space": OCCUPANCY_TILES,
+    },
+    settings={},
+)

@@ -9,7 +9,7 @@ import pkgutil
 
 import service.kernels
 from service.kernel_cache import ensure_cache_dir
-from service.mapper.profiles import MappingConfig, build_mapper, warm_up
+from service.mapper.profiles import build_mapper, mapping_config, warm_up
 from tests.service.mapper.drives import MOUNTING, ROOM, drive, round_the_room
 
 FOREIGN_KERNELS = ("raycast",)  # those of the simulators
@@ -18,7 +18,7 @@ FOREIGN_KERNELS = ("raycast",)  # those of the simulators
 def main() -> None:
     ensure_cache_dir()
     warm_up()
-    mapper = build_mapper(MappingConfig(), {"front": MOUNTING})
+    mapper = build_mapper(mapping_config(), {"front": MOUNTING})
     for frame in drive(ROOM, round_the_room, 2.0).frames:
         mapper.process(frame)
     mapper.changed_tiles()

@@ -10,7 +10,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
-from service.mapper.profiles import MappingConfig, build_mapper
+from service.mapper.profiles import build_mapper, mapping_config
 from service.outputs import MapperOutput
 
 
@@ -73,7 +73,7 @@ def relation_errors(outputs: list[MapperOutput], relations: np.ndarray) -> np.nd
 
 @pytest.fixture(scope="module")
 def outputs(shared: Path) -> list[MapperOutput]:
-    mapper = build_mapper(MappingConfig(), {"laser": SE2()})
+    mapper = build_mapper(mapping_config(), {"laser": SE2()})
     frames = frames_of(shared / "datasets" / "fr079" / "fr079.mcap")
     return [output for frame in frames if (output := mapper.process(frame)) is not None]
 

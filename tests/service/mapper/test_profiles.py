@@ -16,7 +16,8 @@ from drivers.frames import LaserScan, OdometrySample
 from service.errors import InputError
 from service.geometry.se2 import SE2
 from service.mapper.pipeline import Mapper
-from service.mapper.profiles import MappingConfig, build_mapper
+from service.mapper.profiles import METHODS, build_mapper, mapping_config
+from service.mapper.stages import Method, NoSettings, StageKind
 from service.outputs import MapperOutput, TileUpdate
 from tests.service.mapper.drives import (
     CORRIDOR,
@@ -39,7 +40,7 @@ def room_drive() -> Drive:
 
 
 def new_mapper() -> Mapper:
-    return build_mapper(MappingConfig(), {"front": MOUNTING})
+    return build_mapper(mapping_config(), {"front": MOUNTING})
 
 
 def run(frames: list, mapper: Mapper | None = None) -> list[MapperOutput]:
@@ -195,7 +196,7 @@ def test_blind_from_the_first_scan_the_map_begins_with_the_first_that_sees(room_
 
 
 def test_a_laser_without_a_mounting_is_refused_by_name(room_drive: Drive) -> None:
-    mapper = build_mapper(MappingConfig(), {"rear": SE2()})
+    mapper = build_mapper(mapping_config(), {"rear": SE2()})
     scan = next(f for f in room_drive.frames if isinstance(f, LaserScan))
     with pytest.raises(InputError, match=r"front: .*known: rear"):
         mapper.process(scan)
@@ -232,20 +233,54 @@ def test_kernels_are_compiled_once_for_warm_up_and_all_that_follows() -> None:
 
 def test_a_misspelt_key_is_refused() -> None:
     with pytest.raises(ValidationError, match="spacing"):
-        MappingConfig.model_validate({"settings": {"submaps": {"spacing": 10.0}}})
-    with pytest.raises(ValidationError, match="profile"):
-        MappingConfig.model_validate({"profile": "corridoor"})
+        mapping_config({"settings": {"local_map": {"spacing": 10.0}}})
+    with pytest.raises(ValidationError, match='corridoor is no profile; did you mean "corridor"'):
+        mapping_config({"profile": "corridoor"})
+
+
+def test_a_stage_that_is_not_there_is_refused_with_those_that_are() -> None:
+    with pytest.raises(
+        ValidationError, match=r'surfel_gaus is no matcher; did you mean "surfel_gauss_newton"'
+    ):
+        mapping_config({"stages": {"matcher": "surfel_gaus"}})
+
+
+def test_a_matcher_that_cannot_read_the_local_map_is_refused_with_words(monkeypatch) -> None:
+    class Sheet: ...
+
+    sheet = StageKind("sheet", NoSettings, lambda _, __: Sheet(), makes=Sheet)
+    other = Method("other", {**METHODS["corridor"].stages, "local_map": sheet}, {})
+    monkeypatch.setitem(METHODS, "other", other)
+    with pytest.raises(ValidationError) as refused:
+        mapping_config({"stages": {"local_map": "sheet"}})
+    assert (
+        "the matcher surfel_gauss_newton cannot read the local_map sheet; it reads surfel_submaps. "
+        "What reads sheet as matcher: nothing"
+    ) in str(refused.value)
+
+
+def test_a_method_may_have_other_defaults_than_its_stages(monkeypatch) -> None:
+    corridor = METHODS["corridor"]
+    settings = {"local_map": {"spacing_m": 7.0, "normals": {"gap_m": 0.5}}}
+    monkeypatch.setitem(METHODS, "other", Method("other", corridor.stages, settings))
+    local_map = mapping_config(
+        {"profile": "other", "settings": {"local_map": {"cell_m": 0.2}}}
+    ).settings.local_map
+    assert (local_map.spacing_m, local_map.cell_m, local_map.normals.gap_m) == (7.0, 0.2, 0.5)
+    assert local_map.normals.planar_ratio == mapping_config().settings.local_map.normals.planar_ratio
+    with pytest.raises(ValidationError, match="greater than 0"):
+        mapping_config({"profile": "other", "settings": {"local_map": {"spacing_m": -1.0}}})
 
 
 def test_the_example_names_every_parameter_with_its_default() -> None:
     example = yaml.safe_load((ROOT / "config/profiles/corridor.yaml").read_text())
-    defaults = MappingConfig().model_dump()
+    defaults = mapping_config().model_dump()
     assert example == {key: defaults[key] for key in ("profile", "cell_m", "settings")}
 
 
 def test_every_parameter_is_documented() -> None:
     page = (ROOT / "docs/mapping.md").read_text()
-    for stage, settings in MappingConfig().settings.model_dump().items():
+    for stage, settings in mapping_config().settings.model_dump().items():
         section = page.split(f"### `{stage}`")[1].split("###")[0]
         for key in settings:
             assert f"`{key}`" in section, f"{stage}.{key} is missing in docs/mapping.md"

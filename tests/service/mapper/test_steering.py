@@ -8,7 +8,7 @@ import pytest
 
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
-from service.mapper.profiles import MappingConfig, build_mapper
+from service.mapper.profiles import build_mapper, mapping_config
 from service.mapper.steering import SteeredMapper
 from service.outputs import MapperOutput, TileUpdate
 from tests.service.offline.test_replay import room_scan
@@ -143,7 +143,7 @@ def drive(
 
 
 def real_mapper() -> SteeredMapper:
-    return SteeredMapper(lambda: build_mapper(MappingConfig(), {"front": SE2()}), "front")
+    return SteeredMapper(lambda: build_mapper(mapping_config(), {"front": SE2()}), "front")
 
 
 def test_the_way_driven_in_a_pause_is_known_after_it():

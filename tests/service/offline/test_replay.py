@@ -13,7 +13,7 @@ from drivers.frames import NO_INTENSITY, LaserScan, OdometrySample
 from service.encoding import encode_event, encode_frame, encode_tf_static
 from service.errors import ConfigError, InputError, StorageError
 from service.geometry.se2 import SE2
-from service.mapper.profiles import MappingConfig
+from service.mapper.profiles import mapping_config
 from service.offline.replay import (
     ReplayOptions,
     _with_profile,
@@ -122,7 +122,7 @@ def test_one_laser_is_mapped_and_the_others_cost_it_nothing(
 
 
 def test_another_profile_maps_the_same_laser():
-    mapping = MappingConfig(profile="corridor", lasers=("rear",), cell_m=0.1)
+    mapping = mapping_config({"profile": "corridor", "lasers": ("rear",), "cell_m": 0.1})
     other = _with_profile("corridor", mapping)
     assert (other.lasers, other.cell_m) == (("rear",), 0.1)
 

@@ -2,14 +2,14 @@ import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
-from service.mapper.maps.submaps import NormalsConfig, SubmapsConfig, SurfelSubmaps
+from service.mapper.maps.submaps import SubmapsConfig, SurfelSubmaps
 from service.outputs import State
 from tests.service.mapper.maps.points import match_at, points_of, square
 
 
 def submaps(**changes: float) -> SurfelSubmaps:
     config = SubmapsConfig.model_validate({"first_scans": 1, "keyframe_distance_m": 0.5, **changes})
-    return SurfelSubmaps(config, NormalsConfig())
+    return SurfelSubmaps(config)
 
 
 def insert(chain: SurfelSubmaps, x_m: float, state: State = "ok", theta_rad: float = 0.0) -> int | None:

@@ -5,18 +5,18 @@ import numpy as np
 
 from service.fusion.motion import Prediction
 from service.geometry.se2 import SE2
-from service.mapper.maps.submaps import NormalsConfig, SubmapsConfig, SurfelSubmaps
+from service.mapper.maps.submaps import SubmapsConfig, SurfelSubmaps
 from service.mapper.matchers.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
 from service.mapper.stages import Match, Points
 from tests.service.mapper.maps.points import match_at, points_of, square
 
 
 def new_matcher() -> SurfelGaussNewton:
-    return SurfelGaussNewton(SurfelMatcherConfig(), NormalsConfig())
+    return SurfelGaussNewton(SurfelMatcherConfig())
 
 
 def mapped(points: Points) -> SurfelSubmaps:
-    chain = SurfelSubmaps(SubmapsConfig(), NormalsConfig())
+    chain = SurfelSubmaps(SubmapsConfig())
     for _ in range(5):
         chain.insert(points, match_at(SE2(), points, submap=0))
     return chain
@@ -42,7 +42,7 @@ def test_a_scan_of_the_same_room_is_put_where_it_belongs() -> None:
 
 
 def test_the_first_scan_defines_the_map() -> None:
-    empty = SurfelSubmaps(SubmapsConfig(), NormalsConfig())
+    empty = SurfelSubmaps(SubmapsConfig())
     result = match(square(), SE2(), empty)
     assert (result.motion.pose_odom_base, result.state, result.score) == (SE2(), "ok", 1.0)
 

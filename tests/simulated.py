@@ -1,0 +1,224 @@
+"""Drives through simulated worlds without drivers or wires: frames in order of arrival, with the truth.
+
+For experiments and benchmarks of the mapper. What the wire does to a frame is tested elsewhere.
+"""
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.frames import NO_INTENSITY, Frame, ImuSample, LaserScan, OdometrySample
+from service.geometry.se2 import SE2
+from service.mapper.profiles import MappingConfig, build_mapper
+from service.outputs import MapperOutput
+from simulators.truth import LMS100, UTM30LX, LaserModel, LaserTruth, Ride, noise_of
+from simulators.world import World
+
+ODOMETRY_NS = 15_000_000
+IMU_NS = 5_000_000
+ORIGIN = SE2()
+FORWARD = SE2(0.2, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Laser:
+    """A scanner on the vehicle. Its mirror turns 360 deg a period, so beams follow at step / 360 of it."""
+
+    model: LaserModel
+    beams: int
+    rate_hz: float
+    first_deg: float
+    step_deg: float
+    mounting: SE2 = FORWARD
+    name: str = "front"
+
+    @property
+    def period_ns(self) -> int:
+        return round(1e9 / self.rate_hz)
+
+    @property
+    def beam_ns(self) -> int:
+        return round(self.period_ns * self.step_deg / 360.0)
+
+
+LMS100_50HZ = Laser(LMS100, 541, 50.0, -135.0, 0.5)
+UTM30LX_40HZ = Laser(UTM30LX, 1081, 40.0, -135.0, 0.25)
+
+
+@dataclass(frozen=True)
+class Wheels:
+    """Odometry's errors: a wrong scale, a wrong track, and noise that grows with the way."""
+
+    scale: float = 1.0
+    turn_scale: float = 1.0
+    sigma_m_per_sqrt_m: float = 0.01
+    sigma_rad_per_sqrt_m: float = 0.005
+
+
+@dataclass(frozen=True)
+class Imu:
+    """A MEMS gyro and accelerometer, level on the vehicle."""
+
+    gyro_sigma_radps: float = 0.003
+    gyro_bias_radps: float = 0.001
+    accel_sigma_mps2: float = 0.02
+    accel_bias_mps2: float = 0.01
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What the sensors said, and where the base was at each scan's first ray, seen from the first scan."""
+
+    frames: list[Frame]
+    truth: dict[int, SE2]
+    world_first: SE2 = ORIGIN  # the base at the first scan, in the frame of the world
+
+
+@dataclass
+class Run:
+    """What a mapper made of a drive."""
+
+    outputs: list[MapperOutput]
+    scan_ms: npt.NDArray[np.float64]
+    mapper: object
+    errors: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))  # forward, left m; rad
+
+    @property
+    def position_rmse_m(self) -> float:
+        return float(np.sqrt((self.errors[:, :2] ** 2).sum(axis=1).mean()))
+
+    @property
+    def heading_rmse_rad(self) -> float:
+        return float(np.sqrt((self.errors[:, 2] ** 2).mean()))
+
+    @property
+    def end_error(self) -> tuple[float, float]:
+        """m and rad at the last scan."""
+        return float(np.hypot(*self.errors[-1, :2])), float(abs(self.errors[-1, 2]))
+
+
+def drive(
+    world: World,
+    laser: Laser,
+    seconds: float,
+    seed: int,
+    wheels: Wheels | None = None,
+    imu: Imu | None = None,
+    stand_s: float = 0.5,
+) -> Drive:
+    """Every beam leaves from where the laser is at its own moment. Same arguments, same frames."""
+    ride = Ride(world, 0, stand_s)
+    frames: list[Frame] = list(scans(ride, laser, seconds, seed))
+    truth = {frame.stamp_ns: ride.pose(frame.stamp_ns) for frame in frames}
+    if wheels is not None:
+        frames += odometry(ride, wheels, seconds, seed)
+    if imu is not None:
+        frames += inertial(ride, imu, seconds, seed)
+    first = next(iter(truth.values()))
+    seen = {stamp_ns: first.inverse() @ pose for stamp_ns, pose in truth.items()}
+    return Drive(sorted(frames, key=lambda frame: frame.arrived_ns), seen, first)
+
+
+def scans(ride: Ride, laser: Laser, seconds: float, seed: int) -> list[LaserScan]:
+    source = LaserTruth(ride, laser.name, laser.mounting, laser.model, seed)
+    first_rad, step_rad = math.radians(laser.first_deg), math.radians(laser.step_deg)
+    return [
+        LaserScan(
+            sensor=laser.name,
+            stamp_ns=stamp_ns,
+            arrived_ns=stamp_ns + laser.beams * laser.beam_ns,
+            beam_interval_ns=laser.beam_ns,
+            scan_period_ns=laser.period_ns,
+            first_angle_rad=first_rad,
+            angle_step_rad=step_rad,
+            range_min_m=laser.model.range_min_m,
+            range_max_m=laser.model.range_max_m,
+            range_m=source.sweep(stamp_ns, laser.beam_ns, first_rad, step_rad, laser.beams).range_m,
+            intensity=NO_INTENSITY,
+        )
+        for stamp_ns in range(0, round(seconds * 1e9), laser.period_ns)
+    ]
+
+
+def odometry(ride: Ride, wheels: Wheels, seconds: float, seed: int) -> list[OdometrySample]:
+    stamps_ns = np.arange(0, round(seconds * 1e9), ODOMETRY_NS, dtype=np.int64)
+    poses = [SE2(float(x), float(y), float(theta)) for x, y, theta in ride.poses(stamps_ns)]
+    noise = noise_of(seed, "wheels", 0)
+    samples, believed = [], SE2()
+    for k, stamp_ns in enumerate(stamps_ns.tolist()):
+        forward, left, turn = (poses[max(k - 1, 0)].inverse() @ poses[k]).log()
+        root_m = math.sqrt(abs(forward))
+        believed = believed @ SE2.exp(
+            wheels.scale * forward + wheels.sigma_m_per_sqrt_m * root_m * noise.standard_normal(),
+            left,
+            wheels.turn_scale * turn + wheels.sigma_rad_per_sqrt_m * root_m * noise.standard_normal(),
+        )
+        samples.append(
+            OdometrySample(
+                "base",
+                stamp_ns,
+                stamp_ns + 2_000_000,
+                believed.x_m,
+                believed.y_m,
+                believed.theta_rad,
+                (0.0, 0.0, 0.0),
+                (0.0,) * 9,
+            )
+        )
+    return samples
+
+
+def inertial(ride: Ride, imu: Imu, seconds: float, seed: int) -> list[ImuSample]:
+    """Rates and accelerations in base axes, z up, from central differences of the true drive."""
+    noise = noise_of(seed, "imu", 0)
+    gyro_bias = imu.gyro_bias_radps * noise.standard_normal(3)
+    accel_bias = imu.accel_bias_mps2 * noise.standard_normal(3)
+    stamps_ns = np.arange(0, round(seconds * 1e9), IMU_NS, dtype=np.int64)
+    half_ns = IMU_NS // 2
+    before, here, after = (ride.poses(stamps_ns + shift_ns) for shift_ns in (-half_ns, 0, half_ns))
+    half_s = half_ns * 1e-9
+    rate = np.remainder(after[:, 2] - before[:, 2] + math.pi, 2.0 * math.pi) - math.pi
+    rate /= 2.0 * half_s
+    accel = (after[:, :2] - 2.0 * here[:, :2] + before[:, :2]) / half_s**2
+    c, s = np.cos(here[:, 2]), np.sin(here[:, 2])
+    forward, left = c * accel[:, 0] + s * accel[:, 1], -s * accel[:, 0] + c * accel[:, 1]
+    samples = []
+    for k, stamp_ns in enumerate(stamps_ns.tolist()):
+        gyro = gyro_bias + imu.gyro_sigma_radps * noise.standard_normal(3)
+        felt = accel_bias + imu.accel_sigma_mps2 * noise.standard_normal(3)
+        samples.append(
+            ImuSample(
+                "imu",
+                stamp_ns,
+                stamp_ns + 1_000_000,
+                (float(gyro[0]), float(gyro[1]), float(rate[k] + gyro[2])),
+                (float(forward[k] + felt[0]), float(left[k] + felt[1]), float(9.81 + felt[2])),
+            )
+        )
+    return samples
+
+
+def run(
+    config: MappingConfig,
+    what: Drive,
+    mountings: Mapping[str, SE2] | None = None,
+    without_motion: bool = False,
+) -> Run:
+    """A fresh mapper through a drive. without_motion: sweeps are declared instants, so none is deskewed."""
+    mapper = build_mapper(config, mountings or {"front": FORWARD})
+    outputs, took_ms = [], []
+    for frame in what.frames:
+        if without_motion and isinstance(frame, LaserScan):
+            frame = replace(frame, beam_interval_ns=0)
+        began_ns = time.perf_counter_ns()
+        output = mapper.process(frame)
+        if output is not None:
+            took_ms.append((time.perf_counter_ns() - began_ns) / 1e6)
+            outputs.append(output)
+    away = [what.truth[output.stamp_ns].inverse() @ output.pose_map_base for output in outputs]
+    errors = np.array([(e.x_m, e.y_m, e.theta_rad) for e in away])
+    return Run(outputs, np.array(took_ms), mapper, errors)
