@@ -12,7 +12,7 @@ export CORRIDOR_SHARED ?= $(abspath ../shared)
 # One thread a process: the mapper is single-threaded, and BLAS pools only steal its core.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv demo test check bench chaos interop soak clean
+.PHONY: help venv demo test check bench papers chaos interop soak clean
 
 help: ## this list
 	@awk -F':.*## ' '/^[a-z]+:.*## /{printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -40,6 +40,9 @@ check: venv ## ruff, mypy --strict, import-linter
 
 bench: venv ## the benchmarks: a table, and bench.json
 	$(BIN)/python -m tests.bench $(BENCH_ARGS)
+
+papers: venv ## the papers' experiments: tables and pictures in docs/papers
+	$(BIN)/python -m tests.papers $(PAPERS_ARGS)
 
 chaos: venv ## every driver through every fault, then the whole machine: a table
 	$(BIN)/python -m tests.chaos $(CHAOS_ARGS)

@@ -1,0 +1,1 @@
+"""The experiments of the four papers, repeated on simulated data with truth: `make papers`."""

@@ -1,0 +1,85 @@
+"""What an experiment shows, and how it is written down."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+FOLDER = Path(__file__).parents[2] / "docs" / "papers"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure over all seeds. A bound is met by the median, or by the worst where `by_worst`."""
+
+    ids: str  # of the checklist, "A47 A5"
+    what: str
+    values: Sequence[float]  # one a seed
+    unit: str
+    at_most: float | None = None
+    at_least: float | None = None
+    by_worst: bool = False
+    digits: int = 3
+
+    @property
+    def median(self) -> float:
+        return float(np.median(self.values))
+
+    @property
+    def worst(self) -> float:
+        return float(np.min(self.values) if self.at_least is not None else np.max(self.values))
+
+    @property
+    def met(self) -> bool | None:
+        """None where there is no bound."""
+        value = self.worst if self.by_worst else self.median
+        if self.at_most is not None:
+            return value <= self.at_most
+        return value >= self.at_least if self.at_least is not None else None
+
+
+@dataclass(frozen=True)
+class Section:
+    """One experiment: what was done, its figures, further tables in Markdown, pictures in docs/papers/."""
+
+    title: str
+    text: str
+    rows: Sequence[Row] = ()
+    tables: Sequence[str] = ()
+    pictures: Sequence[tuple[str, str]] = field(default=())  # file name and caption
+
+
+def per_seed(seeds: int, measure: Callable[[int], float]) -> list[float]:
+    return [measure(seed) for seed in range(1, seeds + 1)]
+
+
+def write(name: str, heading: str, sections: Sequence[Section]) -> str:
+    """The page of one paper; also its text, for the terminal. Raises OSError."""
+    lines = [f"# {heading}", "", "Made by `make papers`; simulated data with truth, fixed seeds.", ""]
+    for section in sections:
+        lines += [f"## {section.title}", "", section.text, ""]
+        if section.rows:
+            lines += ["| | figure | median | worst | bound | met |", "|---|---|---|---|---|---|"]
+            lines += [_line(row) for row in section.rows]
+            lines.append("")
+        for table in section.tables:
+            lines += [table.strip(), ""]
+        for file, caption in section.pictures:
+            lines += [f"![{caption}]({file})", "", f"*{caption}*", ""]
+    text = "\n".join(lines).rstrip() + "\n"
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    (FOLDER / f"{name}.md").write_text(text, encoding="utf-8")
+    return text
+
+
+def _line(row: Row) -> str:
+    bound = "" if row.at_most is None else f"≤ {row.at_most:g}"
+    if row.at_least is not None:
+        bound = f"≥ {row.at_least:g}"
+    if bound and row.by_worst:
+        bound += " every seed"
+    met = {None: "", True: "yes", False: "**no**"}[row.met]
+    unit = f" {row.unit}" if row.unit else ""
+    figures = f"{row.median:.{row.digits}f}{unit} | {row.worst:.{row.digits}f}{unit}"
+    return f"| {row.ids} | {row.what} | {figures} | {bound} | {met} |"
