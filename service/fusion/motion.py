@@ -38,4 +38,9 @@ class MotionModel(Protocol):
 
     def predict(self, stamp_ns: int) -> Prediction: ...
 
-    def correct(self, stamp_ns: int, matched: Motion) -> None: ...
+    def correct(self, stamp_ns: int, matched: Motion) -> Motion:
+        """Take in where a match puts the vehicle; gives what is believed then: the match, or a mean with it.
+
+        A prediction handed back as it was is no match, for nothing was measured.
+        """
+        ...

@@ -99,13 +99,14 @@ class WeighedMotion:
             is_measured=way is not None,
         )
 
-    def correct(self, stamp_ns: int, matched: Motion) -> None:
+    def correct(self, stamp_ns: int, matched: Motion) -> Motion:
         if self._last is not None:
             last_ns, last = self._last
             turned = last.pose_odom_base.inverse() @ matched.pose_odom_base
             self._gyro.learn_bias(last_ns, stamp_ns, turned.theta_rad)
             self._has_speed = True
         self._last = (stamp_ns, matched)
+        return matched
 
     def _first(self, stamp_ns: int) -> Prediction:
         twist = self._odometry.twist_at(stamp_ns) or STANDING

@@ -1,6 +1,7 @@
 """The mapper: one frame in, at most one MapperOutput out. Read this file first."""
 
 from collections import Counter
+from dataclasses import replace
 from typing import Generic
 
 from drivers.frames import Frame, GnssFix, LaserScan
@@ -65,7 +66,8 @@ class Mapper(Generic[ReadableMap]):
         points = s.deskew(scan, predicted)  # base frame, one instant; keeps each beam's time
         watch.lap("deskew")
         match = s.matcher.match(points, predicted, s.local_map)  # where we are
-        s.motion_model.correct(scan.stamp_ns, match.motion)
+        believed = s.motion_model.correct(scan.stamp_ns, match.motion)
+        match = replace(match, motion=believed)
         watch.lap("match")
         kept = s.keep_static(match.points, match)
         change = s.local_map.insert(kept, match)
