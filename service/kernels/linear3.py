@@ -1,4 +1,4 @@
-"""Three unknowns x, y, theta: solving and inverting by hand. np.linalg costs seven seconds of compiling."""
+"""Three unknowns x, y, theta, by hand: np.linalg and checked copies cost seconds of compiling each."""
 
 import math
 
@@ -53,3 +53,18 @@ def solve_3x3(A, b, x):
             s -= L[k, i] * x[k]
         x[i] = s / L[i, i]
     return True
+
+
+@njit(cache=True, nogil=True)
+def copy_vector(source, out):
+    """source, out   (N,) float64. Instead of out[:] = source, whose shape check takes seconds to compile."""
+    for i in range(source.shape[0]):
+        out[i] = source[i]
+
+
+@njit(cache=True, nogil=True)
+def copy_matrix(source, out):
+    """source, out   (N, M) float64. See copy_vector."""
+    for i in range(source.shape[0]):
+        for k in range(source.shape[1]):
+            out[i, k] = source[i, k]

@@ -9,7 +9,7 @@ from numba import njit
 
 from service.kernels.deskew import deskew_points
 from service.kernels.likelihood import read_field
-from service.kernels.linear3 import solve_3x3
+from service.kernels.linear3 import copy_matrix, copy_vector, solve_3x3
 from service.kernels.surfels import find_surfels
 
 HOLD_INFORMATION = 1e6  # 1/m^2: to a millimetre
@@ -77,7 +77,8 @@ def invert_3x3(A, inverse):
         unit[k] = 1.0
         if not solve_3x3(A, unit, column):
             return False
-        inverse[:, k] = column
+        for i in range(3):
+            inverse[i, k] = column[i]
     return True
 
 
@@ -276,9 +277,9 @@ def coarse_align(xy_base, prior_pose, information, grid, settings, pose):
             if damping > 1e3:
                 return
             continue
-        pose[:] = trial
-        H[:] = trial_H
-        g[:] = trial_g
+        copy_vector(trial, pose)
+        copy_matrix(trial_H, H)
+        copy_vector(trial_g, g)
         cost = trial_cost
         damping = max(0.1 * damping, 1e-6)
         if math.hypot(step[0], step[1]) < 1e-3 and abs(step[2]) < 1e-4:
@@ -383,7 +384,7 @@ def fine_align(returns, normals, prior, prior_information, grid, settings, xy_ba
         cost, used, inliers = surfel_normal_equations(
             xy_base, normals, found, pose, unmatched_m, settings, H, g
         )
-        system[:] = H
+        copy_matrix(H, system)
         cost += 0.5 * add_prior(pose, prior.pose, prior_information, system, g)
         hold_blind_direction(pose, prior, H, settings, system, g)
         if k == settings.iterations or not solve_3x3(system, g, step):
@@ -427,7 +428,7 @@ def match_scan(returns, normals, prior, grid, settings, doubt_share, xy_base):
         if inliers >= doubt_share * used:
             break
         other_xy = predicted_xy.copy()
-        other_pose[:] = prior.pose
+        copy_vector(prior.pose, other_pose)
         other_pose[2] += 2.0 * side * math.sqrt(prior.step_covariance[2, 2])
         coarse_align(other_xy, prior.pose, prior_information, grid, settings, other_pose)
         other_cost, other_used, other_inliers = fine_align(
@@ -437,9 +438,9 @@ def match_scan(returns, normals, prior, grid, settings, doubt_share, xy_base):
             cost = other_cost
             used = other_used
             inliers = other_inliers
-            pose[:] = other_pose
-            xy_base[:] = other_xy
-            H[:] = other_H
+            copy_vector(other_pose, pose)
+            copy_matrix(other_xy, xy_base)
+            copy_matrix(other_H, H)
     twist = np.empty(3)
     learn_twist(prior, pose, twist)
     least, direction = weakest_direction(H)
@@ -452,6 +453,6 @@ def match_scan(returns, normals, prior, grid, settings, doubt_share, xy_base):
                 information[i, j] = information[i, j] / settings.covariance_scale + prior_information[i, j]
     covariance = np.zeros((3, 3))
     if not invert_3x3(information, covariance):
-        covariance[:] = prior.covariance
+        copy_matrix(prior.covariance, covariance)
     share = inliers / used if used > 0 else 0.0
     return MatchResult(pose, twist, covariance, share, used, weakest, wrap(direction - pose[2]))
