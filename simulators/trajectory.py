@@ -204,7 +204,7 @@ def _spin(begin: Floats, turn_rad: float, limits: Limits) -> Floats:
 
 def _whole_nodes(total_s: float) -> tuple[Floats, float]:
     """Times to sample at so that a leg lasts a whole number of nodes, and the factor this slows it by."""
-    count = math.ceil(total_s / NODE_S)
+    count = math.ceil(total_s / NODE_S - 1e-6)  # the last digits of a sum are no node
     return np.linspace(0.0, total_s, count + 1), total_s / (count * NODE_S)
 
 

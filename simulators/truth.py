@@ -18,6 +18,7 @@ from simulators.world import PERSON_REFLECTIVITY, World
 
 NO_HIT = -1
 BISECTIONS = 7  # find an edge inside a beam's footprint to 1/128 of it
+GLASS_COSINE = 0.985  # a pane sends light back when it is met within 10 deg of squarely
 MIXING_SHARE = (0.1, 0.9)  # an edge nearer than this to the footprint's rim leaves no mixed return
 
 
@@ -101,6 +102,19 @@ IBEO_LUX = LaserModel(
 )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """What there is to see in one sweep, before noise."""
+
+    moment: int  # ns since the world began; places the noise
+    true_m: Floats  # (N,) range of each beam, inf for none
+    cosine: Floats  # (N,) of incidence
+    reflectivity: Floats  # (N,)
+    step_beam: npt.NDArray[np.int64]  # (K,) beams that may return from between both sides of a step
+    step_from_m: Floats  # (K,) range of one side
+    step_m: Floats  # (K,) from there to the other side
+
+
 class LaserTruth:
     """SweepSource: what a laser mounted on the riding vehicle sees."""
 
@@ -120,32 +134,68 @@ class LaserTruth:
         beam_count: int,
     ) -> Sweep:
         """Cast beam i at first_ray_ns + i * beam_interval_ns from where the vehicle is at that moment."""
-        model = self._model
-        noise = noise_of(self._seed, self._sensor, first_ray_ns - self._ride.start_ns)
+        view = self.view(first_ray_ns, beam_interval_ns, first_angle_rad, angle_step_rad, beam_count)
+        return self.measure(view, self._seed)
+
+    def view(
+        self,
+        first_ray_ns: int,
+        beam_interval_ns: int,
+        first_angle_rad: float,
+        angle_step_rad: float,
+        beam_count: int,
+    ) -> View:
+        """What there is to see in a sweep; the costly part, and the same for every seed."""
         since_first_s = np.arange(beam_count, dtype=np.float64) * (beam_interval_ns * 1e-9)
         rays = self._rays(first_ray_ns, since_first_s, first_angle_rad, angle_step_rad)
         first_s = self._ride.drive_s(first_ray_ns)
         discs = self._ride.world.discs(first_s, max(float(since_first_s[-1]), 1e-3))
-        rim = np.array([0.0, 0.0, model.divergence_rad / 2, 0.0])
-        rims = np.vstack([rays, rays + rim, rays - rim])
-        range_m, hit = self._ride.world.cast(rims, discs, model.range_max_m)
+        rim = np.array([0.0, 0.0, self._model.divergence_rad / 2, 0.0])
+        range_m, hit = self._cast(np.vstack([rays, rays + rim, rays - rim]), discs)
         true_m, surface = range_m[:beam_count].copy(), hit[:beam_count]
         cosine, reflectivity = self._surfaces(rays, true_m, surface, discs)
-        self._mix(rays, hit.reshape(3, -1), discs, true_m, noise)
+        moment = first_ray_ns - self._ride.start_ns
+        return View(moment, true_m, cosine, reflectivity, *self._steps(rays, hit.reshape(3, -1), discs))
+
+    def measure(self, view: View, seed: int) -> Sweep:
+        """What the laser makes of a view, with the noise of that seed."""
+        model, beam_count = self._model, len(view.true_m)
+        noise = noise_of(seed, self._sensor, view.moment)
+        true_m = view.true_m.copy()
+        chance, place = noise.random((2, beam_count))
+        mixed = chance[view.step_beam] < model.mixed_share
+        beam = view.step_beam[mixed]
+        true_m[beam] = view.step_from_m[mixed] + place[beam] * view.step_m[mixed]
 
         with np.errstate(invalid="ignore"):
-            echo = reflectivity * cosine / 0.1 * (model.tenth_range_m / np.maximum(true_m, 0.01)) ** 2
+            echo = (
+                view.reflectivity * view.cosine / 0.1 * (model.tenth_range_m / np.maximum(true_m, 0.01)) ** 2
+            )
             measured_m = true_m + model.bias_m
             measured_m += (model.sigma_m + model.sigma_per_m * true_m) * noise.standard_normal(beam_count)
             measured_m = np.round(measured_m / model.quantum_m) * model.quantum_m
             seen = echo * np.exp(0.1 * noise.standard_normal(beam_count)) >= 1.0
             seen &= noise.random(beam_count) >= model.dropout_share
             seen &= (measured_m >= model.range_min_m) & (measured_m <= model.range_max_m)
-        brightness = reflectivity * cosine * np.exp(0.03 * noise.standard_normal(beam_count))
+        brightness = view.reflectivity * view.cosine * np.exp(0.03 * noise.standard_normal(beam_count))
         return Sweep(
             np.where(seen, measured_m, np.nan).astype(np.float32),
             np.where(seen, np.clip(brightness, 0.0, 1.0), 0.0).astype(np.float32),
         )
+
+    def _cast(self, rays: Floats, discs: Floats) -> tuple[Floats, npt.NDArray[np.int32]]:
+        """As World.cast; a ray that meets glass other than squarely goes through it."""
+        world = self._ride.world
+        range_m, hit = world.cast(rays, discs, self._model.range_max_m)
+        if not world.glass.any():
+            return range_m, hit
+        glass = np.flatnonzero((hit >= 0) & (hit < len(world.segments)))
+        glass = glass[world.glass[hit[glass]]]
+        through = glass[self._cosine_on_walls(rays[glass], hit[glass]) < GLASS_COSINE]
+        range_m[through], hit[through] = world.without_glass.cast(
+            rays[through], discs, self._model.range_max_m
+        )
+        return range_m, hit
 
     def _rays(
         self, first_ray_ns: int, since_first_s: Floats, first_angle_rad: float, angle_step_rad: float
@@ -170,8 +220,7 @@ class LaserTruth:
         cosine, reflectivity = np.zeros(len(rays)), np.zeros(len(rays))
         c, s = np.cos(rays[:, 2]), np.sin(rays[:, 2])
         wall = (surface >= 0) & (surface < len(world.segments))
-        edge = world.segments[surface[wall], 2:] - world.segments[surface[wall], :2]
-        cosine[wall] = np.abs(c[wall] * edge[:, 1] - s[wall] * edge[:, 0]) / np.hypot(edge[:, 0], edge[:, 1])
+        cosine[wall] = self._cosine_on_walls(rays[wall], surface[wall])
         reflectivity[wall] = world.reflectivity[surface[wall]]
         person = surface >= len(world.segments)
         if person.any():
@@ -182,44 +231,44 @@ class LaserTruth:
             reflectivity[person] = PERSON_REFLECTIVITY
         return cosine, reflectivity
 
-    def _mix(
-        self,
-        rays: Floats,
-        hit: npt.NDArray[np.int32],
-        discs: Floats,
-        true_m: Floats,
-        noise: np.random.Generator,
-    ) -> None:
-        """Move a share of the beams that straddle a step to a range between both sides; in place.
+    def _cosine_on_walls(self, rays: Floats, surface: npt.NDArray[np.int32]) -> Floats:
+        """Cosine of incidence of rays on the segments that they meet."""
+        segments = self._ride.world.segments
+        edge = segments[surface, 2:] - segments[surface, :2]
+        across: Floats = np.cos(rays[:, 2]) * edge[:, 1] - np.sin(rays[:, 2]) * edge[:, 0]
+        return np.abs(across) / np.hypot(edge[:, 0], edge[:, 1])
+
+    def _steps(
+        self, rays: Floats, hit: npt.NDArray[np.int32], discs: Floats
+    ) -> tuple[npt.NDArray[np.int64], Floats, Floats]:
+        """Beams that straddle a step and may return from between both sides; the near ends, the steps, m.
 
         hit (3, N) is what the middle, the left and the right rim of each beam met. Where the rims met
         different things the edge between is found by bisection: a corner of a room has no step there, a
         door post has.
         """
-        chance, place = noise.random((2, len(rays)))
         edge = np.flatnonzero(hit[1] != hit[2])
         if edge.size == 0:
-            return
-        model, world = self._model, self._ride.world
+            return edge, np.empty(0), np.empty(0)
+        model = self._model
         half = model.divergence_rad / 2
         left, right = np.full(edge.size, half), np.full(edge.size, -half)
         ray = rays[edge].copy()
         for _ in range(BISECTIONS):
             middle = (left + right) / 2
             ray[:, 2] = rays[edge, 2] + middle
-            is_left = world.cast(ray, discs, model.range_max_m)[1] == hit[1, edge]
+            is_left = self._cast(ray, discs)[1] == hit[1, edge]
             left, right = np.where(is_left, middle, left), np.where(is_left, right, middle)
         ray[:, 2] = rays[edge, 2] + left
-        left_m = world.cast(ray, discs, model.range_max_m)[0]
+        left_m = self._cast(ray, discs)[0]
         ray[:, 2] = rays[edge, 2] + right
-        right_m = world.cast(ray, discs, model.range_max_m)[0]
+        right_m = self._cast(ray, discs)[0]
         with np.errstate(invalid="ignore"):  # both sides may be out of sight: inf - inf
             step_m = right_m - left_m
             mixed = (np.abs(step_m) > model.mixed_step_m[0]) & (np.abs(step_m) < model.mixed_step_m[1])
         share = (half - left) / model.divergence_rad
         mixed &= (share > MIXING_SHARE[0]) & (share < MIXING_SHARE[1])
-        mixed &= chance[edge] < model.mixed_share
-        true_m[edge[mixed]] = left_m[mixed] + place[edge[mixed]] * step_m[mixed]
+        return edge[mixed], left_m[mixed], step_m[mixed]
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -76,7 +77,7 @@ def walk(
     return Walk(tuple(times_s), tuple(places))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class World:
     """Everything there is, in the frame of the vehicle's start."""
 
@@ -88,6 +89,14 @@ class World:
     grid_frame: Floats
     cell_span: npt.NDArray[np.int32]
     cell_items: npt.NDArray[np.int32]
+    glass: npt.NDArray[np.bool_]  # (S,) seen only squarely; else what is behind it
+
+    @cached_property
+    def without_glass(self) -> "World":
+        """The same with nothing where the panes are."""
+        segments = self.segments.copy()
+        segments[self.glass, 2:] = segments[self.glass, :2]  # without a length nothing hits it
+        return replace(self, segments=segments)
 
     def discs(self, time_s: float, span_s: float) -> Floats:
         """(D, 5) place, velocity and radius of each person, straight between time_s and time_s + span_s."""
@@ -123,6 +132,7 @@ def make_world(name: str, plan: "Plan", people: Sequence[Walk], drive: Trajector
         drive.seen_from(start),
         grid_frame,
         *index_segments(segments, grid_frame, int(rows), int(columns)),
+        np.array(plan.glass, dtype=np.bool_),
     )
 
 
@@ -139,12 +149,14 @@ class Plan:
     def __init__(self) -> None:
         self.segments: list[tuple[float, float, float, float]] = []
         self.reflectivity: list[float] = []
+        self.glass: list[bool] = []
 
-    def line(self, *points: Point, reflectivity: float = 0.6) -> None:
-        """Thin surfaces from point to point."""
+    def line(self, *points: Point, reflectivity: float = 0.6, glass: bool = False) -> None:
+        """Thin surfaces from point to point; of glass they are seen only where a beam meets them squarely."""
         for (x0, y0), (x1, y1) in itertools.pairwise(points):
             self.segments.append((x0, y0, x1, y1))
             self.reflectivity.append(reflectivity)
+            self.glass.append(glass)
 
     def box(self, centre: Point, size: Point, turn_deg: float = 0.0, reflectivity: float = 0.4) -> None:
         """A rectangular thing: a cabinet, a desk's leg, a crate."""

@@ -6,12 +6,19 @@ from simulators.world import World
 from simulators.worlds.corridors import corridor100, ring
 from simulators.worlds.mall import mall
 from simulators.worlds.office import office
+from simulators.worlds.trials import crowd, featureless, glass_hall, room, spins, stop_and_go
 
 WORLDS: dict[str, Callable[[], World]] = {
     "office": office,
     "ring": ring,
     "corridor100": corridor100,
     "mall": mall,
+    "room": room,
+    "featureless": featureless,
+    "spins": spins,
+    "stop_and_go": stop_and_go,
+    "crowd": crowd,
+    "glass_hall": glass_hall,
 }
 
 

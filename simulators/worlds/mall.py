@@ -14,6 +14,7 @@ AISLES_Y = (5.0, 35.0, 65.0, 95.0)
 HALF_WIDTH_M = 3.0
 SHOP_M = 7.0  # about this wide
 SEED = 12000
+WALKING = Limits(speed_mps=1.2, lateral_mps2=0.8)
 
 LAP = [
     *[(115, 5), (115, 35), (5, 35), (5, 65), (115, 65), (115, 95), (5, 95), (5, 5)],
@@ -21,7 +22,7 @@ LAP = [
 ]
 
 
-def mall() -> World:
+def mall(limits: Limits = WALKING) -> World:
     """12 000 m2; one lap is 1.2 km."""
     rng = np.random.default_rng(SEED)
     plan = Plan()
@@ -35,7 +36,6 @@ def mall() -> World:
             _draw_block(plan, rng, *sides)
     _furnish_aisles(plan, rng)
     legs: list[Leg] = [Follow(LAP, corner_radius_m=1.5), Spin(math.pi), Pause(1.0)]
-    limits = Limits(speed_mps=1.2, lateral_mps2=0.8)
     drive = plan_drive(SE2(10.0, 5.0, 0.0), legs, limits, repeats=True)
     return make_world("mall", plan, _people(rng, drive.duration_s), drive)
 

@@ -25,12 +25,6 @@ LAP = [(2.8, 4.1), (21.0, 4.1), (21.0, 8.9), (2.8, 8.9), (2.8, 6.9)]
 
 def office() -> World:
     """About 310 m2; one lap is 46 m and takes just under a minute."""
-    plan = Plan()
-    _draw_shell(plan)
-    _draw_small_rooms(plan)
-    _draw_core(plan)
-    _furnish_open_plan(plan)
-    _furnish_workshop(plan)
     limits = Limits(speed_mps=1.0, acceleration_mps2=0.6, lateral_mps2=0.7, turn_rate_radps=1.0)
     drive = plan_drive(START, [Follow(LAP, corner_radius_m=0.7), Pause(1.0)], limits, repeats=True)
     lap_s = drive.duration_s
@@ -46,7 +40,18 @@ def office() -> World:
             begin_s=2.0,
         ),
     ]
-    return make_world("office", plan, people, drive)
+    return make_world("office", office_plan(), people, drive)
+
+
+def office_plan() -> Plan:
+    """Walls and furniture alone."""
+    plan = Plan()
+    _draw_shell(plan)
+    _draw_small_rooms(plan)
+    _draw_core(plan)
+    _furnish_open_plan(plan)
+    _furnish_workshop(plan)
+    return plan
 
 
 def _draw_shell(plan: Plan) -> None:

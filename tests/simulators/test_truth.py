@@ -71,6 +71,17 @@ def test_person_walks_on_during_a_sweep():
     np.testing.assert_allclose(gone.range_m, 5.0, atol=1e-4)
 
 
+def test_glass_is_seen_squarely_and_what_is_behind_it_elsewhere():
+    plan = Plan()
+    plan.line((-5, -5), (5, -5), (5, 5), (-5, 5), (-5, -5), reflectivity=0.9)
+    plan.line((3, -5), (3, 5), glass=True)
+    source = laser(room(plan=plan))
+    degrees = np.array([0.0, 5.0, 15.0, -30.0])
+    seen_m = [float(source.sweep(START_NS, 0, math.radians(a), 0.0, 1).range_m[0]) for a in degrees]
+    through_m = np.where(np.abs(degrees) < 10.0, 3.0, 5.0) / np.cos(np.radians(degrees))
+    np.testing.assert_allclose(seen_m, through_m, atol=1e-4)
+
+
 def test_noise_has_the_spread_the_bias_and_the_steps_of_the_model():
     model = replace(LMS100, bias_m=0.03, mixed_share=0.0, dropout_share=0.01)
     source = laser(room(), model)

@@ -56,5 +56,22 @@ def test_mall_has_twelve_thousand_square_metres():
 
 
 def test_unknown_world_is_refused_with_the_names_there_are():
-    with pytest.raises(ValueError, match=r"no world 'moon'; there are corridor100, mall, office, ring"):
+    with pytest.raises(
+        ValueError, match=r"no world 'moon'; there are corridor100, crowd, .*, mall, office, ring"
+    ):
         build_world("moon")
+
+
+def test_crowd_stays_within_three_metres_while_the_vehicle_drives():
+    crowd = build_world("crowd")
+    time_s = np.arange(0.0, crowd.drive.duration_s - 40.0, 0.5)
+    here = crowd.drive.poses(time_s)[:, :2]
+    gaps_m = [np.hypot(*(np.array([p.place(t) for t in time_s]) - here).T) for p in crowd.people]
+    assert len(gaps_m) == 5
+    assert np.max(gaps_m) < 3.0
+
+
+def test_spins_reach_three_radians_a_second():
+    spins = build_world("spins")
+    rates = spins.drive.twists(np.arange(0.0, spins.drive.duration_s, 0.02))[:, 1]
+    assert np.abs(rates).max() == pytest.approx(3.0, rel=0.02)
