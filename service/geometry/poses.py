@@ -1,0 +1,59 @@
+"""Many poses in the plane at once: rows (x m, y m, theta rad) of float64 arrays. One alone is an SE2."""
+
+import numpy as np
+import numpy.typing as npt
+
+Poses = npt.NDArray[np.float64]  # (..., 3)
+
+
+def wrap(theta_rad: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """The same directions in (-pi, pi]."""
+    return -((-theta_rad + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def compose(a: Poses, b: Poses) -> Poses:
+    """a @ b, row by row; shapes (..., 3) that broadcast."""
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    return np.stack(
+        (
+            a[..., 0] + c * b[..., 0] - s * b[..., 1],
+            a[..., 1] + s * b[..., 0] + c * b[..., 1],
+            wrap(a[..., 2] + b[..., 2]),
+        ),
+        axis=-1,
+    )
+
+
+def between(a: Poses, b: Poses) -> Poses:
+    """a^-1 @ b, row by row: b seen from a; shapes (..., 3) that broadcast."""
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    dx, dy = b[..., 0] - a[..., 0], b[..., 1] - a[..., 1]
+    return np.stack((c * dx + s * dy, -s * dx + c * dy, wrap(b[..., 2] - a[..., 2])), axis=-1)
+
+
+def points_from(pose: Poses, xy: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Points given in the frames of the poses, in the frame the poses are given in; (..., 3), (..., 2)."""
+    c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    return np.stack(
+        (pose[..., 0] + c * xy[..., 0] - s * xy[..., 1], pose[..., 1] + s * xy[..., 0] + c * xy[..., 1]),
+        axis=-1,
+    )
+
+
+def points_seen(pose: Poses, xy: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Points in the frames of the poses; inverse of points_from."""
+    c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    dx, dy = xy[..., 0] - pose[..., 0], xy[..., 1] - pose[..., 1]
+    return np.stack((c * dx + s * dy, -s * dx + c * dy), axis=-1)
+
+
+def log(pose: Poses) -> npt.NDArray[np.float64]:
+    """Twist times duration that leads to each pose; SE2.log, row by row."""
+    half = pose[..., 2] / 2.0
+    small = np.abs(half) < 1e-4
+    safe = np.where(small, 1.0, half)
+    k = np.where(small, 1.0 - half * half / 3.0, safe / np.tan(safe))
+    return np.stack(
+        (k * pose[..., 0] + half * pose[..., 1], -half * pose[..., 0] + k * pose[..., 1], pose[..., 2]),
+        axis=-1,
+    )

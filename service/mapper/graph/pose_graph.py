@@ -1,0 +1,377 @@
+"""Poses and points that agree best with what was measured between them: the one door to GTSAM.
+
+Plain arrays in, plain arrays out, nothing kept between two calls. The same arrays give the same result, bit
+for bit, in every process: GTSAM's wheels have no threads, and factors and unknowns are ordered by the arrays.
+
+Source: paper 004, eq. 3-5 (odometry and landmark terms); Dellaert and Kaess, Factor graphs for robot
+perception, 2017.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+
+from service.errors import CorridorError
+from service.geometry import poses as se2
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+
+HELD_SIGMA = 1e-5  # m and rad, of a pose that is held: rounding, not a wish
+ASIDE_M = 4.0  # where the helper of a pose stands that sees a point too near for a bearing
+LEAST_RANGE_M = 1.0  # a point nearer than this is seen by the helper
+
+
+class GraphError(CorridorError):
+    """A graph that cannot be solved; the message says which part and why."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edges:
+    """E measured poses of `to` in the frame of `of`: measured[k] ~ pose[of[k]]^-1 @ pose[to[k]].
+
+    of, to         (E,) int64
+    measured       (E, 3) float64   m, m, rad
+    covariance     (E, 3, 3)        m^2, m rad, rad^2; in the axes of `to`
+    kernel_width   (E,) float64     Cauchy kernel in sigmas: an edge that errs by more counts less and less;
+                                    0: plain least squares
+    """
+
+    of: Ints
+    to: Ints
+    measured: Floats
+    covariance: Floats
+    kernel_width: Floats
+
+    @staticmethod
+    def none() -> "Edges":
+        return Edges(
+            np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0)
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sightings:
+    """S points seen from poses: xy[k] ~ pose[of[k]]^-1 @ landmark[landmark[k]].
+
+    of             (S,) int64       pose
+    landmark       (S,) int64
+    xy             (S, 2) float64   m, in the frame of the pose
+    covariance     (S, 2, 2)        m^2, in the frame of the pose
+    kernel_width   (S,) float64     as in Edges
+    """
+
+    of: Ints
+    landmark: Ints
+    xy: Floats
+    covariance: Floats
+    kernel_width: Floats
+
+    @staticmethod
+    def none() -> "Sightings":
+        return Sightings(
+            np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0)
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseGraph:
+    """What is to be solved, and where to begin.
+
+    poses       (N, 3) float64   first guess, map frame; N > 0
+    edges       between poses
+    landmarks   (L, 2) float64   first guess, m, map frame
+    sightings   of landmarks from poses
+    fixed       the pose that stays where it is
+    """
+
+    poses: Floats
+    edges: Edges
+    landmarks: Floats = field(default_factory=lambda: np.empty((0, 2)))
+    sightings: Sightings = field(default_factory=Sightings.none)
+    fixed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SolverConfig:
+    """When Levenberg-Marquardt ends."""
+
+    most_iterations: int = 50
+    least_gain: float = 1e-6  # ends when a step lowers the cost by less than this part of it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """poses (N, 3), landmarks (L, 2); chi2 of each edge and sighting without its kernel, (E,) and (S,).
+
+    islands       how many groups of poses hang together with the fixed one by nothing. Nothing can move such
+                  a group against the rest, so its first pose is held where it was
+    covariances   by pose asked for: (3, 3), in the axes of that pose, against the fixed pose
+    """
+
+    poses: Floats
+    landmarks: Floats
+    edge_chi2: Floats
+    sighting_chi2: Floats
+    iterations: int
+    islands: int
+    covariances: dict[int, Floats]
+
+
+def solve(
+    graph: PoseGraph, config: SolverConfig | None = None, covariances_of: Sequence[int] = ()
+) -> Solution:
+    """Levenberg-Marquardt from the first guess. Raises GraphError, never what GTSAM raises.
+
+    A direction that nothing measures stays where the guess had it; only a covariance asked of it is refused.
+    """
+    config = config or SolverConfig()
+    _check(graph)
+    held = _held(graph)
+    try:
+        factors, values = _factors(graph, held)
+        values, iterations = _optimise(factors, values, config)
+        poses, landmarks = _read(graph, values)
+        marginals = gtsam.Marginals(factors, values) if len(covariances_of) else None
+        covariances = {int(k): marginals.marginalCovariance(int(k)) for k in covariances_of if marginals}
+    except RuntimeError as error:
+        raise GraphError(f"pose graph: {_size(graph)} cannot be solved: {_first_line(error)}") from error
+    if not (np.isfinite(poses).all() and np.isfinite(landmarks).all()):
+        raise GraphError(f"pose graph: {_size(graph)} ran away from the first guess; look at its edges")
+    return Solution(
+        poses,
+        landmarks,
+        edge_chi2(graph.edges, poses),
+        sighting_chi2(graph.sightings, poses, landmarks),
+        iterations,
+        len(held) - 1,
+        covariances,
+    )
+
+
+def edge_chi2(edges: Edges, poses: Floats) -> Floats:
+    """(E,) squared error of each edge in sigmas, at some poses (N, 3)."""
+    relative = se2.between(poses[edges.of], poses[edges.to])
+    error = se2.log(se2.between(edges.measured, relative))
+    return _squared_in_sigmas(error, edges.covariance)
+
+
+def sighting_chi2(sightings: Sightings, poses: Floats, landmarks: Floats) -> Floats:
+    """(S,) squared error of each sighting in sigmas, at some poses (N, 3) and landmarks (L, 2)."""
+    error = se2.points_seen(poses[sightings.of], landmarks[sightings.landmark]) - sightings.xy
+    return _squared_in_sigmas(error, sightings.covariance)
+
+
+def _squared_in_sigmas(error: Floats, covariance: Floats) -> Floats:
+    solved = np.linalg.solve(covariance, error[..., None])[..., 0]
+    return np.asarray(np.einsum("ki,ki->k", error, solved))
+
+
+def _factors(graph: PoseGraph, held: list[int]) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """Keys: poses 0..N-1, landmarks N..N+L-1, helpers of poses from N+L on."""
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    pose_count, landmark_count = len(graph.poses), len(graph.landmarks)
+    for k, pose in enumerate(graph.poses.tolist()):
+        values.insert(k, gtsam.Pose2(*pose))
+    for k, xy in enumerate(graph.landmarks):
+        values.insert(pose_count + k, xy)
+    tight = gtsam.noiseModel.Isotropic.Sigma(3, HELD_SIGMA)
+    for k in held:
+        factors.add(gtsam.PriorFactorPose2(k, gtsam.Pose2(*graph.poses[k]), tight))
+    noise = _Noise()
+    edges = graph.edges
+    for of, to, measured, covariance, width in zip(
+        edges.of.tolist(),
+        edges.to.tolist(),
+        edges.measured.tolist(),
+        edges.covariance,
+        edges.kernel_width.tolist(),
+        strict=True,
+    ):
+        factors.add(gtsam.BetweenFactorPose2(of, to, gtsam.Pose2(*measured), noise(covariance, width)))
+    helpers: dict[int, int] = {}
+    aside = gtsam.Pose2(-ASIDE_M, 0.0, 0.0)
+    sightings = graph.sightings
+    for of, landmark, xy, covariance, width in zip(
+        sightings.of.tolist(),
+        sightings.landmark.tolist(),
+        sightings.xy,
+        sightings.covariance,
+        sightings.kernel_width.tolist(),
+        strict=True,
+    ):
+        seer = of
+        if np.hypot(*xy) < LEAST_RANGE_M:  # bearing and range say nothing at the pose itself
+            xy = np.add(xy, (ASIDE_M, 0.0))
+            seer = helpers.get(of, -1)
+            if seer < 0:
+                seer = helpers[of] = pose_count + landmark_count + len(helpers)
+                values.insert(seer, values.atPose2(of).compose(aside))
+                factors.add(gtsam.BetweenFactorPose2(of, seer, aside, tight))
+        range_m = float(np.hypot(*xy))
+        to_polar = np.array([[-xy[1] / range_m, xy[0] / range_m], [xy[0], xy[1]]]) / range_m
+        factors.add(
+            gtsam.BearingRangeFactor2D(
+                seer,
+                pose_count + landmark,
+                gtsam.Rot2(float(np.arctan2(xy[1], xy[0]))),
+                range_m,
+                noise(to_polar @ covariance @ to_polar.T, width),
+            )
+        )
+    return factors, values
+
+
+class _Noise:
+    """Noise models, with one kernel object a width."""
+
+    def __init__(self) -> None:
+        self._kernels: dict[float, gtsam.noiseModel.mEstimator.Cauchy] = {}
+
+    def __call__(self, covariance: Floats, kernel_width: float) -> gtsam.noiseModel.Base:
+        gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
+        if kernel_width == 0.0:
+            return gaussian
+        kernel = self._kernels.get(kernel_width)
+        if kernel is None:
+            kernel = self._kernels[kernel_width] = gtsam.noiseModel.mEstimator.Cauchy.Create(kernel_width)
+        return gtsam.noiseModel.Robust.Create(kernel, gaussian)
+
+
+def _optimise(
+    factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, config: SolverConfig
+) -> tuple[gtsam.Values, int]:
+    """Step by step, not in one call: GTSAM holds the interpreter, and other threads run between steps."""
+    optimiser = gtsam.LevenbergMarquardtOptimizer(factors, values, gtsam.LevenbergMarquardtParams())
+    for iteration in range(config.most_iterations):
+        before = optimiser.error()
+        optimiser.iterate()
+        if before - optimiser.error() <= config.least_gain * before:
+            return optimiser.values(), iteration + 1
+    return optimiser.values(), config.most_iterations
+
+
+def _read(graph: PoseGraph, values: gtsam.Values) -> tuple[Floats, Floats]:
+    count = len(graph.poses)
+    found = [values.atPose2(k) for k in range(count)]
+    poses = np.array([(pose.x(), pose.y(), pose.theta()) for pose in found])
+    landmarks = np.array([values.atPoint2(count + k) for k in range(len(graph.landmarks))])
+    return poses, landmarks.reshape(-1, 2)
+
+
+def _held(graph: PoseGraph) -> list[int]:
+    """The fixed pose, and the first pose of every group that hangs together with it by nothing."""
+    count = len(graph.poses)
+    parent = list(range(count + len(graph.landmarks)))
+
+    def root(k: int) -> int:
+        while parent[k] != k:
+            parent[k] = parent[parent[k]]
+            k = parent[k]
+        return k
+
+    pairs = zip(
+        np.concatenate((graph.edges.of, graph.sightings.of)).tolist(),
+        np.concatenate((graph.edges.to, count + graph.sightings.landmark)).tolist(),
+        strict=True,
+    )
+    for a, b in pairs:
+        low, high = sorted((root(a), root(b)))
+        parent[high] = low
+    anchors = {root(graph.fixed): graph.fixed}
+    for k in range(count):
+        anchors.setdefault(root(k), k)
+    return list(anchors.values())
+
+
+def _check(graph: PoseGraph) -> None:
+    pose_count, landmark_count = len(graph.poses), len(graph.landmarks)
+    edges, sightings = graph.edges, graph.sightings
+    for name, array, shape in (
+        ("poses", graph.poses, (pose_count, 3)),
+        ("landmarks", graph.landmarks, (landmark_count, 2)),
+        ("edges.measured", edges.measured, (len(edges.of), 3)),
+        ("edges.kernel_width", edges.kernel_width, (len(edges.of),)),
+        ("sightings.xy", sightings.xy, (len(sightings.of), 2)),
+        ("sightings.kernel_width", sightings.kernel_width, (len(sightings.of),)),
+    ):
+        if array.shape != shape:
+            raise GraphError(f"pose graph: {name} has the shape {array.shape}, expected {shape}")
+        if not np.isfinite(array).all():
+            row = int(np.argwhere(~np.isfinite(array))[0][0])
+            raise GraphError(f"pose graph: {name}[{row}] is {array[row]}, expected finite numbers")
+    for name, index, count in (
+        ("edges.of", edges.of, pose_count),
+        ("edges.to", edges.to, pose_count),
+        ("sightings.of", sightings.of, pose_count),
+        ("sightings.landmark", sightings.landmark, landmark_count),
+        ("fixed", np.array([graph.fixed]), pose_count),
+    ):
+        wrong = np.flatnonzero((index < 0) | (index >= count))
+        if len(wrong):
+            raise GraphError(f"pose graph: {name} names {int(index[wrong[0]])}, expected 0 to {count - 1}")
+    _check_covariances("edges", edges.covariance, len(edges.of), 3)
+    _check_covariances("sightings", sightings.covariance, len(sightings.of), 2)
+    unseen = np.setdiff1d(np.arange(landmark_count), sightings.landmark)
+    if len(unseen):
+        raise GraphError(f"pose graph: landmark {int(unseen[0])} is seen from no pose; leave it out")
+
+
+def _check_covariances(name: str, covariance: Floats, count: int, size: int) -> None:
+    if covariance.shape != (count, size, size):
+        expected = (count, size, size)
+        raise GraphError(
+            f"pose graph: {name}.covariance has the shape {covariance.shape}, expected {expected}"
+        )
+    try:
+        np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        eigenvalues = np.linalg.eigvalsh(np.nan_to_num(covariance))
+        row = int(np.argmin(eigenvalues[:, 0]))
+        raise GraphError(
+            f"pose graph: {name}.covariance[{row}] is {covariance[row].tolist()}, expected positive definite"
+        ) from None
+
+
+def _size(graph: PoseGraph) -> str:
+    return (
+        f"{len(graph.poses)} poses, {len(graph.edges.of)} edges, "
+        f"{len(graph.landmarks)} landmarks seen {len(graph.sightings.of)} times"
+    )
+
+
+def _first_line(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return lines[0] if lines else type(error).__name__
+
+
+def to_g2o(graph: PoseGraph, poses: Floats | None = None, landmarks: Floats | None = None) -> str:
+    """The graph as g2o text, at a solution or at its first guess: VERTEX_SE2, EDGE_SE2 and their XY kin.
+
+    Landmarks are numbered after the poses. Robust kernels have no place in the format.
+    """
+    poses = graph.poses if poses is None else poses
+    landmarks = graph.landmarks if landmarks is None else landmarks
+    edges, sightings = graph.edges, graph.sightings
+    lines = [f"VERTEX_SE2 {k} {_numbers(pose)}" for k, pose in enumerate(poses)]
+    lines += [f"VERTEX_XY {len(poses) + k} {_numbers(xy)}" for k, xy in enumerate(landmarks)]
+    lines.append(f"FIX {graph.fixed}")
+    upper3, upper2 = np.triu_indices(3), np.triu_indices(2)
+    for of, to, measured, covariance in zip(
+        edges.of, edges.to, edges.measured, edges.covariance, strict=True
+    ):
+        information = np.linalg.inv(covariance)[upper3]
+        lines.append(f"EDGE_SE2 {of} {to} {_numbers(measured)} {_numbers(information)}")
+    for of, landmark, xy, covariance in zip(
+        sightings.of, sightings.landmark, sightings.xy, sightings.covariance, strict=True
+    ):
+        information = np.linalg.inv(covariance)[upper2]
+        lines.append(f"EDGE_SE2_XY {of} {len(poses) + landmark} {_numbers(xy)} {_numbers(information)}")
+    return "\n".join(lines) + "\n"
+
+
+def _numbers(values: Floats) -> str:
+    return " ".join(repr(float(value)) for value in values)
