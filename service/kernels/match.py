@@ -255,7 +255,7 @@ def coarse_align(xy_base, prior_pose, information, grid, settings, pose):
     trial_H = np.empty((3, 3))
     trial_g = np.empty(3)
     damping = 1e-3
-    read_field(xy_base, stride, pose, grid, values)
+    read_field(xy_base, stride, pose, grid.tiles, grid.field, grid.cell_m, values)
     cost = coarse_normal_equations(xy_base, values, stride, pose, settings.coarse_sigma, H, g)
     cost += 0.5 * add_prior(pose, prior_pose, information, H, g)
     for _ in range(settings.coarse_iterations):
@@ -267,7 +267,7 @@ def coarse_align(xy_base, prior_pose, information, grid, settings, pose):
             return
         for i in range(3):
             trial[i] = pose[i] - step[i]
-        read_field(xy_base, stride, trial, grid, values)
+        read_field(xy_base, stride, trial, grid.tiles, grid.field, grid.cell_m, values)
         trial_cost = coarse_normal_equations(
             xy_base, values, stride, trial, settings.coarse_sigma, trial_H, trial_g
         )

@@ -127,7 +127,7 @@ def test_the_coarse_gradient_is_the_slope_of_its_cost() -> None:
     values, matrix, gradient = np.empty((len(xy), 3)), np.empty((3, 3)), np.empty(3)
 
     def cost(at: np.ndarray) -> float:
-        read_field(xy, 3, at, grid, values)
+        read_field(xy, 3, at, grid.tiles, grid.field, grid.cell_m, values)
         return coarse_normal_equations(xy, values, 3, at, 0.3, matrix, gradient)
 
     expected = slopes(cost, pose)
