@@ -8,7 +8,7 @@ import numpy.typing as npt
 from numba import njit
 
 from service.kernels.deskew import deskew_points
-from service.kernels.likelihood import read_field
+from service.kernels.likelihood import LikelihoodField, read_field
 from service.kernels.linear3 import copy_matrix, copy_vector, solve_3x3
 from service.kernels.surfels import find_surfels
 
@@ -46,6 +46,14 @@ class MatchSettings(NamedTuple):
     covariance_scale: float
 
 
+class AlignSettings(NamedTuple):
+    """How coarse_align lays a scan on a likelihood field."""
+
+    sigma: float  # of 1 - likelihood
+    beams: int  # about so many are asked
+    iterations: int
+
+
 class MatchResult(NamedTuple):
     pose: npt.NDArray[np.float64]  # (3,)
     twist: npt.NDArray[np.float64]  # (3,)
@@ -56,6 +64,8 @@ class MatchResult(NamedTuple):
         float  # standard deviation along the direction that the scan fixes least; inf: not at all
     )
     weakest_direction_rad: float  # that direction, in base axes
+    information: npt.NDArray[np.float64]  # (3, 3) of the points alone, in base axes, settings.sigma_m a beam
+    residual_m: float  # weighted RMS distance of the points from their surfels
 
 
 @njit(cache=True, nogil=True)
@@ -140,7 +150,7 @@ def surfel_normal_equations(xy_base, normals, found, pose, unmatched_m, settings
     unmatched_m   float             a point without a surfel costs as much as one that is so far off
     settings      MatchSettings
     H, g          (3, 3), (3,) float64   out: Hessian, and gradient of half the cost, over x, y, theta
-    Returns (half cost, points asked, points within settings.inlier_m).
+    Returns (half cost, points asked, points within settings.inlier_m, weighted mean of e^2 in m^2).
     Source: point-to-line ICP, Censi 2008; Cauchy weight 1 / (1 + e^2 / c^2).
     """
     c = math.cos(pose[2])
@@ -151,6 +161,7 @@ def surfel_normal_equations(xy_base, normals, found, pose, unmatched_m, settings
     cost = 0.0
     used = 0
     inliers = 0
+    total_weight = squares = 0.0
     gx = gy = gt = 0.0
     hxx = hxy = hyy = hxt = hyt = htt = 0.0
     for i in range(xy_base.shape[0]):
@@ -172,6 +183,8 @@ def surfel_normal_equations(xy_base, normals, found, pose, unmatched_m, settings
         ratio = e * e / squared_cauchy
         cost += 0.5 * weight * squared_cauchy * math.log1p(ratio)
         weight /= 1.0 + ratio
+        total_weight += weight
+        squares += weight * e * e
         jt = ny * rx - nx * ry
         gx += weight * e * nx
         gy += weight * e * ny
@@ -191,7 +204,7 @@ def surfel_normal_equations(xy_base, normals, found, pose, unmatched_m, settings
     H[0, 2] = H[2, 0] = scale * hxt
     H[1, 2] = H[2, 1] = scale * hyt
     H[2, 2] = scale * htt
-    return scale * cost, used, inliers
+    return scale * cost, used, inliers, squares / max(total_weight, 1e-9)
 
 
 @njit(cache=True, nogil=True)
@@ -235,17 +248,17 @@ def coarse_normal_equations(xy_base, values, stride, pose, sigma, H, g):
 
 
 @njit(cache=True, nogil=True)
-def coarse_align(xy_base, prior_pose, information, grid, settings, pose):
+def coarse_align(xy_base, prior_pose, information, field, settings, pose):
     """Levenberg-Marquardt on the likelihood field, held by the prior.
 
     xy_base       (N, 2) float64   m, base frame
     prior_pose    (3,)   float64
-    information   (3, 3) float64   of the prior, in the axes of the grid
-    grid          SurfelGrid
-    settings      MatchSettings
+    information   (3, 3) float64   of the prior, in the axes of the field
+    field         LikelihoodField
+    settings      AlignSettings
     pose          (3,)   float64   in: where to start; out: where it ended
     """
-    stride = max(1, xy_base.shape[0] // settings.coarse_beams)
+    stride = max(1, xy_base.shape[0] // settings.beams)
     values = np.empty((xy_base.shape[0], 3))
     H = np.empty((3, 3))
     g = np.empty(3)
@@ -255,10 +268,10 @@ def coarse_align(xy_base, prior_pose, information, grid, settings, pose):
     trial_H = np.empty((3, 3))
     trial_g = np.empty(3)
     damping = 1e-3
-    read_field(xy_base, stride, pose, grid.tiles, grid.field, grid.cell_m, values)
-    cost = coarse_normal_equations(xy_base, values, stride, pose, settings.coarse_sigma, H, g)
+    read_field(xy_base, stride, pose, field.tiles, field.field, field.cell_m, values)
+    cost = coarse_normal_equations(xy_base, values, stride, pose, settings.sigma, H, g)
     cost += 0.5 * add_prior(pose, prior_pose, information, H, g)
-    for _ in range(settings.coarse_iterations):
+    for _ in range(settings.iterations):
         for i in range(3):
             for j in range(3):
                 damped[i, j] = H[i, j]
@@ -267,10 +280,8 @@ def coarse_align(xy_base, prior_pose, information, grid, settings, pose):
             return
         for i in range(3):
             trial[i] = pose[i] - step[i]
-        read_field(xy_base, stride, trial, grid.tiles, grid.field, grid.cell_m, values)
-        trial_cost = coarse_normal_equations(
-            xy_base, values, stride, trial, settings.coarse_sigma, trial_H, trial_g
-        )
+        read_field(xy_base, stride, trial, field.tiles, field.field, field.cell_m, values)
+        trial_cost = coarse_normal_equations(xy_base, values, stride, trial, settings.sigma, trial_H, trial_g)
         trial_cost += 0.5 * add_prior(trial, prior_pose, information, trial_H, trial_g)
         if not trial_cost < cost:  # NaN too
             damping *= 10.0
@@ -363,7 +374,8 @@ def fine_align(returns, normals, prior, prior_information, grid, settings, xy_ba
     xy_base             (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
     pose                (3,)   float64     in: where to start; out: where it ended
     H                   (3, 3) float64     out: Hessian of the points alone
-    Returns (half the cost there, of points and prior; points asked; points that lie on the map).
+    Returns (half the cost there, of points and prior; points asked; points that lie on the map; weighted mean
+    of their squared distances in m^2).
     """
     g = np.empty(3)
     step = np.empty(3)
@@ -376,12 +388,13 @@ def fine_align(returns, normals, prior, prior_information, grid, settings, xy_ba
     cost = 0.0
     used = 0
     inliers = 0
+    squared_m2 = 0.0
     for k in range(settings.iterations + 1):
         if moves and 0 < k <= settings.deskew_rounds:
             learn_twist(prior, pose, twist)
             deskew_points(returns.xy_raw, returns.beam_time_s, twist, xy_base)
         find_surfels(xy_base, normals, pose, grid, settings.least_normal_cosine, found)
-        cost, used, inliers = surfel_normal_equations(
+        cost, used, inliers, squared_m2 = surfel_normal_equations(
             xy_base, normals, found, pose, unmatched_m, settings, H, g
         )
         copy_matrix(H, system)
@@ -394,7 +407,7 @@ def fine_align(returns, normals, prior, prior_information, grid, settings, xy_ba
         if math.hypot(step[0], step[1]) < settings.settled_m and abs(step[2]) < settings.settled_rad:
             break
     pose[2] = wrap(pose[2])
-    return cost, used, inliers
+    return cost, used, inliers, squared_m2
 
 
 @njit(cache=True, nogil=True)
@@ -417,11 +430,13 @@ def match_scan(returns, normals, prior, grid, settings, doubt_share, xy_base):
         rotate_information(information, prior.pose[2], prior_information)
     pose = prior.pose.copy()
     predicted_xy = xy_base.copy()
-    cost, used, inliers = fine_align(
+    cost, used, inliers, squared_m2 = fine_align(
         returns, normals, prior, prior_information, grid, settings, xy_base, pose, H
     )
     # The prediction may lie outside the catchment of the surfels: then let the coarse map lead there, from
     # the predicted heading and from two beside it. What costs least is kept.
+    field = LikelihoodField(grid.tiles, grid.field, grid.cell_m)
+    coarse = AlignSettings(settings.coarse_sigma, settings.coarse_beams, settings.coarse_iterations)
     other_pose = np.empty(3)
     other_H = np.empty((3, 3))
     for side in (0.0, 1.0, -1.0):
@@ -430,14 +445,15 @@ def match_scan(returns, normals, prior, grid, settings, doubt_share, xy_base):
         other_xy = predicted_xy.copy()
         copy_vector(prior.pose, other_pose)
         other_pose[2] += 2.0 * side * math.sqrt(prior.step_covariance[2, 2])
-        coarse_align(other_xy, prior.pose, prior_information, grid, settings, other_pose)
-        other_cost, other_used, other_inliers = fine_align(
+        coarse_align(other_xy, prior.pose, prior_information, field, coarse, other_pose)
+        other_cost, other_used, other_inliers, other_squared_m2 = fine_align(
             returns, normals, prior, prior_information, grid, settings, other_xy, other_pose, other_H
         )
         if other_cost < cost:
             cost = other_cost
             used = other_used
             inliers = other_inliers
+            squared_m2 = other_squared_m2
             copy_vector(other_pose, pose)
             copy_matrix(other_xy, xy_base)
             copy_matrix(other_H, H)
@@ -447,6 +463,7 @@ def match_scan(returns, normals, prior, grid, settings, doubt_share, xy_base):
     weakest = math.sqrt(settings.covariance_scale / least) if least > 0.0 else math.inf
     # The points of a scan share errors (of the map, of the range) that do not average out: hence the scale.
     rotate_information(H, -pose[2], information)
+    points_information = information.copy()
     if invert_3x3(prior.covariance, prior_information):
         for i in range(3):
             for j in range(3):
@@ -455,4 +472,14 @@ def match_scan(returns, normals, prior, grid, settings, doubt_share, xy_base):
     if not invert_3x3(information, covariance):
         copy_matrix(prior.covariance, covariance)
     share = inliers / used if used > 0 else 0.0
-    return MatchResult(pose, twist, covariance, share, used, weakest, wrap(direction - pose[2]))
+    return MatchResult(
+        pose,
+        twist,
+        covariance,
+        share,
+        used,
+        weakest,
+        wrap(direction - pose[2]),
+        points_information,
+        math.sqrt(squared_m2),
+    )

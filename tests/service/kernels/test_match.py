@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from service.kernels.deskew import Returns
-from service.kernels.likelihood import read_field, splat_likelihood
+from service.kernels.likelihood import LikelihoodField, read_field, splat_likelihood
 from service.kernels.match import (
+    AlignSettings,
     MatchSettings,
     Prior,
     add_prior,
@@ -106,7 +107,10 @@ def test_the_hessian_is_that_of_weighted_least_squares() -> None:
     found = np.empty((len(xy), 5))
     find_surfels(xy, normals, pose, grid, 0.6, found)
     matrix, gradient = np.empty((3, 3)), np.empty(3)
-    _, used, inliers = surfel_normal_equations(xy, normals, found, pose, 0.15, SETTINGS, matrix, gradient)
+    _, used, inliers, squared_m2 = surfel_normal_equations(
+        xy, normals, found, pose, 0.15, SETTINGS, matrix, gradient
+    )
+    weights = squares = 0.0
     c, s = math.cos(pose[2]), math.sin(pose[2])
     expected = np.zeros((3, 3))
     for point, normal, (mx, my, nx, ny, n) in zip(xy, normals, found, strict=True):
@@ -117,7 +121,10 @@ def test_the_hessian_is_that_of_weighted_least_squares() -> None:
         row = np.array([nx, ny, ny * rx - nx * ry])
         weight = normal[2] * min(1.0, n / 3.0) / (1.0 + (e / 0.1) ** 2) / 0.05**2
         expected += weight * np.outer(row, row)
+        weights += weight
+        squares += weight * e**2
     np.testing.assert_allclose(matrix, expected, rtol=1e-9)
+    assert squared_m2 == pytest.approx(squares / weights, rel=1e-9)
     assert used == np.count_nonzero(normals[:, 2])
     assert 0 < inliers <= used
 
@@ -190,7 +197,10 @@ def test_the_coarse_map_leads_where_the_surfels_are_out_of_reach() -> None:
 
 def test_the_coarse_step_alone_comes_within_centimetres() -> None:
     truth, pose = np.array([0.3, -0.2, 0.1]), np.zeros(3)
-    coarse_align(room_scan(tuple(truth)), np.zeros(3), np.eye(3), room_grid(), SETTINGS, pose)
+    grid = room_grid()
+    field = LikelihoodField(grid.tiles, grid.field, grid.cell_m)
+    settings = AlignSettings(SETTINGS.coarse_sigma, SETTINGS.coarse_beams, SETTINGS.coarse_iterations)
+    coarse_align(room_scan(tuple(truth)), np.zeros(3), np.eye(3), field, settings, pose)
     np.testing.assert_allclose(pose, truth, atol=0.04)
 
 
