@@ -124,6 +124,7 @@ def make_world(name: str, plan: "Plan", people: Sequence[Walk], drive: Trajector
     columns, rows = np.ceil((ends.max(axis=0) + 0.01 - low) / CELL_M).astype(int)
     segments = np.ascontiguousarray(ends.reshape(-1, 4))
     grid_frame = np.array([*low, CELL_M])
+    cell_span, cell_items = index_segments(segments, grid_frame, int(rows), int(columns))
     return World(
         name,
         segments,
@@ -131,7 +132,8 @@ def make_world(name: str, plan: "Plan", people: Sequence[Walk], drive: Trajector
         tuple(person.seen_from(start) for person in people),
         drive.seen_from(start),
         grid_frame,
-        *index_segments(segments, grid_frame, int(rows), int(columns)),
+        cell_span,
+        cell_items,
         np.array(plan.glass, dtype=np.bool_),
     )
 

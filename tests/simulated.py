@@ -5,7 +5,7 @@ For experiments and benchmarks of the mapper. What the wire does to a frame is t
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -111,37 +111,59 @@ def drive(
     stand_s: float = 0.5,
 ) -> Drive:
     """Every beam leaves from where the laser is at its own moment. Same arguments, same frames."""
+    return drives(world, laser, seconds, [seed], wheels, imu, stand_s)[0]
+
+
+def drives(
+    world: World,
+    laser: Laser,
+    seconds: float,
+    seeds: Sequence[int],
+    wheels: Wheels | None = None,
+    imu: Imu | None = None,
+    stand_s: float = 0.5,
+) -> list[Drive]:
+    """The same drive once for each seed, as `drive` gives them; what there is to see is cast only once."""
     ride = Ride(world, 0, stand_s)
-    frames: list[Frame] = list(scans(ride, laser, seconds, seed))
-    truth = {frame.stamp_ns: ride.pose(frame.stamp_ns) for frame in frames}
-    if wheels is not None:
-        frames += odometry(ride, wheels, seconds, seed)
-    if imu is not None:
-        frames += inertial(ride, imu, seconds, seed)
+    scans_of_seeds = scans(ride, laser, seconds, seeds)
+    truth = {frame.stamp_ns: ride.pose(frame.stamp_ns) for frame in scans_of_seeds[0]}
     first = next(iter(truth.values()))
     seen = {stamp_ns: first.inverse() @ pose for stamp_ns, pose in truth.items()}
-    return Drive(sorted(frames, key=lambda frame: frame.arrived_ns), seen, first)
+    made = []
+    for seed, laser_scans in zip(seeds, scans_of_seeds, strict=True):
+        frames: list[Frame] = list(laser_scans)
+        if wheels is not None:
+            frames += odometry(ride, wheels, seconds, seed)
+        if imu is not None:
+            frames += inertial(ride, imu, seconds, seed)
+        made.append(Drive(sorted(frames, key=lambda frame: frame.arrived_ns), seen, first))
+    return made
 
 
-def scans(ride: Ride, laser: Laser, seconds: float, seed: int) -> list[LaserScan]:
-    source = LaserTruth(ride, laser.name, laser.mounting, laser.model, seed)
+def scans(ride: Ride, laser: Laser, seconds: float, seeds: Sequence[int]) -> list[list[LaserScan]]:
+    """Those of each seed."""
+    source = LaserTruth(ride, laser.name, laser.mounting, laser.model, seeds[0])
     first_rad, step_rad = math.radians(laser.first_deg), math.radians(laser.step_deg)
-    return [
-        LaserScan(
-            sensor=laser.name,
-            stamp_ns=stamp_ns,
-            arrived_ns=stamp_ns + laser.beams * laser.beam_ns,
-            beam_interval_ns=laser.beam_ns,
-            scan_period_ns=laser.period_ns,
-            first_angle_rad=first_rad,
-            angle_step_rad=step_rad,
-            range_min_m=laser.model.range_min_m,
-            range_max_m=laser.model.range_max_m,
-            range_m=source.sweep(stamp_ns, laser.beam_ns, first_rad, step_rad, laser.beams).range_m,
-            intensity=NO_INTENSITY,
-        )
-        for stamp_ns in range(0, round(seconds * 1e9), laser.period_ns)
-    ]
+    made: list[list[LaserScan]] = [[] for _ in seeds]
+    for stamp_ns in range(0, round(seconds * 1e9), laser.period_ns):
+        view = source.view(stamp_ns, laser.beam_ns, first_rad, step_rad, laser.beams)
+        for seed, of_seed in zip(seeds, made, strict=True):
+            of_seed.append(
+                LaserScan(
+                    sensor=laser.name,
+                    stamp_ns=stamp_ns,
+                    arrived_ns=stamp_ns + laser.beams * laser.beam_ns,
+                    beam_interval_ns=laser.beam_ns,
+                    scan_period_ns=laser.period_ns,
+                    first_angle_rad=first_rad,
+                    angle_step_rad=step_rad,
+                    range_min_m=laser.model.range_min_m,
+                    range_max_m=laser.model.range_max_m,
+                    range_m=source.measure(view, seed).range_m,
+                    intensity=NO_INTENSITY,
+                )
+            )
+    return made
 
 
 def odometry(ride: Ride, wheels: Wheels, seconds: float, seed: int) -> list[OdometrySample]:

@@ -27,8 +27,8 @@ def featureless() -> World:
     """A bare corridor of 160 x 2.4 m; the first 100 m of the drive never come within 20 m of its ends."""
     plan = Plan()
     plan.line((-30.0, -1.2), (130.0, -1.2), (130.0, 1.2), (-30.0, 1.2), (-30.0, -1.2))
-    legs = [Follow([(100.0, 0.0)]), Spin(math.pi), Follow([(0.0, 0.0)]), Spin(-math.pi), Pause(1.0)]
-    return make_world("featureless", plan, [], plan_drive(SE2(), legs, repeats=True))
+    out_and_back: list[Leg] = [Follow([(100.0, 0.0)]), Spin(math.pi), Follow([(0.0, 0.0)]), Spin(-math.pi)]
+    return make_world("featureless", plan, [], plan_drive(SE2(), [*out_and_back, Pause(1.0)], repeats=True))
 
 
 def spins() -> World:
@@ -98,7 +98,7 @@ def _companion(drive: Trajectory, number: int, ahead_m: float, left_m: float) ->
 
 
 def glass_hall(glass: bool = True) -> World:
-    """A hall of 24 x 10 m with one long side of panes between posts, a yard behind; or the same bricked up."""
+    """A hall of 24 x 10 m, one long side of panes with a yard behind them; or the same side bricked up."""
     plan = Plan()
     plan.line((0.0, 10.0), (0.0, 0.0), (24.0, 0.0), (24.0, 10.0))
     for x in np.arange(0.0, 24.1, 3.0):
