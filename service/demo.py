@@ -17,11 +17,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import yaml
+from pydantic import ValidationError
 
 from service.config import ServiceConfig, parse_config
 from service.encoding import decode_pose
 from service.errors import ConfigError, CorridorError, UsageError
 from service.geometry.se2 import SE2
+from service.mapper.profiles import MappingConfig, mapping_config
 from service.offline.warmup import warm_up
 from service.recording.mcap_reader import Recording
 from service.runtime.run import run
@@ -73,7 +75,7 @@ def demo(options: DemoOptions) -> dict[str, Any]:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"--out {options.out}: {error}") from error
-    warm_up()  # before the vehicle drives: the map shall begin where it stands
+    warm_up(_mapping(options))  # before the vehicle drives: the map shall begin where it stands
     truth = options.out / "truth.txt"
     with simulators(options, truth) as fakes:
         config = demo_config(fakes.endpoints, options, _zenoh_port())
@@ -89,6 +91,13 @@ def demo(options: DemoOptions) -> dict[str, Any]:
         "session": str(summary.sessions[-1]) if summary.sessions else None,
         "map": str(summary.map_folder) if summary.map_folder else None,
     }
+
+
+def _mapping(options: DemoOptions) -> MappingConfig:
+    try:
+        return mapping_config({"profile": options.profile} if options.profile else {})
+    except ValidationError as error:
+        raise ConfigError([f"--profile: {error.errors()[0]['msg'].removeprefix('Value error, ')}"]) from error
 
 
 @contextmanager

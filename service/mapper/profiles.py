@@ -8,6 +8,7 @@ import difflib
 import math
 from collections.abc import Iterable, Mapping
 from copy import copy
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from pydantic.fields import FieldInfo
 
 from drivers.frames import NO_INTENSITY, ImuSample, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
+from service.mapper.background import InlineWorker, NewWorker
 from service.mapper.methods import corridor
 from service.mapper.pipeline import Mapper
 from service.mapper.stages import BOXES, Box, Method, StageKind, Stages, Stopwatch, Surroundings
@@ -121,15 +123,28 @@ def mapping_config(section: Mapping[str, Any] | None = None) -> MappingConfig:
 
 
 def build_mapper(
-    config: MappingConfig, mountings: Mapping[str, SE2], stopwatch: Stopwatch | None = None
+    config: MappingConfig,
+    mountings: Mapping[str, SE2],
+    stopwatch: Stopwatch | None = None,
+    new_worker: NewWorker = InlineWorker,
 ) -> Mapper[Any]:
-    """A mapper that has seen nothing yet. mountings: pose_base_sensor of each laser, by its name."""
+    """A mapper that has seen nothing yet.
+
+    mountings    pose_base_sensor of each laser, by its name
+    new_worker   where the graph's back end does its work
+    """
     if config.settings is None:
         config = mapping_config(config.model_dump(exclude={"settings"}))
-    around = Surroundings(config.cell_m, mountings)
     chosen = chosen_stages(config.profile, config.stages)
-    built = {box: chosen[box].build(getattr(config.settings, box, None), around) for box in BOXES}
-    return Mapper(Stages(**built), stopwatch)
+
+    def build(box: Box, around: Surroundings) -> Any:
+        return chosen[box].build(getattr(config.settings, box, None), around)
+
+    around = Surroundings(config.cell_m, mountings, new_worker=new_worker)
+    free_space = build("free_space", around)
+    around = replace(around, painter=free_space.painter)
+    built = {box: build(box, around) for box in BOXES if box != "free_space"}
+    return Mapper(Stages(free_space=free_space, **built), stopwatch)
 
 
 def _with_defaults(config: type[BaseModel], defaults: Mapping[str, Any]) -> type[BaseModel]:
@@ -164,13 +179,14 @@ def _choose(name: str, known: Iterable[str]) -> str:
     return f"known here: {', '.join(known)}"
 
 
-def warm_up() -> None:
-    """Compile every kernel of every profile, or load it from the cache: seconds, or a fifth of one.
+def warm_up(config: MappingConfig | None = None) -> None:
+    """Compile the kernels that a config needs (None: those of every profile), or load them from the cache.
 
-    Drives each mapper a little way through a made-up room, so that kernels meet the very types of a real run.
+    Seconds a profile, or a fifth of one. Drives each mapper a little way through a made-up room, so that
+    kernels meet the very types of a real run.
     """
-    for profile in METHODS:
-        mapper = build_mapper(mapping_config({"profile": profile}), {"laser": SE2()})
+    for wanted in [mapping_config({"profile": name}) for name in METHODS] if config is None else [config]:
+        mapper = build_mapper(wanted, {"laser": SE2()})
         for k in range(4):
             stamp_ns = k * 100_000_000
             x_m = 0.4 * k

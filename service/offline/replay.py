@@ -20,9 +20,11 @@ from service.encoding import LASER_SCAN, pose_on_wire
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import ConfigError, InputError, StorageError
 from service.geometry.se2 import SE2
+from service.mapper.corrections import corrected
 from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
 from service.mapper.profiles import warm_up as warm_up_kernels
-from service.mapper.steering import Control, SteeredMapper
+from service.mapper.stages import WishError
+from service.mapper.steering import TAKE_IN_AFTER_SCANS, Control, SteeredMapper, TakeIn, Wish
 from service.mapstore.picture import picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
@@ -69,8 +71,10 @@ class StageTimes:
 class Replay:
     """What came out of one recording."""
 
-    outputs: list[MapperOutput]
+    outputs: list[MapperOutput]  # as they would have been published
+    poses_map_base: list[SE2]  # of each output, by all that was known in the end
     tiles: list[TileUpdate]  # of the map at the end; after a reset, of the newest
+    g2o: str  # its graph; "" where the profile has none
     summary: dict[str, Any]
     notes: list[str] = field(default_factory=list)
 
@@ -129,14 +133,31 @@ def replay(
     session = open_session(paths)
     for note in session.notes:
         log.info("%s", note)
-    mapping, poses_base_sensor, laser = _setup(session, options)
+    mapping, poses_base_sensor, laser, as_live = _setup(session, options)
     log.info("mapping the scans of %s", laser)
     warm_up_encoding()
-    warm_up_kernels()
+    warm_up_kernels(mapping)
     stages, scan_ns, states = StageTimes(), [], Counter[str]()
-    mapper = SteeredMapper(lambda: build_mapper(mapping, poses_base_sensor, stages), laser)
+    mapper = SteeredMapper(
+        lambda: build_mapper(mapping, poses_base_sensor, stages),
+        laser,
+        take_in_after=None if as_live else TAKE_IN_AFTER_SCANS,
+    )
     tiles: list[TileUpdate] = []
     outputs: list[MapperOutput] = []
+    poses: list[SE2] = []  # of the outputs of maps that are finished
+    g2o = ""
+
+    def finish_map() -> None:
+        """Of a map without a scan there is nothing to show: then that before it stands."""
+        nonlocal tiles, g2o
+        new = outputs[len(poses) :]
+        if not new:
+            return
+        finished = mapper.finish()
+        poses.extend(corrected(new, finished.corrections))
+        tiles, g2o = mapper.changed_tiles(), finished.g2o
+
     recording = session.recording
     span_ns = max(recording.last_log_ns - recording.first_log_ns, 1)
     pace = _Pace(options.rate)
@@ -145,8 +166,15 @@ def replay(
         pace.wait_for(step.arrived_ns)
         if isinstance(step, Control):
             if step.steering == "reset_map":
-                tiles = mapper.changed_tiles() or tiles
+                finish_map()
             mapper.steer(step.steering)
+            continue
+        if isinstance(step, TakeIn):
+            if as_live:
+                mapper.take_in()
+            continue
+        if isinstance(step, Wish):
+            _wish(mapper, step)
             continue
         before_ns = time.perf_counter_ns()
         output = mapper.process(step)
@@ -155,7 +183,8 @@ def replay(
             states[output.state] += 1
             outputs.append(output)
             progress((step.arrived_ns - recording.first_log_ns) / span_ns)
-    tiles = mapper.changed_tiles() or tiles  # of a map that a reset left empty there is nothing to show
+    finish_map()
+    mapper.close()
     wall_s = time.monotonic() - began_s
     if not outputs:
         raise InputError(f"{paths[0]}: not one scan could be mapped ({dict(session.counters)})")
@@ -180,19 +209,24 @@ def replay(
         "map_resets": mapper.counters["map_resets"],
         "state": {state: states[state] for state in STATES},
     }
-    return Replay(outputs, tiles, summary, session.notes)
+    return Replay(outputs, poses, tiles, g2o, summary, session.notes)
 
 
 def write_replay(done: Replay, out: Path) -> None:
-    """trajectory.tum, trajectory_live.tum, map.pgm + map.yaml, map.png, summary.json. Raises StorageError.
+    """trajectory.tum, trajectory_live.tum, map.pgm + map.yaml, map.png, graph.g2o, summary.json.
+
+    There is no graph.g2o where the profile has no graph. Raises StorageError.
 
     Poses are written as a subscriber or an export of the live session has them, to the last digit.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
-        live = [(output.stamp_ns, pose_on_wire(output.pose_map_base)) for output in done.outputs]
-        write_tum(out / "trajectory_live.tum", live)
-        write_tum(out / "trajectory.tum", live)  # nothing corrects a pose afterwards until there is a graph
+        stamps = [output.stamp_ns for output in done.outputs]
+        live = [pose_on_wire(output.pose_map_base) for output in done.outputs]
+        write_tum(out / "trajectory_live.tum", zip(stamps, live, strict=True))
+        write_tum(out / "trajectory.tum", zip(stamps, map(pose_on_wire, done.poses_map_base), strict=True))
+        if done.g2o:
+            (out / "graph.g2o").write_text(done.g2o, encoding="ascii")
         picture = picture_of_tiles(done.tiles)
         write_ros_map(out / "map.pgm", out / "map.yaml", picture)
         write_png(out / "map.png", picture)
@@ -218,28 +252,36 @@ class _Pace:
             time.sleep(ahead_s)
 
 
-def _setup(session: Session, options: ReplayOptions) -> tuple[MappingConfig, Mapping[str, SE2], str]:
-    """How to map, where the lasers sit, and which of them is mapped.
+def _wish(mapper: SteeredMapper, wish: Wish) -> None:
+    try:
+        mapper.wish(wish.name, wish.payload)
+    except WishError as error:
+        log.info("%s", error)
+
+
+def _setup(session: Session, options: ReplayOptions) -> tuple[MappingConfig, Mapping[str, SE2], str, bool]:
+    """How to map, where the lasers sit, which of them is mapped, and whether all is as it was live.
 
     By --config, else by the recording's own config, else defaults.
     """
-    config: ServiceConfig | None = None
-    recorded = session.metadata.get("config", {}).get("yaml")
+    config = recorded = None
+    if (text := session.metadata.get("config", {}).get("yaml")) is not None:
+        try:
+            config = recorded = parse_config(text, "recorded config")
+        except ConfigError as error:
+            if options.config is None:
+                raise ConfigError(
+                    [*error.faults, "the recorded config is of another version; give one by --config"]
+                ) from error
     if options.config is not None:
         config = load_config(options.config)
-    elif recorded is not None:
-        try:
-            config = parse_config(recorded, "recorded config")
-        except ConfigError as error:
-            raise ConfigError(
-                [*error.faults, "the recorded config is of another version; give one by --config"]
-            ) from error
     mapping = config.mapping if config is not None else mapping_config()
     if options.profile is not None and options.profile != mapping.profile:
         mapping = _with_profile(options.profile, mapping)
     configured = mountings(config.sensors) if config is not None else {}
     poses = {name: configured.get(name, pose) for name, pose in session.mountings.items()}
-    return mapping, poses, _laser(session, config)
+    as_live = recorded is not None and mapping == recorded.mapping
+    return mapping, poses, _laser(session, config), as_live
 
 
 def _laser(session: Session, config: ServiceConfig | None) -> str:
@@ -261,7 +303,7 @@ def _with_profile(profile: str, mapping: MappingConfig) -> MappingConfig:
     try:
         return mapping_config(settings)
     except ValidationError as error:
-        raise ConfigError([f"--profile {profile}: {error.errors()[0]['msg']}"]) from error
+        raise ConfigError([f"--profile: {error.errors()[0]['msg'].removeprefix('Value error, ')}"]) from error
 
 
 def _replay_to(

@@ -5,14 +5,15 @@ import time
 
 from service.encoding import warm_up as warm_up_encoding
 from service.kernel_cache import KERNELS
+from service.mapper.profiles import MappingConfig
 from service.mapper.profiles import warm_up as warm_up_kernels
 
 
-def warm_up() -> dict[str, float | str]:
-    """Run every kernel once. How long it took, and where the machine code is kept."""
+def warm_up(config: MappingConfig | None = None) -> dict[str, float | str]:
+    """Run every kernel once, or those that a config needs. How long it took, and where the code is kept."""
     began_s = time.monotonic()
     warm_up_encoding()
-    warm_up_kernels()
+    warm_up_kernels(config)
     return {
         "seconds": round(time.monotonic() - began_s, 3),
         "cache": os.environ.get("NUMBA_CACHE_DIR") or str(KERNELS / "__pycache__"),

@@ -26,7 +26,7 @@ from service.config import ServiceConfig, mapped_laser, mountings
 from service.encoding import encode_event, encode_raw, encode_tf_static
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import CorridorError, StorageError
-from service.mapper.profiles import build_mapper
+from service.mapper.profiles import MappingConfig, build_mapper
 from service.mapper.profiles import warm_up as warm_up_kernels
 from service.mapper.steering import SteeredMapper
 from service.mapstore.tiles import TileStore
@@ -50,6 +50,7 @@ log = logging.getLogger(__name__)
 HEALTH_INTERVAL_NS = 1_000_000_000
 WARM_UP_ASK_S = 5.0  # how often systemd hears that kernels are still being compiled
 WARM_UP_MORE_S = 60.0  # and how long it may take from then on
+WARM_UP_TELL_S = 2.0  # how often the log says that it goes on
 READER_STOP_S = 5.0  # a connect to a silent host takes 3 s
 MAPPING_STOP_S = KEEPER_STOP_S = 20.0
 READER_PRIORITY = 20  # SCHED_FIFO, where LimitRTPRIO= allows it
@@ -246,14 +247,17 @@ class Service:
         """Compile the kernels or load them, in a thread, so that systemd can be told that it goes on."""
         self._notifier.status("compiling kernels")
         self._notifier.need_more_time(WARM_UP_MORE_S)
-        began_s = asked_s = time.monotonic()
-        worker = self._workers.start("warm-up", _warm_up)
+        began_s = asked_s = told_s = time.monotonic()
+        worker = self._workers.start("warm-up", partial(_warm_up, self._config.mapping))
         while worker.is_alive():
             if cancelled():
                 return False
             if time.monotonic() - asked_s >= WARM_UP_ASK_S:
                 asked_s = time.monotonic()
                 self._notifier.need_more_time(WARM_UP_MORE_S)
+            if time.monotonic() - told_s >= WARM_UP_TELL_S:
+                told_s = time.monotonic()
+                log.info("compiling kernels since %.0f s; later starts find them", told_s - began_s)
             worker.join(0.1)
         if self.failure:
             raise CorridorError(f"the kernels do not compile: {self.failure}")
@@ -360,9 +364,9 @@ class Service:
         self._workers.fail(name, error)
 
 
-def _warm_up() -> None:
+def _warm_up(config: MappingConfig) -> None:
     warm_up_encoding()
-    warm_up_kernels()
+    warm_up_kernels(config)
 
 
 def _take_priority() -> None:

@@ -240,7 +240,7 @@ def test_a_recorded_config_that_cannot_be_read_asks_for_one(record_drive: Record
 
 
 def test_an_unknown_profile_is_a_config_error(record_drive: RecordDrive):
-    with pytest.raises(ConfigError, match="--profile fast"):
+    with pytest.raises(ConfigError, match="--profile: fast is no profile"):
         replay([record_drive()], ReplayOptions(profile="fast"))
 
 

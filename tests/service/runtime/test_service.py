@@ -1,5 +1,6 @@
 """The service in this process: what ends it, and what it leaves behind. Its devices answer nothing."""
 
+import logging
 import socket
 import threading
 import time
@@ -111,7 +112,7 @@ def test_the_watchdog_starves_when_the_mapping_thread_hangs(
         release.wait(30.0)
 
     monkeypatch.setattr(Mapper, "process", hang)
-    monkeypatch.setattr(service_module, "warm_up_kernels", lambda: None)
+    monkeypatch.setattr(service_module, "warm_up_kernels", lambda config: None)
     notifier = Words(watchdog_s=0.25)
     service = open_service(notifier=notifier)
     service.start()
@@ -134,7 +135,7 @@ def test_a_mapper_that_fails_brings_the_service_down_with_its_recording_finished
         raise IndexError("no such tile")
 
     monkeypatch.setattr(Mapper, "process", fail)
-    monkeypatch.setattr(service_module, "warm_up_kernels", lambda: None)
+    monkeypatch.setattr(service_module, "warm_up_kernels", lambda config: None)
     service = open_service(on_failure=told.set)
     service.start()
     service.frame_sink(scan(1, time.monotonic_ns(), [1.0, 2.0, 3.0]))
@@ -164,7 +165,7 @@ def test_a_thread_nobody_watches_brings_the_service_down_too(
 def test_kernels_that_do_not_compile_stop_the_start(
     open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch
 ):
-    def broken() -> None:
+    def broken(config: object) -> None:
         raise TypeError("cannot lower")
 
     monkeypatch.setattr(service_module, "warm_up_kernels", broken)
@@ -174,9 +175,29 @@ def test_kernels_that_do_not_compile_stop_the_start(
     assert service.stop().sessions == []
 
 
+def test_a_start_that_compiles_says_that_it_goes_on(
+    open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    compiled = threading.Event()
+    monkeypatch.setattr(service_module, "warm_up_kernels", lambda config: compiled.wait(30.0))
+    monkeypatch.setattr(service_module, "WARM_UP_TELL_S", 0.0)
+
+    def finish(record: logging.LogRecord) -> bool:
+        if "compiling kernels since" in record.getMessage():
+            compiled.set()
+        return True
+
+    caplog.set_level(logging.INFO)
+    caplog.handler.addFilter(finish)
+    service = open_service()
+    assert service.start()
+    assert compiled.is_set()
+    service.stop()
+
+
 def test_a_start_can_be_called_off(open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch):
     release = threading.Event()
-    monkeypatch.setattr(service_module, "warm_up_kernels", lambda: release.wait(30.0))
+    monkeypatch.setattr(service_module, "warm_up_kernels", lambda config: release.wait(30.0))
     service = open_service()
     assert not service.start(cancelled=lambda: True)
     release.set()
