@@ -1,0 +1,203 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from service.kernels.likelihood_search import (
+    LikelihoodLayer,
+    MaxPyramid,
+    SearchWindow,
+    build_pyramid,
+    padding_cells,
+    score_window,
+    search_branch_and_bound,
+    search_exhaustive,
+    sub_cell_offset,
+    surface_moments,
+)
+from service.kernels.tiles import TileIndex
+
+CELL_M = 0.1
+
+
+def tiled(
+    field: np.ndarray, first_row: int, first_column: int, tile_cells: int, empty: float
+) -> LikelihoodLayer:
+    """A field whose cell [0, 0] is (first_row, first_column), in tiles; those all `empty` are left out."""
+    rows = (first_row // tile_cells, (first_row + field.shape[0] - 1) // tile_cells)
+    columns = (first_column // tile_cells, (first_column + field.shape[1] - 1) // tile_cells)
+    slots = np.full((rows[1] - rows[0] + 1, columns[1] - columns[0] + 1), -1, np.int32)
+    whole = np.full([n * tile_cells for n in slots.shape], empty, field.dtype)
+    r, c = first_row - rows[0] * tile_cells, first_column - columns[0] * tile_cells
+    whole[r : r + field.shape[0], c : c + field.shape[1]] = field
+    pool = []
+    for a, b in np.ndindex(*slots.shape):
+        tile = whole[a * tile_cells : (a + 1) * tile_cells, b * tile_cells : (b + 1) * tile_cells]
+        if (tile != empty).any():
+            slots[a, b] = len(pool)
+            pool.append(tile)
+    index = TileIndex(
+        slots, np.array([rows[0], columns[0]]), np.empty(len(pool), np.int32), np.zeros(2, np.int64)
+    )
+    return LikelihoodLayer(index, np.ascontiguousarray(pool), empty, 0.1, 0.005, CELL_M)
+
+
+def pyramid_of(
+    layer: LikelihoodLayer, shape: tuple[int, int], corner: tuple[int, int], count: int
+) -> MaxPyramid:
+    pad = padding_cells(count)
+    levels = np.empty((count, shape[0] + pad, shape[1] + pad), layer.cells.dtype)
+    return build_pyramid(layer, corner[0] - pad, corner[1] - pad, levels)
+
+
+def by_hand(
+    xy: np.ndarray, weights: np.ndarray, field: np.ndarray, corner: tuple[int, int], window: SearchWindow
+):
+    """Every candidate in plain loops, in the unit of the cells."""
+    sums = np.zeros((2 * window.half_theta + 1, 2 * window.half_y + 1, 2 * window.half_x + 1))
+    for k, j, i in np.ndindex(*sums.shape):
+        theta = window.pose[2] + (k - window.half_theta) * window.theta_step_rad
+        for (x, y), weight in zip(xy, weights, strict=True):
+            px = window.pose[0] + math.cos(theta) * x - math.sin(theta) * y
+            py = window.pose[1] + math.sin(theta) * x + math.cos(theta) * y
+            row = math.floor(py / CELL_M) + j - window.half_y - corner[0]
+            column = math.floor(px / CELL_M) + i - window.half_x - corner[1]
+            if 0 <= row < field.shape[0] and 0 <= column < field.shape[1]:
+                sums[k, j, i] += weight * field[row, column]
+    return sums
+
+
+def random_case(seed: int, dtype: type, sparse: bool = True):
+    noise = np.random.default_rng(seed)
+    corner = tuple(noise.integers(-40, 10, 2).tolist())
+    field = noise.integers(0, 180, (60, 70)) * (noise.random((60, 70)) < (0.05 if sparse else 1.0))
+    field = field.astype(dtype)
+    xy = noise.uniform(-2.5, 2.5, (40, 2))
+    weights = noise.choice([0.5, 1.0, 0.3], 40).astype(np.float32)
+    pose = np.array([*noise.uniform(-1.0, 2.0, 2), noise.uniform(-math.pi, math.pi)])
+    window = SearchWindow(pose, int(noise.integers(0, 12)), int(noise.integers(0, 12)), 4, 0.02)
+    return field, corner, tiled(field, *corner, 16, 0.0), xy, weights, window
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_every_candidate_is_scored_as_by_hand(dtype) -> None:
+    for seed in range(4):
+        field, corner, layer, xy, weights, window = random_case(seed, dtype)
+        sums = score_window(xy, weights, layer, window)
+        np.testing.assert_allclose(sums, by_hand(xy, weights, field, corner, window), rtol=1e-5, atol=1e-4)
+
+
+def test_the_best_candidate_has_the_largest_sum_and_its_pose_and_mean() -> None:
+    *_, layer, xy, weights, window = random_case(7, np.uint8)
+    best, sums = search_exhaustive(xy, weights, layer, window)
+    assert sums[best.k, best.j, best.i] == sums.max()
+    assert best.evaluated == sums.size
+    assert best.score == pytest.approx(0.1 + 0.005 * sums.max() / weights.sum(), rel=1e-5)
+    moved = [(best.i - window.half_x) * CELL_M, (best.j - window.half_y) * CELL_M, (best.k - 4) * 0.02]
+    np.testing.assert_allclose(best.pose, window.pose + moved)
+
+
+# C8
+@settings(max_examples=150, deadline=None)
+@given(seed=st.integers(0, 10**6), levels=st.integers(1, 5), dtype=st.sampled_from([np.uint8, np.float32]))
+def test_branch_and_bound_finds_what_asking_every_candidate_finds(seed, levels, dtype) -> None:
+    sparse = seed % 3 > 0
+    field, corner, layer, xy, weights, window = random_case(seed, dtype, sparse)
+    expected, _ = search_exhaustive(xy, weights, layer, window)
+    pyramid = pyramid_of(layer, field.shape, corner, levels)
+    found = search_branch_and_bound(xy, weights, pyramid, window, -math.inf)
+    assert (found.k, found.j, found.i) == (expected.k, expected.j, expected.i)
+    assert found.score == expected.score
+
+
+@pytest.mark.parametrize("value", [0, 50])
+def test_among_equals_both_searches_take_the_one_nearest_the_centre(value: int) -> None:
+    field = np.full((60, 70), value, np.uint8)
+    layer = tiled(field, -30, -35, 16, float(255 if value == 0 else 0))
+    window = SearchWindow(np.zeros(3), 5, 6, 3, 0.02)
+    xy, weights = np.random.default_rng(1).uniform(-1.0, 1.0, (30, 2)), np.ones(30, np.float32)
+    flat, _ = search_exhaustive(xy, weights, layer, window)
+    bounded = search_branch_and_bound(
+        xy, weights, pyramid_of(layer, field.shape, (-30, -35), 3), window, -9.0
+    )
+    assert (flat.k, flat.j, flat.i) == (bounded.k, bounded.j, bounded.i) == (3, 6, 5)
+
+
+def test_four_equal_peaks_are_settled_the_same_way_by_both() -> None:
+    field = np.zeros((60, 70), np.uint8)
+    for row, column in ((28, 35), (32, 35), (30, 33), (30, 37)):
+        field[row, column] = 200
+    layer = tiled(field, -30, -35, 16, 0.0)
+    window = SearchWindow(np.array([0.05, 0.05, 0.0]), 5, 5, 2, 0.3)
+    xy, weights = np.zeros((1, 2)), np.ones(1, np.float32)
+    flat, _ = search_exhaustive(xy, weights, layer, window)
+    bounded = search_branch_and_bound(
+        xy, weights, pyramid_of(layer, field.shape, (-30, -35), 4), window, -9.0
+    )
+    assert (flat.k, flat.j, flat.i) == (bounded.k, bounded.j, bounded.i) == (2, 3, 5)
+
+
+def test_nothing_is_found_where_nothing_reaches_the_least_score() -> None:
+    field, corner, layer, xy, weights, window = random_case(3, np.uint8)
+    best, _ = search_exhaustive(xy, weights, layer, window)
+    pyramid = pyramid_of(layer, field.shape, corner, 4)
+    below = search_branch_and_bound(xy, weights, pyramid, window, best.score - 1e-4)
+    above = search_branch_and_bound(xy, weights, pyramid, window, best.score + 1e-4)
+    assert (below.k, below.j, below.i) == (best.k, best.j, best.i)
+    assert above.score == -math.inf
+    np.testing.assert_array_equal(above.pose, window.pose)
+
+
+def test_a_level_holds_the_maximum_over_its_block() -> None:
+    field, corner, layer, *_ = random_case(5, np.uint8)
+    pyramid = pyramid_of(layer, field.shape, corner, 4)
+    padded = np.zeros((pyramid.levels.shape[1] + 8, pyramid.levels.shape[2] + 8), np.uint8)
+    padded[: pyramid.levels.shape[1], : pyramid.levels.shape[2]] = pyramid.levels[0]
+    np.testing.assert_array_equal(pyramid.levels[0][7:, 7:], field)
+    for level in range(4):
+        blocks = np.lib.stride_tricks.sliding_window_view(padded, (1 << level, 1 << level)).max(axis=(2, 3))
+        expected = blocks[: pyramid.levels.shape[1], : pyramid.levels.shape[2]]
+        np.testing.assert_array_equal(pyramid.levels[level], expected)
+
+
+def test_branch_and_bound_asks_few_of_the_candidates_of_a_large_window() -> None:
+    """A room of 24 x 16 m seen from a place 4 m and 40 deg off."""
+    field = np.zeros((240, 320), np.uint8)
+    for line in (
+        np.s_[40, 20:260],
+        np.s_[200, 20:260],
+        np.s_[40:200, 20],
+        np.s_[40:200, 260],
+        np.s_[40:90, 150],
+    ):
+        field[line] = 200
+    layer = tiled(field, -120, -160, 32, 0.0)
+    row, column = np.nonzero(field)
+    xy_map = np.stack([column - 160 + 0.5, row - 120 + 0.5], axis=1)[::4] * CELL_M
+    truth = np.array([1.0, -2.0, 0.7])
+    c, s = math.cos(truth[2]), math.sin(truth[2])
+    xy = (xy_map - truth[:2]) @ np.array([[c, -s], [s, c]])
+    window = SearchWindow(np.array([-2.0, 1.0, 0.0]), 60, 60, 80, 0.01)
+    pyramid = pyramid_of(layer, field.shape, (-120, -160), 6)
+    found = search_branch_and_bound(xy, np.ones(len(xy), np.float32), pyramid, window, 0.6)
+    assert np.abs(found.pose - truth).max() < 0.15
+    assert found.evaluated < 0.02 * 121 * 121 * 161
+
+
+def test_a_parabola_finds_its_own_top_and_a_border_has_none() -> None:
+    k, j, i = np.mgrid[:5, :5, :5].astype(float)
+    sums = (-((i - 2.3) ** 2) - 2.0 * (j - 1.8) ** 2 - 0.5 * (k - 2.45) ** 2).astype(np.float32)
+    np.testing.assert_allclose(sub_cell_offset(sums, 2, 2, 2), [0.3, -0.2, 0.45], atol=1e-5)
+    np.testing.assert_array_equal(sub_cell_offset(sums, 0, 0, 4), [0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(sub_cell_offset(np.zeros((3, 3, 3), np.float32), 1, 1, 1), np.zeros(3))
+
+
+def test_moments_of_a_gaussian_surface_are_its_own() -> None:
+    covariance = np.array([[2.0, 0.5, 0.1], [0.5, 1.0, -0.2], [0.1, -0.2, 1.5]])
+    grid = np.stack(np.mgrid[-9:10, -9:10, -9:10], axis=-1)[..., ::-1] - np.array([0.4, 0.2, -0.3])
+    sums = -0.5 * np.einsum("...a,ab,...b", grid, np.linalg.inv(covariance), grid).astype(np.float32)
+    mean, moments = surface_moments(3.0 * sums, float(3.0 * sums.max()), 3.0)
+    np.testing.assert_allclose(mean, [9.4, 9.2, 8.7], atol=1e-3)
+    np.testing.assert_allclose(moments, covariance, atol=1e-3)
