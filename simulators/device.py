@@ -1,10 +1,23 @@
 """The seam between a fake device and the wire that carries it. No I/O."""
 
+import math
+from collections import Counter
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
+
+CATCH_UP_NS = 1_000_000_000  # so far behind its time a device still sends every turn
+TURNS_SKIPPED = "turns_skipped"  # name of the counter of those it left out beyond that
+
+
+def turns_to_skip(behind_ns: int, period_ns: float, keep_ns: int = CATCH_UP_NS) -> int:
+    """How many turns a device leaves out whose next one is behind_ns over its time, so that no more than
+    keep_ns are left to make good. A real device is never late, but the process of a fake one may get no
+    processor for a while: what was measured then is sent late, with its right device time.
+    """
+    return max(0, math.ceil((behind_ns - keep_ns) / period_ns))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +59,13 @@ class Restartable(Protocol):
     def restart(self, now_ns: int) -> None:
         """Power comes back: connection, unsaved settings, counters and clock start over."""
         ...
+
+
+@runtime_checkable
+class CountsTurns(Protocol):
+    """A device that measures by turns, and counts those it had to skip as TURNS_SKIPPED."""
+
+    counters: Counter[str]
 
 
 @runtime_checkable

@@ -28,11 +28,10 @@ from drivers.hokuyo_utm30lx.protocol import (
     encode_reply,
 )
 from drivers.hokuyo_utm30lx.scans import ScanRequest, read_request, write_scan
-from simulators.device import SweepSource
+from simulators.device import TURNS_SKIPPED, SweepSource, turns_to_skip
 from simulators.hokuyo_optics import Optics
 
 LEAVES_AFTER_SWEEP_NS = 300_000
-BUFFERED_SCANS = 4  # what waits for a host that is slow; beyond that it goes on with the newest
 REBOOT_WINDOW_NS = 1_000_000_000  # the second RB must come within
 TOO_SHORT, TOO_LONG = {"usb": "0C", "ethernet": "0H"}, {"usb": "0G", "ethernet": "0D"}
 STRING_TOO_LONG, NOT_SUPPORTED, ALREADY, INCOMPATIBLE, NOT_ADJUSTING = "0G", "0F", "02", "04", "04"
@@ -192,13 +191,18 @@ class FakeUtm30lx:
             self._stopped_with = ""
             self._next_turn = self._turn_after(now_ns)
             return encode_reply(self._stream_echo, RESUMED)
+        turns = 1 + request.skip
+        behind_ns = now_ns - self._leaves_ns(self._next_turn, request)
+        skipped = turns_to_skip(behind_ns, turns * self._turn_ns())
+        if skipped:
+            self.counters[TURNS_SKIPPED] += skipped
+            self._next_turn += skipped * turns
         remaining = max(request.count - 1, 0)
         text = replace(request, count=remaining).text
         echo = text + self._stream_echo[len(text) :]
         self._measured_turn = self._measured_turn if self.stalled else self._next_turn
         message = self._scan_message(request, echo, self._measured_turn, "99")
-        late = (now_ns - self._leaves_ns(self._next_turn, request)) // round(self._turn_ns())
-        self._next_turn += 1 + max(request.skip, late if late > BUFFERED_SCANS else 0)
+        self._next_turn += turns
         self.counters["scans_sent"] += 1
         if request.count:
             self._stream = replace(request, count=remaining)

@@ -38,11 +38,10 @@ from drivers.ibeo_lux.messages import (
     write_scan,
 )
 from drivers.ibeo_lux.protocol import NTP_MODULUS, DataType, Decoder, Message, encode
-from simulators.device import SweepSource
+from simulators.device import TURNS_SKIPPED, SweepSource, turns_to_skip
 
 DEVICE_ID = 7
 LEAVES_AFTER_SWEEP_NS = 2_000_000
-BUFFERED_SCANS = 5  # what the device keeps for a slow network; older ones are left out
 FAULT_PERIOD_NS = 1_000_000_000
 COMPENSATIONS = 0x0300  # set in every status of a real unit
 LOWER_PAIR_LAST_TICKS = -1600  # layers 0 and 1 from 50 to -50 deg, as recorded
@@ -252,10 +251,10 @@ class FakeIbeoLux:
         self._turning_since_ns, self._next_scan = since_ns, 0
 
     def _next_message(self, now_ns: int) -> bytes:
-        left_out = self._scans_complete(now_ns) - 1 - BUFFERED_SCANS - self._next_scan
-        if left_out > 0:
-            self.counters["scans_left_out"] += left_out
-            self._next_scan += left_out
+        skipped = turns_to_skip(now_ns - self._leaves_ns(self._next_scan), self._period_ns())
+        if skipped:
+            self.counters[TURNS_SKIPPED] += skipped
+            self._next_scan += skipped
         index = self._next_scan
         self._next_scan += 1
         start, end = self._angles_ticks()

@@ -5,6 +5,7 @@ shows it (packets 39 to 42) but move nothing: the vehicle's way comes from the w
 """
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from typing import Literal
 
@@ -23,7 +24,7 @@ from drivers.irobot_create.protocol import (
     encode_values,
     members,
 )
-from simulators.device import WheelSource
+from simulators.device import CATCH_UP_NS, TURNS_SKIPPED, WheelSource, turns_to_skip
 
 SLEEP_AFTER_NS = 300_000_000_000
 TEXT_EVERY_NS = 120_000_000_000
@@ -31,7 +32,6 @@ BANNER_AFTER_NS = 500_000_000
 SPEED_SPAN_NS = 50_000_000  # over which the wheels' own speed is taken where nobody drives by wire
 CREATE2_DEGREES = 0.324056  # what firmware before 3.4.1 reports for one true degree in packet 20
 REQUESTED_IDS = {39, 40, 41, 42}
-MAX_OWED_FRAMES = 64  # a wire that was stalled longer finds the older ones lost
 
 FLASH_TEXT = b"    Flash CRC successful: 0x0 (0x0)\n\r"
 BANNER = (
@@ -83,6 +83,7 @@ class FakeCreate:
         wakes_on_connect: bool = False,
     ) -> None:
         preset = PRESETS[model]
+        self.counters: Counter[str] = Counter()
         self._wheels = wheels
         self._encoders = model != "create1"
         self._wheel_base_m = preset.wheel_base_m
@@ -112,7 +113,7 @@ class FakeCreate:
     def connected(self, now_ns: int) -> bytes:
         if self._wakes_on_connect:
             self.wake(now_ns)
-        self._catch_up(now_ns)
+        self._skip(now_ns, 0)  # frames that nobody was there to take are gone
         return b""
 
     def disconnected(self, now_ns: int) -> None:
@@ -170,7 +171,8 @@ class FakeCreate:
         if self._banner_at_ns is not None and now_ns >= self._banner_at_ns:
             self._banner_at_ns = None
             sent += BANNER
-        self._catch_up(now_ns)
+        if skipped := self._skip(now_ns, CATCH_UP_NS):
+            self.counters[TURNS_SKIPPED] += skipped
         while (due_ns := self._frame_due_ns()) is not None and now_ns >= due_ns:
             sent += self._next_frame(now_ns)
         if self._text_is_due(now_ns) and not self._text_waits_for_frame():
@@ -205,12 +207,13 @@ class FakeCreate:
         self._text_at_ns = now_ns + self._text_every_ns
         return FLASH_TEXT
 
-    def _catch_up(self, now_ns: int) -> None:
-        """Frames that nobody was there to take are gone."""
-        if self._frame_at_ns is not None:
-            owed = (now_ns - self._frame_at_ns) // FRAME_PERIOD_NS
-            if owed > MAX_OWED_FRAMES:
-                self._frame_at_ns += (owed - 1) * FRAME_PERIOD_NS
+    def _skip(self, now_ns: int, keep_ns: int) -> int:
+        """Leave out the frames older than that; how many."""
+        if self._frame_at_ns is None:
+            return 0
+        skipped = turns_to_skip(now_ns - self._frame_at_ns, FRAME_PERIOD_NS, keep_ns)
+        self._frame_at_ns += skipped * FRAME_PERIOD_NS
+        return skipped
 
     def _fall_asleep(self, now_ns: int) -> None:
         if self._sleep_after_ns is None or self.mode is not Mode.PASSIVE:

@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import time
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn, TextIO
@@ -101,8 +102,10 @@ def _run(options: argparse.Namespace) -> int:
     with open(options.truth or os.devnull, "w", encoding="ascii") as truth_file, vehicle:
         truth = TruthFile(ride, truth_file)
         _announce(vehicle, options.print_endpoints)
+        told: Counter[tuple[str, str]] = Counter()
         while signal.sigtimedwait(stopping, LOOK_S) is None:
             truth.write_until(time.monotonic_ns())
+            _tell_losses(vehicle, told)
             if vehicle.failed:
                 return FAILED
             if options.die_with_parent and os.getppid() != parent:
@@ -112,6 +115,16 @@ def _run(options: argparse.Namespace) -> int:
     for name, counters in vehicle.fault_counters().items():
         log.info("%s had %s", name, ", ".join(f"{count} {what}" for what, count in counters.items()))
     return DONE
+
+
+def _tell_losses(vehicle: FakeVehicle, told: Counter[tuple[str, str]]) -> None:
+    """Warn of what was lost on this side since it was told last: a measurement of a driver would blame it."""
+    for name, losses in vehicle.losses().items():
+        for what, count in losses.items():
+            if count > told[name, what]:
+                more = count - told[name, what]
+                log.warning("%s: %d more %s; is this machine overloaded?", name, more, what)
+                told[name, what] = count
 
 
 def _announce(vehicle: FakeVehicle, on_stdout: bool) -> None:

@@ -37,7 +37,7 @@ from drivers.sick_lms100.telegrams import (
     write_calendar,
     write_scan,
 )
-from simulators.device import SweepSource
+from simulators.device import TURNS_SKIPPED, SweepSource, turns_to_skip
 from simulators.sick_optics import lay_down
 
 FULL_RANGE = OutputRange(FULL_FIRST_E4DEG, FULL_LAST_E4DEG)
@@ -49,7 +49,6 @@ SENDING_JITTER_NS = 60_000
 SCAN_COUNTER_AT_START = 4
 FLAGGED_SCANS = 7
 CALENDAR_LAG_NS = 3_850_000_000  # the calendar starts this long after the microsecond counter
-BUFFERED_SCANS = 10  # what the device keeps for a slow network; older ones are left out
 PASSWORDS = {2: 0xB21ACE26, 3: 0xF4724744, 4: 0x81BE23AA}
 STATE_BOOTING, STATE_IDLE, STATE_SPINNING_UP, STATE_STANDBY, STATE_MEASURING = 1, 3, 4, 6, 7
 
@@ -170,11 +169,11 @@ class FakeLms100:
         due_ns = self.next_due_ns(now_ns)
         if due_ns is None or due_ns > now_ns:
             return b""
-        left_out = self._scans_complete(now_ns) - 1 - BUFFERED_SCANS - self._next_scan
-        if left_out > 0:
-            self.counters["scans_left_out"] += left_out
-            self._telegram_base -= left_out
-            self._next_scan += left_out
+        skipped = turns_to_skip(now_ns - due_ns, self._period_ns())
+        if skipped:
+            self.counters[TURNS_SKIPPED] += skipped
+            self._telegram_base -= skipped
+            self._next_scan += skipped
         scan = self._measure(self._next_scan)
         self._next_scan += 1
         self.counters["scans_sent"] += 1

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from drivers.irobot_create.config import PRESETS
 from drivers.xsens_mtig.protocol import CODE_OF_BAUD
 from service.geometry.se2 import SE2
-from simulators.device import FakeDevice, ManyClients
+from simulators.device import TURNS_SKIPPED, CountsTurns, FakeDevice, ManyClients
 from simulators.fault_file import Fault
 from simulators.faults import Faulty
 from simulators.hokuyo_utm30lx import FakeUtm30lx, Utm30lxSetup
@@ -32,7 +32,7 @@ from simulators.truth import (
     WheelTruth,
     seed_of,
 )
-from simulators.wire import PtyWire, TcpWire, serve_pty, serve_tcp
+from simulators.wire import DROPPED, PtyWire, TcpWire, serve_pty, serve_tcp
 from simulators.world import World
 from simulators.xsens_mtig import FakeMtiG, MtigSetup, Personality
 
@@ -275,6 +275,18 @@ class FakeVehicle:
         return {
             name: dict(device.counters) for name, device in self.devices.items() if isinstance(device, Faulty)
         }
+
+    def losses(self) -> dict[str, dict[str, int]]:
+        """What was lost on this side so far, by device: turns that this process came too late for, and
+        messages that the reader was too slow for."""
+        found = {}
+        for name, wire in self.wires.items():
+            device = wire.device.device if isinstance(wire.device, Faulty) else wire.device
+            skipped = device.counters[TURNS_SKIPPED] if isinstance(device, CountsTurns) else 0
+            dropped = wire.counters[DROPPED]
+            counts = {TURNS_SKIPPED: skipped, DROPPED: dropped}
+            found[name] = {what: count for what, count in counts.items() if count}
+        return found
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:

@@ -37,6 +37,7 @@ BACKLOG_BYTES = 256 * 1024  # unsent bytes beyond which a slow reader loses mess
 SEND_BUFFER_BYTES = 128 * 1024  # what the kernel may hide from us, TCP only
 MESSAGES_A_ROUND = 32  # due() calls before the wire looks at its clients again
 PTY_LOOK_NS = 10_000_000  # how often a pseudo terminal without a client is looked at
+DROPPED = "messages_dropped_slow_reader"  # name of a counter
 STOP_TIMEOUT_S = 5.0
 RESET_ON_CLOSE = struct.pack("ii", 1, 0)  # SO_LINGER on, 0 s: RST instead of FIN
 
@@ -59,7 +60,7 @@ class _Client:
         if not message:
             return
         if len(self.unsent) + len(message) > BACKLOG_BYTES:
-            self._counters["messages_dropped_slow_reader"] += 1
+            self._counters[DROPPED] += 1
             return
         self.unsent += message
         self.flush()

@@ -21,6 +21,7 @@ from drivers.xsens_mtig.protocol import (
     Mid,
     encode,
 )
+from simulators.device import CATCH_UP_NS, TURNS_SKIPPED, turns_to_skip
 from simulators.inertial import Inertial, InertialSource, Place
 from simulators.xsens_mtig_data import GNSS_OFF_NS, Sample, gnss_message, inertial_message, legacy_message
 from simulators.xsens_mtig_settings import DeviceSettings, Refusal
@@ -32,7 +33,6 @@ WAKE_UP_WINDOW_NS = 500_000_000
 GNSS_PERIOD_NS = 250_000_000
 FINE_TICK_NS = 100_000
 MAX_LAG_NS = 300_000_000  # of the line; what is later than that overflows the device's buffer
-MAX_OWED_SAMPLES = 200  # a wire that was stalled longer finds the older ones lost
 FILTER_SETTLES_NS = 600_000_000
 ANY_STATE = (
     Mid.GO_TO_CONFIG,
@@ -159,7 +159,8 @@ class FakeMtiG:
     def connected(self, now_ns: int) -> bytes:
         self._begin(now_ns)
         self._line.clear()  # what nobody was there to hear
-        self._catch_up(now_ns)
+        self._line_free_ns = min(self._line_free_ns, now_ns)
+        self._skip(now_ns, 0)
         return b""
 
     def disconnected(self, now_ns: int) -> None:
@@ -226,6 +227,10 @@ class FakeMtiG:
         """Of the messages, on the device's clock."""
         return self.settings.period_ns
 
+    @property
+    def _counts_a_message(self) -> int:
+        return self.settings.skip + 1 if self.setup.counts_skipped else 1
+
     def _sample_ready_ns(self) -> int | None:
         if not self.settings.sends_data:
             return None
@@ -246,20 +251,21 @@ class FakeMtiG:
     def _utc_ns(self, host_ns: int) -> int:
         return self.setup.utc_at_start_ns + host_ns
 
-    def _catch_up(self, now_ns: int) -> None:
-        """Samples that nobody was there to take are gone, but were counted."""
+    def _skip(self, now_ns: int, keep_ns: int) -> int:
+        """Leave out what is older than that; samples are counted on the wire all the same. How many."""
         if self.state != "measurement" or self._clock is None:
-            return
-        index = self._clock.device_ns(now_ns) // self._period_ns
-        if index - self._next_sample > MAX_OWED_SAMPLES:
-            self._count += index - self._next_sample
-            self._next_sample = index
-            self._next_fix_ns = self._whole_fix_ns(now_ns)
-            self._line_free_ns = min(self._line_free_ns, now_ns)
+            return 0
+        skipped = turns_to_skip(now_ns - self._host_ns(self._next_sample), self._period_ns, keep_ns)
+        self._count += skipped * self._counts_a_message
+        self._next_sample += skipped
+        if now_ns - self._next_fix_ns > keep_ns + GNSS_PERIOD_NS:
+            self._next_fix_ns = self._whole_fix_ns(now_ns - keep_ns)
+        return skipped
 
     def _measure(self, now_ns: int) -> None:
         """Put on the line what has become ready by now."""
-        self._catch_up(now_ns)
+        if skipped := self._skip(now_ns, CATCH_UP_NS):
+            self.counters[TURNS_SKIPPED] += skipped
         while self.state == "measurement":
             sample_ns, fix_ns = self._sample_ready_ns(), self._fix_ready_ns()
             ready_ns = min((t for t in (sample_ns, fix_ns) if t is not None), default=None)
@@ -273,8 +279,7 @@ class FakeMtiG:
 
     def _next_message(self) -> bytes:
         index = self._next_sample
-        step = self.settings.skip + 1 if self.setup.counts_skipped else 1
-        count, self._count = self._count, self._count + step
+        count, self._count = self._count, self._count + self._counts_a_message
         sample = self._sample(self._host_ns(index), count, self._felt(index))
         if self.settings.legacy:
             codec = LegacyCodec(Layout(self.settings.mode, self.settings.output_settings))

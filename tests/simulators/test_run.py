@@ -6,11 +6,19 @@ import socket
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+from simulators.device import TURNS_SKIPPED
+from simulators.run import _tell_losses
+from simulators.truth import Ride
+from simulators.vehicle import FakeVehicle, parse_devices
+from simulators.wire import DROPPED
+from simulators.worlds import build_world
 
 PATIENCE_S = 60.0  # kernels may have to be compiled
 COMMAND = (sys.executable, "-m", "simulators")
@@ -151,3 +159,22 @@ def test_faults_that_cannot_be_are_78_and_name_the_place(tmp_path: Path):
     assert ended.returncode == 78
     assert f"{faults}:2:6: faults.0.device: there is no device 'rear'" in ended.stderr
     assert "Traceback" not in ended.stderr
+
+
+def test_losses_of_this_side_are_told_once_each(caplog: pytest.LogCaptureFixture):
+    vehicle = FakeVehicle(parse_devices([]), Ride(build_world("ring"), 0, 0.0), seed=1)
+    told: Counter[tuple[str, str]] = Counter()
+    with caplog.at_level("WARNING"):
+        _tell_losses(vehicle, told)
+        assert caplog.messages == []
+        vehicle.devices["base"].counters[TURNS_SKIPPED] += 7  # type: ignore[union-attr]
+        vehicle.wires["front"].counters[DROPPED] += 2
+        _tell_losses(vehicle, told)
+        vehicle.devices["base"].counters[TURNS_SKIPPED] += 3  # type: ignore[union-attr]
+        _tell_losses(vehicle, told)
+        _tell_losses(vehicle, told)
+    assert [message.partition(";")[0] for message in caplog.messages] == [
+        "front: 2 more messages_dropped_slow_reader",
+        "base: 7 more turns_skipped",
+        "base: 3 more turns_skipped",
+    ]

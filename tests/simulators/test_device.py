@@ -1,0 +1,62 @@
+"""What every fake device does when its process got no processor for a while."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.frames import GnssFix
+from simulators.device import CATCH_UP_NS, TURNS_SKIPPED, turns_to_skip
+from tests.drivers.faulty_devices import BENCHES
+from tests.drivers.virtual_time import SECOND_NS, Talk
+
+BY_TURNS = [name for name in BENCHES if name != "create1"]  # that one speaks when it is asked
+
+
+@pytest.mark.parametrize(
+    ("behind_ns", "skipped"),
+    [(-5, 0), (0, 0), (CATCH_UP_NS, 0), (CATCH_UP_NS + 1, 1), (CATCH_UP_NS + 25_000_001, 2)],
+)
+def test_turns_are_skipped_beyond_a_second_alone(behind_ns: int, skipped: int):
+    assert turns_to_skip(behind_ns, 25e6) == skipped
+    assert turns_to_skip(behind_ns + CATCH_UP_NS, 25e6, 2 * CATCH_UP_NS) == skipped
+
+
+def _streaming(name: str) -> Talk:
+    bench = BENCHES[name]
+    talk = Talk(None, bench.device())  # type: ignore[arg-type]
+    talk.session = bench.sessions(lambda: talk.now_ns)()
+    return talk.connect().run(4.0)
+
+
+def _missed(talk: Talk) -> int:
+    """By the driver's own counting: what each kind of stream calls its loss."""
+    counters = talk.session.counters
+    return sum(counters[name] for name in ("scans_missed", "samples_missed", "frames_missed"))
+
+
+@pytest.mark.parametrize("name", BY_TURNS)
+def test_a_starved_device_sends_every_turn_late_with_its_right_time(name: str):
+    talk = _streaming(name)
+    device: Any = talk.device
+    for _ in range(2):
+        talk.now_ns += round(0.9 * SECOND_NS)
+        talk.run(1.1)
+    assert device.counters[TURNS_SKIPPED] == 0
+    assert _missed(talk) == 0
+    stamps_s = np.array([f.stamp_ns for f in talk.frames if not isinstance(f, GnssFix)]) / 1e9
+    period_s = 1.0 / BENCHES[name].rate_hz
+    assert np.diff(stamps_s) == pytest.approx(period_s, abs=0.2 * period_s)
+    assert talk.now_ns / 1e9 - stamps_s[-1] < 2 * period_s + 0.05
+
+
+@pytest.mark.parametrize("name", BY_TURNS)
+def test_a_device_starved_for_longer_skips_turns_and_its_driver_counts_as_many(name: str):
+    talk = _streaming(name)
+    device: Any = talk.device
+    talk.now_ns += 2 * SECOND_NS
+    talk.run(2.0)
+    rate_hz = BENCHES[name].rate_hz
+    assert device.counters[TURNS_SKIPPED] == pytest.approx(rate_hz, abs=0.05 * rate_hz + 1)
+    if name != "create2":  # its frames carry neither number nor time: lost and held back look the same
+        assert _missed(talk) == device.counters[TURNS_SKIPPED]
