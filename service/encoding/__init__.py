@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.frames import NO_INTENSITY, GnssFix, ImuSample, LaserScan
 from drivers.link import RawChunk
-from service.encoding.controls import decode_control
+from service.encoding.controls import TAKE_IN, decode_control
 from service.encoding.frames import decode_frame, encode_frame, frame_id
 from service.encoding.outputs import (
     Pose,
@@ -68,6 +68,7 @@ __all__ = [
     "ODOMETRY",
     "ODOM_FRAME",
     "STRING",
+    "TAKE_IN",
     "TF",
     "LogClock",
     "Message",

@@ -1,17 +1,18 @@
-"""Wishes to the mapper, as they stand among the events of a recording."""
+"""What is done to the mapper between two frames, as it stands among the events of a recording."""
 
 import json
 from typing import get_args
 
 from service.encoding.outputs import decode_event
 from service.errors import InputError
-from service.mapper.steering import Control, Steering
+from service.mapper.steering import WISHES, Control, Steering, Step, TakeIn, Wish
 
 STEERINGS: tuple[Steering, ...] = get_args(Steering)
+TAKE_IN = "take_in"
 
 
-def decode_control(payload: bytes, log_ns: int) -> Control | None:
-    """The wish in a message of channel "events"; None where it tells of something else.
+def decode_control(payload: bytes, log_ns: int) -> Step | None:
+    """The step in a message of channel "events"; None where it tells of something else.
 
     Raises InputError on bytes that are no such message.
     """
@@ -21,4 +22,10 @@ def decode_control(payload: bytes, log_ns: int) -> Control | None:
     except (ValueError, RecursionError) as error:
         raise InputError(f"an event that is no JSON: {text[:80]!r}") from error
     what = event.get("event") if isinstance(event, dict) else None
-    return Control(what, log_ns) if what in STEERINGS else None
+    if what in STEERINGS:
+        return Control(what, log_ns)
+    if what == TAKE_IN:
+        return TakeIn(log_ns)
+    if what in WISHES:
+        return Wish(what, {key: event[key] for key in event if key not in ("event", "id")}, log_ns)
+    return None

@@ -154,3 +154,33 @@ def to_per_cent(evidence, per_step, cells):
                 cells[row, column] = shown
                 differs = True
     return differs
+
+
+@njit(cache=True, nogil=True)
+def lay_tiles(tile_row, tile_column, laid, grid):
+    """Put other tiles in the place of all that a map holds; those that it holds besides become unknown.
+
+    tile_row, tile_column   (T,)        int64
+    laid                    (T, W, W)   int8            evidence
+    grid                    OccupancyGrid               in and out; its tiles' index covers them
+    """
+    slots = grid.tiles.slots
+    kept = np.zeros(slots.shape, np.uint8)
+    for k in range(tile_row.shape[0]):
+        slot = touch_tile(grid, tile_row[k], tile_column[k])
+        kept[tile_row[k] - grid.tiles.origin[0], tile_column[k] - grid.tiles.origin[1]] = 1
+        for row in range(TILE_CELLS):
+            for column in range(TILE_CELLS):
+                if grid.evidence[slot, row, column] != laid[k, row, column]:
+                    grid.evidence[slot, row, column] = laid[k, row, column]
+                    grid.changed[slot] = np.uint8(1)
+    for i in range(slots.shape[0]):
+        for j in range(slots.shape[1]):
+            slot = slots[i, j]
+            if slot == NO_TILE or kept[i, j] == 1:
+                continue
+            for row in range(TILE_CELLS):
+                for column in range(TILE_CELLS):
+                    if grid.evidence[slot, row, column] != 0:
+                        grid.evidence[slot, row, column] = np.int8(0)
+                        grid.changed[slot] = np.uint8(1)

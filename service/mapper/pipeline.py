@@ -6,7 +6,15 @@ from typing import Generic
 
 from drivers.frames import Frame, GnssFix, LaserScan
 from service.fusion.motion import Motion
-from service.mapper.stages import ReadableMap, Stages, Stopwatch
+from service.mapper.stages import (
+    FinishedGraph,
+    Graph,
+    GraphUpdate,
+    MappedScan,
+    ReadableMap,
+    Stages,
+    Stopwatch,
+)
 from service.outputs import MapperOutput, TileUpdate
 
 
@@ -59,6 +67,26 @@ class Mapper(Generic[ReadableMap]):
         """Tiles of the shown map that changed since the last call."""
         return self._stages.free_space.changed_tiles()
 
+    @property
+    def graph(self) -> Graph:
+        """To be asked and told; what comes back goes through take_in and finish of the mapper."""
+        return self._stages.graph
+
+    def take_in(self) -> None:
+        """Bring in the oldest piece of work of the graph, between two frames; waits for it."""
+        self._bring_in(self._stages.graph.take_in())
+
+    def finish(self) -> FinishedGraph:
+        """The graph's last word, after the last frame; the shown map is corrected, too."""
+        finished = self._stages.graph.finish()
+        self._bring_in(finished.update)
+        return finished
+
+    def _bring_in(self, update: GraphUpdate) -> None:
+        self.counters.update(update.counts)
+        if update.sheet is not None:
+            self._stages.free_space.lay(update.sheet, update.since)
+
     def _process_scan(self, scan: LaserScan) -> MapperOutput:
         s, watch = self._stages, self._stopwatch
         watch.start()
@@ -72,7 +100,7 @@ class Mapper(Generic[ReadableMap]):
         kept = s.keep_static(match.points, match)
         change = s.local_map.insert(kept, match)
         self.counters["keyframes"] += change.is_keyframe
-        pose_map_odom = s.graph.add(change)  # identity where a method has no graph
+        pose_map_odom = s.graph.add(MappedScan(scan.stamp_ns, kept, match, change))
         s.free_space.insert(kept, pose_map_odom @ match.motion.pose_odom_base)
         watch.lap("insert")
         return MapperOutput(

@@ -1,6 +1,6 @@
 """The seams of the mapper: what each stage takes and gives. No algorithm lives here."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Literal, Protocol, TypeVar, get_args
 
@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict
 from drivers.frames import LaserScan
 from service.fusion.motion import Motion, MotionModel, Prediction
 from service.geometry.se2 import SE2
+from service.mapper.background import InlineWorker, NewWorker
 from service.outputs import State, TileUpdate
 
 
@@ -48,16 +49,96 @@ class MapChange:
     is_keyframe: bool = False
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class MappedScan:
+    """A scan in the local map, as a graph gets it: every one that was mapped, key frame or not."""
+
+    stamp_ns: int
+    points: Points  # that were kept, deskewed with the matched twist
+    match: Match
+    change: MapChange
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """Where a scan lies by the graph. Scans between two of them are bent along, see corrections.py."""
+
+    stamp_ns: int
+    pose_odom_base: SE2  # as the mapper gave it
+    pose_map_base: SE2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sheet:
+    """The shown map drawn anew, to be laid in the place of the old. Can be pickled."""
+
+    tile_row: npt.NDArray[np.int64]  # (T,)
+    tile_column: npt.NDArray[np.int64]  # (T,)
+    evidence: npt.NDArray[np.int8]  # (T, W, W) of the free-space map that drew it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """A scan to be drawn into the shown map again."""
+
+    xy_base: npt.NDArray[np.float32]  # (N, 2) m
+    sensor_xy_m: tuple[float, float]  # in the base frame
+    pose_map_base: SE2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GraphUpdate:
+    """What a piece of finished work changed, besides pose_map_odom.
+
+    counts   counter -> how much it rose (or fell): loop_closures ...
+    sheet    the shown map from now on; None: it stays
+    since    what to draw into it besides: scans that the sheet does not know of
+    """
+
+    counts: Mapping[str, int]
+    sheet: Sheet | None = None
+    since: Sequence[Drawn] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FinishedGraph:
+    """The last word of a graph.
+
+    corrections   by rising stamps; empty: map and odom are one frame for the whole session
+    g2o           the graph as g2o text; "": there is none
+    update        as that of take_in
+    """
+
+    corrections: Sequence[Correction] = ()
+    g2o: str = ""
+    update: GraphUpdate = GraphUpdate({})
+
+
 class LocalMap(Protocol):
     """What a scan is matched to."""
 
     def insert(self, points: Points, match: Match) -> MapChange: ...
 
 
+class Painter(Protocol):
+    """Draws the shown map from scratch, elsewhere: can be pickled."""
+
+    def paint(self, scans: Iterable[Drawn]) -> Sheet: ...
+
+
 class FreeSpaceMap(Protocol):
     """What is shown and driven on: occupancy in tiles, in the map frame."""
 
+    @property
+    def painter(self) -> Painter:
+        """Draws as this map does."""
+        ...
+
     def insert(self, points: Points, pose_map_base: SE2) -> None: ...
+
+    def lay(self, sheet: Sheet, since: Sequence[Drawn]) -> None:
+        """Show the sheet instead of all there is, and draw `since` into it. Versions go on rising."""
+        ...
 
     def changed_tiles(self) -> list[TileUpdate]:
         """Tiles that changed since the last call, each with a new version."""
@@ -74,9 +155,52 @@ class Matcher(Protocol[ReadableMap_contra]):
     def match(self, points: Points, predicted: Prediction, local_map: ReadableMap_contra) -> Match: ...
 
 
+class WishError(Exception):
+    """Why a graph will not do what it is asked, in words for who asked."""
+
+
 class Graph(Protocol):
-    def add(self, change: MapChange) -> SE2:
-        """Take a change, give the newest pose_map_odom. Must not block: optimise elsewhere."""
+    """Says where odom lies in the map. Whatever takes longer than a fraction of a scan is done elsewhere.
+
+    Work goes out in `add` and `wish`, and comes back in `take_in`, which alone changes pose_map_odom.
+    """
+
+    @property
+    def waiting(self) -> int:
+        """Pieces of work that are out."""
+        ...
+
+    @property
+    def ready(self) -> bool:
+        """Whether take_in would not wait. Only what runs live may ask: a clock has a say in the answer."""
+        ...
+
+    @property
+    def trouble(self) -> str:
+        """Why no work is done any more, "" while all is well. Mapping goes on without it."""
+        ...
+
+    def add(self, scan: MappedScan) -> SE2:
+        """Take a scan that was mapped, give the newest pose_map_odom. Does not wait."""
+        ...
+
+    def take_in(self) -> GraphUpdate:
+        """Bring in the oldest piece of work, waiting for it; nothing changes where none is out."""
+        ...
+
+    def wish(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Do what a person asks for, such as "optimize"; answers at once, what follows comes by take_in.
+
+        payload and answer are JSON objects. Raises WishError.
+        """
+        ...
+
+    def finish(self) -> FinishedGraph:
+        """Take in all that is out, do what is worth doing once at the end, and wait for it. Once, at last."""
+        ...
+
+    def close(self) -> None:
+        """Nobody wants anything more."""
         ...
 
 
@@ -110,6 +234,8 @@ class Surroundings:
 
     cell_m: float  # of the shown map
     mountings: Mapping[str, SE2]  # pose_base_sensor of each laser, by its name
+    painter: Painter | None = None  # of the shown map; the graph is told, and only it
+    new_worker: NewWorker = InlineWorker  # where back ends work
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,13 +1,16 @@
 """One laser's mapper that can be paused and begun anew between two frames, live and in a replay alike."""
 
-from collections import Counter
-from collections.abc import Callable
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 from drivers.frames import Frame, LaserScan
 from service.geometry.se2 import SE2
+from service.mapper.stages import FinishedGraph, Graph
 from service.outputs import MapperOutput, TileUpdate
+
+TAKE_IN_AFTER_SCANS = 25  # half a second at 50 Hz: what a loop takes live on a busy machine
 
 Steering = Literal["pause", "resume", "reset_map"]
 
@@ -20,6 +23,28 @@ class Control:
     arrived_ns: int  # as that of a frame
 
 
+@dataclass(frozen=True, slots=True)
+class TakeIn:
+    """Live, a piece of the graph's work was taken in at this place among the frames."""
+
+    arrived_ns: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wish:
+    """What a person asked the graph for, at this place among the frames: "optimize" ..."""
+
+    name: str
+    payload: Mapping[str, Any]  # a JSON object
+    arrived_ns: int
+
+
+Step = Control | TakeIn | Wish  # what stands among the frames
+
+# What the verbs are called that go to the graph; a profile's graph says which of them it knows.
+WISHES = ("add_landmark_pair", "remove_landmark_pair", "optimize", "undo")
+
+
 class FrameMapper(Protocol):
     """service.mapper.pipeline.Mapper, whatever map it matches to."""
 
@@ -28,6 +53,11 @@ class FrameMapper(Protocol):
     def process(self, frame: Frame) -> MapperOutput | None: ...
     def skip(self, scan: LaserScan) -> None: ...
     def changed_tiles(self) -> list[TileUpdate]: ...
+    def take_in(self) -> None: ...
+    def finish(self) -> FinishedGraph: ...
+
+    @property
+    def graph(self) -> Graph: ...
 
 
 class SteeredMapper:
@@ -39,10 +69,21 @@ class SteeredMapper:
     In a pause no scan is mapped and no pose comes out; samples go on to the motion model, so that it knows
     the way driven meanwhile. A reset puts a fresh mapper in the place of the old: map and `pose_map_base`
     begin anew, while `pose_odom_base` goes on where it was, because odom never jumps.
+
+    take_in_after   finished work of the graph comes in when so many scans were mapped since it went out, and
+                    is waited for then: the same in every replay. None: whoever steers says when, by take_in;
+                    live that is when it is ready, and in a replay of that where the recording says so.
     """
 
-    def __init__(self, new_mapper: Callable[[], FrameMapper], laser: str | None) -> None:
+    def __init__(
+        self,
+        new_mapper: Callable[[], FrameMapper],
+        laser: str | None,
+        take_in_after: int | None = TAKE_IN_AFTER_SCANS,
+    ) -> None:
         self.laser = laser
+        self._take_in_after = take_in_after
+        self._ages: deque[int] = deque()  # scans mapped when each piece of work went out
         self._new_mapper = new_mapper
         self._mapper = new_mapper()
         self._last_odom: tuple[int, SE2] | None = None  # stamp and pose of the newest output
@@ -67,6 +108,8 @@ class SteeredMapper:
         output = self._mapper.process(frame)
         if output is None:
             return None
+        if self._take_in_after is not None:
+            self._take_in_old(self._take_in_after)
         output = self._in_one_odom(output)
         self._last_odom = (output.stamp_ns, output.pose_odom_base)
         return output
@@ -74,6 +117,8 @@ class SteeredMapper:
     def steer(self, steering: Steering) -> bool:
         """Whether that changed anything: a pause in a pause does not."""
         if steering == "reset_map":
+            self._mapper.graph.close()
+            self._ages.clear()
             self._mapper = self._new_mapper()
             self._mapper.counters = self.counters
             self._began = self._last_odom
@@ -85,6 +130,45 @@ class SteeredMapper:
     def changed_tiles(self) -> list[TileUpdate]:
         """As Mapper.changed_tiles; versions begin anew with each reset."""
         return self._mapper.changed_tiles()
+
+    @property
+    def work_ready(self) -> bool:
+        """Whether take_in would bring something in without waiting. Only what runs live may ask."""
+        return self._mapper.graph.ready
+
+    @property
+    def graph_trouble(self) -> str:
+        """Why the graph does no work any more, "" while all is well."""
+        return self._mapper.graph.trouble
+
+    def take_in(self) -> None:
+        """Bring in the graph's oldest piece of work, between two frames; waits for it."""
+        self._mapper.take_in()
+
+    def wish(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
+        """As Graph.wish. Raises WishError."""
+        return self._mapper.graph.wish(name, payload)
+
+    def finish(self) -> FinishedGraph:
+        """Graph.finish, in the odom of all outputs. Before a reset or at the end; then no frame more."""
+        finished = self._mapper.finish()
+        if self._began is None:
+            return finished
+        start = self._began[1]
+        corrections = [replace(c, pose_odom_base=start @ c.pose_odom_base) for c in finished.corrections]
+        return replace(finished, corrections=corrections)
+
+    def close(self) -> None:
+        """Nothing more is wanted of the graph's back end."""
+        self._mapper.graph.close()
+
+    def _take_in_old(self, after: int) -> None:
+        scans = self.counters["scans"]
+        while self._ages and scans - self._ages[0] >= after:
+            self._ages.popleft()
+            self._mapper.take_in()
+        out = self._mapper.graph.waiting - len(self._ages)
+        self._ages.extend([scans] * max(out, 0))
 
     def _in_one_odom(self, output: MapperOutput) -> MapperOutput:
         if self._began is None:

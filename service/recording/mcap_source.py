@@ -33,7 +33,7 @@ from service.encoding import (
 )
 from service.errors import InputError
 from service.geometry.se2 import SE2
-from service.mapper.steering import Control
+from service.mapper.steering import Step
 from service.recording.mcap_reader import Recording, Topic
 
 FRAME_TYPES = {LASER_SCAN: "scan", IMU: "imu", ODOMETRY: "odom"}
@@ -88,9 +88,9 @@ class Session:
 
     def frames(self) -> Iterator[Frame]:
         """What `steps` gives, without the wishes in between."""
-        return (step for step in self.steps() if not isinstance(step, Control))
+        return (step for step in self.steps() if not isinstance(step, Step))
 
-    def steps(self) -> Iterator[Frame | Control]:
+    def steps(self) -> Iterator[Frame | Step]:
         """Frames and wishes by rising log time, in our sessions the order in which the mapper had them.
 
         Where a foreign recording gives a scan and a sample one log time, the sample goes first: a scan that
@@ -123,7 +123,7 @@ class Session:
         for _, of_one_time in groupby(messages, key=lambda message: message.log_ns):
             yield from sorted(of_one_time, key=lambda message: message.type == LASER_SCAN)
 
-    def _control(self, event: Message) -> list[Control]:
+    def _control(self, event: Message) -> list[Step]:
         try:
             control = decode_control(event.payload, event.log_ns)
         except InputError:

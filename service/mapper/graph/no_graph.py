@@ -1,9 +1,27 @@
 """For methods without a graph: map and odom are one frame."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from service.geometry.se2 import SE2
-from service.mapper.stages import MapChange
+from service.mapper.stages import FinishedGraph, GraphUpdate, MappedScan, WishError
 
 
 class NoGraph:
-    def add(self, change: MapChange) -> SE2:
+    waiting = 0
+    ready = False
+    trouble = ""
+
+    def add(self, scan: MappedScan) -> SE2:
         return SE2()
+
+    def take_in(self) -> GraphUpdate:
+        return GraphUpdate({})
+
+    def wish(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
+        raise WishError(f"{name}: this profile has no graph; submap_graph and corridor have one")
+
+    def finish(self) -> FinishedGraph:
+        return FinishedGraph()
+
+    def close(self) -> None: ...

@@ -1,23 +1,26 @@
 """What is shown and driven on: occupancy in tiles of 64 cells a side, in the map frame."""
 
 import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.geometry.grid import tiles_of
+from service.geometry.grid import TileRange, tiles_of
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.occupancy import (
     TILE_BITS,
     TILE_CELLS,
     Evidence,
     OccupancyGrid,
+    lay_tiles,
     to_per_cent,
     trace_scan,
 )
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
-from service.mapper.stages import Points
+from service.mapper.stages import Drawn, Points, Sheet
 from service.outputs import UNKNOWN, TileUpdate
 
 POOL_TILES = 131_072  # 1.6 GB of address space, 1.3 km2 at 5 cm; only what is seen costs memory
@@ -44,15 +47,14 @@ def in_steps(log_odds: float) -> int:
     return max(1, round(log_odds / STEP_LOG_ODDS))
 
 
-class OccupancyTiles:
-    """FreeSpaceMap by log-odds."""
+class _Canvas:
+    """Evidence in tiles, and how scans get there."""
 
-    def __init__(self, config: OccupancyConfig, cell_m: float) -> None:
-        self._config = config
+    def __init__(self, evidence: Evidence, free_range_m: float, cell_m: float) -> None:
+        self._evidence = evidence
+        self._free_range_m = free_range_m
         self._cell_m = cell_m
-        most = in_steps(config.most_log_odds)
-        self._evidence = Evidence(in_steps(config.hit_log_odds), -in_steps(config.miss_log_odds), -most, most)
-        self._pool = TilePool(
+        self.pool = TilePool(
             (
                 Layer((TILE_CELLS, TILE_CELLS), np.int8),
                 Layer((TILE_CELLS, TILE_CELLS), np.uint16),
@@ -60,28 +62,18 @@ class OccupancyTiles:
             ),
             POOL_TILES,
         )
-        self._tiles = TileMap(self._pool)
-        self._shown: dict[int, npt.NDArray[np.int8]] = {}  # by slot: the cells as last handed out
-        self._version = 0
+        self.tiles = TileMap(self.pool)
         self._scan_number = 0
-        self._last: tuple[SE2, int] | None = None
 
-    @property
-    def tile_count(self) -> int:
-        return self._pool.used_count
-
-    def insert(self, points: Points, pose_map_base: SE2) -> None:
-        stamp_ns = points.scan.stamp_ns
-        if len(points.xy_base) == 0 or not self._is_due(pose_map_base, stamp_ns):
+    def draw(self, xy_base: npt.NDArray[np.float64], sensor_xy_m: tuple[float, float], pose: SE2) -> None:
+        if len(xy_base) == 0:
             return
-        self._last = (pose_map_base, stamp_ns)
-        pose = np.array([pose_map_base.x_m, pose_map_base.y_m, pose_map_base.theta_rad])
-        sensor_xy_m = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
-        reach_m = max(reach_of(points.xy_base), reach_of(sensor_xy_m.reshape(1, 2)))
-        self._tiles.cover(
+        sensor = np.array(sensor_xy_m)
+        reach_m = max(reach_of(xy_base), reach_of(sensor.reshape(1, 2)))
+        self.tiles.cover(
             tiles_of(
-                (pose_map_base.x_m - reach_m, pose_map_base.y_m - reach_m),
-                (pose_map_base.x_m + reach_m, pose_map_base.y_m + reach_m),
+                (pose.x_m - reach_m, pose.y_m - reach_m),
+                (pose.x_m + reach_m, pose.y_m + reach_m),
                 self._cell_m,
                 TILE_BITS,
                 margin_cells=1,
@@ -89,19 +81,93 @@ class OccupancyTiles:
         )
         self._scan_number = self._scan_number % 65_535 + 1
         trace_scan(
-            points.xy_base,
-            sensor_xy_m,
-            pose,
-            self._grid(),
+            xy_base,
+            sensor,
+            np.array([pose.x_m, pose.y_m, pose.theta_rad]),
+            self.grid(),
             self._evidence,
-            self._config.free_range_m,
+            self._free_range_m,
             np.uint16(self._scan_number),
         )
 
+    def draw_again(self, scans: Iterable[Drawn]) -> None:
+        for scan in scans:
+            self.draw(scan.xy_base.astype(np.float64), scan.sensor_xy_m, scan.pose_map_base)
+
+    def sheet(self) -> Sheet:
+        """A copy of all there is."""
+        tiles = np.array(self.tiles.tiles(), np.int64).reshape(-1, 3)
+        return Sheet(tiles[:, 0], tiles[:, 1], self.pool.arrays[0][tiles[:, 2]])  # type: ignore[arg-type]
+
+    def lay(self, sheet: Sheet) -> None:
+        if len(sheet.tile_row):
+            self.tiles.cover(
+                TileRange(
+                    int(sheet.tile_row.min()),
+                    int(sheet.tile_column.min()),
+                    int(sheet.tile_row.max()),
+                    int(sheet.tile_column.max()),
+                )
+            )
+        lay_tiles(sheet.tile_row, sheet.tile_column, sheet.evidence, self.grid())
+
+    def grid(self) -> OccupancyGrid:
+        evidence, touched, changed = self.pool.arrays
+        return OccupancyGrid(self.tiles.index(), evidence, touched, changed, self._cell_m)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, slots=True)
+class OccupancyPainter:
+    """Painter of OccupancyTiles."""
+
+    evidence: Evidence
+    free_range_m: float
+    cell_m: float
+
+    def canvas(self) -> _Canvas:
+        return _Canvas(self.evidence, self.free_range_m, self.cell_m)
+
+    def paint(self, scans: Iterable[Drawn]) -> Sheet:
+        canvas = self.canvas()
+        canvas.draw_again(scans)
+        return canvas.sheet()
+
+
+class OccupancyTiles:
+    """FreeSpaceMap by log-odds."""
+
+    def __init__(self, config: OccupancyConfig, cell_m: float) -> None:
+        self._config = config
+        self._cell_m = cell_m
+        most = in_steps(config.most_log_odds)
+        evidence = Evidence(in_steps(config.hit_log_odds), -in_steps(config.miss_log_odds), -most, most)
+        self.painter = OccupancyPainter(evidence, config.free_range_m, cell_m)
+        self._canvas = self.painter.canvas()
+        self._shown: dict[int, npt.NDArray[np.int8]] = {}  # by slot: the cells as last handed out
+        self._version = 0
+        self._last: tuple[SE2, int] | None = None
+
+    @property
+    def tile_count(self) -> int:
+        return self._canvas.pool.used_count
+
+    def insert(self, points: Points, pose_map_base: SE2) -> None:
+        stamp_ns = points.scan.stamp_ns
+        if len(points.xy_base) == 0 or not self._is_due(pose_map_base, stamp_ns):
+            return
+        self._last = (pose_map_base, stamp_ns)
+        sensor = points.sensor_base
+        self._canvas.draw(points.xy_base, (sensor.x_m, sensor.y_m), pose_map_base)
+
+    def lay(self, sheet: Sheet, since: Sequence[Drawn]) -> None:
+        """Tiles that the sheet lacks become unknown; only those that differ get a new version."""
+        self._canvas.lay(sheet)
+        self._canvas.draw_again(since)
+
     def changed_tiles(self) -> list[TileUpdate]:
-        evidence, _touched, changed = self._pool.arrays
+        evidence, _touched, changed = self._canvas.pool.arrays
         updates = []
-        for row, column, slot in self._tiles.tiles():
+        for row, column, slot in self._canvas.tiles.tiles():
             if not changed[slot]:
                 continue
             changed[slot] = 0
@@ -114,10 +180,6 @@ class OccupancyTiles:
             self._version += 1
             updates.append(TileUpdate(0, column, row, self._version, self._cell_m, cells))
         return updates
-
-    def _grid(self) -> OccupancyGrid:
-        evidence, touched, changed = self._pool.arrays
-        return OccupancyGrid(self._tiles.index(), evidence, touched, changed, self._cell_m)  # type: ignore[arg-type]
 
     def _is_due(self, pose: SE2, stamp_ns: int) -> bool:
         if self._last is None:

@@ -8,10 +8,26 @@ import pytest
 
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
+from service.mapper.graph.no_graph import NoGraph
 from service.mapper.profiles import build_mapper, mapping_config
+from service.mapper.stages import Correction, FinishedGraph
 from service.mapper.steering import SteeredMapper
 from service.outputs import MapperOutput, TileUpdate
 from tests.service.offline.test_replay import room_scan
+
+
+class FakeGraph(NoGraph):
+    """Hands out no work but what a test says."""
+
+    def __init__(self) -> None:
+        self.taken_in_at: list[int] = []
+        self.closed = False
+
+    def finish(self) -> FinishedGraph:
+        return FinishedGraph([Correction(7, SE2(1.0, 0.0, 0.0), SE2(1.0, 0.1, 0.0))])
+
+    def close(self) -> None:
+        self.closed = True
 
 
 class FakeMapper:
@@ -21,6 +37,14 @@ class FakeMapper:
         self.counters: Counter[str] = Counter()
         self.processed: list[Frame] = []
         self.skipped: list[Frame] = []
+        self.graph = FakeGraph()
+
+    def take_in(self) -> None:
+        self.graph.waiting -= 1
+        self.graph.taken_in_at.append(self.counters["scans"])
+
+    def finish(self) -> FinishedGraph:
+        return self.graph.finish()
 
     def process(self, frame: Frame) -> MapperOutput | None:
         self.processed.append(frame)
@@ -182,3 +206,43 @@ def test_a_pause_before_the_first_scan_does_not_fix_where_the_map_begins():
     after = drive(mapper, range(20, 30), lambda at_s: 0.5 * at_s)
     assert after[0].pose_map_base == SE2()
     assert all(b.pose_map_base.x_m > a.pose_map_base.x_m for a, b in pairwise(after))
+
+
+def test_work_comes_in_a_fixed_number_of_scans_after_it_went_out(made: list[FakeMapper]):
+    mapper = SteeredMapper(lambda: made.append(FakeMapper()) or made[-1], "front", take_in_after=3)
+    graph = made[0].graph
+    for k in range(1, 10):
+        graph.waiting += k in (2, 4)
+        mapper.process(scan(k))
+    assert graph.taken_in_at == [5, 7]
+
+
+def test_work_comes_in_when_told_where_no_number_is_given(made: list[FakeMapper]):
+    mapper = SteeredMapper(lambda: made.append(FakeMapper()) or made[-1], "front", take_in_after=None)
+    made[0].graph.waiting = 1
+    for k in range(1, 100):
+        mapper.process(scan(k))
+    assert made[0].graph.taken_in_at == []
+    mapper.take_in()
+    assert made[0].graph.taken_in_at == [99]
+
+
+def test_a_reset_ends_the_old_graph_and_what_it_had_out(made: list[FakeMapper]):
+    mapper = SteeredMapper(lambda: made.append(FakeMapper()) or made[-1], "front", take_in_after=3)
+    made[0].graph.waiting = 1
+    mapper.process(scan(1))
+    mapper.steer("reset_map")
+    assert made[0].graph.closed
+    for k in range(2, 10):
+        mapper.process(scan(k))
+    assert made[1].graph.taken_in_at == []
+
+
+def test_corrections_after_a_reset_are_in_the_odom_of_all_outputs(
+    mapper: SteeredMapper, made: list[FakeMapper]
+):
+    mapper.process(scan(1))
+    mapper.process(scan(2))  # at 1 m
+    mapper.steer("reset_map")
+    (correction,) = mapper.finish().corrections
+    assert correction == Correction(7, SE2(2.0, 0.0, 0.0), SE2(1.0, 0.1, 0.0))

@@ -9,6 +9,7 @@ import pytest
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
 from service.encoding import Message, decode_event, decode_frame, decode_pose
 from service.geometry.se2 import SE2
+from service.mapper.graph.no_graph import NoGraph
 from service.mapper.steering import SteeredMapper
 from service.mapstore.tiles import TileStore
 from service.outputs import UNKNOWN, MapperOutput, TileUpdate
@@ -29,6 +30,7 @@ class FakeMapper:
         self._mapped = self._changed = 0
         self._fault = fault
         self._x_m = x_m
+        self.graph = NoGraph()
 
     def process(self, frame: Frame) -> MapperOutput | None:
         self.eaten.append(frame)
