@@ -19,6 +19,8 @@ from simulators.world import PERSON_REFLECTIVITY, World
 NO_HIT = -1
 BISECTIONS = 7  # find an edge inside a beam's footprint to 1/128 of it
 GLASS_COSINE = 0.985  # a pane sends light back when it is met within 10 deg of squarely
+CABINET_LOST, CABINET_BEHIND = 0.7, 0.2  # shares of the beams on a glass cabinet; the others see its front
+CABINET_DEPTH_M = (0.1, 1.0)  # how far behind its front a beam may come from
 MIXING_SHARE = (0.1, 0.9)  # an edge nearer than this to the footprint's rim leaves no mixed return
 
 
@@ -113,6 +115,7 @@ class View:
     step_beam: npt.NDArray[np.int64]  # (K,) beams that may return from between both sides of a step
     step_from_m: Floats  # (K,) range of one side
     step_m: Floats  # (K,) from there to the other side
+    cabinet_beam: npt.NDArray[np.int64]  # (C,) beams that meet a glass cabinet
 
 
 class LaserTruth:
@@ -155,7 +158,10 @@ class LaserTruth:
         true_m, surface = range_m[:beam_count].copy(), hit[:beam_count]
         cosine, reflectivity = self._surfaces(rays, true_m, surface, discs)
         moment = first_ray_ns - self._ride.start_ns
-        return View(moment, true_m, cosine, reflectivity, *self._steps(rays, hit.reshape(3, -1), discs))
+        on_wall = np.flatnonzero((surface >= 0) & (surface < len(self._ride.world.segments)))
+        cabinet_beam = on_wall[self._ride.world.cabinet[surface[on_wall]]]
+        steps = self._steps(rays, hit.reshape(3, -1), discs)
+        return View(moment, true_m, cosine, reflectivity, *steps, cabinet_beam)
 
     def measure(self, view: View, seed: int) -> Sweep:
         """What the laser makes of a view, with the noise of that seed."""
@@ -166,6 +172,7 @@ class LaserTruth:
         mixed = chance[view.step_beam] < model.mixed_share
         beam = view.step_beam[mixed]
         true_m[beam] = view.step_from_m[mixed] + place[beam] * view.step_m[mixed]
+        lost = self._look_into_cabinets(view, seed, true_m)
 
         with np.errstate(invalid="ignore"):
             echo = (
@@ -176,12 +183,22 @@ class LaserTruth:
             measured_m = np.round(measured_m / model.quantum_m) * model.quantum_m
             seen = echo * np.exp(0.1 * noise.standard_normal(beam_count)) >= 1.0
             seen &= noise.random(beam_count) >= model.dropout_share
+            seen[lost] = False
             seen &= (measured_m >= model.range_min_m) & (measured_m <= model.range_max_m)
         brightness = view.reflectivity * view.cosine * np.exp(0.03 * noise.standard_normal(beam_count))
         return Sweep(
             np.where(seen, measured_m, np.nan).astype(np.float32),
             np.where(seen, np.clip(brightness, 0.0, 1.0), 0.0).astype(np.float32),
         )
+
+    def _look_into_cabinets(self, view: View, seed: int, true_m: Floats) -> npt.NDArray[np.int64]:
+        """Move some of the beams on glass cabinets behind their fronts, in place; gives those lost."""
+        noise = noise_of(seed, f"{self._sensor} cabinets", view.moment)
+        chance, place = noise.random((2, len(view.cabinet_beam)))
+        behind = chance < CABINET_BEHIND
+        nearest_m, farthest_m = CABINET_DEPTH_M
+        true_m[view.cabinet_beam[behind]] += nearest_m + (farthest_m - nearest_m) * place[behind]
+        return view.cabinet_beam[chance >= 1.0 - CABINET_LOST]
 
     def _cast(self, rays: Floats, discs: Floats) -> tuple[Floats, npt.NDArray[np.int32]]:
         """As World.cast; a ray that meets glass other than squarely goes through it."""

@@ -90,6 +90,7 @@ class World:
     cell_span: npt.NDArray[np.int32]
     cell_items: npt.NDArray[np.int32]
     glass: npt.NDArray[np.bool_]  # (S,) seen only squarely; else what is behind it
+    cabinet: npt.NDArray[np.bool_]  # (S,) glass with things close behind it: see truth.CABINET_LOST
 
     @cached_property
     def without_glass(self) -> "World":
@@ -135,6 +136,7 @@ def make_world(name: str, plan: "Plan", people: Sequence[Walk], drive: Trajector
         cell_span,
         cell_items,
         np.array(plan.glass, dtype=np.bool_),
+        np.array(plan.cabinet, dtype=np.bool_),
     )
 
 
@@ -152,13 +154,20 @@ class Plan:
         self.segments: list[tuple[float, float, float, float]] = []
         self.reflectivity: list[float] = []
         self.glass: list[bool] = []
+        self.cabinet: list[bool] = []
 
-    def line(self, *points: Point, reflectivity: float = 0.6, glass: bool = False) -> None:
-        """Thin surfaces from point to point; of glass they are seen only where a beam meets them squarely."""
+    def line(
+        self, *points: Point, reflectivity: float = 0.6, glass: bool = False, cabinet: bool = False
+    ) -> None:
+        """Thin surfaces from point to point; of glass they are seen only where a beam meets them squarely.
+
+        cabinet: the front of a glass cabinet, of which most beams do not return and many from behind it.
+        """
         for (x0, y0), (x1, y1) in itertools.pairwise(points):
             self.segments.append((x0, y0, x1, y1))
             self.reflectivity.append(reflectivity)
             self.glass.append(glass)
+            self.cabinet.append(cabinet)
 
     def box(self, centre: Point, size: Point, turn_deg: float = 0.0, reflectivity: float = 0.4) -> None:
         """A rectangular thing: a cabinet, a desk's leg, a crate."""

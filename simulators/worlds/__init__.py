@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from simulators.world import World
 from simulators.worlds.corridors import corridor100, ring
+from simulators.worlds.library import library
 from simulators.worlds.mall import mall
 from simulators.worlds.office import office
 from simulators.worlds.trials import crowd, featureless, glass_hall, room, spins, stop_and_go
@@ -19,6 +20,7 @@ WORLDS: dict[str, Callable[[], World]] = {
     "stop_and_go": stop_and_go,
     "crowd": crowd,
     "glass_hall": glass_hall,
+    "library": library,
 }
 
 

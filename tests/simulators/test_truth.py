@@ -82,6 +82,19 @@ def test_glass_is_seen_squarely_and_what_is_behind_it_elsewhere():
     np.testing.assert_allclose(seen_m, through_m, atol=1e-4)
 
 
+def test_most_beams_on_a_glass_cabinet_are_lost_and_many_come_from_behind():  # B28
+    plan = Plan()
+    plan.line((3, -5), (3, 5), cabinet=True, reflectivity=0.9)
+    source = laser(room(plan=plan))
+    range_m = np.array([source.sweep(START_NS + k, 0, 0.0, 0.0, 100).range_m for k in range(100)])
+    assert np.isnan(range_m).mean() == pytest.approx(0.7, abs=0.02)
+    behind = range_m > 3.05
+    assert behind.mean() == pytest.approx(0.2, abs=0.02)
+    assert range_m[behind].min() > 3.09
+    assert range_m[behind].max() < 4.01
+    assert (np.abs(range_m - 3.0) < 0.01).mean() == pytest.approx(0.1, abs=0.02)
+
+
 def test_noise_has_the_spread_the_bias_and_the_steps_of_the_model():
     model = replace(LMS100, bias_m=0.03, mixed_share=0.0, dropout_share=0.01)
     source = laser(room(), model)
