@@ -56,21 +56,27 @@ def per_seed(seeds: int, measure: Callable[[int], float]) -> list[float]:
 
 def write(name: str, heading: str, sections: Sequence[Section]) -> str:
     """The page of one paper; also its text, for the terminal. Raises OSError."""
-    lines = [f"# {heading}", "", "Made by `make papers`; simulated data with truth, fixed seeds.", ""]
+    lines = [f"# {heading}", "", "Made by `make papers`.", ""]
     for section in sections:
-        lines += [f"## {section.title}", "", section.text, ""]
-        if section.rows:
-            lines += ["| | figure | median | worst | bound | met |", "|---|---|---|---|---|---|"]
-            lines += [_line(row) for row in section.rows]
-            lines.append("")
-        for table in section.tables:
-            lines += [table.strip(), ""]
-        for file, caption in section.pictures:
-            lines += [f"![{caption}]({file})", "", f"*{caption}*", ""]
+        lines += [f"## {section.title}", "", *below_title(section)]
     text = "\n".join(lines).rstrip() + "\n"
     FOLDER.mkdir(parents=True, exist_ok=True)
     (FOLDER / f"{name}.md").write_text(text, encoding="utf-8")
     return text
+
+
+def below_title(section: Section) -> list[str]:
+    """Text, tables and pictures, line by line."""
+    lines = [section.text, ""]
+    if section.rows:
+        lines += ["| | figure | median | worst | bound | met |", "|---|---|---|---|---|---|"]
+        lines += [_line(row) for row in section.rows]
+        lines.append("")
+    for table in section.tables:
+        lines += [table.strip(), ""]
+    for file, caption in section.pictures:
+        lines += [f"![{caption}]({file})", "", f"*{caption}*", ""]
+    return lines
 
 
 def _line(row: Row) -> str:
