@@ -198,7 +198,8 @@ class LaserTruth:
         behind = chance < CABINET_BEHIND
         nearest_m, farthest_m = CABINET_DEPTH_M
         true_m[view.cabinet_beam[behind]] += nearest_m + (farthest_m - nearest_m) * place[behind]
-        return view.cabinet_beam[chance >= 1.0 - CABINET_LOST]
+        lost: npt.NDArray[np.int64] = view.cabinet_beam[chance >= 1.0 - CABINET_LOST]
+        return lost
 
     def _cast(self, rays: Floats, discs: Floats) -> tuple[Floats, npt.NDArray[np.int32]]:
         """As World.cast; a ray that meets glass other than squarely goes through it."""

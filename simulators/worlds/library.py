@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from service.geometry.se2 import SE2
-from simulators.trajectory import Floats, Follow, Limits, Pause, Spin, plan_drive
+from simulators.trajectory import Floats, Follow, Leg, Limits, Pause, Spin, plan_drive
 from simulators.world import Plan, Point, World, make_world
 
 START_M = (6.0, 4.0)
@@ -47,7 +47,7 @@ def library(heading_deg: float = 0.0) -> World:
     plan.line((west, y), (east, y), cabinet=True, reflectivity=0.5)
     limits = Limits(speed_mps=1.4, acceleration_mps2=0.8, lateral_mps2=1.0, turn_rate_radps=1.0)
     heading_rad = math.radians(heading_deg)
-    legs = [Follow(LAP, corner_radius_m=1.0), Spin(heading_rad), Pause(1.0)]
+    legs: list[Leg] = [Follow(LAP, corner_radius_m=1.0), Spin(heading_rad), Pause(1.0)]
     return make_world("library", plan, [], plan_drive(SE2(*START_M, heading_rad), legs, limits, repeats=True))
 
 
@@ -60,7 +60,8 @@ def library_structure() -> Floats:
             plan.box((x, (low + high) / 2), (CASE_WIDTH_M, high - low))
     west, east, y = CABINET_M
     plan.line((west, y), (east, y))
-    return np.array(plan.segments) - np.array([*START_M, *START_M])
+    segments: Floats = np.array(plan.segments) - np.array([*START_M, *START_M])
+    return segments
 
 
 def library_check_points() -> Floats:
@@ -76,7 +77,8 @@ def library_check_points() -> Floats:
     for x in (CASE_X_M[0], CASE_X_M[2], CASE_X_M[3], CASE_X_M[5]):
         points += [(x - half, low), (x + half, high)]
     points += [(CABINET_M[0], CABINET_M[2]), (CABINET_M[1], CABINET_M[2])]
-    return np.array(points, dtype=np.float64) - START_M
+    places: Floats = np.array(points, dtype=np.float64) - START_M
+    return places
 
 
 def _draw(plan: Plan) -> None:
