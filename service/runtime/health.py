@@ -177,11 +177,16 @@ class HealthReport:
         if self._loop.paused:
             values["state"] = "paused"
             return Status("mapping", WARNING, "paused by a command; scans are recorded, not mapped", values)
+        if loop.graph_trouble:
+            values["graph_trouble"] = loop.graph_trouble
         if output is None:
             words = f"no scan of {loop.laser} mapped yet" if loop.laser else "no laser is configured"
             return Status("mapping", WARNING, words, values)
         values |= {"state": output.state, "match_share": f"{output.match_share:.3f}"}
-        return Status("mapping", _LEVEL_OF_POSE[output.state], output.reason or output.state, values)
+        level, words = _LEVEL_OF_POSE[output.state], output.reason or output.state
+        if level == OK and loop.graph_trouble:
+            level, words = WARNING, f"no loops are closed: {loop.graph_trouble}"
+        return Status("mapping", level, words, values)
 
     def _map(self) -> Status:
         trouble = self._keeper.trouble

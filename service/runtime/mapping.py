@@ -5,12 +5,13 @@ import logging
 import math
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
 from drivers.frames import Frame, LaserScan
 from service.encoding import (
+    TAKE_IN,
     LogClock,
     Message,
     decode_frame,
@@ -85,6 +86,11 @@ class MappingLoop:
         return self._mapper.laser
 
     @property
+    def graph_trouble(self) -> str:
+        """Why no loop is closed any more, "" while all is well."""
+        return self._mapper.graph_trouble
+
+    @property
     def paused(self) -> bool:
         return self._mapper.paused
 
@@ -93,12 +99,15 @@ class MappingLoop:
         while not self._queue.drained:
             self.heartbeat += 1
             item = self._queue.get(IDLE_S)
+            if item is not None and self._mapper.work_ready:
+                self._take_in(item.arrived_ns)
             if isinstance(item, Command):
                 self._carry_out(item)
             elif item is not None:
                 self._take(item)
             if time.monotonic_ns() >= self._tiles_due_ns:
                 self.hand_over_tiles()
+        self._mapper.finish()
         self.hand_over_tiles()
 
     def steer(self, steering: Steering) -> bool:
@@ -112,6 +121,10 @@ class MappingLoop:
             self.last_output = None
         return self._mapper.steer(steering)
 
+    def wish(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
+        """As Graph.wish; for commands, between frames. Raises WishError."""
+        return self._mapper.wish(name, payload)
+
     def hand_over_tiles(self) -> None:
         """Bring tile store and subscribers up to the newest scan. For commands, between frames."""
         self._tiles_due_ns = time.monotonic_ns() + TILE_INTERVAL_NS
@@ -124,6 +137,14 @@ class MappingLoop:
     def _carry_out(self, command: Command) -> None:
         log_ns = self._log_clock.next_ns(self._host_time.unix_ns(command.arrived_ns))
         command.carry_out(encode_event(json.dumps(dict(command.event)), log_ns, log_ns))
+
+    def _take_in(self, arrived_ns: int) -> None:
+        """Bring in work of the graph, and record at which place among the frames that was."""
+        log_ns = self._log_clock.next_ns(self._host_time.unix_ns(arrived_ns))
+        self._mapper.take_in()
+        trouble = self._mapper.graph_trouble
+        event = {"event": "graph_lost", "reason": trouble} if trouble else {"event": TAKE_IN}
+        self._record(encode_event(json.dumps(event), log_ns, log_ns))
 
     def _take(self, frame: Frame) -> None:
         log_ns = self._log_clock.next_ns(self._host_time.unix_ns(frame.arrived_ns))

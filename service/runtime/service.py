@@ -26,6 +26,7 @@ from service.config import ServiceConfig, mapped_laser, mountings
 from service.encoding import encode_event, encode_raw, encode_tf_static
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import CorridorError, StorageError
+from service.mapper.pipeline import Mapper
 from service.mapper.profiles import MappingConfig, build_mapper
 from service.mapper.profiles import warm_up as warm_up_kernels
 from service.mapper.steering import SteeredMapper
@@ -34,6 +35,7 @@ from service.outputs import TileUpdate
 from service.publishing.commands import CommandDesk
 from service.publishing.zenoh_publisher import ZenohPublisher
 from service.recording.mcap_recorder import McapRecorder
+from service.runtime.back_end import BackEndProcess
 from service.runtime.commands import Commands
 from service.runtime.health import HealthReport
 from service.runtime.host_time import HostTime
@@ -52,7 +54,9 @@ WARM_UP_ASK_S = 5.0  # how often systemd hears that kernels are still being comp
 WARM_UP_MORE_S = 60.0  # and how long it may take from then on
 WARM_UP_TELL_S = 2.0  # how often the log says that it goes on
 READER_STOP_S = 5.0  # a connect to a silent host takes 3 s
-MAPPING_STOP_S = KEEPER_STOP_S = 20.0
+GRAPH_FINISH_S = 20.0  # for the last loops, at the end of a run
+KEEPER_STOP_S = 20.0
+MAPPING_STOP_S = GRAPH_FINISH_S + 20.0
 READER_PRIORITY = 20  # SCHED_FIFO, where LimitRTPRIO= allows it
 
 
@@ -113,6 +117,7 @@ class Service:
         self._keeping: threading.Thread | None = None
         self._queue = FrameQueue()
         self._tiles = TileStore()
+        self._back_end = BackEndProcess(GRAPH_FINISH_S)
         self._latency = LatencyHistogram()
         self._links = {name: LinkHealth(name) for name in config.sensors}
         self._recorder = McapRecorder(
@@ -126,9 +131,7 @@ class Service:
         self._publisher = ZenohPublisher(config.publishing, config.vehicle, self._tiles, self._latency.add)
         self._loop = MappingLoop(
             self._queue,
-            SteeredMapper(
-                lambda: build_mapper(config.mapping, mountings(config.sensors)), mapped_laser(config)
-            ),
+            SteeredMapper(self._new_mapper, mapped_laser(config), take_in_after=None),
             self._tiles,
             self.host_time,
             self._publisher.put,
@@ -186,6 +189,7 @@ class Service:
             return False
         self._recorder.start()
         self._event("start")
+        self._back_end.start()
         self._mapping = self._workers.start("mapping", self._loop.run)
         self._keeping = self._workers.start("map-keeper", self._keeper.run)
         self._start_drivers()
@@ -220,6 +224,7 @@ class Service:
         for thread in self._readers:
             self._workers.join(thread, READER_STOP_S)
         map_trouble = self._stop_mapping()
+        self._back_end.stop()
         if self._ready_ns:
             self._tell_health(time.monotonic_ns())
             self._event("stop", reason=self.failure or "asked to")
@@ -263,6 +268,10 @@ class Service:
             raise CorridorError(f"the kernels do not compile: {self.failure}")
         log.info("kernels ready after %.1f s", time.monotonic() - began_s)
         return True
+
+    def _new_mapper(self) -> Mapper[Any]:
+        config = self._config
+        return build_mapper(config.mapping, mountings(config.sensors), new_worker=self._back_end.new_worker)
 
     def _start_drivers(self) -> None:
         poses = mountings(self._config.sensors)

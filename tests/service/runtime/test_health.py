@@ -25,6 +25,7 @@ def streaming(frames: int = 100, last_frame_ns: int = 10 * S) -> LinkHealth:
 def report(link: LinkHealth, **parts: Any) -> HealthReport:
     """A report on parts that only have what it looks at."""
     loop = SimpleNamespace(
+        graph_trouble="",
         counters=Counter(scans=90, scans_dropped_late=2, samples_dropped_late=1),
         states=Counter(ok=90),
         unusable=Counter(),
@@ -182,3 +183,11 @@ def test_a_pause_and_a_stopped_recording_are_warnings_until_they_end():
 
 def test_commands_are_counted():
     assert status(report(streaming()), "commands").values == {"mark": "2", "refused": "1"}
+
+
+def test_a_graph_that_does_no_work_is_a_warning():
+    made = report(streaming())
+    made._loop.last_output = MapperOutput(1, SE2(), SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 0.9)
+    made._loop.graph_trouble = "the process died"
+    told = status(made, "mapping")
+    assert (told.level, told.message) == (WARNING, "no loops are closed: the process died")

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
-from service.encoding import Message, decode_event, decode_frame, decode_pose
+from service.encoding import Message, decode_control, decode_event, decode_frame, decode_pose
 from service.geometry.se2 import SE2
 from service.mapper.graph.no_graph import NoGraph
-from service.mapper.steering import SteeredMapper
+from service.mapper.stages import FinishedGraph, GraphUpdate
+from service.mapper.steering import SteeredMapper, TakeIn
 from service.mapstore.tiles import TileStore
 from service.outputs import UNKNOWN, MapperOutput, TileUpdate
 from service.runtime.host_time import HostTime
@@ -23,14 +24,26 @@ OFFSET_NS = 1_700_000_000_000_000_000
 class FakeMapper:
     """Puts every scan one metre further along x; notes what it was given."""
 
-    def __init__(self, fault: Exception | None = None, x_m: float | None = None) -> None:
+    finished = False
+
+    def __init__(
+        self, fault: Exception | None = None, x_m: float | None = None, graph: NoGraph | None = None
+    ) -> None:
         self.counters: Counter[str] = Counter()
         self.eaten: list[Frame] = []
         self.skipped = 0
         self._mapped = self._changed = 0
         self._fault = fault
         self._x_m = x_m
-        self.graph = NoGraph()
+        self.graph = graph or NoGraph()
+
+    def take_in(self) -> None:
+        self.eaten.append("take_in")  # type: ignore[arg-type]
+        self.graph.take_in()
+
+    def finish(self) -> FinishedGraph:
+        self.finished = True
+        return FinishedGraph()
 
     def process(self, frame: Frame) -> MapperOutput | None:
         self.eaten.append(frame)
@@ -265,3 +278,36 @@ def test_the_heart_beats_without_frames():
     queue.get = get  # type: ignore[method-assign]  # an idle wait that takes no time
     loop.run()
     assert loop.heartbeat == 3
+
+
+class GraphAtWork(NoGraph):
+    """Has one piece of work ready, or lost."""
+
+    def __init__(self, lost: str = "") -> None:
+        self.ready = True
+        self._lost = lost
+
+    def take_in(self) -> GraphUpdate:
+        self.ready, self.trouble = False, self._lost
+        return GraphUpdate({})
+
+
+def test_finished_work_is_taken_in_between_two_frames_and_the_recording_says_where():
+    mapper = FakeMapper(graph=GraphAtWork())
+    run = Run(mapper, FRAMES)
+    run.loop.run()
+    assert mapper.eaten[0] == "take_in"
+    first = run.recorded[0]
+    assert decode_control(first.payload, first.log_ns) == TakeIn(first.log_ns)
+    assert first.log_ns < run.recorded[1].log_ns
+    assert [m.channel for m in run.recorded].count("events") == 1
+    assert mapper.finished
+
+
+def test_lost_work_is_not_recorded_as_taken_in():
+    run = Run(FakeMapper(graph=GraphAtWork("the process died")), FRAMES)
+    run.loop.run()
+    (event,) = [m for m in run.recorded if m.channel == "events"]
+    assert decode_control(event.payload, event.log_ns) is None
+    assert "the process died" in decode_event(event.payload)
+    assert run.loop.graph_trouble == "the process died"

@@ -1,0 +1,108 @@
+import os
+import signal
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from service.mapper.background import WorkLostError
+from service.runtime.back_end import BackEndProcess
+
+
+class Adder:
+    """Sums what it gets; told a word, it misbehaves."""
+
+    def __init__(self) -> None:
+        self.total = 0
+
+    def work(self, batch: object) -> tuple[int, int]:
+        if batch == "raise":
+            raise ValueError("cannot add that")
+        if batch == "hang":
+            signal.pause()
+        assert isinstance(batch, int)
+        self.total += batch
+        return self.total, os.getpid()
+
+
+@pytest.fixture
+def process() -> Iterator[BackEndProcess]:
+    process = BackEndProcess(patience_s=30.0)
+    process.start()
+    yield process
+    process.stop()
+
+
+def test_work_is_done_in_order_by_one_state_in_another_process(process: BackEndProcess):
+    worker = process.new_worker(Adder())
+    pending = [worker.submit(k) for k in (1, 10, 100)]
+    results = [p.result() for p in pending]
+    assert [total for total, _ in results] == [1, 11, 111]
+    assert {pid for _, pid in results} == {process.pid}
+    assert process.pid != os.getpid()
+    assert all(p.ready for p in pending)
+
+
+def test_a_new_back_end_takes_the_place_of_one_that_is_closed(process: BackEndProcess):
+    first = process.new_worker(Adder())
+    assert first.submit(1).result()[0] == 1
+    first.close()
+    assert process.new_worker(Adder()).submit(2).result()[0] == 2
+
+
+def test_when_the_process_is_killed_all_work_is_lost_and_nothing_hangs(
+    process: BackEndProcess, caplog: pytest.LogCaptureFixture
+):
+    worker = process.new_worker(Adder())
+    worker.submit(1).result()
+    assert process.pid is not None
+    hanging = worker.submit("hang")
+    behind = worker.submit(2)
+    os.kill(process.pid, signal.SIGKILL)
+    for pending in (hanging, behind, worker.submit(3)):
+        with pytest.raises(WorkLostError, match="died"):
+            pending.result()
+    assert "mapping goes on without closing loops" in caplog.text
+    assert caplog.text.count("died") == 1
+
+
+def test_a_back_end_that_fails_says_how(process: BackEndProcess):
+    pending = process.new_worker(Adder()).submit("raise")
+    with pytest.raises(WorkLostError, match="ValueError: cannot add that"):
+        pending.result()
+
+
+def test_waiting_has_an_end():
+    process = BackEndProcess(patience_s=0.0)
+    process.start()
+    try:
+        with pytest.raises(WorkLostError, match="within 0 s"):
+            process.new_worker(Adder()).submit("hang").result()
+    finally:
+        process.stop()
+    assert process.pid is None or not _is_there(process.pid)
+
+
+def test_the_process_outlives_nobody_and_ignores_a_signal_to_the_group(process: BackEndProcess):
+    worker = process.new_worker(Adder())
+    worker.submit(1).result()
+    pid = process.pid
+    assert pid is not None
+    os.kill(pid, signal.SIGTERM)
+    assert worker.submit(1).result()[0] == 2
+    process.stop()
+    assert not _is_there(pid)
+
+
+def test_there_is_no_process_without_a_back_end(process: BackEndProcess):
+    assert process.pid is None
+
+
+def _is_there(pid: int) -> bool:
+    deadline_s = time.monotonic() + 5.0
+    while time.monotonic() < deadline_s:
+        try:
+            os.kill(pid, 0)
+        except ProcessLookupError:
+            return False
+    return True
