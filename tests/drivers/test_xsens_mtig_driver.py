@@ -21,6 +21,7 @@ from drivers.xsens_mtig.mtdata2 import Kind, join, write_item
 from drivers.xsens_mtig.protocol import MessageDecoder, Mid, encode
 from simulators.wire import serve_pty
 from simulators.xsens_mtig import FakeMtiG, MtigSetup
+from tests.drivers.damage import mutate
 from tests.drivers.mtig import (
     GOOD_PVT,
     PLACE,
@@ -33,7 +34,7 @@ from tests.drivers.mtig import (
     samples,
     talk,
 )
-from tests.drivers.test_xsens_mtig_protocol import GOOD, mutate
+from tests.drivers.test_xsens_mtig_protocol import GOOD
 from tests.drivers.virtual_time import SECOND_NS, Talk
 
 FORMATS = ("float32", "fp12.20", "fp16.32", "float64")
@@ -357,7 +358,7 @@ REAL = b"".join(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.randoms(use_true_random=False), st.integers(1, 40), st.sampled_from([mtdata2, legacy]))
 def test_damaged_messages_are_survived_in_every_state_and_the_next_good_ones_used(chance, count, make):
     device = make()
@@ -376,7 +377,7 @@ def test_damaged_messages_are_survived_in_every_state_and_the_next_good_ones_use
 
 
 def test_decoding_a_message_is_cheap():
-    """Measured 20 to 35 us on a shared machine; the limit leaves room for a bad day."""
+    """Measured 20 to 35 us of a core of its own; the limit leaves room for one that is shared."""
     costs_us = {}
     for name, device in (("mtdata2", mtdata2(baud=460_800)), ("legacy", legacy(baud=460_800))):
         t = talk(device).run(1.0)
@@ -386,12 +387,12 @@ def test_decoding_a_message_is_cheap():
             messages.append((device.due(due_ns), due_ns))
         best = math.inf
         for start in range(0, 1000, 200):
-            began = time.perf_counter()
+            began = time.thread_time()
             for data, due_ns in messages[start : start + 200]:
                 t.session.receive_data(data, due_ns)
-            best = min(best, time.perf_counter() - began)
+            best = min(best, time.thread_time() - began)
         costs_us[name] = best / 200 * 1e6
-    assert max(costs_us.values()) < 60.0, costs_us
+    assert max(costs_us.values()) < 120.0, costs_us
 
 
 @pytest.mark.parametrize("personality", ["mtdata2", "legacy"])
@@ -441,20 +442,24 @@ def test_a_million_damaged_recorded_messages_are_survived(shared: Path):
     makers = (mtdata2, legacy)
     streams = [talk(make(baud=460_800)).run(1.0) for make in makers]
     ended = malformed = 0
+    slowest_s = 0.0
     for i in range(1_000_000):
         t = streams[i % 2]
         t.now_ns += 5_000_000
         mid, data = messages[chance.randrange(len(messages))]
         wire = encode(mid, mutate(data, chance)) if i & 2 else mutate(encode(mid, data), chance)
+        began_s, gave_up = time.thread_time(), False
         try:
             t.session.receive_data(wire, t.now_ns)
         except ProtocolError:
-            ended += 1
-        if t.session._malformed_in_a_row > MALFORMED_LIMIT or not t.session._dialogue.measuring:
+            ended, gave_up = ended + 1, True
+        slowest_s = max(slowest_s, time.thread_time() - began_s)
+        if gave_up or not t.session._dialogue.measuring:
             malformed += t.session.counters["messages_malformed"]
             streams[i % 2] = talk(makers[i % 2](baud=460_800)).run(1.0)
         assert t.session._decoder.waiting_bytes <= 2_055
     assert ended > 0
+    assert slowest_s < 0.25  # of this thread's own time: nothing hangs
     assert malformed + sum(t.session.counters["messages_malformed"] for t in streams) > 50_000
     for t in streams:
         assert len(t.session.counters) < 60

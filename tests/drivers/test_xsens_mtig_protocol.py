@@ -18,6 +18,7 @@ from drivers.xsens_mtig.protocol import (
     error_text,
     warning_text,
 )
+from tests.drivers.damage import mutate
 
 CAPTURES = [f"einride_xsens-go_t{n}_output.bin" for n in (1, 2, 3)]
 GOOD = encode(Mid.MTDATA2, bytes.fromhex("102002DFC5"))
@@ -116,23 +117,6 @@ def test_any_bytes_are_survived_in_bounded_memory(chunks: list[bytes]):
     found = decoder.receive_data(GOOD * 400)  # longer than any message that garbage can announce
     assert found[-1] == Message(Mid.MTDATA2, GOOD[4:-1])
     assert found[-1].bytes_after == 0
-
-
-def mutate(wire: bytes, chance: random.Random) -> bytes:
-    damaged = bytearray(wire)
-    for _ in range(chance.randrange(1, 4)):
-        at = chance.randrange(len(damaged))
-        match chance.randrange(4):
-            case 0:
-                damaged[at] ^= 1 << chance.randrange(8)
-            case 1:
-                damaged[at] = chance.randrange(256)
-            case 2:
-                del damaged[at:]
-                damaged += b"\xfa"
-            case 3:
-                damaged[at:at] = chance.randbytes(chance.randrange(1, 8))
-    return bytes(damaged)
 
 
 @settings(max_examples=100, deadline=None)
