@@ -1,0 +1,92 @@
+"""Orthogonal blurred segments: runs of points in a narrow band along either axis of the map."""
+
+import numpy as np
+from numba import njit
+
+NO_SEGMENT = -1
+
+
+@njit(cache=True, nogil=True)
+def fullest_band(across, alive, may_begin, width_m):
+    """The band [across[i], across[i] + width] with the most live points, by two pointers.
+
+    across      (N,)  float64   m, rising
+    alive       (N,)  bool      points not yet in a segment
+    may_begin   (N,)  bool      points a band may begin at
+    Returns (first, last, count): rows [first, last) of the band, and the live points among them.
+    """
+    best_first, best_last, best_count = 0, 0, 0
+    last, count = 0, 0
+    for first in range(across.shape[0]):
+        while last < across.shape[0] and across[last] <= across[first] + width_m:
+            count += alive[last]
+            last += 1
+        if may_begin[first] and alive[first] and count > best_count:
+            best_first, best_last, best_count = first, last, count
+        count -= alive[first]
+    return best_first, best_last, best_count
+
+
+@njit(cache=True, nogil=True)
+def segments_along(xy_map, axis, gap_m, limits, least_points, segment):
+    """Blurred segments parallel to one axis of the map.
+
+    xy_map         (N, 2) float64   m, axes of the map
+    axis           int              0: parallel to x, 1: to y
+    gap_m          (N,)   float64   a step to the next point along the axis longer than this parts a segment;
+                                    of two neighbours the larger counts
+    limits         (2,)   float64   width of a band, least length of a segment; m
+    least_points   int              the search ends with a band of no more points (n)
+    segment        (N, 2) int32     column `axis` out: number of the segment of each point, or NO_SEGMENT
+    Returns the number of segments.
+    Source: paper 002, algorithm 1. As printed it never ends where no piece of the fullest band is long
+    enough; here no band may begin again within half a width of such a one.
+    """
+    width_m, length_m = limits[0], limits[1]
+    count = xy_map.shape[0]
+    order = np.argsort(xy_map[:, 1 - axis], kind="mergesort")
+    across = np.empty(count)
+    alive = np.empty(count, np.bool_)
+    may_begin = np.empty(count, np.bool_)
+    for i in range(count):
+        across[i] = xy_map[order[i], 1 - axis]
+        alive[i] = True
+        may_begin[i] = True
+        segment[i, axis] = NO_SEGMENT
+    found = 0
+    for _ in range(count):  # each round takes points away, or at least the begin of a band
+        first, last, live = fullest_band(across, alive, may_begin, width_m)
+        if live <= least_points:
+            break
+        rows = np.empty(live, np.int64)
+        along = np.empty(live)
+        n = 0
+        for i in range(first, last):
+            if alive[i]:
+                rows[n] = i
+                along[n] = xy_map[order[i], axis]
+                n += 1
+        by_place = np.argsort(along, kind="mergesort")
+        kept = False
+        begin = 0
+        for n in range(live):
+            here = rows[by_place[n]]
+            if n + 1 < live:
+                there = rows[by_place[n + 1]]
+                step_m = along[by_place[n + 1]] - along[by_place[n]]
+                if step_m <= max(gap_m[order[here]], gap_m[order[there]]):
+                    continue
+            if along[by_place[n]] - along[by_place[begin]] > length_m:
+                for m in range(begin, n + 1):
+                    row = rows[by_place[m]]
+                    alive[row] = False
+                    segment[order[row], axis] = found
+                found += 1
+                kept = True
+            begin = n + 1
+        if not kept:
+            for i in range(count):
+                if abs(across[i] - across[first]) < 0.5 * width_m:
+                    may_begin[i] = False
+            may_begin[first] = False
+    return found
