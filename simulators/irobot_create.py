@@ -68,6 +68,7 @@ class FakeCreate:
     text_every_ns          how often it speaks unasked, every second time inside a frame; None: never
     sleep_after_ns         of Passive mode without a command; None: never
     wakes_on_connect       the cable's wake line is wired, and opening the port pulses it
+    clock_drift_ppm        positive: its frames come faster
     """
 
     def __init__(
@@ -81,6 +82,7 @@ class FakeCreate:
         text_every_ns: int | None = None,
         sleep_after_ns: int | None = SLEEP_AFTER_NS,
         wakes_on_connect: bool = False,
+        clock_drift_ppm: float = 0.0,
     ) -> None:
         preset = PRESETS[model]
         self.counters: Counter[str] = Counter()
@@ -95,6 +97,7 @@ class FakeCreate:
         self._text_every_ns = text_every_ns
         self._sleep_after_ns = sleep_after_ns
         self._wakes_on_connect = wakes_on_connect
+        self._frame_period_ns = round(FRAME_PERIOD_NS / (1.0 + clock_drift_ppm * 1e-6))
         self._ear = CommandDecoder(demo_takes_data=not self._encoders)
         self.asleep = False
         self.mode = Mode.OFF
@@ -195,7 +198,7 @@ class FakeCreate:
     def _next_frame(self, now_ns: int) -> bytes:
         assert self._frame_at_ns is not None
         frame = encode_frame(self._stream_ids, self._measure(self._stream_ids, self._frame_at_ns))
-        self._frame_at_ns += FRAME_PERIOD_NS
+        self._frame_at_ns += self._frame_period_ns
         if self._text_is_due(now_ns) and self._text_waits_for_frame():
             middle = len(frame) // 2
             return frame[:middle] + self._speak(now_ns) + frame[middle:]
@@ -211,8 +214,8 @@ class FakeCreate:
         """Leave out the frames older than that; how many."""
         if self._frame_at_ns is None:
             return 0
-        skipped = turns_to_skip(now_ns - self._frame_at_ns, FRAME_PERIOD_NS, keep_ns)
-        self._frame_at_ns += skipped * FRAME_PERIOD_NS
+        skipped = turns_to_skip(now_ns - self._frame_at_ns, self._frame_period_ns, keep_ns)
+        self._frame_at_ns += skipped * self._frame_period_ns
         return skipped
 
     def _fall_asleep(self, now_ns: int) -> None:
@@ -272,13 +275,13 @@ class FakeCreate:
         if len(known) + data_bytes(known) > 255:
             return
         self._stream_ids, self._paused = known, False
-        self._frame_at_ns = now_ns + FRAME_PERIOD_NS if known else None
+        self._frame_at_ns = now_ns + self._frame_period_ns if known else None
 
     def _pause(self, paused: bool, now_ns: int) -> None:
         if paused == self._paused or not self._stream_ids:
             return
         self._paused = paused
-        self._frame_at_ns = None if paused else now_ns + FRAME_PERIOD_NS
+        self._frame_at_ns = None if paused else now_ns + self._frame_period_ns
 
     def _drive(self, command: Command) -> None:
         first = int.from_bytes(command.data[:2], "big", signed=True)

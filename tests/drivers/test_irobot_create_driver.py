@@ -29,6 +29,7 @@ from tests.drivers.irobot_bench import (
     errors_m_rad,
     largest_step_m,
 )
+from tests.drivers.virtual_time import Talk
 
 HARMLESS = {
     Opcode.START,
@@ -90,6 +91,45 @@ def test_stamps_are_the_moments_of_measurement():
     offset_m = np.array([s.x_m for s in samples]) - true_m
     assert np.ptp(offset_m) < 1e-3  # 3 ms of driving, less one count
     assert all(s.arrived_ns - s.stamp_ns > 3 * MS for s in samples)
+
+
+class Remembering(Curve):
+    """Tells when each frame was measured."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.asked_ns: list[int] = []
+
+    def wheel_travel_m(self, now_ns: int) -> tuple[float, float]:
+        self.asked_ns.append(now_ns)
+        return super().wheel_travel_m(now_ns)
+
+
+@pytest.mark.parametrize("drift_ppm", [100.0, -100.0])
+def test_stamps_scatter_little_under_jitter_bursts_and_drift_and_a_restart_is_over_in_three_seconds(
+    drift_ppm: float,
+):
+    rng, wheels = np.random.default_rng(8), Remembering()
+
+    def delay_ns() -> int:
+        burst_ms = rng.uniform(0.0, 50.0) if rng.random() < 0.05 else 0.0
+        return round((0.1 + rng.uniform(0.0, 3.0) + burst_ms) * MS)
+
+    t = Talk(session_maker(CONFIG)(), FakeCreate(wheels, clock_drift_ppm=drift_ppm), 0, delay_ns)
+    t.connect().run(25.0)
+    before, restarted_ns = len(t.frames), t.now_ns
+    t.device.restart(t.now_ns)
+    t.run(16.0)
+    truth_ns = np.array(wheels.asked_ns)
+    stamps_ns = np.array([sample.stamp_ns for sample in t.frames])
+    late_ms = (stamps_ns - truth_ns[np.abs(stamps_ns[:, None] - truth_ns).argmin(axis=1)]) / MS
+    old = (stamps_ns > 10 * S) & (stamps_ns < restarted_ns)
+    assert np.count_nonzero(old) > 14 * 66
+    assert np.std(late_ms[old]) <= 0.2
+    again = stamps_ns[before:] - restarted_ns
+    assert again[0] < 3 * S
+    assert np.abs(late_ms[before:][again > 3 * S]).max() < 2.0
+    assert np.std(late_ms[before:][again > 12 * S]) <= 0.2
 
 
 def test_bytes_behind_a_frame_in_its_read_do_not_make_it_late():

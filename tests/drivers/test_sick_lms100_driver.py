@@ -227,6 +227,28 @@ def test_stamps_are_those_of_the_first_ray_through_drift_jitter_and_a_wrap(
     assert np.diff(stamps_ns).min() > 0
 
 
+def test_restart_under_jitter_and_drift_is_recovered_in_three_seconds():
+    rng = np.random.default_rng(6)
+    t = talk(Lms100Setup(clock_drift_ppm=-100.0))
+    t.delay_ns = lambda: (
+        round(rng.uniform(0.1e6, 3.1e6)) + (round(rng.uniform(0, 50e6)) if rng.random() < 0.05 else 0)
+    )
+    t.run(15.0)
+    before, restarted_ns = len(t.frames), t.now_ns
+    t.device.disconnected(t.now_ns)
+    t.device.restart(t.now_ns)
+    t.session = Lms100Session(config())  # as the link makes one
+    t.connect().run(20.0)
+    truth_ns = np.array(t.device._source.first_rays_ns)
+    stamps_ns = np.array([frame.stamp_ns for frame in t.frames[before:]])
+    late_ms = (stamps_ns - truth_ns[np.abs(stamps_ns[:, None] - truth_ns).argmin(axis=1)]) / 1e6
+    since_s = (stamps_ns - restarted_ns) / 1e9
+    assert since_s[0] < 3.0
+    assert np.abs(late_ms[since_s > 3.0]).max() < 1.5
+    assert np.std(late_ms[since_s > 13.0]) <= 0.2
+    assert np.count_nonzero(since_s > 13.0) > 300
+
+
 def test_recorded_lms111_plays_through_the_session(shared):
     rows = [
         json.loads(line) for line in (shared / "captures/sick/20210302_lms111.jsonl").read_text().splitlines()
