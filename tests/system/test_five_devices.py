@@ -75,6 +75,8 @@ def _demo(seconds: int, folder: Path, look: Callable[[int], None] | None = None)
             watcher.join()
             process.kill()
     assert process.returncode == 0, log
+    not_sent = [line for line in log.splitlines() if "turns_skipped" in line]
+    assert not not_sent, f"the fake devices got no processor for over a second: {not_sent}"
     summary: dict[str, Any] = json.loads(said)
     return summary
 
