@@ -1,14 +1,29 @@
 """The coarse map: how likely an end point is at a place, splatted as one Gaussian a point."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from service.kernels.surfels import TILE_BITS, TILE_MASK, touch_tile
-from service.kernels.tiles import NO_TILE, find_tile
+from service.kernels.tiles import NO_TILE, TileIndex, find_tile
 
 SPLAT_REACH_CELLS = 4
+
+
+class LikelihoodField(NamedTuple):
+    """What a scan can be laid on: how likely an end point is in each cell.
+
+    tiles    TileIndex                       tiles of TILE_CELLS a side
+    field    (capacity, T, T) float32        0 to 1
+    cell_m   float
+    """
+
+    tiles: TileIndex
+    field: npt.NDArray[np.float32]
+    cell_m: float
 
 
 @njit(cache=True, nogil=True)
