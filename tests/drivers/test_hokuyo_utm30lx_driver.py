@@ -169,6 +169,25 @@ def test_a_device_in_any_state_of_its_start_comes_to_stream(setup, changes):
     assert "resets" not in t.session.counters
 
 
+class Stuck(FakeUtm30lx):
+    """Refuses to end what it does until it is reset."""
+
+    stuck = True
+
+    def receive_data(self, data, now_ns):
+        self.stuck &= b"RS\n" not in data
+        if self.stuck and b"QT\n" in data:
+            return encode_reply("QT", "10")
+        return super().receive_data(data, now_ns)
+
+
+def test_a_unit_that_nothing_else_frees_is_reset():
+    t = Talk(HokuyoUtm30lxSession(config()), Stuck(Room(), USB)).connect().run(10.0)
+    assert t.session.status == "streaming"
+    assert t.session.counters["resets"] == 1
+    assert t.session.counters["clock_resets"] == t.session.counters["time_sync_contradictory"] == 0
+
+
 @pytest.mark.parametrize(
     "left_with",
     [
