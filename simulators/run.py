@@ -25,6 +25,7 @@ log = logging.getLogger("simulators")
 
 DONE, FAILED, USAGE, IO_ERROR = 0, 1, 64, 74
 LOOK_S = 0.05  # how often the truth is written and the parent looked for
+TELL_S = 10.0  # how often losses are told
 TRUTH_STEP_NS = 5_000_000
 SWITCH_INTERVAL_S = 0.0005  # a thread per device: none may hold another's due time up for long
 
@@ -103,15 +104,19 @@ def _run(options: argparse.Namespace) -> int:
         truth = TruthFile(ride, truth_file)
         _announce(vehicle, options.print_endpoints)
         told: Counter[tuple[str, str]] = Counter()
+        tell_at_s = time.monotonic() + TELL_S
         while signal.sigtimedwait(stopping, LOOK_S) is None:
             truth.write_until(time.monotonic_ns())
-            _tell_losses(vehicle, told)
+            if time.monotonic() >= tell_at_s:
+                _tell_losses(vehicle, told)
+                tell_at_s = time.monotonic() + TELL_S
             if vehicle.failed:
                 return FAILED
             if options.die_with_parent and os.getppid() != parent:
                 log.info("parent process %d has gone; ending", parent)
                 break
         truth.write_until(time.monotonic_ns())
+        _tell_losses(vehicle, told)
     for name, counters in vehicle.fault_counters().items():
         log.info("%s had %s", name, ", ".join(f"{count} {what}" for what, count in counters.items()))
     return DONE
