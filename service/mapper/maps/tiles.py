@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.geometry.grid import TileRange
-from service.kernels.tiles import NO_TILE, TileIndex
+from service.kernels.tiles import NO_TILE, TileIndex, take_slot
 
 log = logging.getLogger(__name__)
 
@@ -91,6 +91,16 @@ class TilePool:
         free[: self.counts[0]] = self.free[: self.counts[0]]
         self.free = free
 
+    def take(self, count: int) -> npt.NDArray[np.int32]:
+        """So many slots, those handed back first; make_room was asked. The caller fills them."""
+        top = int(self.counts[0])
+        again = min(count, top)
+        fresh = int(self.counts[1]) + np.arange(count - again, dtype=np.int32)
+        slots = np.concatenate((self.free[top - again : top], fresh)).astype(np.int32)
+        self.counts[0] -= again
+        self.counts[1] += count - again
+        return slots
+
     def release(self, slots: npt.NDArray[np.int32]) -> None:
         """Hand slots back; whoever takes one clears it."""
         top = int(self.counts[0])
@@ -145,8 +155,33 @@ class TileMap:
             for row, column in zip(rows, columns, strict=True)
         ]
 
+    def take(self, row: int, column: int) -> tuple[int, bool]:
+        """Give a tile that cover() made ready, and that has none, a slot: (slot, used before)."""
+        slot, used_before = take_slot(self.index(), row, column)
+        return int(slot), bool(used_before)
+
+    def drop(self, row: int, column: int) -> None:
+        """Hand the slot of one tile back."""
+        place = (row - int(self.origin[0]), column - int(self.origin[1]))
+        self.pool.release(self.slots[place].reshape(1))
+        self.slots[place] = NO_TILE
+
     def release(self) -> None:
         """Hand every tile back to the pool; the map is empty afterwards."""
         self.pool.release(self.slots[self.slots != NO_TILE])
         self.slots = np.full((1, 1), NO_TILE, np.int32)
         self._empty = True
+
+    def copy_from(self, other: "TileMap") -> None:
+        """Become the same as another map of the same pool, in tiles of its own."""
+        self.release()
+        taken = other.slots != NO_TILE
+        count = int(np.count_nonzero(taken))
+        self.pool.make_room(count)
+        slots = self.pool.take(count)
+        self.slots = np.full_like(other.slots, NO_TILE)
+        self.slots[taken] = slots
+        self.origin = other.origin.copy()
+        self._empty = other._empty
+        for array in self.pool.arrays:
+            array[slots] = array[other.slots[taken]]

@@ -1,0 +1,171 @@
+"""How often each cell was hit and how often seen through, and what that says of it.
+
+The two counts are the whole map: probability and likelihood follow from them.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from service.kernels.surfels import TILE_BITS, TILE_MASK
+from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
+
+MOST_COUNT = 65_535
+
+
+class CountedGrid(NamedTuple):
+    """A map of counts.
+
+    tiles     TileIndex                      tiles of TILE_CELLS a side
+    hits      (capacity, T, T) uint16        c_o: scans with an end point in the cell
+    passes    (capacity, T, T) uint16        c_f: scans with a beam through it, and none ending in it
+    field     (capacity, T, T) float32       likelihood of an end point: the probability of a cell that was
+                                             ever hit, else 0
+    touched   (capacity, T, T) uint16        number of the scan that last counted in a cell
+    cell_m    float
+    """
+
+    tiles: TileIndex
+    hits: npt.NDArray[np.uint16]
+    passes: npt.NDArray[np.uint16]
+    field: npt.NDArray[np.float32]
+    touched: npt.NDArray[np.uint16]
+    cell_m: float
+
+
+class CountWeights(NamedTuple):
+    """Log-odds of O_o, what one hit says, and of O_f, what one beam through says."""
+
+    hit: float
+    passed: float
+
+
+@njit(cache=True, nogil=True)
+def occupied_probability(hits, passes, weights):
+    """p = O_o^c_o O_f^c_f / (O_o^c_o O_f^c_f + (1 - O_o)^c_o (1 - O_f)^c_f), by way of its log-odds.
+
+    hits, passes   int
+    weights        CountWeights
+    Source: paper 004, eqs. 6 to 8; the lost eq. 8 is the normalised product of the odds.
+    """
+    return 1.0 / (1.0 + math.exp(-(hits * weights.hit + passes * weights.passed)))
+
+
+@njit(cache=True, nogil=True)
+def touch_counted(grid, tile_row, tile_column):
+    """Slot of a tile, made where there was none."""
+    slot = find_tile(grid.tiles, tile_row, tile_column)
+    if slot == NO_TILE:
+        slot, used_before = take_slot(grid.tiles, tile_row, tile_column)
+        if used_before:
+            grid.hits[slot] = np.uint16(0)
+            grid.passes[slot] = np.uint16(0)
+            grid.field[slot] = np.float32(0.0)
+            grid.touched[slot] = np.uint16(0)
+    return slot
+
+
+@njit(cache=True, nogil=True)
+def count_beam(u, v, du, dv, grid, hits, passes, field, touched, weights, scan_number):
+    """Count the cells between two points as seen through, that of the end point left out.
+
+    u, v          float         start, in cells
+    du, dv        float         from start to end, in cells
+    grid          CountedGrid   in and out; its arrays stand beside it, for taking them out again costs more
+                                than a cell
+    weights       CountWeights
+    scan_number   uint16
+    Source: Amanatides and Woo, A fast voxel traversal algorithm for ray tracing, 1987.
+    """
+    column = math.floor(u)
+    row = math.floor(v)
+    step_column = 1 if du > 0.0 else -1
+    step_row = 1 if dv > 0.0 else -1
+    next_column = ((column + 1 if du > 0.0 else column) - u) / du if du != 0.0 else np.inf
+    next_row = ((row + 1 if dv > 0.0 else row) - v) / dv if dv != 0.0 else np.inf
+    per_column = abs(1.0 / du) if du != 0.0 else np.inf
+    per_row = abs(1.0 / dv) if dv != 0.0 else np.inf
+    tile_row = row >> TILE_BITS
+    tile_column = column >> TILE_BITS
+    slot = touch_counted(grid, tile_row, tile_column)
+    for _ in range(abs(math.floor(u + du) - column) + abs(math.floor(v + dv) - row)):
+        if row >> TILE_BITS != tile_row or column >> TILE_BITS != tile_column:
+            tile_row = row >> TILE_BITS
+            tile_column = column >> TILE_BITS
+            slot = touch_counted(grid, tile_row, tile_column)
+        r = row & TILE_MASK
+        q = column & TILE_MASK
+        if touched[slot, r, q] != scan_number:
+            touched[slot, r, q] = scan_number
+            passed = min(np.int64(passes[slot, r, q]) + 1, MOST_COUNT)
+            passes[slot, r, q] = passed
+            if hits[slot, r, q] > 0:
+                field[slot, r, q] = occupied_probability(hits[slot, r, q], passed, weights)
+        if next_column < next_row:
+            column += step_column
+            next_column += per_column
+        else:
+            row += step_row
+            next_row += per_row
+
+
+@njit(cache=True, nogil=True)
+def count_scan(xy_base, sensor_xy_m, pose, grid, weights, free_range_m, pass_stride, scan_number):
+    """Count a scan, each cell once: end points first, so that no beam goes through what another one hit.
+    Counts stay at their greatest value.
+
+    xy_base        (N, 2) float64   end points, m, base frame
+    sensor_xy_m    (2,)   float64   where the beams start, m, base frame
+    pose           (3,)   float64   base in the frame of the grid
+    grid           CountedGrid      in and out; its tiles' index covers end points and sensor
+    weights        CountWeights
+    free_range_m   float            beams clear cells up to here
+    pass_stride    int              every so many beams clear cells; all of them hit
+    scan_number    uint16           differs from that of the last scan, and is not 0
+    Source: paper 004, section 2.1.1.
+    """
+    hits, passes, field, touched = grid.hits, grid.passes, grid.field, grid.touched
+    cell_m = grid.cell_m
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    for i in range(xy_base.shape[0]):
+        column = math.floor((pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) / cell_m)
+        row = math.floor((pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) / cell_m)
+        slot = touch_counted(grid, row >> TILE_BITS, column >> TILE_BITS)
+        r = row & TILE_MASK
+        q = column & TILE_MASK
+        if touched[slot, r, q] == scan_number:
+            continue
+        touched[slot, r, q] = scan_number
+        hit = min(np.int64(hits[slot, r, q]) + 1, MOST_COUNT)
+        hits[slot, r, q] = hit
+        field[slot, r, q] = occupied_probability(hit, passes[slot, r, q], weights)
+    u = (pose[0] + c * sensor_xy_m[0] - s * sensor_xy_m[1]) / cell_m
+    v = (pose[1] + s * sensor_xy_m[0] + c * sensor_xy_m[1]) / cell_m
+    for i in range(0, xy_base.shape[0], pass_stride):
+        du = (pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) / cell_m - u
+        dv = (pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) / cell_m - v
+        shrink = min(1.0, free_range_m / cell_m / max(math.hypot(du, dv), 1e-9))
+        count_beam(u, v, shrink * du, shrink * dv, grid, hits, passes, field, touched, weights, scan_number)
+
+
+@njit(cache=True, nogil=True)
+def weigh_scan(values, stride, floor):
+    """Log-likelihood of a scan: the sum over its beams of log(floor + (1 - floor) likelihood).
+
+    values   (N, 3) float64   from read_field
+    stride   int              every stride-th row was asked
+    floor    float            of a beam that ends where nothing was ever hit
+    Returns (log-likelihood, mean likelihood).
+    """
+    total = 0.0
+    mean = 0.0
+    asked = 0
+    for i in range(0, values.shape[0], stride):
+        total += math.log(floor + (1.0 - floor) * values[i, 0])
+        mean += values[i, 0]
+        asked += 1
+    return total, mean / max(asked, 1)

@@ -1,0 +1,49 @@
+"""Weights of particles, and which of them live on."""
+
+import math
+
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def normalise_weights(log_weights, weights):
+    """Weights that add up to 1, and how many particles they are worth.
+
+    log_weights   (N,) float64   in and out: the largest becomes 0, so that they never run away
+    weights       (N,) float64   out
+    Returns 1 / sum of squares: N for equal weights, 1 where one has it all.
+    Source: Doucet, Godsill, Andrieu 2000, eq. 51.
+    """
+    largest = log_weights[0]
+    for k in range(1, log_weights.shape[0]):
+        largest = max(largest, log_weights[k])
+    total = 0.0
+    for k in range(log_weights.shape[0]):
+        log_weights[k] -= largest
+        weights[k] = math.exp(log_weights[k])
+        total += weights[k]
+    squares = 0.0
+    for k in range(weights.shape[0]):
+        weights[k] /= total
+        squares += weights[k] * weights[k]
+    return 1.0 / squares
+
+
+@njit(cache=True, nogil=True)
+def resample(weights, first, chosen):
+    """Low-variance resampling: one random number for all.
+
+    weights   (N,) float64   add up to 1
+    first     float          random, in [0, 1)
+    chosen    (N,) int64     out: which particle each one becomes; rising
+    Source: Thrun, Burgard, Fox, Probabilistic Robotics, table 4.4.
+    """
+    count = weights.shape[0]
+    k = 0
+    reached = weights[0]
+    for n in range(count):
+        at = (n + first) / count
+        while reached < at and k < count - 1:
+            k += 1
+            reached += weights[k]
+        chosen[n] = k

@@ -1,0 +1,210 @@
+"""The graph of the profile submap_graph: closed sub-maps go to the back end, corrections come in."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from service.geometry.se2 import SE2
+from service.mapper.background import Errand, NewWorker, WorkLostError
+from service.mapper.graph.landmark_back_end import Batch, LandmarkBackEnd, LandmarkGraphConfig, Pair, Result
+from service.mapper.maps.counted_submaps import CountedChange
+from service.mapper.stages import (
+    Correction,
+    Drawn,
+    FinishedGraph,
+    GraphUpdate,
+    MappedScan,
+    Painter,
+    WishError,
+)
+
+
+class PointOfSubmap(BaseModel):
+    """A point of the shown map, and the sub-map that drew it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    submap: int = Field(ge=0)
+    x_m: float = Field(allow_inf_nan=False)  # map frame
+    y_m: float = Field(allow_inf_nan=False)
+
+
+class PairRequest(BaseModel):
+    """Two points that are one in the world. The word for them is that of the interface."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    first: PointOfSubmap
+    second: PointOfSubmap
+
+
+class PairNumber(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    pair: int = Field(ge=0)
+
+
+class LandmarkGraph:
+    """Graph."""
+
+    def __init__(
+        self,
+        config: LandmarkGraphConfig,
+        painter: Painter | None,
+        new_worker: NewWorker,
+    ) -> None:
+        self._errand = Errand(new_worker(LandmarkBackEnd(config, painter)))
+        self._pose_map_odom = SE2()
+        self._key_odom: dict[int, SE2] = {}  # by stamp of each key scan: as the mapper gave it
+        self._since: list[tuple[int, MappedScan]] = []  # key scans that no closed sub-map holds
+        self._submaps = 0  # closed so far
+        self._next_pair = 0
+        self._pairs: list[Pair] = []
+        self._last: Result | None = None
+
+    @property
+    def waiting(self) -> int:
+        return self._errand.waiting
+
+    @property
+    def ready(self) -> bool:
+        return self._errand.ready
+
+    @property
+    def trouble(self) -> str:
+        return self._errand.trouble
+
+    def add(self, scan: MappedScan) -> SE2:
+        change = scan.change
+        if change.is_keyframe:
+            self._key_odom[scan.stamp_ns] = scan.match.motion.pose_odom_base
+            self._since.append((self._submaps, scan))
+        if isinstance(change, CountedChange) and change.closed is not None:
+            self._submaps += 1
+            self._errand.submit(Batch("submap", closed=change.closed))
+        return self._pose_map_odom
+
+    def take_in(self) -> GraphUpdate:
+        if not self._errand.waiting:
+            return GraphUpdate({})
+        try:
+            result: Result = self._errand.take()
+        except WorkLostError:
+            return GraphUpdate({})
+        return self._bring_in(result)
+
+    def wish(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
+        """add_landmark_pair, remove_landmark_pair, optimize, undo. The answer lists what is known by now."""
+        if self._errand.trouble:
+            raise WishError(f"{name}: the graph has stopped: {self._errand.trouble}")
+        answer: dict[str, Any] = {}
+        if name == "add_landmark_pair":
+            pair = self._new_pair(name, payload)
+            self._pairs.append(pair)
+            self._errand.submit(Batch("add", pair=pair))
+            answer["pair"] = pair.number
+        elif name == "remove_landmark_pair":
+            number = _read(PairNumber, name, payload).pair
+            self._drop(name, "remove", number)
+        elif name == "undo":
+            if not self._pairs:
+                raise WishError("undo: there is no landmark pair to take back")
+            answer["pair"] = self._pairs[-1].number
+            self._drop(name, "undo", self._pairs[-1].number)
+        elif name == "optimize":
+            self._errand.submit(Batch("optimize"))
+        else:
+            raise WishError(
+                f"{name}: this graph knows add_landmark_pair, remove_landmark_pair, optimize, undo"
+            )
+        return answer | self._known()
+
+    def finish(self) -> FinishedGraph:
+        counts: dict[str, int] = {}
+        update = GraphUpdate({})
+        if not self._errand.trouble:
+            self._errand.submit(Batch("finish"))
+        while self._errand.waiting:
+            update = self.take_in()
+            for name, count in update.counts.items():
+                counts[name] = counts.get(name, 0) + count
+        result = self._last
+        if result is None or not len(result.stamps):
+            return FinishedGraph(update=GraphUpdate(counts, update.sheet, update.since))
+        corrections = [
+            Correction(stamp_ns, self._key_odom[stamp_ns], SE2(*pose))
+            for stamp_ns, pose in zip(result.stamps.tolist(), result.poses.tolist(), strict=True)
+        ]
+        return FinishedGraph(corrections, result.g2o, GraphUpdate(counts, update.sheet, update.since))
+
+    def close(self) -> None:
+        self._errand.close()
+
+    def _bring_in(self, result: Result) -> GraphUpdate:
+        before, self._last = self._last, result
+        self._pose_map_odom = result.pose_map_odom
+        self._since = [(number, scan) for number, scan in self._since if number >= result.submaps]
+        since: list[Drawn] = []
+        if result.sheet is not None:
+            since = [
+                Drawn(
+                    scan.points.xy_base.astype("float32"),
+                    (scan.points.sensor_base.x_m, scan.points.sensor_base.y_m),
+                    self._pose_map_odom @ scan.match.motion.pose_odom_base,
+                )
+                for _number, scan in self._since
+            ]
+        links = before.links if before is not None else 0
+        return GraphUpdate({"loop_closures": result.links - links}, result.sheet, since)
+
+    def _new_pair(self, name: str, payload: Mapping[str, Any]) -> Pair:
+        request = _read(PairRequest, name, payload)
+        points = (request.first, request.second)
+        if points[0].submap == points[1].submap:
+            raise WishError(f"{name}: both points are of sub-map {points[0].submap}; name two sub-maps")
+        known = self._last.submaps if self._last is not None else 0
+        for point in points:
+            if point.submap >= known:
+                raise WishError(
+                    f"{name}: there is no sub-map {point.submap} in the graph yet; it holds {known}, "
+                    "numbered from 0 by the way driven"
+                )
+        number = self._next_pair
+        self._next_pair += 1
+        first, second = points
+        xy = (first.x_m, first.y_m), (second.x_m, second.y_m)
+        return Pair(number, (first.submap, second.submap), xy)
+
+    def _drop(self, name: str, what: Any, number: int) -> None:
+        pair = next((pair for pair in self._pairs if pair.number == number), None)
+        if pair is None:
+            known = ", ".join(str(pair.number) for pair in self._pairs) or "none"
+            raise WishError(f"{name}: there is no landmark pair {number}; there are: {known}")
+        self._pairs.remove(pair)
+        self._errand.submit(Batch(what, pair=pair))
+
+    def _known(self) -> dict[str, Any]:
+        last = self._last
+        return {
+            "submaps": last.submaps if last is not None else 0,
+            "links": last.links if last is not None else 0,
+            "landmarks": last.landmarks if last is not None else 0,
+            "rms_m": round(last.rms_m, 4) if last is not None else 0.0,
+            "pairs": [
+                {"pair": pair.number, "apart_m": round(last.residual_m[pair.number], 4)}
+                for pair in self._pairs
+                if last is not None and pair.number in last.residual_m
+            ],
+            "trouble": last.trouble if last is not None else "",
+            "waiting": self._errand.waiting,
+        }
+
+
+def _read(model: Any, name: str, payload: Mapping[str, Any]) -> Any:
+    try:
+        return model.model_validate(payload)
+    except ValidationError as error:
+        fault = error.errors()[0]
+        place = ".".join(map(str, fault["loc"])) or "the request"
+        raise WishError(f"{name}: {place}: {fault['msg']}") from None

@@ -1,0 +1,145 @@
+"""A Rao-Blackwellised particle filter: every particle is laid on the map that it drew itself.
+
+Sample, weigh, resample, as paper 004 section 1.2; the maps are drawn by CountedSubmaps. A step of a particle
+is drawn from the motion model and then laid on its map: without odometry the sample alone would miss it.
+"""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.fusion.motion import Motion, Prediction
+from service.geometry import poses as se2
+from service.geometry.se2 import SE2, wrap_angle
+from service.kernels.counted_occupancy import weigh_scan
+from service.kernels.likelihood import read_field
+from service.kernels.match import AlignSettings, coarse_align, rotate_information
+from service.kernels.particles import normalise_weights, resample
+from service.mapper.maps.counted_submaps import CountedSubmaps
+from service.mapper.stages import Match, Points
+from service.outputs import State
+
+
+class ParticleFilterConfig(BaseModel):
+    """How particles are drawn, laid on their maps and weighed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    seed: int = Field(default=1, ge=0)
+    align_sigma: float = Field(default=0.5, gt=0.0)  # of 1 - likelihood, against the motion model
+    align_beams: int = Field(default=180, ge=10)
+    align_iterations: int = Field(default=8, ge=0, le=100)
+    likelihood_floor: float = Field(default=0.05, gt=0.0, lt=1.0)
+    likelihood_gain: float = Field(default=0.1, gt=0.0, le=1.0)  # beams are not independent
+    resample_below: float = Field(default=0.5, ge=0.0, le=1.0)  # of the particles still worth something
+    lost_likelihood: float = Field(default=0.15, ge=0.0, le=1.0)
+    degraded_likelihood: float = Field(default=0.30, ge=0.0, le=1.0)
+    least_points: int = Field(default=20, ge=3)
+    floor_position_m: float = Field(default=0.006, ge=0.0)
+    floor_heading_rad: float = Field(default=0.0015, ge=0.0)
+
+
+class ParticleFilter:
+    """Matcher[CountedSubmaps]. Random numbers come from a counter-based generator with a seed."""
+
+    def __init__(self, config: ParticleFilterConfig) -> None:
+        self._config = config
+        self._random = np.random.Generator(np.random.Philox(key=config.seed))
+        self._align = AlignSettings(config.align_sigma, config.align_beams, config.align_iterations)
+        self._floor = np.diag(
+            [config.floor_position_m**2, config.floor_position_m**2, config.floor_heading_rad**2]
+        )
+        self._last: SE2 | None = None
+
+    def match(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> Match:
+        config = self._config
+        last, self._last = self._last, predicted.pose_odom_base
+        if len(points.xy_base) < config.least_points:
+            return Match(
+                Motion(predicted.pose_odom_base, predicted.twist_base, predicted.covariance),
+                points,
+                0.0,
+                "lost",
+                f"{points.scan.sensor}: {len(points.xy_base)} of {len(points.scan.range_m)} beams returned "
+                f"(at least {config.least_points}); is the window covered, or is there nothing in range?",
+            )
+        if local_map.is_empty or last is None:
+            return Match(Motion(predicted.pose_odom_base, predicted.twist_base, self._floor), points, 1.0)
+        self._sample(predicted, last, local_map)
+        likelihood = self._lay(points, predicted, local_map)
+        worth = normalise_weights(local_map.log_weights, local_map.weights)
+        motion = self._mean(predicted, local_map)
+        if worth < config.resample_below * len(local_map.particles):
+            chosen = np.empty(len(local_map.particles), np.int64)
+            resample(local_map.weights, float(self._random.random()), chosen)
+            local_map.take_over(chosen)
+        self._last = motion.pose_odom_base
+        state, reason = self._judge(likelihood)
+        return Match(motion, points, min(likelihood, 1.0), state, reason)
+
+    def _sample(self, predicted: Prediction, last: SE2, local_map: CountedSubmaps) -> None:
+        """Move each particle by the predicted way and an error of it, drawn anew."""
+        step = last.inverse() @ predicted.pose_odom_base
+        way = np.array([step.x_m, step.y_m, step.theta_rad])
+        spread = _root(predicted.step_covariance)
+        errors = self._random.standard_normal((len(local_map.particles), 3)) @ spread.T
+        for particle, error in zip(local_map.particles, errors, strict=True):
+            particle.pose = se2.compose(se2.compose(particle.pose, way), error)
+
+    def _lay(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> float:
+        """Lay each particle on its map and weigh it; the mean likelihood of the best."""
+        config = self._config
+        information = np.linalg.inv(predicted.step_covariance + 1e-12 * np.eye(3))
+        turned = np.empty((3, 3))
+        stride = max(1, len(points.xy_base) // config.align_beams)
+        values = np.zeros((len(points.xy_base), 3))
+        means = np.empty(len(local_map.particles))
+        for k, particle in enumerate(local_map.particles):
+            field = particle.map.likelihood()
+            start = particle.pose.copy()
+            rotate_information(information, float(start[2]), turned)
+            coarse_align(points.xy_base, start, turned, field, self._align, particle.pose)
+            particle.pose[2] = wrap_angle(float(particle.pose[2]))
+            read_field(points.xy_base, stride, particle.pose, field.tiles, field.field, field.cell_m, values)
+            log_likelihood, means[k] = weigh_scan(values, stride, config.likelihood_floor)
+            local_map.log_weights[k] += config.likelihood_gain * log_likelihood
+        return float(means.max())
+
+    def _mean(self, predicted: Prediction, local_map: CountedSubmaps) -> Motion:
+        poses = np.array([particle.pose for particle in local_map.particles])
+        weights = local_map.weights
+        best = poses[int(np.argmax(weights))]
+        apart = poses - best
+        apart[:, 2] = se2.wrap(apart[:, 2])
+        offset = weights @ apart
+        x_m, y_m, theta_rad = (best + offset).tolist()
+        pose = SE2(x_m, y_m, wrap_angle(theta_rad))
+        spread = np.einsum("k,ki,kj->ij", weights, apart - offset, apart - offset)
+        turn = np.eye(3)
+        c, s = math.cos(theta_rad), math.sin(theta_rad)
+        turn[:2, :2] = [[c, s], [-s, c]]
+        covariance = turn @ spread @ turn.T + self._floor
+        moved = predicted.pose_odom_base.inverse() @ pose
+        gain = predicted.twist_gain / predicted.elapsed_s if predicted.elapsed_s > 0.0 else 0.0
+        forward, left, rate = predicted.twist_base
+        twist = (forward + gain * moved.x_m, left + gain * moved.y_m, rate + gain * moved.theta_rad)
+        return Motion(pose, twist, covariance)
+
+    def _judge(self, likelihood: float) -> tuple[State, str]:
+        config = self._config
+        if likelihood >= config.degraded_likelihood:
+            return "ok", ""
+        state: State = "lost" if likelihood < config.lost_likelihood else "degraded"
+        return state, (
+            f"the returns lie on the map with a mean likelihood of {likelihood:.2f} "
+            f"(expected {config.degraded_likelihood:.2f}): much has changed, or the prediction was far off"
+        )
+
+
+def _root(covariance: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """A square root of a covariance, also of one that is singular."""
+    values, axes = np.linalg.eigh(covariance)
+    root: npt.NDArray[np.float64] = axes * np.sqrt(np.maximum(values, 0.0))
+    return root

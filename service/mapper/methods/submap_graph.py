@@ -1,0 +1,40 @@
+"""Paper 004: particle-filtered sub-maps of counts, virtual landmarks between them, a graph that ties them."""
+
+from service.mapper.graph.landmark_back_end import LandmarkGraphConfig
+from service.mapper.graph.landmark_graph import LandmarkGraph
+from service.mapper.maps.counted_submaps import CountedSubmaps, CountedSubmapsConfig
+from service.mapper.matchers.particle_filter import ParticleFilter, ParticleFilterConfig
+from service.mapper.methods.corridor import (
+    DESKEW_BY_TWIST,
+    KEEP_ALL,
+    OCCUPANCY_TILES,
+    WEIGHED_MOTION,
+)
+from service.mapper.stages import Method, StageKind
+
+COUNTED_SUBMAPS = StageKind(
+    "counted_submaps", CountedSubmapsConfig, lambda config, _: CountedSubmaps(config), makes=CountedSubmaps
+)
+PARTICLE_FILTER = StageKind(
+    "particle_filter", ParticleFilterConfig, lambda config, _: ParticleFilter(config), reads=CountedSubmaps
+)
+LANDMARK_GRAPH = StageKind(
+    "landmark_graph",
+    LandmarkGraphConfig,
+    lambda config, around: LandmarkGraph(config, around.painter, around.new_worker),
+    reads=CountedSubmaps,
+)
+
+METHOD = Method(
+    "submap_graph",
+    stages={
+        "motion_model": WEIGHED_MOTION,
+        "deskew": DESKEW_BY_TWIST,
+        "matcher": PARTICLE_FILTER,
+        "local_map": COUNTED_SUBMAPS,
+        "keep_static": KEEP_ALL,
+        "graph": LANDMARK_GRAPH,
+        "free_space": OCCUPANCY_TILES,
+    },
+    settings={},
+)
