@@ -18,11 +18,11 @@ from pydantic.fields import FieldInfo
 from drivers.frames import NO_INTENSITY, ImuSample, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
 from service.mapper.background import InlineWorker, NewWorker
-from service.mapper.methods import corridor
+from service.mapper.methods import corridor, submap_graph
 from service.mapper.pipeline import Mapper
 from service.mapper.stages import BOXES, Box, Method, StageKind, Stages, Stopwatch, Surroundings
 
-METHODS: dict[str, Method] = {method.name: method for method in (corridor.METHOD,)}
+METHODS: dict[str, Method] = {method.name: method for method in (corridor.METHOD, submap_graph.METHOD)}
 
 
 def stage_kinds(box: Box) -> dict[str, StageKind]:
