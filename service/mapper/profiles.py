@@ -18,16 +18,22 @@ from pydantic.fields import FieldInfo
 from drivers.frames import NO_INTENSITY, ImuSample, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
 from service.mapper.background import InlineWorker, NewWorker
-from service.mapper.methods import corridor, submap_graph
+from service.mapper.methods import corridor, imle, submap_graph
+from service.mapper.patch_store import MemoryPatches, NewPatchStore
 from service.mapper.pipeline import Mapper
 from service.mapper.stages import BOXES, Box, Method, StageKind, Stages, Stopwatch, Surroundings
 
-METHODS: dict[str, Method] = {method.name: method for method in (corridor.METHOD, submap_graph.METHOD)}
+METHODS: dict[str, Method] = {
+    method.name: method for method in (corridor.METHOD, imle.METHOD, submap_graph.METHOD)
+}
 
 
 def stage_kinds(box: Box) -> dict[str, StageKind]:
     """Everything that can stand in a box, by name."""
-    return {method.stages[box].name: method.stages[box] for method in METHODS.values()}
+    kinds = [
+        kind for method in METHODS.values() for kind in (method.stages[box], *method.others.get(box, ()))
+    ]
+    return {kind.name: kind for kind in kinds}
 
 
 def chosen_stages(profile: str, stages: Mapping[Box, str]) -> dict[Box, StageKind]:
@@ -127,11 +133,13 @@ def build_mapper(
     mountings: Mapping[str, SE2],
     stopwatch: Stopwatch | None = None,
     new_worker: NewWorker = InlineWorker,
+    new_patch_store: NewPatchStore = MemoryPatches,
 ) -> Mapper[Any]:
     """A mapper that has seen nothing yet.
 
     mountings    pose_base_sensor of each laser, by its name
     new_worker   where the graph's back end does its work
+    new_patch_store   where a map in patches keeps those that are far away
     """
     if config.settings is None:
         config = mapping_config(config.model_dump(exclude={"settings"}))
@@ -140,7 +148,7 @@ def build_mapper(
     def build(box: Box, around: Surroundings) -> Any:
         return chosen[box].build(getattr(config.settings, box, None), around)
 
-    around = Surroundings(config.cell_m, mountings, new_worker=new_worker)
+    around = Surroundings(config.cell_m, mountings, new_worker=new_worker, new_patch_store=new_patch_store)
     free_space = build("free_space", around)
     around = replace(around, painter=free_space.painter)
     built = {box: build(box, around) for box in BOXES if box != "free_space"}

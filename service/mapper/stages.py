@@ -1,7 +1,7 @@
 """The seams of the mapper: what each stage takes and gives. No algorithm lives here."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, Protocol, TypeVar, get_args
 
 import numpy as np
@@ -12,6 +12,7 @@ from drivers.frames import LaserScan
 from service.fusion.motion import Motion, MotionModel, Prediction
 from service.geometry.se2 import SE2
 from service.mapper.background import InlineWorker, NewWorker
+from service.mapper.patch_store import MemoryPatches, NewPatchStore
 from service.outputs import State, TileUpdate
 
 
@@ -236,6 +237,7 @@ class Surroundings:
     mountings: Mapping[str, SE2]  # pose_base_sensor of each laser, by its name
     painter: Painter | None = None  # of the shown map; the graph is told, and only it
     new_worker: NewWorker = InlineWorker  # where back ends work
+    new_patch_store: NewPatchStore = MemoryPatches  # where patches of a map wait that are far away
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,8 +266,10 @@ class Method:
     """A page that says which stages stand in the boxes, and with which settings where those are its own.
 
     settings   by box: keys whose values differ from the stage's defaults
+    others     by box: further stages that a config may choose
     """
 
     name: str
     stages: Mapping[Box, StageKind]
     settings: Mapping[Box, Mapping[str, Any]]
+    others: Mapping[Box, Sequence[StageKind]] = field(default_factory=dict)

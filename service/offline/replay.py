@@ -25,6 +25,7 @@ from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
 from service.mapper.profiles import warm_up as warm_up_kernels
 from service.mapper.stages import WishError
 from service.mapper.steering import TAKE_IN_AFTER_SCANS, Control, SteeredMapper, TakeIn, Wish
+from service.mapstore.patch_files import PatchFiles
 from service.mapstore.picture import picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
@@ -139,7 +140,7 @@ def replay(
     warm_up_kernels(mapping)
     stages, scan_ns, states = StageTimes(), [], Counter[str]()
     mapper = SteeredMapper(
-        lambda: build_mapper(mapping, poses_base_sensor, stages),
+        lambda: build_mapper(mapping, poses_base_sensor, stages, new_patch_store=PatchFiles),
         laser,
         take_in_after=None if as_live else TAKE_IN_AFTER_SCANS,
     )

@@ -30,6 +30,7 @@ from service.mapper.pipeline import Mapper
 from service.mapper.profiles import MappingConfig, build_mapper
 from service.mapper.profiles import warm_up as warm_up_kernels
 from service.mapper.steering import SteeredMapper
+from service.mapstore.patch_files import PatchFiles
 from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
 from service.publishing.commands import CommandDesk
@@ -271,7 +272,12 @@ class Service:
 
     def _new_mapper(self) -> Mapper[Any]:
         config = self._config
-        return build_mapper(config.mapping, mountings(config.sensors), new_worker=self._back_end.new_worker)
+        return build_mapper(
+            config.mapping,
+            mountings(config.sensors),
+            new_worker=self._back_end.new_worker,
+            new_patch_store=PatchFiles,
+        )
 
     def _start_drivers(self) -> None:
         poses = mountings(self._config.sensors)

@@ -6,6 +6,7 @@ from simulators.world import World
 from simulators.worlds.corridors import corridor100, ring
 from simulators.worlds.library import library
 from simulators.worlds.mall import mall
+from simulators.worlds.navis import glass_corridor, hall, t_room
 from simulators.worlds.office import office
 from simulators.worlds.trials import crowd, featureless, glass_hall, room, spins, stop_and_go
 
@@ -21,6 +22,11 @@ WORLDS: dict[str, Callable[[], World]] = {
     "crowd": crowd,
     "glass_hall": glass_hall,
     "library": library,
+    "t_room": t_room,
+    "glass_corridor": glass_corridor,
+    "hall100": lambda: hall(100.0),
+    "hall200": lambda: hall(200.0),
+    "hall300": lambda: hall(300.0),
 }
 
 

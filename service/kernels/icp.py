@@ -1,0 +1,130 @@
+"""Iterative closest point between two scans, point to point."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from service.kernels.match import wrap
+
+
+class IcpResult(NamedTuple):
+    """step: pose of the newer base in the older one's frame.
+
+    step         (3,) float64   x m, y m, theta rad
+    rms_m        float          root of the mean squared distance of the pairs; inf where there were too few
+    paired       int            points that had a partner
+    iterations   int
+    """
+
+    step: npt.NDArray[np.float64]
+    rms_m: float
+    paired: int
+    iterations: int
+
+
+@njit(cache=True, nogil=True)
+def closest_points(xy, ordered, most_m, partner):
+    """The nearest of some points for each of others, exactly: outwards along x until no nearer one is left.
+
+    xy        (N, 2) float64   m
+    ordered   (M, 2) float64   m, by rising x; M > 0
+    most_m    float            a farther one is no partner
+    partner   (N,)   int64     out: row of ordered, -1 where there is none
+    """
+    last = ordered.shape[0] - 1
+    for n in range(xy.shape[0]):
+        x = xy[n, 0]
+        y = xy[n, 1]
+        right = np.searchsorted(ordered[:, 0], x)
+        left = right - 1
+        nearest = most_m * most_m
+        partner[n] = -1
+        while True:
+            to_right = ordered[right, 0] - x if right <= last else np.inf
+            to_left = x - ordered[left, 0] if left >= 0 else np.inf
+            if min(to_left, to_right) ** 2 > nearest:
+                break
+            at = right if to_right <= to_left else left
+            square = (ordered[at, 0] - x) ** 2 + (ordered[at, 1] - y) ** 2
+            if square < nearest:
+                nearest = square
+                partner[n] = at
+            if at == right:
+                right += 1
+            else:
+                left -= 1
+            if right > last and left < 0:
+                break
+
+
+@njit(cache=True, nogil=True)
+def icp_point_to_point(newer, older, start, most_m, iterations, settled):
+    """The motion between two scans that brings each point of the newer one onto the nearest of the older.
+
+    newer        (N, 2) float64   m, base frame of the newer scan
+    older        (M, 2) float64   m, base frame of the older scan
+    start        (3,)   float64   pose of the newer base in the older one's frame, first guess
+    most_m       float            points farther apart are no pair
+    iterations   int              at most so many
+    settled      float            m and rad: ends with a step below it
+    Returns an IcpResult.
+    Source: paper 003, section 2.2; closed form in the plane as in Lu and Milios 1997, appendix B.
+    """
+    step = start.copy()
+    partner = np.empty(newer.shape[0], np.int64)
+    moved = np.empty((newer.shape[0], 2))
+    if older.shape[0] == 0:
+        return IcpResult(step, np.inf, 0, 0)
+    ordered = older[np.argsort(older[:, 0], kind="mergesort")]
+    rms_m = np.inf
+    paired = 0
+    done = 0
+    for iteration in range(iterations + 1):
+        c = math.cos(step[2])
+        s = math.sin(step[2])
+        for n in range(newer.shape[0]):
+            moved[n, 0] = step[0] + c * newer[n, 0] - s * newer[n, 1]
+            moved[n, 1] = step[1] + s * newer[n, 0] + c * newer[n, 1]
+        closest_points(moved, ordered, most_m, partner)
+        px = py = qx = qy = square = 0.0
+        paired = 0
+        for n in range(newer.shape[0]):
+            if partner[n] < 0:
+                continue
+            at = partner[n]
+            paired += 1
+            px += newer[n, 0]
+            py += newer[n, 1]
+            qx += ordered[at, 0]
+            qy += ordered[at, 1]
+            square += (ordered[at, 0] - moved[n, 0]) ** 2 + (ordered[at, 1] - moved[n, 1]) ** 2
+        if paired < 3:
+            return IcpResult(start.copy(), np.inf, paired, iteration)
+        rms_m = math.sqrt(square / paired)
+        if done == 1 or iteration == iterations:
+            return IcpResult(step, rms_m, paired, iteration)
+        px /= paired
+        py /= paired
+        qx /= paired
+        qy /= paired
+        dot = cross = 0.0
+        for n in range(newer.shape[0]):
+            if partner[n] < 0:
+                continue
+            ax = newer[n, 0] - px
+            ay = newer[n, 1] - py
+            bx = ordered[partner[n], 0] - qx
+            by = ordered[partner[n], 1] - qy
+            dot += ax * bx + ay * by
+            cross += ax * by - ay * bx
+        theta = math.atan2(cross, dot)
+        x = qx - math.cos(theta) * px + math.sin(theta) * py
+        y = qy - math.sin(theta) * px - math.cos(theta) * py
+        turn = abs(wrap(theta - step[2]))
+        if math.hypot(x - step[0], y - step[1]) < settled and turn < settled:
+            done = 1
+        step[0], step[1], step[2] = x, y, theta
+    return IcpResult(step, rms_m, paired, iterations)

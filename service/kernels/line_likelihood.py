@@ -1,0 +1,204 @@
+"""The three-level likelihood map: lines through the points of a scan, two rings around, no forgetting."""
+
+import math
+
+from numba import njit
+
+from service.kernels.tiles import NO_TILE, find_tile
+
+RINGS = 2  # around the cell that was hit
+
+
+@njit(cache=True, nogil=True)
+def raise_cell(layer, changed, row, column, levels, ring_cells):
+    """Raise a cell to the level of a hit, and two rings around it to theirs; a greater value stays.
+
+    layer     LikelihoodLayer  in and out; every cell within the rings lies in a tile
+    changed   (capacity,) uint8   set to 1 for the tiles touched
+    levels    (3,) uint8   value of the hit, of the first ring, of the second
+    ring_cells   int   width of a ring
+    Source: paper 003, section 2.3 and fig. 4a, 4b.
+    """
+    cells = layer.cells
+    tile_cells = cells.shape[1]
+    tile_row = row // tile_cells
+    tile_column = column // tile_cells
+    r = row - tile_row * tile_cells
+    c = column - tile_column * tile_cells
+    reach = RINGS * ring_cells
+    if reach <= r < tile_cells - reach and reach <= c < tile_cells - reach:
+        slot = find_tile(layer.tiles, tile_row, tile_column)
+        if cells[slot, r, c] == levels[0]:
+            return  # was hit before, so its rings stand
+        changed[slot] = 1
+        for a in range(-reach, reach + 1):
+            for b in range(-reach, reach + 1):
+                level = levels[(max(abs(a), abs(b)) + ring_cells - 1) // ring_cells]
+                if cells[slot, r + a, c + b] < level:
+                    cells[slot, r + a, c + b] = level
+        return
+    for a in range(-reach, reach + 1):
+        for b in range(-reach, reach + 1):
+            tile_row = (row + a) // tile_cells
+            tile_column = (column + b) // tile_cells
+            slot = find_tile(layer.tiles, tile_row, tile_column)
+            level = levels[(max(abs(a), abs(b)) + ring_cells - 1) // ring_cells]
+            r = row + a - tile_row * tile_cells
+            c = column + b - tile_column * tile_cells
+            if slot != NO_TILE and cells[slot, r, c] < level:
+                changed[slot] = 1
+                cells[slot, r, c] = level
+
+
+@njit(cache=True, nogil=True)
+def draw_scan(xy_map, beam, layer, changed, levels, ring_cells, join_m):
+    """Draw a scan: a cell for each point, and a line where two neighbouring beams end close to each other.
+
+    xy_map    (N, 2) float64   m, frame of the map, in beam order
+    beam      (N,)   int32     which beam; across one without return no line is drawn
+    layer     LikelihoodLayer  in and out, with a tile wherever a point or its rings lie
+    changed   (capacity,) uint8   in and out
+    levels    (3,)   uint8     as in raise_cell, and
+    ring_cells   int
+    join_m    (N,) float64     "a certain distance": a line from the point before is no longer than this
+    Source: paper 003, section 2.3 and fig. 4c.
+    """
+    cell_m = layer.cell_m
+    for n in range(xy_map.shape[0]):
+        u = xy_map[n, 0] / cell_m
+        v = xy_map[n, 1] / cell_m
+        raise_cell(layer, changed, math.floor(v), math.floor(u), levels, ring_cells)
+        if n == 0 or beam[n] != beam[n - 1] + 1:
+            continue
+        du = u - xy_map[n - 1, 0] / cell_m
+        dv = v - xy_map[n - 1, 1] / cell_m
+        if du * du + dv * dv > (join_m[n] / cell_m) ** 2:
+            continue
+        count = math.ceil(max(abs(du), abs(dv)))  # no two places on the line are more than a cell apart
+        for k in range(1, count):
+            share = k / count
+            raise_cell(
+                layer, changed, math.floor(v - share * dv), math.floor(u - share * du), levels, ring_cells
+            )
+
+
+@njit(cache=True, nogil=True)
+def share_on_map(xy_base, pose, layer, least):
+    """Share of the points whose cell is at least `least`.
+
+    xy_base   (N, 2) float64   m, base frame; N > 0
+    pose      (3,)   float64   base in the frame of the map
+    least     float            in the unit of the cells
+    """
+    cells = layer.cells
+    tile_cells = cells.shape[1]
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    count = 0
+    for n in range(xy_base.shape[0]):
+        row = math.floor((pose[1] + s * xy_base[n, 0] + c * xy_base[n, 1]) / layer.cell_m)
+        column = math.floor((pose[0] + c * xy_base[n, 0] - s * xy_base[n, 1]) / layer.cell_m)
+        slot = find_tile(layer.tiles, row // tile_cells, column // tile_cells)
+        if slot != NO_TILE and cells[slot, row % tile_cells, column % tile_cells] >= least:
+            count += 1
+    return count / xy_base.shape[0]
+
+
+@njit(cache=True, nogil=True)
+def mean_value(xy_base, pose, layer):
+    """Mean value of the cells at the points, in the unit of the cells.
+
+    xy_base   (N, 2) float64   m, base frame; N > 0
+    pose      (3,)   float64   base in the frame of the map
+    """
+    cells = layer.cells
+    tile_cells = cells.shape[1]
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    total = 0.0
+    for n in range(xy_base.shape[0]):
+        row = math.floor((pose[1] + s * xy_base[n, 0] + c * xy_base[n, 1]) / layer.cell_m)
+        column = math.floor((pose[0] + c * xy_base[n, 0] - s * xy_base[n, 1]) / layer.cell_m)
+        slot = find_tile(layer.tiles, row // tile_cells, column // tile_cells)
+        total += layer.empty if slot == NO_TILE else cells[slot, row % tile_cells, column % tile_cells]
+    return total / xy_base.shape[0]
+
+
+@njit(cache=True, nogil=True)
+def monte_carlo_search(xy_base, layer, start, deviates, sigma_m, sigma_rad):
+    """Climb by chance: try places around the best so far; look more closely once enough were tried in vain.
+
+    xy_base     (N, 2) float64   m, base frame; N > 0
+    layer       LikelihoodLayer
+    start       (3,)   float64   base in the frame of the map
+    deviates    (3 T, 3) float64 normal deviates, a row a trial; it ends after T trials in vain
+    sigma_m, sigma_rad   float   of the first trials
+    Returns (pose (3,), mean value there, trials).
+    Source: Steux and El Hamzaoui 2010, tinySLAM, ts_monte_carlo_search; reference 28 of paper 003.
+    """
+    stop = deviates.shape[0] // 3
+    best = start.copy()
+    best_value = mean_value(xy_base, start, layer)
+    centre = start.copy()
+    centre_value = best_value
+    trial = start.copy()
+    in_vain = 0
+    for t in range(deviates.shape[0]):
+        trial[0] = centre[0] + sigma_m * deviates[t, 0]
+        trial[1] = centre[1] + sigma_m * deviates[t, 1]
+        trial[2] = centre[2] + sigma_rad * deviates[t, 2]
+        value = mean_value(xy_base, trial, layer)
+        if value > best_value:
+            best_value = value
+            best[:] = trial
+        else:
+            in_vain += 1
+        if in_vain > stop // 3 and best_value > centre_value:
+            centre[:] = best
+            centre_value = best_value
+            in_vain = 0
+            sigma_m *= 0.5
+            sigma_rad *= 0.5
+        if in_vain >= stop:
+            return best, best_value, t + 1
+    return best, best_value, deviates.shape[0]
+
+
+@njit(cache=True, nogil=True)
+def smooth_lines(xy_map, beam, join_m, half_m, smooth):
+    """Each point becomes the mean of as many neighbours on both sides as lie within reach on the same line.
+
+    xy_map   (N, 2) float64   m, in beam order
+    beam     (N,)   int32
+    join_m   (N,)   float64   as in draw_scan: a longer step to a point ends a line
+    half_m   float            reach
+    smooth   (N, 2) float64   out
+    """
+    count = xy_map.shape[0]
+    for n in range(count):
+        x = xy_map[n, 0]
+        y = xy_map[n, 1]
+        taken = 1
+        left = right = n
+        while left > 0 and right < count - 1:
+            if beam[left] != beam[left - 1] + 1 or beam[right + 1] != beam[right] + 1:
+                break
+            if (
+                distance(xy_map, left, left - 1) > join_m[left]
+                or distance(xy_map, right, right + 1) > join_m[right + 1]
+                or distance(xy_map, n, left - 1) > half_m
+                or distance(xy_map, n, right + 1) > half_m
+            ):
+                break
+            left -= 1
+            right += 1
+            x += xy_map[left, 0] + xy_map[right, 0]
+            y += xy_map[left, 1] + xy_map[right, 1]
+            taken += 2
+        smooth[n, 0] = x / taken
+        smooth[n, 1] = y / taken
+
+
+@njit(cache=True, nogil=True)
+def distance(xy, a, b):
+    return math.hypot(xy[a, 0] - xy[b, 0], xy[a, 1] - xy[b, 1])

@@ -1,0 +1,206 @@
+"""A likelihood map in patches: those near the vehicle in memory, the others in a store.
+
+A patch holds two layers, a fine one to match on and a coarse one to begin with, one byte a cell. Nothing is
+ever forgotten: a cell once hit stays hit.
+"""
+
+import math
+from collections.abc import Iterable
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from service.geometry.grid import TileRange
+from service.geometry.se2 import SE2
+from service.kernels.likelihood_search import LikelihoodLayer
+from service.kernels.line_likelihood import draw_scan, smooth_lines
+from service.mapper.maps.tiles import Layer, TileMap, TilePool
+from service.mapper.patch_store import PatchKey, PatchStore
+from service.mapper.stages import MapChange, Match, Points
+
+Array = npt.NDArray[np.float64]
+
+# Paper 003, section 2.3: what nothing was seen of, the two rings and the hit, outwards in.
+BACKGROUND, OUTER, INNER, HIT = 0.1, 0.3, 0.6, 0.9
+HIT_CODE = {"product": 250, "mean": 8}  # 8 is 0.8 in tenths, exactly; with 250, ln 3 is exact, ln 6 to 0.1 %
+
+
+class PatchMapConfig(BaseModel):
+    """How the map is cut and drawn, and how much of it is kept in memory."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    cell_m: float = Field(default=0.01, gt=0.0)
+    coarse_cells: int = Field(default=5, ge=2)  # a cell of the coarse layer is so many of the fine one wide
+    patch_cells: int = Field(default=1000, ge=20)  # fine cells along the edge of a patch
+    ring_cells: int = Field(default=4, ge=1, le=10)  # width of each of the two rings on the fine layer
+    join_m: float = Field(
+        default=0.15, ge=0.0
+    )  # neighbouring points so near each other are joined by a line,
+    smooth_m: float = Field(default=0.3, ge=0.0)  # along a line points are averaged so far to each side
+    join_steps: float = Field(default=20.0, ge=0.0)  # and nearer than so many arcs between beams besides
+    score: Literal["product", "mean"] = "product"  # of the likelihoods of the points
+    resident_patches: int = Field(default=64, ge=16)  # a patch of 1000 cells a side takes 1.04 MB
+    ahead_m: float = Field(default=5.0, ge=0.0)  # patches so near to what was seen are fetched beforehand
+
+    @model_validator(mode="after")
+    def _whole(self) -> "PatchMapConfig":
+        if self.patch_cells % self.coarse_cells:
+            raise ValueError(
+                f"a patch of {self.patch_cells} cells cannot be cut into cells of {self.coarse_cells}; "
+                "patch_cells must be a multiple of coarse_cells"
+            )
+        if self.ahead_m > self.patch_m / 2:
+            raise ValueError(f"ahead_m {self.ahead_m:g} is more than half a patch ({self.patch_m:g} m)")
+        return self
+
+    @property
+    def patch_m(self) -> float:
+        return self.cell_m * self.patch_cells
+
+    @property
+    def coarse_cell_m(self) -> float:
+        return self.cell_m * self.coarse_cells
+
+
+class PatchMap:
+    """LocalMap, in the odom frame. `prepare` first, then `fine` and `coarse` may be read."""
+
+    def __init__(self, config: PatchMapConfig, store: PatchStore) -> None:
+        self.config = config
+        self.is_empty = True
+        self._store = store
+        coarse = config.patch_cells // config.coarse_cells
+        self._pool = TilePool(
+            (
+                Layer((config.patch_cells, config.patch_cells), np.uint8),
+                Layer((coarse, coarse), np.uint8),
+                Layer((), np.uint8),  # 1: changed since it was loaded
+            ),
+            config.resident_patches,
+        )
+        self._tiles = TileMap(self._pool)
+        self._slots: dict[PatchKey, int] = {}  # of the patches in memory, the one used longest ago first
+        code = HIT_CODE[config.score]
+        self._offset, self._scale, whole = BACKGROUND, 0.1, HIT - BACKGROUND
+        values = [HIT - BACKGROUND, INNER - BACKGROUND, OUTER - BACKGROUND]
+        if config.score == "product":
+            self._offset, whole = math.log(BACKGROUND), math.log(HIT / BACKGROUND)
+            self._scale = whole / code
+            values = [math.log(level / BACKGROUND) for level in (HIT, INNER, OUTER)]
+        self.levels = np.array([round(code * value / whole) for value in values], np.uint8)
+
+    @property
+    def fine(self) -> LikelihoodLayer:
+        return self._layer(0, self.config.cell_m)
+
+    @property
+    def coarse(self) -> LikelihoodLayer:
+        return self._layer(1, self.config.coarse_cell_m)
+
+    @property
+    def resident(self) -> list[PatchKey]:
+        """Patches in memory, the one used longest ago first."""
+        return list(self._slots)
+
+    def prepare(self, xy_map: Array, margin_m: float) -> None:
+        """Bring in what is known of the patches within margin_m of some points, (N, 2) m."""
+        near = self._touched(xy_map, margin_m)
+        for key in near:
+            if key not in self._slots and self._store.holds(key):
+                self._bring_in(key, near)
+        self._use(near)
+
+    def insert(self, points: Points, match: Match) -> MapChange:
+        """Draw a scan, unless it was not placed; then fetch one of the patches that may be wanted next."""
+        if match.state == "lost" or len(points.xy_base) == 0:
+            return MapChange()
+        xy_map = moved(points.xy_base, match.motion.pose_odom_base)
+        near = self._touched(xy_map, 3 * self.config.coarse_cell_m)
+        for key in near:
+            if key not in self._slots:
+                self._bring_in(key, near)
+        self._use(near)
+        changed, join_m = self._changed(), self._join_m(points)
+        lines_map = np.empty_like(xy_map)
+        smooth_lines(xy_map, points.beam, join_m, self.config.smooth_m, lines_map)
+        draw_scan(lines_map, points.beam, self.fine, changed, self.levels, self.config.ring_cells, join_m)
+        draw_scan(lines_map, points.beam, self.coarse, changed, self.levels, 1, join_m)
+        self.is_empty = False
+        self._look_ahead(xy_map, near)
+        return MapChange(is_keyframe=True)
+
+    def _join_m(self, points: Points) -> Array:
+        """How long a line to each point may be, (N,): a wall seen obliquely has its points far apart."""
+        sensor = points.sensor_base
+        range_m = np.hypot(points.xy_base[:, 0] - sensor.x_m, points.xy_base[:, 1] - sensor.y_m)
+        arc_m = abs(points.scan.angle_step_rad) * range_m
+        join_m: Array = self.config.join_m + self.config.join_steps * arc_m
+        return join_m
+
+    def _look_ahead(self, xy_map: Array, near: list[PatchKey]) -> None:
+        """One patch a scan, so that none has to wait for many."""
+        soon = [
+            key
+            for key in self._touched(xy_map, self.config.ahead_m)
+            if key not in self._slots and self._store.holds(key)
+        ]
+        self._store.expect(soon)
+        if soon:
+            self._bring_in(soon[0], near)
+
+    def _layer(self, number: int, cell_m: float) -> LikelihoodLayer:
+        cells = self._pool.arrays[number]
+        return LikelihoodLayer(self._tiles.index(), cells, 0.0, self._offset, self._scale, cell_m)  # type: ignore[arg-type]
+
+    def _changed(self) -> npt.NDArray[np.uint8]:
+        return self._pool.arrays[2]  # type: ignore[return-value]
+
+    def _touched(self, xy_map: Array, margin_m: float) -> list[PatchKey]:
+        """Patches within a margin (at most half a patch) of some points, by row and column."""
+        if len(xy_map) == 0:
+            return []
+        keys: set[PatchKey] = set()
+        for dx in (-margin_m, margin_m):
+            for dy in (-margin_m, margin_m):
+                cells = np.floor((xy_map + np.array([dx, dy])) / self.config.patch_m).astype(np.int64)
+                begins = np.concatenate([[True], (np.diff(cells, axis=0) != 0).any(axis=1)])
+                keys.update((row, column) for column, row in cells[begins].tolist())
+        return sorted(keys)
+
+    def _use(self, keys: Iterable[PatchKey]) -> None:
+        for key in keys:
+            if key in self._slots:
+                self._slots[key] = self._slots.pop(key)
+
+    def _bring_in(self, key: PatchKey, wanted: Iterable[PatchKey]) -> None:
+        """Give a patch a place in memory; for one of `wanted` at most so much is thrown out as must be."""
+        if len(self._slots) >= self.config.resident_patches:
+            oldest = next((other for other in self._slots if other not in wanted), None)
+            if oldest is not None:
+                self._put_away(oldest)
+        row, column = key
+        self._tiles.cover(TileRange(row, column, row, column))
+        slot, used_before = self._tiles.take(row, column)
+        fine, coarse, changed = self._pool.arrays
+        changed[slot] = 0
+        if not self._store.load(key, (fine[slot], coarse[slot])) and used_before:
+            fine[slot] = 0
+            coarse[slot] = 0
+        self._slots[key] = slot
+
+    def _put_away(self, key: PatchKey) -> None:
+        slot = self._slots.pop(key)
+        fine, coarse, changed = self._pool.arrays
+        if changed[slot]:
+            self._store.save(key, (fine[slot], coarse[slot]))
+        self._tiles.drop(*key)
+
+
+def moved(xy_base: Array, pose_map_base: SE2) -> Array:
+    """Points of the base frame in that of the map."""
+    c, s = math.cos(pose_map_base.theta_rad), math.sin(pose_map_base.theta_rad)
+    xy_map: Array = xy_base @ np.array([[c, s], [-s, c]]) + (pose_map_base.x_m, pose_map_base.y_m)
+    return xy_map

@@ -1,0 +1,180 @@
+"""ICP says about where, an exhaustive search of the likelihood map says exactly where."""
+
+import math
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.fusion.motion import Prediction
+from service.geometry.se2 import SE2, wrap_angle
+from service.kernels.likelihood_search import (
+    LikelihoodLayer,
+    SearchResult,
+    SearchWindow,
+    search_exhaustive,
+    sub_cell_offset,
+    surface_moments,
+)
+from service.kernels.line_likelihood import share_on_map
+from service.mapper.maps.patch_map import PatchMap, moved
+from service.mapper.matchers.scan_icp import IcpConfig, ScanIcp, held, matched, too_few
+from service.mapper.stages import Match, Points
+from service.outputs import State
+
+Array = npt.NDArray[np.float64]
+Sums = npt.NDArray[np.float32]
+
+HEADING_STEPS_BETWEEN = 5  # refining divides a step of heading by this
+REFINE_CELLS = 3
+
+
+class IcpThenSearchConfig(BaseModel):
+    """How far is searched around what ICP says, and when the result is believed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    icp: IcpConfig = IcpConfig()
+    window_rms: float = Field(default=3.0, gt=0.0)  # half a window is so many times the error of ICP,
+    least_window_m: float = Field(default=0.05, gt=0.0)  # but no less
+    most_window_m: float = Field(default=0.5, gt=0.0)  # and no more than this
+    window_rad: float = Field(default=0.349, gt=0.0)  # to each side: 20 deg
+    step_rad: float = Field(default=0.00873, gt=0.0)  # 0.5 deg
+    search: Literal["narrowing", "exhaustive"] = "narrowing"
+    narrow_cells: int = Field(default=2, ge=1)  # coarse cells around the coarse maximum, and
+    narrow_steps: int = Field(default=3, ge=1)  # steps of heading: what is searched on the fine layer
+    refine: bool = True  # between the cells and steps
+
+    lost_share: float = Field(default=0.15, ge=0.0, le=1.0)
+    degraded_share: float = Field(default=0.35, ge=0.0, le=1.0)
+    degraded_sigma_m: float = Field(default=0.10, gt=0.0)
+    least_points: int = Field(default=20, ge=3)
+    covariance_scale: float = Field(default=10.0, gt=0.0)
+    floor_position_m: float = Field(default=0.005, ge=0.0)
+    floor_heading_rad: float = Field(default=0.001, ge=0.0)
+
+
+class IcpThenSearch:
+    """Matcher[PatchMap]."""
+
+    def __init__(self, config: IcpThenSearchConfig) -> None:
+        self._config = config
+        self._icp = ScanIcp(config.icp)
+        self.evaluated = 0  # candidates of the last scan, by layer searched one after the other
+        self.window_m = 0.0  # half the window of the last scan
+
+    def match(self, points: Points, predicted: Prediction, local_map: PatchMap) -> Match:
+        config = self._config
+        if len(points.xy_base) < config.least_points:
+            return held(points, predicted, too_few(points, config.least_points))
+        if local_map.is_empty:
+            match = matched(points, predicted, predicted.pose_odom_base, self._floor(), 1.0)
+        else:
+            match = self._search(points, predicted, local_map)
+        self._icp.remember(match)
+        return match
+
+    def _search(self, points: Points, predicted: Prediction, local_map: PatchMap) -> Match:
+        config = self._config
+        begin, rms_m = self._icp.pose(points, predicted)
+        local_map.prepare(
+            moved(points.xy_base, begin), min(2.0 * config.most_window_m, local_map.config.patch_m / 2)
+        )
+        fine, coarse = local_map.fine, local_map.coarse
+        first = coarse if config.search == "narrowing" else fine
+        weights = np.ones(len(points.xy_base), np.float32)
+        self.window_m = min(max(config.window_rms * rms_m, config.least_window_m), config.most_window_m)
+        self.evaluated = 0
+        best, sums, window = self._widening(points.xy_base, weights, first, begin)
+        covariance = self._covariance(best, sums, window, first)
+        if config.search == "narrowing":
+            half = config.narrow_cells * local_map.config.coarse_cells
+            window = SearchWindow(best.pose, half, half, config.narrow_steps, config.step_rad)
+            best, sums = self._ask(points.xy_base, weights, fine, window)
+            narrow = self._covariance(best, sums, window, fine)
+            if _widest(narrow) < half * fine.cell_m / 2:  # else the narrow window cuts the surface off
+                covariance = narrow
+        pose = self._refined(points.xy_base, weights, fine, best) if config.refine else best.pose
+
+        share = float(share_on_map(points.xy_base, pose, coarse, float(local_map.levels[1])))
+        state, reason = self._judge(share, covariance, len(points.xy_base))
+        if state == "lost":
+            return held(points, predicted, reason, share)
+        x_m, y_m, theta_rad = pose.tolist()
+        c, s = math.cos(theta_rad), math.sin(theta_rad)
+        base_from_map = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        covariance = base_from_map @ covariance @ base_from_map.T + self._floor()
+        match = matched(points, predicted, SE2(x_m, y_m, wrap_angle(theta_rad)), covariance, share)
+        return replace(match, state=state, reason=reason)
+
+    def _widening(
+        self, xy_base: Array, weights: Sums, layer: LikelihoodLayer, begin: SE2
+    ) -> tuple[SearchResult, Sums, SearchWindow]:
+        """Search the window, and one twice as wide while the best candidate lies on the border."""
+        config = self._config
+        pose = np.array([begin.x_m, begin.y_m, begin.theta_rad])
+        half_theta = round(config.window_rad / config.step_rad)
+        while True:
+            half = math.ceil(self.window_m / layer.cell_m)
+            window = SearchWindow(pose, half, half, half_theta, config.step_rad)
+            best, sums = self._ask(xy_base, weights, layer, window)
+            on_border = best.i in (0, 2 * half) or best.j in (0, 2 * half)
+            if not on_border or self.window_m >= config.most_window_m:
+                return best, sums, window
+            self.window_m = min(2.0 * self.window_m, config.most_window_m)
+
+    def _ask(
+        self, xy_base: Array, weights: Sums, layer: LikelihoodLayer, window: SearchWindow
+    ) -> tuple[SearchResult, Sums]:
+        best, sums = search_exhaustive(xy_base, weights, layer, window)
+        self.evaluated += best.evaluated
+        return best, sums
+
+    def _refined(self, xy_base: Array, weights: Sums, layer: LikelihoodLayer, best: SearchResult) -> Array:
+        """Between the steps of heading by smaller ones, then a parabola through the neighbours."""
+        step_rad = self._config.step_rad / HEADING_STEPS_BETWEEN
+        window = SearchWindow(best.pose, REFINE_CELLS, REFINE_CELLS, HEADING_STEPS_BETWEEN, step_rad)
+        best, sums = self._ask(xy_base, weights, layer, window)
+        steps = np.array([layer.cell_m, layer.cell_m, step_rad])
+        pose: Array = best.pose + steps * sub_cell_offset(sums, best.k, best.j, best.i)
+        return pose
+
+    def _covariance(
+        self, best: SearchResult, sums: Sums, window: SearchWindow, layer: LikelihoodLayer
+    ) -> Array:
+        """(3, 3) of x, y, theta in the frame of the map, from the surface around the best."""
+        top = float(sums[best.k, best.j, best.i])
+        _, moments = surface_moments(sums, top, self._config.covariance_scale / layer.scale)
+        steps = np.array([layer.cell_m, layer.cell_m, window.theta_step_rad])
+        covariance: Array = moments * np.outer(steps, steps)
+        return covariance
+
+    def _floor(self) -> Array:
+        position, heading = self._config.floor_position_m, self._config.floor_heading_rad
+        return np.diag([position**2, position**2, heading**2])
+
+    def _judge(self, share: float, covariance: Array, count: int) -> tuple[State, str]:
+        config = self._config
+        if share < config.lost_share:
+            return "lost", (
+                f"{share:.0%} of {count} returns lie on the map (at least {config.lost_share:.0%}); "
+                "the pose follows the prediction"
+            )
+        if share < config.degraded_share:
+            return "degraded", (
+                f"{share:.0%} of {count} returns lie on the map (expected {config.degraded_share:.0%}): "
+                "much has changed, or is seen for the first time"
+            )
+        if (sigma_m := _widest(covariance)) > config.degraded_sigma_m:
+            return "degraded", (
+                f"the map fits almost as well elsewhere (sigma {sigma_m:.2f} m, expected "
+                f"{config.degraded_sigma_m:.2f} m); the walls in view leave one direction open"
+            )
+        return "ok", ""
+
+
+def _widest(covariance: Array) -> float:
+    """The largest sigma of the position, m."""
+    return math.sqrt(max(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]), 0.0))

@@ -1,0 +1,119 @@
+"""Scan to scan by iterative closest points: the start of a search, or a matcher by itself."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.fusion.motion import Motion, Prediction
+from service.geometry.se2 import SE2
+from service.kernels.deskew import deskew_points
+from service.kernels.icp import icp_point_to_point
+from service.mapper.maps.patch_map import PatchMap
+from service.mapper.stages import Match, Points
+
+Array = npt.NDArray[np.float64]
+
+
+class IcpConfig(BaseModel):
+    """Which points are pairs, and when it ends."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    pair_m: float = Field(default=1.0, gt=0.0)  # points farther apart are no pair
+    iterations: int = Field(default=50, ge=1, le=1000)
+    settled: float = Field(default=1e-4, gt=0.0)  # m and rad: ends with a step below it
+    least_share: float = Field(default=0.5, ge=0.0, le=1.0)  # of the points must have a partner
+
+
+class ScanIcp:
+    """Remembers the scan before, and where it was."""
+
+    def __init__(self, config: IcpConfig) -> None:
+        self._config = config
+        self._last: tuple[Array, SE2] | None = None
+
+    def pose(self, points: Points, predicted: Prediction) -> tuple[SE2, float]:
+        """Where the base is by the scan before, and the root mean square of the pairs' distances, m.
+
+        The prediction and infinity where there was no scan before, or where it has too little in common.
+        """
+        if self._last is None:
+            return predicted.pose_odom_base, math.inf
+        older, pose = self._last
+        guess = pose.inverse() @ predicted.pose_odom_base
+        config = self._config
+        result = icp_point_to_point(
+            points.xy_base,
+            older,
+            np.array([guess.x_m, guess.y_m, guess.theta_rad]),
+            config.pair_m,
+            config.iterations,
+            config.settled,
+        )
+        if result.paired < max(config.least_share * len(points.xy_base), 3):
+            return predicted.pose_odom_base, math.inf
+        x_m, y_m, theta_rad = result.step.tolist()
+        return pose @ SE2(x_m, y_m, theta_rad), float(result.rms_m)
+
+    def remember(self, match: Match) -> None:
+        self._last = (match.points.xy_base, match.motion.pose_odom_base)
+
+
+def matched(points: Points, predicted: Prediction, pose: SE2, covariance: Array, score: float) -> Match:
+    """A match that was found: its twist learnt from it, and the points deskewed with that."""
+    off = predicted.pose_odom_base.inverse() @ pose
+    gain = predicted.twist_gain / predicted.elapsed_s if predicted.elapsed_s > 0.0 else 0.0
+    forward, left, turn = predicted.twist_base
+    twist = (forward + gain * off.x_m, left + gain * off.y_m, turn + gain * off.theta_rad)
+    xy_base = np.empty_like(points.xy_base)
+    deskew_points(points.xy_raw, points.beam_time_s, np.array(twist), xy_base)
+    return Match(Motion(pose, twist, covariance), replace(points, xy_base=xy_base), score)
+
+
+def held(points: Points, predicted: Prediction, reason: str, score: float = 0.0) -> Match:
+    """Lost: the pose follows the prediction."""
+    motion = Motion(predicted.pose_odom_base, predicted.twist_base, predicted.covariance)
+    return Match(motion, points, score, "lost", reason)
+
+
+def too_few(points: Points, least: int) -> str:
+    return (
+        f"{points.scan.sensor}: {len(points.xy_base)} of {len(points.scan.range_m)} beams returned "
+        f"(at least {least}); is the window covered, or is there nothing in range?"
+    )
+
+
+class IcpScanToScanConfig(IcpConfig):
+    """Plain ICP: pairs at any distance."""
+
+    pair_m: float = Field(default=1000.0, gt=0.0)
+    least_points: int = Field(default=20, ge=3)
+    position_sigma_m: float = Field(default=0.02, gt=0.0)  # reported for a step, and added up
+    heading_sigma_rad: float = Field(default=0.01, gt=0.0)
+
+
+class IcpScanToScan:
+    """Matcher[PatchMap] that never looks at the map: what the searches are measured against."""
+
+    def __init__(self, config: IcpScanToScanConfig) -> None:
+        self._config = config
+        self._icp = ScanIcp(config)
+        position, heading = config.position_sigma_m**2, config.heading_sigma_rad**2
+        self._step_covariance = np.diag([position, position, heading])
+
+    def match(self, points: Points, predicted: Prediction, local_map: PatchMap) -> Match:
+        if len(points.xy_base) < self._config.least_points:
+            return held(points, predicted, too_few(points, self._config.least_points))
+        pose, rms_m = self._icp.pose(points, predicted)
+        if local_map.is_empty:
+            match = matched(points, predicted, pose, self._step_covariance, 1.0)
+        elif math.isinf(rms_m):
+            match = held(points, predicted, "the scan has too little in common with the one before")
+        else:
+            covariance = predicted.covariance + self._step_covariance
+            match = matched(points, predicted, pose, covariance, 1.0 / (1.0 + rms_m))
+        self._icp.remember(match)
+        return match

@@ -1,0 +1,35 @@
+"""Paper 003: ICP narrows the window, exhaustive search on a likelihood map in patches finds the pose."""
+
+from service.mapper.maps.patch_map import PatchMap, PatchMapConfig
+from service.mapper.matchers.icp_then_search import IcpThenSearch, IcpThenSearchConfig
+from service.mapper.matchers.monte_carlo import MonteCarloConfig, MonteCarloSearch
+from service.mapper.matchers.scan_icp import IcpScanToScan, IcpScanToScanConfig
+from service.mapper.methods import corridor
+from service.mapper.stages import Method, StageKind
+
+PATCH_MAP = StageKind(
+    "patch_map",
+    PatchMapConfig,
+    lambda config, around: PatchMap(config, around.new_patch_store()),
+    makes=PatchMap,
+)
+ICP_THEN_SEARCH = StageKind(
+    "icp_then_search", IcpThenSearchConfig, lambda config, _: IcpThenSearch(config), reads=PatchMap
+)
+ICP_SCAN_TO_SCAN = StageKind(
+    "icp_scan_to_scan", IcpScanToScanConfig, lambda config, _: IcpScanToScan(config), reads=PatchMap
+)
+MONTE_CARLO = StageKind(
+    "monte_carlo", MonteCarloConfig, lambda config, _: MonteCarloSearch(config), reads=PatchMap
+)
+
+METHOD = Method(
+    "imle",
+    stages={
+        **corridor.METHOD.stages,
+        "matcher": ICP_THEN_SEARCH,
+        "local_map": PATCH_MAP,
+    },
+    settings={"deskew": {"farthest_m": 20.0}},
+    others={"matcher": (ICP_SCAN_TO_SCAN, MONTE_CARLO)},
+)

@@ -1,0 +1,72 @@
+import os
+from pathlib import Path
+
+import numpy as np
+
+from service.mapstore.patch_files import MAPPED_FILES, PatchFiles
+
+SHAPES = ((100, 100), (20, 20))
+
+
+def layers(seed: int) -> tuple[np.ndarray, ...]:
+    noise = np.random.default_rng(seed)
+    return tuple(noise.integers(0, 255, shape).astype(np.uint8) for shape in SHAPES)
+
+
+def nothing() -> tuple[np.ndarray, ...]:
+    return tuple(np.zeros(shape, np.uint8) for shape in SHAPES)
+
+
+# C13
+def test_patches_come_back_as_they_were_whatever_file_they_are_in(tmp_path: Path) -> None:
+    store = PatchFiles(tmp_path)
+    keys = [(row, column) for row in range(-25, 26, 5) for column in range(-25, 26, 5)]
+    for seed, key in enumerate(keys):
+        assert not store.holds(key)
+        store.save(key, layers(seed))
+    assert len(store._files) == 36
+    assert len(store._mapped) == MAPPED_FILES
+    for seed, key in enumerate(keys):
+        found = nothing()
+        assert store.load(key, found)
+        for cells, expected in zip(found, layers(seed), strict=True):
+            np.testing.assert_array_equal(cells, expected)
+
+
+def test_a_patch_that_was_never_saved_is_not_there(tmp_path: Path) -> None:
+    store = PatchFiles(tmp_path)
+    store.save((0, 0), layers(1))
+    found = nothing()
+    assert not store.load((0, 1), found)
+    assert not any(cells.any() for cells in found)
+
+
+def test_the_files_have_no_names_and_grow_by_the_patch(tmp_path: Path) -> None:
+    store = PatchFiles(tmp_path)
+    for column in range(5):
+        store.save((0, column), layers(column))
+    assert os.listdir(tmp_path) == []
+    patch_bytes = 100 * 100 + 20 * 20
+    assert 5 * patch_bytes <= store.disk_bytes <= 5 * patch_bytes + 2 * 4096
+
+
+def test_a_full_disk_keeps_the_patch_in_memory_and_says_so(monkeypatch, caplog) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", refuse)
+    store = PatchFiles()
+    store.save((3, 4), layers(1))
+    assert "no room on disk" in caplog.text
+    found = nothing()
+    assert store.holds((3, 4))
+    assert store.load((3, 4), found)
+    np.testing.assert_array_equal(found[0], layers(1)[0])
+
+
+def test_expecting_what_is_not_there_is_no_fault(tmp_path: Path) -> None:
+    store = PatchFiles(tmp_path)
+    store.expect([(0, 0)])
+    store.save((0, 0), layers(1))
+    store.expect([(0, 0), (9, 9)])
+    assert not store.holds((9, 9))
