@@ -1,0 +1,155 @@
+"""What loop closing asks of arrays: a field to search in, a fine alignment, what contradicts it, path lengths."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from service.kernels.linear3 import copy_matrix, solve_3x3
+from service.kernels.match import surfel_normal_equations, wrap
+from service.kernels.occupancy import TILE_BITS, TILE_MASK
+from service.kernels.surfels import find_surfels
+from service.kernels.tiles import NO_TILE, find_tile
+
+SPLAT_CELLS = 2
+
+
+@njit(cache=True, nogil=True)
+def splat_field(xy, first_row, first_column, cell_m, sigma_m, field):
+    """Likelihood of an end point near others: the most that any of them says.
+
+    xy                        (N, 2) float64   m, frame of the field
+    first_row, first_column   int              of the cell that is field[0, 0]; all points lie in the field
+    sigma_m                   float
+    field                     (H, W) float32   in and out; 0 where nothing lies near
+    """
+    scale = -0.5 / (sigma_m * sigma_m)
+    for i in range(xy.shape[0]):
+        column = math.floor(xy[i, 0] / cell_m)
+        row = math.floor(xy[i, 1] / cell_m)
+        for v in range(row - SPLAT_CELLS, row + SPLAT_CELLS + 1):
+            r = v - first_row
+            if r < 0 or r >= field.shape[0]:
+                continue
+            dy = (v + 0.5) * cell_m - xy[i, 1]
+            for u in range(column - SPLAT_CELLS, column + SPLAT_CELLS + 1):
+                q = u - first_column
+                if q < 0 or q >= field.shape[1]:
+                    continue
+                dx = (u + 0.5) * cell_m - xy[i, 0]
+                value = np.float32(math.exp(scale * (dx * dx + dy * dy)))
+                if value > field[r, q]:
+                    field[r, q] = value
+
+
+@njit(cache=True, nogil=True)
+def thin_points(xy, spacing_m, kept):
+    """Leave out points that lie nearer than spacing_m to the last one kept.
+
+    xy     (N, 2) float64   in beam order, m
+    kept   (N,)   bool      out
+    """
+    last = -1
+    for i in range(xy.shape[0]):
+        kept[i] = last < 0 or math.hypot(xy[i, 0] - xy[last, 0], xy[i, 1] - xy[last, 1]) >= spacing_m
+        if kept[i]:
+            last = i
+
+
+@njit(cache=True, nogil=True)
+def align_surfels(xy, normals, grid, settings, pose, H):
+    """Gauss-Newton on surfels without a prior; a direction that nothing fixes stays where it began.
+
+    xy         (N, 2) float64   m, frame of the pose
+    normals    (N, 3) float64   as estimate_normals gives them
+    grid       SurfelGrid
+    settings   MatchSettings
+    pose       (3,)   float64   in: where to start; out: where it ended, in the frame of the grid
+    H          (3, 3) float64   out: Hessian there
+    Returns (points asked, points that lie on the map).
+    """
+    g = np.empty(3)
+    step = np.empty(3)
+    system = np.empty((3, 3))
+    found = np.empty((xy.shape[0], 5))
+    used = 0
+    inliers = 0
+    for k in range(settings.iterations + 1):
+        find_surfels(xy, normals, pose, grid, settings.least_normal_cosine, found)
+        result = surfel_normal_equations(xy, normals, found, pose, 1.5 * grid.cell_m, settings, H, g)
+        used = result[1]
+        inliers = result[2]
+        copy_matrix(H, system)
+        weakest = 1e-3 * (H[0, 0] + H[1, 1])
+        for i in range(3):
+            system[i, i] += weakest + 1e-6
+        if k == settings.iterations or not solve_3x3(system, g, step):
+            break
+        for i in range(3):
+            pose[i] -= step[i]
+        if math.hypot(step[0], step[1]) < settings.settled_m and abs(step[2]) < settings.settled_rad:
+            break
+    pose[2] = wrap(pose[2])
+    return used, inliers
+
+
+@njit(cache=True, nogil=True)
+def share_in_free_space(xy, pose, grid, free):
+    """How many of some points lie where a map is sure that nothing is, of those that lie where it knows.
+
+    xy      (N, 2) float64   m
+    pose    (3,)   float64   of their frame in that of the grid
+    grid    OccupancyGrid
+    free    int              evidence at or below it is free space; so must be all eight cells around
+    Returns a float in [0, 1].
+    """
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    known = 0
+    against = 0
+    for i in range(xy.shape[0]):
+        column = math.floor((pose[0] + c * xy[i, 0] - s * xy[i, 1]) / grid.cell_m)
+        row = math.floor((pose[1] + s * xy[i, 0] + c * xy[i, 1]) / grid.cell_m)
+        all_free = True
+        any_known = False
+        for v in range(-1, 2):
+            for u in range(-1, 2):
+                slot = find_tile(grid.tiles, (row + v) >> TILE_BITS, (column + u) >> TILE_BITS)
+                value = np.int64(0)
+                if slot != NO_TILE:
+                    value = np.int64(grid.evidence[slot, (row + v) & TILE_MASK, (column + u) & TILE_MASK])
+                any_known = any_known or value != 0
+                all_free = all_free and value != 0 and value <= free
+        known += any_known
+        against += all_free
+    return against / known if known > 0 else 0.0
+
+
+@njit(cache=True, nogil=True)
+def path_lengths(step_m, of, to, loop_m, start, length_m):
+    """Shortest way through a chain with loops from one of its poses to all others.
+
+    step_m     (N,)  float64   way from each pose to the next; the last one's means nothing
+    of, to     (E,)  int64     poses that a loop joins
+    loop_m     float           what going over a loop costs, > 0
+    start      int
+    length_m   (N,)  float64   out
+    Source: Bellman 1958; the chain is relaxed in both directions between two looks at the loops.
+    """
+    count = length_m.shape[0]
+    length_m[:] = np.inf
+    length_m[start] = 0.0
+    changed = True
+    while changed:
+        changed = False
+        for i in range(1, count):
+            length_m[i] = min(length_m[i], length_m[i - 1] + step_m[i - 1])
+        for i in range(count - 2, -1, -1):
+            length_m[i] = min(length_m[i], length_m[i + 1] + step_m[i])
+        for k in range(of.shape[0]):
+            if length_m[of[k]] + loop_m < length_m[to[k]] - 1e-9:
+                length_m[to[k]] = length_m[of[k]] + loop_m
+                changed = True
+            if length_m[to[k]] + loop_m < length_m[of[k]] - 1e-9:
+                length_m[of[k]] = length_m[to[k]] + loop_m
+                changed = True

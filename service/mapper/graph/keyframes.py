@@ -1,0 +1,94 @@
+"""Key frames: what the back end keeps of a drive."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry.se2 import SE2
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyFrame:
+    """A scan at a step of the way, as it goes to the back end."""
+
+    stamp_ns: int
+    pose_odom_base: SE2
+    covariance: Floats  # (3, 3) of the match, base axes
+    score: float  # share of its points on the local map
+    is_lost: bool  # the pose is a prediction
+    xy_base: npt.NDArray[np.float32]  # (N, 2) m, in beam order
+    sensor_xy_m: tuple[float, float]  # base frame
+    angle_step_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Kept:
+    """Points of a key frame, thinned."""
+
+    xy_base: npt.NDArray[np.float32]  # (N, 2) m
+    normals: npt.NDArray[np.float32]  # (N, 3) as estimate_normals gives them
+    sensor_xy_m: tuple[float, float]
+
+
+class Chain:
+    """All key frames so far, one behind the other. Arrays grow by doubling; rows are key frames."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._poses = np.zeros((64, 6))
+        self._numbers = np.zeros((64, 3))
+        self._covariance = np.zeros((64, 3, 3))
+        self.stamps_ns: list[int] = []
+        self.kept: list[Kept] = []
+
+    @property
+    def odom(self) -> Floats:
+        """(N, 3) pose_odom_base."""
+        return self._poses[: self.count, :3]
+
+    @property
+    def map(self) -> Floats:
+        """(N, 3) pose_map_base; to be written to by who solves."""
+        return self._poses[: self.count, 3:]
+
+    @property
+    def way_m(self) -> Floats:
+        """(N,) travelled up to each."""
+        return self._numbers[: self.count, 0]
+
+    @property
+    def score(self) -> Floats:
+        """(N,) share of each one's points on the local map."""
+        return self._numbers[: self.count, 1]
+
+    @property
+    def is_lost(self) -> npt.NDArray[np.bool_]:
+        """(N,) whether its pose in odom is a prediction."""
+        return self._numbers[: self.count, 2] != 0.0
+
+    @property
+    def covariance(self) -> Floats:
+        """(N, 3, 3) of each one's match."""
+        return self._covariance[: self.count]
+
+    def append(self, frame: KeyFrame, pose_map: Floats, kept: Kept) -> None:
+        if self.count == len(self._poses):
+            self._poses, self._numbers, self._covariance = (
+                np.concatenate((array, np.zeros_like(array)))
+                for array in (self._poses, self._numbers, self._covariance)
+            )
+        k = self.count
+        pose = frame.pose_odom_base
+        self._poses[k] = pose.x_m, pose.y_m, pose.theta_rad, *pose_map
+        way_m = 0.0
+        if k:
+            before = self._poses[k - 1]
+            way_m = self._numbers[k - 1, 0] + float(np.hypot(pose.x_m - before[0], pose.y_m - before[1]))
+        self._numbers[k] = way_m, frame.score, frame.is_lost
+        self._covariance[k] = frame.covariance
+        self.stamps_ns.append(frame.stamp_ns)
+        self.kept.append(kept)
+        self.count += 1

@@ -1,0 +1,377 @@
+"""Back end of the default profile: finds loops among key frames, believes few of them, and bends the way."""
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.geometry import poses as se2
+from service.geometry.se2 import SE2
+from service.kernels.loops import path_lengths, thin_points
+from service.kernels.normals import estimate_normals
+from service.mapper.graph.keyframes import Chain, Floats, Kept, KeyFrame
+from service.mapper.graph.loops import Loop, agree, as_edges, disagreement, loop_of
+from service.mapper.graph.places import Cloud, Fit, Place, cloud_of
+from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, solve, to_g2o
+from service.mapper.maps.submaps import NormalsConfig
+from service.mapper.stages import Correction, Drawn, Painter, Sheet
+
+LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])  # of a step that only a prediction vouches for; m^2, rad^2
+GAP_SHARE = 0.1  # of a way without scans: what odometry may have erred by
+LOOP_M = 1.0  # what going over a loop counts in the length of a path
+PLACES_KEPT = 16
+
+
+class LoopsConfig(BaseModel):
+    """Where loops are looked for, and when they are believed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    keyframe_distance_m: float = Field(default=0.3, gt=0.0)
+    keyframe_turn_rad: float = Field(default=0.15, gt=0.0)
+    thin_m: float = Field(default=0.04, ge=0.0)  # points of a key frame lie no nearer to each other
+    normals: NormalsConfig = NormalsConfig()
+
+    search_every_m: float = Field(default=2.0, gt=0.0)
+    query_m: float = Field(default=5.0, gt=0.0)  # way whose key frames are looked for together
+    place_m: float = Field(default=5.0, gt=0.0)  # way to each side that they are looked for in
+    apart_m: float = Field(default=12.0, gt=0.0)  # way between two passes of a place, at least
+    passes: int = Field(default=4, ge=1)  # that are asked in one search, the nearest ones
+    window_m: float = Field(default=0.5, gt=0.0)
+    window_growth: float = Field(default=0.035, ge=0.0)  # m for each m of way through the graph
+    most_window_m: float = Field(default=12.0, gt=0.0)
+    window_rad: float = Field(default=0.06, gt=0.0)
+    window_growth_radpm: float = Field(default=0.006, ge=0.0)
+    most_window_rad: float = Field(default=1.6, gt=0.0)
+    least_score: float = Field(default=0.5, ge=0.0, le=1.0)
+
+    least_share: float = Field(default=0.45, ge=0.0)  # of the points on the map, in medians of the drive
+    most_against: float = Field(default=0.12, ge=0.0, le=1.0)  # share of the points in free space
+    group: int = Field(default=3, ge=2)  # loops that say the same, at least
+    group_span_m: float = Field(default=5.0, ge=0.0)
+    group_within_m: float = Field(default=30.0, gt=0.0)
+    agree_m: float = Field(default=0.15, gt=0.0)
+    agree_growth: float = Field(default=0.01, ge=0.0)
+    agree_rad: float = Field(default=0.03, gt=0.0)
+    agree_growth_radpm: float = Field(default=0.0015, ge=0.0)
+    contradiction_chi2: float = Field(default=30.0, gt=0.0)  # a loop beyond it is laid aside
+    reinstated_chi2: float = Field(default=9.0, gt=0.0)
+
+    solve_at_m: float = Field(default=0.05, gt=0.0)  # what a new loop must move to be worth it before the end
+    solve_at_rad: float = Field(default=0.01, gt=0.0)
+
+    finish_window_m: float = Field(default=1.5, gt=0.0)
+    finish_window_rad: float = Field(default=0.2, gt=0.0)
+    dense_m: float = Field(default=2.5, ge=0.0)  # passes this near are joined at each key frame; 0: not
+    dense_passes: int = Field(default=4, ge=0)
+    dense_most_m: float = Field(default=0.15, gt=0.0)  # farther from where they lay they are not believed
+    dense_most_rad: float = Field(default=0.03, gt=0.0)
+    dense_most: int = Field(default=20_000, ge=0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Batch:
+    """Key frames since the last batch, and what else is wanted."""
+
+    frames: Sequence[KeyFrame]
+    wish: str = ""  # "optimize", "undo"
+    is_last: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """newest: the newest key frame, if anything moved; all: every one, after the last batch."""
+
+    loops: int  # that are believed now
+    aside: int  # that are not any more
+    newest: Correction | None = None
+    sheet: Sheet | None = None
+    all: Sequence[Correction] = ()
+    g2o: str = ""
+
+
+class LoopBackEnd:
+    """BackEnd. Empty when it is handed over; key frames, loops and poses gather here."""
+
+    def __init__(self, config: LoopsConfig, painter: Painter | None) -> None:
+        self._config = config
+        self._painter = painter
+        self._normals = config.normals.settings()
+        self._chain = Chain()
+        self._loops: list[Loop] = []
+        self._groups: list[list[Loop]] = []  # as they came to be believed; for who takes one back
+        self._candidates: list[Loop] = []
+        self._aside: list[Loop] = []
+        self._dense: list[Loop] = []
+        self._places: OrderedDict[int, Place] = OrderedDict()
+        self._searched_m = 0.0
+
+    def work(self, batch: Batch) -> Result:
+        for frame in batch.frames:
+            self._append(frame)
+        moved = self._look_for_loops()
+        if batch.wish == "undo" and self._groups:
+            gone = self._groups.pop()
+            self._loops = [loop for loop in self._loops if loop not in gone]
+            moved = True
+        if batch.wish == "optimize" and self._loops:
+            moved = True
+        if batch.is_last:
+            return self._finish()
+        if not moved:
+            return Result(len(self._loops), len(self._aside))
+        self._solve()
+        return Result(len(self._loops), len(self._aside), self._correction(-1), self._paint())
+
+    def _append(self, frame: KeyFrame) -> None:
+        chain = self._chain
+        pose = frame.pose_odom_base
+        odom = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+        if chain.count:
+            odom = se2.compose(chain.map[-1], se2.between(chain.odom[-1], odom))
+        xy = frame.xy_base.astype(np.float64)
+        normals, kept = np.empty((len(xy), 3)), np.empty(len(xy), np.bool_)
+        estimate_normals(xy, np.array(frame.sensor_xy_m), frame.angle_step_rad, self._normals, normals)
+        thin_points(xy, self._config.thin_m, kept)
+        chain.append(
+            frame, odom, Kept(frame.xy_base[kept], normals[kept].astype(np.float32), frame.sensor_xy_m)
+        )
+
+    def _look_for_loops(self) -> bool:
+        """Search if it is time; whether what came to be believed is worth a solution now."""
+        config, chain = self._config, self._chain
+        if not chain.count or chain.way_m[-1] - self._searched_m < config.search_every_m:
+            return False
+        self._searched_m = float(chain.way_m[-1])
+        for found in self._search(chain.count - 1):
+            self._candidates.append(found)
+            self._believe(found)
+        oldest_m = self._searched_m - 2.0 * config.group_within_m
+        self._candidates = [loop for loop in self._candidates if chain.way_m[loop.to] >= oldest_m]
+        return any(self._is_news(loop) for loop in self._loops[-20:])
+
+    def _is_news(self, loop: Loop) -> bool:
+        off_m, off_rad = disagreement(self._chain, loop)
+        sigma_m = float(np.sqrt(np.linalg.eigvalsh(loop.covariance[:2, :2])[-1]))
+        return (
+            off_m > max(self._config.solve_at_m, 2.0 * sigma_m) or off_rad > self._config.solve_at_rad
+        ) and self._chain.way_m[loop.to] > self._searched_m - self._config.group_within_m
+
+    def _search(self, last: int, window: tuple[float, float] | None = None) -> list[Loop]:
+        """Loops that end in the query whose last key frame is `last`. window: m, rad; None: by path."""
+        config, chain = self._config, self._chain
+        way = chain.way_m
+        first = int(np.searchsorted(way, way[last] - config.query_m))
+        members = [k for k in range(first, last + 1) if not chain.is_lost[k]]
+        if len(members) < 3:
+            return []
+        reference = members[len(members) // 2]
+        length_m = self._lengths_from(reference)
+        if window is None:
+            reach_m = np.minimum(config.window_m + config.window_growth * length_m, config.most_window_m)
+        else:
+            reach_m = np.full(chain.count, window[0])
+        away_m = np.hypot(*(chain.map[:, :2] - chain.map[reference, :2]).T)
+        apart = np.abs(way - way[reference]) >= config.apart_m + config.query_m
+        if window is None:
+            apart &= way < way[reference]
+        near = np.flatnonzero(apart & ~chain.is_lost & (away_m <= reach_m + 1.0))
+        cloud: Cloud | None = None
+        found = []
+        for k in self._nearest_of_passes(near, away_m)[: config.passes]:
+            place = self._place(k)
+            if cloud is None:
+                cloud = cloud_of(chain, members, reference)
+            guess = se2.between(chain.map[place.reference], chain.map[reference])
+            reach_rad = (
+                min(config.window_rad + config.window_growth_radpm * length_m[k], config.most_window_rad)
+                if window is None
+                else window[1]
+            )
+            pose = place.search(cloud, guess, float(reach_m[k]), float(reach_rad), config.least_score)
+            if pose is None:
+                continue
+            fit = place.align(cloud, pose)
+            if self._is_good(fit) and place.against(cloud, fit.pose) < config.most_against:
+                found.append(loop_of(place.reference, reference, fit.pose, fit.hessian, fit.share))
+        return found
+
+    def _is_good(self, fit: Fit) -> bool:
+        usual = float(np.median(self._chain.score))
+        return fit.share >= self._config.least_share * usual
+
+    def _lengths_from(self, k: int) -> Floats:
+        way = self._chain.way_m
+        length_m = np.empty(len(way))
+        of = np.array([loop.of for loop in self._loops], np.int64)
+        to = np.array([loop.to for loop in self._loops], np.int64)
+        path_lengths(np.append(np.diff(way), 0.0), of, to, LOOP_M, k, length_m)
+        return length_m
+
+    def _nearest_of_passes(self, near: npt.NDArray[np.int64], away_m: Floats) -> list[int]:
+        """The nearest key frame of each stretch of the way, nearest stretch first."""
+        if not len(near):
+            return []
+        breaks = np.flatnonzero(np.diff(self._chain.way_m[near]) > self._config.place_m) + 1
+        best = [int(run[np.argmin(away_m[run])]) for run in np.split(near, breaks)]
+        return sorted(best, key=lambda k: (away_m[k], k))
+
+    def _place(self, k: int) -> Place:
+        """One about key frame k; a place that is kept already and lies near will do."""
+        way, config = self._chain.way_m, self._config
+        for reference in self._places:
+            if abs(way[reference] - way[k]) <= self._config.search_every_m:
+                self._places.move_to_end(reference)
+                return self._places[reference]
+        first = int(np.searchsorted(way, way[k] - config.place_m))
+        last = int(np.searchsorted(way, way[k] + config.place_m, side="right"))
+        members = [m for m in range(first, last) if not self._chain.is_lost[m]]
+        self._places[k] = Place(self._chain, members, k)
+        if len(self._places) > PLACES_KEPT:
+            self._places.popitem(last=False)
+        return self._places[k]
+
+    def _believe(self, found: Loop) -> None:
+        """Believe all candidates that say the same as this one, if they are enough, and not of one spot."""
+        config, way = self._config, self._chain.way_m
+        base, growth = (config.agree_m, config.agree_rad), (config.agree_growth, config.agree_growth_radpm)
+        group = [
+            loop
+            for loop in self._candidates
+            if abs(way[loop.to] - way[found.to]) <= config.group_within_m
+            and abs(way[loop.of] - way[found.of]) <= 2.0 * config.group_within_m
+            and agree(self._chain, found, loop, base, growth)
+        ]
+        ends_m = [float(way[loop.to]) for loop in group]
+        if len(group) < config.group or max(ends_m) - min(ends_m) < config.group_span_m:
+            return
+        new = [loop for loop in group if loop not in self._loops and loop not in self._aside]
+        if new:
+            self._loops += new
+            self._groups.append(new)
+
+    def _odometry(self) -> Edges:
+        chain = self._chain
+        covariance = chain.covariance[1:] + np.diag([0.006**2, 0.006**2, 0.0015**2])
+        weak = chain.is_lost[1:] | chain.is_lost[:-1]
+        covariance = np.where(weak[:, None, None], LOST_COVARIANCE, covariance)
+        gap_m = np.maximum(np.diff(chain.way_m) - 2.0 * self._config.keyframe_distance_m, 0.0)
+        covariance = covariance + (GAP_SHARE * gap_m[:, None, None]) ** 2 * np.eye(3)
+        k = np.arange(chain.count - 1, dtype=np.int64)
+        return Edges(
+            k, k + 1, se2.between(chain.odom[:-1], chain.odom[1:]), covariance, np.zeros(chain.count - 1)
+        )
+
+    def _graph(self) -> PoseGraph:
+        odometry, loops = self._odometry(), as_edges([*self._loops, *self._dense])
+        edges = Edges(
+            *(np.concatenate((getattr(odometry, name), getattr(loops, name))) for name in Edges.__slots__)
+        )
+        return PoseGraph(self._chain.map.copy(), edges)
+
+    def _solve(self) -> None:
+        """Poses that agree best; loops that the rest contradicts are laid aside, and may come back."""
+        if self._chain.count < 2:
+            return
+        for _ in range(3):
+            self._chain.map[:] = solve(self._graph()).poses
+            if not self._weigh():
+                return
+
+    def _weigh(self) -> bool:
+        """Whether a loop changed sides."""
+        config, poses = self._config, self._chain.map
+        changed = False
+        for loops, aside in ((self._loops, True), (self._aside, False)):
+            chi2 = edge_chi2(as_edges(loops), poses)
+            limit = config.contradiction_chi2 if aside else config.reinstated_chi2
+            go = [loop for loop, c in zip(loops, chi2, strict=True) if bool(c > limit) is aside]
+            if not go:
+                continue
+            changed = True
+            loops[:] = [loop for loop in loops if loop not in go]
+            (self._aside if aside else self._loops).extend(go)
+            if aside:
+                break
+        chi2 = edge_chi2(as_edges(self._dense), poses)
+        self._dense = [d for d, c in zip(self._dense, chi2, strict=True) if c <= config.contradiction_chi2]
+        return changed
+
+    def _finish(self) -> Result:
+        chain = self._chain
+        if not chain.count:
+            return Result(0, 0)
+        if self._loops:
+            self._solve()
+        self._search_again()
+        if self._loops:
+            self._solve()
+        self._join_densely()
+        if self._loops or self._dense:
+            self._solve()
+        self._places.clear()
+        text = to_g2o(self._graph())
+        corrections = [self._correction(k) for k in range(chain.count)]
+        return Result(len(self._loops), len(self._aside), corrections[-1], self._paint(), corrections, text)
+
+    def _search_again(self) -> None:
+        """Every stretch against the passes that lie near it now: revisits that were missed on the way."""
+        config, way = self._config, self._chain.way_m
+        window = (config.finish_window_m, config.finish_window_rad)
+        done = {(round(way[loop.to] / 3.0), round(way[loop.of] / 3.0)) for loop in self._loops}
+        self._candidates = list(self._loops)
+        new = []
+        for at_m in np.arange(config.query_m, way[-1], config.search_every_m):
+            for loop in self._search(int(np.searchsorted(way, at_m)), window):
+                spot = (round(way[loop.to] / 3.0), round(way[loop.of] / 3.0))
+                if spot not in done and loop.of < loop.to:
+                    done.add(spot)
+                    new.append(loop)
+        for loop in new:
+            self._candidates.append(loop)
+        for loop in new:
+            if loop not in self._loops:
+                self._believe(loop)
+
+    def _join_densely(self) -> None:
+        """Each key frame against the other passes beside it; only where it lies there nearly already."""
+        config, chain = self._config, self._chain
+        if config.dense_m == 0.0 or not self._loops:
+            return
+        way = chain.way_m
+        wanted: list[tuple[int, int]] = []  # place's key frame, key frame
+        for k in range(chain.count):
+            away_m = np.hypot(*(chain.map[:, :2] - chain.map[k, :2]).T)
+            near = np.flatnonzero(
+                (away_m <= config.dense_m) & (way < way[k] - config.apart_m) & ~chain.is_lost
+            )
+            if len(near) and not chain.is_lost[k]:
+                wanted += [(p, k) for p in self._nearest_of_passes(near, away_m)[: config.dense_passes]]
+        stride = 1 + len(wanted) // max(config.dense_most, 1)
+        for p, k in sorted(wanted)[::stride]:
+            place = self._place(p)
+            guess = se2.between(chain.map[place.reference], chain.map[k])
+            fit = place.align(cloud_of(chain, [k], k), guess)
+            moved = se2.between(guess, fit.pose)
+            if (
+                self._is_good(fit)
+                and np.hypot(moved[0], moved[1]) <= config.dense_most_m
+                and abs(moved[2]) <= config.dense_most_rad
+            ):
+                self._dense.append(loop_of(place.reference, k, fit.pose, fit.hessian, fit.share))
+
+    def _paint(self) -> Sheet | None:
+        if self._painter is None:
+            return None
+        poses = self._chain.map.tolist()
+        return self._painter.paint(
+            Drawn(kept.xy_base, kept.sensor_xy_m, SE2(*pose))
+            for kept, pose in zip(self._chain.kept, poses, strict=True)
+        )
+
+    def _correction(self, k: int) -> Correction:
+        chain = self._chain
+        return Correction(chain.stamps_ns[k], SE2(*chain.odom[k].tolist()), SE2(*chain.map[k].tolist()))

@@ -1,0 +1,153 @@
+"""Graph of the default profile: sends key frames to where loops are found, and brings corrections in."""
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from service.geometry.se2 import SE2, wrap_angle
+from service.mapper.background import Errand, NewWorker, WorkLostError
+from service.mapper.graph.keyframes import KeyFrame
+from service.mapper.graph.loop_back_end import Batch, LoopBackEnd, LoopsConfig, Result
+from service.mapper.stages import (
+    Correction,
+    Drawn,
+    FinishedGraph,
+    GraphUpdate,
+    MappedScan,
+    Painter,
+    WishError,
+)
+
+
+class LoopClosing:
+    """Graph."""
+
+    def __init__(self, config: LoopsConfig, painter: Painter | None, new_worker: NewWorker) -> None:
+        self._config = config
+        self._errand = Errand(new_worker(LoopBackEnd(config, painter)))
+        self._fresh: list[KeyFrame] = []  # not yet sent
+        self._sent: deque[list[KeyFrame]] = deque()  # with each piece of work that is out
+        self._last: SE2 | None = None  # of the newest key frame
+        self._way_m = 0.0  # of those not yet sent
+        self._pose_map_odom = SE2()
+        self._loops = self._aside = 0
+
+    @property
+    def waiting(self) -> int:
+        return self._errand.waiting
+
+    @property
+    def ready(self) -> bool:
+        return self._errand.ready
+
+    @property
+    def trouble(self) -> str:
+        return self._errand.trouble
+
+    def add(self, scan: MappedScan) -> SE2:
+        pose = scan.match.motion.pose_odom_base
+        if len(scan.points.xy_base) and self._is_keyframe(pose) and not self.trouble:
+            if self._last is not None:
+                self._way_m += math.hypot(pose.x_m - self._last.x_m, pose.y_m - self._last.y_m)
+            self._last = pose
+            self._fresh.append(_key_frame(scan))
+            if self._way_m >= self._config.search_every_m:
+                self._submit(Batch(self._fresh))
+        return self._pose_map_odom
+
+    def take_in(self) -> GraphUpdate:
+        if not self.waiting:
+            return GraphUpdate({})
+        try:
+            result: Result = self._errand.take()
+        except WorkLostError:
+            self._sent.clear()
+            self._fresh.clear()
+            return GraphUpdate({"graph_work_lost": 1})
+        self._sent.popleft()
+        return self._update(result)
+
+    def wish(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
+        if name not in ("optimize", "undo"):
+            raise WishError(f"{name}: the graph of this profile knows optimize and undo")
+        if payload:
+            raise WishError(f"{name} takes nothing besides; it was given {', '.join(payload)}")
+        if self.trouble:
+            raise WishError(f"{name}: no loops are closed any more: {self.trouble}")
+        if name == "undo" and not self._loops:
+            raise WishError("undo: no loop is closed")
+        self._submit(Batch(self._fresh, name))
+        return {"loop_closures": self._loops}
+
+    def finish(self) -> FinishedGraph:
+        counts: dict[str, int] = {}
+        update = GraphUpdate({})
+        while self.waiting:
+            update = self.take_in()
+            _add(counts, update.counts)
+        if self.trouble:
+            return FinishedGraph(update=GraphUpdate(counts))
+        self._submit(Batch(self._fresh, is_last=True))
+        try:
+            result: Result = self._errand.take()
+        except WorkLostError:
+            counts["graph_work_lost"] = 1
+            return FinishedGraph(update=GraphUpdate(counts))
+        self._sent.clear()
+        update = self._update(result)
+        _add(counts, update.counts)
+        return FinishedGraph(result.all, result.g2o, GraphUpdate(counts, update.sheet))
+
+    def close(self) -> None:
+        self._errand.close()
+
+    def _submit(self, batch: Batch) -> None:
+        self._errand.submit(batch)
+        self._sent.append(self._fresh)
+        self._fresh, self._way_m = [], 0.0
+
+    def _update(self, result: Result) -> GraphUpdate:
+        counts = {"loop_closures": result.loops - self._loops, "loops_laid_aside": result.aside - self._aside}
+        self._loops, self._aside = result.loops, result.aside
+        if result.newest is not None:
+            self._pose_map_odom = _pose_map_odom(result.newest)
+        since = [frame for batch in self._sent for frame in batch] + self._fresh
+        drawn = [
+            Drawn(frame.xy_base, frame.sensor_xy_m, self._pose_map_odom @ frame.pose_odom_base)
+            for frame in (since if result.sheet is not None else ())
+        ]
+        return GraphUpdate(counts, result.sheet, drawn)
+
+    def _is_keyframe(self, pose: SE2) -> bool:
+        last = self._last
+        if last is None:
+            return True
+        moved_m = math.hypot(pose.x_m - last.x_m, pose.y_m - last.y_m)
+        turned_rad = abs(wrap_angle(pose.theta_rad - last.theta_rad))
+        return moved_m >= self._config.keyframe_distance_m or turned_rad >= self._config.keyframe_turn_rad
+
+
+def _key_frame(scan: MappedScan) -> KeyFrame:
+    points, match = scan.points, scan.match
+    return KeyFrame(
+        scan.stamp_ns,
+        match.motion.pose_odom_base,
+        match.motion.covariance,
+        match.score,
+        match.state == "lost",
+        points.xy_base.astype(np.float32),
+        (points.sensor_base.x_m, points.sensor_base.y_m),
+        abs(points.scan.angle_step_rad),
+    )
+
+
+def _pose_map_odom(newest: Correction) -> SE2:
+    return newest.pose_map_base @ newest.pose_odom_base.inverse()
+
+
+def _add(counts: dict[str, int], more: Mapping[str, int]) -> None:
+    for name, count in more.items():
+        counts[name] = counts.get(name, 0) + count

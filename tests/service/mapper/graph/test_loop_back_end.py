@@ -1,0 +1,121 @@
+"""Loops in a ring of corridors: found, believed only in company, taken back when the rest says otherwise."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.geometry.se2 import SE2
+from service.mapper.graph.keyframes import KeyFrame
+from service.mapper.graph.loop_back_end import Batch, LoopBackEnd, LoopsConfig, Result
+from service.mapper.graph.loops import Loop
+from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
+from service.mapper.stages import Correction
+from tests.service.mapper.graph.rings import LENGTH_M, STEP_M, WIDTH_M, key_frames
+
+BATCH = 7
+
+
+@pytest.fixture(scope="module")
+def ring() -> tuple[list[KeyFrame], list[SE2]]:
+    return key_frames(1.4)
+
+
+def fed(frames: list[KeyFrame], config: LoopsConfig | None = None) -> tuple[LoopBackEnd, list[Result]]:
+    painter = OccupancyTiles(OccupancyConfig(), 0.05).painter
+    back_end = LoopBackEnd(config or LoopsConfig(), painter)
+    return back_end, [back_end.work(Batch(frames[k : k + BATCH])) for k in range(0, len(frames), BATCH)]
+
+
+def errors_m(corrections: list[Correction], truth: list[SE2]) -> np.ndarray:
+    away = [true.inverse() @ c.pose_map_base for true, c in zip(truth, corrections, strict=True)]
+    return np.array([np.hypot(e.x_m, e.y_m) for e in away])
+
+
+def seam_m(corrections: list[Correction], truth: list[SE2]) -> np.ndarray:
+    """How far the second round lies off the first, seen from there."""
+    off = []
+    round_frames = round(2.0 * (LENGTH_M + WIDTH_M) / STEP_M)
+    for k in range(20, len(truth) - round_frames - 5, 5):
+        a, b = k, k + round_frames
+        here = corrections[a].pose_map_base.inverse() @ corrections[b].pose_map_base
+        away = (truth[a].inverse() @ truth[b]).inverse() @ here
+        off.append(np.hypot(away.x_m, away.y_m))
+    return np.array(off)
+
+
+def test_a_ring_is_closed_and_the_way_bent_back(ring: tuple[list[KeyFrame], list[SE2]]):
+    frames, truth = ring
+    back_end, results = fed(frames)
+    drifted = [Correction(f.stamp_ns, f.pose_odom_base, f.pose_odom_base) for f in frames]
+    assert seam_m(drifted, truth).min() > 0.5
+    assert results[len(frames) // (2 * BATCH)].loops == 0
+    corrected_live = next(r for r in results if r.newest is not None)
+    assert corrected_live.loops >= 3
+    assert corrected_live.sheet is not None
+    finished = back_end.work(Batch([], is_last=True))
+    assert seam_m(list(finished.all), truth).max() < 0.02
+    assert np.median(errors_m(list(finished.all), truth)) < 0.3 * np.median(errors_m(drifted, truth))
+    assert finished.aside == 0
+    assert finished.g2o.count("VERTEX_SE2") == len(frames)
+    assert finished.g2o.count("EDGE_SE2") >= len(frames) - 1 + finished.loops
+
+
+def test_the_same_batches_give_the_same_result_and_a_pickled_back_end_too(
+    ring: tuple[list[KeyFrame], list[SE2]],
+):
+    frames = ring[0]
+    ends = []
+    for copied in (False, True):
+        back_end = LoopBackEnd(LoopsConfig(), None)
+        back_end = pickle.loads(pickle.dumps(back_end)) if copied else back_end
+        for k in range(0, len(frames), BATCH):
+            back_end.work(Batch(frames[k : k + BATCH]))
+        ends.append(back_end.work(Batch([], is_last=True)))
+    assert ends[0].all == ends[1].all
+    assert ends[0].g2o == ends[1].g2o
+
+
+def test_without_company_no_loop_is_believed(ring: tuple[list[KeyFrame], list[SE2]]):
+    back_end, results = fed(ring[0], LoopsConfig(group=1000))
+    assert {result.loops for result in results} == {0}
+    assert back_end.work(Batch([], is_last=True)).loops == 0
+
+
+def test_what_was_never_seen_twice_stays_as_odometry_has_it(ring: tuple[list[KeyFrame], list[SE2]]):
+    frames = ring[0][:100]
+    back_end, results = fed(frames)
+    assert all(result.newest is None for result in results)
+    finished = back_end.work(Batch([], is_last=True))
+    for correction in finished.all:
+        away = correction.pose_odom_base.inverse() @ correction.pose_map_base
+        assert abs(away.x_m) + abs(away.y_m) + abs(away.theta_rad) < 1e-9
+
+
+def test_a_false_loop_that_the_rest_contradicts_is_laid_aside(ring: tuple[list[KeyFrame], list[SE2]]):
+    frames, truth = ring
+    back_end, _ = fed(frames)
+    false = Loop(10, 80, np.array([0.0, 0.3, 0.0]), np.diag([1e-4, 1e-4, 1e-5]), 0.9)
+    back_end._loops.append(false)
+    finished = back_end.work(Batch([], is_last=True))
+    assert finished.aside >= 1
+    assert false in back_end._aside
+    assert seam_m(list(finished.all), truth).max() < 0.02
+
+
+def test_who_undoes_the_last_loops_gets_the_way_before_them(ring: tuple[list[KeyFrame], list[SE2]]):
+    back_end, results = fed(ring[0])
+    before = results[-1].loops
+    groups = len(back_end._groups)
+    for _ in range(groups):
+        result = back_end.work(Batch([], "undo"))
+    assert before > result.loops == 0
+    assert result.newest is not None
+    assert result.newest.pose_map_base.x_m == pytest.approx(result.newest.pose_odom_base.x_m, abs=1e-3)
+
+
+def test_lost_key_frames_are_neither_looked_for_nor_trusted(ring: tuple[list[KeyFrame], list[SE2]]):
+    lost = [replace(frame, is_lost=True) for frame in ring[0]]
+    _, results = fed(lost)
+    assert {result.loops for result in results} == {0}
