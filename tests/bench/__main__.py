@@ -18,7 +18,7 @@ Row = tuple[str, float, str]  # what was measured, how much, of what unit
 
 def main() -> int:
     ensure_cache_dir()
-    from tests.bench import decoding, reading, replaying, scans, start_up
+    from tests.bench import accuracy, decoding, reading, replaying, scans, start_up
 
     benchmarks: dict[str, Callable[[], list[Row]]] = {
         "scans": scans.measure,
@@ -26,9 +26,14 @@ def main() -> int:
         "reading": reading.measure,
         "replay": replaying.measure,
         "start-up": start_up.measure,
+        "accuracy": lambda: accuracy.measure(parsed.scenario, parsed.seeds),
     }
     parser = argparse.ArgumentParser(prog="python -m tests.bench", description=__doc__)
     parser.add_argument("--only", action="append", choices=sorted(benchmarks), default=[])
+    parser.add_argument(
+        "--scenario", action="append", choices=sorted(accuracy.SCENARIOS), default=[], help="of accuracy; all"
+    )
+    parser.add_argument("--seeds", type=int, default=5, help="of accuracy")
     parser.add_argument("--out", type=Path, default=Path("bench.json"))
     parsed = parser.parse_args()
     results: dict[str, Any] = {

@@ -1,0 +1,1 @@
+"""How accurate, robust and cheap the default profile is: `make bench BENCH_ARGS="--only accuracy"`."""

@@ -1,0 +1,53 @@
+"""What each part of the default profile is worth: the same drives with that part switched off."""
+
+from dataclasses import replace
+from typing import Any
+
+from service.mapper.profiles import mapping_config
+from simulators.worlds import WORLDS
+from tests.accuracy.driving import Errors, Trip, default_with
+from tests.papers.report import Section
+from tests.simulated import LMS100_50HZ, Drive, run
+
+# what is switched off, and by which keys; None: sweeps are declared instants
+PARTS: tuple[tuple[str, dict[str, dict[str, Any]] | None], ...] = (
+    ("nothing", {}),
+    ("deskew", None),
+    ("deskew renewed while matching", {"matcher": {"deskew_rounds": 0}}),
+    ("coarse stage", {"matcher": {"doubt_ratio": 0.0}}),
+    ("robust loss", {"matcher": {"cauchy_m": 1e3}}),
+    ("holding of free directions", {"matcher": {"blind_sigma_m": 1e3}}),
+    ("surfels finer than 10 cm: 5 cm", {"local_map": {"cell_m": 0.05}}),
+    ("long sub-maps: 5 m", {"local_map": {"spacing_m": 5.0}}),
+)
+
+
+def ablations(seeds: int) -> Section:
+    trips = {
+        "ring": Trip(WORLDS["ring"], LMS100_50HZ),
+        "office": Trip(WORLDS["office"], LMS100_50HZ),
+        "spins": Trip(WORLDS["spins"], LMS100_50HZ, 30.0),
+        "ring, no odometry": Trip(WORLDS["ring"], replace(LMS100_50HZ, rate_hz=25.0), 40.0, wheels=None),
+    }
+    cells: dict[str, list[str]] = {what: [] for what, _ in PARTS}
+    for trip in trips.values():
+        drives = trip.drives(seeds)
+        for what, settings in PARTS:
+            cells[what].append(_cell(drives, settings))
+    lines = ["| switched off | " + " | ".join(trips) + " |", "|---|" + "---|" * len(trips)]
+    lines += [f"| {what} | " + " | ".join(row) + " |" for what, row in cells.items()]
+    return Section(
+        "What each part is worth",
+        "RMS error as is, mm, median (worst) of the seeds, each part switched off alone. Parts that have no "
+        "switch in the config are not listed.",
+        tables=["\n".join(lines)],
+    )
+
+
+def _cell(drives: list[Drive], settings: dict[str, dict[str, Any]] | None) -> str:
+    config = mapping_config() if settings is None else default_with(**settings)
+    errors = Errors()
+    for drive in drives:
+        errors.add(drive, run(config, drive, without_motion=settings is None))
+    values = sorted(errors.as_is_mm)
+    return f"{values[len(values) // 2]:.1f} ({values[-1]:.1f})"

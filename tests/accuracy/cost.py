@@ -1,0 +1,137 @@
+"""What the default profile costs: a scan, a whole recording, a map that grows, a start."""
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.frames import LaserScan
+from service.geometry.se2 import SE2
+from service.mapper.profiles import build_mapper, mapping_config
+from simulators.trajectory import Follow, Leg, Limits, plan_drive
+from simulators.world import World
+from simulators.worlds import WORLDS
+from simulators.worlds.mall import mall
+from tests.accuracy.driving import WHEELS, Trip
+from tests.accuracy.recorded import FR079
+from tests.bench import start_up
+from tests.papers.report import Row, Section
+from tests.simulated import LMS100_50HZ, UTM30LX_40HZ, Drive, drive
+
+LOOPS, LOOP_RATE_HZ = 100, 5.0
+BLOCK = [(22.0, 0.0), (22.0, 30.0), (-5.0, 30.0), (-5.0, 0.0), (0.0, 0.0)]  # seen from the mall's start
+
+
+def scans(seeds: int) -> Section:
+    rows = []
+    for what, world, laser, bounds in (
+        ("1081 beams, ring", "ring", UTM30LX_40HZ, (0.5, 0.8, 2.0, 10.0)),
+        ("1081 beams, office", "office", UTM30LX_40HZ, (0.5, 0.8, 2.0, 10.0)),
+        ("541 beams, office", "office", LMS100_50HZ, (0.3, None, None, None)),
+    ):
+        spent = [scan_cpu_ms(made) for made in Trip(WORLDS[world], laser, 40.0).drives(seeds)]
+        for name, percent, bound in zip(("p50", "p95", "p99", "max"), (50, 95, 99, 100), bounds, strict=True):
+            values = [float(np.percentile(ms, percent)) for ms in spent]
+            rows.append(Row("", f"{what}: {name}", values, "ms", at_most=bound, digits=2))
+    return Section(
+        "A scan",
+        "The whole way of a scan through the mapper: predict, deskew, match, sub-maps, shown map. Time of "
+        "the thread on the processor, so that what else runs on the machine counts less.",
+        rows,
+    )
+
+
+def recording(seeds: int) -> Section:
+    """A process of its own, for its peak memory."""
+    source = FR079 / "fr079.mcap"
+    if not source.exists():
+        return Section("Replay", f"Left out: {source} is not there; set CORRIDOR_SHARED.")
+    factors, peaks = [], []
+    for _ in range(seeds):
+        with tempfile.TemporaryDirectory() as folder:
+            command = [sys.executable, "-m", "service.cli", "replay", str(source), "--out", folder]
+            subprocess.run(command, check=True, capture_output=True)
+            summary = json.loads((Path(folder) / "summary.json").read_text())
+        factors.append(float(summary["realtime_factor"]))
+        peaks.append(float(summary["peak_rss_mb"]))
+    return Section(
+        "Replay of Freiburg 079",
+        "1061 s of driving, the finish included, by wall clock.",
+        [
+            Row("", "times real time", factors, "", at_least=100.0, digits=0),
+            Row("", "peak memory", peaks, "MB", at_most=350.0, digits=0),
+        ],
+    )
+
+
+def growing_map(seeds: int) -> Section:
+    """One long drive around a block of the mall: the cost of its first loops against that of its last."""
+    world = _block_of_mall()
+    lap_ns = round(world.drive.duration_s * 1e9)
+    laser = replace(LMS100_50HZ, rate_hz=LOOP_RATE_HZ)
+    made = drive(world, laser, LOOPS * world.drive.duration_s, 1, WHEELS, stand_s=0.0)
+    mapper = build_mapper(mapping_config(), {"front": laser.mounting})
+    spent: list[list[float]] = [[] for _ in range(LOOPS + 1)]
+    memory_mb: dict[int, float] = {}
+    for frame in made.frames:
+        began_ns = time.thread_time_ns()
+        if mapper.process(frame) is not None:
+            lap = frame.stamp_ns // lap_ns
+            spent[lap].append((time.thread_time_ns() - began_ns) / 1e6)
+            if lap not in memory_mb:
+                mapper.changed_tiles()
+                memory_mb[lap] = _memory_mb()
+    early, late = (float(np.mean(np.concatenate(spent[lap : lap + 10]))) for lap in (1, LOOPS - 10))
+    last = max(memory_mb)
+    return Section(
+        "Cost against the size of the map",
+        f"{LOOPS} loops around one block of the mall, {LOOPS * world.drive.length_m / 1000.0:.1f} km at "
+        f"{LOOP_RATE_HZ:.0f} scans a second. Shortened: a loop of the whole mall is 1.2 km.",
+        [
+            Row("", "a scan, loops 91 to 100 / loops 2 to 11", [late / early], "", at_most=1.05),
+            Row("", "a scan, loops 2 to 11", [early], "ms"),
+            Row("", "memory, loop 100 - loop 10", [memory_mb[last] - memory_mb[10]], "MB", digits=1),
+        ],
+    )
+
+
+def start(seeds: int) -> Section:
+    times = [{what: value for what, value, _ in start_up.measure()} for _ in range(min(seeds, 2))]
+    bounds = {"warm": 1.5, "cold": 10.0}
+    rows = [
+        Row("", what, [took[what] for took in times], "s", at_most=bounds[cache], digits=1)
+        for cache in bounds
+        for what in times[0]
+        if cache in what
+    ]
+    return Section("Start", "From `corridor run` to the first pose at a subscriber.", rows)
+
+
+def scan_cpu_ms(made: Drive) -> npt.NDArray[np.float64]:
+    mapper = build_mapper(mapping_config(), {"front": LMS100_50HZ.mounting})
+    spent = []
+    for frame in made.frames:
+        began_ns = time.thread_time_ns()
+        mapper.process(frame)
+        if isinstance(frame, LaserScan):
+            spent.append((time.thread_time_ns() - began_ns) / 1e6)
+    return np.array(spent)
+
+
+def _block_of_mall() -> World:
+    legs: list[Leg] = [Follow(BLOCK, corner_radius_m=1.5)]
+    limits = Limits(speed_mps=3.0, acceleration_mps2=1.0, lateral_mps2=1.2)
+    return replace(mall(), drive=plan_drive(SE2(), legs, limits, repeats=True))
+
+
+def _memory_mb() -> float:
+    """Resident, of this process."""
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    kilobytes = next(line.split()[1] for line in status.splitlines() if line.startswith("VmRSS:"))
+    return int(kilobytes) / 1024

@@ -1,0 +1,100 @@
+"""Simulated drives through the default profile, and how far off it ends up."""
+
+import gc
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry.se2 import SE2
+from service.mapper.profiles import MappingConfig, mapping_config
+from service.offline.score import align, compose
+from simulators.world import World
+from tests.papers.report import Row
+from tests.simulated import Drive, Imu, Laser, Run, Wheels, drives, run
+
+Change = Callable[[Drive], Drive]
+WHEELS = Wheels()  # 1 cm and 0.3 deg per root metre, at 67 Hz
+
+
+@dataclass(frozen=True)
+class Trip:
+    """A drive through a world, with what rides along."""
+
+    world: Callable[[], World]
+    laser: Laser
+    seconds: float | None = None  # None: one lap
+    wheels: Wheels | None = field(default_factory=lambda: WHEELS)
+    imu: Imu | None = None
+
+    def drives(self, seeds: int) -> list[Drive]:
+        """Once for each seed."""
+        world = self.world()
+        seconds = self.seconds if self.seconds is not None else world.drive.duration_s
+        return drives(world, self.laser, seconds, range(1, seeds + 1), self.wheels, self.imu)
+
+    def runs(self, seeds: int, config: MappingConfig | None = None) -> Iterator[tuple[Drive, Run]]:
+        """One after the other, so that memory holds the maps of one."""
+        made = self.drives(seeds)
+        while made:
+            drive = made.pop(0)
+            yield drive, run(config or mapping_config(), drive)
+            gc.collect()
+
+
+def default_with(**settings: dict[str, Any]) -> MappingConfig:
+    """The default profile with other values of some keys, by box."""
+    return mapping_config({"settings": settings})
+
+
+def poses_of(poses: Sequence[SE2]) -> npt.NDArray[np.float64]:
+    return np.array([(pose.x_m, pose.y_m, pose.theta_rad) for pose in poses])
+
+
+def ate_m(drive: Drive, done: Run) -> float:
+    """RMS distance after the best rigid motion."""
+    estimate = poses_of([output.pose_map_base for output in done.outputs])
+    truth = poses_of([drive.truth[output.stamp_ns] for output in done.outputs])
+    off = compose(align(estimate, truth), estimate) - truth
+    return float(np.sqrt((off[:, :2] ** 2).sum(axis=1).mean()))
+
+
+def lost_share(done: Run) -> float:
+    return float(np.mean([output.state == "lost" for output in done.outputs]))
+
+
+@dataclass
+class Errors:
+    """Of the runs of one trip, a value a seed."""
+
+    ate_mm: list[float] = field(default_factory=list)
+    as_is_mm: list[float] = field(default_factory=list)
+    heading_deg: list[float] = field(default_factory=list)
+    end_mm: list[float] = field(default_factory=list)
+    end_deg: list[float] = field(default_factory=list)
+    lost_percent: list[float] = field(default_factory=list)
+    scan_ms: list[float] = field(default_factory=list)  # p50
+
+    def add(self, drive: Drive, done: Run) -> None:
+        end_m, end_rad = done.end_error
+        self.ate_mm.append(1e3 * ate_m(drive, done))
+        self.as_is_mm.append(1e3 * done.position_rmse_m)
+        self.heading_deg.append(math.degrees(done.heading_rmse_rad))
+        self.end_mm.append(1e3 * end_m)
+        self.end_deg.append(math.degrees(end_rad))
+        self.lost_percent.append(100.0 * lost_share(done))
+        self.scan_ms.append(float(np.median(done.scan_ms)))
+
+
+def errors_of(trip: Trip, seeds: int, config: MappingConfig | None = None) -> Errors:
+    errors = Errors()
+    for drive, done in trip.runs(seeds, config):
+        errors.add(drive, done)
+    return errors
+
+
+mm_row = partial(Row, "", unit="mm", digits=1)

@@ -1,0 +1,16 @@
+from tests.accuracy import page
+from tests.papers.report import Row, Section
+
+
+def test_running_one_scenario_replaces_its_section_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr(page, "PAGE", tmp_path / "performance.md")
+    old = Section("Cold", "As it was.", [Row("", "error", [7.0], "mm", at_most=5.0, digits=1)])
+    page.write_page({"cold": old, "warm": Section("Warm", "Stays.")}, ["warm", "cold"], "then")
+    new = Section("Cold", "As it is.", [Row("", "error", [3.0, 4.0], "mm", at_most=5.0, digits=1)])
+    page.write_page({"cold": new}, ["warm", "cold"], "now")
+    text = page.PAGE.read_text()
+    assert text.index("## Warm") < text.index("## Cold")
+    assert "Stays." in text
+    assert "As it was." not in text
+    assert "| error | 3.5 mm | 4.0 mm | ≤ 5 | yes |" in text
+    assert "Scenario `cold`; now." in text

@@ -1,0 +1,185 @@
+"""What is hard in one way: turns, stops, crowds, bad returns, nothing to hold on to, an hour in one place."""
+
+import math
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.frames import OdometrySample
+from service.geometry.se2 import SE2
+from service.outputs import UNKNOWN, TileUpdate
+from simulators.world import World
+from simulators.worlds import WORLDS
+from simulators.worlds.trials import LEAVING_S, glass_hall
+from tests.accuracy.driving import Errors, Trip, errors_of
+from tests.papers.report import Row, Section
+from tests.simulated import LMS100_50HZ, Drive, Imu, Run, Wheels
+
+GHOST_WALL_M = 0.30  # farther from every wall an occupied cell is no wall
+GHOST_PERCENT = 65  # occupied from here on
+GHOST_AFTER_S = 20.0
+HOUR_S, PARKED_HZ = 3600.0, 5.0
+
+
+def motion(seeds: int) -> Section:
+    rows = []
+    for name, seconds in (("spins", None), ("stop_and_go", None), ("crowd", _crowd_s(WORLDS["crowd"]()))):
+        errors, ghosts = Errors(), []
+        trip = Trip(WORLDS[name], LMS100_50HZ, seconds)
+        for drive, done in trip.runs(seeds):
+            errors.add(drive, done)
+            ghosts.append(float(ghost_cells(trip.world(), drive, done)))
+        rows += [
+            Row("", f"{name}: as is, RMS", errors.as_is_mm, "mm", at_most=10.0, digits=1),
+            Row("", f"{name}: scans lost", errors.lost_percent, "%", at_most=0.0, by_worst=True, digits=1),
+        ]
+        if name == "crowd":
+            rows.append(Row("", "crowd: ghost cells", ghosts, "", at_most=0.0, by_worst=True, digits=0))
+    return Section(
+        "Turns, stops and a crowd",
+        "spins: turns at 3 rad/s on the spot in four rooms of the office. stop_and_go: a stand every 2 m. "
+        "crowd: 1 m/s in a hall with five people who keep within 3 m, then walk off. A ghost is a cell shown "
+        f"occupied, {GHOST_WALL_M:.1f} m from every wall and from wherever somebody was in the last "
+        f"{GHOST_AFTER_S:.0f} s. LMS-100 at 50 Hz, odometry.",
+        rows,
+    )
+
+
+def bad_returns(seeds: int) -> Section:
+    clean = replace(LMS100_50HZ.model, mixed_share=0.0, dropout_share=0.0)
+    office = {
+        "clean": clean,
+        "range bias of 30 mm": replace(clean, bias_m=0.03),
+        "mixed pixels, all beams that straddle a step": replace(clean, mixed_share=1.0),
+        "30 % of the beams lost": replace(clean, dropout_share=0.3),
+    }
+    rows = []
+    reference: list[float] = []
+    for what, model in office.items():
+        errors = errors_of(Trip(WORLDS["office"], replace(LMS100_50HZ, model=model)), seeds)
+        reference = reference or errors.as_is_mm
+        rows += _against(f"office, {what}", errors.as_is_mm, reference)
+    brick = errors_of(Trip(partial(glass_hall, glass=False), LMS100_50HZ), seeds)
+    glass = errors_of(Trip(glass_hall, LMS100_50HZ), seeds)
+    rows += _against("hall, one side of brick", brick.as_is_mm, brick.as_is_mm)
+    rows += _against("the same side of glass", glass.as_is_mm, brick.as_is_mm)
+    return Section(
+        "Returns that are wrong, missing or behind glass",
+        "Each fault alone, against the same drive without it (no mixed pixels, no lost beams). RMS error as "
+        "is; a fault may at most double it, seed by seed.",
+        rows,
+    )
+
+
+def bare_corridor(seeds: int) -> Section:
+    rows = []
+    for what, imu in (("odometry", None), ("odometry and IMU", Imu())):
+        ratios, ends, alone, told = [], [], [], []
+        trip = Trip(WORLDS["featureless"], LMS100_50HZ, 100.0, Wheels(), imu)
+        for drive, done in trip.runs(seeds):
+            wheels_m = _wheels_end_m(drive)
+            ends.append(1e3 * done.end_error[0])
+            alone.append(1e3 * wheels_m)
+            ratios.append(done.end_error[0] / wheels_m)
+            told.append(100.0 * _told_share(done))
+        rows += [
+            Row("", f"{what}: error at the end / that of the odometry", ratios, "", at_most=1.0, digits=2),
+            Row("", f"{what}: error at the end", ends, "mm", digits=0),
+            Row("", f"{what}: of the odometry alone", alone, "mm", digits=0),
+            Row("", f"{what}: scans that name the free direction", told, "%", at_least=95.0, digits=1),
+        ]
+    return Section(
+        "A bare corridor",
+        "100 m between bare walls, the ends out of sight: nothing says how far along. The wheels must carry "
+        "it, and the state must say so.",
+        rows,
+    )
+
+
+def parked(seeds: int) -> Section:
+    laser = replace(LMS100_50HZ, rate_hz=PARKED_HZ)
+    trip = Trip(WORLDS["room"], laser, HOUR_S, Wheels())
+    ends_mm, ends_deg, worst_mm = [], [], []
+    for _, done in trip.runs(seeds):
+        tail = done.errors[-int(10 * PARKED_HZ) :].mean(axis=0)
+        ends_mm.append(1e3 * float(np.hypot(*tail[:2])))
+        ends_deg.append(math.degrees(abs(float(tail[2]))))
+        worst_mm.append(1e3 * float(np.hypot(*done.errors[:, :2].T).max()))
+    return Section(
+        "Parked for an hour",
+        f"In the square room, {PARKED_HZ:.0f} scans a second instead of 50, the motion of each beam as of a "
+        "mirror at that rate. Creep: mean of the last 10 s against the first scan.",
+        [
+            Row("", "creep", ends_mm, "mm", at_most=1.0, digits=2),
+            Row("", "creep of the heading", ends_deg, "deg", at_most=0.01, digits=4),
+            Row("", "farthest single pose", worst_mm, "mm", digits=2),
+        ],
+    )
+
+
+def ghost_cells(world: World, drive: Drive, done: Run) -> int:
+    """Cells shown occupied where there is neither a wall nor was anybody lately."""
+    tiles: list[TileUpdate] = done.mapper.changed_tiles()  # type: ignore[attr-defined]
+    places = np.vstack([_occupied(tile) for tile in tiles])
+    first = drive.world_first
+    c, s = math.cos(first.theta_rad), math.sin(first.theta_rad)
+    places = places @ np.array([[c, s], [-s, c]]) + (first.x_m, first.y_m)
+    begin, way = world.segments[:, :2], world.segments[:, 2:] - world.segments[:, :2]
+    end_s = max(drive.truth) * 1e-9
+    ghosts = 0
+    recent = [
+        person.place(float(t))
+        for person in world.people
+        for t in np.arange(end_s - GHOST_AFTER_S, end_s, 0.1)
+    ]
+    for place in places:
+        share = np.clip(((place - begin) * way).sum(axis=1) / (way**2).sum(axis=1), 0.0, 1.0)
+        if np.hypot(*(begin + share[:, None] * way - place).T).min() < GHOST_WALL_M:
+            continue
+        if recent and np.hypot(*(np.array(recent) - place).T).min() < GHOST_WALL_M + 0.25:
+            continue
+        ghosts += 1
+    return ghosts
+
+
+def _occupied(tile: TileUpdate) -> npt.NDArray[np.float64]:
+    """(N, 2) centres of the occupied cells, m, map frame."""
+    row, column = np.nonzero((tile.cells >= GHOST_PERCENT) & (tile.cells != UNKNOWN))
+    side = tile.cells.shape[0]
+    return np.column_stack([tile.ix * side + column + 0.5, tile.iy * side + row + 0.5]) * tile.cell_m
+
+
+def _against(what: str, errors_mm: list[float], clean_mm: list[float]) -> list[Row]:
+    ratios = [error / clean for error, clean in zip(errors_mm, clean_mm, strict=True)]
+    bound = None if errors_mm is clean_mm else 2.0
+    return [
+        Row("", f"{what}: as is, RMS", errors_mm, "mm", digits=1),
+        *([] if bound is None else [Row("", f"{what}: against clean", ratios, "", at_most=bound, digits=2)]),
+    ]
+
+
+def _wheels_end_m(drive: Drive) -> float:
+    """How far off the odometry alone is at the last scan."""
+    samples = [frame for frame in drive.frames if isinstance(frame, OdometrySample)]
+    stamps = np.array([sample.stamp_ns for sample in samples])
+
+    def pose_at(stamp_ns: int) -> SE2:
+        sample = samples[int(np.argmin(np.abs(stamps - stamp_ns)))]
+        return SE2(sample.x_m, sample.y_m, sample.theta_rad)
+
+    first_ns, last_ns = min(drive.truth), max(drive.truth)
+    away = drive.truth[last_ns].inverse() @ (pose_at(first_ns).inverse() @ pose_at(last_ns))
+    return math.hypot(away.x_m, away.y_m)
+
+
+def _told_share(done: Run) -> float:
+    """Of the scans: degraded, with a reason that names the direction."""
+    told = [output.state == "degraded" and "position along" in output.reason for output in done.outputs]
+    return float(np.mean(told))
+
+
+def _crowd_s(world: World) -> float:
+    """Until everybody is gone for long enough that no ghost may be left."""
+    return world.drive.duration_s - LEAVING_S

@@ -1,0 +1,44 @@
+"""The scenarios of tests/accuracy, and the page that shows them."""
+
+import time
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+
+from service.mapper.profiles import warm_up
+from service.version import VERSION
+from tests.accuracy import ablations, buildings, cost, known_map, recorded, trials
+from tests.accuracy.page import PAGE, write_page
+from tests.papers.report import Section, below_title
+
+SCENARIOS: dict[str, Callable[[int], Section]] = {
+    "recorded": recorded.recorded,
+    "buildings": buildings.buildings,
+    "ring": buildings.ring,
+    "known_map": known_map.known_map,
+    "motion": trials.motion,
+    "bad_returns": trials.bad_returns,
+    "bare_corridor": trials.bare_corridor,
+    "mall": buildings.big_mall,
+    "parked": trials.parked,
+    "scans": cost.scans,
+    "replay": cost.recording,
+    "growing_map": cost.growing_map,
+    "start": cost.start,
+    "ablations": ablations.ablations,
+}
+
+
+def measure(scenarios: Sequence[str], seeds: int) -> list[tuple[str, float, str]]:
+    """Run these, or all; print and keep each table as soon as it is there. Rows: medians, for bench.json."""
+    warm_up()
+    rows = []
+    for name in scenarios or SCENARIOS:
+        began_s = time.monotonic()
+        section = SCENARIOS[name](seeds)
+        took_s = time.monotonic() - began_s
+        print(f"\n{section.title} ({took_s:.0f} s)\n" + "\n".join(below_title(section)), flush=True)
+        ran = f"corridor {VERSION}, {datetime.now(UTC).date()}, {seeds} seeds, {took_s:.0f} s"
+        write_page({name: section}, list(SCENARIOS), ran)
+        rows += [(f"{name}: {row.what}", row.median, row.unit) for row in section.rows]
+    print(f"written to {PAGE}")
+    return rows
