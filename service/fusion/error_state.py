@@ -1,0 +1,264 @@
+"""Where an inertial unit takes itself to be, and a Kalman filter of 15 states over its error.
+
+x forward, y left, z up: the navigation frame is the odom frame, levelled. The north-east-down frame of the
+paper is the same turned by pi about x; only the sign of gravity tells them apart (see strapdown_step).
+"""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from filterpy.kalman import KalmanFilter
+
+from service.geometry.se2 import SE2, wrap_angle
+from service.kernels.strapdown import (
+    ATTITUDE,
+    FORCE_BIAS,
+    POSITION,
+    RATE_BIAS,
+    STATES,
+    VELOCITY,
+    rotation_of,
+    strapdown_step,
+)
+
+Array = npt.NDArray[np.float64]
+
+
+def cross_matrix(v: Array) -> Array:
+    """(3, 3) with cross_matrix(a) @ b = a x b."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+class ErrorStateFilter:
+    """Navigation state and its error: 3 each of position, velocity, attitude, force bias, rate bias.
+
+    Errors are "believed less true" (paper 002, eq. 16: r = r_IMU - dr). After each observation the error is
+    taken out of the state, so the filter always predicts an error of zero; only its covariance is carried.
+    Transitions and noise are gathered over the steps since the last observation and handed to filterpy
+    together (Phi = ... Phi_2 Phi_1): the same covariance as step by step, for a tenth of the time.
+
+    arm_m        (3,) the IMU in the base frame
+    gravity      m/s^2
+    densities    (4,) white noise of force, rate, and walk of their biases; m/s^2, rad/s, m/s^3, rad/s^2 per
+                 square root of Hz
+    """
+
+    def __init__(self, arm_m: Array, gravity_mps2: float, densities: Array) -> None:
+        self.position_m = arm_m.copy()  # of the IMU; the base begins at the origin
+        self.velocity_mps = np.zeros(3)
+        self.rotation = np.eye(3)
+        self.force_bias = np.zeros(3)
+        self.rate_bias = np.zeros(3)
+        self._arm_m = arm_m
+        self._gravity = np.array([0.0, 0.0, -gravity_mps2])
+        force, rate, force_walk, rate_walk = densities**2
+        self._noise_per_s = np.zeros(STATES)  # diagonal of G W G^T: rotations leave equal axes alone
+        self._noise_per_s[VELOCITY:ATTITUDE] = force
+        self._noise_per_s[ATTITUDE:FORCE_BIAS] = rate
+        self._noise_per_s[FORCE_BIAS:RATE_BIAS] = force_walk
+        self._noise_per_s[RATE_BIAS:] = rate_walk
+        self._kalman = KalmanFilter(dim_x=STATES, dim_z=3)
+        self._kalman.P = np.zeros((STATES, STATES))
+        self._transition = np.eye(STATES)
+        self._noise = np.zeros((STATES, STATES))
+        self._step = np.empty((STATES, STATES))
+
+    @property
+    def covariance(self) -> Array:
+        """(15, 15) of the error as of the last settle()."""
+        covariance: Array = self._kalman.P
+        return covariance
+
+    @covariance.setter
+    def covariance(self, covariance: Array) -> None:
+        self._kalman.P = covariance
+
+    @property
+    def yaw_rad(self) -> float:
+        return math.atan2(self.rotation[1, 0], self.rotation[0, 0])
+
+    @property
+    def pose(self) -> SE2:
+        """Of the base."""
+        base = self.position_m - self.rotation @ self._arm_m
+        return SE2(float(base[0]), float(base[1]), self.yaw_rad)
+
+    def base_velocity(self, rate_radps: Array) -> Array:
+        """(3,) m/s of the base, along its axes seen from above; rate: of the body, bias included."""
+        about = np.cross(rate_radps - self.rate_bias, self._arm_m)
+        velocity = self.velocity_mps - self.rotation @ about
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        return np.array([c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0], velocity[2]])
+
+    def advance(self, time_s: float, force_mps2: Array, rate_radps: Array) -> None:
+        """One inertial step; force and rate in base axes, biases still in."""
+        strapdown_step(
+            self.position_m,
+            self.velocity_mps,
+            self.rotation,
+            force_mps2 - self.force_bias,
+            rate_radps - self.rate_bias,
+            self._gravity,
+            time_s,
+            self._step,
+        )
+        self._gather(self._step, self._noise_per_s * time_s)
+
+    def move(
+        self,
+        step: SE2,
+        time_s: float,
+        twist: tuple[float, float, float],
+        sigmas: Array,
+        is_measured: bool,
+    ) -> None:
+        """One step that is known otherwise, by wheels or by the last speed: the IMU was silent.
+
+        step     way of the base
+        twist    speed of the base afterwards, m/s forward and left, rad/s
+        sigmas   (3,) of the way (m), the turn (rad) and the speed (m/s)
+        is_measured   by wheels, along the base's axes; else step and twist follow from the speed believed, so
+                      that a wrong speed and a wrong way go together
+        """
+        before = self.rotation.copy()
+        base = self.position_m - before @ self._arm_m
+        turn = np.empty((3, 3))
+        rotation_of(np.array([0.0, 0.0, step.theta_rad]), turn)
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        way = np.array([c * step.x_m - s * step.y_m, s * step.x_m + c * step.y_m, 0.0])
+        self.rotation = turn @ before
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        arm = self.rotation @ self._arm_m
+        self.position_m = base + way + arm
+        speed = np.array([c * twist[0] - s * twist[1], s * twist[0] + c * twist[1], 0.0])
+        self.velocity_mps = speed + np.cross([0.0, 0.0, twist[2]], arm)
+
+        transition = np.eye(STATES)
+        swept = way + arm - before @ self._arm_m  # a wrong heading turns the way of the IMU
+        transition[VELOCITY:ATTITUDE, :] = 0.0
+        if is_measured:
+            transition[POSITION:VELOCITY, ATTITUDE:FORCE_BIAS] = -cross_matrix(swept)
+            transition[VELOCITY:ATTITUDE, ATTITUDE:FORCE_BIAS] = -cross_matrix(self.velocity_mps)
+        else:
+            transition[POSITION:VELOCITY, VELOCITY:ATTITUDE] = time_s * np.eye(3)
+            transition[VELOCITY:ATTITUDE, VELOCITY:ATTITUDE] = turn
+        noise = self._noise_per_s * time_s
+        noise[POSITION : POSITION + 2] = sigmas[0] ** 2
+        noise[VELOCITY : VELOCITY + 2] = sigmas[2] ** 2
+        noise[VELOCITY + 2] = 0.0
+        noise[ATTITUDE:FORCE_BIAS] = 0.0
+        noise[ATTITUDE + 2] = sigmas[1] ** 2
+        self._gather(transition, noise)
+
+    def settle(self) -> Array:
+        """Let the covariance catch up with the steps taken.
+
+        Returns what they alone add to that of the pose: (3, 3) of x, y, yaw of the base, in its own axes.
+        """
+        known = self._kalman.P.copy()
+        for pose in (slice(POSITION, VELOCITY), slice(ATTITUDE, FORCE_BIAS)):
+            known[pose, :] = 0.0
+            known[:, pose] = 0.0
+        added = self._transition @ known @ self._transition.T + self._noise
+        self._kalman.predict(F=self._transition, Q=self._noise)
+        self._transition = np.eye(STATES)
+        self._noise = np.zeros((STATES, STATES))
+        return self._of_base(added)
+
+    def pose_covariance(self) -> Array:
+        """(3, 3) of x, y, yaw of the base, in its own axes."""
+        return self._of_base(self._kalman.P)
+
+    def observe_pose(self, pose: SE2, covariance_base: Array) -> None:
+        """A match: z = r_IMU - r_lidar of x, y and yaw (eqs. 12 to 16); covariance in base axes."""
+        believed = self.pose
+        z = [
+            believed.x_m - pose.x_m,
+            believed.y_m - pose.y_m,
+            wrap_angle(believed.theta_rad - pose.theta_rad),
+        ]
+        turn = _turn(pose.theta_rad)
+        self._update(np.array(z), self.pose_rows(), turn @ covariance_base @ turn.T)
+
+    def observe_speed(self, speed_mps: tuple[float, float], rate_radps: Array, sigma_mps: float) -> None:
+        """Wheels: speed of the base forward and left."""
+        believed = self.base_velocity(rate_radps)
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        rows = np.zeros((2, STATES))
+        rows[:, VELOCITY : VELOCITY + 2] = [[c, s], [-s, c]]
+        z = np.array([believed[0] - speed_mps[0], believed[1] - speed_mps[1]])
+        rows[0, ATTITUDE + 2], rows[1, ATTITUDE + 2] = believed[1], -believed[0]
+        self._update(z, rows, sigma_mps**2 * np.eye(2))
+
+    def observe_floor(self, sigma_m: float, sigma_mps: float) -> None:
+        """The vehicle stays on its floor: neither height nor climb. A planar laser sees neither."""
+        rows = np.zeros((2, STATES))
+        rows[0, POSITION + 2] = 1.0
+        rows[1, VELOCITY + 2] = 1.0
+        z = np.array([self.position_m[2] - self._arm_m[2], self.velocity_mps[2]])
+        self._update(z, rows, np.diag([sigma_m**2, sigma_mps**2]))
+
+    def pose_rows(self) -> Array:
+        """H of x, y and yaw of the base: (3, 15). Yaw is the heading of the body's x axis seen from above."""
+        rotation = self.rotation
+        rows = np.zeros((3, STATES))
+        rows[0, POSITION] = rows[1, POSITION + 1] = 1.0
+        rows[:2, ATTITUDE:FORCE_BIAS] = cross_matrix(rotation @ self._arm_m)[:2]
+        level = rotation[0, 0] ** 2 + rotation[1, 0] ** 2
+        rows[2, ATTITUDE] = -rotation[2, 0] * rotation[0, 0] / level
+        rows[2, ATTITUDE + 1] = -rotation[2, 0] * rotation[1, 0] / level
+        rows[2, ATTITUDE + 2] = 1.0
+        return rows
+
+    def place_at_origin(self) -> None:
+        """Call the present place and heading the origin, and sure; speed, tilt and biases stay."""
+        turn = np.empty((3, 3))
+        rotation_of(np.array([0.0, 0.0, -self.yaw_rad]), turn)
+        self.rotation = turn @ self.rotation
+        self.velocity_mps = turn @ self.velocity_mps
+        self.position_m = self.rotation @ self._arm_m
+        covariance = self._kalman.P
+        for first in (POSITION, VELOCITY, ATTITUDE):
+            covariance[first : first + 3, :] = turn @ covariance[first : first + 3, :]
+            covariance[:, first : first + 3] = covariance[:, first : first + 3] @ turn.T
+        for sure in (slice(POSITION, VELOCITY), slice(ATTITUDE + 2, FORCE_BIAS)):
+            covariance[sure, :] = 0.0
+            covariance[:, sure] = 0.0
+
+    def _gather(self, transition: Array, noise: Array) -> None:
+        self._transition = transition @ self._transition
+        self._noise = transition @ self._noise @ transition.T
+        self._noise.flat[:: STATES + 1] += noise
+
+    def _of_base(self, covariance: Array) -> Array:
+        rows = self.pose_rows()
+        turn = _turn(-self.yaw_rad)
+        of_base: Array = turn @ (rows @ covariance @ rows.T) @ turn.T
+        return of_base
+
+    def _update(self, z: Array, rows: Array, covariance: Array) -> None:
+        """Kalman update in Joseph's form (filterpy), then the error is taken out of the state (eq. 16)."""
+        kalman = self._kalman
+        kalman.x = np.zeros((STATES, 1))
+        kalman.update(z.reshape(-1, 1), R=covariance, H=rows)
+        kalman.P = 0.5 * (kalman.P + kalman.P.T)
+        error = kalman.x[:, 0]
+        self.position_m = self.position_m - error[POSITION:VELOCITY]
+        self.velocity_mps = self.velocity_mps - error[VELOCITY:ATTITUDE]
+        turn = np.empty((3, 3))
+        rotation_of(-error[ATTITUDE:FORCE_BIAS], turn)
+        self.rotation = _orthonormal(turn @ self.rotation)
+        self.force_bias = self.force_bias - error[FORCE_BIAS:RATE_BIAS]
+        self.rate_bias = self.rate_bias - error[RATE_BIAS:]
+
+
+def _turn(angle_rad: float) -> Array:
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _orthonormal(rotation: Array) -> Array:
+    """The nearest rotation to one that rounding has bent: one Newton step of the polar decomposition."""
+    straight: Array = 0.5 * rotation @ (3.0 * np.eye(3) - rotation.T @ rotation)
+    return straight
