@@ -1,0 +1,154 @@
+"""Brute search down a pyramid of likelihood maps, then uphill between the cells of the finest."""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.fusion.motion import Motion, Prediction
+from service.geometry.se2 import SE2
+from service.kernels.likelihood import read_field
+from service.kernels.likelihood_search import LikelihoodLayer, SearchWindow, search_exhaustive
+from service.kernels.match import AlignSettings, coarse_align, coarse_normal_equations
+from service.mapper.maps.orthogonal_map import OrthogonalMap
+from service.mapper.stages import Match, Points
+from service.outputs import State
+
+Array = npt.NDArray[np.float64]
+
+
+class BruteSearchConfig(BaseModel):
+    """How far around the prediction is searched, and when the result is believed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    least_window_m: float = Field(default=0.2, gt=0.0)  # the window is window_sigmas of the prediction,
+    most_window_m: float = Field(default=1.0, gt=0.0)  # but no less and no more than this to each side
+    least_window_rad: float = Field(default=0.035, gt=0.0)
+    most_window_rad: float = Field(default=0.35, gt=0.0)
+    window_sigmas: float = Field(default=3.0, gt=0.0)
+    beams: int = Field(default=360, ge=20)  # used in the search, evenly chosen
+    refine_iterations: int = Field(default=15, ge=0, le=100)  # 0: the best cell is the answer
+    residual_sigma: float = Field(default=0.3, gt=0.0)  # of 1 - likelihood
+    covariance_scale: float = Field(default=30.0, gt=0.0)
+    floor_position_m: float = Field(default=0.01, gt=0.0)
+    floor_heading_rad: float = Field(default=0.001, gt=0.0)
+    on_map_likelihood: float = Field(default=0.02, gt=0.0, le=1.0)  # a point from here on lies on the map
+    lost_share: float = Field(default=0.30, ge=0.0, le=1.0)
+    degraded_share: float = Field(default=0.45, ge=0.0, le=1.0)
+    degraded_sigma_m: float = Field(default=0.10, gt=0.0)
+    least_points: int = Field(default=20, ge=3)
+
+
+class BruteSearch:
+    """Matcher[OrthogonalMap]. Says what the scan alone says; whoever predicted makes a mean of both."""
+
+    def __init__(self, config: BruteSearchConfig) -> None:
+        self._config = config
+
+    def match(self, points: Points, predicted: Prediction, local_map: OrthogonalMap) -> Match:
+        config = self._config
+        count = len(points.xy_base)
+        held = Motion(predicted.pose_odom_base, predicted.twist_base, predicted.covariance)
+        if count < config.least_points:
+            return Match(held, points, 0.0, "lost", self._too_few(points))
+        if local_map.is_empty:
+            return Match(held, points, 1.0)
+        window_m, window_rad = self._window(predicted)
+        begin = local_map.pose_axes_odom @ predicted.pose_odom_base
+        pose = np.array([begin.x_m, begin.y_m, begin.theta_rad])
+        every = points.xy_base[:: max(1, count // config.beams)]
+        pose, steps = self._search(every, pose, local_map, window_m, window_rad)
+        field = local_map.field()
+        if config.refine_iterations:
+            trusted = np.diag(1.0 / np.square(steps))
+            settings = AlignSettings(config.residual_sigma, config.beams, config.refine_iterations)
+            coarse_align(points.xy_base, pose.copy(), trusted, field, settings, pose)
+        values = np.empty((count, 3))
+        read_field(points.xy_base, 1, pose, *field, values)
+        share = float((values[:, 0] >= config.on_map_likelihood).mean())
+        covariance = self._covariance(
+            points.xy_base, values, pose, np.array([window_m, window_m, window_rad])
+        )
+        x_m, y_m, theta_rad = pose.tolist()
+        matched = local_map.pose_axes_odom.inverse() @ SE2(x_m, y_m, theta_rad)
+        state, reason = self._judge(share, count, covariance)
+        if state == "lost":
+            return Match(held, points, share, state, reason)
+        return Match(Motion(matched, predicted.twist_base, covariance), points, share, state, reason)
+
+    def _search(
+        self, xy_base: Array, pose: Array, local_map: OrthogonalMap, window_m: float, window_rad: float
+    ) -> tuple[Array, Array]:
+        """Best cell of the finest level, and the step between candidates there (m, m, rad).
+
+        A level is passed over while its cells are wider than the window. The window of the next is a cell
+        of the one before and its step of heading, to each side.
+        """
+        weights = np.ones(len(xy_base), np.float32)
+        reach_m = max(float(np.percentile(np.hypot(xy_base[:, 0], xy_base[:, 1]), 80.0)), 1.0)
+        layers: list[LikelihoodLayer] = local_map.search_layers()
+        while len(layers) > 1 and layers[-1].cell_m > window_m:
+            layers.pop()
+        step_rad = window_rad
+        for layer in reversed(layers):
+            step_rad = min(layer.cell_m / reach_m, window_rad)
+            window = SearchWindow(
+                pose,
+                math.ceil(window_m / layer.cell_m),
+                math.ceil(window_m / layer.cell_m),
+                math.ceil(window_rad / step_rad),
+                step_rad,
+            )
+            pose = search_exhaustive(xy_base, weights, layer, window)[0].pose
+            window_m, window_rad = layer.cell_m, step_rad
+        return pose, np.array([window_m, window_m, step_rad])
+
+    def _window(self, predicted: Prediction) -> tuple[float, float]:
+        config = self._config
+        variances = np.diag(predicted.covariance)
+        position_m = config.window_sigmas * math.sqrt(float(variances[:2].max()))
+        heading_rad = config.window_sigmas * math.sqrt(float(variances[2]))
+        return (
+            min(max(position_m, config.least_window_m), config.most_window_m),
+            min(max(heading_rad, config.least_window_rad), config.most_window_rad),
+        )
+
+    def _covariance(self, xy_base: Array, values: Array, pose: Array, window: Array) -> Array:
+        """(3, 3) of x, y, theta in base axes: from the slope of the map, no more than the window."""
+        information = np.empty((3, 3))
+        slope = np.empty(3)
+        sigma = self._config.residual_sigma
+        coarse_normal_equations(xy_base, values, 1, pose, sigma, information, slope)
+        information = information / self._config.covariance_scale + np.diag(1.0 / np.square(window))
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        base_from_map = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        floor = np.square([self._config.floor_position_m] * 2 + [self._config.floor_heading_rad])
+        covariance: Array = base_from_map @ np.linalg.inv(information) @ base_from_map.T + np.diag(floor)
+        return covariance
+
+    def _judge(self, share: float, count: int, covariance: Array) -> tuple[State, str]:
+        config = self._config
+        if share < config.lost_share:
+            return "lost", (
+                f"{share:.0%} of {count} returns lie on the map (at least {config.lost_share:.0%}); "
+                "the pose follows the prediction"
+            )
+        if share < config.degraded_share:
+            return "degraded", (
+                f"{share:.0%} of {count} returns lie on the map (expected {config.degraded_share:.0%}): "
+                "much has changed, or the prediction was far off"
+            )
+        weakest_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+        if weakest_m > config.degraded_sigma_m:
+            return "degraded", (
+                f"what is in view leaves a direction open (sigma {weakest_m:.2f} m); the prediction holds it"
+            )
+        return "ok", ""
+
+    def _too_few(self, points: Points) -> str:
+        return (
+            f"{points.scan.sensor}: {len(points.xy_base)} of {len(points.scan.range_m)} beams returned "
+            f"(at least {self._config.least_points}); is the window covered, or is there nothing in range?"
+        )

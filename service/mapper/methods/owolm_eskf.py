@@ -1,0 +1,27 @@
+"""Paper 002: an IMU predicts, brute search on an orthogonally weighted likelihood map corrects it."""
+
+from service.fusion.inertial_motion import InertialMotion, InertialMotionConfig
+from service.mapper.maps.orthogonal_map import OrthogonalMap, OrthogonalMapConfig
+from service.mapper.matchers.brute_search import BruteSearch, BruteSearchConfig
+from service.mapper.methods import corridor
+from service.mapper.stages import Method, StageKind
+
+INERTIAL_MOTION = StageKind("inertial_motion", InertialMotionConfig, lambda config, _: InertialMotion(config))
+BRUTE_SEARCH = StageKind(
+    "brute_search", BruteSearchConfig, lambda config, _: BruteSearch(config), reads=OrthogonalMap
+)
+ORTHOGONAL_MAP = StageKind(
+    "orthogonal_map", OrthogonalMapConfig, lambda config, _: OrthogonalMap(config), makes=OrthogonalMap
+)
+
+METHOD = Method(
+    "owolm_eskf",
+    stages={
+        **corridor.METHOD.stages,
+        "motion_model": INERTIAL_MOTION,
+        "matcher": BRUTE_SEARCH,
+        "local_map": ORTHOGONAL_MAP,
+        "graph": corridor.NO_GRAPH,
+    },
+    settings={},
+)
