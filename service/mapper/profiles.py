@@ -18,13 +18,13 @@ from pydantic.fields import FieldInfo
 from drivers.frames import NO_INTENSITY, ImuSample, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
 from service.mapper.background import InlineWorker, NewWorker
-from service.mapper.methods import corridor, imle, submap_graph
+from service.mapper.methods import contour_lm, corridor, imle, submap_graph
 from service.mapper.patch_store import MemoryPatches, NewPatchStore
 from service.mapper.pipeline import Mapper
 from service.mapper.stages import BOXES, Box, Method, StageKind, Stages, Stopwatch, Surroundings
 
 METHODS: dict[str, Method] = {
-    method.name: method for method in (corridor.METHOD, imle.METHOD, submap_graph.METHOD)
+    method.name: method for method in (corridor.METHOD, contour_lm.METHOD, imle.METHOD, submap_graph.METHOD)
 }
 
 

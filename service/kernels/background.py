@@ -1,0 +1,246 @@
+"""Learning a likelihood map as a background: what is hit again grows, what beams pass through fades."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from service.kernels.contour_blur import BLURRED, HIT, PASSED, touch_cell
+from service.kernels.surfels import TILE_BITS, TILE_CELLS, TILE_MASK
+from service.kernels.tiles import NO_TILE, find_tile
+
+MOST_SEEN = 65_535
+INTERPOLATION_SIGMAS = 3.0  # how far a cell is interpolated from
+
+
+class LearningSettings(NamedTuple):
+    """Documented where they are configured."""
+
+    rate: float  # w_l
+    control: float  # tau
+    protect_count: int  # n_th
+    sigma_cells: float  # sigma_l
+    is_printed: bool
+    is_bounded: bool
+    counts_blur: bool
+
+
+@njit(cache=True, nogil=True)
+def mark_passed(xy_base, sensor_xy_m, pose, level, protect_count, free_range_m, cells):
+    """Put the cells that beams passed through before their end on the scan's list, with value 0.
+
+    xy_base         (N, 2) float64    end points, m, base frame
+    sensor_xy_m     (2,)   float64    where the beams start, m, base frame
+    pose            (3,)   float64    base in the frame of the map
+    level           LikelihoodLevel   in and out: marks
+    protect_count   int               cells seen in more scans are passed over; so are those of likelihood 0
+    free_range_m    float             beams are followed so far
+    cells           ScanCells         in: what blur_scan made; out: with the cells passed
+    Source: Amanatides and Woo 1987. Cells on the list already stay as they are: no beam clears what is there.
+    """
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    cells_per_m = 1.0 / level.cell_m
+    u = (pose[0] + c * sensor_xy_m[0] - s * sensor_xy_m[1]) * cells_per_m
+    v = (pose[1] + s * sensor_xy_m[0] + c * sensor_xy_m[1]) * cells_per_m
+    likelihood = level.likelihood
+    for i in range(xy_base.shape[0]):
+        du = (pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) * cells_per_m - u
+        dv = (pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) * cells_per_m - v
+        shrink = min(1.0, free_range_m * cells_per_m / max(math.hypot(du, dv), 1e-9))
+        du *= shrink
+        dv *= shrink
+        column = math.floor(u)
+        row = math.floor(v)
+        step_column = 1 if du > 0.0 else -1
+        step_row = 1 if dv > 0.0 else -1
+        next_column = ((column + 1 if du > 0.0 else column) - u) / du if du != 0.0 else np.inf
+        next_row = ((row + 1 if dv > 0.0 else row) - v) / dv if dv != 0.0 else np.inf
+        per_column = abs(1.0 / du) if du != 0.0 else np.inf
+        per_row = abs(1.0 / dv) if dv != 0.0 else np.inf
+        tile_row = row >> TILE_BITS
+        tile_column = column >> TILE_BITS
+        slot = find_tile(level.tiles, tile_row, tile_column)
+        for _ in range(abs(math.floor(u + du) - column) + abs(math.floor(v + dv) - row)):
+            if row >> TILE_BITS != tile_row or column >> TILE_BITS != tile_column:
+                tile_row = row >> TILE_BITS
+                tile_column = column >> TILE_BITS
+                slot = find_tile(level.tiles, tile_row, tile_column)
+            if slot != NO_TILE:
+                r = row & TILE_MASK
+                q = column & TILE_MASK
+                if likelihood[slot, r, q] > 0.0 and level.seen[slot, r, q] <= protect_count:
+                    touch_cell(level, row, column, cells)
+            if next_column < next_row:
+                column += step_column
+                next_column += per_column
+            else:
+                row += step_row
+                next_row += per_row
+
+
+@njit(cache=True, nogil=True)
+def mark_unseen(level, protect_count, cells):
+    """Put every cell of the map that the scan says nothing of on its list, with value 0: the printed rule.
+
+    Arguments as in mark_passed.
+    """
+    slots = level.tiles.slots
+    for i in range(slots.shape[0]):
+        for j in range(slots.shape[1]):
+            slot = slots[i, j]
+            if slot == NO_TILE:
+                continue
+            row = (i + level.tiles.origin[0]) << TILE_BITS
+            column = (j + level.tiles.origin[1]) << TILE_BITS
+            for r in range(TILE_CELLS):
+                for q in range(TILE_CELLS):
+                    if level.likelihood[slot, r, q] > 0.0 and level.seen[slot, r, q] <= protect_count:
+                        touch_cell(level, row + r, column + q, cells)
+
+
+@njit(cache=True, nogil=True)
+def increase(likelihood, highest, value, settings):
+    """Likelihood of a cell that is hit again, by a scan that gives it `value`.
+
+    Source: paper 000, eqs. 13 and 14. Where settings.is_printed is false, max() with the scan is left out:
+    with it one hit is as good as a hundred, and noise adds up to a wall as thick as the worst scan makes it.
+    """
+    rate = settings.rate * (1.0 + settings.control * highest)
+    base = max(likelihood, value) if settings.is_printed else likelihood
+    return (1.0 - rate) * base + rate
+
+
+@njit(cache=True, nogil=True)
+def decrease(likelihood, highest, settings):
+    """Likelihood of a cell that nothing was seen in. Source: paper 000, eqs. 15 and 16."""
+    return (1.0 - settings.rate / (1.0 + settings.control * highest)) * likelihood
+
+
+@njit(cache=True, nogil=True)
+def store(level, slot, r, q, likelihood, counts):
+    """Put a new likelihood into a cell, keep the highest, and count the scan."""
+    level.likelihood[slot, r, q] = np.float32(likelihood)
+    level.highest[slot, r, q] = max(level.highest[slot, r, q], np.float32(likelihood))
+    if counts and level.seen[slot, r, q] < MOST_SEEN:
+        level.seen[slot, r, q] += np.uint16(1)
+
+
+@njit(cache=True, nogil=True)
+def listed(level, row, column):
+    """Row of a cell in the scan's list, -1 where it is not on it."""
+    slot = find_tile(level.tiles, row >> TILE_BITS, column >> TILE_BITS)
+    if slot == NO_TILE:
+        return np.int64(-1)
+    return np.int64(level.mark[slot, row & TILE_MASK, column & TILE_MASK]) - 1
+
+
+@njit(cache=True, nogil=True)
+def rise_at(level, k, old, settings, cells):
+    """p_u of a cell: what the nearest hits say. Source: paper 000, eq. 17, a maximum where argmax is printed.
+
+    k     int     its row in the list
+    old   float   its likelihood before
+    """
+    radius = INTERPOLATION_SIGMAS * settings.sigma_cells
+    reach = math.floor(radius)
+    best = 0.0
+    found = False
+    for v in range(-reach, reach + 1):
+        for u in range(-reach, reach + 1):
+            if u * u + v * v > radius * radius:
+                continue
+            i = listed(level, cells.place[k, 1] + v, cells.place[k, 2] + u)
+            if i < 0 or cells.kind[i] != HIT:
+                continue
+            slot, row, column = cells.place[i, 0], cells.place[i, 1], cells.place[i, 2]
+            new = np.float64(level.likelihood[slot, row & TILE_MASK, column & TILE_MASK])
+            change = (new - old) * math.exp(-math.sqrt(u * u + v * v) / settings.sigma_cells)
+            if not found or change > best:
+                best = change
+                found = True
+    return best
+
+
+@njit(cache=True, nogil=True)
+def spread_falls(level, settings, cells):
+    """Fill p_d of the cells that are only blurred. Source: paper 000, eq. 17: the most negative."""
+    radius = INTERPOLATION_SIGMAS * settings.sigma_cells
+    reach = math.floor(radius)
+    for i in range(cells.rows[0]):
+        if cells.kind[i] != PASSED:
+            continue
+        slot, row, column = cells.place[i, 0], cells.place[i, 1], cells.place[i, 2]
+        new = np.float64(level.likelihood[slot, row & TILE_MASK, column & TILE_MASK])
+        for v in range(-reach, reach + 1):
+            for u in range(-reach, reach + 1):
+                if u * u + v * v > radius * radius:
+                    continue
+                k = listed(level, row + v, column + u)
+                if k < 0 or cells.kind[k] != BLURRED:
+                    continue
+                r, q = (row + v) & TILE_MASK, (column + u) & TILE_MASK
+                change = new - np.float64(level.likelihood[cells.place[k, 0], r, q])
+                change *= math.exp(-math.sqrt(u * u + v * v) / settings.sigma_cells)
+                cells.fall[k] = min(cells.fall[k], np.float32(change))
+
+
+@njit(cache=True, nogil=True)
+def learn_scan(level, settings, cells):
+    """Update the map with the cells of one scan.
+
+    level      LikelihoodLevel   in and out
+    settings   LearningSettings
+    cells      ScanCells         from blur_scan and mark_passed or mark_unseen, all rows present
+    A cell that was never seen takes the scan's own likelihood, as the whole map does at the first scan.
+    Others are increased where hit, decreased where passed, and where only blurred interpolated between those
+    (as printed) or brought nearer to the scan's own likelihood.
+    Source: paper 000, section 2.4, eqs. 13 to 18.
+    """
+    for k in range(cells.rows[0]):
+        slot, r, q = cells.place[k, 0], cells.place[k, 1] & TILE_MASK, cells.place[k, 2] & TILE_MASK
+        old = np.float64(level.likelihood[slot, r, q])
+        highest = np.float64(level.highest[slot, r, q])
+        if cells.kind[k] == HIT:
+            new = np.float64(cells.value[k])
+            if level.seen[slot, r, q] > 0:
+                new = increase(old, highest, new, settings)
+            store(level, slot, r, q, new, True)
+        elif cells.kind[k] == PASSED:
+            level.likelihood[slot, r, q] = np.float32(decrease(old, highest, settings))
+    if settings.is_printed:
+        spread_falls(level, settings, cells)
+    for k in range(cells.rows[0]):
+        if cells.kind[k] != BLURRED:
+            continue
+        value = np.float64(cells.value[k])
+        slot, r, q = cells.place[k, 0], cells.place[k, 1] & TILE_MASK, cells.place[k, 2] & TILE_MASK
+        if level.seen[slot, r, q] == 0:
+            store(level, slot, r, q, value, True)
+            continue
+        old = np.float64(level.likelihood[slot, r, q])
+        if settings.is_printed:
+            new = interpolated(level, k, old, value, settings, cells)
+        else:
+            rate = settings.rate * (1.0 + settings.control * np.float64(level.highest[slot, r, q]))
+            new = (1.0 - rate) * old + rate * value
+        store(level, slot, r, q, new, settings.counts_blur)
+
+
+@njit(cache=True, nogil=True)
+def interpolated(level, k, old, value, settings, cells):
+    """Likelihood of a cell that is blurred by a scan but not hit. Source: paper 000, eqs. 17 and 18.
+
+    k       int     its row in the list, p_d filled in
+    old     float   its likelihood before
+    value   float   that in the scan's own map; where settings.is_bounded nothing rises above it
+    """
+    rise = 0.0
+    if old < (value if settings.is_bounded else 1.0):
+        rise = rise_at(level, k, old, settings, cells)
+    fall = np.float64(cells.fall[k])
+    if abs(rise) <= abs(fall):
+        return max(old + fall, 0.0)
+    new = min(old + rise, 1.0)
+    return max(old, min(new, value)) if settings.is_bounded else new

@@ -1,0 +1,34 @@
+"""Scans matched to a learned map of blurred contours, the speed of the laser found on the way; paper 000."""
+
+from service.mapper.maps.contour_map import ContourMap, ContourMapConfig
+from service.mapper.matchers.contour_lm import ContourLm, ContourLmConfig
+from service.mapper.methods.corridor import (
+    DESKEW_BY_TWIST,
+    KEEP_ALL,
+    NO_GRAPH,
+    OCCUPANCY_TILES,
+    WEIGHED_MOTION,
+)
+from service.mapper.stages import Method, StageKind
+
+CONTOUR_LM = StageKind("contour_lm", ContourLmConfig, lambda config, _: ContourLm(config), reads=ContourMap)
+CONTOUR_MAP = StageKind(
+    "contour_map", ContourMapConfig, lambda config, _: ContourMap(config), makes=ContourMap
+)
+
+METHOD = Method(
+    "contour_lm",
+    stages={
+        "motion_model": WEIGHED_MOTION,
+        "deskew": DESKEW_BY_TWIST,
+        "matcher": CONTOUR_LM,
+        "local_map": CONTOUR_MAP,
+        "keep_static": KEEP_ALL,
+        "graph": NO_GRAPH,
+        "free_space": OCCUPANCY_TILES,
+    },
+    settings={
+        "deskew": {"nearest_m": 0.5, "farthest_m": 20.0},
+        "motion_model": {"twist_time_s": 0.1},
+    },
+)
