@@ -10,7 +10,10 @@ from typing import Annotated, Protocol
 from pydantic import Field
 
 from service.encoding import Message, encode_event
-from service.mapper.steering import Steering
+from service.encoding.controls import decode_control
+from service.mapper.graph.landmark_graph import PointOfSubmap
+from service.mapper.stages import WishError
+from service.mapper.steering import Steering, Wish
 from service.mapstore.tiles import TileStore
 from service.publishing.commands import CommandError, Outcome, Request, Verb
 from service.recording.mcap_recorder import McapRecorder, SessionChange
@@ -21,6 +24,15 @@ from service.runtime.queues import Command, FrameQueue
 
 class MarkRequest(Request):
     text: Annotated[str, Field(min_length=1, max_length=1000)]
+
+
+class PairRequest(Request):
+    first: PointOfSubmap
+    second: PointOfSubmap
+
+
+class PairNumberRequest(Request):
+    pair: Annotated[int, Field(ge=0)]
 
 
 class CarryOut(Protocol):
@@ -57,6 +69,10 @@ class Commands:
             "start_recording": self._verb("start_recording", self._start_recording),
             "stop_recording": self._verb("stop_recording", self._stop_recording),
             "mark": self._verb("mark", self._mark, MarkRequest),
+            "add_landmark_pair": self._wish("add_landmark_pair", PairRequest),
+            "remove_landmark_pair": self._wish("remove_landmark_pair", PairNumberRequest),
+            "optimize": self._wish("optimize"),
+            "undo": self._wish("undo"),
         }
 
     def close(self) -> None:
@@ -76,6 +92,20 @@ class Commands:
                 raise CommandError(refused)
 
         return Verb(request, start)
+
+    def _wish(self, name: str, request: type[Request] = Request) -> Verb:
+        """A verb for the graph of the profile that maps."""
+        return self._verb(name, partial(self._ask_graph, name), request)
+
+    def _ask_graph(self, name: str, event: Message, outcome: Outcome) -> None:
+        """Recorded even if it is refused: a replay refuses it at the same place."""
+        self._recorder.put(event)
+        try:
+            wish = decode_control(event.payload, event.log_ns)
+            assert isinstance(wish, Wish)
+            outcome.done(**self._loop.wish(name, wish.payload))
+        except WishError as error:
+            outcome.failed(str(error))
 
     def _steer(self, steering: Steering, event: Message, outcome: Outcome) -> None:
         self._recorder.put(event)

@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from service.encoding import STRING, Message, decode_event
-from service.mapper.steering import SteeredMapper
+from service.encoding.controls import decode_control
+from service.mapper.steering import SteeredMapper, Wish
 from service.mapstore.files import load_map
 from service.mapstore.tiles import TileStore
 from service.publishing.commands import CommandDesk
@@ -98,8 +99,8 @@ def test_the_known_verbs(machine: Machine):
     told = machine.ask("load_map")
     assert told == {
         "ok": False,
-        "error": "there is no command 'load_map'; known: mark, pause, reset_map, resume, save_map, "
-        "start_recording, stop_recording",
+        "error": "there is no command 'load_map'; known: add_landmark_pair, mark, optimize, pause, "
+        "remove_landmark_pair, reset_map, resume, save_map, start_recording, stop_recording, undo",
     }
 
 
@@ -123,6 +124,32 @@ def test_a_pause_and_a_mark_stand_in_the_recording_where_they_came(machine: Mach
         {"event": "resume"},
     ]
     assert marked["log_ns"] in {m.log_ns for m in Recording([session]).messages(["/events"])}
+
+
+# D13
+def test_wishes_to_the_graph_stand_in_the_recording_and_are_answered_by_it(machine: Machine):
+    pair = {"first": {"submap": 0, "x_m": 1.0, "y_m": 2.0}, "second": {"submap": 3, "x_m": 1.5, "y_m": 2.0}}
+    machine.scan()
+    told = machine.ask("add_landmark_pair", **pair)
+    assert not told["ok"]
+    assert "this profile has no graph" in told["error"]
+    assert "'second' is missing" in machine.ask("add_landmark_pair", first=pair["first"])["error"]
+    for verb, request in (("optimize", {}), ("undo", {}), ("remove_landmark_pair", {"pair": 1})):
+        assert "this profile has no graph" in machine.ask(verb, **request)["error"]
+    (session,) = machine.stop()
+    assert events(session) == [
+        {"event": "add_landmark_pair", **pair},
+        {"event": "optimize"},
+        {"event": "undo"},
+        {"event": "remove_landmark_pair", "pair": 1},
+    ]
+    steps = [decode_control(m.payload, m.log_ns) for m in Recording([session]).messages(["/events"])]
+    assert [(step.name, step.payload) for step in steps if isinstance(step, Wish)] == [
+        ("add_landmark_pair", pair),
+        ("optimize", {}),
+        ("undo", {}),
+        ("remove_landmark_pair", {"pair": 1}),
+    ]
 
 
 def test_save_map_answers_when_every_scan_before_it_is_on_disk(machine: Machine, tmp_path: Path):
