@@ -5,19 +5,19 @@ import math
 import numpy as np
 
 from service.geometry.se2 import SE2
-from simulators.trajectory import Follow, Limits, Pause, Spin, Trajectory, plan_drive
+from simulators.trajectory import Follow, Leg, Limits, Pause, Spin, Trajectory, plan_drive
 from simulators.world import Plan, World, make_world
 
 SLOW = Limits(speed_mps=0.28, acceleration_mps2=1.0)
 
 
 def _to_and_fro(begin: tuple[float, float], end: tuple[float, float], limits: Limits) -> Trajectory:
-    legs = [Follow([end]), Spin(math.pi), Follow([begin]), Spin(-math.pi), Pause(1.0)]
+    legs: list[Leg] = [Follow([end]), Spin(math.pi), Follow([begin]), Spin(-math.pi), Pause(1.0)]
     return plan_drive(SE2(*begin, 0.0), legs, limits, repeats=True)
 
 
 def t_room() -> World:
-    """15 x 7 m over all, both arms 2 m wide (the paper leaves that open). Driven 14 m along the bar of the T."""
+    """15 x 7 m over all, both arms 2 m wide (the paper leaves that open). Driven 14 m along the bar."""
     plan = Plan()
     plan.line(
         (0.0, 0.0), (0.0, -2.0), (6.5, -2.0), (6.5, -7.0), (8.5, -7.0), (8.5, -2.0), (15.0, -2.0),
@@ -63,7 +63,7 @@ def glass_corridor() -> World:
 
 
 def hall(side_m: float) -> World:
-    """A square hall, a pillar every 8 m, crates between. Driven from the middle to 4 m before its east wall."""
+    """A square hall, a pillar every 8 m, crates between. Driven from the middle towards its east wall."""
     plan = Plan()
     half = side_m / 2
     corners = [(-half, -half), (half, -half), (half, half), (-half, half)]

@@ -2,9 +2,11 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from drivers.frames import LaserScan
 from service.mapper.matchers.icp_then_search import IcpThenSearch
@@ -12,6 +14,8 @@ from service.mapper.pipeline import Mapper
 from service.mapper.profiles import build_mapper, mapping_config
 from service.outputs import MapperOutput
 from tests.service.mapper.drives import MOUNTING, ROOM, Drive, drive, round_the_room
+
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="module")
@@ -111,3 +115,22 @@ def test_a_place_never_seen_is_lost_and_not_drawn(room_drive: Drive) -> None:
     assert outputs[1].state == "lost"
     assert "of 541 returns lie on the map" in outputs[1].reason
     assert worst_m(outputs[2:], room_drive) < 0.03
+
+
+def test_the_example_names_every_parameter_with_its_default() -> None:
+    example = yaml.safe_load((ROOT / "config/profiles/imle.yaml").read_text())
+    defaults = mapping_config({"profile": "imle"}).model_dump(mode="json")
+    for box in ("matcher", "local_map"):
+        assert example["settings"][box] == defaults["settings"][box]
+    assert mapping_config(example).model_dump(mode="json") == defaults
+
+
+def test_every_parameter_of_its_own_is_documented() -> None:
+    page = (ROOT / "docs/profiles/imle.md").read_text()
+    for matcher in ("icp_then_search", "icp_scan_to_scan", "monte_carlo"):
+        config = mapping_config({"profile": "imle", "stages": {"matcher": matcher}})
+        sections = {matcher: config.settings.matcher, "patch_map": config.settings.local_map}
+        for name, settings in sections.items():
+            section = page.split(f"`{name}`\n")[1].split("###")[0]
+            for key in settings.model_dump(exclude={"icp"}):
+                assert f"`{key}`" in section, f"{name}.{key} is missing in docs/profiles/imle.md"
