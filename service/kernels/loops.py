@@ -1,4 +1,4 @@
-"""What loop closing asks of arrays: a field to search in, a fine alignment, what contradicts it, path lengths."""
+"""What loop closing asks of arrays: a field to search, a fine alignment, what contradicts it, path lengths."""
 
 import math
 

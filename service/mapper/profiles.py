@@ -18,13 +18,14 @@ from pydantic.fields import FieldInfo
 from drivers.frames import NO_INTENSITY, ImuSample, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
 from service.mapper.background import InlineWorker, NewWorker
-from service.mapper.methods import contour_lm, corridor, imle, submap_graph
+from service.mapper.methods import contour_lm, corridor, imle, owolm_eskf, submap_graph
 from service.mapper.patch_store import MemoryPatches, NewPatchStore
 from service.mapper.pipeline import Mapper
 from service.mapper.stages import BOXES, Box, Method, StageKind, Stages, Stopwatch, Surroundings
 
 METHODS: dict[str, Method] = {
-    method.name: method for method in (corridor.METHOD, contour_lm.METHOD, imle.METHOD, submap_graph.METHOD)
+    method.name: method
+    for method in (corridor.METHOD, contour_lm.METHOD, imle.METHOD, submap_graph.METHOD, owolm_eskf.METHOD)
 }
 
 
@@ -203,7 +204,11 @@ def warm_up(config: MappingConfig | None = None) -> None:
                 OdometrySample("base", stamp_ns, stamp_ns, x_m, 0.0, 0.0, (4.0, 0.0, 0.0), (0.0,) * 9)
             )
             mapper.process(_room_scan(stamp_ns, x_m))
+        mapper.finish()
         mapper.changed_tiles()
+        for kind in chosen_stages(wanted.profile, wanted.stages).values():
+            if kind.rehearse is not None:
+                kind.rehearse()
 
 
 def _room_scan(stamp_ns: int, x_m: float) -> LaserScan:

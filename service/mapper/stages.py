@@ -244,8 +244,9 @@ class Surroundings:
 class StageKind:
     """Something that can stand in a box: its name in a config, its settings, and how it is made.
 
-    makes   the class that build gives, where another stage reads it (local maps); else None
-    reads   the class of the local map that this stage reads, None where it reads none
+    makes     the class that build gives, where another stage reads it (local maps); else None
+    reads     the class of the local map that this stage reads, None where it reads none
+    rehearse  runs what a short drive does not reach, so that it is compiled; None where there is nothing such
     """
 
     name: str
@@ -253,6 +254,7 @@ class StageKind:
     build: Callable[[Any, Surroundings], Any]
     makes: type | None = None
     reads: type | None = None
+    rehearse: Callable[[], Any] | None = None
 
 
 class NoSettings(BaseModel):

@@ -67,7 +67,8 @@ class Chain:
     @property
     def is_lost(self) -> npt.NDArray[np.bool_]:
         """(N,) whether its pose in odom is a prediction."""
-        return self._numbers[: self.count, 2] != 0.0
+        lost: npt.NDArray[np.bool_] = self._numbers[: self.count, 2] != 0.0
+        return lost
 
     @property
     def covariance(self) -> Floats:

@@ -3,7 +3,10 @@
 from service.fusion.weighed_motion import MotionConfig, WeighedMotion
 from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist
 from service.mapper.filters.keep_all import keep_all
+from service.mapper.graph.loop_back_end import LoopsConfig
+from service.mapper.graph.loop_closing import LoopClosing
 from service.mapper.graph.no_graph import NoGraph
+from service.mapper.graph.rehearsal import rehearse
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapper.maps.submaps import SubmapsConfig, SurfelSubmaps
 from service.mapper.matchers.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
@@ -24,6 +27,12 @@ SURFEL_SUBMAPS = StageKind(
 )
 KEEP_ALL = StageKind("keep_all", NoSettings, lambda _, __: keep_all)
 NO_GRAPH = StageKind("no_graph", NoSettings, lambda _, __: NoGraph())
+LOOP_CLOSING = StageKind(
+    "loop_closing",
+    LoopsConfig,
+    lambda config, around: LoopClosing(config, around.painter, around.new_worker),
+    rehearse=rehearse,
+)
 OCCUPANCY_TILES = StageKind(
     "occupancy_tiles", OccupancyConfig, lambda config, around: OccupancyTiles(config, around.cell_m)
 )
@@ -36,8 +45,9 @@ METHOD = Method(
         "matcher": SURFEL_GAUSS_NEWTON,
         "local_map": SURFEL_SUBMAPS,
         "keep_static": KEEP_ALL,
-        "graph": NO_GRAPH,
+        "graph": LOOP_CLOSING,
         "free_space": OCCUPANCY_TILES,
     },
     settings={},
+    others={"graph": (NO_GRAPH,)},
 )

@@ -150,7 +150,7 @@ def test_a_replay_writes_what_other_programs_read(record_drive: RecordDrive, tmp
     done = replay([record_drive()], ReplayOptions())
     write_replay(done, tmp_path / "out")
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
-        "trajectory.tum", "trajectory_live.tum", "map.pgm", "map.yaml", "map.png", "summary.json",
+        "trajectory.tum", "trajectory_live.tum", "graph.g2o", "map.pgm", "map.yaml", "map.png", "summary.json",
     }  # fmt: skip
     trajectory = read_tum(tmp_path / "out" / "trajectory.tum")
     assert trajectory.stamp_ns.tolist() == [T0_NS + k * 20_000_000 for k in range(40)]
@@ -210,7 +210,7 @@ def test_the_same_recording_gives_the_same_bytes_alone_and_among_others(
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
     written = [path.relative_to(tmp_path / "1") for path in (tmp_path / "1").rglob("*.*") if path.is_file()]
-    assert len(written) == 12
+    assert len(written) == 14
     for path in written:
         if path.name != "summary.json":
             assert (tmp_path / "1" / path).read_bytes() == (tmp_path / "2" / path).read_bytes()
