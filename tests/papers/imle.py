@@ -58,8 +58,8 @@ def sections(seeds: int) -> Iterable[Section]:
     yield accuracy(
         "T-shaped room",
         "C22 C23 C24 C25",
-        "A room of 15 x 7 m, both arms 2 m wide, driven along the bar at 0.28 m/s: 51 scans, one a second, of "
-        "361 beams over 180 deg, noise 4 cm, no odometry. The published figures are those of one run.",
+        "A room of 15 x 7 m, both arms 2 m wide, driven along the bar at 0.28 m/s: 51 scans, one a second, "
+        "of 361 beams over 180 deg, noise 4 cm, no odometry. The published figures are those of one run.",
         in_room,
         0,
         0.02,
@@ -70,7 +70,7 @@ def sections(seeds: int) -> Iterable[Section]:
     yield accuracy(
         "Corridor of 38.5 m that ends in glass",
         "C26 C27",
-        "441 beams over 110 deg. The last 4 m have glass handrails, plants, a glass wall with opaque frames. The "
+        "441 beams over 110 deg. The last 4 m have glass handrails, plants, a glass wall with frames. The "
         "published reference is the robot's odometer; ours is the truth.",
         in_corridor,
         1,
@@ -186,7 +186,7 @@ def cost(runs: dict[str, list[Run]]) -> Section:
             rows.append(Row("C28 C29", what, values, "ms", at_most=bound, digits=2))
     return Section(
         "Cost",
-        "The corridor again: matching, map and shown map together, on one core. The paper's are for matching.",
+        "The corridor again: matching, map and shown map together, one core. The paper's are for matching.",
         rows,
     )
 
