@@ -1,0 +1,123 @@
+"""Paper 004: one precision in worlds of 300, 2000 and 12 000 m2. The paper has no figure of its own."""
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.geometry.se2 import SE2
+from service.mapper.background import InlineWorker
+from service.mapper.corrections import corrected
+from service.mapper.profiles import build_mapper, mapping_config
+from simulators.world import World
+from simulators.worlds.floor import floor
+from simulators.worlds.mall import mall
+from simulators.worlds.office import office
+from tests.papers.report import Row, Section
+from tests.simulated import FORWARD, LMS100_50HZ, Drive, Laser, Wheels, drive
+
+CHECK_POINTS = 20
+CART = Laser(LMS100_50HZ.model, 541, 5.0, -135.0, 0.5)  # every tenth sweep
+
+
+@dataclass(frozen=True)
+class Place:
+    name: str
+    area_m2: int
+    world: Callable[[], World]
+    seconds: float
+    seeds: int  # at most so many: the largest takes minutes each
+
+
+PLACES = (
+    Place("office", 300, office, 60.0, 5),
+    Place("floor", 2000, floor, 260.0, 2),
+    Place("mall", 12_000, mall, 1250.0, 1),
+)
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """Of the check points: greatest error after a rigid fit, that of distances between them; cost."""
+
+    worst_m: float
+    distance_m: float
+    scan_ms: float
+
+
+def sections(seeds: int) -> Iterable[Section]:
+    rows: list[Row] = []
+    for place in PLACES:
+        count = min(seeds, place.seeds)
+        drives = [
+            drive(place.world(), CART, place.seconds, seed, Wheels(scale=1.01, turn_scale=1.01))
+            for seed in range(1, count + 1)
+        ]
+        found = [run(what, {"local_map": {"particles": 10}}) for what in drives]
+        what = f"{place.name}, {place.area_m2} m2"
+        rows += [
+            Row(
+                "D19", f"{what}: worst of {CHECK_POINTS} check points", worst(found), "m", 0.10, by_worst=True
+            ),
+            Row("D19", f"{what}: worst distance between two", distances(found), "m", 0.10, by_worst=True),
+            Row("", f"{what}: CPU a scan", [one.scan_ms for one in found], "ms", digits=1),
+        ]
+    yield Section(
+        "One precision from 300 to 12 000 m2",
+        "A cart with an LMS100 at 5 sweeps a second, wheels that say 1 % too much, 10 particles. "
+        f"{CHECK_POINTS} key poses spread over the drive are compared with the truth after a rigid fit, "
+        "and the distances between all of them without one. The mall is driven once, the floor twice: they "
+        "take minutes.",
+        rows,
+    )
+
+
+def worst(found: Sequence[Mapped]) -> list[float]:
+    return [one.worst_m for one in found]
+
+
+def distances(found: Sequence[Mapped]) -> list[float]:
+    return [one.distance_m for one in found]
+
+
+def run(what: Drive, settings: dict[str, dict[str, float]], graph: bool = True) -> Mapped:
+    section = {"profile": "submap_graph", "settings": settings}
+    if not graph:
+        section["stages"] = {"graph": "no_graph"}
+    mapper = build_mapper(mapping_config(section), {"front": FORWARD}, new_worker=InlineWorker)
+    outputs, began_s = [], time.thread_time()
+    for frame in what.frames:
+        output = mapper.process(frame)
+        if output is not None:
+            outputs.append(output)
+            while mapper.graph.waiting:
+                mapper.take_in()
+    poses = corrected(outputs, mapper.finish().corrections)
+    took_s = time.thread_time() - began_s
+    at = np.linspace(0, len(outputs) - 1, CHECK_POINTS).astype(int)
+    found = places([poses[k] for k in at])
+    truth = places([what.truth[outputs[k].stamp_ns] for k in at])
+    return Mapped(
+        float(np.hypot(*(fitted(found, truth) - truth).T).max()),
+        float(np.abs(between_all(found) - between_all(truth)).max()),
+        1000.0 * took_s / len(outputs),
+    )
+
+
+def places(poses: Sequence[SE2]) -> np.ndarray:
+    return np.array([(pose.x_m, pose.y_m) for pose in poses])
+
+
+def between_all(xy: np.ndarray) -> np.ndarray:
+    distances_m: np.ndarray = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1))
+    return distances_m
+
+
+def fitted(xy: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Turned and moved, never stretched, to lie best on the truth."""
+    a, b = xy - xy.mean(axis=0), truth - truth.mean(axis=0)
+    turn = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
+    c, s = np.cos(turn), np.sin(turn)
+    laid: np.ndarray = a @ np.array([[c, s], [-s, c]]) + truth.mean(axis=0)
+    return laid
