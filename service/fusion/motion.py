@@ -29,6 +29,13 @@ class Prediction(Motion):
     is_measured: bool  # wheels measured the way; else it is the last speed gone on
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Matched(Motion):
+    """A motion after matching, and what the motion model may learn from it."""
+
+    information: npt.NDArray[np.float64]  # (3, 3) what the scan alone says of the pose, in base axes
+
+
 class MotionModel(Protocol):
     """Predicts where the vehicle is when a scan begins, from whatever moves with it."""
 

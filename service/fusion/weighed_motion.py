@@ -1,16 +1,20 @@
 """The motion model of the default profile: wheels if there are any, gyro for turns, else the last speed."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.frames import ImuSample, OdometrySample
+from service.fusion.drift import MapDrift, WheelWalk, carried, on_the_map
 from service.fusion.gyro import GyroTrack
-from service.fusion.motion import Motion, Prediction
+from service.fusion.motion import Matched, Motion, Prediction
 from service.fusion.wheel_odometry import OdometryTrack
+from service.fusion.wheel_trust import WheelTrust
 from service.geometry.se2 import SE2
+from service.kernels.match import invert_3x3
 
 Twist = tuple[float, float, float]
 STANDING: Twist = (0.0, 0.0, 0.0)
@@ -45,9 +49,20 @@ class MotionConfig(BaseModel):
     odometry_speed_window_s: float = Field(default=0.05, gt=0.0)
 
     twist_time_s: float = Field(default=0.03, gt=0.0)  # a speed is learnt from matches over about so long
-    drift_m_per_sqrt_m: float = Field(default=0.03, ge=0.0)  # reported: how the wheels' error grows where
+    wheel_scale_sigma: float = Field(default=0.01, ge=0.0)  # of a wheel's way, before anything is learnt
+    wheel_window_m: float = Field(default=0.5, gt=0.0)  # a pair of ways is compared after so much
+    wheel_window_rad: float = Field(default=1.0, gt=0.0)
+    wheel_learn_sigma_m: float = Field(default=0.02, gt=0.0)  # ... if the walls know the way so well
+    wheel_learn_sigma_rad: float = Field(default=0.01, gt=0.0)
+
+    drift_m_per_sqrt_m: float = Field(default=0.02, ge=0.0)  # reported: how the wheels' error grows where
     drift_rad_per_sqrt_m: float = Field(default=0.01, ge=0.0)  # no match holds it
     drift_m_per_sqrt_s: float = Field(default=0.005, ge=0.0)
+    drift_per_m: float = Field(
+        default=0.07, gt=0.0
+    )  # reported: each metre adds so much of a match's covariance
+    drift_per_m_guessed: float = Field(default=0.5, gt=0.0)  # ... where no wheels say how far
+    drift_turn_m: float = Field(default=0.3, ge=0.0)  # ... and a radian as much as so many metres
 
 
 class WeighedMotion:
@@ -62,7 +77,19 @@ class WeighedMotion:
             config.odometry_speed_window_s,
         )
         self._gyro = GyroTrack(config.gyro_max_hold_s, config.gyro_bias_time_s, config.gyro_max_bias_radps)
+        self._trust = WheelTrust(
+            config.wheel_window_m,
+            config.wheel_window_rad,
+            config.wheel_scale_sigma,
+            (config.drift_m_per_sqrt_m, config.drift_rad_per_sqrt_m),
+        )
+        self._walk = WheelWalk(
+            config.drift_m_per_sqrt_m, config.drift_rad_per_sqrt_m, config.drift_m_per_sqrt_s
+        )
+        self._drift = MapDrift(config.drift_turn_m)
         self._last: tuple[int, Motion] | None = None
+        self._predicted: Prediction | None = None
+        self._relative = np.zeros((3, 3))  # of the last pose, on the map
         self._has_speed = False  # two scans were matched, so their difference is a speed
 
     def add(self, sample: ImuSample | OdometrySample) -> bool:
@@ -71,14 +98,38 @@ class WeighedMotion:
         return self._gyro.add(sample)
 
     def predict(self, stamp_ns: int) -> Prediction:
-        if self._last is None:
-            return self._first(stamp_ns)
-        last_ns, last = self._last
+        self._predicted = self._first(stamp_ns) if self._last is None else self._next(stamp_ns, *self._last)
+        return self._predicted
+
+    def correct(self, stamp_ns: int, matched: Motion) -> Motion:
+        predicted = self._predicted if self._predicted is not None else self._first(stamp_ns)
+        is_match = matched.pose_odom_base != predicted.pose_odom_base or isinstance(matched, Matched)
+        information = _information_of(matched) if is_match else np.zeros((3, 3))
+        relative = on_the_map(information, predicted.step_covariance) if is_match else self._relative
+        if self._last is not None:
+            last_ns, last = self._last
+            step = last.pose_odom_base.inverse() @ matched.pose_odom_base
+            elapsed_s = (stamp_ns - last_ns) * 1e-9
+            loss, per_m = self._loss(step, elapsed_s, predicted.is_measured, predicted.step_covariance)
+            self._drift.advance(step, loss, information, per_m)
+            if is_match:
+                self._learn(last_ns, stamp_ns, step, relative)
+                self._has_speed = True
+            else:
+                relative = carried(relative, step)
+        self._relative = relative
+        covariance = self._drift.covariance(self._trust.scale_sigma) + relative
+        believed = replace(matched, covariance=covariance)
+        self._last = (stamp_ns, believed)
+        return believed
+
+    def _next(self, stamp_ns: int, last_ns: int, last: Motion) -> Prediction:
         elapsed_s = (stamp_ns - last_ns) * 1e-9
         way = self._odometry.between(last_ns, stamp_ns)
         if way is not None:
-            step, sigma_m, sigma_rad = way.motion, *self._wheel_sigmas(way.motion, way.guessed_s)
-            twist = self._odometry.twist_at(stamp_ns) or last.twist_base
+            step = self._trust.corrected(way.motion)
+            sigma_m, sigma_rad = self._wheel_sigmas(step, way.guessed_s)
+            twist = self._wheel_twist(stamp_ns) or last.twist_base
         else:
             step, sigma_m, sigma_rad = self._coast(last.twist_base, elapsed_s)
             twist = last.twist_base
@@ -89,27 +140,49 @@ class WeighedMotion:
             sigma_rad = self._config.gyro_sigma_rad + self._config.gyro_sigma_per_rad * abs(turn_rad)
             rate = self._gyro.rate_at(stamp_ns)
             twist = (twist[0], twist[1], rate if rate is not None else twist[2])
+        step_covariance = np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
+        loss, _ = self._loss(step, elapsed_s, way is not None, step_covariance)
         return Prediction(
             pose_odom_base=last.pose_odom_base @ step,
             twist_base=twist,
-            covariance=self._grown(last.covariance, step, elapsed_s, way is not None, (sigma_m, sigma_rad)),
-            step_covariance=np.diag([sigma_m**2, sigma_m**2, sigma_rad**2]),
+            covariance=carried(last.covariance, step) + np.diag(loss),
+            step_covariance=step_covariance,
             elapsed_s=elapsed_s,
             twist_gain=1.0 - math.exp(-elapsed_s / self._config.twist_time_s),
             is_measured=way is not None,
         )
 
-    def correct(self, stamp_ns: int, matched: Motion) -> Motion:
-        if self._last is not None:
-            last_ns, last = self._last
-            turned = last.pose_odom_base.inverse() @ matched.pose_odom_base
-            self._gyro.learn_bias(last_ns, stamp_ns, turned.theta_rad)
-            self._has_speed = True
-        self._last = (stamp_ns, matched)
-        return matched
+    def _wheel_twist(self, stamp_ns: int) -> Twist | None:
+        twist = self._odometry.twist_at(stamp_ns)
+        if twist is None:
+            return None
+        return twist[0] * self._trust.scale, twist[1] * self._trust.scale, twist[2] * self._trust.turn_scale
+
+    def _loss(
+        self, step: SE2, elapsed_s: float, is_measured: bool, step_covariance: npt.NDArray[np.float64]
+    ) -> tuple[npt.NDArray[np.float64], float]:
+        """(3,) variances that dead reckoning loses over a step; how fast the map drifts meanwhile, 1/m."""
+        if is_measured:
+            return self._walk.over(step, elapsed_s), self._config.drift_per_m
+        variances: npt.NDArray[np.float64] = np.maximum(np.diag(step_covariance), 1e-12)
+        return variances, self._config.drift_per_m_guessed
+
+    def _learn(self, last_ns: int, stamp_ns: int, step: SE2, relative: npt.NDArray[np.float64]) -> None:
+        config = self._config
+        self._gyro.learn_bias(last_ns, stamp_ns, step.theta_rad)
+        way = self._odometry.between(last_ns, stamp_ns)
+        if way is None:
+            return
+        sigma_m, _, sigma_rad = np.sqrt(np.diag(relative)).tolist()
+        self._trust.learn(
+            way.motion,
+            step,
+            sigma_m if sigma_m < config.wheel_learn_sigma_m else None,
+            sigma_rad if sigma_rad < config.wheel_learn_sigma_rad else None,
+        )
 
     def _first(self, stamp_ns: int) -> Prediction:
-        twist = self._odometry.twist_at(stamp_ns) or STANDING
+        twist = self._wheel_twist(stamp_ns) or STANDING
         nothing = np.zeros((3, 3))
         return Prediction(SE2(), twist, nothing, nothing, elapsed_s=0.0, twist_gain=0.0, is_measured=False)
 
@@ -145,30 +218,11 @@ class WeighedMotion:
             config.heading_sigma_rad + config.turn_acceleration_radps2 * elapsed_s**2,
         )
 
-    def _grown(
-        self,
-        covariance: npt.NDArray[np.float64],
-        step: SE2,
-        elapsed_s: float,
-        has_wheels: bool,
-        sigmas: tuple[float, float],
-    ) -> npt.NDArray[np.float64]:
-        """Covariance of the pose after a step: carried along, and grown as a random walk."""
-        config = self._config
-        c, s = math.cos(step.theta_rad), math.sin(step.theta_rad)
-        # a turn of the old base moves the new one; both expressed in the new base's axes
-        carry = np.array(
-            [
-                [c, s, -c * step.y_m + s * step.x_m],
-                [-s, c, s * step.y_m + c * step.x_m],
-                [0.0, 0.0, 1.0],
-            ]
-        )
-        d = math.hypot(step.x_m, step.y_m)
-        if has_wheels:
-            position = config.drift_m_per_sqrt_m**2 * d + config.drift_m_per_sqrt_s**2 * elapsed_s
-            heading = config.drift_rad_per_sqrt_m**2 * (d + abs(step.theta_rad)) + 1e-8
-        else:
-            position, heading = sigmas[0] ** 2, sigmas[1] ** 2
-        grown: npt.NDArray[np.float64] = carry @ covariance @ carry.T + np.diag([position, position, heading])
-        return grown
+
+def _information_of(matched: Motion) -> npt.NDArray[np.float64]:
+    """What a match says; one that does not tell it apart is taken at its covariance."""
+    if isinstance(matched, Matched):
+        return matched.information
+    information = np.zeros((3, 3))
+    invert_3x3(matched.covariance, information)
+    return information

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from service.fusion.drift import match_covariance
 from service.geometry.se2 import SE2, wrap_angle
 from service.mapper.background import Errand, NewWorker, WorkLostError
 from service.mapper.graph.keyframes import KeyFrame
@@ -135,7 +136,7 @@ def _key_frame(scan: MappedScan) -> KeyFrame:
     return KeyFrame(
         scan.stamp_ns,
         match.motion.pose_odom_base,
-        match.motion.covariance,
+        match_covariance(match.motion),
         match.score,
         match.state == "lost",
         points.xy_base.astype(np.float32),

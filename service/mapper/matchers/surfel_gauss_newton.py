@@ -7,9 +7,10 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.fusion.motion import Motion, Prediction
+from service.fusion.motion import Matched, Motion, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns
+from service.kernels.drift import match_information
 from service.kernels.match import MatchResult, MatchSettings, Prior, match_scan
 from service.mapper.maps.submaps import Submap, SurfelSubmaps
 from service.mapper.stages import Match, Points
@@ -44,8 +45,10 @@ class SurfelMatcherConfig(BaseModel):
     least_points: int = Field(default=20, ge=3)
 
     covariance_scale: float = Field(default=2.0, gt=0.0)
-    floor_position_m: float = Field(default=0.006, ge=0.0)
-    floor_heading_rad: float = Field(default=0.0015, ge=0.0)
+    inflation: float = Field(default=4.0, gt=0.0)  # beams share errors, so as many count as one
+    least_residual_m: float = Field(default=0.005, gt=0.0)
+    floor_position_m: float = Field(default=0.002, ge=0.0)
+    floor_heading_rad: float = Field(default=0.0003, ge=0.0)
 
 
 class SurfelGaussNewton:
@@ -79,7 +82,9 @@ class SurfelGaussNewton:
         if count < self._config.least_points:
             return Match(_as_motion(predicted), points, 0.0, "lost", self._too_few(points))
         if not local_map.candidates:
-            first = Motion(predicted.pose_odom_base, predicted.twist_base, self._floor)
+            first = Matched(
+                predicted.pose_odom_base, predicted.twist_base, self._floor, np.linalg.inv(self._floor)
+            )
             return Match(first, points, 1.0)
         normals = local_map.normals_of(points)
         matches = (self._match_to(submap, points, normals, predicted) for submap in local_map.candidates)
@@ -118,7 +123,12 @@ class SurfelGaussNewton:
         self._usual_share += (result.share - self._usual_share) / self._config.usual_share_scans
         x_m, y_m, theta_rad = result.pose.tolist()
         forward, left, turn = result.twist.tolist()
-        motion = Motion(SE2(x_m, y_m, theta_rad), (forward, left, turn), self._floored(result.covariance))
+        motion = Matched(
+            SE2(x_m, y_m, theta_rad),
+            (forward, left, turn),
+            self._floored(result.covariance),
+            self._information(result),
+        )
         deskewed = replace(points, xy_base=xy_base)
         return Match(motion, deskewed, result.share, state, reason, submap.number)
 
@@ -147,6 +157,19 @@ class SurfelGaussNewton:
             f"{points.scan.sensor}: {len(points.xy_base)} of {len(points.scan.range_m)} beams returned "
             f"(at least {self._config.least_points}); is the window covered, or is there nothing in range?"
         )
+
+    def _information(self, result: MatchResult) -> npt.NDArray[np.float64]:
+        """(3, 3) what the points say of the pose on the map, by how far off they lie."""
+        config = self._config
+        residual_m = max(result.residual_m, config.least_residual_m)
+        information = np.empty((3, 3))
+        match_information(
+            result.information,
+            (config.beam_sigma_m / residual_m) ** 2 / config.inflation,
+            np.diag(self._floor).copy(),
+            information,
+        )
+        return information
 
     def _floored(self, covariance: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Raised where it claims to know better than the map can say; raising it again changes nothing."""

@@ -3,7 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from service.fusion.motion import Motion, Prediction
+from service.fusion.drift import match_covariance
+from service.fusion.motion import Matched, Motion, Prediction
 from service.fusion.weighed_motion import MotionConfig, WeighedMotion
 from service.geometry.se2 import SE2
 from tests.service.fusion.samples import MS, gyro, odometry
@@ -100,9 +101,10 @@ def test_uncertainty_is_carried_along_and_grows_with_the_way() -> None:
     model = WeighedMotion(MotionConfig())
     model.add(odometry(0, SE2()))
     model.add(odometry(1000, SE2(10.0, 0.0, 0.0)))
-    model.correct(0, Motion(SE2(), (10.0, 0.0, 0.0), np.diag([1e-4, 1e-4, 1e-4])))
+    known = np.diag([1e-4, 1e-4, 1e-4])
+    model.correct(0, Matched(SE2(), (10.0, 0.0, 0.0), known, np.linalg.inv(known)))
     covariance = model.predict(1000 * MS).covariance
-    assert covariance[0, 0] == pytest.approx(1e-4 + 0.03**2 * 10.0 + 0.005**2)
+    assert covariance[0, 0] == pytest.approx(1e-4 + 0.02**2 * 10.0 + 0.005**2)
     assert covariance[1, 1] == pytest.approx(covariance[0, 0] + 1e-4 * 10.0**2)  # 0.01 rad over 10 m
     assert covariance[1, 2] == pytest.approx(1e-4 * 10.0)
     assert covariance[2, 2] > 1e-4
@@ -118,3 +120,66 @@ def test_only_differences_of_time_count() -> None:
     near, unix = run(5), run(1_700_000_000_000_000_005)
     assert near.pose_odom_base == unix.pose_odom_base
     np.testing.assert_array_equal(near.covariance, unix.covariance)
+
+
+def driven(metres: int, information: np.ndarray, wheel_scale: float = 1.0) -> tuple[WeighedMotion, Motion]:
+    """A metre a second ahead, matched where it is at each metre with that much information."""
+    model = WeighedMotion(MotionConfig())
+    for stamp_ms in range(0, 1000 * metres + 1, 100):
+        model.add(odometry(stamp_ms, SE2(wheel_scale * stamp_ms / 1e3, 0.0, 0.0)))
+    believed = Motion(SE2(), (0.0, 0.0, 0.0), SURE)
+    for k in range(metres + 1):
+        model.predict(1000 * k * MS)
+        believed = model.correct(
+            1000 * k * MS, Matched(SE2(float(k), 0.0, 0.0), (1.0, 0.0, 0.0), SURE, information)
+        )
+    return model, believed
+
+
+def test_drift_of_the_map_is_in_what_is_believed() -> None:
+    sharp = np.diag([1e6, 1e6, 1e7])  # a millimetre
+    near, far = (driven(metres, sharp)[1].covariance for metres in (4, 64))
+    assert math.sqrt(near[0, 0]) < 0.002
+    assert math.sqrt(far[0, 0]) == pytest.approx(math.sqrt(64 * 0.07e-6), rel=0.15)
+    assert far[1, 1] > far[0, 0]  # the heading's drift moves it sideways
+    blunt = driven(64, sharp / 100.0)[1].covariance
+    assert math.sqrt(blunt[0, 0]) == pytest.approx(10.0 * math.sqrt(far[0, 0]), rel=0.1)
+
+
+def test_standing_adds_no_drift() -> None:
+    model, moved = driven(16, np.diag([1e6, 1e6, 1e7]))
+    for k in range(17, 60):
+        model.predict(1000 * k * MS)
+        stands = Matched(SE2(16.0, 0.0, 0.0), (0.0, 0.0, 0.0), SURE, np.diag([1e6, 1e6, 1e7]))
+        believed = model.correct(1000 * k * MS, stands)
+    np.testing.assert_allclose(np.diag(believed.covariance), np.diag(moved.covariance), rtol=0.05)
+
+
+def test_the_scale_of_the_wheels_adds_up_along_a_blind_way() -> None:
+    blind = np.diag([0.0, 1e6, 1e7])  # says nothing of the way ahead
+    short, long = (math.sqrt(driven(metres, blind)[1].covariance[0, 0]) for metres in (25, 100))
+    assert long > 1.0  # 1 % of it
+    assert long > 3.3 * short  # a random walk would double it
+
+
+@pytest.mark.parametrize("scale", [0.8, 1.2])
+def test_wheels_that_roll_too_far_are_seen_through(scale: float) -> None:
+    model, _ = driven(40, np.diag([1e6, 1e6, 1e7]), scale)
+    before = model.predict(40_000 * MS).pose_odom_base
+    assert before.x_m == pytest.approx(40.0, abs=1e-6)
+    model.add(odometry(41_000, SE2(scale * 41.0, 0.0, 0.0)))
+    assert model.predict(41_000 * MS).pose_odom_base.x_m == pytest.approx(41.0, abs=0.01)
+
+
+def test_a_blind_way_teaches_nothing_of_the_wheels() -> None:
+    model, _ = driven(40, np.diag([0.0, 1e6, 1e7]), 1.2)
+    model.add(odometry(41_000, SE2(1.2 * 41.0, 0.0, 0.0)))
+    assert model.predict(41_000 * MS).pose_odom_base.x_m == pytest.approx(41.2, abs=1e-6)
+
+
+def test_a_graph_is_told_the_match_alone() -> None:
+    _, believed = driven(64, np.diag([1e6, 1e6, 1e7]))
+    assert match_covariance(believed)[0, 0] == pytest.approx(1e-6, rel=1e-3)
+    assert believed.covariance[0, 0] > 4e-6
+    unmatched = Motion(SE2(), (0.0, 0.0, 0.0), SURE)
+    assert match_covariance(unmatched) is SURE
