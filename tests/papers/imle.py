@@ -114,7 +114,6 @@ def accuracy(
                 ratios,
                 "",
                 at_least=10.0,
-                by_worst=True,
                 digits=1,
             )
         )

@@ -228,7 +228,10 @@ def test_kernels_are_compiled_once_for_warm_up_and_all_that_follows() -> None:
     child = [sys.executable, "-m", "tests.service.mapper.compiled_kernels"]
     counts = json.loads(subprocess.run(child, cwd=ROOT, check=True, capture_output=True, timeout=100).stdout)
     assert len(counts) > 15
-    assert {name: count for name, count in counts.items() if count > 1} == {}
+    of_two_kinds_of_cells = {"likelihood_search.search_exhaustive"}  # bytes and float32
+    assert {
+        name: count for name, count in counts.items() if count > 1 + (name in of_two_kinds_of_cells)
+    } == {}
 
 
 def test_a_misspelt_key_is_refused() -> None:
