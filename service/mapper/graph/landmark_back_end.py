@@ -28,8 +28,8 @@ class LandmarkGraphConfig(BaseModel):
 
     match: SubmapMatchConfig = SubmapMatchConfig()
     node_spacing_m: float = Field(default=2.0, gt=0.0)  # between track points
-    drift_m_per_sqrt_m: float = Field(default=0.01, gt=0.0)
-    drift_rad_per_sqrt_m: float = Field(default=0.002, gt=0.0)
+    drift_m_per_sqrt_m: float = Field(default=0.005, gt=0.0)
+    drift_rad_per_sqrt_m: float = Field(default=0.001, gt=0.0)
     neighbour_m: float = Field(
         default=6.0, gt=0.0
     )  # sub-maps whose ways come this near are laid on each other
@@ -38,7 +38,7 @@ class LandmarkGraphConfig(BaseModel):
     search_per_m: float = Field(default=0.01, ge=0.0)  # more for each metre driven between the two
     most_search_m: float = Field(default=3.0, gt=0.0)
     search_rad: float = Field(default=0.08, gt=0.0)
-    kernel_width: float = Field(default=3.0, ge=0.0)  # Cauchy, in sigmas, of automatic landmarks
+    kernel_width: float = Field(default=1.0, ge=0.0)  # Cauchy, in sigmas, of automatic landmarks
     pair_sigma_m: float = Field(default=0.02, gt=0.0)  # of a point that a person names
     redraw_m: float = Field(
         default=0.03, ge=0.0
@@ -198,7 +198,7 @@ class LandmarkBackEnd:
         for xy in landmarks:
             there = se2.points_from(shift, xy)
             lever = np.array([[1.0, 0.0, -(there[1] - shift[1])], [0.0, 1.0, there[0] - shift[0]]])
-            seen = own + len(landmarks) * (
+            seen = self.config.match.match_sigma_m**2 * np.eye(2) + len(landmarks) * (
                 lever @ covariance @ lever.T
             )  # K points share the error of one match
             self.landmarks.append(_Landmark((new, old), (xy, there), (own, seen), self.config.kernel_width))

@@ -44,6 +44,7 @@ class SubmapMatchConfig(BaseModel):
     landmark_probability: float = Field(default=0.95, gt=0.5, lt=1.0)
     landmark_spacing_m: float = Field(default=1.5, gt=0.0)
     landmark_sigma_m: float = Field(default=0.02, gt=0.0)
+    match_sigma_m: float = Field(default=0.06, gt=0.0)  # of a landmark in the neighbour, besides the match's
     match_covariance_scale: float = Field(default=0.5, gt=0.0)
 
 
