@@ -54,6 +54,10 @@ class MapDrift:
         total: Matrix = self._covariance + scale_sigma**2 * np.outer(self._along, self._along)
         return total
 
+    def add(self, covariance: Matrix) -> None:
+        """(3, 3) in base axes: the map goes on from a pose that is so uncertain on the old one."""
+        self._covariance += covariance
+
     def advance(self, step: SE2, walk: Variances, information: Matrix, per_m: float) -> None:
         """Go on by a step.
 

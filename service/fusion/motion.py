@@ -34,6 +34,7 @@ class Matched(Motion):
     """A motion after matching, and what the motion model may learn from it."""
 
     information: npt.NDArray[np.float64]  # (3, 3) what the scan alone says of the pose, in base axes
+    on_new_map: bool = False  # one begun where no scan fitted: what was lost until then stays lost
 
 
 class MotionModel(Protocol):

@@ -18,6 +18,7 @@ from service.kernels.match import invert_3x3
 
 Twist = tuple[float, float, float]
 STANDING: Twist = (0.0, 0.0, 0.0)
+UNKNOWN = np.zeros((3, 3))  # information of a scan that was not matched
 
 
 class MotionConfig(BaseModel):
@@ -104,24 +105,38 @@ class WeighedMotion:
     def correct(self, stamp_ns: int, matched: Motion) -> Motion:
         predicted = self._predicted if self._predicted is not None else self._first(stamp_ns)
         is_match = matched.pose_odom_base != predicted.pose_odom_base or isinstance(matched, Matched)
-        information = _information_of(matched) if is_match else np.zeros((3, 3))
-        relative = on_the_map(information, predicted.step_covariance) if is_match else self._relative
         if self._last is not None:
-            last_ns, last = self._last
-            step = last.pose_odom_base.inverse() @ matched.pose_odom_base
-            elapsed_s = (stamp_ns - last_ns) * 1e-9
-            loss, per_m = self._loss(step, elapsed_s, predicted.is_measured, predicted.step_covariance)
-            self._drift.advance(step, loss, information, per_m)
-            if is_match:
-                self._learn(last_ns, stamp_ns, step, relative)
-                self._has_speed = True
-            else:
-                relative = carried(relative, step)
-        self._relative = relative
-        covariance = self._drift.covariance(self._trust.scale_sigma) + relative
+            self._advance(*self._last, stamp_ns, matched, is_match, predicted)
+        if is_match:
+            self._relative = on_the_map(_information_of(matched), predicted.step_covariance)
+        covariance = self._drift.covariance(self._trust.scale_sigma) + self._relative
         believed = replace(matched, covariance=covariance)
         self._last = (stamp_ns, believed)
         return believed
+
+    def _advance(
+        self,
+        last_ns: int,
+        last: Motion,
+        stamp_ns: int,
+        matched: Motion,
+        is_match: bool,
+        predicted: Prediction,
+    ) -> None:
+        """Carry what is known over the step to a match; without a match the pose on the map grows vague."""
+        step = last.pose_odom_base.inverse() @ matched.pose_odom_base
+        elapsed_s = (stamp_ns - last_ns) * 1e-9
+        loss, per_m = self._loss(step, elapsed_s, predicted.is_measured, predicted.step_covariance)
+        if not is_match:
+            self._drift.advance(step, loss, UNKNOWN, per_m=0.0)
+            self._relative = carried(self._relative, step) + np.diag(loss)
+            return
+        if isinstance(matched, Matched) and matched.on_new_map:
+            self._drift.add(self._relative)
+        information = _information_of(matched)
+        self._drift.advance(step, loss, information, per_m)
+        self._learn(last_ns, stamp_ns, step, on_the_map(information, predicted.step_covariance))
+        self._has_speed = True
 
     def _next(self, stamp_ns: int, last_ns: int, last: Motion) -> Prediction:
         elapsed_s = (stamp_ns - last_ns) * 1e-9

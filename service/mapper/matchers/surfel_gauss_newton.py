@@ -32,6 +32,7 @@ class SurfelMatcherConfig(BaseModel):
     coarse_beams: int = Field(default=180, ge=10)
     coarse_iterations: int = Field(default=15, ge=0, le=100)
 
+    jump_sigmas: float = Field(default=4.0, gt=0.0)  # from the prediction: then a doubtful match is refused
     doubt_ratio: float = Field(default=0.9, ge=0.0, le=1.0)  # of the usual share on the map
     usual_share_scans: int = Field(default=50, ge=1)  # over which the usual share is taken
     settled_m: float = Field(default=0.0005, gt=0.0)
@@ -87,7 +88,10 @@ class SurfelGaussNewton:
             )
             return Match(first, points, 1.0)
         normals = local_map.normals_of(points)
-        matches = (self._match_to(submap, points, normals, predicted) for submap in local_map.candidates)
+        matches = (
+            self._match_to(submap, points, normals, predicted, is_new=k > 0)
+            for k, submap in enumerate(local_map.candidates)
+        )
         best = next(matches)
         for match in matches:
             if best.state != "lost":
@@ -96,7 +100,12 @@ class SurfelGaussNewton:
         return best
 
     def _match_to(
-        self, submap: Submap, points: Points, normals: npt.NDArray[np.float64], predicted: Prediction
+        self,
+        submap: Submap,
+        points: Points,
+        normals: npt.NDArray[np.float64],
+        predicted: Prediction,
+        is_new: bool,
     ) -> Match:
         pose = predicted.pose_odom_base
         xy_base = points.xy_base.copy()
@@ -118,6 +127,8 @@ class SurfelGaussNewton:
             xy_base,
         )
         state, reason = self._judge(result)
+        if state != "lost" and (jump := self._jump(result, predicted)) is not None:
+            state, reason = "lost", jump
         if state == "lost":
             return Match(_as_motion(predicted), points, result.share, state, reason)
         self._usual_share += (result.share - self._usual_share) / self._config.usual_share_scans
@@ -128,9 +139,31 @@ class SurfelGaussNewton:
             (forward, left, turn),
             self._floored(result.covariance),
             self._information(result),
+            on_new_map=is_new,
         )
         deskewed = replace(points, xy_base=xy_base)
         return Match(motion, deskewed, result.share, state, reason, submap.number)
+
+    def _jump(self, result: MatchResult, predicted: Prediction) -> str | None:
+        """Why a match is not believed that fits worse than usual and needs a speed that nothing can reach.
+
+        Someone close before the laser leaves few walls and a minimum elsewhere. A pose that is a little wrong
+        comes back with the next scan, a jump does not. Wheels may be wrong, so the walls overrule them.
+        """
+        is_guess = predicted.elapsed_s > 0.0 and not predicted.is_measured
+        if not is_guess or result.share >= self._config.doubt_ratio * self._usual_share:
+            return None
+        pose = predicted.pose_odom_base
+        away = pose.inverse() @ SE2(*result.pose.tolist())
+        offset = np.array([away.x_m, away.y_m, away.theta_rad])
+        sigmas = float(np.sqrt(offset @ np.linalg.solve(predicted.step_covariance, offset)))
+        if sigmas <= self._config.jump_sigmas:
+            return None
+        return (
+            f"{result.share:.0%} of {result.used} returns lie on the map (usual {self._usual_share:.0%}), "
+            f"{math.hypot(away.x_m, away.y_m):.2f} m and {abs(away.theta_rad):.2f} rad from the prediction; "
+            "the pose follows the prediction"
+        )
 
     def _judge(self, result: MatchResult) -> tuple[State, str]:
         config = self._config

@@ -183,3 +183,19 @@ def test_a_graph_is_told_the_match_alone() -> None:
     assert believed.covariance[0, 0] > 4e-6
     unmatched = Motion(SE2(), (0.0, 0.0, 0.0), SURE)
     assert match_covariance(unmatched) is SURE
+
+
+@pytest.mark.parametrize("on_new_map", [False, True])
+def test_what_was_lost_stays_lost_on_a_new_map_only(on_new_map: bool) -> None:
+    model, before = driven(4, np.diag([1e6, 1e6, 1e7]))
+    for k in (5, 6, 7):
+        model.add(odometry(1000 * k, SE2(float(k), 0.0, 0.0)))
+        predicted = model.predict(1000 * k * MS)
+        lost = model.correct(1000 * k * MS, predicted)
+    assert math.sqrt(lost.covariance[0, 0]) > 0.03
+    model.add(odometry(8000, SE2(8.0, 0.0, 0.0)))
+    model.predict(8000 * MS)
+    found = Matched(SE2(8.001, 0.0, 0.0), (1.0, 0.0, 0.0), SURE, np.diag([1e6, 1e6, 1e7]), on_new_map)
+    sigma_m = math.sqrt(model.correct(8000 * MS, found).covariance[0, 0])
+    assert (sigma_m > 0.03) == on_new_map
+    assert sigma_m > math.sqrt(before.covariance[0, 0])

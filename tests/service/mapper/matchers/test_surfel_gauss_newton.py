@@ -2,8 +2,9 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from service.fusion.motion import Prediction
+from service.fusion.motion import Matched, Prediction
 from service.geometry.se2 import SE2
 from service.mapper.maps.submaps import SubmapsConfig, SurfelSubmaps
 from service.mapper.matchers.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
@@ -64,6 +65,32 @@ def test_where_half_the_room_was_rebuilt_the_match_is_degraded() -> None:
     assert "expected 45%" in result.reason
 
 
+def half_hidden() -> Points:
+    """The square with someone before a third of it."""
+    xy = square().xy_base
+    return points_of(np.where((np.abs(np.arctan2(xy[:, 1], xy[:, 0])) < 1.0)[:, None], 0.4 * xy, xy))
+
+
+@pytest.mark.parametrize("is_measured", [False, True])
+def test_a_jump_is_refused_where_few_walls_ask_for_it_of_a_guessed_speed(is_measured: bool) -> None:
+    start = replace(predicted(SE2(0.12, 0.0, 0.0), sigma=0.02), is_measured=is_measured)
+    result = new_matcher().match(half_hidden(), start, mapped(square()))
+    assert (result.state == "lost") != is_measured
+    if is_measured:
+        assert abs(result.motion.pose_odom_base.x_m) < 0.02
+    else:
+        assert result.motion.pose_odom_base == start.pose_odom_base
+        assert "from the prediction" in result.reason
+        assert "usual 100%" in result.reason
+
+
+def test_a_jump_is_believed_where_all_walls_agree() -> None:
+    start = replace(predicted(SE2(0.12, 0.0, 0.0), sigma=0.02), is_measured=False)
+    result = new_matcher().match(square(), start, mapped(square()))
+    assert result.state == "ok"
+    assert abs(result.motion.pose_odom_base.x_m) < 0.02
+
+
 def test_too_few_returns_name_the_sensor_and_what_to_look_at() -> None:
     result = match(points_of(square().xy_base[:7]), SE2(), mapped(square()))
     assert result.state == "lost"
@@ -76,6 +103,8 @@ def test_a_detached_submap_is_tried_where_the_old_one_fails() -> None:
     chain.insert(far, match_at(SE2(50.0, 0.0, 0.0), far, "lost"))
     result = match(far, SE2(50.03, 0.0, 0.01), chain)
     assert (result.state, result.submap) == ("ok", 1)
+    assert isinstance(result.motion, Matched)
+    assert result.motion.on_new_map
     assert abs(result.motion.pose_odom_base.x_m - 50.0) < 1e-3
 
 
