@@ -1,8 +1,11 @@
+import pickle
+
 import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
+from service.mapper.stages import Drawn
 from service.outputs import TileUpdate
 from tests.service.mapper.maps.points import points_of, square
 
@@ -104,3 +107,28 @@ def test_a_map_spreads_to_negative_tiles_and_keeps_what_it_had() -> None:
     for x, y in [(0.0, 0.0), (-40.0, 3.0), (25.0, -60.0), (-5.0, 70.0)]:
         assert cell(tiles, x + 1.0, y + 0.01) > 60
     assert shown.tile_count == len(tiles)
+
+
+def test_a_sheet_takes_the_place_of_all_there_was_with_rising_versions() -> None:
+    shown = new_map()
+    shown.insert(points_of(np.array([[1.0, 0.01], [8.0, 0.01]])), SE2())
+    first = shown.changed_tiles()
+    wall = Drawn(np.array([[1.0, 0.01], [3.0, 0.01]], np.float32), (0.0, 0.0), SE2(0.0, 0.2, 0.0))
+    late = Drawn(np.array([[1.0, 0.01]], np.float32), (0.0, 0.0), SE2(0.0, 1.0, 0.0))
+    sheet = pickle.loads(pickle.dumps(shown.painter)).paint([wall])
+    shown.lay(sheet, [late])
+    second = shown.changed_tiles()
+    assert min(t.version for t in second) > max(t.version for t in first)
+    assert cell(second, 3.0, 0.21) > 60
+    assert cell(second, 1.0, 0.01) == -1  # as if it had never been drawn
+    assert cell(second, 1.0, 1.01) > 60  # what the sheet does not know of
+    assert (next(t for t in second if t.ix == 2).cells == -1).all()
+
+
+def test_a_sheet_that_shows_the_same_changes_no_tile() -> None:
+    shown = new_map()
+    seen = Drawn(square(2.01).xy_base.astype(np.float32), (0.0, 0.0), SE2())
+    shown.lay(shown.painter.paint([seen]), [])
+    assert shown.changed_tiles()
+    shown.lay(shown.painter.paint([seen]), [])
+    assert shown.changed_tiles() == []

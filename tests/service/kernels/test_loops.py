@@ -1,0 +1,88 @@
+import numpy as np
+
+from service.geometry.se2 import SE2
+from service.kernels.loops import (
+    align_surfels,
+    path_lengths,
+    share_in_free_space,
+    splat_field,
+    thin_points,
+)
+from service.kernels.occupancy import Evidence
+from service.mapper.graph.keyframes import Chain, Kept
+from service.mapper.graph.places import SETTINGS, Place
+from service.mapper.maps.occupancy import OccupancyPainter
+
+
+def lengths(step_m: list[float], of: list[int], to: list[int], start: int) -> np.ndarray:
+    out = np.empty(len(step_m) + 1)
+    path_lengths(np.array([*step_m, 0.0]), np.array(of, np.int64), np.array(to, np.int64), 1.0, start, out)
+    return out
+
+
+def test_path_lengths_agree_with_floyd_and_warshall():
+    random = np.random.default_rng(3)
+    for _ in range(10):
+        steps = random.uniform(0.1, 2.0, 39)
+        of, to = random.integers(0, 40, 5), random.integers(0, 40, 5)
+        d = np.full((40, 40), np.inf)
+        np.fill_diagonal(d, 0.0)
+        for i, step in enumerate(steps):
+            d[i, i + 1] = d[i + 1, i] = step
+        for a, b in zip(of, to, strict=True):
+            if a != b:
+                d[a, b] = d[b, a] = min(d[a, b], 1.0)
+        for k in range(40):
+            d = np.minimum(d, d[:, k : k + 1] + d[k : k + 1])
+        for start in (0, 17, 39):
+            np.testing.assert_allclose(lengths(steps.tolist(), of.tolist(), to.tolist(), start), d[start])
+
+
+def test_a_field_is_the_most_that_any_point_says():
+    xy = np.random.default_rng(1).uniform(0.3, 1.7, (30, 2))
+    field = np.zeros((20, 20), np.float32)
+    splat_field(xy, 0, 0, 0.1, 0.12, field)
+    centre = (np.arange(20) + 0.5) * 0.1
+    dx, dy = centre[None, :, None] - xy[:, 0], centre[:, None, None] - xy[:, 1]
+    near = (abs(np.floor(centre / 0.1)[None, :, None] - np.floor(xy[:, 0] / 0.1)) <= 2) & (
+        abs(np.floor(centre / 0.1)[:, None, None] - np.floor(xy[:, 1] / 0.1)) <= 2
+    )
+    expected = np.where(near, np.exp(-0.5 * (dx**2 + dy**2) / 0.12**2), 0.0).max(axis=2)
+    np.testing.assert_allclose(field, expected, rtol=1e-5)
+
+
+def test_points_that_are_left_lie_apart():
+    xy = np.column_stack((np.linspace(0.0, 1.0, 101), np.zeros(101)))
+    kept = np.empty(101, np.bool_)
+    thin_points(xy, 0.0499, kept)
+    np.testing.assert_allclose(np.diff(xy[kept, 0]), 0.05)
+    assert kept[0]
+
+
+def test_points_behind_a_wall_are_not_in_free_space_and_those_before_it_are():
+    painter = OccupancyPainter(Evidence(24, -10, -70, 70), 15.0, 0.1)
+    canvas = painter.canvas()
+    wall = np.column_stack((np.full(81, 4.05), np.linspace(-2.0, 2.0, 81)))
+    for _ in range(4):
+        canvas.draw(wall, (0.0, 0.0), SE2())
+    origin, grid = np.zeros(3), canvas.grid()
+    before = np.array([[2.0, 0.0], [2.5, 0.3]])
+    assert share_in_free_space(before, origin, grid, -20) == 1.0
+    assert share_in_free_space(wall, origin, grid, -20) == 0.0
+    assert share_in_free_space(before + np.array([5.0, 0.0]), origin, grid, -20) == 0.0  # unknown
+    assert share_in_free_space(before, np.array([2.05, 0.0, 0.0]), grid, -20) < 1.0
+
+
+def test_alignment_finds_a_corner_again():
+    side = np.linspace(-2.0, 1.95, 80)
+    xy = np.vstack((np.column_stack((np.full(80, 2.05), side)), np.column_stack((side, np.full(80, 2.05)))))
+    normals = np.vstack((np.tile([-1.0, 0.0, 1.0], (80, 1)), np.tile([0.0, -1.0, 1.0], (80, 1))))
+    chain = Chain()
+    chain._poses[0], chain.count = 0.0, 1
+    chain.kept.append(Kept(xy.astype(np.float32), normals.astype(np.float32), (0.0, 0.0)))
+    place = Place(chain, [0], 0)
+    pose, hessian = np.array([0.06, -0.05, 0.02]), np.zeros((3, 3))
+    used, inliers = align_surfels(xy, normals, place._grid(), SETTINGS, pose, hessian)
+    assert used == inliers == 160
+    np.testing.assert_allclose(pose, 0.0, atol=2e-3)
+    assert np.linalg.eigvalsh(hessian)[0] > 0.0

@@ -1,0 +1,40 @@
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from service.geometry.se2 import SE2
+from service.mapper.corrections import corrected
+from service.mapper.stages import Correction
+from service.outputs import MapperOutput
+
+
+def output(stamp_ns: int, pose_odom_base: SE2, pose_map_odom: SE2 | None = None) -> MapperOutput:
+    at = pose_map_odom or SE2()
+    return MapperOutput(stamp_ns, pose_odom_base, at, (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 1.0)
+
+
+STRAIGHT = [output(k, SE2(0.1 * k, 0.0, 0.0)) for k in range(11)]
+
+
+def test_without_corrections_poses_are_those_that_were_published():
+    moved = output(1, SE2(1.0, 0.0, 0.0), SE2(0.0, 2.0, 0.0))
+    assert corrected([moved], []) == [moved.pose_map_base]
+
+
+def test_the_way_meets_the_corrected_scans_and_bends_evenly_between():
+    start = Correction(2, SE2(0.2, 0.0, 0.0), SE2(0.2, 0.0, 0.0))
+    end = Correction(8, SE2(0.8, 0.0, 0.0), SE2(0.8, 0.6, 0.0))
+    poses = corrected(STRAIGHT, [start, end])
+    assert (poses[2], poses[8]) == (SE2(0.2, 0.0, 0.0), SE2(0.8, 0.6, 0.0))
+    rises = [b.y_m - a.y_m for a, b in pairwise(poses)]
+    np.testing.assert_allclose(rises, [0.0] * 2 + [0.1] * 6 + [0.0] * 2, atol=1e-12)
+
+
+def test_headings_are_bent_the_short_way():
+    turned = [output(0, SE2(0.0, 0.0, 3.1)), output(1, SE2(0.0, 0.0, 3.1)), output(2, SE2(0.0, 0.0, 3.1))]
+    ends = [
+        Correction(0, SE2(0.0, 0.0, 3.1), SE2(0.0, 0.0, 3.1)),
+        Correction(2, SE2(0.0, 0.0, 3.1), SE2(0.0, 0.0, -3.1)),
+    ]
+    assert abs(corrected(turned, ends)[1].theta_rad) == pytest.approx(np.pi, abs=1e-9)
