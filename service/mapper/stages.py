@@ -138,7 +138,7 @@ class FreeSpaceMap(Protocol):
     def insert(self, points: Points, pose_map_base: SE2) -> None: ...
 
     def lay(self, sheet: Sheet, since: Sequence[Drawn]) -> None:
-        """Show the sheet instead of all there is, and draw `since` into it. Versions go on rising."""
+        """Show the sheet instead of all there is, and draw `since` into it soon. Versions go on rising."""
         ...
 
     def changed_tiles(self) -> list[TileUpdate]:

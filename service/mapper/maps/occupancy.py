@@ -1,6 +1,7 @@
 """What is shown and driven on: occupancy in tiles of 64 cells a side, in the map frame."""
 
 import math
+from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -40,6 +41,7 @@ class OccupancyConfig(BaseModel):
     most_log_odds: float = Field(default=3.5, gt=0.0, le=6.0)  # of both signs; 3.5 is 97 %
 
 
+DRAWN_AT_ONCE = 2  # scans of before a correction, with each new one
 STEP_LOG_ODDS = 0.05  # so that +-6 fits in a byte
 
 
@@ -145,6 +147,7 @@ class OccupancyTiles:
         self._canvas = self.painter.canvas()
         self._shown: dict[int, npt.NDArray[np.int8]] = {}  # by slot: the cells as last handed out
         self._version = 0
+        self._to_draw: deque[Drawn] = deque()
         self._last: tuple[SE2, int] | None = None
 
     @property
@@ -152,6 +155,9 @@ class OccupancyTiles:
         return self._canvas.pool.used_count
 
     def insert(self, points: Points, pose_map_base: SE2) -> None:
+        self._canvas.draw_again(
+            [self._to_draw.popleft() for _ in range(min(DRAWN_AT_ONCE, len(self._to_draw)))]
+        )
         stamp_ns = points.scan.stamp_ns
         if len(points.xy_base) == 0 or not self._is_due(pose_map_base, stamp_ns):
             return
@@ -160,9 +166,12 @@ class OccupancyTiles:
         self._canvas.draw(points.xy_base, (sensor.x_m, sensor.y_m), pose_map_base)
 
     def lay(self, sheet: Sheet, since: Sequence[Drawn]) -> None:
-        """Tiles that the sheet lacks become unknown; only those that differ get a new version."""
+        """Tiles that the sheet lacks become unknown; only those that differ get a new version.
+
+        `since` is drawn with the next scans, a few with each, so that none of them has to wait.
+        """
         self._canvas.lay(sheet)
-        self._canvas.draw_again(since)
+        self._to_draw = deque(since)
 
     def changed_tiles(self) -> list[TileUpdate]:
         evidence, _touched, changed = self._canvas.pool.arrays

@@ -117,6 +117,7 @@ def test_a_sheet_takes_the_place_of_all_there_was_with_rising_versions() -> None
     late = Drawn(np.array([[1.0, 0.01]], np.float32), (0.0, 0.0), SE2(0.0, 1.0, 0.0))
     sheet = pickle.loads(pickle.dumps(shown.painter)).paint([wall])
     shown.lay(sheet, [late])
+    shown.insert(points_of(np.empty((0, 2)), SECOND_NS), SE2())  # with the next scan, whatever it sees
     second = shown.changed_tiles()
     assert min(t.version for t in second) > max(t.version for t in first)
     assert cell(second, 3.0, 0.21) > 60
