@@ -90,6 +90,7 @@ class WeighedMotion:
         self._drift = MapDrift(config.drift_turn_m)
         self._last: tuple[int, Motion] | None = None
         self._predicted: Prediction | None = None
+        self._rolled: SE2 | None = None  # what the wheels said of the way to the last prediction
         self._relative = np.zeros((3, 3))  # of the last pose, on the map
         self._has_speed = False  # two scans were matched, so their difference is a speed
 
@@ -105,42 +106,32 @@ class WeighedMotion:
     def correct(self, stamp_ns: int, matched: Motion) -> Motion:
         predicted = self._predicted if self._predicted is not None else self._first(stamp_ns)
         is_match = matched.pose_odom_base != predicted.pose_odom_base or isinstance(matched, Matched)
+        information = _information_of(matched) if is_match else UNKNOWN
+        relative = on_the_map(information, predicted.step_covariance) if is_match else self._relative
         if self._last is not None:
-            self._advance(*self._last, stamp_ns, matched, is_match, predicted)
-        if is_match:
-            self._relative = on_the_map(_information_of(matched), predicted.step_covariance)
-        covariance = self._drift.covariance(self._trust.scale_sigma) + self._relative
+            last_ns, last = self._last
+            step = last.pose_odom_base.inverse() @ matched.pose_odom_base
+            loss, per_m = self._loss(
+                step, (stamp_ns - last_ns) * 1e-9, predicted.is_measured, predicted.step_covariance
+            )
+            if isinstance(matched, Matched) and matched.on_new_map:
+                self._drift.add(self._relative)
+            self._drift.advance(step, loss, information, per_m if is_match else 0.0)
+            if is_match:
+                self._learn(last_ns, stamp_ns, step, relative)
+                self._has_speed = True
+            else:  # the map stays where it is, the pose on it grows vague
+                relative = carried(relative, step) + np.diag(loss)
+        self._relative = relative
+        covariance = self._drift.covariance(self._trust.scale_sigma) + relative
         believed = replace(matched, covariance=covariance)
         self._last = (stamp_ns, believed)
         return believed
 
-    def _advance(
-        self,
-        last_ns: int,
-        last: Motion,
-        stamp_ns: int,
-        matched: Motion,
-        is_match: bool,
-        predicted: Prediction,
-    ) -> None:
-        """Carry what is known over the step to a match; without a match the pose on the map grows vague."""
-        step = last.pose_odom_base.inverse() @ matched.pose_odom_base
-        elapsed_s = (stamp_ns - last_ns) * 1e-9
-        loss, per_m = self._loss(step, elapsed_s, predicted.is_measured, predicted.step_covariance)
-        if not is_match:
-            self._drift.advance(step, loss, UNKNOWN, per_m=0.0)
-            self._relative = carried(self._relative, step) + np.diag(loss)
-            return
-        if isinstance(matched, Matched) and matched.on_new_map:
-            self._drift.add(self._relative)
-        information = _information_of(matched)
-        self._drift.advance(step, loss, information, per_m)
-        self._learn(last_ns, stamp_ns, step, on_the_map(information, predicted.step_covariance))
-        self._has_speed = True
-
     def _next(self, stamp_ns: int, last_ns: int, last: Motion) -> Prediction:
         elapsed_s = (stamp_ns - last_ns) * 1e-9
         way = self._odometry.between(last_ns, stamp_ns)
+        self._rolled = way.motion if way is not None else None
         if way is not None:
             step = self._trust.corrected(way.motion)
             sigma_m, sigma_rad = self._wheel_sigmas(step, way.guessed_s)
@@ -185,12 +176,11 @@ class WeighedMotion:
     def _learn(self, last_ns: int, stamp_ns: int, step: SE2, relative: npt.NDArray[np.float64]) -> None:
         config = self._config
         self._gyro.learn_bias(last_ns, stamp_ns, step.theta_rad)
-        way = self._odometry.between(last_ns, stamp_ns)
-        if way is None:
+        if self._rolled is None:
             return
-        sigma_m, _, sigma_rad = np.sqrt(np.diag(relative)).tolist()
+        sigma_m, sigma_rad = math.sqrt(relative[0, 0]), math.sqrt(relative[2, 2])
         self._trust.learn(
-            way.motion,
+            self._rolled,
             step,
             sigma_m if sigma_m < config.wheel_learn_sigma_m else None,
             sigma_rad if sigma_rad < config.wheel_learn_sigma_rad else None,
