@@ -12,9 +12,10 @@ from service.geometry import poses as se2
 from service.geometry.se2 import SE2
 from service.kernels.loops import path_lengths, thin_points
 from service.kernels.normals import estimate_normals
+from service.mapper.graph.clouds import Cloud, Fit
 from service.mapper.graph.keyframes import Chain, Floats, Kept, KeyFrame
 from service.mapper.graph.loops import Loop, agree, as_edges, disagreement, loop_of
-from service.mapper.graph.places import Cloud, Fit, Place, cloud_of
+from service.mapper.graph.places import Place, cloud_of
 from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, solve, to_g2o
 from service.mapper.maps.submaps import NormalsConfig
 from service.mapper.stages import Correction, Drawn, Painter, Sheet

@@ -10,7 +10,8 @@ from service.kernels.loops import (
 )
 from service.kernels.occupancy import Evidence
 from service.mapper.graph.keyframes import Chain, Kept
-from service.mapper.graph.places import SETTINGS, Place
+from service.mapper.graph.clouds import SETTINGS
+from service.mapper.graph.places import Place
 from service.mapper.maps.occupancy import OccupancyPainter
 
 

@@ -1,0 +1,97 @@
+"""Points with the directions of the walls they lie on, and surfels to lay such clouds on."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry import poses as se2
+from service.geometry.grid import tiles_of
+from service.kernels import surfels
+from service.kernels.loops import align_surfels
+from service.kernels.match import MatchSettings
+from service.kernels.surfels import SurfelGrid, insert_surfels
+from service.mapper.graph.keyframes import Floats
+from service.mapper.maps.tiles import Layer, TileMap, TilePool
+
+CELL_M = 0.10
+COUNT_LIMIT = 50.0
+POOL_TILES = 4096
+SETTINGS = MatchSettings(
+    sigma_m=0.05,
+    cauchy_m=0.10,
+    least_normal_cosine=0.6,
+    young_count=3.0,
+    iterations=15,
+    deskew_rounds=0,
+    inlier_m=0.10,
+    coarse_sigma=0.3,
+    coarse_beams=180,
+    coarse_iterations=0,
+    settled_m=0.0005,
+    settled_rad=0.0001,
+    blind_sigma_m=0.0,
+    covariance_scale=2.0,
+)
+NO_FIELD: npt.NDArray[np.float32] = np.zeros((POOL_TILES, 1, 1), np.float32)  # nothing reads it here
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cloud:
+    """Points of one or more scans in one frame."""
+
+    xy: Floats  # (N, 2) m
+    normals: Floats  # (N, 3) as estimate_normals gives them
+
+    def laid_at(self, pose: Floats) -> "Cloud":
+        """The cloud in the frame that its own has the pose (3,) in."""
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        normals = self.normals.copy()
+        normals[:, 0] = c * self.normals[:, 0] - s * self.normals[:, 1]
+        normals[:, 1] = s * self.normals[:, 0] + c * self.normals[:, 1]
+        return Cloud(se2.points_from(pose, self.xy), normals)
+
+
+def joined(clouds: Sequence[Cloud]) -> Cloud:
+    """Clouds of one frame as one."""
+    return Cloud(
+        np.concatenate([cloud.xy for cloud in clouds]), np.concatenate([cloud.normals for cloud in clouds])
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """How a cloud lies on surfels."""
+
+    pose: Floats  # (3,) of the cloud's frame in theirs
+    hessian: Floats  # (3, 3) in the axes of the surfels
+    share: float  # of the points asked that lie on them
+
+
+class SurfelCloud:
+    """A cloud as surfels."""
+
+    def __init__(self, cloud: Cloud) -> None:
+        cells = (surfels.TILE_CELLS,) * 2 + (2, 5)
+        self._tiles = TileMap(TilePool((Layer(cells, np.float32),), POOL_TILES))
+        if len(cloud.xy):
+            cover(self._tiles, surfels.TILE_BITS, cloud.xy)
+            insert_surfels(cloud.xy, cloud.normals, np.zeros(3), self._grid(), COUNT_LIMIT)
+
+    def align(self, cloud: Cloud, pose: Floats) -> Fit:
+        """Another cloud laid on it, from a pose near enough."""
+        aligned, hessian = pose.copy(), np.zeros((3, 3))
+        used, inliers = align_surfels(cloud.xy, cloud.normals, self._grid(), SETTINGS, aligned, hessian)
+        return Fit(aligned, hessian, inliers / used if used else 0.0)
+
+    def _grid(self) -> SurfelGrid:
+        (cells,) = self._tiles.pool.arrays
+        return SurfelGrid(self._tiles.index(), cells, NO_FIELD, CELL_M)  # type: ignore[arg-type]
+
+
+def cover(tiles: TileMap, tile_bits: int, xy: Floats) -> None:
+    """Let a map of cells of CELL_M hold some points."""
+    low, high = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
+    tiles.cover(tiles_of((low[0], low[1]), (high[0], high[1]), CELL_M, tile_bits, margin_cells=1))
