@@ -14,9 +14,6 @@ TILE_CELLS = 1 << TILE_BITS
 TILE_MASK = TILE_CELLS - 1
 # Columns of a surfel: how many points it stands for, mean from the centre of its cell (m), unit normal.
 COUNT, MEAN_X, MEAN_Y, NORMAL_X, NORMAL_Y = range(5)
-# A point belongs to a surfel beyond the border of its cell if it faces the same way and lies this near.
-SAME_WALL_COSINE = np.float32(0.9)
-SAME_WALL_CELLS = np.float32(0.5)
 
 
 class SurfelGrid(NamedTuple):
@@ -47,69 +44,11 @@ def touch_tile(grid, tile_row, tile_column):
 
 
 @njit(cache=True, nogil=True)
-def choose_surfel(grid, row, column, dx, dy, nx, ny):
-    """Where a point is to be merged: its own cell, or one beside it whose surfel stands for the same wall.
-
-    A wall on the border of two cells would else become two surfels, each a mean of the half of the noise that
-    falls to its side, and points that go to the nearer of them would hardly feel how far off they are.
-
-    grid          SurfelGrid
-    row, column   int       cell of the point; its tile is made where there is none
-    dx, dy        float32   point from the centre of that cell, m
-    nx, ny        float32   its normal, in the axes of the grid
-    Returns (slot, row and column in the tile, side, point from the centre of the chosen cell).
-    """
-    surfels = grid.surfels
-    cell_m = np.float32(grid.cell_m)
-    slot = touch_tile(grid, row >> TILE_BITS, column >> TILE_BITS)
-    r = row & TILE_MASK
-    q = column & TILE_MASK
-    side = 0
-    cosine = surfels[slot, r, q, 0, NORMAL_X] * nx + surfels[slot, r, q, 0, NORMAL_Y] * ny
-    if surfels[slot, r, q, 0, COUNT] > 0.0 and cosine <= 0.0:
-        side = 1
-    most = surfels[slot, r, q, side, COUNT]
-    own_x = dx
-    own_y = dy
-    across_x = abs(nx) > abs(ny)
-    for step in (-1, 1):
-        other_row = row if across_x else row + step
-        other_column = column + step if across_x else column
-        other = find_tile(grid.tiles, other_row >> TILE_BITS, other_column >> TILE_BITS)
-        if other == NO_TILE:
-            continue
-        other_r = other_row & TILE_MASK
-        other_q = other_column & TILE_MASK
-        x = own_x - np.float32(step) * cell_m if across_x else own_x
-        y = own_y if across_x else own_y - np.float32(step) * cell_m
-        for k in range(2):
-            n = surfels[other, other_r, other_q, k, COUNT]
-            if n <= most:
-                continue
-            sx = surfels[other, other_r, other_q, k, NORMAL_X]
-            sy = surfels[other, other_r, other_q, k, NORMAL_Y]
-            if sx * nx + sy * ny < SAME_WALL_COSINE:
-                continue
-            mx = surfels[other, other_r, other_q, k, MEAN_X]
-            my = surfels[other, other_r, other_q, k, MEAN_Y]
-            if abs(sx * (x - mx) + sy * (y - my)) > SAME_WALL_CELLS * cell_m:
-                continue
-            most = n
-            slot = other
-            r = other_r
-            q = other_q
-            side = k
-            dx = x
-            dy = y
-    return slot, r, q, side, dx, dy
-
-
-@njit(cache=True, nogil=True)
 def insert_surfels(xy_base, normals, pose, grid, count_limit):
     """Merge the points of a scan into the surfels of a sub-map whose index covers them.
 
     xy_base       (N, 2) float64   m, base frame
-    normals       (N, 3) float64   from estimate_normals; only planar points, of weight 1 or more
+    normals       (N, 3) float64   from estimate_normals; only planar points, of weight 1, are taken
     pose          (3,)   float64   pose of the base in the frame of the grid
     grid          SurfelGrid       in and out
     count_limit   float            a surfel forgets: it never stands for more points than this
@@ -131,7 +70,13 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit):
         row = math.floor(y * cells_per_m)
         dx = np.float32(x - (column + 0.5) * cell_m)
         dy = np.float32(y - (row + 0.5) * cell_m)
-        slot, r, q, side, dx, dy = choose_surfel(grid, row, column, dx, dy, nx, ny)
+        slot = touch_tile(grid, row >> TILE_BITS, column >> TILE_BITS)
+        r = row & TILE_MASK
+        q = column & TILE_MASK
+        side = 0
+        cosine = surfels[slot, r, q, 0, NORMAL_X] * nx + surfels[slot, r, q, 0, NORMAL_Y] * ny
+        if surfels[slot, r, q, 0, COUNT] > 0.0 and cosine <= 0.0:
+            side = 1
         n = min(surfels[slot, r, q, side, COUNT], limit - np.float32(1.0))
         share = np.float32(1.0) / (n + np.float32(1.0))
         surfels[slot, r, q, side, MEAN_X] += (dx - surfels[slot, r, q, side, MEAN_X]) * share

@@ -55,7 +55,7 @@ class SubmapsConfig(BaseModel):
     keyframe_distance_m: float = Field(default=0.05, gt=0.0)
     keyframe_turn_rad: float = Field(default=0.05, gt=0.0)
     first_scans: int = Field(default=5, ge=1)  # all of the first ones of a map are taken, even standing
-    count_limit: int = Field(default=200, ge=2)
+    count_limit: int = Field(default=50, ge=2)
     field_sigma_m: float = Field(default=0.15, gt=0.0)
     field_enough: float = Field(default=0.95, gt=0.0, le=1.0)
 
