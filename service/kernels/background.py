@@ -24,6 +24,7 @@ class LearningSettings(NamedTuple):
     is_printed: bool
     is_bounded: bool
     counts_blur: bool
+    scans: int = 1  # so many like it a scan stands for: those before it that were not learned
 
 
 @njit(cache=True, nogil=True)
@@ -101,30 +102,34 @@ def mark_unseen(level, protect_count, cells):
 
 
 @njit(cache=True, nogil=True)
+def kept_rising(highest, settings):
+    """Share of its likelihood that a cell keeps where it is brought nearer to a scan. Source: eq. 14."""
+    return (1.0 - settings.rate * (1.0 + settings.control * highest)) ** settings.scans
+
+
+@njit(cache=True, nogil=True)
 def increase(likelihood, highest, value, settings):
     """Likelihood of a cell that is hit again, by a scan that gives it `value`.
 
     Source: paper 000, eqs. 13 and 14. Where settings.is_printed is false, max() with the scan is left out:
     with it one hit is as good as a hundred, and noise adds up to a wall as thick as the worst scan makes it.
     """
-    rate = settings.rate * (1.0 + settings.control * highest)
     base = max(likelihood, value) if settings.is_printed else likelihood
-    return (1.0 - rate) * base + rate
+    return 1.0 - kept_rising(highest, settings) * (1.0 - base)
 
 
 @njit(cache=True, nogil=True)
 def decrease(likelihood, highest, settings):
     """Likelihood of a cell that nothing was seen in. Source: paper 000, eqs. 15 and 16."""
-    return (1.0 - settings.rate / (1.0 + settings.control * highest)) * likelihood
+    return (1.0 - settings.rate / (1.0 + settings.control * highest)) ** settings.scans * likelihood
 
 
 @njit(cache=True, nogil=True)
-def store(level, slot, r, q, likelihood, counts):
-    """Put a new likelihood into a cell, keep the highest, and count the scan."""
+def store(level, slot, r, q, likelihood, scans):
+    """Put a new likelihood into a cell, keep the highest, and count so many scans."""
     level.likelihood[slot, r, q] = np.float32(likelihood)
     level.highest[slot, r, q] = max(level.highest[slot, r, q], np.float32(likelihood))
-    if counts and level.seen[slot, r, q] < MOST_SEEN:
-        level.seen[slot, r, q] += np.uint16(1)
+    level.seen[slot, r, q] = np.uint16(min(level.seen[slot, r, q] + scans, MOST_SEEN))
 
 
 @njit(cache=True, nogil=True)
@@ -206,7 +211,7 @@ def learn_scan(level, settings, cells):
             new = np.float64(cells.value[k])
             if level.seen[slot, r, q] > 0:
                 new = increase(old, highest, new, settings)
-            store(level, slot, r, q, new, True)
+            store(level, slot, r, q, new, settings.scans)
         elif cells.kind[k] == PASSED:
             level.likelihood[slot, r, q] = np.float32(decrease(old, highest, settings))
     if settings.is_printed:
@@ -217,15 +222,15 @@ def learn_scan(level, settings, cells):
         value = np.float64(cells.value[k])
         slot, r, q = cells.place[k, 0], cells.place[k, 1] & TILE_MASK, cells.place[k, 2] & TILE_MASK
         if level.seen[slot, r, q] == 0:
-            store(level, slot, r, q, value, True)
+            store(level, slot, r, q, value, settings.scans)
             continue
         old = np.float64(level.likelihood[slot, r, q])
         if settings.is_printed:
             new = interpolated(level, k, old, value, settings, cells)
         else:
-            rate = settings.rate * (1.0 + settings.control * np.float64(level.highest[slot, r, q]))
-            new = (1.0 - rate) * old + rate * value
-        store(level, slot, r, q, new, settings.counts_blur)
+            kept = kept_rising(np.float64(level.highest[slot, r, q]), settings)
+            new = kept * old + (1.0 - kept) * value
+        store(level, slot, r, q, new, settings.scans if settings.counts_blur else 0)
 
 
 @njit(cache=True, nogil=True)

@@ -1,5 +1,6 @@
 """A likelihood map learned from all scans, in a pyramid: blurred contours and a background model."""
 
+import math
 from typing import Literal
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.geometry.grid import tiles_of
+from service.geometry.se2 import SE2
 from service.kernels.background import LearningSettings, learn_scan, mark_passed, mark_unseen
 from service.kernels.contour_blur import (
     BlurSettings,
@@ -33,7 +35,7 @@ class ContoursConfig(BaseModel):
 
     longest_step_m: float = Field(default=0.15, gt=0.0)  # d_th
     most_ratio: float = Field(default=2.0, ge=1.0)  # r_th
-    lone_points: bool = True  # points without a contour enter the map as blobs
+    lone_points: bool = False  # points without a contour enter the map as blobs
 
 
 class BlurConfig(BaseModel):
@@ -71,6 +73,9 @@ class ContourMapConfig(BaseModel):
 
     cell_m: float = Field(default=0.025, ge=0.005, le=0.5)  # of the finest level
     levels: int = Field(default=3, ge=1, le=6)  # each with cells twice as wide as the one before
+    insert_distance_m: float = Field(default=0.05, ge=0.0)  # learn after so much way,
+    insert_turn_rad: float = Field(default=0.05, ge=0.0)  # ... or turn,
+    insert_time_s: float = Field(default=0.1, ge=0.0)  # ... or time; 0: every scan
     contours: ContoursConfig = ContoursConfig()
     blur: BlurConfig = BlurConfig()
     learning: LearningConfig = LearningConfig()
@@ -111,7 +116,12 @@ class ContourMap:
         )
         self._tiles = [TileMap(self._pool) for _ in range(config.levels)]
         self._cells = _room_for(FIRST_SCAN_CELLS)
-        self.is_empty = True
+        self._last: tuple[int, SE2] | None = None  # when, and from where, a scan was learned
+        self._skipped = 0  # scans since then
+
+    @property
+    def is_empty(self) -> bool:
+        return self._last is None
 
     @property
     def level_count(self) -> int:
@@ -135,6 +145,10 @@ class ContourMap:
         if not len(points.xy_base) or (match.state == "lost" and not self.is_empty):
             return MapChange()
         pose = match.motion.pose_odom_base
+        if not self._is_due(points.scan.stamp_ns, pose):
+            self._skipped += 1
+            return MapChange()
+        learning = self._learning._replace(scans=1 + self._skipped)
         pose_vector = np.array([pose.x_m, pose.y_m, pose.theta_rad])
         contour = np.empty(len(points.xy_base), np.int32)
         contours = self._config.contours
@@ -158,10 +172,24 @@ class ContourMap:
                 forget_scan(level, self._cells)
                 self._cells = _room_for(wanted)
                 self._mark(points, contour, pose_vector, level)
-            learn_scan(level, self._learning, self._cells)
+            learn_scan(level, learning, self._cells)
             forget_scan(level, self._cells)
-        self.is_empty = False
+        self._last = (points.scan.stamp_ns, pose)
+        self._skipped = 0
         return MapChange(is_keyframe=True)
+
+    def _is_due(self, stamp_ns: int, pose: SE2) -> bool:
+        """Whether the next scan is to be learned; it then stands for those that were left out before it."""
+        if self._last is None:
+            return True
+        config = self._config
+        last_ns, last = self._last
+        step = last.inverse() @ pose
+        return (
+            (stamp_ns - last_ns) * 1e-9 >= config.insert_time_s
+            or math.hypot(step.x_m, step.y_m) >= config.insert_distance_m
+            or abs(step.theta_rad) >= config.insert_turn_rad
+        )
 
     def _mark(
         self,
