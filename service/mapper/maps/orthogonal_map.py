@@ -63,6 +63,7 @@ class OrthogonalMapConfig(BaseModel):
     rule: Literal["noisy_or", "maximum"] = "noisy_or"
     insert_distance_m: float = Field(default=0.5, ge=0.0)
     insert_turn_rad: float = Field(default=0.2, ge=0.0)
+    insert_share: float = Field(default=0.8, ge=0.0, le=1.0)  # at once where less of the scan lies on the map
     first_scans: int = Field(default=1, ge=1)
 
 
@@ -132,7 +133,7 @@ class OrthogonalMap:
 
     def insert(self, points: Points, match: Match) -> MapChange:
         pose = match.motion.pose_odom_base
-        if match.state == "lost" or len(points.xy_base) == 0 or not self._is_due(pose):
+        if match.state == "lost" or len(points.xy_base) == 0 or not self._is_due(match):
             return MapChange()
         gap_m = self._gaps(points)
         if self.is_empty and self._config.align_axes:
@@ -193,10 +194,12 @@ class OrthogonalMap:
             return
         self.pose_axes_odom = SE2(0.0, 0.0, -wrap_angle(pose.theta_rad + axes_rad))
 
-    def _is_due(self, pose: SE2) -> bool:
+    def _is_due(self, match: Match) -> bool:
         if self._last is None or self._scan_count < self._config.first_scans:
             return True
-        step = self._last.inverse() @ pose
+        if match.score < self._config.insert_share:
+            return True
+        step = self._last.inverse() @ match.motion.pose_odom_base
         return (
             math.hypot(step.x_m, step.y_m) >= self._config.insert_distance_m
             or abs(step.theta_rad) >= self._config.insert_turn_rad
