@@ -26,38 +26,50 @@ class IcpResult(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def closest_points(xy, ordered, most_m, partner):
-    """The nearest of some points for each of others, exactly: outwards along x until no nearer one is left.
+def closest_points(xy, others, bearing_rad, most_m, partner):
+    """The nearest of some points for each of others: outwards by bearing until no nearer one is left.
 
-    xy        (N, 2) float64   m
-    ordered   (M, 2) float64   m, by rising x; M > 0
-    most_m    float            a farther one is no partner
-    partner   (N,)   int64     out: row of ordered, -1 where there is none
+    A point at r whose bearing differs by d is no nearer than r sin d, or r beyond a right angle. The points
+    of a scan lie side by side by bearing, so few are asked, however the walls run.
+
+    xy            (N, 2) float64   m
+    others        (M, 2) float64   m, by rising bearing; M > 0
+    bearing_rad   (M,)   float64   atan2(y, x) of each
+    most_m        float            a farther one is no partner
+    partner       (N,)   int64     out: row of others, -1 where there is none
     """
-    last = ordered.shape[0] - 1
+    count = others.shape[0]
     for n in range(xy.shape[0]):
         x = xy[n, 0]
         y = xy[n, 1]
-        right = np.searchsorted(ordered[:, 0], x)
-        left = right - 1
+        reach = math.hypot(x, y)
+        own_rad = math.atan2(y, x)
+        right = np.searchsorted(bearing_rad, own_rad) % count
+        left = (right - 1) % count
         nearest = most_m * most_m
         partner[n] = -1
-        while True:
-            to_right = ordered[right, 0] - x if right <= last else np.inf
-            to_left = x - ordered[left, 0] if left >= 0 else np.inf
-            if min(to_left, to_right) ** 2 > nearest:
-                break
-            at = right if to_right <= to_left else left
-            square = (ordered[at, 0] - x) ** 2 + (ordered[at, 1] - y) ** 2
-            if square < nearest:
-                nearest = square
-                partner[n] = at
-            if at == right:
-                right += 1
-            else:
-                left -= 1
-            if right > last and left < 0:
-                break
+        right_open = left_open = True
+        asked = 0
+        while asked < count and (right_open or left_open):
+            for side in range(2):
+                if not (right_open if side == 0 else left_open) or asked == count:
+                    continue
+                at = right if side == 0 else left
+                off_x = others[at, 0] - x
+                off_y = others[at, 1] - y
+                square = off_x * off_x + off_y * off_y
+                asked += 1
+                if square < nearest:
+                    nearest = square
+                    partner[n] = at
+                ahead = x * others[at, 0] + y * others[at, 1] > 0.0
+                bound = reach * abs(math.sin(bearing_rad[at] - own_rad)) if ahead else reach
+                if side == 0:
+                    right = right + 1 if right < count - 1 else 0
+                    right_open = bound * bound < nearest
+                else:
+                    left = left - 1 if left > 0 else count - 1
+                    left_open = bound * bound < nearest
 
 
 @njit(cache=True, nogil=True)
@@ -78,7 +90,10 @@ def icp_point_to_point(newer, older, start, most_m, iterations, settled):
     moved = np.empty((newer.shape[0], 2))
     if older.shape[0] == 0:
         return IcpResult(step, np.inf, 0, 0)
-    ordered = older[np.argsort(older[:, 0], kind="mergesort")]
+    bearing_rad = np.arctan2(older[:, 1], older[:, 0])
+    order = np.argsort(bearing_rad, kind="mergesort")
+    ordered = older[order]
+    bearing_rad = bearing_rad[order]
     rms_m = np.inf
     paired = 0
     done = 0
@@ -88,7 +103,7 @@ def icp_point_to_point(newer, older, start, most_m, iterations, settled):
         for n in range(newer.shape[0]):
             moved[n, 0] = step[0] + c * newer[n, 0] - s * newer[n, 1]
             moved[n, 1] = step[1] + s * newer[n, 0] + c * newer[n, 1]
-        closest_points(moved, ordered, most_m, partner)
+        closest_points(moved, ordered, bearing_rad, most_m, partner)
         px = py = qx = qy = square = 0.0
         paired = 0
         for n in range(newer.shape[0]):

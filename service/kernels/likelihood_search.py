@@ -118,35 +118,39 @@ def turned_cells(xy_base, weights, window, k, cell_m, cells, shares):
 
 
 @njit(cache=True, nogil=True)
-def add_block(layer, row, column, weight, sums):
+def add_block(layer, values, row, column, weight, shape, sums, begin):
     """Add weight times the cells [row, row + J) x [column, column + I) of a layer to sums.
 
+    values        layer.cells, flat
     row, column   int
     weight        float32
-    sums          (J, I) float32   in and out
+    shape         (J, I) int
+    sums          flat float32, in and out; J rows of I from `begin` on
+    Indices are unsigned and arrays flat: with no sign to ask for, the inner loops add many cells at once.
     """
+    rows, columns = shape
     tile_cells = layer.cells.shape[1]
     empty = weight * np.float32(layer.empty)
     j = 0
-    while j < sums.shape[0]:
+    while j < rows:
         tile_row = (row + j) // tile_cells
         r = row + j - tile_row * tile_cells
-        height = min(tile_cells - r, sums.shape[0] - j)
+        height = min(tile_cells - r, rows - j)
         i = 0
-        while i < sums.shape[1]:
+        while i < columns:
             tile_column = (column + i) // tile_cells
             c = column + i - tile_column * tile_cells
-            width = min(tile_cells - c, sums.shape[1] - i)
+            width = min(tile_cells - c, columns - i)
             slot = find_tile(layer.tiles, tile_row, tile_column)
             for a in range(height):
-                to = sums[j + a, i : i + width]
+                to = np.uint64(begin + (j + a) * columns + i)
                 if slot == NO_TILE:
-                    for b in range(width):
-                        to[b] += empty
+                    for b in range(np.uint64(width)):
+                        sums[to + b] += empty
                 else:
-                    values = layer.cells[slot, r + a, c : c + width]
-                    for b in range(width):
-                        to[b] += weight * np.float32(values[b])
+                    of = np.uint64((slot * tile_cells + r + a) * tile_cells + c)
+                    for b in range(np.uint64(width)):
+                        sums[to + b] += weight * np.float32(values[of + b])
             i += width
         j += height
 
@@ -163,10 +167,39 @@ def score_window(xy_base, weights, layer, window):
     sums = np.zeros((2 * window.half_theta + 1, 2 * window.half_y + 1, 2 * window.half_x + 1), np.float32)
     cells = np.empty((xy_base.shape[0], 2), np.int64)
     shares = np.empty(xy_base.shape[0], np.float32)
+    shape = (sums.shape[1], sums.shape[2])
+    values = layer.cells.reshape(-1)
+    flat = sums.reshape(-1)
+    tile_cells = layer.cells.shape[1]
+    row_room = tile_cells - shape[0]  # a block that begins so far into a tile at most lies in it as a whole
+    column_room = tile_cells - shape[1]
+    tile_row = tile_column = np.int64(0)
+    slot = np.int64(find_tile(layer.tiles, tile_row, tile_column))
     for k in range(sums.shape[0]):
         count = turned_cells(xy_base, weights, window, k, layer.cell_m, cells, shares)
+        begin = k * shape[0] * shape[1]
         for n in range(count):
-            add_block(layer, cells[n, 0] - window.half_y, cells[n, 1] - window.half_x, shares[n], sums[k])
+            row = cells[n, 0] - window.half_y
+            column = cells[n, 1] - window.half_x
+            r = row - tile_row * tile_cells
+            c = column - tile_column * tile_cells
+            if not (0 <= r < tile_cells and 0 <= c < tile_cells):
+                tile_row = row // tile_cells
+                tile_column = column // tile_cells
+                slot = np.int64(find_tile(layer.tiles, tile_row, tile_column))
+                r = row - tile_row * tile_cells
+                c = column - tile_column * tile_cells
+            if slot == NO_TILE or r > row_room or c > column_room:
+                add_block(layer, values, row, column, shares[n], shape, flat, begin)
+                continue
+            weight = shares[n]
+            to = np.uint64(begin)
+            of = np.uint64((slot * tile_cells + r) * tile_cells + c)
+            for _ in range(shape[0]):
+                for b in range(np.uint64(shape[1])):
+                    flat[to + b] += weight * np.float32(values[of + b])
+                to += np.uint64(shape[1])
+                of += np.uint64(tile_cells)
     return sums
 
 
@@ -210,6 +243,32 @@ def search_exhaustive(xy_base, weights, layer, window):
 
 
 @njit(cache=True, nogil=True)
+def cells_asked(xy_base, window, cell_m):
+    """Cells of a layer that the points can come to lie in: rows [first, last], then columns, as 4 int."""
+    nowhere = np.int64(2**62)
+    first_row, last_row, first_column, last_column = nowhere, -nowhere, nowhere, -nowhere
+    for k in range(2 * window.half_theta + 1):
+        theta = window.pose[2] + (k - window.half_theta) * window.theta_step_rad
+        c = math.cos(theta) / cell_m
+        s = math.sin(theta) / cell_m
+        x = window.pose[0] / cell_m
+        y = window.pose[1] / cell_m
+        for n in range(xy_base.shape[0]):
+            row = np.int64(math.floor(y + s * xy_base[n, 0] + c * xy_base[n, 1]))
+            column = np.int64(math.floor(x + c * xy_base[n, 0] - s * xy_base[n, 1]))
+            first_row = min(first_row, row)
+            last_row = max(last_row, row)
+            first_column = min(first_column, column)
+            last_column = max(last_column, column)
+    return (
+        first_row - window.half_y,
+        last_row + window.half_y,
+        first_column - window.half_x,
+        last_column + window.half_x,
+    )
+
+
+@njit(cache=True, nogil=True)
 def build_pyramid(layer, first_row, first_column, levels):
     """Fill a max pyramid from the part of a layer that begins at a cell.
 
@@ -220,6 +279,7 @@ def build_pyramid(layer, first_row, first_column, levels):
     """
     height, width = levels.shape[1], levels.shape[2]
     tile_cells = layer.cells.shape[1]
+    empty = np.full(1, layer.empty, levels.dtype)[0]
     for r in range(height):
         tile_row = (first_row + r) // tile_cells
         row = first_row + r - tile_row * tile_cells
@@ -229,10 +289,14 @@ def build_pyramid(layer, first_row, first_column, levels):
             column = first_column + c - tile_column * tile_cells
             run = min(tile_cells - column, width - c)
             slot = find_tile(layer.tiles, tile_row, tile_column)
+            to = levels[0, r, c : c + run]
             if slot == NO_TILE:
-                levels[0, r, c : c + run] = layer.empty
+                for n in range(run):
+                    to[n] = empty
             else:
-                levels[0, r, c : c + run] = layer.cells[slot, row, column : column + run]
+                of = layer.cells[slot, row, column : column + run]
+                for n in range(run):
+                    to[n] = of[n]
             c += run
     pool_levels(levels, layer.empty)
     return MaxPyramid(levels, first_row, first_column, layer.empty, layer.offset, layer.scale, layer.cell_m)
@@ -250,8 +314,9 @@ def pool_levels(levels, empty):
             near = levels[level - 1, r]
             far = levels[level - 1, r + half] if r + half < height else outside
             out = levels[level, r]
+            near_next, far_next = near[width - inner :], far[width - inner :]
             for c in range(inner):
-                out[c] = max(max(near[c], near[c + half]), max(far[c], far[c + half]))
+                out[c] = max(max(near[c], near_next[c]), max(far[c], far_next[c]))
             for c in range(inner, width):
                 out[c] = max(max(near[c], far[c]), outside[c])
 

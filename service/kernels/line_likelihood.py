@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 from numba import njit
 
 from service.kernels.tiles import NO_TILE, find_tile
@@ -31,11 +32,14 @@ def raise_cell(layer, changed, row, column, levels, ring_cells):
         if cells[slot, r, c] == levels[0]:
             return  # was hit before, so its rings stand
         changed[slot] = 1
-        for a in range(-reach, reach + 1):
-            for b in range(-reach, reach + 1):
-                level = levels[(max(abs(a), abs(b)) + ring_cells - 1) // ring_cells]
-                if cells[slot, r + a, c + b] < level:
-                    cells[slot, r + a, c + b] = level
+        flat = cells.reshape(-1)  # flat, and indexed without a sign, so that a row is raised at once
+        for ring in range(RINGS, -1, -1):
+            around = ring * ring_cells
+            level = levels[ring]
+            for a in range(-around, around + 1):
+                begin = np.uint64((slot * tile_cells + r + a) * tile_cells + c - around)
+                for b in range(np.uint64(2 * around + 1)):
+                    flat[begin + b] = max(flat[begin + b], level)
         return
     for a in range(-reach, reach + 1):
         for b in range(-reach, reach + 1):
@@ -150,11 +154,11 @@ def monte_carlo_search(xy_base, layer, start, deviates, sigma_m, sigma_rad):
         value = mean_value(xy_base, trial, layer)
         if value > best_value:
             best_value = value
-            best[:] = trial
+            best = trial.copy()
         else:
             in_vain += 1
         if in_vain > stop // 3 and best_value > centre_value:
-            centre[:] = best
+            centre = best
             centre_value = best_value
             in_vain = 0
             sigma_m *= 0.5
@@ -175,20 +179,19 @@ def smooth_lines(xy_map, beam, join_m, half_m, smooth):
     smooth   (N, 2) float64   out
     """
     count = xy_map.shape[0]
+    joined = np.zeros(count + 1, np.bool_)  # with the point before
+    for n in range(1, count):
+        joined[n] = beam[n] == beam[n - 1] + 1 and square_between(xy_map, n, n - 1) <= join_m[n] ** 2
     for n in range(count):
         x = xy_map[n, 0]
         y = xy_map[n, 1]
         taken = 1
         left = right = n
         while left > 0 and right < count - 1:
-            if beam[left] != beam[left - 1] + 1 or beam[right + 1] != beam[right] + 1:
+            if not joined[left] or not joined[right + 1]:
                 break
-            if (
-                distance(xy_map, left, left - 1) > join_m[left]
-                or distance(xy_map, right, right + 1) > join_m[right + 1]
-                or distance(xy_map, n, left - 1) > half_m
-                or distance(xy_map, n, right + 1) > half_m
-            ):
+            farther = max(square_between(xy_map, n, left - 1), square_between(xy_map, n, right + 1))
+            if farther > half_m * half_m:
                 break
             left -= 1
             right += 1
@@ -200,5 +203,23 @@ def smooth_lines(xy_map, beam, join_m, half_m, smooth):
 
 
 @njit(cache=True, nogil=True)
-def distance(xy, a, b):
-    return math.hypot(xy[a, 0] - xy[b, 0], xy[a, 1] - xy[b, 1])
+def square_between(xy, a, b):
+    return (xy[a, 0] - xy[b, 0]) ** 2 + (xy[a, 1] - xy[b, 1]) ** 2
+
+
+@njit(cache=True, nogil=True)
+def mark_patches(xy_map, margin_m, patch_m, first_row, first_column, marks):
+    """Mark the patches within a margin, at most half a patch, of some points.
+
+    xy_map   (N, 2) float64   m, frame of the map
+    first_row, first_column   int   patch of marks[0, 0]
+    marks    (H, W) uint8     out: 1 for each, as far as the array reaches; the rest is left as it is
+    """
+    for n in range(xy_map.shape[0]):
+        low_row = math.floor((xy_map[n, 1] - margin_m) / patch_m) - first_row
+        low_column = math.floor((xy_map[n, 0] - margin_m) / patch_m) - first_column
+        high_row = math.floor((xy_map[n, 1] + margin_m) / patch_m) - first_row
+        high_column = math.floor((xy_map[n, 0] + margin_m) / patch_m) - first_column
+        for row in range(max(low_row, 0), min(high_row, marks.shape[0] - 1) + 1):
+            for column in range(max(low_column, 0), min(high_column, marks.shape[1] - 1) + 1):
+                marks[row, column] = 1

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from service.geometry.grid import TileRange
 from service.geometry.se2 import SE2
 from service.kernels.likelihood_search import LikelihoodLayer
-from service.kernels.line_likelihood import draw_scan, smooth_lines
+from service.kernels.line_likelihood import draw_scan, mark_patches, smooth_lines
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 from service.mapper.patch_store import PatchKey, PatchStore
 from service.mapper.stages import MapChange, Match, Points
@@ -162,13 +162,12 @@ class PatchMap:
         """Patches within a margin (at most half a patch) of some points, by row and column."""
         if len(xy_map) == 0:
             return []
-        keys: set[PatchKey] = set()
-        for dx in (-margin_m, margin_m):
-            for dy in (-margin_m, margin_m):
-                cells = np.floor((xy_map + np.array([dx, dy])) / self.config.patch_m).astype(np.int64)
-                begins = np.concatenate([[True], (np.diff(cells, axis=0) != 0).any(axis=1)])
-                keys.update((row, column) for column, row in cells[begins].tolist())
-        return sorted(keys)
+        patch_m = self.config.patch_m
+        first_column, first_row = np.floor((xy_map.min(axis=0) - margin_m) / patch_m).astype(int).tolist()
+        last_column, last_row = np.floor((xy_map.max(axis=0) + margin_m) / patch_m).astype(int).tolist()
+        marks = np.zeros((last_row - first_row + 1, last_column - first_column + 1), np.uint8)
+        mark_patches(xy_map, margin_m, patch_m, first_row, first_column, marks)
+        return [(first_row + row, first_column + column) for row, column in np.argwhere(marks).tolist()]
 
     def _use(self, keys: Iterable[PatchKey]) -> None:
         for key in keys:

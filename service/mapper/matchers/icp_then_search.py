@@ -14,6 +14,9 @@ from service.kernels.likelihood_search import (
     LikelihoodLayer,
     SearchResult,
     SearchWindow,
+    build_pyramid,
+    cells_asked,
+    search_branch_and_bound,
     search_exhaustive,
     sub_cell_offset,
     surface_moments,
@@ -29,6 +32,7 @@ Sums = npt.NDArray[np.float32]
 
 HEADING_STEPS_BETWEEN = 5  # refining divides a step of heading by this
 REFINE_CELLS = 3
+MOST_LEVELS = 4  # of the pyramid for branch and bound: blocks of 8 x 8 candidates
 
 
 class IcpThenSearchConfig(BaseModel):
@@ -83,19 +87,20 @@ class IcpThenSearch:
             moved(points.xy_base, begin), min(2.0 * config.most_window_m, local_map.config.patch_m / 2)
         )
         fine, coarse = local_map.fine, local_map.coarse
-        first = coarse if config.search == "narrowing" else fine
         weights = np.ones(len(points.xy_base), np.float32)
         self.window_m = min(max(config.window_rms * rms_m, config.least_window_m), config.most_window_m)
         self.evaluated = 0
-        best, sums, window = self._widening(points.xy_base, weights, first, begin)
-        covariance = self._covariance(best, sums, window, first)
         if config.search == "narrowing":
+            start = self._widening(points.xy_base, weights, coarse, begin)
             half = config.narrow_cells * local_map.config.coarse_cells
-            window = SearchWindow(best.pose, half, half, config.narrow_steps, config.step_rad)
-            best, sums = self._ask(points.xy_base, weights, fine, window)
-            narrow = self._covariance(best, sums, window, fine)
-            if _widest(narrow) < half * fine.cell_m / 2:  # else the narrow window cuts the surface off
-                covariance = narrow
+            best, covariance = self._around(points.xy_base, weights, fine, start.pose, half)
+            if _widest(covariance) > half * fine.cell_m / 2:  # the narrow window cuts the surface off
+                half = math.ceil(self.window_m / coarse.cell_m)
+                _, covariance = self._around(points.xy_base, weights, coarse, start.pose, half)
+        else:
+            best = self._widening(points.xy_base, weights, fine, begin)
+            half = math.ceil(self.window_m / fine.cell_m)
+            _, covariance = self._around(points.xy_base, weights, fine, best.pose, half)
         pose = self._refined(points.xy_base, weights, fine, best) if config.refine else best.pose
 
         share = float(share_on_map(points.xy_base, pose, coarse, float(local_map.levels[1])))
@@ -109,9 +114,7 @@ class IcpThenSearch:
         match = matched(points, predicted, SE2(x_m, y_m, wrap_angle(theta_rad)), covariance, share)
         return replace(match, state=state, reason=reason)
 
-    def _widening(
-        self, xy_base: Array, weights: Sums, layer: LikelihoodLayer, begin: SE2
-    ) -> tuple[SearchResult, Sums, SearchWindow]:
+    def _widening(self, xy_base: Array, weights: Sums, layer: LikelihoodLayer, begin: SE2) -> SearchResult:
         """Search the window, and one twice as wide while the best candidate lies on the border."""
         config = self._config
         pose = np.array([begin.x_m, begin.y_m, begin.theta_rad])
@@ -119,11 +122,35 @@ class IcpThenSearch:
         while True:
             half = math.ceil(self.window_m / layer.cell_m)
             window = SearchWindow(pose, half, half, half_theta, config.step_rad)
-            best, sums = self._ask(xy_base, weights, layer, window)
+            if config.search == "narrowing":
+                best = self._bounded(xy_base, weights, layer, window)
+            else:
+                best, _ = self._ask(xy_base, weights, layer, window)
             on_border = best.i in (0, 2 * half) or best.j in (0, 2 * half)
             if not on_border or self.window_m >= config.most_window_m:
-                return best, sums, window
+                return best
             self.window_m = min(2.0 * self.window_m, config.most_window_m)
+
+    def _bounded(
+        self, xy_base: Array, weights: Sums, layer: LikelihoodLayer, window: SearchWindow
+    ) -> SearchResult:
+        """What `_ask` finds, by branch and bound over the part of the layer that the window reaches."""
+        first_row, last_row, first_column, last_column = cells_asked(xy_base, window, layer.cell_m)
+        level_count = min((2 * window.half_x).bit_length() + 1, MOST_LEVELS)  # a block is the whole window
+        shape = (level_count, last_row - first_row + 1, last_column - first_column + 1)
+        pyramid = build_pyramid(layer, first_row, first_column, np.empty(shape, layer.cells.dtype))
+        best: SearchResult = search_branch_and_bound(xy_base, weights, pyramid, window, -math.inf)
+        self.evaluated += best.evaluated
+        return best
+
+    def _around(
+        self, xy_base: Array, weights: Sums, layer: LikelihoodLayer, pose: Array, half: int
+    ) -> tuple[SearchResult, Array]:
+        """The best within so many cells and narrow_steps of a pose, and the covariance there."""
+        config = self._config
+        window = SearchWindow(pose, half, half, config.narrow_steps, config.step_rad)
+        best, sums = self._ask(xy_base, weights, layer, window)
+        return best, self._covariance(best, sums, window, layer)
 
     def _ask(
         self, xy_base: Array, weights: Sums, layer: LikelihoodLayer, window: SearchWindow

@@ -29,6 +29,7 @@ METHOD = Method(
         **corridor.METHOD.stages,
         "matcher": ICP_THEN_SEARCH,
         "local_map": PATCH_MAP,
+        "graph": corridor.NO_GRAPH,
     },
     settings={"deskew": {"farthest_m": 20.0}},
     others={"matcher": (ICP_SCAN_TO_SCAN, MONTE_CARLO)},

@@ -16,13 +16,18 @@ def room(count: int) -> np.ndarray:
 
 def test_the_closest_points_are_those_of_a_tree() -> None:
     noise = np.random.default_rng(1)
-    ordered = noise.uniform(-3.0, 3.0, (200, 2))
-    ordered = ordered[np.argsort(ordered[:, 0])]
     xy = noise.uniform(-4.0, 4.0, (300, 2))
-    partner = np.empty(300, np.int64)
-    closest_points(xy, ordered, 0.3, partner)
-    distance, at = cKDTree(ordered).query(xy)
-    np.testing.assert_array_equal(partner, np.where(distance < 0.3, at, -1))
+    # All round, beside, across the jump of the bearing.
+    for corner in ((-3.0, -3.0), (1.0, -3.0), (-7.0, -1.0)):
+        others = noise.uniform(0.0, 6.0, (200, 2)) + corner
+        bearing_rad = np.arctan2(others[:, 1], others[:, 0])
+        order = np.argsort(bearing_rad)
+        others, bearing_rad = others[order], bearing_rad[order]
+        distance, at = cKDTree(others).query(xy)
+        for most_m in (0.3, 100.0):
+            partner = np.empty(300, np.int64)
+            closest_points(xy, others, bearing_rad, most_m, partner)
+            np.testing.assert_array_equal(partner, np.where(distance < most_m, at, -1))
 
 
 # C3

@@ -95,7 +95,8 @@ def test_narrowing_asks_a_fraction_of_the_candidates_of_the_literal_search() -> 
         outputs = run(mapper, still.frames[:2])
         counts.append(mapper._stages.matcher.evaluated)
         poses.append(outputs[-1].pose_odom_base)
-    assert counts == [9 * 9 * 81 + 21 * 21 * 7, 41 * 41 * 81]
+    assert counts[1] >= 41 * 41 * 81
+    assert counts[0] < counts[1] / 30
     assert poses[0] == poses[1]
 
 
