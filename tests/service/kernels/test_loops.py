@@ -2,16 +2,13 @@ import numpy as np
 
 from service.geometry.se2 import SE2
 from service.kernels.loops import (
-    align_surfels,
     path_lengths,
     share_in_free_space,
     splat_field,
     thin_points,
 )
 from service.kernels.occupancy import Evidence
-from service.mapper.graph.keyframes import Chain, Kept
-from service.mapper.graph.clouds import SETTINGS
-from service.mapper.graph.places import Place
+from service.mapper.graph.clouds import Cloud, SurfelCloud
 from service.mapper.maps.occupancy import OccupancyPainter
 
 
@@ -78,12 +75,8 @@ def test_alignment_finds_a_corner_again():
     side = np.linspace(-2.0, 1.95, 80)
     xy = np.vstack((np.column_stack((np.full(80, 2.05), side)), np.column_stack((side, np.full(80, 2.05)))))
     normals = np.vstack((np.tile([-1.0, 0.0, 1.0], (80, 1)), np.tile([0.0, -1.0, 1.0], (80, 1))))
-    chain = Chain()
-    chain._poses[0], chain.count = 0.0, 1
-    chain.kept.append(Kept(xy.astype(np.float32), normals.astype(np.float32), (0.0, 0.0)))
-    place = Place(chain, [0], 0)
-    pose, hessian = np.array([0.06, -0.05, 0.02]), np.zeros((3, 3))
-    used, inliers = align_surfels(xy, normals, place._grid(), SETTINGS, pose, hessian)
-    assert used == inliers == 160
-    np.testing.assert_allclose(pose, 0.0, atol=2e-3)
-    assert np.linalg.eigvalsh(hessian)[0] > 0.0
+    corner = Cloud(xy, normals)
+    fit = SurfelCloud(corner).align(corner, np.array([0.06, -0.05, 0.02]))
+    assert fit.share == 1.0
+    np.testing.assert_allclose(fit.pose, 0.0, atol=2e-3)
+    assert np.linalg.eigvalsh(fit.hessian)[0] > 0.0

@@ -150,8 +150,14 @@ def test_a_replay_writes_what_other_programs_read(record_drive: RecordDrive, tmp
     done = replay([record_drive()], ReplayOptions())
     write_replay(done, tmp_path / "out")
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
-        "trajectory.tum", "trajectory_live.tum", "graph.g2o", "map.pgm", "map.yaml", "map.png", "summary.json",
-    }  # fmt: skip
+        "trajectory.tum",
+        "trajectory_live.tum",
+        "graph.g2o",
+        "map.pgm",
+        "map.yaml",
+        "map.png",
+        "summary.json",
+    }
     trajectory = read_tum(tmp_path / "out" / "trajectory.tum")
     assert trajectory.stamp_ns.tolist() == [T0_NS + k * 20_000_000 for k in range(40)]
     np.testing.assert_allclose(trajectory.pose[:, 0], 0.01 * np.arange(40), atol=0.01)
