@@ -57,13 +57,13 @@ class OrthogonalMapConfig(BaseModel):
     weigh_segments: bool = True  # off: the plain occupancy likelihood map
     segments: SegmentsConfig = SegmentsConfig()
     segment_sigma_cells: float = Field(default=0.5, gt=0.0)
-    other_sigma_cells: float = Field(default=5.0, gt=0.0)
+    other_sigma_cells: float = Field(default=3.0, gt=0.0)
     across_only: bool = False  # narrow across the wall alone
     about_point: bool = True
     rule: Literal["noisy_or", "maximum"] = "noisy_or"
-    insert_distance_m: float = Field(default=0.5, ge=0.0)
-    insert_turn_rad: float = Field(default=0.2, ge=0.0)
-    insert_share: float = Field(default=0.8, ge=0.0, le=1.0)  # at once where less of the scan lies on the map
+    insert_distance_m: float = Field(default=0.3, ge=0.0)
+    insert_turn_rad: float = Field(default=0.1, ge=0.0)
+    insert_share: float = Field(default=0.9, ge=0.0, le=1.0)  # at once where less of the scan lies on the map
     first_scans: int = Field(default=1, ge=1)
 
 

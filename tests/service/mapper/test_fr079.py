@@ -105,3 +105,19 @@ def test_without_odometry_the_building_holds_together_too(shared: Path) -> None:
     assert errors[:, 0].mean() < 1.5 * 0.045
     assert errors[:, 0].max() < 0.6
     assert sum(o.state == "lost" for o in alone) < 5
+
+
+def test_orthogonal_weights_hold_a_stretch_of_slow_scans_together(shared: Path) -> None:
+    """Rooms beside a corridor at 4 Hz: with scans entered too seldom, or furniture blurred too wide, it
+    slips along the corridor by metres."""
+    mapper = build_mapper(mapping_config({"profile": "owolm_eskf"}), {"laser": SE2()})
+    frames = frames_of(shared / "datasets" / "fr079" / "fr079.mcap")
+    stretch = frames[: [isinstance(frame, LaserScan) for frame in frames].index(True) + 2 * 1500]
+    outputs = [output for frame in stretch if (output := mapper.process(frame)) is not None]
+    relations = np.loadtxt(shared / "datasets" / "fr079" / "official.relations")
+    relations = relations[relations[:, :2].max(axis=1) <= outputs[-1].stamp_ns * 1e-9]
+    errors = relation_errors(outputs, relations)
+    assert sum(o.state == "lost" for o in outputs) == 0
+    assert len(errors) > 300
+    assert errors[:, 0].mean() < 0.07
+    assert errors[:, 0].max() < 0.7
