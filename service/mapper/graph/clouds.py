@@ -73,9 +73,14 @@ class Fit:
 class SurfelCloud:
     """A cloud as surfels."""
 
-    def __init__(self, cloud: Cloud) -> None:
+    def __init__(self, cloud: Cloud | None = None) -> None:
         cells = (surfels.TILE_CELLS,) * 2 + (2, 5)
         self._tiles = TileMap(TilePool((Layer(cells, np.float32),), POOL_TILES))
+        if cloud is not None:
+            self.insert(cloud)
+
+    def insert(self, cloud: Cloud) -> None:
+        """More points of the same frame."""
         if len(cloud.xy):
             cover(self._tiles, surfels.TILE_BITS, cloud.xy)
             insert_surfels(cloud.xy, cloud.normals, np.zeros(3), self._grid(), COUNT_LIMIT)

@@ -6,7 +6,7 @@ sub-maps share. Landmarks come from laying sub-maps on each other, or from a per
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -15,10 +15,24 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
+from service.mapper.graph.clouds import Cloud, SurfelCloud
 from service.mapper.graph.pose_graph import Edges, GraphError, PoseGraph, Sightings, Solution, solve, to_g2o
-from service.mapper.graph.submap_match import Floats, SubmapMatchConfig, WallPoints, draw_walls, find
+from service.mapper.graph.redrawing import Redrawing, cloud_of, lay_on
+from service.mapper.graph.submap_match import (
+    Floats,
+    Found,
+    SubmapMatchConfig,
+    WallPoints,
+    about_origin,
+    draw_walls,
+    find,
+    is_seen,
+)
 from service.mapper.maps.counted_submaps import ClosedSubmap
+from service.mapper.maps.submaps import NormalsConfig
 from service.mapper.stages import Drawn, Painter, Sheet
+
+SURFEL_POINTS = 2000  # of a sub-map, laid on the surfels of another
 
 
 class LandmarkGraphConfig(BaseModel):
@@ -27,6 +41,10 @@ class LandmarkGraphConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     match: SubmapMatchConfig = SubmapMatchConfig()
+    normals: NormalsConfig = NormalsConfig()
+    least_on_surfels: float = Field(
+        default=0.4, ge=0.0, le=1.0
+    )  # share of points, when a scan or a sub-map is laid anew
     node_spacing_m: float = Field(default=2.0, gt=0.0)  # between track points
     drift_m_per_sqrt_m: float = Field(default=0.005, gt=0.0)
     drift_rad_per_sqrt_m: float = Field(default=0.001, gt=0.0)
@@ -89,10 +107,12 @@ class Result:
 
 @dataclass(slots=True, eq=False)
 class _Submap:
-    closed: ClosedSubmap
+    closed: ClosedSubmap  # laid anew
+    end_odom: Floats  # (3,) of its last scan, as the particle drew it
     walls: WallPoints
-    nodes: list[int]  # of the graph, own ones
     begin_m: float  # way driven before it
+    nodes: list[int] = field(default_factory=list)  # of the graph, own ones
+    behind: list[int] = field(default_factory=list)  # for each own scan the last node up to it
 
     @property
     def own(self) -> slice:
@@ -125,6 +145,10 @@ class LandmarkBackEnd:
     tried: set[tuple[int, int]] = field(default_factory=set)
     painted: Floats | None = None  # poses of the nodes when the shown map was last drawn
     solution: Solution | None = None
+    redrawing: Redrawing = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.redrawing = Redrawing(self.config.normals.settings(), self.config.least_on_surfels)
 
     def work(self, batch: Batch) -> Result:
         trouble = ""
@@ -145,16 +169,17 @@ class LandmarkBackEnd:
     def _add(self, closed: ClosedSubmap) -> bool:
         """Take in a sub-map; whether landmarks were found in others."""
         begin_m = self.way_m[-1] if self.way_m else 0.0
-        submap = _Submap(closed, draw_walls(closed, self.config.match), [], begin_m)
+        laid = self.redrawing.redraw(closed)
+        submap = _Submap(laid, closed.track[-1], draw_walls(laid, self.config.match), begin_m)
         self.submaps.append(submap)
-        for pose in closed.track[submap.own]:
+        for pose in laid.track[submap.own]:
+            away_m = math.dist(pose[:2], self.drawn[-1][:2]) if self.drawn else 0.0
             if not self.drawn:
                 self._add_node(submap, pose, pose, 0.0)
-                continue
-            away_m = math.dist(pose[:2], self.drawn[-1][:2])
-            if away_m >= self.config.node_spacing_m or not submap.nodes:
+            elif away_m >= self.config.node_spacing_m or not submap.nodes:
                 moved = se2.compose(self.poses[-1], se2.between(self.drawn[-1], pose))
                 self._add_node(submap, pose, moved, self.way_m[-1] + away_m)
+            submap.behind.append(len(self.drawn) - 1)
         return self._tie(len(self.submaps) - 1, widely=True)
 
     def _add_node(self, submap: _Submap, drawn: Floats, pose: Floats, way_m: float) -> None:
@@ -186,12 +211,30 @@ class LandmarkBackEnd:
                 (reach_m, config.search_rad),
                 config.match,
             )
+            found = found and self._on_surfels(new, old, found)
             if found is None:
                 continue
             self.tried.add((old, new))
             tied = True
             self._keep(new, old, found.pose, found.covariance, found.landmarks)
         return tied
+
+    def _on_surfels(self, new: int, old: int, found: Found) -> Found | None:
+        """The same, laid point to line; None where too little of what both have seen lies on walls."""
+        config = self.config
+        cloud, other = self._cloud(new), self.submaps[old].walls
+        common = is_seen(other, se2.points_from(found.pose, cloud.xy))
+        shared = Cloud(cloud.xy[common], cloud.normals[common])
+        fit, shift = lay_on(shared, SurfelCloud(self._cloud(old)), found.pose, SURFEL_POINTS)
+        if fit.share < config.least_on_surfels:
+            return None
+        covariance = config.match.match_covariance_scale * np.linalg.inv(fit.hessian + 1e-2 * np.eye(3))
+        at_origin = about_origin(np.asarray(covariance, np.float64), fit.pose, shift)
+        return replace(found, pose=shift, covariance=at_origin, share=fit.share)
+
+    def _cloud(self, number: int) -> Cloud:
+        closed = self.submaps[number].closed
+        return cloud_of(closed.scans, closed.track, self.config.normals.settings())
 
     def _keep(self, new: int, old: int, shift: Floats, covariance: Floats, landmarks: Floats) -> None:
         own = self.config.match.landmark_sigma_m**2 * np.eye(2)
@@ -287,16 +330,14 @@ class LandmarkBackEnd:
         self.poses = list(self.solution.poses)
 
     def _key_poses(self) -> tuple[npt.NDArray[np.int64], Floats]:
-        """Stamps and map poses of all key scans: bent along between track points by the way driven."""
+        """Stamps and map poses of all key scans: bent along between the track points on both sides."""
         stamps, poses = [], []
         map_nodes, odom_nodes = np.array(self.poses), np.array(self.drawn)
         for submap in self.submaps:
-            nodes = submap.nodes
-            own = submap.closed.scans[submap.own]
-            for scan, pose in zip(own, submap.closed.track[submap.own], strict=True):
-                after = next((n for n in nodes if n > 0 and _is_after(odom_nodes, n, pose)), nodes[-1])
+            own = submap.closed.scans[submap.own], submap.closed.track[submap.own]
+            for scan, pose, node in zip(*own, submap.behind, strict=True):
                 stamps.append(scan.stamp_ns)
-                poses.append(_bent(map_nodes, odom_nodes, max(after - 1, 0), after, pose))
+                poses.append(_bent(map_nodes, odom_nodes, node, min(node + 1, len(odom_nodes) - 1), pose))
         return np.array(stamps, np.int64), np.array(poses).reshape(-1, 3)
 
     def _result(self, trouble: str, is_last: bool) -> Result:
@@ -304,8 +345,7 @@ class LandmarkBackEnd:
             none = np.empty(0, np.int64), np.empty((0, 3))
             return Result(0, *none, SE2(), 0, 0, {}, 0.0, None, trouble)
         stamps, poses = self._key_poses()
-        last = self.submaps[-1].closed.track[-1]
-        map_odom = se2.compose(poses[-1], se2.between(last, np.zeros(3)))
+        map_odom = se2.compose(poses[-1], se2.between(self.submaps[-1].end_odom, np.zeros(3)))
         nodes = np.array(self.poses)
         before = np.array(self.drawn) if self.painted is None else self.painted
         moved_m = float(np.hypot(*(nodes[: len(before)] - before[: len(nodes)]).T[:2]).max())
@@ -344,12 +384,6 @@ class LandmarkBackEnd:
             node = min(nodes, key=lambda n: math.dist(self.drawn[n][:2], mark.xy[side]))
             ends.append(se2.points_from(self.poses[node], se2.points_seen(self.drawn[node], mark.xy[side])))
         return math.dist(*ends)
-
-
-def _is_after(nodes: Floats, k: int, pose: Floats) -> bool:
-    """Whether a pose of the way lies before track point k, seen along the way there."""
-    ahead = nodes[k, :2] - nodes[k - 1, :2]
-    return float(ahead @ (nodes[k, :2] - pose[:2])) >= 0.0
 
 
 def _bent(map_nodes: Floats, odom_nodes: Floats, a: int, b: int, pose: Floats) -> Floats:

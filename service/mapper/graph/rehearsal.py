@@ -17,14 +17,14 @@ def rehearse() -> Result:
     )
     back_end = LoopBackEnd(config, None)
     there = [STEP_M * k for k in range(12)]
-    frames = [_seen_from(x_m, k) for k, x_m in enumerate([*there, *there[-2::-1]])]
+    frames = [seen_from(x_m, k) for k, x_m in enumerate([*there, *there[-2::-1]])]
     for frame in frames:
         back_end.work(Batch([frame]))
     result: Result = back_end.work(Batch([], is_last=True))
     return result
 
 
-def _seen_from(x_m: float, k: int) -> KeyFrame:
+def seen_from(x_m: float, k: int) -> KeyFrame:
     """A room from -3 to 7 m by -2 to 2 m, from (x, 0)."""
     angle = np.linspace(-2.3, 2.3, BEAMS)
     with np.errstate(divide="ignore"):

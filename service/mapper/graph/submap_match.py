@@ -44,7 +44,7 @@ class SubmapMatchConfig(BaseModel):
     landmark_probability: float = Field(default=0.95, gt=0.5, lt=1.0)
     landmark_spacing_m: float = Field(default=1.5, gt=0.0)
     landmark_sigma_m: float = Field(default=0.02, gt=0.0)
-    match_sigma_m: float = Field(default=0.06, gt=0.0)  # of a landmark in the neighbour, besides the match's
+    match_sigma_m: float = Field(default=0.03, gt=0.0)  # of a landmark in the neighbour, besides the match's
     match_covariance_scale: float = Field(default=0.5, gt=0.0)
 
 
@@ -135,7 +135,7 @@ def find(
     values = np.zeros((len(points), 3))
     field = old.field
     read_field(points, 1, pose, field.tiles, field.field, field.cell_m, values)
-    common = _is_seen(old, se2.points_from(pose, points))
+    common = is_seen(old, se2.points_from(pose, points))
     count = int(np.count_nonzero(common))
     if count < max(config.common_part * len(points), config.least_common * len(points) / len(new.xy)):
         return None
@@ -151,10 +151,10 @@ def find(
     landmarks = _landmarks(new, old, shift, config)
     if len(landmarks) < 2:
         return None
-    return Found(shift, _about_origin(covariance, pose, shift), share, landmarks)
+    return Found(shift, about_origin(covariance, pose, shift), share, landmarks)
 
 
-def _about_origin(covariance: Floats, pose: Floats, shift: Floats) -> Floats:
+def about_origin(covariance: Floats, pose: Floats, shift: Floats) -> Floats:
     """Covariance (old's axes) of where the drawing's origin comes to lie, from that of its middle."""
     lever = np.eye(3)
     lever[:2, 2] = -(shift[1] - pose[1]), shift[0] - pose[0]
@@ -259,7 +259,8 @@ def _seen(
     return seen, corner
 
 
-def _is_seen(walls: WallPoints, xy: Floats) -> npt.NDArray[np.bool_]:
+def is_seen(walls: WallPoints, xy: Floats) -> npt.NDArray[np.bool_]:
+    """Whether a sub-map has seen each place (N, 2), given in its drawing."""
     cells = np.floor((xy - walls.corner_xy) / walls.search_cell_m).astype(np.int64)
     height, width = walls.seen.shape
     inside = ((cells >= 0) & (cells < (width, height))).all(axis=1)

@@ -48,8 +48,9 @@ class KeyScan:
     """A scan that was drawn."""
 
     stamp_ns: int
-    xy_base: npt.NDArray[np.float32]  # (N, 2) m
+    xy_base: npt.NDArray[np.float32]  # (N, 2) m, in beam order
     sensor_xy_m: tuple[float, float]  # in the base frame
+    angle_step_rad: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,7 +218,14 @@ class CountedSubmaps:
         if best.track:
             self._travelled_m += math.hypot(*(best.pose - best.track[-1])[:2])
         sensor = (points.sensor_base.x_m, points.sensor_base.y_m)
-        self._scans.append(KeyScan(points.scan.stamp_ns, points.xy_base.astype(np.float32), sensor))
+        self._scans.append(
+            KeyScan(
+                points.scan.stamp_ns,
+                points.xy_base.astype(np.float32),
+                sensor,
+                abs(points.scan.angle_step_rad),
+            )
+        )
         for particle in self.particles:
             particle.map.insert(points.xy_base, np.array(sensor), particle.pose)
             particle.track.append(particle.pose.copy())

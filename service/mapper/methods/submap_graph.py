@@ -2,6 +2,7 @@
 
 from service.mapper.graph.landmark_back_end import LandmarkGraphConfig
 from service.mapper.graph.landmark_graph import LandmarkGraph
+from service.mapper.graph.landmark_rehearsal import rehearse
 from service.mapper.maps.counted_submaps import CountedSubmaps, CountedSubmapsConfig
 from service.mapper.matchers.particle_filter import ParticleFilter, ParticleFilterConfig
 from service.mapper.methods.corridor import (
@@ -23,6 +24,7 @@ LANDMARK_GRAPH = StageKind(
     LandmarkGraphConfig,
     lambda config, around: LandmarkGraph(config, around.painter, around.new_worker),
     reads=CountedSubmaps,
+    rehearse=rehearse,
 )
 
 METHOD = Method(

@@ -229,6 +229,7 @@ def test_kernels_are_compiled_once_for_warm_up_and_all_that_follows() -> None:
     counts = json.loads(subprocess.run(child, cwd=ROOT, check=True, capture_output=True, timeout=100).stdout)
     assert len(counts) > 15
     of_two_kinds_of_cells = {  # bytes and float32
+        "likelihood_search.pool_levels",
         "likelihood_search.search_exhaustive",
         "likelihood_search.search_branch_and_bound",
     }

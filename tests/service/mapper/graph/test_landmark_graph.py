@@ -1,6 +1,7 @@
 """The back end on hand-made sub-maps: there and back in one room, drawn more and more askew."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from service.geometry.se2 import SE2
 from service.mapper.background import InlineWorker
 from service.mapper.graph.landmark_back_end import Batch, LandmarkBackEnd, LandmarkGraphConfig
 from service.mapper.graph.landmark_graph import LandmarkGraph
+from service.mapper.graph.landmark_rehearsal import rehearse
+from service.mapper.graph.redrawing import Redrawing
 from service.mapper.graph.submap_match import draw_walls, find
 from service.mapper.maps.counted_submaps import ClosedSubmap, CountedChange, CountedSubmapsConfig, KeyScan
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
@@ -21,6 +24,7 @@ from tests.service.mapper.maps.points import points_of
 MAPS = CountedSubmapsConfig()
 CONFIG = LandmarkGraphConfig(drift_m_per_sqrt_m=0.05, drift_rad_per_sqrt_m=0.02)  # as these ways are drawn
 BEAMS = np.linspace(-np.pi, np.pi, 361)[:-1]
+STEP = float(BEAMS[1] - BEAMS[0])
 
 
 def seen_from(pose: np.ndarray, seed: int) -> np.ndarray:
@@ -35,7 +39,7 @@ def seen_from(pose: np.ndarray, seed: int) -> np.ndarray:
 def submap(number: int, truth: np.ndarray, drawn: np.ndarray) -> ClosedSubmap:
     """A sub-map with scans from `truth`, drawn along another way."""
     scans = tuple(
-        KeyScan(1000 * number + k + 1, seen_from(pose, 100 * number + k).astype(np.float32), (0.0, 0.0))
+        KeyScan(1000 * number + k + 1, seen_from(pose, 100 * number + k).astype(np.float32), (0.0, 0.0), STEP)
         for k, pose in enumerate(truth)
     )
     return ClosedSubmap(number, 0, scans, drawn, MAPS)
@@ -83,9 +87,30 @@ def test_a_sub_map_is_found_in_another_with_landmarks_in_corners(trip) -> None:
 def test_a_place_that_does_not_look_alike_is_not_found(trip) -> None:
     room = draw_walls(trip[0][0], CONFIG.match)
     rng = np.random.default_rng(3)
-    bush = KeyScan(1, rng.uniform(-3.0, 3.0, (361, 2)).astype(np.float32), (0.0, 0.0))
+    bush = KeyScan(1, rng.uniform(-3.0, 3.0, (361, 2)).astype(np.float32), (0.0, 0.0), STEP)
     other = draw_walls(ClosedSubmap(1, 0, (bush,) * 4, np.zeros((4, 3)), MAPS), CONFIG.match)
     assert find(other, room, np.zeros(3), (0.8, 0.1), CONFIG.match) is None
+
+
+def test_scans_are_laid_on_walls_and_what_is_carried_stays_where_it_was_laid() -> None:
+    x = np.linspace(0.0, 2.4, 9)
+    way = np.stack((x + 1.0, np.full(9, 0.2), np.linspace(0.0, 0.4, 9)), axis=1)
+    drawn = way + 0.015 * np.random.default_rng(5).standard_normal(way.shape) * (1.0, 1.0, 0.3)
+    whole = submap(0, way, drawn)
+    first = replace(whole, scans=whole.scans[:6], track=drawn[:6])
+    second = replace(whole, number=1, carried=2, scans=whole.scans[4:], track=drawn[4:])
+    redrawing = Redrawing(CONFIG.normals.settings(), CONFIG.least_on_surfels)
+    laid = [redrawing.redraw(first).track, redrawing.redraw(second).track]
+    np.testing.assert_array_equal(laid[1][:2], laid[0][4:])
+    found = np.concatenate((laid[0], laid[1][2:]))
+    assert furthest_m(drawn, way) > 0.02
+    assert furthest_m(found, way) < 0.008
+    blind = Redrawing(CONFIG.normals.settings(), 1.0)
+    np.testing.assert_allclose(blind.redraw(first).track, first.track, atol=1e-12)
+
+
+def test_the_rehearsal_ties_a_sub_map() -> None:
+    assert rehearse().links == 1
 
 
 # D3, D12
