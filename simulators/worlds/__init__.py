@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from simulators.world import World
 from simulators.worlds.corridors import corridor100, ring
+from simulators.worlds.floor import floor
 from simulators.worlds.library import library
 from simulators.worlds.mall import mall
 from simulators.worlds.navis import glass_corridor, hall, t_room
@@ -14,6 +15,7 @@ WORLDS: dict[str, Callable[[], World]] = {
     "office": office,
     "ring": ring,
     "corridor100": corridor100,
+    "floor": floor,
     "mall": mall,
     "room": room,
     "featureless": featureless,
