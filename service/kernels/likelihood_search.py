@@ -471,29 +471,6 @@ def search_branch_and_bound(xy_base, weights, pyramid, window, least_score):
 
 
 @njit(cache=True, nogil=True)
-def sub_cell_offset(sums, k, j, i):
-    """Where the top of a surface lies beside its best candidate: a parabola along each axis.
-
-    sums   (K, J, I) float32
-    Returns (3,) float64: x, y in cells, theta in steps, half of one at most; 0 at a border or plateau.
-    """
-    offset = np.zeros(3)
-    at = np.array([i, j, k])
-    shape = np.array([sums.shape[2], sums.shape[1], sums.shape[0]])
-    for axis in range(3):
-        if at[axis] == 0 or at[axis] == shape[axis] - 1:
-            continue
-        dx, dy, dk = np.int64(axis == 0), np.int64(axis == 1), np.int64(axis == 2)
-        below = np.float64(sums[k - dk, j - dy, i - dx])
-        here = np.float64(sums[k, j, i])
-        above = np.float64(sums[k + dk, j + dy, i + dx])
-        bend = below - 2.0 * here + above
-        if bend < 0.0:
-            offset[axis] = min(max(0.5 * (below - above) / bend, -0.5), 0.5)
-    return offset
-
-
-@njit(cache=True, nogil=True)
 def surface_moments(sums, best, temperature):
     """Mean and covariance of the candidates, each counted exp((sum - best) / temperature).
 

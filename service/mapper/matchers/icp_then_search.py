@@ -18,7 +18,6 @@ from service.kernels.likelihood_search import (
     cells_asked,
     search_branch_and_bound,
     search_exhaustive,
-    sub_cell_offset,
     surface_moments,
 )
 from service.kernels.line_likelihood import share_on_map
@@ -48,8 +47,9 @@ class IcpThenSearchConfig(BaseModel):
     step_rad: float = Field(default=0.00873, gt=0.0)  # 0.5 deg
     search: Literal["narrowing", "exhaustive"] = "narrowing"
     narrow_cells: int = Field(default=2, ge=1)  # coarse cells around the coarse maximum, and
-    narrow_steps: int = Field(default=3, ge=1)  # steps of heading: what is searched on the fine layer
+    narrow_steps: int = Field(default=2, ge=1)  # steps of heading: what is searched on the fine layer
     refine: bool = True  # between the cells and steps
+    refine_scale: float = Field(default=3.0, gt=0.0)  # beams share errors, so as many count as one
 
     lost_share: float = Field(default=0.15, ge=0.0, le=1.0)
     degraded_share: float = Field(default=0.35, ge=0.0, le=1.0)
@@ -160,12 +160,14 @@ class IcpThenSearch:
         return best, sums
 
     def _refined(self, xy_base: Array, weights: Sums, layer: LikelihoodLayer, best: SearchResult) -> Array:
-        """Between the steps of heading by smaller ones, then a parabola through the neighbours."""
+        """Between the cells: the mean of what lies around the best, each candidate by how likely it is."""
         step_rad = self._config.step_rad / HEADING_STEPS_BETWEEN
         window = SearchWindow(best.pose, REFINE_CELLS, REFINE_CELLS, HEADING_STEPS_BETWEEN, step_rad)
         best, sums = self._ask(xy_base, weights, layer, window)
-        steps = np.array([layer.cell_m, layer.cell_m, step_rad])
-        pose: Array = best.pose + steps * sub_cell_offset(sums, best.k, best.j, best.i)
+        top = float(sums[best.k, best.j, best.i])
+        mean, _ = surface_moments(sums, top, self._config.refine_scale / layer.scale)
+        middle = np.array([window.half_x, window.half_y, window.half_theta])
+        pose: Array = window.pose + np.array([layer.cell_m, layer.cell_m, step_rad]) * (mean - middle)
         return pose
 
     def _covariance(

@@ -23,8 +23,9 @@ class IcpConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     pair_m: float = Field(default=1.0, gt=0.0)  # points farther apart are no pair
+    points: int = Field(default=180, ge=20)  # of the newer scan that look for a partner, evenly chosen
     iterations: int = Field(default=50, ge=1, le=1000)
-    settled: float = Field(default=1e-4, gt=0.0)  # m and rad: ends with a step below it
+    settled: float = Field(default=1e-3, gt=0.0)  # m and rad: ends with a step below it
     least_share: float = Field(default=0.5, ge=0.0, le=1.0)  # of the points must have a partner
 
 
@@ -45,15 +46,17 @@ class ScanIcp:
         older, pose = self._last
         guess = pose.inverse() @ predicted.pose_odom_base
         config = self._config
+        stride = max(1, round(len(points.xy_base) / config.points))
+        newer = np.ascontiguousarray(points.xy_base[::stride])
         result = icp_point_to_point(
-            points.xy_base,
+            newer,
             older,
             np.array([guess.x_m, guess.y_m, guess.theta_rad]),
             config.pair_m,
             config.iterations,
             config.settled,
         )
-        if result.paired < max(config.least_share * len(points.xy_base), 3):
+        if result.paired < max(config.least_share * len(newer), 3):
             return predicted.pose_odom_base, math.inf
         x_m, y_m, theta_rad = result.step.tolist()
         return pose @ SE2(x_m, y_m, theta_rad), float(result.rms_m)
@@ -87,9 +90,11 @@ def too_few(points: Points, least: int) -> str:
 
 
 class IcpScanToScanConfig(IcpConfig):
-    """Plain ICP: pairs at any distance."""
+    """Plain ICP: all points, pairs at any distance."""
 
     pair_m: float = Field(default=1000.0, gt=0.0)
+    points: int = Field(default=100_000, ge=20)
+    settled: float = Field(default=1e-4, gt=0.0)
     least_points: int = Field(default=20, ge=3)
     position_sigma_m: float = Field(default=0.02, gt=0.0)  # reported for a step, and added up
     heading_sigma_rad: float = Field(default=0.01, gt=0.0)

@@ -14,7 +14,6 @@ from service.kernels.likelihood_search import (
     score_window,
     search_branch_and_bound,
     search_exhaustive,
-    sub_cell_offset,
     surface_moments,
 )
 from service.kernels.tiles import TileIndex
@@ -184,14 +183,6 @@ def test_branch_and_bound_asks_few_of_the_candidates_of_a_large_window() -> None
     found = search_branch_and_bound(xy, np.ones(len(xy), np.float32), pyramid, window, 0.6)
     assert np.abs(found.pose - truth).max() < 0.15
     assert found.evaluated < 0.02 * 121 * 121 * 161
-
-
-def test_a_parabola_finds_its_own_top_and_a_border_has_none() -> None:
-    k, j, i = np.mgrid[:5, :5, :5].astype(float)
-    sums = (-((i - 2.3) ** 2) - 2.0 * (j - 1.8) ** 2 - 0.5 * (k - 2.45) ** 2).astype(np.float32)
-    np.testing.assert_allclose(sub_cell_offset(sums, 2, 2, 2), [0.3, -0.2, 0.45], atol=1e-5)
-    np.testing.assert_array_equal(sub_cell_offset(sums, 0, 0, 4), [0.0, 0.0, 0.0])
-    np.testing.assert_array_equal(sub_cell_offset(np.zeros((3, 3, 3), np.float32), 1, 1, 1), np.zeros(3))
 
 
 def test_moments_of_a_gaussian_surface_are_its_own() -> None:
