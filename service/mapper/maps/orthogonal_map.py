@@ -37,10 +37,10 @@ class SegmentsConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    width_m: float = Field(default=0.06, gt=0.0)  # twice the ranging error
+    width_m: float = Field(default=0.04, gt=0.0)  # twice the ranging error
     least_points: int = Field(default=20, ge=2)
     length_m: float = Field(default=1.0, gt=0.0)
-    gap_m: float = Field(default=0.1, ge=0.0)  # gap_m + gap_steps * angle step * range parts a segment
+    gap_m: float = Field(default=0.03, ge=0.0)  # gap_m + gap_steps * angle step * range parts a segment
     gap_steps: float = Field(default=3.0, ge=0.0)
 
 
@@ -135,7 +135,7 @@ class OrthogonalMap:
         pose = match.motion.pose_odom_base
         if match.state == "lost" or len(points.xy_base) == 0 or not self._is_due(match):
             return MapChange()
-        gap_m = self._gaps(points)
+        gap_m = self.gaps(points)
         if self.is_empty and self._config.align_axes:
             self._align(points, gap_m, pose)
         self._last = pose
@@ -174,7 +174,7 @@ class OrthogonalMap:
                 segments_along(xy_map, axis, gap_m, limits, config.least_points, segment)
         return segment
 
-    def _gaps(self, points: Points) -> npt.NDArray[np.float64]:
+    def gaps(self, points: Points) -> npt.NDArray[np.float64]:
         """(N,) m: how far the next point of the same surface may lie."""
         config = self._config.segments
         away = points.xy_base - (points.sensor_base.x_m, points.sensor_base.y_m)
