@@ -15,11 +15,14 @@ from service.geometry import poses as se2
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.counted_occupancy import weigh_scan
 from service.kernels.likelihood import read_field
+from service.kernels.likelihood_search import LikelihoodLayer, SearchWindow, search_exhaustive
 from service.kernels.match import AlignSettings, coarse_align, rotate_information
 from service.kernels.particles import normalise_weights, resample
-from service.mapper.maps.counted_submaps import CountedSubmaps
+from service.mapper.maps.counted_submaps import CountedSubmaps, Particle
 from service.mapper.stages import Match, Points
 from service.outputs import State
+
+SEARCH_STEP_RAD = 0.02  # turns a point at 5 m by two cells
 
 
 class ParticleFilterConfig(BaseModel):
@@ -33,6 +36,10 @@ class ParticleFilterConfig(BaseModel):
     align_iterations: int = Field(default=8, ge=0, le=100)
     likelihood_floor: float = Field(default=0.05, gt=0.0, lt=1.0)
     likelihood_gain: float = Field(default=0.1, gt=0.0, le=1.0)  # beams are not independent
+    doubt_ratio: float = Field(default=0.85, ge=0.0, le=1.0)  # of the usual likelihood: less is searched for
+    usual_scans: int = Field(default=20, ge=1)  # over which the usual likelihood is taken
+    search_m: float = Field(default=0.5, gt=0.0)  # to each side
+    search_rad: float = Field(default=0.35, gt=0.0)
     resample_below: float = Field(default=0.5, ge=0.0, le=1.0)  # of the particles still worth something
     lost_likelihood: float = Field(default=0.15, ge=0.0, le=1.0)
     degraded_likelihood: float = Field(default=0.30, ge=0.0, le=1.0)
@@ -52,6 +59,7 @@ class ParticleFilter:
             [config.floor_position_m**2, config.floor_position_m**2, config.floor_heading_rad**2]
         )
         self._last: SE2 | None = None
+        self._usual = 1.0  # likelihood of the best particle
 
     def match(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> Match:
         config = self._config
@@ -68,7 +76,7 @@ class ParticleFilter:
         if local_map.is_empty or last is None:
             return Match(Motion(predicted.pose_odom_base, predicted.twist_base, self._floor), points, 1.0)
         self._sample(predicted, last, local_map)
-        likelihood = self._lay(points, predicted, local_map)
+        likelihood = self._lay_or_search(points, predicted, local_map)
         worth = normalise_weights(local_map.log_weights, local_map.weights)
         motion = self._mean(predicted, local_map)
         if worth < config.resample_below * len(local_map.particles):
@@ -88,8 +96,46 @@ class ParticleFilter:
         for particle, error in zip(local_map.particles, errors, strict=True):
             particle.pose = se2.compose(se2.compose(particle.pose, way), error)
 
-    def _lay(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> float:
-        """Lay each particle on its map and weigh it; the mean likelihood of the best."""
+    def _lay_or_search(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> float:
+        """Lay each particle on its map; the mean likelihood of the best.
+
+        Where that is much less than usual, wheels may have said what is not so: then the best particle's map
+        is searched around, all particles are moved alike, and laid from there.
+        """
+        config = self._config
+        weights = local_map.log_weights.copy()
+        likelihood, best = self._lay(points, predicted, local_map)
+        if likelihood < config.doubt_ratio * self._usual:
+            laid = local_map.log_weights.copy(), [particle.pose for particle in local_map.particles]
+            moved = self._search(points, local_map.particles[best])
+            for particle in local_map.particles:
+                particle.pose = se2.compose(particle.pose, moved)
+            local_map.log_weights[:] = weights
+            found, _ = self._lay(points, predicted, local_map)
+            if found > likelihood:
+                likelihood = found
+            else:
+                local_map.log_weights[:] = laid[0]
+                for particle, pose in zip(local_map.particles, laid[1], strict=True):
+                    particle.pose = pose
+        self._usual += (likelihood - self._usual) / config.usual_scans
+        return likelihood
+
+    def _search(self, points: Points, particle: Particle) -> npt.NDArray[np.float64]:
+        """How far (3,) from where a particle is its map fits best, in its own axes."""
+        config = self._config
+        xy_base = points.xy_base[:: max(1, len(points.xy_base) // config.align_beams)]
+        tiles, field, cell_m = particle.map.likelihood()
+        half = math.ceil(config.search_m / cell_m)
+        window = SearchWindow(
+            particle.pose, half, half, math.ceil(config.search_rad / SEARCH_STEP_RAD), SEARCH_STEP_RAD
+        )
+        layer = LikelihoodLayer(tiles, field, 0.0, 0.0, 1.0, cell_m)
+        found, _ = search_exhaustive(xy_base, np.ones(len(xy_base), np.float32), layer, window)
+        return se2.between(particle.pose, found.pose)
+
+    def _lay(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> tuple[float, int]:
+        """Lay each particle on its map and weigh it; the mean likelihood of the best, and which it is."""
         config = self._config
         information = np.linalg.inv(predicted.step_covariance + 1e-12 * np.eye(3))
         turned = np.empty((3, 3))
@@ -98,14 +144,15 @@ class ParticleFilter:
         means = np.empty(len(local_map.particles))
         for k, particle in enumerate(local_map.particles):
             field = particle.map.likelihood()
-            start = particle.pose.copy()
+            start, particle.pose = particle.pose, particle.pose.copy()
             rotate_information(information, float(start[2]), turned)
             coarse_align(points.xy_base, start, turned, field, self._align, particle.pose)
             particle.pose[2] = wrap_angle(float(particle.pose[2]))
             read_field(points.xy_base, stride, particle.pose, field.tiles, field.field, field.cell_m, values)
             log_likelihood, means[k] = weigh_scan(values, stride, config.likelihood_floor)
             local_map.log_weights[k] += config.likelihood_gain * log_likelihood
-        return float(means.max())
+        best = int(np.argmax(means))
+        return float(means[best]), best
 
     def _mean(self, predicted: Prediction, local_map: CountedSubmaps) -> Motion:
         poses = np.array([particle.pose for particle in local_map.particles])

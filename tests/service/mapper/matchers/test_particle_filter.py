@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.frames import LaserScan
+from drivers.frames import LaserScan, OdometrySample
 from service.fusion.weighed_motion import MotionConfig, WeighedMotion
 from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist
 from service.mapper.filters.keep_all import keep_all
@@ -56,6 +56,17 @@ def test_the_seed_decides_and_nothing_else(short_drive: Drive) -> None:
     )
     assert first == again
     assert first != other
+
+
+def test_wheels_that_say_forwards_for_backwards_are_found_out() -> None:
+    what = drive(ROOM, round_the_room, 4.0, wheel_scale=-1.0)
+    scans = [frame for frame in what.frames if isinstance(frame, LaserScan)][::12]
+    wheels = [frame for frame in what.frames if isinstance(frame, OdometrySample)]
+    few = replace(what, frames=sorted([*wheels, *scans], key=lambda frame: frame.arrived_ns))
+    outputs = outputs_of(mapper(particles=4), few)
+    last = what.truth[outputs[-1].stamp_ns].inverse() @ outputs[-1].pose_map_base
+    assert np.hypot(last.x_m, last.y_m) < 0.10
+    assert abs(last.theta_rad) < 0.05
 
 
 def test_a_scan_without_returns_is_lost_and_draws_nothing(short_drive: Drive) -> None:
