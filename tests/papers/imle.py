@@ -7,18 +7,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 
-mpl.use("Agg")
-from matplotlib import pyplot as plt
-
 from service.geometry.se2 import SE2
-from service.mapper.maps.patch_map import moved
 from service.mapper.profiles import mapping_config
 from simulators.truth import LaserModel
 from simulators.worlds import build_world
-from tests.papers.report import FOLDER, Row, Section
+from tests.papers.pictures import end_points, plt, save
+from tests.papers.report import Row, Section
 from tests.simulated import Drive, Laser, Run, drives, run
 
 MATCHERS = {"icp_scan_to_scan": "ICP", "monte_carlo": "Monte Carlo", "icp_then_search": "IMLE"}
@@ -77,7 +73,7 @@ def sections(seeds: int) -> Iterable[Section]:
         0.09,
     )
     yield over_time(in_corridor)
-    yield cost(in_corridor)
+    yield cost(corridor, in_corridor)
     yield as_printed(room)
     yield large(seeds)
 
@@ -113,7 +109,7 @@ def accuracy(
                 f"{MATCHERS[matcher]}: so many times as far off",
                 ratios,
                 "",
-                at_least=10.0,
+                at_least=10.0 if column == 0 else None,
                 digits=1,
             )
         )
@@ -126,11 +122,8 @@ def pictures(what: Drive, runs: dict[str, list[Run]]) -> Section:
     scans = {frame.stamp_ns: frame for frame in what.frames}
     for panel, (matcher, name) in zip(axes.flat, MATCHERS.items(), strict=False):
         for output in runs[matcher][0].outputs:
-            scan = scans[output.stamp_ns]
-            angle = scan.first_angle_rad + scan.angle_step_rad * np.arange(len(scan.range_m))
-            seen = np.isfinite(scan.range_m)
-            xy = (scan.range_m * np.stack([np.cos(angle), np.sin(angle)]))[:, seen].T.astype(float)
-            panel.plot(*moved(xy, output.pose_map_base).T, "k,", alpha=0.5)
+            points = end_points(scans[output.stamp_ns], output.pose_map_base)
+            panel.plot(*points.T, "k,", alpha=0.5)
         panel.plot(*np.array([(p.x_m, p.y_m) for p in what.truth.values()]).T, "g-", lw=1)
         panel.plot(
             *np.array([(o.pose_map_base.x_m, o.pose_map_base.y_m) for o in runs[matcher][0].outputs]).T,
@@ -142,11 +135,10 @@ def pictures(what: Drive, runs: dict[str, list[Run]]) -> Section:
         axes[1, 1].semilogy(np.hypot(*runs[matcher][0].errors[1:, :2].T), label=name)
     axes[1, 1].set_title("error, m", fontsize=8)
     axes[1, 1].legend(fontsize=7)
-    save(figure, "imle-t-room.png")
     caption = (
         "Scans laid where each matcher put them (seed 1): true way green, matched way red; errors by epoch"
     )
-    return Section("Maps at epoch 50", "C34.", pictures=[("imle-t-room.png", caption)])
+    return Section("Maps at epoch 50", "C34.", pictures=[save(figure, "imle-t-room.png", caption)])
 
 
 def over_time(runs: dict[str, list[Run]]) -> Section:
@@ -157,7 +149,6 @@ def over_time(runs: dict[str, list[Run]]) -> Section:
     panel.set_xlabel("epoch, s")
     panel.set_ylabel("error, m")
     panel.legend(fontsize=7)
-    save(figure, "imle-corridor.png")
     rows = []
     for name, part in (("before the last 20 s", slice(None, -20)), ("in the last 20 s", slice(-20, None))):
         errors = [np.hypot(*r.errors[part, :2].T) for r in runs["icp_then_search"]]
@@ -167,25 +158,30 @@ def over_time(runs: dict[str, list[Run]]) -> Section:
         "Error over time in the corridor",
         "The paper sees the error of all three rise among glass and plants.",
         rows,
-        pictures=[("imle-corridor.png", "Position error by epoch (seed 1)")],
+        pictures=[save(figure, "imle-corridor.png", "Position error by epoch (seed 1)")],
     )
 
 
-def cost(runs: dict[str, list[Run]]) -> Section:
-    """C28 C29: table 2. Thread time, so a busy machine counts little."""
+def cost(corridor: list[Drive], runs: dict[str, list[Run]]) -> Section:
+    """C28 C29: table 2. Thread time, of each scan the least of three runs: a busy machine counts little."""
     rows = []
     for matcher, name in MATCHERS.items():
+        took_ms = [
+            np.min([run_.scan_ms, *(mapped(matcher, what).scan_ms for _ in range(2))], axis=0)
+            for what, run_ in zip(corridor, runs[matcher], strict=True)
+        ]
         parts = (("before 100 s", slice(1, 100)), ("after 100 s", slice(100, None)), ("all", slice(1, None)))
         for part, of in parts:
             what = f"{name}: mean time a scan, {part}"
             if part == "all":
                 what += f" (published {PUBLISHED_MS[matcher]:.0f} ms)"
             bound = 5.0 if matcher == "icp_then_search" and part == "all" else None
-            values = [float(r.scan_ms[of].mean()) for r in runs[matcher]]
+            values = [float(ms[of].mean()) for ms in took_ms]
             rows.append(Row("C28 C29", what, values, "ms", at_most=bound, digits=2))
     return Section(
         "Cost",
-        "The corridor again: matching, map and shown map together, one core. The paper's are for matching.",
+        "The corridor again: matching, map and shown map together, one core; of each scan the least of three "
+        "runs. The paper's are for matching.",
         rows,
     )
 
@@ -264,10 +260,3 @@ def large(seeds: int) -> Section:
         "first scan to its largest during the drive: matching map, shown map, pages of mapped files.",
         rows,
     )
-
-
-def save(figure: plt.Figure, name: str) -> None:
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    figure.tight_layout()
-    figure.savefig(FOLDER / name)
-    plt.close(figure)

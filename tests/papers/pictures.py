@@ -9,6 +9,9 @@ mpl.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
+from drivers.frames import LaserScan
+from service.geometry.se2 import SE2
+from service.mapper.maps.patch_map import moved
 from tests.papers.report import FOLDER
 
 Array = npt.NDArray[np.float64]
@@ -32,6 +35,22 @@ def draw_likelihood(
         interpolation="antialiased",
     )
     panel.tick_params(labelsize=7)
+
+
+def end_points(scan: LaserScan, pose: SE2) -> Array:
+    """(N, 2) m of a scan whose sensor has this pose, in the frame of the pose."""
+    angle = scan.first_angle_rad + scan.angle_step_rad * np.arange(len(scan.range_m))
+    seen = np.isfinite(scan.range_m)
+    xy = (scan.range_m * np.stack([np.cos(angle), np.sin(angle)]))[:, seen].T.astype(float)
+    return moved(xy, pose)
+
+
+def draw_scale(panel: Axes, length_m: float) -> None:
+    """A bar of this length in the lower left corner of what the panel shows."""
+    x0, x1, y0, y1 = panel.axis()
+    left, low = x0 + 0.04 * (x1 - x0), y0 + 0.05 * (y1 - y0)
+    panel.plot([left, left + length_m], [low, low], "k-", lw=3, solid_capstyle="butt")
+    panel.text(left, low + 0.02 * (y1 - y0), f"{length_m:g} m", fontsize=8)
 
 
 def save(figure: plt.Figure, name: str, caption: str) -> tuple[str, str]:
