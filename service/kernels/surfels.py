@@ -14,6 +14,8 @@ TILE_CELLS = 1 << TILE_BITS
 TILE_MASK = TILE_CELLS - 1
 # Columns of a surfel: how many points it stands for, mean from the centre of its cell (m), unit normal.
 COUNT, MEAN_X, MEAN_Y, NORMAL_X, NORMAL_Y = range(5)
+SAME_WALL_COSINE = np.float32(0.7)  # a point that faces farther from a surfel begins the other one
+REACH_CELLS = 1.25  # surfels farther than this from a point say nothing of the wall beside it
 
 
 class SurfelGrid(NamedTuple):
@@ -48,7 +50,7 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit):
     """Merge the points of a scan into the surfels of a sub-map whose index covers them.
 
     xy_base       (N, 2) float64   m, base frame
-    normals       (N, 3) float64   from estimate_normals; only planar points, of weight 1, are taken
+    normals       (N, 3) float64   from estimate_normals; only planar points, of weight 1 or more, are taken
     pose          (3,)   float64   pose of the base in the frame of the grid
     grid          SurfelGrid       in and out
     count_limit   float            a surfel forgets: it never stands for more points than this
@@ -75,8 +77,10 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit):
         q = column & TILE_MASK
         side = 0
         cosine = surfels[slot, r, q, 0, NORMAL_X] * nx + surfels[slot, r, q, 0, NORMAL_Y] * ny
-        if surfels[slot, r, q, 0, COUNT] > 0.0 and cosine <= 0.0:
-            side = 1
+        if surfels[slot, r, q, 0, COUNT] > 0.0 and cosine < SAME_WALL_COSINE:
+            other = surfels[slot, r, q, 1, NORMAL_X] * nx + surfels[slot, r, q, 1, NORMAL_Y] * ny
+            if surfels[slot, r, q, 1, COUNT] == 0.0 or other > cosine:
+                side = 1
         n = min(surfels[slot, r, q, side, COUNT], limit - np.float32(1.0))
         share = np.float32(1.0) / (n + np.float32(1.0))
         surfels[slot, r, q, side, MEAN_X] += (dx - surfels[slot, r, q, side, MEAN_X]) * share
@@ -92,15 +96,22 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit):
 
 @njit(cache=True, nogil=True)
 def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
-    """For each point the nearest mean in the 3 x 3 cells around it, among surfels that face the same way.
+    """The wall beside each point: mean of the surfels in the 3 x 3 cells around it that face the same way.
+
+    A wall does not end where its cells do: each of its surfels is the mean of the points that fell into one
+    cell, noise cut off at the border. The nearest of them alone says too little, and leans to one side where
+    a border runs along a wall; by as many points as they stand for, and less with distance, they add up to
+    the wall again.
 
     xy_base        (N, 2) float64   m, base frame
     normals        (N, 3) float64   from estimate_normals; points of weight 0 get none
     pose           (3,)   float64   base in the frame of the grid
     grid           SurfelGrid
     least_cosine   float            between the two normals; -2 takes any
-    found          (N, 5) float64   out: mean x, mean y (m, frame of the grid), normal x, normal y, count;
-                                    the count is 0 where there is none, and the rest then means nothing
+    found          (N, 5) float64   out: mean x, mean y (m, frame of the grid), normal x, normal y, and how
+                                    many points it stands for near by; 0 where there is none, and the rest
+                                    then means nothing
+    Source: moving least squares, Kolluri 2008; for scans, Deschaud, IMLS-SLAM, 2018, eq. (1).
     """
     # Arrays are taken out of the tuples once, and cells are read by scalars: a reference taken in the loop
     # costs more than the search itself.
@@ -110,6 +121,7 @@ def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
     first_column = grid.tiles.origin[1]
     cell_m = grid.cell_m
     cells_per_m = 1.0 / cell_m
+    per_square_reach = 1.0 / (REACH_CELLS * cell_m) ** 2
     c = math.cos(pose[2])
     s = math.sin(pose[2])
     for i in range(xy_base.shape[0]):
@@ -124,7 +136,7 @@ def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
         row = math.floor(y * cells_per_m)
         dx = x - (column + 0.5) * cell_m
         dy = y - (row + 0.5) * cell_m
-        best = np.inf
+        total = sum_x = sum_y = sum_nx = sum_ny = 0.0
         last_row = last_column = -(2**62)
         slot = NO_TILE
         for v in range(-1, 2):
@@ -142,21 +154,28 @@ def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
                     continue
                 q = (column + u) & TILE_MASK
                 for side in range(2):
-                    n = surfels[slot, r, q, side, COUNT]
+                    n = np.float64(surfels[slot, r, q, side, COUNT])
                     if n == 0.0:
                         break  # the second side is never filled before the first
                     mx = u * cell_m + surfels[slot, r, q, side, MEAN_X]
                     my = v * cell_m + surfels[slot, r, q, side, MEAN_Y]
-                    d = (mx - dx) * (mx - dx) + (my - dy) * (my - dy)
-                    if d >= best:
+                    near = 1.0 - ((mx - dx) * (mx - dx) + (my - dy) * (my - dy)) * per_square_reach
+                    if near <= 0.0:
                         continue
                     sx = np.float64(surfels[slot, r, q, side, NORMAL_X])
                     sy = np.float64(surfels[slot, r, q, side, NORMAL_Y])
                     if sx * nx + sy * ny <= least_cosine:
                         continue
-                    best = d
-                    found[i, 0] = mx + (column + 0.5) * cell_m
-                    found[i, 1] = my + (row + 0.5) * cell_m
-                    found[i, 2] = sx
-                    found[i, 3] = sy
-                    found[i, 4] = n
+                    weight = n * near * near
+                    total += weight
+                    sum_x += weight * mx
+                    sum_y += weight * my
+                    sum_nx += weight * sx
+                    sum_ny += weight * sy
+        length = math.sqrt(sum_nx * sum_nx + sum_ny * sum_ny)
+        if length > 0.0:
+            found[i, 0] = sum_x / total + (column + 0.5) * cell_m
+            found[i, 1] = sum_y / total + (row + 0.5) * cell_m
+            found[i, 2] = sum_nx / length
+            found[i, 3] = sum_ny / length
+            found[i, 4] = total

@@ -1,8 +1,16 @@
 import math
 
 import numpy as np
+import pytest
 
-from service.kernels.surfels import TILE_BITS, TILE_MASK, SurfelGrid, find_surfels, insert_surfels
+from service.kernels.surfels import (
+    REACH_CELLS,
+    TILE_BITS,
+    TILE_MASK,
+    SurfelGrid,
+    find_surfels,
+    insert_surfels,
+)
 from service.kernels.tiles import find_tile
 from tests.service.kernels.surfel_grids import empty_grid
 
@@ -50,7 +58,8 @@ def test_surfels_are_means_of_the_points_that_face_one_way() -> None:
         key = math.floor(point[1] / 0.4), math.floor(point[0] / 0.4)
         members = expected.setdefault(key, [[], []])
         directions = facing.setdefault(key, [np.zeros(2), np.zeros(2)])
-        side = 1 if members[0] and directions[0] @ normal <= 0.0 else 0
+        cosines = [direction @ normal for direction in directions]
+        side = 1 if members[0] and cosines[0] < 0.7 and (not members[1] or cosines[1] > cosines[0]) else 0
         merged = len(members[side]) * directions[side] + normal
         directions[side] = merged / np.hypot(*merged)
         members[side].append(point)
@@ -93,7 +102,38 @@ def test_a_used_slot_is_cleared_before_it_is_filled() -> None:
     assert [n for *_, n in read_all(grid)] == [1.0]
 
 
-def test_the_nearest_surfel_that_faces_the_same_way_is_found() -> None:
+def test_a_corner_keeps_its_two_walls_apart() -> None:
+    grid = empty_grid()
+    rng = np.random.default_rng(6)
+    across, along = 0.05 + rng.normal(0.0, 0.005, 200), rng.uniform(0.0, 0.1, 200)
+    tilt = rng.normal(0.0, 0.1, 200)
+    facing = np.column_stack([-np.cos(tilt), np.sin(tilt), np.ones(200)])
+    insert_surfels(np.column_stack([across, along]), facing, np.zeros(3), grid, 1e3)
+    insert_surfels(np.column_stack([along, across]), facing[:, [1, 0, 2]], np.zeros(3), grid, 1e3)
+    found = sorted(row for row in read_all(grid) if row[4] > 20)
+    normals_found = sorted(row[2:4] for row in found)
+    np.testing.assert_allclose(normals_found, [[-1.0, 0.0], [0.0, -1.0]], atol=0.05)
+
+
+def test_a_wall_that_runs_along_a_border_of_cells_is_found_where_it_is() -> None:
+    """Its points fall to both sides, a few more to one: the mean of the nearest surfel would lean there."""
+    rng = np.random.default_rng(5)
+    for wall_y_m in (0.2, 0.205, 0.215):
+        y = wall_y_m + rng.normal(0.0, 0.012, 20_000)
+        insert_surfels(
+            np.column_stack([rng.uniform(0.0, 1.0, 20_000), y]),
+            np.tile([0.0, -1.0, 1.0], (20_000, 1)),
+            np.zeros(3),
+            grid := empty_grid(),
+            1e6,
+        )
+        xy = np.column_stack([np.linspace(0.2, 0.8, 50), wall_y_m + rng.normal(0.0, 0.012, 50)])
+        found = np.empty((50, 5))
+        find_surfels(xy, np.tile([0.0, -1.0, 1.0], (50, 1)), np.zeros(3), grid, 0.6, found)
+        np.testing.assert_allclose(found[:, 1], wall_y_m, atol=0.003)
+
+
+def test_the_wall_beside_a_point_is_the_mean_of_the_surfels_near_it() -> None:
     grid = empty_grid()
     insert_surfels(*random_points(20_000, seed=2), np.zeros(3), grid, 50.0)
     surfels = np.array(read_all(grid))
@@ -111,9 +151,14 @@ def test_the_nearest_surfel_that_faces_the_same_way_is_found() -> None:
         if weight == 0.0 or not near.any():
             assert row[4] == 0.0
             continue
-        candidates = surfels[near]
-        nearest = candidates[np.argmin(np.hypot(*(candidates[:, :2] - point).T))]
-        np.testing.assert_allclose(row, nearest, atol=1e-6)
+        square = ((surfels[near, :2] - point) ** 2).sum(axis=1)
+        weight = surfels[near, 4] * np.maximum(1.0 - square / (REACH_CELLS * 0.1) ** 2, 0.0) ** 2
+        assert row[4] == pytest.approx(weight.sum(), abs=1e-5)
+        if row[4] < 1e-3:
+            continue
+        mean = weight @ surfels[near, :4] / weight.sum()
+        mean[2:] /= np.hypot(*mean[2:])
+        np.testing.assert_allclose(row[:4], mean, atol=1e-4)
         matched += 1
     assert matched > 100
 
