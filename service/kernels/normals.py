@@ -18,6 +18,8 @@ class NormalSettings(NamedTuple):
     planar_ratio: float
     least_cos_incidence: float
     rough_weight: float
+    planar_m: float
+    grazing_weight: float
 
 
 @njit(cache=True, nogil=True)
@@ -29,8 +31,10 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, settings, normals):
     angle_step_rad   float            between neighbouring beams, > 0
     settings         NormalSettings
     normals          (N, 3) float64   out: unit normal towards the sensor in base axes, and the weight of the
-                                      point: 1 on a planar piece, settings.rough_weight elsewhere, 0 where the
-                                      beam grazes
+                                      point: 1 or more on a planar piece, settings.rough_weight elsewhere, 0
+                                      where the beam grazes too much. An error of the range moves the point
+                                      along its beam, so across a wall it counts by the cosine of the
+                                      incidence: the weight is 1 head-on, settings.grazing_weight at most
     """
     count = xy_base.shape[0]
     sums = np.zeros((count + 1, 5))  # of x, y, xx, xy, yy up to each point, relative to the sensor
@@ -94,8 +98,12 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, settings, normals):
                     cosine = -cosine
                 nx = ex
                 ny = ey
-                if mean - root < settings.planar_ratio * (mean + root):
-                    weight = 1.0 if cosine >= settings.least_cos_incidence else 0.0
+                thin = mean - root < n * settings.planar_m * settings.planar_m
+                if thin and mean - root < settings.planar_ratio * (mean + root):
+                    weight = 0.0
+                    if cosine >= settings.least_cos_incidence:
+                        square = cosine * cosine
+                        weight = 1.0 / (square + (1.0 - square) / settings.grazing_weight)
         normals[i, 0] = nx
         normals[i, 1] = ny
         normals[i, 2] = weight

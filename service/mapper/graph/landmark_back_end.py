@@ -41,7 +41,7 @@ class LandmarkGraphConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     match: SubmapMatchConfig = SubmapMatchConfig()
-    normals: NormalsConfig = NormalsConfig()
+    normals: NormalsConfig = NormalsConfig(grazing_weight=1.0)
     least_on_surfels: float = Field(
         default=0.4, ge=0.0, le=1.0
     )  # share of points, when a scan or a sub-map is laid anew

@@ -30,6 +30,8 @@ class NormalsConfig(BaseModel):
     planar_ratio: float = Field(default=0.02, gt=0.0, lt=1.0)
     least_cos_incidence: float = Field(default=0.05, ge=0.0, lt=1.0)
     rough_weight: float = Field(default=0.2, ge=0.0, le=1.0)
+    planar_m: float = Field(default=0.03, gt=0.0)
+    grazing_weight: float = Field(default=5.0, ge=1.0)  # of a beam along a wall, where one head-on has 1
 
     def settings(self) -> NormalSettings:
         return NormalSettings(
@@ -41,6 +43,8 @@ class NormalsConfig(BaseModel):
             self.planar_ratio,
             self.least_cos_incidence,
             self.rough_weight,
+            self.planar_m,
+            self.grazing_weight,
         )
 
 
@@ -54,8 +58,8 @@ class SubmapsConfig(BaseModel):
     spacing_m: float = Field(default=20.0, gt=0.0)  # a new sub-map each time so far was travelled
     keyframe_distance_m: float = Field(default=0.05, gt=0.0)
     keyframe_turn_rad: float = Field(default=0.05, gt=0.0)
-    first_scans: int = Field(default=5, ge=1)  # all of the first ones of a map are taken, even standing
-    count_limit: int = Field(default=50, ge=2)
+    first_scans: int = Field(default=25, ge=1)  # all of the first ones of a map are taken, even standing
+    count_limit: int = Field(default=1000, ge=2)
     field_sigma_m: float = Field(default=0.15, gt=0.0)
     field_enough: float = Field(default=0.95, gt=0.0, le=1.0)
 

@@ -39,7 +39,7 @@ SETTINGS = MatchSettings(
     blind_sigma_m=0.1,
     covariance_scale=2.0,
 )
-NORMALS = NormalSettings(4, 16, 0.1, 0.06, 5.0, 0.02, 0.05, 0.2)
+NORMALS = NormalSettings(4, 16, 0.1, 0.06, 5.0, 0.02, 0.05, 0.2, 0.03, 5.0)
 STEP_RAD = math.radians(0.5)
 
 
