@@ -18,6 +18,9 @@ from service.kernels.match import invert_3x3
 
 Twist = tuple[float, float, float]
 STANDING: Twist = (0.0, 0.0, 0.0)
+STILL_M, STILL_RAD = 1e-4, 1e-4  # wheels that turn less between two scans stand still
+PUSHED_SIGMAS = 4.0  # a match so far from where it stood, by its standing sigmas, is a push
+PUSHED_NS = 1_000_000_000  # after which wheels that stand are believed again
 UNKNOWN = np.zeros((3, 3))  # information of a scan that was not matched
 
 
@@ -32,6 +35,8 @@ class MotionConfig(BaseModel):
     heading_sigma_rad: float = Field(default=0.02, gt=0.0)
     heading_sigma_per_rad: float = Field(default=0.15, ge=0.0)
     heading_sigma_per_m_rad: float = Field(default=0.02, ge=0.0)
+    standing_sigma_m: float = Field(default=0.001, gt=0.0)  # while the wheels stand still
+    standing_sigma_rad: float = Field(default=0.0003, gt=0.0)
 
     acceleration_mps2: float = Field(default=2.0, gt=0.0)  # of a speed that is only guessed
     turn_acceleration_radps2: float = Field(default=4.0, gt=0.0)
@@ -92,6 +97,7 @@ class WeighedMotion:
         self._predicted: Prediction | None = None
         self._rolled: SE2 | None = None  # what the wheels said of the way to the last prediction
         self._relative = np.zeros((3, 3))  # of the last pose, on the map
+        self._pushed_ns: int | None = None  # when a match last was off where the wheels had stood
         self._has_speed = False  # two scans were matched, so their difference is a speed
 
     def add(self, sample: ImuSample | OdometrySample) -> bool:
@@ -118,6 +124,8 @@ class WeighedMotion:
                 self._drift.add(self._relative)
             self._drift.advance(step, loss, information, per_m if is_match else 0.0)
             if is_match:
+                if predicted.is_measured:
+                    self._notice_push(stamp_ns, predicted, matched)
                 self._learn(last_ns, stamp_ns, step, relative)
                 self._has_speed = True
             else:  # the map stays where it is, the pose on it grows vague
@@ -134,7 +142,7 @@ class WeighedMotion:
         self._rolled = way.motion if way is not None else None
         if way is not None:
             step = self._trust.corrected(way.motion)
-            sigma_m, sigma_rad = self._wheel_sigmas(step, way.guessed_s)
+            sigma_m, sigma_rad = self._wheel_sigmas(stamp_ns, step, way.guessed_s)
             twist = self._wheel_twist(stamp_ns) or last.twist_base
         else:
             step, sigma_m, sigma_rad = self._coast(last.twist_base, elapsed_s)
@@ -191,9 +199,25 @@ class WeighedMotion:
         nothing = np.zeros((3, 3))
         return Prediction(SE2(), twist, nothing, nothing, elapsed_s=0.0, twist_gain=0.0, is_measured=False)
 
-    def _wheel_sigmas(self, step: SE2, guessed_s: float) -> tuple[float, float]:
+    def _stands(self, stamp_ns: int, guessed_s: float) -> bool:
+        """Whether wheels that stand still are believed: not while walls have lately said otherwise."""
+        return guessed_s <= self._config.odometry_speed_window_s and (
+            self._pushed_ns is None or stamp_ns - self._pushed_ns > PUSHED_NS
+        )
+
+    def _notice_push(self, stamp_ns: int, predicted: Prediction, matched: Motion) -> None:
+        away = predicted.pose_odom_base.inverse() @ matched.pose_odom_base
+        if (
+            math.hypot(away.x_m, away.y_m) > PUSHED_SIGMAS * self._config.standing_sigma_m
+            or abs(away.theta_rad) > PUSHED_SIGMAS * self._config.standing_sigma_rad
+        ):
+            self._pushed_ns = stamp_ns
+
+    def _wheel_sigmas(self, stamp_ns: int, step: SE2, guessed_s: float) -> tuple[float, float]:
         config = self._config
         d, a = math.hypot(step.x_m, step.y_m), abs(step.theta_rad)
+        if self._stands(stamp_ns, guessed_s) and d <= STILL_M and a <= STILL_RAD:
+            return config.standing_sigma_m, config.standing_sigma_rad
         guess = 0.5 * guessed_s**2
         return (
             config.position_sigma_m

@@ -82,6 +82,17 @@ def test_the_gyro_turns_and_the_wheels_drive() -> None:
     assert sigmas(predicted)[2] == pytest.approx(0.005 + 0.02 * 0.1)
 
 
+def test_wheels_that_stand_still_are_believed_and_wheels_that_turn_less() -> None:
+    config = MotionConfig()
+    for step_m, expected in ((0.0, config.standing_sigma_m), (0.01, config.position_sigma_m + 0.001)):
+        model = WeighedMotion(config)
+        for k in range(10):
+            model.add(odometry(10 * k, SE2(k * step_m / 2.0, 0.0, 0.0)))
+        model.predict(0)
+        model.correct(0, matched(SE2()))
+        assert sigmas(model.predict(20 * MS))[0] == pytest.approx(expected)
+
+
 def test_late_samples_are_refused() -> None:
     model = WeighedMotion(MotionConfig())
     assert model.add(odometry(20, SE2()))

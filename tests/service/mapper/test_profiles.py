@@ -75,6 +75,23 @@ def test_a_drive_round_a_room_is_followed_to_millimetres(room_drive: Drive, whee
     assert np.degrees(np.abs(away[:, 2]).max()) < 0.1
 
 
+def test_a_vehicle_pushed_on_standing_wheels_is_followed() -> None:
+    """Towed, lifted, or sliding: the wheels say that it stands, the walls that it does not."""
+    made = drive(ROOM, round_the_room, 6.0)
+    first = next(f for f in made.frames if isinstance(f, OdometrySample))
+    stuck = [
+        replace(f, x_m=first.x_m, y_m=first.y_m, theta_rad=first.theta_rad)
+        if isinstance(f, OdometrySample)
+        else f
+        for f in made.frames
+    ]
+    outputs = run(stuck)
+    away = errors(outputs, made.truth)
+    assert {o.state for o in outputs} <= {"ok", "degraded"}
+    assert np.hypot(away[:, 0], away[:, 1]).max() < 0.15
+    assert np.hypot(*errors(run(made.frames), made.truth)[-1, :2]) < 0.005
+
+
 def test_motion_during_the_sweep_is_taken_out(room_drive: Drive) -> None:
     """The same drive with sweeps declared to be instants: the error that deskewing saves."""
     frozen = [replace(f, beam_interval_ns=0) if isinstance(f, LaserScan) else f for f in room_drive.frames]
