@@ -7,12 +7,14 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from drivers.frames import NO_INTENSITY, Frame, ImuSample, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
+from service.mapper.pipeline import Mapper
 from service.mapper.profiles import MappingConfig, build_mapper
 from service.outputs import MapperOutput
 from simulators.truth import LMS100, UTM30LX, LaserModel, LaserTruth, Ride, noise_of
@@ -84,7 +86,7 @@ class Run:
 
     outputs: list[MapperOutput]
     scan_ms: npt.NDArray[np.float64]
-    mapper: object
+    mapper: Mapper[Any]
     errors: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))  # forward, left m; rad
 
     @property

@@ -23,7 +23,7 @@ BUILDINGS = (
     ("ring", 10.0),
     ("library", 10.0),
     ("office", 10.0),
-    ("large_office", 30.0),
+    ("floor", 30.0),
     ("corridor100", 40.0),
     ("spins", 10.0),
 )
@@ -32,18 +32,18 @@ BUILDINGS = (
 def buildings(seeds: int) -> Section:
     rows = []
     for name, bound_mm in BUILDINGS:
-        if name not in WORLDS:
-            continue
         errors = errors_of(Trip(WORLDS[name], LMS100_50HZ), seeds)
         rows += [
-            Row("", f"{name}: ATE", errors.ate_mm, "mm", at_most=bound_mm, digits=1),
-            Row("", f"{name}: as is", errors.as_is_mm, "mm", digits=1),
+            Row("", f"{name}: ATE after the finish", errors.finished_mm, "mm", at_most=bound_mm, digits=1),
+            Row("", f"{name}: ATE live", errors.ate_mm, "mm", digits=1),
+            Row("", f"{name}: live, as is", errors.as_is_mm, "mm", digits=1),
             Row("", f"{name}: heading, RMS", errors.heading_deg, "deg"),
         ]
     return Section(
         "Buildings where others fail",
         "One lap each, LMS-100: 541 beams at 50 Hz with the motion of each beam, mixed pixels and noise of "
-        "12 mm; odometry that wanders by 1 cm and 0.3 deg per root metre; no IMU.",
+        "12 mm; odometry that wanders by 1 cm and 0.3 deg per root metre; no IMU. floor: an office of "
+        "2000 m2.",
         rows,
     )
 
@@ -77,6 +77,7 @@ def big_mall(seeds: int) -> Section:
         f"The first {MALL_WAY_M:.0f} m of a drive through every aisle, {seconds:.0f} s, LMS-100 at 25 Hz, "
         "people walking.",
         [
+            Row("", "ATE after the finish", errors.finished_mm, "mm", at_most=50.0, digits=1),
             Row("", "live, as is, RMS", errors.as_is_mm, "mm", at_most=100.0, digits=1),
             Row("", "live, ATE", errors.ate_mm, "mm", digits=1),
             Row("", "at the end", errors.end_mm, "mm", digits=1),

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.geometry.se2 import SE2
+from service.mapper.corrections import corrected
 from service.mapper.profiles import MappingConfig, mapping_config
 from service.offline.score import align, compose
 from simulators.world import World
@@ -55,9 +56,9 @@ def poses_of(poses: Sequence[SE2]) -> npt.NDArray[np.float64]:
     return np.array([(pose.x_m, pose.y_m, pose.theta_rad) for pose in poses])
 
 
-def ate_m(drive: Drive, done: Run) -> float:
-    """RMS distance after the best rigid motion."""
-    estimate = poses_of([output.pose_map_base for output in done.outputs])
+def ate_m(drive: Drive, done: Run, poses: Sequence[SE2]) -> float:
+    """RMS distance of a pose for each output of a run, after the best rigid motion."""
+    estimate = poses_of(poses)
     truth = poses_of([drive.truth[output.stamp_ns] for output in done.outputs])
     off = compose(align(estimate, truth), estimate) - truth
     return float(np.sqrt((off[:, :2] ** 2).sum(axis=1).mean()))
@@ -71,7 +72,8 @@ def lost_share(done: Run) -> float:
 class Errors:
     """Of the runs of one trip, a value a seed."""
 
-    ate_mm: list[float] = field(default_factory=list)
+    ate_mm: list[float] = field(default_factory=list)  # live
+    finished_mm: list[float] = field(default_factory=list)  # ATE after the finish
     as_is_mm: list[float] = field(default_factory=list)
     heading_deg: list[float] = field(default_factory=list)
     end_mm: list[float] = field(default_factory=list)
@@ -81,7 +83,9 @@ class Errors:
 
     def add(self, drive: Drive, done: Run) -> None:
         end_m, end_rad = done.end_error
-        self.ate_mm.append(1e3 * ate_m(drive, done))
+        self.ate_mm.append(1e3 * ate_m(drive, done, [output.pose_map_base for output in done.outputs]))
+        finished = corrected(done.outputs, done.mapper.finish().corrections)
+        self.finished_mm.append(1e3 * ate_m(drive, done, finished))
         self.as_is_mm.append(1e3 * done.position_rmse_m)
         self.heading_deg.append(math.degrees(done.heading_rmse_rad))
         self.end_mm.append(1e3 * end_m)

@@ -121,7 +121,7 @@ def parked(seeds: int) -> Section:
 
 def ghost_cells(world: World, drive: Drive, done: Run) -> int:
     """Cells shown occupied where there is neither a wall nor was anybody lately."""
-    tiles: list[TileUpdate] = done.mapper.changed_tiles()  # type: ignore[attr-defined]
+    tiles: list[TileUpdate] = done.mapper.changed_tiles()
     places = np.vstack([_occupied(tile) for tile in tiles])
     first = drive.world_first
     c, s = math.cos(first.theta_rad), math.sin(first.theta_rad)
