@@ -75,7 +75,7 @@ class ContourMapConfig(BaseModel):
     levels: int = Field(default=3, ge=1, le=6)  # each with cells twice as wide as the one before
     insert_distance_m: float = Field(default=0.05, ge=0.0)  # learn after so much way,
     insert_turn_rad: float = Field(default=0.05, ge=0.0)  # ... or turn,
-    insert_time_s: float = Field(default=0.1, ge=0.0)  # ... or time; 0: every scan
+    insert_time_s: float = Field(default=0.0, ge=0.0)  # ... or time; 0: every scan
     contours: ContoursConfig = ContoursConfig()
     blur: BlurConfig = BlurConfig()
     learning: LearningConfig = LearningConfig()
