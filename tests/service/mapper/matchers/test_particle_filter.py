@@ -58,6 +58,15 @@ def test_the_seed_decides_and_nothing_else(short_drive: Drive) -> None:
     assert first != other
 
 
+# D1
+def test_a_room_is_followed_without_wheels() -> None:
+    what = drive(ROOM, round_the_room, 3.0, wheel_scale=None)
+    outputs = outputs_of(mapper(particles=4), what)
+    last = what.truth[outputs[-1].stamp_ns].inverse() @ outputs[-1].pose_map_base
+    assert np.hypot(last.x_m, last.y_m) < 0.05
+    assert abs(last.theta_rad) < 0.02
+
+
 def test_wheels_that_say_forwards_for_backwards_are_found_out() -> None:
     what = drive(ROOM, round_the_room, 4.0, wheel_scale=-1.0)
     scans = [frame for frame in what.frames if isinstance(frame, LaserScan)][::12]
