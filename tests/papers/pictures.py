@@ -46,11 +46,13 @@ def end_points(scan: LaserScan, pose: SE2) -> Array:
 
 
 def draw_scale(panel: Axes, length_m: float) -> None:
-    """A bar of this length in the lower left corner of what the panel shows."""
+    """A bar of this length below all that the panel shows."""
     x0, x1, y0, y1 = panel.axis()
-    left, low = x0 + 0.04 * (x1 - x0), y0 + 0.05 * (y1 - y0)
+    low = y0 - 0.08 * (y1 - y0)
+    panel.set_ylim(low - 0.06 * (y1 - y0), y1)
+    left = x0 + 0.05 * (x1 - x0)
     panel.plot([left, left + length_m], [low, low], "k-", lw=3, solid_capstyle="butt")
-    panel.text(left, low + 0.02 * (y1 - y0), f"{length_m:g} m", fontsize=8)
+    panel.text(left + length_m, low, f" {length_m:g} m", fontsize=8, va="center")
 
 
 def save(figure: plt.Figure, name: str, caption: str) -> tuple[str, str]:
