@@ -132,7 +132,7 @@ class _Landmark:
 
 @dataclass(slots=True, eq=False)
 class LandmarkBackEnd:
-    """BackEnd. Track points stand in two frames: `drawn` in odom, where particles drew, `poses` in map."""
+    """BackEnd. Track points stand in two frames: `drawn` in odom, as scans were laid anew; `poses` in map."""
 
     config: LandmarkGraphConfig
     painter: Painter | None

@@ -1,7 +1,7 @@
 """Closed sub-maps on surfels: their scans laid anew, point to line, and one sub-map laid on another.
 
 A particle lies on cells, and what cells of 5 cm say of a wall is off by millimetres, always to the same side:
-that made ways of 12 m 6 mm too short. Surfels hold where in its cell a wall is.
+that made ways of 12 m 5 mm too short. Surfels hold where in its cell a wall is.
 """
 
 from collections.abc import Sequence
