@@ -58,7 +58,7 @@ class LearningConfig(BaseModel):
 
     rate: float = Field(default=0.01, gt=0.0, lt=1.0)  # w_l
     control: float = Field(default=3.0, ge=0.0)  # tau
-    protect_count: int = Field(default=100, ge=0, le=65_534)  # n_th
+    protect_count: int = Field(default=1000, ge=0, le=65_534)  # n_th
     sigma_cells: float = Field(default=1.5, gt=0.0, le=10.0)  # sigma_l
     decrease: bool = True
     forget_unseen: bool = False  # True: cells out of sight fade as well, as printed
