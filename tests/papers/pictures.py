@@ -15,7 +15,7 @@ from service.mapper.maps.patch_map import moved
 from tests.papers.report import FOLDER
 
 Array = npt.NDArray[np.float64]
-COLOURS = 24
+COLOURS = 64
 
 
 def draw_likelihood(
