@@ -84,7 +84,7 @@ def against_single(drives: Sequence[Drive], submaps: Sequence[Mapped]) -> Sectio
     """D18, D20: the mall as one map that is never closed and never corrected, beside the sub-maps."""
     single = [run(what, {"particles": PLACES[-1].particles, "length_m": 1e6}, graph=False) for what in drives]
     ratios = [one.worst_m / ours.worst_m for one, ours in zip(single, submaps, strict=True)]
-    figure, panels = plt.subplots(1, 2, figsize=(7.2, 3.4), dpi=80, sharey=True)
+    figure, panels = plt.subplots(1, 2, figsize=(7.2, 3.4), dpi=80)
     for panel, title, mapped in zip(panels, ("one map", "sub-maps"), (single[0], submaps[0]), strict=True):
         scans = [frame for frame in drives[0].frames if isinstance(frame, LaserScan)]
         points = [
