@@ -7,6 +7,9 @@ import numpy as np
 from numba import njit
 
 
+WALL_M = 0.004  # how even a wall is, at best
+
+
 class NormalSettings(NamedTuple):
     """What counts as one piece of wall; documented where it is configured."""
 
@@ -98,7 +101,8 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, settings, normals):
                     cosine = -cosine
                 nx = ex
                 ny = ey
-                thin = mean - root < n * settings.planar_m * settings.planar_m
+                thick_m = settings.planar_m * cosine + WALL_M
+                thin = mean - root < n * thick_m * thick_m
                 if thin and mean - root < settings.planar_ratio * (mean + root):
                     weight = 0.0
                     if cosine >= settings.least_cos_incidence:

@@ -54,8 +54,8 @@ def slow_normals(xy: np.ndarray) -> np.ndarray:
         normal = vectors[:, 0] * np.sign(vectors[:, 0] @ towards)
         answer[i, :2] = normal
         thickness_m = np.sqrt(values[0] * (len(window) - 1) / len(window))
-        if values[0] < SETTINGS.planar_ratio * values[1] and thickness_m < SETTINGS.planar_m:
-            cosine = normal @ towards
+        cosine = normal @ towards
+        if values[0] < SETTINGS.planar_ratio * values[1] and thickness_m < SETTINGS.planar_m * cosine + 0.004:
             answer[i, 2] = 1.0 / (0.2 + 0.8 * cosine**2) if cosine >= 0.05 else 0.0
     return answer
 
