@@ -69,7 +69,7 @@ class Place:
         """Where the cloud lies best within a window about a pose; None where nowhere well enough."""
         if not len(cloud.xy) or not len(self._xy):
             return None
-        thin = cloud.xy[:: max(1, len(cloud.xy) // SEARCH_POINTS)]
+        thin = np.ascontiguousarray(cloud.xy[:: max(1, len(cloud.xy) // SEARCH_POINTS)])
         step_rad = CELL_M / 10.0
         half = math.ceil(reach_m / CELL_M)
         window = SearchWindow(pose, half, half, math.ceil(reach_rad / step_rad), step_rad)

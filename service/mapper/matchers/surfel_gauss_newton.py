@@ -13,6 +13,7 @@ from service.kernels.deskew import Returns
 from service.kernels.drift import match_information
 from service.kernels.match import MatchResult, MatchSettings, Prior, match_scan
 from service.mapper.maps.submaps import Submap, SurfelSubmaps
+from service.mapper.matchers.recovery import search_around
 from service.mapper.stages import Match, Points
 from service.outputs import State
 
@@ -34,6 +35,13 @@ class SurfelMatcherConfig(BaseModel):
 
     jump_sigmas: float = Field(default=4.0, gt=0.0)  # from the prediction: then a doubtful match is refused
     doubt_ratio: float = Field(default=0.9, ge=0.0, le=1.0)  # of the usual share on the map
+    search_least_m: float = Field(
+        default=0.3, gt=0.0
+    )  # window of the search when too little lies on the map:
+    search_most_m: float = Field(default=2.0, gt=0.0)  # three sigmas of the prediction, within these
+    search_least_rad: float = Field(default=0.2, gt=0.0)
+    search_most_rad: float = Field(default=1.6, gt=0.0)
+    search_gain: float = Field(default=0.08, ge=0.0)  # so much more must then lie on the map
     usual_share_scans: int = Field(default=50, ge=1)  # over which the usual share is taken
     settled_m: float = Field(default=0.0005, gt=0.0)
     settled_rad: float = Field(default=0.0001, gt=0.0)
@@ -108,24 +116,18 @@ class SurfelGaussNewton:
         is_new: bool,
     ) -> Match:
         pose = predicted.pose_odom_base
-        xy_base = points.xy_base.copy()
-        result: MatchResult = match_scan(
-            Returns(points.xy_raw, points.beam_time_s, points.beam),
-            normals,
-            Prior(
-                np.array([pose.x_m, pose.y_m, pose.theta_rad]),
-                np.array(predicted.twist_base),
-                predicted.step_covariance,
-                predicted.covariance,
-                predicted.elapsed_s,
-                predicted.twist_gain,
-                predicted.is_measured,
-            ),
-            submap.grid(),
-            self._settings,
-            self._config.doubt_ratio * self._usual_share,
-            xy_base,
+        prior = Prior(
+            np.array([pose.x_m, pose.y_m, pose.theta_rad]),
+            np.array(predicted.twist_base),
+            predicted.step_covariance,
+            predicted.covariance,
+            predicted.elapsed_s,
+            predicted.twist_gain,
+            predicted.is_measured,
         )
+        result, xy_base = self._lay(points, normals, prior, submap)
+        if result.share < self._least_share(predicted):
+            result, xy_base = self._recovered(result, xy_base, points, normals, prior, submap)
         state, reason = self._judge(result)
         if state != "lost" and (jump := self._jump(result, predicted)) is not None:
             state, reason = "lost", jump
@@ -143,6 +145,53 @@ class SurfelGaussNewton:
         )
         deskewed = replace(points, xy_base=xy_base)
         return Match(motion, deskewed, result.share, state, reason, submap.number)
+
+    def _lay(
+        self, points: Points, normals: npt.NDArray[np.float64], prior: Prior, submap: Submap
+    ) -> tuple[MatchResult, npt.NDArray[np.float64]]:
+        """The match, and the points deskewed with what it found."""
+        xy_base = points.xy_base.copy()
+        result: MatchResult = match_scan(
+            Returns(points.xy_raw, points.beam_time_s, points.beam),
+            normals,
+            prior,
+            submap.grid(),
+            self._settings,
+            self._config.doubt_ratio * self._usual_share,
+            xy_base,
+        )
+        return result, xy_base
+
+    def _least_share(self, predicted: Prediction) -> float:
+        """With less on the map, the surroundings are searched: wheels are seldom so wrong as a guess."""
+        if predicted.is_measured:
+            return self._config.lost_share
+        return self._config.doubt_ratio * self._usual_share
+
+    def _recovered(
+        self,
+        result: MatchResult,
+        xy_base: npt.NDArray[np.float64],
+        points: Points,
+        normals: npt.NDArray[np.float64],
+        prior: Prior,
+        submap: Submap,
+    ) -> tuple[MatchResult, npt.NDArray[np.float64]]:
+        """The best pose near the prediction, if clearly more of the scan lies on the map there.
+
+        A poor recovery is worse than none: a prediction that goes on is found again, a jump is not.
+        """
+        config = self._config
+        sigma_m, sigma_rad = (math.sqrt(prior.step_covariance[k, k]) for k in (0, 2))
+        reach_m = min(max(3.0 * sigma_m, config.search_least_m), config.search_most_m)
+        reach_rad = min(max(3.0 * sigma_rad, config.search_least_rad), config.search_most_rad)
+        start = search_around(points.xy_base, prior.pose, reach_m, reach_rad, submap.grid())
+        if start is None:
+            return result, xy_base
+        found, found_xy_base = self._lay(points, normals, prior._replace(pose=start), submap)
+        if found.share < result.share + config.search_gain:
+            return result, xy_base
+        return found, found_xy_base
 
     def _jump(self, result: MatchResult, predicted: Prediction) -> str | None:
         """Why a match is not believed that fits worse than usual and needs a speed that nothing can reach.

@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from drivers.frames import LaserScan, OdometrySample
 from service.errors import InputError
+from service.fusion.motion import Prediction
 from service.geometry.se2 import SE2
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import METHODS, build_mapper, mapping_config
@@ -90,6 +91,23 @@ def test_a_vehicle_pushed_on_standing_wheels_is_followed() -> None:
     assert {o.state for o in outputs} <= {"ok", "degraded"}
     assert np.hypot(away[:, 0], away[:, 1]).max() < 0.15
     assert np.hypot(*errors(run(made.frames), made.truth)[-1, :2]) < 0.005
+
+
+def test_a_turn_that_nobody_announced_is_found_again(room_drive: Drive) -> None:
+    """Half a metre and half a radian from the prediction, where walls are no guide any more."""
+    mapper = new_mapper()
+    scans = [f for f in room_drive.frames if isinstance(f, LaserScan)][:30]
+    outputs = run(scans, mapper)
+    stages = mapper._stages
+    truth = outputs[-1].pose_odom_base
+    for off in (SE2(0.5, -0.3, 0.55), SE2(-0.4, 0.4, -0.6)):
+        spread = np.diag([0.2**2, 0.2**2, 0.25**2])
+        predicted = Prediction(truth @ off, (0.0, 0.0, 0.0), spread, spread, 0.25, 0.0, is_measured=False)
+        match = stages.matcher.match(stages.deskew(scans[-1], predicted), predicted, stages.local_map)
+        away = truth.inverse() @ match.motion.pose_odom_base
+        assert match.state == "ok"
+        assert math.hypot(away.x_m, away.y_m) < 0.02
+        assert abs(away.theta_rad) < 0.01
 
 
 def test_motion_during_the_sweep_is_taken_out(room_drive: Drive) -> None:
@@ -249,6 +267,7 @@ def test_kernels_are_compiled_once_for_warm_up_and_all_that_follows() -> None:
         "likelihood_search.pool_levels",
         "likelihood_search.search_exhaustive",
         "likelihood_search.search_branch_and_bound",
+        "likelihood_search.build_pyramid",
     }
     assert {
         name: count for name, count in counts.items() if count > 1 + (name in of_two_kinds_of_cells)
