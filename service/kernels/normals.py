@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-
 WALL_M = 0.004  # how even a wall is, at best
 
 
