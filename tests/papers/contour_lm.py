@@ -346,7 +346,7 @@ def ring(seeds: int) -> Section:
 
 
 def before_return(what: Run, ride: Drive) -> float:
-    """m: error of the position at the last scan before the base is within RETURN_M of the first leg, y = 0."""
+    """m: error of the position at the last scan till the base is within RETURN_M of the first leg (y = 0)."""
     away = [k for k, output in enumerate(what.outputs) if ride.truth[output.stamp_ns].y_m > RETURN_M]
     return float(np.hypot(*what.errors[away[-1], :2]))
 
