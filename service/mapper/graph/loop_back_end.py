@@ -20,6 +20,7 @@ from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, solve, 
 from service.mapper.maps.submaps import NormalsConfig
 from service.mapper.stages import Correction, Drawn, Painter, Sheet
 
+STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: of a step between key frames, at best
 LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])  # of a step that only a prediction vouches for; m^2, rad^2
 GAP_SHARE = 0.1  # of a way without scans: what odometry may have erred by
 LOOP_M = 1.0  # what going over a loop counts in the length of a path
@@ -256,7 +257,7 @@ class LoopBackEnd:
 
     def _odometry(self) -> Edges:
         chain = self._chain
-        covariance = chain.covariance[1:] + np.diag([0.006**2, 0.006**2, 0.0015**2])
+        covariance = chain.covariance[1:] + STEP_FLOOR
         weak = chain.is_lost[1:] | chain.is_lost[:-1]
         covariance = np.where(weak[:, None, None], LOST_COVARIANCE, covariance)
         gap_m = np.maximum(np.diff(chain.way_m) - 2.0 * self._config.keyframe_distance_m, 0.0)
