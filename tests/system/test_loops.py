@@ -35,7 +35,7 @@ vehicle: v
 sensors: {front: {type: sick_lms100, host: a}}
 recording: {directory: s}
 map: {directory: m}
-mapping: {settings: {graph: {solve_at_m: 0.0001, solve_at_rad: 0.0001}}}
+mapping: {settings: {graph: {solve_at_rad: 0.000001}}}
 """
 SCANS, SPACING_M, PERIOD_NS = 420, 0.15, 100_000_000
 MOUNTINGS = {"front": SE2()}
