@@ -6,6 +6,7 @@ user's cache folder; so does this, before numba is imported.
 """
 
 import atexit
+import hashlib
 import logging
 import os
 import shutil
@@ -15,6 +16,7 @@ from pathlib import Path
 log = logging.getLogger(__name__)
 
 KERNELS = Path(__file__).parent / "kernels"
+DIGEST_NAME = "corridor-kernels.sha256"
 
 
 def ensure_cache_dir() -> Path | None:
@@ -25,8 +27,10 @@ def ensure_cache_dir() -> Path | None:
     given = os.environ.get("NUMBA_CACHE_DIR")
     home_cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "numba"
     places = [Path(given)] if given else [KERNELS / "__pycache__", home_cache]
-    if any(_is_writable(place) for place in places):
-        return None
+    for place in places:
+        if _is_writable(place):
+            forget_old_kernels(place)
+            return None
     # A fresh folder that only we can write: cached kernels are code, and /tmp belongs to everybody.
     temporary = Path(tempfile.mkdtemp(prefix="corridor-kernels-"))
     atexit.register(shutil.rmtree, temporary, ignore_errors=True)
@@ -37,6 +41,29 @@ def ensure_cache_dir() -> Path | None:
         " or ".join(map(str, places)),
     )
     return temporary
+
+
+def forget_old_kernels(place: Path) -> None:
+    """Drop what was compiled from other sources than those that stand here now.
+
+    numba looks only at the file that a kernel stands in: after `git pull` one that calls a changed kernel of
+    another file would go on with the old one.
+    """
+    sources = sorted(KERNELS.glob("*.py"))
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
+    stamp = place / DIGEST_NAME
+    try:
+        if stamp.exists() and stamp.read_text(encoding="ascii") == digest:
+            return
+        # numba's files lie beside the sources, or in a folder that has the name of theirs and a hash
+        for pattern in ("*.nb[ci]", f"{KERNELS.name}_*/*.nb[ci]"):
+            for compiled in place.glob(pattern):
+                compiled.unlink(missing_ok=True)
+        stamp.write_text(digest, encoding="ascii")
+    except OSError as error:
+        log.warning(
+            "%s: kernels compiled from older sources may be in use (%s); delete the folder", place, error
+        )
 
 
 def _is_writable(place: Path) -> bool:

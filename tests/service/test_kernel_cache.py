@@ -46,3 +46,25 @@ def test_without_a_place_a_private_one_is_made_with_a_warning(
     assert os.environ["NUMBA_CACHE_DIR"] == str(made)
     assert made.stat().st_mode & 0o777 == 0o700
     assert "compiled anew at every start" in caplog.text
+
+
+@pytest.mark.parametrize("folder", ["", "kernels_0a1b"])
+def test_kernels_of_other_sources_are_forgotten(folder: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    """numba would keep a kernel whose own file is the same, though it calls one that changed."""
+    sources, cache = tmp_path / "kernels", tmp_path / "cache"
+    sources.mkdir()
+    (sources / "a.py").write_text("one")
+    monkeypatch.setattr(kernel_cache, "KERNELS", sources)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(cache))
+    kernel_cache.ensure_cache_dir()
+    (cache / folder).mkdir(exist_ok=True)
+    compiled, foreign = cache / folder / "b.f-1.py311.1.nbc", cache / "other_0a1b" / "c.nbc"
+    foreign.parent.mkdir()
+    for path in (compiled, foreign):
+        path.write_bytes(b"machine code")
+    kernel_cache.ensure_cache_dir()
+    assert compiled.exists()
+    (sources / "a.py").write_text("two")
+    kernel_cache.ensure_cache_dir()
+    assert not compiled.exists()
+    assert foreign.exists()
