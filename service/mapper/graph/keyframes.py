@@ -8,6 +8,7 @@ import numpy.typing as npt
 from service.geometry.se2 import SE2
 
 Floats = npt.NDArray[np.float64]
+NO_POINTS, NO_NORMALS = np.empty((0, 2), np.float32), np.empty((0, 3), np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +40,7 @@ class Chain:
     def __init__(self) -> None:
         self.count = 0
         self._poses = np.zeros((64, 6))
-        self._numbers = np.zeros((64, 3))
+        self._numbers = np.zeros((64, 4))
         self._covariance = np.zeros((64, 3, 3))
         self.stamps_ns: list[int] = []
         self.kept: list[Kept] = []
@@ -71,6 +72,17 @@ class Chain:
         return lost
 
     @property
+    def has_points(self) -> npt.NDArray[np.bool_]:
+        """(N,) whether its points are still kept."""
+        has: npt.NDArray[np.bool_] = self._numbers[: self.count, 3] != 0.0
+        return has
+
+    @property
+    def is_usable(self) -> npt.NDArray[np.bool_]:
+        """(N,) whether others can be laid on it: its pose is a match, and its points are there."""
+        return self.has_points & ~self.is_lost
+
+    @property
     def covariance(self) -> Floats:
         """(N, 3, 3) of each one's match."""
         return self._covariance[: self.count]
@@ -88,8 +100,13 @@ class Chain:
         if k:
             before = self._poses[k - 1]
             way_m = self._numbers[k - 1, 0] + float(np.hypot(pose.x_m - before[0], pose.y_m - before[1]))
-        self._numbers[k] = way_m, frame.score, frame.is_lost
+        self._numbers[k] = way_m, frame.score, frame.is_lost, True
         self._covariance[k] = frame.covariance
         self.stamps_ns.append(frame.stamp_ns)
         self.kept.append(kept)
         self.count += 1
+
+    def forget(self, k: int) -> None:
+        """Keep of a key frame no more than where it is."""
+        self.kept[k] = Kept(NO_POINTS, NO_NORMALS, self.kept[k].sensor_xy_m)
+        self._numbers[k, 3] = False

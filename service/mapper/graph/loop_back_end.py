@@ -23,6 +23,7 @@ from service.mapper.stages import Correction, Drawn, Painter, Sheet
 STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: of a step between key frames, at best
 LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])  # of a step that only a prediction vouches for; m^2, rad^2
 GAP_SHARE = 0.1  # of a way without scans: what odometry may have erred by
+SAME_SPOT_M, SAME_VIEW_RAD = 0.5, 0.5  # key frames so near see the same
 LOOP_M = 1.0  # what going over a loop counts in the length of a path
 PLACES_KEPT = 16
 
@@ -65,6 +66,7 @@ class LoopsConfig(BaseModel):
     solve_at_m: float = Field(default=0.05, gt=0.0)  # what a new loop must move to be worth it before the end
     solve_at_rad: float = Field(default=0.01, gt=0.0)
 
+    keep_passes: int = Field(default=6, ge=1)  # points are kept of so many passes, the newest
     finish_window_m: float = Field(default=1.5, gt=0.0)
     finish_window_rad: float = Field(default=0.2, gt=0.0)
     dense_m: float = Field(default=2.5, ge=0.0)  # passes this near are joined at each key frame; 0: not
@@ -110,6 +112,7 @@ class LoopBackEnd:
         self._dense: list[Loop] = []
         self._places: OrderedDict[int, Place] = OrderedDict()
         self._searched_m = 0.0
+        self._looked_back = 0  # key frames whose surroundings were asked for passes too many
 
     def work(self, batch: Batch) -> Result:
         for frame in batch.frames:
@@ -123,6 +126,7 @@ class LoopBackEnd:
             moved = True
         if batch.is_last:
             return self._finish()
+        self._forget()
         if not moved:
             return Result(len(self._loops), len(self._aside))
         self._solve()
@@ -162,12 +166,40 @@ class LoopBackEnd:
             off_m > max(self._config.solve_at_m, 2.0 * sigma_m) or off_rad > self._config.solve_at_rad
         ) and self._chain.way_m[loop.to] > self._searched_m - self._config.group_within_m
 
+    def _forget(self) -> None:
+        """Drop the points of the oldest pass where enough newer ones keep theirs: time must not fill memory.
+
+        Only where loops hold the pass in its place: a drifted one would drive out another part of the map.
+        """
+        config, chain = self._config, self._chain
+        if not self._loops:
+            return
+        way = chain.way_m
+        looped_m = np.sort([way[loop.to] for loop in self._loops])
+        until = int(np.searchsorted(way, way[-1] - config.group_within_m))
+        for k in range(self._looked_back, until):
+            right = int(np.searchsorted(looped_m, way[k] - config.query_m))
+            if right == len(looped_m) or looped_m[right] > way[k] + config.query_m:
+                continue
+            away = se2.between(chain.map[k], chain.map[:k])
+            near = np.flatnonzero(
+                (np.hypot(away[:, 0], away[:, 1]) <= SAME_SPOT_M)
+                & (np.abs(away[:, 2]) <= SAME_VIEW_RAD)
+                & (way[:k] < way[k] - config.apart_m)
+                & chain.has_points[:k]
+            )
+            passes = np.split(near, np.flatnonzero(np.diff(way[near]) > config.apart_m) + 1)
+            for oldest in passes[: max(len(passes) + 1 - config.keep_passes, 0)]:
+                for old in oldest.tolist():
+                    chain.forget(old)
+        self._looked_back = max(until, self._looked_back)
+
     def _search(self, last: int, window: tuple[float, float] | None = None) -> list[Loop]:
         """Loops that end in the query whose last key frame is `last`. window: m, rad; None: by path."""
         config, chain = self._config, self._chain
         way = chain.way_m
         first = int(np.searchsorted(way, way[last] - config.query_m))
-        members = [k for k in range(first, last + 1) if not chain.is_lost[k]]
+        members = [k for k in range(first, last + 1) if chain.is_usable[k]]
         if len(members) < 3:
             return []
         reference = members[len(members) // 2]
@@ -180,7 +212,7 @@ class LoopBackEnd:
         apart = np.abs(way - way[reference]) >= config.apart_m + config.query_m
         if window is None:
             apart &= way < way[reference]
-        near = np.flatnonzero(apart & ~chain.is_lost & (away_m <= reach_m + 1.0))
+        near = np.flatnonzero(apart & chain.is_usable & (away_m <= reach_m + 1.0))
         cloud: Cloud | None = None
         found = []
         for k in self._nearest_of_passes(near, away_m)[: config.passes]:
@@ -230,7 +262,7 @@ class LoopBackEnd:
                 return self._places[reference]
         first = int(np.searchsorted(way, way[k] - config.place_m))
         last = int(np.searchsorted(way, way[k] + config.place_m, side="right"))
-        members = [m for m in range(first, last) if not self._chain.is_lost[m]]
+        members = [m for m in range(first, last) if self._chain.is_usable[m]]
         self._places[k] = Place(self._chain, members, k)
         if len(self._places) > PLACES_KEPT:
             self._places.popitem(last=False)
@@ -348,9 +380,9 @@ class LoopBackEnd:
         for k in range(chain.count):
             away_m = np.hypot(*(chain.map[:, :2] - chain.map[k, :2]).T)
             near = np.flatnonzero(
-                (away_m <= config.dense_m) & (way < way[k] - config.apart_m) & ~chain.is_lost
+                (away_m <= config.dense_m) & (way < way[k] - config.apart_m) & chain.is_usable
             )
-            if len(near) and not chain.is_lost[k]:
+            if len(near) and chain.is_usable[k]:
                 wanted += [(p, k) for p in self._nearest_of_passes(near, away_m)[: config.dense_passes]]
         stride = 1 + len(wanted) // max(config.dense_most, 1)
         for p, k in sorted(wanted)[::stride]:

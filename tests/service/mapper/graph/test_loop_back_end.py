@@ -62,6 +62,20 @@ def test_a_ring_is_closed_and_the_way_bent_back(ring: tuple[list[KeyFrame], list
     assert finished.g2o.count("EDGE_SE2") >= len(frames) - 1 + finished.loops
 
 
+def test_memory_grows_with_the_area_and_not_with_the_way():
+    frames, truth = key_frames(5.0)
+    back_end, _ = fed(frames, LoopsConfig(keep_passes=2))
+    has_points = back_end._chain.has_points
+    a_round = round(2.0 * (LENGTH_M + WIDTH_M) / STEP_M)
+    assert has_points[-2 * a_round :].all()
+    assert not has_points[20 : a_round - 20].any()
+    assert has_points.sum() < 3.6 * a_round
+    finished = back_end.work(Batch([], is_last=True))
+    assert seam_m(list(finished.all), truth).max() < 0.02
+    everything, _ = fed(frames, LoopsConfig(keep_passes=100))
+    assert everything._chain.has_points.all()
+
+
 def test_the_same_batches_give_the_same_result_and_a_pickled_back_end_too(
     ring: tuple[list[KeyFrame], list[SE2]],
 ):
