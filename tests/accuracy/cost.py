@@ -24,6 +24,7 @@ from tests.bench import start_up
 from tests.papers.report import Row, Section
 from tests.simulated import LMS100_50HZ, UTM30LX_40HZ, Drive, drive
 
+CORRIDOR = Path(sys.executable).with_name("corridor")  # as installed
 LOOPS, LOOP_RATE_HZ = 100, 5.0
 BLOCK = [(22.0, 0.0), (22.0, 30.0), (-5.0, 30.0), (-5.0, 0.0), (0.0, 0.0)]  # seen from the mall's start
 
@@ -55,7 +56,7 @@ def recording(seeds: int) -> Section:
     factors, peaks = [], []
     for _ in range(seeds):
         with tempfile.TemporaryDirectory() as folder:
-            command = [sys.executable, "-m", "service.cli", "replay", str(source), "--out", folder]
+            command = [str(CORRIDOR), "replay", str(source), "--out", folder]
             subprocess.run(command, check=True, capture_output=True)
             summary = json.loads((Path(folder) / "summary.json").read_text())
         factors.append(float(summary["realtime_factor"]))
