@@ -14,15 +14,13 @@ from service.kernels.likelihood_search import (
     LikelihoodLayer,
     SearchResult,
     SearchWindow,
-    build_pyramid,
-    cells_asked,
-    search_branch_and_bound,
     search_exhaustive,
     surface_moments,
 )
 from service.kernels.line_likelihood import share_on_map
 from service.mapper.maps.patch_map import PatchMap, moved
 from service.mapper.matchers.scan_icp import IcpConfig, ScanIcp, held, matched, too_few
+from service.mapper.matchers.window_search import search_bounded
 from service.mapper.stages import Match, Points
 from service.outputs import State
 
@@ -31,7 +29,6 @@ Sums = npt.NDArray[np.float32]
 
 HEADING_STEPS_BETWEEN = 5  # refining divides a step of heading by this
 REFINE_CELLS = 3
-MOST_LEVELS = 4  # of the pyramid for branch and bound: blocks of 8 x 8 candidates
 
 
 class IcpThenSearchConfig(BaseModel):
@@ -123,25 +120,14 @@ class IcpThenSearch:
             half = math.ceil(self.window_m / layer.cell_m)
             window = SearchWindow(pose, half, half, half_theta, config.step_rad)
             if config.search == "narrowing":
-                best = self._bounded(xy_base, weights, layer, window)
+                best = search_bounded(xy_base, weights, layer, window, -math.inf)
+                self.evaluated += best.evaluated
             else:
                 best, _ = self._ask(xy_base, weights, layer, window)
             on_border = best.i in (0, 2 * half) or best.j in (0, 2 * half)
             if not on_border or self.window_m >= config.most_window_m:
                 return best
             self.window_m = min(2.0 * self.window_m, config.most_window_m)
-
-    def _bounded(
-        self, xy_base: Array, weights: Sums, layer: LikelihoodLayer, window: SearchWindow
-    ) -> SearchResult:
-        """What `_ask` finds, by branch and bound over the part of the layer that the window reaches."""
-        first_row, last_row, first_column, last_column = cells_asked(xy_base, window, layer.cell_m)
-        level_count = min((2 * window.half_x).bit_length() + 1, MOST_LEVELS)  # a block is the whole window
-        shape = (level_count, last_row - first_row + 1, last_column - first_column + 1)
-        pyramid = build_pyramid(layer, first_row, first_column, np.empty(shape, layer.cells.dtype))
-        best: SearchResult = search_branch_and_bound(xy_base, weights, pyramid, window, -math.inf)
-        self.evaluated += best.evaluated
-        return best
 
     def _around(
         self, xy_base: Array, weights: Sums, layer: LikelihoodLayer, pose: Array, half: int

@@ -5,21 +5,15 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from service.kernels.likelihood_search import (
-    LikelihoodLayer,
-    SearchWindow,
-    build_pyramid,
-    cells_asked,
-    search_branch_and_bound,
-)
+from service.kernels.likelihood_search import LikelihoodLayer, SearchWindow
 from service.kernels.surfels import TILE_CELLS, SurfelGrid
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
+from service.mapper.matchers.window_search import search_bounded
 
 Floats = npt.NDArray[np.float64]
 
 BEAMS = 150  # about so many are asked
 STEP_RAD = 0.02  # a cell of 10 cm at 5 m
-LEVELS = 5
 
 
 def search_around(
@@ -36,11 +30,8 @@ def search_around(
     thin = np.ascontiguousarray(xy_base[:: max(1, len(xy_base) // BEAMS)])
     half = math.ceil(reach_m / grid.cell_m)
     window = SearchWindow(pose, half, half, math.ceil(reach_rad / STEP_RAD), STEP_RAD)
-    first_row, last_row, first_column, last_column = cells_asked(thin, window, grid.cell_m)
-    levels = np.empty((LEVELS, last_row - first_row + 1, last_column - first_column + 1), np.float32)
     layer = LikelihoodLayer(grid.tiles, grid.field, 0.0, 0.0, 1.0, grid.cell_m)
-    pyramid = build_pyramid(layer, first_row, first_column, levels)
-    found = search_branch_and_bound(thin, np.ones(len(thin), np.float32), pyramid, window, 0.0)
+    found = search_bounded(thin, np.ones(len(thin), np.float32), layer, window, 0.0)
     return found.pose if found.score > 0.0 else None
 
 
