@@ -7,6 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from service.kernel_cache import ensure_cache_dir
+
+ensure_cache_dir()  # before anything imports numba: what is compiled from now on is kept
+
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
