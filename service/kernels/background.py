@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 
 from service.kernels.contour_blur import BLURRED, HIT, PASSED, touch_cell
+from service.kernels.rays import begin_ray
 from service.kernels.surfels import TILE_BITS, TILE_CELLS, TILE_MASK
 from service.kernels.tiles import NO_TILE, find_tile
 
@@ -52,18 +53,13 @@ def mark_passed(xy_base, sensor_xy_m, pose, level, protect_count, free_range_m, 
         shrink = min(1.0, free_range_m * cells_per_m / max(math.hypot(du, dv), 1e-9))
         du *= shrink
         dv *= shrink
-        column = math.floor(u)
-        row = math.floor(v)
-        step_column = 1 if du > 0.0 else -1
-        step_row = 1 if dv > 0.0 else -1
-        next_column = ((column + 1 if du > 0.0 else column) - u) / du if du != 0.0 else np.inf
-        next_row = ((row + 1 if dv > 0.0 else row) - v) / dv if dv != 0.0 else np.inf
-        per_column = abs(1.0 / du) if du != 0.0 else np.inf
-        per_row = abs(1.0 / dv) if dv != 0.0 else np.inf
+        column, row, step_column, step_row, next_column, next_row, per_column, per_row, count = begin_ray(
+            u, v, du, dv
+        )
         tile_row = row >> TILE_BITS
         tile_column = column >> TILE_BITS
         slot = find_tile(level.tiles, tile_row, tile_column)
-        for _ in range(abs(math.floor(u + du) - column) + abs(math.floor(v + dv) - row)):
+        for _ in range(count):
             if row >> TILE_BITS != tile_row or column >> TILE_BITS != tile_column:
                 tile_row = row >> TILE_BITS
                 tile_column = column >> TILE_BITS

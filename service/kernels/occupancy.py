@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from service.kernels.rays import begin_ray
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
 
 TILE_BITS = 6
@@ -78,19 +79,13 @@ def trace_beam(u, v, du, dv, grid, evidence, scan_number):
     scan_number   uint16
     Source: Amanatides and Woo, A fast voxel traversal algorithm for ray tracing, 1987.
     """
-    column = math.floor(u)
-    row = math.floor(v)
-    step_column = 1 if du > 0.0 else -1
-    step_row = 1 if dv > 0.0 else -1
-    # ray parameter, 0 at the start and 1 at the end, at the next vertical and horizontal border
-    next_column = ((column + 1 if du > 0.0 else column) - u) / du if du != 0.0 else np.inf
-    next_row = ((row + 1 if dv > 0.0 else row) - v) / dv if dv != 0.0 else np.inf
-    per_column = abs(1.0 / du) if du != 0.0 else np.inf
-    per_row = abs(1.0 / dv) if dv != 0.0 else np.inf
+    column, row, step_column, step_row, next_column, next_row, per_column, per_row, count = begin_ray(
+        u, v, du, dv
+    )
     tile_row = row >> TILE_BITS
     tile_column = column >> TILE_BITS
     slot = touch_tile(grid, tile_row, tile_column)
-    for _ in range(abs(math.floor(u + du) - column) + abs(math.floor(v + dv) - row)):
+    for _ in range(count):
         if row >> TILE_BITS != tile_row or column >> TILE_BITS != tile_column:
             tile_row = row >> TILE_BITS
             tile_column = column >> TILE_BITS

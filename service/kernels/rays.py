@@ -1,0 +1,30 @@
+"""The cells that a beam passes, one after the other."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def begin_ray(u, v, du, dv):
+    """Where the walk through the cells between two points begins, and how it goes on.
+
+    u, v     float   start, in cells
+    du, dv   float   from start to end, in cells
+    Returns (column, row, step_column, step_row of int; next_column, next_row, per_column, per_row of float;
+    count of int). next_* is the ray parameter, 0 at the start and 1 at the end, at the next vertical and
+    horizontal border, per_* what it grows by from one such border to the next. The end lies count steps on:
+    if next_column < next_row, column += step_column and next_column += per_column, else the same for rows.
+    Source: Amanatides and Woo, A fast voxel traversal algorithm for ray tracing, 1987.
+    """
+    column = math.floor(u)
+    row = math.floor(v)
+    next_column = ((column + 1 if du > 0.0 else column) - u) / du if du != 0.0 else np.inf
+    next_row = ((row + 1 if dv > 0.0 else row) - v) / dv if dv != 0.0 else np.inf
+    per_column = abs(1.0 / du) if du != 0.0 else np.inf
+    per_row = abs(1.0 / dv) if dv != 0.0 else np.inf
+    count = abs(math.floor(u + du) - column) + abs(math.floor(v + dv) - row)
+    step_column = 1 if du > 0.0 else -1
+    step_row = 1 if dv > 0.0 else -1
+    return column, row, step_column, step_row, next_column, next_row, per_column, per_row, count
