@@ -7,13 +7,8 @@ import numpy as np
 
 from service.geometry import poses as se2
 from service.kernels import occupancy
-from service.kernels.likelihood_search import (
-    MaxPyramid,
-    SearchWindow,
-    padding_cells,
-    pool_levels,
-    search_branch_and_bound,
-)
+from service.kernels.branch_and_bound import MaxPyramid, padding_cells, pool_levels, search_branch_and_bound
+from service.kernels.likelihood_search import SearchWindow
 from service.kernels.loops import share_in_free_space, splat_field
 from service.kernels.occupancy import Evidence, OccupancyGrid, trace_scan
 from service.mapper.graph.clouds import CELL_M, POOL_TILES, Cloud, Fit, SurfelCloud, cover, joined

@@ -3,14 +3,8 @@
 import numpy as np
 import numpy.typing as npt
 
-from service.kernels.likelihood_search import (
-    LikelihoodLayer,
-    SearchResult,
-    SearchWindow,
-    build_pyramid,
-    cells_asked,
-    search_branch_and_bound,
-)
+from service.kernels.branch_and_bound import build_pyramid, search_branch_and_bound
+from service.kernels.likelihood_search import LikelihoodLayer, SearchResult, SearchWindow, cells_asked
 
 MOST_LEVELS = 4  # of the pyramid: blocks of at most 8 x 8 candidates
 

@@ -5,14 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from service.kernels.branch_and_bound import MaxPyramid, build_pyramid, padding_cells, search_branch_and_bound
 from service.kernels.likelihood_search import (
     LikelihoodLayer,
-    MaxPyramid,
     SearchWindow,
-    build_pyramid,
-    padding_cells,
     score_window,
-    search_branch_and_bound,
     search_exhaustive,
     surface_moments,
 )

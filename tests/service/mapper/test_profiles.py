@@ -266,10 +266,10 @@ def test_kernels_are_compiled_once_for_warm_up_and_all_that_follows() -> None:
     counts = json.loads(ran.stdout)
     assert len(counts) > 15
     of_two_kinds_of_cells = {  # bytes and float32
-        "likelihood_search.pool_levels",
+        "branch_and_bound.pool_levels",
         "likelihood_search.search_exhaustive",
-        "likelihood_search.search_branch_and_bound",
-        "likelihood_search.build_pyramid",
+        "branch_and_bound.search_branch_and_bound",
+        "branch_and_bound.build_pyramid",
     }
     assert {
         name: count for name, count in counts.items() if count > 1 + (name in of_two_kinds_of_cells)

@@ -1,0 +1,232 @@
+"""Branch and bound on a likelihood map: the candidate that an exhaustive search finds, asking far fewer.
+
+Rounding keeps order, so a bound, a sum of float32 in the order of the points, is never below what it bounds.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from service.kernels.likelihood_search import SearchResult, result_of, turned_cells
+from service.kernels.tiles import NO_TILE, find_tile
+
+
+class MaxPyramid(NamedTuple):
+    """Cell (r, c) of level l is the maximum over the 2^l x 2^l cells of the layer from there towards +x, +y.
+
+    levels           (L, H, W)  uint8 or float32, as the cells of the layer
+    first_row, first_column   int   which cell of the layer is levels[0, 0, 0]
+    empty, offset, scale, cell_m    as in the layer
+    """
+
+    levels: npt.NDArray[np.uint8] | npt.NDArray[np.float32]
+    first_row: int
+    first_column: int
+    empty: float
+    offset: float
+    scale: float
+    cell_m: float
+
+
+@njit(cache=True, nogil=True)
+def build_pyramid(layer, first_row, first_column, levels):
+    """Fill a max pyramid from the part of a layer that begins at a cell.
+
+    first_row, first_column   int   the cell of the layer that becomes levels[0, 0, 0]; see padding_cells
+    levels                    (L, H, W)  out, of the type of layer.cells
+    Returns a MaxPyramid over `levels`. What it does not cover counts as empty.
+    Source: Hess et al. 2016, Real-Time Loop Closure in 2D LIDAR SLAM, section V.
+    """
+    height, width = levels.shape[1], levels.shape[2]
+    tile_cells = layer.cells.shape[1]
+    empty = np.full(1, layer.empty, levels.dtype)[0]
+    for r in range(height):
+        tile_row = (first_row + r) // tile_cells
+        row = first_row + r - tile_row * tile_cells
+        c = 0
+        while c < width:
+            tile_column = (first_column + c) // tile_cells
+            column = first_column + c - tile_column * tile_cells
+            run = min(tile_cells - column, width - c)
+            slot = find_tile(layer.tiles, tile_row, tile_column)
+            to = levels[0, r, c : c + run]
+            if slot == NO_TILE:
+                for n in range(run):
+                    to[n] = empty
+            else:
+                of = layer.cells[slot, row, column : column + run]
+                for n in range(run):
+                    to[n] = of[n]
+            c += run
+    pool_levels(levels, layer.empty)
+    return MaxPyramid(levels, first_row, first_column, layer.empty, layer.offset, layer.scale, layer.cell_m)
+
+
+@njit(cache=True, nogil=True)
+def pool_levels(levels, empty):
+    """Fill levels 1 and up from level 0; beyond the upper borders all is `empty`."""
+    height, width = levels.shape[1], levels.shape[2]
+    outside = np.full(width, empty, levels.dtype)
+    for level in range(1, levels.shape[0]):
+        half = 1 << (level - 1)
+        inner = max(width - half, 0)
+        for r in range(height):
+            near = levels[level - 1, r]
+            far = levels[level - 1, r + half] if r + half < height else outside
+            out = levels[level, r]
+            near_next, far_next = near[width - inner :], far[width - inner :]
+            for c in range(inner):
+                out[c] = max(max(near[c], near_next[c]), max(far[c], far_next[c]))
+            for c in range(inner, width):
+                out[c] = max(max(near[c], far[c]), outside[c])
+
+
+def padding_cells(level_count: int) -> int:
+    """Empty cells that a pyramid needs below its first row and before its first column."""
+    return (1 << (level_count - 1)) - 1
+
+
+@njit(cache=True, nogil=True)
+def block_sum(cells, shares, pyramid, level, shift_row, shift_column):
+    """Weighted sum of a level at shifted points: no less than that of any candidate in the block.
+
+    cells     (C, 2) int64     row and column in the layer, from turned_cells
+    shares    (C,)   float32   none below 0
+    Returns float32, added up in the order of the points as add_block does.
+    """
+    field = pyramid.levels[level]
+    height, width = field.shape
+    empty = np.float32(pyramid.empty)
+    shift_row = shift_row - pyramid.first_row
+    shift_column = shift_column - pyramid.first_column
+    total = np.float32(0.0)
+    for n in range(cells.shape[0]):
+        row = cells[n, 0] + shift_row
+        column = cells[n, 1] + shift_column
+        if 0 <= row < height and 0 <= column < width:
+            total += shares[n] * np.float32(field[row, column])
+        else:
+            total += shares[n] * empty
+    return total
+
+
+@njit(cache=True, nogil=True)
+def nearest_square(low, high):
+    """Square of the number nearest to 0 in [low, high]."""
+    if low > 0:
+        return low * low
+    return high * high if high < 0 else 0
+
+
+@njit(cache=True, nogil=True)
+def search_branch_and_bound(xy_base, weights, pyramid, window, least_score):
+    """The candidate that search_exhaustive finds on the layer of the pyramid, without asking most of them.
+
+    xy_base       (N, 2) float64   m, base frame
+    weights       (N,)   float32   none below 0
+    pyramid       MaxPyramid
+    least_score   float            nothing is returned below it; -inf asks for the best however poor
+    Returns a SearchResult; with score -inf and the centre where nothing reaches least_score.
+    Source: Hess et al. 2016, algorithm 3: depth first, the better half first; ties as in SearchResult.
+    """
+    half_x, half_y, half_theta = window.half_x, window.half_y, window.half_theta
+    count = xy_base.shape[0]
+    heading_count = 2 * half_theta + 1
+    top = pyramid.levels.shape[0] - 1
+    size = 1 << top
+    rows = (2 * half_y) // size + 1
+    columns = (2 * half_x) // size + 1
+    weight = 0.0
+    for n in range(count):
+        weight += weights[n]
+
+    cells = np.empty((heading_count, count, 2), np.int64)
+    shares = np.empty((heading_count, count), np.float32)
+    counts = np.empty(heading_count, np.int64)
+    bounds = np.empty(heading_count * rows * columns, np.float32)
+    for k in range(heading_count):
+        counts[k] = turned_cells(xy_base, weights, window, k, pyramid.cell_m, cells[k], shares[k])
+        own_cells, own_shares = cells[k, : counts[k]], shares[k, : counts[k]]
+        for a in range(rows):
+            for b in range(columns):
+                bounds[(k * rows + a) * columns + b] = block_sum(
+                    own_cells, own_shares, pyramid, top, a * size - half_y, b * size - half_x
+                )
+    order = np.argsort(-bounds, kind="mergesort")
+    evaluated = bounds.size
+
+    best = np.float32((least_score - pyramid.offset) / pyramid.scale * weight)
+    best_rank = np.int64(2**62)
+    best_k, best_j, best_i = np.int64(half_theta), np.int64(half_y), np.int64(half_x)
+    found = False
+    stack = np.empty((4 * top + 4, 3), np.int64)  # level, j, i of blocks to look into, best on top
+    stack_bounds = np.empty(4 * top + 4, np.float32)
+    child = np.empty((4, 2), np.int64)
+    child_bounds = np.empty(4, np.float32)
+    for place in order:
+        if bounds[place] < best:
+            break
+        k = place // (rows * columns)
+        own_cells, own_shares = cells[k, : counts[k]], shares[k, : counts[k]]
+        depth = 1
+        stack[0, 0] = top
+        stack[0, 1] = (place // columns) % rows * size
+        stack[0, 2] = place % columns * size
+        stack_bounds[0] = bounds[place]
+        turned_square = (k - half_theta) ** 2
+        while depth > 0:
+            depth -= 1
+            level, j, i = stack[depth, 0], stack[depth, 1], stack[depth, 2]
+            bound = stack_bounds[depth]
+            if bound < best:
+                continue
+            edge = (1 << level) - 1
+            rank = (
+                turned_square
+                + nearest_square(j - half_y, min(j + edge, 2 * half_y) - half_y)
+                + nearest_square(i - half_x, min(i + edge, 2 * half_x) - half_x)
+            )
+            if bound == best and found and rank > best_rank:
+                continue
+            if level == 0:
+                if bound > best or not found or rank < best_rank or (k, j, i) < (best_k, best_j, best_i):
+                    best, best_rank, found = bound, rank, True
+                    best_k, best_j, best_i = k, j, i
+                continue
+            half = 1 << (level - 1)
+            children = 0
+            for a in range(2):
+                for b in range(2):
+                    if j + a * half > 2 * half_y or i + b * half > 2 * half_x:
+                        continue
+                    total = block_sum(
+                        own_cells,
+                        own_shares,
+                        pyramid,
+                        level - 1,
+                        j + a * half - half_y,
+                        i + b * half - half_x,
+                    )
+                    evaluated += 1
+                    at = children
+                    while at > 0 and child_bounds[at - 1] > total:  # rising: the best is pushed last
+                        child_bounds[at] = child_bounds[at - 1]
+                        child[at] = child[at - 1]
+                        at -= 1
+                    child_bounds[at] = total
+                    child[at, 0] = j + a * half
+                    child[at, 1] = i + b * half
+                    children += 1
+            for at in range(children):
+                if child_bounds[at] >= best:
+                    stack[depth, 0] = level - 1
+                    stack[depth, 1] = child[at, 0]
+                    stack[depth, 2] = child[at, 1]
+                    stack_bounds[depth] = child_bounds[at]
+                    depth += 1
+    result = result_of(weights, pyramid, window, best, best_k, best_j, best_i, evaluated)
+    if not found:
+        return SearchResult(result.pose, -np.inf, half_theta, half_y, half_x, evaluated)
+    return result
