@@ -116,7 +116,7 @@ class SerialTransport:
         """Have a USB adapter hand over bytes at once, not every 16 ms; other ports ignore it."""
         try:
             self._port.set_low_latency_mode(True)
-        except (AttributeError, NotImplementedError, OSError, ValueError):
+        except (AttributeError, NotImplementedError, OSError, ValueError):  # pyserial: not on this system
             return
 
     def set_wake_line(self, low: bool) -> None:

@@ -82,7 +82,7 @@ class UsbTransport:
             if self._device.is_kernel_driver_active(self._interface):
                 self._device.detach_kernel_driver(self._interface)
                 self._detached = True
-        except NotImplementedError:  # not on every system
+        except NotImplementedError:  # pyusb: this system has no drivers to detach
             pass
         try:
             self._device.get_active_configuration()
