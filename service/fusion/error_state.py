@@ -8,7 +8,6 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from filterpy.kalman import KalmanFilter
 
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.strapdown import (
@@ -58,6 +57,9 @@ class ErrorStateFilter:
         self._noise_per_s[ATTITUDE:FORCE_BIAS] = rate
         self._noise_per_s[FORCE_BIAS:RATE_BIAS] = force_walk
         self._noise_per_s[RATE_BIAS:] = rate_walk
+        # Imported here, for it brings scipy: 60 MB and a second that no other profile is to pay for.
+        from filterpy.kalman import KalmanFilter
+
         self._kalman = KalmanFilter(dim_x=STATES, dim_z=3)
         self._kalman.P = np.zeros((STATES, STATES))
         self._transition = np.eye(STATES)

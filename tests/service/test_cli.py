@@ -76,6 +76,14 @@ def test_help_is_there_at_once():
     assert not {"numba", "numpy", "zenoh", "pydantic"} & set(loaded.stdout.split())
 
 
+def test_a_run_imports_no_solver_before_it_is_needed():
+    code = "import sys, service.runtime.run; print(*sys.modules)"
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert not {"gtsam", "filterpy", "scipy.stats", "matplotlib"} & set(loaded.stdout.split())
+
+
 @pytest.mark.parametrize("form", [["check", "{}"], ["check", "--config", "{}"]])
 def test_check_accepts_a_good_config_both_ways(
     form: list[str], good: Path, capsys: pytest.CaptureFixture[str]

@@ -1,4 +1,4 @@
-"""Poses and points that agree best with what was measured between them: the one door to GTSAM.
+"""Poses and points that agree best with what was measured between them: the one door to GTSAM's solver.
 
 Plain arrays in, plain arrays out, nothing kept between two calls. The same arrays give the same result, bit
 for bit, in every process: GTSAM's wheels have no threads, and factors and unknowns are ordered by the arrays.
@@ -10,7 +10,6 @@ perception, 2017.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import gtsam
 import numpy as np
 import numpy.typing as npt
 
@@ -19,10 +18,6 @@ from service.geometry import poses as se2
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
-
-HELD_SIGMA = 1e-5  # m and rad, of a pose that is held: rounding, not a wish
-ASIDE_M = 4.0  # where the helper of a pose stands that sees a point too near for a bearing
-LEAST_RANGE_M = 1.0  # a point nearer than this is seen by the helper
 
 
 class GraphError(CorridorError):
@@ -131,12 +126,11 @@ def solve(
     config = config or SolverConfig()
     _check(graph)
     held = _held(graph)
+    # Imported here, for only a process that solves is to pay for it: 40 MB, and 0.35 s.
+    from service.mapper.graph.levenberg_marquardt import solve_held
+
     try:
-        factors, values = _factors(graph, held)
-        values, iterations = _optimise(factors, values, config)
-        poses, landmarks = _read(graph, values)
-        marginals = gtsam.Marginals(factors, values) if len(covariances_of) else None
-        covariances = {int(k): marginals.marginalCovariance(int(k)) for k in covariances_of if marginals}
+        poses, landmarks, covariances, iterations = solve_held(graph, held, config, covariances_of)
     except RuntimeError as error:
         raise GraphError(f"pose graph: {_size(graph)} cannot be solved: {_first_line(error)}") from error
     if not (np.isfinite(poses).all() and np.isfinite(landmarks).all()):
@@ -168,98 +162,6 @@ def sighting_chi2(sightings: Sightings, poses: Floats, landmarks: Floats) -> Flo
 def _squared_in_sigmas(error: Floats, covariance: Floats) -> Floats:
     solved = np.linalg.solve(covariance, error[..., None])[..., 0]
     return np.asarray(np.einsum("ki,ki->k", error, solved))
-
-
-def _factors(graph: PoseGraph, held: list[int]) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """Keys: poses 0..N-1, landmarks N..N+L-1, helpers of poses from N+L on."""
-    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    pose_count, landmark_count = len(graph.poses), len(graph.landmarks)
-    for k, pose in enumerate(graph.poses.tolist()):
-        values.insert(k, gtsam.Pose2(*pose))
-    for k, xy in enumerate(graph.landmarks):
-        values.insert(pose_count + k, xy)
-    tight = gtsam.noiseModel.Isotropic.Sigma(3, HELD_SIGMA)
-    for k in held:
-        factors.add(gtsam.PriorFactorPose2(k, gtsam.Pose2(*graph.poses[k]), tight))
-    noise = _Noise()
-    edges = graph.edges
-    for of, to, measured, covariance, width in zip(
-        edges.of.tolist(),
-        edges.to.tolist(),
-        edges.measured.tolist(),
-        edges.covariance,
-        edges.kernel_width.tolist(),
-        strict=True,
-    ):
-        factors.add(gtsam.BetweenFactorPose2(of, to, gtsam.Pose2(*measured), noise(covariance, width)))
-    helpers: dict[int, int] = {}
-    aside = gtsam.Pose2(-ASIDE_M, 0.0, 0.0)
-    sightings = graph.sightings
-    for of, landmark, xy, covariance, width in zip(
-        sightings.of.tolist(),
-        sightings.landmark.tolist(),
-        sightings.xy,
-        sightings.covariance,
-        sightings.kernel_width.tolist(),
-        strict=True,
-    ):
-        seer = of
-        if np.hypot(*xy) < LEAST_RANGE_M:  # bearing and range say nothing at the pose itself
-            xy = np.add(xy, (ASIDE_M, 0.0))
-            seer = helpers.get(of, -1)
-            if seer < 0:
-                seer = helpers[of] = pose_count + landmark_count + len(helpers)
-                values.insert(seer, values.atPose2(of).compose(aside))
-                factors.add(gtsam.BetweenFactorPose2(of, seer, aside, tight))
-        range_m = float(np.hypot(*xy))
-        to_polar = np.array([[-xy[1] / range_m, xy[0] / range_m], [xy[0], xy[1]]]) / range_m
-        factors.add(
-            gtsam.BearingRangeFactor2D(
-                seer,
-                pose_count + landmark,
-                gtsam.Rot2(float(np.arctan2(xy[1], xy[0]))),
-                range_m,
-                noise(to_polar @ covariance @ to_polar.T, width),
-            )
-        )
-    return factors, values
-
-
-class _Noise:
-    """Noise models, with one kernel object a width."""
-
-    def __init__(self) -> None:
-        self._kernels: dict[float, gtsam.noiseModel.mEstimator.Cauchy] = {}
-
-    def __call__(self, covariance: Floats, kernel_width: float) -> gtsam.noiseModel.Base:
-        gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
-        if kernel_width == 0.0:
-            return gaussian
-        kernel = self._kernels.get(kernel_width)
-        if kernel is None:
-            kernel = self._kernels[kernel_width] = gtsam.noiseModel.mEstimator.Cauchy.Create(kernel_width)
-        return gtsam.noiseModel.Robust.Create(kernel, gaussian)
-
-
-def _optimise(
-    factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, config: SolverConfig
-) -> tuple[gtsam.Values, int]:
-    """Step by step, not in one call: GTSAM holds the interpreter, and other threads run between steps."""
-    optimiser = gtsam.LevenbergMarquardtOptimizer(factors, values, gtsam.LevenbergMarquardtParams())
-    for iteration in range(config.most_iterations):
-        before = optimiser.error()
-        optimiser.iterate()
-        if before - optimiser.error() <= config.least_gain * before:
-            return optimiser.values(), iteration + 1
-    return optimiser.values(), config.most_iterations
-
-
-def _read(graph: PoseGraph, values: gtsam.Values) -> tuple[Floats, Floats]:
-    count = len(graph.poses)
-    found = [values.atPose2(k) for k in range(count)]
-    poses = np.array([(pose.x(), pose.y(), pose.theta()) for pose in found])
-    landmarks = np.array([values.atPoint2(count + k) for k in range(len(graph.landmarks))])
-    return poses, landmarks.reshape(-1, 2)
 
 
 def _held(graph: PoseGraph) -> list[int]:

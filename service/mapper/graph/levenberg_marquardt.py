@@ -1,0 +1,120 @@
+"""A pose graph as GTSAM's factors, and its solution: the only module that imports GTSAM."""
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+
+from service.mapper.graph.pose_graph import Floats, PoseGraph, SolverConfig
+
+HELD_SIGMA = 1e-5  # m and rad, of a pose that is held: rounding, not a wish
+ASIDE_M = 4.0  # where the helper of a pose stands that sees a point too near for a bearing
+LEAST_RANGE_M = 1.0  # a point nearer than this is seen by the helper
+
+
+def solve_held(
+    graph: PoseGraph, held: list[int], config: SolverConfig, covariances_of: Sequence[int]
+) -> tuple[Floats, Floats, dict[int, Floats], int]:
+    """Poses (N, 3), landmarks (L, 2), covariances (3, 3) by pose asked for, and iterations taken.
+
+    held   the poses that stay where the guess has them
+    Raises what GTSAM raises: RuntimeError.
+    """
+    factors, values = _factors(graph, held)
+    values, iterations = _optimise(factors, values, config)
+    poses, landmarks = _read(graph, values)
+    marginals = gtsam.Marginals(factors, values) if len(covariances_of) else None
+    covariances = {int(k): marginals.marginalCovariance(int(k)) for k in covariances_of if marginals}
+    return poses, landmarks, covariances, iterations
+
+
+def _factors(graph: PoseGraph, held: list[int]) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """Keys: poses 0..N-1, landmarks N..N+L-1, helpers of poses from N+L on."""
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    pose_count, landmark_count = len(graph.poses), len(graph.landmarks)
+    for k, pose in enumerate(graph.poses.tolist()):
+        values.insert(k, gtsam.Pose2(*pose))
+    for k, xy in enumerate(graph.landmarks):
+        values.insert(pose_count + k, xy)
+    tight = gtsam.noiseModel.Isotropic.Sigma(3, HELD_SIGMA)
+    for k in held:
+        factors.add(gtsam.PriorFactorPose2(k, gtsam.Pose2(*graph.poses[k]), tight))
+    noise = _Noise()
+    edges = graph.edges
+    for of, to, measured, covariance, width in zip(
+        edges.of.tolist(),
+        edges.to.tolist(),
+        edges.measured.tolist(),
+        edges.covariance,
+        edges.kernel_width.tolist(),
+        strict=True,
+    ):
+        factors.add(gtsam.BetweenFactorPose2(of, to, gtsam.Pose2(*measured), noise(covariance, width)))
+    helpers: dict[int, int] = {}
+    aside = gtsam.Pose2(-ASIDE_M, 0.0, 0.0)
+    sightings = graph.sightings
+    for of, landmark, xy, covariance, width in zip(
+        sightings.of.tolist(),
+        sightings.landmark.tolist(),
+        sightings.xy,
+        sightings.covariance,
+        sightings.kernel_width.tolist(),
+        strict=True,
+    ):
+        seer = of
+        if np.hypot(*xy) < LEAST_RANGE_M:  # bearing and range say nothing at the pose itself
+            xy = np.add(xy, (ASIDE_M, 0.0))
+            seer = helpers.get(of, -1)
+            if seer < 0:
+                seer = helpers[of] = pose_count + landmark_count + len(helpers)
+                values.insert(seer, values.atPose2(of).compose(aside))
+                factors.add(gtsam.BetweenFactorPose2(of, seer, aside, tight))
+        range_m = float(np.hypot(*xy))
+        to_polar = np.array([[-xy[1] / range_m, xy[0] / range_m], [xy[0], xy[1]]]) / range_m
+        factors.add(
+            gtsam.BearingRangeFactor2D(
+                seer,
+                pose_count + landmark,
+                gtsam.Rot2(float(np.arctan2(xy[1], xy[0]))),
+                range_m,
+                noise(to_polar @ covariance @ to_polar.T, width),
+            )
+        )
+    return factors, values
+
+
+class _Noise:
+    """Noise models, with one kernel object a width."""
+
+    def __init__(self) -> None:
+        self._kernels: dict[float, gtsam.noiseModel.mEstimator.Cauchy] = {}
+
+    def __call__(self, covariance: Floats, kernel_width: float) -> gtsam.noiseModel.Base:
+        gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
+        if kernel_width == 0.0:
+            return gaussian
+        kernel = self._kernels.get(kernel_width)
+        if kernel is None:
+            kernel = self._kernels[kernel_width] = gtsam.noiseModel.mEstimator.Cauchy.Create(kernel_width)
+        return gtsam.noiseModel.Robust.Create(kernel, gaussian)
+
+
+def _optimise(
+    factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, config: SolverConfig
+) -> tuple[gtsam.Values, int]:
+    """Step by step, not in one call: GTSAM holds the interpreter, and other threads run between steps."""
+    optimiser = gtsam.LevenbergMarquardtOptimizer(factors, values, gtsam.LevenbergMarquardtParams())
+    for iteration in range(config.most_iterations):
+        before = optimiser.error()
+        optimiser.iterate()
+        if before - optimiser.error() <= config.least_gain * before:
+            return optimiser.values(), iteration + 1
+    return optimiser.values(), config.most_iterations
+
+
+def _read(graph: PoseGraph, values: gtsam.Values) -> tuple[Floats, Floats]:
+    count = len(graph.poses)
+    found = [values.atPose2(k) for k in range(count)]
+    poses = np.array([(pose.x(), pose.y(), pose.theta()) for pose in found])
+    landmarks = np.array([values.atPoint2(count + k) for k in range(len(graph.landmarks))])
+    return poses, landmarks.reshape(-1, 2)
