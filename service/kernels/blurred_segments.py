@@ -3,6 +3,8 @@
 import numpy as np
 from numba import njit
 
+from service.kernels.ordering import order_rising
+
 NO_SEGMENT = -1
 
 
@@ -44,8 +46,11 @@ def segments_along(xy_map, axis, gap_m, limits, least_points, segment):
     """
     width_m, length_m = limits[0], limits[1]
     count = xy_map.shape[0]
-    order = np.argsort(xy_map[:, 1 - axis], kind="mergesort")
+    order = np.empty(count, np.int64)
     across = np.empty(count)
+    for i in range(count):
+        across[i] = xy_map[i, 1 - axis]
+    order_rising(across, order)
     alive = np.empty(count, np.bool_)
     may_begin = np.empty(count, np.bool_)
     for i in range(count):
@@ -66,7 +71,8 @@ def segments_along(xy_map, axis, gap_m, limits, least_points, segment):
                 rows[n] = i
                 along[n] = xy_map[order[i], axis]
                 n += 1
-        by_place = np.argsort(along, kind="mergesort")
+        by_place = np.empty(live, np.int64)
+        order_rising(along, by_place)
         kept = False
         begin = 0
         for n in range(live):

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from numba import njit
 
 from service.kernels.likelihood_search import SearchResult, result_of, turned_cells
+from service.kernels.ordering import order_rising
 from service.kernels.tiles import NO_TILE, find_tile
 
 
@@ -154,7 +155,11 @@ def search_branch_and_bound(xy_base, weights, pyramid, window, least_score):
                 bounds[(k * rows + a) * columns + b] = block_sum(
                     own_cells, own_shares, pyramid, top, a * size - half_y, b * size - half_x
                 )
-    order = np.argsort(-bounds, kind="mergesort")
+    falling = np.empty(bounds.size)
+    order = np.empty(bounds.size, np.int64)
+    for n in range(bounds.size):
+        falling[n] = -bounds[n]
+    order_rising(falling, order)
     evaluated = bounds.size
 
     best = np.float32((least_score - pyramid.offset) / pyramid.scale * weight)
@@ -213,7 +218,8 @@ def search_branch_and_bound(xy_base, weights, pyramid, window, least_score):
                     at = children
                     while at > 0 and child_bounds[at - 1] > total:  # rising: the best is pushed last
                         child_bounds[at] = child_bounds[at - 1]
-                        child[at] = child[at - 1]
+                        child[at, 0] = child[at - 1, 0]
+                        child[at, 1] = child[at - 1, 1]
                         at -= 1
                     child_bounds[at] = total
                     child[at, 0] = j + a * half

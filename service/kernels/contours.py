@@ -5,6 +5,8 @@ import math
 import numpy as np
 from numba import njit
 
+from service.kernels.ordering import order_rising
+
 ALONE = -1
 SHORTEST_STEP_M = 1e-6  # two points on the same spot still have a ratio
 
@@ -32,7 +34,9 @@ def extract_contours(xy_base, longest_m, most_ratio, contour):
         dy = xy_base[k + 1, 1] - xy_base[k, 1]
         step_m[k] = max(math.sqrt(dx * dx + dy * dy), SHORTEST_STEP_M)
     found = 0
-    for k in np.argsort(step_m, kind="mergesort"):
+    order = np.empty(count - 1, np.int64)
+    order_rising(step_m, order)
+    for k in order:
         if step_m[k] > longest_m:
             break
         if contour[k] != ALONE or contour[k + 1] != ALONE:

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from numba import njit
 
 from service.kernels.match import wrap
+from service.kernels.ordering import order_rising
 
 
 class IcpResult(NamedTuple):
@@ -91,7 +92,8 @@ def icp_point_to_point(newer, older, start, most_m, iterations, settled):
     if older.shape[0] == 0:
         return IcpResult(step, np.inf, 0, 0)
     bearing_rad = np.arctan2(older[:, 1], older[:, 0])
-    order = np.argsort(bearing_rad, kind="mergesort")
+    order = np.empty(older.shape[0], np.int64)
+    order_rising(bearing_rad, order)
     ordered = older[order]
     bearing_rad = bearing_rad[order]
     rms_m = np.inf

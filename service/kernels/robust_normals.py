@@ -5,6 +5,8 @@ import math
 import numpy as np
 from numba import njit
 
+from service.kernels.ordering import kth_smallest
+
 MOST_NEIGHBOURS = 21
 CONCENTRATION_STEPS = 4
 CHI2_975 = 7.378  # of two degrees of freedom: what lies beyond is an outlier
@@ -92,6 +94,7 @@ def concentrate(window, n, distance, chosen):
     stretches of neighbouring points, and all of them.
     """
     half = (n + 3) // 2
+    sorted_in_part = np.empty(n)
     best = np.inf
     best_mx = best_my = 0.0
     best_a = best_d = 1.0
@@ -103,7 +106,9 @@ def concentrate(window, n, distance, chosen):
         mx, my, a, b, d = moments(window, chosen, n)
         for _ in range(CONCENTRATION_STEPS):
             mahalanobis(window, n, mx, my, a, b, d, distance)
-            limit = np.partition(distance[:n], half - 1)[half - 1]
+            for k in range(n):
+                sorted_in_part[k] = distance[k]
+            limit = kth_smallest(sorted_in_part, n, half - 1)
             size = 0
             for k in range(n):
                 chosen[k] = distance[k] <= limit and size < half
@@ -114,7 +119,9 @@ def concentrate(window, n, distance, chosen):
             best_mx, best_my, best_a, best_b, best_d = mx, my, a, b, d
     mahalanobis(window, n, best_mx, best_my, best_a, best_b, best_d, distance)
     # so that the median of good points is that of chi-squared
-    scale = np.partition(distance[:n], half - 1)[half - 1] / CHI2_MEDIAN
+    for k in range(n):
+        sorted_in_part[k] = distance[k]
+    scale = kth_smallest(sorted_in_part, n, half - 1) / CHI2_MEDIAN
     for k in range(n):
         chosen[k] = distance[k] <= CHI2_975 * scale
 
