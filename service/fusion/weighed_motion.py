@@ -11,6 +11,7 @@ from drivers.frames import ImuSample, OdometrySample
 from service.fusion.drift import MapDrift, WheelWalk, carried, on_the_map
 from service.fusion.gyro import GyroTrack
 from service.fusion.motion import Matched, Motion, Prediction
+from service.fusion.wheel_lag import WheelLag
 from service.fusion.wheel_odometry import OdometryTrack
 from service.fusion.wheel_trust import WheelTrust
 from service.geometry.se2 import SE2
@@ -21,6 +22,7 @@ STANDING: Twist = (0.0, 0.0, 0.0)
 STILL_M, STILL_RAD = 1e-4, 1e-4  # wheels that turn less between two scans stand still
 PUSHED_SIGMAS = 4.0  # a match so far from where it stood, by its standing sigmas, is a push
 PUSHED_NS = 1_000_000_000  # after which wheels that stand are believed again
+SLIP_SIGMAS = 4.0  # so far from the prediction wheels slipped or froze, which says nothing of their size
 UNKNOWN = np.zeros((3, 3))  # information of a scan that was not matched
 
 
@@ -61,6 +63,10 @@ class MotionConfig(BaseModel):
     wheel_learn_sigma_m: float = Field(default=0.02, gt=0.0)  # ... if the walls know the way so well
     wheel_learn_sigma_rad: float = Field(default=0.01, gt=0.0)
 
+    wheel_lag_sigma_s: float = Field(default=0.1, ge=0.0)  # of the wheels' stamps, before anything is learnt
+    wheel_jitter_s: float = Field(default=0.05, ge=0.0)  # ... and of each by itself
+    wheel_most_lag_s: float = Field(default=0.5, ge=0.0)
+
     drift_m_per_sqrt_m: float = Field(default=0.02, ge=0.0)  # reported: how the wheels' error grows where
     drift_rad_per_sqrt_m: float = Field(default=0.01, ge=0.0)  # no match holds it
     drift_m_per_sqrt_s: float = Field(default=0.005, ge=0.0)
@@ -89,6 +95,7 @@ class WeighedMotion:
             config.wheel_scale_sigma,
             (config.drift_m_per_sqrt_m, config.drift_rad_per_sqrt_m),
         )
+        self._lag = WheelLag(config.wheel_lag_sigma_s, config.wheel_jitter_s, config.wheel_most_lag_s)
         self._walk = WheelWalk(
             config.drift_m_per_sqrt_m, config.drift_rad_per_sqrt_m, config.drift_m_per_sqrt_s
         )
@@ -97,6 +104,9 @@ class WeighedMotion:
         self._predicted: Prediction | None = None
         self._rolled: SE2 | None = None  # what the wheels said of the way to the last prediction
         self._relative = np.zeros((3, 3))  # of the last pose, on the map
+        self._wheel_speed: Twist | None = None  # at the last scan
+        self._predicted_speed: Twist | None = None  # at the next
+        self._was_matched = False  # the last scan
         self._pushed_ns: int | None = None  # when a match last was off where the wheels had stood
         self._has_speed = False  # two scans were matched, so their difference is a speed
 
@@ -124,13 +134,16 @@ class WeighedMotion:
                 self._drift.add(self._relative)
             self._drift.advance(step, loss, information, per_m if is_match else 0.0)
             if is_match:
+                away = predicted.pose_odom_base.inverse() @ matched.pose_odom_base
                 if predicted.is_measured:
-                    self._notice_push(stamp_ns, predicted, matched)
-                self._learn(last_ns, stamp_ns, step, relative)
+                    self._notice_push(stamp_ns, away)
+                if not predicted.is_measured or _sigmas(away, predicted.step_covariance) < SLIP_SIGMAS:
+                    self._learn(last_ns, stamp_ns, step, relative)
                 self._has_speed = True
             else:  # the map stays where it is, the pose on it grows vague
                 relative = carried(relative, step) + np.diag(loss)
-        self._relative = relative
+        self._relative, self._was_matched = relative, is_match
+        self._wheel_speed = self._predicted_speed
         covariance = self._drift.covariance(self._trust.scale_sigma) + relative
         believed = replace(matched, covariance=covariance)
         self._last = (stamp_ns, believed)
@@ -138,12 +151,13 @@ class WeighedMotion:
 
     def _next(self, stamp_ns: int, last_ns: int, last: Motion) -> Prediction:
         elapsed_s = (stamp_ns - last_ns) * 1e-9
-        way = self._odometry.between(last_ns, stamp_ns)
+        way = self._odometry.between(last_ns + self._lag.lag_ns, stamp_ns + self._lag.lag_ns)
         self._rolled = way.motion if way is not None else None
+        self._predicted_speed = None
         if way is not None:
             step = self._trust.corrected(way.motion)
-            sigma_m, sigma_rad = self._wheel_sigmas(stamp_ns, step, way.guessed_s)
-            twist = self._wheel_twist(stamp_ns) or last.twist_base
+            twist = self._predicted_speed = self._wheel_twist(stamp_ns) or last.twist_base
+            sigma_m, sigma_rad = self._wheel_sigmas(stamp_ns, step, twist, way.guessed_s)
         else:
             step, sigma_m, sigma_rad = self._coast(last.twist_base, elapsed_s)
             twist = last.twist_base
@@ -167,7 +181,7 @@ class WeighedMotion:
         )
 
     def _wheel_twist(self, stamp_ns: int) -> Twist | None:
-        twist = self._odometry.twist_at(stamp_ns)
+        twist = self._odometry.twist_at(stamp_ns + self._lag.lag_ns)
         if twist is None:
             return None
         return twist[0] * self._trust.scale, twist[1] * self._trust.scale, twist[2] * self._trust.turn_scale
@@ -187,6 +201,10 @@ class WeighedMotion:
         if self._rolled is None:
             return
         sigma_m, sigma_rad = math.sqrt(relative[0, 0]), math.sqrt(relative[2, 2])
+        if self._was_matched:
+            self._lag.learn(
+                last_ns, stamp_ns, step.theta_rad, sigma_rad, self._odometry, self._trust.turn_scale
+            )
         self._trust.learn(
             self._rolled,
             step,
@@ -205,29 +223,33 @@ class WeighedMotion:
             self._pushed_ns is None or stamp_ns - self._pushed_ns > PUSHED_NS
         )
 
-    def _notice_push(self, stamp_ns: int, predicted: Prediction, matched: Motion) -> None:
-        away = predicted.pose_odom_base.inverse() @ matched.pose_odom_base
+    def _notice_push(self, stamp_ns: int, away: SE2) -> None:
         if (
             math.hypot(away.x_m, away.y_m) > PUSHED_SIGMAS * self._config.standing_sigma_m
             or abs(away.theta_rad) > PUSHED_SIGMAS * self._config.standing_sigma_rad
         ):
             self._pushed_ns = stamp_ns
 
-    def _wheel_sigmas(self, stamp_ns: int, step: SE2, guessed_s: float) -> tuple[float, float]:
+    def _wheel_sigmas(self, stamp_ns: int, step: SE2, twist: Twist, guessed_s: float) -> tuple[float, float]:
         config = self._config
         d, a = math.hypot(step.x_m, step.y_m), abs(step.theta_rad)
         if self._stands(stamp_ns, guessed_s) and d <= STILL_M and a <= STILL_RAD:
             return config.standing_sigma_m, config.standing_sigma_rad
         guess = 0.5 * guessed_s**2
+        before = self._wheel_speed or twist
+        late_m = self._lag.sigma_s * math.hypot(twist[0] - before[0], twist[1] - before[1])
+        late_rad = self._lag.sigma_s * abs(twist[2] - before[2])
         return (
             config.position_sigma_m
             + config.position_sigma_per_m * d
             + config.position_sigma_per_rad_m * a
-            + config.acceleration_mps2 * guess,
+            + config.acceleration_mps2 * guess
+            + late_m,
             config.heading_sigma_rad
             + config.heading_sigma_per_rad * a
             + config.heading_sigma_per_m_rad * d
-            + config.turn_acceleration_radps2 * guess,
+            + config.turn_acceleration_radps2 * guess
+            + late_rad,
         )
 
     def _coast(self, twist: Twist, elapsed_s: float) -> tuple[SE2, float, float]:
@@ -246,6 +268,12 @@ class WeighedMotion:
             config.position_sigma_m + config.acceleration_mps2 * elapsed_s**2,
             config.heading_sigma_rad + config.turn_acceleration_radps2 * elapsed_s**2,
         )
+
+
+def _sigmas(away: SE2, covariance: npt.NDArray[np.float64]) -> float:
+    """How far off, by a diagonal covariance."""
+    offset = (away.x_m, away.y_m, away.theta_rad)
+    return math.sqrt(sum(e * e / float(covariance[k, k]) for k, e in enumerate(offset)))
 
 
 def _information_of(matched: Motion) -> npt.NDArray[np.float64]:

@@ -5,7 +5,7 @@ from bisect import bisect_right
 from dataclasses import dataclass
 
 from drivers.frames import OdometrySample
-from service.geometry.se2 import SE2
+from service.geometry.se2 import SE2, wrap_angle
 
 KEEP_NS = 10_000_000_000  # older samples are dropped
 TRIM_COUNT = 4096  # ... once there are so many
@@ -64,6 +64,10 @@ class OdometryTrack:
             del self._stamps[:first], self._poses[:first]
         return True
 
+    @property
+    def newest_ns(self) -> int | None:
+        return self._stamps[-1] if self._stamps else None
+
     def between(self, from_ns: int, to_ns: int) -> Way | None:
         """The way from one moment to a later one; None where the samples cannot tell."""
         if len(self._stamps) < 2:
@@ -73,6 +77,26 @@ class OdometryTrack:
         if before_s > self._max_guess_s or after_s > self._max_guess_s:
             return None
         return Way(self._pose_at(from_ns).inverse() @ self._pose_at(to_ns), before_s + after_s)
+
+    def turn_between(self, from_ns: int, to_ns: int) -> float | None:
+        """Angle turned, rad; None unless samples lie at or beyond both ends."""
+        if not self._stamps or not self._stamps[0] <= from_ns <= to_ns <= self._stamps[-1]:
+            return None
+        first, first_rad = self._heading_at(from_ns)
+        last, last_rad = self._heading_at(to_ns)
+        turned = sum(
+            wrap_angle(self._poses[i + 1].theta_rad - self._poses[i].theta_rad) for i in range(first, last)
+        )
+        return turned + last_rad - first_rad
+
+    def _heading_at(self, stamp_ns: int) -> tuple[int, float]:
+        """The last sample not after a moment within the track, and the turn since then, rad."""
+        i = min(bisect_right(self._stamps, stamp_ns), len(self._stamps) - 1) - 1
+        if i < 0:
+            return 0, 0.0
+        step = wrap_angle(self._poses[i + 1].theta_rad - self._poses[i].theta_rad)
+        share = (stamp_ns - self._stamps[i]) / (self._stamps[i + 1] - self._stamps[i])
+        return i, share * step
 
     def twist_at(self, stamp_ns: int) -> tuple[float, float, float] | None:
         """Speed around a moment (m/s forward, m/s left, rad/s), by the nearest samples; None as above."""

@@ -1,9 +1,13 @@
 """Samples for the tests of fusion."""
 
+import numpy as np
+
 from drivers.frames import ImuSample, OdometrySample
+from service.fusion.motion import Motion
 from service.geometry.se2 import SE2
 
 MS = 1_000_000
+SURE = np.diag([1e-6, 1e-6, 1e-8])
 
 
 def odometry(stamp_ms: float, pose: SE2) -> OdometrySample:
@@ -16,3 +20,7 @@ def odometry(stamp_ms: float, pose: SE2) -> OdometrySample:
 def gyro(stamp_ms: float, rate_radps: float) -> ImuSample:
     stamp_ns = round(stamp_ms * MS)
     return ImuSample("imu", stamp_ns, stamp_ns, (0.0, 0.0, rate_radps), (0.0, 0.0, 9.81))
+
+
+def matched(pose: SE2, twist: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Motion:
+    return Motion(pose, twist, SURE)

@@ -7,13 +7,9 @@ from service.fusion.drift import match_covariance
 from service.fusion.motion import Matched, Motion, Prediction
 from service.fusion.weighed_motion import MotionConfig, WeighedMotion
 from service.geometry.se2 import SE2
-from tests.service.fusion.samples import MS, gyro, odometry
+from tests.service.fusion.samples import MS, gyro, matched, odometry
 
 SURE = np.diag([1e-6, 1e-6, 1e-8])
-
-
-def matched(pose: SE2, twist: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Motion:
-    return Motion(pose, twist, SURE)
 
 
 def sigmas(predicted: Prediction) -> np.ndarray:
