@@ -22,8 +22,12 @@ from service.mapper.stages import Correction, Drawn, Painter, Sheet
 
 STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: of a step between key frames, at best
 LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])  # of a step that only a prediction vouches for; m^2, rad^2
+DOUBTFUL_COVARIANCE = np.diag(
+    [0.3**2, 0.3**2, 0.3**2]
+)  # ... added to a step whose ends hardly lie on the map
 GAP_SHARE = 0.1  # of a way without scans: what odometry may have erred by
 SAME_SPOT_M, SAME_VIEW_RAD = 0.5, 0.5  # key frames so near see the same
+LOST_M, DOUBTFUL_M = 60.0, 30.0  # way that such a step counts for, where loops are looked for
 LOOP_M = 1.0  # what going over a loop counts in the length of a path
 PLACES_KEPT = 16
 
@@ -52,6 +56,7 @@ class LoopsConfig(BaseModel):
     least_score: float = Field(default=0.5, ge=0.0, le=1.0)
 
     least_share: float = Field(default=0.45, ge=0.0)  # of the points on the map, in medians of the drive
+    doubtful_share: float = Field(default=0.6, ge=0.0)  # ... less, and the step to it may be wrong
     most_against: float = Field(default=0.12, ge=0.0, le=1.0)  # share of the points in free space
     group: int = Field(default=3, ge=2)  # loops that say the same, at least
     group_span_m: float = Field(default=5.0, ge=0.0)
@@ -215,7 +220,7 @@ class LoopBackEnd:
         near = np.flatnonzero(apart & chain.is_usable & (away_m <= reach_m + 1.0))
         cloud: Cloud | None = None
         found = []
-        for k in self._nearest_of_passes(near, away_m)[: config.passes]:
+        for k in self._worth_asking(near, away_m, reach_m):
             place = self._place(k)
             if cloud is None:
                 cloud = cloud_of(chain, members, reference)
@@ -242,7 +247,8 @@ class LoopBackEnd:
         length_m = np.empty(len(way))
         of = np.array([loop.of for loop in self._loops], np.int64)
         to = np.array([loop.to for loop in self._loops], np.int64)
-        path_lengths(np.append(np.diff(way), 0.0), of, to, LOOP_M, k, length_m)
+        step_m = np.diff(way) + DOUBTFUL_M * self._doubtful_steps() + LOST_M * self._lost_steps()
+        path_lengths(np.append(step_m, 0.0), of, to, LOOP_M, k, length_m)
         return length_m
 
     def _nearest_of_passes(self, near: npt.NDArray[np.int64], away_m: Floats) -> list[int]:
@@ -252,6 +258,20 @@ class LoopBackEnd:
         breaks = np.flatnonzero(np.diff(self._chain.way_m[near]) > self._config.place_m) + 1
         best = [int(run[np.argmin(away_m[run])]) for run in np.split(near, breaks)]
         return sorted(best, key=lambda k: (away_m[k], k))
+
+    def _worth_asking(self, near: npt.NDArray[np.int64], away_m: Floats, reach_m: Floats) -> list[int]:
+        """The nearest key frame of each pass; where the window is wider than a place, others beside it."""
+        config, way = self._config, self._chain.way_m
+        asked = self._nearest_of_passes(near, away_m)[: config.passes]
+        for k in list(asked):
+            aside = 1
+            while aside * config.place_m <= reach_m[k]:
+                for at_m in (way[k] - aside * config.place_m, way[k] + aside * config.place_m):
+                    other = int(near[np.argmin(np.abs(way[near] - at_m))])
+                    if abs(way[other] - at_m) < 0.5 * config.place_m and other not in asked:
+                        asked.append(other)
+                aside += 1
+        return asked
 
     def _place(self, k: int) -> Place:
         """One about key frame k; a place that is kept already and lies near will do."""
@@ -287,11 +307,22 @@ class LoopBackEnd:
             self._loops += new
             self._groups.append(new)
 
+    def _lost_steps(self) -> npt.NDArray[np.bool_]:
+        """(N - 1,) steps between key frames of which one was not matched."""
+        lost = self._chain.is_lost
+        return lost[1:] | lost[:-1]
+
+    def _doubtful_steps(self) -> npt.NDArray[np.bool_]:
+        """(N - 1,) steps to or from a key frame of which far less than usual lies on the map."""
+        score = self._chain.score
+        doubtful = score < self._config.doubtful_share * np.median(score)
+        return doubtful[1:] | doubtful[:-1]
+
     def _odometry(self) -> Edges:
         chain = self._chain
         covariance = chain.covariance[1:] + STEP_FLOOR
-        weak = chain.is_lost[1:] | chain.is_lost[:-1]
-        covariance = np.where(weak[:, None, None], LOST_COVARIANCE, covariance)
+        covariance = np.where(self._lost_steps()[:, None, None], LOST_COVARIANCE, covariance)
+        covariance = covariance + self._doubtful_steps()[:, None, None] * DOUBTFUL_COVARIANCE
         gap_m = np.maximum(np.diff(chain.way_m) - 2.0 * self._config.keyframe_distance_m, 0.0)
         covariance = covariance + (GAP_SHARE * gap_m[:, None, None]) ** 2 * np.eye(3)
         k = np.arange(chain.count - 1, dtype=np.int64)

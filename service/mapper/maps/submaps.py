@@ -27,7 +27,7 @@ class NormalsConfig(BaseModel):
     most_beams_each_side: int = Field(default=16, ge=1, le=128)
     gap_m: float = Field(default=0.06, gt=0.0)
     gap_steps: float = Field(default=5.0, ge=0.0)  # in distances between neighbouring beams at that range
-    planar_ratio: float = Field(default=0.02, gt=0.0, lt=1.0)
+    planar_ratio: float = Field(default=0.05, gt=0.0, lt=1.0)
     least_cos_incidence: float = Field(default=0.05, ge=0.0, lt=1.0)
     rough_weight: float = Field(default=0.2, ge=0.0, le=1.0)
     planar_m: float = Field(default=0.03, gt=0.0)

@@ -1,7 +1,7 @@
 """The matcher of the default profile: Gauss-Newton on surfels, with a coarse map to fall back on."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -42,12 +42,17 @@ class SurfelMatcherConfig(BaseModel):
     search_least_rad: float = Field(default=0.2, gt=0.0)
     search_most_rad: float = Field(default=1.6, gt=0.0)
     search_gain: float = Field(default=0.08, ge=0.0)  # so much more must then lie on the map
+    search_rest_s: float = Field(default=1.0, ge=0.0)  # between two searches of the whole window
     usual_share_scans: int = Field(default=50, ge=1)  # over which the usual share is taken
     settled_m: float = Field(default=0.0005, gt=0.0)
     settled_rad: float = Field(default=0.0001, gt=0.0)
 
     inlier_m: float = Field(default=0.10, gt=0.0)
     lost_share: float = Field(default=0.30, ge=0.0, le=1.0)
+    weak_share: float = Field(
+        default=0.15, ge=0.0, le=1.0
+    )  # enough where wheels were measured, and the match
+    weak_sigmas: float = Field(default=2.0, ge=0.0)  # is no farther from the prediction
     degraded_share: float = Field(default=0.45, ge=0.0, le=1.0)
     blind_sigma_m: float = Field(default=0.05, gt=0.0)  # directions known less well keep to the wheels
     degraded_sigma_m: float = Field(default=0.10, gt=0.0)
@@ -58,6 +63,25 @@ class SurfelMatcherConfig(BaseModel):
     least_residual_m: float = Field(default=0.005, gt=0.0)
     floor_position_m: float = Field(default=0.002, ge=0.0)
     floor_heading_rad: float = Field(default=0.0003, ge=0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Attempt:
+    """A scan that is to be laid on a map."""
+
+    points: Points
+    normals: npt.NDArray[np.float64]  # (N, 3) from estimate_normals
+    predicted: Prediction
+    prior: Prior
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Laid:
+    """Where it ended on one sub-map."""
+
+    result: MatchResult
+    xy_base: npt.NDArray[np.float64]  # (N, 2) m, deskewed with the twist found
+    submap: Submap
 
 
 class SurfelGaussNewton:
@@ -82,6 +106,7 @@ class SurfelGaussNewton:
             config.covariance_scale,
         )
         self._usual_share = 1.0
+        self._rest_until_ns = 0  # no wide search before
         self._floor = np.diag(
             [config.floor_position_m**2, config.floor_position_m**2, config.floor_heading_rad**2]
         )
@@ -95,44 +120,22 @@ class SurfelGaussNewton:
                 predicted.pose_odom_base, predicted.twist_base, self._floor, np.linalg.inv(self._floor)
             )
             return Match(first, points, 1.0)
-        normals = local_map.normals_of(points)
-        matches = (
-            self._match_to(submap, points, normals, predicted, is_new=k > 0)
-            for k, submap in enumerate(local_map.candidates)
-        )
-        best = next(matches)
-        for match in matches:
-            if best.state != "lost":
+        attempt = _Attempt(points, local_map.normals_of(points), predicted, _as_prior(predicted))
+        laid = [self._lay(attempt, attempt.prior.pose, local_map.candidates[0])]
+        for submap in local_map.candidates[1:]:
+            if self._fits(laid[-1], attempt):
                 break
-            best = match
-        return best
+            laid.append(self._lay(attempt, attempt.prior.pose, submap))
+        best = laid[-1] if self._fits(laid[-1], attempt) else laid[0]
+        if best is laid[0]:
+            best = self._searched(best, attempt)
+        return self._as_match(best, attempt, is_new=best is laid[-1] and len(laid) > 1)
 
-    def _match_to(
-        self,
-        submap: Submap,
-        points: Points,
-        normals: npt.NDArray[np.float64],
-        predicted: Prediction,
-        is_new: bool,
-    ) -> Match:
-        pose = predicted.pose_odom_base
-        prior = Prior(
-            np.array([pose.x_m, pose.y_m, pose.theta_rad]),
-            np.array(predicted.twist_base),
-            predicted.step_covariance,
-            predicted.covariance,
-            predicted.elapsed_s,
-            predicted.twist_gain,
-            predicted.is_measured,
-        )
-        result, xy_base = self._lay(points, normals, prior, submap)
-        if result.share < self._least_share(predicted):
-            result, xy_base = self._recovered(result, xy_base, points, normals, prior, submap)
-        state, reason = self._judge(result)
-        if state != "lost" and (jump := self._jump(result, predicted)) is not None:
-            state, reason = "lost", jump
+    def _as_match(self, laid: _Laid, attempt: _Attempt, is_new: bool) -> Match:
+        result, points = laid.result, attempt.points
+        state, reason = self._judge(result, attempt)
         if state == "lost":
-            return Match(_as_motion(predicted), points, result.share, state, reason)
+            return Match(_as_motion(attempt.predicted), points, result.share, state, reason)
         self._usual_share += (result.share - self._usual_share) / self._config.usual_share_scans
         x_m, y_m, theta_rad = result.pose.tolist()
         forward, left, turn = result.twist.tolist()
@@ -143,57 +146,69 @@ class SurfelGaussNewton:
             self._information(result),
             on_new_map=is_new,
         )
-        deskewed = replace(points, xy_base=xy_base)
-        return Match(motion, deskewed, result.share, state, reason, submap.number)
+        deskewed = replace(points, xy_base=laid.xy_base)
+        return Match(motion, deskewed, result.share, state, reason, laid.submap.number)
 
-    def _lay(
-        self, points: Points, normals: npt.NDArray[np.float64], prior: Prior, submap: Submap
-    ) -> tuple[MatchResult, npt.NDArray[np.float64]]:
-        """The match, and the points deskewed with what it found."""
+    def _lay(self, attempt: _Attempt, start: npt.NDArray[np.float64], submap: Submap) -> _Laid:
+        """The match on a sub-map, begun at `start`, a pose as in the prior."""
+        points = attempt.points
         xy_base = points.xy_base.copy()
         result: MatchResult = match_scan(
             Returns(points.xy_raw, points.beam_time_s, points.beam),
-            normals,
-            prior,
+            attempt.normals,
+            attempt.prior._replace(pose=start),
             submap.grid(),
             self._settings,
             self._config.doubt_ratio * self._usual_share,
             xy_base,
         )
-        return result, xy_base
+        return _Laid(result, xy_base, submap)
 
-    def _least_share(self, predicted: Prediction) -> float:
-        """With less on the map, the surroundings are searched: wheels are seldom so wrong as a guess."""
-        if predicted.is_measured:
-            return self._config.lost_share
-        return self._config.doubt_ratio * self._usual_share
+    def _fits(self, laid: _Laid, attempt: _Attempt) -> bool:
+        return self._judge(laid.result, attempt)[0] != "lost"
 
-    def _recovered(
-        self,
-        result: MatchResult,
-        xy_base: npt.NDArray[np.float64],
-        points: Points,
-        normals: npt.NDArray[np.float64],
-        prior: Prior,
-        submap: Submap,
-    ) -> tuple[MatchResult, npt.NDArray[np.float64]]:
-        """The best pose near the prediction, if clearly more of the scan lies on the map there.
+    def _searched(self, laid: _Laid, attempt: _Attempt) -> _Laid:
+        """The best pose around the prediction, if clearly more of the scan lies on the map there.
 
         A poor recovery is worse than none: a prediction that goes on is found again, a jump is not.
         """
-        config = self._config
-        sigma_m, sigma_rad = (math.sqrt(prior.step_covariance[k, k]) for k in (0, 2))
-        reach_m = min(max(3.0 * sigma_m, config.search_least_m), config.search_most_m)
-        reach_rad = min(max(3.0 * sigma_rad, config.search_least_rad), config.search_most_rad)
-        start = search_around(points.xy_base, prior.pose, reach_m, reach_rad, submap.grid())
+        config, prior = self._config, attempt.prior
+        share = laid.result.share
+        reach_m, reach_rad = config.search_most_m, config.search_most_rad
+        if share >= (config.degraded_share if attempt.predicted.is_measured else config.lost_share):
+            if attempt.predicted.is_measured or share >= config.doubt_ratio * self._usual_share:
+                return laid
+            sigma_m, sigma_rad = (math.sqrt(prior.step_covariance[k, k]) for k in (0, 2))
+            reach_m = min(max(3.0 * sigma_m, config.search_least_m), reach_m)
+            reach_rad = min(max(3.0 * sigma_rad, config.search_least_rad), reach_rad)
+        elif attempt.points.scan.stamp_ns < self._rest_until_ns:
+            return laid
+        else:
+            self._rest_until_ns = attempt.points.scan.stamp_ns + round(config.search_rest_s * 1e9)
+        start = search_around(attempt.points.xy_base, prior.pose, reach_m, reach_rad, laid.submap.grid())
         if start is None:
-            return result, xy_base
-        found, found_xy_base = self._lay(points, normals, prior._replace(pose=start), submap)
-        if found.share < result.share + config.search_gain:
-            return result, xy_base
-        return found, found_xy_base
+            return laid
+        found = self._lay(attempt, start, laid.submap)
+        least = share + config.search_gain
+        if self._sigmas_away(found.result, prior) > config.jump_sigmas:
+            least = max(least, config.degraded_share)
+        return found if found.result.share >= least else laid
 
-    def _jump(self, result: MatchResult, predicted: Prediction) -> str | None:
+    def _is_confirmed(self, result: MatchResult, attempt: _Attempt) -> bool:
+        """Whether wheels vouch for a match of few points: a turn through a door shows mostly new walls."""
+        return (
+            attempt.predicted.is_measured
+            and result.share >= self._config.weak_share
+            and self._sigmas_away(result, attempt.prior) <= self._config.weak_sigmas
+        )
+
+    def _sigmas_away(self, result: MatchResult, prior: Prior) -> float:
+        """How far a match is from the prediction."""
+        away = SE2(*prior.pose.tolist()).inverse() @ SE2(*result.pose.tolist())
+        offset = np.array([away.x_m, away.y_m, away.theta_rad])
+        return float(np.sqrt(offset @ np.linalg.solve(prior.step_covariance, offset)))
+
+    def _jump(self, result: MatchResult, predicted: Prediction, prior: Prior) -> str | None:
         """Why a match is not believed that fits worse than usual and needs a speed that nothing can reach.
 
         Someone close before the laser leaves few walls and a minimum elsewhere. A pose that is a little wrong
@@ -202,25 +217,24 @@ class SurfelGaussNewton:
         is_guess = predicted.elapsed_s > 0.0 and not predicted.is_measured
         if not is_guess or result.share >= self._config.doubt_ratio * self._usual_share:
             return None
-        pose = predicted.pose_odom_base
-        away = pose.inverse() @ SE2(*result.pose.tolist())
-        offset = np.array([away.x_m, away.y_m, away.theta_rad])
-        sigmas = float(np.sqrt(offset @ np.linalg.solve(predicted.step_covariance, offset)))
-        if sigmas <= self._config.jump_sigmas:
+        if self._sigmas_away(result, prior) <= self._config.jump_sigmas:
             return None
+        away = predicted.pose_odom_base.inverse() @ SE2(*result.pose.tolist())
         return (
             f"{result.share:.0%} of {result.used} returns lie on the map (usual {self._usual_share:.0%}), "
             f"{math.hypot(away.x_m, away.y_m):.2f} m and {abs(away.theta_rad):.2f} rad from the prediction; "
             "the pose follows the prediction"
         )
 
-    def _judge(self, result: MatchResult) -> tuple[State, str]:
+    def _judge(self, result: MatchResult, attempt: _Attempt) -> tuple[State, str]:
         config = self._config
         if result.share < config.lost_share:
-            return "lost", (
-                f"{result.share:.0%} of {result.used} returns lie on the map "
-                f"(at least {config.lost_share:.0%}); the pose follows the prediction"
-            )
+            on_map = f"{result.share:.0%} of {result.used} returns lie on the map"
+            if self._is_confirmed(result, attempt):
+                return "degraded", f"{on_map} (at least {config.lost_share:.0%}), but the wheels say the same"
+            return "lost", f"{on_map} (at least {config.lost_share:.0%}); the pose follows the prediction"
+        if (jump := self._jump(result, attempt.predicted, attempt.prior)) is not None:
+            return "lost", jump
         if result.share < config.degraded_share:
             return "degraded", (
                 f"{result.share:.0%} of {result.used} returns lie on the map "
@@ -258,6 +272,19 @@ class SurfelGaussNewton:
         short = np.maximum(np.diag(self._floor) - np.diag(covariance), 0.0)
         raised: npt.NDArray[np.float64] = covariance + np.diag(short)
         return raised
+
+
+def _as_prior(predicted: Prediction) -> Prior:
+    pose = predicted.pose_odom_base
+    return Prior(
+        np.array([pose.x_m, pose.y_m, pose.theta_rad]),
+        np.array(predicted.twist_base),
+        predicted.step_covariance,
+        predicted.covariance,
+        predicted.elapsed_s,
+        predicted.twist_gain,
+        predicted.is_measured,
+    )
 
 
 def _as_motion(predicted: Prediction) -> Motion:

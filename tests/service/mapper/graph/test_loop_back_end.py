@@ -133,3 +133,22 @@ def test_lost_key_frames_are_neither_looked_for_nor_trusted(ring: tuple[list[Key
     lost = [replace(frame, is_lost=True) for frame in ring[0]]
     _, results = fed(lost)
     assert {result.loops for result in results} == {0}
+
+
+@pytest.mark.parametrize("says_so", [True, False])
+def test_behind_a_doubtful_match_loops_are_looked_for_farther_away(
+    ring: tuple[list[KeyFrame], list[SE2]], says_so: bool
+):
+    """A match half-way was 20 degrees off, as after wheels that froze in a turn."""
+    frames, truth = ring
+    kink = len(frames) // 2
+    before = frames[kink - 1].pose_odom_base
+    turned = [
+        replace(frame, pose_odom_base=before @ SE2(0.0, 0.0, 0.35) @ before.inverse() @ frame.pose_odom_base)
+        for frame in frames[kink:]
+    ]
+    if says_so:
+        turned[0] = replace(turned[0], score=0.5 * turned[0].score)
+    back_end, _ = fed([*frames[:kink], *turned])
+    finished = back_end.work(Batch([], is_last=True))
+    assert bool(seam_m(list(finished.all), truth).max() < 0.05) is says_so

@@ -125,3 +125,53 @@ def test_covariance_never_claims_more_than_its_floor() -> None:
     covariance = match(square(), SE2(), mapped(square())).motion.covariance
     assert (np.sqrt(np.diag(covariance)) >= [0.002, 0.002, 0.0003]).all()
     assert math.sqrt(covariance[0, 0]) < 0.02
+
+
+def mostly_new() -> Points:
+    """A fifth of the square, the rest far behind where its walls were."""
+    xy = square().xy_base
+    return points_of(np.where((np.abs(np.arctan2(xy[:, 1], xy[:, 0])) < 2.5)[:, None], 3.5 * xy, xy))
+
+
+@pytest.mark.parametrize(
+    ("is_measured", "away_m", "state"), [(True, 0.03, "degraded"), (False, 0.03, "lost")]
+)
+def test_few_points_are_believed_where_measured_wheels_say_the_same(
+    is_measured: bool, away_m: float, state: str
+) -> None:
+    start = replace(predicted(SE2(away_m, 0.0, 0.0), sigma=0.02), is_measured=is_measured)
+    result = new_matcher().match(mostly_new(), start, mapped(square()))
+    assert 0.15 < result.score < 0.3
+    assert result.state == state
+    if is_measured:
+        assert abs(result.motion.pose_odom_base.x_m) < 0.01
+        assert result.reason.endswith("but the wheels say the same")
+
+
+def nook() -> Points:
+    """A room that looks like itself from nowhere else: one corner of the square is cut off, one is deep."""
+    xy = square().xy_base
+    bearing = np.arctan2(xy[:, 1], xy[:, 0])
+    scale = np.where(np.abs(bearing - 0.9) < 0.5, 0.6, np.where(np.abs(bearing + 2.0) < 0.4, 1.5, 1.0))
+    return points_of(scale[:, None] * xy)
+
+
+def test_a_vehicle_that_turned_while_its_wheels_were_silent_is_found_again() -> None:
+    frozen = predicted(SE2(0.6, -0.4, 1.2), sigma=0.02)
+    result = new_matcher().match(nook(), frozen, mapped(nook()))
+    pose = result.motion.pose_odom_base
+    assert result.state == "ok"
+    np.testing.assert_allclose([pose.x_m, pose.y_m, pose.theta_rad], 0.0, atol=2e-3)
+
+
+def test_the_whole_window_is_searched_once_a_second_at_most() -> None:
+    matcher, chain, frozen = new_matcher(), mapped(nook()), predicted(SE2(0.6, -0.4, 1.2), sigma=0.02)
+    elsewhere = square(8.0)
+
+    def state_at(stamp_ns: int, points: Points) -> str:
+        scan = replace(points.scan, stamp_ns=stamp_ns)
+        return matcher.match(replace(points, scan=scan), frozen, chain).state
+
+    assert state_at(10**9, elsewhere) == "lost"  # searched in vain
+    assert state_at(2 * 10**9 - 1, nook()) == "lost"
+    assert state_at(2 * 10**9, nook()) == "ok"
