@@ -6,9 +6,10 @@ into a box of another's: `stages: {matcher: surfel_gauss_newton}`; what that sta
 
 import difflib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -191,24 +192,35 @@ def _choose(name: str, known: Iterable[str]) -> str:
 def warm_up(config: MappingConfig | None = None) -> None:
     """Compile the kernels that a config needs (None: those of every profile), or load them from the cache.
 
-    Seconds a profile, or a fifth of one. Drives each mapper a little way through a made-up room, so that
-    kernels meet the very types of a real run.
+    Seconds a profile, or a fifth of one.
     """
-    for wanted in [mapping_config({"profile": name}) for name in METHODS] if config is None else [config]:
-        mapper = build_mapper(wanted, {"laser": SE2()})
-        for k in range(4):
-            stamp_ns = k * 100_000_000
-            x_m = 0.4 * k
-            mapper.process(ImuSample("imu", stamp_ns, stamp_ns, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81)))
-            mapper.process(
-                OdometrySample("base", stamp_ns, stamp_ns, x_m, 0.0, 0.0, (4.0, 0.0, 0.0), (0.0,) * 9)
-            )
-            mapper.process(_room_scan(stamp_ns, x_m))
-        mapper.finish()
-        mapper.changed_tiles()
-        for kind in chosen_stages(wanted.profile, wanted.stages).values():
-            if kind.rehearse is not None:
-                kind.rehearse()
+    for rehearse in rehearsals(config):
+        rehearse()
+
+
+def rehearsals(config: MappingConfig | None = None) -> list[Callable[[], Any]]:
+    """What warm_up does, in pieces that can be done in any order, the longest first.
+
+    Kernels must meet the very types of a real run, so each mapper is driven a little way through a made-up
+    room; stages add what such a drive does not reach, or what takes longest to compile.
+    """
+    configs = [mapping_config({"profile": name}) for name in METHODS] if config is None else [config]
+    kinds = {kind.name: kind for c in configs for kind in chosen_stages(c.profile, c.stages).values()}
+    first = [kind.rehearse_core for kind in kinds.values() if kind.rehearse_core is not None]
+    last = [kind.rehearse for kind in kinds.values() if kind.rehearse is not None]
+    return [*first, *(partial(_drive, c) for c in configs), *last]
+
+
+def _drive(config: MappingConfig) -> None:
+    mapper = build_mapper(config, {"laser": SE2()})
+    for k in range(4):
+        stamp_ns = k * 100_000_000
+        x_m = 0.4 * k
+        mapper.process(ImuSample("imu", stamp_ns, stamp_ns, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81)))
+        mapper.process(OdometrySample("base", stamp_ns, stamp_ns, x_m, 0.0, 0.0, (4.0, 0.0, 0.0), (0.0,) * 9))
+        mapper.process(_room_scan(stamp_ns, x_m))
+    mapper.finish()
+    mapper.changed_tiles()
 
 
 def _room_scan(stamp_ns: int, x_m: float) -> LaserScan:

@@ -247,6 +247,7 @@ class StageKind:
     makes     the class that build gives, where another stage reads it (local maps); else None
     reads     the class of the local map that this stage reads, None where it reads none
     rehearse  runs what a short drive does not reach, so that it is compiled; None where there is nothing such
+    rehearse_core   runs alone what takes longest to compile, so that another process can drive meanwhile
     """
 
     name: str
@@ -255,6 +256,7 @@ class StageKind:
     makes: type | None = None
     reads: type | None = None
     rehearse: Callable[[], Any] | None = None
+    rehearse_core: Callable[[], Any] | None = None
 
 
 class NoSettings(BaseModel):

@@ -20,9 +20,9 @@ from service.encoding import LASER_SCAN, pose_on_wire
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import ConfigError, InputError, StorageError
 from service.geometry.se2 import SE2
+from service.kernel_warm_up import warm_up as warm_up_kernels
 from service.mapper.corrections import corrected
 from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
-from service.mapper.profiles import warm_up as warm_up_kernels
 from service.mapper.stages import WishError
 from service.mapper.steering import TAKE_IN_AFTER_SCANS, Control, SteeredMapper, TakeIn, Wish
 from service.mapstore.patch_files import PatchFiles

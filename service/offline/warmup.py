@@ -5,8 +5,8 @@ import time
 
 from service.encoding import warm_up as warm_up_encoding
 from service.kernel_cache import KERNELS
+from service.kernel_warm_up import warm_up as warm_up_kernels
 from service.mapper.profiles import MappingConfig
-from service.mapper.profiles import warm_up as warm_up_kernels
 
 
 def warm_up(config: MappingConfig | None = None) -> dict[str, float | str]:

@@ -26,9 +26,9 @@ from service.config import ServiceConfig, mapped_laser, mountings
 from service.encoding import encode_event, encode_raw, encode_tf_static
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import CorridorError, StorageError
+from service.kernel_warm_up import warm_up as warm_up_kernels
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import MappingConfig, build_mapper
-from service.mapper.profiles import warm_up as warm_up_kernels
 from service.mapper.steering import SteeredMapper
 from service.mapstore.patch_files import PatchFiles
 from service.mapstore.tiles import TileStore

@@ -6,8 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.kernels.likelihood_search import LikelihoodLayer, SearchWindow
-from service.kernels.surfels import TILE_CELLS, SurfelGrid
-from service.mapper.maps.tiles import Layer, TileMap, TilePool
+from service.kernels.surfels import SurfelGrid
 from service.mapper.matchers.window_search import search_bounded
 
 Floats = npt.NDArray[np.float64]
@@ -33,13 +32,3 @@ def search_around(
     layer = LikelihoodLayer(grid.tiles, grid.field, 0.0, 0.0, 1.0, grid.cell_m)
     found = search_bounded(thin, np.ones(len(thin), np.float32), layer, window, 0.0)
     return found.pose if found.score > 0.0 else None
-
-
-def rehearse() -> None:
-    """Search an empty sub-map, so that the kernels are compiled."""
-    pool = TilePool(
-        (Layer((TILE_CELLS, TILE_CELLS, 2, 5), np.float32), Layer((TILE_CELLS, TILE_CELLS), np.float32)), 1
-    )
-    surfels, field = pool.arrays
-    grid = SurfelGrid(TileMap(pool).index(), surfels, field, 0.1)  # type: ignore[arg-type]
-    search_around(np.zeros((1, 2)), np.zeros(3), 0.1, 0.1, grid)

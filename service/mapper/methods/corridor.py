@@ -9,7 +9,7 @@ from service.mapper.graph.no_graph import NoGraph
 from service.mapper.graph.rehearsal import rehearse
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapper.maps.submaps import SubmapsConfig, SurfelSubmaps
-from service.mapper.matchers.recovery import rehearse as rehearse_recovery
+from service.mapper.matchers.rehearsal import rehearse_match, rehearse_search
 from service.mapper.matchers.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
 from service.mapper.stages import Method, NoSettings, StageKind
 
@@ -22,7 +22,8 @@ SURFEL_GAUSS_NEWTON = StageKind(
     SurfelMatcherConfig,
     lambda config, _: SurfelGaussNewton(config),
     reads=SurfelSubmaps,
-    rehearse=rehearse_recovery,
+    rehearse=rehearse_search,
+    rehearse_core=rehearse_match,
 )
 SURFEL_SUBMAPS = StageKind(
     "surfel_submaps", SubmapsConfig, lambda config, _: SurfelSubmaps(config), makes=SurfelSubmaps
