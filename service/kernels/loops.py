@@ -76,9 +76,7 @@ def align_surfels(xy, normals, grid, settings, pose, H):
     inliers = 0
     for k in range(settings.iterations + 1):
         find_surfels(xy, normals, pose, grid, settings.least_normal_cosine, found)
-        result = surfel_normal_equations(xy, normals, found, pose, 1.5 * grid.cell_m, settings, H, g)
-        used = result[1]
-        inliers = result[2]
+        used, inliers, _ = surfel_normal_equations(xy, normals, found, pose, settings, H, g)
         copy_matrix(H, system)
         weakest = 1e-3 * (H[0, 0] + H[1, 1])
         for i in range(3):

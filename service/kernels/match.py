@@ -140,25 +140,49 @@ def add_prior(pose, prior_pose, information, H, g):
 
 
 @njit(cache=True, nogil=True)
-def surfel_normal_equations(xy_base, normals, found, pose, unmatched_m, settings, H, g):
+def surfel_cost(xy_base, normals, found, pose, unmatched_m, settings):
+    """Half the cost whose gradient surfel_normal_equations gives; apart, for its logarithms take as long.
+
+    unmatched_m   float             a point without a surfel costs as much as one that is so far off
+    The others    as there.
+    """
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    squared_cauchy = settings.cauchy_m * settings.cauchy_m
+    unmatched = 0.5 * squared_cauchy * math.log1p(unmatched_m * unmatched_m / squared_cauchy)
+    cost = 0.0
+    for i in range(xy_base.shape[0]):
+        weight = normals[i, 2]
+        if weight == 0.0:
+            continue
+        if found[i, 4] == 0.0:
+            cost += weight * unmatched
+            continue
+        rx = c * xy_base[i, 0] - s * xy_base[i, 1]
+        ry = s * xy_base[i, 0] + c * xy_base[i, 1]
+        e = found[i, 2] * (pose[0] + rx - found[i, 0]) + found[i, 3] * (pose[1] + ry - found[i, 1])
+        weight *= min(1.0, found[i, 4] / settings.young_count)
+        cost += 0.5 * weight * squared_cauchy * math.log1p(e * e / squared_cauchy)
+    return cost * (1.0 / (settings.sigma_m * settings.sigma_m))
+
+
+@njit(cache=True, nogil=True)
+def surfel_normal_equations(xy_base, normals, found, pose, settings, H, g):
     """Gauss-Newton system of the distances, along the surfels' normals, between points and their surfels.
 
     xy_base       (N, 2) float64    m, base frame
     normals       (N, 3) float64    from estimate_normals
     found         (N, 5) float64    from find_surfels
     pose          (3,)   float64    base in the frame of the surfels
-    unmatched_m   float             a point without a surfel costs as much as one that is so far off
     settings      MatchSettings
     H, g          (3, 3), (3,) float64   out: Hessian, and gradient of half the cost, over x, y, theta
-    Returns (half cost, points asked, points within settings.inlier_m, weighted mean of e^2 in m^2).
+    Returns (points asked, points within settings.inlier_m, weighted mean of e^2 in m^2).
     Source: point-to-line ICP, Censi 2008; Cauchy weight 1 / (1 + e^2 / c^2).
     """
     c = math.cos(pose[2])
     s = math.sin(pose[2])
     squared_cauchy = settings.cauchy_m * settings.cauchy_m
     scale = 1.0 / (settings.sigma_m * settings.sigma_m)
-    unmatched = 0.5 * squared_cauchy * math.log1p(unmatched_m * unmatched_m / squared_cauchy)
-    cost = 0.0
     used = 0
     inliers = 0
     total_weight = squares = 0.0
@@ -170,7 +194,6 @@ def surfel_normal_equations(xy_base, normals, found, pose, unmatched_m, settings
             continue
         used += 1
         if found[i, 4] == 0.0:
-            cost += weight * unmatched
             continue
         nx = found[i, 2]
         ny = found[i, 3]
@@ -181,7 +204,6 @@ def surfel_normal_equations(xy_base, normals, found, pose, unmatched_m, settings
             inliers += 1
         weight *= min(1.0, found[i, 4] / settings.young_count)
         ratio = e * e / squared_cauchy
-        cost += 0.5 * weight * squared_cauchy * math.log1p(ratio)
         weight /= 1.0 + ratio
         total_weight += weight
         squares += weight * e * e
@@ -204,7 +226,7 @@ def surfel_normal_equations(xy_base, normals, found, pose, unmatched_m, settings
     H[0, 2] = H[2, 0] = scale * hxt
     H[1, 2] = H[2, 1] = scale * hyt
     H[2, 2] = scale * htt
-    return scale * cost, used, inliers, squares / max(total_weight, 1e-9)
+    return used, inliers, squares / max(total_weight, 1e-9)
 
 
 @njit(cache=True, nogil=True)
@@ -362,7 +384,7 @@ def hold_blind_direction(pose, prior, H, settings, system, g):
 
 
 @njit(cache=True, nogil=True)
-def fine_align(returns, normals, prior, prior_information, grid, settings, xy_base, pose, H):
+def fine_align(returns, normals, prior, prior_information, grid, settings, doubt_share, xy_base, pose, H):
     """Gauss-Newton on surfels, held by the prior, deskewing anew with the twist that each step finds.
 
     returns             Returns            end points at their own moments
@@ -371,11 +393,12 @@ def fine_align(returns, normals, prior, prior_information, grid, settings, xy_ba
     prior_information   (3, 3) float64     of the step, in the axes of the grid
     grid                SurfelGrid
     settings            MatchSettings
+    doubt_share         float              the cost is asked with fewer points than that on the map, else 0
     xy_base             (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
     pose                (3,)   float64     in: where to start; out: where it ended
     H                   (3, 3) float64     out: Hessian of the points alone
-    Returns (half the cost there, of points and prior; points asked; points that lie on the map; weighted mean
-    of their squared distances in m^2).
+    Returns (half the cost before the last step, of points and prior; points asked; points that lie on the
+    map; weighted mean of their squared distances in m^2).
     """
     g = np.empty(3)
     step = np.empty(3)
@@ -383,7 +406,7 @@ def fine_align(returns, normals, prior, prior_information, grid, settings, xy_ba
     system = np.empty((3, 3))
     count = xy_base.shape[0]
     found = np.empty((count, 5))
-    unmatched_m = 1.5 * grid.cell_m
+    asked = np.empty(3)
     moves = count > 0 and returns.beam_time_s[count - 1] > 0.0 and prior.elapsed_s > 0.0
     cost = 0.0
     used = 0
@@ -393,12 +416,11 @@ def fine_align(returns, normals, prior, prior_information, grid, settings, xy_ba
         if moves and 0 < k <= settings.deskew_rounds:
             learn_twist(prior, pose, twist)
             deskew_points(returns.xy_raw, returns.beam_time_s, twist, xy_base)
+        copy_vector(pose, asked)
         find_surfels(xy_base, normals, pose, grid, settings.least_normal_cosine, found)
-        cost, used, inliers, squared_m2 = surfel_normal_equations(
-            xy_base, normals, found, pose, unmatched_m, settings, H, g
-        )
+        used, inliers, squared_m2 = surfel_normal_equations(xy_base, normals, found, pose, settings, H, g)
         copy_matrix(H, system)
-        cost += 0.5 * add_prior(pose, prior.pose, prior_information, system, g)
+        add_prior(pose, prior.pose, prior_information, system, g)
         hold_blind_direction(pose, prior, H, settings, system, g)
         if k == settings.iterations or not solve_3x3(system, g, step):
             break
@@ -407,6 +429,9 @@ def fine_align(returns, normals, prior, prior_information, grid, settings, xy_ba
         if math.hypot(step[0], step[1]) < settings.settled_m and abs(step[2]) < settings.settled_rad:
             break
     pose[2] = wrap(pose[2])
+    if inliers < doubt_share * used:
+        cost = surfel_cost(xy_base, normals, found, asked, 1.5 * grid.cell_m, settings)
+        cost += 0.5 * add_prior(asked, prior.pose, prior_information, system, g)
     return cost, used, inliers, squared_m2
 
 
@@ -428,35 +453,46 @@ def match_scan(returns, normals, prior, grid, settings, doubt_share, xy_base):
     prior_information = np.zeros((3, 3))
     if invert_3x3(prior.step_covariance, information):
         rotate_information(information, prior.pose[2], prior_information)
-    pose = prior.pose.copy()
-    predicted_xy = xy_base.copy()
-    cost, used, inliers, squared_m2 = fine_align(
-        returns, normals, prior, prior_information, grid, settings, xy_base, pose, H
-    )
     # The prediction may lie outside the catchment of the surfels: then let the coarse map lead there, from
     # the predicted heading and from two beside it. What costs least is kept.
     field = LikelihoodField(grid.tiles, grid.field, grid.cell_m)
     coarse = AlignSettings(settings.coarse_sigma, settings.coarse_beams, settings.coarse_iterations)
-    other_pose = np.empty(3)
-    other_H = np.empty((3, 3))
-    for side in (0.0, 1.0, -1.0):
-        if inliers >= doubt_share * used:
-            break
-        other_xy = predicted_xy.copy()
-        copy_vector(prior.pose, other_pose)
-        other_pose[2] += 2.0 * side * math.sqrt(prior.step_covariance[2, 2])
-        coarse_align(other_xy, prior.pose, prior_information, field, coarse, other_pose)
-        other_cost, other_used, other_inliers, other_squared_m2 = fine_align(
-            returns, normals, prior, prior_information, grid, settings, other_xy, other_pose, other_H
+    predicted_xy = xy_base.copy()
+    trial_xy = xy_base.copy()
+    trial_pose = prior.pose.copy()
+    trial_H = np.empty((3, 3))
+    pose = np.empty(3)
+    cost = squared_m2 = 0.0
+    used = inliers = 0
+    for start in range(4):
+        if start > 0:
+            if inliers >= doubt_share * used:
+                break
+            copy_matrix(predicted_xy, trial_xy)
+            copy_vector(prior.pose, trial_pose)
+            side = 0.0 if start == 1 else (1.0 if start == 2 else -1.0)
+            trial_pose[2] += 2.0 * side * math.sqrt(prior.step_covariance[2, 2])
+            coarse_align(trial_xy, prior.pose, prior_information, field, coarse, trial_pose)
+        trial_cost, trial_used, trial_inliers, trial_squared_m2 = fine_align(
+            returns,
+            normals,
+            prior,
+            prior_information,
+            grid,
+            settings,
+            doubt_share if start == 0 else math.inf,
+            trial_xy,
+            trial_pose,
+            trial_H,
         )
-        if other_cost < cost:
-            cost = other_cost
-            used = other_used
-            inliers = other_inliers
-            squared_m2 = other_squared_m2
-            copy_vector(other_pose, pose)
-            copy_matrix(other_xy, xy_base)
-            copy_matrix(other_H, H)
+        if start == 0 or trial_cost < cost:
+            cost = trial_cost
+            used = trial_used
+            inliers = trial_inliers
+            squared_m2 = trial_squared_m2
+            copy_vector(trial_pose, pose)
+            copy_matrix(trial_xy, xy_base)
+            copy_matrix(trial_H, H)
     twist = np.empty(3)
     learn_twist(prior, pose, twist)
     least, direction = weakest_direction(H)

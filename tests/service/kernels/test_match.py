@@ -16,6 +16,7 @@ from service.kernels.match import (
     learn_twist,
     match_scan,
     rotate_information,
+    surfel_cost,
     surfel_normal_equations,
     weakest_direction,
 )
@@ -93,10 +94,10 @@ def test_the_surfel_gradient_is_the_slope_of_its_cost() -> None:
     matrix, gradient = np.empty((3, 3)), np.empty(3)
 
     def cost(at: np.ndarray) -> float:
-        return surfel_normal_equations(xy, normals, found, at, 0.15, SETTINGS, matrix, gradient)[0]
+        return surfel_cost(xy, normals, found, at, 0.15, SETTINGS)
 
     expected = slopes(cost, pose)
-    cost(pose)
+    surfel_normal_equations(xy, normals, found, pose, SETTINGS, matrix, gradient)
     np.testing.assert_allclose(gradient, expected, rtol=1e-5)
     assert np.abs(expected).min() > 1.0
 
@@ -107,9 +108,7 @@ def test_the_hessian_is_that_of_weighted_least_squares() -> None:
     found = np.empty((len(xy), 5))
     find_surfels(xy, normals, pose, grid, 0.6, found)
     matrix, gradient = np.empty((3, 3)), np.empty(3)
-    _, used, inliers, squared_m2 = surfel_normal_equations(
-        xy, normals, found, pose, 0.15, SETTINGS, matrix, gradient
-    )
+    used, inliers, squared_m2 = surfel_normal_equations(xy, normals, found, pose, SETTINGS, matrix, gradient)
     weights = squares = 0.0
     c, s = math.cos(pose[2]), math.sin(pose[2])
     expected = np.zeros((3, 3))
