@@ -59,6 +59,8 @@ class InertialMotionConfig(BaseModel):
 class InertialMotion:
     """MotionModel. The odom frame is the base at the first scan, levelled."""
 
+    complaint = ""  # the filter weighs by its own covariances
+
     def __init__(self, config: InertialMotionConfig) -> None:
         self._config = config
         self._track = InertialTrack(config.imu_yaw_rad, config.max_hold_s)

@@ -35,10 +35,16 @@ class Matched(Motion):
 
     information: npt.NDArray[np.float64]  # (3, 3) what the scan alone says of the pose, in base axes
     on_new_map: bool = False  # one begun where no scan fitted: what was lost until then stays lost
+    pull_base: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, m, rad that the prediction held it back by
 
 
 class MotionModel(Protocol):
     """Predicts where the vehicle is when a scan begins, from whatever moves with it."""
+
+    @property
+    def complaint(self) -> str:
+        """Which sensor is left out since walls contradict it, what was measured, where to look; or ""."""
+        ...
 
     def add(self, sample: ImuSample | OdometrySample) -> bool:
         """Take in a sample; False if it came out of order and was left out."""

@@ -11,6 +11,7 @@ from drivers.frames import ImuSample, OdometrySample
 from service.fusion.drift import MapDrift, WheelWalk, carried, on_the_map
 from service.fusion.gyro import GyroTrack
 from service.fusion.motion import Matched, Motion, Prediction
+from service.fusion.source_trust import Noise, SourceTrust
 from service.fusion.wheel_lag import WheelLag
 from service.fusion.wheel_odometry import OdometryTrack
 from service.fusion.wheel_trust import WheelTrust
@@ -96,6 +97,18 @@ class WeighedMotion:
             (config.drift_m_per_sqrt_m, config.drift_rad_per_sqrt_m),
         )
         self._lag = WheelLag(config.wheel_lag_sigma_s, config.wheel_jitter_s, config.wheel_most_lag_s)
+        self._wheels_agree = SourceTrust(
+            Noise(
+                config.position_sigma_m,
+                config.position_sigma_per_m,
+                config.heading_sigma_rad,
+                config.heading_sigma_per_rad,
+                config.heading_sigma_per_m_rad,
+            )
+        )
+        self._gyro_agrees = SourceTrust(
+            Noise(math.inf, 0.0, config.gyro_sigma_rad, config.gyro_sigma_per_rad, 0.0)
+        )
         self._walk = WheelWalk(
             config.drift_m_per_sqrt_m, config.drift_rad_per_sqrt_m, config.drift_m_per_sqrt_s
         )
@@ -107,6 +120,8 @@ class WeighedMotion:
         self._wheel_speed: Twist | None = None  # at the last scan
         self._predicted_speed: Twist | None = None  # at the next
         self._was_matched = False  # the last scan
+        self._wall_speed = (0.0, 0.0)  # m/s, rad/s that walls alone gave to the last step
+        self._gyro_turn_rad: float | None = None  # to the last prediction
         self._pushed_ns: int | None = None  # when a match last was off where the wheels had stood
         self._has_speed = False  # two scans were matched, so their difference is a speed
 
@@ -114,6 +129,21 @@ class WeighedMotion:
         if isinstance(sample, OdometrySample):
             return self._odometry.add(sample)
         return self._gyro.add(sample)
+
+    @property
+    def complaint(self) -> str:
+        said = []
+        if not self._wheels_agree.is_trusted:
+            said.append(
+                f"the wheels contradict the walls ({self._wheels_agree.contradiction()} within a moment) and "
+                "are left out; do they slip, is a sign wrong, is an encoder dead?"
+            )
+        if not self._gyro_agrees.is_trusted:
+            said.append(
+                f"the IMU's turns contradict the walls ({self._gyro_agrees.contradiction()} within a moment) "
+                "and are left out; is it mounted upside down, is its unit rad/s, is its bias large?"
+            )
+        return "; ".join(said)
 
     def predict(self, stamp_ns: int) -> Prediction:
         self._predicted = self._first(stamp_ns) if self._last is None else self._next(stamp_ns, *self._last)
@@ -135,8 +165,11 @@ class WeighedMotion:
             self._drift.advance(step, loss, information, per_m if is_match else 0.0)
             if is_match:
                 away = predicted.pose_odom_base.inverse() @ matched.pose_odom_base
-                if predicted.is_measured:
-                    self._notice_push(stamp_ns, away)
+                if isinstance(matched, Matched):
+                    pull = SE2(*matched.pull_base)
+                    if predicted.is_measured:
+                        self._notice_push(stamp_ns, away @ pull)
+                    self._compare(last_ns, stamp_ns, step @ pull, relative)
                 if not predicted.is_measured or _sigmas(away, predicted.step_covariance) < SLIP_SIGMAS:
                     self._learn(last_ns, stamp_ns, step, relative)
                 self._has_speed = True
@@ -154,6 +187,8 @@ class WeighedMotion:
         way = self._odometry.between(last_ns + self._lag.lag_ns, stamp_ns + self._lag.lag_ns)
         self._rolled = way.motion if way is not None else None
         self._predicted_speed = None
+        if not self._wheels_agree.is_trusted:
+            way = None
         if way is not None:
             step = self._trust.corrected(way.motion)
             twist = self._predicted_speed = self._wheel_twist(stamp_ns) or last.twist_base
@@ -161,8 +196,8 @@ class WeighedMotion:
         else:
             step, sigma_m, sigma_rad = self._coast(last.twist_base, elapsed_s)
             twist = last.twist_base
-        turn_rad = self._gyro.turn_between(last_ns, stamp_ns)
-        if turn_rad is not None:
+        turn_rad = self._gyro_turn_rad = self._gyro.turn_between(last_ns, stamp_ns)
+        if turn_rad is not None and self._gyro_agrees.is_trusted:
             forward, left, _ = step.log()
             step = SE2.exp(forward, left, turn_rad)
             sigma_rad = self._config.gyro_sigma_rad + self._config.gyro_sigma_per_rad * abs(turn_rad)
@@ -194,6 +229,24 @@ class WeighedMotion:
             return self._walk.over(step, elapsed_s), self._config.drift_per_m
         variances: npt.NDArray[np.float64] = np.maximum(np.diag(step_covariance), 1e-12)
         return variances, self._config.drift_per_m_guessed
+
+    def _compare(self, last_ns: int, stamp_ns: int, step: SE2, relative: npt.NDArray[np.float64]) -> None:
+        """Hold what wheels and gyro said of a step against what the walls alone say."""
+        forward_m, _, turn_rad = step.log()
+        found = forward_m, turn_rad
+        elapsed_s = (stamp_ns - last_ns) * 1e-9
+        guessed = self._wall_speed[0] * elapsed_s, self._wall_speed[1] * elapsed_s
+        self._wall_speed = forward_m / elapsed_s, turn_rad / elapsed_s
+        match_sigma = math.sqrt(relative[0, 0]), math.sqrt(relative[2, 2])
+        rolled = self._trust.corrected(self._rolled).log() if self._rolled is not None else None
+        for source, said in (
+            (self._wheels_agree, (rolled[0], rolled[2]) if rolled is not None else None),
+            (self._gyro_agrees, (0.0, self._gyro_turn_rad) if self._gyro_turn_rad is not None else None),
+        ):
+            if said is None or not self._was_matched:
+                source.begin_anew()
+            else:
+                source.learn(last_ns, stamp_ns, said, found, guessed, match_sigma)
 
     def _learn(self, last_ns: int, stamp_ns: int, step: SE2, relative: npt.NDArray[np.float64]) -> None:
         config = self._config

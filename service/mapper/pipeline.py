@@ -96,6 +96,8 @@ class Mapper(Generic[ReadableMap]):
         match = s.matcher.match(points, predicted, s.local_map)  # where we are
         believed = s.motion_model.correct(scan.stamp_ns, match.motion)
         match = replace(match, motion=believed)
+        if match.state == "ok" and (complaint := s.motion_model.complaint):
+            match = replace(match, state="degraded", reason=complaint)
         watch.lap("match")
         kept = s.keep_static(match.points, match)
         change = s.local_map.insert(kept, match)

@@ -11,11 +11,14 @@ from service.fusion.motion import Matched, Motion, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns
 from service.kernels.drift import match_information
+from service.kernels.linear3 import solve_3x3
 from service.kernels.match import MatchResult, MatchSettings, Prior, match_scan
 from service.mapper.maps.submaps import Submap, SurfelSubmaps
 from service.mapper.matchers.recovery import search_around
 from service.mapper.stages import Match, Points
 from service.outputs import State
+
+LEAST_INFORMATION = np.diag([1e3, 1e3, 1e3])  # 1/m^2, 1/rad^2
 
 
 class SurfelMatcherConfig(BaseModel):
@@ -145,6 +148,7 @@ class SurfelGaussNewton:
             self._floored(result.covariance),
             self._information(result),
             on_new_map=is_new,
+            pull_base=_pull(result, attempt.prior),
         )
         deskewed = replace(points, xy_base=laid.xy_base)
         return Match(motion, deskewed, result.share, state, reason, laid.submap.number)
@@ -272,6 +276,22 @@ class SurfelGaussNewton:
         short = np.maximum(np.diag(self._floor) - np.diag(covariance), 0.0)
         raised: npt.NDArray[np.float64] = covariance + np.diag(short)
         return raised
+
+
+def _pull(result: MatchResult, prior: Prior) -> tuple[float, float, float]:
+    """What the points alone would add to a match: at the minimum they pull as hard as the prior holds.
+
+    Directions that they hardly see are not followed far.
+    """
+    if prior.elapsed_s == 0.0:
+        return 0.0, 0.0, 0.0
+    away = SE2(*prior.pose.tolist()).inverse() @ SE2(*result.pose.tolist())
+    held = np.array([away.x_m, away.y_m, away.theta_rad]) / np.diag(prior.step_covariance)
+    pull = np.empty(3)
+    if not solve_3x3(result.information + LEAST_INFORMATION, held, pull):
+        return 0.0, 0.0, 0.0
+    forward_m, left_m, turn_rad = pull.tolist()
+    return forward_m, left_m, turn_rad
 
 
 def _as_prior(predicted: Prediction) -> Prior:

@@ -1,0 +1,73 @@
+"""Wheels and IMUs that are wired or mounted wrong must not do more harm than none."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.frames import Frame, ImuSample, OdometrySample
+from service.mapper.profiles import mapping_config
+from simulators.worlds import WORLDS
+from tests.simulated import LMS100_50HZ, Drive, Imu, Run, Wheels, drives, run
+
+SECONDS = 32.0
+
+
+@pytest.fixture(scope="module")
+def honest() -> Drive:
+    """The first corner of the ring at 10 scans a second: slow enough that a prediction matters."""
+    return drives(WORLDS["ring"](), replace(LMS100_50HZ, rate_hz=10.0), SECONDS, [1], Wheels(), Imu())[0]
+
+
+def upside_down(sample: ImuSample) -> ImuSample:
+    x, y, z = sample.rate_radps
+    return replace(sample, rate_radps=(x, -y, -z))
+
+
+def in_degrees(sample: ImuSample) -> ImuSample:
+    x, y, z = (math.degrees(rate) for rate in sample.rate_radps)
+    return replace(sample, rate_radps=(x, y, z))
+
+
+def silent(sample: ImuSample) -> ImuSample:
+    return replace(sample, rate_radps=(0.0, 0.0, 0.0))
+
+
+def backwards(sample: OdometrySample) -> OdometrySample:
+    return replace(sample, x_m=-sample.x_m, y_m=-sample.y_m)
+
+
+def frozen(sample: OdometrySample) -> OdometrySample:
+    return replace(sample, x_m=0.0, y_m=0.0, theta_rad=0.0)
+
+
+def driven(drive: Drive, kind: type, lie: Callable[..., Frame] | None) -> Run:
+    frames = [lie(frame) if lie is not None and isinstance(frame, kind) else frame for frame in drive.frames]
+    return run(mapping_config(), replace(drive, frames=frames))
+
+
+def complaints(done: Run) -> set[str]:
+    return {output.reason.split(" contradict")[0] for output in done.outputs if "contradict" in output.reason}
+
+
+@pytest.mark.parametrize(
+    ("kind", "lie", "blamed"),
+    [
+        (ImuSample, None, set()),
+        (ImuSample, upside_down, {"the IMU's turns"}),
+        (ImuSample, in_degrees, {"the IMU's turns"}),
+        (ImuSample, silent, {"the IMU's turns"}),
+        (OdometrySample, backwards, {"the wheels"}),
+        (OdometrySample, frozen, {"the wheels"}),
+    ],
+)
+def test_a_sensor_that_lies_is_left_out_and_named(
+    honest: Drive, kind: type, lie: Callable[..., Frame] | None, blamed: set[str]
+) -> None:
+    done = driven(honest, kind, lie)
+    assert complaints(done) == blamed
+    assert "lost" not in {output.state for output in done.outputs}
+    assert done.position_rmse_m < 0.03
+    assert np.degrees(done.heading_rmse_rad) < 0.2
