@@ -10,11 +10,15 @@ from service.geometry.grid import tiles_of
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.likelihood import SPLAT_REACH_CELLS, splat_likelihood
 from service.kernels.normals import NormalSettings, estimate_normals
+from service.kernels.permanence import Sightings, count_hits, look_through, weigh_permanence
 from service.kernels.surfels import TILE_BITS, TILE_CELLS, SurfelGrid, insert_surfels
+from service.kernels.tiles import NO_TILE
+from service.mapper.maps.permanence import PermanenceConfig, ticks_in
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
 from service.mapper.stages import MapChange, Match, Points
 
-POOL_TILES = 16_384  # 700 MB of address space; a sub-map in a large hall touches a few hundred tiles
+POOL_TILES = 16_384  # 750 MB of address space; a sub-map in a large hall touches a few hundred tiles
+MOST_NUMBER = 65_535  # of a key frame, then from 1 again
 
 
 class NormalsConfig(BaseModel):
@@ -54,6 +58,7 @@ class SubmapsConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     normals: NormalsConfig = NormalsConfig()
+    permanence: PermanenceConfig = PermanenceConfig()
     cell_m: float = Field(default=0.10, ge=0.02, le=0.5)
     spacing_m: float = Field(default=20.0, gt=0.0)  # a new sub-map each time so far was travelled
     keyframe_distance_m: float = Field(default=0.05, gt=0.0)
@@ -70,12 +75,24 @@ class Submap:
     def __init__(self, number: int, pool: TilePool, config: SubmapsConfig) -> None:
         self.number = number
         self.scan_count = 0
+        self._last_ns: int | None = None  # of its newest key frame
         self._config = config
+        self._permanence = config.permanence.settings()
         self._tiles = TileMap(pool)
 
     def grid(self) -> SurfelGrid:
-        surfels, field = self._tiles.pool.arrays
+        surfels, field, _score, _touched = self._tiles.pool.arrays
         return SurfelGrid(self._tiles.index(), surfels, field, self._config.cell_m)  # type: ignore[arg-type]
+
+    def weighed(
+        self, points: Points, normals: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """The normals of a scan as to be matched from a pose (3,): what stands for long weighs more."""
+        if self._permanence.enough == 0:
+            return normals
+        weighed = normals.copy()
+        weigh_permanence(points.xy_base, pose, self.grid(), self._sightings(), self._permanence, weighed)
+        return weighed
 
     def insert(self, points: Points, normals: npt.NDArray[np.float64], pose: SE2) -> None:
         config = self._config
@@ -91,11 +108,44 @@ class Submap:
         )
         grid = self.grid()
         pose_vector = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+        if self._permanence.enough > 0:
+            normals = self._sight(points, normals, pose_vector, grid)
         insert_surfels(points.xy_base, normals, pose_vector, grid, float(config.count_limit))
         splat_likelihood(points.xy_base, pose_vector, grid, config.field_sigma_m, config.field_enough)
         self.scan_count += 1
 
+    def _sight(
+        self,
+        points: Points,
+        normals: npt.NDArray[np.float64],
+        pose: npt.NDArray[np.float64],
+        grid: SurfelGrid,
+    ) -> npt.NDArray[np.float64]:
+        """Note what a key frame sees and what it sees through; its normals, without points of what moves."""
+        number = np.uint16(self.scan_count % MOST_NUMBER + 1)
+        ticks = np.int64(self._ticks_since(points.scan.stamp_ns))
+        static = normals.copy()
+        settings, sightings = self._permanence, self._sightings()
+        count_hits(points.xy_base, static, pose, grid, sightings, settings, number, ticks)
+        sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
+        look_through(points.xy_base, sensor, pose, grid, sightings, settings, number, ticks)
+        return static
+
+    def _ticks_since(self, stamp_ns: int) -> int:
+        """From the key frame before to one of this stamp; 1 at least."""
+        last_ns = stamp_ns if self._last_ns is None else self._last_ns
+        self._last_ns = stamp_ns
+        return min(max(1, ticks_in((stamp_ns - last_ns) * 1e-9)), self._permanence.enough)
+
+    def _sightings(self) -> Sightings:
+        _surfels, _field, score, touched = self._tiles.pool.arrays
+        return Sightings(score, touched)  # type: ignore[arg-type]
+
     def release(self) -> None:
+        """Hand the tiles back, with nothing sighted in them: who takes one clears its surfels alone."""
+        slots = self._tiles.slots[self._tiles.slots != NO_TILE]
+        for sighted in self._sightings():
+            sighted[slots] = 0
         self._tiles.release()
 
 
@@ -114,6 +164,7 @@ class SurfelSubmaps:
             (
                 Layer((TILE_CELLS, TILE_CELLS, 2, 5), np.float32),
                 Layer((TILE_CELLS, TILE_CELLS), np.float32),
+                *(Layer((TILE_CELLS, TILE_CELLS), dtype) for dtype in (np.int8, np.uint16)),  # Sightings
             ),
             POOL_TILES,
         )

@@ -159,7 +159,7 @@ class SurfelGaussNewton:
         xy_base = points.xy_base.copy()
         result: MatchResult = match_scan(
             Returns(points.xy_raw, points.beam_time_s, points.beam),
-            attempt.normals,
+            submap.weighed(points, attempt.normals, start),
             attempt.prior._replace(pose=start),
             submap.grid(),
             self._settings,

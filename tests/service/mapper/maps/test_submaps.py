@@ -127,3 +127,23 @@ def test_a_room_is_the_same_wherever_it_stands(place: tuple[float, float]) -> No
             found.append(max(abs(x), abs(y)))
     np.testing.assert_allclose(found, 2.0, atol=1e-5)
     assert len(found) > 100
+
+
+def test_what_was_moved_away_is_forgotten_and_tiles_handed_back_know_nothing() -> None:
+    chain = submaps(first_scans=20, spacing_m=0.5, keyframe_distance_m=0.01)
+    room = square().xy_base
+    box = np.where((np.abs(np.arctan2(room[:, 1], room[:, 0])) < 0.3)[:, None], 0.5 * room, room)
+    for k, xy in enumerate([box] * 4 + [room] * 4):
+        points = points_of(xy, stamp_ns=k * 50_000_000)
+        chain.insert(points, match_at(SE2(), points, "ok", 0))
+    grid = chain.candidates[0].grid()
+    slots = grid.tiles.slots
+    held = grid.surfels[slots[slots >= 0]][..., 0].sum()
+    off = chain.candidates[0].weighed(points_of(box), np.ones((len(box), 3)), np.zeros(3))[:, 2]
+    is_box = np.hypot(*box.T) < 1.5
+    assert off[is_box].max() < 0.2 * off[~is_box].mean()
+    assert 0 < held <= 8 * np.count_nonzero(~is_box) + 4 * np.count_nonzero(is_box)  # the box itself is gone
+    oldest = chain.candidates[0]
+    oldest.release()
+    for sighted in chain._pool.arrays[2:]:
+        assert not sighted[slots[slots >= 0]].any()

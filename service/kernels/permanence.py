@@ -1,0 +1,232 @@
+"""How long something stands in each cell of a sub-map: what moves gets little say, and is forgotten.
+
+Time is counted in ticks, those of a key frame being the time since the one before.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from service.kernels.rays import begin_ray
+from service.kernels.surfels import (
+    COUNT,
+    MEAN_X,
+    MEAN_Y,
+    NORMAL_X,
+    NORMAL_Y,
+    TILE_BITS,
+    TILE_MASK,
+    touch_tile,
+)
+from service.kernels.tiles import NO_TILE, find_tile
+
+
+class Sightings(NamedTuple):
+    """What key frames saw in the cells of a sub-map, in the slots of its surfels; 0 where nothing was seen.
+
+    score     (capacity, T, T) int8     ticks; above 0: so long something stood here, less what was looked
+                                        through it; below 0: so long the cell was free
+    touched   (capacity, T, T) uint16   number of the key frame that spoke of the cell last
+    """
+
+    score: npt.NDArray[np.int8]
+    touched: npt.NDArray[np.uint16]
+
+
+class PermanenceSettings(NamedTuple):
+    """Documented where they are configured; times in ticks."""
+
+    enough: int
+    free: int
+    passed_gain: float
+    least_weight: float
+    most_gain: float
+    behind_m: float
+    beam_step: int
+
+
+@njit(cache=True, nogil=True)
+def looks_through(surfels, slot, row, column, reach_m, u, v, du, dv, behind_m):
+    """Whether a beam goes through a surfel of a cell and ends clearly behind its wall.
+
+    A beam that passes along a wall ends on it, or before it: it does not look through.
+
+    surfels       (capacity, T, T, 2, 5) float32
+    slot, row, column   int     the cell, within its tile
+    reach_m       float         how far from the middle of a surfel it still is the wall
+    u, v          float         start of the beam, m from the centre of the cell
+    du, dv        float         from there to its end point, m
+    behind_m      float
+    """
+    for side in range(2):
+        if surfels[slot, row, column, side, COUNT] == 0.0:
+            break  # the second side is never filled before the first
+        nx = np.float64(surfels[slot, row, column, side, NORMAL_X])
+        ny = np.float64(surfels[slot, row, column, side, NORMAL_Y])
+        mx = np.float64(surfels[slot, row, column, side, MEAN_X])
+        my = np.float64(surfels[slot, row, column, side, MEAN_Y])
+        before_m = nx * (u - mx) + ny * (v - my)
+        after_m = before_m + nx * du + ny * dv
+        if before_m <= 0.0 or after_m > -behind_m:
+            continue
+        share = before_m / (before_m - after_m)
+        x = u + share * du - mx
+        y = v + share * dv - my
+        if x * x + y * y < reach_m * reach_m:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks):
+    """Count the cells in which a key frame has end points; points where it was free until now get weight 0.
+
+    xy_base     (N, 2) float64       m, base frame
+    normals     (N, 3) float64       in and out: from estimate_normals
+    pose        (3,)   float64       base in the frame of the grid
+    grid        SurfelGrid           in and out; its index covers the points
+    sightings   Sightings            in and out
+    settings    PermanenceSettings
+    number      uint16               of the key frame: not that of the one before, nor 0
+    ticks       int                  since the one before
+    """
+    score = sightings.score
+    touched = sightings.touched
+    cells_per_m = 1.0 / grid.cell_m
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    for i in range(xy_base.shape[0]):
+        column = math.floor((pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) * cells_per_m)
+        row = math.floor((pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) * cells_per_m)
+        slot = touch_tile(grid, row >> TILE_BITS, column >> TILE_BITS)
+        r = row & TILE_MASK
+        q = column & TILE_MASK
+        if touched[slot, r, q] != number:
+            touched[slot, r, q] = number
+            value = score[slot, r, q] + ticks
+            if value > 1 and score[slot, r, q] <= 0:
+                value = 1
+            score[slot, r, q] = np.int8(min(value, settings.enough))
+        if score[slot, r, q] <= 0:
+            normals[i, 2] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def look_through(xy_base, sensor_xy_m, pose, grid, sightings, settings, number, ticks):
+    """Take away surfels that beams of a key frame look through, and remember which cells are free.
+
+    Cells in which the key frame has an end point stay as they are, and so do cells without a tile: no wall
+    is near them. Arguments as in count_hits, which comes first, and
+
+    sensor_xy_m   (2,) float64   where the beams start, m, base frame
+    """
+    score = sightings.score
+    touched = sightings.touched
+    surfels = grid.surfels
+    cell_m = grid.cell_m
+    cells_per_m = 1.0 / cell_m
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    x = pose[0] + c * sensor_xy_m[0] - s * sensor_xy_m[1]
+    y = pose[1] + s * sensor_xy_m[0] + c * sensor_xy_m[1]
+    for i in range(number % settings.beam_step, xy_base.shape[0], settings.beam_step):
+        dx = pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1] - x
+        dy = pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1] - y
+        range_m = math.hypot(dx, dy)
+        if range_m <= settings.behind_m:
+            continue
+        reach = (range_m - settings.behind_m) / range_m * cells_per_m
+        column, row, step_column, step_row, next_column, next_row, per_column, per_row, count = begin_ray(
+            x * cells_per_m, y * cells_per_m, reach * dx, reach * dy
+        )
+        tile_row = row >> TILE_BITS
+        tile_column = column >> TILE_BITS
+        slot = find_tile(grid.tiles, tile_row, tile_column)
+        for _ in range(count):
+            if row >> TILE_BITS != tile_row or column >> TILE_BITS != tile_column:
+                tile_row = row >> TILE_BITS
+                tile_column = column >> TILE_BITS
+                slot = find_tile(grid.tiles, tile_row, tile_column)
+            r = row & TILE_MASK
+            q = column & TILE_MASK
+            if slot != NO_TILE and touched[slot, r, q] != number:
+                value = np.int64(score[slot, r, q])
+                if value <= 0:
+                    touched[slot, r, q] = number
+                    score[slot, r, q] = np.int8(max(value - ticks, -settings.free))
+                else:
+                    u = x - (column + 0.5) * cell_m
+                    v = y - (row + 0.5) * cell_m
+                    if looks_through(surfels, slot, r, q, 0.5 * cell_m, u, v, dx, dy, settings.behind_m):
+                        touched[slot, r, q] = number
+                        score[slot, r, q] = np.int8(max(value - math.ceil(settings.passed_gain * ticks), 0))
+                        if score[slot, r, q] == 0:
+                            surfels[slot, r, q] = np.float32(0.0)
+            if next_column < next_row:
+                column += step_column
+                next_column += per_column
+            else:
+                row += step_row
+                next_row += per_row
+
+
+@njit(cache=True, nogil=True)
+def time_stood(tiles, score, row, column):
+    """Ticks that something stood in a cell, 0 where it was free; where nobody looked, the most beside it.
+
+    A prediction that is off by a cell puts part of the walls behind where they stand.
+    """
+    slot = find_tile(tiles, row >> TILE_BITS, column >> TILE_BITS)
+    if slot != NO_TILE and score[slot, row & TILE_MASK, column & TILE_MASK] != 0:
+        return max(np.int64(score[slot, row & TILE_MASK, column & TILE_MASK]), np.int64(0))
+    most = np.int64(0)
+    for r in range(row - 1, row + 2):
+        for q in range(column - 1, column + 2):
+            slot = find_tile(tiles, r >> TILE_BITS, q >> TILE_BITS)
+            if slot != NO_TILE:
+                most = max(most, np.int64(score[slot, r & TILE_MASK, q & TILE_MASK]))
+    return most
+
+
+@njit(cache=True, nogil=True)
+def weigh_permanence(xy_base, pose, grid, sightings, settings, normals):
+    """Let points count by how long something stands where they lie, against what stands longest in the scan.
+
+    The weights grow again by as much as they fell on average, settings.most_gain times at most: where
+    everything is new, new things count in full.
+
+    xy_base     (N, 2) float64       m, base frame
+    pose        (3,)   float64       base in the frame of the grid, as predicted
+    grid        SurfelGrid
+    sightings   Sightings
+    settings    PermanenceSettings
+    normals     (N, 3) float64       in and out: weights from estimate_normals
+    """
+    score = sightings.score
+    cells_per_m = 1.0 / grid.cell_m
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    count = xy_base.shape[0]
+    stood = np.zeros(count, np.int64)
+    longest = 1
+    for i in range(count):
+        if normals[i, 2] == 0.0:
+            continue
+        column = math.floor((pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) * cells_per_m)
+        row = math.floor((pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) * cells_per_m)
+        stood[i] = time_stood(grid.tiles, score, row, column)
+        longest = max(longest, stood[i])
+    before = after = 0.0
+    for i in range(count):
+        weight = normals[i, 2]
+        normals[i, 2] = weight * max(settings.least_weight, stood[i] / longest)
+        if stood[i] > 0:
+            before += weight
+            after += normals[i, 2]
+    if after > 0.0:
+        gain = min(before / after, settings.most_gain)
+        for i in range(count):
+            normals[i, 2] *= gain

@@ -1,0 +1,174 @@
+import math
+
+import numpy as np
+
+from service.kernels.permanence import (
+    PermanenceSettings,
+    Sightings,
+    count_hits,
+    look_through,
+    weigh_permanence,
+)
+from service.kernels.surfels import TILE_BITS, TILE_CELLS, TILE_MASK, SurfelGrid, insert_surfels
+from service.kernels.tiles import find_tile
+from tests.service.kernels.surfel_grids import empty_grid
+
+SETTINGS = PermanenceSettings(
+    enough=10,
+    free=3,
+    passed_gain=2.0,
+    least_weight=0.1,
+    most_gain=2.0,
+    behind_m=0.2,
+    beam_step=1,
+)
+SENSOR, POSE = np.zeros(2), np.array([0.31, -0.17, 0.4])
+
+
+class Place:
+    """A sub-map whose key frames are all taken from POSE."""
+
+    def __init__(self, settings: PermanenceSettings = SETTINGS) -> None:
+        self.grid: SurfelGrid = empty_grid()
+        shape = self.grid.field.shape
+        self.sightings = Sightings(np.zeros(shape, np.int8), np.zeros(shape, np.uint16))
+        self.settings = settings
+        self.number = 0
+
+    def see(self, xy: np.ndarray, normals: np.ndarray, ticks: int = 1) -> np.ndarray:
+        """One more key frame, so long after the last; the weights of its points then."""
+        self.number += 1
+        kept = normals.copy()
+        numbers = np.uint16(self.number), np.int64(ticks)
+        count_hits(xy, kept, POSE, self.grid, self.sightings, self.settings, *numbers)
+        look_through(xy, SENSOR, POSE, self.grid, self.sightings, self.settings, *numbers)
+        insert_surfels(xy, kept, POSE, self.grid, 1000.0)
+        return kept[:, 2]
+
+    def weights(self, xy: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        weighed = normals.copy()
+        weigh_permanence(xy, POSE, self.grid, self.sightings, self.settings, weighed)
+        return weighed[:, 2]
+
+    def scores(self, xy: np.ndarray) -> np.ndarray:
+        return np.array([self.sightings.score[cell] for cell in self._cells(xy)])
+
+    def points_held(self, xy: np.ndarray) -> float:
+        """By the surfels of the cells in which the points lie."""
+        return float(sum(self.grid.surfels[cell][:, 0].sum() for cell in set(self._cells(xy))))
+
+    def _cells(self, xy: np.ndarray) -> list[tuple[int, int, int]]:
+        c, s = math.cos(POSE[2]), math.sin(POSE[2])
+        cells = []
+        for x, y in xy @ np.array([[c, s], [-s, c]]) + POSE[:2]:
+            row, column = math.floor(y / self.grid.cell_m), math.floor(x / self.grid.cell_m)
+            slot = find_tile(self.grid.tiles, row >> TILE_BITS, column >> TILE_BITS)
+            cells.append((int(slot), row & TILE_MASK, column & TILE_MASK))
+        return cells
+
+
+def wall(distance_m: float, half_rad: float = 0.4, beams: int = 161) -> tuple[np.ndarray, np.ndarray]:
+    """Square to the x axis, so far ahead: points and normals."""
+    angle = np.linspace(-half_rad, half_rad, beams)
+    xy = np.column_stack([np.full(beams, distance_m), distance_m * np.tan(angle)])
+    return xy, np.tile([-1.0, 0.0, 1.0], (beams, 1))
+
+
+def side_wall(aside_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Along the x axis, seen ever more obliquely."""
+    angle = np.linspace(1.5, 0.08, 300)
+    xy = np.column_stack([aside_m / np.tan(angle), np.full(300, aside_m)])
+    return xy, np.tile([0.0, -1.0, 1.0], (300, 1))
+
+
+def test_a_cell_counts_time_and_not_beyond_enough() -> None:
+    place = Place()
+    xy, normals = wall(2.0)
+    for k in range(1, 15):
+        place.see(xy, normals)
+        assert set(place.scores(xy)) == {min(k, SETTINGS.enough)}
+    other = Place()
+    expected = (1, 5, 9, 10)  # when it was seen first, nobody knows for how long it had been there
+    for score in expected:
+        other.see(xy, normals, ticks=4)
+        assert set(other.scores(xy)) == {score}
+
+
+def test_what_is_looked_through_goes_and_what_is_behind_stays() -> None:
+    place = Place()
+    near, far = wall(2.0, 0.2), wall(3.0)
+    for _ in range(6):
+        place.see(*near)
+    assert place.points_held(near[0]) == 6 * len(near[0])
+    left = [place.points_held(near[0])]
+    for _ in range(3):
+        place.see(*far)
+        left.append(place.points_held(near[0]))
+    assert left[2] == left[0]  # 6 key frames saw it, each that looks through takes 2 away
+    assert left[3] == 0.0
+    assert place.points_held(far[0]) == 3 * len(far[0])
+
+
+def test_a_wall_that_the_beams_pass_along_stays() -> None:
+    place = Place()
+    xy, normals = side_wall(0.8)
+    place.see(xy, normals)
+    held = place.points_held(xy)
+    rng = np.random.default_rng(3)
+    for _ in range(10):  # beams that end on its far half, with noise across it, pass over the near half
+        beams = rng.choice(np.arange(150, 300), 80)
+        xy_again = xy[beams] + rng.normal(0.0, 0.012, (80, 2))
+        place.see(xy_again, np.column_stack([np.zeros(80), np.zeros(80), np.zeros(80)]))
+    assert place.points_held(xy) == held
+
+
+def test_the_far_side_of_a_thin_wall_is_not_looked_through() -> None:
+    place = Place()
+    xy, _ = wall(2.0, 0.2)
+    facing_away = np.tile([1.0, 0.0, 1.0], (len(xy), 1))
+    place.see(xy, facing_away)
+    place.see(*wall(3.0))
+    assert place.points_held(xy) == len(xy)
+
+
+def test_a_beam_that_ends_close_behind_says_nothing() -> None:
+    place = Place()
+    xy, normals = wall(2.0, 0.2)
+    place.see(xy, normals)
+    for _ in range(5):
+        place.see(*wall(2.15, 0.2))
+    assert place.points_held(xy) > 0.0
+
+
+def test_what_comes_into_free_space_has_to_stay_before_it_is_taken() -> None:
+    place = Place()
+    near, far = wall(2.0, 0.2), wall(3.0)
+    for _ in range(9):
+        place.see(*far)
+    assert set(place.scores(near[0])) == {-SETTINGS.free}
+    weights = [place.see(*near).max() for _ in range(5)]
+    assert weights == [0.0, 0.0, 0.0, 1.0, 1.0]
+
+
+def test_new_things_weigh_less_beside_old_ones_only() -> None:
+    place = Place()
+    old, new = wall(2.0, 0.2), wall(2.5, 0.2)
+    both = tuple(np.concatenate(pair) for pair in zip(old, new, strict=True))
+    place.see(*new)
+    np.testing.assert_array_equal(place.weights(*new), 1.0)
+    for _ in range(11):  # the first of them finds cells that were free
+        place.see(*old)
+    for cell in place._cells(new[0]):  # as if seen once, in view with the old
+        place.sightings.score[cell] = 1
+    weights = place.weights(*both)
+    of_old, of_new = weights[: len(old[0])], weights[len(old[0]) :]
+    np.testing.assert_allclose(of_new / of_old[0], 0.1)
+    np.testing.assert_allclose(weights.sum(), 2 * len(old[0]))
+    assert place.weights(np.array([[-5.0, -5.0]]), np.array([[1.0, 0.0, 1.0]]))[0] == 0.1
+
+
+def test_nothing_is_seen_where_no_tile_is() -> None:
+    place = Place()
+    place.see(*wall(12.0, 0.05))
+    assert np.count_nonzero(place.sightings.score < 0) < TILE_CELLS**2
+    assert (place.scores(wall(12.0, 0.05)[0]) == 1).all()
