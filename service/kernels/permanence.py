@@ -98,10 +98,15 @@ def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks)
     cells_per_m = 1.0 / grid.cell_m
     c = math.cos(pose[2])
     s = math.sin(pose[2])
+    tile_row = tile_column = -(2**62)
+    slot = np.int64(NO_TILE)
     for i in range(xy_base.shape[0]):
         column = math.floor((pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) * cells_per_m)
         row = math.floor((pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) * cells_per_m)
-        slot = touch_tile(grid, row >> TILE_BITS, column >> TILE_BITS)
+        if row >> TILE_BITS != tile_row or column >> TILE_BITS != tile_column:
+            tile_row = row >> TILE_BITS
+            tile_column = column >> TILE_BITS
+            slot = np.int64(touch_tile(grid, tile_row, tile_column))
         r = row & TILE_MASK
         q = column & TILE_MASK
         if touched[slot, r, q] != number:
@@ -174,26 +179,24 @@ def look_through(xy_base, sensor_xy_m, pose, grid, sightings, settings, number, 
 
 
 @njit(cache=True, nogil=True)
-def time_stood(tiles, score, row, column):
-    """Ticks that something stood in a cell, 0 where it was free; where nobody looked, the most beside it.
-
-    A prediction that is off by a cell puts part of the walls behind where they stand.
-    """
-    slot = find_tile(tiles, row >> TILE_BITS, column >> TILE_BITS)
-    if slot != NO_TILE and score[slot, row & TILE_MASK, column & TILE_MASK] != 0:
-        return max(np.int64(score[slot, row & TILE_MASK, column & TILE_MASK]), np.int64(0))
-    most = np.int64(0)
-    for r in range(row - 1, row + 2):
-        for q in range(column - 1, column + 2):
-            slot = find_tile(tiles, r >> TILE_BITS, q >> TILE_BITS)
-            if slot != NO_TILE:
-                most = max(most, np.int64(score[slot, r & TILE_MASK, q & TILE_MASK]))
-    return most
+def score_at(slots, first_row, first_column, score, row, column):
+    """Score of a cell, 0 where no tile is; slots, first_row and first_column as in TileIndex."""
+    tile_row = (row >> TILE_BITS) - first_row
+    tile_column = (column >> TILE_BITS) - first_column
+    if tile_row < 0 or tile_column < 0 or tile_row >= slots.shape[0] or tile_column >= slots.shape[1]:
+        return np.int64(0)
+    slot = slots[tile_row, tile_column]
+    if slot == NO_TILE:
+        return np.int64(0)
+    return np.int64(score[slot, row & TILE_MASK, column & TILE_MASK])
 
 
 @njit(cache=True, nogil=True)
 def weigh_permanence(xy_base, pose, grid, sightings, settings, normals):
     """Let points count by how long something stands where they lie, against what stands longest in the scan.
+
+    Where nobody looked yet, what stands beside counts: a prediction that is off by a cell puts part of the
+    walls behind where they stand.
 
     The weights grow again by as much as they fell on average, settings.most_gain times at most: where
     everything is new, new things count in full.
@@ -206,6 +209,9 @@ def weigh_permanence(xy_base, pose, grid, sightings, settings, normals):
     normals     (N, 3) float64       in and out: weights from estimate_normals
     """
     score = sightings.score
+    slots = grid.tiles.slots
+    first_row = grid.tiles.origin[0]
+    first_column = grid.tiles.origin[1]
     cells_per_m = 1.0 / grid.cell_m
     c = math.cos(pose[2])
     s = math.sin(pose[2])
@@ -217,7 +223,12 @@ def weigh_permanence(xy_base, pose, grid, sightings, settings, normals):
             continue
         column = math.floor((pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) * cells_per_m)
         row = math.floor((pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) * cells_per_m)
-        stood[i] = time_stood(grid.tiles, score, row, column)
+        most = score_at(slots, first_row, first_column, score, row, column)
+        if most == 0:
+            for r in range(row - 1, row + 2):
+                for q in range(column - 1, column + 2):
+                    most = max(most, score_at(slots, first_row, first_column, score, r, q))
+        stood[i] = max(most, np.int64(0))
         longest = max(longest, stood[i])
     before = after = 0.0
     for i in range(count):
