@@ -30,6 +30,7 @@ demo: venv ## fake devices, drivers, mapping, Zenoh and recording on this machin
 	$(BIN)/corridor demo $(DEMO_ARGS)
 
 test: venv ## every test that needs no root
+	$(BIN)/corridor warmup # on both cores; a test compiles on one
 	$(BIN)/python -m pytest -q -m "not soak and not bench" $(TEST_ARGS)
 
 check: venv ## ruff, mypy --strict, import-linter
