@@ -18,6 +18,10 @@ PARTS: tuple[tuple[str, dict[str, dict[str, Any]] | None], ...] = (
     ("robust loss", {"matcher": {"cauchy_m": 1e3}}),
     ("holding of free directions", {"matcher": {"blind_sigma_m": 1e3}}),
     ("surfels finer than 10 cm: 5 cm", {"local_map": {"cell_m": 0.05}}),
+    ("telling what moves", {"local_map": {"permanence": {"enough_s": 0.0}}}),
+    ("weight by how long a thing stands", {"local_map": {"permanence": {"least_weight": 1.0}}}),
+    ("taking away what is looked through", {"local_map": {"permanence": {"passed_gain": 0.0}}}),
+    ("refusing what comes into free space", {"local_map": {"permanence": {"free_s": 0.0}}}),
     ("long sub-maps: 5 m", {"local_map": {"spacing_m": 5.0}}),
 )
 
@@ -27,6 +31,7 @@ def ablations(seeds: int) -> Section:
         "ring": Trip(WORLDS["ring"], LMS100_50HZ),
         "office": Trip(WORLDS["office"], LMS100_50HZ),
         "spins": Trip(WORLDS["spins"], LMS100_50HZ, 30.0),
+        "crowd": Trip(WORLDS["crowd"], LMS100_50HZ, 40.0),
         "ring, no odometry": Trip(WORLDS["ring"], replace(LMS100_50HZ, rate_hz=25.0), 40.0, wheels=None),
     }
     cells: dict[str, list[str]] = {what: [] for what, _ in PARTS}
