@@ -18,7 +18,7 @@ class PermanenceConfig(BaseModel):
 
     enough_s: float = Field(default=1.0, ge=0.0, le=6.0)  # 0: all things count alike, and stay
     free_s: float = Field(default=0.25, ge=0.0, le=6.0)
-    passed_gain: float = Field(default=2.0, ge=0.0)
+    passed_gain: float = Field(default=1.0, ge=0.0)
     least_weight: float = Field(default=0.1, gt=0.0, le=1.0)
     most_gain: float = Field(default=2.0, ge=1.0)
     behind_m: float = Field(default=0.2, gt=0.0)
