@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 WINDOW_NS = 250_000_000  # what is compared: a single step at 50 Hz is too short to tell anything
 BAD_SIGMAS = 3.0  # so far off, a window is a strike against the source
-LONGEST_STEP_NS = 400_000_000  # over a longer one the last speed is no alternative to the poorest wheels
+LONGEST_STEP_NS = 150_000_000  # over a longer one the last speed is no alternative to the poorest wheels
 AT_ONCE_SIGMAS = 8.0  # ... without waiting for the end of the window
-GOOD_SIGMAS = 1.0  # had the last speed gone on been so near, the strike counts twice
+GOOD_SIGMAS = 2.0  # had the last speed gone on been so near, the strike counts twice
 STRIKES_OUT = 2.0
 STRIKES_MOST = 4.0
 FORGIVEN = 0.1  # of a strike, for each window in which it was right about a motion

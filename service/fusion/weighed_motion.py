@@ -169,7 +169,7 @@ class WeighedMotion:
                     pull = SE2(*matched.pull_base)
                     if predicted.is_measured:
                         self._notice_push(stamp_ns, away @ pull)
-                    self._compare(last_ns, stamp_ns, step @ pull, relative)
+                    self._compare(last_ns, stamp_ns, step @ pull, information)
                 if not predicted.is_measured or _sigmas(away, predicted.step_covariance) < SLIP_SIGMAS:
                     self._learn(last_ns, stamp_ns, step, relative)
                 self._has_speed = True
@@ -230,14 +230,14 @@ class WeighedMotion:
         variances: npt.NDArray[np.float64] = np.maximum(np.diag(step_covariance), 1e-12)
         return variances, self._config.drift_per_m_guessed
 
-    def _compare(self, last_ns: int, stamp_ns: int, step: SE2, relative: npt.NDArray[np.float64]) -> None:
+    def _compare(self, last_ns: int, stamp_ns: int, step: SE2, information: npt.NDArray[np.float64]) -> None:
         """Hold what wheels and gyro said of a step against what the walls alone say."""
         forward_m, _, turn_rad = step.log()
         found = forward_m, turn_rad
         elapsed_s = (stamp_ns - last_ns) * 1e-9
         guessed = self._wall_speed[0] * elapsed_s, self._wall_speed[1] * elapsed_s
         self._wall_speed = forward_m / elapsed_s, turn_rad / elapsed_s
-        match_sigma = math.sqrt(relative[0, 0]), math.sqrt(relative[2, 2])
+        match_sigma = _sigma_of(information[0, 0]), _sigma_of(information[2, 2])
         rolled = self._trust.corrected(self._rolled).log() if self._rolled is not None else None
         for source, said in (
             (self._wheels_agree, (rolled[0], rolled[2]) if rolled is not None else None),
@@ -327,6 +327,10 @@ def _sigmas(away: SE2, covariance: npt.NDArray[np.float64]) -> float:
     """How far off, by a diagonal covariance."""
     offset = (away.x_m, away.y_m, away.theta_rad)
     return math.sqrt(sum(e * e / float(covariance[k, k]) for k, e in enumerate(offset)))
+
+
+def _sigma_of(information: float) -> float:
+    return 1.0 / math.sqrt(information) if information > 0.0 else math.inf
 
 
 def _information_of(matched: Motion) -> npt.NDArray[np.float64]:

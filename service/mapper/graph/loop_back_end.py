@@ -40,7 +40,7 @@ class LoopsConfig(BaseModel):
     keyframe_distance_m: float = Field(default=0.3, gt=0.0)
     keyframe_turn_rad: float = Field(default=0.15, gt=0.0)
     thin_m: float = Field(default=0.04, ge=0.0)  # points of a key frame lie no nearer to each other
-    normals: NormalsConfig = NormalsConfig(grazing_weight=1.0)
+    normals: NormalsConfig = NormalsConfig(grazing_weight=1.0, planar_ratio=0.05)
 
     search_every_m: float = Field(default=2.0, gt=0.0)
     query_m: float = Field(default=5.0, gt=0.0)  # way whose key frames are looked for together

@@ -31,7 +31,7 @@ class NormalsConfig(BaseModel):
     most_beams_each_side: int = Field(default=16, ge=1, le=128)
     gap_m: float = Field(default=0.06, gt=0.0)
     gap_steps: float = Field(default=5.0, ge=0.0)  # in distances between neighbouring beams at that range
-    planar_ratio: float = Field(default=0.05, gt=0.0, lt=1.0)
+    planar_ratio: float = Field(default=0.02, gt=0.0, lt=1.0)
     least_cos_incidence: float = Field(default=0.05, ge=0.0, lt=1.0)
     rough_weight: float = Field(default=0.2, ge=0.0, le=1.0)
     planar_m: float = Field(default=0.03, gt=0.0)
@@ -58,6 +58,10 @@ class SubmapsConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     normals: NormalsConfig = NormalsConfig()
+    rough_planar_ratio: float = Field(
+        default=0.05, gt=0.0, lt=1.0
+    )  # for a scan of which less than this share
+    least_planar: float = Field(default=0.3, ge=0.0, le=1.0)  # would be planar by normals.planar_ratio
     permanence: PermanenceConfig = PermanenceConfig()
     cell_m: float = Field(default=0.10, ge=0.02, le=0.5)
     spacing_m: float = Field(default=20.0, gt=0.0)  # a new sub-map each time so far was travelled
@@ -160,6 +164,7 @@ class SurfelSubmaps:
     def __init__(self, config: SubmapsConfig) -> None:
         self._config = config
         self._normals = config.normals.settings()
+        self._rough_normals = self._normals._replace(planar_ratio=config.rough_planar_ratio)
         self._pool = TilePool(
             (
                 Layer((TILE_CELLS, TILE_CELLS, 2, 5), np.float32),
@@ -186,13 +191,11 @@ class SurfelSubmaps:
     def normals_of(self, points: Points) -> npt.NDArray[np.float64]:
         """(N, 3) of each point: normal towards the sensor, and its weight; as estimate_normals gives it."""
         normals = np.empty((len(points.xy_base), 3))
-        estimate_normals(
-            points.xy_base,
-            np.array([points.sensor_base.x_m, points.sensor_base.y_m]),
-            abs(points.scan.angle_step_rad),
-            self._normals,
-            normals,
-        )
+        sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
+        for settings in (self._normals, self._rough_normals):
+            estimate_normals(points.xy_base, sensor, abs(points.scan.angle_step_rad), settings, normals)
+            if np.count_nonzero(normals[:, 2] >= 1.0) >= self._config.least_planar * len(normals):
+                break
         return normals
 
     def insert(self, points: Points, match: Match) -> MapChange:

@@ -38,5 +38,5 @@ METHOD = Method(
         "graph": LANDMARK_GRAPH,
         "free_space": OCCUPANCY_TILES,
     },
-    settings={"graph": {"normals": {"planar_ratio": 0.02}}},
+    settings={},
 )

@@ -147,3 +147,21 @@ def test_what_was_moved_away_is_forgotten_and_tiles_handed_back_know_nothing() -
     oldest.release()
     for sighted in chain._pool.arrays[2:]:
         assert not sighted[slots[slots >= 0]].any()
+
+
+def test_where_all_is_rough_thicker_walls_will_do_and_else_they_will_not() -> None:
+    """The same corner of noisy boxes, alone and with three clean walls beside it."""
+    xy = square().xy_base
+    noise = 0.03 * np.random.default_rng(3).standard_normal(len(xy))
+    bearing = np.arctan2(xy[:, 1], xy[:, 0])
+    rough = np.abs(bearing) < 2.4
+    noisy = xy * (1.0 + np.where(rough, noise, 0.0) / np.hypot(xy[:, 0], xy[:, 1]))[:, None]
+    strict = submaps(least_planar=0.0)
+
+    def planar_share(chain: SurfelSubmaps, xy_base: np.ndarray) -> float:
+        return float((chain.normals_of(points_of(xy_base))[:, 2] >= 1.0).mean())
+
+    assert planar_share(strict, noisy[rough]) < 0.3
+    assert planar_share(submaps(), noisy[rough]) > planar_share(strict, noisy[rough]) + 0.1
+    assert planar_share(strict, noisy) > 0.3
+    assert planar_share(submaps(), noisy) == planar_share(strict, noisy)
