@@ -29,6 +29,7 @@ GAP_SHARE = 0.1  # of a way without scans: what odometry may have erred by
 SAME_SPOT_M, SAME_VIEW_RAD = 0.5, 0.5  # key frames so near see the same
 LOST_M, DOUBTFUL_M = 60.0, 30.0  # way that such a step counts for, where loops are looked for
 LOOP_M = 1.0  # what going over a loop counts in the length of a path
+NEWS_CHI2 = 4.0  # of a loop: two sigmas
 PLACES_KEPT = 16
 
 
@@ -162,14 +163,19 @@ class LoopBackEnd:
             self._believe(found)
         oldest_m = self._searched_m - 2.0 * config.group_within_m
         self._candidates = [loop for loop in self._candidates if chain.way_m[loop.to] >= oldest_m]
-        return any(self._is_news(loop) for loop in self._loops[-20:])
+        return self._has_news(self._loops[-20:])
 
-    def _is_news(self, loop: Loop) -> bool:
-        off_m, off_rad = disagreement(self._chain, loop)
-        sigma_m = float(np.sqrt(np.linalg.eigvalsh(loop.covariance[:2, :2])[-1]))
-        return (
-            off_m > max(self._config.solve_at_m, 2.0 * sigma_m) or off_rad > self._config.solve_at_rad
-        ) and self._chain.way_m[loop.to] > self._searched_m - self._config.group_within_m
+    def _has_news(self, loops: Sequence[Loop]) -> bool:
+        """Whether one of these, from lately, would move the map by more than it is itself unsure of."""
+        config, chain = self._config, self._chain
+        chi2 = edge_chi2(as_edges(loops), chain.map)
+        for loop, c in zip(loops, chi2.tolist(), strict=True):
+            off_m, off_rad = disagreement(chain, loop)
+            if chain.way_m[loop.to] <= self._searched_m - config.group_within_m:
+                continue
+            if (off_m > config.solve_at_m and c > NEWS_CHI2) or off_rad > config.solve_at_rad:
+                return True
+        return False
 
     def _forget(self) -> None:
         """Drop the points of the oldest pass where enough newer ones keep theirs: time must not fill memory.

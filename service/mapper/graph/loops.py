@@ -7,11 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.geometry import poses as se2
+from service.kernels.match import weakest_direction
 from service.mapper.graph.keyframes import Chain, Floats
 from service.mapper.graph.pose_graph import Edges
 
 FLOOR = np.diag([0.006**2, 0.006**2, 0.0015**2])  # m^2, rad^2: what walls and sweeps leave open at best
-OPEN_INFORMATION = np.diag([1.0, 1.0, 1.0])  # 1 m, 1 rad: where the walls say nothing at all
+OPEN_INFORMATION = np.diag(
+    [1e-4, 1e-4, 1e-2]
+)  # 1/m^2, 1/rad^2: where walls say nothing, not even many loops do
+BLIND_M = 0.05  # a direction known less well is not known
+BLIND_SHARE = (
+    0.004  # ... nor one of which so little is said: normals are off by some 3 deg, and that squared is it
+)
+COVARIANCE_SCALE = 2.0
 KERNEL_WIDTH = 2.0  # sigmas
 
 
@@ -27,8 +35,19 @@ class Loop:
 
 
 def loop_of(of: int, to: int, pose: Floats, hessian: Floats, share: float) -> Loop:
-    """hessian: (3, 3) in the axes of `of`."""
-    covariance = 2.0 * np.linalg.inv(hessian + OPEN_INFORMATION)
+    """hessian: (3, 3) in the axes of `of`.
+
+    A direction that the walls hardly fix they do not fix at all: along a bare corridor the little that they
+    seem to say is noise of the normals, the same for every loop there, so that loops agree and are wrong.
+    """
+    least, direction = weakest_direction(hessian)
+    most = hessian[0, 0] + hessian[1, 1]
+    if least * BLIND_M * BLIND_M < COVARIANCE_SCALE or least < BLIND_SHARE * most:
+        keep = np.eye(3)
+        along = np.array([math.cos(direction), math.sin(direction)])
+        keep[:2, :2] -= np.outer(along, along)
+        hessian = keep @ hessian @ keep
+    covariance = COVARIANCE_SCALE * np.linalg.inv(hessian + OPEN_INFORMATION)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     return Loop(of, to, pose, turn @ covariance @ turn.T + FLOOR, share)
