@@ -251,7 +251,7 @@ class WeighedMotion:
     def _learn(self, last_ns: int, stamp_ns: int, step: SE2, relative: npt.NDArray[np.float64]) -> None:
         config = self._config
         self._gyro.learn_bias(last_ns, stamp_ns, step.theta_rad)
-        if self._rolled is None:
+        if self._rolled is None or not self._wheels_agree.is_trusted:
             return
         sigma_m, sigma_rad = math.sqrt(relative[0, 0]), math.sqrt(relative[2, 2])
         if self._was_matched:

@@ -206,3 +206,18 @@ def test_what_was_lost_stays_lost_on_a_new_map_only(on_new_map: bool) -> None:
     sigma_m = math.sqrt(model.correct(8000 * MS, found).covariance[0, 0])
     assert (sigma_m > 0.03) == on_new_map
     assert sigma_m > math.sqrt(before.covariance[0, 0])
+
+
+def test_wheels_that_are_left_out_teach_nothing() -> None:
+    """Backwards at 1 m/s, 20 scans a second."""
+    model = WeighedMotion(MotionConfig())
+    knows = np.diag([1e6, 1e6, 1e7])
+    off_m = []
+    for k in range(200):
+        model.add(odometry(50 * k, SE2(-0.05 * k, 0.0, 0.0)))
+        off_m.append(model.predict(50 * k * MS).pose_odom_base.x_m - 0.05 * k)
+        found = Matched(SE2(0.05 * k, 0.0, 0.0), (1.0, 0.0, 0.0), SURE, knows)
+        model.correct(50 * k * MS, found)
+    assert "the wheels contradict" in model.complaint
+    assert np.abs(off_m[50:]).max() < 1e-6  # the last speed goes on
+    assert model._trust.scale == pytest.approx(1.0, abs=0.01)
