@@ -29,9 +29,20 @@ $(STAMP): pyproject.toml
 demo: venv ## fake devices, drivers, mapping, Zenoh and recording on this machine, until Ctrl-C
 	$(BIN)/corridor demo $(DEMO_ARGS)
 
+# Tests that compute have a core of their own beside those that mostly wait for devices and clocks.
+COMPUTING := tests/accuracy $(addprefix tests/service/,fusion geometry kernels mapper mapstore offline)
+PYTEST = $(BIN)/python -m pytest -q -m "not soak and not bench"
+
 test: venv ## every test that needs no root
 	$(BIN)/corridor warmup # on both cores; a test compiles on one
-	$(BIN)/python -m pytest -q -m "not soak and not bench" $(TEST_ARGS)
+ifdef TEST_ARGS
+	$(PYTEST) $(TEST_ARGS)
+else
+	@mkdir -p build; $(PYTEST) -p no:cacheprovider $(COMPUTING) > build/computing.log 2>&1 & computing=$$!; \
+	trap 'kill $$computing' INT TERM; \
+	$(PYTEST) $(addprefix --ignore=,$(COMPUTING)); waited=$$?; \
+	wait $$computing; computed=$$?; cat build/computing.log; exit $$((waited + computed))
+endif
 
 check: venv ## ruff, mypy --strict, import-linter
 	$(BIN)/ruff check .
