@@ -9,7 +9,7 @@ import numpy.typing as npt
 from service.fusion.motion import Matched, Motion
 from service.geometry.se2 import SE2
 from service.kernels.drift import advance_drift, carry_covariance, join_information
-from service.kernels.match import invert_3x3
+from service.kernels.pose_information import invert_3x3
 
 Matrix = npt.NDArray[np.float64]
 Variances = npt.NDArray[np.float64]  # (3,) of x, y, theta in base axes

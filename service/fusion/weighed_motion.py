@@ -16,7 +16,7 @@ from service.fusion.wheel_lag import WheelLag
 from service.fusion.wheel_odometry import OdometryTrack
 from service.fusion.wheel_trust import WheelTrust
 from service.geometry.se2 import SE2
-from service.kernels.match import invert_3x3
+from service.kernels.pose_information import invert_3x3
 
 Twist = tuple[float, float, float]
 STANDING: Twist = (0.0, 0.0, 0.0)

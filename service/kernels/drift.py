@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit
 
-from service.kernels.match import invert_3x3
+from service.kernels.pose_information import invert_3x3
 
 LEAST_INFORMATION = 1e-4  # (100 m, 100 rad): keeps inverses finite where nothing is known
 

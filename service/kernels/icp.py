@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from service.kernels.match import wrap
 from service.kernels.ordering import order_rising
+from service.kernels.pose_information import wrap
 
 
 class IcpResult(NamedTuple):

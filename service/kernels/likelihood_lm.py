@@ -9,7 +9,7 @@ from numba import njit
 from service.kernels.deskew import deskew_points
 from service.kernels.likelihood import read_field
 from service.kernels.linear3 import copy_matrix, copy_vector, solve_3x3
-from service.kernels.match import add_prior, wrap
+from service.kernels.pose_information import add_prior, wrap
 
 MOST_DAMPING = 1e6
 

@@ -6,8 +6,9 @@ import numpy as np
 from numba import njit
 
 from service.kernels.linear3 import copy_matrix, solve_3x3
-from service.kernels.match import surfel_normal_equations, wrap
+from service.kernels.match import surfel_normal_equations
 from service.kernels.occupancy import TILE_BITS, TILE_MASK
+from service.kernels.pose_information import wrap
 from service.kernels.surfels import find_surfels
 from service.kernels.tiles import NO_TILE, find_tile
 

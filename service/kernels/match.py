@@ -7,9 +7,17 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from service.kernels.coarse_align import AlignSettings, coarse_align
 from service.kernels.deskew import deskew_points
-from service.kernels.likelihood import LikelihoodField, read_field
+from service.kernels.likelihood import LikelihoodField
 from service.kernels.linear3 import copy_matrix, copy_vector, solve_3x3
+from service.kernels.pose_information import (
+    add_prior,
+    invert_3x3,
+    rotate_information,
+    weakest_direction,
+    wrap,
+)
 from service.kernels.surfels import find_surfels
 
 HOLD_INFORMATION = 1e6  # 1/m^2: to a millimetre
@@ -46,14 +54,6 @@ class MatchSettings(NamedTuple):
     covariance_scale: float
 
 
-class AlignSettings(NamedTuple):
-    """How coarse_align lays a scan on a likelihood field."""
-
-    sigma: float  # of 1 - likelihood
-    beams: int  # about so many are asked
-    iterations: int
-
-
 class MatchResult(NamedTuple):
     pose: npt.NDArray[np.float64]  # (3,)
     twist: npt.NDArray[np.float64]  # (3,)
@@ -66,77 +66,6 @@ class MatchResult(NamedTuple):
     weakest_direction_rad: float  # that direction, in base axes
     information: npt.NDArray[np.float64]  # (3, 3) of the points alone, in base axes, settings.sigma_m a beam
     residual_m: float  # weighted RMS distance of the points from their surfels
-
-
-@njit(cache=True, nogil=True)
-def wrap(theta):
-    """The same direction in [-pi, pi)."""
-    return (theta + math.pi) % (2.0 * math.pi) - math.pi
-
-
-@njit(cache=True, nogil=True)
-def invert_3x3(A, inverse):
-    """Inverse of a symmetric positive definite matrix; False, and `inverse` undefined, where it is not.
-
-    A, inverse   (3, 3) float64
-    """
-    unit = np.zeros(3)
-    column = np.empty(3)
-    for k in range(3):
-        unit[:] = 0.0
-        unit[k] = 1.0
-        if not solve_3x3(A, unit, column):
-            return False
-        for i in range(3):
-            inverse[i, k] = column[i]
-    return True
-
-
-@njit(cache=True, nogil=True)
-def rotate_information(information, theta, rotated):
-    """Information of (x, y, theta) from axes that are turned by theta into the axes they are turned in.
-
-    information, rotated   (3, 3) float64
-    theta                  float
-    """
-    c = math.cos(theta)
-    s = math.sin(theta)
-    R = np.zeros((3, 3))
-    R[0, 0] = c
-    R[0, 1] = -s
-    R[1, 0] = s
-    R[1, 1] = c
-    R[2, 2] = 1.0
-    for i in range(3):
-        for j in range(3):
-            total = 0.0
-            for k in range(3):
-                for m in range(3):
-                    total += R[i, k] * information[k, m] * R[j, m]
-            rotated[i, j] = total
-
-
-@njit(cache=True, nogil=True)
-def add_prior(pose, prior_pose, information, H, g):
-    """Add the prior to the normal equations; returns its cost.
-
-    pose, prior_pose   (3,)   float64
-    information        (3, 3) float64   in the axes of the grid
-    H, g               (3, 3), (3,) float64   in and out: Hessian, and gradient of half the cost
-    """
-    e = np.empty(3)
-    e[0] = pose[0] - prior_pose[0]
-    e[1] = pose[1] - prior_pose[1]
-    e[2] = wrap(pose[2] - prior_pose[2])
-    cost = 0.0
-    for i in range(3):
-        total = 0.0
-        for j in range(3):
-            total += information[i, j] * e[j]
-            H[i, j] += information[i, j]
-        g[i] += total
-        cost += e[i] * total
-    return cost
 
 
 @njit(cache=True, nogil=True)
@@ -230,96 +159,6 @@ def surfel_normal_equations(xy_base, normals, found, pose, settings, H, g):
 
 
 @njit(cache=True, nogil=True)
-def coarse_normal_equations(xy_base, values, stride, pose, sigma, H, g):
-    """Gauss-Newton system of 1 - likelihood over every stride-th point, weighed as if all had been asked.
-
-    xy_base   (N, 2) float64    m, base frame
-    values    (N, 3) float64    from read_field at this pose
-    stride    int
-    pose      (3,)   float64    base in the frame of the field
-    sigma     float             of 1 - likelihood
-    H, g      (3, 3), (3,) float64   out: Hessian, and gradient of half the cost, over x, y, theta
-    Returns half the cost.
-    Source: Kohlbrecher et al. 2011, eqs. (7) to (13).
-    """
-    H[:] = 0.0
-    g[:] = 0.0
-    c = math.cos(pose[2])
-    s = math.sin(pose[2])
-    weight = stride / (sigma * sigma)
-    cost = 0.0
-    for i in range(0, xy_base.shape[0], stride):
-        e = 1.0 - values[i, 0]
-        sx = values[i, 1]
-        sy = values[i, 2]
-        cost += 0.5 * weight * e * e
-        st = sy * (c * xy_base[i, 0] - s * xy_base[i, 1]) - sx * (s * xy_base[i, 0] + c * xy_base[i, 1])
-        g[0] -= weight * e * sx
-        g[1] -= weight * e * sy
-        g[2] -= weight * e * st
-        H[0, 0] += weight * sx * sx
-        H[1, 0] += weight * sx * sy
-        H[1, 1] += weight * sy * sy
-        H[2, 0] += weight * sx * st
-        H[2, 1] += weight * sy * st
-        H[2, 2] += weight * st * st
-    H[0, 1] = H[1, 0]
-    H[0, 2] = H[2, 0]
-    H[1, 2] = H[2, 1]
-    return cost
-
-
-@njit(cache=True, nogil=True)
-def coarse_align(xy_base, prior_pose, information, field, settings, pose):
-    """Levenberg-Marquardt on the likelihood field, held by the prior.
-
-    xy_base       (N, 2) float64   m, base frame
-    prior_pose    (3,)   float64
-    information   (3, 3) float64   of the prior, in the axes of the field
-    field         LikelihoodField
-    settings      AlignSettings
-    pose          (3,)   float64   in: where to start; out: where it ended
-    """
-    stride = max(1, xy_base.shape[0] // settings.beams)
-    values = np.empty((xy_base.shape[0], 3))
-    H = np.empty((3, 3))
-    g = np.empty(3)
-    damped = np.empty((3, 3))
-    step = np.empty(3)
-    trial = np.empty(3)
-    trial_H = np.empty((3, 3))
-    trial_g = np.empty(3)
-    damping = 1e-3
-    read_field(xy_base, stride, pose, field.tiles, field.field, field.cell_m, values)
-    cost = coarse_normal_equations(xy_base, values, stride, pose, settings.sigma, H, g)
-    cost += 0.5 * add_prior(pose, prior_pose, information, H, g)
-    for _ in range(settings.iterations):
-        for i in range(3):
-            for j in range(3):
-                damped[i, j] = H[i, j]
-            damped[i, i] += damping * H[i, i]
-        if not solve_3x3(damped, g, step):
-            return
-        for i in range(3):
-            trial[i] = pose[i] - step[i]
-        read_field(xy_base, stride, trial, field.tiles, field.field, field.cell_m, values)
-        trial_cost = coarse_normal_equations(xy_base, values, stride, trial, settings.sigma, trial_H, trial_g)
-        trial_cost += 0.5 * add_prior(trial, prior_pose, information, trial_H, trial_g)
-        if not trial_cost < cost:  # NaN too
-            damping *= 10.0
-            if damping > 1e3:
-                return
-            continue
-        copy_vector(trial, pose)
-        copy_matrix(trial_H, H)
-        copy_vector(trial_g, g)
-        cost = trial_cost
-        damping = max(0.1 * damping, 1e-6)
-        if math.hypot(step[0], step[1]) < 1e-3 and abs(step[2]) < 1e-4:
-            return
-
-
-@njit(cache=True, nogil=True)
 def learn_twist(prior, pose, twist):
     """Twist that explains where the match ended, starting from the prior's.
 
@@ -335,22 +174,6 @@ def learn_twist(prior, pose, twist):
     twist[0] = prior.twist[0] + gain * (c * dx + s * dy)
     twist[1] = prior.twist[1] + gain * (-s * dx + c * dy)
     twist[2] = prior.twist[2] + gain * wrap(pose[2] - prior.pose[2])
-
-
-@njit(cache=True, nogil=True)
-def weakest_direction(H):
-    """How well a Hessian over x, y, theta fixes the position where it fixes it least.
-
-    H   (3, 3) float64
-    Returns (information in 1/m^2 with theta left free, direction in rad).
-    """
-    k = 1.0 / H[2, 2] if H[2, 2] > 0.0 else 0.0
-    a = H[0, 0] - k * H[0, 2] * H[0, 2]
-    b = H[0, 1] - k * H[0, 2] * H[1, 2]
-    d = H[1, 1] - k * H[1, 2] * H[1, 2]
-    half = 0.5 * (a - d)
-    root = math.sqrt(half * half + b * b)
-    return 0.5 * (a + d) - root, 0.5 * math.atan2(2.0 * b, a - d) + 0.5 * math.pi
 
 
 @njit(cache=True, nogil=True)

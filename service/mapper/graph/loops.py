@@ -7,18 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.geometry import poses as se2
-from service.kernels.match import weakest_direction
+from service.kernels.pose_information import weakest_direction
 from service.mapper.graph.keyframes import Chain, Floats
 from service.mapper.graph.pose_graph import Edges
 
 FLOOR = np.diag([0.006**2, 0.006**2, 0.0015**2])  # m^2, rad^2: what walls and sweeps leave open at best
-OPEN_INFORMATION = np.diag(
-    [1e-4, 1e-4, 1e-2]
-)  # 1/m^2, 1/rad^2: where walls say nothing, not even many loops do
+# 1/m^2, 1/rad^2: where walls say nothing, and many loops do not, either
+OPEN_INFORMATION = np.diag([1e-4, 1e-4, 1e-2])
 BLIND_M = 0.05  # a direction known less well is not known
-BLIND_SHARE = (
-    0.004  # ... nor one of which so little is said: normals are off by some 3 deg, and that squared is it
-)
+BLIND_SHARE = 0.004  # ... nor one of which so little is said: that is the square of how far normals are off
 COVARIANCE_SCALE = 2.0
 KERNEL_WIDTH = 2.0  # sigmas
 

@@ -9,9 +9,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.geometry import poses as se2
 from service.kernels.branch_and_bound import MaxPyramid, padding_cells, pool_levels, search_branch_and_bound
+from service.kernels.coarse_align import AlignSettings, coarse_align, coarse_normal_equations
 from service.kernels.likelihood import LikelihoodField, read_field
 from service.kernels.likelihood_search import SearchWindow
-from service.kernels.match import AlignSettings, coarse_align, coarse_normal_equations
 from service.kernels.surfels import TILE_CELLS
 from service.kernels.tiles import NO_TILE, TileIndex
 from service.mapper.maps.counted_submaps import ClosedSubmap, CountedMap

@@ -8,9 +8,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.fusion.motion import Motion, Prediction
 from service.geometry.se2 import SE2
+from service.kernels.coarse_align import AlignSettings, coarse_align, coarse_normal_equations
 from service.kernels.likelihood import read_field
 from service.kernels.likelihood_search import LikelihoodLayer, SearchWindow, search_exhaustive
-from service.kernels.match import AlignSettings, coarse_align, coarse_normal_equations
 from service.mapper.maps.orthogonal_map import OrthogonalMap
 from service.mapper.stages import Match, Points
 from service.outputs import State

@@ -15,7 +15,7 @@ from service.kernels.deskew import Returns, deskew_points
 from service.kernels.likelihood import read_field
 from service.kernels.likelihood_lm import LmSettings, align_level
 from service.kernels.likelihood_search import SearchWindow, search_exhaustive
-from service.kernels.match import rotate_information
+from service.kernels.pose_information import rotate_information
 from service.kernels.robust_normals import balance_weights, estimate_orientations
 from service.mapper.maps.contour_map import ContourMap
 from service.mapper.stages import Match, Points

@@ -13,11 +13,12 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.fusion.motion import Motion, Prediction
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2, wrap_angle
+from service.kernels.coarse_align import AlignSettings, coarse_align
 from service.kernels.counted_occupancy import weigh_scan
 from service.kernels.likelihood import read_field
 from service.kernels.likelihood_search import LikelihoodLayer, SearchWindow, search_exhaustive
-from service.kernels.match import AlignSettings, coarse_align, rotate_information
 from service.kernels.particles import normalise_weights, resample
+from service.kernels.pose_information import rotate_information
 from service.mapper.maps.counted_submaps import CountedSubmaps, Particle
 from service.mapper.stages import Match, Points
 from service.outputs import State

@@ -3,24 +3,19 @@ import math
 import numpy as np
 import pytest
 
+from service.kernels.coarse_align import AlignSettings, coarse_align, coarse_normal_equations
 from service.kernels.deskew import Returns
 from service.kernels.likelihood import LikelihoodField, read_field, splat_likelihood
 from service.kernels.match import (
-    AlignSettings,
     MatchSettings,
     Prior,
-    add_prior,
-    coarse_align,
-    coarse_normal_equations,
-    invert_3x3,
     learn_twist,
     match_scan,
-    rotate_information,
     surfel_cost,
     surfel_normal_equations,
-    weakest_direction,
 )
 from service.kernels.normals import NormalSettings, estimate_normals
+from service.kernels.pose_information import add_prior, invert_3x3, rotate_information, weakest_direction
 from service.kernels.surfels import SurfelGrid, find_surfels, insert_surfels
 from tests.service.kernels.surfel_grids import empty_grid
 

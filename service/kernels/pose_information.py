@@ -1,0 +1,95 @@
+"""Information about a pose in the plane: (3, 3) over x, y, theta."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from service.kernels.linear3 import solve_3x3
+
+
+@njit(cache=True, nogil=True)
+def wrap(theta):
+    """The same direction in [-pi, pi)."""
+    return (theta + math.pi) % (2.0 * math.pi) - math.pi
+
+
+@njit(cache=True, nogil=True)
+def invert_3x3(A, inverse):
+    """Inverse of a symmetric positive definite matrix; False, and `inverse` undefined, where it is not.
+
+    A, inverse   (3, 3) float64
+    """
+    unit = np.zeros(3)
+    column = np.empty(3)
+    for k in range(3):
+        unit[:] = 0.0
+        unit[k] = 1.0
+        if not solve_3x3(A, unit, column):
+            return False
+        for i in range(3):
+            inverse[i, k] = column[i]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def rotate_information(information, theta, rotated):
+    """Information of (x, y, theta) from axes that are turned by theta into the axes they are turned in.
+
+    information, rotated   (3, 3) float64
+    theta                  float
+    """
+    c = math.cos(theta)
+    s = math.sin(theta)
+    R = np.zeros((3, 3))
+    R[0, 0] = c
+    R[0, 1] = -s
+    R[1, 0] = s
+    R[1, 1] = c
+    R[2, 2] = 1.0
+    for i in range(3):
+        for j in range(3):
+            total = 0.0
+            for k in range(3):
+                for m in range(3):
+                    total += R[i, k] * information[k, m] * R[j, m]
+            rotated[i, j] = total
+
+
+@njit(cache=True, nogil=True)
+def add_prior(pose, prior_pose, information, H, g):
+    """Add the prior to the normal equations; returns its cost.
+
+    pose, prior_pose   (3,)   float64
+    information        (3, 3) float64   in the axes of the grid
+    H, g               (3, 3), (3,) float64   in and out: Hessian, and gradient of half the cost
+    """
+    e = np.empty(3)
+    e[0] = pose[0] - prior_pose[0]
+    e[1] = pose[1] - prior_pose[1]
+    e[2] = wrap(pose[2] - prior_pose[2])
+    cost = 0.0
+    for i in range(3):
+        total = 0.0
+        for j in range(3):
+            total += information[i, j] * e[j]
+            H[i, j] += information[i, j]
+        g[i] += total
+        cost += e[i] * total
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def weakest_direction(H):
+    """How well a Hessian over x, y, theta fixes the position where it fixes it least.
+
+    H   (3, 3) float64
+    Returns (information in 1/m^2 with theta left free, direction in rad).
+    """
+    k = 1.0 / H[2, 2] if H[2, 2] > 0.0 else 0.0
+    a = H[0, 0] - k * H[0, 2] * H[0, 2]
+    b = H[0, 1] - k * H[0, 2] * H[1, 2]
+    d = H[1, 1] - k * H[1, 2] * H[1, 2]
+    half = 0.5 * (a - d)
+    root = math.sqrt(half * half + b * b)
+    return 0.5 * (a + d) - root, 0.5 * math.atan2(2.0 * b, a - d) + 0.5 * math.pi
