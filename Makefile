@@ -30,7 +30,7 @@ demo: venv ## fake devices, drivers, mapping, Zenoh and recording on this machin
 	$(BIN)/corridor demo $(DEMO_ARGS)
 
 # Tests that compute have a core of their own beside those that mostly wait for devices and clocks.
-COMPUTING := tests/accuracy $(addprefix tests/service/,fusion geometry kernels mapper mapstore offline)
+COMPUTING := tests/accuracy $(addprefix tests/service/,fusion geometry kernels mapper mapstore offline recording)
 PYTEST = $(BIN)/python -m pytest -q -m "not soak and not bench"
 
 test: venv ## every test that needs no root
