@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 WINDOW_NS = 250_000_000  # what is compared: a single step at 50 Hz is too short to tell anything
 BAD_SIGMAS = 3.0  # so far off, a window is a strike against the source
+VERY_BAD_SIGMAS = 3.6  # ... and counts twice where the last speed gone on is no farther off than
+GOOD_SIGMAS = 2.0
 LONGEST_STEP_NS = 150_000_000  # over a longer one the last speed is no alternative to the poorest wheels
 AT_ONCE_SIGMAS = 8.0  # ... without waiting for the end of the window
-GOOD_SIGMAS = 2.0  # had the last speed gone on been so near, the strike counts twice
 STRIKES_OUT = 2.0
 STRIKES_MOST = 4.0
 FORGIVEN = 0.1  # of a strike, for each window in which it was right about a motion
@@ -75,7 +76,8 @@ class SourceTrust:
         if off < AT_ONCE_SIGMAS and to_ns - self._from_ns < WINDOW_NS:
             return
         if off > max(BAD_SIGMAS, guess_off):
-            self._strikes = min(self._strikes + (2.0 if guess_off < GOOD_SIGMAS else 1.0), STRIKES_MOST)
+            is_plain = off > VERY_BAD_SIGMAS and guess_off < GOOD_SIGMAS
+            self._strikes = min(self._strikes + (2.0 if is_plain else 1.0), STRIKES_MOST)
             self._against = self._said, self._found
         elif _sigmas(NOWHERE, self._found, sigma) > BAD_SIGMAS:
             self._strikes = max(self._strikes - FORGIVEN, 0.0)
