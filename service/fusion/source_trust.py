@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 WINDOW_NS = 250_000_000  # what is compared: a single step at 50 Hz is too short to tell anything
 BAD_SIGMAS = 3.0  # so far off, a window is a strike against the source
-VERY_BAD_SIGMAS = 3.6  # ... and counts twice where the last speed gone on is no farther off than
-GOOD_SIGMAS = 2.0
+# A strike counts twice where the source is beyond the one, and the last speed gone on within the other.
+VERY_BAD_SIGMAS, GOOD_SIGMAS = 3.6, 2.0
 LONGEST_STEP_NS = 150_000_000  # over a longer one the last speed is no alternative to the poorest wheels
 AT_ONCE_SIGMAS = 8.0  # ... without waiting for the end of the window
 STRIKES_OUT = 2.0

@@ -10,6 +10,8 @@ from service.geometry.se2 import wrap_angle
 LEAST_NS = 100_000_000  # steps are joined until they are so long: one of 20 ms tells little
 MOST_WAITING = 16
 GATE_SIGMAS = 3.0
+TURN_SHARE = 0.05  # of a turn: what wheels may be wrong by, besides their stamps
+LEAST_NOISE_RAD2 = 1e-6  # of a comparison
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,10 +85,8 @@ class WheelLag:
             return
         rate_change = scale * (after - before) / (LEAST_NS * 1e-9)
         away_rad = wrap_angle(turn.turn_rad - scale * wheels_rad)
-        noise = (
-            2.0 * turn.sigma_rad**2 + (0.05 * wheels_rad) ** 2 + (self._jitter_s * rate_change) ** 2 + 1e-6
-        )
-        variance = noise + self._variance_s2 * rate_change**2
+        noise = 2.0 * turn.sigma_rad**2 + (TURN_SHARE * wheels_rad) ** 2 + LEAST_NOISE_RAD2
+        variance = noise + (self._jitter_s**2 + self._variance_s2) * rate_change**2
         if away_rad**2 > GATE_SIGMAS**2 * variance:
             return
         gain = self._variance_s2 * rate_change / variance

@@ -189,17 +189,9 @@ def _choose(name: str, known: Iterable[str]) -> str:
     return f"known here: {', '.join(known)}"
 
 
-def warm_up(config: MappingConfig | None = None) -> None:
-    """Compile the kernels that a config needs (None: those of every profile), or load them from the cache.
-
-    Seconds a profile, or a fifth of one.
-    """
-    for rehearse in rehearsals(config):
-        rehearse()
-
-
 def rehearsals(config: MappingConfig | None = None) -> list[Callable[[], Any]]:
-    """What warm_up does, in pieces that can be done in any order, the longest first.
+    """What compiles the kernels that a config needs (None: those of every profile), or loads them from the
+    cache: pieces of work that can be done in any order, the longest first.
 
     Kernels must meet the very types of a real run, so each mapper is driven a little way through a made-up
     room; stages add what such a drive does not reach, or what takes longest to compile.

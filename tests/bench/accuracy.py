@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 
-from service.mapper.profiles import warm_up
+from service.kernel_warm_up import warm_up
 from service.version import VERSION
 from tests.accuracy import ablations, buildings, cost, known_map, recorded, trials
 from tests.accuracy.page import PAGE, write_page

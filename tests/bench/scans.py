@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from service.mapper.profiles import build_mapper, mapping_config, warm_up
+from service.kernel_warm_up import warm_up
+from service.mapper.profiles import build_mapper, mapping_config
 from service.offline.replay import StageTimes
 from simulators.truth import LMS100
 from simulators.worlds import build_world

@@ -5,7 +5,7 @@ import importlib
 import sys
 import time
 
-from service.mapper.profiles import warm_up
+from service.kernel_warm_up import warm_up
 from tests.papers.report import write
 
 PAPERS = {

@@ -12,9 +12,10 @@ import numpy as np
 from drivers.frames import NO_INTENSITY, LaserScan
 from service.fusion.motion import Motion
 from service.geometry.se2 import SE2
+from service.kernel_warm_up import warm_up
 from service.mapper.maps.patch_map import PatchMap, PatchMapConfig
 from service.mapper.pipeline import Mapper
-from service.mapper.profiles import build_mapper, mapping_config, warm_up
+from service.mapper.profiles import build_mapper, mapping_config
 from service.mapper.stages import Match, Points
 from service.mapstore.patch_files import PatchFiles
 from simulators.truth import UTM30LX

@@ -58,10 +58,9 @@ class SubmapsConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     normals: NormalsConfig = NormalsConfig()
-    rough_planar_ratio: float = Field(
-        default=0.05, gt=0.0, lt=1.0
-    )  # for a scan of which less than this share
-    least_planar: float = Field(default=0.3, ge=0.0, le=1.0)  # would be planar by normals.planar_ratio
+    # instead of normals.planar_ratio, for a scan of which less than this share would be planar by that
+    rough_planar_ratio: float = Field(default=0.05, gt=0.0, lt=1.0)
+    least_planar: float = Field(default=0.3, ge=0.0, le=1.0)
     permanence: PermanenceConfig = PermanenceConfig()
     cell_m: float = Field(default=0.10, ge=0.02, le=0.5)
     spacing_m: float = Field(default=20.0, gt=0.0)  # a new sub-map each time so far was travelled

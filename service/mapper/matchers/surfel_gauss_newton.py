@@ -38,10 +38,10 @@ class SurfelMatcherConfig(BaseModel):
 
     jump_sigmas: float = Field(default=4.0, gt=0.0)  # from the prediction: then a doubtful match is refused
     doubt_ratio: float = Field(default=0.9, ge=0.0, le=1.0)  # of the usual share on the map
-    search_least_m: float = Field(
-        default=0.3, gt=0.0
-    )  # window of the search when too little lies on the map:
-    search_most_m: float = Field(default=2.0, gt=0.0)  # three sigmas of the prediction, within these
+    # The window of the search: the most where too little lies on the map; three sigmas of the prediction,
+    # within these, where a guess without wheels fits worse than usual.
+    search_least_m: float = Field(default=0.3, gt=0.0)
+    search_most_m: float = Field(default=2.0, gt=0.0)
     search_least_rad: float = Field(default=0.2, gt=0.0)
     search_most_rad: float = Field(default=1.6, gt=0.0)
     search_gain: float = Field(default=0.08, ge=0.0)  # so much more must then lie on the map
@@ -52,10 +52,9 @@ class SurfelMatcherConfig(BaseModel):
 
     inlier_m: float = Field(default=0.10, gt=0.0)
     lost_share: float = Field(default=0.30, ge=0.0, le=1.0)
-    weak_share: float = Field(
-        default=0.15, ge=0.0, le=1.0
-    )  # enough where wheels were measured, and the match
-    weak_sigmas: float = Field(default=2.0, ge=0.0)  # is no farther from the prediction
+    # Enough where wheels were measured, and the match is no farther from them than so many sigmas.
+    weak_share: float = Field(default=0.15, ge=0.0, le=1.0)
+    weak_sigmas: float = Field(default=2.0, ge=0.0)
     degraded_share: float = Field(default=0.45, ge=0.0, le=1.0)
     blind_sigma_m: float = Field(default=0.05, gt=0.0)  # directions known less well keep to the wheels
     degraded_sigma_m: float = Field(default=0.10, gt=0.0)

@@ -221,3 +221,15 @@ def test_wheels_that_are_left_out_teach_nothing() -> None:
     assert "the wheels contradict" in model.complaint
     assert np.abs(off_m[50:]).max() < 1e-6  # the last speed goes on
     assert model._trust.scale == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_slip_teaches_nothing_of_the_size_of_the_wheels() -> None:
+    """Wheels that freeze for most of the way, as on a bus that stalls: too far off to be of another size."""
+    model = WeighedMotion(MotionConfig())
+    knows = np.diag([1e6, 1e6, 1e7])
+    for k in range(40):
+        model.add(odometry(1000 * k - 500, SE2(0.5 * k - 0.25, 0.0, 0.0)))
+        model.add(odometry(1000 * k, SE2(0.5 * k, 0.0, 0.0)))
+        model.predict(1000 * k * MS)
+        model.correct(1000 * k * MS, Matched(SE2(2.0 * k, 0.0, 0.0), (2.0, 0.0, 0.0), SURE, knows))
+    assert model._trust.scale == pytest.approx(1.0, abs=0.01)

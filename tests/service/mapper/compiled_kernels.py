@@ -11,7 +11,8 @@ from numba.core import event
 
 import service.kernels
 from service.kernel_cache import ensure_cache_dir
-from service.mapper.profiles import build_mapper, mapping_config, warm_up
+from service.kernel_warm_up import warm_up
+from service.mapper.profiles import build_mapper, mapping_config
 from tests.service.mapper.drives import MOUNTING, ROOM, drive, round_the_room
 
 FOREIGN_KERNELS = ("raycast",)  # those of the simulators

@@ -175,3 +175,22 @@ def test_the_whole_window_is_searched_once_a_second_at_most() -> None:
     assert state_at(10**9, elsewhere) == "lost"  # searched in vain
     assert state_at(2 * 10**9 - 1, nook()) == "lost"
     assert state_at(2 * 10**9, nook()) == "ok"
+
+
+def half_a_nook() -> Points:
+    """The nook with two thirds of it behind newly made room."""
+    xy = nook().xy_base
+    return points_of(np.where((np.arctan2(xy[:, 1], xy[:, 0]) > -0.75)[:, None], 2.6 * xy, xy))
+
+
+def test_a_far_jump_needs_more_than_a_near_one() -> None:
+    chain = mapped(nook())
+    near = predicted(SE2(0.02, 0.0, 0.0), sigma=0.02)
+    there = new_matcher().match(half_a_nook(), near, chain)
+    assert 0.3 < there.score < 0.45
+    assert there.state == "degraded"
+    far = predicted(SE2(0.6, -0.4, 1.2), sigma=0.02)
+    result = new_matcher().match(half_a_nook(), far, chain)
+    assert result.state == "lost"
+    bold = SurfelGaussNewton(SurfelMatcherConfig(degraded_share=0.3))
+    assert bold.match(half_a_nook(), far, chain).state != "lost"
