@@ -9,6 +9,8 @@ import numpy.typing as npt
 from drivers.frames import ImuSample, OdometrySample
 from service.geometry.se2 import SE2
 
+Matrix = npt.NDArray[np.float64]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
@@ -16,45 +18,55 @@ class Motion:
 
     pose_odom_base: SE2
     twist_base: tuple[float, float, float]  # m/s forward, m/s left, rad/s
-    covariance: npt.NDArray[np.float64]  # (3, 3) of x, y, theta of the pose, in base axes; m^2, m rad, rad^2
+    covariance: Matrix  # (3, 3) of x, y, theta of the pose against the first scan, base axes; m^2, m rad, rad^2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction(Motion):
     """A motion before matching, and what the match may learn from it."""
 
-    step_covariance: npt.NDArray[np.float64]  # (3, 3) of the way since the last match alone, in base axes
-    elapsed_s: float  # since the last match; 0: there was none
-    twist_gain: float  # share of a correction of the pose that is put down to the twist
-    is_measured: bool  # wheels measured the way; else it is the last speed gone on
+    local_covariance: Matrix  # (3, 3) of the pose against the local map, base axes
+    twist_gain: Matrix  # (3, 3) 1/s: what a correction of the pose says of the twist
+    elapsed_s: float  # since the last scan; 0: there was none
+    travel_m: float  # since the last scan
+    is_measured: bool  # odometry measured the motion since then; else the last speed goes on
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Matched(Motion):
-    """A motion after matching, and what the motion model may learn from it."""
+class Measurement:
+    """What a match says of the pose, to a motion model.
 
-    information: npt.NDArray[np.float64]  # (3, 3) what the scan alone says of the pose, in base axes
-    on_new_map: bool = False  # one begun where no scan fitted: what was lost until then stays lost
-    pull_base: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, m, rad that the prediction held it back by
+    pose_odom_base    prediction and scan together, or the scan alone; says `covariance`
+    covariance        (3, 3) of that pose against the local map, base axes
+    information       (3, 3) of the scan alone, base axes; zero: nothing was measured, the pose is the
+                      prediction
+    prior_weight      1, or less where the prediction was so far off that it was believed less
+    """
+
+    pose_odom_base: SE2
+    covariance: Matrix
+    information: Matrix
+    prior_weight: float = 1.0
 
 
 class MotionModel(Protocol):
     """Predicts where the vehicle is when a scan begins, from whatever moves with it."""
 
     @property
-    def complaint(self) -> str:
-        """Which sensor is left out since walls contradict it, what was measured, where to look; or ""."""
+    def fault(self) -> str:
+        """Which source contradicts the others, by how much, and where to look; or ""."""
         ...
 
     def add(self, sample: ImuSample | OdometrySample) -> bool:
-        """Take in a sample; False if it came out of order and was left out."""
+        """Take in a sample; False if it came out of order, or was not a number, and was left out."""
         ...
 
     def predict(self, stamp_ns: int) -> Prediction: ...
 
-    def correct(self, stamp_ns: int, matched: Motion) -> Motion:
-        """Take in where a match puts the vehicle; gives what is believed then: the match, or a mean with it.
+    def correct(self, measured: Measurement | None) -> Motion:
+        """Take in what a match says of the newest prediction; None: nothing. Gives what is believed then."""
+        ...
 
-        A prediction handed back as it was is no match, for nothing was measured.
-        """
+    def settle(self, share: float) -> None:
+        """A scan was put into the local map; `share` of the error against it is left, 0..1."""
         ...

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from service.kernels.linear3 import copy_matrix, solve_3x3
-from service.kernels.match import surfel_normal_equations
+from service.kernels.match import scan_information, surfel_normal_equations
 from service.kernels.occupancy import TILE_BITS, TILE_MASK
 from service.kernels.pose_information import wrap
 from service.kernels.surfels import find_surfels
@@ -58,7 +58,7 @@ def thin_points(xy, spacing_m, kept):
 
 
 @njit(cache=True, nogil=True)
-def align_surfels(xy, normals, grid, settings, pose, H):
+def align_surfels(xy, normals, grid, settings, pose, information):
     """Gauss-Newton on surfels without a prior; a direction that nothing fixes stays where it began.
 
     xy         (N, 2) float64   m, frame of the pose
@@ -66,23 +66,31 @@ def align_surfels(xy, normals, grid, settings, pose, H):
     grid       SurfelGrid
     settings   MatchSettings
     pose       (3,)   float64   in: where to start; out: where it ended, in the frame of the grid
-    H          (3, 3) float64   out: Hessian there
+    information (3, 3) float64  out: of the cloud alone, in the axes of the grid
     Returns (points asked, points that lie on the map).
     """
     g = np.empty(3)
     step = np.empty(3)
     system = np.empty((3, 3))
-    found = np.empty((xy.shape[0], 5))
+    total = np.empty(3)
+    H = np.empty((3, 3))
+    shared = np.empty((3, 3))
+    damping = np.empty((3, 3))
+    found = np.empty((xy.shape[0], 6))
     used = 0
     inliers = 0
     for k in range(settings.iterations + 1):
         find_surfels(xy, normals, pose, grid, settings.least_normal_cosine, found)
-        used, inliers, _ = surfel_normal_equations(xy, normals, found, pose, settings, H, g)
-        copy_matrix(H, system)
+        used, inliers = surfel_normal_equations(xy, normals, found, pose, settings, H, shared, g)
+        scan_information(H, shared, damping, information)
+        copy_matrix(information, system)
         weakest = 1e-3 * (H[0, 0] + H[1, 1])
         for i in range(3):
             system[i, i] += weakest + 1e-6
-        if k == settings.iterations or not solve_3x3(system, g, step):
+            total[i] = 0.0
+            for j in range(3):
+                total[i] += damping[i, j] * g[j]
+        if k == settings.iterations or not solve_3x3(system, total, step):
             break
         for i in range(3):
             pose[i] -= step[i]

@@ -108,9 +108,10 @@ def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
     pose           (3,)   float64   base in the frame of the grid
     grid           SurfelGrid
     least_cosine   float            between the two normals; -2 takes any
-    found          (N, 5) float64   out: mean x, mean y (m, frame of the grid), normal x, normal y, and how
-                                    many points it stands for near by; 0 where there is none, and the rest
-                                    then means nothing
+    found          (N, 6) float64   out: mean x, mean y (m, frame of the grid), normal x, normal y, how many
+                                    points it stands for near by; 0 where there is none, and the rest then
+                                    means nothing; and how many consecutive points of this scan lie in the
+                                    same cell: they share the errors of its wall
     Source: moving least squares, Kolluri 2008; for scans, Deschaud, IMLS-SLAM, 2018, eq. (1).
     """
     # Arrays are taken out of the tuples once, and cells are read by scalars: a reference taken in the loop
@@ -124,6 +125,8 @@ def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
     per_square_reach = 1.0 / (REACH_CELLS * cell_m) ** 2
     c = math.cos(pose[2])
     s = math.sin(pose[2])
+    run = 0  # first point of those in one cell
+    run_row = run_column = -(2**62)
     for i in range(xy_base.shape[0]):
         found[i, 4] = 0.0
         if normals[i, 2] == 0.0:
@@ -134,6 +137,12 @@ def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
         ny = s * normals[i, 0] + c * normals[i, 1]
         column = math.floor(x * cells_per_m)
         row = math.floor(y * cells_per_m)
+        if row != run_row or column != run_column:
+            for k in range(run, i):
+                found[k, 5] = i - run
+            run = i
+            run_row = row
+            run_column = column
         dx = x - (column + 0.5) * cell_m
         dy = y - (row + 0.5) * cell_m
         total = sum_x = sum_y = sum_nx = sum_ny = 0.0
@@ -179,3 +188,5 @@ def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
             found[i, 2] = sum_nx / length
             found[i, 3] = sum_ny / length
             found[i, 4] = total
+    for k in range(run, xy_base.shape[0]):
+        found[k, 5] = xy_base.shape[0] - run

@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Generic
 
 from drivers.frames import Frame, GnssFix, LaserScan
-from service.fusion.motion import Motion
 from service.mapper.stages import (
     FinishedGraph,
     Graph,
@@ -59,9 +58,8 @@ class Mapper(Generic[ReadableMap]):
         if self._last_stamp_ns is None or scan.stamp_ns <= self._last_stamp_ns:
             return
         self._last_stamp_ns = scan.stamp_ns
-        model = self._stages.motion_model
-        predicted = model.predict(scan.stamp_ns)
-        model.correct(scan.stamp_ns, Motion(predicted.pose_odom_base, (0.0, 0.0, 0.0), predicted.covariance))
+        self._stages.motion_model.predict(scan.stamp_ns)
+        self._stages.motion_model.correct(None)
 
     def changed_tiles(self) -> list[TileUpdate]:
         """Tiles of the shown map that changed since the last call."""
@@ -94,14 +92,15 @@ class Mapper(Generic[ReadableMap]):
         points = s.deskew(scan, predicted)  # base frame, one instant; keeps each beam's time
         watch.lap("deskew")
         match = s.matcher.match(points, predicted, s.local_map)  # where we are
-        believed = s.motion_model.correct(scan.stamp_ns, match.motion)
-        match = replace(match, motion=believed)
-        if match.state == "ok" and (complaint := s.motion_model.complaint):
-            match = replace(match, state="degraded", reason=complaint)
+        match = replace(match, motion=s.motion_model.correct(match.measured))
+        if match.state == "ok" and (fault := s.motion_model.fault):
+            match = replace(match, state="degraded", reason=fault)
         watch.lap("match")
         kept = s.keep_static(match.points, match)
         change = s.local_map.insert(kept, match)
         self.counters["keyframes"] += change.is_keyframe
+        if change.is_keyframe:
+            s.motion_model.settle(change.error_left)
         pose_map_odom = s.graph.add(MappedScan(scan.stamp_ns, kept, match, change))
         s.free_space.insert(kept, pose_map_odom @ match.motion.pose_odom_base)
         watch.lap("insert")

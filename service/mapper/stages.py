@@ -9,7 +9,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict
 
 from drivers.frames import LaserScan
-from service.fusion.motion import Motion, MotionModel, Prediction
+from service.fusion.motion import Measurement, Motion, MotionModel, Prediction
 from service.geometry.se2 import SE2
 from service.mapper.background import InlineWorker, NewWorker
 from service.mapper.patch_store import MemoryPatches, NewPatchStore
@@ -28,6 +28,7 @@ class Points:
     beam: npt.NDArray[np.int32]  # (N,) which beam of the scan
     sensor_base: SE2  # pose of the sensor in the base frame (pose_base_sensor)
     scan: LaserScan
+    range_sigma_m: float = 0.01  # noise of a range, as the sensor has shown it so far
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +41,7 @@ class Match:
     state: State = "ok"
     reason: str = ""
     submap: int | None = None  # which one was matched to, where a method has several
+    measured: Measurement | None = None  # what the scan says of the pose; None: nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +50,7 @@ class MapChange:
 
     closed_submap: int | None = None
     is_keyframe: bool = False
+    error_left: float = 1.0  # share of the pose's error against the map that is left after the insert
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,7 +11,12 @@ from service.errors import InputError
 from service.fusion.motion import Motion
 from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns, deskew_points, project_returns
+from service.kernels.normals import range_noise
 from service.mapper.stages import Points
+
+
+NOISE_SCANS = 100  # over which the noise of a sensor's ranges is taken
+LEAST_NOISE_M = 0.003
 
 
 class BeamsConfig(BaseModel):
@@ -29,6 +34,7 @@ class DeskewByTwist:
     def __init__(self, config: BeamsConfig, mountings: Mapping[str, SE2]) -> None:
         self._config = config
         self._mountings = dict(mountings)
+        self._noise: dict[str, tuple[int, float]] = {}
         self._directions: dict[tuple[str, float, float, int], npt.NDArray[np.float64]] = {}
 
     def __call__(self, scan: LaserScan, motion: Motion) -> Points:
@@ -57,7 +63,18 @@ class DeskewByTwist:
         xy_raw, beam_time_s = returns.xy_raw[:count], returns.beam_time_s[:count]
         xy_base = np.empty((count, 2))
         deskew_points(xy_raw, beam_time_s, np.array(motion.twist_base), xy_base)
-        return Points(xy_base, xy_raw, beam_time_s, returns.beam[:count], mounting, scan)
+        sensor_xy_m = np.array([mounting.x_m, mounting.y_m])
+        sigma_m = self._noise_of(scan.sensor, range_noise(xy_raw, returns.beam[:count], sensor_xy_m))
+        return Points(xy_base, xy_raw, beam_time_s, returns.beam[:count], mounting, scan, sigma_m)
+
+    def _noise_of(self, sensor: str, shown_m: float) -> float:
+        """Mean over the scans so far, of the newest NOISE_SCANS."""
+        count, mean_m = self._noise.get(sensor, (0, LEAST_NOISE_M))
+        if shown_m > 0.0:
+            count = min(count + 1, NOISE_SCANS)
+            mean_m += (max(shown_m, LEAST_NOISE_M) - mean_m) / count
+            self._noise[sensor] = count, mean_m
+        return mean_m
 
     def _directions_of(self, scan: LaserScan, mounting: SE2) -> npt.NDArray[np.float64]:
         key = (scan.sensor, scan.first_angle_rad, scan.angle_step_rad, len(scan.range_m))

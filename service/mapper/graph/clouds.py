@@ -20,10 +20,10 @@ CELL_M = 0.10
 COUNT_LIMIT = 50.0
 POOL_TILES = 4096
 SETTINGS = MatchSettings(
-    sigma_m=0.05,
+    range_sigma_m=0.012,
+    wall_sigma_m=0.006,
     cauchy_m=0.10,
     least_normal_cosine=0.6,
-    young_count=3.0,
     iterations=15,
     deskew_rounds=0,
     inlier_m=0.10,
@@ -32,8 +32,6 @@ SETTINGS = MatchSettings(
     coarse_iterations=0,
     settled_m=0.0005,
     settled_rad=0.0001,
-    blind_sigma_m=0.0,
-    covariance_scale=2.0,
 )
 NO_FIELD: npt.NDArray[np.float32] = np.zeros((POOL_TILES, 1, 1), np.float32)  # nothing reads it here
 

@@ -23,6 +23,7 @@ class KeyFrame:
     xy_base: npt.NDArray[np.float32]  # (N, 2) m, in beam order
     sensor_xy_m: tuple[float, float]  # base frame
     angle_step_rad: float
+    range_sigma_m: float = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)

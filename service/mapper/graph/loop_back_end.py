@@ -39,7 +39,7 @@ class LoopsConfig(BaseModel):
     keyframe_distance_m: float = Field(default=0.3, gt=0.0)
     keyframe_turn_rad: float = Field(default=0.15, gt=0.0)
     thin_m: float = Field(default=0.04, ge=0.0)  # points of a key frame lie no nearer to each other
-    normals: NormalsConfig = NormalsConfig(grazing_weight=1.0, planar_ratio=0.05)
+    normals: NormalsConfig = NormalsConfig(grazing_weight=1.0)
 
     search_every_m: float = Field(default=2.0, gt=0.0)
     query_m: float = Field(default=5.0, gt=0.0)  # way whose key frames are looked for together
@@ -144,7 +144,7 @@ class LoopBackEnd:
             odom = se2.compose(chain.map[-1], se2.between(chain.odom[-1], odom))
         xy = frame.xy_base.astype(np.float64)
         normals, kept = np.empty((len(xy), 3)), np.empty(len(xy), np.bool_)
-        estimate_normals(xy, np.array(frame.sensor_xy_m), frame.angle_step_rad, self._normals, normals)
+        estimate_normals(xy, np.array(frame.sensor_xy_m), frame.angle_step_rad, frame.range_sigma_m, self._normals, normals)
         thin_points(xy, self._config.thin_m, kept)
         chain.append(
             frame, odom, Kept(frame.xy_base[kept], normals[kept].astype(np.float32), frame.sensor_xy_m)

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from service.fusion.drift import match_covariance
 from service.geometry.se2 import SE2, wrap_angle
 from service.mapper.background import Errand, NewWorker, WorkLostError
 from service.mapper.graph.keyframes import KeyFrame
@@ -136,12 +135,13 @@ def _key_frame(scan: MappedScan) -> KeyFrame:
     return KeyFrame(
         scan.stamp_ns,
         match.motion.pose_odom_base,
-        match_covariance(match.motion),
+        match.measured.covariance if match.measured is not None else np.eye(3),
         match.score,
         match.state == "lost",
         points.xy_base.astype(np.float32),
         (points.sensor_base.x_m, points.sensor_base.y_m),
         abs(points.scan.angle_step_rad),
+        points.range_sigma_m,
     )
 
 

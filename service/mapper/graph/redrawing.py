@@ -75,5 +75,5 @@ def lay_on(cloud: Cloud, surfels: SurfelCloud, shift: Floats, most_points: int) 
 def _cloud(scan: KeyScan, settings: NormalSettings) -> Cloud:
     xy = scan.xy_base.astype(np.float64)
     normals = np.zeros((len(xy), 3))
-    estimate_normals(xy, np.array(scan.sensor_xy_m), scan.angle_step_rad, settings, normals)
+    estimate_normals(xy, np.array(scan.sensor_xy_m), scan.angle_step_rad, 0.01, settings, normals)
     return Cloud(xy, normals)

@@ -27,29 +27,18 @@ class NormalsConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     beams_each_side: int = Field(default=4, ge=1, le=32)  # at least, if they hang together
-    half_length_m: float = Field(default=0.10, ge=0.0, le=1.0)  # ... and as many more as lie this near
-    most_beams_each_side: int = Field(default=16, ge=1, le=128)
+    most_beams_each_side: int = Field(default=32, ge=1, le=128)
+    angle_sigma_rad: float = Field(default=0.05, gt=0.0)
     gap_m: float = Field(default=0.06, gt=0.0)
     gap_steps: float = Field(default=5.0, ge=0.0)  # in distances between neighbouring beams at that range
-    planar_ratio: float = Field(default=0.02, gt=0.0, lt=1.0)
+    thick_sigmas: float = Field(default=2.0, gt=0.0)
+    most_angle_rad: float = Field(default=0.1, gt=0.0)
     least_cos_incidence: float = Field(default=0.05, ge=0.0, lt=1.0)
     rough_weight: float = Field(default=0.2, ge=0.0, le=1.0)
-    planar_m: float = Field(default=0.03, gt=0.0)
     grazing_weight: float = Field(default=5.0, ge=1.0)  # of a beam along a wall, where one head-on has 1
 
     def settings(self) -> NormalSettings:
-        return NormalSettings(
-            self.beams_each_side,
-            self.most_beams_each_side,
-            self.half_length_m,
-            self.gap_m,
-            self.gap_steps,
-            self.planar_ratio,
-            self.least_cos_incidence,
-            self.rough_weight,
-            self.planar_m,
-            self.grazing_weight,
-        )
+        return NormalSettings(**self.model_dump())
 
 
 class SubmapsConfig(BaseModel):
@@ -58,14 +47,12 @@ class SubmapsConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     normals: NormalsConfig = NormalsConfig()
-    # instead of normals.planar_ratio, for a scan of which less than this share would be planar by that
-    rough_planar_ratio: float = Field(default=0.05, gt=0.0, lt=1.0)
-    least_planar: float = Field(default=0.3, ge=0.0, le=1.0)
     permanence: PermanenceConfig = PermanenceConfig()
     cell_m: float = Field(default=0.10, ge=0.02, le=0.5)
     spacing_m: float = Field(default=20.0, gt=0.0)  # a new sub-map each time so far was travelled
     keyframe_distance_m: float = Field(default=0.05, gt=0.0)
     keyframe_turn_rad: float = Field(default=0.05, gt=0.0)
+    memory_m: float = Field(default=5.0, gt=0.0)
     first_scans: int = Field(default=25, ge=1)  # all of the first ones of a map are taken, even standing
     count_limit: int = Field(default=1000, ge=2)
     field_sigma_m: float = Field(default=0.15, gt=0.0)
@@ -163,7 +150,6 @@ class SurfelSubmaps:
     def __init__(self, config: SubmapsConfig) -> None:
         self._config = config
         self._normals = config.normals.settings()
-        self._rough_normals = self._normals._replace(planar_ratio=config.rough_planar_ratio)
         self._pool = TilePool(
             (
                 Layer((TILE_CELLS, TILE_CELLS, 2, 5), np.float32),
@@ -191,10 +177,14 @@ class SurfelSubmaps:
         """(N, 3) of each point: normal towards the sensor, and its weight; as estimate_normals gives it."""
         normals = np.empty((len(points.xy_base), 3))
         sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
-        for settings in (self._normals, self._rough_normals):
-            estimate_normals(points.xy_base, sensor, abs(points.scan.angle_step_rad), settings, normals)
-            if np.count_nonzero(normals[:, 2] >= 1.0) >= self._config.least_planar * len(normals):
-                break
+        estimate_normals(
+            points.xy_base,
+            sensor,
+            abs(points.scan.angle_step_rad),
+            points.range_sigma_m,
+            self._normals,
+            normals,
+        )
         return normals
 
     def insert(self, points: Points, match: Match) -> MapChange:
@@ -218,7 +208,7 @@ class SurfelSubmaps:
             retired = self._begin_submap()
             closed = closed if retired is None else retired
         self._insert_keyframe(self._pair, points, pose)
-        return MapChange(closed, is_keyframe=True)
+        return MapChange(closed, is_keyframe=True, error_left=math.exp(-self._moved_m / self._config.memory_m))
 
     def _is_keyframe(self, pose: SE2, submap: Submap) -> bool:
         """Whether a sub-map wants a scan from here: one that is new, or farther on than the last."""
@@ -231,8 +221,8 @@ class SurfelSubmaps:
 
     def _advance(self, pose: SE2) -> None:
         last = self._last_keyframe
-        if last is not None:
-            self._travelled_m += math.hypot(pose.x_m - last.x_m, pose.y_m - last.y_m)
+        self._moved_m = math.hypot(pose.x_m - last.x_m, pose.y_m - last.y_m) if last is not None else 0.0
+        self._travelled_m += self._moved_m
         self._last_keyframe = pose
 
     def _insert_keyframe(self, submaps: list[Submap], points: Points, pose: SE2) -> None:

@@ -14,10 +14,10 @@ from service.mapper.matchers.recovery import search_around
 def rehearse_match() -> None:
     """The match of a scan with all that it calls: a third of all compiling."""
     xy = np.zeros((1, 2))
-    prior = Prior(np.zeros(3), np.zeros(3), np.eye(3), np.eye(3), 0.1, 1.0, False)
+    prior = Prior(np.zeros(3), np.zeros(3), np.eye(3), np.eye(3))
     settings = MatchSettings(*(kind(1) for kind in get_type_hints(MatchSettings).values()))
     returns = Returns(xy.copy(), np.zeros(1), np.zeros(1, np.int32))
-    match_scan(returns, np.ones((1, 3)), prior, _empty_grid(), settings, 1.0, xy)
+    match_scan(returns, np.ones((1, 3)), prior, prior.pose.copy(), _empty_grid(), settings, 1.0, xy)
 
 
 def rehearse_search() -> None:

@@ -7,18 +7,14 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.fusion.motion import Matched, Motion, Prediction
+from service.fusion.motion import Measurement, Motion, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns
-from service.kernels.drift import match_information
-from service.kernels.linear3 import solve_3x3
 from service.kernels.match import MatchResult, MatchSettings, Prior, match_scan
 from service.mapper.maps.submaps import Submap, SurfelSubmaps
 from service.mapper.matchers.recovery import search_around
 from service.mapper.stages import Match, Points
 from service.outputs import State
-
-LEAST_INFORMATION = np.diag([1e3, 1e3, 1e3])  # 1/m^2, 1/rad^2
 
 
 class SurfelMatcherConfig(BaseModel):
@@ -26,10 +22,11 @@ class SurfelMatcherConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    beam_sigma_m: float = Field(default=0.05, gt=0.0)
+    wall_sigma_m: float = Field(default=0.004, gt=0.0)
+    same_wall_m: float = Field(default=1.0, gt=0.0)
+    most_repeats: float = Field(default=100.0, ge=1.0)
     cauchy_m: float = Field(default=0.10, gt=0.0)
     least_normal_cosine: float = Field(default=0.6, ge=-1.0, lt=1.0)
-    young_count: float = Field(default=3.0, ge=1.0)
     iterations: int = Field(default=15, ge=1, le=100)
     deskew_rounds: int = Field(default=8, ge=0, le=100)
     coarse_sigma: float = Field(default=0.3, gt=0.0)  # of 1 - likelihood
@@ -56,15 +53,8 @@ class SurfelMatcherConfig(BaseModel):
     weak_share: float = Field(default=0.15, ge=0.0, le=1.0)
     weak_sigmas: float = Field(default=2.0, ge=0.0)
     degraded_share: float = Field(default=0.45, ge=0.0, le=1.0)
-    blind_sigma_m: float = Field(default=0.05, gt=0.0)  # directions known less well keep to the wheels
     degraded_sigma_m: float = Field(default=0.10, gt=0.0)
     least_points: int = Field(default=20, ge=3)
-
-    covariance_scale: float = Field(default=2.0, gt=0.0)
-    inflation: float = Field(default=4.0, gt=0.0)  # beams share errors, so as many count as one
-    least_residual_m: float = Field(default=0.005, gt=0.0)
-    floor_position_m: float = Field(default=0.002, ge=0.0)
-    floor_heading_rad: float = Field(default=0.0003, ge=0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,10 +82,10 @@ class SurfelGaussNewton:
     def __init__(self, config: SurfelMatcherConfig) -> None:
         self._config = config
         self._settings = MatchSettings(
-            config.beam_sigma_m,
+            0.01,
+            config.wall_sigma_m,
             config.cauchy_m,
             config.least_normal_cosine,
-            config.young_count,
             config.iterations,
             config.deskew_rounds,
             config.inlier_m,
@@ -104,24 +94,16 @@ class SurfelGaussNewton:
             config.coarse_iterations,
             config.settled_m,
             config.settled_rad,
-            config.blind_sigma_m,
-            config.covariance_scale,
         )
         self._usual_share = 1.0
         self._rest_until_ns = 0  # no wide search before
-        self._floor = np.diag(
-            [config.floor_position_m**2, config.floor_position_m**2, config.floor_heading_rad**2]
-        )
 
     def match(self, points: Points, predicted: Prediction, local_map: SurfelSubmaps) -> Match:
         count = len(points.xy_base)
         if count < self._config.least_points:
-            return Match(_as_motion(predicted), points, 0.0, "lost", self._too_few(points))
+            return Match(predicted, points, 0.0, "lost", self._too_few(points))
         if not local_map.candidates:
-            first = Matched(
-                predicted.pose_odom_base, predicted.twist_base, self._floor, np.linalg.inv(self._floor)
-            )
-            return Match(first, points, 1.0)
+            return Match(predicted, points, 1.0)
         attempt = _Attempt(points, local_map.normals_of(points), predicted, _as_prior(predicted))
         laid = [self._lay(attempt, attempt.prior.pose, local_map.candidates[0])]
         for submap in local_map.candidates[1:]:
@@ -137,20 +119,15 @@ class SurfelGaussNewton:
         result, points = laid.result, attempt.points
         state, reason = self._judge(result, attempt)
         if state == "lost":
-            return Match(_as_motion(attempt.predicted), points, result.share, state, reason)
+            return Match(attempt.predicted, points, result.share, state, reason)
         self._usual_share += (result.share - self._usual_share) / self._config.usual_share_scans
         x_m, y_m, theta_rad = result.pose.tolist()
         forward, left, turn = result.twist.tolist()
-        motion = Matched(
-            SE2(x_m, y_m, theta_rad),
-            (forward, left, turn),
-            self._floored(result.covariance),
-            self._information(result),
-            on_new_map=is_new,
-            pull_base=_pull(result, attempt.prior),
-        )
+        pose = SE2(x_m, y_m, theta_rad)
+        measured = Measurement(pose, result.covariance, result.information, result.prior_weight)
+        motion = Motion(pose, (forward, left, turn), result.covariance)
         deskewed = replace(points, xy_base=laid.xy_base)
-        return Match(motion, deskewed, result.share, state, reason, laid.submap.number)
+        return Match(motion, deskewed, result.share, state, reason, laid.submap.number, measured)
 
     def _lay(self, attempt: _Attempt, start: npt.NDArray[np.float64], submap: Submap) -> _Laid:
         """The match on a sub-map, begun at `start`, a pose as in the prior."""
@@ -159,13 +136,22 @@ class SurfelGaussNewton:
         result: MatchResult = match_scan(
             Returns(points.xy_raw, points.beam_time_s, points.beam),
             submap.weighed(points, attempt.normals, start),
-            attempt.prior._replace(pose=start),
+            attempt.prior,
+            start,
             submap.grid(),
-            self._settings,
+            self._settings._replace(
+                range_sigma_m=points.range_sigma_m,
+                wall_sigma_m=self._config.wall_sigma_m * self._repeats(attempt.predicted),
+            ),
             self._config.doubt_ratio * self._usual_share,
             xy_base,
         )
         return _Laid(result, xy_base, submap)
+
+    def _repeats(self, predicted: Prediction) -> float:
+        """Root of how many scans in a row see the same errors of the map."""
+        apart_m = max(predicted.travel_m, self._config.same_wall_m / self._config.most_repeats)
+        return math.sqrt(max(1.0, self._config.same_wall_m / apart_m))
 
     def _fits(self, laid: _Laid, attempt: _Attempt) -> bool:
         return self._judge(laid.result, attempt)[0] != "lost"
@@ -181,7 +167,7 @@ class SurfelGaussNewton:
         if share >= (config.degraded_share if attempt.predicted.is_measured else config.lost_share):
             if attempt.predicted.is_measured or share >= config.doubt_ratio * self._usual_share:
                 return laid
-            sigma_m, sigma_rad = (math.sqrt(prior.step_covariance[k, k]) for k in (0, 2))
+            sigma_m, sigma_rad = (math.sqrt(prior.covariance[k, k]) for k in (0, 2))
             reach_m = min(max(3.0 * sigma_m, config.search_least_m), reach_m)
             reach_rad = min(max(3.0 * sigma_rad, config.search_least_rad), reach_rad)
         elif attempt.points.scan.stamp_ns < self._rest_until_ns:
@@ -209,7 +195,7 @@ class SurfelGaussNewton:
         """How far a match is from the prediction."""
         away = SE2(*prior.pose.tolist()).inverse() @ SE2(*result.pose.tolist())
         offset = np.array([away.x_m, away.y_m, away.theta_rad])
-        return float(np.sqrt(offset @ np.linalg.solve(prior.step_covariance, offset)))
+        return float(np.sqrt(offset @ np.linalg.solve(prior.covariance, offset)))
 
     def _jump(self, result: MatchResult, predicted: Prediction, prior: Prior) -> str | None:
         """Why a match is not believed that fits worse than usual and needs a speed that nothing can reach.
@@ -257,54 +243,12 @@ class SurfelGaussNewton:
             f"(at least {self._config.least_points}); is the window covered, or is there nothing in range?"
         )
 
-    def _information(self, result: MatchResult) -> npt.NDArray[np.float64]:
-        """(3, 3) what the points say of the pose on the map, by how far off they lie."""
-        config = self._config
-        residual_m = max(result.residual_m, config.least_residual_m)
-        information = np.empty((3, 3))
-        match_information(
-            result.information,
-            (config.beam_sigma_m / residual_m) ** 2 / config.inflation,
-            np.diag(self._floor).copy(),
-            information,
-        )
-        return information
-
-    def _floored(self, covariance: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Raised where it claims to know better than the map can say; raising it again changes nothing."""
-        short = np.maximum(np.diag(self._floor) - np.diag(covariance), 0.0)
-        raised: npt.NDArray[np.float64] = covariance + np.diag(short)
-        return raised
-
-
-def _pull(result: MatchResult, prior: Prior) -> tuple[float, float, float]:
-    """What the points alone would add to a match: at the minimum they pull as hard as the prior holds.
-
-    Directions that they hardly see are not followed far.
-    """
-    if prior.elapsed_s == 0.0:
-        return 0.0, 0.0, 0.0
-    away = SE2(*prior.pose.tolist()).inverse() @ SE2(*result.pose.tolist())
-    held = np.array([away.x_m, away.y_m, away.theta_rad]) / np.diag(prior.step_covariance)
-    pull = np.empty(3)
-    if not solve_3x3(result.information + LEAST_INFORMATION, held, pull):
-        return 0.0, 0.0, 0.0
-    forward_m, left_m, turn_rad = pull.tolist()
-    return forward_m, left_m, turn_rad
-
 
 def _as_prior(predicted: Prediction) -> Prior:
     pose = predicted.pose_odom_base
     return Prior(
         np.array([pose.x_m, pose.y_m, pose.theta_rad]),
         np.array(predicted.twist_base),
-        predicted.step_covariance,
-        predicted.covariance,
-        predicted.elapsed_s,
+        predicted.local_covariance,
         predicted.twist_gain,
-        predicted.is_measured,
     )
-
-
-def _as_motion(predicted: Prediction) -> Motion:
-    return Motion(predicted.pose_odom_base, predicted.twist_base, predicted.covariance)

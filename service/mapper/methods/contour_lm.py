@@ -7,7 +7,7 @@ from service.mapper.methods.corridor import (
     KEEP_ALL,
     NO_GRAPH,
     OCCUPANCY_TILES,
-    WEIGHED_MOTION,
+    ESTIMATOR,
 )
 from service.mapper.stages import Method, StageKind
 
@@ -19,7 +19,7 @@ CONTOUR_MAP = StageKind(
 METHOD = Method(
     "contour_lm",
     stages={
-        "motion_model": WEIGHED_MOTION,
+        "motion_model": ESTIMATOR,
         "deskew": DESKEW_BY_TWIST,
         "matcher": CONTOUR_LM,
         "local_map": CONTOUR_MAP,
@@ -29,6 +29,5 @@ METHOD = Method(
     },
     settings={
         "deskew": {"nearest_m": 0.5, "farthest_m": 20.0},
-        "motion_model": {"twist_time_s": 0.1},
     },
 )

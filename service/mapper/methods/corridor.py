@@ -1,6 +1,6 @@
 """The default profile: every scan matched to surfels, odometry or IMU holding what the scan does not see."""
 
-from service.fusion.weighed_motion import MotionConfig, WeighedMotion
+from service.fusion.estimator import Estimator, EstimatorConfig
 from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist
 from service.mapper.filters.keep_all import keep_all
 from service.mapper.graph.loop_back_end import LoopsConfig
@@ -13,7 +13,7 @@ from service.mapper.matchers.rehearsal import rehearse_match, rehearse_search
 from service.mapper.matchers.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
 from service.mapper.stages import Method, NoSettings, StageKind
 
-WEIGHED_MOTION = StageKind("weighed_motion", MotionConfig, lambda config, _: WeighedMotion(config))
+ESTIMATOR = StageKind("estimator", EstimatorConfig, lambda config, _: Estimator(config))
 DESKEW_BY_TWIST = StageKind(
     "deskew_by_twist", BeamsConfig, lambda config, around: DeskewByTwist(config, around.mountings)
 )
@@ -43,7 +43,7 @@ OCCUPANCY_TILES = StageKind(
 METHOD = Method(
     "corridor",
     stages={
-        "motion_model": WEIGHED_MOTION,
+        "motion_model": ESTIMATOR,
         "deskew": DESKEW_BY_TWIST,
         "matcher": SURFEL_GAUSS_NEWTON,
         "local_map": SURFEL_SUBMAPS,

@@ -9,7 +9,7 @@ from service.mapper.methods.corridor import (
     DESKEW_BY_TWIST,
     KEEP_ALL,
     OCCUPANCY_TILES,
-    WEIGHED_MOTION,
+    ESTIMATOR,
 )
 from service.mapper.stages import Method, StageKind
 
@@ -30,7 +30,7 @@ LANDMARK_GRAPH = StageKind(
 METHOD = Method(
     "submap_graph",
     stages={
-        "motion_model": WEIGHED_MOTION,
+        "motion_model": ESTIMATOR,
         "deskew": DESKEW_BY_TWIST,
         "matcher": PARTICLE_FILTER,
         "local_map": COUNTED_SUBMAPS,

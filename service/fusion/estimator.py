@@ -1,0 +1,235 @@
+"""The motion model of the profiles: an error-state filter over pose, twist, odometry's errors and gyro bias.
+
+The model, its equations and its picture are docs/estimator.md; the arithmetic is service/kernels/estimator.py.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
+
+from drivers.frames import ImuSample, OdometrySample
+from service.fusion.motion import Matrix, Measurement, Motion, Prediction
+from service.geometry.se2 import SE2, wrap_angle
+from service.kernels.estimator import (
+    BIAS,
+    LAG,
+    LOCAL,
+    MAP,
+    SCALE,
+    STATES,
+    TURN_SCALE,
+    TWIST,
+    Filter,
+    MotionSettings,
+    Track,
+    begin_twist,
+    correct_motion,
+    lay_into_map,
+    predict_motion,
+)
+
+CAPACITY = 4096
+TURN_M = 0.5  # a turn of a radian shows as much new as so many metres
+KEEP_BEFORE_NS = 2_000_000_000  # of samples before the last scan: for the largest lag, and for a speed
+LOCAL_BLOCK = slice(LOCAL, LOCAL + 3)
+MAP_BLOCK = slice(MAP, MAP + 3)
+FIRST_TWIST_SIGMA = (1.0, 0.3, 0.5)  # m/s, m/s, rad/s at the first scan, where odometry does not say
+LEAST_SIGMA = (1e-4, 1e-4, 1e-5)  # m, m, rad of the first pose against its own map
+
+
+class EstimatorConfig(BaseModel):
+    """How far each source of motion is trusted. A walk is a standard deviation that grows with the root."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    odometry_position_walk: float = Field(default=0.02, gt=0.0)  # m per root metre driven
+    odometry_heading_walk: float = Field(default=0.01, gt=0.0)  # rad per root metre driven
+    odometry_turn_walk: float = Field(default=0.02, gt=0.0)  # rad per root radian turned
+    odometry_scale_sigma: float = Field(default=0.02, ge=0.0)  # of way and turn, before anything is learnt
+    odometry_lag_sigma_s: float = Field(default=0.05, ge=0.0)  # of its stamps, before anything is learnt
+    odometry_jitter_s: float = Field(default=0.01, ge=0.0)  # of each stamp
+    gyro_walk: float = Field(default=0.002, gt=0.0)  # rad per root second
+    gyro_bias_sigma_radps: float = Field(default=0.02, ge=0.0)
+    acceleration: float = Field(default=1.0, gt=0.0)  # m/s^2, white: root of the density, m/s per root second
+    turn_acceleration: float = Field(default=2.0, gt=0.0)  # rad/s per root second
+
+
+@dataclass(slots=True)
+class _Samples:
+    """A Track that grows, and forgets what lies before the last scan."""
+
+    width: int
+    track: Track = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.track = Track(np.zeros(CAPACITY, np.int64), np.zeros((CAPACITY, self.width)), np.zeros(2, np.int64))
+
+    @property
+    def last(self) -> int | None:
+        """Row of the newest; None: there is none."""
+        first, end = self.track.span.tolist()
+        return end - 1 if end > first else None
+
+    def append(self, stamp_ns: int, value: tuple[float, ...]) -> None:
+        end = int(self.track.span[1])
+        if end == len(self.track.stamp_ns):
+            self._make_room()
+            end = int(self.track.span[1])
+        self.track.stamp_ns[end] = stamp_ns
+        self.track.value[end] = value
+        self.track.span[1] = end + 1
+
+    def forget_before(self, stamp_ns: int) -> None:
+        """Drop samples before a moment, but two of them: a speed needs a pair."""
+        first, end = self.track.span.tolist()
+        keep = first + int(np.searchsorted(self.track.stamp_ns[first:end], stamp_ns)) - 2
+        self.track.span[0] = min(max(first, keep), max(end - 2, 0))
+
+    def _make_room(self) -> None:
+        first, end = self.track.span.tolist()
+        old = self.track
+        size = len(old.stamp_ns) if first > len(old.stamp_ns) // 2 else 2 * len(old.stamp_ns)
+        self.track = Track(np.zeros(size, np.int64), np.zeros((size, self.width)), np.array([0, end - first]))
+        self.track.stamp_ns[: end - first] = old.stamp_ns[first:end]
+        self.track.value[: end - first] = old.value[first:end]
+
+
+class Estimator:
+    """MotionModel. The odom frame is the base at the first scan."""
+
+    def __init__(self, config: EstimatorConfig) -> None:
+        self._settings = MotionSettings(
+            position_walk=config.odometry_position_walk,
+            heading_walk=config.odometry_heading_walk,
+            turn_walk=config.odometry_turn_walk,
+            resolution_m=2e-4,
+            resolution_rad=1e-4,
+            gyro_walk=config.gyro_walk,
+            acceleration=config.acceleration,
+            turn_acceleration=config.turn_acceleration,
+            jitter_s=config.odometry_jitter_s,
+            speed_window_s=0.05,
+        )
+        self._odometry, self._gyro = _Samples(5), _Samples(1)
+        self._gyro_rate = 0.0
+        sigma = np.zeros(STATES)
+        sigma[LOCAL_BLOCK] = LEAST_SIGMA
+        sigma[TWIST : TWIST + 3] = FIRST_TWIST_SIGMA
+        sigma[SCALE] = sigma[TURN_SCALE] = config.odometry_scale_sigma
+        sigma[LAG], sigma[BIAS] = config.odometry_lag_sigma_s, config.gyro_bias_sigma_radps
+        self._filter = Filter(
+            stamp_ns=np.zeros(1, np.int64),
+            pose=np.zeros(3),
+            twist=np.zeros(3),
+            learnt=np.zeros(4),
+            covariance=np.diag(sigma**2),
+            noise=np.ones(2),
+            gyro_noise=np.ones(1),
+            said=np.zeros(8),
+        )
+        self._has_begun = False
+        self._elapsed_s = 0.0
+
+    @property
+    def fault(self) -> str:
+        return ""
+
+    @property
+    def learnt(self) -> npt.NDArray[np.float64]:
+        """(4,) scale and turn scale of odometry, its lag in s, gyro bias in rad/s."""
+        return self._filter.learnt
+
+    def add(self, sample: ImuSample | OdometrySample) -> bool:
+        if isinstance(sample, OdometrySample):
+            return self._add_odometry(sample)
+        return self._add_gyro(sample)
+
+    def predict(self, stamp_ns: int) -> Prediction:
+        state = self._filter
+        before = state.pose.copy()
+        if not self._has_begun:
+            self._has_begun = True
+            self._begin(stamp_ns)
+        else:
+            self._elapsed_s = (stamp_ns - int(state.stamp_ns[0])) * 1e-9
+            predict_motion(state, self._odometry.track, self._gyro.track, stamp_ns, self._settings)
+        self._odometry.forget_before(stamp_ns - KEEP_BEFORE_NS)
+        self._gyro.forget_before(stamp_ns - KEEP_BEFORE_NS)
+        covariance = state.covariance
+        local = covariance[LOCAL_BLOCK, LOCAL_BLOCK].copy()
+        gain = covariance[TWIST : TWIST + 3, LOCAL_BLOCK] @ np.linalg.inv(local)
+        return Prediction(
+            pose_odom_base=SE2(*state.pose.tolist()),
+            twist_base=self._twist(),
+            covariance=covariance[MAP_BLOCK, MAP_BLOCK].copy(),
+            local_covariance=local,
+            twist_gain=gain,
+            elapsed_s=self._elapsed_s,
+            travel_m=math.dist(before[:2], state.pose[:2]) + TURN_M * abs(wrap_angle(state.pose[2] - before[2])),
+            is_measured=bool(state.said[3]),
+        )
+
+    def correct(self, measured: Measurement | None) -> Motion:
+        state = self._filter
+        if measured is not None and self._elapsed_s > 0.0:
+            pose = measured.pose_odom_base
+            correct_motion(
+                state,
+                np.array([pose.x_m, pose.y_m, pose.theta_rad]),
+                measured.covariance,
+                measured.prior_weight,
+            )
+        return Motion(
+            SE2(*state.pose.tolist()), self._twist(), state.covariance[MAP_BLOCK, MAP_BLOCK].copy()
+        )
+
+    def settle(self, share: float) -> None:
+        lay_into_map(self._filter.covariance, share)
+
+    def _begin(self, stamp_ns: int) -> None:
+        self._filter.stamp_ns[0] = stamp_ns
+        self._elapsed_s = 0.0
+        track = self._odometry.track
+        if self._odometry.last is None or track.span[1] - track.span[0] < 2:
+            return
+        twist = np.zeros(3)
+        begin_twist(track, stamp_ns, self._settings, twist)
+        self._filter.twist[:] = twist
+        covariance = self._filter.covariance
+        for k in range(3):
+            covariance[TWIST + k, TWIST + k] = 0.1**2
+
+    def _twist(self) -> tuple[float, float, float]:
+        forward, left, turn = self._filter.twist.tolist()
+        return forward, left, turn
+
+    def _add_odometry(self, sample: OdometrySample) -> bool:
+        own = sample.covariance
+        value = (sample.x_m, sample.y_m, sample.theta_rad, own[0] + own[4], own[8])
+        last = self._odometry.last
+        if last is not None and sample.stamp_ns <= self._odometry.track.stamp_ns[last]:
+            return False
+        if not all(map(math.isfinite, value)):
+            return False
+        self._odometry.append(sample.stamp_ns, value)
+        return True
+
+    def _add_gyro(self, sample: ImuSample) -> bool:
+        rate = sample.rate_radps[2]
+        if not math.isfinite(rate):
+            return False
+        last = self._gyro.last
+        if last is None:
+            self._gyro.append(sample.stamp_ns, (0.0,))
+        else:
+            track = self._gyro.track
+            elapsed_s = (sample.stamp_ns - int(track.stamp_ns[last])) * 1e-9
+            if elapsed_s <= 0.0:
+                return False
+            turn = 0.5 * (rate + self._gyro_rate) * elapsed_s
+            self._gyro.append(sample.stamp_ns, (float(track.value[last, 0]) + turn,))
+        self._gyro_rate = rate
+        return True

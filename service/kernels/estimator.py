@@ -1,0 +1,537 @@
+"""The error-state filter of the vehicle's motion: one prediction and one correction a scan.
+
+Errors are in base axes of the newest pose: true pose = pose * exp(error). Rows of the covariance:
+
+    MAP    0:3    pose against the first scan
+    LOCAL  3:6    pose against the local map, which was laid down from earlier poses
+    STEP   6:9    motion since the last scan; in use within a prediction only
+    TWIST  9:12   velocity
+    SCALE 12, TURN_SCALE 13   of odometry: true way = (1 + scale) * way said
+    LAG   14      of odometry's stamps behind the scans', s
+    BIAS  15      of the gyro, rad/s
+
+docs/estimator.md derives every equation; numbers in brackets are those of that page.
+Sources: Barfoot, State Estimation for Robotics, 2017, sections 3.4 (white-noise acceleration), 4.2 and 7.3;
+Roumeliotis and Burdick, Stochastic cloning, ICRA 2002; Sola, Quaternion kinematics for the error-state
+Kalman filter, 2017, chapter 5.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from service.kernels.pose_information import invert_3x3, wrap
+
+MAP, LOCAL, STEP, TWIST, SCALE, TURN_SCALE, LAG, BIAS, STATES = 0, 3, 6, 9, 12, 13, 14, 15, 16
+LAG_WINDOW_NS = 200_000_000
+GYRO_SCALE = 0.005  # error of the gyro's scale
+GRACE_NS = 50_000_000  # odometry may begin so much later than the last scan
+GATE_CHI2 = 11.3  # 99 % of three degrees of freedom: beyond, a measurement widens until it fits
+GATE_CHI2_GYRO = 6.6  # 99 % of one
+
+
+class MotionSettings(NamedTuple):
+    """Documented where they are configured."""
+
+    position_walk: float  # m / sqrt(m)
+    heading_walk: float  # rad / sqrt(m)
+    turn_walk: float  # rad / sqrt(rad)
+    resolution_m: float
+    resolution_rad: float
+    gyro_walk: float  # rad / sqrt(s)
+    acceleration: float  # m/s^2 sqrt(s)
+    turn_acceleration: float  # rad/s^2 sqrt(s)
+    jitter_s: float
+    speed_window_s: float
+
+
+class Track(NamedTuple):
+    """Samples in the order of their stamps; rows `span[0]` to `span[1]` are in use.
+
+    stamp_ns   (N,)   int64
+    value      (N, W) float64   odometry: x m, y m, theta rad, variance m^2, variance rad^2; gyro: the angle
+                                turned since the first sample, rad
+    span       (2,)   int64
+    """
+
+    stamp_ns: npt.NDArray[np.int64]
+    value: npt.NDArray[np.float64]
+    span: npt.NDArray[np.int64]
+
+
+class Filter(NamedTuple):
+    """What is believed; all arrays are changed in place.
+
+    stamp_ns    (1,)     int64     of the newest pose
+    pose        (3,)     float64   base in odom
+    twist       (3,)     float64   m/s forward, m/s left, rad/s
+    learnt      (4,)     float64   scale, turn scale, lag s, gyro bias rad/s
+    covariance  (16, 16) float64
+    noise       (2,)     float64   how many times its model odometry's variance is: position, heading
+    gyro_noise  (1,)     float64   the same of the gyro
+    said        (8,)     float64   odometry's step (3) and whether there was one; its variances (2);
+                                   gyro's turn less bias, its variance (0: there was none)
+    """
+
+    stamp_ns: npt.NDArray[np.int64]
+    pose: npt.NDArray[np.float64]
+    twist: npt.NDArray[np.float64]
+    learnt: npt.NDArray[np.float64]
+    covariance: npt.NDArray[np.float64]
+    noise: npt.NDArray[np.float64]
+    gyro_noise: npt.NDArray[np.float64]
+    said: npt.NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True)
+def compose(a, b, out):
+    """a * b of poses (3,); out may be either."""
+    c = math.cos(a[2])
+    s = math.sin(a[2])
+    x = a[0] + c * b[0] - s * b[1]
+    y = a[1] + s * b[0] + c * b[1]
+    out[2] = wrap(a[2] + b[2])
+    out[0] = x
+    out[1] = y
+
+
+@njit(cache=True, nogil=True)
+def between(a, b, out):
+    """a^-1 * b of poses (3,)."""
+    c = math.cos(a[2])
+    s = math.sin(a[2])
+    dx = b[0] - a[0]
+    dy = b[1] - a[1]
+    out[0] = c * dx + s * dy
+    out[1] = -s * dx + c * dy
+    out[2] = wrap(b[2] - a[2])
+
+
+@njit(cache=True, nogil=True)
+def exponential(x, y, turn, out):
+    """Pose reached by a constant twist times duration."""
+    if abs(turn) < 1e-6:
+        a = 1.0 - turn * turn / 6.0
+        b = 0.5 * turn
+    else:
+        a = math.sin(turn) / turn
+        half = math.sin(0.5 * turn)
+        b = 2.0 * half * half / turn
+    out[0] = a * x - b * y
+    out[1] = b * x + a * y
+    out[2] = wrap(turn)
+
+
+@njit(cache=True, nogil=True)
+def logarithm(pose, out):
+    """Twist times duration that leads to a pose; inverse of exponential."""
+    half = 0.5 * pose[2]
+    k = 1.0 - half * half / 3.0 if abs(half) < 1e-4 else half / math.tan(half)
+    out[0] = k * pose[0] + half * pose[1]
+    out[1] = -half * pose[0] + k * pose[1]
+    out[2] = pose[2]
+
+
+@njit(cache=True, nogil=True)
+def last_at_or_before(track, stamp_ns):
+    """Row of the newest sample that is not after a moment; span[0] - 1 where all are."""
+    low = track.span[0]
+    high = track.span[1]
+    while low < high:
+        middle = (low + high) // 2
+        if track.stamp_ns[middle] <= stamp_ns:
+            low = middle + 1
+        else:
+            high = middle
+    return low - 1
+
+
+@njit(cache=True, nogil=True)
+def odometry_twist(track, row, window_ns, twist):
+    """Speed between a sample and an earlier one at least window_ns away, so that ticks average out.
+
+    A burst of stamps is no speed: where all samples lie within the window the oldest is taken.
+    Returns whether there was time between them.
+    """
+    first = row - 1
+    while first > track.span[0] and track.stamp_ns[row] - track.stamp_ns[first] < window_ns:
+        first -= 1
+    twist[:] = 0.0
+    if first < track.span[0]:
+        return False
+    elapsed_s = (track.stamp_ns[row] - track.stamp_ns[first]) * 1e-9
+    if elapsed_s <= 0.0:
+        return False
+    step = np.empty(3)
+    between(track.value[first, :3], track.value[row, :3], step)
+    logarithm(step, twist)
+    for i in range(3):
+        twist[i] /= elapsed_s
+    return True
+
+
+@njit(cache=True, nogil=True)
+def odometry_at(track, stamp_ns, settings, pose, twist):
+    """Pose (3,) and twist (3,) that odometry gives at a moment.
+
+    Returns (variance m^2, variance rad^2 of the device's own at that moment, seconds since the sample before,
+    seconds from that one to the next): between samples the pose is a bridge of white-noise acceleration,
+    beyond the last the last speed goes on.
+    """
+    row = last_at_or_before(track, stamp_ns)
+    window_ns = np.int64(settings.speed_window_s * 1e9)
+    step = np.empty(3)
+    first = track.span[0]
+    end = track.span[1]
+    if row >= first and row < end - 1:
+        gap_ns = track.stamp_ns[row + 1] - track.stamp_ns[row]
+        share = (stamp_ns - track.stamp_ns[row]) / gap_ns
+        between(track.value[row, :3], track.value[row + 1, :3], step)
+        logarithm(step, twist)
+        exponential(share * twist[0], share * twist[1], share * twist[2], step)
+        compose(track.value[row, :3], step, pose)
+        odometry_twist(track, row + 1, window_ns, twist)
+        square_m2 = track.value[row, 3] + share * (track.value[row + 1, 3] - track.value[row, 3])
+        square_rad2 = track.value[row, 4] + share * (track.value[row + 1, 4] - track.value[row, 4])
+        return square_m2, square_rad2, share * gap_ns * 1e-9, gap_ns * 1e-9
+    row = min(max(row, first), end - 1)
+    odometry_twist(track, max(row, first + 1), window_ns, twist)
+    elapsed_s = (stamp_ns - track.stamp_ns[row]) * 1e-9
+    exponential(elapsed_s * twist[0], elapsed_s * twist[1], elapsed_s * twist[2], step)
+    compose(track.value[row, :3], step, pose)
+    return track.value[row, 3], track.value[row, 4], abs(elapsed_s), 0.0
+
+
+@njit(cache=True, nogil=True)
+def mean_twist(track, stamp_ns, settings, twist):
+    """Mean speed (3,) over LAG_WINDOW_NS about a moment: what a lag of the stamps is multiplied by.
+
+    A speed from two ticks would be noise, and a lag learnt from it a fraction of the truth.
+    """
+    before = np.empty(3)
+    after = np.empty(3)
+    scratch = np.empty(3)
+    odometry_at(track, stamp_ns - LAG_WINDOW_NS // 2, settings, before, scratch)
+    odometry_at(track, stamp_ns + LAG_WINDOW_NS // 2, settings, after, scratch)
+    between(before, after, scratch)
+    logarithm(scratch, twist)
+    for i in range(3):
+        twist[i] /= LAG_WINDOW_NS * 1e-9
+
+
+@njit(cache=True, nogil=True)
+def bridge_s3(since_s, gap_s):
+    """Variance of a pose between two samples, over the density of acceleration; [8]."""
+    if gap_s <= 0.0:
+        return since_s**3 / 3.0
+    left_s = max(gap_s - since_s, 0.0)
+    return (since_s * left_s / gap_s) ** 3 / 3.0
+
+
+@njit(cache=True, nogil=True)
+def turned_to(track, stamp_ns):
+    """Angle that the gyro has turned up to a moment since the first sample; it goes on at its last rate."""
+    row = last_at_or_before(track, stamp_ns)
+    row = min(max(row, track.span[0]), track.span[1] - 2)
+    share = (stamp_ns - track.stamp_ns[row]) / (track.stamp_ns[row + 1] - track.stamp_ns[row])
+    return track.value[row, 0] + share * (track.value[row + 1, 0] - track.value[row, 0])
+
+
+@njit(cache=True, nogil=True)
+def observe(covariance, rows, residual, variance, gain, gate, correction):
+    """One linear measurement: rows . error = residual + noise; changes covariance, adds to correction.
+
+    rows   (16,) float64     gain   (16,) float64   scratch
+    gate   chi2 beyond which the noise is widened until the innovation fits: a Huber weight; [6]
+    The pose is one, so its error against the first scan moves as that against the local map does, and its
+    covariance follows by Joseph's form; [7].
+    """
+    projected = np.zeros(STATES)
+    for j in range(STATES):
+        if rows[j] != 0.0:
+            for i in range(STATES):
+                projected[i] += covariance[i, j] * rows[j]
+    expected = 0.0
+    innovation = residual
+    for j in range(STATES):
+        expected += rows[j] * projected[j]
+        innovation -= rows[j] * correction[j]
+    total = expected + variance
+    chi2 = innovation * innovation / total
+    if chi2 > gate:
+        # Huber: variance grows so that the weight falls with 1 / |innovation| beyond the gate
+        total = expected + variance * chi2 / gate
+    for i in range(STATES):
+        gain[i] = projected[i] / total
+    for i in range(3):
+        gain[MAP + i] = gain[LOCAL + i]
+    for i in range(STATES):
+        correction[i] += gain[i] * innovation
+        for j in range(i + 1):
+            covariance[i, j] += (
+                total * gain[i] * gain[j] - gain[i] * projected[j] - projected[i] * gain[j]
+            )
+            covariance[j, i] = covariance[i, j]
+    return chi2
+
+
+@njit(cache=True, nogil=True)
+def predict_motion(state, odometry, gyro, stamp_ns, settings):
+    """Go on to the moment of a scan: white-noise acceleration, then odometry and gyro as measurements.
+
+    state      Filter           in and out
+    odometry   Track
+    gyro       Track
+    stamp_ns   int
+    settings   MotionSettings
+    """
+    P = state.covariance
+    last_ns = state.stamp_ns[0]
+    dt = (stamp_ns - last_ns) * 1e-9
+    state.said[:] = 0.0
+    if dt <= 0.0:
+        return
+    step = np.empty(3)
+    exponential(dt * state.twist[0], dt * state.twist[1], dt * state.twist[2], step)
+    # [3] the step's error is that of the twist over dt, and what acceleration adds to both
+    for i in range(3):
+        for j in range(STATES):
+            P[STEP + i, j] = dt * P[TWIST + i, j]
+    for i in range(3):
+        for j in range(STATES):
+            if j < STEP or j >= TWIST:
+                P[j, STEP + i] = P[STEP + i, j]
+    for i in range(3):
+        for j in range(3):
+            P[STEP + i, STEP + j] = dt * dt * P[TWIST + i, TWIST + j]
+    for i in range(3):
+        q = settings.acceleration**2 if i < 2 else settings.turn_acceleration**2
+        P[STEP + i, STEP + i] += q * dt * dt * dt / 3.0
+        P[STEP + i, TWIST + i] += q * dt * dt / 2.0
+        P[TWIST + i, STEP + i] += q * dt * dt / 2.0
+        P[TWIST + i, TWIST + i] += q * dt
+    correction = np.zeros(STATES)
+    gain = np.empty(STATES)
+    rows = np.zeros(STATES)
+    off = np.empty(3)
+
+    if gyro.span[1] - gyro.span[0] >= 2 and gyro.stamp_ns[gyro.span[1] - 1] > last_ns:
+        turn = turned_to(gyro, stamp_ns) - turned_to(gyro, last_ns)
+        beyond_s = max(0.0, (stamp_ns - gyro.stamp_ns[gyro.span[1] - 1]) * 1e-9)
+        variance = settings.gyro_walk**2 * dt + settings.turn_acceleration**2 * beyond_s**3 / 3.0
+        variance += (GYRO_SCALE * turn) ** 2
+        if gyro.stamp_ns[gyro.span[0]] > last_ns:
+            variance += math.pi
+        rows[:] = 0.0
+        rows[STEP + 2] = 1.0
+        rows[BIAS] = dt
+        residual = turn - state.learnt[3] * dt - step[2]
+        state.said[6] = turn - state.learnt[3] * dt
+        state.said[7] = variance + dt * dt * P[BIAS, BIAS]
+        observe(P, rows, residual, variance * state.gyro_noise[0], gain, GATE_CHI2_GYRO, correction)
+
+    lag_ns = np.int64(round(state.learnt[2] * 1e9))
+    count = odometry.span[1] - odometry.span[0]
+    if (
+        count >= 2
+        and odometry.stamp_ns[odometry.span[1] - 1] > last_ns + lag_ns
+        and odometry.stamp_ns[odometry.span[0]] <= last_ns + lag_ns + GRACE_NS
+    ):
+        before = np.empty(3)
+        after = np.empty(3)
+        twist_before = np.empty(3)
+        twist_after = np.empty(3)
+        own0, own_turn0, since0, gap0 = odometry_at(
+            odometry, last_ns + lag_ns, settings, before, twist_before
+        )
+        own1, own_turn1, since1, gap1 = odometry_at(odometry, stamp_ns + lag_ns, settings, after, twist_after)
+        mean_twist(odometry, last_ns + lag_ns, settings, twist_before)
+        mean_twist(odometry, stamp_ns + lag_ns, settings, twist_after)
+        way = np.empty(3)
+        between(before, after, way)
+        d = math.hypot(way[0], way[1])
+        a = abs(way[2])
+        bridged = bridge_s3(since0, gap0) + bridge_s3(since1, gap1)
+        scale = 1.0 + state.learnt[0]
+        turn_scale = 1.0 + state.learnt[1]
+        log_way = np.empty(3)
+        logarithm(way, log_way)
+        exponential(scale * log_way[0], scale * log_way[1], turn_scale * log_way[2], way)
+        late_m = settings.jitter_s * math.hypot(
+            twist_after[0] - twist_before[0], twist_after[1] - twist_before[1]
+        )
+        late_rad = settings.jitter_s * (twist_after[2] - twist_before[2])
+        square_m2 = settings.position_walk**2 * d + settings.resolution_m**2
+        square_m2 += settings.acceleration**2 * bridged + late_m**2
+        square_rad2 = settings.heading_walk**2 * d + settings.turn_walk**2 * a + settings.resolution_rad**2
+        square_rad2 += settings.turn_acceleration**2 * bridged + late_rad**2
+        square_m2 = max(square_m2, 0.5 * (own1 - own0))  # the device's own, where it grows
+        square_rad2 = max(square_rad2, own_turn1 - own_turn0)
+        for i in range(3):
+            state.said[i] = way[i]
+        state.said[3] = 1.0
+        state.said[4] = square_m2
+        state.said[5] = square_rad2
+        between(step, way, off)
+        # [5] heading first: what it says of the step's direction is then part of the position's innovation
+        for axis in range(2, -1, -1):
+            rows[:] = 0.0
+            rows[STEP + axis] = 1.0
+            if axis < 2:
+                rows[SCALE] = -step[axis]
+                rows[LAG] = -(twist_after[axis] - twist_before[axis])
+                variance = square_m2 * state.noise[0]
+            else:
+                rows[TURN_SCALE] = -step[2]
+                rows[LAG] = -(twist_after[2] - twist_before[2])
+                variance = square_rad2 * state.noise[1]
+            observe(P, rows, off[axis], variance, gain, GATE_CHI2, correction)
+    add_to_state(state, step, correction)
+    carry(P, step)
+    state.stamp_ns[0] = stamp_ns
+
+
+@njit(cache=True, nogil=True)
+def add_to_state(state, step, correction):
+    """Put a correction of a prediction into step, twist and what is learnt, and go on by the step."""
+    moved = np.empty(3)
+    exponential(correction[STEP], correction[STEP + 1], correction[STEP + 2], moved)
+    compose(step, moved, step)
+    for i in range(3):
+        state.twist[i] += correction[TWIST + i]
+    for i in range(4):
+        state.learnt[i] += correction[SCALE + i]
+    exponential(correction[LOCAL], correction[LOCAL + 1], correction[LOCAL + 2], moved)
+    compose(state.pose, moved, state.pose)
+    compose(state.pose, step, state.pose)
+
+
+@njit(cache=True, nogil=True)
+def carry(P, step):
+    """Errors of the pose in axes of the new base, with that of the step; [4]. The step's rows are cleared."""
+    c = math.cos(step[2])
+    s = math.sin(step[2])
+    F = np.zeros((6, STATES))
+    for block in range(2):
+        k = 3 * block
+        F[k, k] = c
+        F[k, k + 1] = s
+        F[k, k + 2] = s * step[0] - c * step[1]
+        F[k + 1, k] = -s
+        F[k + 1, k + 1] = c
+        F[k + 1, k + 2] = c * step[0] + s * step[1]
+        F[k + 2, k + 2] = 1.0
+        for i in range(3):
+            F[k + i, STEP + i] = 1.0
+    carried = np.zeros((6, STATES))
+    for i in range(6):
+        for m in range(9):
+            f = F[i, m]
+            if f != 0.0:
+                for j in range(STATES):
+                    carried[i, j] += f * P[m, j]
+    square = np.zeros((6, 6))
+    for i in range(6):
+        for j in range(6):
+            total = 0.0
+            for m in range(9):
+                total += carried[i, m] * F[j, m]
+            square[i, j] = total
+    for i in range(6):
+        for j in range(TWIST, STATES):
+            P[i, j] = carried[i, j]
+            P[j, i] = carried[i, j]
+        for j in range(6):
+            P[i, j] = square[i, j]
+    for i in range(3):
+        for j in range(STATES):
+            P[STEP + i, j] = 0.0
+            P[j, STEP + i] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def correct_motion(state, pose, local_covariance, prior_weight):
+    """Take in where a scan puts the base, and how well it is then known against the local map; [9], [10].
+
+    state              Filter           in and out
+    pose               (3,)   float64   base in odom, prediction and scan together
+    local_covariance   (3, 3) float64   of it
+    prior_weight       float            that the prediction had beside the scan; below 1 its error was larger
+                                        than believed
+    Everything else moves by what it has in common with the pose.
+    """
+    P = state.covariance
+    prior = P[LOCAL : LOCAL + 3, LOCAL : LOCAL + 3].copy()
+    if prior_weight < 1.0:
+        for i in range(3):
+            for j in range(3):
+                more = (1.0 / prior_weight - 1.0) * prior[i, j]
+                prior[i, j] += more
+                P[LOCAL + i, LOCAL + j] += more
+                P[MAP + i, MAP + j] += more
+                P[LOCAL + i, MAP + j] += more
+                P[MAP + i, LOCAL + j] += more
+    inverse = np.zeros((3, 3))
+    if not invert_3x3(prior, inverse):
+        return False
+    moved = np.empty(3)
+    between(state.pose, pose, moved)
+    logarithm(moved, moved)
+    gain = np.zeros((STATES, 3))
+    for i in range(STATES):
+        for j in range(3):
+            for k in range(3):
+                gain[i, j] += P[i, LOCAL + k] * inverse[k, j]
+    lost = prior - local_covariance
+    correction = np.zeros(STATES)
+    for i in range(STATES):
+        for j in range(3):
+            correction[i] += gain[i, j] * moved[j]
+    used = gain.copy()  # the pose is one: its error against the first scan moves as that against the map
+    for i in range(3):
+        for j in range(3):
+            used[MAP + i, j] = 1.0 if i == j else 0.0
+    taken = np.zeros((STATES, 3))
+    spent = np.zeros((STATES, 3))
+    for i in range(STATES):
+        for j in range(3):
+            for k in range(3):
+                taken[i, j] += used[i, k] * lost[k, j]
+                spent[i, j] += gain[i, k] * lost[k, j]
+    for i in range(STATES):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(3):
+                total += taken[i, k] * (gain[j, k] - used[j, k]) + spent[i, k] * used[j, k]
+            P[i, j] -= total
+            P[j, i] = P[i, j]
+    for i in range(3):
+        state.twist[i] += correction[TWIST + i]
+        state.pose[i] = pose[i]
+    for i in range(4):
+        state.learnt[i] += correction[SCALE + i]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def lay_into_map(P, kept):
+    """What a scan adds to the local map carries the pose's error into it: less of it is left against it; [11].
+
+    kept   float   share of the error that is left, 0..1
+    """
+    for i in range(3):
+        for j in range(STATES):
+            P[LOCAL + i, j] *= kept
+    for i in range(3):
+        for j in range(STATES):
+            P[j, LOCAL + i] *= kept
+
+
+@njit(cache=True, nogil=True)
+def begin_twist(track, stamp_ns, settings, twist):
+    """Speed (3,) that odometry gives at the first scan."""
+    pose = np.empty(3)
+    odometry_at(track, stamp_ns, settings, pose, twist)
