@@ -38,6 +38,7 @@ class MatchSettings(NamedTuple):
 
     range_sigma_m: float
     wall_sigma_m: float
+    repeats: float
     cauchy_m: float
     least_normal_cosine: float
     iterations: int
@@ -72,7 +73,7 @@ def point_information(weight, count, beside, settings):
     """
     square = settings.range_sigma_m * settings.range_sigma_m
     wall = settings.wall_sigma_m * settings.wall_sigma_m
-    return 1.0 / (square / weight + beside * (square / count + wall))
+    return 1.0 / (square / weight + beside * settings.repeats * (square / count + wall))
 
 
 @njit(cache=True, nogil=True)

@@ -28,13 +28,13 @@ class NormalsConfig(BaseModel):
 
     beams_each_side: int = Field(default=4, ge=1, le=32)  # at least, if they hang together
     most_beams_each_side: int = Field(default=32, ge=1, le=128)
-    angle_sigma_rad: float = Field(default=0.05, gt=0.0)
+    angle_sigma_rad: float = Field(default=0.1, gt=0.0)
     gap_m: float = Field(default=0.06, gt=0.0)
     gap_steps: float = Field(default=5.0, ge=0.0)  # in distances between neighbouring beams at that range
     thick_sigmas: float = Field(default=2.0, gt=0.0)
     most_angle_rad: float = Field(default=0.1, gt=0.0)
     least_cos_incidence: float = Field(default=0.05, ge=0.0, lt=1.0)
-    rough_weight: float = Field(default=0.2, ge=0.0, le=1.0)
+    rough_weight: float = Field(default=0.01, ge=0.0, le=1.0)
     grazing_weight: float = Field(default=5.0, ge=1.0)  # of a beam along a wall, where one head-on has 1
 
     def settings(self) -> NormalSettings:
@@ -52,7 +52,7 @@ class SubmapsConfig(BaseModel):
     spacing_m: float = Field(default=20.0, gt=0.0)  # a new sub-map each time so far was travelled
     keyframe_distance_m: float = Field(default=0.05, gt=0.0)
     keyframe_turn_rad: float = Field(default=0.05, gt=0.0)
-    memory_m: float = Field(default=5.0, gt=0.0)
+    memory_m: float = Field(default=0.3, gt=0.0)
     first_scans: int = Field(default=25, ge=1)  # all of the first ones of a map are taken, even standing
     count_limit: int = Field(default=1000, ge=2)
     field_sigma_m: float = Field(default=0.15, gt=0.0)

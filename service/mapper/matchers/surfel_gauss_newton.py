@@ -23,7 +23,7 @@ class SurfelMatcherConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     wall_sigma_m: float = Field(default=0.004, gt=0.0)
-    same_wall_m: float = Field(default=1.0, gt=0.0)
+    same_wall_m: float = Field(default=0.05, gt=0.0)
     most_repeats: float = Field(default=100.0, ge=1.0)
     cauchy_m: float = Field(default=0.10, gt=0.0)
     least_normal_cosine: float = Field(default=0.6, ge=-1.0, lt=1.0)
@@ -84,6 +84,7 @@ class SurfelGaussNewton:
         self._settings = MatchSettings(
             0.01,
             config.wall_sigma_m,
+            1.0,
             config.cauchy_m,
             config.least_normal_cosine,
             config.iterations,
@@ -141,7 +142,7 @@ class SurfelGaussNewton:
             submap.grid(),
             self._settings._replace(
                 range_sigma_m=points.range_sigma_m,
-                wall_sigma_m=self._config.wall_sigma_m * self._repeats(attempt.predicted),
+                repeats=self._repeats(attempt.predicted),
             ),
             self._config.doubt_ratio * self._usual_share,
             xy_base,
@@ -149,9 +150,9 @@ class SurfelGaussNewton:
         return _Laid(result, xy_base, submap)
 
     def _repeats(self, predicted: Prediction) -> float:
-        """Root of how many scans in a row see the same errors of the map."""
+        """How many scans in a row see the same errors of the map."""
         apart_m = max(predicted.travel_m, self._config.same_wall_m / self._config.most_repeats)
-        return math.sqrt(max(1.0, self._config.same_wall_m / apart_m))
+        return max(1.0, self._config.same_wall_m / apart_m)
 
     def _fits(self, laid: _Laid, attempt: _Attempt) -> bool:
         return self._judge(laid.result, attempt)[0] != "lost"
