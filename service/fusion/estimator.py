@@ -26,8 +26,10 @@ from service.kernels.estimator import (
     MotionSettings,
     Track,
     begin_twist,
+    begin_window,
     correct_motion,
     lay_into_map,
+    learn_noise,
     predict_motion,
 )
 
@@ -129,6 +131,8 @@ class Estimator:
             noise=np.ones(2),
             gyro_noise=np.ones(1),
             said=np.zeros(8),
+            last_odom=np.zeros(8),
+            window=np.zeros(14),
         )
         self._has_begun = False
         self._elapsed_s = 0.0
@@ -182,6 +186,7 @@ class Estimator:
                 measured.covariance,
                 measured.prior_weight,
             )
+            learn_noise(state, measured.information)
         return Motion(
             SE2(*state.pose.tolist()), self._twist(), state.covariance[MAP_BLOCK, MAP_BLOCK].copy()
         )
@@ -192,6 +197,7 @@ class Estimator:
     def _begin(self, stamp_ns: int) -> None:
         self._filter.stamp_ns[0] = stamp_ns
         self._elapsed_s = 0.0
+        begin_window(self._filter)
         track = self._odometry.track
         if self._odometry.last is None or track.span[1] - track.span[0] < 2:
             return

@@ -26,6 +26,9 @@ from numba import njit
 from service.kernels.pose_information import invert_3x3, wrap
 
 MAP, LOCAL, STEP, TWIST, SCALE, TURN_SCALE, LAG, BIAS, STATES = 0, 3, 6, 9, 12, 13, 14, 15, 16
+NOISE_WINDOWS = 10.0  # over which the noise of a source is learnt
+WINDOW_M, WINDOW_S = 0.3, 1.0  # a radian counts as a metre
+LEAST_NOISE, MOST_NOISE = 0.25, 1e6
 LAG_WINDOW_NS = 200_000_000
 GYRO_SCALE = 0.005  # error of the gyro's scale
 GRACE_NS = 50_000_000  # odometry may begin so much later than the last scan
@@ -74,6 +77,11 @@ class Filter(NamedTuple):
     gyro_noise  (1,)     float64   the same of the gyro
     said        (8,)     float64   odometry's step (3) and whether there was one; its variances (2);
                                    gyro's turn less bias, its variance (0: there was none)
+    last_odom   (8,)     float64   odometry at the newest pose: pose (3), mean speed up to then (3), lag in s that
+                                   they were taken with, whether there was one
+    window      (14,)    float64   since sources were judged last: pose then (3); step that odometry said (3),
+                                   its variances (2), whether it always said one; turn that the gyro said, its
+                                   variance, whether it always did; way in m, time in s
     """
 
     stamp_ns: npt.NDArray[np.int64]
@@ -84,6 +92,8 @@ class Filter(NamedTuple):
     noise: npt.NDArray[np.float64]
     gyro_noise: npt.NDArray[np.float64]
     said: npt.NDArray[np.float64]
+    last_odom: npt.NDArray[np.float64]
+    window: npt.NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True)
@@ -316,82 +326,110 @@ def predict_motion(state, odometry, gyro, stamp_ns, settings):
     correction = np.zeros(STATES)
     gain = np.empty(STATES)
     rows = np.zeros(STATES)
-    off = np.empty(3)
-
-    if gyro.span[1] - gyro.span[0] >= 2 and gyro.stamp_ns[gyro.span[1] - 1] > last_ns:
-        turn = turned_to(gyro, stamp_ns) - turned_to(gyro, last_ns)
-        beyond_s = max(0.0, (stamp_ns - gyro.stamp_ns[gyro.span[1] - 1]) * 1e-9)
-        variance = settings.gyro_walk**2 * dt + settings.turn_acceleration**2 * beyond_s**3 / 3.0
-        variance += (GYRO_SCALE * turn) ** 2
-        if gyro.stamp_ns[gyro.span[0]] > last_ns:
-            variance += math.pi
-        rows[:] = 0.0
+    turn = np.empty(2)
+    guessed = step.copy()
+    twists = np.empty((2, 3))
+    knows_turn = gyro_turn(gyro, last_ns, stamp_ns, settings, turn)
+    knows_way = odometry_step(state, odometry, last_ns, stamp_ns, settings, twists)
+    if knows_way:
+        # errors are counted from what odometry said: over a long gap the last speed is far from anything
+        for i in range(3):
+            step[i] = state.said[i]
+        off = np.empty(3)
+        between(step, guessed, off)
+        for i in range(3):
+            correction[STEP + i] = off[i]
+    if knows_turn:
+        state.said[6] = turn[0] - state.learnt[3] * dt
+        state.said[7] = turn[1]
         rows[STEP + 2] = 1.0
         rows[BIAS] = dt
-        residual = turn - state.learnt[3] * dt - step[2]
-        state.said[6] = turn - state.learnt[3] * dt
-        state.said[7] = variance + dt * dt * P[BIAS, BIAS]
-        observe(P, rows, residual, variance * state.gyro_noise[0], gain, GATE_CHI2_GYRO, correction)
-
-    lag_ns = np.int64(round(state.learnt[2] * 1e9))
-    count = odometry.span[1] - odometry.span[0]
-    if (
-        count >= 2
-        and odometry.stamp_ns[odometry.span[1] - 1] > last_ns + lag_ns
-        and odometry.stamp_ns[odometry.span[0]] <= last_ns + lag_ns + GRACE_NS
-    ):
-        before = np.empty(3)
-        after = np.empty(3)
-        twist_before = np.empty(3)
-        twist_after = np.empty(3)
-        own0, own_turn0, since0, gap0 = odometry_at(
-            odometry, last_ns + lag_ns, settings, before, twist_before
-        )
-        own1, own_turn1, since1, gap1 = odometry_at(odometry, stamp_ns + lag_ns, settings, after, twist_after)
-        mean_twist(odometry, last_ns + lag_ns, settings, twist_before)
-        mean_twist(odometry, stamp_ns + lag_ns, settings, twist_after)
-        way = np.empty(3)
-        between(before, after, way)
-        d = math.hypot(way[0], way[1])
-        a = abs(way[2])
-        bridged = bridge_s3(since0, gap0) + bridge_s3(since1, gap1)
-        scale = 1.0 + state.learnt[0]
-        turn_scale = 1.0 + state.learnt[1]
-        log_way = np.empty(3)
-        logarithm(way, log_way)
-        exponential(scale * log_way[0], scale * log_way[1], turn_scale * log_way[2], way)
-        late_m = settings.jitter_s * math.hypot(
-            twist_after[0] - twist_before[0], twist_after[1] - twist_before[1]
-        )
-        late_rad = settings.jitter_s * (twist_after[2] - twist_before[2])
-        square_m2 = settings.position_walk**2 * d + settings.resolution_m**2
-        square_m2 += settings.acceleration**2 * bridged + late_m**2
-        square_rad2 = settings.heading_walk**2 * d + settings.turn_walk**2 * a + settings.resolution_rad**2
-        square_rad2 += settings.turn_acceleration**2 * bridged + late_rad**2
-        square_m2 = max(square_m2, 0.5 * (own1 - own0))  # the device's own, where it grows
-        square_rad2 = max(square_rad2, own_turn1 - own_turn0)
-        for i in range(3):
-            state.said[i] = way[i]
-        state.said[3] = 1.0
-        state.said[4] = square_m2
-        state.said[5] = square_rad2
-        between(step, way, off)
-        # [5] heading first: what it says of the step's direction is then part of the position's innovation
+        residual = wrap(state.said[6] - step[2])
+        observe(P, rows, residual, turn[1] * state.gyro_noise[0], gain, GATE_CHI2_GYRO, correction)
+    if knows_way:
         for axis in range(2, -1, -1):
             rows[:] = 0.0
             rows[STEP + axis] = 1.0
-            if axis < 2:
-                rows[SCALE] = -step[axis]
-                rows[LAG] = -(twist_after[axis] - twist_before[axis])
-                variance = square_m2 * state.noise[0]
-            else:
-                rows[TURN_SCALE] = -step[2]
-                rows[LAG] = -(twist_after[2] - twist_before[2])
-                variance = square_rad2 * state.noise[1]
-            observe(P, rows, off[axis], variance, gain, GATE_CHI2, correction)
+            rows[SCALE if axis < 2 else TURN_SCALE] = -guessed[axis] if dt < 1.0 else -step[axis]
+            rows[LAG] = -(twists[1, axis] - twists[0, axis])
+            variance = state.said[4] * state.noise[0] if axis < 2 else state.said[5] * state.noise[1]
+            observe(P, rows, 0.0, variance, gain, GATE_CHI2, correction)
     add_to_state(state, step, correction)
     carry(P, step)
+    widen_window(state, math.hypot(step[0], step[1]) + abs(step[2]), dt)
     state.stamp_ns[0] = stamp_ns
+
+
+@njit(cache=True, nogil=True)
+def gyro_turn(gyro, last_ns, stamp_ns, settings, turn):
+    """Turn in rad and its variance, turn (2,), that the gyro said; False where it was silent."""
+    first = gyro.span[0]
+    end = gyro.span[1]
+    if end - first < 2 or gyro.stamp_ns[end - 1] <= last_ns or gyro.stamp_ns[first] > last_ns + GRACE_NS:
+        return False
+    dt = (stamp_ns - last_ns) * 1e-9
+    turn[0] = turned_to(gyro, stamp_ns) - turned_to(gyro, last_ns)
+    beyond_s = max(0.0, (stamp_ns - gyro.stamp_ns[end - 1]) * 1e-9)
+    turn[1] = settings.gyro_walk**2 * dt + (GYRO_SCALE * turn[0]) ** 2
+    turn[1] += settings.turn_acceleration**2 * beyond_s**3 / 3.0
+    return True
+
+
+@njit(cache=True, nogil=True)
+def odometry_step(state, odometry, last_ns, stamp_ns, settings, twists):
+    """What odometry said of the way between two moments, into state.said; False where it was silent; [5].
+
+    twists   (2, 3) float64   out: mean speeds at both moments, which a lag of its stamps is multiplied by
+    """
+    lag_ns = np.int64(round(state.learnt[2] * 1e9))
+    first = odometry.span[0]
+    end = odometry.span[1]
+    if (
+        end - first < 2
+        or odometry.stamp_ns[end - 1] <= last_ns + lag_ns
+        or odometry.stamp_ns[first] > last_ns + lag_ns + GRACE_NS
+    ):
+        state.last_odom[7] = 0.0
+        return False
+    before = np.empty(3)
+    after = np.empty(3)
+    scratch = np.empty(3)
+    own0, own_turn0, since0, gap0 = odometry_at(odometry, last_ns + lag_ns, settings, before, scratch)
+    own1, own_turn1, since1, gap1 = odometry_at(odometry, stamp_ns + lag_ns, settings, after, scratch)
+    mean_twist(odometry, last_ns + lag_ns, settings, twists[0])
+    mean_twist(odometry, stamp_ns + lag_ns, settings, twists[1])
+    way = np.empty(3)
+    last = state.last_odom
+    if last[7] > 0.0:
+        # on from the pose that was used last, guessed or not: steps then add up to what odometry says
+        odometry_at(odometry, last_ns + np.int64(round(last[6] * 1e9)), settings, way, scratch)
+        between(way, before, way)
+        compose(last[:3], way, before)
+        for i in range(3):
+            twists[0, i] = last[3 + i]
+    for i in range(3):
+        last[i] = after[i]
+        last[3 + i] = twists[1, i]
+    last[6] = lag_ns * 1e-9
+    last[7] = 1.0
+    between(before, after, way)
+    logarithm(way, scratch)
+    scale = 1.0 + state.learnt[0]
+    exponential(scale * scratch[0], scale * scratch[1], (1.0 + state.learnt[1]) * scratch[2], way)
+    d = math.hypot(way[0], way[1])
+    bridged = bridge_s3(since0, gap0) + bridge_s3(since1, gap1)
+    late_m = settings.jitter_s * math.hypot(twists[1, 0] - twists[0, 0], twists[1, 1] - twists[0, 1])
+    late_rad = settings.jitter_s * (twists[1, 2] - twists[0, 2])
+    square_m2 = settings.position_walk**2 * d + settings.resolution_m**2
+    square_m2 += settings.acceleration**2 * bridged + late_m**2
+    square_rad2 = settings.heading_walk**2 * d + settings.turn_walk**2 * abs(way[2])
+    square_rad2 += settings.resolution_rad**2 + settings.turn_acceleration**2 * bridged + late_rad**2
+    for i in range(3):
+        state.said[i] = way[i]
+    state.said[3] = 1.0
+    state.said[4] = max(square_m2, 0.5 * (own1 - own0))  # the device's own, where it grows
+    state.said[5] = max(square_rad2, own_turn1 - own_turn0)
+    return True
 
 
 @njit(cache=True, nogil=True)
@@ -535,3 +573,91 @@ def begin_twist(track, stamp_ns, settings, twist):
     """Speed (3,) that odometry gives at the first scan."""
     pose = np.empty(3)
     odometry_at(track, stamp_ns, settings, pose, twist)
+
+
+@njit(cache=True, nogil=True)
+def widen_window(state, travel_m, dt):
+    """Add what the sources said of the last step to the window that they are judged over."""
+    w = state.window
+    if state.said[3] > 0.0:
+        compose(w[3:6], state.said[:3], w[3:6])
+        w[6] += state.said[4] + w[7] * (state.said[0] ** 2 + state.said[1] ** 2)
+        w[7] += state.said[5]
+    else:
+        w[8] = 0.0
+    if state.said[7] > 0.0:
+        w[9] += state.said[6]
+        w[10] += state.said[7]
+    else:
+        w[11] = 0.0
+    w[12] += travel_m
+    w[13] += dt
+
+
+@njit(cache=True, nogil=True)
+def begin_window(state):
+    state.window[:] = 0.0
+    for i in range(3):
+        state.window[i] = state.pose[i]
+    state.window[8] = state.window[11] = 1.0
+
+
+@njit(cache=True, nogil=True)
+def learn_noise(state, information):
+    """Hold what odometry and gyro said over a window against what scans say of it; [11].
+
+    The mean of squared innovations, less what the scan does not know, over the variance of the model is how
+    many times that variance is. It is learnt by as much as the scan knows better than the source.
+
+    state         Filter           in and out
+    information   (3, 3) float64   of the scan alone, base axes
+    Source: Mehra, On the identification of variances and adaptive Kalman filtering, 1970.
+    """
+    w = state.window
+    if w[12] < WINDOW_M and w[13] < WINDOW_S:
+        return
+    bounded = information.copy()
+    for i in range(3):
+        bounded[i, i] += 1e-6
+    alone = np.zeros((3, 3))
+    if invert_3x3(bounded, alone):
+        step = np.empty(3)
+        between(w[:3], state.pose, step)
+        if w[8] > 0.0:
+            off = np.empty(3)
+            between(w[3:6], step, off)
+            weight = total = 0.0
+            for axis in range(2):
+                known, squared = innovation(off[axis], w[6], state.noise[0], 2.0 * alone[axis, axis])
+                weight += 0.5 * known
+                total += 0.5 * known * squared
+            adapt(state.noise, 0, weight, total)
+            known, squared = innovation(off[2], w[7], state.noise[1], 2.0 * alone[2, 2])
+            adapt(state.noise, 1, known, known * squared)
+        if w[11] > 0.0:
+            known, squared = innovation(
+                wrap(step[2] - w[9]), w[10], state.gyro_noise[0], 2.0 * alone[2, 2]
+            )
+            adapt(state.gyro_noise, 0, known, known * squared)
+    begin_window(state)
+
+
+@njit(cache=True, nogil=True)
+def innovation(off, model, noise, alone):
+    """What a source's innovation says of its noise.
+
+    off     m or rad that the pose, made with the source, is off from what the source said
+    model   variance of the source by its model;   noise   times which it is believed to be
+    alone   variance of the step by the scan alone
+    Returns (weight 0..1 of this sample, squared innovation less the scan's own variance, over the model).
+    """
+    variance = model * noise
+    left_out = off * (variance + alone) / variance  # as if the source had had no say
+    share = model / (model + alone)
+    return share * share, (left_out * left_out - alone) / model
+
+
+@njit(cache=True, nogil=True)
+def adapt(noise, k, weight, total):
+    noise[k] += (total - weight * noise[k]) / NOISE_WINDOWS
+    noise[k] = min(max(noise[k], LEAST_NOISE), MOST_NOISE)
