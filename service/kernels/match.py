@@ -73,7 +73,7 @@ def point_information(weight, count, beside, settings):
     """
     square = settings.range_sigma_m * settings.range_sigma_m
     wall = settings.wall_sigma_m * settings.wall_sigma_m
-    return 1.0 / (square / weight + beside * settings.repeats * (square / count + wall))
+    return 1.0 / (square / weight + beside * (settings.repeats * square / count + wall))
 
 
 @njit(cache=True, nogil=True)
