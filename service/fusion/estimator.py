@@ -1,4 +1,4 @@
-"""The motion model of the profiles: an error-state filter over pose, twist, odometry's errors and gyro bias.
+"""The motion model: an error-state filter over pose, twist, odometry's errors and gyro bias.
 
 The model, its equations and its picture are docs/estimator.md; the arithmetic is service/kernels/estimator.py.
 """
@@ -67,7 +67,9 @@ class _Samples:
     track: Track = field(init=False)
 
     def __post_init__(self) -> None:
-        self.track = Track(np.zeros(CAPACITY, np.int64), np.zeros((CAPACITY, self.width)), np.zeros(2, np.int64))
+        self.track = Track(
+            np.zeros(CAPACITY, np.int64), np.zeros((CAPACITY, self.width)), np.zeros(2, np.int64)
+        )
 
     @property
     def last(self) -> int | None:
@@ -172,24 +174,37 @@ class Estimator:
             local_covariance=local,
             twist_gain=gain,
             elapsed_s=self._elapsed_s,
-            travel_m=math.dist(before[:2], state.pose[:2]) + TURN_M * abs(wrap_angle(state.pose[2] - before[2])),
+            travel_m=math.dist(before[:2], state.pose[:2])
+            + TURN_M * abs(wrap_angle(state.pose[2] - before[2])),
             is_measured=bool(state.said[3]),
         )
 
     def correct(self, measured: Measurement | None) -> Motion:
         state = self._filter
+        if measured is not None and measured.gap is not None:
+            for rows in (LOCAL_BLOCK, MAP_BLOCK):
+                for columns in (LOCAL_BLOCK, MAP_BLOCK):
+                    state.covariance[rows, columns] += measured.gap
         if measured is not None and self._elapsed_s > 0.0:
-            pose = measured.pose_odom_base
+            pose, covariance = measured.pose_odom_base, measured.covariance
+            if not measured.is_joined:
+                pose, covariance = self._joined(measured)
             correct_motion(
                 state,
                 np.array([pose.x_m, pose.y_m, pose.theta_rad]),
-                measured.covariance,
+                covariance,
                 measured.prior_weight,
             )
             learn_noise(state, measured.information)
-        return Motion(
-            SE2(*state.pose.tolist()), self._twist(), state.covariance[MAP_BLOCK, MAP_BLOCK].copy()
-        )
+        return Motion(SE2(*state.pose.tolist()), self._twist(), state.covariance[MAP_BLOCK, MAP_BLOCK].copy())
+
+    def _joined(self, measured: Measurement) -> tuple[SE2, Matrix]:
+        """The mean of the newest prediction and what a scan says alone, and its covariance in base axes."""
+        predicted = SE2(*self._filter.pose.tolist())
+        prior = measured.prior_weight * np.linalg.inv(self._filter.covariance[LOCAL_BLOCK, LOCAL_BLOCK])
+        covariance = np.asarray(np.linalg.inv(prior + measured.information), np.float64)
+        off = (predicted.inverse() @ measured.pose_odom_base).log()
+        return predicted @ SE2.exp(*(covariance @ measured.information @ off).tolist()), covariance
 
     def settle(self, share: float) -> None:
         lay_into_map(self._filter.covariance, share)

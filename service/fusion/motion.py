@@ -18,7 +18,7 @@ class Motion:
 
     pose_odom_base: SE2
     twist_base: tuple[float, float, float]  # m/s forward, m/s left, rad/s
-    covariance: Matrix  # (3, 3) of x, y, theta of the pose against the first scan, base axes; m^2, m rad, rad^2
+    covariance: Matrix  # (3, 3) of x, y, theta against the first scan, base axes; m^2, m rad, rad^2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,6 +31,12 @@ class Prediction(Motion):
     travel_m: float  # since the last scan
     is_measured: bool  # odometry measured the motion since then; else the last speed goes on
 
+    def twist_at(self, pose_odom_base: SE2) -> tuple[float, float, float]:
+        """The twist, were the base at this pose instead: m/s forward, m/s left, rad/s."""
+        off = (self.pose_odom_base.inverse() @ pose_odom_base).log()
+        forward, left, turn = (self.twist_base + self.twist_gain @ off).tolist()
+        return forward, left, turn
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
@@ -41,12 +47,18 @@ class Measurement:
     information       (3, 3) of the scan alone, base axes; zero: nothing was measured, the pose is the
                       prediction
     prior_weight      1, or less where the prediction was so far off that it was believed less
+    gap               (3, 3) how much less the prediction was known than the model says, base axes: the scan
+                      was matched to another piece of the map than those before it; None: not so
+    is_joined         False: pose and covariance are those of the scan alone; the motion model joins them with
+                      its prediction
     """
 
     pose_odom_base: SE2
     covariance: Matrix
     information: Matrix
     prior_weight: float = 1.0
+    gap: Matrix | None = None
+    is_joined: bool = True
 
 
 class MotionModel(Protocol):

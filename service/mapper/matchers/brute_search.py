@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.fusion.motion import Motion, Prediction
+from service.fusion.motion import Measurement, Motion, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.coarse_align import AlignSettings, coarse_align, coarse_normal_equations
 from service.kernels.likelihood import read_field
@@ -42,7 +42,7 @@ class BruteSearchConfig(BaseModel):
 
 
 class BruteSearch:
-    """Matcher[OrthogonalMap]. Says what the scan alone says; whoever predicted makes a mean of both."""
+    """Matcher[OrthogonalMap]. Says what the scan alone says; the motion model makes a mean of both."""
 
     def __init__(self, config: BruteSearchConfig) -> None:
         self._config = config
@@ -50,11 +50,10 @@ class BruteSearch:
     def match(self, points: Points, predicted: Prediction, local_map: OrthogonalMap) -> Match:
         config = self._config
         count = len(points.xy_base)
-        held = Motion(predicted.pose_odom_base, predicted.twist_base, predicted.covariance)
         if count < config.least_points:
-            return Match(held, points, 0.0, "lost", self._too_few(points))
+            return Match(predicted, points, 0.0, "lost", self._too_few(points))
         if local_map.is_empty:
-            return Match(held, points, 1.0)
+            return Match(predicted, points, 1.0)
         window_m, window_rad = self._window(predicted)
         begin = local_map.pose_axes_odom @ predicted.pose_odom_base
         pose = np.array([begin.x_m, begin.y_m, begin.theta_rad])
@@ -75,8 +74,11 @@ class BruteSearch:
         matched = local_map.pose_axes_odom.inverse() @ SE2(x_m, y_m, theta_rad)
         state, reason = self._judge(share, count, covariance)
         if state == "lost":
-            return Match(held, points, share, state, reason)
-        return Match(Motion(matched, predicted.twist_base, covariance), points, share, state, reason)
+            return Match(predicted, points, share, state, reason)
+        information = np.asarray(np.linalg.inv(covariance), np.float64)
+        measured = Measurement(matched, covariance, information, is_joined=False)
+        motion = Motion(matched, predicted.twist_base, covariance)
+        return Match(motion, points, share, state, reason, measured=measured)
 
     def _search(
         self, xy_base: Array, pose: Array, local_map: OrthogonalMap, window_m: float, window_rad: float
@@ -107,7 +109,7 @@ class BruteSearch:
 
     def _window(self, predicted: Prediction) -> tuple[float, float]:
         config = self._config
-        variances = np.diag(predicted.covariance)
+        variances = np.diag(predicted.local_covariance)
         position_m = config.window_sigmas * math.sqrt(float(variances[:2].max()))
         heading_rad = config.window_sigmas * math.sqrt(float(variances[2]))
         return (

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.fusion.motion import Motion, Prediction
+from service.fusion.motion import Measurement, Motion, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.contour_blur import LikelihoodLevel
 from service.kernels.deskew import Returns, deskew_points
@@ -81,7 +81,7 @@ class ContourLmConfig(BaseModel):
 
 
 class ContourLm:
-    """Matcher[ContourMap]. Says what the scan alone says; whoever predicted makes a mean of both."""
+    """Matcher[ContourMap]. The motion model makes a mean with the prediction where the cost did not."""
 
     def __init__(self, config: ContourLmConfig) -> None:
         self._config = config
@@ -94,12 +94,10 @@ class ContourLm:
 
     def match(self, points: Points, predicted: Prediction, local_map: ContourMap) -> Match:
         config = self._config
-        held = Motion(predicted.pose_odom_base, predicted.twist_base, predicted.covariance)
         if len(points.xy_base) < config.least_points:
-            return Match(held, points, 0.0, "lost", self._too_few(points))
+            return Match(predicted, points, 0.0, "lost", self._too_few(points))
         if local_map.is_empty:
-            first = Motion(predicted.pose_odom_base, predicted.twist_base, self._floor)
-            return Match(first, points, 1.0)
+            return Match(predicted, points, 1.0)
         returns = Returns(points.xy_raw, self._beam_times_s(points), points.beam)
         twist = np.array(predicted.twist_base)
         xy_base = points.xy_base.copy()
@@ -113,13 +111,15 @@ class ContourLm:
         read_field(xy_base, 1, pose, level.tiles, level.likelihood, level.cell_m, values)
         share = float((values[:, 0] >= config.on_map_likelihood).mean())
         if share < config.lost_share:
-            return Match(held, points, share, "lost", self._off_the_map(share, len(xy_base), "lost"))
+            return Match(predicted, points, share, "lost", self._off_the_map(share, len(xy_base), "lost"))
         covariance = self._covariance(hessian, pose[2])
         state, reason = self._judge(share, len(xy_base), covariance)
         x_m, y_m, theta_rad = pose.tolist()
         forward, left, turn = twist.tolist()
-        motion = Motion(SE2(x_m, y_m, theta_rad), (forward, left, turn), covariance)
-        return Match(motion, replace(points, xy_base=xy_base), share, state, reason)
+        measured = self._measurement(SE2(x_m, y_m, theta_rad), covariance, predicted)
+        motion = Motion(measured.pose_odom_base, (forward, left, turn), measured.covariance)
+        deskewed = replace(points, xy_base=xy_base)
+        return Match(motion, deskewed, share, state, reason, measured=measured)
 
     def weights_of(self, xy_base: Array, points: Points) -> Array:
         """(N,) weight of each point, 1 in the mean."""
@@ -153,7 +153,7 @@ class ContourLm:
         config = self._config.search
         begin = predicted.pose_odom_base
         pose = np.array([begin.x_m, begin.y_m, begin.theta_rad])
-        sigma = [math.sqrt(float(variance)) for variance in np.diag(predicted.step_covariance)]
+        sigma = [math.sqrt(float(variance)) for variance in np.diag(predicted.local_covariance)]
         window_m = min(config.window_sigmas * max(sigma[:2]), config.most_window_m)
         window_rad = min(config.window_sigmas * sigma[2], config.most_window_rad)
         layer = local_map.search_layer()
@@ -186,11 +186,10 @@ class ContourLm:
         to = predicted.pose_odom_base
         prior_pose = np.array([to.x_m, to.y_m, to.theta_rad])
         information = np.zeros((3, 3))
-        if predicted.elapsed_s > 0.0 and (
-            config.prior == "always" or (config.prior == "wheels" and predicted.is_measured)
-        ):
-            rotate_information(np.linalg.inv(predicted.step_covariance), prior_pose[2], information)
+        if self._has_prior(predicted):
+            rotate_information(np.linalg.inv(predicted.local_covariance), prior_pose[2], information)
         start = to @ SE2.exp(*(-predicted.elapsed_s * rate for rate in predicted.twist_base))
+        twist_gain = min(max(float(predicted.twist_gain[0, 0]) * predicted.elapsed_s, 0.0), 1.0)
         hessian = np.zeros((3, 3))
         for number in reversed(range(local_map.level_count)):
             level = local_map.level(number)
@@ -203,7 +202,7 @@ class ContourLm:
                 information,
                 np.array([start.x_m, start.y_m, start.theta_rad]),
                 predicted.elapsed_s,
-                predicted.twist_gain,
+                twist_gain,
                 1.0 / config.residual_sigma**2,
                 level.tiles,
                 level.likelihood,
@@ -215,6 +214,21 @@ class ContourLm:
                 hessian,
             )
         return hessian
+
+    def _has_prior(self, predicted: Prediction) -> bool:
+        """Whether the prediction has a say in the cost."""
+        prior = self._config.prior
+        return predicted.elapsed_s > 0.0 and (
+            prior == "always" or (prior == "wheels" and predicted.is_measured)
+        )
+
+    def _measurement(self, pose: SE2, covariance: Array, predicted: Prediction) -> Measurement:
+        """covariance: (3, 3) base axes, of the scan alone."""
+        information = np.asarray(np.linalg.inv(covariance), np.float64)
+        if not self._has_prior(predicted):
+            return Measurement(pose, covariance, information, is_joined=False)
+        joined = np.linalg.inv(information + np.linalg.inv(predicted.local_covariance))
+        return Measurement(pose, np.asarray(joined, np.float64), information)
 
     def _keep_likelier(
         self, xy_base: Array, weights: Array, level: LikelihoodLevel, predicted: Array, pose: Array

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.fusion.motion import Prediction
+from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.likelihood_search import (
     LikelihoodLayer,
@@ -53,8 +53,8 @@ class IcpThenSearchConfig(BaseModel):
     degraded_sigma_m: float = Field(default=0.10, gt=0.0)
     least_points: int = Field(default=20, ge=3)
     covariance_scale: float = Field(default=10.0, gt=0.0)
-    floor_position_m: float = Field(default=0.005, ge=0.0)
-    floor_heading_rad: float = Field(default=0.001, ge=0.0)
+    floor_position_m: float = Field(default=0.005, gt=0.0)
+    floor_heading_rad: float = Field(default=0.001, gt=0.0)
 
 
 class IcpThenSearch:
@@ -71,7 +71,7 @@ class IcpThenSearch:
         if len(points.xy_base) < config.least_points:
             return held(points, predicted, too_few(points, config.least_points))
         if local_map.is_empty:
-            match = matched(points, predicted, predicted.pose_odom_base, self._floor(), 1.0)
+            match = Match(predicted, points, 1.0)
         else:
             match = self._search(points, predicted, local_map)
         self._icp.remember(match)
@@ -108,8 +108,9 @@ class IcpThenSearch:
         c, s = math.cos(theta_rad), math.sin(theta_rad)
         base_from_map = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         covariance = base_from_map @ covariance @ base_from_map.T + self._floor()
-        match = matched(points, predicted, SE2(x_m, y_m, wrap_angle(theta_rad)), covariance, share)
-        return replace(match, state=state, reason=reason)
+        information = np.linalg.inv(covariance)
+        measured = Measurement(SE2(x_m, y_m, wrap_angle(theta_rad)), covariance, information, is_joined=False)
+        return replace(matched(points, predicted, measured, share), state=state, reason=reason)
 
     def _widening(self, xy_base: Array, weights: Sums, layer: LikelihoodLayer, begin: SE2) -> SearchResult:
         """Search the window, and one twice as wide while the best candidate lies on the border."""

@@ -3,7 +3,7 @@
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.fusion.motion import Prediction
+from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.line_likelihood import monte_carlo_search
 from service.mapper.maps.patch_map import PatchMap, moved
@@ -33,13 +33,14 @@ class MonteCarloSearch:
         self._noise = np.random.default_rng(config.seed)
         position, heading = config.position_sigma_m**2, config.heading_sigma_rad**2
         self._covariance = np.diag([position, position, heading])
+        self._information = np.linalg.inv(self._covariance)
 
     def match(self, points: Points, predicted: Prediction, local_map: PatchMap) -> Match:
         config = self._config
         if len(points.xy_base) < config.least_points:
             return held(points, predicted, too_few(points, config.least_points))
         if local_map.is_empty:
-            return matched(points, predicted, predicted.pose_odom_base, self._covariance, 1.0)
+            return Match(predicted, points, 1.0)
         begin = predicted.pose_odom_base
         local_map.prepare(moved(points.xy_base, begin), min(1.0, local_map.config.patch_m / 2))
         layer = local_map.fine
@@ -53,4 +54,6 @@ class MonteCarloSearch:
         )
         x_m, y_m, theta_rad = pose.tolist()
         score = float(value) / float(local_map.levels[0])
-        return matched(points, predicted, SE2(x_m, y_m, wrap_angle(theta_rad)), self._covariance, score)
+        pose = SE2(x_m, y_m, wrap_angle(theta_rad))
+        measured = Measurement(pose, self._covariance, self._information, is_joined=False)
+        return matched(points, predicted, measured, score)

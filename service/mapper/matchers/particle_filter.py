@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.fusion.motion import Motion, Prediction
+from service.fusion.motion import Measurement, Motion, Prediction
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.coarse_align import AlignSettings, coarse_align
@@ -45,8 +45,8 @@ class ParticleFilterConfig(BaseModel):
     lost_likelihood: float = Field(default=0.15, ge=0.0, le=1.0)
     degraded_likelihood: float = Field(default=0.30, ge=0.0, le=1.0)
     least_points: int = Field(default=20, ge=3)
-    floor_position_m: float = Field(default=0.006, ge=0.0)
-    floor_heading_rad: float = Field(default=0.0015, ge=0.0)
+    floor_position_m: float = Field(default=0.006, gt=0.0)
+    floor_heading_rad: float = Field(default=0.0015, gt=0.0)
 
 
 class ParticleFilter:
@@ -67,7 +67,7 @@ class ParticleFilter:
         last, self._last = self._last, predicted.pose_odom_base
         if len(points.xy_base) < config.least_points:
             return Match(
-                Motion(predicted.pose_odom_base, predicted.twist_base, predicted.covariance),
+                predicted,
                 points,
                 0.0,
                 "lost",
@@ -75,24 +75,28 @@ class ParticleFilter:
                 f"(at least {config.least_points}); is the window covered, or is there nothing in range?",
             )
         if local_map.is_empty or last is None:
-            return Match(Motion(predicted.pose_odom_base, predicted.twist_base, self._floor), points, 1.0)
+            return Match(predicted, points, 1.0)
         self._sample(predicted, last, local_map)
         likelihood = self._lay_or_search(points, predicted, local_map)
         worth = normalise_weights(local_map.log_weights, local_map.weights)
-        motion = self._mean(predicted, local_map)
+        measured = self._mean(local_map)
         if worth < config.resample_below * len(local_map.particles):
             chosen = np.empty(len(local_map.particles), np.int64)
             resample(local_map.weights, float(self._random.random()), chosen)
             local_map.take_over(chosen)
-        self._last = motion.pose_odom_base
         state, reason = self._judge(likelihood)
-        return Match(motion, points, min(likelihood, 1.0), state, reason)
+        if state == "lost":
+            return Match(predicted, points, min(likelihood, 1.0), state, reason)
+        self._last = measured.pose_odom_base
+        twist = predicted.twist_at(measured.pose_odom_base)
+        motion = Motion(measured.pose_odom_base, twist, measured.covariance)
+        return Match(motion, points, min(likelihood, 1.0), state, reason, measured=measured)
 
     def _sample(self, predicted: Prediction, last: SE2, local_map: CountedSubmaps) -> None:
         """Move each particle by the predicted way and an error of it, drawn anew."""
         step = last.inverse() @ predicted.pose_odom_base
         way = np.array([step.x_m, step.y_m, step.theta_rad])
-        spread = _root(predicted.step_covariance)
+        spread = _root(predicted.local_covariance)
         errors = self._random.standard_normal((len(local_map.particles), 3)) @ spread.T
         for particle, error in zip(local_map.particles, errors, strict=True):
             particle.pose = se2.compose(se2.compose(particle.pose, way), error)
@@ -138,7 +142,7 @@ class ParticleFilter:
     def _lay(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> tuple[float, int]:
         """Lay each particle on its map and weigh it; the mean likelihood of the best, and which it is."""
         config = self._config
-        information = np.linalg.inv(predicted.step_covariance + 1e-12 * np.eye(3))
+        information = np.linalg.inv(predicted.local_covariance + 1e-12 * np.eye(3))
         turned = np.empty((3, 3))
         stride = max(1, len(points.xy_base) // config.align_beams)
         values = np.zeros((len(points.xy_base), 3))
@@ -155,7 +159,8 @@ class ParticleFilter:
         best = int(np.argmax(means))
         return float(means[best]), best
 
-    def _mean(self, predicted: Prediction, local_map: CountedSubmaps) -> Motion:
+    def _mean(self, local_map: CountedSubmaps) -> Measurement:
+        """Prediction and scan together: the particles were drawn from the one and weighed by the other."""
         poses = np.array([particle.pose for particle in local_map.particles])
         weights = local_map.weights
         best = poses[int(np.argmax(weights))]
@@ -169,11 +174,7 @@ class ParticleFilter:
         c, s = math.cos(theta_rad), math.sin(theta_rad)
         turn[:2, :2] = [[c, s], [-s, c]]
         covariance = turn @ spread @ turn.T + self._floor
-        moved = predicted.pose_odom_base.inverse() @ pose
-        gain = predicted.twist_gain / predicted.elapsed_s if predicted.elapsed_s > 0.0 else 0.0
-        forward, left, rate = predicted.twist_base
-        twist = (forward + gain * moved.x_m, left + gain * moved.y_m, rate + gain * moved.theta_rad)
-        return Motion(pose, twist, covariance)
+        return Measurement(pose, covariance, np.linalg.inv(covariance))
 
     def _judge(self, likelihood: float) -> tuple[State, str]:
         config = self._config

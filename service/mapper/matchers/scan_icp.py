@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.fusion.motion import Motion, Prediction
+from service.fusion.motion import Measurement, Motion, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.deskew import deskew_points
 from service.kernels.icp import icp_point_to_point
@@ -65,21 +65,18 @@ class ScanIcp:
         self._last = (match.points.xy_base, match.motion.pose_odom_base)
 
 
-def matched(points: Points, predicted: Prediction, pose: SE2, covariance: Array, score: float) -> Match:
+def matched(points: Points, predicted: Prediction, measured: Measurement, score: float) -> Match:
     """A match that was found: its twist learnt from it, and the points deskewed with that."""
-    off = predicted.pose_odom_base.inverse() @ pose
-    gain = predicted.twist_gain / predicted.elapsed_s if predicted.elapsed_s > 0.0 else 0.0
-    forward, left, turn = predicted.twist_base
-    twist = (forward + gain * off.x_m, left + gain * off.y_m, turn + gain * off.theta_rad)
+    twist = predicted.twist_at(measured.pose_odom_base)
+    motion = Motion(measured.pose_odom_base, twist, measured.covariance)
     xy_base = np.empty_like(points.xy_base)
     deskew_points(points.xy_raw, points.beam_time_s, np.array(twist), xy_base)
-    return Match(Motion(pose, twist, covariance), replace(points, xy_base=xy_base), score)
+    return Match(motion, replace(points, xy_base=xy_base), score, measured=measured)
 
 
 def held(points: Points, predicted: Prediction, reason: str, score: float = 0.0) -> Match:
     """Lost: the pose follows the prediction."""
-    motion = Motion(predicted.pose_odom_base, predicted.twist_base, predicted.covariance)
-    return Match(motion, points, score, "lost", reason)
+    return Match(predicted, points, score, "lost", reason)
 
 
 def too_few(points: Points, least: int) -> str:
@@ -96,29 +93,33 @@ class IcpScanToScanConfig(IcpConfig):
     points: int = Field(default=100_000, ge=20)
     settled: float = Field(default=1e-4, gt=0.0)
     least_points: int = Field(default=20, ge=3)
-    position_sigma_m: float = Field(default=0.02, gt=0.0)  # reported for a step, and added up
+    position_sigma_m: float = Field(default=0.02, gt=0.0)  # of a step
     heading_sigma_rad: float = Field(default=0.01, gt=0.0)
 
 
 class IcpScanToScan:
-    """Matcher[PatchMap] that never looks at the map: what the searches are measured against."""
+    """Matcher[PatchMap] that never looks at the map: what the searches are measured against.
+
+    The prediction is where ICP begins and has no other say, so nothing is left to be joined.
+    """
 
     def __init__(self, config: IcpScanToScanConfig) -> None:
         self._config = config
         self._icp = ScanIcp(config)
         position, heading = config.position_sigma_m**2, config.heading_sigma_rad**2
-        self._step_covariance = np.diag([position, position, heading])
+        self._covariance = np.diag([position, position, heading])
+        self._information = np.linalg.inv(self._covariance)
 
     def match(self, points: Points, predicted: Prediction, local_map: PatchMap) -> Match:
         if len(points.xy_base) < self._config.least_points:
             return held(points, predicted, too_few(points, self._config.least_points))
         pose, rms_m = self._icp.pose(points, predicted)
         if local_map.is_empty:
-            match = matched(points, predicted, pose, self._step_covariance, 1.0)
+            match = Match(predicted, points, 1.0)
         elif math.isinf(rms_m):
             match = held(points, predicted, "the scan has too little in common with the one before")
         else:
-            covariance = predicted.covariance + self._step_covariance
-            match = matched(points, predicted, pose, covariance, 1.0 / (1.0 + rms_m))
+            measured = Measurement(pose, self._covariance, self._information)
+            match = matched(points, predicted, measured, 1.0 / (1.0 + rms_m))
         self._icp.remember(match)
         return match

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from drivers.frames import LaserScan, OdometrySample
-from service.fusion.weighed_motion import MotionConfig, WeighedMotion
+from service.fusion.estimator import Estimator, EstimatorConfig
 from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist
 from service.mapper.filters.keep_all import keep_all
 from service.mapper.graph.no_graph import NoGraph
@@ -20,7 +20,7 @@ from tests.service.mapper.drives import MOUNTING, ROOM, Drive, drive, round_the_
 def mapper(seed: int = 1, particles: int = 8) -> Mapper[CountedSubmaps]:
     return Mapper(
         Stages(
-            motion_model=WeighedMotion(MotionConfig()),
+            motion_model=Estimator(EstimatorConfig()),
             deskew=DeskewByTwist(BeamsConfig(), {"front": MOUNTING}),
             matcher=ParticleFilter(ParticleFilterConfig(seed=seed)),
             local_map=CountedSubmaps(CountedSubmapsConfig(particles=particles, length_m=2.0)),
