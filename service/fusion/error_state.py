@@ -153,20 +153,11 @@ class ErrorStateFilter:
         noise[ATTITUDE + 2] = sigmas[1] ** 2
         self._gather(transition, noise)
 
-    def settle(self) -> Array:
-        """Let the covariance catch up with the steps taken.
-
-        Returns what they alone add to that of the pose: (3, 3) of x, y, yaw of the base, in its own axes.
-        """
-        known = self._kalman.P.copy()
-        for pose in (slice(POSITION, VELOCITY), slice(ATTITUDE, FORCE_BIAS)):
-            known[pose, :] = 0.0
-            known[:, pose] = 0.0
-        added = self._transition @ known @ self._transition.T + self._noise
+    def settle(self) -> None:
+        """Let the covariance catch up with the steps taken."""
         self._kalman.predict(F=self._transition, Q=self._noise)
         self._transition = np.eye(STATES)
         self._noise = np.zeros((STATES, STATES))
-        return self._of_base(added)
 
     def pose_covariance(self) -> Array:
         """(3, 3) of x, y, yaw of the base, in its own axes."""

@@ -9,8 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from drivers.frames import ImuSample, OdometrySample
 from service.fusion.error_state import ErrorStateFilter
 from service.fusion.inertial_track import InertialTrack
-from service.fusion.motion import Motion, Prediction
-from service.fusion.wheel_odometry import OdometryTrack
+from service.fusion.motion import Matrix, Measurement, Motion, Prediction
+from service.fusion.odometry_track import OdometryTrack
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.strapdown import ATTITUDE, FORCE_BIAS, RATE_BIAS, STATES, VELOCITY
 
@@ -18,7 +18,7 @@ Twist = tuple[float, float, float]
 STILL_STEP_NS = 100_000_000  # while standing, the filter is told so at this interval
 STILL_SIGMA = (0.0005, 0.0005, 0.0001)  # m, m, rad: how still it stands
 LEAST_STILL_SAMPLES = 20
-ODOMETRY_MAX_SPEED_MPS, ODOMETRY_MAX_TURN_RADPS = 20.0, 20.0  # faster: a restarted driver
+BLIND_SIGMA = (100.0, 100.0, math.pi)  # m, m, rad: of what a scan says nothing about
 ODOMETRY_MAX_GUESS_S, ODOMETRY_WINDOW_S = 1.0, 0.05
 
 
@@ -47,7 +47,7 @@ class InertialMotionConfig(BaseModel):
     climb_sigma_mps: float = Field(default=0.05, gt=0.0)
 
     wheel_speed_sigma_mps: float = Field(default=0.1, gt=0.0)  # beside an IMU
-    position_sigma_m: float = Field(default=0.02, gt=0.0)  # wheels alone: a + b d + ..., as weighed_motion
+    position_sigma_m: float = Field(default=0.02, gt=0.0)  # wheels alone: + per_m * d
     position_sigma_per_m: float = Field(default=0.10, ge=0.0)
     heading_sigma_rad: float = Field(default=0.02, gt=0.0)
     heading_sigma_per_rad: float = Field(default=0.15, ge=0.0)
@@ -59,20 +59,17 @@ class InertialMotionConfig(BaseModel):
 class InertialMotion:
     """MotionModel. The odom frame is the base at the first scan, levelled."""
 
-    complaint = ""  # the filter weighs by its own covariances
+    fault = ""  # the filter weighs by its own covariances
 
     def __init__(self, config: InertialMotionConfig) -> None:
         self._config = config
         self._track = InertialTrack(config.imu_yaw_rad, config.max_hold_s)
-        self._odometry = OdometryTrack(
-            ODOMETRY_MAX_SPEED_MPS, ODOMETRY_MAX_TURN_RADPS, ODOMETRY_MAX_GUESS_S, ODOMETRY_WINDOW_S
-        )
+        self._odometry = OdometryTrack(ODOMETRY_MAX_GUESS_S, ODOMETRY_WINDOW_S)
         self._filter = self._new_filter()
         self._at_ns: int | None = None  # where the filter stands
         self._matched: tuple[int, SE2] | None = None
         self._turn_radps = 0.0  # between the last two matches
         self._rate = np.zeros(3)  # of the body at the last prediction, bias included
-        self._predicted: Prediction | None = None
 
     def add(self, sample: ImuSample | OdometrySample) -> bool:
         if isinstance(sample, OdometrySample):
@@ -83,55 +80,62 @@ class InertialMotion:
         if self._at_ns is None:
             return self._first(stamp_ns)
         elapsed_s = (stamp_ns - self._at_ns) * 1e-9
+        before = self._filter.pose
         wheels = self._odometry.between(self._at_ns, stamp_ns)
         wheel_twist = self._odometry.twist_at(stamp_ns) if wheels is not None else None
         if self._track.covers(self._at_ns, stamp_ns):
             for step in self._track.steps(self._at_ns, stamp_ns):
                 self._filter.advance(*step)
             self._rate = self._track.rate_at(stamp_ns)
-            added = self._filter.settle()
+            self._filter.settle()
             if wheel_twist is not None:
                 self._filter.observe_speed(wheel_twist[:2], self._rate, self._config.wheel_speed_sigma_mps)
         else:
             self._move(elapsed_s, wheels.motion if wheels is not None else None, wheel_twist)
-            added = self._filter.settle()
+            self._filter.settle()
         self._filter.observe_floor(self._config.floor_sigma_m, self._config.climb_sigma_mps)
-        self._track.use_up(stamp_ns)
-        self._at_ns = stamp_ns
-        self._predicted = Prediction(
-            pose_odom_base=self._filter.pose,
+        self._forget(stamp_ns)
+        pose, covariance = self._filter.pose, self._filter.pose_covariance()
+        return Prediction(
+            pose_odom_base=pose,
             twist_base=self._twist(),
-            covariance=self._filter.pose_covariance(),
-            step_covariance=added,
+            covariance=covariance,
+            local_covariance=covariance,
+            twist_gain=np.zeros((3, 3)),  # the filter learns speed itself
             elapsed_s=elapsed_s,
-            twist_gain=0.0,  # the filter learns speed itself
+            travel_m=math.dist((before.x_m, before.y_m), (pose.x_m, pose.y_m)),
             is_measured=wheels is not None,
         )
-        return self._predicted
 
-    def correct(self, stamp_ns: int, matched: Motion) -> Motion:
-        predicted = self._predicted
-        if predicted is None or matched.pose_odom_base == predicted.pose_odom_base:
-            return matched
-        self._filter.observe_pose(matched.pose_odom_base, matched.covariance)
-        pose = self._filter.pose
-        if self._matched is not None:
-            last_ns, last = self._matched
-            elapsed_s = (stamp_ns - last_ns) * 1e-9
-            self._turn_radps = wrap_angle(pose.theta_rad - last.theta_rad) / elapsed_s
-        self._matched = (stamp_ns, pose)
-        return Motion(pose, self._twist(), self._filter.pose_covariance())
+    def correct(self, measured: Measurement | None) -> Motion:
+        if measured is not None and self._at_ns is not None:
+            self._filter.observe_pose(measured.pose_odom_base, _of_the_scan_alone(measured))
+            pose = self._filter.pose
+            if self._matched is not None and self._matched[0] < self._at_ns:
+                last_ns, last = self._matched
+                elapsed_s = (self._at_ns - last_ns) * 1e-9
+                self._turn_radps = wrap_angle(pose.theta_rad - last.theta_rad) / elapsed_s
+            self._matched = (self._at_ns, pose)
+        return Motion(self._filter.pose, self._twist(), self._filter.pose_covariance())
+
+    def settle(self, share: float) -> None:
+        """The filter has one pose, and its error against the map is its error."""
+
+    def _forget(self, stamp_ns: int) -> None:
+        """Samples from before a scan, and stand where it is."""
+        self._track.use_up(stamp_ns)
+        self._odometry.use_up(stamp_ns)
+        self._at_ns = stamp_ns
 
     def _first(self, stamp_ns: int) -> Prediction:
         self._align(stamp_ns)
         if (twist := self._odometry.twist_at(stamp_ns)) is not None:
             self._filter.velocity_mps = np.array([twist[0], twist[1], 0.0])
-        self._track.use_up(stamp_ns)
-        self._at_ns = stamp_ns
+        self._forget(stamp_ns)
         self._matched = (stamp_ns, SE2())
         nothing = np.zeros((3, 3))
         return Prediction(
-            SE2(), self._twist(), nothing, nothing, elapsed_s=0.0, twist_gain=0.0, is_measured=False
+            SE2(), self._twist(), nothing, nothing, nothing, elapsed_s=0.0, travel_m=0.0, is_measured=False
         )
 
     def _align(self, stamp_ns: int) -> None:
@@ -215,6 +219,13 @@ class InertialMotion:
         sigma[RATE_BIAS:] = config.rate_bias_radps
         new.covariance = np.diag(sigma**2)
         return new
+
+
+def _of_the_scan_alone(measured: Measurement) -> Matrix:
+    """(3, 3) covariance of what a scan says without any prediction, base axes; wide where it says nothing."""
+    if not measured.is_joined:
+        return measured.covariance
+    return np.asarray(np.linalg.inv(measured.information + np.diag(1.0 / np.square(BLIND_SIGMA))), np.float64)
 
 
 def _tilted(roll_rad: float, pitch_rad: float) -> npt.NDArray[np.float64]:

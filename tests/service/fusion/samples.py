@@ -1,9 +1,10 @@
 """Samples for the tests of fusion."""
 
 import numpy as np
+import numpy.typing as npt
 
 from drivers.frames import ImuSample, OdometrySample
-from service.fusion.motion import Motion
+from service.fusion.motion import Measurement
 from service.geometry.se2 import SE2
 
 MS = 1_000_000
@@ -22,5 +23,6 @@ def gyro(stamp_ms: float, rate_radps: float) -> ImuSample:
     return ImuSample("imu", stamp_ns, stamp_ns, (0.0, 0.0, rate_radps), (0.0, 0.0, 9.81))
 
 
-def matched(pose: SE2, twist: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Motion:
-    return Motion(pose, twist, SURE)
+def matched(pose: SE2, covariance: npt.NDArray[np.float64] = SURE) -> Measurement:
+    """What a scan says alone."""
+    return Measurement(pose, covariance, np.linalg.inv(covariance), is_joined=False)

@@ -6,9 +6,9 @@ import pytest
 from drivers.frames import ImuSample
 from service.fusion.inertial_motion import InertialMotion, InertialMotionConfig
 from service.fusion.inertial_track import InertialTrack
-from service.fusion.motion import Motion
+from service.fusion.motion import Measurement
 from service.geometry.se2 import SE2
-from tests.service.fusion.samples import MS, odometry
+from tests.service.fusion.samples import MS, matched, odometry
 
 SURE = np.diag([1e-5, 1e-5, 1e-6])
 NOTHING = (0.0, 0.0, 0.0)
@@ -18,10 +18,6 @@ def imu(stamp_ms, rate=NOTHING, force=(0.0, 0.0, 9.81)) -> ImuSample:
     return ImuSample("imu", round(stamp_ms * MS), round(stamp_ms * MS), rate, force)
 
 
-def matched(pose: SE2) -> Motion:
-    return Motion(pose, NOTHING, SURE)
-
-
 def driven(model: InertialMotion, from_ms: int, to_ms: int, speed_mps: float, with_imu: bool = True) -> None:
     """Straight on at a constant speed, a match every 25 ms."""
     for stamp_ms in range(from_ms, to_ms, 5):
@@ -29,7 +25,7 @@ def driven(model: InertialMotion, from_ms: int, to_ms: int, speed_mps: float, wi
             model.add(imu(stamp_ms))
         if stamp_ms % 25 == 0:
             model.predict(stamp_ms * MS)
-            model.correct(stamp_ms * MS, matched(SE2(speed_mps * stamp_ms * 1e-3, 0.0, 0.0)))
+            model.correct(matched(SE2(speed_mps * stamp_ms * 1e-3, 0.0, 0.0), SURE))
 
 
 def test_the_imu_carries_the_pose_between_scans():  # B6 B13
@@ -52,13 +48,27 @@ def test_what_is_believed_lies_between_prediction_and_match():  # B14
     model.add(imu(1000))
     predicted = model.predict(1000 * MS)
     ahead = SE2(1.0, 0.01, 0.0)
-    believed = model.correct(1000 * MS, matched(ahead))
+    believed = model.correct(matched(ahead, SURE))
     assert 0.0 < believed.pose_odom_base.y_m - predicted.pose_odom_base.y_m < 0.01
     assert np.trace(believed.covariance) < np.trace(predicted.covariance)
     assert np.trace(believed.covariance) < np.trace(SURE)
 
 
-def test_a_prediction_handed_back_teaches_nothing():  # a scan that was lost
+@pytest.mark.parametrize("along_m", [0.0, 0.5])
+def test_of_what_was_joined_the_scan_alone_is_taken(along_m):
+    """A corridor: the scan knows nothing of the way along it, the pose there is what the matcher was told."""
+    model = InertialMotion(InertialMotionConfig())
+    driven(model, 0, 1000, 1.0)
+    model.add(imu(1000))
+    predicted = model.predict(1000 * MS).pose_odom_base
+    pose = SE2(predicted.x_m + along_m, 0.01, 0.0)
+    model.correct(Measurement(pose, SURE, np.diag([0.0, 1e8, 1e8])))
+    believed = model.correct(None).pose_odom_base
+    assert believed.x_m == pytest.approx(predicted.x_m, abs=1e-3)
+    assert believed.y_m == pytest.approx(0.01, abs=1e-3)
+
+
+def test_a_scan_that_was_lost_teaches_nothing():
     model = InertialMotion(InertialMotionConfig())
     driven(model, 0, 500, 1.0)
     sigma = []
@@ -66,7 +76,7 @@ def test_a_prediction_handed_back_teaches_nothing():  # a scan that was lost
         for k in range(5):
             model.add(imu(stamp_ms + 5 * k))
         predicted = model.predict((stamp_ms + 24) * MS)
-        model.correct((stamp_ms + 24) * MS, predicted)
+        model.correct(None)
         sigma.append(predicted.covariance[0, 0])
     assert sigma == sorted(sigma)
     assert predicted.pose_odom_base.x_m == pytest.approx(0.999, abs=0.02)
@@ -166,7 +176,7 @@ def test_wheels_beside_an_imu_hold_the_speed_where_scans_say_nothing():
         model.predict(0)
         for stamp_ms in range(25, 4000, 25):
             predicted = model.predict(stamp_ms * MS)
-            model.correct(stamp_ms * MS, predicted)
+            model.correct(None)
         reached.append(abs(predicted.pose_odom_base.x_m))
     assert reached[0] < 0.1
     assert reached[1] > 0.3

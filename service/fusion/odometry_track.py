@@ -1,0 +1,104 @@
+"""Where odometry says the vehicle was: poses between samples, and a little beyond them."""
+
+import math
+from bisect import bisect_right
+from dataclasses import dataclass
+
+from drivers.frames import OdometrySample
+from service.geometry.se2 import SE2
+
+KEEP_NS = 10_000_000_000  # of samples before the last scan, and before the newest
+TRIM_COUNT = 4096  # so many may wait for a scan before those between are dropped
+LEAST_SPEED_S = 0.005  # samples that lie closer together say nothing of a speed
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """What was driven between two moments."""
+
+    motion: SE2  # pose of the later base in the earlier one
+    guessed_s: float  # how much of the time lies beyond the samples
+
+
+class OdometryTrack:
+    """Samples in order of their stamps. Only differences of poses are used, never the twist in a sample:
+    recordings carry zeros there, and drivers disagree about its axes. Stamps may come in bursts: a speed is
+    that of a while.
+
+    max_guess_s       how far beyond the samples a pose is guessed from the last speed
+    speed_window_s    over which that speed is taken, so that encoder ticks average out
+    """
+
+    def __init__(self, max_guess_s: float, speed_window_s: float) -> None:
+        self._max_guess_s = max_guess_s
+        self._speed_window_ns = round(speed_window_s * 1e9)
+        self._stamps: list[int] = []
+        self._poses: list[SE2] = []
+        self._used_ns: int | None = None
+
+    def add(self, sample: OdometrySample) -> bool:
+        """False where the sample is not newer than the last one, or not a number."""
+        if not (math.isfinite(sample.x_m) and math.isfinite(sample.y_m) and math.isfinite(sample.theta_rad)):
+            return False
+        if self._stamps and sample.stamp_ns <= self._stamps[-1]:
+            return False
+        self._stamps.append(sample.stamp_ns)
+        self._poses.append(SE2(sample.x_m, sample.y_m, sample.theta_rad))
+        if len(self._stamps) > TRIM_COUNT:
+            self._drop_between()
+        return True
+
+    def use_up(self, stamp_ns: int) -> None:
+        """Ways begin at this moment or later from now on."""
+        self._used_ns = stamp_ns
+        first = min(bisect_right(self._stamps, stamp_ns - KEEP_NS) - 1, len(self._stamps) - 2)
+        self._drop(0, max(first, 0))
+
+    def between(self, from_ns: int, to_ns: int) -> Way | None:
+        """The way from one moment to a later one; None where the samples cannot tell."""
+        if len(self._stamps) < 2:
+            return None
+        before_s = max((self._stamps[0] - from_ns) * 1e-9, 0.0)
+        after_s = max((to_ns - self._stamps[-1]) * 1e-9, 0.0)
+        if before_s > self._max_guess_s or after_s > self._max_guess_s:
+            return None
+        return Way(self._pose_at(from_ns).inverse() @ self._pose_at(to_ns), before_s + after_s)
+
+    def twist_at(self, stamp_ns: int) -> tuple[float, float, float] | None:
+        """Speed around a moment (m/s forward, m/s left, rad/s), by the nearest samples; None as above."""
+        if len(self._stamps) < 2:
+            return None
+        last = min(max(bisect_right(self._stamps, stamp_ns), 1), len(self._stamps) - 1)
+        if (stamp_ns - self._stamps[last]) * 1e-9 > self._max_guess_s:
+            return None
+        stamps, window_ns = self._stamps, self._speed_window_ns
+        first = last - 1
+        while first > 0 and stamps[last] - stamps[first] < window_ns:
+            first -= 1
+        while last < len(stamps) - 1 and stamps[last] - stamps[first] < window_ns:
+            last += 1
+        elapsed_s = (stamps[last] - stamps[first]) * 1e-9
+        if elapsed_s < LEAST_SPEED_S:
+            return None
+        forward, left, turn = (self._poses[first].inverse() @ self._poses[last]).log()
+        return forward / elapsed_s, left / elapsed_s, turn / elapsed_s
+
+    def _drop_between(self) -> None:
+        """Forget what no way begins or ends at: the laser may be silent for a day."""
+        first = 0 if self._used_ns is None else bisect_right(self._stamps, self._used_ns + KEEP_NS)
+        self._drop(first, max(bisect_right(self._stamps, self._stamps[-1] - KEEP_NS) - 1, first))
+
+    def _drop(self, first: int, end: int) -> None:
+        del self._stamps[first:end], self._poses[first:end]
+
+    def _pose_at(self, stamp_ns: int) -> SE2:
+        i = bisect_right(self._stamps, stamp_ns)
+        if 0 < i < len(self._stamps):
+            earlier, later = self._stamps[i - 1], self._stamps[i]
+            share = (stamp_ns - earlier) / (later - earlier)
+            forward, left, turn = (self._poses[i - 1].inverse() @ self._poses[i]).log()
+            return self._poses[i - 1] @ SE2.exp(share * forward, share * left, share * turn)
+        end = 0 if i == 0 else -1
+        twist = self.twist_at(self._stamps[end]) or (0.0, 0.0, 0.0)
+        elapsed_s = (stamp_ns - self._stamps[end]) * 1e-9
+        return self._poses[end] @ SE2.exp(*(rate * elapsed_s for rate in twist))
