@@ -212,20 +212,21 @@ def scan_information(H, shared, damping, information):
 
 
 @njit(cache=True, nogil=True)
-def learn_twist(prior, pose, twist):
+def learn_twist(prior, pose, weight, twist):
     """Twist that goes with where the match ended, starting from the prior's.
 
     prior   Prior
     pose    (3,) float64   matched
+    weight  float          of the prior: what was not believed of it says nothing of the twist
     twist   (3,) float64   out
     """
     c = math.cos(prior.pose[2])
     s = math.sin(prior.pose[2])
-    dx = pose[0] - prior.pose[0]
-    dy = pose[1] - prior.pose[1]
+    dx = weight * (pose[0] - prior.pose[0])
+    dy = weight * (pose[1] - prior.pose[1])
     forward = c * dx + s * dy
     left = -s * dx + c * dy
-    turn = wrap(pose[2] - prior.pose[2])
+    turn = weight * wrap(pose[2] - prior.pose[2])
     for i in range(3):
         twist[i] = (
             prior.twist[i]
@@ -291,7 +292,7 @@ def fine_align(
     weight = 1.0
     for k in range(settings.iterations + 1):
         if moves and 0 < k <= settings.deskew_rounds:
-            learn_twist(prior, pose, twist)
+            learn_twist(prior, pose, weight, twist)
             deskew_points(returns.xy_raw, returns.beam_time_s, twist, xy_base)
         copy_vector(pose, asked)
         find_surfels(xy_base, normals, pose, grid, settings.least_normal_cosine, found)
@@ -380,7 +381,7 @@ def match_scan(returns, normals, prior, start, grid, settings, doubt_share, xy_b
             copy_matrix(trial_xy, xy_base)
             copy_matrix(of_trial, information)
     twist = np.empty(3)
-    learn_twist(prior, pose, twist)
+    learn_twist(prior, pose, weight, twist)
     least, direction = weakest_direction(information)
     covariance = np.zeros((3, 3))
     joined = np.empty((3, 3))

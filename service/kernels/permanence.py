@@ -241,3 +241,37 @@ def weigh_permanence(xy_base, pose, grid, sightings, settings, normals):
         gain = min(before / after, settings.most_gain)
         for i in range(count):
             normals[i, 2] *= gain
+
+
+@njit(cache=True, nogil=True)
+def count_in_free(xy_base, normals, pose, grid, sightings):
+    """Points that lie where key frames looked through and nothing stands in the 3 x 3 cells around.
+
+    xy_base     (N, 2) float64   m, base frame
+    normals     (N, 3) float64   from estimate_normals; points of weight 0 are not asked
+    pose        (3,)   float64   base in the frame of the grid
+    grid        SurfelGrid
+    sightings   Sightings
+    """
+    score = sightings.score
+    slots = grid.tiles.slots
+    first_row = grid.tiles.origin[0]
+    first_column = grid.tiles.origin[1]
+    cells_per_m = 1.0 / grid.cell_m
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    count = 0
+    for i in range(xy_base.shape[0]):
+        if normals[i, 2] == 0.0:
+            continue
+        column = math.floor((pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) * cells_per_m)
+        row = math.floor((pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) * cells_per_m)
+        if score_at(slots, first_row, first_column, score, row, column) >= 0:
+            continue
+        stands = False
+        for r in range(row - 1, row + 2):
+            for q in range(column - 1, column + 2):
+                stands = stands or score_at(slots, first_row, first_column, score, r, q) > 0
+        if not stands:
+            count += 1
+    return count

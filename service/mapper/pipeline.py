@@ -82,6 +82,8 @@ class Mapper(Generic[ReadableMap]):
 
     def _bring_in(self, update: GraphUpdate) -> None:
         self.counters.update(update.counts)
+        if update.joined:
+            self._stages.local_map.join(update.joined)
         if update.sheet is not None:
             self._stages.free_space.lay(update.sheet, update.since)
 
@@ -101,8 +103,10 @@ class Mapper(Generic[ReadableMap]):
         self.counters["keyframes"] += change.is_keyframe
         if change.is_keyframe:
             s.motion_model.settle(change.error_left)
-        pose_map_odom = s.graph.add(MappedScan(scan.stamp_ns, kept, match, change))
-        s.free_space.insert(kept, pose_map_odom @ match.motion.pose_odom_base)
+        covariance = predicted.local_covariance if match.measured is None else match.measured.covariance
+        pose_map_odom = s.graph.add(MappedScan(scan.stamp_ns, kept, match, change, covariance))
+        if match.state != "lost":  # nothing is drawn from a place that nobody knows
+            s.free_space.insert(kept, pose_map_odom @ match.motion.pose_odom_base)
         watch.lap("insert")
         return MapperOutput(
             stamp_ns=scan.stamp_ns,

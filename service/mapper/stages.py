@@ -51,6 +51,7 @@ class MapChange:
     closed_submap: int | None = None
     is_keyframe: bool = False
     error_left: float = 1.0  # share of the pose's error against the map that is left after the insert
+    piece: int = 0  # connected piece of the map that the scan belongs to
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,6 +62,7 @@ class MappedScan:
     points: Points  # that were kept, deskewed with the matched twist
     match: Match
     change: MapChange
+    covariance: npt.NDArray[np.float64]  # (3, 3) of the pose against the local map, base axes
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,11 +99,13 @@ class GraphUpdate:
     counts   counter -> how much it rose (or fell): loop_closures ...
     sheet    the shown map from now on; None: it stays
     since    what to draw into it besides: scans that the sheet does not know of
+    joined   number of a piece of the map that was found in the rest; 0: none
     """
 
     counts: Mapping[str, int]
     sheet: Sheet | None = None
     since: Sequence[Drawn] = ()
+    joined: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,6 +126,10 @@ class LocalMap(Protocol):
     """What a scan is matched to."""
 
     def insert(self, points: Points, match: Match) -> MapChange: ...
+
+    def join(self, piece: int) -> None:
+        """The graph has found where a piece of the map lies in the rest."""
+        ...
 
 
 class Painter(Protocol):

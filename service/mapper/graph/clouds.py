@@ -65,7 +65,7 @@ class Fit:
     """How a cloud lies on surfels."""
 
     pose: Floats  # (3,) of the cloud's frame in theirs
-    hessian: Floats  # (3, 3) in the axes of the surfels
+    information: Floats  # (3, 3) in the axes of the surfels
     share: float  # of the points asked that lie on them
 
 
@@ -86,9 +86,9 @@ class SurfelCloud:
 
     def align(self, cloud: Cloud, pose: Floats) -> Fit:
         """Another cloud laid on it, from a pose near enough."""
-        aligned, hessian = pose.copy(), np.zeros((3, 3))
-        used, inliers = align_surfels(cloud.xy, cloud.normals, self._grid(), SETTINGS, aligned, hessian)
-        return Fit(aligned, hessian, inliers / used if used else 0.0)
+        aligned, information = pose.copy(), np.zeros((3, 3))
+        used, inliers = align_surfels(cloud.xy, cloud.normals, self._grid(), SETTINGS, aligned, information)
+        return Fit(aligned, information, inliers / used if used else 0.0)
 
     def _grid(self) -> SurfelGrid:
         (cells,) = self._tiles.pool.arrays

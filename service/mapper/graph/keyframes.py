@@ -17,7 +17,8 @@ class KeyFrame:
 
     stamp_ns: int
     pose_odom_base: SE2
-    covariance: Floats  # (3, 3) of the match, base axes
+    covariance: Floats  # (3, 3) of the pose against the local map, base axes
+    piece: int  # connected piece of the map that it belongs to
     score: float  # share of its points on the local map
     is_lost: bool  # the pose is a prediction
     xy_base: npt.NDArray[np.float32]  # (N, 2) m, in beam order
@@ -41,7 +42,7 @@ class Chain:
     def __init__(self) -> None:
         self.count = 0
         self._poses = np.zeros((64, 6))
-        self._numbers = np.zeros((64, 4))
+        self._numbers = np.zeros((64, 5))
         self._covariance = np.zeros((64, 3, 3))
         self.stamps_ns: list[int] = []
         self.kept: list[Kept] = []
@@ -79,6 +80,11 @@ class Chain:
         return has
 
     @property
+    def piece(self) -> npt.NDArray[np.int64]:
+        """(N,) number of the connected piece of the map that each belongs to."""
+        return self._numbers[: self.count, 4].astype(np.int64)
+
+    @property
     def is_usable(self) -> npt.NDArray[np.bool_]:
         """(N,) whether others can be laid on it: its pose is a match, and its points are there."""
         return self.has_points & ~self.is_lost
@@ -101,7 +107,7 @@ class Chain:
         if k:
             before = self._poses[k - 1]
             way_m = self._numbers[k - 1, 0] + float(np.hypot(pose.x_m - before[0], pose.y_m - before[1]))
-        self._numbers[k] = way_m, frame.score, frame.is_lost, True
+        self._numbers[k] = way_m, frame.score, frame.is_lost, True, frame.piece
         self._covariance[k] = frame.covariance
         self.stamps_ns.append(frame.stamp_ns)
         self.kept.append(kept)

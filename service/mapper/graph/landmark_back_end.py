@@ -228,7 +228,7 @@ class LandmarkBackEnd:
         fit, shift = lay_on(shared, SurfelCloud(self._cloud(old)), found.pose, SURFEL_POINTS)
         if fit.share < config.least_on_surfels:
             return None
-        covariance = config.match.match_covariance_scale * np.linalg.inv(fit.hessian + 1e-2 * np.eye(3))
+        covariance = config.match.match_covariance_scale * np.linalg.inv(fit.information + 1e-2 * np.eye(3))
         at_origin = about_origin(np.asarray(covariance, np.float64), fit.pose, shift)
         return replace(found, pose=shift, covariance=at_origin, share=fit.share)
 

@@ -23,6 +23,13 @@ from service.mapper.stages import Correction, Drawn, Painter, Sheet
 STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: of a step between key frames, at best
 LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])  # of a step that only a prediction vouches for; m^2, rad^2
 DOUBTFUL_COVARIANCE = np.diag([0.09, 0.09, 0.09])  # ... added where an end hardly lies on the map
+UNKNOWN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # ... into a piece that nobody knows the place of
+PIECE_REACH_M, PIECE_STEP_RAD = 8.0, 0.03  # window in which a piece is looked for about each place
+MOST_QUERY = 12  # key frames of a piece that are looked for together
+CLEARLY_BETTER = 0.08  # of the returns: so much more must lie on the map than at any other place
+SAME_PLACE_M, SAME_PLACE_RAD = 0.5, 0.1
+LEAST_APART_M = 4.0  # between two finds of a piece: standing, a room looks like any other of its kind
+PIECE_SHARE = 0.75  # of the drive's median share must lie on the map where a piece is found
 GAP_SHARE = 0.1  # of a way without scans: what odometry may have erred by
 SAME_SPOT_M, SAME_VIEW_RAD = 0.5, 0.5  # key frames so near see the same
 LOST_M, DOUBTFUL_M = 60.0, 30.0  # way that such a step counts for, where loops are looked for
@@ -81,6 +88,15 @@ class LoopsConfig(BaseModel):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """Where a piece may lie: its odom in the map, and the loop that says so."""
+
+    pose_map_odom: Floats  # (3,)
+    loop: Loop
+    way_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Batch:
     """Key frames since the last batch, and what else is wanted."""
 
@@ -95,6 +111,7 @@ class Result:
 
     loops: int  # that are believed now
     aside: int  # that are not any more
+    joined: int = 0  # number of the piece that was found in the rest; 0: none
     newest: Correction | None = None
     sheet: Sheet | None = None
     all: Sequence[Correction] = ()
@@ -116,12 +133,15 @@ class LoopBackEnd:
         self._dense: list[Loop] = []
         self._places: OrderedDict[int, Place] = OrderedDict()
         self._searched_m = 0.0
+        self._joined = {0}  # numbers of the pieces whose place in the map is known
+        self._hypothesis: Hypothesis | None = None
         self._looked_back = 0  # key frames whose surroundings were asked for passes too many
 
     def work(self, batch: Batch) -> Result:
         for frame in batch.frames:
             self._append(frame)
-        moved = self._look_for_loops()
+        joined = self._look_for_piece() if self._is_detached() else 0
+        moved = bool(joined) or self._look_for_loops()
         if batch.wish == "undo" and self._groups:
             gone = self._groups.pop()
             self._loops = [loop for loop in self._loops if loop not in gone]
@@ -134,7 +154,79 @@ class LoopBackEnd:
         if not moved:
             return Result(len(self._loops), len(self._aside))
         self._solve()
-        return Result(len(self._loops), len(self._aside), self._correction(-1), self._paint())
+        return Result(len(self._loops), len(self._aside), joined, self._correction(-1), self._paint())
+
+    def _is_detached(self) -> bool:
+        """Whether the newest key frame lies in a piece of which nobody knows where it lies."""
+        return bool(self._chain.count) and int(self._chain.piece[-1]) not in self._joined
+
+    def _usable(self) -> npt.NDArray[np.bool_]:
+        """(N,) key frames that others can be laid on: matched, with their points, in a place that is known."""
+        return self._chain.is_usable & np.isin(self._chain.piece, list(self._joined))
+
+    def _look_for_piece(self) -> int:
+        """Number of the newest piece, if it was found twice in the same place of the map; else 0.
+
+        It is asked of every stretch of the way, at every heading. One find is a hypothesis, since rooms look
+        alike: it must fit clearly better than any other place, and the next key frames must say the same.
+        """
+        config, chain = self._config, self._chain
+        piece = int(chain.piece[-1])
+        own = np.flatnonzero((chain.piece == piece) & chain.is_usable)
+        own = own[chain.way_m[own] >= chain.way_m[-1] - config.query_m][-MOST_QUERY:]
+        known = np.flatnonzero(self._usable())
+        if not len(own) or not len(known):
+            return 0
+        reference = int(own[-1])
+        cloud = cloud_of(chain, own.tolist(), reference)
+        found: list[tuple[float, Floats, Loop | None]] = []
+        asked_m = -np.inf
+        for k in known.tolist():
+            if chain.way_m[k] < asked_m + config.place_m:
+                continue
+            asked_m = float(chain.way_m[k])
+            place = self._place(k)
+            pose = place.search(cloud, np.zeros(3), PIECE_REACH_M, np.pi, config.least_score, PIECE_STEP_RAD)
+            if pose is None:
+                continue
+            fit = place.align(cloud, pose)
+            loop = None
+            if (
+                fit.share >= PIECE_SHARE * float(np.median(chain.score))
+                and place.against(cloud, fit.pose) < config.most_against
+            ):
+                loop = loop_of(place.reference, reference, fit.pose, fit.information, fit.share)
+            found.append((fit.share, se2.compose(chain.map[place.reference], fit.pose), loop))
+        share, at, loop = max(found, key=lambda f: f[0]) if found else (0.0, np.zeros(3), None)
+        if loop is None:
+            self._hypothesis = None
+            return 0
+        for other, other_at, _ in found:
+            away = se2.between(at, other_at)
+            if other > share - CLEARLY_BETTER and (
+                np.hypot(away[0], away[1]) > SAME_PLACE_M or abs(away[2]) > SAME_PLACE_RAD
+            ):
+                self._hypothesis = None  # two places that look alike
+                return 0
+        inverse = se2.between(chain.odom[reference], np.zeros(3))
+        new = Hypothesis(se2.compose(at, inverse), loop, float(chain.way_m[reference]))
+        old = self._hypothesis
+        if old is None:
+            self._hypothesis = new
+            return 0
+        if new.way_m - old.way_m < LEAST_APART_M:
+            return 0
+        self._hypothesis = new
+        away = se2.between(se2.compose(old.pose_map_odom, chain.odom[reference]), at)
+        if np.hypot(away[0], away[1]) > SAME_PLACE_M or abs(away[2]) > SAME_PLACE_RAD:
+            return 0
+        self._joined.add(piece)
+        mine = chain.piece == piece
+        chain.map[mine] = se2.compose(new.pose_map_odom, chain.odom[mine])
+        self._loops += [old.loop, new.loop]
+        self._groups.append([old.loop, new.loop])
+        self._hypothesis = None
+        return piece
 
     def _append(self, frame: KeyFrame) -> None:
         chain = self._chain
@@ -208,7 +300,8 @@ class LoopBackEnd:
         config, chain = self._config, self._chain
         way = chain.way_m
         first = int(np.searchsorted(way, way[last] - config.query_m))
-        members = [k for k in range(first, last + 1) if chain.is_usable[k]]
+        usable = self._usable()
+        members = [k for k in range(first, last + 1) if usable[k]]
         if len(members) < 3:
             return []
         reference = members[len(members) // 2]
@@ -221,7 +314,7 @@ class LoopBackEnd:
         apart = np.abs(way - way[reference]) >= config.apart_m + config.query_m
         if window is None:
             apart &= way < way[reference]
-        near = np.flatnonzero(apart & chain.is_usable & (away_m <= reach_m + 1.0))
+        near = np.flatnonzero(apart & usable & (away_m <= reach_m + 1.0))
         cloud: Cloud | None = None
         found = []
         for k in self._worth_asking(near, away_m, reach_m):
@@ -239,7 +332,7 @@ class LoopBackEnd:
                 continue
             fit = place.align(cloud, pose)
             if self._is_good(fit) and place.against(cloud, fit.pose) < config.most_against:
-                found.append(loop_of(place.reference, reference, fit.pose, fit.hessian, fit.share))
+                found.append(loop_of(place.reference, reference, fit.pose, fit.information, fit.share))
         return found
 
     def _is_good(self, fit: Fit) -> bool:
@@ -286,7 +379,8 @@ class LoopBackEnd:
                 return self._places[reference]
         first = int(np.searchsorted(way, way[k] - config.place_m))
         last = int(np.searchsorted(way, way[k] + config.place_m, side="right"))
-        members = [m for m in range(first, last) if self._chain.is_usable[m]]
+        usable = self._usable()
+        members = [m for m in range(first, last) if usable[m]]
         self._places[k] = Place(self._chain, members, k)
         if len(self._places) > PLACES_KEPT:
             self._places.popitem(last=False)
@@ -329,9 +423,19 @@ class LoopBackEnd:
         covariance = covariance + self._doubtful_steps()[:, None, None] * DOUBTFUL_COVARIANCE
         gap_m = np.maximum(np.diff(chain.way_m) - 2.0 * self._config.keyframe_distance_m, 0.0)
         covariance = covariance + (GAP_SHARE * gap_m[:, None, None]) ** 2 * np.eye(3)
-        k = np.arange(chain.count - 1, dtype=np.int64)
+        of = np.arange(chain.count - 1, dtype=np.int64)
+        # Into another piece nobody knows the way; back in one, the newest key frame of it goes before.
+        last_of: dict[int, int] = {}
+        for k, piece in enumerate(chain.piece.tolist()):
+            if k and piece != chain.piece[k - 1]:
+                if piece in last_of:
+                    of[k - 1] = last_of[piece]
+                else:
+                    covariance[k - 1] = UNKNOWN_COVARIANCE
+            last_of[piece] = k
+        to = np.arange(1, chain.count, dtype=np.int64)
         return Edges(
-            k, k + 1, se2.between(chain.odom[:-1], chain.odom[1:]), covariance, np.zeros(chain.count - 1)
+            of, to, se2.between(chain.odom[of], chain.odom[to]), covariance, np.zeros(chain.count - 1)
         )
 
     def _graph(self) -> PoseGraph:
@@ -384,7 +488,9 @@ class LoopBackEnd:
         self._places.clear()
         text = to_g2o(self._graph())
         corrections = [self._correction(k) for k in range(chain.count)]
-        return Result(len(self._loops), len(self._aside), corrections[-1], self._paint(), corrections, text)
+        return Result(
+            len(self._loops), len(self._aside), 0, corrections[-1], self._paint(), corrections, text
+        )
 
     def _search_again(self) -> None:
         """Every stretch against the passes that lie near it now: revisits that were missed on the way."""
@@ -410,14 +516,14 @@ class LoopBackEnd:
         config, chain = self._config, self._chain
         if config.dense_m == 0.0 or not self._loops:
             return
-        way = chain.way_m
+        way, usable = chain.way_m, self._usable()
         wanted: list[tuple[int, int]] = []  # place's key frame, key frame
         for k in range(chain.count):
             away_m = np.hypot(*(chain.map[:, :2] - chain.map[k, :2]).T)
             near = np.flatnonzero(
-                (away_m <= config.dense_m) & (way < way[k] - config.apart_m) & chain.is_usable
+                (away_m <= config.dense_m) & (way < way[k] - config.apart_m) & usable
             )
-            if len(near) and chain.is_usable[k]:
+            if len(near) and usable[k]:
                 wanted += [(p, k) for p in self._nearest_of_passes(near, away_m)[: config.dense_passes]]
         stride = 1 + len(wanted) // max(config.dense_most, 1)
         for p, k in sorted(wanted)[::stride]:
@@ -430,15 +536,17 @@ class LoopBackEnd:
                 and np.hypot(moved[0], moved[1]) <= config.dense_most_m
                 and abs(moved[2]) <= config.dense_most_rad
             ):
-                self._dense.append(loop_of(place.reference, k, fit.pose, fit.hessian, fit.share))
+                self._dense.append(loop_of(place.reference, k, fit.pose, fit.information, fit.share))
 
     def _paint(self) -> Sheet | None:
         if self._painter is None:
             return None
         poses = self._chain.map.tolist()
+        known = np.isin(self._chain.piece, list(self._joined)) & ~self._chain.is_lost
         return self._painter.paint(
             Drawn(kept.xy_base, kept.sensor_xy_m, SE2(*pose))
-            for kept, pose in zip(self._chain.kept, poses, strict=True)
+            for kept, pose, is_known in zip(self._chain.kept, poses, known.tolist(), strict=True)
+            if is_known
         )
 
     def _correction(self, k: int) -> Correction:

@@ -22,6 +22,9 @@ from service.mapper.stages import (
 )
 
 
+DETACHED_INTERVAL_NS = 500_000_000  # of key frames of a piece that is looked for, also while standing
+
+
 class LoopClosing:
     """Graph."""
 
@@ -31,6 +34,7 @@ class LoopClosing:
         self._fresh: list[KeyFrame] = []  # not yet sent
         self._sent: deque[list[KeyFrame]] = deque()  # with each piece of work that is out
         self._last: SE2 | None = None  # of the newest key frame
+        self._last_ns = 0
         self._way_m = 0.0  # of those not yet sent
         self._pose_map_odom = SE2()
         self._loops = self._aside = 0
@@ -49,12 +53,16 @@ class LoopClosing:
 
     def add(self, scan: MappedScan) -> SE2:
         pose = scan.match.motion.pose_odom_base
-        if len(scan.points.xy_base) and self._is_keyframe(pose) and not self.trouble:
+        is_detached = scan.match.state == "lost" and scan.change.piece > 0
+        is_due = self._is_keyframe(pose) or (
+            is_detached and scan.stamp_ns - self._last_ns >= DETACHED_INTERVAL_NS
+        )
+        if len(scan.points.xy_base) and is_due and not self.trouble:
             if self._last is not None:
                 self._way_m += math.hypot(pose.x_m - self._last.x_m, pose.y_m - self._last.y_m)
-            self._last = pose
+            self._last, self._last_ns = pose, scan.stamp_ns
             self._fresh.append(_key_frame(scan))
-            if self._way_m >= self._config.search_every_m:
+            if self._way_m >= self._config.search_every_m or (is_detached and not self.waiting):
                 self._submit(Batch(self._fresh))
         return self._pose_map_odom
 
@@ -119,7 +127,7 @@ class LoopClosing:
             Drawn(frame.xy_base, frame.sensor_xy_m, self._pose_map_odom @ frame.pose_odom_base)
             for frame in (since if result.sheet is not None else ())
         ]
-        return GraphUpdate(counts, result.sheet, drawn)
+        return GraphUpdate(counts, result.sheet, drawn, result.joined)
 
     def _is_keyframe(self, pose: SE2) -> bool:
         last = self._last
@@ -135,9 +143,10 @@ def _key_frame(scan: MappedScan) -> KeyFrame:
     return KeyFrame(
         scan.stamp_ns,
         match.motion.pose_odom_base,
-        match.measured.covariance if match.measured is not None else np.eye(3),
+        scan.covariance,
+        scan.change.piece,
         match.score,
-        match.state == "lost",
+        match.measured is None and scan.change.piece == 0 and match.state == "lost",
         points.xy_base.astype(np.float32),
         (points.sensor_base.x_m, points.sensor_base.y_m),
         abs(points.scan.angle_step_rad),

@@ -7,16 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.geometry import poses as se2
-from service.kernels.pose_information import weakest_direction
 from service.mapper.graph.keyframes import Chain, Floats
 from service.mapper.graph.pose_graph import Edges
 
 FLOOR = np.diag([0.006**2, 0.006**2, 0.0015**2])  # m^2, rad^2: what walls and sweeps leave open at best
 # 1/m^2, 1/rad^2: where walls say nothing, and many loops do not, either
 OPEN_INFORMATION = np.diag([1e-4, 1e-4, 1e-2])
-BLIND_M = 0.05  # a direction known less well is not known
-BLIND_SHARE = 0.004  # ... nor one of which so little is said: that is the square of how far normals are off
-COVARIANCE_SCALE = 2.0
 KERNEL_WIDTH = 2.0  # sigmas
 
 
@@ -31,20 +27,9 @@ class Loop:
     share: float  # of the points that lie on the surfels of the earlier pass
 
 
-def loop_of(of: int, to: int, pose: Floats, hessian: Floats, share: float) -> Loop:
-    """hessian: (3, 3) in the axes of `of`.
-
-    A direction that the walls hardly fix they do not fix at all: along a bare corridor the little that they
-    seem to say is noise of the normals, the same for every loop there, so that loops agree and are wrong.
-    """
-    least, direction = weakest_direction(hessian)
-    most = hessian[0, 0] + hessian[1, 1]
-    if least * BLIND_M * BLIND_M < COVARIANCE_SCALE or least < BLIND_SHARE * most:
-        keep = np.eye(3)
-        along = np.array([math.cos(direction), math.sin(direction)])
-        keep[:2, :2] -= np.outer(along, along)
-        hessian = keep @ hessian @ keep
-    covariance = COVARIANCE_SCALE * np.linalg.inv(hessian + OPEN_INFORMATION)
+def loop_of(of: int, to: int, pose: Floats, information: Floats, share: float) -> Loop:
+    """information: (3, 3) in the axes of `of`. A direction that the walls do not fix stays open."""
+    covariance = np.linalg.inv(information + OPEN_INFORMATION)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     return Loop(of, to, pose, turn @ covariance @ turn.T + FLOOR, share)

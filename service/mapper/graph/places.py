@@ -59,13 +59,18 @@ class Place:
         self._knows_space = False
 
     def search(
-        self, cloud: Cloud, pose: Floats, reach_m: float, reach_rad: float, least: float
+        self,
+        cloud: Cloud,
+        pose: Floats,
+        reach_m: float,
+        reach_rad: float,
+        least: float,
+        step_rad: float = CELL_M / 10.0,
     ) -> Floats | None:
         """Where the cloud lies best within a window about a pose; None where nowhere well enough."""
         if not len(cloud.xy) or not len(self._xy):
             return None
         thin = np.ascontiguousarray(cloud.xy[:: max(1, len(cloud.xy) // SEARCH_POINTS)])
-        step_rad = CELL_M / 10.0
         half = math.ceil(reach_m / CELL_M)
         window = SearchWindow(pose, half, half, math.ceil(reach_rad / step_rad), step_rad)
         weights = np.ones(len(thin), np.float32)

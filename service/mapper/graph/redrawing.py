@@ -50,7 +50,7 @@ class Redrawing:
         fit = map_.align(cloud, guess)
         if fit.share < self._least_share:
             return guess
-        information = fit.hessian / INFLATION
+        information = fit.information / INFLATION
         moved = fit.pose - guess
         moved[2] = se2.wrap(moved[2])
         pose: Floats = guess + np.linalg.solve(information + STEP_INFORMATION, information @ moved)

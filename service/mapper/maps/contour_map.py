@@ -141,6 +141,9 @@ class ContourMap:
         level = self.level(self.level_count - 1)
         return LikelihoodLayer(level.tiles, level.likelihood, 0.0, 0.0, 1.0, level.cell_m)
 
+    def join(self, piece: int) -> None:
+        """This map is one piece."""
+
     def insert(self, points: Points, match: Match) -> MapChange:
         if not len(points.xy_base) or (match.state == "lost" and not self.is_empty):
             return MapChange()

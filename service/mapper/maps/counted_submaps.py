@@ -204,6 +204,9 @@ class CountedSubmaps:
         self.log_weights[:] = 0.0
         self.weights[:] = 1.0 / len(self.particles)
 
+    def join(self, piece: int) -> None:
+        """This map is one piece."""
+
     def insert(self, points: Points, match: Match) -> CountedChange:
         """Draw a key scan into every particle's map, at the particle's own pose."""
         if not len(points.xy_base) or match.state == "lost":

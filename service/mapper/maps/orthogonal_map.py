@@ -131,6 +131,9 @@ class OrthogonalMap:
             values.append(likelihood[row, column].astype(np.float64))
         return _moved(self.pose_axes_odom.inverse(), np.concatenate(centres)), np.concatenate(values)
 
+    def join(self, piece: int) -> None:
+        """This map is one piece."""
+
     def insert(self, points: Points, match: Match) -> MapChange:
         pose = match.motion.pose_odom_base
         if match.state == "lost" or len(points.xy_base) == 0 or not self._is_due(match):

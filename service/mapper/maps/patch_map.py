@@ -113,6 +113,9 @@ class PatchMap:
                 self._bring_in(key, near)
         self._use(near)
 
+    def join(self, piece: int) -> None:
+        """This map is one piece."""
+
     def insert(self, points: Points, match: Match) -> MapChange:
         """Draw a scan, unless it was not placed; then fetch one of the patches that may be wanted next."""
         if match.state == "lost" or len(points.xy_base) == 0:

@@ -10,7 +10,13 @@ from service.geometry.grid import tiles_of
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.likelihood import SPLAT_REACH_CELLS, splat_likelihood
 from service.kernels.normals import NormalSettings, estimate_normals
-from service.kernels.permanence import Sightings, count_hits, look_through, weigh_permanence
+from service.kernels.permanence import (
+    Sightings,
+    count_hits,
+    count_in_free,
+    look_through,
+    weigh_permanence,
+)
 from service.kernels.surfels import TILE_BITS, TILE_CELLS, SurfelGrid, insert_surfels
 from service.kernels.tiles import NO_TILE
 from service.mapper.maps.permanence import PermanenceConfig, ticks_in
@@ -84,6 +90,15 @@ class Submap:
         weigh_permanence(points.xy_base, pose, self.grid(), self._sightings(), self._permanence, weighed)
         return weighed
 
+    def in_free(
+        self,
+        xy_base: npt.NDArray[np.float64],
+        normals: npt.NDArray[np.float64],
+        pose: npt.NDArray[np.float64],
+    ) -> int:
+        """How many points of a scan at a pose (3,) lie where nothing stands."""
+        return int(count_in_free(xy_base, normals, pose, self.grid(), self._sightings()))
+
     def insert(self, points: Points, normals: npt.NDArray[np.float64], pose: SE2) -> None:
         config = self._config
         reach_m = reach_of(points.xy_base)
@@ -142,9 +157,10 @@ class Submap:
 class SurfelSubmaps:
     """The chain. Key frames go into two sub-maps; when the younger has grown spacing_m long, it takes over.
 
-    Where a scan fits neither, a detached sub-map is begun at the pose that odometry gives. The next scans
-    are tried on the old one first: if they fit, that was a passing trouble and the detached one is dropped;
-    if they fit the detached one alone, the old one tells nothing about this place, and is replaced.
+    Where a scan is lost, a detached piece is begun at the pose that the prediction gives. The next scans are
+    tried on the old map first: if they fit, the piece is dropped. Until then they are matched to the piece, and
+    the state stays lost, for nobody knows where it lies. The graph looks for the piece in all of the map; once
+    it has joined it, the piece is what scans are matched to.
     """
 
     def __init__(self, config: SubmapsConfig) -> None:
@@ -161,13 +177,30 @@ class SurfelSubmaps:
         self._next_number = 0
         self._pair: list[Submap] = []
         self._detached: Submap | None = None
+        self._piece = self._joined_piece = 0  # number of the newest piece; of that which scans are matched to
+        self._moved_m = 0.0  # from the key frame before
         self._travelled_m = 0.0  # since the younger of the pair was begun
         self._last_keyframe: SE2 | None = None
 
     @property
-    def candidates(self) -> list[Submap]:
-        """Sub-maps that a scan is matched to, the first that fits; none before the first scan."""
-        return [*self._pair[:1], *([self._detached] if self._detached is not None else [])]
+    def matched_to(self) -> Submap | None:
+        """The sub-map that scans are matched to; None before the first scan."""
+        return self._pair[0] if self._pair else None
+
+    @property
+    def detached(self) -> Submap | None:
+        """The piece that is not joined to the map; None where there is none."""
+        return self._detached
+
+    def join(self, piece: int) -> None:
+        """The graph has found where a detached piece lies: go on with it, if it is the newest."""
+        if self._detached is None or piece != self._piece:
+            return
+        for submap in self._pair:
+            submap.release()
+        self._pair, self._detached = [self._detached], None
+        self._joined_piece = self._piece
+        self._travelled_m = 0.0
 
     @property
     def tile_count(self) -> int:
@@ -192,23 +225,37 @@ class SurfelSubmaps:
             return MapChange()
         pose = match.motion.pose_odom_base
         if match.state == "lost" and self._pair:
-            if self._detached is None:
-                self._detached = self._new_submap()
-                self._last_keyframe = None
-            if self._is_keyframe(pose, self._detached):
-                self._advance(pose)
-                self._insert_keyframe([self._detached], points, pose)
-                return MapChange(is_keyframe=True)
-            return MapChange()
-        closed = self._settle(match.submap)
+            return self._insert_detached(points, match)
+        closed = None
+        if self._detached is not None:
+            self._detached.release()
+            self._detached, self._last_keyframe = None, None
         if self._pair and not self._is_keyframe(pose, self._pair[0]):
-            return MapChange(closed)
+            return MapChange(closed, piece=self._joined_piece)
         self._advance(pose)
         if not self._pair or self._travelled_m >= self._config.spacing_m:
             retired = self._begin_submap()
             closed = closed if retired is None else retired
         self._insert_keyframe(self._pair, points, pose)
-        return MapChange(closed, is_keyframe=True, error_left=math.exp(-self._moved_m / self._config.memory_m))
+        return MapChange(closed, is_keyframe=True, error_left=self._error_left(), piece=self._joined_piece)
+
+    def _insert_detached(self, points: Points, match: Match) -> MapChange:
+        """Put a lost scan into the piece, if it was matched to it, or begins one."""
+        pose = match.motion.pose_odom_base
+        if self._detached is None:
+            self._detached = self._new_submap()
+            self._last_keyframe = None
+            self._piece += 1
+        elif match.measured is None:
+            return MapChange(piece=self._piece)
+        if not self._is_keyframe(pose, self._detached):
+            return MapChange(piece=self._piece)
+        self._advance(pose)
+        self._insert_keyframe([self._detached], points, pose)
+        return MapChange(is_keyframe=True, error_left=self._error_left(), piece=self._piece)
+
+    def _error_left(self) -> float:
+        return math.exp(-self._moved_m / self._config.memory_m)
 
     def _is_keyframe(self, pose: SE2, submap: Submap) -> bool:
         """Whether a sub-map wants a scan from here: one that is new, or farther on than the last."""
@@ -243,18 +290,3 @@ class SurfelSubmaps:
         oldest = self._pair.pop(0)
         oldest.release()
         return oldest.number
-
-    def _settle(self, matched: int | None) -> int | None:
-        """A scan fits (again): keep the sub-map that it fits. Returns the number of one that is closed."""
-        if self._detached is None:
-            return None
-        detached, self._detached = self._detached, None
-        if matched != detached.number:
-            detached.release()
-            return None
-        closed = self._pair[0].number
-        for submap in self._pair:
-            submap.release()
-        self._pair = [detached]
-        self._travelled_m = 0.0
-        return closed

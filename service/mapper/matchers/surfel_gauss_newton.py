@@ -11,10 +11,32 @@ from service.fusion.motion import Measurement, Motion, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns
 from service.kernels.match import MatchResult, MatchSettings, Prior, match_scan
+from service.mapper.judgement import Evidence, Ratios, judge, sigmas_of
 from service.mapper.maps.submaps import Submap, SurfelSubmaps
 from service.mapper.matchers.recovery import search_around
 from service.mapper.stages import Match, Points
 from service.outputs import State
+
+Matrix = npt.NDArray[np.float64]
+
+LEAST_POINTS = 20  # with fewer a scan is not matched
+INLIER_M = 0.10  # a point this near to its surfel lies on the map
+LEAST_NORMAL_COSINE = 0.6  # between a point and a surfel of the same wall
+ITERATIONS, DESKEW_ROUNDS = 15, 8
+SETTLED_M, SETTLED_RAD = 5e-4, 1e-4
+COARSE_SIGMA, COARSE_BEAMS, COARSE_ITERATIONS = 0.3, 180, 15  # sigma of 1 - likelihood
+SAME_WALL_M = 0.05  # scans within one key frame's distance are matched to the same noise of the map
+MOST_REPEATS = 100.0
+USUAL_SCANS = 50  # over which the usual inlier ratio is taken
+DOUBT_RATIO = 0.9  # of the usual inlier ratio: with less, other starts are tried
+SEARCH_GAIN = 0.08  # so much more must lie on the map where a search leads
+SEARCH_REST_S = 0.5  # between two searches of the whole window
+LEAST_SEARCH = (0.3, 0.2)  # m, rad: windows of a search, half their width
+MOST_SEARCH = (8.0, math.pi)
+FIRST_SEARCH = (2.0, 1.6)  # of a scan that is lost though the prediction is good
+LOOSE_SIGMAS = (0.5, 0.4)  # m, rad: a prediction worse than that is searched around
+SAME_FIND_M, SAME_FIND_RAD = 0.3, 0.06  # two finds of a lost vehicle agree
+JUMP_CHI2 = 27.9  # 99.999 % of three degrees of freedom
 
 
 class SurfelMatcherConfig(BaseModel):
@@ -22,47 +44,19 @@ class SurfelMatcherConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    wall_sigma_m: float = Field(default=0.004, gt=0.0)
-    same_wall_m: float = Field(default=0.05, gt=0.0)
-    most_repeats: float = Field(default=100.0, ge=1.0)
-    cauchy_m: float = Field(default=0.10, gt=0.0)
-    least_normal_cosine: float = Field(default=0.6, ge=-1.0, lt=1.0)
-    iterations: int = Field(default=15, ge=1, le=100)
-    deskew_rounds: int = Field(default=8, ge=0, le=100)
-    coarse_sigma: float = Field(default=0.3, gt=0.0)  # of 1 - likelihood
-    coarse_beams: int = Field(default=180, ge=10)
-    coarse_iterations: int = Field(default=15, ge=0, le=100)
-
-    jump_sigmas: float = Field(default=4.0, gt=0.0)  # from the prediction: then a doubtful match is refused
-    doubt_ratio: float = Field(default=0.9, ge=0.0, le=1.0)  # of the usual share on the map
-    # The window of the search: the most where too little lies on the map; three sigmas of the prediction,
-    # within these, where a guess without wheels fits worse than usual.
-    search_least_m: float = Field(default=0.3, gt=0.0)
-    search_most_m: float = Field(default=2.0, gt=0.0)
-    search_least_rad: float = Field(default=0.2, gt=0.0)
-    search_most_rad: float = Field(default=1.6, gt=0.0)
-    search_gain: float = Field(default=0.08, ge=0.0)  # so much more must then lie on the map
-    search_rest_s: float = Field(default=1.0, ge=0.0)  # between two searches of the whole window
-    usual_share_scans: int = Field(default=50, ge=1)  # over which the usual share is taken
-    settled_m: float = Field(default=0.0005, gt=0.0)
-    settled_rad: float = Field(default=0.0001, gt=0.0)
-
-    inlier_m: float = Field(default=0.10, gt=0.0)
-    lost_share: float = Field(default=0.30, ge=0.0, le=1.0)
-    # Enough where wheels were measured, and the match is no farther from them than so many sigmas.
-    weak_share: float = Field(default=0.15, ge=0.0, le=1.0)
-    weak_sigmas: float = Field(default=2.0, ge=0.0)
-    degraded_share: float = Field(default=0.45, ge=0.0, le=1.0)
+    wall_sigma_m: float = Field(default=0.004, gt=0.0)  # how even walls are
+    cauchy_m: float = Field(default=0.10, gt=0.0)  # a point so far off counts half
+    lost_ratio: float = Field(default=0.30, ge=0.0, le=1.0)
+    degraded_ratio: float = Field(default=0.45, ge=0.0, le=1.0)
     degraded_sigma_m: float = Field(default=0.10, gt=0.0)
-    least_points: int = Field(default=20, ge=3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Attempt:
-    """A scan that is to be laid on a map."""
+    """A scan that is to be laid on a map, and where the prediction puts it there."""
 
     points: Points
-    normals: npt.NDArray[np.float64]  # (N, 3) from estimate_normals
+    normals: Matrix  # (N, 3) from estimate_normals
     predicted: Prediction
     prior: Prior
 
@@ -72,8 +66,18 @@ class _Laid:
     """Where it ended on one sub-map."""
 
     result: MatchResult
-    xy_base: npt.NDArray[np.float64]  # (N, 2) m, deskewed with the twist found
+    xy_base: Matrix  # (N, 2) m, deskewed with the twist found
     submap: Submap
+    state: State
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Gap:
+    """Where a detached piece of the map began, and how well that was known in the map before."""
+
+    pose: SE2
+    covariance: Matrix  # (3, 3) base axes
 
 
 class SurfelGaussNewton:
@@ -81,59 +85,91 @@ class SurfelGaussNewton:
 
     def __init__(self, config: SurfelMatcherConfig) -> None:
         self._config = config
+        self._ratios = Ratios(config.lost_ratio, config.degraded_ratio)
         self._settings = MatchSettings(
-            0.01,
-            config.wall_sigma_m,
-            1.0,
-            config.cauchy_m,
-            config.least_normal_cosine,
-            config.iterations,
-            config.deskew_rounds,
-            config.inlier_m,
-            config.coarse_sigma,
-            config.coarse_beams,
-            config.coarse_iterations,
-            config.settled_m,
-            config.settled_rad,
+            range_sigma_m=0.01,
+            wall_sigma_m=config.wall_sigma_m,
+            repeats=1.0,
+            cauchy_m=config.cauchy_m,
+            least_normal_cosine=LEAST_NORMAL_COSINE,
+            iterations=ITERATIONS,
+            deskew_rounds=DESKEW_ROUNDS,
+            inlier_m=INLIER_M,
+            coarse_sigma=COARSE_SIGMA,
+            coarse_beams=COARSE_BEAMS,
+            coarse_iterations=COARSE_ITERATIONS,
+            settled_m=SETTLED_M,
+            settled_rad=SETTLED_RAD,
         )
-        self._usual_share = 1.0
+        self._usual_ratio = 1.0
         self._rest_until_ns = 0  # no wide search before
+        self._gap: _Gap | None = None
+        self._hypothesis: SE2 | None = None  # odom of the piece in that of the map, where a find put it
 
     def match(self, points: Points, predicted: Prediction, local_map: SurfelSubmaps) -> Match:
-        count = len(points.xy_base)
-        if count < self._config.least_points:
+        if len(points.xy_base) < LEAST_POINTS:
             return Match(predicted, points, 0.0, "lost", self._too_few(points))
-        if not local_map.candidates:
+        submap = local_map.matched_to
+        if submap is None:
             return Match(predicted, points, 1.0)
-        attempt = _Attempt(points, local_map.normals_of(points), predicted, _as_prior(predicted))
-        laid = [self._lay(attempt, attempt.prior.pose, local_map.candidates[0])]
-        for submap in local_map.candidates[1:]:
-            if self._fits(laid[-1], attempt):
-                break
-            laid.append(self._lay(attempt, attempt.prior.pose, submap))
-        best = laid[-1] if self._fits(laid[-1], attempt) else laid[0]
-        if best is laid[0]:
-            best = self._searched(best, attempt)
-        return self._as_match(best, attempt, is_new=best is laid[-1] and len(laid) > 1)
+        if local_map.detached is None:
+            self._gap = None
+        attempt = _Attempt(points, local_map.normals_of(points), predicted, _prior_of(predicted, self._gap))
+        laid = self._searched(self._lay(attempt, attempt.prior.pose, submap), attempt)
+        if laid.state != "lost" and self._is_found(laid, attempt):
+            self._usual_ratio += (laid.result.share - self._usual_ratio) / USUAL_SCANS
+            return self._as_match(laid, attempt, laid.state, laid.reason)
+        if local_map.detached is None:
+            self._gap = _Gap(predicted.pose_odom_base, predicted.local_covariance)
+            self._hypothesis = None
+            return Match(predicted, points, laid.result.share, "lost", laid.reason)
+        attempt = replace(attempt, prior=_prior_of(predicted, None))
+        detached = self._lay(attempt, attempt.prior.pose, local_map.detached)
+        if detached.state == "lost":
+            return Match(predicted, points, laid.result.share, "lost", laid.reason)
+        return self._as_match(
+            detached, attempt, "lost", f"{laid.reason}; what is seen now is mapped apart until it is found"
+        )
 
-    def _as_match(self, laid: _Laid, attempt: _Attempt, is_new: bool) -> Match:
-        result, points = laid.result, attempt.points
-        state, reason = self._judge(result, attempt)
-        if state == "lost":
-            return Match(attempt.predicted, points, result.share, state, reason)
-        self._usual_share += (result.share - self._usual_share) / self._config.usual_share_scans
+    def _is_found(self, laid: _Laid, attempt: _Attempt) -> bool:
+        """Whether a scan that was mapped apart is believed to lie on the map again.
+
+        One find far from the prediction is a hypothesis, since rooms look alike; the next one must say the same.
+        A find that the way so far rules out is none: where else it may be the graph looks.
+        """
+        if self._gap is None:
+            return True
+        is_loose = _is_loose(sigmas_of(attempt.prior.covariance))
+        if _chi2(laid.result.pose, attempt.prior) > JUMP_CHI2:
+            return False
+        if not is_loose:
+            return True
+        jump = SE2(*laid.result.pose.tolist()) @ attempt.predicted.pose_odom_base.inverse()
+        last, self._hypothesis = self._hypothesis, jump
+        if last is None:
+            return False
+        there = last @ attempt.predicted.pose_odom_base
+        away = SE2(*laid.result.pose.tolist()).inverse() @ there
+        return math.hypot(away.x_m, away.y_m) < SAME_FIND_M and abs(away.theta_rad) < SAME_FIND_RAD
+
+    def _as_match(self, laid: _Laid, attempt: _Attempt, state: State, reason: str) -> Match:
+        result = laid.result
         x_m, y_m, theta_rad = result.pose.tolist()
         forward, left, turn = result.twist.tolist()
         pose = SE2(x_m, y_m, theta_rad)
-        measured = Measurement(pose, result.covariance, result.information, result.prior_weight)
+        gap = None
+        if state != "lost" and self._gap is not None:
+            gap = attempt.prior.covariance - attempt.predicted.local_covariance
+        measured = Measurement(pose, result.covariance, result.information, result.prior_weight, gap)
         motion = Motion(pose, (forward, left, turn), result.covariance)
-        deskewed = replace(points, xy_base=laid.xy_base)
+        deskewed = replace(attempt.points, xy_base=laid.xy_base)
         return Match(motion, deskewed, result.share, state, reason, laid.submap.number, measured)
 
-    def _lay(self, attempt: _Attempt, start: npt.NDArray[np.float64], submap: Submap) -> _Laid:
-        """The match on a sub-map, begun at `start`, a pose as in the prior."""
+    def _lay(self, attempt: _Attempt, start: Matrix, submap: Submap) -> _Laid:
+        """The match on a sub-map, begun at `start`, a pose as in the prior, and what to think of it."""
         points = attempt.points
         xy_base = points.xy_base.copy()
+        apart_m = max(attempt.predicted.travel_m, SAME_WALL_M / MOST_REPEATS)
         result: MatchResult = match_scan(
             Returns(points.xy_raw, points.beam_time_s, points.beam),
             submap.weighed(points, attempt.normals, start),
@@ -141,115 +177,101 @@ class SurfelGaussNewton:
             start,
             submap.grid(),
             self._settings._replace(
-                range_sigma_m=points.range_sigma_m,
-                repeats=self._repeats(attempt.predicted),
+                range_sigma_m=points.range_sigma_m, repeats=max(1.0, SAME_WALL_M / apart_m)
             ),
-            self._config.doubt_ratio * self._usual_share,
+            DOUBT_RATIO * self._usual_ratio,
             xy_base,
         )
-        return _Laid(result, xy_base, submap)
+        return _Laid(result, xy_base, submap, *self._judge(result, xy_base, attempt, submap))
 
-    def _repeats(self, predicted: Prediction) -> float:
-        """How many scans in a row see the same errors of the map."""
-        apart_m = max(predicted.travel_m, self._config.same_wall_m / self._config.most_repeats)
-        return max(1.0, self._config.same_wall_m / apart_m)
-
-    def _fits(self, laid: _Laid, attempt: _Attempt) -> bool:
-        return self._judge(laid.result, attempt)[0] != "lost"
-
-    def _searched(self, laid: _Laid, attempt: _Attempt) -> _Laid:
-        """The best pose around the prediction, if clearly more of the scan lies on the map there.
-
-        A poor recovery is worse than none: a prediction that goes on is found again, a jump is not.
-        """
-        config, prior = self._config, attempt.prior
-        share = laid.result.share
-        reach_m, reach_rad = config.search_most_m, config.search_most_rad
-        if share >= (config.degraded_share if attempt.predicted.is_measured else config.lost_share):
-            if attempt.predicted.is_measured or share >= config.doubt_ratio * self._usual_share:
-                return laid
-            sigma_m, sigma_rad = (math.sqrt(prior.covariance[k, k]) for k in (0, 2))
-            reach_m = min(max(3.0 * sigma_m, config.search_least_m), reach_m)
-            reach_rad = min(max(3.0 * sigma_rad, config.search_least_rad), reach_rad)
-        elif attempt.points.scan.stamp_ns < self._rest_until_ns:
-            return laid
-        else:
-            self._rest_until_ns = attempt.points.scan.stamp_ns + round(config.search_rest_s * 1e9)
-        start = search_around(attempt.points.xy_base, prior.pose, reach_m, reach_rad, laid.submap.grid())
-        if start is None:
-            return laid
-        found = self._lay(attempt, start, laid.submap)
-        least = share + config.search_gain
-        if self._sigmas_away(found.result, prior) > config.jump_sigmas:
-            least = max(least, config.degraded_share)
-        return found if found.result.share >= least else laid
-
-    def _is_confirmed(self, result: MatchResult, attempt: _Attempt) -> bool:
-        """Whether wheels vouch for a match of few points: a turn through a door shows mostly new walls."""
-        return (
-            attempt.predicted.is_measured
-            and result.share >= self._config.weak_share
-            and self._sigmas_away(result, attempt.prior) <= self._config.weak_sigmas
+    def _judge(
+        self, result: MatchResult, xy_base: Matrix, attempt: _Attempt, submap: Submap
+    ) -> tuple[State, str]:
+        prior = sigmas_of(attempt.prior.covariance)
+        is_far = _is_loose(prior) or _chi2(result.pose, attempt.prior) > JUMP_CHI2
+        in_free = 0
+        if is_far or result.share < DOUBT_RATIO * self._usual_ratio:
+            in_free = submap.in_free(xy_base, attempt.normals, result.pose)
+        evidence = Evidence(
+            used=result.used,
+            on_map=result.share * result.used,
+            in_free=in_free,
+            sigma=sigmas_of(result.covariance),
+            prior=prior,
+            is_measured=attempt.predicted.is_measured,
+            is_far=is_far,
         )
-
-    def _sigmas_away(self, result: MatchResult, prior: Prior) -> float:
-        """How far a match is from the prediction."""
-        away = SE2(*prior.pose.tolist()).inverse() @ SE2(*result.pose.tolist())
-        offset = np.array([away.x_m, away.y_m, away.theta_rad])
-        return float(np.sqrt(offset @ np.linalg.solve(prior.covariance, offset)))
-
-    def _jump(self, result: MatchResult, predicted: Prediction, prior: Prior) -> str | None:
-        """Why a match is not believed that fits worse than usual and needs a speed that nothing can reach.
-
-        Someone close before the laser leaves few walls and a minimum elsewhere. A pose that is a little wrong
-        comes back with the next scan, a jump does not. Wheels may be wrong, so the walls overrule them.
-        """
-        is_guess = predicted.elapsed_s > 0.0 and not predicted.is_measured
-        if not is_guess or result.share >= self._config.doubt_ratio * self._usual_share:
-            return None
-        if self._sigmas_away(result, prior) <= self._config.jump_sigmas:
-            return None
-        away = predicted.pose_odom_base.inverse() @ SE2(*result.pose.tolist())
-        return (
-            f"{result.share:.0%} of {result.used} returns lie on the map (usual {self._usual_share:.0%}), "
-            f"{math.hypot(away.x_m, away.y_m):.2f} m and {abs(away.theta_rad):.2f} rad from the prediction; "
-            "the pose follows the prediction"
-        )
-
-    def _judge(self, result: MatchResult, attempt: _Attempt) -> tuple[State, str]:
-        config = self._config
-        if result.share < config.lost_share:
-            on_map = f"{result.share:.0%} of {result.used} returns lie on the map"
-            if self._is_confirmed(result, attempt):
-                return "degraded", f"{on_map} (at least {config.lost_share:.0%}), but the wheels say the same"
-            return "lost", f"{on_map} (at least {config.lost_share:.0%}); the pose follows the prediction"
-        if (jump := self._jump(result, attempt.predicted, attempt.prior)) is not None:
-            return "lost", jump
-        if result.share < config.degraded_share:
-            return "degraded", (
-                f"{result.share:.0%} of {result.used} returns lie on the map "
-                f"(expected {config.degraded_share:.0%}): much has changed, or the prediction was far off"
-            )
-        if result.weakest_sigma_m > config.degraded_sigma_m:
+        state, reason = judge(evidence, self._ratios)
+        if state == "ok" and result.weakest_sigma_m > self._config.degraded_sigma_m:
             towards_deg = math.degrees(result.weakest_direction_rad) % 180.0
             return "degraded", (
                 f"the walls in view do not fix the position along {towards_deg:.0f} deg of the vehicle "
                 f"(sigma {result.weakest_sigma_m:.2f} m); the prediction holds it"
             )
-        return "ok", ""
+        return state, reason
+
+    def _searched(self, laid: _Laid, attempt: _Attempt) -> _Laid:
+        """The best pose of a window around the prediction, if clearly more of the scan lies on the map there.
+
+        A poor recovery is worse than none: a prediction that goes on is found again, a jump is not.
+        """
+        sigma_m, sigma_rad = sigmas_of(attempt.prior.covariance)
+        share = laid.result.share
+        if laid.state != "lost" and (not _is_loose((sigma_m, sigma_rad)) or share >= DOUBT_RATIO * self._usual_ratio):
+            return laid
+        reach_m, reach_rad = (
+            min(max(3.0 * sigma, least), most)
+            for sigma, least, most in zip((sigma_m, sigma_rad), LEAST_SEARCH, MOST_SEARCH, strict=True)
+        )
+        if laid.state == "lost":
+            if attempt.points.scan.stamp_ns < self._rest_until_ns:
+                return laid
+            self._rest_until_ns = attempt.points.scan.stamp_ns + round(SEARCH_REST_S * 1e9)
+            reach_m, reach_rad = max(reach_m, FIRST_SEARCH[0]), max(reach_rad, FIRST_SEARCH[1])
+        prior = attempt.prior
+        start = search_around(attempt.points.xy_base, prior.pose, reach_m, reach_rad, laid.submap.grid())
+        if start is None:
+            return laid
+        found = self._lay(attempt, start, laid.submap)
+        return found if found.state != "lost" and found.result.share >= share + SEARCH_GAIN else laid
 
     def _too_few(self, points: Points) -> str:
         return (
             f"{points.scan.sensor}: {len(points.xy_base)} of {len(points.scan.range_m)} beams returned "
-            f"(at least {self._config.least_points}); is the window covered, or is there nothing in range?"
+            f"(at least {LEAST_POINTS}); is the window covered, or is there nothing in range?"
         )
 
 
-def _as_prior(predicted: Prediction) -> Prior:
+def _is_loose(sigmas: tuple[float, float]) -> bool:
+    """Whether a prediction known to so many m and rad says little of where the match must lie."""
+    return sigmas[0] > LOOSE_SIGMAS[0] or sigmas[1] > LOOSE_SIGMAS[1]
+
+
+def _chi2(pose: Matrix, prior: Prior) -> float:
+    """How far a pose (3,) is from the prediction, in squared sigmas."""
+    away = SE2(*prior.pose.tolist()).inverse() @ SE2(*pose.tolist())
+    offset = np.array([away.x_m, away.y_m, away.theta_rad])
+    return float(offset @ np.linalg.solve(prior.covariance, offset))
+
+
+def _prior_of(predicted: Prediction, gap: _Gap | None) -> Prior:
+    """The prediction as the kernel wants it; gap: of a piece that it is carried through, against the map before."""
     pose = predicted.pose_odom_base
+    covariance = predicted.local_covariance
+    if gap is not None:
+        step = gap.pose.inverse() @ pose
+        c, s = math.cos(step.theta_rad), math.sin(step.theta_rad)
+        carry = np.array(
+            [
+                [c, s, s * step.x_m - c * step.y_m],
+                [-s, c, c * step.x_m + s * step.y_m],
+                [0.0, 0.0, 1.0],
+            ]
+        )
+        covariance = covariance + carry @ gap.covariance @ carry.T
     return Prior(
         np.array([pose.x_m, pose.y_m, pose.theta_rad]),
         np.array(predicted.twist_base),
-        predicted.local_covariance,
+        covariance,
         predicted.twist_gain,
     )
