@@ -1,0 +1,269 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.frames import ImuSample, OdometrySample
+from service.fusion.estimator import FIRST_TWIST_SIGMA, LEAST_SIGMA, Estimator, EstimatorConfig
+from service.fusion.motion import Measurement, Prediction
+from service.geometry.se2 import SE2
+from service.kernels.estimator import LOCAL, TWIST
+from tests.service.fusion.samples import MS, gyro, matched, odometry
+
+TIGHT = np.diag([1e-6, 1e-6, 1e-8])  # 1 mm, 0.1 mrad
+RESOLUTION_M = 2e-4  # of odometry, in the estimator
+
+
+def driven(
+    model: Estimator,
+    until_ms: int,
+    speed_mps: float = 1.0,
+    wheel_scale: float = 1.0,
+    offset_ns: int = 0,
+    rate_radps: float | None = None,
+) -> Prediction:
+    """Straight on with odometry each 20 ms and a tight scan each 100 ms; the last prediction."""
+    for stamp_ms in range(0, until_ms + 1, 20):
+        way_m = speed_mps * stamp_ms * 1e-3
+        assert model.add(later(odometry(stamp_ms, SE2(wheel_scale * way_m, 0.0, 0.0)), offset_ns))
+        if rate_radps is not None:
+            assert model.add(later(gyro(stamp_ms, rate_radps), offset_ns))
+        if stamp_ms % 100 == 0:
+            predicted = model.predict(stamp_ms * MS + offset_ns)
+            model.correct(matched(SE2(way_m, 0.0, 0.0), TIGHT))
+    return predicted
+
+
+def later(sample, offset_ns: int):
+    return replace(sample, stamp_ns=sample.stamp_ns + offset_ns, arrived_ns=sample.arrived_ns + offset_ns)
+
+
+def test_a_straight_way_is_the_least_squares_solution_over_all_of_it() -> None:
+    """Along x everything is linear: positions and speeds of all scans at once, solved by QR, say the same."""
+    config = EstimatorConfig(odometry_scale_sigma=0.0, odometry_lag_sigma_s=0.0, odometry_jitter_s=0.0)
+    noise, count, dt = np.random.default_rng(3), 24, 0.04  # ends before the noise of odometry is judged
+    true_m = np.cumsum(
+        np.r_[0.0, np.full(count - 1, 0.006)] + np.r_[0.0, 1e-3 * noise.standard_normal(count - 1)]
+    )
+    wheels_m = np.r_[0.0, np.diff(true_m) + 3e-4 * noise.standard_normal(count - 1)].cumsum()
+    scans_m = true_m + 2e-3 * noise.standard_normal(count)
+    sigma_m = np.where(np.arange(count) % 3 == 0, np.inf, 2e-3)  # each third scan is blind along x
+
+    model = Estimator(config)
+    for k in range(count):
+        model.add(odometry(40 * k, SE2(wheels_m[k], 0.0, 0.0)))
+        model.predict(40 * k * MS)
+        covariance = np.diag([min(sigma_m[k], 1.0) ** 2, 1e-6, 1e-6])
+        information = np.diag([1.0 / sigma_m[k] ** 2, 1e6, 1e6])
+        scan = Measurement(SE2(scans_m[k], 0.0, 0.0), covariance, information, is_joined=False)
+        motion = model.correct(scan if k else None)
+
+    rows, right = [], []
+
+    def say(columns: dict[int, float], value: float, sigma: float) -> None:
+        row = np.zeros(2 * count)  # x_0, v_0, x_1, ...
+        row[list(columns)] = list(columns.values())
+        rows.append(row / sigma)
+        right.append(value / sigma)
+
+    say({0: 1.0}, 0.0, LEAST_SIGMA[0])
+    say({1: 1.0}, 0.0, FIRST_TWIST_SIGMA[0])
+    density = config.acceleration**2
+    root = np.linalg.inv(
+        np.linalg.cholesky(density * np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]]))
+    )
+    for k in range(1, count):
+        x0, v0, x1, v1 = range(2 * k - 2, 2 * k + 2)
+        for a, b in root:
+            say({x0: -a, v0: -a * dt - b, x1: a, v1: b}, 0.0, 1.0)
+        said_m = wheels_m[k] - wheels_m[k - 1]
+        variance = config.odometry_position_walk**2 * abs(said_m) + RESOLUTION_M**2
+        say({x0: -1.0, x1: 1.0}, said_m, math.sqrt(variance))
+        if math.isfinite(sigma_m[k]):
+            say({x1: 1.0}, scans_m[k], sigma_m[k])
+    system = np.array(rows)
+    solution = np.linalg.lstsq(system, np.array(right), rcond=None)[0]
+    spread = np.linalg.inv(system.T @ system)[-2:, -2:]
+
+    assert motion.pose_odom_base.x_m == pytest.approx(solution[-2], abs=1e-9)
+    assert motion.twist_base[0] == pytest.approx(solution[-1], abs=1e-9)
+    believed = model._filter.covariance[np.ix_((LOCAL, TWIST), (LOCAL, TWIST))]
+    np.testing.assert_allclose(believed, spread, rtol=1e-9, atol=1e-9 * spread[0, 0])
+    assert abs(motion.pose_odom_base.x_m - scans_m[-1]) > 1e-5  # it is not the last scan
+
+
+def test_a_scan_alone_and_the_same_scan_joined_by_hand_are_one() -> None:
+    alone, joined = Estimator(EstimatorConfig()), Estimator(EstimatorConfig())
+    for model in (alone, joined):
+        driven(model, 1000)
+        prior = model.predict(1100 * MS)
+    information = np.array([[4e4, 1e4, 0.0], [1e4, 9e4, 2e4], [0.0, 2e4, 1e6]])
+    off = np.array([0.01, -0.004, 0.002])
+    scan = Measurement(
+        prior.pose_odom_base @ SE2.exp(*off), np.linalg.inv(information), information, is_joined=False
+    )
+    covariance = np.linalg.inv(np.linalg.inv(prior.local_covariance) + information)
+    mean = prior.pose_odom_base @ SE2.exp(*(covariance @ information @ off))
+    first = alone.correct(scan)
+    second = joined.correct(Measurement(mean, covariance, information))
+    for got in (first, second):
+        away = mean.inverse() @ got.pose_odom_base
+        assert (away.x_m, away.y_m, away.theta_rad) == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
+    assert first.twist_base == pytest.approx(second.twist_base, abs=1e-12)
+    local = alone._filter.covariance[LOCAL : LOCAL + 3, LOCAL : LOCAL + 3]
+    np.testing.assert_allclose(local, covariance, rtol=1e-6, atol=1e-12)
+
+
+def test_a_scan_that_says_nothing_leaves_the_prediction() -> None:
+    model = Estimator(EstimatorConfig())
+    driven(model, 1000)
+    predicted = model.predict(1100 * MS)
+    nothing = Measurement(SE2(9.0, 9.0, 1.0), np.eye(3), np.zeros((3, 3)), is_joined=False)
+    believed = model.correct(nothing)
+    away = predicted.pose_odom_base.inverse() @ believed.pose_odom_base
+    assert (away.x_m, away.y_m, away.theta_rad) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+    np.testing.assert_allclose(believed.covariance, predicted.covariance, rtol=1e-6, atol=1e-12)
+
+
+def test_the_odom_frame_is_the_base_at_the_first_scan() -> None:
+    model = Estimator(EstimatorConfig())
+    for stamp_ms in range(0, 101, 20):
+        model.add(odometry(stamp_ms, SE2(70.0, 8.0, 1.0) @ SE2(stamp_ms * 1e-3, 0.0, 0.0)))
+    predicted = model.predict(100 * MS)
+    assert predicted.pose_odom_base == SE2()
+    assert predicted.elapsed_s == 0.0
+    assert predicted.twist_base == pytest.approx((1.0, 0.0, 0.0), abs=1e-9)
+
+
+def test_the_scale_of_odometry_is_learnt_from_sharp_scans() -> None:
+    model = Estimator(EstimatorConfig())
+    driven(model, 20_000, wheel_scale=1.05)
+    assert 1.05 * (1.0 + model.learnt[0]) == pytest.approx(1.0, abs=0.005)
+
+
+def test_a_way_that_scans_do_not_see_teaches_nothing_of_the_scale() -> None:
+    model = Estimator(EstimatorConfig())
+    for stamp_ms in range(0, 20_001, 20):
+        model.add(odometry(stamp_ms, SE2(1.05 * stamp_ms * 1e-3, 0.0, 0.0)))
+        if stamp_ms % 100 == 0:
+            at = model.predict(stamp_ms * MS).pose_odom_base
+            blind = Measurement(SE2(at.x_m), np.eye(3), np.diag([0.0, 1e6, 1e8]), is_joined=False)
+            model.correct(blind if stamp_ms else None)
+    assert model.learnt[0] == pytest.approx(0.0, abs=1e-4)
+    assert at.x_m == pytest.approx(21.0, abs=0.01)
+
+
+@pytest.mark.parametrize("bias_radps", [0.02, -0.01])
+def test_the_bias_of_the_gyro_is_learnt(bias_radps: float) -> None:
+    model = Estimator(EstimatorConfig())
+    driven(model, 20_000, rate_radps=bias_radps)
+    assert model.learnt[3] == pytest.approx(bias_radps, abs=5e-4)
+
+
+def test_odometry_carries_over_a_minute_and_a_half_without_scans() -> None:
+    model = Estimator(EstimatorConfig())
+    for stamp_ms in range(0, 87_001, 20):
+        way_m = max(stamp_ms - 2000, 0) / 85_000.0
+        model.add(odometry(stamp_ms, SE2(way_m, 0.0, 0.0)))
+        if stamp_ms % 100 == 0 and stamp_ms <= 2000:
+            model.predict(stamp_ms * MS)
+            model.correct(matched(SE2(), TIGHT))
+    predicted = model.predict(87_000 * MS)
+    assert predicted.elapsed_s == pytest.approx(85.0)
+    assert predicted.is_measured
+    assert predicted.pose_odom_base.x_m == pytest.approx(1.0, abs=0.05)
+    assert predicted.pose_odom_base.y_m == pytest.approx(0.0, abs=0.05)
+    sigma_m = math.sqrt(predicted.local_covariance[0, 0])
+    assert 0.01 < sigma_m < 0.2
+
+
+@pytest.mark.parametrize(("before_ms", "after_ms"), [(0, 0), (400, 0), (0, 50)])
+def test_a_burst_of_odometry_does_not_disturb(before_ms: int, after_ms: int) -> None:
+    """20 samples stamped within 2 ms, off by encoder ticks; odometry is silent so long before and after."""
+    off_m, speed_mps = [], []
+    model = Estimator(EstimatorConfig())
+    for stamp_ms in range(0, 4001, 20):
+        if not (3000 - before_ms < stamp_ms < 3000 or 3000 < stamp_ms < 3000 + after_ms):
+            model.add(odometry(stamp_ms, SE2(stamp_ms * 1e-3, 0.0, 0.0)))
+        if stamp_ms == 3000:
+            for k in range(1, 21):
+                tick_m = 1e-3 * (k % 2)
+                model.add(odometry(stamp_ms + 0.1 * k, SE2(stamp_ms * 1e-3 + 1e-4 * k + tick_m, 0.0, 0.0)))
+        if stamp_ms % 40 == 0:
+            predicted = model.predict(stamp_ms * MS)
+            model.correct(matched(SE2(stamp_ms * 1e-3, 0.0, 0.0), TIGHT))
+            off_m.append(predicted.pose_odom_base.x_m - stamp_ms * 1e-3)
+            speed_mps.append(predicted.twist_base[0])
+    assert np.abs(off_m[25:]).max() < 0.003
+    assert np.abs(np.array(speed_mps[25:]) - 1.0).max() < 0.1
+    assert np.abs(model.learnt[0]) < 0.005
+
+
+def test_odometry_that_grows_unsure_widens_the_prediction() -> None:
+    def sigmas(growth: float) -> np.ndarray:
+        """growth: variance that the device adds each second, m^2 and rad^2."""
+        model = Estimator(EstimatorConfig())
+        for stamp_ms in range(0, 3001, 20):
+            own = growth * stamp_ms * 1e-3
+            sample = odometry(stamp_ms, SE2(stamp_ms * 1e-3, 0.0, 0.0))
+            model.add(replace(sample, covariance=(own, 0.0, 0.0, 0.0, own, 0.0, 0.0, 0.0, own)))
+            if stamp_ms <= 2000 and stamp_ms % 100 == 0:
+                model.predict(stamp_ms * MS)
+                model.correct(matched(SE2(stamp_ms * 1e-3, 0.0, 0.0), TIGHT))
+        return np.sqrt(np.diag(model.predict(3000 * MS).local_covariance))
+
+    sure, unsure = sigmas(0.0), sigmas(0.01)
+    assert (unsure > 2.0 * sure).all()
+    assert unsure[0] == pytest.approx(0.1, rel=0.3)
+
+
+def test_only_differences_of_time_count() -> None:
+    near, unix = (
+        driven(Estimator(EstimatorConfig()), 2000, 0.7, 1.02, offset_ns, rate_radps=0.01)
+        for offset_ns in (0, 1_700_000_000_000_000_003)
+    )
+    assert near.pose_odom_base == unix.pose_odom_base
+    assert near.twist_base == unix.twist_base
+    np.testing.assert_array_equal(near.covariance, unix.covariance)
+
+
+def test_samples_out_of_order_or_no_numbers_are_refused() -> None:
+    model = Estimator(EstimatorConfig())
+    assert model.add(odometry(20, SE2()))
+    assert not model.add(odometry(20, SE2(1.0, 0.0, 0.0)))
+    assert not model.add(odometry(10, SE2(1.0, 0.0, 0.0)))
+    assert model.add(gyro(20, 0.0))
+    assert not model.add(gyro(20, 1.0))
+    assert not model.add(gyro(10, 1.0))
+    assert not model.add(gyro(30, math.nan))
+    for x_m in (math.nan, math.inf):
+        assert not model.add(odometry(30, SE2(x_m, 0.0, 0.0)))
+    broken: OdometrySample | ImuSample = replace(odometry(30, SE2()), covariance=(math.nan,) * 9)
+    assert not model.add(broken)
+    assert model.add(odometry(30, SE2()))
+    assert model.add(gyro(30, 0.0))
+
+
+def test_samples_of_a_silent_laser_are_kept_and_old_ones_forgotten() -> None:
+    model = Estimator(EstimatorConfig())
+    driven(model, 200_000)
+    kept = np.diff(model._odometry.track.span)[0]
+    assert 2 <= kept < 200
+    for stamp_ms in range(200_020, 400_001, 20):
+        model.add(odometry(stamp_ms, SE2(200.0, 0.0, 0.0)))
+    assert model.predict(400_000 * MS).pose_odom_base.x_m == pytest.approx(200.0, abs=0.05)
+
+
+def test_without_odometry_the_last_speed_goes_on_and_grows_vague() -> None:
+    model = Estimator(EstimatorConfig())
+    for stamp_ms in range(0, 2001, 40):
+        model.predict(stamp_ms * MS)
+        model.correct(matched(SE2(stamp_ms * 1e-3, 0.0, 0.0), TIGHT))
+    soon = model.predict(2100 * MS)
+    assert not soon.is_measured
+    assert soon.pose_odom_base.x_m == pytest.approx(2.1, abs=0.005)
+    model.correct(None)
+    late = model.predict(3100 * MS)
+    assert late.pose_odom_base.x_m == pytest.approx(3.1, abs=0.05)
+    assert late.local_covariance[0, 0] > soon.local_covariance[0, 0] + 1.0 / 3.0
