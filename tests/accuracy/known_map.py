@@ -103,7 +103,14 @@ def match_errors(world: World, laser: Laser, pose: SE2, seed: int) -> npt.NDArra
         points = _points(world, laser, pose, noise)
         prior = _motion(start, PRIOR_SIGMA_M, PRIOR_SIGMA_RAD)
         predicted = Prediction(
-            prior.pose_odom_base, STILL, prior.covariance, prior.covariance, 1.0, 0.0, is_measured=False
+            pose_odom_base=prior.pose_odom_base,
+            twist_base=STILL,
+            covariance=prior.covariance,
+            local_covariance=prior.covariance,
+            twist_gain=np.zeros((3, 3)),
+            elapsed_s=1.0,
+            travel_m=1.0,
+            is_measured=False,
         )
         found = matcher.match(points, predicted, local_map).motion.pose_odom_base
         away = pose.inverse() @ found

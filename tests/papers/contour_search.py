@@ -92,9 +92,10 @@ def brought_back(
             pose_odom_base=true @ off,
             twist_base=match.motion.twist_base,
             covariance=wide,
-            step_covariance=wide,
+            local_covariance=wide,
             elapsed_s=0.02,
-            twist_gain=0.0,
+            twist_gain=np.zeros((3, 3)),
+            travel_m=0.0,
             is_measured=False,
         )
         found = matcher.match(points, predicted, local_map)
