@@ -136,6 +136,13 @@ def test_the_odom_frame_is_the_base_at_the_first_scan() -> None:
     assert predicted.twist_base == pytest.approx((1.0, 0.0, 0.0), abs=1e-9)
 
 
+def test_the_first_speed_is_not_that_of_two_samples_of_a_burst() -> None:
+    model = Estimator(EstimatorConfig())
+    for stamp_ms in (0, 20, 40, 60, 80, 100, 100.1, 100.2):
+        model.add(odometry(stamp_ms, SE2(stamp_ms * 1e-3 + 1e-3 * (stamp_ms == 100.2), 0.0, 0.0)))
+    assert model.predict(101 * MS).twist_base[0] == pytest.approx(1.0, abs=0.05)
+
+
 def test_the_scale_of_odometry_is_learnt_from_sharp_scans() -> None:
     model = Estimator(EstimatorConfig())
     driven(model, 20_000, wheel_scale=1.05)

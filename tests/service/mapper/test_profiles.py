@@ -102,7 +102,16 @@ def test_a_turn_that_nobody_announced_is_found_again(room_drive: Drive) -> None:
     truth = outputs[-1].pose_odom_base
     for off in (SE2(0.5, -0.3, 0.55), SE2(-0.4, 0.4, -0.6)):
         spread = np.diag([0.2**2, 0.2**2, 0.25**2])
-        predicted = Prediction(truth @ off, (0.0, 0.0, 0.0), spread, spread, 0.25, 0.0, is_measured=False)
+        predicted = Prediction(
+            pose_odom_base=truth @ off,
+            twist_base=(0.0, 0.0, 0.0),
+            covariance=spread,
+            local_covariance=spread,
+            twist_gain=np.zeros((3, 3)),
+            elapsed_s=0.25,
+            travel_m=0.0,
+            is_measured=False,
+        )
         match = stages.matcher.match(stages.deskew(scans[-1], predicted), predicted, stages.local_map)
         away = truth.inverse() @ match.motion.pose_odom_base
         assert match.state == "ok"
@@ -315,7 +324,7 @@ def test_a_method_may_have_other_defaults_than_its_stages(monkeypatch) -> None:
         {"profile": "other", "settings": {"local_map": {"cell_m": 0.2}}}
     ).settings.local_map
     assert (local_map.spacing_m, local_map.cell_m, local_map.normals.gap_m) == (7.0, 0.2, 0.5)
-    assert local_map.normals.planar_ratio == mapping_config().settings.local_map.normals.planar_ratio
+    assert local_map.normals.thick_sigmas == mapping_config().settings.local_map.normals.thick_sigmas
     with pytest.raises(ValidationError, match="greater than 0"):
         mapping_config({"profile": "other", "settings": {"local_map": {"spacing_m": -1.0}}})
 
