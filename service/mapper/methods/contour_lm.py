@@ -4,10 +4,10 @@ from service.mapper.maps.contour_map import ContourMap, ContourMapConfig
 from service.mapper.matchers.contour_lm import ContourLm, ContourLmConfig
 from service.mapper.methods.corridor import (
     DESKEW_BY_TWIST,
+    ESTIMATOR,
     KEEP_ALL,
     NO_GRAPH,
     OCCUPANCY_TILES,
-    ESTIMATOR,
 )
 from service.mapper.stages import Method, StageKind
 

@@ -7,9 +7,9 @@ from service.mapper.maps.counted_submaps import CountedSubmaps, CountedSubmapsCo
 from service.mapper.matchers.particle_filter import ParticleFilter, ParticleFilterConfig
 from service.mapper.methods.corridor import (
     DESKEW_BY_TWIST,
+    ESTIMATOR,
     KEEP_ALL,
     OCCUPANCY_TILES,
-    ESTIMATOR,
 )
 from service.mapper.stages import Method, StageKind
 
