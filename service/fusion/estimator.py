@@ -34,6 +34,7 @@ from service.kernels.estimator import (
 )
 
 CAPACITY = 4096
+FADE_S = 1.0  # in which a speed fades that neither scans nor odometry confirm
 TURN_M = 0.5  # a turn of a radian shows as much new as so many metres
 KEEP_BEFORE_NS = 2_000_000_000  # of samples before the last scan: for the largest lag, and for a speed
 LOCAL_BLOCK = slice(LOCAL, LOCAL + 3)
@@ -196,6 +197,8 @@ class Estimator:
                 measured.prior_weight,
             )
             learn_noise(state, measured.information)
+        elif not state.said[3]:
+            state.twist[:] = state.twist * math.exp(-self._elapsed_s / FADE_S)
         return Motion(SE2(*state.pose.tolist()), self._twist(), state.covariance[MAP_BLOCK, MAP_BLOCK].copy())
 
     def _joined(self, measured: Measurement) -> tuple[SE2, Matrix]:

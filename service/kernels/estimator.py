@@ -335,16 +335,17 @@ def predict_motion(state, odometry, gyro, stamp_ns, settings):
         # errors are counted from what odometry said: over a long gap the last speed is far from anything
         for i in range(3):
             step[i] = state.said[i]
-        off = np.empty(3)
-        between(step, guessed, off)
+        # (turns are not wrapped: a speed that is wrong by a turn a scan would go on for ever)
+        said = np.empty(3)
+        logarithm(step, said)
         for i in range(3):
-            correction[STEP + i] = off[i]
+            correction[STEP + i] = dt * state.twist[i] - said[i]
     if knows_turn:
         state.said[6] = turn[0] - state.learnt[3] * dt
         state.said[7] = turn[1]
         rows[STEP + 2] = 1.0
         rows[BIAS] = dt
-        residual = wrap(state.said[6] - step[2])
+        residual = state.said[6] - (step[2] if knows_way else dt * state.twist[2])
         observe(P, rows, residual, turn[1] * state.gyro_noise[0], gain, GATE_CHI2_GYRO, correction)
     if knows_way:
         for axis in range(2, -1, -1):
@@ -386,7 +387,7 @@ def odometry_step(state, odometry, last_ns, stamp_ns, settings, twists):
     end = odometry.span[1]
     if (
         end - first < 2
-        or odometry.stamp_ns[end - 1] <= last_ns + lag_ns
+        or odometry.stamp_ns[end - 1] <= last_ns + min(lag_ns, 0)
         or odometry.stamp_ns[first] > last_ns + lag_ns + GRACE_NS
     ):
         state.last_odom[7] = 0.0

@@ -24,6 +24,8 @@ from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
 from service.mapper.stages import MapChange, Match, Points
 
 POOL_TILES = 16_384  # 750 MB of address space; a sub-map in a large hall touches a few hundred tiles
+NEW_PIECE_ERROR = 0.01  # of the pose's error against the map is left against a piece that begins at the pose
+MOST_MISSES = 3  # then another piece is begun
 MOST_NUMBER = 65_535  # of a key frame, then from 1 again
 
 
@@ -159,7 +161,7 @@ class SurfelSubmaps:
 
     Where a scan is lost, a detached piece is begun at the pose that the prediction gives. The next scans are
     tried on the old map first: if they fit, the piece is dropped. Until then they are matched to the piece, and
-    the state stays lost, for nobody knows where it lies. The graph looks for the piece in all of the map; once
+    the state stays lost, for nobody knows where it lies. Scans that fit neither begin another one. The graph looks for the piece in all of the map; once
     it has joined it, the piece is what scans are matched to.
     """
 
@@ -178,6 +180,7 @@ class SurfelSubmaps:
         self._pair: list[Submap] = []
         self._detached: Submap | None = None
         self._piece = self._joined_piece = 0  # number of the newest piece; of that which scans are matched to
+        self._misses = 0  # scans in a row that fitted neither the map nor the piece
         self._moved_m = 0.0  # from the key frame before
         self._travelled_m = 0.0  # since the younger of the pair was begun
         self._last_keyframe: SE2 | None = None
@@ -242,10 +245,16 @@ class SurfelSubmaps:
     def _insert_detached(self, points: Points, match: Match) -> MapChange:
         """Put a lost scan into the piece, if it was matched to it, or begins one."""
         pose = match.motion.pose_odom_base
-        if self._detached is None:
+        self._misses = 0 if match.measured is not None else self._misses + 1
+        if self._detached is None or self._misses >= MOST_MISSES:
+            if self._detached is not None:
+                self._detached.release()
             self._detached = self._new_submap()
-            self._last_keyframe = None
+            self._last_keyframe, self._misses = None, 0
             self._piece += 1
+            self._advance(pose)
+            self._insert_keyframe([self._detached], points, pose)
+            return MapChange(is_keyframe=True, error_left=NEW_PIECE_ERROR, piece=self._piece)
         elif match.measured is None:
             return MapChange(piece=self._piece)
         if not self._is_keyframe(pose, self._detached):

@@ -34,6 +34,7 @@ SEARCH_REST_S = 0.5  # between two searches of the whole window
 LEAST_SEARCH = (0.3, 0.2)  # m, rad: windows of a search, half their width
 MOST_SEARCH = (8.0, math.pi)
 FIRST_SEARCH = (2.0, 1.6)  # of a scan that is lost though the prediction is good
+GAP_S = 2.5  # without a scan, after which a loose prediction is a gap in the way
 LOOSE_SIGMAS = (0.5, 0.4)  # m, rad: a prediction worse than that is searched around
 SAME_FIND_M, SAME_FIND_RAD = 0.3, 0.06  # two finds of a lost vehicle agree
 JUMP_CHI2 = 27.9  # 99.999 % of three degrees of freedom
@@ -104,6 +105,8 @@ class SurfelGaussNewton:
         self._usual_ratio = 1.0
         self._rest_until_ns = 0  # no wide search before
         self._gap: _Gap | None = None
+        self._began: _Gap | None = None  # the gap of a piece that would begin with this scan
+        self._detached: Submap | None = None  # the piece that `gap` belongs to
         self._hypothesis: SE2 | None = None  # odom of the piece in that of the map, where a find put it
 
     def match(self, points: Points, predicted: Prediction, local_map: SurfelSubmaps) -> Match:
@@ -114,14 +117,17 @@ class SurfelGaussNewton:
             return Match(predicted, points, 1.0)
         if local_map.detached is None:
             self._gap = None
+            self._detached = None
+        elif local_map.detached is not self._detached:  # a piece that begins where the prediction puts it
+            self._detached = local_map.detached
+            self._gap, self._hypothesis = self._began, None
         attempt = _Attempt(points, local_map.normals_of(points), predicted, _prior_of(predicted, self._gap))
         laid = self._searched(self._lay(attempt, attempt.prior.pose, submap), attempt)
         if laid.state != "lost" and self._is_found(laid, attempt):
             self._usual_ratio += (laid.result.share - self._usual_ratio) / USUAL_SCANS
             return self._as_match(laid, attempt, laid.state, laid.reason)
+        self._began = _Gap(predicted.pose_odom_base, attempt.prior.covariance)
         if local_map.detached is None:
-            self._gap = _Gap(predicted.pose_odom_base, predicted.local_covariance)
-            self._hypothesis = None
             return Match(predicted, points, laid.result.share, "lost", laid.reason)
         attempt = replace(attempt, prior=_prior_of(predicted, None))
         detached = self._lay(attempt, attempt.prior.pose, local_map.detached)
@@ -188,7 +194,9 @@ class SurfelGaussNewton:
         self, result: MatchResult, xy_base: Matrix, attempt: _Attempt, submap: Submap
     ) -> tuple[State, str]:
         prior = sigmas_of(attempt.prior.covariance)
-        is_far = _is_loose(prior) or _chi2(result.pose, attempt.prior) > JUMP_CHI2
+        is_far = _chi2(result.pose, attempt.prior) > JUMP_CHI2 or (
+            _is_loose(prior) and (self._gap is not None or attempt.predicted.elapsed_s > GAP_S)
+        )
         in_free = 0
         if is_far or result.share < DOUBT_RATIO * self._usual_ratio:
             in_free = submap.in_free(xy_base, attempt.normals, result.pose)
