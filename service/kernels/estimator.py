@@ -77,8 +77,8 @@ class Filter(NamedTuple):
     gyro_noise  (1,)     float64   the same of the gyro
     said        (8,)     float64   odometry's step (3) and whether there was one; its variances (2);
                                    gyro's turn less bias, its variance (0: there was none)
-    last_odom   (8,)     float64   odometry at the newest pose: pose (3), mean speed up to then (3), lag in s that
-                                   they were taken with, whether there was one
+    last_odom   (8,)     float64   odometry at the newest pose: pose (3), mean speed up to then (3), lag in s
+                                   that they were taken with, whether there was one
     window      (14,)    float64   since sources were judged last: pose then (3); step that odometry said (3),
                                    its variances (2), whether it always said one; turn that the gyro said, its
                                    variance, whether it always did; way in m, time in s
@@ -281,9 +281,7 @@ def observe(covariance, rows, residual, variance, gain, gate, correction):
     for i in range(STATES):
         correction[i] += gain[i] * innovation
         for j in range(i + 1):
-            covariance[i, j] += (
-                total * gain[i] * gain[j] - gain[i] * projected[j] - projected[i] * gain[j]
-            )
+            covariance[i, j] += total * gain[i] * gain[j] - gain[i] * projected[j] - projected[i] * gain[j]
             covariance[j, i] = covariance[i, j]
     return chi2
 
@@ -557,7 +555,7 @@ def correct_motion(state, pose, local_covariance, prior_weight):
 
 @njit(cache=True, nogil=True)
 def lay_into_map(P, kept):
-    """What a scan adds to the local map carries the pose's error into it: less of it is left against it; [11].
+    """What a scan adds to the local map carries the pose's error into it: less is left against it; [11].
 
     kept   float   share of the error that is left, 0..1
     """
@@ -636,9 +634,7 @@ def learn_noise(state, information):
             known, squared = innovation(off[2], w[7], state.noise[1], 2.0 * alone[2, 2])
             adapt(state.noise, 1, known, known * squared)
         if w[11] > 0.0:
-            known, squared = innovation(
-                wrap(step[2] - w[9]), w[10], state.gyro_noise[0], 2.0 * alone[2, 2]
-            )
+            known, squared = innovation(wrap(step[2] - w[9]), w[10], state.gyro_noise[0], 2.0 * alone[2, 2])
             adapt(state.gyro_noise, 0, known, known * squared)
     begin_window(state)
 

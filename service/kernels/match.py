@@ -54,7 +54,9 @@ class MatchSettings(NamedTuple):
 class MatchResult(NamedTuple):
     pose: npt.NDArray[np.float64]  # (3,)
     twist: npt.NDArray[np.float64]  # (3,)
-    covariance: npt.NDArray[np.float64]  # (3, 3) of the pose against the map, in its base axes: prior and scan
+    covariance: npt.NDArray[
+        np.float64
+    ]  # (3, 3) of the pose against the map, in its base axes: prior and scan
     information: npt.NDArray[np.float64]  # (3, 3) of the scan alone, in base axes
     prior_weight: float  # 1: scan and prediction agree; less: so much less was the prediction believed
     share: float  # of the points used that lie on the map

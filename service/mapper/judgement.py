@@ -76,12 +76,15 @@ def judge(evidence: Evidence, ratios: Ratios) -> tuple[State, str]:
     agreement = evidence.on_map / known if known else 0.0
     is_tight = evidence.prior[0] <= TIGHT_SIGMA_M and evidence.prior[1] <= TIGHT_SIGMA_RAD
     on_map = f"{ratio:.0%} of {evidence.used} returns lie on the map"
+    in_free = f"{evidence.in_free / max(evidence.used, 1):.0%}"
     if known and agreement < (LEAST_AGREEMENT_FAR if evidence.is_far else LEAST_AGREEMENT):
         return "lost", (
-            f"{on_map} and {evidence.in_free / max(evidence.used, 1):.0%} where it knows that nothing stands: "
+            f"{on_map} and {in_free} where it knows that nothing stands: "
             "this is another place, or much has changed; the pose follows the prediction"
         )
-    if ratio < (ratios.degraded if evidence.is_far else ratios.lost) and not (is_tight and evidence.is_measured and ratio >= LEAST_KNOWN):
+    if ratio < (ratios.degraded if evidence.is_far else ratios.lost) and not (
+        is_tight and evidence.is_measured and ratio >= LEAST_KNOWN
+    ):
         least = ratios.degraded if evidence.is_far else ratios.lost
         return "lost", f"{on_map} (at least {least:.0%}); the pose follows the prediction"
     if evidence.sigma[0] > LOST_SIGMA_M or evidence.sigma[1] > LOST_SIGMA_RAD:

@@ -161,7 +161,7 @@ class LoopBackEnd:
         return bool(self._chain.count) and int(self._chain.piece[-1]) not in self._joined
 
     def _usable(self) -> npt.NDArray[np.bool_]:
-        """(N,) key frames that others can be laid on: matched, with their points, in a place that is known."""
+        """(N,) key frames that others can be laid on: matched, with points, in a place that is known."""
         return self._chain.is_usable & np.isin(self._chain.piece, list(self._joined))
 
     def _look_for_piece(self) -> int:
@@ -236,7 +236,9 @@ class LoopBackEnd:
             odom = se2.compose(chain.map[-1], se2.between(chain.odom[-1], odom))
         xy = frame.xy_base.astype(np.float64)
         normals, kept = np.empty((len(xy), 3)), np.empty(len(xy), np.bool_)
-        estimate_normals(xy, np.array(frame.sensor_xy_m), frame.angle_step_rad, frame.range_sigma_m, self._normals, normals)
+        estimate_normals(
+            xy, np.array(frame.sensor_xy_m), frame.angle_step_rad, frame.range_sigma_m, self._normals, normals
+        )
         thin_points(xy, self._config.thin_m, kept)
         chain.append(
             frame, odom, Kept(frame.xy_base[kept], normals[kept].astype(np.float32), frame.sensor_xy_m)
@@ -520,9 +522,7 @@ class LoopBackEnd:
         wanted: list[tuple[int, int]] = []  # place's key frame, key frame
         for k in range(chain.count):
             away_m = np.hypot(*(chain.map[:, :2] - chain.map[k, :2]).T)
-            near = np.flatnonzero(
-                (away_m <= config.dense_m) & (way < way[k] - config.apart_m) & usable
-            )
+            near = np.flatnonzero((away_m <= config.dense_m) & (way < way[k] - config.apart_m) & usable)
             if len(near) and usable[k]:
                 wanted += [(p, k) for p in self._nearest_of_passes(near, away_m)[: config.dense_passes]]
         stride = 1 + len(wanted) // max(config.dense_most, 1)

@@ -21,7 +21,6 @@ from service.mapper.stages import (
     WishError,
 )
 
-
 DETACHED_INTERVAL_NS = 500_000_000  # of key frames of a piece that is looked for, also while standing
 
 

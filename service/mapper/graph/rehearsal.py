@@ -34,4 +34,4 @@ def seen_from(x_m: float, k: int) -> KeyFrame:
     xy = np.column_stack((range_m * np.cos(angle), range_m * np.sin(angle))).astype(np.float32)
     covariance = np.diag([1e-4, 1e-4, 1e-5])
     step_rad = 4.6 / (BEAMS - 1)
-    return KeyFrame(k * 100_000_000, SE2(x_m, 0.0, 0.0), covariance, 1.0, False, xy, (0.0, 0.0), step_rad)
+    return KeyFrame(k * 100_000_000, SE2(x_m, 0.0, 0.0), covariance, 0, 1.0, False, xy, (0.0, 0.0), step_rad)

@@ -160,9 +160,10 @@ class SurfelSubmaps:
     """The chain. Key frames go into two sub-maps; when the younger has grown spacing_m long, it takes over.
 
     Where a scan is lost, a detached piece is begun at the pose that the prediction gives. The next scans are
-    tried on the old map first: if they fit, the piece is dropped. Until then they are matched to the piece, and
-    the state stays lost, for nobody knows where it lies. Scans that fit neither begin another one. The graph looks for the piece in all of the map; once
-    it has joined it, the piece is what scans are matched to.
+    tried on the old map first: if they fit, the piece is dropped. Until then they are matched to the piece,
+    and the state stays lost, for nobody knows where it lies. Scans that fit neither begin another one. The
+    graph looks for the piece in all of the map; once it has joined it, the piece is what scans are matched
+    to.
     """
 
     def __init__(self, config: SubmapsConfig) -> None:

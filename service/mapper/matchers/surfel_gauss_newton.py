@@ -140,8 +140,8 @@ class SurfelGaussNewton:
     def _is_found(self, laid: _Laid, attempt: _Attempt) -> bool:
         """Whether a scan that was mapped apart is believed to lie on the map again.
 
-        One find far from the prediction is a hypothesis, since rooms look alike; the next one must say the same.
-        A find that the way so far rules out is none: where else it may be the graph looks.
+        One find far from the prediction is a hypothesis, since rooms look alike; the next one must say the
+        same. A find that the way so far rules out is none: where else it may be the graph looks.
         """
         if self._gap is None:
             return True
@@ -225,7 +225,9 @@ class SurfelGaussNewton:
         """
         sigma_m, sigma_rad = sigmas_of(attempt.prior.covariance)
         share = laid.result.share
-        if laid.state != "lost" and (not _is_loose((sigma_m, sigma_rad)) or share >= DOUBT_RATIO * self._usual_ratio):
+        if laid.state != "lost" and (
+            not _is_loose((sigma_m, sigma_rad)) or share >= DOUBT_RATIO * self._usual_ratio
+        ):
             return laid
         reach_m, reach_rad = (
             min(max(3.0 * sigma, least), most)
@@ -263,7 +265,7 @@ def _chi2(pose: Matrix, prior: Prior) -> float:
 
 
 def _prior_of(predicted: Prediction, gap: _Gap | None) -> Prior:
-    """The prediction as the kernel wants it; gap: of a piece that it is carried through, against the map before."""
+    """The prediction as the kernel wants it; gap: of a piece that it is carried through, against the map."""
     pose = predicted.pose_odom_base
     covariance = predicted.local_covariance
     if gap is not None:
