@@ -1,6 +1,7 @@
 """The motion model: an error-state filter over pose, twist, odometry's errors and gyro bias.
 
-The model, its equations and its picture are docs/estimator.md; the arithmetic is service/kernels/estimator.py.
+The model, its equations and its picture are docs/estimator.md; the arithmetic is in
+service/kernels/estimator.py.
 """
 
 import math
@@ -34,6 +35,8 @@ from service.kernels.estimator import (
 )
 
 CAPACITY = 4096
+MOST_SAMPLES = 200_000  # that wait for a scan; then those between the oldest and the newest are dropped
+FAULT_NOISE = 100.0  # a source whose variance is so many times its model's is named: ten sigmas
 FADE_S = 1.0  # in which a speed fades that neither scans nor odometry confirm
 TURN_M = 0.5  # a turn of a radian shows as much new as so many metres
 KEEP_BEFORE_NS = 2_000_000_000  # of samples before the last scan: for the largest lag, and for a speed
@@ -96,6 +99,10 @@ class _Samples:
     def _make_room(self) -> None:
         first, end = self.track.span.tolist()
         old = self.track
+        if end - first >= MOST_SAMPLES:  # the laser may be silent for a day
+            rows = np.r_[first : first + MOST_SAMPLES // 4, end - MOST_SAMPLES // 4 : end]
+            old = Track(old.stamp_ns[rows], old.value[rows], np.array([0, len(rows)]))
+            first, end = 0, len(rows)
         size = len(old.stamp_ns) if first > len(old.stamp_ns) // 2 else 2 * len(old.stamp_ns)
         self.track = Track(np.zeros(size, np.int64), np.zeros((size, self.width)), np.array([0, end - first]))
         self.track.stamp_ns[: end - first] = old.stamp_ns[first:end]
@@ -142,6 +149,20 @@ class Estimator:
 
     @property
     def fault(self) -> str:
+        """Which source contradicts the scans, and what may be the matter; "" where none does."""
+        way, turns = self._filter.noise.tolist()
+        gyro = float(self._filter.gyro_noise[0])
+        if max(way, turns) > FAULT_NOISE:
+            of = "in way" if way >= turns else "in turns"
+            return (
+                f"odometry contradicts the scans ({math.sqrt(max(way, turns)):.0f} times its noise {of}) and "
+                "is believed that much less; do wheels slip, is a sign wrong, is an encoder dead?"
+            )
+        if gyro > FAULT_NOISE:
+            return (
+                f"the IMU's turns contradict the scans ({math.sqrt(gyro):.0f} times their noise) and are "
+                "believed that much less; is it mounted upside down, is its unit rad/s, is its bias large?"
+            )
         return ""
 
     @property
