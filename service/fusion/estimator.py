@@ -37,6 +37,7 @@ from service.kernels.estimator import (
 CAPACITY = 4096
 MOST_SAMPLES = 200_000  # that wait for a scan; then those between the oldest and the newest are dropped
 FAULT_NOISE = 100.0  # a source whose variance is so many times its model's is named: ten sigmas
+GYRO_PAUSE_S = 0.05  # between two samples
 FADE_S = 1.0  # in which a speed fades that neither scans nor odometry confirm
 TURN_M = 0.5  # a turn of a radian shows as much new as so many metres
 KEEP_BEFORE_NS = 2_000_000_000  # of samples before the last scan: for the largest lag, and for a speed
@@ -125,7 +126,7 @@ class Estimator:
             jitter_s=config.odometry_jitter_s,
             speed_window_s=0.05,
         )
-        self._odometry, self._gyro = _Samples(5), _Samples(1)
+        self._odometry, self._gyro = _Samples(5), _Samples(2)
         self._gyro_rate = 0.0
         sigma = np.zeros(STATES)
         sigma[LOCAL_BLOCK] = LEAST_SIGMA
@@ -268,13 +269,16 @@ class Estimator:
             return False
         last = self._gyro.last
         if last is None:
-            self._gyro.append(sample.stamp_ns, (0.0,))
+            self._gyro.append(sample.stamp_ns, (0.0, 0.0))
         else:
             track = self._gyro.track
             elapsed_s = (sample.stamp_ns - int(track.stamp_ns[last])) * 1e-9
             if elapsed_s <= 0.0:
                 return False
             turn = 0.5 * (rate + self._gyro_rate) * elapsed_s
-            self._gyro.append(sample.stamp_ns, (float(track.value[last, 0]) + turn,))
+            turned, missed = track.value[last].tolist()
+            if elapsed_s > GYRO_PAUSE_S:  # [8] what it turned in a pause is a bridge between two rates
+                missed += self._settings.turn_acceleration**2 * elapsed_s**3 / 12.0
+            self._gyro.append(sample.stamp_ns, (turned + turn, missed))
         self._gyro_rate = rate
         return True

@@ -56,7 +56,7 @@ class Track(NamedTuple):
 
     stamp_ns   (N,)   int64
     value      (N, W) float64   odometry: x m, y m, theta rad, variance m^2, variance rad^2; gyro: the angle
-                                turned since the first sample, rad
+                                turned since the first sample, rad, and what pauses of it add to its variance
     span       (2,)   int64
     """
 
@@ -371,6 +371,8 @@ def gyro_turn(gyro, last_ns, stamp_ns, settings, turn):
     beyond_s = max(0.0, (stamp_ns - gyro.stamp_ns[end - 1]) * 1e-9)
     turn[1] = settings.gyro_walk**2 * dt + (GYRO_SCALE * turn[0]) ** 2
     turn[1] += settings.turn_acceleration**2 * beyond_s**3 / 3.0
+    after = min(last_at_or_before(gyro, stamp_ns) + 1, end - 1)
+    turn[1] += gyro.value[after, 1] - gyro.value[max(last_at_or_before(gyro, last_ns), first), 1]
     return True
 
 

@@ -5,6 +5,8 @@ from dataclasses import replace
 from typing import Generic
 
 from drivers.frames import Frame, GnssFix, LaserScan
+from service.geometry.se2 import SE2
+from service.mapper.scan_check import ScanCheck
 from service.mapper.stages import (
     FinishedGraph,
     Graph,
@@ -29,12 +31,15 @@ class Mapper(Generic[ReadableMap]):
         self._stages = stages
         self._stopwatch = stopwatch if stopwatch is not None else NoStopwatch()
         self._last_stamp_ns: int | None = None
+        self._check = ScanCheck()
+        self._pose_map_odom = SE2()
         self.counters: Counter[str] = Counter()  # scans, scans_dropped_late, samples_dropped_late ...
 
     def process(self, frame: Frame) -> MapperOutput | None:
         """Take the next frame in the order of arrival. None for anything but a scan that was mapped.
 
-        A scan that is older than one already mapped is dropped and counted; time never runs backwards.
+        A scan that is older than one already mapped is dropped and counted; time never runs backwards. So is one
+        whose stamp is seconds off those around it.
         """
         if isinstance(frame, GnssFix):
             self.counters["fixes_passed_over"] += 1  # no stage takes them
@@ -42,6 +47,9 @@ class Mapper(Generic[ReadableMap]):
         if not isinstance(frame, LaserScan):
             if not self._stages.motion_model.add(frame):
                 self.counters["samples_dropped_late"] += 1
+            return None
+        if self._check.refuses(frame):
+            self.counters["scans_dropped_stamp"] += 1
             return None
         if self._last_stamp_ns is not None and frame.stamp_ns <= self._last_stamp_ns:
             self.counters["scans_dropped_late"] += 1
@@ -91,6 +99,8 @@ class Mapper(Generic[ReadableMap]):
         s, watch = self._stages, self._stopwatch
         watch.start()
         predicted = s.motion_model.predict(scan.stamp_ns)  # where we should be, and how fast
+        if self._check.is_repeated(scan, predicted.travel_m):
+            return self._passed_over(scan)
         points = s.deskew(scan, predicted)  # base frame, one instant; keeps each beam's time
         watch.lap("deskew")
         match = s.matcher.match(points, predicted, s.local_map)  # where we are
@@ -104,7 +114,7 @@ class Mapper(Generic[ReadableMap]):
         if change.is_keyframe:
             s.motion_model.settle(change.error_left)
         covariance = predicted.local_covariance if match.measured is None else match.measured.covariance
-        pose_map_odom = s.graph.add(MappedScan(scan.stamp_ns, kept, match, change, covariance))
+        pose_map_odom = self._pose_map_odom = s.graph.add(MappedScan(scan.stamp_ns, kept, match, change, covariance))
         if match.state != "lost":  # nothing is drawn from a place that nobody knows
             s.free_space.insert(kept, pose_map_odom @ match.motion.pose_odom_base)
         watch.lap("insert")
@@ -117,4 +127,19 @@ class Mapper(Generic[ReadableMap]):
             state=match.state,
             reason=match.reason,
             match_share=match.score,
+        )
+
+    def _passed_over(self, scan: LaserScan) -> MapperOutput:
+        """A scan that says nothing: the pose follows the prediction, and nothing is mapped."""
+        self.counters["scans_repeated"] += 1
+        motion = self._stages.motion_model.correct(None)
+        return MapperOutput(
+            stamp_ns=scan.stamp_ns,
+            pose_odom_base=motion.pose_odom_base,
+            pose_map_odom=self._pose_map_odom,
+            twist_base=motion.twist_base,
+            covariance=motion.covariance,
+            state="lost",
+            reason=f"{scan.sensor}: the same scan comes again and again though the vehicle moves; does it hang?",
+            match_share=0.0,
         )

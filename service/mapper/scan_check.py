@@ -1,0 +1,50 @@
+"""Scans that cannot be: stamps far from those around them, and one scan sent again and again."""
+
+import numpy as np
+
+from drivers.frames import LaserScan
+
+MOST_JUMP_NS = 1_000_000_000  # of the delay from stamp to arrival, between two scans
+NEW_CLOCK_SCANS = 10  # in a row whose delay has jumped by the same: then the clock was set
+REPEATED_TRAVEL_M = 0.02  # motion over which a laser cannot see the same to the last bit
+
+
+class ScanCheck:
+    """Looks at the scans of one laser, in the order of their arrival."""
+
+    def __init__(self) -> None:
+        self._delay_ns: int | None = None  # from stamp to arrival, of the last scan that was believed
+        self._strange = 0  # scans in a row whose delay has jumped
+        self._strange_ns = 0  # delay of the last one
+        self._last: LaserScan | None = None
+        self._travel_m = 0.0  # since the first of equal scans
+
+    def refuses(self, scan: LaserScan) -> bool:
+        """Whether the stamp is seconds off those before it: then its scan lies nowhere in time.
+
+        The delay from stamp to arrival tells, so that neither a pause of the laser nor a constant offset
+        between two clocks counts. A clock that was set is believed after NEW_CLOCK_SCANS scans.
+        """
+        delay_ns = scan.arrived_ns - scan.stamp_ns
+        if self._delay_ns is None or abs(delay_ns - self._delay_ns) <= MOST_JUMP_NS:
+            self._delay_ns, self._strange = delay_ns, 0
+            return False
+        is_same = self._strange > 0 and abs(delay_ns - self._strange_ns) <= MOST_JUMP_NS
+        self._strange = self._strange + 1 if is_same else 1
+        self._strange_ns = delay_ns
+        if self._strange < NEW_CLOCK_SCANS:
+            return True
+        self._delay_ns, self._strange = delay_ns, 0
+        return False
+
+    def is_repeated(self, scan: LaserScan, travel_m: float) -> bool:
+        """Whether a scan equals the one before to the last bit though the vehicle has moved.
+
+        travel_m   m   moved since the scan before, as predicted
+        """
+        last, self._last = self._last, scan
+        if last is None or not np.array_equal(last.range_m, scan.range_m, equal_nan=True):
+            self._travel_m = 0.0
+            return False
+        self._travel_m += travel_m
+        return self._travel_m > REPEATED_TRAVEL_M
