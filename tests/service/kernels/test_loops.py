@@ -79,4 +79,4 @@ def test_alignment_finds_a_corner_again():
     fit = SurfelCloud(corner).align(corner, np.array([0.06, -0.05, 0.02]))
     assert fit.share == 1.0
     np.testing.assert_allclose(fit.pose, 0.0, atol=2e-3)
-    assert np.linalg.eigvalsh(fit.hessian)[0] > 0.0
+    assert np.linalg.eigvalsh(fit.information)[0] > 0.0

@@ -11,19 +11,25 @@ from service.kernels.match import (
     Prior,
     learn_twist,
     match_scan,
+    point_information,
+    prior_weight_at,
+    scan_information,
     surfel_cost,
     surfel_normal_equations,
 )
-from service.kernels.normals import NormalSettings, estimate_normals
+from service.kernels.normals import estimate_normals
 from service.kernels.pose_information import add_prior, invert_3x3, rotate_information, weakest_direction
 from service.kernels.surfels import SurfelGrid, find_surfels, insert_surfels
+from service.mapper.maps.submaps import NormalsConfig
 from tests.service.kernels.surfel_grids import empty_grid
 
+SIGMA_M = 0.01  # of a range
 SETTINGS = MatchSettings(
-    sigma_m=0.05,
+    range_sigma_m=SIGMA_M,
+    wall_sigma_m=0.004,
+    repeats=1.0,
     cauchy_m=0.1,
     least_normal_cosine=0.6,
-    young_count=3.0,
     iterations=15,
     deskew_rounds=3,
     inlier_m=0.1,
@@ -32,10 +38,8 @@ SETTINGS = MatchSettings(
     coarse_iterations=15,
     settled_m=1e-6,
     settled_rad=1e-7,
-    blind_sigma_m=0.1,
-    covariance_scale=2.0,
 )
-NORMALS = NormalSettings(4, 16, 0.1, 0.06, 5.0, 0.02, 0.05, 0.2, 0.03, 5.0)
+NORMALS = NormalsConfig().settings()
 STEP_RAD = math.radians(0.5)
 
 
@@ -51,7 +55,7 @@ def room_scan(pose: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
 
 def normals_of(xy: np.ndarray) -> np.ndarray:
     normals = np.empty((len(xy), 3))
-    estimate_normals(xy, np.zeros(2), STEP_RAD, NORMALS, normals)
+    estimate_normals(xy, np.zeros(2), STEP_RAD, SIGMA_M, NORMALS, normals)
     return normals
 
 
@@ -65,14 +69,13 @@ def room_grid() -> SurfelGrid:
 
 
 def prior_at(pose: tuple[float, float, float], sigma: float = 0.1, **changes: object) -> Prior:
-    covariance = np.diag([sigma**2, sigma**2, sigma**2])
-    prior = Prior(np.array(pose), np.zeros(3), covariance, covariance, 0.1, 1.0, True)
+    prior = Prior(np.array(pose), np.zeros(3), sigma**2 * np.eye(3), 10.0 * np.eye(3))
     return prior._replace(**changes)
 
 
 def match(xy: np.ndarray, prior: Prior, grid: SurfelGrid, doubt_share: float = 0.8):
     returns = Returns(xy, np.zeros(len(xy)), np.arange(len(xy), dtype=np.int32))
-    return match_scan(returns, normals_of(xy), prior, grid, SETTINGS, doubt_share, xy.copy())
+    return match_scan(returns, normals_of(xy), prior, prior.pose, grid, SETTINGS, doubt_share, xy.copy())
 
 
 def slopes(cost, pose: np.ndarray) -> np.ndarray:
@@ -84,15 +87,15 @@ def slopes(cost, pose: np.ndarray) -> np.ndarray:
 def test_the_surfel_gradient_is_the_slope_of_its_cost() -> None:
     grid, xy = room_grid(), room_scan()
     normals, pose = normals_of(xy), np.array([0.03, -0.02, 0.015])
-    found = np.empty((len(xy), 5))
+    found = np.empty((len(xy), 6))
     find_surfels(xy, normals, pose, grid, 0.6, found)
-    matrix, gradient = np.empty((3, 3)), np.empty(3)
+    matrix, shared, gradient = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
 
     def cost(at: np.ndarray) -> float:
         return surfel_cost(xy, normals, found, at, 0.15, SETTINGS)
 
     expected = slopes(cost, pose)
-    surfel_normal_equations(xy, normals, found, pose, SETTINGS, matrix, gradient)
+    surfel_normal_equations(xy, normals, found, pose, SETTINGS, matrix, shared, gradient)
     np.testing.assert_allclose(gradient, expected, rtol=1e-5)
     assert np.abs(expected).min() > 1.0
 
@@ -100,27 +103,66 @@ def test_the_surfel_gradient_is_the_slope_of_its_cost() -> None:
 def test_the_hessian_is_that_of_weighted_least_squares() -> None:
     grid, xy = room_grid(), room_scan()
     normals, pose = normals_of(xy), np.array([0.03, -0.02, 0.015])
-    found = np.empty((len(xy), 5))
+    found = np.empty((len(xy), 6))
     find_surfels(xy, normals, pose, grid, 0.6, found)
-    matrix, gradient = np.empty((3, 3)), np.empty(3)
-    used, inliers, squared_m2 = surfel_normal_equations(xy, normals, found, pose, SETTINGS, matrix, gradient)
-    weights = squares = 0.0
+    matrix, shared, gradient = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    used, inliers = surfel_normal_equations(xy, normals, found, pose, SETTINGS, matrix, shared, gradient)
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    expected = np.zeros((3, 3))
-    for point, normal, (mx, my, nx, ny, n) in zip(xy, normals, found, strict=True):
+    turn = np.array([[c, -s], [s, c]])
+    expected, of_both = np.zeros((3, 3)), np.zeros((3, 3))
+    for point, normal, (mx, my, nx, ny, n, beside) in zip(xy, normals, found, strict=True):
         if normal[2] == 0.0 or n == 0.0:
             continue
-        rx, ry = c * point[0] - s * point[1], s * point[0] + c * point[1]
+        rx, ry = turn @ point
         e = nx * (pose[0] + rx - mx) + ny * (pose[1] + ry - my)
+        own = turn @ normal[:2]
         row = np.array([nx, ny, ny * rx - nx * ry])
-        weight = normal[2] * min(1.0, n / 3.0) / (1.0 + (e / 0.1) ** 2) / 0.05**2
+        other = np.array([*own, own[1] * rx - own[0] * ry])
+        variance = SIGMA_M**2 / normal[2] + beside * (SIGMA_M**2 / n + 0.004**2)
+        weight = 1.0 / variance / (1.0 + (e / 0.1) ** 2)
         expected += weight * np.outer(row, row)
-        weights += weight
-        squares += weight * e**2
+        of_both += 0.5 * weight * (np.outer(row, other) + np.outer(other, row))
     np.testing.assert_allclose(matrix, expected, rtol=1e-9)
-    assert squared_m2 == pytest.approx(squares / weights, rel=1e-9)
+    np.testing.assert_allclose(shared, of_both, rtol=1e-9, atol=1e-6)
     assert used == np.count_nonzero(normals[:, 2])
     assert 0 < inliers <= used
+
+
+def test_points_of_one_cell_share_the_error_of_its_wall() -> None:
+    """However many they are, they do not know the wall better than it is known."""
+    settings = SETTINGS._replace(repeats=3.0)
+    alone = point_information(1.0, 5.0, 1.0, settings)
+    assert alone == pytest.approx(1.0 / (SIGMA_M**2 + 3.0 * SIGMA_M**2 / 5.0 + 0.004**2))
+    many = 1000
+    together = many * point_information(1.0, 5.0, float(many), settings)
+    assert together == pytest.approx(1.0 / (SIGMA_M**2 / many + 3.0 * SIGMA_M**2 / 5.0 + 0.004**2))
+    assert together < 3.0 * alone
+    assert point_information(1.0, 50.0, 20.0, settings) > 2.0 * point_information(1.0, 5.0, 20.0, settings)
+    assert point_information(5.0, 50.0, 1.0, settings) > point_information(1.0, 50.0, 1.0, settings)
+
+
+def test_where_both_normals_agree_the_scan_says_what_its_hessian_does() -> None:
+    root = np.random.default_rng(2).normal(size=(3, 3))
+    hessian = 1e4 * (root @ root.T + np.eye(3))
+    damping, information = np.empty((3, 3)), np.empty((3, 3))
+    scan_information(hessian, hessian, damping, information)
+    np.testing.assert_allclose(damping, np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(information, hessian, rtol=1e-5)
+    scan_information(hessian, 0.5 * hessian, damping, information)
+    np.testing.assert_allclose(information, 0.25 * hessian, rtol=1e-5)
+
+
+def test_a_prediction_that_is_far_off_gives_way() -> None:
+    information = np.diag([100.0, 400.0, 2500.0])
+
+    def weight(x: float, y: float, turn: float) -> float:
+        return prior_weight_at(np.array([x, y, turn]), np.array([0.0, 0.0, math.pi]), information)
+
+    assert weight(0.0, 0.0, -math.pi) == 1.0
+    assert weight(0.1, 0.05, math.pi + 0.01) == 1.0
+    weights = [weight(0.1 * sigmas, 0.0, math.pi) for sigmas in (2.0, 4.0, 8.0, 16.0)]
+    assert weights == pytest.approx([8.0 / (5.0 + sigmas**2) for sigmas in (2.0, 4.0, 8.0, 16.0)])
+    assert weight(0.0, 0.4, math.pi) == pytest.approx(weights[2])
 
 
 def test_the_coarse_gradient_is_the_slope_of_its_cost() -> None:
@@ -199,13 +241,14 @@ def test_the_coarse_step_alone_comes_within_centimetres() -> None:
 
 
 def test_what_a_correction_of_the_pose_says_of_the_twist() -> None:
-    prior = prior_at(
-        (1.0, 2.0, math.pi / 2.0), twist=np.array([1.0, 0.0, 0.2]), elapsed_s=0.1, twist_gain=0.5
-    )
-    twist = np.empty(3)
-    learn_twist(prior, np.array([1.0, 2.02, math.pi / 2.0 + 0.01]), twist)
-    np.testing.assert_allclose(twist, [1.1, 0.0, 0.25], atol=1e-12)
-    learn_twist(prior._replace(elapsed_s=0.0), np.array([9.0, 9.0, 9.0]), twist)
+    gain = np.array([[5.0, 0.0, 0.0], [0.0, 2.0, 0.0], [1.0, 0.0, 5.0]])
+    prior = prior_at((1.0, 2.0, math.pi / 2.0), twist=np.array([1.0, 0.0, 0.2]), twist_gain=gain)
+    twist, ahead = np.empty(3), np.array([1.0, 2.02, math.pi / 2.0 + 0.01])
+    learn_twist(prior, ahead, 1.0, twist)
+    np.testing.assert_allclose(twist, [1.1, 0.0, 0.27], atol=1e-12)
+    learn_twist(prior, ahead, 0.5, twist)
+    np.testing.assert_allclose(twist, [1.05, 0.0, 0.235], atol=1e-12)
+    learn_twist(prior, np.array([9.0, 9.0, 9.0]), 0.0, twist)
     np.testing.assert_allclose(twist, prior.twist)
 
 
@@ -215,31 +258,75 @@ def test_a_scan_far_from_any_map_keeps_the_prediction_and_says_so() -> None:
     np.testing.assert_allclose(result.pose, prior.pose, atol=1e-9)
     assert result.share == 0.0
     assert result.weakest_sigma_m == math.inf
-    np.testing.assert_allclose(result.covariance, prior.covariance, rtol=1e-9)
+    np.testing.assert_allclose(result.covariance, prior.covariance, rtol=1e-9, atol=1e-15)
 
 
-def test_a_direction_that_no_wall_fixes_keeps_to_the_prediction() -> None:
-    """Noise of the map looks like a weak hold along a corridor; it must not pull."""
-    rng = np.random.default_rng(1)
+def corridor(end_m: float, rng: np.random.Generator) -> np.ndarray:
+    """Noisy walls at y -1 and 1, and one across at x = end_m."""
+    angle = np.arange(-2.8, 2.8, STEP_RAD)
+    angle = angle[(np.abs(angle) > 0.3) | (end_m < 20.0)]
+    with np.errstate(divide="ignore"):
+        to_end_m = np.where(np.cos(angle) > 0.0, end_m, 99.0) / np.abs(np.cos(angle))
+        range_m = np.minimum(1.0 / np.abs(np.sin(angle)), to_end_m)
+    range_m += rng.normal(0.0, SIGMA_M, len(angle))
+    return range_m[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def corridor_grid(end_m: float, rng: np.random.Generator, scans: int = 25) -> SurfelGrid:
     grid = empty_grid()
+    for _ in range(scans):
+        xy = corridor(end_m, rng)
+        insert_surfels(xy, normals_of(xy), np.zeros(3), grid, 1000.0)
+        splat_likelihood(xy, np.zeros(3), grid, 0.15, 0.95)
+    return grid
 
-    def corridor() -> np.ndarray:
-        angle = np.concatenate([np.arange(0.3, 2.8, STEP_RAD), np.arange(-2.8, -0.3, STEP_RAD)])
-        range_m = 1.0 / np.abs(np.sin(angle)) + rng.normal(0.0, 0.012, len(angle))
-        return range_m[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
 
-    xy = corridor()
-    for _ in range(3):
-        insert_surfels(xy, normals_of(xy), np.zeros(3), grid, 50.0)
-    splat_likelihood(xy, np.zeros(3), grid, 0.15, 0.95)
-    result = match(corridor(), prior_at((0.05, 0.03, 0.02)), grid)
-    assert result.pose[0] == pytest.approx(0.05, abs=0.002)
-    np.testing.assert_allclose(result.pose[1:], 0.0, atol=0.004)
-    assert result.weakest_sigma_m > 0.05
-    coasting = match(corridor(), prior_at((0.05, 0.03, 0.02), is_measured=False), grid)
-    assert abs(coasting.pose[0] - 0.05) > 5.0 * abs(result.pose[0] - 0.05)
-    assert math.cos(result.weakest_direction_rad) ** 2 > 0.99
-    assert result.covariance[0, 0] > 20.0 * result.covariance[1, 1]
+def information_in(end_m: float, seed: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Hessian, and what is believed of it, at the true pose; mean square of the normals' x of the scan."""
+    rng = np.random.default_rng(seed)
+    grid, xy = corridor_grid(end_m, rng, scans=5), corridor(end_m, rng)
+    normals, found = normals_of(xy), np.empty((len(xy), 6))
+    find_surfels(xy, normals, np.zeros(3), grid, 0.6, found)
+    hessian, shared, gradient, damping, information = (np.empty((3, 3)) for _ in range(5))
+    surfel_normal_equations(xy, normals, found, np.zeros(3), SETTINGS, hessian, shared, gradient[0])
+    scan_information(hessian, shared, damping, information)
+    return hessian, information, float(np.mean(normals[:, 0] ** 2))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_along_a_bare_corridor_noise_of_the_normals_says_little(seed: int) -> None:
+    """Each of the two normals seems to hold; what both say does not."""
+    hessian, information, square = information_in(99.0, seed)
+    own = square * hessian[1, 1]
+    assert own > 2e4  # a sigma of 7 mm
+    assert hessian[0, 0] > 1e3
+    assert information[0, 0] < 0.1 * own
+    assert information[0, 0] < 1e-3 * information[1, 1]
+    assert information[1, 1] > 0.9 * hessian[1, 1]
+
+
+def test_a_wall_across_the_corridor_is_believed() -> None:
+    hessian, information, _ = information_in(3.0, 1)
+    assert information[0, 0] > 0.8 * hessian[0, 0] > 1e5
+    rng = np.random.default_rng(1)
+    grid = corridor_grid(3.0, rng)
+    result = match(corridor(3.0, rng), prior_at((0.05, 0.03, 0.02)), grid)
+    assert result.pose[0] == pytest.approx(0.0, abs=0.01)
+    assert result.weakest_sigma_m < 0.01
+
+
+@pytest.mark.xfail(
+    strict=True, reason="the iterations run away along a bare corridor: 14 sigmas where 1 is claimed"
+)
+def test_along_a_bare_corridor_the_claimed_sigma_is_true() -> None:
+    squares = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        grid = corridor_grid(99.0, rng)
+        off_m = rng.normal(0.0, 0.1)
+        result = match(corridor(99.0, rng), prior_at((off_m, 0.0, 0.0)), grid)
+        squares.append(result.pose[0] ** 2 / result.covariance[0, 0])
+    assert math.sqrt(np.mean(squares)) < 2.0
 
 
 def test_covariance_shrinks_with_what_the_walls_tell() -> None:

@@ -3,26 +3,29 @@ import math
 import numpy as np
 import pytest
 
-from service.kernels.normals import NormalSettings, estimate_normals
+from service.kernels.normals import WALL_M, NormalSettings, estimate_normals, range_noise
 
 SETTINGS = NormalSettings(
     beams_each_side=4,
     most_beams_each_side=16,
-    half_length_m=0.1,
+    angle_sigma_rad=0.1,
     gap_m=0.06,
     gap_steps=5.0,
-    planar_ratio=0.02,
+    thick_sigmas=2.0,
+    most_angle_rad=0.1,
     least_cos_incidence=0.05,
     rough_weight=0.2,
-    planar_m=0.03,
     grazing_weight=5.0,
 )
 STEP_RAD = math.radians(0.5)
+SIGMA_M = 0.01
 
 
-def normals_of(xy: np.ndarray, sensor: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+def normals_of(
+    xy: np.ndarray, sensor: tuple[float, float] = (0.0, 0.0), sigma_m: float = SIGMA_M
+) -> np.ndarray:
     normals = np.full((len(xy), 3), np.nan)
-    estimate_normals(np.ascontiguousarray(xy), np.array(sensor), STEP_RAD, SETTINGS, normals)
+    estimate_normals(np.ascontiguousarray(xy), np.array(sensor), STEP_RAD, sigma_m, SETTINGS, normals)
     return normals
 
 
@@ -35,7 +38,9 @@ def slow_normals(xy: np.ndarray) -> np.ndarray:
     """The same by its definition, with eigh over windows found by walking outwards."""
     answer = np.zeros((len(xy), 3))
     for i, point in enumerate(xy):
-        reach = int(min(max(SETTINGS.half_length_m / (STEP_RAD * np.hypot(*point)), 4), 16))
+        # n points over the length L = n * spacing know its direction to sqrt(12 / n) sigma / L
+        wanted = (12.0 * (SIGMA_M / (0.1 * STEP_RAD * np.hypot(*point))) ** 2) ** (1.0 / 3.0)
+        reach = int(min(max(0.5 * wanted, 4), 16))
         window = [point]
         for side in (-1, 1):
             for k in range(1, reach + 1):
@@ -53,9 +58,13 @@ def slow_normals(xy: np.ndarray) -> np.ndarray:
         values, vectors = np.linalg.eigh(np.cov(np.array(window).T))
         normal = vectors[:, 0] * np.sign(vectors[:, 0] @ towards)
         answer[i, :2] = normal
-        thickness_m = np.sqrt(values[0] * (len(window) - 1) / len(window))
         cosine = normal @ towards
-        if values[0] < SETTINGS.planar_ratio * values[1] and thickness_m < SETTINGS.planar_m * cosine + 0.004:
+        freedoms = len(window) - 2
+        squares_m2 = values[0] * (len(window) - 1)
+        expected_m2 = (SIGMA_M * cosine) ** 2 + WALL_M**2
+        is_thin = squares_m2 < expected_m2 * (freedoms + 2.0 * np.sqrt(2.0 * freedoms))
+        angle_rad = np.sqrt(squares_m2 / freedoms / (values[1] * (len(window) - 1)))
+        if is_thin and angle_rad < SETTINGS.most_angle_rad:
             answer[i, 2] = 1.0 / (0.2 + 0.8 * cosine**2) if cosine >= 0.05 else 0.0
     return answer
 
@@ -106,3 +115,58 @@ def test_lone_points_are_rough_and_face_the_sensor() -> None:
 
 def test_nothing_is_asked_of_no_points() -> None:
     assert len(normals_of(np.empty((0, 2)))) == 0
+
+
+def noisy_wall(distance_m: float, sigma_m: float, seed: int = 0) -> np.ndarray:
+    angles = np.arange(-0.6, 0.6, STEP_RAD)
+    ranges = distance_m / np.cos(angles) + sigma_m * np.random.default_rng(seed).standard_normal(len(angles))
+    return ranges[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+def test_a_noisy_laser_looks_at_more_of_a_wall() -> None:
+    """Near by, where four beams each side span 20 cm, its normals would else be off by half a radian."""
+    xy = noisy_wall(1.5, 0.03)
+    middle = slice(20, -20)
+
+    def error_rad(sigma_m: float) -> float:
+        normals = normals_of(xy, sigma_m=sigma_m)[middle]
+        return float(np.sqrt(np.mean(np.arctan2(normals[:, 1], -normals[:, 0]) ** 2)))
+
+    assert error_rad(0.03) < 0.15
+    assert error_rad(0.003) > 0.25
+
+
+def test_a_wall_may_be_as_thick_as_noise_makes_it_and_no_thicker() -> None:
+    patient = SETTINGS._replace(beams_each_side=12)  # so that the direction is not what is doubted
+
+    def planar_share(sigma_m: float) -> float:
+        xy, normals = noisy_wall(3.0, 0.03), np.empty((138, 3))
+        estimate_normals(xy, np.zeros(2), STEP_RAD, sigma_m, patient, normals)
+        return float((normals[20:-20, 2] >= 1.0).mean())
+
+    assert planar_share(0.03) > 0.9
+    assert planar_share(0.015) < 0.1
+
+
+@pytest.mark.parametrize("sigma_m", [0.003, 0.01, 0.03])
+def test_the_noise_of_ranges_is_seen_in_a_scan_with_edges(sigma_m: float) -> None:
+    near, far = noisy_wall(2.0, sigma_m, seed=1), noisy_wall(4.0, sigma_m, seed=2)
+    beams = np.arange(len(near), dtype=np.int32)
+    xy = np.where((beams % 40 < 12)[:, None], near, far)  # edges on every side
+    seen = [
+        range_noise(
+            np.vstack([xy, noisy_wall(3.0, sigma_m, seed)]),
+            np.arange(2 * len(xy), dtype=np.int32),
+            np.zeros(2),
+        )
+        for seed in range(10, 30)
+    ]
+    assert np.mean(seen) == pytest.approx(sigma_m, rel=0.15)
+
+
+def test_beams_that_are_no_neighbours_say_nothing_of_noise() -> None:
+    xy = noisy_wall(3.0, 0.01)
+    every_other = np.arange(0, 2 * len(xy), 2, dtype=np.int32)
+    assert range_noise(xy, every_other, np.zeros(2)) == 0.0
+    assert range_noise(xy[:31], np.arange(31, dtype=np.int32), np.zeros(2)) == 0.0
+    assert range_noise(xy[:32], np.arange(32, dtype=np.int32), np.zeros(2)) > 0.0

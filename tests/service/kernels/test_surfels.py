@@ -128,7 +128,7 @@ def test_a_wall_that_runs_along_a_border_of_cells_is_found_where_it_is() -> None
             1e6,
         )
         xy = np.column_stack([np.linspace(0.2, 0.8, 50), wall_y_m + rng.normal(0.0, 0.012, 50)])
-        found = np.empty((50, 5))
+        found = np.empty((50, 6))
         find_surfels(xy, np.tile([0.0, -1.0, 1.0], (50, 1)), np.zeros(3), grid, 0.6, found)
         np.testing.assert_allclose(found[:, 1], wall_y_m, atol=0.003)
 
@@ -140,7 +140,7 @@ def test_the_wall_beside_a_point_is_the_mean_of_the_surfels_near_it() -> None:
     cells = np.floor(surfels[:, :2] / 0.1)
     cells_stored = np.round(cells)
     xy, normals = random_points(400, seed=3)
-    found = np.empty((len(xy), 5))
+    found = np.empty((len(xy), 6))
     find_surfels(xy, normals, POSE, grid, 0.6, found)
     matched = 0
     for point, normal, weight, row in zip(
@@ -175,3 +175,14 @@ def test_far_from_the_origin_nothing_is_lost() -> None:
     moved_total = np.array([(x * n, y * n, n) for x, y, _, _, n in moved]).sum(axis=0)
     assert total[2] == moved_total[2]
     np.testing.assert_allclose(moved_total[:2] / total[2] - total[:2] / total[2], far[:2], atol=1e-4)
+
+
+def test_points_that_lie_in_one_cell_one_behind_the_other_are_counted() -> None:
+    grid = empty_grid()
+    y = np.array([0.01, 0.05, 0.09, 0.11, 0.15, 0.31, 0.35, 0.02])
+    xy = np.column_stack([np.full(8, 0.05), y])
+    normals = np.tile([-1.0, 0.0, 1.0], (8, 1))
+    insert_surfels(xy, normals, np.zeros(3), grid, 50.0)
+    found = np.empty((8, 6))
+    find_surfels(xy, normals, np.zeros(3), grid, 0.6, found)
+    np.testing.assert_array_equal(found[:, 5], [3, 3, 3, 2, 2, 2, 2, 1])
