@@ -118,7 +118,7 @@ def test_only_sensors_with_a_mounting_have_one():
         (with_line("recroding: {}", 7), 'c.yaml:7:1: recroding: unknown key; did you mean "recording"'),
         (with_line("map: {directory: no}", 8), "c.yaml:8:18: map.directory: YAML takes no for false"),
         (GOOD + "publishing: {listen: [7447]}\n", "c.yaml:9:23: publishing.listen.0: should be a valid"),
-        (GOOD + "mapping: {settings: {matcher: {iteration: 3}}}\n", 'did you mean "iterations"?'),
+        (GOOD + "mapping: {settings: {matcher: {cauchy_n: 3}}}\n", 'did you mean "cauchy_m"?'),
         (
             GOOD + "mapping: {mode: localization}\n",
             "c.yaml:9:11: mapping.mode: should be 'mapping' (got \"localization\")",

@@ -66,5 +66,5 @@ def key_frames(rounds: float, seed: int = 0) -> tuple[list[KeyFrame], list[SE2]]
         range_m = cast(RING, origins, ways) + 0.005 * noise.standard_normal(BEAMS)
         xy = np.column_stack((range_m * np.cos(angle), range_m * np.sin(angle))).astype(np.float32)
         covariance = np.diag([1e-4, 1e-4, 1e-5])
-        frames.append(KeyFrame(k * 10**8, believed, covariance, 0.9, False, xy, (0.0, 0.0), STEP_RAD))
+        frames.append(KeyFrame(k * 10**8, believed, covariance, 0, 0.9, False, xy, (0.0, 0.0), STEP_RAD))
     return frames, truth
