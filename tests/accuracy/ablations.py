@@ -13,10 +13,11 @@ from tests.simulated import LMS100_50HZ, Drive, run
 PARTS: tuple[tuple[str, dict[str, dict[str, Any]] | None], ...] = (
     ("nothing", {}),
     ("deskew", None),
-    ("deskew renewed while matching", {"matcher": {"deskew_rounds": 0}}),
-    ("coarse stage", {"matcher": {"doubt_ratio": 0.0}}),
     ("robust loss", {"matcher": {"cauchy_m": 1e3}}),
-    ("holding of free directions", {"matcher": {"blind_sigma_m": 1e3}}),
+    (
+        "learning of odometry's scale and lag",
+        {"motion_model": {"odometry_scale_sigma": 0.0, "odometry_lag_sigma_s": 0.0}},
+    ),
     ("surfels finer than 10 cm: 5 cm", {"local_map": {"cell_m": 0.05}}),
     ("telling what moves", {"local_map": {"permanence": {"enough_s": 0.0}}}),
     ("weight by how long a thing stands", {"local_map": {"permanence": {"least_weight": 1.0}}}),

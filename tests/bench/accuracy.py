@@ -6,11 +6,12 @@ from datetime import UTC, datetime
 
 from service.kernel_warm_up import warm_up
 from service.version import VERSION
-from tests.accuracy import ablations, buildings, cost, known_map, recorded, trials
+from tests.accuracy import ablations, buildings, cost, given, known_map, recorded, trials
 from tests.accuracy.page import PAGE, write_page
 from tests.papers.report import Section, below_title
 
 SCENARIOS: dict[str, Callable[[int], Section]] = {
+    "given": given.given,
     "recorded": recorded.recorded,
     "buildings": buildings.buildings,
     "ring": buildings.ring,

@@ -1,0 +1,127 @@
+"""Every given recording, real and synthetic, through the default profile; none is left out."""
+
+import os
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from service.offline.replay import Replay, ReplayOptions, replay, write_replay
+from service.offline.score import RelationsScore, score
+from service.offline.trajectory import read_tum
+from tests.papers.report import Row, Section
+
+SHARED = Path(os.environ.get("CORRIDOR_SHARED", "../shared"))
+WRONG_M = 0.3  # a pose that is `ok` and farther off is a lie
+# synthetic recording, largest ATE in m after the finish
+WORLDS = (
+    ("fgi_s1", 0.04),
+    ("fgi_ccw_s1", 0.04),
+    ("corridor100d_s1", 0.02),
+    ("ring_s3", 0.008),
+    ("ring_bias_s1", 0.03),
+    ("tshape_s2", 0.006),
+    ("tshape_s4", 0.006),
+    ("office300_s1", None),
+    ("office300_lms200_s1", None),
+    ("office2000_kidnap_s1", None),
+)
+# recording, its relations, shift of its stamps to theirs in s, largest mean errors in m and deg
+DATASETS = (
+    ("fr079", "official", 0.0, 0.0455, 0.81),
+    ("intel", "official", 0.0, 0.0235, 0.66),
+    ("csail", "derived_consecutive", 0.0, 0.055, None),
+    ("aces", "derived_consecutive", -1e9, 0.060, None),
+    ("fhw", "derived_consecutive", -1e9, 0.03, None),
+    ("belgioioso", "derived_consecutive", -1e9, 0.06, None),
+    ("pioneer_lgfloor", "", 0.0, None, None),
+    ("wean1", "", 0.0, None, None),
+    ("mines1", "", 0.0, None, None),
+)
+
+
+def given(seeds: int) -> Section:  # recordings: seeds change nothing
+    if not (SHARED / "worlds").exists():
+        return Section("Given recordings", f"Left out: {SHARED} has no worlds; set CORRIDOR_SHARED.")
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory() as folder:
+        for name, bound_m in WORLDS:
+            rows += _world(name, bound_m, Path(folder) / name)
+        for name, relations, shift_s, bound_m, bound_deg in DATASETS:
+            rows += _dataset(name, relations, shift_s, (bound_m, bound_deg), Path(folder) / name)
+    return Section(
+        "Given recordings",
+        "Synthetic recordings of another simulator against their truth, and real ones against their "
+        "relations (order expected^-1 * relative; `derived` ones are good to 5 to 10 cm). One run each. NEES "
+        "is that of the pose against the first scan, every tenth scan, 3 expected. Parameters were chosen "
+        "while looking at all of them.",
+        rows,
+    )
+
+
+def _world(name: str, bound_m: float | None, out: Path) -> list[Row]:
+    truth = SHARED / "worlds" / name / f"{name}.tum"
+    done = _mapped(SHARED / "worlds" / name / f"{name}.mcap", out)
+    finished, live = score(out / "trajectory.tum", truth), score(out / "trajectory_live.tum", truth)
+    assert not isinstance(finished, RelationsScore)
+    assert not isinstance(live, RelationsScore)
+    off, nees = _errors(done, truth)
+    states = [output.state for output in done.outputs]
+    lies = sum(state == "ok" and away > WRONG_M for state, away in zip(states, off.tolist(), strict=True))
+    return [
+        Row(
+            "", f"{name}: ATE after the finish", [finished.ate_aligned_m.rms], "m", at_most=bound_m, digits=4
+        ),
+        Row("", f"{name}: ATE live", [live.ate_aligned_m.rms], "m", digits=4),
+        Row("", f"{name}: closure", [finished.closure_m], "m", digits=4),
+        Row("", f"{name}: NEES, mean", [nees], "", digits=2),
+        Row("", f"{name}: scans `ok` and {WRONG_M} m off", [float(lies)], "", at_most=0.0, digits=0),
+        Row("", f"{name}: scans lost", [100.0 * states.count("lost") / len(states)], "%", digits=1),
+    ]
+
+
+def _dataset(
+    name: str, relations: str, shift_s: float, bounds: tuple[float | None, float | None], out: Path
+) -> list[Row]:
+    folder = SHARED / "datasets" / name
+    done = _mapped(folder / f"{name}.mcap", out)
+    states = [output.state for output in done.outputs]
+    rows = [Row("", f"{name}: scans lost", [100.0 * states.count("lost") / len(states)], "%", digits=1)]
+    if relations:
+        report = score(out / "trajectory.tum", folder / f"{relations}.relations", shift_s=shift_s)
+        assert isinstance(report, RelationsScore)
+        error = report.errors[0]
+        rows += [
+            Row("", f"{name}: {relations}", [error.translation_m.mean], "m", at_most=bounds[0], digits=4),
+            Row("", f"{name}: {relations}", [error.rotation_deg.mean], "deg", at_most=bounds[1]),
+        ]
+    return rows
+
+
+def _mapped(recording: Path, out: Path) -> Replay:
+    done = replay([recording], ReplayOptions())
+    write_replay(done, out)
+    return done
+
+
+def _errors(done: Replay, truth: Path) -> tuple[np.ndarray, float]:
+    """(N,) m that each live pose is off, in the frame of the first scan; mean NEES of every tenth."""
+    path = read_tum(truth)
+    stamps = np.array([output.stamp_ns for output in done.outputs])
+    heading = np.unwrap(path.pose[:, 2])
+    true = np.column_stack(
+        [np.interp(stamps, path.stamp_ns, column) for column in (*path.pose.T[:2], heading)]
+    )
+    poses = [output.pose_map_base for output in done.outputs]
+    found = np.array([(pose.x_m, pose.y_m, pose.theta_rad) for pose in poses])
+    error = _between(_between(true[0], true), _between(found[0], found))
+    error[:, 2] = (error[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
+    tenth = range(len(found) // 10, len(found), 10)
+    nees = [error[k] @ np.linalg.solve(done.outputs[k].covariance, error[k]) for k in tenth]
+    return np.hypot(error[:, 0], error[:, 1]), float(np.mean(nees))
+
+
+def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    d = b - a
+    return np.stack([c * d[..., 0] + s * d[..., 1], -s * d[..., 0] + c * d[..., 1], d[..., 2]], axis=-1)
