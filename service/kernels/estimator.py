@@ -605,7 +605,7 @@ def begin_window(state):
 
 @njit(cache=True, nogil=True)
 def learn_noise(state, information):
-    """Hold what odometry and gyro said over a window against what scans say of it; [11].
+    """Hold what odometry and gyro said over a window against what scans say of it; [18].
 
     The mean of squared innovations, less what the scan does not know, over the variance of the model is how
     many times that variance is. It is learnt by as much as the scan knows better than the source.

@@ -125,7 +125,7 @@ def range_noise(xy_raw, beam, sensor_xy_m):
     """Noise of a range as a scan shows it, m; 0.0 where it shows none: fewer than 30 runs of three beams.
 
     Along walls the range of a beam is nearly the mean of its neighbours', so second differences are noise:
-    their median is 0.6745 sqrt(6) sigma of normal noise, whatever edges and people are in view.
+    their median is 0.6745 sqrt(6) sigma of normal noise, whatever edges and people are in view; [19].
 
     xy_raw        (N, 2) float64   m, in beam order
     beam          (N,)   int32     number of each point's beam
