@@ -1,0 +1,75 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.mapper.judgement import Evidence, Ratios, judge, sigmas_of
+
+RATIOS = Ratios(lost=0.30, degraded=0.45)
+GOOD = Evidence(
+    used=500,
+    on_map=480,
+    in_free=5,
+    sigma=(0.01, 0.002),
+    prior=(0.05, 0.01),
+    is_measured=True,
+    is_far=False,
+)
+NEW_GROUND = replace(GOOD, on_map=50, in_free=5)
+
+
+def state(evidence: Evidence, **changes: object) -> str:
+    return judge(replace(evidence, **changes), RATIOS)[0]  # type: ignore[arg-type]
+
+
+def test_what_lies_on_the_map_is_ok() -> None:
+    assert judge(GOOD, RATIOS) == ("ok", "")
+
+
+def test_new_ground_is_degraded_where_the_prediction_is_tight_and_measured() -> None:
+    assert state(NEW_GROUND) == "degraded"
+    assert state(NEW_GROUND, is_measured=False) == "lost"
+    assert state(NEW_GROUND, prior=(0.6, 0.01)) == "lost"
+    assert state(NEW_GROUND, prior=(0.05, 0.5)) == "lost"
+    assert state(NEW_GROUND, on_map=5, in_free=0) == "lost"  # next to nothing is known
+
+
+def test_returns_where_nothing_stands_contradict_however_good_the_prediction() -> None:
+    assert state(NEW_GROUND, in_free=60) == "lost"
+    assert state(GOOD, on_map=240, in_free=200) == "ok"  # people close by
+    assert state(GOOD, on_map=240, in_free=250) == "lost"
+    assert "nothing stands" in judge(replace(GOOD, on_map=240, in_free=250), RATIOS)[1]
+
+
+def test_a_match_far_from_the_prediction_needs_more() -> None:
+    assert state(GOOD, is_far=True) == "ok"
+    assert state(GOOD, on_map=400, in_free=90) == "ok"
+    assert state(GOOD, on_map=400, in_free=90, is_far=True) == "lost"
+    assert state(GOOD, on_map=200, in_free=0, is_measured=False) == "degraded"
+    assert state(GOOD, on_map=200, in_free=0, is_measured=False, is_far=True) == "lost"
+
+
+@pytest.mark.parametrize(
+    ("sigma", "expected"),
+    [
+        ((0.14, 0.05), "ok"),
+        ((0.16, 0.01), "degraded"),
+        ((0.01, 0.06), "degraded"),
+        ((0.76, 0.01), "lost"),
+        ((0.01, 0.36), "lost"),
+    ],
+)
+def test_a_pose_that_is_known_badly_is_no_good_one(sigma: tuple[float, float], expected: str) -> None:
+    assert state(GOOD, sigma=sigma) == expected
+
+
+def test_a_scan_without_returns_is_lost() -> None:
+    assert state(GOOD, used=0, on_map=0, in_free=0, is_measured=False) == "lost"
+
+
+def test_the_sigma_of_a_position_is_that_of_its_worst_direction() -> None:
+    turn = np.eye(3)
+    turn[:2, :2] = [[math.cos(0.7), -math.sin(0.7)], [math.sin(0.7), math.cos(0.7)]]
+    covariance = turn @ np.diag([0.3**2, 0.01**2, 0.02**2]) @ turn.T
+    assert sigmas_of(covariance) == pytest.approx((0.3, 0.02))
