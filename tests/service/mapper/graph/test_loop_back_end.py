@@ -154,3 +154,73 @@ def test_behind_a_doubtful_match_loops_are_looked_for_farther_away(
     back_end, _ = fed([*frames[:kink], *turned])
     finished = back_end.work(Batch([], is_last=True))
     assert bool(seam_m(list(finished.all), truth).max() < 0.05) is says_so
+
+
+def moved(frame: KeyFrame, by: SE2, piece: int, later_ns: int) -> KeyFrame:
+    """The same key frame, in the odom of a piece that began elsewhere."""
+    return replace(
+        frame, stamp_ns=frame.stamp_ns + later_ns, pose_odom_base=by @ frame.pose_odom_base, piece=piece
+    )
+
+
+ELSEWHERE = SE2(30.0, -20.0, 1.0)
+SIDE = round(LENGTH_M / STEP_M)  # key frames along the first side
+
+
+def piece_after(known: list[KeyFrame], frames: list[KeyFrame]) -> list[KeyFrame]:
+    """The frames as a piece whose odom says that it lies elsewhere."""
+    later_ns = known[-1].stamp_ns + 10**8
+    return [moved(frame, ELSEWHERE, 1, later_ns) for frame in frames]
+
+
+def test_a_piece_that_is_found_twice_four_metres_apart_is_joined(
+    ring: tuple[list[KeyFrame], list[SE2]],
+):
+    known = ring[0][:SIDE]
+    again = piece_after(known, known[5:-5])
+    back_end = LoopBackEnd(LoopsConfig(), None)
+    back_end.work(Batch(known))
+    joined_at = []
+    for k in range(0, len(again), 4):
+        result = back_end.work(Batch(again[k : k + 4]))
+        if result.joined:
+            joined_at.append(k)
+            assert result.joined == 1
+            assert result.newest is not None
+    assert len(joined_at) == 1  # and not again
+    assert (joined_at[0] + 4) * STEP_M >= 4.0
+    finished = back_end.work(Batch([], is_last=True))
+    for first, second in zip(finished.all[5:], finished.all[SIDE:], strict=False):
+        away = first.pose_map_base.inverse() @ second.pose_map_base
+        assert np.hypot(away.x_m, away.y_m) < 0.05
+        assert abs(away.theta_rad) < 0.01
+
+
+def test_a_piece_seen_from_one_place_only_is_not_joined(ring: tuple[list[KeyFrame], list[SE2]]):
+    """Standing, a room looks like any other of its kind."""
+    known = ring[0][:SIDE]
+    back_end = LoopBackEnd(LoopsConfig(), None)
+    back_end.work(Batch(known))
+    for k, frame in enumerate(piece_after(known, known[10:11] * 15)):
+        assert not back_end.work(Batch([replace(frame, stamp_ns=frame.stamp_ns + k)])).joined
+
+
+def test_a_piece_that_is_not_joined_is_neither_laid_on_nor_painted(
+    ring: tuple[list[KeyFrame], list[SE2]],
+):
+    known = ring[0][:SIDE]
+    back_end = LoopBackEnd(LoopsConfig(), OccupancyTiles(OccupancyConfig(), 0.05).painter)
+    back_end.work(Batch(known))
+    alone = back_end._paint()
+    back_end.work(Batch(piece_after(known, known[10:11] * 3)))
+    assert back_end._chain.count == SIDE + 3
+    assert back_end._usable().tolist() == [True] * SIDE + [False] * 3
+    painted = back_end._paint()
+    assert alone is not None
+    assert painted is not None
+    np.testing.assert_array_equal(painted.evidence, alone.evidence)
+    back_end._joined.add(1)
+    assert back_end._usable().all()
+    both = back_end._paint()
+    assert both is not None
+    assert both.evidence.shape != alone.evidence.shape or (both.evidence != alone.evidence).any()
