@@ -153,7 +153,7 @@ def test_what_is_lost_is_matched_to_the_detached_piece_and_stays_lost() -> None:
 
 
 def test_back_on_the_map_the_gap_of_the_piece_is_said() -> None:
-    """Lost where it was known to 0.4 m; so much less was known through the piece than the estimator thinks."""
+    """Through the piece the pose was known to 0.2 m only, which the estimator did not know."""
     chain, matcher = mapped(square()), new_matcher()
     lost_at(chain, matcher, square(8.0), predicted(SE2(0.2, 0.0, 0.0), sigma=0.2))
     assert chain.detached is not None
