@@ -114,7 +114,9 @@ class Mapper(Generic[ReadableMap]):
         if change.is_keyframe:
             s.motion_model.settle(change.error_left)
         covariance = predicted.local_covariance if match.measured is None else match.measured.covariance
-        pose_map_odom = self._pose_map_odom = s.graph.add(MappedScan(scan.stamp_ns, kept, match, change, covariance))
+        pose_map_odom = self._pose_map_odom = s.graph.add(
+            MappedScan(scan.stamp_ns, kept, match, change, covariance, predicted.elapsed_s)
+        )
         if match.state != "lost":  # nothing is drawn from a place that nobody knows
             s.free_space.insert(kept, pose_map_odom @ match.motion.pose_odom_base)
         watch.lap("insert")

@@ -63,6 +63,7 @@ class MappedScan:
     match: Match
     change: MapChange
     covariance: npt.NDArray[np.float64]  # (3, 3) of the pose against the local map, base axes
+    elapsed_s: float = 0.0  # since the scan before
 
 
 @dataclass(frozen=True, slots=True)

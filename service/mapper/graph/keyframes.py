@@ -1,5 +1,6 @@
 """Key frames: what the back end keeps of a drive."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,7 @@ class KeyFrame:
     sensor_xy_m: tuple[float, float]  # base frame
     angle_step_rad: float
     range_sigma_m: float = 0.01
+    gap_s: float = math.inf  # longest time without a scan since the key frame before
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +44,7 @@ class Chain:
     def __init__(self) -> None:
         self.count = 0
         self._poses = np.zeros((64, 6))
-        self._numbers = np.zeros((64, 5))
+        self._numbers = np.zeros((64, 6))
         self._covariance = np.zeros((64, 3, 3))
         self.stamps_ns: list[int] = []
         self.kept: list[Kept] = []
@@ -85,6 +87,11 @@ class Chain:
         return self._numbers[: self.count, 4].astype(np.int64)
 
     @property
+    def gap_s(self) -> Floats:
+        """(N,) longest time without a scan since the key frame before each."""
+        return self._numbers[: self.count, 5]
+
+    @property
     def is_usable(self) -> npt.NDArray[np.bool_]:
         """(N,) whether others can be laid on it: its pose is a match, and its points are there."""
         return self.has_points & ~self.is_lost
@@ -107,7 +114,7 @@ class Chain:
         if k:
             before = self._poses[k - 1]
             way_m = self._numbers[k - 1, 0] + float(np.hypot(pose.x_m - before[0], pose.y_m - before[1]))
-        self._numbers[k] = way_m, frame.score, frame.is_lost, True, frame.piece
+        self._numbers[k] = way_m, frame.score, frame.is_lost, True, frame.piece, frame.gap_s
         self._covariance[k] = frame.covariance
         self.stamps_ns.append(frame.stamp_ns)
         self.kept.append(kept)

@@ -28,6 +28,8 @@ PIECE_REACH_M, PIECE_STEP_RAD = 8.0, 0.03  # window in which a piece is looked f
 MOST_QUERY = 12  # key frames of a piece that are looked for together
 CLEARLY_BETTER = 0.08  # of the returns: so much more must lie on the map than at any other place
 SAME_PLACE_M, SAME_PLACE_RAD = 0.5, 0.1
+CARRIED_S = 2.0  # without scans: a vehicle may have been carried
+MOST_OFF_M, MOST_OFF_SHARE = 4.0, 0.2  # how far off dead reckoning may be else, and for each metre of a piece
 LEAST_APART_M = 4.0  # between two finds of a piece: standing, a room looks like any other of its kind
 PIECE_SHARE = 0.75  # of the drive's median share must lie on the map where a piece is found
 GAP_SHARE = 0.1  # of a way without scans: what odometry may have erred by
@@ -198,7 +200,7 @@ class LoopBackEnd:
                 loop = loop_of(place.reference, reference, fit.pose, fit.information, fit.share)
             found.append((fit.share, se2.compose(chain.map[place.reference], fit.pose), loop))
         share, at, loop = max(found, key=lambda f: f[0]) if found else (0.0, np.zeros(3), None)
-        if loop is None:
+        if loop is None or not self._could_be_at(at, piece, reference):
             self._hypothesis = None
             return 0
         for other, other_at, _ in found:
@@ -227,6 +229,20 @@ class LoopBackEnd:
         self._groups.append([old.loop, new.loop])
         self._hypothesis = None
         return piece
+
+    def _could_be_at(self, at: Floats, piece: int, reference: int) -> bool:
+        """Whether a key frame of a piece may lie at a pose (3,) of the map.
+
+        Where scans went missing before the piece the vehicle may have been carried anywhere; where they did
+        not it can be no farther from where dead reckoning puts it than that errs.
+        """
+        chain = self._chain
+        first = int(np.flatnonzero(chain.piece == piece)[0])
+        if chain.gap_s[first] > CARRIED_S:
+            return True
+        away = se2.between(chain.map[reference], at)
+        way_m = float(chain.way_m[reference] - chain.way_m[first])
+        return bool(np.hypot(away[0], away[1]) <= MOST_OFF_M + MOST_OFF_SHARE * way_m)
 
     def _append(self, frame: KeyFrame) -> None:
         chain = self._chain

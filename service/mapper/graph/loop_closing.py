@@ -34,6 +34,7 @@ class LoopClosing:
         self._sent: deque[list[KeyFrame]] = deque()  # with each piece of work that is out
         self._last: SE2 | None = None  # of the newest key frame
         self._last_ns = 0
+        self._gap_s = 0.0  # longest time without a scan since then
         self._way_m = 0.0  # of those not yet sent
         self._pose_map_odom = SE2()
         self._loops = self._aside = 0
@@ -52,6 +53,7 @@ class LoopClosing:
 
     def add(self, scan: MappedScan) -> SE2:
         pose = scan.match.motion.pose_odom_base
+        self._gap_s = max(self._gap_s, scan.elapsed_s)
         is_detached = scan.match.state == "lost" and scan.change.piece > 0
         is_due = self._is_keyframe(pose) or (
             is_detached and scan.stamp_ns - self._last_ns >= DETACHED_INTERVAL_NS
@@ -60,7 +62,8 @@ class LoopClosing:
             if self._last is not None:
                 self._way_m += math.hypot(pose.x_m - self._last.x_m, pose.y_m - self._last.y_m)
             self._last, self._last_ns = pose, scan.stamp_ns
-            self._fresh.append(_key_frame(scan))
+            self._fresh.append(_key_frame(scan, self._gap_s))
+            self._gap_s = 0.0
             if self._way_m >= self._config.search_every_m or (is_detached and not self.waiting):
                 self._submit(Batch(self._fresh))
         return self._pose_map_odom
@@ -137,7 +140,7 @@ class LoopClosing:
         return moved_m >= self._config.keyframe_distance_m or turned_rad >= self._config.keyframe_turn_rad
 
 
-def _key_frame(scan: MappedScan) -> KeyFrame:
+def _key_frame(scan: MappedScan, gap_s: float) -> KeyFrame:
     points, match = scan.points, scan.match
     return KeyFrame(
         scan.stamp_ns,
@@ -150,6 +153,7 @@ def _key_frame(scan: MappedScan) -> KeyFrame:
         (points.sensor_base.x_m, points.sensor_base.y_m),
         abs(points.scan.angle_step_rad),
         points.range_sigma_m,
+        gap_s,
     )
 
 
