@@ -5,7 +5,16 @@ import numpy as np
 import pytest
 
 from drivers.frames import ImuSample, OdometrySample
-from service.fusion.estimator import FIRST_TWIST_SIGMA, LEAST_SIGMA, Estimator, EstimatorConfig
+from service.fusion.estimator import (
+    FADE_S,
+    FAULT_NOISE,
+    FIRST_TWIST_SIGMA,
+    LEAST_SIGMA,
+    MOST_SAMPLES,
+    Estimator,
+    EstimatorConfig,
+    _Samples,
+)
 from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.estimator import LOCAL, TWIST
@@ -272,5 +281,31 @@ def test_without_odometry_the_last_speed_goes_on_and_grows_vague() -> None:
     assert soon.pose_odom_base.x_m == pytest.approx(2.1, abs=0.005)
     model.correct(None)
     late = model.predict(3100 * MS)
-    assert late.pose_odom_base.x_m == pytest.approx(3.1, abs=0.05)
+    fades = math.exp(-soon.elapsed_s / FADE_S)  # once: one scan confirmed nothing
+    assert late.pose_odom_base.x_m == pytest.approx(soon.pose_odom_base.x_m + fades, abs=0.02)
     assert late.local_covariance[0, 0] > soon.local_covariance[0, 0] + 1.0 / 3.0
+
+
+def test_samples_that_wait_for_a_scan_for_a_day_do_not_fill_memory() -> None:
+    samples = _Samples(1)
+    for k in range(2 * MOST_SAMPLES):
+        samples.append(k, (float(k),))
+    first, end = samples.track.span.tolist()
+    assert end - first <= len(samples.track.stamp_ns) <= 2 * MOST_SAMPLES
+    stamps = samples.track.stamp_ns[first:end]
+    assert (np.diff(stamps) > 0).all()
+    assert stamps[0] == 0  # where the way since the last scan begins
+    np.testing.assert_array_equal(stamps[-1000:], np.arange(2 * MOST_SAMPLES - 1000, 2 * MOST_SAMPLES))
+    np.testing.assert_array_equal(samples.track.value[first:end, 0], stamps)
+
+
+def test_a_source_far_beyond_its_noise_is_named() -> None:
+    model = Estimator(EstimatorConfig())
+    assert model.fault == ""
+    model._filter.gyro_noise[0] = 2.0 * FAULT_NOISE
+    assert model.fault.startswith("the IMU's turns contradict the scans (")
+    model._filter.noise[1] = 4.0 * FAULT_NOISE
+    assert model.fault.startswith("odometry contradicts the scans (")
+    assert "in turns" in model.fault
+    model._filter.noise[0] = 9.0 * FAULT_NOISE
+    assert "in way" in model.fault
