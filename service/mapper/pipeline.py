@@ -38,8 +38,8 @@ class Mapper(Generic[ReadableMap]):
     def process(self, frame: Frame) -> MapperOutput | None:
         """Take the next frame in the order of arrival. None for anything but a scan that was mapped.
 
-        A scan that is older than one already mapped is dropped and counted; time never runs backwards. So is one
-        whose stamp is seconds off those around it.
+        A scan that is older than one already mapped is dropped and counted; time never runs backwards. So is
+        one whose stamp is seconds off those around it.
         """
         if isinstance(frame, GnssFix):
             self.counters["fixes_passed_over"] += 1  # no stage takes them
@@ -142,6 +142,6 @@ class Mapper(Generic[ReadableMap]):
             twist_base=motion.twist_base,
             covariance=motion.covariance,
             state="lost",
-            reason=f"{scan.sensor}: the same scan comes again and again though the vehicle moves; does it hang?",
+            reason=f"{scan.sensor}: the same scan comes again though the vehicle moves; does the laser hang?",
             match_share=0.0,
         )
