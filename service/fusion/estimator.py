@@ -36,7 +36,7 @@ from service.kernels.estimator import (
 
 CAPACITY = 4096
 MOST_SAMPLES = 200_000  # that wait for a scan; then those between the oldest and the newest are dropped
-FAULT_NOISE = 100.0  # a source whose variance is so many times its model's is named: ten sigmas
+FAULT_NOISE = 1000.0  # times the variance of its model, 30 sigmas: honest odometry of fr079 reaches 23
 GYRO_PAUSE_S = 0.05  # between two samples
 FADE_S = 1.0  # in which a speed fades that neither scans nor odometry confirm
 TURN_M = 0.5  # a turn of a radian shows as much new as so many metres
