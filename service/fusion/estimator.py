@@ -25,14 +25,13 @@ from service.kernels.estimator import (
     TWIST,
     Filter,
     MotionSettings,
-    Track,
-    begin_twist,
     begin_window,
     correct_motion,
     lay_into_map,
     learn_noise,
     predict_motion,
 )
+from service.kernels.tracks import Track, begin_twist
 
 CAPACITY = 4096
 MOST_SAMPLES = 200_000  # that wait for a scan; then those between the oldest and the newest are dropped

@@ -24,12 +24,13 @@ import numpy.typing as npt
 from numba import njit
 
 from service.kernels.pose_information import invert_3x3, wrap
+from service.kernels.se2 import between, compose, exponential, logarithm
+from service.kernels.tracks import bridge_s3, last_at_or_before, mean_twist, odometry_at, turned_to
 
 MAP, LOCAL, STEP, TWIST, SCALE, TURN_SCALE, LAG, BIAS, STATES = 0, 3, 6, 9, 12, 13, 14, 15, 16
 NOISE_WINDOWS = 10.0  # over which the noise of a source is learnt
 WINDOW_M, WINDOW_S = 0.3, 1.0  # a radian counts as a metre
 LEAST_NOISE, MOST_NOISE = 0.25, 1e6
-LAG_WINDOW_NS = 200_000_000
 GYRO_SCALE = 0.005  # error of the gyro's scale
 GRACE_NS = 50_000_000  # odometry may begin so much later than the last scan
 GATE_CHI2 = 11.3  # 99 % of three degrees of freedom: beyond, a measurement widens until it fits
@@ -49,20 +50,6 @@ class MotionSettings(NamedTuple):
     turn_acceleration: float  # rad/s^2 sqrt(s)
     jitter_s: float
     speed_window_s: float
-
-
-class Track(NamedTuple):
-    """Samples in the order of their stamps; rows `span[0]` to `span[1]` are in use.
-
-    stamp_ns   (N,)   int64
-    value      (N, W) float64   odometry: x m, y m, theta rad, variance m^2, variance rad^2; gyro: the angle
-                                turned since the first sample, rad, and what pauses of it add to its variance
-    span       (2,)   int64
-    """
-
-    stamp_ns: npt.NDArray[np.int64]
-    value: npt.NDArray[np.float64]
-    span: npt.NDArray[np.int64]
 
 
 class Filter(NamedTuple):
@@ -94,160 +81,6 @@ class Filter(NamedTuple):
     said: npt.NDArray[np.float64]
     last_odom: npt.NDArray[np.float64]
     window: npt.NDArray[np.float64]
-
-
-@njit(cache=True, nogil=True)
-def compose(a, b, out):
-    """a * b of poses (3,); out may be either."""
-    c = math.cos(a[2])
-    s = math.sin(a[2])
-    x = a[0] + c * b[0] - s * b[1]
-    y = a[1] + s * b[0] + c * b[1]
-    out[2] = wrap(a[2] + b[2])
-    out[0] = x
-    out[1] = y
-
-
-@njit(cache=True, nogil=True)
-def between(a, b, out):
-    """a^-1 * b of poses (3,)."""
-    c = math.cos(a[2])
-    s = math.sin(a[2])
-    dx = b[0] - a[0]
-    dy = b[1] - a[1]
-    out[0] = c * dx + s * dy
-    out[1] = -s * dx + c * dy
-    out[2] = wrap(b[2] - a[2])
-
-
-@njit(cache=True, nogil=True)
-def exponential(x, y, turn, out):
-    """Pose reached by a constant twist times duration."""
-    if abs(turn) < 1e-6:
-        a = 1.0 - turn * turn / 6.0
-        b = 0.5 * turn
-    else:
-        a = math.sin(turn) / turn
-        half = math.sin(0.5 * turn)
-        b = 2.0 * half * half / turn
-    out[0] = a * x - b * y
-    out[1] = b * x + a * y
-    out[2] = wrap(turn)
-
-
-@njit(cache=True, nogil=True)
-def logarithm(pose, out):
-    """Twist times duration that leads to a pose; inverse of exponential."""
-    half = 0.5 * pose[2]
-    k = 1.0 - half * half / 3.0 if abs(half) < 1e-4 else half / math.tan(half)
-    out[0] = k * pose[0] + half * pose[1]
-    out[1] = -half * pose[0] + k * pose[1]
-    out[2] = pose[2]
-
-
-@njit(cache=True, nogil=True)
-def last_at_or_before(track, stamp_ns):
-    """Row of the newest sample that is not after a moment; span[0] - 1 where all are."""
-    low = track.span[0]
-    high = track.span[1]
-    while low < high:
-        middle = (low + high) // 2
-        if track.stamp_ns[middle] <= stamp_ns:
-            low = middle + 1
-        else:
-            high = middle
-    return low - 1
-
-
-@njit(cache=True, nogil=True)
-def odometry_twist(track, row, window_ns, twist):
-    """Speed between a sample and an earlier one at least window_ns away, so that ticks average out.
-
-    A burst of stamps is no speed: where all samples lie within the window the oldest is taken.
-    Returns whether there was time between them.
-    """
-    first = row - 1
-    while first > track.span[0] and track.stamp_ns[row] - track.stamp_ns[first] < window_ns:
-        first -= 1
-    twist[:] = 0.0
-    if first < track.span[0]:
-        return False
-    elapsed_s = (track.stamp_ns[row] - track.stamp_ns[first]) * 1e-9
-    if elapsed_s <= 0.0:
-        return False
-    step = np.empty(3)
-    between(track.value[first, :3], track.value[row, :3], step)
-    logarithm(step, twist)
-    for i in range(3):
-        twist[i] /= elapsed_s
-    return True
-
-
-@njit(cache=True, nogil=True)
-def odometry_at(track, stamp_ns, settings, pose, twist):
-    """Pose (3,) and twist (3,) that odometry gives at a moment.
-
-    Returns (variance m^2, variance rad^2 of the device's own at that moment, seconds since the sample before,
-    seconds from that one to the next): between samples the pose is a bridge of white-noise acceleration,
-    beyond the last the last speed goes on.
-    """
-    row = last_at_or_before(track, stamp_ns)
-    window_ns = np.int64(settings.speed_window_s * 1e9)
-    step = np.empty(3)
-    first = track.span[0]
-    end = track.span[1]
-    if row >= first and row < end - 1:
-        gap_ns = track.stamp_ns[row + 1] - track.stamp_ns[row]
-        share = (stamp_ns - track.stamp_ns[row]) / gap_ns
-        between(track.value[row, :3], track.value[row + 1, :3], step)
-        logarithm(step, twist)
-        exponential(share * twist[0], share * twist[1], share * twist[2], step)
-        compose(track.value[row, :3], step, pose)
-        odometry_twist(track, row + 1, window_ns, twist)
-        square_m2 = track.value[row, 3] + share * (track.value[row + 1, 3] - track.value[row, 3])
-        square_rad2 = track.value[row, 4] + share * (track.value[row + 1, 4] - track.value[row, 4])
-        return square_m2, square_rad2, share * gap_ns * 1e-9, gap_ns * 1e-9
-    row = min(max(row, first), end - 1)
-    odometry_twist(track, max(row, first + 1), window_ns, twist)
-    elapsed_s = (stamp_ns - track.stamp_ns[row]) * 1e-9
-    exponential(elapsed_s * twist[0], elapsed_s * twist[1], elapsed_s * twist[2], step)
-    compose(track.value[row, :3], step, pose)
-    return track.value[row, 3], track.value[row, 4], abs(elapsed_s), 0.0
-
-
-@njit(cache=True, nogil=True)
-def mean_twist(track, stamp_ns, settings, twist):
-    """Mean speed (3,) over LAG_WINDOW_NS about a moment: what a lag of the stamps is multiplied by.
-
-    A speed from two ticks would be noise, and a lag learnt from it a fraction of the truth.
-    """
-    before = np.empty(3)
-    after = np.empty(3)
-    scratch = np.empty(3)
-    odometry_at(track, stamp_ns - LAG_WINDOW_NS // 2, settings, before, scratch)
-    odometry_at(track, stamp_ns + LAG_WINDOW_NS // 2, settings, after, scratch)
-    between(before, after, scratch)
-    logarithm(scratch, twist)
-    for i in range(3):
-        twist[i] /= LAG_WINDOW_NS * 1e-9
-
-
-@njit(cache=True, nogil=True)
-def bridge_s3(since_s, gap_s):
-    """Variance of a pose between two samples, over the density of acceleration; [8]."""
-    if gap_s <= 0.0:
-        return since_s**3 / 3.0
-    left_s = max(gap_s - since_s, 0.0)
-    return (since_s * left_s / gap_s) ** 3 / 3.0
-
-
-@njit(cache=True, nogil=True)
-def turned_to(track, stamp_ns):
-    """Angle that the gyro has turned up to a moment since the first sample; it goes on at its last rate."""
-    row = last_at_or_before(track, stamp_ns)
-    row = min(max(row, track.span[0]), track.span[1] - 2)
-    share = (stamp_ns - track.stamp_ns[row]) / (track.stamp_ns[row + 1] - track.stamp_ns[row])
-    return track.value[row, 0] + share * (track.value[row + 1, 0] - track.value[row, 0])
 
 
 @njit(cache=True, nogil=True)
@@ -567,13 +400,6 @@ def lay_into_map(P, kept):
     for i in range(3):
         for j in range(STATES):
             P[j, LOCAL + i] *= kept
-
-
-@njit(cache=True, nogil=True)
-def begin_twist(track, stamp_ns, settings, twist):
-    """Speed (3,) that odometry gives at the first scan."""
-    pose = np.empty(3)
-    odometry_at(track, stamp_ns, settings, pose, twist)
 
 
 @njit(cache=True, nogil=True)
