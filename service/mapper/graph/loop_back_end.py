@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
 
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
@@ -15,87 +14,22 @@ from service.kernels.normals import estimate_normals
 from service.mapper.graph.clouds import Cloud, Fit
 from service.mapper.graph.keyframes import Chain, Floats, Kept, KeyFrame
 from service.mapper.graph.loops import Loop, agree, as_edges, disagreement, loop_of
+from service.mapper.graph.loops_config import LoopsConfig
+from service.mapper.graph.piece_search import PieceSearch
 from service.mapper.graph.places import Place, cloud_of
 from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, solve, to_g2o
-from service.mapper.maps.submaps import NormalsConfig
 from service.mapper.stages import Correction, Drawn, Painter, Sheet
 
 STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: of a step between key frames, at best
 LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])  # of a step that only a prediction vouches for; m^2, rad^2
 DOUBTFUL_COVARIANCE = np.diag([0.09, 0.09, 0.09])  # ... added where an end hardly lies on the map
 UNKNOWN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # ... into a piece that nobody knows the place of
-PIECE_REACH_M, PIECE_STEP_RAD = 8.0, 0.03  # window in which a piece is looked for about each place
-MOST_QUERY = 12  # key frames of a piece that are looked for together
-CLEARLY_BETTER = 0.08  # of the returns: so much more must lie on the map than at any other place
-SAME_PLACE_M, SAME_PLACE_RAD = 0.5, 0.1
-CARRIED_S = 2.0  # without scans: a vehicle may have been carried
-MOST_OFF_M, MOST_OFF_SHARE = 4.0, 0.2  # how far off dead reckoning may be else, and for each metre of a piece
-LEAST_APART_M = 4.0  # between two finds of a piece: standing, a room looks like any other of its kind
-PIECE_SHARE = 0.75  # of the drive's median share must lie on the map where a piece is found
 GAP_SHARE = 0.1  # of a way without scans: what odometry may have erred by
 SAME_SPOT_M, SAME_VIEW_RAD = 0.5, 0.5  # key frames so near see the same
 LOST_M, DOUBTFUL_M = 60.0, 30.0  # way that such a step counts for, where loops are looked for
 LOOP_M = 1.0  # what going over a loop counts in the length of a path
 NEWS_CHI2 = 4.0  # of a loop: two sigmas
 PLACES_KEPT = 16
-
-
-class LoopsConfig(BaseModel):
-    """Where loops are looked for, and when they are believed."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    keyframe_distance_m: float = Field(default=0.3, gt=0.0)
-    keyframe_turn_rad: float = Field(default=0.15, gt=0.0)
-    thin_m: float = Field(default=0.04, ge=0.0)  # points of a key frame lie no nearer to each other
-    normals: NormalsConfig = NormalsConfig(grazing_weight=1.0)
-
-    search_every_m: float = Field(default=2.0, gt=0.0)
-    query_m: float = Field(default=5.0, gt=0.0)  # way whose key frames are looked for together
-    place_m: float = Field(default=5.0, gt=0.0)  # way to each side that they are looked for in
-    apart_m: float = Field(default=12.0, gt=0.0)  # way between two passes of a place, at least
-    passes: int = Field(default=4, ge=1)  # that are asked in one search, the nearest ones
-    window_m: float = Field(default=0.5, gt=0.0)
-    window_growth: float = Field(default=0.035, ge=0.0)  # m for each m of way through the graph
-    most_window_m: float = Field(default=12.0, gt=0.0)
-    window_rad: float = Field(default=0.06, gt=0.0)
-    window_growth_radpm: float = Field(default=0.006, ge=0.0)
-    most_window_rad: float = Field(default=1.6, gt=0.0)
-    least_score: float = Field(default=0.5, ge=0.0, le=1.0)
-
-    least_share: float = Field(default=0.45, ge=0.0)  # of the points on the map, in medians of the drive
-    doubtful_share: float = Field(default=0.6, ge=0.0)  # ... less, and the step to it may be wrong
-    most_against: float = Field(default=0.12, ge=0.0, le=1.0)  # share of the points in free space
-    group: int = Field(default=3, ge=2)  # loops that say the same, at least
-    group_span_m: float = Field(default=5.0, ge=0.0)
-    group_within_m: float = Field(default=30.0, gt=0.0)
-    agree_m: float = Field(default=0.15, gt=0.0)
-    agree_growth: float = Field(default=0.01, ge=0.0)
-    agree_rad: float = Field(default=0.03, gt=0.0)
-    agree_growth_radpm: float = Field(default=0.0015, ge=0.0)
-    contradiction_chi2: float = Field(default=30.0, gt=0.0)  # a loop beyond it is laid aside
-    reinstated_chi2: float = Field(default=9.0, gt=0.0)
-
-    solve_at_m: float = Field(default=0.05, gt=0.0)  # what a new loop must move to be worth it before the end
-    solve_at_rad: float = Field(default=0.01, gt=0.0)
-
-    keep_passes: int = Field(default=6, ge=1)  # points are kept of so many passes, the newest
-    finish_window_m: float = Field(default=1.5, gt=0.0)
-    finish_window_rad: float = Field(default=0.2, gt=0.0)
-    dense_m: float = Field(default=2.5, ge=0.0)  # passes this near are joined at each key frame; 0: not
-    dense_passes: int = Field(default=4, ge=0)
-    dense_most_m: float = Field(default=0.15, gt=0.0)  # farther from where they lay they are not believed
-    dense_most_rad: float = Field(default=0.03, gt=0.0)
-    dense_most: int = Field(default=20_000, ge=0)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Hypothesis:
-    """Where a piece may lie: its odom in the map, and the loop that says so."""
-
-    pose_map_odom: Floats  # (3,)
-    loop: Loop
-    way_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +70,7 @@ class LoopBackEnd:
         self._places: OrderedDict[int, Place] = OrderedDict()
         self._searched_m = 0.0
         self._joined = {0}  # numbers of the pieces whose place in the map is known
-        self._hypothesis: Hypothesis | None = None
+        self._pieces = PieceSearch(config, self._chain)
         self._looked_back = 0  # key frames whose surroundings were asked for passes too many
 
     def work(self, batch: Batch) -> Result:
@@ -167,82 +101,15 @@ class LoopBackEnd:
         return self._chain.is_usable & np.isin(self._chain.piece, list(self._joined))
 
     def _look_for_piece(self) -> int:
-        """Number of the newest piece, if it was found twice in the same place of the map; else 0.
-
-        It is asked of every stretch of the way, at every heading. One find is a hypothesis, since rooms look
-        alike: it must fit clearly better than any other place, and the next key frames must say the same.
-        """
-        config, chain = self._config, self._chain
-        piece = int(chain.piece[-1])
-        own = np.flatnonzero((chain.piece == piece) & chain.is_usable)
-        own = own[chain.way_m[own] >= chain.way_m[-1] - config.query_m][-MOST_QUERY:]
-        known = np.flatnonzero(self._usable())
-        if not len(own) or not len(known):
+        """Number of the newest piece, if its place was found now; else 0."""
+        loops = self._pieces.find(np.flatnonzero(self._usable()), self._place)
+        if loops is None:
             return 0
-        reference = int(own[-1])
-        cloud = cloud_of(chain, own.tolist(), reference)
-        found: list[tuple[float, Floats, Loop | None]] = []
-        asked_m = -np.inf
-        for k in known.tolist():
-            if chain.way_m[k] < asked_m + config.place_m:
-                continue
-            asked_m = float(chain.way_m[k])
-            place = self._place(k)
-            pose = place.search(cloud, np.zeros(3), PIECE_REACH_M, np.pi, config.least_score, PIECE_STEP_RAD)
-            if pose is None:
-                continue
-            fit = place.align(cloud, pose)
-            loop = None
-            if (
-                fit.share >= PIECE_SHARE * float(np.median(chain.score))
-                and place.against(cloud, fit.pose) < config.most_against
-            ):
-                loop = loop_of(place.reference, reference, fit.pose, fit.information, fit.share)
-            found.append((fit.share, se2.compose(chain.map[place.reference], fit.pose), loop))
-        share, at, loop = max(found, key=lambda f: f[0]) if found else (0.0, np.zeros(3), None)
-        if loop is None or not self._could_be_at(at, piece, reference):
-            self._hypothesis = None
-            return 0
-        for other, other_at, _ in found:
-            away = se2.between(at, other_at)
-            if other > share - CLEARLY_BETTER and (
-                np.hypot(away[0], away[1]) > SAME_PLACE_M or abs(away[2]) > SAME_PLACE_RAD
-            ):
-                self._hypothesis = None  # two places that look alike
-                return 0
-        inverse = se2.between(chain.odom[reference], np.zeros(3))
-        new = Hypothesis(se2.compose(at, inverse), loop, float(chain.way_m[reference]))
-        old = self._hypothesis
-        if old is None:
-            self._hypothesis = new
-            return 0
-        if new.way_m - old.way_m < LEAST_APART_M:
-            return 0
-        self._hypothesis = new
-        away = se2.between(se2.compose(old.pose_map_odom, chain.odom[reference]), at)
-        if np.hypot(away[0], away[1]) > SAME_PLACE_M or abs(away[2]) > SAME_PLACE_RAD:
-            return 0
+        piece = int(self._chain.piece[-1])
         self._joined.add(piece)
-        mine = chain.piece == piece
-        chain.map[mine] = se2.compose(new.pose_map_odom, chain.odom[mine])
-        self._loops += [old.loop, new.loop]
-        self._groups.append([old.loop, new.loop])
-        self._hypothesis = None
+        self._loops += loops
+        self._groups.append([*loops])
         return piece
-
-    def _could_be_at(self, at: Floats, piece: int, reference: int) -> bool:
-        """Whether a key frame of a piece may lie at a pose (3,) of the map.
-
-        Where scans went missing before the piece the vehicle may have been carried anywhere; where they did
-        not it can be no farther from where dead reckoning puts it than that errs.
-        """
-        chain = self._chain
-        first = int(np.flatnonzero(chain.piece == piece)[0])
-        if chain.gap_s[first] > CARRIED_S:
-            return True
-        away = se2.between(chain.map[reference], at)
-        way_m = float(chain.way_m[reference] - chain.way_m[first])
-        return bool(np.hypot(away[0], away[1]) <= MOST_OFF_M + MOST_OFF_SHARE * way_m)
 
     def _append(self, frame: KeyFrame) -> None:
         chain = self._chain

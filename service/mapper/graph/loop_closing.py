@@ -10,7 +10,8 @@ import numpy as np
 from service.geometry.se2 import SE2, wrap_angle
 from service.mapper.background import Errand, NewWorker, WorkLostError
 from service.mapper.graph.keyframes import KeyFrame
-from service.mapper.graph.loop_back_end import Batch, LoopBackEnd, LoopsConfig, Result
+from service.mapper.graph.loop_back_end import Batch, LoopBackEnd, Result
+from service.mapper.graph.loops_config import LoopsConfig
 from service.mapper.stages import (
     Correction,
     Drawn,

@@ -3,8 +3,8 @@
 from service.fusion.estimator import Estimator, EstimatorConfig
 from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist
 from service.mapper.filters.keep_all import keep_all
-from service.mapper.graph.loop_back_end import LoopsConfig
 from service.mapper.graph.loop_closing import LoopClosing
+from service.mapper.graph.loops_config import LoopsConfig
 from service.mapper.graph.no_graph import NoGraph
 from service.mapper.graph.rehearsal import rehearse
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles

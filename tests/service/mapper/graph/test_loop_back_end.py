@@ -8,8 +8,9 @@ import pytest
 
 from service.geometry.se2 import SE2
 from service.mapper.graph.keyframes import KeyFrame
-from service.mapper.graph.loop_back_end import Batch, LoopBackEnd, LoopsConfig, Result
+from service.mapper.graph.loop_back_end import Batch, LoopBackEnd, Result
 from service.mapper.graph.loops import Loop
+from service.mapper.graph.loops_config import LoopsConfig
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapper.stages import Correction
 from tests.service.mapper.graph.rings import LENGTH_M, STEP_M, WIDTH_M, key_frames

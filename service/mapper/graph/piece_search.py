@@ -1,0 +1,119 @@
+"""Where a detached piece of the map lies in the rest, when nobody knows it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry import poses as se2
+from service.mapper.graph.keyframes import Chain, Floats
+from service.mapper.graph.loops import Loop, loop_of
+from service.mapper.graph.loops_config import LoopsConfig
+from service.mapper.graph.places import Place, cloud_of
+
+PIECE_REACH_M, PIECE_STEP_RAD = 8.0, 0.03  # window in which a piece is looked for about each place
+MOST_QUERY = 12  # key frames of a piece that are looked for together
+CLEARLY_BETTER = 0.08  # of the returns: so much more must lie on the map than at any other place
+SAME_PLACE_M, SAME_PLACE_RAD = 0.5, 0.1
+CARRIED_S = 2.0  # without scans: a vehicle may have been carried
+MOST_OFF_M, MOST_OFF_SHARE = 4.0, 0.2  # how far off dead reckoning may be else, and for each metre of a piece
+LEAST_APART_M = 4.0  # between two finds of a piece: standing, a room looks like any other of its kind
+PIECE_SHARE = 0.75  # of the drive's median share must lie on the map where a piece is found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """Where a piece may lie: its odom in the map, and the loop that says so."""
+
+    pose_map_odom: Floats  # (3,)
+    loop: Loop
+    way_m: float
+
+
+class PieceSearch:
+    """Looks for the newest piece of a chain of key frames; remembers the last find."""
+
+    def __init__(self, config: LoopsConfig, chain: Chain) -> None:
+        self._config = config
+        self._chain = chain
+        self._hypothesis: Hypothesis | None = None
+
+    def find(
+        self, known: npt.NDArray[np.int64], place_of: Callable[[int], Place]
+    ) -> tuple[Loop, Loop] | None:
+        """Move the newest piece to where it lies, and give the two loops that say so; None: nothing is sure.
+
+        known      numbers of the key frames whose place in the map is known
+        place_of   the place about one of them
+
+        It is asked of every stretch of the way, at every heading. One find is a hypothesis, since rooms look
+        alike: it must fit clearly better than any other place, and the next key frames must say the same.
+        """
+        config, chain = self._config, self._chain
+        piece = int(chain.piece[-1])
+        own = np.flatnonzero((chain.piece == piece) & chain.is_usable)
+        own = own[chain.way_m[own] >= chain.way_m[-1] - config.query_m][-MOST_QUERY:]
+        if not len(own) or not len(known):
+            return None
+        reference = int(own[-1])
+        cloud = cloud_of(chain, own.tolist(), reference)
+        found: list[tuple[float, Floats, Loop | None]] = []
+        asked_m = -np.inf
+        for k in known.tolist():
+            if chain.way_m[k] < asked_m + config.place_m:
+                continue
+            asked_m = float(chain.way_m[k])
+            place = place_of(k)
+            pose = place.search(cloud, np.zeros(3), PIECE_REACH_M, np.pi, config.least_score, PIECE_STEP_RAD)
+            if pose is None:
+                continue
+            fit = place.align(cloud, pose)
+            loop = None
+            if (
+                fit.share >= PIECE_SHARE * float(np.median(chain.score))
+                and place.against(cloud, fit.pose) < config.most_against
+            ):
+                loop = loop_of(place.reference, reference, fit.pose, fit.information, fit.share)
+            found.append((fit.share, se2.compose(chain.map[place.reference], fit.pose), loop))
+        share, at, loop = max(found, key=lambda f: f[0]) if found else (0.0, np.zeros(3), None)
+        if loop is None or not self._could_be_at(at, piece, reference):
+            self._hypothesis = None
+            return None
+        for other, other_at, _ in found:
+            away = se2.between(at, other_at)
+            if other > share - CLEARLY_BETTER and (
+                np.hypot(away[0], away[1]) > SAME_PLACE_M or abs(away[2]) > SAME_PLACE_RAD
+            ):
+                self._hypothesis = None  # two places that look alike
+                return None
+        inverse = se2.between(chain.odom[reference], np.zeros(3))
+        new = Hypothesis(se2.compose(at, inverse), loop, float(chain.way_m[reference]))
+        old = self._hypothesis
+        if old is None:
+            self._hypothesis = new
+            return None
+        if new.way_m - old.way_m < LEAST_APART_M:
+            return None
+        self._hypothesis = new
+        away = se2.between(se2.compose(old.pose_map_odom, chain.odom[reference]), at)
+        if np.hypot(away[0], away[1]) > SAME_PLACE_M or abs(away[2]) > SAME_PLACE_RAD:
+            return None
+        mine = chain.piece == piece
+        chain.map[mine] = se2.compose(new.pose_map_odom, chain.odom[mine])
+        self._hypothesis = None
+        return old.loop, new.loop
+
+    def _could_be_at(self, at: Floats, piece: int, reference: int) -> bool:
+        """Whether a key frame of a piece may lie at a pose (3,) of the map.
+
+        Where scans went missing before the piece the vehicle may have been carried anywhere; where they did
+        not it can be no farther from where dead reckoning puts it than that errs.
+        """
+        chain = self._chain
+        first = int(np.flatnonzero(chain.piece == piece)[0])
+        if chain.gap_s[first] > CARRIED_S:
+            return True
+        away = se2.between(chain.map[reference], at)
+        way_m = float(chain.way_m[reference] - chain.way_m[first])
+        return bool(np.hypot(away[0], away[1]) <= MOST_OFF_M + MOST_OFF_SHARE * way_m)
