@@ -4,15 +4,11 @@ In a session of ours a sensor's topics are `/<sensor>/scan`, `/<sensor>/imu` and
 they are found by type; where several fit, one is chosen, and the notes say what was passed over.
 """
 
-import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby, islice
 from pathlib import Path
-
-import numpy as np
-import numpy.typing as npt
 
 from drivers.frames import Frame, LaserScan
 from service.encoding import (
@@ -22,35 +18,22 @@ from service.encoding import (
     MAP_FRAME,
     ODOMETRY,
     STRING,
-    TF,
     Message,
-    Transform,
     decode_control,
     decode_frame,
     decode_pose,
-    decode_transforms,
     frame_id,
 )
 from service.errors import InputError
 from service.geometry.se2 import SE2
 from service.mapper.steering import Step
 from service.recording.mcap_reader import Recording, Topic
+from service.recording.mountings import Mounting, StaticTree, TiltedError, mounting
 
 FRAME_TYPES = {LASER_SCAN: "scan", IMU: "imu", ODOMETRY: "odom"}
 BASE_FRAMES = (BASE_FRAME, "base_footprint")
-MOST_TILT_DEG = 10.0  # what a planar mapper can take; upside down is fine
 MOST_BROKEN = 100  # messages at the beginning of a topic
 DERIVED = ("filter", "fused", "icp", "visual", "amcl", "slam", "merged")  # made by others from the raw topic
-
-Matrix = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class _Mount:
-    """Where a sensor sits, as far as a planar mapper wants to know."""
-
-    pose_base_sensor: SE2
-    upside_down: bool  # its angles run clockwise seen from above
 
 
 @dataclass(slots=True)
@@ -144,21 +127,21 @@ def open_session(paths: Sequence[Path]) -> Session:
     heads = {topic.name: _head(recording, topic) for topic in ours or readable}
     chosen = ours or _choose(readable, heads, notes)
     sensors = _name_sensors(chosen)
-    tree = _Tree(recording)
+    tree = StaticTree(recording)
     moved = [decode_pose(heads[t.name].payload).child.lstrip("/") for t in chosen if t.type == ODOMETRY]
     bases = tuple(dict.fromkeys([*filter(None, moved), *BASE_FRAMES]))  # what the odometry moves is the base
-    mounts: dict[str, _Mount] = {}
+    mounts: dict[str, Mounting] = {}
     for topic in chosen:
         if topic.type == ODOMETRY or (topic.type == IMU and ours):
             continue
         try:
             sensor_frame = frame_id(topic.type, heads[topic.name].payload)
-            mount = _mount(tree, bases, sensor_frame, topic, notes)
+            mount = mounting(tree, bases, sensor_frame, topic, notes)
             if topic.type == LASER_SCAN:
                 mounts[sensors[topic.name]] = mount
             elif mount.upside_down:
-                raise _TiltedError("mounted upside down")
-        except _TiltedError as error:
+                raise TiltedError("mounted upside down")
+        except TiltedError as error:
             notes.append(f"passed over {topic}: {error}")
             del sensors[topic.name]
     if not mounts:
@@ -242,68 +225,3 @@ def _nothing_to_map(recording: Recording, notes: Sequence[str]) -> str:
     held = ", ".join(map(str, recording.topics)) or "nothing"
     reasons = "".join(f"; {note}" for note in notes)
     return f"{where}: no {LASER_SCAN} that can be mapped; it holds {held}{reasons}"
-
-
-class _TiltedError(Exception):
-    pass
-
-
-class _Tree:
-    """The static transforms of a recording: child -> parent with its 4 x 4 matrix."""
-
-    def __init__(self, recording: Recording) -> None:
-        names = [t.name for t in recording.topics if t.type == TF and t.name.endswith("tf_static")]
-        self.parents: dict[str, tuple[str, Matrix]] = {}
-        self.edges: dict[str, Transform] = {}
-        for message in recording.messages(names) if names else ():
-            for transform in decode_transforms(message.payload):
-                self.parents.setdefault(transform.child, (transform.frame, _matrix(transform)))
-                self.edges.setdefault(transform.child, transform)
-
-    def chain(self, frame: str) -> dict[str, Matrix]:
-        """Every frame above, with the matrix that takes coordinates of `frame` to it."""
-        matrix, above = np.eye(4), {frame: np.eye(4)}
-        while frame in self.parents:
-            frame, step = self.parents[frame]
-            if frame in above:  # a loop in a broken tree
-                break
-            matrix = step @ matrix
-            above[frame] = matrix
-        return above
-
-
-def _matrix(transform: Transform) -> Matrix:
-    w, x, y, z = np.array(transform.rotation_wxyz) / (math.hypot(*transform.rotation_wxyz) or 1.0)
-    matrix = np.eye(4)
-    matrix[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    matrix[:3, 3] = transform.translation_m
-    return matrix
-
-
-def _mount(tree: _Tree, bases: Sequence[str], sensor_frame: str, topic: Topic, notes: list[str]) -> _Mount:
-    above = tree.chain(sensor_frame)
-    base = next((name for name in bases if name in above), None)
-    if base is None:
-        notes.append(
-            f"{topic}: /tf_static does not lead from {sensor_frame or 'its empty frame_id'} to "
-            f"{' or '.join(bases)}; taken as mounted at the base's origin, looking ahead"
-        )
-        return _Mount(SE2(), upside_down=False)
-    edge = tree.edges.get(sensor_frame)
-    if edge is not None and edge.frame == base and edge.is_planar:
-        return _Mount(edge.pose, upside_down=False)  # exactly as the live mapper had it
-    matrix = above[base]
-    up = float(np.clip(matrix[2, 2], -1.0, 1.0))
-    tilt_deg = math.degrees(math.acos(abs(up)))
-    if tilt_deg > MOST_TILT_DEG:
-        raise _TiltedError(
-            f"tilted by {tilt_deg:.0f} deg against {base}; at most {MOST_TILT_DEG:.0f} can be mapped"
-        )
-    yaw_rad = math.atan2(matrix[1, 0], matrix[0, 0])
-    if up < 0.0 and topic.type == LASER_SCAN:
-        notes.append(f"{topic}: mounted upside down; its angles are mirrored")
-    return _Mount(SE2(float(matrix[0, 3]), float(matrix[1, 3]), yaw_rad), upside_down=up < 0.0)

@@ -1,0 +1,91 @@
+"""Where the sensors of a recording sit, by its static transforms, as far as a planar mapper wants to know."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from service.encoding import LASER_SCAN, TF, Transform, decode_transforms
+from service.geometry.se2 import SE2
+from service.recording.mcap_reader import Recording, Topic
+
+MOST_TILT_DEG = 10.0  # what a planar mapper can take; upside down is fine
+
+Matrix = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Mounting:
+    """Where a sensor sits, as far as a planar mapper wants to know."""
+
+    pose_base_sensor: SE2
+    upside_down: bool  # its angles run clockwise seen from above
+
+
+class TiltedError(Exception):
+    """Why a sensor cannot be mapped in the plane."""
+
+
+class StaticTree:
+    """The static transforms of a recording: child -> parent with its 4 x 4 matrix."""
+
+    def __init__(self, recording: Recording) -> None:
+        names = [t.name for t in recording.topics if t.type == TF and t.name.endswith("tf_static")]
+        self.parents: dict[str, tuple[str, Matrix]] = {}
+        self.edges: dict[str, Transform] = {}
+        for message in recording.messages(names) if names else ():
+            for transform in decode_transforms(message.payload):
+                self.parents.setdefault(transform.child, (transform.frame, _matrix(transform)))
+                self.edges.setdefault(transform.child, transform)
+
+    def chain(self, frame: str) -> dict[str, Matrix]:
+        """Every frame above, with the matrix that takes coordinates of `frame` to it."""
+        matrix, above = np.eye(4), {frame: np.eye(4)}
+        while frame in self.parents:
+            frame, step = self.parents[frame]
+            if frame in above:  # a loop in a broken tree
+                break
+            matrix = step @ matrix
+            above[frame] = matrix
+        return above
+
+
+def _matrix(transform: Transform) -> Matrix:
+    w, x, y, z = np.array(transform.rotation_wxyz) / (math.hypot(*transform.rotation_wxyz) or 1.0)
+    matrix = np.eye(4)
+    matrix[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    matrix[:3, 3] = transform.translation_m
+    return matrix
+
+
+def mounting(
+    tree: StaticTree, bases: Sequence[str], sensor_frame: str, topic: Topic, notes: list[str]
+) -> Mounting:
+    above = tree.chain(sensor_frame)
+    base = next((name for name in bases if name in above), None)
+    if base is None:
+        notes.append(
+            f"{topic}: /tf_static does not lead from {sensor_frame or 'its empty frame_id'} to "
+            f"{' or '.join(bases)}; taken as mounted at the base's origin, looking ahead"
+        )
+        return Mounting(SE2(), upside_down=False)
+    edge = tree.edges.get(sensor_frame)
+    if edge is not None and edge.frame == base and edge.is_planar:
+        return Mounting(edge.pose, upside_down=False)  # exactly as the live mapper had it
+    matrix = above[base]
+    up = float(np.clip(matrix[2, 2], -1.0, 1.0))
+    tilt_deg = math.degrees(math.acos(abs(up)))
+    if tilt_deg > MOST_TILT_DEG:
+        raise TiltedError(
+            f"tilted by {tilt_deg:.0f} deg against {base}; at most {MOST_TILT_DEG:.0f} can be mapped"
+        )
+    yaw_rad = math.atan2(matrix[1, 0], matrix[0, 0])
+    if up < 0.0 and topic.type == LASER_SCAN:
+        notes.append(f"{topic}: mounted upside down; its angles are mirrored")
+    return Mounting(SE2(float(matrix[0, 3]), float(matrix[1, 3]), yaw_rad), upside_down=up < 0.0)
