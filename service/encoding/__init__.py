@@ -96,6 +96,7 @@ __all__ = [
     "encode_tile",
     "frame_id",
     "pose_on_wire",
+    "read",
     "schema_text",
     "type_hash",
     "warm_up",

@@ -1,6 +1,7 @@
 """Frames <-> their ROS messages. Decoding looks at nothing but payload, sensor name and log time."""
 
 import math
+import struct
 from collections.abc import Callable
 from typing import cast
 
@@ -10,10 +11,12 @@ from rosbags.typesys.stores import ros2_jazzy as ros
 from drivers.frames import NO_INTENSITY, Frame, GnssFix, ImuSample, LaserScan, OdometrySample
 from service.encoding import wire
 from service.encoding.wire import Message
+from service.errors import InputError
 from service.geometry.se2 import SE2
 
 SERVICE_GPS = 1  # sensor_msgs/NavSatStatus
 COVARIANCE_UNKNOWN, COVARIANCE_DIAGONAL, COVARIANCE_KNOWN = 0, 2, 3  # sensor_msgs/NavSatFix
+_FRAME_ID_AT = 12  # its length, after 4 bytes of CDR and the stamp
 UNSET_RANGE_MAX_M = 100.0  # for a foreign scan whose range_max is 0, inf or NaN
 
 _UNKNOWN_9 = np.zeros(9)
@@ -55,10 +58,15 @@ def decode_frame(message_type: str, payload: bytes, sensor: str, log_ns: int) ->
     return None if decode is None else decode(wire.read(message_type, payload), sensor, log_ns)
 
 
-def frame_id(message_type: str, payload: bytes) -> str:
-    """header.frame_id of a message that decode_frame knows. Raises InputError."""
-    content = cast(ros.sensor_msgs__msg__LaserScan, wire.read(message_type, payload))  # the header is alike
-    return content.header.frame_id.lstrip("/")  # tf 1 wrote "/laser"
+def frame_id(payload: bytes) -> str:
+    """header.frame_id of a message that begins with a header; the rest is not read. Raises InputError."""
+    try:
+        order = "<" if payload[1] & 1 else ">"
+        (size,) = struct.unpack_from(f"{order}I", payload, _FRAME_ID_AT)
+        (text,) = struct.unpack_from(f"{size}s", payload, _FRAME_ID_AT + 4)
+        return str(text, "utf-8").rstrip("\0").lstrip("/")  # tf 1 wrote "/laser"
+    except (IndexError, struct.error, UnicodeDecodeError) as error:
+        raise InputError(f"{len(payload)} bytes do not begin with a std_msgs/Header: {error}") from error
 
 
 def _duration_ns(seconds: float) -> int:

@@ -190,6 +190,8 @@ def replay(
     if not outputs:
         raise InputError(f"{paths[0]}: not one scan could be mapped ({dict(session.counters)})")
     progress(1.0)
+    for topic, devices in session.shared_topics.items():
+        log.warning("%s has messages of several frame_ids: %s", topic, _in_words(devices))
     duration_s = (outputs[-1].stamp_ns - outputs[0].stamp_ns) / 1e9
     summary = {
         "corridor": VERSION,
@@ -198,6 +200,7 @@ def replay(
         "scans_dropped": _dropped(session, mapper),
         "scans_not_mapped": mapper.counters["scans_not_mapped"],
         "scans_paused": mapper.counters["scans_paused"],
+        "shared_topics": session.shared_topics,
         "duration_s": round(duration_s, 3),
         "wall_s": round(wall_s, 3),
         "realtime_factor": round(duration_s / wall_s, 1),
@@ -336,9 +339,18 @@ def _dropped(session: Session, mapper: SteeredMapper) -> int:
     scans = [
         topic.name
         for topic in session.recording.topics
-        if topic.type == LASER_SCAN and session.sensors.get(topic.name) == mapper.laser
+        if topic.type == LASER_SCAN and mapper.laser in session.devices.get(topic.name, {}).values()
     ]
     return late + sum(session.counters[f"{topic} unusable"] for topic in scans)
+
+
+def _in_words(devices: Mapping[str, Mapping[str, Any]]) -> str:
+    """What came in a shared topic: "300 of front, read as scan; 299 of rear, refused"."""
+    return "; ".join(
+        f"{device['messages']} of {frame or 'an empty one'}, "
+        + ("refused" if device["sensor"] is None else f"read as {device['sensor']}")
+        for frame, device in devices.items()
+    )
 
 
 def _percentiles_ms(durations_ns: Sequence[int]) -> dict[str, float]:

@@ -1,14 +1,16 @@
 """Frames out of recordings, for the replay: our own sessions, and those of any other ROS 2 system.
 
 In a session of ours a sensor's topics are `/<sensor>/scan`, `/<sensor>/imu` and `/<sensor>/odom`. In others
-they are found by type; where several fit, one is chosen, and the notes say what was passed over.
+they are found by type; where several fit, one is chosen, and the notes say what was passed over. Each
+header.frame_id in a topic is a device of its own.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby, islice
+from itertools import chain, groupby, islice
 from pathlib import Path
+from typing import Any
 
 from drivers.frames import Frame, LaserScan
 from service.encoding import (
@@ -23,16 +25,17 @@ from service.encoding import (
     decode_frame,
     decode_pose,
     frame_id,
+    read,
 )
 from service.errors import InputError
 from service.geometry.se2 import SE2
 from service.mapper.steering import Step
 from service.recording.mcap_reader import Recording, Topic
-from service.recording.mountings import Mounting, StaticTree, TiltedError, mounting
+from service.recording.mountings import Mounting, MountingError, StaticTree, planar_mounting
 
 FRAME_TYPES = {LASER_SCAN: "scan", IMU: "imu", ODOMETRY: "odom"}
 BASE_FRAMES = (BASE_FRAME, "base_footprint")
-MOST_BROKEN = 100  # messages at the beginning of a topic
+SAMPLED = 100  # messages at the beginning of a topic: what is not among them is not expected later
 DERIVED = ("filter", "fused", "icp", "visual", "amcl", "slam", "merged")  # made by others from the raw topic
 
 
@@ -40,33 +43,49 @@ DERIVED = ("filter", "fused", "icp", "visual", "amcl", "slam", "merged")  # made
 class Session:
     """What a recording offers to a mapper.
 
-    sensors        topic -> sensor name; the topics whose frames come out
+    devices        topic -> frame_id -> sensor name; the topics and devices whose frames come out
+    scan_counts    laser -> how many of its scans the recording says it holds; where several devices share a
+                   topic, by their shares at its beginning
     mountings      sensor name -> pose_base_sensor, for lasers; from /tf_static
     metadata       config, calibration, clocks as written by the recorder; empty in foreign recordings
     events         topics whose events may steer the mapper: ours has one, others have none
     notes          what was chosen and what was passed over, one line each, for people
-    counters       filled while reading: frames by topic, and messages without usable content
+    counters       filled while reading: frames by topic, messages without usable content, and those refused
+                   because of a frame_id that is not expected
+    frame_ids      filled while reading: topic -> frame_id -> messages
     """
 
     recording: Recording
-    sensors: dict[str, str]
+    devices: dict[str, dict[str, str]]
+    scan_counts: dict[str, int]
     mountings: dict[str, SE2]
     notes: list[str]
     upside_down: frozenset[str]
     events: tuple[str, ...] = ()
     counters: Counter[str] = field(default_factory=Counter)
+    frame_ids: dict[str, Counter[str]] = field(default_factory=dict)
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
         return self.recording.metadata
 
     @property
-    def scan_counts(self) -> dict[str, int]:
-        """Laser -> how many of its scans the recording says it holds."""
+    def sensors(self) -> dict[str, str]:
+        """Topic -> sensor; where several share a topic, the first."""
+        return {topic: next(iter(sensors.values())) for topic, sensors in self.devices.items()}
+
+    @property
+    def shared_topics(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """Topics in which more than one frame_id came -> frame_id -> its "messages", and the "sensor" as
+        which they were read; None: they were refused.
+        """
         return {
-            self.sensors[topic.name]: topic.count
-            for topic in self.recording.topics
-            if topic.type == LASER_SCAN and topic.name in self.sensors
+            topic: {
+                frame: {"messages": count, "sensor": self.devices[topic].get(frame)}
+                for frame, count in counts.items()
+            }
+            for topic, counts in self.frame_ids.items()
+            if len(counts) > 1
         }
 
     def frames(self) -> Iterator[Frame]:
@@ -82,17 +101,23 @@ class Session:
         A message that is no use to a mapper is counted and left out. Raises InputError at a damaged place.
         """
         self.counters.clear()
+        self.frame_ids = {topic: Counter() for topic in self.devices}
         for message in self._in_order():
             topic = f"/{message.channel}"
             if topic in self.events:
                 yield from self._control(message)
                 continue
-            sensor = self.sensors[topic]
             try:
+                device = frame_id(message.payload)
+                sensor = self.devices[topic].get(device)
+                self.frame_ids[topic][device] += 1
+                if sensor is None:
+                    self.counters[f"{topic} refused"] += 1
+                    continue
                 frame = decode_frame(message.type, message.payload, sensor, message.log_ns)
             except InputError:
                 frame = None
-            if frame is None:
+            if frame is None or sensor is None:
                 self.counters[f"{topic} unusable"] += 1
                 continue
             self.counters[topic] += 1
@@ -102,7 +127,7 @@ class Session:
             yield frame
 
     def _in_order(self) -> Iterator[Message]:
-        messages = self.recording.messages([*self.sensors, *self.events])
+        messages = self.recording.messages([*self.devices, *self.events])
         for _, of_one_time in groupby(messages, key=lambda message: message.log_ns):
             yield from sorted(of_one_time, key=lambda message: message.type == LASER_SCAN)
 
@@ -124,34 +149,39 @@ def open_session(paths: Sequence[Path]) -> Session:
         notes.append(f"passed over {topic}: encoded as {topic.encoding!r}; only ROS 2's cdr is read")
     readable = [topic for topic in readable if topic.encoding == "cdr"]
     ours = [topic for topic in readable if _is_ours(topic)] if _is_our_session(recording) else []
-    heads = {topic.name: _head(recording, topic) for topic in ours or readable}
-    chosen = ours or _choose(readable, heads, notes)
-    sensors = _name_sensors(chosen)
+    sources = {topic.name: _sources(recording, topic) for topic in ours or readable}
+    chosen = _all_of_ours(sources) if ours else _choose(sources, notes)
+    sensors = _name_sensors(chosen, sources)
     tree = StaticTree(recording)
-    moved = [decode_pose(heads[t.name].payload).child.lstrip("/") for t in chosen if t.type == ODOMETRY]
+    moved = [decode_pose(s.head.payload).child.lstrip("/") for s in chosen if s.topic.type == ODOMETRY]
     bases = tuple(dict.fromkeys([*filter(None, moved), *BASE_FRAMES]))  # what the odometry moves is the base
     mounts: dict[str, Mounting] = {}
-    for topic in chosen:
-        if topic.type == ODOMETRY or (topic.type == IMU and ours):
+    for source in chosen:
+        if source.topic.type == ODOMETRY or (source.topic.type == IMU and ours):
             continue
         try:
-            sensor_frame = frame_id(topic.type, heads[topic.name].payload)
-            mount = mounting(tree, bases, sensor_frame, topic, notes)
-            if topic.type == LASER_SCAN:
-                mounts[sensors[topic.name]] = mount
-            elif mount.upside_down:
-                raise TiltedError("mounted upside down")
-        except TiltedError as error:
-            notes.append(f"passed over {topic}: {error}")
-            del sensors[topic.name]
+            mount = _mount(source, sources[source.topic.name], tree, bases, notes)
+        except MountingError as error:
+            notes.append(f"passed over {source}: {error}")
+            del sensors[source]
+            continue
+        if source.topic.type == LASER_SCAN:
+            mounts[sensors[source]] = mount
     if not mounts:
         raise InputError(_nothing_to_map(recording, notes))
-    used = ", ".join(str(topic) for topic in chosen if topic.name in sensors)
+    devices: dict[str, dict[str, str]] = {}
+    for source, sensor in sensors.items():
+        devices.setdefault(source.topic.name, {})[source.frame] = sensor
     return Session(
         recording=recording,
-        sensors=sensors,
+        devices=devices,
+        scan_counts={
+            sensor: round(source.share * source.topic.count)
+            for source, sensor in sensors.items()
+            if sensor in mounts and source.topic.type == LASER_SCAN
+        },
         mountings={sensor: mount.pose_base_sensor for sensor, mount in mounts.items()},
-        notes=[f"reading {used}", *notes],
+        notes=[f"reading {', '.join(map(str, sensors))}", *notes],
         upside_down=frozenset(sensor for sensor, mount in mounts.items() if mount.upside_down),
         events=tuple(t.name for t in recording.topics if ours and (t.name, t.type) == ("/events", STRING)),
     )
@@ -168,56 +198,128 @@ def _is_ours(topic: Topic) -> bool:
     return len(parts) == 3 and parts[0] == "" and FRAME_TYPES.get(topic.type) == parts[2]
 
 
-def _name_sensors(topics: Sequence[Topic]) -> dict[str, str]:
-    """ "/front/scan" is "front", "/scan" is "scan", "/robot1/base_scan" is "robot1_base_scan"."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Source:
+    """One device: what comes in a topic under one header.frame_id."""
+
+    topic: Topic
+    frame: str
+    head: Message  # the first that can be read
+    share: float  # of the messages at the beginning of the topic; 1: it is alone there
+
+    def __str__(self) -> str:
+        return str(self.topic) if self.share == 1.0 else f"frame_id {self.frame!r} in {self.topic}"
+
+
+def _sources(recording: Recording, topic: Topic) -> list[_Source]:
+    """The devices at the beginning of a topic, the one that sends most first."""
+    heads: dict[str, Message] = {}
+    counts: Counter[str] = Counter()
+    for message in islice(recording.messages([topic.name]), SAMPLED):
+        try:
+            read(message.type, message.payload)
+            frame = frame_id(message.payload)
+        except InputError:
+            continue
+        heads.setdefault(frame, message)
+        counts[frame] += 1
+    if not counts:
+        raise InputError(
+            f"{recording.paths[0]}: the first messages of {topic} cannot be read as what they claim"
+        )
+    return [_Source(topic, f, heads[f], count / counts.total()) for f, count in counts.most_common()]
+
+
+def _name_sensors(chosen: Sequence[_Source], sources: Mapping[str, Sequence[_Source]]) -> dict[_Source, str]:
+    """ "/front/scan" is "front", "/scan" is "scan", "/robot1/base_scan" is "robot1_base_scan".
+
+    Where devices share a topic, the first is called so, and the others "front_<frame_id>".
+    """
     names: dict[str, str] = {}
+    topics = list(dict.fromkeys(source.topic for source in chosen))
     for topic in topics:
         whole = topic.name.strip("/").replace("/", "_")
         name = whole.removesuffix(f"_{FRAME_TYPES[topic.type]}") or whole
         taken = {names[t.name] for t in topics if t.name in names and t.type == topic.type}
         names[topic.name] = whole if name in taken else name
-    return names
+    return {
+        source: names[source.topic.name]
+        if source is sources[source.topic.name][0]
+        else f"{names[source.topic.name]}_{source.frame.replace('/', '_')}"
+        for source in chosen
+    }
 
 
-def _head(recording: Recording, topic: Topic) -> Message:
-    """The first message of a topic that can be read."""
-    for message in islice(recording.messages([topic.name]), MOST_BROKEN):
-        try:
-            frame_id(message.type, message.payload)
-        except InputError:
-            continue
-        return message
-    raise InputError(f"{recording.paths[0]}: the first messages of {topic} cannot be read as what they claim")
+def _all_of_ours(sources: Mapping[str, Sequence[_Source]]) -> list[_Source]:
+    return [
+        source
+        for of_topic in sources.values()
+        for source in of_topic
+        if source is of_topic[0] or source.topic.type == LASER_SCAN
+    ]
 
 
-def _choose(readable: Sequence[Topic], heads: dict[str, Message], notes: list[str]) -> list[Topic]:
+def _choose(sources: Mapping[str, Sequence[_Source]], notes: list[str]) -> list[_Source]:
+    """Every laser once; of odometries and IMUs one, and of those in one topic that which sends most."""
     chosen = []
-    by_frame: dict[str, list[Topic]] = {}
-    for topic in readable:
-        if topic.type == LASER_SCAN:
-            by_frame.setdefault(frame_id(LASER_SCAN, heads[topic.name].payload), []).append(topic)
-    for sensor_frame, topics in by_frame.items():
-        chosen += _first(topics, f"another of the laser at {sensor_frame}", ("/scan",), notes)
-    odometries = [topic for topic in readable if topic.type == ODOMETRY]
-    for topic in [t for t in odometries if decode_pose(heads[t.name].payload).frame == MAP_FRAME]:
-        notes.append(f"passed over {topic}: poses in the map are a result, not odometry")
-        odometries.remove(topic)
+    by_frame: dict[str, list[_Source]] = {}
+    for source in chain.from_iterable(sources.values()):
+        if source.topic.type == LASER_SCAN:
+            by_frame.setdefault(source.frame, []).append(source)
+    for sensor_frame, of_laser in by_frame.items():
+        chosen += _first(of_laser, f"another of the laser at {sensor_frame}", ("/scan",), notes)
+    firsts = [of_topic[0] for of_topic in sources.values()]
+    odometries = [source for source in firsts if source.topic.type == ODOMETRY]
+    for source in [s for s in odometries if s.frame == MAP_FRAME]:
+        notes.append(f"passed over {source}: poses in the map are a result, not odometry")
+        odometries.remove(source)
     chosen += _first(odometries, "one odometry is used", ("/odom", "/odometry"), notes)
-    imus = [topic for topic in readable if topic.type == IMU]
+    imus = [source for source in firsts if source.topic.type == IMU]
     chosen += _first(imus, "one IMU is used", ("/imu/data", "/imu"), notes)
     return chosen
 
 
-def _first(topics: Sequence[Topic], reason: str, preferred: Sequence[str], notes: list[str]) -> list[Topic]:
-    """The raw topic: by its usual name, else not a derived one, else the fullest."""
+def _first(
+    sources: Sequence[_Source], reason: str, preferred: Sequence[str], notes: list[str]
+) -> list[_Source]:
+    """From the raw topic: not a shared one, by its usual name, else not a derived one, else the fullest."""
 
-    def rank(topic: Topic) -> tuple[bool, bool, int, str]:
-        derived = any(word in topic.name for word in DERIVED)
-        return topic.name not in preferred, derived, -topic.count, topic.name
+    def rank(source: _Source) -> tuple[bool, bool, bool, int, str]:
+        name = source.topic.name
+        derived = any(word in name for word in DERIVED)
+        return source.share < 1.0, name not in preferred, derived, -source.topic.count, name
 
-    best, *others = sorted(topics, key=rank) if topics else (None,)
-    notes += [f"passed over {topic}: {reason}, {best}" for topic in others]
+    best, *others = sorted(sources, key=rank) if sources else (None,)
+    notes += [f"passed over {source}: {reason}, {best}" for source in others]
     return [best] if best is not None else []
+
+
+def _mount(
+    source: _Source,
+    of_topic: Sequence[_Source],
+    tree: StaticTree,
+    bases: Sequence[str],
+    notes: list[str],
+) -> Mounting:
+    """Of several devices in one topic none is taken as mounted at the origin beside one that is mounted.
+
+    Raises MountingError.
+    """
+    mount = planar_mounting(tree, bases, source.frame)
+    if mount is None:
+        where = (
+            f"/tf_static does not lead from {source.frame or 'its empty frame_id'} to {' or '.join(bases)}"
+        )
+        mounted = [other for other in of_topic if not tree.chain(other.frame).keys().isdisjoint(bases)]
+        if mounted or source is not of_topic[0]:
+            raise MountingError(f"{where}, and in this topic it is not the only one")
+        notes.append(f"{source}: {where}; taken as mounted at the base's origin, looking ahead")
+        return Mounting(SE2(), upside_down=False)
+    if mount.upside_down:
+        if source.topic.type == IMU:
+            raise MountingError("mounted upside down")
+        notes.append(f"{source}: mounted upside down; its angles are mirrored")
+    return mount
 
 
 def _nothing_to_map(recording: Recording, notes: Sequence[str]) -> str:

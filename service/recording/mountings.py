@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from service.encoding import LASER_SCAN, TF, Transform, decode_transforms
+from service.encoding import TF, Transform, decode_transforms
 from service.geometry.se2 import SE2
-from service.recording.mcap_reader import Recording, Topic
+from service.recording.mcap_reader import Recording
 
 MOST_TILT_DEG = 10.0  # what a planar mapper can take; upside down is fine
 
@@ -24,8 +24,8 @@ class Mounting:
     upside_down: bool  # its angles run clockwise seen from above
 
 
-class TiltedError(Exception):
-    """Why a sensor cannot be mapped in the plane."""
+class MountingError(Exception):
+    """Why a sensor cannot be mapped where it sits."""
 
 
 class StaticTree:
@@ -64,17 +64,12 @@ def _matrix(transform: Transform) -> Matrix:
     return matrix
 
 
-def mounting(
-    tree: StaticTree, bases: Sequence[str], sensor_frame: str, topic: Topic, notes: list[str]
-) -> Mounting:
+def planar_mounting(tree: StaticTree, bases: Sequence[str], sensor_frame: str) -> Mounting | None:
+    """None where the tree does not lead from the sensor to one of the bases. Raises MountingError."""
     above = tree.chain(sensor_frame)
     base = next((name for name in bases if name in above), None)
     if base is None:
-        notes.append(
-            f"{topic}: /tf_static does not lead from {sensor_frame or 'its empty frame_id'} to "
-            f"{' or '.join(bases)}; taken as mounted at the base's origin, looking ahead"
-        )
-        return Mounting(SE2(), upside_down=False)
+        return None
     edge = tree.edges.get(sensor_frame)
     if edge is not None and edge.frame == base and edge.is_planar:
         return Mounting(edge.pose, upside_down=False)  # exactly as the live mapper had it
@@ -82,10 +77,8 @@ def mounting(
     up = float(np.clip(matrix[2, 2], -1.0, 1.0))
     tilt_deg = math.degrees(math.acos(abs(up)))
     if tilt_deg > MOST_TILT_DEG:
-        raise TiltedError(
+        raise MountingError(
             f"tilted by {tilt_deg:.0f} deg against {base}; at most {MOST_TILT_DEG:.0f} can be mapped"
         )
     yaw_rad = math.atan2(matrix[1, 0], matrix[0, 0])
-    if up < 0.0 and topic.type == LASER_SCAN:
-        notes.append(f"{topic}: mounted upside down; its angles are mirrored")
     return Mounting(SE2(float(matrix[0, 3]), float(matrix[1, 3]), yaw_rad), upside_down=up < 0.0)

@@ -267,6 +267,20 @@ def test_big_endian_scans_read_the_same():
     assert decoded.range_m.dtype.isnative
 
 
+@pytest.mark.parametrize("little_endian", [True, False])
+@pytest.mark.parametrize("frame", ["laser", "/laser", "", "größer"])
+def test_the_frame_of_a_message_is_read_from_its_header_alone(frame, little_endian):
+    message = STORE.deserialize_cdr(ros_scan([1.5]), encoding.LASER_SCAN)
+    message.header.frame_id = frame
+    payload = serialized(message, encoding.LASER_SCAN, little_endian=little_endian)
+    assert encoding.frame_id(payload) == frame.lstrip("/")
+    header_bytes = 4 + 8 + 4 + len(frame.encode()) + 1
+    assert encoding.frame_id(payload[:header_bytes]) == frame.lstrip("/")
+    for length in range(header_bytes):
+        with pytest.raises(InputError, match="do not begin with a std_msgs/Header"):
+            encoding.frame_id(payload[:length])
+
+
 @pytest.mark.parametrize(
     "payload",
     [

@@ -74,6 +74,7 @@ def record_drive(tmp_path: Path) -> RecordDrive:
         start_ns: int = T0_NS,
         wishes: Mapping[int, str] = MappingProxyType({}),
         rear_scans: int = 0,
+        one_topic: bool = False,
     ) -> Path:
         metadata = {"config": {"yaml": config}} if config is not None else {}
         recorder = McapRecorder(tmp_path / "in", name, keep_free_bytes=0, metadata=metadata)
@@ -91,7 +92,8 @@ def record_drive(tmp_path: Path) -> RecordDrive:
             recorder.put(encode_frame(room_scan(stamp_ns, x_m)))
             if k < rear_scans:  # arrives before the scan of the front laser, yet is the newer of the two
                 rear = replace(room_scan(stamp_ns + 1_000_000, x_m), sensor="rear")
-                recorder.put(encode_frame(rear, log_ns=stamp_ns + 1_500_000))
+                message = encode_frame(rear, log_ns=stamp_ns + 1_500_000)
+                recorder.put(replace(message, channel="front/scan") if one_topic else message)
         if late:
             recorder.put(
                 encode_frame(room_scan(start_ns, 0.0), log_ns=start_ns + scans * 20_000_000 + 30_000_000)
@@ -119,6 +121,26 @@ def test_one_laser_is_mapped_and_the_others_cost_it_nothing(
     done = replay([record_drive(config=config, rear_scans=30)], ReplayOptions())
     assert (done.summary["scans"], done.summary["scans_not_mapped"]) == (mapped, others)
     assert done.summary["scans_dropped"] == 0
+
+
+def test_a_second_laser_in_the_topic_of_the_first_is_refused_and_named(
+    record_drive: RecordDrive, caplog: pytest.LogCaptureFixture
+):
+    plain = replay([record_drive("v")], ReplayOptions())
+    assert plain.summary["shared_topics"] == {}
+    shared = replay([record_drive("w", rear_scans=30, one_topic=True)], ReplayOptions())
+    assert shared.poses_map_base == plain.poses_map_base
+    assert shared.summary["shared_topics"] == {
+        "/front/scan": {
+            "rear": {"messages": 30, "sensor": None},
+            "front": {"messages": 40, "sensor": "front"},
+        }
+    }
+    assert (shared.summary["scans"], shared.summary["scans_dropped"]) == (40, 0)
+    assert (
+        "/front/scan has messages of several frame_ids: 30 of rear, refused; 40 of front, read as front"
+        in caplog.text
+    )
 
 
 def test_another_profile_maps_the_same_laser():
@@ -169,9 +191,9 @@ def test_a_replay_writes_what_other_programs_read(record_drive: RecordDrive, tmp
 def test_the_summary_counts_what_happened(record_drive: RecordDrive):
     summary = replay([record_drive(late=True)], ReplayOptions()).summary
     assert list(summary) == [
-        "corridor", "profile", "scans", "scans_dropped", "scans_not_mapped", "scans_paused", "duration_s",
-        "wall_s", "realtime_factor", "scan_ms", "stage_ms_p50", "loop_closures", "keyframes", "peak_rss_mb",
-        "map_tiles", "map_resets", "state",
+        "corridor", "profile", "scans", "scans_dropped", "scans_not_mapped", "scans_paused", "shared_topics",
+        "duration_s", "wall_s", "realtime_factor", "scan_ms", "stage_ms_p50", "loop_closures", "keyframes",
+        "peak_rss_mb", "map_tiles", "map_resets", "state",
     ]  # fmt: skip
     assert (summary["scans"], summary["scans_dropped"]) == (40, 1)
     assert summary["duration_s"] == pytest.approx(39 * 0.02)

@@ -219,6 +219,84 @@ def test_of_two_topics_of_one_laser_the_raw_one_is_taken(foreign):
     assert any(note.startswith("passed over /base_scan_filtered") for note in session.notes)
 
 
+def two_lasers_in_one_topic(foreign, front=6, rear=3):
+    """Two scans of the laser at front, then one of that at rear ..."""
+    for index in range(front + rear):
+        foreign.add_message("/scan", scan_message(index, sensor="rear" if index % 3 == 2 else "front"))
+
+
+def test_two_lasers_in_one_topic_are_told_apart_each_with_its_mounting(foreign):
+    foreign.tf(
+        ("base_link", "front", (0.2, 0.0, 0.0), LEVEL),
+        ("base_link", "rear", (-0.3, 0.0, 0.0), turn(yaw=180.0)),
+    )
+    two_lasers_in_one_topic(foreign)
+    session = open_session(foreign.close())
+    assert session.devices == {"/scan": {"front": "scan", "rear": "scan_rear"}}
+    assert session.scan_counts == {"scan": 6, "scan_rear": 3}
+    assert session.mountings["scan"] == SE2(0.2, 0.0, 0.0)
+    assert session.mountings["scan_rear"].x_m == -0.3
+    assert [frame.sensor for frame in session.frames()] == ["scan", "scan", "scan_rear"] * 3
+    assert session.shared_topics == {
+        "/scan": {"front": {"messages": 6, "sensor": "scan"}, "rear": {"messages": 3, "sensor": "scan_rear"}}
+    }
+
+
+@pytest.mark.parametrize("mounted", ["front", "rear", None])
+def test_of_two_lasers_in_one_topic_that_without_a_mounting_is_refused(foreign, mounted):
+    """Where neither has one, that which sends less: of one alone the origin would be taken."""
+    if mounted:
+        foreign.tf(("base_link", mounted, (0.2, 0.0, 0.0), LEVEL))
+    two_lasers_in_one_topic(foreign)
+    session = open_session(foreign.close())
+    read, refused = ("rear", "front") if mounted == "rear" else ("front", "rear")
+    frames = list(session.frames())
+    assert len(frames) == (3 if mounted == "rear" else 6)
+    sensor = "scan_rear" if mounted == "rear" else "scan"
+    assert {frame.sensor for frame in frames} == {sensor}
+    assert session.counters == {"/scan": len(frames), "/scan refused": 9 - len(frames)}
+    told = session.shared_topics["/scan"]
+    assert (told[read]["sensor"], told[refused]["sensor"]) == (sensor, None)
+    assert any(
+        note.startswith(f"passed over frame_id '{refused}' in /scan") and "not the only one" in note
+        for note in session.notes
+    )
+
+
+def test_a_laser_that_joins_a_topic_late_is_refused_and_counted(foreign):
+    for index in range(105):
+        foreign.add_message("/scan", scan_message(index, "front" if index < 102 else "rear", beams=5))
+    session = open_session(foreign.close())
+    assert session.shared_topics == {}
+    assert len(list(session.frames())) == 102
+    assert session.shared_topics["/scan"]["rear"] == {"messages": 3, "sensor": None}
+
+
+def test_a_laser_with_a_topic_of_its_own_is_not_read_from_a_shared_one(foreign):
+    foreign.tf(("base_link", "front", (0.2, 0.0, 0.0), LEVEL), ("base_link", "rear", (-0.3, 0.0, 0.0), LEVEL))
+    two_lasers_in_one_topic(foreign)
+    foreign.add_message("/rear/scan", scan_message(2, sensor="rear"))
+    session = open_session(foreign.close())
+    assert session.devices == {"/scan": {"front": "scan"}, "/rear/scan": {"rear": "rear"}}
+    assert len(list(session.frames())) == 7
+    assert session.counters["/scan refused"] == 3
+
+
+def test_a_second_odometry_or_imu_in_a_topic_is_refused(foreign):
+    foreign.add_message("/scan", scan_message(0))
+    for sensor in ("imu", "imu", "camera_imu"):
+        imu = encode_frame(ImuSample(sensor, T0_NS, T0_NS, (0.0, 0.0, 0.1), (0.0, 0.0, 9.81)))
+        foreign.add_message("/imu", imu)
+    for frame in ("visual_odom", "odom", "odom"):
+        foreign.add_message("/odom", odometry(frame))
+    session = open_session(foreign.close())
+    assert len(list(session.frames())) == 5
+    assert session.shared_topics == {
+        "/imu": {"imu": {"messages": 2, "sensor": "imu"}, "camera_imu": {"messages": 1, "sensor": None}},
+        "/odom": {"visual_odom": {"messages": 1, "sensor": None}, "odom": {"messages": 2, "sensor": "odom"}},
+    }
+
+
 def test_of_several_odometries_the_usual_one_is_taken_and_none_in_the_map(foreign):
     foreign.add_message("/scan", scan_message(0))
     for topic, frame in (("/odometry/filtered", "odom"), ("/odom", "odom"), ("/amcl_odom", "map")):
