@@ -86,6 +86,7 @@ def demo(options: DemoOptions) -> dict[str, Any]:
         "scans_dropped": summary.scans_dropped,
         **pose_error(summary, truth),
         "latency_ms": summary.latency_ms.as_dict(),
+        "scan_cpu_ms": summary.scan_cpu_ms.as_dict(),
         "rates_hz": summary.rates_hz,
         "cpu_percent": summary.cpu_percent,
         "session": str(summary.sessions[-1]) if summary.sessions else None,

@@ -138,7 +138,7 @@ def replay(
     log.info("mapping the scans of %s", laser)
     warm_up_encoding()
     warm_up_kernels(mapping)
-    stages, scan_ns, states = StageTimes(), [], Counter[str]()
+    stages, scan_ns, scan_cpu_ns, states = StageTimes(), [], [], Counter[str]()
     mapper = SteeredMapper(
         lambda: build_mapper(mapping, poses_base_sensor, stages, new_patch_store=PatchFiles),
         laser,
@@ -177,9 +177,10 @@ def replay(
         if isinstance(step, Wish):
             _wish(mapper, step)
             continue
-        before_ns = time.perf_counter_ns()
+        before_ns, before_cpu_ns = time.perf_counter_ns(), time.thread_time_ns()
         output = mapper.process(step)
         if output is not None:
+            scan_cpu_ns.append(time.thread_time_ns() - before_cpu_ns)
             scan_ns.append(time.perf_counter_ns() - before_ns)
             states[output.state] += 1
             outputs.append(output)
@@ -205,6 +206,7 @@ def replay(
         "wall_s": round(wall_s, 3),
         "realtime_factor": round(duration_s / wall_s, 1),
         "scan_ms": _percentiles_ms(scan_ns),
+        "scan_cpu_ms": _percentiles_ms(scan_cpu_ns),
         "stage_ms_p50": stages.p50_ms(),
         "loop_closures": mapper.counters["loop_closures"],
         "keyframes": mapper.counters["keyframes"],

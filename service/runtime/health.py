@@ -171,9 +171,9 @@ class HealthReport:
             "queue_deepest": str(self._queue.deepest),
         }
         values |= {f"scans_{state}": str(count) for state, count in _snapshot(loop.states)}
-        values |= {
-            f"latency_ms_{name}": f"{ms:.3f}" for name, ms in self._latency.percentiles().as_dict().items()
-        }
+        for name, histogram in (("latency_ms", self._latency), ("scan_cpu_ms", loop.scan_cpu)):
+            percentiles = histogram.percentiles().as_dict()
+            values |= {f"{name}_{percentile}": f"{ms:.3f}" for percentile, ms in percentiles.items()}
         if self._loop.paused:
             values["state"] = "paused"
             return Status("mapping", WARNING, "paused by a command; scans are recorded, not mapped", values)

@@ -25,6 +25,7 @@ from service.mapper.steering import SteeredMapper, Steering
 from service.mapstore.tiles import TileStore
 from service.outputs import MapperOutput, TileUpdate
 from service.runtime.host_time import HostTime
+from service.runtime.metrics import LatencyHistogram
 from service.runtime.queues import Command, FrameQueue
 
 log = logging.getLogger(__name__)
@@ -72,6 +73,7 @@ class MappingLoop:
         self.heartbeat = 0  # rises as long as the loop turns, with or without frames
         self.last_output: MapperOutput | None = None
         self.states: Counter[str] = Counter()  # scans by state: ok, degraded, lost
+        self.scan_cpu = LatencyHistogram()  # processor time of this thread in the mapper, by scan mapped
         self.unusable_scans = 0  # of the laser that is mapped
         self.unusable: Counter[str] = Counter()  # frames that hold nothing to map, by sensor
 
@@ -171,11 +173,13 @@ class MappingLoop:
     def _map(self, frame: Frame) -> MapperOutput | None:
         """One frame through the mapper. What it holds after an exception nobody knows, so none passes."""
         kind = "scan" if isinstance(frame, LaserScan) else "sample"
+        before_cpu_ns = time.thread_time_ns()
         try:
             output = self._mapper.process(frame)
         except Exception as error:
             raise MapperError(f"{kind} of {frame.sensor} stamped {frame.stamp_ns}: {error!r}") from error
         if output is not None:
+            self.scan_cpu.add(time.thread_time_ns() - before_cpu_ns)
             pose = output.pose_map_base
             if not all(map(math.isfinite, (pose.x_m, pose.y_m, pose.theta_rad))):
                 raise MapperError(f"{kind} of {frame.sensor} stamped {frame.stamp_ns} gave the pose {pose}")

@@ -70,6 +70,7 @@ class Summary:
     scans_dropped: int
     states: dict[str, int]  # scans by state
     latency_ms: Percentiles  # from the last byte of a scan read to its pose put on Zenoh
+    scan_cpu_ms: Percentiles  # processor time of a scan in the mapper
     rates_hz: dict[str, float]  # by sensor
     cpu_percent: float  # of one core, this process
     sessions: list[Path]
@@ -84,6 +85,7 @@ class Summary:
             "scans_dropped": self.scans_dropped,
             "state": self.states,
             "latency_ms": self.latency_ms.as_dict(),
+            "scan_cpu_ms": self.scan_cpu_ms.as_dict(),
             "rates_hz": self.rates_hz,
             "cpu_percent": self.cpu_percent,
             "sessions": [str(path) for path in self.sessions],
@@ -242,6 +244,7 @@ class Service:
             scans_dropped=self._report.scans_dropped,
             states={state: self._loop.states[state] for state in ("ok", "degraded", "lost")},
             latency_ms=self._latency.percentiles(),
+            scan_cpu_ms=self._loop.scan_cpu.percentiles(),
             rates_hz=self._report.mean_rates_hz,
             cpu_percent=round(100.0 * cpu_s / seconds, 1) if seconds else 0.0,
             sessions=sessions,

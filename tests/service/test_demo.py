@@ -73,7 +73,7 @@ def record(folder: Path, poses: list[tuple[int, SE2]]) -> Summary:
         output = MapperOutput(unix_ns, pose, SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 1.0)
         recorder.put(encode_pose(output, unix_ns))
     nothing = Percentiles(0.0, 0.0, 0.0, 0.0)
-    return Summary(1.0, len(poses), 0, {}, nothing, {}, 0.0, recorder.finish(), None, OFFSET_NS)
+    return Summary(1.0, len(poses), 0, {}, nothing, nothing, {}, 0.0, recorder.finish(), None, OFFSET_NS)
 
 
 def test_the_error_is_that_against_the_truth_from_the_first_pose_on(tmp_path: Path):
@@ -139,7 +139,7 @@ def test_the_demo_maps_to_a_centimetre_and_loses_no_scan(tmp_path: Path):
     summary = json.loads(done.stdout)
     assert summary.keys() == {
         "seconds", "scans", "scans_dropped", "position_rmse_m", "heading_rmse_deg",
-        "latency_ms", "rates_hz", "cpu_percent", "session", "map",
+        "latency_ms", "scan_cpu_ms", "rates_hz", "cpu_percent", "session", "map",
     }  # fmt: skip
     assert summary["scans"] >= 9 * 49
     assert summary["scans_dropped"] == 0

@@ -192,12 +192,14 @@ def test_the_summary_counts_what_happened(record_drive: RecordDrive):
     summary = replay([record_drive(late=True)], ReplayOptions()).summary
     assert list(summary) == [
         "corridor", "profile", "scans", "scans_dropped", "scans_not_mapped", "scans_paused", "shared_topics",
-        "duration_s", "wall_s", "realtime_factor", "scan_ms", "stage_ms_p50", "loop_closures", "keyframes",
-        "peak_rss_mb", "map_tiles", "map_resets", "state",
+        "duration_s", "wall_s", "realtime_factor", "scan_ms", "scan_cpu_ms", "stage_ms_p50",
+        "loop_closures", "keyframes", "peak_rss_mb", "map_tiles", "map_resets", "state",
     ]  # fmt: skip
     assert (summary["scans"], summary["scans_dropped"]) == (40, 1)
     assert summary["duration_s"] == pytest.approx(39 * 0.02)
     assert summary["scan_ms"].keys() == {"p50", "p95", "p99", "max"}
+    assert summary["scan_cpu_ms"].keys() == summary["scan_ms"].keys()
+    assert 0.0 < summary["scan_cpu_ms"]["p50"] <= summary["scan_ms"]["p50"]
     assert summary["stage_ms_p50"].keys() == {"deskew", "match", "insert"}
     assert sum(summary["state"].values()) == 40
     assert summary["map_tiles"] > 0

@@ -30,6 +30,7 @@ def report(link: LinkHealth, **parts: Any) -> HealthReport:
         states=Counter(ok=90),
         unusable=Counter(),
         unusable_scans=0,
+        scan_cpu=LatencyHistogram(),
         laser="front",
         last_output=None,
         paused=False,
@@ -122,6 +123,16 @@ def test_the_pose_s_state_is_the_mapping_s_health(state: Any, level: int):
     assert (told.level, told.message) == (level, reason or "ok")
     assert told.values["match_share"] == "0.800"
     assert made.line.startswith(f"mapping {state}, 1/1 sensors, ")
+
+
+def test_latency_and_processor_time_of_scans_are_told():
+    made = report(streaming())
+    made._latency.add(4_000_000)
+    made._loop.scan_cpu.add(1_500_000)
+    values = status(made, "mapping").values
+    for name in ("p50", "p95", "p99", "max"):
+        assert float(values[f"latency_ms_{name}"]) == pytest.approx(4.0, rel=0.02)
+        assert float(values[f"scan_cpu_ms_{name}"]) == pytest.approx(1.5, rel=0.02)
 
 
 def test_trouble_with_disk_and_bus_is_told():

@@ -131,6 +131,7 @@ def test_a_laser_that_is_not_mapped_is_published_and_recorded():
     assert [m.channel for m, _ in run.published].count("rear/scan") == 2
     assert [m.channel for m in run.recorded].count("pose") == 2
     assert run.loop.counters["scans_not_mapped"] == 1
+    assert run.loop.scan_cpu.count == 2
     assert (run.loop.unusable_scans, run.loop.unusable["rear"]) == (0, 1)
 
 
