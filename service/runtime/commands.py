@@ -7,11 +7,10 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Protocol
 
-from pydantic import Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from service.encoding import Message, encode_event
 from service.encoding.controls import decode_control
-from service.mapper.graph.landmark_graph import PointOfSubmap
 from service.mapper.stages import WishError
 from service.mapper.steering import Steering, Wish
 from service.mapstore.tiles import TileStore
@@ -24,6 +23,16 @@ from service.runtime.queues import Command, FrameQueue
 
 class MarkRequest(Request):
     text: Annotated[str, Field(min_length=1, max_length=1000)]
+
+
+class PointOfSubmap(BaseModel):
+    """A point of the shown map, and the sub-map that drew it; a graph that knows landmarks reads the same."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    submap: Annotated[int, Field(ge=0)]
+    x_m: Annotated[float, Field(allow_inf_nan=False)]  # map frame
+    y_m: Annotated[float, Field(allow_inf_nan=False)]
 
 
 class PairRequest(Request):
