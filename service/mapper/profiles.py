@@ -1,7 +1,8 @@
 """Profile name -> its stages and their settings. The only module that knows methods by name.
 
-Another profile is another module in methods/ and a line in METHODS. A config may put a stage of one method
-into a box of another's: `stages: {matcher: surfel_gauss_newton}`; what that stage cannot read is refused.
+Another profile is another module in methods/, called like the profile, and a name in METHODS. It is imported,
+with all that it stands on, when the profile is chosen. A config may put a stage of one method into a box of
+another's: `stages: {matcher: surfel_gauss_newton}`; what that stage cannot read is refused.
 """
 
 import difflib
@@ -10,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from copy import copy
 from dataclasses import replace
 from functools import partial
+from importlib import import_module
 from typing import Any, Literal
 
 import numpy as np
@@ -19,22 +21,26 @@ from pydantic.fields import FieldInfo
 from drivers.frames import NO_INTENSITY, ImuSample, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
 from service.mapper.background import InlineWorker, NewWorker
-from service.mapper.methods import contour_lm, corridor, imle, owolm_eskf, submap_graph
 from service.mapper.patch_store import MemoryPatches, NewPatchStore
 from service.mapper.pipeline import Mapper
 from service.mapper.stages import BOXES, Box, Method, StageKind, Stages, Stopwatch, Surroundings
 
-METHODS: dict[str, Method] = {
-    method.name: method
-    for method in (corridor.METHOD, contour_lm.METHOD, imle.METHOD, submap_graph.METHOD, owolm_eskf.METHOD)
+
+def _imported(name: str) -> Method:
+    method: Method = import_module(f"service.mapper.methods.{name}").METHOD
+    return method
+
+
+METHODS: dict[str, Callable[[], Method]] = {
+    name: partial(_imported, name)
+    for name in ("corridor", "contour_lm", "imle", "submap_graph", "owolm_eskf")
 }
 
 
-def stage_kinds(box: Box) -> dict[str, StageKind]:
-    """Everything that can stand in a box, by name."""
-    kinds = [
-        kind for method in METHODS.values() for kind in (method.stages[box], *method.others.get(box, ()))
-    ]
+def stage_kinds(box: Box, profiles: Iterable[str] | None = None) -> dict[str, StageKind]:
+    """What can stand in a box, by name: of these profiles, or of all."""
+    methods = [METHODS[name]() for name in (METHODS if profiles is None else profiles)]
+    kinds = [kind for method in methods for kind in (method.stages[box], *method.others.get(box, ()))]
     return {kind.name: kind for kind in kinds}
 
 
@@ -43,10 +49,10 @@ def chosen_stages(profile: str, stages: Mapping[Box, str]) -> dict[Box, StageKin
 
     Raises ValueError, in words, for a stage that is not there or that cannot read the local map chosen.
     """
-    chosen = dict(METHODS[profile].stages)
+    chosen = dict(METHODS[profile]().stages)
     for box, name in stages.items():
-        kinds = stage_kinds(box)
-        if name not in kinds:
+        kinds = stage_kinds(box, [profile])
+        if name not in kinds and name not in (kinds := stage_kinds(box)):
             raise ValueError(f"{name} is no {box}; {_choose(name, kinds)}")
         chosen[box] = kinds[name]
     local_map = chosen["local_map"]
@@ -112,7 +118,7 @@ def mapping_model(section: Mapping[str, Any]) -> type[MappingConfig]:
         chosen = chosen_stages(profile, stages)
     except (ValueError, TypeError, KeyError, AttributeError):
         return MappingConfig
-    method = METHODS[profile]
+    method = METHODS[profile]()
     fields: dict[str, Any] = {}
     for box, kind in chosen.items():
         if not kind.config.model_fields:

@@ -2,7 +2,7 @@
 
 from service.mapper.maps.contour_map import ContourMap, ContourMapConfig
 from service.mapper.matchers.contour_lm import ContourLm, ContourLmConfig
-from service.mapper.methods.corridor import (
+from service.mapper.methods.shared import (
     DESKEW_BY_TWIST,
     ESTIMATOR,
     KEEP_ALL,

@@ -4,7 +4,13 @@ from service.mapper.maps.patch_map import PatchMap, PatchMapConfig
 from service.mapper.matchers.icp_then_search import IcpThenSearch, IcpThenSearchConfig
 from service.mapper.matchers.monte_carlo import MonteCarloConfig, MonteCarloSearch
 from service.mapper.matchers.scan_icp import IcpScanToScan, IcpScanToScanConfig
-from service.mapper.methods import corridor
+from service.mapper.methods.shared import (
+    DESKEW_BY_TWIST,
+    ESTIMATOR,
+    KEEP_ALL,
+    NO_GRAPH,
+    OCCUPANCY_TILES,
+)
 from service.mapper.stages import Method, StageKind
 
 PATCH_MAP = StageKind(
@@ -26,10 +32,13 @@ MONTE_CARLO = StageKind(
 METHOD = Method(
     "imle",
     stages={
-        **corridor.METHOD.stages,
+        "motion_model": ESTIMATOR,
+        "deskew": DESKEW_BY_TWIST,
         "matcher": ICP_THEN_SEARCH,
         "local_map": PATCH_MAP,
-        "graph": corridor.NO_GRAPH,
+        "keep_static": KEEP_ALL,
+        "graph": NO_GRAPH,
+        "free_space": OCCUPANCY_TILES,
     },
     settings={"deskew": {"farthest_m": 20.0}},
     others={"matcher": (ICP_SCAN_TO_SCAN, MONTE_CARLO)},

@@ -3,7 +3,7 @@
 from service.fusion.inertial_motion import InertialMotion, InertialMotionConfig
 from service.mapper.maps.orthogonal_map import OrthogonalMap, OrthogonalMapConfig
 from service.mapper.matchers.brute_search import BruteSearch, BruteSearchConfig
-from service.mapper.methods import corridor
+from service.mapper.methods.shared import DESKEW_BY_TWIST, KEEP_ALL, NO_GRAPH, OCCUPANCY_TILES
 from service.mapper.stages import Method, StageKind
 
 INERTIAL_MOTION = StageKind("inertial_motion", InertialMotionConfig, lambda config, _: InertialMotion(config))
@@ -17,11 +17,13 @@ ORTHOGONAL_MAP = StageKind(
 METHOD = Method(
     "owolm_eskf",
     stages={
-        **corridor.METHOD.stages,
         "motion_model": INERTIAL_MOTION,
+        "deskew": DESKEW_BY_TWIST,
         "matcher": BRUTE_SEARCH,
         "local_map": ORTHOGONAL_MAP,
-        "graph": corridor.NO_GRAPH,
+        "keep_static": KEEP_ALL,
+        "graph": NO_GRAPH,
+        "free_space": OCCUPANCY_TILES,
     },
     settings={},
 )

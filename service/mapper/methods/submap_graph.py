@@ -5,7 +5,7 @@ from service.mapper.graph.landmark_graph import LandmarkGraph
 from service.mapper.graph.landmark_rehearsal import rehearse
 from service.mapper.maps.counted_submaps import CountedSubmaps, CountedSubmapsConfig
 from service.mapper.matchers.particle_filter import ParticleFilter, ParticleFilterConfig
-from service.mapper.methods.corridor import (
+from service.mapper.methods.shared import (
     DESKEW_BY_TWIST,
     ESTIMATOR,
     KEEP_ALL,

@@ -299,6 +299,46 @@ def test_a_misspelt_key_is_refused() -> None:
         mapping_config({"profile": "corridoor"})
 
 
+STANDS_ON = {  # what no other profile does
+    "corridor": {"mapper.maps.submaps", "mapper.matchers.surfel_gauss_newton", "mapper.graph.loop_closing"},
+    "contour_lm": {"mapper.maps.contour_map", "mapper.matchers.contour_lm", "kernels.likelihood_lm"},
+    "imle": {"mapper.maps.patch_map", "mapper.matchers.icp_then_search", "kernels.icp"},
+    "submap_graph": {
+        "mapper.maps.counted_submaps",
+        "mapper.matchers.particle_filter",
+        "mapper.graph.landmark_graph",
+        "kernels.particles",
+    },
+    "owolm_eskf": {"mapper.maps.orthogonal_map", "fusion.inertial_motion", "kernels.orthogonal_weights"},
+}
+
+
+@pytest.mark.parametrize("chosen", ["corridor", "owolm_eskf"])
+def test_only_what_the_chosen_profile_stands_on_is_imported(chosen: str) -> None:
+    script = (
+        "import sys, service.runtime.run, service.offline.replay\n"
+        "from service.geometry.se2 import SE2\n"
+        "from service.mapper.profiles import build_mapper, mapping_config\n"
+        f"build_mapper(mapping_config({{'profile': '{chosen}'}}), {{'front': SE2()}})\n"
+        "print(*(name for name in sys.modules if name.startswith('service.')))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT, check=True
+    )
+    imported = {name.removeprefix("service.") for name in done.stdout.split()}
+    assert {name for name in imported if name.startswith("mapper.methods.")} == {
+        f"mapper.methods.{chosen}",
+        "mapper.methods.shared",
+    }
+    for profile in METHODS:
+        assert imported & STANDS_ON[profile] == (STANDS_ON[profile] if profile == chosen else set())
+
+
+def test_a_stage_of_another_profile_is_found_when_it_is_chosen() -> None:
+    settings = mapping_config({"stages": {"motion_model": "inertial_motion"}}).settings
+    assert settings.motion_model.__class__.__name__ == "InertialMotionConfig"
+
+
 def test_a_stage_that_is_not_there_is_refused_with_those_that_are() -> None:
     with pytest.raises(
         ValidationError, match=r'surfel_gaus is no matcher; did you mean "surfel_gauss_newton"'
@@ -310,8 +350,8 @@ def test_a_matcher_that_cannot_read_the_local_map_is_refused_with_words(monkeypa
     class Sheet: ...
 
     sheet = StageKind("sheet", NoSettings, lambda _, __: Sheet(), makes=Sheet)
-    other = Method("other", {**METHODS["corridor"].stages, "local_map": sheet}, {})
-    monkeypatch.setitem(METHODS, "other", other)
+    other = Method("other", {**METHODS["corridor"]().stages, "local_map": sheet}, {})
+    monkeypatch.setitem(METHODS, "other", lambda: other)
     with pytest.raises(ValidationError) as refused:
         mapping_config({"stages": {"local_map": "sheet"}})
     assert (
@@ -321,9 +361,9 @@ def test_a_matcher_that_cannot_read_the_local_map_is_refused_with_words(monkeypa
 
 
 def test_a_method_may_have_other_defaults_than_its_stages(monkeypatch) -> None:
-    corridor = METHODS["corridor"]
+    corridor = METHODS["corridor"]()
     settings = {"local_map": {"spacing_m": 7.0, "normals": {"gap_m": 0.5}}}
-    monkeypatch.setitem(METHODS, "other", Method("other", corridor.stages, settings))
+    monkeypatch.setitem(METHODS, "other", lambda: Method("other", corridor.stages, settings))
     local_map = mapping_config(
         {"profile": "other", "settings": {"local_map": {"cell_m": 0.2}}}
     ).settings.local_map
