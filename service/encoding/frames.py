@@ -149,11 +149,10 @@ def _imu_frame(content: object, sensor: str, log_ns: int) -> ImuSample | None:
 
 
 def _odometry_ros(sample: OdometrySample, stamp_ns: int) -> object:
-    covariance = np.zeros(36)
-    covariance[wire.PLANAR_CELLS] = sample.covariance
     pose = SE2(sample.x_m, sample.y_m, sample.theta_rad)
     frame = f"{sample.sensor}_{wire.ODOM_FRAME}"  # the wheels' own; `odom` is the mapper's
-    return wire.odometry_content(wire.header_ros(stamp_ns, frame), pose, covariance, sample.twist_mps_radps)
+    header = wire.header_ros(stamp_ns, frame)
+    return wire.odometry_content(header, pose, sample.covariance, sample.twist_mps_radps)
 
 
 def _odometry_frame(content: object, sensor: str, log_ns: int) -> OdometrySample | None:

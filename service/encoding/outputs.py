@@ -1,5 +1,6 @@
 """What the mapper and the service put out -> ROS messages, and back where a file is read."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, cast
@@ -12,6 +13,8 @@ from service.encoding.wire import FloatArray, Message
 from service.errors import InputError
 from service.geometry.se2 import SE2
 from service.outputs import Grid, MapperOutput, TileUpdate
+
+ANY_HEADING = math.pi**2 / 3.0  # rad^2, variance of a heading of which nothing is known
 
 
 class Status(NamedTuple):
@@ -206,9 +209,28 @@ def decode_event(payload: bytes) -> str:
 
 def _pose_ros(output: MapperOutput, frame: str, pose: SE2) -> object:
     turn = wire.rotation_3x3(pose.theta_rad)  # Odometry wants the covariance in the axes of `frame`
-    covariance = np.zeros(36)
-    covariance[wire.PLANAR_CELLS] = (turn @ output.covariance @ turn.T).ravel()
-    return wire.odometry_content(wire.header_ros(output.stamp_ns, frame), pose, covariance, output.twist_base)
+    covariance = _bounded(turn @ output.covariance @ turn.T)
+    header = wire.header_ros(output.stamp_ns, frame)
+    return wire.odometry_content(header, pose, covariance.ravel(), output.twist_base)
+
+
+def _bounded(covariance: FloatArray) -> FloatArray:
+    """(3, 3) of x, y, theta. What is not known gets the variance NOT_KNOWN, and no correlation: a heading
+    that may as well be any, a direction of the plane in which the position is worse than that.
+    """
+    if not np.isfinite(covariance).all():
+        return wire.NOT_KNOWN * np.eye(3)
+    bounded = covariance.copy()
+    is_heading_known = covariance[2, 2] < ANY_HEADING
+    is_place_known = covariance[0, 0] + covariance[1, 1] < wire.NOT_KNOWN
+    if not is_heading_known:
+        bounded[2, 2] = wire.NOT_KNOWN
+    if not is_place_known:
+        variances, axes = np.linalg.eigh(covariance[:2, :2])
+        bounded[:2, :2] = axes * np.minimum(variances, wire.NOT_KNOWN) @ axes.T
+    if not (is_heading_known and is_place_known):
+        bounded[2, :2] = bounded[:2, 2] = 0.0
+    return bounded
 
 
 def _transform_ros(

@@ -1,6 +1,7 @@
 """ROS 2 messages as bytes: the types used, their definitions, and the pieces all of them share."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -32,7 +33,10 @@ LARGEST_ANGLE = math.floor(math.pi * ANGLE_GRID) / ANGLE_GRID
 FloatArray = npt.NDArray[np.float64]
 _PLANAR = np.array([0, 1, 5])  # x, y, yaw within ROS' (x, y, z, roll, pitch, yaw)
 PLANAR_CELLS = (_PLANAR[:, None] * 6 + _PLANAR).ravel()  # the 9 cells of the planar block in the 36
-UNKNOWN_36 = np.zeros(36)
+NOT_KNOWN = (
+    1e6  # m^2, rad^2: variance of what nobody knows, as ROS drivers of planar bases give it; 0 is "exact"
+)
+NOT_KNOWN_36 = NOT_KNOWN * np.eye(6).ravel()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,19 +117,28 @@ def stamp_ns_of(time: ros.builtin_interfaces__msg__Time) -> int:
 
 
 def odometry_content(
-    header: ros.std_msgs__msg__Header, pose: SE2, covariance: FloatArray, twist: tuple[float, float, float]
+    header: ros.std_msgs__msg__Header,
+    pose: SE2,
+    covariance: Sequence[float] | FloatArray,
+    twist: tuple[float, float, float],
 ) -> ros.nav_msgs__msg__Odometry:
+    """covariance: the 9 values of x, y, theta, in the axes of the header's frame.
+
+    Nobody knows that of the twist, nor what the plane leaves open.
+    """
     forward, left, turn = twist
+    covariance_36 = NOT_KNOWN_36.copy()
+    covariance_36[PLANAR_CELLS] = covariance
     return ros.nav_msgs__msg__Odometry(
         header=header,
         child_frame_id=BASE_FRAME,
-        pose=ros.geometry_msgs__msg__PoseWithCovariance(planar_pose_ros(pose), covariance),
+        pose=ros.geometry_msgs__msg__PoseWithCovariance(planar_pose_ros(pose), covariance_36),
         twist=ros.geometry_msgs__msg__TwistWithCovariance(
             ros.geometry_msgs__msg__Twist(
                 ros.geometry_msgs__msg__Vector3(forward, left, 0.0),
                 ros.geometry_msgs__msg__Vector3(0.0, 0.0, turn),
             ),
-            UNKNOWN_36,
+            NOT_KNOWN_36,
         ),
     )
 

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -393,13 +394,52 @@ def test_pose_covariance_is_in_the_axes_of_the_map():
     assert covariance[0, 0] == pytest.approx(0.01)  # the vehicle looks along the map's y
     assert covariance[1, 1] == pytest.approx(0.04)
     assert covariance[5, 5] == pytest.approx(0.001)
+    assert np.diag(covariance)[2:5].tolist() == [1e6] * 3  # z, roll and pitch, which nobody observes
+    np.testing.assert_allclose(covariance, np.diag(np.diag(covariance)), atol=1e-12)
     assert content.twist.twist.linear.x == 0.7
     assert content.twist.twist.angular.z == 0.1
+    np.testing.assert_array_equal(content.twist.covariance.reshape(6, 6), 1e6 * np.eye(6))
     decoded = encoding.decode_pose(message.payload)
     assert decoded.pose == SE2(1.5, 2.0, pytest.approx(math.pi / 2, abs=1e-12))
     np.testing.assert_allclose(decoded.covariance, OUTPUT.covariance, atol=1e-12)
     assert (decoded.stamp_ns, decoded.frame, decoded.child) == (T0_NS, "map", "base_link")
     assert decoded.twist == OUTPUT.twist_base
+
+
+@pytest.mark.parametrize("encode", [encoding.encode_pose, encoding.encode_odom])
+def test_a_direction_that_is_not_known_says_so_and_the_other_stays(encode):
+    """A corridor that has been followed on the last speed alone, at 30 degrees in the map."""
+    along, across = 2383.0**2, 0.01**2
+    pose = SE2(0.0, 0.0, math.radians(30.0))
+    covariance = np.diag([along, across, 1e-4])
+    covariance[0, 2] = covariance[2, 0] = 10.0
+    output = replace(OUTPUT, pose_odom_base=pose, pose_map_odom=SE2(), covariance=covariance)
+    message = encode(output, T0_NS)
+    content = STORE.deserialize_cdr(message.payload, message.type)
+    planar = content.pose.covariance.reshape(6, 6)[np.ix_([0, 1, 5], [0, 1, 5])]
+    variances, axes = np.linalg.eigh(planar[:2, :2])
+    np.testing.assert_allclose(variances, [across, 1e6], rtol=1e-5)
+    np.testing.assert_allclose(np.abs(axes[:, 1]), [math.cos(pose.theta_rad), math.sin(pose.theta_rad)])
+    np.testing.assert_array_equal(planar[2], [0.0, 0.0, 1e-4])
+
+
+def test_a_heading_that_may_be_any_and_what_is_no_number_are_not_known():
+    lost = np.array([[4.0, 0.0, 1.0], [0.0, 9.0, 1.0], [1.0, 1.0, 500.0]])
+    decoded = encoding.decode_pose(encoding.encode_pose(replace(OUTPUT, covariance=lost), 1).payload)
+    np.testing.assert_allclose(decoded.covariance, np.diag([4.0, 9.0, 1e6]), atol=1e-9)
+    nan = np.full((3, 3), np.nan)
+    decoded = encoding.decode_pose(encoding.encode_pose(replace(OUTPUT, covariance=nan), 1).payload)
+    np.testing.assert_allclose(decoded.covariance, 1e6 * np.eye(3), atol=1e-6)
+
+
+def test_wheels_do_not_claim_to_know_what_the_plane_leaves_open():
+    sample = OdometrySample(
+        "base", 1, 1, 1.0, 2.0, 0.5, (0.5, 0.0, 0.0), tuple(np.diag([0.1, 0.2, 0.3]).ravel())
+    )
+    content = STORE.deserialize_cdr(encode_frame(sample).payload, encoding.ODOMETRY)
+    np.testing.assert_array_equal(
+        content.pose.covariance.reshape(6, 6), np.diag([0.1, 0.2, 1e6, 1e6, 1e6, 0.3])
+    )
 
 
 def test_odom_and_tf_agree_with_pose():
