@@ -33,9 +33,7 @@ LARGEST_ANGLE = math.floor(math.pi * ANGLE_GRID) / ANGLE_GRID
 FloatArray = npt.NDArray[np.float64]
 _PLANAR = np.array([0, 1, 5])  # x, y, yaw within ROS' (x, y, z, roll, pitch, yaw)
 PLANAR_CELLS = (_PLANAR[:, None] * 6 + _PLANAR).ravel()  # the 9 cells of the planar block in the 36
-NOT_KNOWN = (
-    1e6  # m^2, rad^2: variance of what nobody knows, as ROS drivers of planar bases give it; 0 is "exact"
-)
+NOT_KNOWN = 1e6  # m^2, rad^2: a variance that says so, as in drivers of planar bases; 0 would say "exact"
 NOT_KNOWN_36 = NOT_KNOWN * np.eye(6).ravel()
 
 
