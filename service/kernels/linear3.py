@@ -68,3 +68,37 @@ def copy_matrix(source, out):
     for i in range(source.shape[0]):
         for k in range(source.shape[1]):
             out[i, k] = source[i, k]
+
+
+@njit(cache=True, nogil=True)
+def diagonalise_3x3(A, V):
+    """Eigenvalues and eigenvectors of a symmetric 3 x 3 matrix, by Jacobi's rotations.
+
+    A  (3, 3) float64   in and out: diagonal with the eigenvalues then
+    V  (3, 3) float64   out: the eigenvectors, a column each
+    Source: Golub and Van Loan, Matrix Computations, 2013, section 8.5.
+    """
+    for i in range(3):
+        for j in range(3):
+            V[i, j] = 1.0 if i == j else 0.0
+    for _ in range(6):  # converges quadratically: six sweeps reach the last bit
+        for p in range(2):
+            for q in range(p + 1, 3):
+                if A[p, q] == 0.0:
+                    continue
+                tau = 0.5 * (A[q, q] - A[p, p]) / A[p, q]
+                t = math.copysign(1.0, tau) / (abs(tau) + math.sqrt(1.0 + tau * tau))
+                c = 1.0 / math.sqrt(1.0 + t * t)
+                s = t * c
+                for k in range(3):
+                    left, right = A[k, p], A[k, q]
+                    A[k, p] = c * left - s * right
+                    A[k, q] = s * left + c * right
+                for k in range(3):
+                    left, right = A[p, k], A[q, k]
+                    A[p, k] = c * left - s * right
+                    A[q, k] = s * left + c * right
+                for k in range(3):
+                    left, right = V[k, p], V[k, q]
+                    V[k, p] = c * left - s * right
+                    V[k, q] = s * left + c * right

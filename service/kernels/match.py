@@ -10,7 +10,7 @@ from numba import njit
 from service.kernels.coarse_align import AlignSettings, coarse_align
 from service.kernels.deskew import deskew_points
 from service.kernels.likelihood import LikelihoodField
-from service.kernels.linear3 import copy_matrix, copy_vector, solve_3x3
+from service.kernels.linear3 import cholesky_3x3, copy_matrix, copy_vector, diagonalise_3x3, solve_3x3
 from service.kernels.pose_information import (
     add_prior,
     invert_3x3,
@@ -187,30 +187,52 @@ def scan_information(H, shared, damping, information):
 
     The gradient g has the covariance H, but follows the pose only as `shared` does. So
     damping = shared H^-1 is what of the gradient is no noise, and the information is shared H^-1 shared
-    (Godambe 1960). Where both normals agree all three are one; along a bare corridor they vanish.
+    (Godambe 1960). Where both normals agree all three are one; along a bare corridor they vanish. By chance
+    `shared` may be negative there, or above H: in the axes in which both are diagonal it is held to 0..H.
 
     H, shared              (3, 3) float64   from surfel_normal_equations
     damping, information   (3, 3) float64   out
     """
-    bounded = np.empty((3, 3))
-    inverse = np.zeros((3, 3))
+    L = np.zeros((3, 3))
+    whitened = np.empty((3, 3))
+    axes = np.empty((3, 3))
     trace = H[0, 0] + H[1, 1]
     for i in range(3):
         for j in range(3):
-            bounded[i, j] = H[i, j]
-        bounded[i, i] += 1e-9 * trace + 1e-6
+            axes[i, j] = H[i, j]
+        axes[i, i] += 1e-9 * trace + 1e-6
     information[:, :] = 0.0
     damping[:, :] = 0.0
-    if not invert_3x3(bounded, inverse):
+    if not cholesky_3x3(axes, L):
         return
+    inverse = np.zeros((3, 3))  # of L
+    for j in range(3):
+        for i in range(j, 3):
+            total = 1.0 if i == j else 0.0
+            for k in range(j, i):
+                total -= L[i, k] * inverse[k, j]
+            inverse[i, j] = total / L[i, i]
+    for i in range(3):
+        for j in range(3):
+            total = 0.0
+            for k in range(3):
+                for m in range(3):
+                    total += inverse[i, k] * shared[k, m] * inverse[j, m]
+            whitened[i, j] = total
+    diagonalise_3x3(whitened, axes)
+    out = np.zeros((3, 3))
+    back = np.zeros((3, 3))
     for i in range(3):
         for j in range(3):
             for k in range(3):
-                damping[i, j] += shared[i, k] * inverse[k, j]
-    for i in range(3):
-        for j in range(3):
-            for k in range(3):
-                information[i, j] += damping[i, k] * shared[k, j]
+                out[i, j] += L[i, k] * axes[k, j]
+                back[i, j] += axes[k, i] * inverse[k, j]
+    for m in range(3):
+        part = min(max(whitened[m, m], 0.0), 1.0)
+        for i in range(3):
+            for j in range(3):
+                damping[i, j] += out[i, m] * part * back[m, j]
+                information[i, j] += out[i, m] * part * part * out[j, m]
 
 
 @njit(cache=True, nogil=True)

@@ -1,6 +1,6 @@
 import numpy as np
 
-from service.kernels.linear3 import cholesky_3x3, solve_3x3
+from service.kernels.linear3 import cholesky_3x3, diagonalise_3x3, solve_3x3
 
 
 def test_solutions_agree_with_numpy() -> None:
@@ -25,3 +25,17 @@ def test_a_singular_matrix_is_refused_and_leaves_the_answer_alone() -> None:
     assert not solve_3x3(np.diag([1.0, -1.0, 1.0]), np.ones(3), x)
     assert not solve_3x3(np.diag([1.0, np.nan, 1.0]), np.ones(3), x)
     np.testing.assert_array_equal(x, 7.0)
+
+
+def test_jacobi_finds_the_eigenvalues_that_eigh_finds() -> None:
+    rng = np.random.default_rng(4)
+    for scale in (1.0, 1e6):
+        root = rng.normal(size=(3, 3)) * (1.0, 1.0, scale)
+        matrix = root + root.T
+        values, vectors = matrix.copy(), np.empty((3, 3))
+        diagonalise_3x3(values, vectors)
+        np.testing.assert_allclose(
+            np.sort(np.diag(values)), np.linalg.eigvalsh(matrix), rtol=1e-9, atol=1e-9 * scale
+        )
+        np.testing.assert_allclose(vectors @ np.diag(np.diag(values)) @ vectors.T, matrix, atol=1e-9 * scale)
+        np.testing.assert_allclose(vectors @ vectors.T, np.eye(3), atol=1e-12)
