@@ -19,6 +19,9 @@ SAME_PLACE_M, SAME_PLACE_RAD = 0.5, 0.1
 CARRIED_S = 2.0  # without scans: a vehicle may have been carried
 MOST_OFF_M, MOST_OFF_SHARE = 4.0, 0.2  # how far off dead reckoning may be else, and for each metre of a piece
 LEAST_APART_M = 4.0  # between two finds of a piece: standing, a room looks like any other of its kind
+# Of the points, so many may lie where the map knows that nothing stands: right finds have 0.000 to 0.005, a
+# look-alike room entered from the other side 0.067.
+PIECE_AGAINST = 0.03
 PIECE_SHARE = 0.75  # of the drive's median share must lie on the map where a piece is found
 
 
@@ -53,7 +56,10 @@ class PieceSearch:
         config, chain = self._config, self._chain
         piece = int(chain.piece[-1])
         own = np.flatnonzero((chain.piece == piece) & chain.is_usable)
-        own = own[chain.way_m[own] >= chain.way_m[-1] - config.query_m][-MOST_QUERY:]
+        from_m = chain.way_m[-1] - config.query_m
+        if self._hypothesis is not None and chain.way_m[-1] - self._hypothesis.way_m >= LEAST_APART_M:
+            from_m = self._hypothesis.way_m + 0.5 * LEAST_APART_M  # none of what the first find has seen
+        own = own[chain.way_m[own] >= from_m][-MOST_QUERY:]
         if not len(own) or not len(known):
             return None
         reference = int(own[-1])
@@ -72,7 +78,7 @@ class PieceSearch:
             loop = None
             if (
                 fit.share >= PIECE_SHARE * float(np.median(chain.score))
-                and place.against(cloud, fit.pose) < config.most_against
+                and place.against(cloud, fit.pose) < PIECE_AGAINST
             ):
                 loop = loop_of(place.reference, reference, fit.pose, fit.information, fit.share)
             found.append((fit.share, se2.compose(chain.map[place.reference], fit.pose), loop))
