@@ -1,43 +1,34 @@
 """Direction of the wall at each end point, from the beams beside it."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 WALL_M = 0.004  # how even a wall is, at best
-
-
-class NormalSettings(NamedTuple):
-    """What counts as one piece of wall; documented where it is configured."""
-
-    beams_each_side: int
-    most_beams_each_side: int
-    angle_sigma_rad: float
-    gap_m: float
-    gap_steps: float
-    thick_sigmas: float
-    most_angle_rad: float
-    least_cos_incidence: float
-    rough_weight: float
-    grazing_weight: float
+BEAMS_EACH_SIDE, MOST_BEAMS_EACH_SIDE = 4, 32  # of a window
+GAP_M, GAP_STEPS = 0.06, 5.0  # points farther apart than GAP_M and so many steps between beams: a gap
+THICK_SIGMAS = 2.0  # of its spread: a piece thicker than noise by more is no plane
+ANGLE_SIGMA_RAD = 0.1  # a window grows until the wall's direction is known so well
+MOST_ANGLE = 2.0  # times the direction's sigma that is asked for: known worse, a piece is rough
+LEAST_COS_INCIDENCE = 0.05  # beams that graze more see nothing that can be relied on
+ROUGH_WEIGHT = 0.01  # of a point that lies on no plane
 
 
 @njit(cache=True, nogil=True)
-def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, settings, normals):
+def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazing_weight, normals):
     """Principal axes of each point and its contiguous neighbours.
 
     xy_base          (N, 2) float64   end points in beam order, m, base frame
     sensor_xy_m      (2,)   float64   where the beams start, m, base frame
     angle_step_rad   float            between neighbouring beams, > 0
     range_sigma_m    float            noise of a range
-    settings         NormalSettings
+    grazing_weight   float            of a point whose beam runs along the wall, where one head-on has 1
     normals          (N, 3) float64   out: unit normal towards the sensor in base axes, and the weight of the
-                                      point: 1 or more on a planar piece, settings.rough_weight elsewhere, 0
+                                      point: 1 or more on a planar piece, ROUGH_WEIGHT elsewhere, 0
                                       where the beam grazes too much. An error of the range moves the point
                                       along its beam, so across a wall it counts by the cosine of the
-                                      incidence: the weight is 1 head-on, settings.grazing_weight at most
+                                      incidence: the weight is 1 head-on, grazing_weight at most
     """
     count = xy_base.shape[0]
     sums = np.zeros((count + 1, 5))  # of x, y, xx, xy, yy up to each point, relative to the sensor
@@ -54,22 +45,23 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, settin
         range_m[i] = math.sqrt(x * x + y * y)
         first[i] = i
         if i > 0:
-            gap_m = settings.gap_m + settings.gap_steps * angle_step_rad * min(range_m[i - 1], range_m[i])
+            gap_m = GAP_M + GAP_STEPS * angle_step_rad * min(range_m[i - 1], range_m[i])
             step_m = math.hypot(xy_base[i, 0] - xy_base[i - 1, 0], xy_base[i, 1] - xy_base[i - 1, 1])
             if step_m < gap_m:
                 first[i] = first[i - 1]
     square_m2 = range_sigma_m * range_sigma_m
+    most_rad2 = (MOST_ANGLE * ANGLE_SIGMA_RAD) ** 2
     end = count  # of the run
     for i in range(count - 1, -1, -1):
         if i + 1 < count and first[i + 1] != first[i]:
             end = i + 1
-        reach = settings.beams_each_side
+        reach = BEAMS_EACH_SIDE
         if range_m[i] > 0.0:
             # [16] 12 sigma^2 / (n L^2) is the variance of the direction of n points over the length L
-            spacing_m = angle_step_rad * range_m[i]
-            half_m = (1.5 * spacing_m * (range_sigma_m / settings.angle_sigma_rad) ** 2) ** (1.0 / 3.0)
+            spacing_m = angle_step_rad * range_beside(range_m, first, i, end)
+            half_m = (1.5 * spacing_m * (range_sigma_m / ANGLE_SIGMA_RAD) ** 2) ** (1.0 / 3.0)
             wanted = half_m / spacing_m
-            reach = int(min(max(wanted, settings.beams_each_side), settings.most_beams_each_side))
+            reach = int(min(max(wanted, BEAMS_EACH_SIDE), MOST_BEAMS_EACH_SIDE))
         low = max(first[i], i - reach)
         high = min(end, i + reach + 1)
         n = high - low
@@ -78,7 +70,7 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, settin
         if range_m[i] > 0.0:
             nx = (sensor_xy_m[0] - xy_base[i, 0]) / range_m[i]
             ny = (sensor_xy_m[1] - xy_base[i, 1]) / range_m[i]
-        weight = settings.rough_weight
+        weight = ROUGH_WEIGHT
         if n >= 3:
             sx = sums[high, 0] - sums[low, 0]
             sy = sums[high, 1] - sums[low, 1]
@@ -88,12 +80,20 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, settin
             half = 0.5 * (a - c)
             root = math.sqrt(half * half + b * b)
             mean = 0.5 * (a + c)
-            if half >= 0.0:  # eigenvector of the small eigenvalue, from the form that cancels nothing
-                ex = -b
-                ey = half + root
+            # [20] The point itself tells nothing of the direction, for its error shall not be in it; and
+            # noise along the beam tilts the line of points that are seen aslant: both are taken out.
+            x = xy_base[i, 0] - sensor_xy_m[0] - sx / n
+            y = xy_base[i, 1] - sensor_xy_m[1] - sy / n
+            own = n / (n - 1.0)
+            noise = (n - 2) * square_m2
+            tilt = b - own * x * y - noise * nx * ny
+            lean = half - 0.5 * own * (x * x - y * y) - 0.5 * noise * (nx * nx - ny * ny)
+            if lean >= 0.0:  # eigenvector of the small eigenvalue, from the form that cancels nothing
+                ex = -tilt
+                ey = lean + math.hypot(lean, tilt)
             else:
-                ex = half - root
-                ey = b
+                ex = lean - math.hypot(lean, tilt)
+                ey = tilt
             length = math.sqrt(ex * ex + ey * ey)
             if length > 0.0:
                 ex /= length
@@ -107,17 +107,32 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, settin
                 ny = ey
                 # [17] the spread across a plane has n - 2 degrees of freedom
                 expected = square_m2 * cosine * cosine + WALL_M * WALL_M
-                spread = settings.thick_sigmas * math.sqrt(2.0 / max(n - 2, 1))
+                spread = THICK_SIGMAS * math.sqrt(2.0 / max(n - 2, 1))
                 thin = mean - root < max(n - 2, 1) * expected * (1.0 + spread)
-                square_rad2 = (mean - root) / (n - 2) / (mean + root) if n > 2 else 1.0
-                if thin and square_rad2 < settings.most_angle_rad * settings.most_angle_rad:
+                # Not the scatter measured: a point that is off would judge itself by it.
+                is_direction_known = expected < most_rad2 * (mean + root)
+                if thin and is_direction_known:
                     weight = 0.0
-                    if cosine >= settings.least_cos_incidence:
+                    if cosine >= LEAST_COS_INCIDENCE:
                         square = cosine * cosine
-                        weight = 1.0 / (square + (1.0 - square) / settings.grazing_weight)
+                        weight = 1.0 / (square + (1.0 - square) / grazing_weight)
         normals[i, 0] = nx
         normals[i, 1] = ny
         normals[i, 2] = weight
+
+
+@njit(cache=True, nogil=True)
+def range_beside(range_m, first, i, end):
+    """Mean range of the two points beside point i of a run, m: free of the error of its own."""
+    total = 0.0
+    count = 0
+    if i > first[i]:
+        total += range_m[i - 1]
+        count += 1
+    if i + 1 < end:
+        total += range_m[i + 1]
+        count += 1
+    return total / count if count > 0 else range_m[i]
 
 
 @njit(cache=True, nogil=True)

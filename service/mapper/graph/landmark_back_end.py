@@ -29,7 +29,6 @@ from service.mapper.graph.submap_match import (
     is_seen,
 )
 from service.mapper.maps.counted_submaps import ClosedSubmap
-from service.mapper.maps.submaps import NormalsConfig
 from service.mapper.stages import Drawn, Painter, Sheet
 
 SURFEL_POINTS = 2000  # of a sub-map, laid on the surfels of another
@@ -41,7 +40,6 @@ class LandmarkGraphConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     match: SubmapMatchConfig = SubmapMatchConfig()
-    normals: NormalsConfig = NormalsConfig(grazing_weight=1.0)
     least_on_surfels: float = Field(
         default=0.4, ge=0.0, le=1.0
     )  # share of points, when a scan or a sub-map is laid anew
@@ -148,7 +146,7 @@ class LandmarkBackEnd:
     redrawing: Redrawing = field(init=False)
 
     def __post_init__(self) -> None:
-        self.redrawing = Redrawing(self.config.normals.settings(), self.config.least_on_surfels)
+        self.redrawing = Redrawing(self.config.least_on_surfels)
 
     def work(self, batch: Batch) -> Result:
         trouble = ""
@@ -234,7 +232,7 @@ class LandmarkBackEnd:
 
     def _cloud(self, number: int) -> Cloud:
         closed = self.submaps[number].closed
-        return cloud_of(closed.scans, closed.track, self.config.normals.settings())
+        return cloud_of(closed.scans, closed.track)
 
     def _keep(self, new: int, old: int, shift: Floats, covariance: Floats, landmarks: Floats) -> None:
         own = self.config.match.landmark_sigma_m**2 * np.eye(2)

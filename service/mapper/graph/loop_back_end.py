@@ -60,7 +60,6 @@ class LoopBackEnd:
     def __init__(self, config: LoopsConfig, painter: Painter | None) -> None:
         self._config = config
         self._painter = painter
-        self._normals = config.normals.settings()
         self._chain = Chain()
         self._loops: list[Loop] = []
         self._groups: list[list[Loop]] = []  # as they came to be believed; for who takes one back
@@ -120,7 +119,7 @@ class LoopBackEnd:
         xy = frame.xy_base.astype(np.float64)
         normals, kept = np.empty((len(xy), 3)), np.empty(len(xy), np.bool_)
         estimate_normals(
-            xy, np.array(frame.sensor_xy_m), frame.angle_step_rad, frame.range_sigma_m, self._normals, normals
+            xy, np.array(frame.sensor_xy_m), frame.angle_step_rad, frame.range_sigma_m, 1.0, normals
         )
         thin_points(xy, self._config.thin_m, kept)
         chain.append(

@@ -2,8 +2,6 @@
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.mapper.maps.submaps import NormalsConfig
-
 
 class LoopsConfig(BaseModel):
     """Where loops are looked for, and when they are believed."""
@@ -13,7 +11,6 @@ class LoopsConfig(BaseModel):
     keyframe_distance_m: float = Field(default=0.3, gt=0.0)
     keyframe_turn_rad: float = Field(default=0.15, gt=0.0)
     thin_m: float = Field(default=0.04, ge=0.0)  # points of a key frame lie no nearer to each other
-    normals: NormalsConfig = NormalsConfig(grazing_weight=1.0)
 
     search_every_m: float = Field(default=2.0, gt=0.0)
     query_m: float = Field(default=5.0, gt=0.0)  # way whose key frames are looked for together

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from service.geometry import poses as se2
-from service.kernels.normals import NormalSettings, estimate_normals
+from service.kernels.normals import estimate_normals
 from service.mapper.graph.clouds import Cloud, Fit, SurfelCloud, joined
 from service.mapper.graph.keyframes import Floats
 from service.mapper.maps.counted_submaps import ClosedSubmap, KeyScan
@@ -24,8 +24,7 @@ INFLATION = 16.0  # beams share errors, so as many count as one
 class Redrawing:
     """Lays sub-map after sub-map anew; all drawings stay in one frame, that of the first scan."""
 
-    def __init__(self, normals: NormalSettings, least_share: float) -> None:
-        self._normals = normals
+    def __init__(self, least_share: float) -> None:
         self._least_share = least_share
         self._before: dict[int, Floats] = {}  # by stamp: where the scans of the sub-map before were laid
         self._last: tuple[Floats, Floats] | None = None  # the newest scan: as it was drawn, and as laid
@@ -35,7 +34,7 @@ class Redrawing:
         map_ = SurfelCloud()
         track = closed.track.copy()
         for k, scan in enumerate(closed.scans):
-            cloud = _cloud(scan, self._normals)
+            cloud = _cloud(scan)
             if k < closed.carried:
                 track[k] = self._before[scan.stamp_ns]
             elif self._last is not None:
@@ -57,9 +56,9 @@ class Redrawing:
         return pose
 
 
-def cloud_of(scans: Sequence[KeyScan], track: Floats, normals: NormalSettings) -> Cloud:
+def cloud_of(scans: Sequence[KeyScan], track: Floats) -> Cloud:
     """Scans with their poses (K, 3) as one cloud, in the frame of the poses."""
-    return joined([_cloud(scan, normals).laid_at(pose) for scan, pose in zip(scans, track, strict=True)])
+    return joined([_cloud(scan).laid_at(pose) for scan, pose in zip(scans, track, strict=True)])
 
 
 def lay_on(cloud: Cloud, surfels: SurfelCloud, shift: Floats, most_points: int) -> tuple[Fit, Floats]:
@@ -72,8 +71,8 @@ def lay_on(cloud: Cloud, surfels: SurfelCloud, shift: Floats, most_points: int) 
     return fit, se2.compose(fit.pose, -middle)
 
 
-def _cloud(scan: KeyScan, settings: NormalSettings) -> Cloud:
+def _cloud(scan: KeyScan) -> Cloud:
     xy = scan.xy_base.astype(np.float64)
     normals = np.zeros((len(xy), 3))
-    estimate_normals(xy, np.array(scan.sensor_xy_m), scan.angle_step_rad, 0.01, settings, normals)
+    estimate_normals(xy, np.array(scan.sensor_xy_m), scan.angle_step_rad, 0.01, 1.0, normals)
     return Cloud(xy, normals)

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.geometry.grid import tiles_of
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.likelihood import SPLAT_REACH_CELLS, splat_likelihood
-from service.kernels.normals import NormalSettings, estimate_normals
+from service.kernels.normals import estimate_normals
 from service.kernels.permanence import (
     Sightings,
     count_hits,
@@ -24,29 +24,10 @@ from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
 from service.mapper.stages import MapChange, Match, Points
 
 POOL_TILES = 16_384  # 750 MB of address space; a sub-map in a large hall touches a few hundred tiles
+GRAZING_WEIGHT = 5.0  # of a point whose beam runs along the wall, where one head-on has 1
 NEW_PIECE_ERROR = 0.01  # of the pose's error against the map is left against a piece that begins at the pose
 MOST_MISSES = 3  # then another piece is begun
 MOST_NUMBER = 65_535  # of a key frame, then from 1 again
-
-
-class NormalsConfig(BaseModel):
-    """Which neighbouring beams form one piece of wall, and when a beam is too grazing to be used."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    beams_each_side: int = Field(default=4, ge=1, le=32)  # at least, if they hang together
-    most_beams_each_side: int = Field(default=32, ge=1, le=128)
-    angle_sigma_rad: float = Field(default=0.1, gt=0.0)
-    gap_m: float = Field(default=0.06, gt=0.0)
-    gap_steps: float = Field(default=5.0, ge=0.0)  # in distances between neighbouring beams at that range
-    thick_sigmas: float = Field(default=2.0, gt=0.0)
-    most_angle_rad: float = Field(default=0.1, gt=0.0)
-    least_cos_incidence: float = Field(default=0.05, ge=0.0, lt=1.0)
-    rough_weight: float = Field(default=0.01, ge=0.0, le=1.0)
-    grazing_weight: float = Field(default=5.0, ge=1.0)  # of a beam along a wall, where one head-on has 1
-
-    def settings(self) -> NormalSettings:
-        return NormalSettings(**self.model_dump())
 
 
 class SubmapsConfig(BaseModel):
@@ -54,7 +35,6 @@ class SubmapsConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    normals: NormalsConfig = NormalsConfig()
     permanence: PermanenceConfig = PermanenceConfig()
     cell_m: float = Field(default=0.10, ge=0.02, le=0.5)
     spacing_m: float = Field(default=20.0, gt=0.0)  # a new sub-map each time so far was travelled
@@ -168,7 +148,6 @@ class SurfelSubmaps:
 
     def __init__(self, config: SubmapsConfig) -> None:
         self._config = config
-        self._normals = config.normals.settings()
         self._pool = TilePool(
             (
                 Layer((TILE_CELLS, TILE_CELLS, 2, 5), np.float32),
@@ -219,7 +198,7 @@ class SurfelSubmaps:
             sensor,
             abs(points.scan.angle_step_rad),
             points.range_sigma_m,
-            self._normals,
+            GRAZING_WEIGHT,
             normals,
         )
         return normals
