@@ -34,6 +34,7 @@ log = logging.getLogger(__name__)
 VEHICLE = "demo"
 ZENOH_PORT = 7447
 STAND_S = 4.0  # the vehicle waits so long; the drivers log in meanwhile, and the map begins where it stands
+END_TIMEOUT_S = 30.0  # the simulators tell at their end what they left out
 READY_TIMEOUT_S = 120.0  # the simulators compile their ray caster first
 DEVICES: dict[str, tuple[str, dict[str, float]]] = {  # name -> type and mounting
     "front": ("sick_lms100", {"x_m": 0.20, "y_m": 0.0, "yaw_deg": 0.0}),
@@ -129,7 +130,7 @@ def simulators(options: DemoOptions, truth: Path) -> Iterator[Simulators]:
     finally:
         process.terminate()
         try:
-            process.wait(5.0)
+            process.wait(END_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()

@@ -1,0 +1,88 @@
+"""`corridor demo` as a user runs it, and what its fake devices told of themselves meanwhile."""
+
+import json
+import re
+import subprocess
+import sys
+import threading
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from service.encoding import decode_frame
+from service.recording.mcap_reader import Recording
+from simulators.device import TURNS_SKIPPED
+from simulators.wire import DROPPED
+
+ENDS_WITHIN_S = 100.0  # beyond the time asked for: start, warm-up, the last loops
+LOOK_S = 10.0
+IN_TIME_S, STALL_S = 0.1, 0.5
+LEFT_OUT = re.compile(rf"^(\w+): (\d+) more (?:{TURNS_SKIPPED}|{DROPPED})", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class DemoRun:
+    """left_out: measurements that a fake device could not send, by sensor. A machine that is busy with other
+    things gives it no processor for a while, or none to the service, until all buffers between them are full.
+    late_s: from the moment of measurement to the pose; all but the worst of a hundred.
+    """
+
+    seconds: int
+    summary: dict[str, Any]
+    left_out: Counter[str]
+    late_s: float
+
+    @property
+    def was_in_time(self) -> bool:
+        """Whether stamps could be true to some centimetres of the way. A clock that is met for the first time
+        or has jumped is learnt from arrivals, so they are no truer then than the machine is quick.
+        """
+        longest_s = self.summary["latency_ms"]["max"] / 1e3
+        return not self.left_out and self.late_s < IN_TIME_S and longest_s < STALL_S
+
+
+def run_demo(
+    seconds: int,
+    folder: Path,
+    look: Callable[[int], None] = lambda process: None,
+    faults: Path | None = None,
+) -> DemoRun:
+    """`look` is called with the service's process id, each LOOK_S."""
+    command = [str(Path(sys.executable).parent / "corridor"), "demo", "--json"]
+    command += ["--seconds", str(seconds), "--out", str(folder)]
+    if faults is not None:
+        command += ["--faults", str(faults)]
+    ended = threading.Event()
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+
+        def watch() -> None:
+            while not ended.wait(LOOK_S):
+                look(process.pid)
+
+        watcher = threading.Thread(target=watch)
+        watcher.start()
+        try:
+            said, log = process.communicate(timeout=seconds + ENDS_WITHIN_S)
+        finally:
+            ended.set()
+            watcher.join()
+            process.kill()
+    assert process.returncode == 0, log
+    left_out: Counter[str] = Counter()
+    for name, count in LEFT_OUT.findall(log):
+        left_out[name] += int(count)
+    summary = json.loads(said)
+    late_s = _reading_takes_s(Path(summary["session"])) + summary["latency_ms"]["p99"] / 1e3
+    return DemoRun(seconds, summary, left_out, late_s)
+
+
+def _reading_takes_s(session: Path) -> float:
+    """From the moment of measurement until it is read, for samples, which no fault meets."""
+    samples = [
+        decode_frame(m.type, m.payload, "imu", m.log_ns) for m in Recording([session]).messages(["/imu/imu"])
+    ]
+    return float(np.percentile([s.arrived_ns - s.stamp_ns for s in samples if s is not None], 99)) / 1e9
