@@ -19,6 +19,7 @@ from service.encoding import Message
 
 START_TIMEOUT_S = 90.0  # a cold kernel cache is compiled first
 STOP_TIMEOUT_S = 30.0
+PATIENCE_S = 60.0  # with what takes a second or ten where the processor is ours alone
 VEHICLE = "veh1"
 
 
@@ -89,7 +90,7 @@ class Systemd:
                 self.words.append(word)
                 self._changed.notify_all()
 
-    def wait_for(self, start: str, timeout_s: float, after: int = 0) -> None:
+    def wait_for(self, start: str, timeout_s: float = PATIENCE_S, after: int = 0) -> None:
         """Until a word that begins with `start` came, `after` words or later."""
         with self._changed:
             heard = self._changed.wait_for(
@@ -167,7 +168,7 @@ class Subscriber:
         for key, value in {
             "mode": "client",
             "connect/endpoints": [endpoint],
-            "connect/timeout_ms": 5000,
+            "connect/timeout_ms": 20_000,
             "scouting/multicast/enabled": False,
         }.items():
             config.insert_json5(key, json.dumps(value))
@@ -190,13 +191,13 @@ class Subscriber:
         with self._changed:
             return len(self.heard.get(channel, []))
 
-    def wait_until(self, what: Callable[[], bool], timeout_s: float) -> None:
+    def wait_until(self, what: Callable[[], bool], timeout_s: float = PATIENCE_S) -> None:
         """`what` is asked whenever something was heard. Raises AssertionError with what was heard."""
         with self._changed:
             heard = self._changed.wait_for(what, timeout_s)
             assert heard, f"after {timeout_s} s heard { {k: len(v) for k, v in self.heard.items()} }"
 
-    def wait_for(self, channel: str, more: int, timeout_s: float = 20.0) -> None:
+    def wait_for(self, channel: str, more: int, timeout_s: float = PATIENCE_S) -> None:
         target = self.count(channel) + more
         self.wait_until(lambda: len(self.heard.get(channel, [])) >= target, timeout_s)
 
@@ -204,7 +205,7 @@ class Subscriber:
         """Answers by channel, with their sequence number or version."""
         answers = {}
         for reply in self._session.get(
-            self._root + selector, timeout=5.0, consolidation=zenoh.ConsolidationMode.NONE
+            self._root + selector, timeout=PATIENCE_S, consolidation=zenoh.ConsolidationMode.NONE
         ):
             assert reply.ok is not None, reply.err
             assert reply.ok.attachment is not None
@@ -215,7 +216,9 @@ class Subscriber:
 
     def ask(self, verb: str, **request: object) -> dict[str, Any]:
         """The answer to a command, good or not."""
-        (reply,) = self._session.get(f"{self._root}cmd/{verb}", payload=json.dumps(request), timeout=15.0)
+        (reply,) = self._session.get(
+            f"{self._root}cmd/{verb}", payload=json.dumps(request), timeout=PATIENCE_S
+        )
         sample = reply.ok if reply.ok is not None else reply.err
         assert sample is not None
         told: dict[str, Any] = json.loads(sample.payload.to_string())
