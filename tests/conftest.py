@@ -5,11 +5,15 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 from service.kernel_cache import ensure_cache_dir
 
 ensure_cache_dir()  # before anything imports numba: what is compiled from now on is kept
+
+hypothesis.settings.register_profile("corridor", deadline=None)  # a core may be busy with other things
+hypothesis.settings.load_profile("corridor")
 
 
 @pytest.fixture(scope="session")
