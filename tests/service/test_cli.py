@@ -3,7 +3,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -64,11 +63,9 @@ def test_wrong_usage_exits_with_64(wrong: list[str]):
     assert "usage: corridor" in done.stderr
 
 
-def test_help_is_there_at_once():
-    began_s = time.monotonic()
+def test_help_loads_nothing_that_takes_its_time():
     done = subprocess.run([CORRIDOR, "--help"], capture_output=True, text=True, timeout=60, check=True)
     assert "64 wrong usage" in done.stdout
-    assert time.monotonic() - began_s < 5.0  # 0.05 s; numba and Zenoh alone would take longer when cold
     code = "import sys, service.cli; service.cli.new_parser(); print(*sys.modules)"
     loaded = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True

@@ -12,7 +12,7 @@ from service.publishing.config import PublishingConfig
 from service.publishing.zenoh_publisher import ZenohPublisher
 
 ANY_PORT = PublishingConfig(listen=("tcp/127.0.0.1:0",))
-TIMEOUT_S = 10.0
+TIMEOUT_S = 30.0
 
 
 class Inbox:
@@ -40,7 +40,7 @@ def client_config(endpoint: str) -> zenoh.Config:
     for key, value in {
         "mode": "client",
         "connect/endpoints": [endpoint],
-        "connect/timeout_ms": 5000,
+        "connect/timeout_ms": 20_000,
         "scouting/multicast/enabled": False,
     }.items():
         config.insert_json5(key, json.dumps(value))

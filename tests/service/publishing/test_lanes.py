@@ -51,13 +51,15 @@ def test_tiles_and_pictures_wait_for_their_period_and_messages_do_not():
     lane.put(message("health"))
     lane.put_tiles([tile(0, 0, 2)])
     lane.ask_for("map")
-    first, second, third = lane.take(), lane.take(), lane.take()
-    assert time.monotonic() - began_s >= 0.4
-    assert [(len(b.messages), len(b.tiles), len(b.pictures)) for b in (first, second, third)] == [
-        (1, 0, 0),
-        (0, 1, 0),
-        (0, 0, 1),
-    ]
+    first_s: dict[str, float] = {}  # when each was given out
+    while len(first_s) < 3:
+        bulk = lane.take()
+        for name in ("messages", "tiles", "pictures"):
+            if getattr(bulk, name):
+                first_s.setdefault(name, time.monotonic() - began_s)
+    assert list(first_s) == ["messages", "tiles", "pictures"]
+    assert first_s["tiles"] >= 0.2
+    assert first_s["pictures"] >= 0.4
 
 
 def test_a_closed_bulk_lane_gives_out_what_is_left_at_once():

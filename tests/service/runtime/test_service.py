@@ -69,7 +69,7 @@ def open_service(config: ServiceConfig) -> Iterator[Callable[..., Service]]:
             service.stop()
 
 
-def tick_until(service: Service, what: Callable[[], bool], timeout_s: float = 20.0) -> None:
+def tick_until(service: Service, what: Callable[[], bool], timeout_s: float = 60.0) -> None:
     pause = threading.Event()
     deadline_s = time.monotonic() + timeout_s
     while not what():
