@@ -431,7 +431,7 @@ def linked():
         threads.append(thread)
         thread.start()
 
-        def wait_for(count, timeout_s=10.0):
+        def wait_for(count, timeout_s=60.0):
             with enough:
                 assert enough.wait_for(lambda: len(frames) >= count, timeout_s), health
             return frames
@@ -442,7 +442,7 @@ def linked():
     yield run
     stop.set()
     for thread in threads:
-        thread.join(5.0)
+        thread.join(30.0)
         assert not thread.is_alive()
 
 

@@ -15,7 +15,7 @@ from simulators.wire import BACKLOG_BYTES, serve_pty, serve_tcp
 Result = TypeVar("Result")
 
 PERIOD_NS = 5_000_000
-PATIENCE_S = 5.0
+PATIENCE_S = 30.0
 
 
 class Ticker:
