@@ -124,7 +124,6 @@ class DeviceSettings:
         self._syncs: dict[tuple[int, int], bytes] = {}
         self.option_flags = 0
         self.scenario = SCENARIOS[personality][0][0]
-        self.output: list[tuple[int, int]] = []
         self.alignments = [struct.pack(">4f", 1.0, 0.0, 0.0, 0.0)] * 2
         self._to_factory()
 
@@ -149,10 +148,20 @@ class DeviceSettings:
         return bytes.fromhex("01500618" if self.legacy else "07700DB1")
 
     @property
+    def output(self) -> list[tuple[int, int]]:
+        """Identifiers and rates of an MTi-G-710; to be set, not changed in place."""
+        return self._output
+
+    @output.setter
+    def output(self, output: list[tuple[int, int]]) -> None:
+        self._output = output
+        rates = [r for i, r in output if r != EVERY_MESSAGE and i & KIND_MASK != Kind.GNSS_PVT]
+        self._rate_hz = max(rates, default=0)
+
+    @property
     def rate_hz(self) -> int:
         """Of MTData2 messages with samples; GNSS messages are apart."""
-        rates = [r for i, r in self.output if r != EVERY_MESSAGE and i & KIND_MASK != Kind.GNSS_PVT]
-        return max(rates, default=0)
+        return self._rate_hz
 
     @property
     def period_ns(self) -> int:
