@@ -105,7 +105,7 @@ def _check_that_nothing_is_lost(run: DemoRun) -> list[Path]:
         frames, dropped = int(status["frames"]), int(status["dropped"])
         received, discarded = _received(status)
         assert received - discarded <= frames <= received
-        assert counts[f"/{name}/{kind}"] == frames - dropped > DEMO_S / 2 * RATES_HZ[name]
+        assert counts[f"/{name}/{kind}"] == frames - dropped > RATES_HZ[name]
         pushed_out += dropped
         lost = losses.pop(name, 0)
         if name in NUMBERED or run.was_in_time:
@@ -114,9 +114,12 @@ def _check_that_nothing_is_lost(run: DemoRun) -> list[Path]:
             messages = recording.messages([f"/{name}/{kind}"])
             streamed = [decode_frame(m.type, m.payload, name, m.log_ns) for m in messages]
             _check_times([frame for frame in streamed if frame is not None], RATES_HZ[name])
+    unmapped = {k: int(count) for k, count in told[-1]["mapping"].items() if k.startswith("scans_dropped_")}
+    late = sum(unmapped.values())  # recorded, but too far from their neighbours to be mapped
+    assert losses.pop("mapping", 0) == 0 or not run.was_in_time
     assert losses == {}
-    assert run.summary["scans_dropped"] == pushed_out
-    assert counts["/front/scan"] == counts["/pose"] == run.summary["scans"]
+    assert run.summary["scans_dropped"] == pushed_out + late
+    assert counts["/front/scan"] - late == counts["/pose"] == run.summary["scans"]
     return sessions
 
 
