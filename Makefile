@@ -29,8 +29,9 @@ $(STAMP): pyproject.toml
 demo: venv ## fake devices, drivers, mapping, Zenoh and recording on this machine, until Ctrl-C
 	$(BIN)/corridor demo $(DEMO_ARGS)
 
-# Tests that compute have a core of their own beside those that mostly wait for devices and clocks.
+# Three groups side by side. What computes gives way to what talks to devices and clocks in real time.
 COMPUTING := tests/accuracy $(addprefix tests/service/,fusion geometry kernels mapper mapstore offline recording)
+TALKING := $(addprefix tests/,chaos drivers simulators)
 PYTEST = $(BIN)/python -m pytest -q -m "not soak and not bench"
 
 test: venv ## every test that needs no root
@@ -38,10 +39,13 @@ test: venv ## every test that needs no root
 ifdef TEST_ARGS
 	$(PYTEST) $(TEST_ARGS)
 else
-	@mkdir -p build; $(PYTEST) -p no:cacheprovider $(COMPUTING) > build/computing.log 2>&1 & computing=$$!; \
-	trap 'kill $$computing' INT TERM; \
-	$(PYTEST) $(addprefix --ignore=,$(COMPUTING)); waited=$$?; \
-	wait $$computing; computed=$$?; cat build/computing.log; exit $$((waited + computed))
+	@mkdir -p build; \
+	nice $(PYTEST) -p no:cacheprovider $(COMPUTING) > build/computing.log 2>&1 & computing=$$!; \
+	nice $(PYTEST) -p no:cacheprovider $(TALKING) > build/talking.log 2>&1 & talking=$$!; \
+	trap 'kill $$computing $$talking' INT TERM; \
+	$(PYTEST) $(addprefix --ignore=,$(COMPUTING) $(TALKING)); waited=$$?; \
+	wait $$talking; talked=$$?; cat build/talking.log; \
+	wait $$computing; computed=$$?; cat build/computing.log; exit $$((waited + talked + computed))
 endif
 
 check: venv ## ruff, mypy --strict, import-linter
