@@ -29,6 +29,7 @@ def written(tmp_path: Path, port: int, device: str) -> Path:
     return path
 
 
+@pytest.mark.usefixtures("any_rate_will_do")
 def test_a_vehicle_in_order_exits_with_0(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     with serve_tcp(FakeLms100(Room())) as (_, port), serve_pty(FakeCreate(STANDING)) as device:
         config = written(tmp_path, port, device)
