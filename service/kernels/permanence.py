@@ -37,11 +37,10 @@ class Sightings(NamedTuple):
 
 
 class PermanenceSettings(NamedTuple):
-    """Documented where they are configured; times in ticks."""
+    """Documented in service/mapper/maps/permanence.py; times in ticks."""
 
     enough: int
     free: int
-    passed_gain: float
     least_weight: float
     most_gain: float
     behind_m: float
@@ -167,7 +166,7 @@ def look_through(xy_base, sensor_xy_m, pose, grid, sightings, settings, number, 
                     v = y - (row + 0.5) * cell_m
                     if looks_through(surfels, slot, r, q, 0.5 * cell_m, u, v, dx, dy, settings.behind_m):
                         touched[slot, r, q] = number
-                        score[slot, r, q] = np.int8(max(value - math.ceil(settings.passed_gain * ticks), 0))
+                        score[slot, r, q] = np.int8(max(value - ticks, 0))
                         if score[slot, r, q] == 0:
                             surfels[slot, r, q] = np.float32(0.0)
             if next_column < next_row:

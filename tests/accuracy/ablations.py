@@ -1,15 +1,16 @@
 """What each part of the default profile is worth: the same drives with that part switched off."""
 
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any
+from unittest.mock import patch
 
-from service.mapper.profiles import mapping_config
 from simulators.worlds import WORLDS
 from tests.accuracy.driving import Errors, Trip, default_with
 from tests.papers.report import Section
 from tests.simulated import LMS100_50HZ, Drive, run
 
-# what is switched off, and by which keys; None: sweeps are declared instants
+# what is switched off, and by which keys, or by which constant; None: sweeps are declared instants
 PARTS: tuple[tuple[str, dict[str, dict[str, Any]] | None], ...] = (
     ("nothing", {}),
     ("deskew", None),
@@ -20,9 +21,9 @@ PARTS: tuple[tuple[str, dict[str, dict[str, Any]] | None], ...] = (
     ),
     ("surfels finer than 10 cm: 5 cm", {"local_map": {"cell_m": 0.05}}),
     ("telling what moves", {"local_map": {"permanence": {"enough_s": 0.0}}}),
-    ("weight by how long a thing stands", {"local_map": {"permanence": {"least_weight": 1.0}}}),
-    ("taking away what is looked through", {"local_map": {"permanence": {"passed_gain": 0.0}}}),
-    ("refusing what comes into free space", {"local_map": {"permanence": {"free_s": 0.0}}}),
+    ("weight by how long a thing stands", {"service.mapper.maps.permanence": {"LEAST_WEIGHT": 1.0}}),
+    ("looking through things", {"local_map": {"permanence": {"behind_m": 1e3}}}),
+    ("refusing what comes into free space", {"service.mapper.maps.permanence": {"FREE_S": 0.0}}),
     ("long sub-maps: 5 m", {"local_map": {"spacing_m": 5.0}}),
 )
 
@@ -51,9 +52,13 @@ def ablations(seeds: int) -> Section:
 
 
 def _cell(drives: list[Drive], settings: dict[str, dict[str, Any]] | None) -> str:
-    config = mapping_config() if settings is None else default_with(**settings)
+    keys = {box: values for box, values in (settings or {}).items() if "." not in box}
     errors = Errors()
-    for drive in drives:
-        errors.add(drive, run(config, drive, without_motion=settings is None))
+    with ExitStack() as switched:
+        for module, constants in (settings or {}).items():
+            if module not in keys:
+                switched.enter_context(patch.multiple(module, **constants))
+        for drive in drives:
+            errors.add(drive, run(default_with(**keys), drive, without_motion=settings is None))
     values = sorted(errors.as_is_mm)
     return f"{values[len(values) // 2]:.1f} ({values[-1]:.1f})"

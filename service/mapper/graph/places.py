@@ -10,17 +10,18 @@ from service.kernels import occupancy
 from service.kernels.branch_and_bound import MaxPyramid, padding_cells, pool_levels, search_branch_and_bound
 from service.kernels.likelihood_search import SearchWindow
 from service.kernels.loops import share_in_free_space, splat_field
-from service.kernels.occupancy import Evidence, OccupancyGrid, trace_scan
+from service.kernels.occupancy import OccupancyGrid, trace_scan
 from service.mapper.graph.clouds import CELL_M, POOL_TILES, Cloud, Fit, SurfelCloud, cover, joined
 from service.mapper.graph.keyframes import Chain, Floats
+from service.mapper.maps.occupancy import EVIDENCE
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 
 FIELD_SIGMA_M = 0.12
 LEVELS = 7
 REACH_M = 15.0  # points beyond are not asked: they are few, and a small turn moves them far
-EVIDENCE = Evidence(24, -10, -70, 70)
 FREE = -20  # two misses and no hit
 SEARCH_POINTS = 200
+LEAST_SCORE = 0.5  # mean likelihood of the points that a search must reach: half of them lie on walls
 TRACED_EVERY = 3  # key frames of a place: neighbours see the same free space
 
 

@@ -28,7 +28,7 @@ POOL_TILES = 131_072  # 1.6 GB of address space, 1.3 km2 at 5 cm; only what is s
 
 
 class OccupancyConfig(BaseModel):
-    """When a scan is drawn, and how much each beam says."""
+    """When a scan is drawn, and how far its beams clear."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -36,24 +36,25 @@ class OccupancyConfig(BaseModel):
     insert_turn_rad: float = Field(default=0.08, gt=0.0)
     insert_interval_s: float = Field(default=0.5, gt=0.0)  # also when standing: who walked away is cleared
     free_range_m: float = Field(default=25.0, gt=0.0)  # beams clear cells up to here
-    hit_log_odds: float = Field(default=1.2, gt=0.0)
-    miss_log_odds: float = Field(default=0.5, gt=0.0)
-    most_log_odds: float = Field(default=3.5, gt=0.0, le=6.0)  # of both signs; 3.5 is 97 %
 
 
-DRAWN_AT_ONCE = 2  # scans of before a correction, with each new one
+HIT_LOG_ODDS = 1.2  # of an end point: one is 77 %, so that thin legs show
+MISS_LOG_ODDS = 0.5  # of a beam that passes: weaker, since beams graze cells whose walls they do not meet
+MOST_LOG_ODDS = 3.5  # of both signs, 97 %: after seven beams through it no wall stands any more
 STEP_LOG_ODDS = 0.05  # so that +-6 fits in a byte
-
-
-def in_steps(log_odds: float) -> int:
-    return max(1, round(log_odds / STEP_LOG_ODDS))
+EVIDENCE = Evidence(
+    round(HIT_LOG_ODDS / STEP_LOG_ODDS),
+    -round(MISS_LOG_ODDS / STEP_LOG_ODDS),
+    -round(MOST_LOG_ODDS / STEP_LOG_ODDS),
+    round(MOST_LOG_ODDS / STEP_LOG_ODDS),
+)
+DRAWN_AT_ONCE = 2  # scans of before a correction, with each new one
 
 
 class _Canvas:
     """Evidence in tiles, and how scans get there."""
 
-    def __init__(self, evidence: Evidence, free_range_m: float, cell_m: float) -> None:
-        self._evidence = evidence
+    def __init__(self, free_range_m: float, cell_m: float) -> None:
         self._free_range_m = free_range_m
         self._cell_m = cell_m
         self.pool = TilePool(
@@ -87,7 +88,7 @@ class _Canvas:
             sensor,
             np.array([pose.x_m, pose.y_m, pose.theta_rad]),
             self.grid(),
-            self._evidence,
+            EVIDENCE,
             self._free_range_m,
             np.uint16(self._scan_number),
         )
@@ -122,12 +123,11 @@ class _Canvas:
 class OccupancyPainter:
     """Painter of OccupancyTiles."""
 
-    evidence: Evidence
     free_range_m: float
     cell_m: float
 
     def canvas(self) -> _Canvas:
-        return _Canvas(self.evidence, self.free_range_m, self.cell_m)
+        return _Canvas(self.free_range_m, self.cell_m)
 
     def paint(self, scans: Iterable[Drawn]) -> Sheet:
         canvas = self.canvas()
@@ -141,9 +141,7 @@ class OccupancyTiles:
     def __init__(self, config: OccupancyConfig, cell_m: float) -> None:
         self._config = config
         self._cell_m = cell_m
-        most = in_steps(config.most_log_odds)
-        evidence = Evidence(in_steps(config.hit_log_odds), -in_steps(config.miss_log_odds), -most, most)
-        self.painter = OccupancyPainter(evidence, config.free_range_m, cell_m)
+        self.painter = OccupancyPainter(config.free_range_m, cell_m)
         self._canvas = self.painter.canvas()
         self._shown: dict[int, npt.NDArray[np.int8]] = {}  # by slot: the cells as last handed out
         self._version = 0

@@ -5,6 +5,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.kernels.permanence import PermanenceSettings
 
 TICK_S = 0.05  # in which it is counted how long something stands
+FREE_S = 0.25  # what comes into a free cell must stay so long: a person of 0.3 m has left it by then
+LEAST_WEIGHT = 0.1  # of a thing just come, where one that stands has 1: enough where nothing else is in view
+MOST_GAIN = 2.0  # weights that fell on average are raised again, so much at most: few points are not many
+BEAM_STEP = 3  # every third beam is followed, at each key frame another third
 
 
 def ticks_in(time_s: float) -> int:
@@ -17,20 +21,14 @@ class PermanenceConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     enough_s: float = Field(default=1.0, ge=0.0, le=6.0)  # 0: all things count alike, and stay
-    free_s: float = Field(default=0.25, ge=0.0, le=6.0)
-    passed_gain: float = Field(default=1.0, ge=0.0)
-    least_weight: float = Field(default=0.1, gt=0.0, le=1.0)
-    most_gain: float = Field(default=2.0, ge=1.0)
     behind_m: float = Field(default=0.2, gt=0.0)
-    beam_step: int = Field(default=3, ge=1)
 
     def settings(self) -> PermanenceSettings:
         return PermanenceSettings(
             ticks_in(self.enough_s),
-            ticks_in(self.free_s),
-            self.passed_gain,
-            self.least_weight,
-            self.most_gain,
+            ticks_in(FREE_S),
+            LEAST_WEIGHT,
+            MOST_GAIN,
             self.behind_m,
-            self.beam_step,
+            BEAM_STEP,
         )

@@ -23,6 +23,10 @@ from service.mapper.maps.permanence import PermanenceConfig, ticks_in
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
 from service.mapper.stages import MapChange, Match, Points
 
+FIRST_SCANS = 25  # all of the first ones of a map are taken, even standing: half a second of a 50 Hz laser
+COUNT_LIMIT = 1000.0  # points that a surfel stands for at most, so that it forgets what was moved
+FIELD_SIGMA_M = 0.15  # spread of a point in the coarse field: wide enough that a start one cell off slides in
+FIELD_ENOUGH = 0.95  # likelihood of a cell from which on more points add nothing
 POOL_TILES = 16_384  # 750 MB of address space; a sub-map in a large hall touches a few hundred tiles
 GRAZING_WEIGHT = 5.0  # of a point whose beam runs along the wall, where one head-on has 1
 NEW_PIECE_ERROR = 0.01  # of the pose's error against the map is left against a piece that begins at the pose
@@ -41,10 +45,6 @@ class SubmapsConfig(BaseModel):
     keyframe_distance_m: float = Field(default=0.05, gt=0.0)
     keyframe_turn_rad: float = Field(default=0.05, gt=0.0)
     memory_m: float = Field(default=0.3, gt=0.0)
-    first_scans: int = Field(default=25, ge=1)  # all of the first ones of a map are taken, even standing
-    count_limit: int = Field(default=1000, ge=2)
-    field_sigma_m: float = Field(default=0.15, gt=0.0)
-    field_enough: float = Field(default=0.95, gt=0.0, le=1.0)
 
 
 class Submap:
@@ -97,8 +97,8 @@ class Submap:
         pose_vector = np.array([pose.x_m, pose.y_m, pose.theta_rad])
         if self._permanence.enough > 0:
             normals = self._sight(points, normals, pose_vector, grid)
-        insert_surfels(points.xy_base, normals, pose_vector, grid, float(config.count_limit))
-        splat_likelihood(points.xy_base, pose_vector, grid, config.field_sigma_m, config.field_enough)
+        insert_surfels(points.xy_base, normals, pose_vector, grid, COUNT_LIMIT)
+        splat_likelihood(points.xy_base, pose_vector, grid, FIELD_SIGMA_M, FIELD_ENOUGH)
         self.scan_count += 1
 
     def _sight(
@@ -249,7 +249,7 @@ class SurfelSubmaps:
     def _is_keyframe(self, pose: SE2, submap: Submap) -> bool:
         """Whether a sub-map wants a scan from here: one that is new, or farther on than the last."""
         last = self._last_keyframe
-        if last is None or submap.scan_count < self._config.first_scans:
+        if last is None or submap.scan_count < FIRST_SCANS:
             return True
         moved_m = math.hypot(pose.x_m - last.x_m, pose.y_m - last.y_m)
         turned_rad = abs(wrap_angle(pose.theta_rad - last.theta_rad))

@@ -7,7 +7,6 @@ from service.kernels.loops import (
     splat_field,
     thin_points,
 )
-from service.kernels.occupancy import Evidence
 from service.mapper.graph.clouds import Cloud, SurfelCloud
 from service.mapper.maps.occupancy import OccupancyPainter
 
@@ -58,7 +57,7 @@ def test_points_that_are_left_lie_apart():
 
 
 def test_points_behind_a_wall_are_not_in_free_space_and_those_before_it_are():
-    painter = OccupancyPainter(Evidence(24, -10, -70, 70), 15.0, 0.1)
+    painter = OccupancyPainter(15.0, 0.1)
     canvas = painter.canvas()
     wall = np.column_stack((np.full(81, 4.05), np.linspace(-2.0, 2.0, 81)))
     for _ in range(4):

@@ -16,7 +16,6 @@ from tests.service.kernels.surfel_grids import empty_grid
 SETTINGS = PermanenceSettings(
     enough=10,
     free=3,
-    passed_gain=2.0,
     least_weight=0.1,
     most_gain=2.0,
     behind_m=0.2,
@@ -101,12 +100,12 @@ def test_what_is_looked_through_goes_and_what_is_behind_stays() -> None:
         place.see(*near)
     assert place.points_held(near[0]) == 6 * len(near[0])
     left = [place.points_held(near[0])]
-    for _ in range(3):
+    for _ in range(6):
         place.see(*far)
         left.append(place.points_held(near[0]))
-    assert left[2] == left[0]  # 6 key frames saw it, each that looks through takes 2 away
-    assert left[3] == 0.0
-    assert place.points_held(far[0]) == 3 * len(far[0])
+    assert left[5] == left[0]  # six key frames saw it, and each that looks through takes one away
+    assert left[6] == 0.0
+    assert place.points_held(far[0]) == 6 * len(far[0])
 
 
 def test_a_wall_that_the_beams_pass_along_stays() -> None:

@@ -11,10 +11,16 @@ from service.mapper.stages import MapChange
 from service.outputs import State
 from tests.service.mapper.maps.points import match_at, points_of, square
 
+FIRST_SCANS = "service.mapper.maps.submaps.FIRST_SCANS"
+
 
 def submaps(**changes: float) -> SurfelSubmaps:
-    config = SubmapsConfig.model_validate({"first_scans": 1, "keyframe_distance_m": 0.5, **changes})
-    return SurfelSubmaps(config)
+    return SurfelSubmaps(SubmapsConfig.model_validate({"keyframe_distance_m": 0.5, **changes}))
+
+
+@pytest.fixture(autouse=True)
+def _taken_standing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FIRST_SCANS, 1)
 
 
 def insert(
@@ -88,8 +94,9 @@ def test_scans_between_key_frames_are_left_out() -> None:
     assert points_in(chain.matched_to) > before
 
 
-def test_a_young_map_takes_its_first_scans_even_standing() -> None:
-    chain = submaps(first_scans=4)
+def test_a_young_map_takes_its_first_scans_even_standing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FIRST_SCANS, 4)
+    chain = submaps()
     for _ in range(10):
         insert(chain, 0.0)
     assert chain.matched_to is not None
@@ -152,8 +159,11 @@ def test_scans_that_fit_neither_map_nor_piece_begin_another_one() -> None:
     assert chain.detached.scan_count == 1
 
 
-def test_the_error_against_the_map_fades_with_the_way_and_not_with_time() -> None:
-    chain = submaps(first_scans=100, memory_m=0.3)
+def test_the_error_against_the_map_fades_with_the_way_and_not_with_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(FIRST_SCANS, 100)
+    chain = submaps(memory_m=0.3)
     insert(chain, 0.0)
     assert insert(chain, 0.0).error_left == 1.0
     assert insert(chain, 0.3).error_left == pytest.approx(math.exp(-1.0))
@@ -186,8 +196,11 @@ def test_a_room_is_the_same_wherever_it_stands(place: tuple[float, float]) -> No
     assert len(found) > 100
 
 
-def test_what_was_moved_away_is_forgotten_and_tiles_handed_back_know_nothing() -> None:
-    chain = submaps(first_scans=20, spacing_m=0.5, keyframe_distance_m=0.01)
+def test_what_was_moved_away_is_forgotten_and_tiles_handed_back_know_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(FIRST_SCANS, 20)
+    chain = submaps(spacing_m=0.5, keyframe_distance_m=0.01)
     room = square().xy_base
     box = np.where((np.abs(np.arctan2(room[:, 1], room[:, 0])) < 0.3)[:, None], 0.5 * room, room)
     for k, xy in enumerate([box] * 4 + [room] * 4):
@@ -207,8 +220,11 @@ def test_what_was_moved_away_is_forgotten_and_tiles_handed_back_know_nothing() -
         assert not sighted[slots[slots >= 0]].any()
 
 
-def test_points_that_moved_walls_left_free_are_counted_as_in_free_space() -> None:
-    chain = submaps(first_scans=20)
+def test_points_that_moved_walls_left_free_are_counted_as_in_free_space(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(FIRST_SCANS, 20)
+    chain = submaps()
     for k in range(8):
         room = square(stamp_ns=k * 50_000_000)
         chain.insert(room, match_at(SE2(), room))
