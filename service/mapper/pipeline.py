@@ -128,7 +128,7 @@ class Mapper(Generic[ReadableMap]):
             covariance=match.motion.covariance,
             state=match.state,
             reason=match.reason,
-            match_share=match.score,
+            match_share=match.inlier_ratio,
         )
 
     def _passed_over(self, scan: LaserScan) -> MapperOutput:

@@ -33,15 +33,24 @@ class Points:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
-    """The motion after matching, and how good. score in [0, 1] is comparable within one matcher only."""
+    """What came of a scan; the same for every matcher.
+
+    motion         where the base is held to be: matched, or as predicted
+    points         deskewed with the matched twist
+    inlier_ratio   share of the returns that lie on walls of the map
+    state, reason  "lost": where the scan lies nobody knows
+    submap         which one was matched to, where a method has several
+    measured       pose, covariance and information by the scan; None: it was not matched, the motion is as
+                   predicted
+    """
 
     motion: Motion
-    points: Points  # deskewed with the matched twist
-    score: float
+    points: Points
+    inlier_ratio: float
     state: State = "ok"
     reason: str = ""
-    submap: int | None = None  # which one was matched to, where a method has several
-    measured: Measurement | None = None  # what the scan says of the pose; None: nothing
+    submap: int | None = None
+    measured: Measurement | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -148,7 +148,7 @@ def _key_frame(scan: MappedScan, gap_s: float) -> KeyFrame:
         match.motion.pose_odom_base,
         scan.covariance,
         scan.change.piece,
-        match.score,
+        match.inlier_ratio,
         match.measured is None and scan.change.piece == 0 and match.state == "lost",
         points.xy_base.astype(np.float32),
         (points.sensor_base.x_m, points.sensor_base.y_m),

@@ -200,7 +200,7 @@ class OrthogonalMap:
     def _is_due(self, match: Match) -> bool:
         if self._last is None or self._scan_count < self._config.first_scans:
             return True
-        if match.score < self._config.insert_share:
+        if match.inlier_ratio < self._config.insert_share:
             return True
         step = self._last.inverse() @ match.motion.pose_odom_base
         return (

@@ -45,13 +45,13 @@ def test_a_scan_of_the_same_room_is_put_where_it_belongs() -> None:
     pose = result.motion.pose_odom_base
     np.testing.assert_allclose([pose.x_m, pose.y_m, pose.theta_rad], 0.0, atol=5e-4)
     assert (result.state, result.reason, result.submap) == ("ok", "", 0)
-    assert result.score > 0.9
+    assert result.inlier_ratio > 0.9
 
 
 def test_the_first_scan_defines_the_map() -> None:
     empty = SurfelSubmaps(SubmapsConfig())
     result = match(square(), SE2(), empty)
-    assert (result.motion.pose_odom_base, result.state, result.score) == (SE2(), "ok", 1.0)
+    assert (result.motion.pose_odom_base, result.state, result.inlier_ratio) == (SE2(), "ok", 1.0)
 
 
 def test_a_room_that_is_not_on_the_map_is_lost_and_keeps_the_prediction() -> None:
@@ -196,7 +196,7 @@ def mostly_new() -> Points:
 def test_few_points_are_believed_where_odometry_measured_the_motion(is_measured: bool, state: str) -> None:
     start = replace(predicted(SE2(0.03, 0.0, 0.0), sigma=0.02), is_measured=is_measured)
     result = new_matcher().match(mostly_new(), start, mapped(square()))
-    assert 0.15 < result.score < 0.3
+    assert 0.15 < result.inlier_ratio < 0.3
     assert result.state == state
     if is_measured:
         assert abs(result.motion.pose_odom_base.x_m) < 0.01
@@ -241,7 +241,7 @@ def test_a_far_jump_needs_more_than_a_near_one() -> None:
     chain = mapped(nook())
     near = replace(predicted(SE2(0.02, 0.0, 0.0), sigma=0.02), is_measured=False)
     there = new_matcher().match(half_a_nook(), near, chain)
-    assert 0.3 < there.score < 0.45
+    assert 0.3 < there.inlier_ratio < 0.45
     assert there.state == "degraded"
     far = replace(near, pose_odom_base=SE2(0.6, -0.4, 1.2))
     assert new_matcher().match(half_a_nook(), far, chain).state == "lost"
