@@ -5,10 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
 
 from service.fusion.motion import Prediction
+from service.geometry.se2 import SE2
+from service.mapper.stages import Match, Points
 from service.outputs import State
 
+LEAST_RETURNS = 20  # with fewer a scan is not matched
 MOST_SIGMA_M, MOST_SIGMA_RAD = 0.15, math.radians(3.0)  # `ok`: the pose against the map is known so well
 LOST_SIGMA_M, LOST_SIGMA_RAD = 0.75, 0.35  # worse: lost, for a match within so much may be any of several
 TIGHT_SIGMA_M, TIGHT_SIGMA_RAD = 0.5, 0.4  # a prediction so good carries the pose onto new ground
@@ -17,6 +21,18 @@ TIGHT_SIGMA_M, TIGHT_SIGMA_RAD = 0.5, 0.4  # a prediction so good carries the po
 LEAST_AGREEMENT = 0.5
 LEAST_AGREEMENT_FAR = 0.85  # where the match is not where the prediction was
 LEAST_KNOWN = 0.02  # share of the returns that must lie on the map even on new ground
+JUMP_CHI2 = 27.9  # 99.999 % of three degrees of freedom: a match this far from the prediction is no chance
+GAP_S = 2.5  # without a scan, after which a loose prediction is a gap in the way
+
+
+class JudgementConfig(BaseModel):
+    """When a match is believed; part of the settings of every matcher."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    lost_ratio: float = Field(default=0.30, ge=0.0, le=1.0)  # of the returns on the map: below, it is none
+    degraded_ratio: float = Field(default=0.45, ge=0.0, le=1.0)  # below, it is doubtful
+    degraded_sigma_m: float = Field(default=0.10, gt=0.0)  # a direction that the scan fixes worse is named
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,8 +44,10 @@ class Evidence:
     in_free     of them, where the map knows that nothing stands; the rest is on ground that it does not know
     sigma       (m, rad) of the pose against the map, prediction and scan together; the position's worst
     prior       (m, rad) of the prediction alone
-    is_measured odometry measured the motion since the last scan
+    is_measured wheels or an IMU measured the motion since the last scan
     is_far      the match is farther from the prediction than chance explains, or the prediction says little
+    weakest     (m, rad) sigma of the position by the scan alone in its worst direction, and that direction
+                in base axes
     """
 
     used: int
@@ -39,18 +57,11 @@ class Evidence:
     prior: tuple[float, float]
     is_measured: bool
     is_far: bool
+    weakest: tuple[float, float] = (0.0, 0.0)
 
     @property
     def inlier_ratio(self) -> float:
         return self.on_map / self.used if self.used else 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Ratios:
-    """Of the returns on the map: below `lost` a match is none, below `degraded` it is doubtful."""
-
-    lost: float
-    degraded: float
 
 
 def sigmas_of(covariance: npt.NDArray[np.float64]) -> tuple[float, float]:
@@ -60,11 +71,45 @@ def sigmas_of(covariance: npt.NDArray[np.float64]) -> tuple[float, float]:
     return math.sqrt(max(float(largest), 0.0)), math.sqrt(max(float(covariance[2, 2]), 0.0))
 
 
-def prior_of(predicted: Prediction) -> tuple[float, float]:
-    return sigmas_of(predicted.local_covariance)
+def weakest_of(covariance: npt.NDArray[np.float64]) -> tuple[float, float]:
+    """(m, rad) sigma in the worst direction of a (3, 3) covariance of x, y, theta, and that direction."""
+    variances, axes = np.linalg.eigh(covariance[:2, :2])
+    return math.sqrt(max(float(variances[1]), 0.0)), math.atan2(axes[1, 1], axes[0, 1])
 
 
-def judge(evidence: Evidence, ratios: Ratios) -> tuple[State, str]:
+def is_loose(sigmas: tuple[float, float]) -> bool:
+    """Whether a prediction known to so many m and rad says little of where the match must lie."""
+    return sigmas[0] > TIGHT_SIGMA_M or sigmas[1] > TIGHT_SIGMA_RAD
+
+
+def chi2_between(predicted: SE2, pose: SE2, covariance: npt.NDArray[np.float64]) -> float:
+    """How far a pose is from the prediction, in squared sigmas; (3, 3) covariance in base axes."""
+    away = predicted.inverse() @ pose
+    offset = np.array([away.x_m, away.y_m, away.theta_rad])
+    return float(offset @ np.linalg.solve(covariance, offset))
+
+
+def begun(points: Points, predicted: Prediction) -> Match:
+    """The first scan: the map begins where the prediction puts it."""
+    return Match(predicted, points, 1.0)
+
+
+def held(points: Points, predicted: Prediction, reason: str, inlier_ratio: float = 0.0) -> Match:
+    """Lost: the pose follows the prediction."""
+    return Match(predicted, points, inlier_ratio, "lost", reason)
+
+
+def too_few(points: Points) -> str:
+    """Why a scan has too few returns to be matched, "" where it has enough."""
+    if len(points.xy_base) >= LEAST_RETURNS:
+        return ""
+    return (
+        f"{points.scan.sensor}: {len(points.xy_base)} of {len(points.scan.range_m)} beams returned "
+        f"(at least {LEAST_RETURNS}); is the window covered, or is there nothing in range?"
+    )
+
+
+def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, str]:
     """State and its reason, "" where it is ok. "lost": the match is not to be believed.
 
     A scan may lie on the map in small part for two reasons. On new ground its returns lie where the map knows
@@ -74,7 +119,6 @@ def judge(evidence: Evidence, ratios: Ratios) -> tuple[State, str]:
     ratio = evidence.inlier_ratio
     known = evidence.on_map + evidence.in_free
     agreement = evidence.on_map / known if known else 0.0
-    is_tight = evidence.prior[0] <= TIGHT_SIGMA_M and evidence.prior[1] <= TIGHT_SIGMA_RAD
     on_map = f"{ratio:.0%} of {evidence.used} returns lie on the map"
     in_free = f"{evidence.in_free / max(evidence.used, 1):.0%}"
     if known and agreement < (LEAST_AGREEMENT_FAR if evidence.is_far else LEAST_AGREEMENT):
@@ -82,10 +126,8 @@ def judge(evidence: Evidence, ratios: Ratios) -> tuple[State, str]:
             f"{on_map} and {in_free} where it knows that nothing stands: "
             "this is another place, or much has changed; the pose follows the prediction"
         )
-    if ratio < (ratios.degraded if evidence.is_far else ratios.lost) and not (
-        is_tight and evidence.is_measured and ratio >= LEAST_KNOWN
-    ):
-        least = ratios.degraded if evidence.is_far else ratios.lost
+    least = limits.degraded_ratio if evidence.is_far else limits.lost_ratio
+    if ratio < least and not (evidence.is_measured and not is_loose(evidence.prior) and ratio >= LEAST_KNOWN):
         return "lost", f"{on_map} (at least {least:.0%}); the pose follows the prediction"
     if evidence.sigma[0] > LOST_SIGMA_M or evidence.sigma[1] > LOST_SIGMA_RAD:
         return "lost", (
@@ -93,12 +135,19 @@ def judge(evidence: Evidence, ratios: Ratios) -> tuple[State, str]:
             f"{math.degrees(evidence.sigma[1]):.0f} deg only (at most {LOST_SIGMA_M} m, "
             f"{math.degrees(LOST_SIGMA_RAD):.0f} deg)"
         )
-    if ratio < ratios.degraded:
-        return "degraded", f"{on_map} (expected {ratios.degraded:.0%}): new ground, or much has changed"
+    if ratio < limits.degraded_ratio:
+        return "degraded", f"{on_map} (expected {limits.degraded_ratio:.0%}): new ground, or much has changed"
     if evidence.sigma[0] > MOST_SIGMA_M or evidence.sigma[1] > MOST_SIGMA_RAD:
         return "degraded", (
             f"the position on the map is known to {evidence.sigma[0]:.2f} m and "
             f"{math.degrees(evidence.sigma[1]):.1f} deg (expected {MOST_SIGMA_M} m, "
             f"{math.degrees(MOST_SIGMA_RAD):.0f} deg)"
+        )
+    sigma_m, direction_rad = evidence.weakest
+    if sigma_m > limits.degraded_sigma_m:
+        return "degraded", (
+            "the walls in view do not fix the position along "
+            f"{math.degrees(direction_rad) % 180.0:.0f} deg of the vehicle (sigma {sigma_m:.2f} m); "
+            "the prediction holds it"
         )
     return "ok", ""

@@ -33,7 +33,7 @@ class Points:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
-    """What came of a scan; the same for every matcher.
+    """What came of a scan; the same for every matcher. The state is the word of judgement.py.
 
     motion         where the base is held to be: matched, or as predicted
     points         deskewed with the matched twist

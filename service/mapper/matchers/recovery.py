@@ -1,34 +1,57 @@
-"""Where a scan lies on a sub-map when the prediction was far off: a whole window, by branch and bound."""
+"""Where a scan lies on a map when the prediction was far off: a whole window, by branch and bound."""
 
 import math
 
 import numpy as np
 import numpy.typing as npt
 
+from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.likelihood_search import LikelihoodLayer, SearchWindow
-from service.kernels.surfels import SurfelGrid
 from service.mapper.matchers.window_search import search_bounded
 
 Floats = npt.NDArray[np.float64]
 
 BEAMS = 150  # about so many are asked
 STEP_RAD = 0.02  # a cell of 10 cm at 5 m
+GAIN = 0.08  # so much more must lie on the map where a search leads
+REST_S = 0.5  # between two searches of the whole window
+LEAST = (0.3, 0.2)  # m, rad: windows of a search, half their width
+MOST = (8.0, math.pi)
+FIRST = (2.0, 1.6)  # of a scan that is lost though the prediction is good
+SAME_FIND_M, SAME_FIND_RAD = 0.3, 0.06  # two finds of a lost vehicle agree
 
 
 def search_around(
-    xy_base: Floats, pose: Floats, reach_m: float, reach_rad: float, grid: SurfelGrid
-) -> Floats | None:
-    """The pose of the window at which the points lie best on the likelihood field of a sub-map.
+    xy_base: Floats, pose: SE2, reach: tuple[float, float], layer: LikelihoodLayer
+) -> SE2 | None:
+    """The pose of the window at which the points lie best on a likelihood map.
 
-    xy_base               (N, 2) m, base frame; N > 0
-    pose                  (3,) middle of the window, in the frame of the grid
-    reach_m, reach_rad    half the width of the window
-    None where nothing of the field lies within reach.
+    xy_base   (N, 2) m, base frame; N > 0
+    pose      middle of the window, in the frame of the map
+    reach     (m, rad) half the width of the window
+    None where nothing of the map lies within reach.
     Source: Hess et al. 2016, Real-Time Loop Closure in 2D LIDAR SLAM, section V.
     """
     thin = np.ascontiguousarray(xy_base[:: max(1, len(xy_base) // BEAMS)])
-    half = math.ceil(reach_m / grid.cell_m)
-    window = SearchWindow(pose, half, half, math.ceil(reach_rad / STEP_RAD), STEP_RAD)
-    layer = LikelihoodLayer(grid.tiles, grid.field, 0.0, 0.0, 1.0, grid.cell_m)
-    found = search_bounded(thin, np.ones(len(thin), np.float32), layer, window, 0.0)
-    return found.pose if found.score > 0.0 else None
+    middle = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+    half = math.ceil(reach[0] / layer.cell_m)
+    window = SearchWindow(middle, half, half, math.ceil(reach[1] / STEP_RAD), STEP_RAD)
+    found = search_bounded(thin, np.ones(len(thin), np.float32), layer, window, layer.offset)
+    if not found.score > layer.offset:
+        return None
+    x_m, y_m, theta_rad = found.pose.tolist()
+    return SE2(x_m, y_m, wrap_angle(theta_rad))
+
+
+def reach_of(prior: tuple[float, float]) -> tuple[float, float]:
+    """Half the window of a search around a prediction known to so many m and rad: three sigmas of it."""
+    reach_m, reach_rad = (
+        min(max(3.0 * sigma, least), most) for sigma, least, most in zip(prior, LEAST, MOST, strict=True)
+    )
+    return reach_m, reach_rad
+
+
+def agree(last: SE2, found: SE2) -> bool:
+    """Whether two finds put the vehicle in the same place; both of the same moment."""
+    away = found.inverse() @ last
+    return math.hypot(away.x_m, away.y_m) < SAME_FIND_M and abs(away.theta_rad) < SAME_FIND_RAD

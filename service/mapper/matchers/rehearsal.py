@@ -1,4 +1,4 @@
-"""The kernels of the default profile's matcher once, on an empty sub-map, so that they are compiled."""
+"""The kernel of the default profile's matcher once, on an empty sub-map, so that it is compiled."""
 
 from typing import get_type_hints
 
@@ -8,7 +8,6 @@ from service.kernels.deskew import Returns
 from service.kernels.match import MatchSettings, Prior, match_scan
 from service.kernels.surfels import TILE_CELLS, SurfelGrid
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
-from service.mapper.matchers.recovery import search_around
 
 
 def rehearse_match() -> None:
@@ -18,11 +17,6 @@ def rehearse_match() -> None:
     settings = MatchSettings(*(kind(1) for kind in get_type_hints(MatchSettings).values()))
     returns = Returns(xy.copy(), np.zeros(1), np.zeros(1, np.int32))
     match_scan(returns, np.ones((1, 3)), prior, prior.pose.copy(), _empty_grid(), settings, 1.0, xy)
-
-
-def rehearse_search() -> None:
-    """The search of the surroundings; a short drive is never lost."""
-    search_around(np.zeros((1, 2)), np.zeros(3), 0.1, 0.1, _empty_grid())
 
 
 def _empty_grid() -> SurfelGrid:

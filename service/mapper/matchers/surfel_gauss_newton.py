@@ -5,21 +5,33 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from service.fusion.motion import Measurement, Motion, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns
+from service.kernels.likelihood_search import LikelihoodLayer
 from service.kernels.match import MatchResult, MatchSettings, Prior, match_scan
-from service.mapper.judgement import Evidence, Ratios, judge, sigmas_of
+from service.mapper.judgement import (
+    GAP_S,
+    JUMP_CHI2,
+    Evidence,
+    JudgementConfig,
+    begun,
+    chi2_between,
+    held,
+    is_loose,
+    judge,
+    sigmas_of,
+    too_few,
+)
 from service.mapper.maps.submaps import Submap, SurfelSubmaps
-from service.mapper.matchers.recovery import search_around
+from service.mapper.matchers.recovery import FIRST, GAIN, REST_S, agree, reach_of, search_around
 from service.mapper.stages import Match, Points
 from service.outputs import State
 
 Matrix = npt.NDArray[np.float64]
 
-LEAST_POINTS = 20  # with fewer a scan is not matched
 INLIER_M = 0.10  # a point this near to its surfel lies on the map
 LEAST_NORMAL_COSINE = 0.6  # between a point and a surfel of the same wall
 ITERATIONS, DESKEW_ROUNDS = 15, 8
@@ -29,27 +41,13 @@ SAME_WALL_M = 0.05  # scans within one key frame's distance are matched to the s
 MOST_REPEATS = 100.0
 USUAL_SCANS = 50  # over which the usual inlier ratio is taken
 DOUBT_RATIO = 0.9  # of the usual inlier ratio: with less, other starts are tried
-SEARCH_GAIN = 0.08  # so much more must lie on the map where a search leads
-SEARCH_REST_S = 0.5  # between two searches of the whole window
-LEAST_SEARCH = (0.3, 0.2)  # m, rad: windows of a search, half their width
-MOST_SEARCH = (8.0, math.pi)
-FIRST_SEARCH = (2.0, 1.6)  # of a scan that is lost though the prediction is good
-GAP_S = 2.5  # without a scan, after which a loose prediction is a gap in the way
-LOOSE_SIGMAS = (0.5, 0.4)  # m, rad: a prediction worse than that is searched around
-SAME_FIND_M, SAME_FIND_RAD = 0.3, 0.06  # two finds of a lost vehicle agree
-JUMP_CHI2 = 27.9  # 99.999 % of three degrees of freedom
 
 
-class SurfelMatcherConfig(BaseModel):
+class SurfelMatcherConfig(JudgementConfig):
     """How a scan is laid on the sub-map, and when the result is believed."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     wall_sigma_m: float = Field(default=0.004, gt=0.0)  # how even walls are
     cauchy_m: float = Field(default=0.10, gt=0.0)  # a point so far off counts half
-    lost_ratio: float = Field(default=0.30, ge=0.0, le=1.0)
-    degraded_ratio: float = Field(default=0.45, ge=0.0, le=1.0)
-    degraded_sigma_m: float = Field(default=0.10, gt=0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +84,6 @@ class SurfelGaussNewton:
 
     def __init__(self, config: SurfelMatcherConfig) -> None:
         self._config = config
-        self._ratios = Ratios(config.lost_ratio, config.degraded_ratio)
         self._settings = MatchSettings(
             range_sigma_m=0.01,
             wall_sigma_m=config.wall_sigma_m,
@@ -110,11 +107,11 @@ class SurfelGaussNewton:
         self._hypothesis: SE2 | None = None  # odom of the piece in that of the map, where a find put it
 
     def match(self, points: Points, predicted: Prediction, local_map: SurfelSubmaps) -> Match:
-        if len(points.xy_base) < LEAST_POINTS:
-            return Match(predicted, points, 0.0, "lost", self._too_few(points))
+        if reason := too_few(points):
+            return held(points, predicted, reason)
         submap = local_map.matched_to
         if submap is None:
-            return Match(predicted, points, 1.0)
+            return begun(points, predicted)
         if local_map.detached is None:
             self._gap = None
             self._detached = None
@@ -128,11 +125,11 @@ class SurfelGaussNewton:
             return self._as_match(laid, attempt, laid.state, laid.reason)
         self._began = _Gap(predicted.pose_odom_base, attempt.prior.covariance)
         if local_map.detached is None:
-            return Match(predicted, points, laid.result.share, "lost", laid.reason)
+            return held(points, predicted, laid.reason, laid.result.share)
         attempt = replace(attempt, prior=_prior_of(predicted, None))
         detached = self._lay(attempt, attempt.prior.pose, local_map.detached)
         if detached.state == "lost":
-            return Match(predicted, points, laid.result.share, "lost", laid.reason)
+            return held(points, predicted, laid.reason, laid.result.share)
         return self._as_match(
             detached, attempt, "lost", f"{laid.reason}; what is seen now is mapped apart until it is found"
         )
@@ -145,18 +142,13 @@ class SurfelGaussNewton:
         """
         if self._gap is None:
             return True
-        is_loose = _is_loose(sigmas_of(attempt.prior.covariance))
         if _chi2(laid.result.pose, attempt.prior) > JUMP_CHI2:
             return False
-        if not is_loose:
+        if not is_loose(sigmas_of(attempt.prior.covariance)):
             return True
-        jump = SE2(*laid.result.pose.tolist()) @ attempt.predicted.pose_odom_base.inverse()
-        last, self._hypothesis = self._hypothesis, jump
-        if last is None:
-            return False
-        there = last @ attempt.predicted.pose_odom_base
-        away = SE2(*laid.result.pose.tolist()).inverse() @ there
-        return math.hypot(away.x_m, away.y_m) < SAME_FIND_M and abs(away.theta_rad) < SAME_FIND_RAD
+        found, predicted = SE2(*laid.result.pose.tolist()), attempt.predicted.pose_odom_base
+        last, self._hypothesis = self._hypothesis, found @ predicted.inverse()
+        return last is not None and agree(last @ predicted, found)
 
     def _as_match(self, laid: _Laid, attempt: _Attempt, state: State, reason: str) -> Match:
         result = laid.result
@@ -195,7 +187,7 @@ class SurfelGaussNewton:
     ) -> tuple[State, str]:
         prior = sigmas_of(attempt.prior.covariance)
         is_far = _chi2(result.pose, attempt.prior) > JUMP_CHI2 or (
-            _is_loose(prior) and (self._gap is not None or attempt.predicted.elapsed_s > GAP_S)
+            is_loose(prior) and (self._gap is not None or attempt.predicted.elapsed_s > GAP_S)
         )
         in_free = 0
         if is_far or result.share < DOUBT_RATIO * self._usual_ratio:
@@ -208,60 +200,39 @@ class SurfelGaussNewton:
             prior=prior,
             is_measured=attempt.predicted.is_measured,
             is_far=is_far,
+            weakest=(result.weakest_sigma_m, result.weakest_direction_rad),
         )
-        state, reason = judge(evidence, self._ratios)
-        if state == "ok" and result.weakest_sigma_m > self._config.degraded_sigma_m:
-            towards_deg = math.degrees(result.weakest_direction_rad) % 180.0
-            return "degraded", (
-                f"the walls in view do not fix the position along {towards_deg:.0f} deg of the vehicle "
-                f"(sigma {result.weakest_sigma_m:.2f} m); the prediction holds it"
-            )
-        return state, reason
+        return judge(evidence, self._config)
 
     def _searched(self, laid: _Laid, attempt: _Attempt) -> _Laid:
         """The best pose of a window around the prediction, if clearly more of the scan lies on the map there.
 
         A poor recovery is worse than none: a prediction that goes on is found again, a jump is not.
         """
-        sigma_m, sigma_rad = sigmas_of(attempt.prior.covariance)
+        prior = sigmas_of(attempt.prior.covariance)
         share = laid.result.share
-        if laid.state != "lost" and (
-            not _is_loose((sigma_m, sigma_rad)) or share >= DOUBT_RATIO * self._usual_ratio
-        ):
+        if laid.state != "lost" and (not is_loose(prior) or share >= DOUBT_RATIO * self._usual_ratio):
             return laid
-        reach_m, reach_rad = (
-            min(max(3.0 * sigma, least), most)
-            for sigma, least, most in zip((sigma_m, sigma_rad), LEAST_SEARCH, MOST_SEARCH, strict=True)
-        )
+        reach_m, reach_rad = reach_of(prior)
         if laid.state == "lost":
             if attempt.points.scan.stamp_ns < self._rest_until_ns:
                 return laid
-            self._rest_until_ns = attempt.points.scan.stamp_ns + round(SEARCH_REST_S * 1e9)
-            reach_m, reach_rad = max(reach_m, FIRST_SEARCH[0]), max(reach_rad, FIRST_SEARCH[1])
-        prior = attempt.prior
-        start = search_around(attempt.points.xy_base, prior.pose, reach_m, reach_rad, laid.submap.grid())
+            self._rest_until_ns = attempt.points.scan.stamp_ns + round(REST_S * 1e9)
+            reach_m, reach_rad = max(reach_m, FIRST[0]), max(reach_rad, FIRST[1])
+        grid = laid.submap.grid()
+        layer = LikelihoodLayer(grid.tiles, grid.field, 0.0, 0.0, 1.0, grid.cell_m)
+        start = search_around(
+            attempt.points.xy_base, attempt.predicted.pose_odom_base, (reach_m, reach_rad), layer
+        )
         if start is None:
             return laid
-        found = self._lay(attempt, start, laid.submap)
-        return found if found.state != "lost" and found.result.share >= share + SEARCH_GAIN else laid
-
-    def _too_few(self, points: Points) -> str:
-        return (
-            f"{points.scan.sensor}: {len(points.xy_base)} of {len(points.scan.range_m)} beams returned "
-            f"(at least {LEAST_POINTS}); is the window covered, or is there nothing in range?"
-        )
-
-
-def _is_loose(sigmas: tuple[float, float]) -> bool:
-    """Whether a prediction known to so many m and rad says little of where the match must lie."""
-    return sigmas[0] > LOOSE_SIGMAS[0] or sigmas[1] > LOOSE_SIGMAS[1]
+        found = self._lay(attempt, np.array([start.x_m, start.y_m, start.theta_rad]), laid.submap)
+        return found if found.state != "lost" and found.result.share >= share + GAIN else laid
 
 
 def _chi2(pose: Matrix, prior: Prior) -> float:
     """How far a pose (3,) is from the prediction, in squared sigmas."""
-    away = SE2(*prior.pose.tolist()).inverse() @ SE2(*pose.tolist())
-    offset = np.array([away.x_m, away.y_m, away.theta_rad])
-    return float(offset @ np.linalg.solve(prior.covariance, offset))
+    return chi2_between(SE2(*prior.pose.tolist()), SE2(*pose.tolist()), prior.covariance)
 
 
 def _prior_of(predicted: Prediction, gap: _Gap | None) -> Prior:

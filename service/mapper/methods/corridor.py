@@ -4,7 +4,8 @@ from service.mapper.graph.loop_closing import LoopClosing
 from service.mapper.graph.loops_config import LoopsConfig
 from service.mapper.graph.rehearsal import rehearse
 from service.mapper.maps.submaps import SubmapsConfig, SurfelSubmaps
-from service.mapper.matchers.rehearsal import rehearse_match, rehearse_search
+from service.mapper.matchers.rehearsal import rehearse_match
+from service.mapper.matchers.search_rehearsal import rehearse_search
 from service.mapper.matchers.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
 from service.mapper.methods.shared import (
     DESKEW_BY_TWIST,

@@ -4,9 +4,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.mapper.judgement import Evidence, Ratios, judge, sigmas_of
+from service.mapper.judgement import Evidence, JudgementConfig, judge, sigmas_of
 
-RATIOS = Ratios(lost=0.30, degraded=0.45)
+RATIOS = JudgementConfig()
 GOOD = Evidence(
     used=500,
     on_map=480,
