@@ -149,6 +149,44 @@ def count_scan(xy_base, sensor_xy_m, pose, grid, weights, free_range_m, pass_str
 
 
 @njit(cache=True, nogil=True)
+def count_overlap(xy_base, pose, grid, reach_cells):
+    """How many points lie on walls, and how many where nothing stands.
+
+    A wall is a cell that is occupied rather than free, within so many cells of the point's along both axes.
+    Nothing stands in a cell that beams went through and none ended in, without a wall around; the rest is not
+    known.
+
+    xy_base       (N, 2) float64   m, base frame
+    pose          (3,)   float64   base in the frame of the grid
+    grid          CountedGrid
+    reach_cells   int
+    Returns (on walls, where nothing stands).
+    """
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    on_walls = 0
+    in_free = 0
+    for i in range(xy_base.shape[0]):
+        column = math.floor((pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) / grid.cell_m)
+        row = math.floor((pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) / grid.cell_m)
+        stands = False
+        for r in range(row - reach_cells, row + reach_cells + 1):
+            for q in range(column - reach_cells, column + reach_cells + 1):
+                slot = find_tile(grid.tiles, r >> TILE_BITS, q >> TILE_BITS)
+                if slot != NO_TILE and grid.field[slot, r & TILE_MASK, q & TILE_MASK] > 0.5:
+                    stands = True
+        slot = find_tile(grid.tiles, row >> TILE_BITS, column >> TILE_BITS)
+        if stands:
+            on_walls += 1
+        elif slot != NO_TILE:
+            r = row & TILE_MASK
+            q = column & TILE_MASK
+            if grid.passes[slot, r, q] > 0 and grid.hits[slot, r, q] == 0:
+                in_free += 1
+    return on_walls, in_free
+
+
+@njit(cache=True, nogil=True)
 def weigh_scan(values, stride, floor):
     """Log-likelihood of a scan: the sum over its beams of log(floor + (1 - floor) likelihood).
 

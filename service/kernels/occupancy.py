@@ -130,6 +130,46 @@ def trace_scan(xy_base, sensor_xy_m, pose, grid, evidence, free_range_m, scan_nu
 
 
 @njit(cache=True, nogil=True)
+def evidence_at(grid, row, column):
+    """Evidence of a cell, 0 where no tile is."""
+    slot = find_tile(grid.tiles, row >> TILE_BITS, column >> TILE_BITS)
+    if slot == NO_TILE:
+        return np.int64(0)
+    return np.int64(grid.evidence[slot, row & TILE_MASK, column & TILE_MASK])
+
+
+@njit(cache=True, nogil=True)
+def count_overlap(xy_base, pose, grid):
+    """How many points lie on walls, and how many where nothing stands.
+
+    A wall is a cell of evidence above 0, the point's own or one of the eight around. Nothing stands in a cell
+    below 0 without a wall around; the rest is not known.
+
+    xy_base   (N, 2) float64   m, base frame
+    pose      (3,)   float64   base in the frame of the grid
+    grid      OccupancyGrid
+    Returns (on walls, where nothing stands).
+    """
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    on_walls = 0
+    in_free = 0
+    for i in range(xy_base.shape[0]):
+        column = math.floor((pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) / grid.cell_m)
+        row = math.floor((pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) / grid.cell_m)
+        own = evidence_at(grid, row, column)
+        stands = own > 0
+        for r in range(row - 1, row + 2):
+            for q in range(column - 1, column + 2):
+                stands = stands or evidence_at(grid, r, q) > 0
+        if stands:
+            on_walls += 1
+        elif own < 0:
+            in_free += 1
+    return on_walls, in_free
+
+
+@njit(cache=True, nogil=True)
 def to_per_cent(evidence, per_step, cells):
     """Log-odds -> occupancy in per cent; -1 where never seen.
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Generic, Literal, Protocol, TypeVar, get_args
+from typing import Any, Generic, Literal, NamedTuple, Protocol, TypeVar, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -139,6 +139,28 @@ class LocalMap(Protocol):
 
     def join(self, piece: int) -> None:
         """The graph has found where a piece of the map lies in the rest."""
+        ...
+
+
+class Overlap(NamedTuple):
+    """How many returns of a scan lie on walls of a map, and how many where it knows that nothing stands."""
+
+    on_map: int
+    in_free: int
+
+
+class KnownMap(LocalMap, Protocol):
+    """A local map that can be asked whether a scan fits."""
+
+    @property
+    def is_empty(self) -> bool: ...
+
+    def overlap(self, xy_base: npt.NDArray[np.float64], pose: SE2) -> Overlap:
+        """What the points of a scan, (N, 2) m in the base frame, meet at a pose in odom."""
+        ...
+
+    def begin_anew(self) -> None:
+        """Be empty, and begin with the next scan."""
         ...
 
 

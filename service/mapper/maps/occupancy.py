@@ -51,10 +51,13 @@ EVIDENCE = Evidence(
 DRAWN_AT_ONCE = 2  # scans of before a correction, with each new one
 
 
-class _Canvas:
+class Canvas:
     """Evidence in tiles, and how scans get there."""
 
-    def __init__(self, free_range_m: float, cell_m: float) -> None:
+    def __init__(
+        self, evidence: Evidence, free_range_m: float, cell_m: float, capacity: int = POOL_TILES
+    ) -> None:
+        self._evidence = evidence
         self._free_range_m = free_range_m
         self._cell_m = cell_m
         self.pool = TilePool(
@@ -63,7 +66,7 @@ class _Canvas:
                 Layer((TILE_CELLS, TILE_CELLS), np.uint16),
                 Layer((), np.uint8),
             ),
-            POOL_TILES,
+            capacity,
         )
         self.tiles = TileMap(self.pool)
         self._scan_number = 0
@@ -88,7 +91,7 @@ class _Canvas:
             sensor,
             np.array([pose.x_m, pose.y_m, pose.theta_rad]),
             self.grid(),
-            EVIDENCE,
+            self._evidence,
             self._free_range_m,
             np.uint16(self._scan_number),
         )
@@ -126,8 +129,8 @@ class OccupancyPainter:
     free_range_m: float
     cell_m: float
 
-    def canvas(self) -> _Canvas:
-        return _Canvas(self.free_range_m, self.cell_m)
+    def canvas(self) -> Canvas:
+        return Canvas(EVIDENCE, self.free_range_m, self.cell_m)
 
     def paint(self, scans: Iterable[Drawn]) -> Sheet:
         canvas = self.canvas()

@@ -8,6 +8,7 @@ from service.kernels.occupancy import (
     TILE_CELLS,
     Evidence,
     OccupancyGrid,
+    count_overlap,
     to_per_cent,
     trace_beam,
     trace_scan,
@@ -110,3 +111,13 @@ def test_per_cent_follow_the_odds_and_say_what_changed() -> None:
     assert to_per_cent(evidence, 0.05, cells)
     assert cells.tolist() == [[73, 27], [-1, -1]]
     assert not to_per_cent(evidence, 0.05, cells)
+
+
+@pytest.mark.parametrize("theta_rad", [0.0, 0.7])
+def test_a_point_lies_on_a_wall_in_the_free_or_on_ground_nobody_saw(theta_rad: float) -> None:
+    grid = empty_grid()
+    trace(grid, [(2.02, 0.01)])
+    xy = [(2.02, 0.01), (2.06, 0.06), (2.13, 0.01), (1.0, 0.01), (1.92, 0.01), (1.0, 1.0), (90.0, 0.0)]
+    c, s = math.cos(theta_rad), math.sin(theta_rad)
+    seen_turned = np.array(xy) @ np.array([[c, -s], [s, c]])  # the base is turned by theta
+    assert count_overlap(seen_turned, np.array([0.0, 0.0, theta_rad]), grid) == (2, 2)
