@@ -163,6 +163,11 @@ class ErrorStateFilter:
         """(3, 3) of x, y, yaw of the base, in its own axes."""
         return self._of_base(self._kalman.P)
 
+    def doubt_pose(self, weight: float) -> None:
+        """Believe position and yaw as if their information were that part of what it is; below 1."""
+        rows = np.ix_([POSITION, POSITION + 1, ATTITUDE + 2], [POSITION, POSITION + 1, ATTITUDE + 2])
+        self._kalman.P[rows] *= 1.0 / weight
+
     def observe_pose(self, pose: SE2, covariance_base: Array) -> None:
         """A match: z = r_IMU - r_lidar of x, y and yaw (eqs. 12 to 16); covariance in base axes."""
         believed = self.pose

@@ -83,7 +83,8 @@ class InertialMotion:
         before = self._filter.pose
         wheels = self._odometry.between(self._at_ns, stamp_ns)
         wheel_twist = self._odometry.twist_at(stamp_ns) if wheels is not None else None
-        if self._track.covers(self._at_ns, stamp_ns):
+        is_inertial = self._track.covers(self._at_ns, stamp_ns)
+        if is_inertial:
             for step in self._track.steps(self._at_ns, stamp_ns):
                 self._filter.advance(*step)
             self._rate = self._track.rate_at(stamp_ns)
@@ -104,11 +105,13 @@ class InertialMotion:
             twist_gain=np.zeros((3, 3)),  # the filter learns speed itself
             elapsed_s=elapsed_s,
             travel_m=math.dist((before.x_m, before.y_m), (pose.x_m, pose.y_m)),
-            is_measured=wheels is not None,
+            is_measured=is_inertial or wheels is not None,
         )
 
     def correct(self, measured: Measurement | None) -> Motion:
         if measured is not None and self._at_ns is not None:
+            if measured.prior_weight < 1.0:
+                self._filter.doubt_pose(measured.prior_weight)
             self._filter.observe_pose(measured.pose_odom_base, _of_the_scan_alone(measured))
             pose = self._filter.pose
             if self._matched is not None and self._matched[0] < self._at_ns:

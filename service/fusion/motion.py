@@ -29,7 +29,7 @@ class Prediction(Motion):
     twist_gain: Matrix  # (3, 3) 1/s: what a correction of the pose says of the twist
     elapsed_s: float  # since the last scan; 0: there was none
     travel_m: float  # since the last scan
-    is_measured: bool  # odometry measured the motion since then; else the last speed goes on
+    is_measured: bool  # wheels or an IMU measured the motion since then; else the last speed goes on
 
     def twist_at(self, pose_odom_base: SE2) -> tuple[float, float, float]:
         """The twist, were the base at this pose instead: m/s forward, m/s left, rad/s."""

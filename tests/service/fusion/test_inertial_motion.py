@@ -39,7 +39,7 @@ def test_the_imu_carries_the_pose_between_scans():  # B6 B13
     assert predicted.twist_base[0] == pytest.approx(0.6, abs=0.05)
     assert predicted.twist_base[2] == pytest.approx(1.0, abs=0.02)
     assert predicted.covariance[0, 0] > 0.0
-    assert not predicted.is_measured
+    assert predicted.is_measured
 
 
 def test_what_is_believed_lies_between_prediction_and_match():  # B14
@@ -189,3 +189,20 @@ def test_an_imu_that_falls_silent_is_replaced():
     predicted = model.predict(2000 * MS)
     assert predicted.pose_odom_base.x_m == pytest.approx(2.0, abs=0.02)
     assert abs(predicted.pose_odom_base.y_m) < 0.01
+
+
+def test_a_match_far_away_that_outweighs_the_prediction_is_where_the_base_is():
+    for weight in (1.0, 1e-5):
+        model = InertialMotion(InertialMotionConfig())
+        driven(model, 0, 1000, 1.0)
+        for stamp_ms in range(1000, 1026, 5):
+            model.add(imu(stamp_ms))
+        model.predict(1025 * MS)
+        found = Measurement(
+            SE2(4.0, 0.0, 0.0), 1e-4 * np.eye(3), 1e4 * np.eye(3), prior_weight=weight, is_joined=False
+        )
+        pose = model.correct(found).pose_odom_base
+        if weight == 1.0:
+            assert pose.x_m < 3.0
+        else:
+            assert pose.x_m == pytest.approx(4.0, abs=0.1)
