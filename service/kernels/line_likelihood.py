@@ -87,28 +87,6 @@ def draw_scan(xy_map, beam, layer, changed, levels, ring_cells, join_m):
 
 
 @njit(cache=True, nogil=True)
-def share_on_map(xy_base, pose, layer, least):
-    """Share of the points whose cell is at least `least`.
-
-    xy_base   (N, 2) float64   m, base frame; N > 0
-    pose      (3,)   float64   base in the frame of the map
-    least     float            in the unit of the cells
-    """
-    cells = layer.cells
-    tile_cells = cells.shape[1]
-    c = math.cos(pose[2])
-    s = math.sin(pose[2])
-    count = 0
-    for n in range(xy_base.shape[0]):
-        row = math.floor((pose[1] + s * xy_base[n, 0] + c * xy_base[n, 1]) / layer.cell_m)
-        column = math.floor((pose[0] + c * xy_base[n, 0] - s * xy_base[n, 1]) / layer.cell_m)
-        slot = find_tile(layer.tiles, row // tile_cells, column // tile_cells)
-        if slot != NO_TILE and cells[slot, row % tile_cells, column % tile_cells] >= least:
-            count += 1
-    return count / xy_base.shape[0]
-
-
-@njit(cache=True, nogil=True)
 def mean_value(xy_base, pose, layer):
     """Mean value of the cells at the points, in the unit of the cells.
 

@@ -21,8 +21,9 @@ from service.kernels.contour_blur import (
 from service.kernels.contours import extract_contours
 from service.kernels.likelihood_search import LikelihoodLayer
 from service.kernels.surfels import TILE_BITS, TILE_CELLS
+from service.mapper.maps.known_ground import KnownGround
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
-from service.mapper.stages import MapChange, Match, Points
+from service.mapper.stages import MapChange, Match, Overlap, Points
 
 POOL_TILES = 65_536  # 0.9 GB of address space: 0.17 km2 at 5 cm
 FIRST_SCAN_CELLS = 65_536
@@ -104,6 +105,10 @@ class ContourMap:
             learning.bounded,
             learning.count_blur,
         )
+        self._cells = _room_for(FIRST_SCAN_CELLS)
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
         cells = (TILE_CELLS, TILE_CELLS)
         self._pool = TilePool(
             (
@@ -114,10 +119,10 @@ class ContourMap:
             ),
             POOL_TILES,
         )
-        self._tiles = [TileMap(self._pool) for _ in range(config.levels)]
-        self._cells = _room_for(FIRST_SCAN_CELLS)
+        self._tiles = [TileMap(self._pool) for _ in range(self._config.levels)]
         self._last: tuple[int, SE2] | None = None  # when, and from where, a scan was learned
         self._skipped = 0  # scans since then
+        self._ground = KnownGround()
 
     @property
     def is_empty(self) -> bool:
@@ -141,11 +146,14 @@ class ContourMap:
         level = self.level(self.level_count - 1)
         return LikelihoodLayer(level.tiles, level.likelihood, 0.0, 0.0, 1.0, level.cell_m)
 
+    def overlap(self, xy_base: npt.NDArray[np.float64], pose: SE2) -> Overlap:
+        return self._ground.overlap(xy_base, pose)
+
     def join(self, piece: int) -> None:
         """This map is one piece."""
 
     def insert(self, points: Points, match: Match) -> MapChange:
-        if not len(points.xy_base) or (match.state == "lost" and not self.is_empty):
+        if not len(points.xy_base) or match.state == "lost":
             return MapChange()
         pose = match.motion.pose_odom_base
         if not self._is_due(points.scan.stamp_ns, pose):
@@ -177,6 +185,7 @@ class ContourMap:
                 self._mark(points, contour, pose_vector, level)
             learn_scan(level, learning, self._cells)
             forget_scan(level, self._cells)
+        self._ground.insert(points, pose)
         self._last = (points.scan.stamp_ns, pose)
         self._skipped = 0
         return MapChange(is_keyframe=True)

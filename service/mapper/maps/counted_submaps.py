@@ -9,12 +9,13 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.geometry.grid import tiles_of
 from service.geometry.se2 import SE2, wrap_angle
-from service.kernels.counted_occupancy import CountedGrid, CountWeights, count_scan
+from service.kernels.counted_occupancy import CountedGrid, CountWeights, count_overlap, count_scan
 from service.kernels.likelihood import LikelihoodField
 from service.kernels.surfels import TILE_BITS, TILE_CELLS
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
-from service.mapper.stages import MapChange, Match, Points
+from service.mapper.stages import MapChange, Match, Overlap, Points
 
+SAME_WALL_M = 0.10  # a return so near to a wall lies on it
 POOL_TILES = 131_072  # 1.3 GB of address space; only what is seen costs memory
 
 
@@ -175,6 +176,7 @@ class CountedSubmaps:
         self._carried = 0
         self._number = 0
         self._travelled_m = 0.0
+        self._broken_off: ClosedSubmap | None = None  # closed before its time, to be handed out
         self.particles = [Particle(self._new_map(), np.zeros(3)) for _ in range(config.particles)]
         self.log_weights = np.zeros(config.particles)
         self.weights = np.full(config.particles, 1.0 / config.particles)
@@ -187,6 +189,24 @@ class CountedSubmaps:
     @property
     def tile_count(self) -> int:
         return self._pool.used_count
+
+    @property
+    def best(self) -> Particle:
+        return self.particles[int(np.argmax(self.weights))]
+
+    def overlap(self, xy_base: npt.NDArray[np.float64], pose: SE2) -> Overlap:
+        at = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+        reach_cells = math.ceil(SAME_WALL_M / self.config.cell_m)
+        return Overlap(*count_overlap(xy_base, at, self.best.map.grid(), reach_cells))
+
+    def gather(self, pose: SE2) -> None:
+        """Put every particle at a pose in odom."""
+        for particle in self.particles:
+            particle.pose = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+
+    def begin_anew(self) -> None:
+        """The sub-map is closed as it is, and nothing of it drawn into the next."""
+        self._broken_off = self._close(self.best, overlap_m=-1.0)
 
     def take_over(self, chosen: npt.NDArray[np.int64]) -> None:
         """Particle n becomes particle chosen[n], all with equal weights; chosen rises."""
@@ -212,10 +232,8 @@ class CountedSubmaps:
         if not len(points.xy_base) or match.state == "lost":
             return CountedChange()
         if self.is_empty:
-            pose = match.motion.pose_odom_base
-            for particle in self.particles:
-                particle.pose[:] = pose.x_m, pose.y_m, pose.theta_rad
-        best = self.particles[int(np.argmax(self.weights))]
+            self.gather(match.motion.pose_odom_base)
+        best = self.best
         if len(self._scans) >= self.config.first_scans and not self._is_keyframe(best):
             return CountedChange()
         if best.track:
@@ -232,9 +250,12 @@ class CountedSubmaps:
         for particle in self.particles:
             particle.map.insert(points.xy_base, np.array(sensor), particle.pose)
             particle.track.append(particle.pose.copy())
+        if self._broken_off is not None:
+            closed, self._broken_off = self._broken_off, None
+            return CountedChange(closed.number, is_keyframe=True, closed=closed)
         if self._travelled_m < self.config.length_m:
             return CountedChange(is_keyframe=True)
-        closed = self._close(best)
+        closed = self._close(best, self.config.overlap_m)
         return CountedChange(closed.number, is_keyframe=True, closed=closed)
 
     def _is_keyframe(self, best: Particle) -> bool:
@@ -244,15 +265,15 @@ class CountedSubmaps:
             or abs(wrap_angle(float(moved[2]))) >= self.config.keyframe_turn_rad
         )
 
-    def _close(self, best: Particle) -> ClosedSubmap:
-        """Begin the next sub-map with the end of the best particle's."""
+    def _close(self, best: Particle, overlap_m: float) -> ClosedSubmap:
+        """Begin the next sub-map with the end of the best particle's; below 0: with nothing."""
         closed = ClosedSubmap(
             self._number, self._carried, tuple(self._scans), np.array(best.track), self.config
         )
         self._number += 1
         steps_m = np.hypot(*np.diff(closed.track[:, :2], axis=0).T)
         back_m = np.append(np.cumsum(steps_m[::-1])[::-1], 0.0)  # from each scan to the end
-        first = max(int(np.argmax(back_m <= self.config.overlap_m)), 1)
+        first = len(back_m) if overlap_m < 0.0 else max(int(np.argmax(back_m <= overlap_m)), 1)
         self._scans = self._scans[first:]
         self._carried = len(self._scans)
         self._travelled_m = 0.0

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.geometry.grid import tiles_of
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.blurred_segments import NO_SEGMENT, segments_along
-from service.kernels.likelihood import LikelihoodField
+from service.kernels.likelihood import LikelihoodField, read_field
 from service.kernels.likelihood_search import LikelihoodLayer
 from service.kernels.orthogonal_weights import (
     FULL,
@@ -23,8 +23,9 @@ from service.kernels.orthogonal_weights import (
 )
 from service.kernels.surfels import TILE_BITS, TILE_CELLS
 from service.mapper.maps.building_axes import building_axes
+from service.mapper.maps.known_ground import KnownGround
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
-from service.mapper.stages import MapChange, Match, Points
+from service.mapper.stages import MapChange, Match, Overlap, Points
 
 log = logging.getLogger(__name__)
 
@@ -64,6 +65,7 @@ class OrthogonalMapConfig(BaseModel):
     insert_distance_m: float = Field(default=0.3, ge=0.0)
     insert_turn_rad: float = Field(default=0.1, ge=0.0)
     insert_share: float = Field(default=0.9, ge=0.0, le=1.0)  # at once where less of the scan lies on the map
+    on_map_likelihood: float = Field(default=0.02, gt=0.0, le=1.0)  # a point from here on lies on the map
     first_scans: int = Field(default=1, ge=1)
 
 
@@ -83,17 +85,22 @@ class OrthogonalMap:
 
     def __init__(self, config: OrthogonalMapConfig) -> None:
         self._config = config
+        narrow, wide = config.segment_sigma_cells, config.other_sigma_cells
+        along = wide if config.across_only else narrow
+        self._sigma_cells = np.array([[wide, wide], [along, narrow], [narrow, along], [narrow, narrow]])
+        self.pose_axes_odom = SE2()  # odom in the axes of the building; set by the first scan
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        config = self._config
         self._levels = []
         for level in range(config.levels):
             layers = Layer((TILE_CELLS, TILE_CELLS), np.float32), Layer((TILE_CELLS, TILE_CELLS), np.uint8)
             pool = TilePool(layers, POOL_TILES >> min(2 * level, 8))
             self._levels.append(_Level(config.cell_m * config.ratio**level, pool, TileMap(pool)))
-        narrow, wide = config.segment_sigma_cells, config.other_sigma_cells
-        along = wide if config.across_only else narrow
-        self._sigma_cells = np.array([[wide, wide], [along, narrow], [narrow, along], [narrow, narrow]])
-        self.pose_axes_odom = SE2()  # odom in the axes of the building; set by the first scan
         self._scan_count = 0
         self._last: SE2 | None = None
+        self._ground = KnownGround()
 
     @property
     def is_empty(self) -> bool:
@@ -118,6 +125,9 @@ class OrthogonalMap:
         finest = self._levels[0]
         return LikelihoodField(finest.tiles.index(), finest.pool.arrays[0], finest.cell_m)  # type: ignore[arg-type]
 
+    def overlap(self, xy_base: npt.NDArray[np.float64], pose: SE2) -> Overlap:
+        return self._ground.overlap(xy_base, pose)
+
     def occupied(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Centres of the finest cells that are not empty, (N, 2) m in the odom frame; likelihoods."""
         finest = self._levels[0]
@@ -136,13 +146,14 @@ class OrthogonalMap:
 
     def insert(self, points: Points, match: Match) -> MapChange:
         pose = match.motion.pose_odom_base
-        if match.state == "lost" or len(points.xy_base) == 0 or not self._is_due(match):
+        if match.state == "lost" or len(points.xy_base) == 0 or not self._is_due(points, match):
             return MapChange()
         gap_m = self.gaps(points)
         if self.is_empty and self._config.align_axes:
             self._align(points, gap_m, pose)
         self._last = pose
         self._scan_count += 1
+        self._ground.insert(points, pose)
         xy_map = _moved(self.pose_axes_odom @ pose, points.xy_base)
         segment = self.segments(xy_map, gap_m)
         for level in self._levels:
@@ -197,10 +208,17 @@ class OrthogonalMap:
             return
         self.pose_axes_odom = SE2(0.0, 0.0, -wrap_angle(pose.theta_rad + axes_rad))
 
-    def _is_due(self, match: Match) -> bool:
+    def _share_on_map(self, points: Points, pose: SE2) -> float:
+        at = self.pose_axes_odom @ pose
+        values = np.empty((len(points.xy_base), 3))
+        read_field(points.xy_base, 1, np.array([at.x_m, at.y_m, at.theta_rad]), *self.field(), values)
+        return float((values[:, 0] >= self._config.on_map_likelihood).mean())
+
+    def _is_due(self, points: Points, match: Match) -> bool:
         if self._last is None or self._scan_count < self._config.first_scans:
             return True
-        if match.inlier_ratio < self._config.insert_share:
+        matched = match.motion if match.measured is None else match.measured
+        if self._share_on_map(points, matched.pose_odom_base) < self._config.insert_share:
             return True
         step = self._last.inverse() @ match.motion.pose_odom_base
         return (

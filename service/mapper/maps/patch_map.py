@@ -16,9 +16,10 @@ from service.geometry.grid import TileRange
 from service.geometry.se2 import SE2
 from service.kernels.likelihood_search import LikelihoodLayer
 from service.kernels.line_likelihood import draw_scan, mark_patches, smooth_lines
+from service.mapper.maps.known_ground import KnownGround
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
-from service.mapper.patch_store import PatchKey, PatchStore
-from service.mapper.stages import MapChange, Match, Points
+from service.mapper.patch_store import NewPatchStore, PatchKey
+from service.mapper.stages import MapChange, Match, Overlap, Points
 
 Array = npt.NDArray[np.float64]
 
@@ -68,11 +69,26 @@ class PatchMapConfig(BaseModel):
 class PatchMap:
     """LocalMap, in the odom frame. `prepare` first, then `fine` and `coarse` may be read."""
 
-    def __init__(self, config: PatchMapConfig, store: PatchStore) -> None:
+    def __init__(self, config: PatchMapConfig, new_store: NewPatchStore) -> None:
         self.config = config
+        self._new_store = new_store
+        code = HIT_CODE[config.score]
+        self._offset, self._scale, whole = BACKGROUND, 0.1, HIT - BACKGROUND
+        values = [HIT - BACKGROUND, INNER - BACKGROUND, OUTER - BACKGROUND]
+        if config.score == "product":
+            self._offset, whole = math.log(BACKGROUND), math.log(HIT / BACKGROUND)
+            self._scale = whole / code
+            values = [math.log(level / BACKGROUND) for level in (HIT, INNER, OUTER)]
+        self.levels = np.array([round(code * value / whole) for value in values], np.uint8)
+
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        config = self.config
         self.is_empty = True
-        self._store = store
+        self._store = self._new_store()
         coarse = config.patch_cells // config.coarse_cells
+        self._ground = KnownGround()
         self._pool = TilePool(
             (
                 Layer((config.patch_cells, config.patch_cells), np.uint8),
@@ -83,14 +99,6 @@ class PatchMap:
         )
         self._tiles = TileMap(self._pool)
         self._slots: dict[PatchKey, int] = {}  # of the patches in memory, the one used longest ago first
-        code = HIT_CODE[config.score]
-        self._offset, self._scale, whole = BACKGROUND, 0.1, HIT - BACKGROUND
-        values = [HIT - BACKGROUND, INNER - BACKGROUND, OUTER - BACKGROUND]
-        if config.score == "product":
-            self._offset, whole = math.log(BACKGROUND), math.log(HIT / BACKGROUND)
-            self._scale = whole / code
-            values = [math.log(level / BACKGROUND) for level in (HIT, INNER, OUTER)]
-        self.levels = np.array([round(code * value / whole) for value in values], np.uint8)
 
     @property
     def fine(self) -> LikelihoodLayer:
@@ -113,6 +121,9 @@ class PatchMap:
                 self._bring_in(key, near)
         self._use(near)
 
+    def overlap(self, xy_base: Array, pose: SE2) -> Overlap:
+        return self._ground.overlap(xy_base, pose)
+
     def join(self, piece: int) -> None:
         """This map is one piece."""
 
@@ -131,6 +142,7 @@ class PatchMap:
         smooth_lines(xy_map, points.beam, join_m, self.config.smooth_m, lines_map)
         draw_scan(lines_map, points.beam, self.fine, changed, self.levels, self.config.ring_cells, join_m)
         draw_scan(lines_map, points.beam, self.coarse, changed, self.levels, 1, join_m)
+        self._ground.insert(points, match.motion.pose_odom_base)
         self.is_empty = False
         self._look_ahead(xy_map, near)
         return MapChange(is_keyframe=True)

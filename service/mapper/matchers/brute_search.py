@@ -4,24 +4,26 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from service.fusion.motion import Measurement, Motion, Prediction
+from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.coarse_align import AlignSettings, coarse_align, coarse_normal_equations
 from service.kernels.likelihood import read_field
 from service.kernels.likelihood_search import LikelihoodLayer, SearchWindow, search_exhaustive
+from service.mapper.judgement import JudgementConfig
 from service.mapper.maps.orthogonal_map import OrthogonalMap
+from service.mapper.matchers.judged import JudgedMatching, Laid
+from service.mapper.matchers.recovery import search_around
 from service.mapper.stages import Match, Points
-from service.outputs import State
 
 Array = npt.NDArray[np.float64]
 
+RECOVERY_CELL_M = 0.1  # a lost scan is searched for on the first level whose cells are so wide
 
-class BruteSearchConfig(BaseModel):
+
+class BruteSearchConfig(JudgementConfig):
     """How far around the prediction is searched, and when the result is believed."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     least_window_m: float = Field(default=0.2, gt=0.0)  # the window is window_sigmas of the prediction,
     most_window_m: float = Field(default=1.0, gt=0.0)  # but no less and no more than this to each side
@@ -34,11 +36,6 @@ class BruteSearchConfig(BaseModel):
     covariance_scale: float = Field(default=30.0, gt=0.0)
     floor_position_m: float = Field(default=0.01, gt=0.0)
     floor_heading_rad: float = Field(default=0.001, gt=0.0)
-    on_map_likelihood: float = Field(default=0.02, gt=0.0, le=1.0)  # a point from here on lies on the map
-    lost_share: float = Field(default=0.30, ge=0.0, le=1.0)
-    degraded_share: float = Field(default=0.45, ge=0.0, le=1.0)
-    degraded_sigma_m: float = Field(default=0.10, gt=0.0)
-    least_points: int = Field(default=20, ge=3)
 
 
 class BruteSearch:
@@ -46,14 +43,16 @@ class BruteSearch:
 
     def __init__(self, config: BruteSearchConfig) -> None:
         self._config = config
+        self._matching = JudgedMatching(config)
 
     def match(self, points: Points, predicted: Prediction, local_map: OrthogonalMap) -> Match:
+        return self._matching.match(points, predicted, local_map, self)
+
+    def lay(
+        self, points: Points, predicted: Prediction, local_map: OrthogonalMap, is_found: bool = False
+    ) -> Laid:
         config = self._config
         count = len(points.xy_base)
-        if count < config.least_points:
-            return Match(predicted, points, 0.0, "lost", self._too_few(points))
-        if local_map.is_empty:
-            return Match(predicted, points, 1.0)
         window_m, window_rad = self._window(predicted)
         begin = local_map.pose_axes_odom @ predicted.pose_odom_base
         pose = np.array([begin.x_m, begin.y_m, begin.theta_rad])
@@ -66,19 +65,21 @@ class BruteSearch:
             coarse_align(points.xy_base, pose.copy(), trusted, field, settings, pose)
         values = np.empty((count, 3))
         read_field(points.xy_base, 1, pose, *field, values)
-        share = float((values[:, 0] >= config.on_map_likelihood).mean())
         covariance = self._covariance(
             points.xy_base, values, pose, np.array([window_m, window_m, window_rad])
         )
         x_m, y_m, theta_rad = pose.tolist()
         matched = local_map.pose_axes_odom.inverse() @ SE2(x_m, y_m, theta_rad)
-        state, reason = self._judge(share, count, covariance)
-        if state == "lost":
-            return Match(predicted, points, share, state, reason)
         information = np.asarray(np.linalg.inv(covariance), np.float64)
-        measured = Measurement(matched, covariance, information, is_joined=False)
-        motion = Motion(matched, predicted.twist_base, covariance)
-        return Match(motion, points, share, state, reason, measured=measured)
+        return Laid(Measurement(matched, covariance, information, is_joined=False), points)
+
+    def search(
+        self, points: Points, local_map: OrthogonalMap, pose: SE2, reach: tuple[float, float]
+    ) -> SE2 | None:
+        layers = local_map.search_layers()
+        layer = next((layer for layer in layers if layer.cell_m >= RECOVERY_CELL_M), layers[-1])
+        found = search_around(points.xy_base, local_map.pose_axes_odom @ pose, reach, layer)
+        return None if found is None else local_map.pose_axes_odom.inverse() @ found
 
     def _search(
         self, xy_base: Array, pose: Array, local_map: OrthogonalMap, window_m: float, window_rad: float
@@ -129,28 +130,3 @@ class BruteSearch:
         floor = np.square([self._config.floor_position_m] * 2 + [self._config.floor_heading_rad])
         covariance: Array = base_from_map @ np.linalg.inv(information) @ base_from_map.T + np.diag(floor)
         return covariance
-
-    def _judge(self, share: float, count: int, covariance: Array) -> tuple[State, str]:
-        config = self._config
-        if share < config.lost_share:
-            return "lost", (
-                f"{share:.0%} of {count} returns lie on the map (at least {config.lost_share:.0%}); "
-                "the pose follows the prediction"
-            )
-        if share < config.degraded_share:
-            return "degraded", (
-                f"{share:.0%} of {count} returns lie on the map (expected {config.degraded_share:.0%}): "
-                "much has changed, or the prediction was far off"
-            )
-        weakest_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
-        if weakest_m > config.degraded_sigma_m:
-            return "degraded", (
-                f"what is in view leaves a direction open (sigma {weakest_m:.2f} m); the prediction holds it"
-            )
-        return "ok", ""
-
-    def _too_few(self, points: Points) -> str:
-        return (
-            f"{points.scan.sensor}: {len(points.xy_base)} of {len(points.scan.range_m)} beams returned "
-            f"(at least {self._config.least_points}); is the window covered, or is there nothing in range?"
-        )

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.fusion.motion import Measurement, Motion, Prediction
+from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.contour_blur import LikelihoodLevel
 from service.kernels.deskew import Returns, deskew_points
@@ -17,9 +17,11 @@ from service.kernels.likelihood_lm import LmSettings, align_level
 from service.kernels.likelihood_search import SearchWindow, search_exhaustive
 from service.kernels.pose_information import rotate_information
 from service.kernels.robust_normals import balance_weights, estimate_orientations
+from service.mapper.judgement import JudgementConfig
 from service.mapper.maps.contour_map import ContourMap
+from service.mapper.matchers.judged import JudgedMatching, Laid
+from service.mapper.matchers.recovery import search_around
 from service.mapper.stages import Match, Points
-from service.outputs import State
 
 Array = npt.NDArray[np.float64]
 PRINTED_BEAMS = 540
@@ -54,10 +56,8 @@ class SearchConfig(BaseModel):
     least_gain: float = Field(default=0.05, ge=0.0)  # so much likelier than the prediction it must be
 
 
-class ContourLmConfig(BaseModel):
+class ContourLmConfig(JudgementConfig):
     """How a scan is laid on the learned map, and when the result is believed."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     weights: WeightsConfig = WeightsConfig()
     search: SearchConfig = SearchConfig()
@@ -70,11 +70,6 @@ class ContourLmConfig(BaseModel):
     residual_sigma: float = Field(default=0.3, gt=0.0)  # of 1 - likelihood, against odometry
     prior: Literal["wheels", "always", "never"] = "wheels"  # when the prediction has a say in the cost
 
-    on_map_likelihood: float = Field(default=0.3, gt=0.0, le=1.0)  # a point from here on lies on the map
-    lost_share: float = Field(default=0.30, ge=0.0, le=1.0)
-    degraded_share: float = Field(default=0.45, ge=0.0, le=1.0)
-    degraded_sigma_m: float = Field(default=0.10, gt=0.0)
-    least_points: int = Field(default=20, ge=3)
     covariance_scale: float = Field(default=4.0, gt=0.0)
     floor_position_m: float = Field(default=0.006, gt=0.0)
     floor_heading_rad: float = Field(default=0.0015, gt=0.0)
@@ -85,6 +80,7 @@ class ContourLm:
 
     def __init__(self, config: ContourLmConfig) -> None:
         self._config = config
+        self._matching = JudgedMatching(config)
         steps = (config.iterations, config.settled_m, config.settled_rad, config.first_damping)
         self._coarse_lm = LmSettings(*steps, False)
         self._fine_lm = LmSettings(*steps, config.estimate_velocity)
@@ -93,33 +89,28 @@ class ContourLm:
         )
 
     def match(self, points: Points, predicted: Prediction, local_map: ContourMap) -> Match:
-        config = self._config
-        if len(points.xy_base) < config.least_points:
-            return Match(predicted, points, 0.0, "lost", self._too_few(points))
-        if local_map.is_empty:
-            return Match(predicted, points, 1.0)
+        return self._matching.match(points, predicted, local_map, self)
+
+    def lay(
+        self, points: Points, predicted: Prediction, local_map: ContourMap, is_found: bool = False
+    ) -> Laid:
         returns = Returns(points.xy_raw, self._beam_times_s(points), points.beam)
         twist = np.array(predicted.twist_base)
         xy_base = points.xy_base.copy()
-        if config.beam_time == "printed":
+        if self._config.beam_time == "printed":
             deskew_points(returns.xy_raw, returns.beam_time_s, twist, xy_base)
         weights = self.weights_of(xy_base, points)
         pose = self._search(xy_base, predicted, local_map)
         hessian = self._align(returns, weights, predicted, local_map, xy_base, pose, twist)
-        level = local_map.level(0)
-        values = np.empty((len(xy_base), 3))
-        read_field(xy_base, 1, pose, level.tiles, level.likelihood, level.cell_m, values)
-        share = float((values[:, 0] >= config.on_map_likelihood).mean())
-        if share < config.lost_share:
-            return Match(predicted, points, share, "lost", self._off_the_map(share, len(xy_base), "lost"))
         covariance = self._covariance(hessian, pose[2])
-        state, reason = self._judge(share, len(xy_base), covariance)
         x_m, y_m, theta_rad = pose.tolist()
-        forward, left, turn = twist.tolist()
         measured = self._measurement(SE2(x_m, y_m, theta_rad), covariance, predicted)
-        motion = Motion(measured.pose_odom_base, (forward, left, turn), measured.covariance)
-        deskewed = replace(points, xy_base=xy_base)
-        return Match(motion, deskewed, share, state, reason, measured=measured)
+        return Laid(measured, replace(points, xy_base=xy_base))
+
+    def search(
+        self, points: Points, local_map: ContourMap, pose: SE2, reach: tuple[float, float]
+    ) -> SE2 | None:
+        return search_around(points.xy_base, pose, reach, local_map.search_layer())
 
     def weights_of(self, xy_base: Array, points: Points) -> Array:
         """(N,) weight of each point, 1 in the mean."""
@@ -247,31 +238,3 @@ class ContourLm:
         information = np.empty((3, 3))
         rotate_information(hessian / self._config.covariance_scale, -theta_rad, information)
         return np.asarray(np.linalg.inv(information + np.eye(3)) + self._floor, np.float64)
-
-    def _judge(self, share: float, count: int, covariance: Array) -> tuple[State, str]:
-        config = self._config
-        if share < config.degraded_share:
-            return "degraded", self._off_the_map(share, count, "degraded")
-        weakest_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
-        if weakest_m > config.degraded_sigma_m:
-            return "degraded", (
-                f"the walls in view leave a direction open (sigma {weakest_m:.2f} m); the prediction holds it"
-            )
-        return "ok", ""
-
-    def _off_the_map(self, share: float, count: int, state: State) -> str:
-        if state == "lost":
-            return (
-                f"{share:.0%} of {count} returns lie on the map (at least {self._config.lost_share:.0%}); "
-                "the pose follows the prediction"
-            )
-        return (
-            f"{share:.0%} of {count} returns lie on the map (expected {self._config.degraded_share:.0%}): "
-            "much has changed, or the prediction was far off"
-        )
-
-    def _too_few(self, points: Points) -> str:
-        return (
-            f"{points.scan.sensor}: {len(points.xy_base)} of {len(points.scan.range_m)} beams returned "
-            f"(at least {self._config.least_points}); is the window covered, or is there nothing in range?"
-        )

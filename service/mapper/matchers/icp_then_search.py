@@ -1,12 +1,11 @@
 """ICP says about where, an exhaustive search of the likelihood map says exactly where."""
 
 import math
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2, wrap_angle
@@ -17,12 +16,13 @@ from service.kernels.likelihood_search import (
     search_exhaustive,
     surface_moments,
 )
-from service.kernels.line_likelihood import share_on_map
+from service.mapper.judgement import JudgementConfig, too_few
 from service.mapper.maps.patch_map import PatchMap, moved
-from service.mapper.matchers.scan_icp import IcpConfig, ScanIcp, held, matched, too_few
+from service.mapper.matchers.judged import JudgedMatching, Laid
+from service.mapper.matchers.recovery import search_around
+from service.mapper.matchers.scan_icp import IcpConfig, ScanIcp, deskewed
 from service.mapper.matchers.window_search import search_bounded
 from service.mapper.stages import Match, Points
-from service.outputs import State
 
 Array = npt.NDArray[np.float64]
 Sums = npt.NDArray[np.float32]
@@ -31,10 +31,8 @@ HEADING_STEPS_BETWEEN = 5  # refining divides a step of heading by this
 REFINE_CELLS = 3
 
 
-class IcpThenSearchConfig(BaseModel):
+class IcpThenSearchConfig(JudgementConfig):
     """How far is searched around what ICP says, and when the result is believed."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     icp: IcpConfig = IcpConfig()
     window_rms: float = Field(default=3.0, gt=0.0)  # half a window is so many times the error of ICP,
@@ -48,10 +46,6 @@ class IcpThenSearchConfig(BaseModel):
     refine: bool = True  # between the cells and steps
     refine_scale: float = Field(default=3.0, gt=0.0)  # beams share errors, so as many count as one
 
-    lost_share: float = Field(default=0.15, ge=0.0, le=1.0)
-    degraded_share: float = Field(default=0.35, ge=0.0, le=1.0)
-    degraded_sigma_m: float = Field(default=0.10, gt=0.0)
-    least_points: int = Field(default=20, ge=3)
     covariance_scale: float = Field(default=10.0, gt=0.0)
     floor_position_m: float = Field(default=0.005, gt=0.0)
     floor_heading_rad: float = Field(default=0.001, gt=0.0)
@@ -63,23 +57,23 @@ class IcpThenSearch:
     def __init__(self, config: IcpThenSearchConfig) -> None:
         self._config = config
         self._icp = ScanIcp(config.icp)
+        self._matching = JudgedMatching(config)
         self.evaluated = 0  # candidates of the last scan, by layer searched one after the other
         self.window_m = 0.0  # half the window of the last scan
 
     def match(self, points: Points, predicted: Prediction, local_map: PatchMap) -> Match:
-        config = self._config
-        if len(points.xy_base) < config.least_points:
-            return held(points, predicted, too_few(points, config.least_points))
-        if local_map.is_empty:
-            match = Match(predicted, points, 1.0)
-        else:
-            match = self._search(points, predicted, local_map)
-        self._icp.remember(match)
+        match = self._matching.match(points, predicted, local_map, self)
+        if not too_few(points):
+            self._icp.remember(match)
         return match
 
-    def _search(self, points: Points, predicted: Prediction, local_map: PatchMap) -> Match:
+    def lay(self, points: Points, predicted: Prediction, local_map: PatchMap, is_found: bool = False) -> Laid:
+        """Found by a search, the scan before has no say: it lies elsewhere."""
         config = self._config
-        begin, rms_m = self._icp.pose(points, predicted)
+        begin, rms_m = predicted.pose_odom_base, 0.0
+        if not is_found:
+            step = self._icp.step(points, predicted)
+            begin, rms_m = (begin, math.inf) if step is None else (step.pose, step.rms_m)
         local_map.prepare(
             moved(points.xy_base, begin), min(2.0 * config.most_window_m, local_map.config.patch_m / 2)
         )
@@ -100,17 +94,19 @@ class IcpThenSearch:
             _, covariance = self._around(points.xy_base, weights, fine, best.pose, half)
         pose = self._refined(points.xy_base, weights, fine, best) if config.refine else best.pose
 
-        share = float(share_on_map(points.xy_base, pose, coarse, float(local_map.levels[1])))
-        state, reason = self._judge(share, covariance, len(points.xy_base))
-        if state == "lost":
-            return held(points, predicted, reason, share)
         x_m, y_m, theta_rad = pose.tolist()
         c, s = math.cos(theta_rad), math.sin(theta_rad)
         base_from_map = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         covariance = base_from_map @ covariance @ base_from_map.T + self._floor()
         information = np.linalg.inv(covariance)
         measured = Measurement(SE2(x_m, y_m, wrap_angle(theta_rad)), covariance, information, is_joined=False)
-        return replace(matched(points, predicted, measured, share), state=state, reason=reason)
+        return Laid(measured, deskewed(points, predicted, measured.pose_odom_base))
+
+    def search(
+        self, points: Points, local_map: PatchMap, pose: SE2, reach: tuple[float, float]
+    ) -> SE2 | None:
+        local_map.prepare(moved(points.xy_base, pose), min(reach[0], local_map.config.patch_m / 2))
+        return search_around(points.xy_base, pose, reach, local_map.coarse)
 
     def _widening(self, xy_base: Array, weights: Sums, layer: LikelihoodLayer, begin: SE2) -> SearchResult:
         """Search the window, and one twice as wide while the best candidate lies on the border."""
@@ -170,25 +166,6 @@ class IcpThenSearch:
     def _floor(self) -> Array:
         position, heading = self._config.floor_position_m, self._config.floor_heading_rad
         return np.diag([position**2, position**2, heading**2])
-
-    def _judge(self, share: float, covariance: Array, count: int) -> tuple[State, str]:
-        config = self._config
-        if share < config.lost_share:
-            return "lost", (
-                f"{share:.0%} of {count} returns lie on the map (at least {config.lost_share:.0%}); "
-                "the pose follows the prediction"
-            )
-        if share < config.degraded_share:
-            return "degraded", (
-                f"{share:.0%} of {count} returns lie on the map (expected {config.degraded_share:.0%}): "
-                "much has changed, or is seen for the first time"
-            )
-        if (sigma_m := _widest(covariance)) > config.degraded_sigma_m:
-            return "degraded", (
-                f"the map fits almost as well elsewhere (sigma {sigma_m:.2f} m, expected "
-                f"{config.degraded_sigma_m:.2f} m); the walls in view leave one direction open"
-            )
-        return "ok", ""
 
 
 def _widest(covariance: Array) -> float:

@@ -1,26 +1,25 @@
 """Monte-Carlo search on the likelihood map as tinySLAM does it, to measure exhaustive search against."""
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.line_likelihood import monte_carlo_search
+from service.mapper.judgement import JudgementConfig, begun, held, too_few
 from service.mapper.maps.patch_map import PatchMap, moved
-from service.mapper.matchers.scan_icp import held, matched, too_few
+from service.mapper.matchers.judged import Laid, judged_alone
+from service.mapper.matchers.scan_icp import deskewed
 from service.mapper.stages import Match, Points
 
 
-class MonteCarloConfig(BaseModel):
+class MonteCarloConfig(JudgementConfig):
     """How far the trials go, and how many of them."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     sigma_m: float = Field(default=0.1, gt=0.0)  # of the first trials
     sigma_rad: float = Field(default=0.349, gt=0.0)  # 20 deg
     trials: int = Field(default=1000, ge=10)  # in vain, then it ends
     seed: int = Field(default=1, ge=0)
-    least_points: int = Field(default=20, ge=3)
     position_sigma_m: float = Field(default=0.05, gt=0.0)  # reported
     heading_sigma_rad: float = Field(default=0.02, gt=0.0)
 
@@ -37,14 +36,14 @@ class MonteCarloSearch:
 
     def match(self, points: Points, predicted: Prediction, local_map: PatchMap) -> Match:
         config = self._config
-        if len(points.xy_base) < config.least_points:
-            return held(points, predicted, too_few(points, config.least_points))
+        if reason := too_few(points):
+            return held(points, predicted, reason)
         if local_map.is_empty:
-            return Match(predicted, points, 1.0)
+            return begun(points, predicted)
         begin = predicted.pose_odom_base
         local_map.prepare(moved(points.xy_base, begin), min(1.0, local_map.config.patch_m / 2))
         layer = local_map.fine
-        pose, value, _ = monte_carlo_search(
+        found, _, _ = monte_carlo_search(
             points.xy_base,
             layer,
             np.array([begin.x_m, begin.y_m, begin.theta_rad]),
@@ -52,8 +51,11 @@ class MonteCarloSearch:
             config.sigma_m,
             config.sigma_rad,
         )
-        x_m, y_m, theta_rad = pose.tolist()
-        score = float(value) / float(local_map.levels[0])
+        x_m, y_m, theta_rad = found.tolist()
         pose = SE2(x_m, y_m, wrap_angle(theta_rad))
-        measured = Measurement(pose, self._covariance, self._information, is_joined=False)
-        return matched(points, predicted, measured, score)
+        laid = Laid(
+            Measurement(pose, self._covariance, self._information, is_joined=False),
+            deskewed(points, predicted, pose),
+        )
+        on_map = local_map.overlap(laid.points.xy_base, pose).on_map
+        return judged_alone(laid, predicted, on_map, config)

@@ -8,9 +8,9 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from service.fusion.motion import Measurement, Motion, Prediction
+from service.fusion.motion import Measurement, Prediction
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.coarse_align import AlignSettings, coarse_align
@@ -19,17 +19,17 @@ from service.kernels.likelihood import read_field
 from service.kernels.likelihood_search import LikelihoodLayer, SearchWindow, search_exhaustive
 from service.kernels.particles import normalise_weights, resample
 from service.kernels.pose_information import rotate_information
+from service.mapper.judgement import JudgementConfig
 from service.mapper.maps.counted_submaps import CountedSubmaps, Particle
+from service.mapper.matchers.judged import JudgedMatching, Laid
+from service.mapper.matchers.recovery import search_around
 from service.mapper.stages import Match, Points
-from service.outputs import State
 
 SEARCH_STEP_RAD = 0.02  # turns a point at 5 m by two cells
 
 
-class ParticleFilterConfig(BaseModel):
+class ParticleFilterConfig(JudgementConfig):
     """How particles are drawn, laid on their maps and weighed."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     seed: int = Field(default=1, ge=0)
     align_sigma: float = Field(default=0.5, gt=0.0)  # of 1 - likelihood, against the motion model
@@ -42,9 +42,6 @@ class ParticleFilterConfig(BaseModel):
     search_m: float = Field(default=0.5, gt=0.0)  # to each side
     search_rad: float = Field(default=0.35, gt=0.0)
     resample_below: float = Field(default=0.5, ge=0.0, le=1.0)  # of the particles still worth something
-    lost_likelihood: float = Field(default=0.15, ge=0.0, le=1.0)
-    degraded_likelihood: float = Field(default=0.30, ge=0.0, le=1.0)
-    least_points: int = Field(default=20, ge=3)
     floor_position_m: float = Field(default=0.006, gt=0.0)
     floor_heading_rad: float = Field(default=0.0015, gt=0.0)
 
@@ -54,55 +51,68 @@ class ParticleFilter:
 
     def __init__(self, config: ParticleFilterConfig) -> None:
         self._config = config
+        self._matching = JudgedMatching(config)
         self._random = np.random.Generator(np.random.Philox(key=config.seed))
         self._align = AlignSettings(config.align_sigma, config.align_beams, config.align_iterations)
         self._floor = np.diag(
             [config.floor_position_m**2, config.floor_position_m**2, config.floor_heading_rad**2]
         )
-        self._last: SE2 | None = None
+        self._last = SE2()  # where the motion model had the base at the scan before
         self._usual = 1.0  # likelihood of the best particle
 
     def match(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> Match:
-        config = self._config
-        last, self._last = self._last, predicted.pose_odom_base
-        if len(points.xy_base) < config.least_points:
-            return Match(
-                predicted,
-                points,
-                0.0,
-                "lost",
-                f"{points.scan.sensor}: {len(points.xy_base)} of {len(points.scan.range_m)} beams returned "
-                f"(at least {config.least_points}); is the window covered, or is there nothing in range?",
-            )
-        if local_map.is_empty or last is None:
-            return Match(predicted, points, 1.0)
-        self._sample(predicted, last, local_map)
-        likelihood = self._lay_or_search(points, predicted, local_map)
-        worth = normalise_weights(local_map.log_weights, local_map.weights)
-        measured = self._mean(local_map)
-        if worth < config.resample_below * len(local_map.particles):
-            chosen = np.empty(len(local_map.particles), np.int64)
-            resample(local_map.weights, float(self._random.random()), chosen)
-            local_map.take_over(chosen)
-        state, reason = self._judge(likelihood)
-        if state == "lost":
-            return Match(predicted, points, min(likelihood, 1.0), state, reason)
-        self._last = measured.pose_odom_base
-        twist = predicted.twist_at(measured.pose_odom_base)
-        motion = Motion(measured.pose_odom_base, twist, measured.covariance)
-        return Match(motion, points, min(likelihood, 1.0), state, reason, measured=measured)
+        """A lost scan neither weighs the particles nor leaves them where it drew them."""
+        log_weights = local_map.log_weights.copy()
+        match = self._matching.match(points, predicted, local_map, self)
+        if match.measured is None:
+            local_map.gather(predicted.pose_odom_base)
+            local_map.log_weights[:] = log_weights
+            normalise_weights(local_map.log_weights, local_map.weights)
+        else:
+            self._resample(local_map)
+        self._last = match.motion.pose_odom_base
+        return match
 
-    def _sample(self, predicted: Prediction, last: SE2, local_map: CountedSubmaps) -> None:
-        """Move each particle by the predicted way and an error of it, drawn anew."""
-        step = last.inverse() @ predicted.pose_odom_base
-        way = np.array([step.x_m, step.y_m, step.theta_rad])
-        spread = _root(predicted.local_covariance)
-        errors = self._random.standard_normal((len(local_map.particles), 3)) @ spread.T
+    def lay(
+        self, points: Points, predicted: Prediction, local_map: CountedSubmaps, is_found: bool = False
+    ) -> Laid:
+        """Prediction and scan together: the particles are drawn from the one and weighed by the other."""
+        if is_found:
+            local_map.gather(predicted.pose_odom_base)
+            local_map.log_weights[:] = 0.0
+            self._sample(SE2(), predicted.local_covariance, local_map)
+        else:
+            way = self._last.inverse() @ predicted.pose_odom_base
+            self._sample(way, predicted.local_covariance, local_map)
+        self._lay_or_search(points, predicted, local_map)
+        normalise_weights(local_map.log_weights, local_map.weights)
+        return Laid(self._mean(local_map), points)
+
+    def search(
+        self, points: Points, local_map: CountedSubmaps, pose: SE2, reach: tuple[float, float]
+    ) -> SE2 | None:
+        tiles, field, cell_m = local_map.best.map.likelihood()
+        return search_around(
+            points.xy_base, pose, reach, LikelihoodLayer(tiles, field, 0.0, 0.0, 1.0, cell_m)
+        )
+
+    def _resample(self, local_map: CountedSubmaps) -> None:
+        count = len(local_map.particles)
+        if 1.0 / float(np.square(local_map.weights).sum()) >= self._config.resample_below * count:
+            return
+        chosen = np.empty(count, np.int64)
+        resample(local_map.weights, float(self._random.random()), chosen)
+        local_map.take_over(chosen)
+
+    def _sample(self, way: SE2, covariance: npt.NDArray[np.float64], local_map: CountedSubmaps) -> None:
+        """Move each particle by a way and an error of it, drawn anew."""
+        step = np.array([way.x_m, way.y_m, way.theta_rad])
+        errors = self._random.standard_normal((len(local_map.particles), 3)) @ _root(covariance).T
         for particle, error in zip(local_map.particles, errors, strict=True):
-            particle.pose = se2.compose(se2.compose(particle.pose, way), error)
+            particle.pose = se2.compose(se2.compose(particle.pose, step), error)
 
-    def _lay_or_search(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> float:
-        """Lay each particle on its map; the mean likelihood of the best.
+    def _lay_or_search(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> None:
+        """Lay each particle on its map.
 
         Where that is much less than usual, wheels may have said what is not so: then the best particle's map
         is searched around, all particles are moved alike, and laid from there.
@@ -124,7 +134,6 @@ class ParticleFilter:
                 for particle, pose in zip(local_map.particles, laid[1], strict=True):
                     particle.pose = pose
         self._usual += (likelihood - self._usual) / config.usual_scans
-        return likelihood
 
     def _search(self, points: Points, particle: Particle) -> npt.NDArray[np.float64]:
         """How far (3,) from where a particle is its map fits best, in its own axes."""
@@ -160,7 +169,6 @@ class ParticleFilter:
         return float(means[best]), best
 
     def _mean(self, local_map: CountedSubmaps) -> Measurement:
-        """Prediction and scan together: the particles were drawn from the one and weighed by the other."""
         poses = np.array([particle.pose for particle in local_map.particles])
         weights = local_map.weights
         best = poses[int(np.argmax(weights))]
@@ -175,16 +183,6 @@ class ParticleFilter:
         turn[:2, :2] = [[c, s], [-s, c]]
         covariance = turn @ spread @ turn.T + self._floor
         return Measurement(pose, covariance, np.linalg.inv(covariance))
-
-    def _judge(self, likelihood: float) -> tuple[State, str]:
-        config = self._config
-        if likelihood >= config.degraded_likelihood:
-            return "ok", ""
-        state: State = "lost" if likelihood < config.lost_likelihood else "degraded"
-        return state, (
-            f"the returns lie on the map with a mean likelihood of {likelihood:.2f} "
-            f"(expected {config.degraded_likelihood:.2f}): much has changed, or the prediction was far off"
-        )
 
 
 def _root(covariance: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

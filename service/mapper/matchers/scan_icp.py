@@ -1,17 +1,19 @@
 """Scan to scan by iterative closest points: the start of a search, or a matcher by itself."""
 
-import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.fusion.motion import Measurement, Motion, Prediction
+from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.deskew import deskew_points
 from service.kernels.icp import icp_point_to_point
+from service.mapper.judgement import JudgementConfig, begun, held, too_few
 from service.mapper.maps.patch_map import PatchMap
+from service.mapper.matchers.judged import Laid, judged_alone
 from service.mapper.stages import Match, Points
 
 Array = npt.NDArray[np.float64]
@@ -29,6 +31,18 @@ class IcpConfig(BaseModel):
     least_share: float = Field(default=0.5, ge=0.0, le=1.0)  # of the points must have a partner
 
 
+class Step(NamedTuple):
+    """Where the base is by the scan before.
+
+    rms_m   root mean square of the pairs' distances
+    share   of the points that are in pairs
+    """
+
+    pose: SE2
+    rms_m: float
+    share: float
+
+
 class ScanIcp:
     """Remembers the scan before, and where it was."""
 
@@ -36,13 +50,10 @@ class ScanIcp:
         self._config = config
         self._last: tuple[Array, SE2] | None = None
 
-    def pose(self, points: Points, predicted: Prediction) -> tuple[SE2, float]:
-        """Where the base is by the scan before, and the root mean square of the pairs' distances, m.
-
-        The prediction and infinity where there was no scan before, or where it has too little in common.
-        """
+    def step(self, points: Points, predicted: Prediction) -> Step | None:
+        """None where there was no scan before, or where it has too little in common."""
         if self._last is None:
-            return predicted.pose_odom_base, math.inf
+            return None
         older, pose = self._last
         guess = pose.inverse() @ predicted.pose_odom_base
         config = self._config
@@ -57,42 +68,27 @@ class ScanIcp:
             config.settled,
         )
         if result.paired < max(config.least_share * len(newer), 3):
-            return predicted.pose_odom_base, math.inf
+            return None
         x_m, y_m, theta_rad = result.step.tolist()
-        return pose @ SE2(x_m, y_m, theta_rad), float(result.rms_m)
+        return Step(pose @ SE2(x_m, y_m, theta_rad), float(result.rms_m), result.paired / len(newer))
 
     def remember(self, match: Match) -> None:
         self._last = (match.points.xy_base, match.motion.pose_odom_base)
 
 
-def matched(points: Points, predicted: Prediction, measured: Measurement, score: float) -> Match:
-    """A match that was found: its twist learnt from it, and the points deskewed with that."""
-    twist = predicted.twist_at(measured.pose_odom_base)
-    motion = Motion(measured.pose_odom_base, twist, measured.covariance)
+def deskewed(points: Points, predicted: Prediction, pose: SE2) -> Points:
+    """The points with the twist that follows from where the base was found."""
     xy_base = np.empty_like(points.xy_base)
-    deskew_points(points.xy_raw, points.beam_time_s, np.array(twist), xy_base)
-    return Match(motion, replace(points, xy_base=xy_base), score, measured=measured)
+    deskew_points(points.xy_raw, points.beam_time_s, np.array(predicted.twist_at(pose)), xy_base)
+    return replace(points, xy_base=xy_base)
 
 
-def held(points: Points, predicted: Prediction, reason: str, score: float = 0.0) -> Match:
-    """Lost: the pose follows the prediction."""
-    return Match(predicted, points, score, "lost", reason)
-
-
-def too_few(points: Points, least: int) -> str:
-    return (
-        f"{points.scan.sensor}: {len(points.xy_base)} of {len(points.scan.range_m)} beams returned "
-        f"(at least {least}); is the window covered, or is there nothing in range?"
-    )
-
-
-class IcpScanToScanConfig(IcpConfig):
+class IcpScanToScanConfig(IcpConfig, JudgementConfig):
     """Plain ICP: all points, pairs at any distance."""
 
     pair_m: float = Field(default=1000.0, gt=0.0)
     points: int = Field(default=100_000, ge=20)
     settled: float = Field(default=1e-4, gt=0.0)
-    least_points: int = Field(default=20, ge=3)
     position_sigma_m: float = Field(default=0.02, gt=0.0)  # of a step
     heading_sigma_rad: float = Field(default=0.01, gt=0.0)
 
@@ -111,15 +107,16 @@ class IcpScanToScan:
         self._information = np.linalg.inv(self._covariance)
 
     def match(self, points: Points, predicted: Prediction, local_map: PatchMap) -> Match:
-        if len(points.xy_base) < self._config.least_points:
-            return held(points, predicted, too_few(points, self._config.least_points))
-        pose, rms_m = self._icp.pose(points, predicted)
+        if reason := too_few(points):
+            return held(points, predicted, reason)
+        step = self._icp.step(points, predicted)
         if local_map.is_empty:
-            match = Match(predicted, points, 1.0)
-        elif math.isinf(rms_m):
+            match = begun(points, predicted)
+        elif step is None:
             match = held(points, predicted, "the scan has too little in common with the one before")
         else:
-            measured = Measurement(pose, self._covariance, self._information)
-            match = matched(points, predicted, measured, 1.0 / (1.0 + rms_m))
+            measured = Measurement(step.pose, self._covariance, self._information)
+            laid = Laid(measured, deskewed(points, predicted, step.pose))
+            match = judged_alone(laid, predicted, round(step.share * len(points.xy_base)), self._config)
         self._icp.remember(match)
         return match

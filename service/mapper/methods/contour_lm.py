@@ -2,6 +2,7 @@
 
 from service.mapper.maps.contour_map import ContourMap, ContourMapConfig
 from service.mapper.matchers.contour_lm import ContourLm, ContourLmConfig
+from service.mapper.matchers.search_rehearsal import rehearse_search
 from service.mapper.methods.shared import (
     DESKEW_BY_TWIST,
     ESTIMATOR,
@@ -11,7 +12,13 @@ from service.mapper.methods.shared import (
 )
 from service.mapper.stages import Method, StageKind
 
-CONTOUR_LM = StageKind("contour_lm", ContourLmConfig, lambda config, _: ContourLm(config), reads=ContourMap)
+CONTOUR_LM = StageKind(
+    "contour_lm",
+    ContourLmConfig,
+    lambda config, _: ContourLm(config),
+    reads=ContourMap,
+    rehearse=rehearse_search,
+)
 CONTOUR_MAP = StageKind(
     "contour_map", ContourMapConfig, lambda config, _: ContourMap(config), makes=ContourMap
 )

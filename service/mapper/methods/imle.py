@@ -4,6 +4,7 @@ from service.mapper.maps.patch_map import PatchMap, PatchMapConfig
 from service.mapper.matchers.icp_then_search import IcpThenSearch, IcpThenSearchConfig
 from service.mapper.matchers.monte_carlo import MonteCarloConfig, MonteCarloSearch
 from service.mapper.matchers.scan_icp import IcpScanToScan, IcpScanToScanConfig
+from service.mapper.matchers.search_rehearsal import rehearse_byte_search
 from service.mapper.methods.shared import (
     DESKEW_BY_TWIST,
     ESTIMATOR,
@@ -16,11 +17,15 @@ from service.mapper.stages import Method, StageKind
 PATCH_MAP = StageKind(
     "patch_map",
     PatchMapConfig,
-    lambda config, around: PatchMap(config, around.new_patch_store()),
+    lambda config, around: PatchMap(config, around.new_patch_store),
     makes=PatchMap,
 )
 ICP_THEN_SEARCH = StageKind(
-    "icp_then_search", IcpThenSearchConfig, lambda config, _: IcpThenSearch(config), reads=PatchMap
+    "icp_then_search",
+    IcpThenSearchConfig,
+    lambda config, _: IcpThenSearch(config),
+    reads=PatchMap,
+    rehearse=rehearse_byte_search,
 )
 ICP_SCAN_TO_SCAN = StageKind(
     "icp_scan_to_scan", IcpScanToScanConfig, lambda config, _: IcpScanToScan(config), reads=PatchMap

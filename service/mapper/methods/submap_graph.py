@@ -5,6 +5,7 @@ from service.mapper.graph.landmark_graph import LandmarkGraph
 from service.mapper.graph.landmark_rehearsal import rehearse
 from service.mapper.maps.counted_submaps import CountedSubmaps, CountedSubmapsConfig
 from service.mapper.matchers.particle_filter import ParticleFilter, ParticleFilterConfig
+from service.mapper.matchers.search_rehearsal import rehearse_search
 from service.mapper.methods.shared import (
     DESKEW_BY_TWIST,
     ESTIMATOR,
@@ -17,7 +18,11 @@ COUNTED_SUBMAPS = StageKind(
     "counted_submaps", CountedSubmapsConfig, lambda config, _: CountedSubmaps(config), makes=CountedSubmaps
 )
 PARTICLE_FILTER = StageKind(
-    "particle_filter", ParticleFilterConfig, lambda config, _: ParticleFilter(config), reads=CountedSubmaps
+    "particle_filter",
+    ParticleFilterConfig,
+    lambda config, _: ParticleFilter(config),
+    reads=CountedSubmaps,
+    rehearse=rehearse_search,
 )
 LANDMARK_GRAPH = StageKind(
     "landmark_graph",

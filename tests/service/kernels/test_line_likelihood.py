@@ -8,7 +8,6 @@ from service.kernels.line_likelihood import (
     draw_scan,
     mean_value,
     monte_carlo_search,
-    share_on_map,
     smooth_lines,
 )
 from service.kernels.tiles import TileIndex
@@ -98,12 +97,11 @@ def test_smoothing_takes_noise_off_a_wall_and_leaves_its_ends() -> None:
     np.testing.assert_array_equal(apart, rough)
 
 
-def test_share_and_mean_are_those_of_the_cells_under_the_points() -> None:
+def test_the_mean_is_that_of_the_cells_under_the_points() -> None:
     layer = empty_layer()
     draw(layer, [(1.05, 1.05)])
     xy = np.array([[0.05, 0.05], [0.15, 0.05], [0.25, 0.05], [0.95, 0.05], [-5.0, 0.0]])
     pose = np.array([1.0, 1.0, 0.0])
-    assert share_on_map(xy, pose, layer, 6.0) == pytest.approx(0.4)
     assert mean_value(xy, pose, layer) == pytest.approx((9 + 6 + 3) / 5)
 
 

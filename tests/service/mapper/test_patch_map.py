@@ -57,7 +57,7 @@ def insert(patches: PatchMap, x_m: float, state: str = "ok") -> None:
 # C14 C15
 def test_a_patch_of_ten_metres_takes_a_megabyte_and_its_coarse_layer_forty_kilobytes() -> None:
     config = PatchMapConfig()
-    patches = PatchMap(config, MemoryPatches())
+    patches = PatchMap(config, MemoryPatches)
     assert config.patch_m == pytest.approx(10.0)
     assert patches.fine.cells[0].nbytes == 1_000_000
     assert patches.coarse.cells[0].nbytes == 40_000
@@ -68,7 +68,7 @@ def test_a_patch_of_ten_metres_takes_a_megabyte_and_its_coarse_layer_forty_kilob
 # C1 C9
 @pytest.mark.parametrize(("score", "meaning"), [("product", np.log), ("mean", lambda value: value)])
 def test_the_bytes_of_a_cell_stand_for_the_likelihoods_of_the_paper(score, meaning) -> None:
-    patches = PatchMap(PatchMapConfig(score=score), MemoryPatches())
+    patches = PatchMap(PatchMapConfig(score=score), MemoryPatches)
     layer = patches.fine
     values = layer.offset + layer.scale * np.array([*patches.levels, layer.empty])
     np.testing.assert_allclose(values, meaning(np.array([0.9, 0.6, 0.3, 0.1])), atol=2e-3)
@@ -77,7 +77,7 @@ def test_the_bytes_of_a_cell_stand_for_the_likelihoods_of_the_paper(score, meani
 # C13
 def test_no_more_patches_stay_in_memory_than_are_allowed_and_none_is_lost() -> None:
     store = CountingStore()
-    patches = PatchMap(CONFIG, store)
+    patches = PatchMap(CONFIG, lambda: store)
     insert(patches, 2.0)
     first = patches.resident
     before = {key: patches.fine.cells[patches._slots[key]].copy() for key in first}
@@ -97,7 +97,7 @@ def test_no_more_patches_stay_in_memory_than_are_allowed_and_none_is_lost() -> N
 # C13
 def test_the_patch_used_longest_ago_goes_first_and_an_unchanged_one_is_not_written_again() -> None:
     store = CountingStore()
-    patches = PatchMap(CONFIG, store)
+    patches = PatchMap(CONFIG, lambda: store)
     for x_m in np.arange(2.0, 60.0, 2.0):
         insert(patches, float(x_m))
     written = list(store.saved)
@@ -112,7 +112,7 @@ def test_the_patch_used_longest_ago_goes_first_and_an_unchanged_one_is_not_writt
 # C31
 def test_what_lies_ahead_is_fetched_before_it_is_needed() -> None:
     store = CountingStore()
-    patches = PatchMap(CONFIG, store)
+    patches = PatchMap(CONFIG, lambda: store)
     for x_m in [*np.arange(2.0, 60.0, 1.0), *np.arange(60.0, 20.0, -0.25)]:
         needed = [
             key
@@ -125,7 +125,7 @@ def test_what_lies_ahead_is_fetched_before_it_is_needed() -> None:
 
 
 def test_a_scan_that_was_not_placed_is_not_drawn() -> None:
-    patches = PatchMap(CONFIG, MemoryPatches())
+    patches = PatchMap(CONFIG, MemoryPatches)
     insert(patches, 2.0, state="lost")
     assert patches.is_empty
     assert patches.resident == []

@@ -101,3 +101,20 @@ def test_blocks_are_made_where_a_random_walk_leads_and_nowhere_else() -> None:
         assert grid.hits[slot, row % TILE_CELLS, column % TILE_CELLS] == count
     assert grid.hits.sum() == 400
     assert math.isclose(sum(layer.tile_bytes for layer in pool._layers), TILE_CELLS**2 * 10)
+
+
+def test_a_map_that_begins_anew_closes_its_sub_map_and_draws_nothing_of_it_again() -> None:
+    submaps = CountedSubmaps(CONFIG)
+    for k in range(3):
+        drive(submaps, 0.5 * k, k)
+    submaps.begin_anew()
+    assert submaps.is_empty
+    assert submaps.overlap(WALL, SE2(1.0, 0.0, 0.0)) == (0, 0)
+    change = drive(submaps, 1.5, 3)
+    assert change.closed is not None
+    assert [scan.stamp_ns for scan in change.closed.scans] == [0, 1, 2]
+    assert submaps.overlap(WALL, SE2(1.5, 0.0, 0.0)) == (41, 0)
+    changes = [drive(submaps, 1.5 + 0.5 * k, 3 + k) for k in range(1, 10)]
+    closed = [change.closed for change in changes if change.closed is not None]
+    assert [(one.number, one.carried) for one in closed] == [(1, 0)]
+    assert closed[0].scans[0].stamp_ns == 3

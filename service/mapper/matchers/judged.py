@@ -1,0 +1,284 @@
+"""What every matcher does around its own work: is the match one, and where else is the vehicle if not?"""
+
+from dataclasses import dataclass, replace
+from typing import Protocol, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from service.fusion.motion import Measurement, Motion, Prediction
+from service.geometry.se2 import SE2
+from service.mapper.judgement import (
+    GAP_S,
+    JUMP_CHI2,
+    LEAST_AGREEMENT,
+    Evidence,
+    JudgementConfig,
+    begun,
+    chi2_between,
+    held,
+    is_loose,
+    judge,
+    sigmas_of,
+    too_few,
+    weakest_of,
+)
+from service.mapper.maps.known_ground import KnownGround
+from service.mapper.matchers.recovery import FIRST, GAIN, MOST, REST_S, agree, reach_of
+from service.mapper.stages import KnownMap, Match, Points
+from service.outputs import State
+
+Matrix = npt.NDArray[np.float64]
+
+FOUND_COVARIANCE = np.diag([0.15**2, 0.15**2, 0.03**2])  # of where a search leads
+STUDENT = 5.0  # degrees of freedom of the prediction's error, as [12] of docs/estimator.md
+
+LEAST_COVARIANCE = 1e-12 * np.eye(3)
+CONFIRM_S = 0.1  # from a find to the search that is to confirm it
+MOST_WIDENING = 16.0
+STANDS = "the scan fits where the prediction is, and nowhere beside it; the prediction holds it"
+ANEW_M = 5.0  # measured way of a lost vehicle, after which the map begins anew
+UNCONFIRMED = "the scan fits where the prediction may be; it is believed once the next one fits there too"
+
+SomeKnownMap = TypeVar("SomeKnownMap", bound=KnownMap)
+KnownMap_contra = TypeVar("KnownMap_contra", bound=KnownMap, contravariant=True)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Laid:
+    """Where a matcher has put a scan, before anybody has said what it is worth."""
+
+    measured: Measurement
+    points: Points  # deskewed with the twist found
+
+
+class Laying(Protocol[KnownMap_contra]):
+    """What a matcher does itself."""
+
+    def lay(self, points: Points, predicted: Prediction, local_map: KnownMap_contra, is_found: bool) -> Laid:
+        """Put a scan on a map that is not empty; is_found: a search led to the prediction, not the way."""
+        ...
+
+    def search(
+        self, points: Points, local_map: KnownMap_contra, pose: SE2, reach: tuple[float, float]
+    ) -> SE2 | None:
+        """The likeliest pose so many m and rad around one in odom; None where nothing is known there."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Verdict:
+    state: State
+    reason: str
+    inlier_ratio: float
+
+
+class JudgedMatching:
+    """Has scans laid on a map, judges where they came to lie, and has lost ones searched for.
+
+    What little lies on the map does not say where: on new ground the prediction stands, if it was measured
+    and nothing contradicts it. A search in vain makes the next twice as wide. A find that is far from the
+    prediction is a hypothesis, since rooms look alike: the next one must say the same. A vehicle that has
+    measured ANEW_M of way without being found is on ground that the map does not show, or shows wrong; the
+    map begins anew where the prediction is.
+    """
+
+    def __init__(self, limits: JudgementConfig) -> None:
+        self._limits = limits
+        self._is_lost = False
+        self._rest_until_ns = 0  # no search before
+        self._widening = 1.0
+        self._hypothesis: SE2 | None = None  # odom of the prediction in that of the map, where a find put it
+        self._lost_way_m = 0.0  # that was measured since the last match
+        self._before: tuple[Points, SE2] | None = None  # the lost scan before, where it was predicted
+
+    def match(
+        self,
+        points: Points,
+        predicted: Prediction,
+        local_map: SomeKnownMap,
+        laying: Laying[SomeKnownMap],
+    ) -> Match:
+        if reason := too_few(points):
+            self._is_lost = True
+            return held(points, predicted, reason)
+        if local_map.is_empty:
+            return begun(points, predicted)
+        match = self._placed(points, predicted, local_map, laying)
+        if match.state == "lost" and self._begins_anew(points, predicted):
+            local_map.begin_anew()
+            match = Match(
+                predicted,
+                points,
+                match.inlier_ratio,
+                "degraded",
+                f"{match.reason}; not found over {self._lost_way_m:.0f} m: the map begins anew here",
+            )
+        self._is_lost = match.state == "lost"
+        if not self._is_lost:
+            self._rest_until_ns, self._widening, self._hypothesis = 0, 1.0, None
+            self._lost_way_m, self._before = 0.0, None
+        return match
+
+    def _placed(
+        self,
+        points: Points,
+        predicted: Prediction,
+        local_map: SomeKnownMap,
+        laying: Laying[SomeKnownMap],
+    ) -> Match:
+        laid = laying.lay(points, predicted, local_map, is_found=False)
+        verdict = self._judged(laid, predicted, local_map)
+        if verdict.state != "lost" and (
+            laid.measured.is_joined or verdict.inlier_ratio >= self._limits.lost_ratio
+        ):
+            is_doubtful = self._is_lost and is_loose(sigmas_of(predicted.local_covariance))
+            if is_doubtful and not self._is_confirmed(laid, predicted):
+                return held(points, predicted, UNCONFIRMED, verdict.inlier_ratio)
+            return _matched(laid, predicted, verdict)
+        stands = self._judged_as_predicted(points, predicted, local_map)
+        if stands.state != "lost":
+            return Match(predicted, points, stands.inlier_ratio, "degraded", stands.reason or STANDS)
+        found = self._found(points, predicted, local_map, laying, verdict.inlier_ratio)
+        reason = verdict.reason if verdict.state == "lost" else stands.reason
+        return found or held(points, predicted, reason, verdict.inlier_ratio)
+
+    def _judged(
+        self, laid: Laid, predicted: Prediction, local_map: KnownMap, is_found: bool = False
+    ) -> _Verdict:
+        """is_found: a search led there, so that the prediction says nothing for it."""
+        measured, prior = laid.measured, predicted.local_covariance
+        alone: Matrix = np.asarray(np.linalg.inv(measured.information), np.float64)
+        joined: Matrix = measured.covariance
+        if not measured.is_joined:
+            joined = prior - prior @ np.linalg.solve(prior + measured.covariance, prior)
+        is_far = is_found or (
+            _chi2(laid, predicted, measured.covariance) > JUMP_CHI2
+            or (is_loose(sigmas_of(prior)) and (self._is_lost or predicted.elapsed_s > GAP_S))
+        )
+        overlap = local_map.overlap(laid.points.xy_base, measured.pose_odom_base)
+        evidence = Evidence(
+            used=len(laid.points.xy_base),
+            on_map=overlap.on_map,
+            in_free=overlap.in_free,
+            sigma=sigmas_of(alone if is_found else joined),
+            prior=sigmas_of(prior),
+            is_measured=predicted.is_measured and not is_found,
+            is_far=is_far,
+            weakest=weakest_of(alone),
+        )
+        return self._verdict(evidence)
+
+    def _judged_as_predicted(self, points: Points, predicted: Prediction, local_map: KnownMap) -> _Verdict:
+        """Whether a scan that could not be matched fits where the prediction puts it."""
+        overlap = local_map.overlap(points.xy_base, predicted.pose_odom_base)
+        prior = sigmas_of(predicted.local_covariance)
+        evidence = Evidence(
+            used=len(points.xy_base),
+            on_map=overlap.on_map,
+            in_free=overlap.in_free,
+            sigma=prior,
+            prior=prior,
+            is_measured=predicted.is_measured,
+            is_far=is_loose(prior) or not predicted.is_measured,
+        )
+        return self._verdict(evidence)
+
+    def _verdict(self, evidence: Evidence) -> _Verdict:
+        return _Verdict(*judge(evidence, self._limits), evidence.inlier_ratio)
+
+    def _found(
+        self,
+        points: Points,
+        predicted: Prediction,
+        local_map: SomeKnownMap,
+        laying: Laying[SomeKnownMap],
+        ratio: float,
+    ) -> Match | None:
+        """A match elsewhere, with clearly more than `ratio` of the scan on the map; None: there is none."""
+        stamp_ns = points.scan.stamp_ns
+        if stamp_ns < self._rest_until_ns:
+            return None
+        self._rest_until_ns = stamp_ns + round(REST_S * 1e9)
+        reach_m, reach_rad = (
+            min(max(reach, first) * self._widening, most)
+            for reach, first, most in zip(
+                reach_of(sigmas_of(predicted.local_covariance)), FIRST, MOST, strict=True
+            )
+        )
+        start = laying.search(points, local_map, predicted.pose_odom_base, (reach_m, reach_rad))
+        if start is not None:
+            there = replace(predicted, pose_odom_base=start, local_covariance=FOUND_COVARIANCE)
+            laid = laying.lay(points, there, local_map, is_found=True)
+            verdict = self._judged(laid, predicted, local_map, is_found=True)
+            if verdict.state != "lost" and verdict.inlier_ratio >= ratio + GAIN:
+                chi2 = _chi2(laid, predicted, LEAST_COVARIANCE)
+                if chi2 > JUMP_CHI2 and not self._is_confirmed(laid, predicted):
+                    self._rest_until_ns = stamp_ns + round(CONFIRM_S * 1e9)
+                    return None
+                return _matched(_alone(laid, chi2), predicted, verdict)
+        self._widening = min(2.0 * self._widening, MOST_WIDENING)
+        return None
+
+    def _is_confirmed(self, laid: Laid, predicted: Prediction) -> bool:
+        """Whether the find before, carried on by the prediction, says the same."""
+        found, here = laid.measured.pose_odom_base, predicted.pose_odom_base
+        last, self._hypothesis = self._hypothesis, found @ here.inverse()
+        return last is not None and agree(last @ here, found)
+
+    def _begins_anew(self, points: Points, predicted: Prediction) -> bool:
+        """Whether a lost vehicle has come far enough, and sees what stands: noise fits no scan before."""
+        if predicted.is_measured:
+            self._lost_way_m += predicted.travel_m
+        before, self._before = self._before, (points, predicted.pose_odom_base)
+        if before is None or self._lost_way_m < ANEW_M:
+            return False
+        seen = KnownGround()
+        seen.insert(*before)
+        overlap = seen.overlap(points.xy_base, predicted.pose_odom_base)
+        known = overlap.on_map + overlap.in_free
+        return (
+            overlap.on_map >= self._limits.lost_ratio * len(points.xy_base)
+            and overlap.on_map >= LEAST_AGREEMENT * known
+        )
+
+
+def judged_alone(laid: Laid, predicted: Prediction, inliers: int, limits: JudgementConfig) -> Match:
+    """The match of a matcher that is neither searched for nor asked about free ground.
+
+    inliers   of the points: those that the matcher found a place for
+    """
+    count = len(laid.points.xy_base)
+    prior = sigmas_of(predicted.local_covariance)
+    sigma = sigmas_of(laid.measured.covariance)
+    evidence = Evidence(count, inliers, 0, sigma, prior, is_measured=False, is_far=False)
+    state, reason = judge(evidence, limits)
+    verdict = _Verdict(state, reason, evidence.inlier_ratio)
+    if verdict.state == "lost":
+        return held(laid.points, predicted, verdict.reason, verdict.inlier_ratio)
+    return _matched(laid, predicted, verdict)
+
+
+def _matched(laid: Laid, predicted: Prediction, verdict: _Verdict) -> Match:
+    measured = laid.measured
+    pose = measured.pose_odom_base
+    motion = Motion(pose, predicted.twist_at(pose), measured.covariance)
+    return Match(motion, laid.points, verdict.inlier_ratio, verdict.state, verdict.reason, measured=measured)
+
+
+def _alone(laid: Laid, chi2: float) -> Laid:
+    """A find: what the scan says alone, to be joined with a prediction that is believed that much less."""
+    measured = replace(
+        laid.measured,
+        covariance=np.asarray(np.linalg.inv(laid.measured.information), np.float64),
+        prior_weight=min(1.0, (STUDENT + 3.0) / (STUDENT + chi2)),
+        is_joined=False,
+    )
+    return replace(laid, measured=measured)
+
+
+def _chi2(laid: Laid, predicted: Prediction, covariance: Matrix) -> float:
+    """How far a scan was laid from the prediction; covariance: besides that of the prediction."""
+    return chi2_between(
+        predicted.pose_odom_base, laid.measured.pose_odom_base, predicted.local_covariance + covariance
+    )

@@ -1,0 +1,170 @@
+"""Judging and recovery, around a matcher that does as it is told."""
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from service.fusion.motion import Measurement, Prediction
+from service.geometry.se2 import SE2
+from service.mapper.judgement import JudgementConfig
+from service.mapper.maps.known_ground import KnownGround
+from service.mapper.matchers.judged import ANEW_M, JudgedMatching, Laid
+from service.mapper.stages import MapChange, Match, Overlap, Points
+from tests.service.mapper.maps.points import points_of, square
+
+ORIGIN = SE2()
+SURE = np.diag([0.01**2, 0.01**2, 0.002**2])
+
+
+class Ground:
+    """KnownMap of nothing but known ground."""
+
+    def __init__(self) -> None:
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        self.is_empty, self._ground = True, KnownGround()
+
+    def insert(self, points: Points, match: Match) -> MapChange:
+        self.is_empty = False
+        self._ground.insert(points, match.motion.pose_odom_base)
+        return MapChange(is_keyframe=True)
+
+    def overlap(self, xy_base: np.ndarray, pose: SE2) -> Overlap:
+        return self._ground.overlap(xy_base, pose)
+
+    def join(self, piece: int) -> None: ...
+
+
+@dataclass
+class Told:
+    """Laying that confirms the prediction, off by what it is told, and finds what it is told."""
+
+    off: SE2 = ORIGIN
+    finds: list[SE2] = field(default_factory=list)
+    asked: list[tuple[float, float]] = field(default_factory=list)
+
+    def lay(self, points: Points, predicted: Prediction, local_map: Ground, is_found: bool) -> Laid:
+        pose = predicted.pose_odom_base if is_found else predicted.pose_odom_base @ self.off
+        return Laid(Measurement(pose, SURE, np.linalg.inv(SURE), is_joined=False), points)
+
+    def search(self, points: Points, local_map: Ground, pose: SE2, reach: tuple[float, float]) -> SE2 | None:
+        self.asked.append(reach)
+        return self.finds.pop(0) if self.finds else None
+
+
+def predicted(pose: SE2, travel_m: float = 0.1) -> Prediction:
+    covariance = np.diag([0.05**2, 0.05**2, 0.02**2])
+    return Prediction(
+        pose,
+        (0.0, 0.0, 0.0),
+        covariance,
+        local_covariance=covariance,
+        twist_gain=np.zeros((3, 3)),
+        elapsed_s=0.1,
+        travel_m=travel_m,
+        is_measured=True,
+    )
+
+
+def at(points: Points, stamp_s: float) -> Points:
+    return replace(points, scan=replace(points.scan, stamp_ns=round(stamp_s * 1e9)))
+
+
+@pytest.fixture
+def room() -> Ground:
+    ground = Ground()
+    begun = JudgedMatching(JudgementConfig()).match(square(), predicted(SE2()), ground, Told())
+    assert (begun.state, begun.inlier_ratio, begun.measured) == ("ok", 1.0, None)
+    ground.insert(square(), begun)
+    return ground
+
+
+def test_a_matcher_that_confirms_the_prediction_exactly_has_matched(room: Ground) -> None:
+    match = JudgedMatching(JudgementConfig()).match(square(), predicted(SE2()), room, Told())
+    assert (match.state, match.reason, match.inlier_ratio) == ("ok", "", 1.0)
+    assert match.measured is not None
+    assert match.measured.pose_odom_base == SE2()
+
+
+def opened() -> Points:
+    """A quarter of the square; the rest far behind where its walls were."""
+    xy = square().xy_base
+    return points_of(np.where((np.abs(np.arctan2(xy[:, 1], xy[:, 0])) < 2.4)[:, None], 4.0 * xy, xy))
+
+
+@pytest.mark.parametrize(("is_measured", "state"), [(True, "degraded"), (False, "lost")])
+def test_on_new_ground_the_prediction_stands_if_it_was_measured(
+    room: Ground, is_measured: bool, state: str
+) -> None:
+    here = replace(predicted(SE2()), is_measured=is_measured)
+    match = JudgedMatching(JudgementConfig()).match(opened(), here, room, Told(off=SE2(0.05, 0.0, 0.0)))
+    assert match.state == state
+    assert "returns lie on the map" in match.reason
+    assert match.motion.pose_odom_base == SE2()
+    assert match.measured is None
+
+
+def test_a_find_far_away_is_believed_when_the_next_says_the_same(room: Ground) -> None:
+    matching, away = JudgedMatching(JudgementConfig()), predicted(SE2(3.0, 1.5, 1.0))
+    told = Told(finds=[SE2(), SE2(0.02, 0.01, 0.0)])
+    first = matching.match(at(square(), 1.0), away, room, told)
+    assert (first.state, first.measured) == ("lost", None)
+    assert matching.match(at(square(), 1.09), away, room, told).state == "lost"  # not searched again yet
+    second = matching.match(at(square(), 1.1), away, room, told)
+    assert second.state == "ok"
+    assert second.measured is not None
+    assert second.measured.pose_odom_base == SE2(0.02, 0.01, 0.0)
+    assert second.measured.prior_weight < 0.01
+    assert not second.measured.is_joined
+
+
+def test_finds_that_do_not_agree_are_not_believed(room: Ground) -> None:
+    matching, away = JudgedMatching(JudgementConfig()), predicted(SE2(3.0, 1.5, 1.0))
+    told = Told(finds=[SE2(0.0, 0.0, math.pi / 2), SE2(), SE2(0.0, 0.0, -math.pi / 2)])  # it is a square
+    for k in range(3):
+        assert matching.match(at(square(), 1.0 + k), away, room, told).state == "lost"
+
+
+def test_a_search_in_vain_makes_the_next_twice_as_wide(room: Ground) -> None:
+    matching, away, told = JudgedMatching(JudgementConfig()), predicted(SE2(3.0, 1.5, 1.0)), Told()
+    for k in range(12):
+        matching.match(at(square(), 1.0 + 0.1 * k), away, room, told)
+    assert told.asked == [(2.0, 1.6), (4.0, math.pi), (8.0, math.pi)]  # every half second
+
+
+def lost_over(metres: float, room: Ground, scans: list[Points]) -> list[Match]:
+    """A vehicle whose wheels say that it drove on, out of the room; it sees `scans`, again and again."""
+    matching = JudgedMatching(JudgementConfig())
+    matches = []
+    for k in range(1, math.ceil(metres) + 1):
+        here = predicted(SE2(3.0, 1.5, 1.0), travel_m=1.0)
+        matches.append(matching.match(at(scans[k % len(scans)], float(k)), here, room, Told()))
+    return matches
+
+
+def test_a_vehicle_that_is_not_found_over_a_long_way_begins_its_map_anew(room: Ground) -> None:
+    matches = lost_over(ANEW_M, room, [square()])
+    assert [match.state for match in matches[:-1]] == ["lost"] * (len(matches) - 1)
+    assert matches[-1].state == "degraded"
+    assert "begins anew" in matches[-1].reason
+    assert matches[-1].measured is None
+    assert room.is_empty
+
+
+def test_noise_begins_no_map(room: Ground) -> None:
+    noise = np.random.default_rng(1)
+    scans = [
+        points_of(square().xy_base * noise.uniform(0.2, 3.0, (len(square().xy_base), 1))) for _ in range(5)
+    ]
+    assert {match.state for match in lost_over(3.0 * ANEW_M, room, scans)} == {"lost"}
+    assert not room.is_empty
+
+
+def test_too_few_returns_name_the_sensor(room: Ground) -> None:
+    few = points_of(square().xy_base[:7])
+    match = JudgedMatching(JudgementConfig()).match(few, predicted(SE2()), room, Told())
+    assert match.state == "lost"
+    assert match.reason.startswith("front: 7 of 7 beams returned (at least 20)")
