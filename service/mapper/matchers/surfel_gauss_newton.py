@@ -26,6 +26,7 @@ from service.mapper.judgement import (
     too_few,
 )
 from service.mapper.maps.submaps import Submap, SurfelSubmaps
+from service.mapper.matchers.range_bias import RangeBias
 from service.mapper.matchers.recovery import FIRST, GAIN, REST_S, agree, reach_of, search_around
 from service.mapper.stages import Match, Points
 from service.outputs import State
@@ -99,6 +100,7 @@ class SurfelGaussNewton:
             settled_m=SETTLED_M,
             settled_rad=SETTLED_RAD,
         )
+        self._bias = RangeBias()
         self._usual_ratio = 1.0
         self._rest_until_ns = 0  # no wide search before
         self._gap: _Gap | None = None
@@ -106,7 +108,12 @@ class SurfelGaussNewton:
         self._detached: Submap | None = None  # the piece that `gap` belongs to
         self._hypothesis: SE2 | None = None  # odom of the piece in that of the map, where a find put it
 
+    def bias_m(self, sensor: str) -> Matrix:
+        """(NODES,) by how much ranges of a laser are too long; see RangeBias."""
+        return self._bias.curve_m(sensor)
+
     def match(self, points: Points, predicted: Prediction, local_map: SurfelSubmaps) -> Match:
+        points = self._bias.without(points)
         if reason := too_few(points):
             return held(points, predicted, reason)
         submap = local_map.matched_to
@@ -122,6 +129,7 @@ class SurfelGaussNewton:
         laid = self._searched(self._lay(attempt, attempt.prior.pose, submap), attempt)
         if laid.state != "lost" and self._is_found(laid, attempt):
             self._usual_ratio += (laid.result.share - self._usual_ratio) / USUAL_SCANS
+            self._learn_bias(laid, attempt)
             return self._as_match(laid, attempt, laid.state, laid.reason)
         self._began = _Gap(predicted.pose_odom_base, attempt.prior.covariance)
         if local_map.detached is None:
@@ -162,6 +170,18 @@ class SurfelGaussNewton:
         motion = Motion(pose, (forward, left, turn), result.covariance)
         deskewed = replace(attempt.points, xy_base=laid.xy_base)
         return Match(motion, deskewed, result.share, state, reason, laid.submap.number, measured)
+
+    def _learn_bias(self, laid: _Laid, attempt: _Attempt) -> None:
+        if self._gap is not None or laid.result.share < DOUBT_RATIO * self._usual_ratio:
+            return
+        self._bias.learn(
+            replace(attempt.points, xy_base=laid.xy_base),
+            attempt.normals,
+            laid.result.pose,
+            laid.submap,
+            self._settings._replace(range_sigma_m=attempt.points.range_sigma_m),
+            attempt.predicted.travel_m,
+        )
 
     def _lay(self, attempt: _Attempt, start: Matrix, submap: Submap) -> _Laid:
         """The match on a sub-map, begun at `start`, a pose as in the prior, and what to think of it."""
