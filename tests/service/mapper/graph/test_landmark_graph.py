@@ -99,13 +99,13 @@ def test_scans_are_laid_on_walls_and_what_is_carried_stays_where_it_was_laid() -
     whole = submap(0, way, drawn)
     first = replace(whole, scans=whole.scans[:6], track=drawn[:6])
     second = replace(whole, number=1, carried=2, scans=whole.scans[4:], track=drawn[4:])
-    redrawing = Redrawing(CONFIG.normals.settings(), CONFIG.least_on_surfels)
+    redrawing = Redrawing(CONFIG.least_on_surfels)
     laid = [redrawing.redraw(first).track, redrawing.redraw(second).track]
     np.testing.assert_array_equal(laid[1][:2], laid[0][4:])
     found = np.concatenate((laid[0], laid[1][2:]))
     assert furthest_m(drawn, way) > 0.02
     assert furthest_m(found, way) < 0.008
-    blind = Redrawing(CONFIG.normals.settings(), 1.0)
+    blind = Redrawing(1.0)
     np.testing.assert_allclose(blind.redraw(first).track, first.track, atol=1e-12)
 
 
