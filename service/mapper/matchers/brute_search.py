@@ -14,7 +14,7 @@ from service.kernels.likelihood_search import LikelihoodLayer, SearchWindow, sea
 from service.mapper.judgement import JudgementConfig
 from service.mapper.maps.orthogonal_map import OrthogonalMap
 from service.mapper.matchers.judged import JudgedMatching, Laid
-from service.mapper.matchers.recovery import search_around
+from service.mapper.matchers.recovery import search_around, step_of
 from service.mapper.stages import Match, Points
 
 Array = npt.NDArray[np.float64]
@@ -78,7 +78,7 @@ class BruteSearch:
     ) -> SE2 | None:
         layers = local_map.search_layers()
         layer = next((layer for layer in layers if layer.cell_m >= RECOVERY_CELL_M), layers[-1])
-        found = search_around(points.xy_base, local_map.pose_axes_odom @ pose, reach, layer)
+        found = search_around(points.xy_base, local_map.pose_axes_odom @ pose, reach, layer, step_of(reach))
         return None if found is None else local_map.pose_axes_odom.inverse() @ found
 
     def _search(

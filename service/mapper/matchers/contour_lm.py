@@ -20,7 +20,7 @@ from service.kernels.robust_normals import balance_weights, estimate_orientation
 from service.mapper.judgement import JudgementConfig
 from service.mapper.maps.contour_map import ContourMap
 from service.mapper.matchers.judged import JudgedMatching, Laid
-from service.mapper.matchers.recovery import search_around
+from service.mapper.matchers.recovery import search_around, step_of
 from service.mapper.stages import Match, Points
 
 Array = npt.NDArray[np.float64]
@@ -110,7 +110,7 @@ class ContourLm:
     def search(
         self, points: Points, local_map: ContourMap, pose: SE2, reach: tuple[float, float]
     ) -> SE2 | None:
-        return search_around(points.xy_base, pose, reach, local_map.search_layer())
+        return search_around(points.xy_base, pose, reach, local_map.search_layer(), step_of(reach))
 
     def weights_of(self, xy_base: Array, points: Points) -> Array:
         """(N,) weight of each point, 1 in the mean."""

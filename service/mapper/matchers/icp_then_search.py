@@ -19,7 +19,7 @@ from service.kernels.likelihood_search import (
 from service.mapper.judgement import JudgementConfig, too_few
 from service.mapper.maps.patch_map import PatchMap, moved
 from service.mapper.matchers.judged import JudgedMatching, Laid
-from service.mapper.matchers.recovery import search_around
+from service.mapper.matchers.recovery import search_around, step_of
 from service.mapper.matchers.scan_icp import IcpConfig, ScanIcp, deskewed
 from service.mapper.matchers.window_search import search_bounded
 from service.mapper.stages import Match, Points
@@ -106,7 +106,7 @@ class IcpThenSearch:
         self, points: Points, local_map: PatchMap, pose: SE2, reach: tuple[float, float]
     ) -> SE2 | None:
         local_map.prepare(moved(points.xy_base, pose), min(reach[0], local_map.config.patch_m / 2))
-        return search_around(points.xy_base, pose, reach, local_map.coarse)
+        return search_around(points.xy_base, pose, reach, local_map.coarse, step_of(reach))
 
     def _widening(self, xy_base: Array, weights: Sums, layer: LikelihoodLayer, begin: SE2) -> SearchResult:
         """Search the window, and one twice as wide while the best candidate lies on the border."""

@@ -36,6 +36,7 @@ STUDENT = 5.0  # degrees of freedom of the prediction's error, as [12] of docs/e
 LEAST_COVARIANCE = 1e-12 * np.eye(3)
 CONFIRM_S = 0.1  # from a find to the search that is to confirm it
 MOST_WIDENING = 16.0
+MOST_REST_S = 1.0  # wide searches take longer, so they rest longer
 STANDS = "the scan fits where the prediction is, and nowhere beside it; the prediction holds it"
 ANEW_M = 5.0  # measured way of a lost vehicle, after which the map begins anew
 UNCONFIRMED = "the scan fits where the prediction may be; it is believed once the next one fits there too"
@@ -199,7 +200,7 @@ class JudgedMatching:
         stamp_ns = points.scan.stamp_ns
         if stamp_ns < self._rest_until_ns:
             return None
-        self._rest_until_ns = stamp_ns + round(REST_S * 1e9)
+        self._rest_until_ns = stamp_ns + round(min(REST_S * self._widening, MOST_REST_S) * 1e9)
         reach_m, reach_rad = (
             min(max(reach, first) * self._widening, most)
             for reach, first, most in zip(

@@ -22,7 +22,7 @@ from service.kernels.pose_information import rotate_information
 from service.mapper.judgement import JudgementConfig
 from service.mapper.maps.counted_submaps import CountedSubmaps, Particle
 from service.mapper.matchers.judged import JudgedMatching, Laid
-from service.mapper.matchers.recovery import search_around
+from service.mapper.matchers.recovery import search_around, step_of
 from service.mapper.stages import Match, Points
 
 SEARCH_STEP_RAD = 0.02  # turns a point at 5 m by two cells
@@ -93,7 +93,7 @@ class ParticleFilter:
     ) -> SE2 | None:
         tiles, field, cell_m = local_map.best.map.likelihood()
         return search_around(
-            points.xy_base, pose, reach, LikelihoodLayer(tiles, field, 0.0, 0.0, 1.0, cell_m)
+            points.xy_base, pose, reach, LikelihoodLayer(tiles, field, 0.0, 0.0, 1.0, cell_m), step_of(reach)
         )
 
     def _resample(self, local_map: CountedSubmaps) -> None:

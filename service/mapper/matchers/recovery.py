@@ -13,6 +13,7 @@ Floats = npt.NDArray[np.float64]
 
 BEAMS = 150  # about so many are asked
 STEP_RAD = 0.02  # a cell of 10 cm at 5 m
+WIDE_RAD, WIDE_STEP_RAD = 2.0, 0.04  # a window wider than the one is searched in steps of the other
 GAIN = 0.08  # so much more must lie on the map where a search leads
 REST_S = 0.5  # between two searches of the whole window
 LEAST = (0.3, 0.2)  # m, rad: windows of a search, half their width
@@ -22,25 +23,35 @@ SAME_FIND_M, SAME_FIND_RAD = 0.3, 0.06  # two finds of a lost vehicle agree
 
 
 def search_around(
-    xy_base: Floats, pose: SE2, reach: tuple[float, float], layer: LikelihoodLayer
+    xy_base: Floats,
+    pose: SE2,
+    reach: tuple[float, float],
+    layer: LikelihoodLayer,
+    step_rad: float = STEP_RAD,
 ) -> SE2 | None:
     """The pose of the window at which the points lie best on a likelihood map.
 
     xy_base   (N, 2) m, base frame; N > 0
     pose      middle of the window, in the frame of the map
     reach     (m, rad) half the width of the window
+    step_rad  between two headings
     None where nothing of the map lies within reach.
     Source: Hess et al. 2016, Real-Time Loop Closure in 2D LIDAR SLAM, section V.
     """
     thin = np.ascontiguousarray(xy_base[:: max(1, len(xy_base) // BEAMS)])
     middle = np.array([pose.x_m, pose.y_m, pose.theta_rad])
     half = math.ceil(reach[0] / layer.cell_m)
-    window = SearchWindow(middle, half, half, math.ceil(reach[1] / STEP_RAD), STEP_RAD)
+    window = SearchWindow(middle, half, half, math.ceil(reach[1] / step_rad), step_rad)
     found = search_bounded(thin, np.ones(len(thin), np.float32), layer, window, layer.offset)
     if not found.score > layer.offset:
         return None
     x_m, y_m, theta_rad = found.pose.tolist()
     return SE2(x_m, y_m, wrap_angle(theta_rad))
+
+
+def step_of(reach: tuple[float, float]) -> float:
+    """How far apart headings may be: a window of so many m and rad must be searched within half a second."""
+    return STEP_RAD if reach[1] <= WIDE_RAD else WIDE_STEP_RAD
 
 
 def reach_of(prior: tuple[float, float]) -> tuple[float, float]:

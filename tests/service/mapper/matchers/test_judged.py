@@ -130,9 +130,13 @@ def test_finds_that_do_not_agree_are_not_believed(room: Ground) -> None:
 
 def test_a_search_in_vain_makes_the_next_twice_as_wide(room: Ground) -> None:
     matching, away, told = JudgedMatching(JudgementConfig()), predicted(SE2(3.0, 1.5, 1.0)), Told()
-    for k in range(12):
+    searched_s = []
+    for k in range(26):
+        asked = len(told.asked)
         matching.match(at(square(), 1.0 + 0.1 * k), away, room, told)
-    assert told.asked == [(2.0, 1.6), (4.0, math.pi), (8.0, math.pi)]  # every half second
+        searched_s += [0.1 * k] * (len(told.asked) - asked)
+    assert told.asked == [(2.0, 1.6), (4.0, math.pi), (8.0, math.pi), (8.0, math.pi)]
+    np.testing.assert_allclose(searched_s, [0.0, 0.5, 1.5, 2.5])
 
 
 def lost_over(metres: float, room: Ground, scans: list[Points]) -> list[Match]:
