@@ -16,7 +16,7 @@ from service.mapper.graph.keyframes import Chain, Floats, Kept, KeyFrame
 from service.mapper.graph.loops import Loop, agree, as_edges, disagreement, loop_of
 from service.mapper.graph.loops_config import LoopsConfig
 from service.mapper.graph.piece_search import PieceSearch
-from service.mapper.graph.places import Place, cloud_of
+from service.mapper.graph.places import LEAST_SCORE, Place, cloud_of
 from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, solve, to_g2o
 from service.mapper.stages import Correction, Drawn, Painter, Sheet
 
@@ -26,7 +26,19 @@ DOUBTFUL_COVARIANCE = np.diag([0.09, 0.09, 0.09])  # ... added where an end hard
 UNKNOWN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # ... into a piece that nobody knows the place of
 GAP_SHARE = 0.1  # of a way without scans: what odometry may have erred by
 SAME_SPOT_M, SAME_VIEW_RAD = 0.5, 0.5  # key frames so near see the same
+DOUBTFUL_SHARE = 0.6  # of the drive's median share on the map: with less the match may be wrong
 LOST_M, DOUBTFUL_M = 60.0, 30.0  # way that such a step counts for, where loops are looked for
+WINDOW_M, WINDOW_RAD = 0.5, 0.06  # half a window where nothing has drifted: what a bad match errs by
+DRIFTS = (3.5, 4.0)  # so many times the drift of place and heading lies within it besides
+MOST_WINDOW_M, MOST_WINDOW_RAD = 12.0, 1.6  # bounds the time of a search
+FINISH_WINDOW = (1.5, 0.2)  # m, rad: what may be left of the drift when all loops hold
+PASSES = 4  # of a place are asked in one search, the nearest ones
+LEAST_SHARE = 0.45  # of the points on the map, in medians of the drive: half of a place may have changed
+MOST_AGAINST = 0.12  # of the points in free space of the place: doors that were closed, things that moved
+WITHIN_M = 30.0  # way within which loops that say the same lie
+AGREE_M, AGREE_RAD = 0.15, 0.03  # two loops say the same, besides the drift between them
+CONTRADICTION_CHI2 = 30.0  # of three degrees of freedom, 1 in 700 000: a loop beyond it is laid aside
+SOLVE_AT_M, SOLVE_AT_RAD = 0.05, 0.01  # what a loop must move to be worth a solution now: saves 9 of 10
 LOOP_M = 1.0  # what going over a loop counts in the length of a path
 NEWS_CHI2 = 4.0  # of a loop: two sigmas
 PLACES_KEPT = 16
@@ -65,7 +77,6 @@ class LoopBackEnd:
         self._groups: list[list[Loop]] = []  # as they came to be believed; for who takes one back
         self._candidates: list[Loop] = []
         self._aside: list[Loop] = []
-        self._dense: list[Loop] = []
         self._places: OrderedDict[int, Place] = OrderedDict()
         self._searched_m = 0.0
         self._joined = {0}  # numbers of the pieces whose place in the map is known
@@ -135,19 +146,19 @@ class LoopBackEnd:
         for found in self._search(chain.count - 1):
             self._candidates.append(found)
             self._believe(found)
-        oldest_m = self._searched_m - 2.0 * config.group_within_m
+        oldest_m = self._searched_m - 2.0 * WITHIN_M
         self._candidates = [loop for loop in self._candidates if chain.way_m[loop.to] >= oldest_m]
         return self._has_news(self._loops[-20:])
 
     def _has_news(self, loops: Sequence[Loop]) -> bool:
         """Whether one of these, from lately, would move the map by more than it is itself unsure of."""
-        config, chain = self._config, self._chain
+        chain = self._chain
         chi2 = edge_chi2(as_edges(loops), chain.map)
         for loop, c in zip(loops, chi2.tolist(), strict=True):
             off_m, off_rad = disagreement(chain, loop)
-            if chain.way_m[loop.to] <= self._searched_m - config.group_within_m:
+            if chain.way_m[loop.to] <= self._searched_m - WITHIN_M:
                 continue
-            if (off_m > config.solve_at_m and c > NEWS_CHI2) or off_rad > config.solve_at_rad:
+            if (off_m > SOLVE_AT_M and c > NEWS_CHI2) or off_rad > SOLVE_AT_RAD:
                 return True
         return False
 
@@ -161,10 +172,10 @@ class LoopBackEnd:
             return
         way = chain.way_m
         looped_m = np.sort([way[loop.to] for loop in self._loops])
-        until = int(np.searchsorted(way, way[-1] - config.group_within_m))
+        until = int(np.searchsorted(way, way[-1] - WITHIN_M))
         for k in range(self._looked_back, until):
-            right = int(np.searchsorted(looped_m, way[k] - config.query_m))
-            if right == len(looped_m) or looped_m[right] > way[k] + config.query_m:
+            right = int(np.searchsorted(looped_m, way[k] - config.place_m))
+            if right == len(looped_m) or looped_m[right] > way[k] + config.place_m:
                 continue
             away = se2.between(chain.map[k], chain.map[:k])
             near = np.flatnonzero(
@@ -183,7 +194,7 @@ class LoopBackEnd:
         """Loops that end in the query whose last key frame is `last`. window: m, rad; None: by path."""
         config, chain = self._config, self._chain
         way = chain.way_m
-        first = int(np.searchsorted(way, way[last] - config.query_m))
+        first = int(np.searchsorted(way, way[last] - config.place_m))
         usable = self._usable()
         members = [k for k in range(first, last + 1) if usable[k]]
         if len(members) < 3:
@@ -191,11 +202,11 @@ class LoopBackEnd:
         reference = members[len(members) // 2]
         length_m = self._lengths_from(reference)
         if window is None:
-            reach_m = np.minimum(config.window_m + config.window_growth * length_m, config.most_window_m)
+            reach_m = np.minimum(WINDOW_M + DRIFTS[0] * config.drift * length_m, MOST_WINDOW_M)
         else:
             reach_m = np.full(chain.count, window[0])
         away_m = np.hypot(*(chain.map[:, :2] - chain.map[reference, :2]).T)
-        apart = np.abs(way - way[reference]) >= config.apart_m + config.query_m
+        apart = np.abs(way - way[reference]) >= config.apart_m + config.place_m
         if window is None:
             apart &= way < way[reference]
         near = np.flatnonzero(apart & usable & (away_m <= reach_m + 1.0))
@@ -207,21 +218,21 @@ class LoopBackEnd:
                 cloud = cloud_of(chain, members, reference)
             guess = se2.between(chain.map[place.reference], chain.map[reference])
             reach_rad = (
-                min(config.window_rad + config.window_growth_radpm * length_m[k], config.most_window_rad)
+                min(WINDOW_RAD + DRIFTS[1] * config.drift_radpm * length_m[k], MOST_WINDOW_RAD)
                 if window is None
                 else window[1]
             )
-            pose = place.search(cloud, guess, float(reach_m[k]), float(reach_rad), config.least_score)
+            pose = place.search(cloud, guess, float(reach_m[k]), float(reach_rad), LEAST_SCORE)
             if pose is None:
                 continue
             fit = place.align(cloud, pose)
-            if self._is_good(fit) and place.against(cloud, fit.pose) < config.most_against:
+            if self._is_good(fit) and place.against(cloud, fit.pose) < MOST_AGAINST:
                 found.append(loop_of(place.reference, reference, fit.pose, fit.information, fit.share))
         return found
 
     def _is_good(self, fit: Fit) -> bool:
         usual = float(np.median(self._chain.score))
-        return fit.share >= self._config.least_share * usual
+        return fit.share >= LEAST_SHARE * usual
 
     def _lengths_from(self, k: int) -> Floats:
         way = self._chain.way_m
@@ -243,7 +254,7 @@ class LoopBackEnd:
     def _worth_asking(self, near: npt.NDArray[np.int64], away_m: Floats, reach_m: Floats) -> list[int]:
         """The nearest key frame of each pass; where the window is wider than a place, others beside it."""
         config, way = self._config, self._chain.way_m
-        asked = self._nearest_of_passes(near, away_m)[: config.passes]
+        asked = self._nearest_of_passes(near, away_m)[:PASSES]
         for k in list(asked):
             aside = 1
             while aside * config.place_m <= reach_m[k]:
@@ -271,18 +282,18 @@ class LoopBackEnd:
         return self._places[k]
 
     def _believe(self, found: Loop) -> None:
-        """Believe all candidates that say the same as this one, if they are enough, and not of one spot."""
+        """Believe all candidates that say the same as this one, if they are not of one spot."""
         config, way = self._config, self._chain.way_m
-        base, growth = (config.agree_m, config.agree_rad), (config.agree_growth, config.agree_growth_radpm)
+        base, growth = (AGREE_M, AGREE_RAD), (config.drift, config.drift_radpm)
         group = [
             loop
             for loop in self._candidates
-            if abs(way[loop.to] - way[found.to]) <= config.group_within_m
-            and abs(way[loop.of] - way[found.of]) <= 2.0 * config.group_within_m
+            if abs(way[loop.to] - way[found.to]) <= WITHIN_M
+            and abs(way[loop.of] - way[found.of]) <= 2.0 * WITHIN_M
             and agree(self._chain, found, loop, base, growth)
         ]
         ends_m = [float(way[loop.to]) for loop in group]
-        if len(group) < config.group or max(ends_m) - min(ends_m) < config.group_span_m:
+        if max(ends_m) - min(ends_m) < config.group_span_m:
             return
         new = [loop for loop in group if loop not in self._loops and loop not in self._aside]
         if new:
@@ -297,7 +308,7 @@ class LoopBackEnd:
     def _doubtful_steps(self) -> npt.NDArray[np.bool_]:
         """(N - 1,) steps to or from a key frame of which far less than usual lies on the map."""
         score = self._chain.score
-        doubtful = score < self._config.doubtful_share * np.median(score)
+        doubtful: npt.NDArray[np.bool_] = score < DOUBTFUL_SHARE * np.median(score)
         return doubtful[1:] | doubtful[:-1]
 
     def _odometry(self) -> Edges:
@@ -323,39 +334,28 @@ class LoopBackEnd:
         )
 
     def _graph(self) -> PoseGraph:
-        odometry, loops = self._odometry(), as_edges([*self._loops, *self._dense])
+        odometry, loops = self._odometry(), as_edges(self._loops)
         edges = Edges(
             *(np.concatenate((getattr(odometry, name), getattr(loops, name))) for name in Edges.__slots__)
         )
         return PoseGraph(self._chain.map.copy(), edges)
 
     def _solve(self) -> None:
-        """Poses that agree best; loops that the rest contradicts are laid aside, and may come back."""
+        """Poses that agree best; loops that the rest contradicts are laid aside."""
         if self._chain.count < 2:
             return
         for _ in range(3):
             self._chain.map[:] = solve(self._graph()).poses
-            if not self._weigh():
+            if not self._lay_aside():
                 return
 
-    def _weigh(self) -> bool:
-        """Whether a loop changed sides."""
-        config, poses = self._config, self._chain.map
-        changed = False
-        for loops, aside in ((self._loops, True), (self._aside, False)):
-            chi2 = edge_chi2(as_edges(loops), poses)
-            limit = config.contradiction_chi2 if aside else config.reinstated_chi2
-            go = [loop for loop, c in zip(loops, chi2, strict=True) if bool(c > limit) is aside]
-            if not go:
-                continue
-            changed = True
-            loops[:] = [loop for loop in loops if loop not in go]
-            (self._aside if aside else self._loops).extend(go)
-            if aside:
-                break
-        chi2 = edge_chi2(as_edges(self._dense), poses)
-        self._dense = [d for d, c in zip(self._dense, chi2, strict=True) if c <= config.contradiction_chi2]
-        return changed
+    def _lay_aside(self) -> bool:
+        """Whether a loop had to go."""
+        chi2 = edge_chi2(as_edges(self._loops), self._chain.map)
+        go = [loop for loop, c in zip(self._loops, chi2, strict=True) if c > CONTRADICTION_CHI2]
+        self._loops = [loop for loop in self._loops if loop not in go]
+        self._aside += go
+        return bool(go)
 
     def _finish(self) -> Result:
         chain = self._chain
@@ -365,9 +365,6 @@ class LoopBackEnd:
             self._solve()
         self._search_again()
         if self._loops:
-            self._solve()
-        self._join_densely()
-        if self._loops or self._dense:
             self._solve()
         self._places.clear()
         text = to_g2o(self._graph())
@@ -379,12 +376,11 @@ class LoopBackEnd:
     def _search_again(self) -> None:
         """Every stretch against the passes that lie near it now: revisits that were missed on the way."""
         config, way = self._config, self._chain.way_m
-        window = (config.finish_window_m, config.finish_window_rad)
         done = {(round(way[loop.to] / 3.0), round(way[loop.of] / 3.0)) for loop in self._loops}
         self._candidates = list(self._loops)
         new = []
-        for at_m in np.arange(config.query_m, way[-1], config.search_every_m):
-            for loop in self._search(int(np.searchsorted(way, at_m)), window):
+        for at_m in np.arange(config.place_m, way[-1], config.search_every_m):
+            for loop in self._search(int(np.searchsorted(way, at_m)), FINISH_WINDOW):
                 spot = (round(way[loop.to] / 3.0), round(way[loop.of] / 3.0))
                 if spot not in done and loop.of < loop.to:
                     done.add(spot)
@@ -394,31 +390,6 @@ class LoopBackEnd:
         for loop in new:
             if loop not in self._loops:
                 self._believe(loop)
-
-    def _join_densely(self) -> None:
-        """Each key frame against the other passes beside it; only where it lies there nearly already."""
-        config, chain = self._config, self._chain
-        if config.dense_m == 0.0 or not self._loops:
-            return
-        way, usable = chain.way_m, self._usable()
-        wanted: list[tuple[int, int]] = []  # place's key frame, key frame
-        for k in range(chain.count):
-            away_m = np.hypot(*(chain.map[:, :2] - chain.map[k, :2]).T)
-            near = np.flatnonzero((away_m <= config.dense_m) & (way < way[k] - config.apart_m) & usable)
-            if len(near) and usable[k]:
-                wanted += [(p, k) for p in self._nearest_of_passes(near, away_m)[: config.dense_passes]]
-        stride = 1 + len(wanted) // max(config.dense_most, 1)
-        for p, k in sorted(wanted)[::stride]:
-            place = self._place(p)
-            guess = se2.between(chain.map[place.reference], chain.map[k])
-            fit = place.align(cloud_of(chain, [k], k), guess)
-            moved = se2.between(guess, fit.pose)
-            if (
-                self._is_good(fit)
-                and np.hypot(moved[0], moved[1]) <= config.dense_most_m
-                and abs(moved[2]) <= config.dense_most_rad
-            ):
-                self._dense.append(loop_of(place.reference, k, fit.pose, fit.information, fit.share))
 
     def _paint(self) -> Sheet | None:
         if self._painter is None:

@@ -10,7 +10,7 @@ from service.geometry import poses as se2
 from service.mapper.graph.keyframes import Chain, Floats
 from service.mapper.graph.loops import Loop, loop_of
 from service.mapper.graph.loops_config import LoopsConfig
-from service.mapper.graph.places import Place, cloud_of
+from service.mapper.graph.places import LEAST_SCORE, Place, cloud_of
 
 PIECE_REACH_M, PIECE_STEP_RAD = 8.0, 0.03  # window in which a piece is looked for about each place
 MOST_QUERY = 12  # key frames of a piece that are looked for together
@@ -56,7 +56,7 @@ class PieceSearch:
         config, chain = self._config, self._chain
         piece = int(chain.piece[-1])
         own = np.flatnonzero((chain.piece == piece) & chain.is_usable)
-        from_m = chain.way_m[-1] - config.query_m
+        from_m = chain.way_m[-1] - config.place_m
         if self._hypothesis is not None and chain.way_m[-1] - self._hypothesis.way_m >= LEAST_APART_M:
             from_m = self._hypothesis.way_m + 0.5 * LEAST_APART_M  # none of what the first find has seen
         own = own[chain.way_m[own] >= from_m][-MOST_QUERY:]
@@ -71,7 +71,7 @@ class PieceSearch:
                 continue
             asked_m = float(chain.way_m[k])
             place = place_of(k)
-            pose = place.search(cloud, np.zeros(3), PIECE_REACH_M, np.pi, config.least_score, PIECE_STEP_RAD)
+            pose = place.search(cloud, np.zeros(3), PIECE_REACH_M, np.pi, LEAST_SCORE, PIECE_STEP_RAD)
             if pose is None:
                 continue
             fit = place.align(cloud, pose)

@@ -13,9 +13,7 @@ BEAMS = 181
 
 def rehearse() -> Result:
     """There and back through a room: the way back closes loops with the way there."""
-    config = LoopsConfig(
-        apart_m=0.5, query_m=1.0, place_m=1.0, search_every_m=0.5, group=2, group_span_m=0.2, least_score=0.1
-    )
+    config = LoopsConfig(apart_m=0.5, place_m=1.0, search_every_m=0.5, group_span_m=0.2)
     back_end = LoopBackEnd(config, None)
     there = [STEP_M * k for k in range(12)]
     frames = [seen_from(x_m, k) for k, x_m in enumerate([*there, *there[-2::-1]])]

@@ -95,7 +95,7 @@ def test_the_same_batches_give_the_same_result_and_a_pickled_back_end_too(
 
 
 def test_without_company_no_loop_is_believed(ring: tuple[list[KeyFrame], list[SE2]]):
-    back_end, results = fed(ring[0], LoopsConfig(group=1000))
+    back_end, results = fed(ring[0], LoopsConfig(group_span_m=1000.0))
     assert {result.loops for result in results} == {0}
     assert back_end.work(Batch([], is_last=True)).loops == 0
 
