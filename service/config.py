@@ -261,8 +261,12 @@ class _Reader:
         match detail["type"]:
             case "extra_forbidden":
                 key = str(detail["loc"][-1])
-                known = sorted(_fields_at(model, detail["loc"][:-1]) - {"name"})
-                self._fault(at, _unknown_key(key, detail["input"], known))
+                models = _models_at(model, detail["loc"][:-1])
+                known = sorted({name for found in models for name in found.model_fields} - {"name"})
+                if any(key in getattr(found, "FIXED", ()) for found in models):
+                    self._fault(at, "no setting any more, its value is fixed; leave it out")
+                else:
+                    self._fault(at, _unknown_key(key, detail["input"], known))
             case "missing":
                 self._fault((*at, str(detail["loc"][-1])), "missing, and there is no sensible default")
             case _:
@@ -321,13 +325,13 @@ def _choose(key: str, known: typing.Sequence[str]) -> str:
     return f"known here: {', '.join(known)}"
 
 
-def _fields_at(model: type[BaseModel], location: tuple[int | str, ...]) -> set[str]:
-    """Names of the fields of the model that `location` leads to."""
+def _models_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[type[BaseModel]]:
+    """What `location` leads to."""
     models = [model]
     for part in location:
         found = [inner for outer in models for inner in _models_in(outer, part)]
         models = found or models  # a union's tag leads nowhere
-    return {name for found in models for name in found.model_fields}
+    return models
 
 
 def _models_in(model: type[BaseModel], field: int | str) -> Iterator[type[BaseModel]]:

@@ -120,6 +120,10 @@ def test_only_sensors_with_a_mounting_have_one():
         (GOOD + "publishing: {listen: [7447]}\n", "c.yaml:9:23: publishing.listen.0: should be a valid"),
         (GOOD + "mapping: {settings: {matcher: {cauchy_n: 3}}}\n", 'did you mean "cauchy_m"?'),
         (
+            GOOD + "mapping: {settings: {local_map: {permanence: {free_s: 1}}}}\n",
+            "local_map.permanence.free_s: no setting any more, its value is fixed; leave it out",
+        ),
+        (
             GOOD + "mapping: {mode: localization}\n",
             "c.yaml:9:11: mapping.mode: should be 'mapping' (got \"localization\")",
         ),

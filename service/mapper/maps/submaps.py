@@ -1,6 +1,7 @@
 """What scans are matched to: two overlapping sub-maps of surfels, of which the older one is read."""
 
 import math
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +39,7 @@ class SubmapsConfig(BaseModel):
     """How sub-maps are cut and filled."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+    FIXED: ClassVar = ("first_scans", "count_limit", "field_sigma_m", "field_enough")  # in older configs
 
     permanence: PermanenceConfig = PermanenceConfig()
     cell_m: float = Field(default=0.10, ge=0.02, le=0.5)

@@ -2,10 +2,13 @@
 
 import json
 import math
+import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -386,3 +389,21 @@ def test_every_parameter_is_documented() -> None:
         section = page.split(f"### `{stage}`")[1].split("###")[0]
         for key in settings:
             assert f"`{key}`" in section, f"{stage}.{key} is missing in docs/mapping.md"
+
+
+def test_forty_settings_are_enough_and_each_says_when_to_touch_it() -> None:
+    parameters = (ROOT / "docs/mapping.md").read_text().split("## Parameters")[1]
+    rows = [re.split(r" *\| *", line)[1:-1] for line in parameters.splitlines() if line.startswith("| `")]
+    touched = {name for names, _, _, when in rows if when for name in re.findall(r"`(\w+)`", names)}
+    settings = list(leaves(mapping_config().settings.model_dump()))
+    assert len(settings) <= 40
+    assert set(settings) <= touched
+
+
+def leaves(settings: dict[str, Any]) -> Iterator[str]:
+    """Keys that have no keys of their own."""
+    for key, value in settings.items():
+        if isinstance(value, dict):
+            yield from leaves(value)
+        else:
+            yield key
