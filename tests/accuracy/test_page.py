@@ -14,3 +14,13 @@ def test_running_one_scenario_replaces_its_section_alone(tmp_path, monkeypatch):
     assert "As it was." not in text
     assert "| error | 3.5 mm | 4.0 mm | ≤ 5 | yes |" in text
     assert "Scenario `cold`; now." in text
+
+
+def test_a_section_that_no_scenario_writes_stays_at_the_end(tmp_path, monkeypatch):
+    monkeypatch.setattr(page, "PAGE", tmp_path / "performance.md")
+    page.PAGE.write_text("# Page\n\n## By hand\n\nMeasured once.\n")
+    page.write_page({"cold": Section("Cold", "As it is.")}, ["cold"], "now")
+    page.write_page({"cold": Section("Cold", "As it is.")}, ["cold"], "now")
+    text = page.PAGE.read_text()
+    assert text.endswith("## By hand\n\nMeasured once.\n")
+    assert text.count("## ") == 2
