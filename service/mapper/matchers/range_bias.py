@@ -12,13 +12,18 @@ from service.mapper.stages import Points
 
 NODE_M, NODES = 0.5, 41
 SIGMA_M, SMOOTH_M = 0.01, 0.5  # of the curve before anything is learnt: its size, and how fast it changes
+# Offset, slope and bend over 10 m look like another scale of the map, in a corridor like motion: held at 0.
+SMOOTH_NODES, SMOOTH_SIGMA_M = 21, 5e-4
 SAME_ERRORS = 20.0  # scans in a row that see the same errors of the map
 LEARN_EVERY_M = 0.05  # of travel
 
 
 def _prior() -> npt.NDArray[np.float64]:
     apart = NODE_M / SMOOTH_M * (np.arange(NODES)[:, None] - np.arange(NODES))
-    return np.linalg.inv(SIGMA_M**2 * (np.exp(-0.5 * apart**2) + 1e-4 * np.eye(NODES)))
+    prior = np.linalg.inv(SIGMA_M**2 * (np.exp(-0.5 * apart**2) + 1e-4 * np.eye(NODES)))
+    smooth, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, SMOOTH_NODES), 3))
+    prior[:SMOOTH_NODES, :SMOOTH_NODES] += smooth @ smooth.T / SMOOTH_SIGMA_M**2
+    return prior
 
 
 @dataclass(slots=True)
