@@ -38,7 +38,6 @@ MOST_AGAINST = 0.12  # of the points in free space of the place: doors that were
 WITHIN_M = 30.0  # way within which loops that say the same lie
 AGREE_M, AGREE_RAD = 0.15, 0.03  # two loops say the same, besides the drift between them
 CONTRADICTION_CHI2 = 30.0  # of three degrees of freedom, 1 in 700 000: a loop beyond it is laid aside
-SOLVE_AT_M, SOLVE_AT_RAD = 0.05, 0.01  # what a loop must move to be worth a solution now: saves 9 of 10
 LOOP_M = 1.0  # what going over a loop counts in the length of a path
 NEWS_CHI2 = 4.0  # of a loop: two sigmas
 PLACES_KEPT = 16
@@ -158,7 +157,7 @@ class LoopBackEnd:
             off_m, off_rad = disagreement(chain, loop)
             if chain.way_m[loop.to] <= self._searched_m - WITHIN_M:
                 continue
-            if (off_m > SOLVE_AT_M and c > NEWS_CHI2) or off_rad > SOLVE_AT_RAD:
+            if (off_m > self._config.solve_at_m and c > NEWS_CHI2) or off_rad > self._config.solve_at_rad:
                 return True
         return False
 

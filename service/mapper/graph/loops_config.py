@@ -15,7 +15,7 @@ class LoopsConfig(BaseModel):
         "window_growth_radpm", "most_window_rad", "least_score", "least_share", "doubtful_share",
         "most_against", "group", "group_within_m", "agree_m", "agree_growth", "agree_rad",
         "agree_growth_radpm", "contradiction_chi2", "reinstated_chi2",
-        "solve_at_m", "solve_at_rad", "finish_window_m", "finish_window_rad",
+        "finish_window_m", "finish_window_rad",
         "dense_m", "dense_passes", "dense_most_m", "dense_most_rad", "dense_most",
     )
     # fmt: on
@@ -26,6 +26,8 @@ class LoopsConfig(BaseModel):
     keep_passes: int = Field(default=6, ge=1)  # points are kept of so many passes of a spot, the newest
 
     search_every_m: float = Field(default=2.0, gt=0.0)
+    solve_at_m: float = Field(default=0.05, gt=0.0)  # what a loop must move to be worth a solution now
+    solve_at_rad: float = Field(default=0.01, gt=0.0)
     place_m: float = Field(default=5.0, gt=0.0)  # way that is looked for, and way to each side of where it is
     apart_m: float = Field(default=12.0, gt=0.0)  # way between two passes of a place, at least
     group_span_m: float = Field(default=5.0, gt=0.0)  # way over which loops must say the same
