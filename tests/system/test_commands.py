@@ -160,7 +160,7 @@ def _check_the_wires_make_the_frames_again(session: Path) -> None:
 def _check_a_session_of_its_own(session: Path) -> None:
     recording = Recording([session])
     counts = {topic.name: topic.count for topic in recording.topics}
-    assert counts["/front/scan"] >= 50
+    assert counts["/front/scan"] >= 25  # of 50 poses heard since, some are of scans read before it began
     assert counts["/tf_static"] == 1
     assert "sick_lms100" in recording.metadata["config"]["yaml"]
     assert next(iter(recording.messages())).channel in ("tf_static", "map")
