@@ -26,22 +26,22 @@ def bias_at(curve_m, node_m, range_m):
 
 
 @njit(cache=True, nogil=True)
-def shorten_ranges(xy, sensor_xy_m, curve_m, node_m):
+def shorten_ranges(xy, sensor_xy_m, curve_m, node_m, shortened):
     """Take the bias out of points, each along its beam.
 
-    xy             (N, 2) float64   m, in and out
+    xy             (N, 2) float64   m
     sensor_xy_m    (2,)   float64   where the beams start, m
     curve_m        (K,)   float64   by which ranges are too long, at the nodes
     node_m         float            distance of the nodes
+    shortened      (N, 2) float64   out: m; may be xy
     """
     for i in range(xy.shape[0]):
         x = xy[i, 0] - sensor_xy_m[0]
         y = xy[i, 1] - sensor_xy_m[1]
         range_m = math.sqrt(x * x + y * y)
-        if range_m > 0.0:
-            share = bias_at(curve_m, node_m, range_m) / range_m
-            xy[i, 0] -= share * x
-            xy[i, 1] -= share * y
+        share = bias_at(curve_m, node_m, range_m) / range_m if range_m > 0.0 else 0.0
+        shortened[i, 0] = xy[i, 0] - share * x
+        shortened[i, 1] = xy[i, 1] - share * y
 
 
 @njit(cache=True, nogil=True)

@@ -1,6 +1,6 @@
 """The systematic error of each laser's ranges, learnt while it maps and taken out of its points."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -45,12 +45,22 @@ class RangeBias:
 
     def without(self, points: Points) -> Points:
         """The points without what is known of the bias."""
-        learnt = self._learnt.setdefault(points.scan.sensor, _Learnt())
-        xy_raw, xy_base = points.xy_raw.copy(), points.xy_base.copy()
+        learnt = self._learnt.get(points.scan.sensor)
+        if learnt is None:  # not setdefault: the prior takes as long as half a scan
+            learnt = self._learnt[points.scan.sensor] = _Learnt()
+        xy_raw, xy_base = np.empty_like(points.xy_raw), np.empty_like(points.xy_base)
         sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
-        shorten_ranges(xy_raw, sensor, learnt.curve_m, NODE_M)
-        shorten_ranges(xy_base, sensor, learnt.curve_m, NODE_M)
-        return replace(points, xy_raw=xy_raw, xy_base=xy_base)
+        shorten_ranges(points.xy_raw, sensor, learnt.curve_m, NODE_M, xy_raw)
+        shorten_ranges(points.xy_base, sensor, learnt.curve_m, NODE_M, xy_base)
+        return Points(
+            xy_base,
+            xy_raw,
+            points.beam_time_s,
+            points.beam,
+            points.sensor_base,
+            points.scan,
+            points.range_sigma_m,
+        )
 
     def learn(
         self,

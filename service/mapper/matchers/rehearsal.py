@@ -20,7 +20,7 @@ def rehearse_match() -> None:
     grid, normals = _empty_grid(), np.ones((1, 3))
     match_scan(returns, normals, prior, prior.pose.copy(), grid, settings, 1.0, xy)
     see_bias(xy, normals, np.zeros(3), np.zeros(2), grid, settings, 1.0, np.empty((2, 2)), np.empty(2))
-    shorten_ranges(xy, np.zeros(2), np.zeros(2), 1.0)
+    shorten_ranges(xy, np.zeros(2), np.zeros(2), 1.0, xy)
 
 
 def _empty_grid() -> SurfelGrid:
