@@ -1,8 +1,8 @@
 """WGS 84 <-> metres: earth-centred, east/north/up about an origin, and UTM for programs that want a grid.
 
-East and north are measured in the plane that touches the ellipsoid at the origin. Of two points d apart on the
-ground this plane shows d^3 / (6 R^2) too little: 0.5 mm at 5 km, 4 mm at 10 km, 0.5 m at 50 km. A point h above
-the origin's height lies off by h / R: 8 cm for 100 m of height at 5 km.
+East and north are measured in the plane that touches the ellipsoid at the origin. A point on the ground that
+is d away is shown d^3 / (6 R^2) too near: 0.5 mm at 5 km, 4 mm at 10 km, 0.5 m at 50 km. One that is h higher
+than the origin is shown d * h / R too far: 8 cm for 100 m of height at 5 km.
 
 Source: EPSG Guidance Note 7-2, 4.1.1 and 4.1.2 (geocentric, topocentric); Bowring, The accuracy of geodetic
 latitude and height equations, 1985; Karney, Transverse Mercator with an accuracy of a few nanometers, 2011,

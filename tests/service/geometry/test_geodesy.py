@@ -7,7 +7,7 @@ import pytest
 
 from service.geometry.geodesy import A_M, LocalFrame, from_ecef, to_ecef, to_utm, utm_zone
 
-# GeographicLib, manuals of CartConvert(1) and GeoConvert(1), examples. The last is given to 1e-5 degrees, 1.1 m.
+# GeographicLib, manuals of CartConvert(1) and GeoConvert(1), examples; the last has 5 decimals, 1 m
 CART_CONVERT = (33.3, 44.4, 6000.0), (3816209.60, 3737108.55, 3485109.57)
 CART_CONVERT_LOCAL = (33.0, 44.0, 20.0), (37288.97, 33374.29, 5783.65)
 GEO_CONVERT = (33.33424, 44.40363), (38, 444500.0, 3688500.0)
@@ -57,7 +57,7 @@ def test_utm_along_its_meridian_is_the_length_of_the_meridian():
 
 
 def test_utm_keeps_angles_far_off_its_meridian():
-    """What keeps angles and has the length of the meridian is the transverse Mercator, and nothing else is."""
+    """What keeps angles and has the length of its meridian can only be the transverse Mercator."""
     frame, step_m = LocalFrame(47.0, 12.5, 0.0), 10.0
     here, east, north = (
         np.array(to_utm(*frame.on_ground(*xy), 32)) for xy in ((0.0, 0.0), (step_m, 0.0), (0.0, step_m))
