@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 
 State = Literal["ok", "degraded", "lost"]
@@ -56,6 +57,7 @@ class MapperOutput:
     state: State
     reason: str  # why it is not "ok", else ""
     match_share: float  # share of the beams used that agree with the map, 0..1
+    geo_reference: GeoReference | None = None  # where the map lies on the earth; None: that is not known
 
     @property
     def pose_map_base(self) -> SE2:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Generic
 
 from drivers.frames import Frame, GnssFix, LaserScan
+from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapper.scan_check import ScanCheck
 from service.mapper.stages import (
@@ -33,6 +34,7 @@ class Mapper(Generic[ReadableMap]):
         self._last_stamp_ns: int | None = None
         self._check = ScanCheck()
         self._pose_map_odom = SE2()
+        self.geo_reference: GeoReference | None = None  # None: where the map lies on the earth is not known
         self.counters: Counter[str] = Counter()  # scans, scans_dropped_late, samples_dropped_late ...
 
     def process(self, frame: Frame) -> MapperOutput | None:
@@ -42,7 +44,7 @@ class Mapper(Generic[ReadableMap]):
         one whose stamp is seconds off those around it.
         """
         if isinstance(frame, GnssFix):
-            self.counters["fixes_passed_over"] += 1  # no stage takes them
+            self.counters[self._stages.graph.add_fix(frame)] += 1
             return None
         if not isinstance(frame, LaserScan):
             if not self._stages.motion_model.add(frame):
@@ -90,6 +92,8 @@ class Mapper(Generic[ReadableMap]):
 
     def _bring_in(self, update: GraphUpdate) -> None:
         self.counters.update(update.counts)
+        if update.geo is not None:
+            self.geo_reference = update.geo
         if update.joined:
             self._stages.local_map.join(update.joined)
         if update.sheet is not None:
@@ -129,6 +133,7 @@ class Mapper(Generic[ReadableMap]):
             state=match.state,
             reason=match.reason,
             match_share=match.inlier_ratio,
+            geo_reference=self.geo_reference,
         )
 
     def _passed_over(self, scan: LaserScan) -> MapperOutput:
@@ -144,4 +149,5 @@ class Mapper(Generic[ReadableMap]):
             state="lost",
             reason=f"{scan.sensor}: the same scan comes again though the vehicle moves; does the laser hang?",
             match_share=0.0,
+            geo_reference=self.geo_reference,
         )

@@ -8,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict
 
-from drivers.frames import LaserScan
+from drivers.frames import GnssFix, LaserScan
 from service.fusion.motion import Measurement, Motion, MotionModel, Prediction
+from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapper.background import InlineWorker, NewWorker
 from service.mapper.patch_store import MemoryPatches, NewPatchStore
@@ -110,12 +111,14 @@ class GraphUpdate:
     sheet    the shown map from now on; None: it stays
     since    what to draw into it besides: scans that the sheet does not know of
     joined   number of a piece of the map that was found in the rest; 0: none
+    geo      where the map lies on the earth; None: that is not known, or not news
     """
 
     counts: Mapping[str, int]
     sheet: Sheet | None = None
     since: Sequence[Drawn] = ()
     joined: int = 0
+    geo: GeoReference | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,6 +229,10 @@ class Graph(Protocol):
 
     def add(self, scan: MappedScan) -> SE2:
         """Take a scan that was mapped, give the newest pose_map_odom. Does not wait."""
+        ...
+
+    def add_fix(self, fix: GnssFix) -> str:
+        """Take a fix of a GNSS receiver; the name of the counter that it falls under. Does not wait."""
         ...
 
     def take_in(self) -> GraphUpdate:

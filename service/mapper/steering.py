@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol
 
 from drivers.frames import Frame, LaserScan
+from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapper.stages import FinishedGraph, Graph
 from service.outputs import MapperOutput, TileUpdate
@@ -49,6 +50,7 @@ class FrameMapper(Protocol):
     """service.mapper.pipeline.Mapper, whatever map it matches to."""
 
     counters: Counter[str]
+    geo_reference: GeoReference | None
 
     def process(self, frame: Frame) -> MapperOutput | None: ...
     def skip(self, scan: LaserScan) -> None: ...
@@ -130,6 +132,11 @@ class SteeredMapper:
     def changed_tiles(self) -> list[TileUpdate]:
         """As Mapper.changed_tiles; versions begin anew with each reset."""
         return self._mapper.changed_tiles()
+
+    @property
+    def geo_reference(self) -> GeoReference | None:
+        """Where the present map lies on the earth; None: that is not known (yet)."""
+        return self._mapper.geo_reference
 
     @property
     def work_ready(self) -> bool:

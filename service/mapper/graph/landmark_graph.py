@@ -5,6 +5,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from drivers.frames import GnssFix
 from service.geometry.se2 import SE2
 from service.mapper.background import Errand, NewWorker, WorkLostError
 from service.mapper.graph.landmark_back_end import Batch, LandmarkBackEnd, LandmarkGraphConfig, Pair, Result
@@ -84,6 +85,9 @@ class LandmarkGraph:
             self._submaps += 1
             self._errand.submit(Batch("submap", closed=change.closed))
         return self._pose_map_odom
+
+    def add_fix(self, fix: GnssFix) -> str:
+        return "fixes_passed_over"
 
     def take_in(self) -> GraphUpdate:
         if not self._errand.waiting:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.frames import GnssFix
 from service.geometry.se2 import SE2, wrap_angle
 from service.mapper.background import Errand, NewWorker, WorkLostError
 from service.mapper.graph.keyframes import KeyFrame
@@ -68,6 +69,9 @@ class LoopClosing:
             if self._way_m >= self._config.search_every_m or (is_detached and not self.waiting):
                 self._submit(Batch(self._fresh))
         return self._pose_map_odom
+
+    def add_fix(self, fix: GnssFix) -> str:
+        return "fixes_passed_over"
 
     def take_in(self) -> GraphUpdate:
         if not self.waiting:

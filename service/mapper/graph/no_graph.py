@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from drivers.frames import GnssFix
 from service.geometry.se2 import SE2
 from service.mapper.stages import FinishedGraph, GraphUpdate, MappedScan, WishError
 
@@ -14,6 +15,9 @@ class NoGraph:
 
     def add(self, scan: MappedScan) -> SE2:
         return SE2()
+
+    def add_fix(self, fix: GnssFix) -> str:
+        return "fixes_passed_over"
 
     def take_in(self) -> GraphUpdate:
         return GraphUpdate({})
