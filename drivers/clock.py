@@ -12,6 +12,7 @@ JUMP_NS = 500_000_000  # further from the prediction than jitter goes
 BACKLOG_NS = 2_000_000_000  # a network that held messages back has delivered them by then
 SETTLED_NS = 2_000_000_000  # a hull shorter than this says nothing of skew
 WINDOW_NS = 60_000_000_000  # a hull is used from half this age to this age, so warming-up drift is followed
+UNKNOWN_NS = 1_000_000_000  # standard deviation of an offset that rests on one message
 MAX_SKEW = 300e-6  # crystals are good to 100 ppm; more is a hull over bad data
 RUNAWAY_NS = (
     10_000_000_000  # a hull this long with more skew than that is begun anew, lest its offset grow stale
@@ -26,11 +27,15 @@ class _Hull:
     offset0_ns: int
     points: list[tuple[float, float]] = field(default_factory=list)
     minimum_offset_ns: float = 0.0
+    count: int = 0  # of messages
+    sum_offset_ns: float = 0.0
 
     def add(self, device_ns: int, offset_ns: int) -> None:
         x, y = float(device_ns - self.device0_ns), float(offset_ns - self.offset0_ns)
         points = self.points
         self.minimum_offset_ns = min(self.minimum_offset_ns, y)
+        self.count += 1
+        self.sum_offset_ns += y
         if points and x <= points[-1][0]:
             if y < points[-1][1]:
                 points[-1] = (points[-1][0], y)
@@ -92,6 +97,19 @@ class ClockMap:
     def settled(self) -> bool:
         """True once skew is measured; before, stamps rest on the fastest arrival alone."""
         return self._hull is not None and self._hull.span_ns >= SETTLED_NS
+
+    @property
+    def offset_sigma_ns(self) -> int:
+        """How well the fastest arrival is known, as a standard deviation; UNKNOWN_NS for the first message.
+
+        Lateness l_1 .. l_n is taken as exponential: the least of n lies mean(l) / n above its bound, and
+        scatters by as much (Johnson, Kotz, Balakrishnan, Continuous Univariate Distributions 1, 1994, 19.7).
+        """
+        hull = self._hull
+        if hull is None or hull.count < 2:
+            return UNKNOWN_NS
+        lateness_ns = hull.sum_offset_ns / hull.count - hull.minimum_offset_ns
+        return min(round(lateness_ns / hull.count), UNKNOWN_NS)
 
     @property
     def skew_ppm(self) -> float:

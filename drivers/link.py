@@ -42,6 +42,8 @@ READ_TIMEOUT_S = 0.02  # how often a session's timers run when the wire is silen
 FIRST_RETRY_S, LAST_RETRY_S = 0.25, 5.0  # back-off after a lost link; doubles in between
 DEVICE_ERROR_RETRY_S = 10.0
 PROVEN_AFTER_S = 5.0  # a link that lived this long starts its back-off anew
+CLOCK_KNOWN_NS = 2_000_000  # a stamp so good is handed on; at 1 m/s it is 2 mm
+CLOCK_PATIENCE_NS = 2_000_000_000  # after the first frame; then whatever is known must do
 
 
 class Session(Protocol):
@@ -69,6 +71,11 @@ class Session(Protocol):
         """Host minus device clock, None where the device has none or it is not known yet."""
         ...
 
+    @property
+    def clock_sigma_ns(self) -> int | None:
+        """Standard deviation of that offset, hence of stamps; None where the device has no clock."""
+        ...
+
 
 @dataclass(slots=True)
 class LinkHealth:
@@ -83,6 +90,7 @@ class LinkHealth:
     bytes_read: int = 0
     last_frame_ns: int = 0  # host monotonic, 0 before the first
     clock_offset_ns: int | None = None
+    clock_sigma_ns: int | None = None
     counters: Counter[str] = field(default_factory=Counter)  # over all connections
     identity: dict[str, str] = field(default_factory=dict)
 
@@ -138,6 +146,7 @@ def _pump(
     tee: RawTee | None,
 ) -> None:
     before = Counter(health.counters)
+    gate = _ClockGate()
     if tee is not None:
         tee(RawChunk(time.monotonic_ns(), "connected"))
     try:
@@ -160,9 +169,13 @@ def _pump(
                         log.info("%s: streaming%s", health.name, _identity_text(session.identity))
                     health.frames += not isinstance(frame, GnssFix)  # rates are those of what is mapped
                     health.last_frame_ns = arrived_ns
-                    sink(frame)
+                    if gate.lets_through(session.clock_sigma_ns, arrived_ns):
+                        sink(frame)
+                    else:
+                        session.counters["frames_before_clock"] += 1
             health.status = session.status
             health.clock_offset_ns = session.clock_offset_ns
+            health.clock_sigma_ns = session.clock_sigma_ns
             health.counters = before + session.counters
             health.identity = session.identity
         if last_words := session.farewell():
@@ -170,6 +183,30 @@ def _pump(
     finally:
         health.counters = before + session.counters
         health.status = session.status
+
+
+class _ClockGate:
+    """Holds back the first frames of a connection, until the device's clock is known.
+
+    On a busy machine the very first message is read up to 0.1 s late, and its stamp is as late: a map that
+    begins with it lies off by what the vehicle drove meanwhile, for good.
+    """
+
+    def __init__(self) -> None:
+        self._open = False
+        self._first_ns: int | None = None
+
+    def lets_through(self, clock_sigma_ns: int | None, arrived_ns: int) -> bool:
+        if self._open:
+            return True
+        if self._first_ns is None:
+            self._first_ns = arrived_ns
+        self._open = (
+            clock_sigma_ns is None
+            or clock_sigma_ns <= CLOCK_KNOWN_NS
+            or arrived_ns - self._first_ns > CLOCK_PATIENCE_NS
+        )
+        return self._open
 
 
 def _identity_text(identity: dict[str, str]) -> str:

@@ -73,6 +73,10 @@ class HokuyoUtm30lxSession:
     def clock_offset_ns(self) -> int | None:
         return None if self._last_ms is None or self._clock is None else self._clock.offset_ns
 
+    @property
+    def clock_sigma_ns(self) -> int | None:
+        return None if self._clock is None else self._clock.offset_sigma_ns
+
     def receive_data(self, data: bytes, arrived_ns: int) -> list[LaserScan]:
         scans = []
         for reply in self._decoder.receive_data(data):

@@ -88,6 +88,11 @@ class ScanClock:
         """Host minus device clock."""
         return self._clock.offset_ns - self.delay_ns
 
+    @property
+    def offset_sigma_ns(self) -> int:
+        """Standard deviation of that offset."""
+        return self._clock.offset_sigma_ns
+
     def synchronise(self, samples: Sequence[TimeSample]) -> bool:
         """Take in what TM1 said; False where it contradicts itself."""
         bounds = bounds_of_time(samples)

@@ -40,6 +40,11 @@ class DeviceClock:
             return None
         return self._map.offset_ns - (self._zero_ntp * 1_000_000_000 >> 32)
 
+    @property
+    def offset_sigma_ns(self) -> int:
+        """Standard deviation of that offset."""
+        return self._map.offset_sigma_ns
+
     def observe(self, scan: Scan, period_ns: int, arrived_ns: int) -> None:
         """Take in that `scan`, which ended at its end stamp, was there at `arrived_ns`."""
         if self._zero_ntp is None or self._jumped(scan, period_ns):

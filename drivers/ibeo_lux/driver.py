@@ -93,6 +93,10 @@ class IbeoLuxSession:
     def clock_offset_ns(self) -> int | None:
         return self._clock.offset_ns
 
+    @property
+    def clock_sigma_ns(self) -> int | None:
+        return self._clock.offset_sigma_ns
+
     def receive_data(self, data: bytes, arrived_ns: int) -> list[LaserScan]:
         self._now_ns = arrived_ns if self._now_ns is None else max(self._now_ns, arrived_ns)
         frames = []

@@ -83,6 +83,10 @@ class Create1Session:
     def clock_offset_ns(self) -> int | None:
         return None
 
+    @property
+    def clock_sigma_ns(self) -> int | None:
+        return None
+
     def farewell(self) -> bytes:
         return bytes([Opcode.START])  # Passive: the robot may charge and sleep
 

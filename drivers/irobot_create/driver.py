@@ -89,6 +89,10 @@ class IrobotCreateSession:
     def clock_offset_ns(self) -> int | None:
         return self._clock.offset_ns
 
+    @property
+    def clock_sigma_ns(self) -> int | None:
+        return self._clock.offset_sigma_ns
+
     def farewell(self) -> bytes:
         return bytes([Opcode.START, Opcode.STOP])  # Stop ends stream and mode; else Safe drains the battery
 

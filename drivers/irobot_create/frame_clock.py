@@ -53,6 +53,11 @@ class FrameClock:
         """Host minus frame clock (count times period), None before the first frame."""
         return None if self._origin is None else self._clock.offset_ns
 
+    @property
+    def offset_sigma_ns(self) -> int:
+        """Standard deviation of that offset."""
+        return self._clock.offset_sigma_ns
+
     def stamp(self, arrived_ns: int, missing_at_most: int) -> int:
         """Stamp, ns, of the next frame; later than that of every frame before it.
 

@@ -71,6 +71,10 @@ class Lms100Session:
     def clock_offset_ns(self) -> int | None:
         return None if self._last is None else self._clock.offset_ns
 
+    @property
+    def clock_sigma_ns(self) -> int | None:
+        return self._clock.offset_sigma_ns
+
     def receive_data(self, data: bytes, arrived_ns: int) -> list[LaserScan]:
         scans = []
         for telegram in self._decoder.receive_data(data):

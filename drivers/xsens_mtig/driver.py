@@ -55,6 +55,10 @@ class XsensMtigSession:
         return None if self._stream is None else self._stream.offset_ns
 
     @property
+    def clock_sigma_ns(self) -> int | None:
+        return None if self._stream is None else self._stream.offset_sigma_ns
+
+    @property
     def utc_minus_host_ns(self) -> int | None:
         """Unix time minus the host's monotonic clock, by the GNSS receiver; None: it does not know."""
         return None if self._stream is None else self._stream.utc_minus_host_ns

@@ -28,6 +28,11 @@ class FineClock:
         return None if self._last is None else self._clock.offset_ns
 
     @property
+    def offset_sigma_ns(self) -> int:
+        """Standard deviation of that offset."""
+        return self._clock.offset_sigma_ns
+
+    @property
     def resets(self) -> int:
         return self._clock.resets
 
@@ -79,6 +84,11 @@ class CounterClock:
     @property
     def offset_ns(self) -> int | None:
         return None if self._last is None else self._clock.offset_ns
+
+    @property
+    def offset_sigma_ns(self) -> int:
+        """Standard deviation of that offset."""
+        return self._clock.offset_sigma_ns
 
     @property
     def resets(self) -> int:

@@ -159,6 +159,10 @@ class Mtdata2Stream(_Stream):
     def offset_ns(self) -> int | None:
         return self._clock.offset_ns
 
+    @property
+    def offset_sigma_ns(self) -> int:
+        return self._clock.offset_sigma_ns
+
     def take(self, data: bytes, sent_ns: int, arrived_ns: int) -> list[Frame]:
         """Frames of one message, which was on the line from sent_ns on. Raises ProtocolError where its
         content is not MTData2."""
@@ -310,6 +314,10 @@ class LegacyStream(_Stream):
     @property
     def offset_ns(self) -> int | None:
         return self._clock.offset_ns
+
+    @property
+    def offset_sigma_ns(self) -> int:
+        return self._clock.offset_sigma_ns
 
     def _observe(self, sample: LegacyData, sent_ns: int) -> tuple[int, int]:
         """Stamp of the sample, and how many are missing before it. Raises ProtocolError without a time."""

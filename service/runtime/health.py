@@ -67,6 +67,7 @@ class SensorHealth:
             "age_s": f"{silent_s:.2f}" if link.last_frame_ns else "",
             "connects": str(link.connects),
             "clock_offset_ms": "" if link.clock_offset_ns is None else f"{link.clock_offset_ns / 1e6:.3f}",
+            "clock_sigma_ms": "" if link.clock_sigma_ns is None else f"{link.clock_sigma_ns / 1e6:.3f}",
             "last_error": link.last_error,
         }
         values.update({f"count.{key}": str(count) for key, count in sorted(link.counters.items())})

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drivers.clock import ClockMap
+from drivers.clock import UNKNOWN_NS, ClockMap
 
 PERIOD_S = 0.02006
 LATENCY_S = 0.8e-3
@@ -174,3 +174,25 @@ def test_settled_only_after_two_seconds():
 def test_asking_before_the_first_message_is_refused():
     with pytest.raises(ValueError, match="observe"):
         microseconds().to_host_ns(1)
+
+
+def test_how_well_an_offset_is_known_is_said_in_its_own_standard_deviation():
+    """Of exponential lateness the least of n scatters by the mean over n."""
+    rng = np.random.default_rng(5)
+    errors_ns, said_ns = [], []
+    for _ in range(400):
+        clock = ClockMap(1_000.0)
+        for k in range(8):
+            clock.observe(k * 20_000, round(k * 20e6 + rng.exponential(10e6)))
+        errors_ns.append(clock.offset_ns)
+        said_ns.append(clock.offset_sigma_ns)
+    assert np.std(errors_ns) == pytest.approx(np.mean(said_ns), rel=0.25)
+
+
+def test_one_message_says_nothing_of_how_late_it_came():
+    clock = ClockMap(1_000.0)
+    assert clock.offset_sigma_ns == UNKNOWN_NS
+    clock.observe(0, 5)
+    assert clock.offset_sigma_ns == UNKNOWN_NS
+    clock.observe(20_000, 20_000_005)
+    assert clock.offset_sigma_ns == 0

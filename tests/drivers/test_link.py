@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from drivers import link
+from drivers.clock import UNKNOWN_NS
 from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.frames import NO_INTENSITY, LaserScan
 from drivers.link import LinkHealth, run_link
@@ -27,6 +28,7 @@ class EchoSession:
         self.status = "new"
         self.identity = {"firmware": "1"}
         self.clock_offset_ns = 7
+        self.clock_sigma_ns = None
         self.ticks = 0
         self._fails_with, self._fails_in_tick = fails_with, fails_in_tick
 
@@ -173,3 +175,26 @@ def test_wire_that_breaks_during_the_farewell_ends_the_link_quietly():
 
     health, _ = run([Breaks([b"a"], stop)], [EchoSession()], stop)
     assert health.last_error == ""
+
+
+def test_the_first_frames_wait_until_the_devices_clock_is_known():
+    stop, session = threading.Event(), EchoSession()
+    sigmas_ns = iter([UNKNOWN_NS, 20_000_000, 2_000_000, 20_000_000])
+    receive = session.receive_data
+
+    def receive_data(data, arrived_ns):
+        session.clock_sigma_ns = next(sigmas_ns)
+        return receive(data, arrived_ns)
+
+    session.receive_data = receive_data
+    health, frames = run([StoppableTransport([b"a", b"b", b"c", b"d"], stop)], [session], stop)
+    assert len(frames) == 2  # the third, and the fourth: once known, it is not asked again
+    assert (health.frames, health.counters["frames_before_clock"]) == (4, 2)
+    assert health.clock_sigma_ns == 20_000_000
+
+
+def test_a_clock_that_stays_unknown_holds_frames_back_for_two_seconds_only():
+    gate = link._ClockGate()
+    assert not gate.lets_through(30_000_000, 5)
+    assert not gate.lets_through(30_000_000, 5 + link.CLOCK_PATIENCE_NS)
+    assert gate.lets_through(30_000_000, 6 + link.CLOCK_PATIENCE_NS)

@@ -35,6 +35,7 @@ class AskingSession:
         self.status = ""
         self.identity: dict[str, str] = {}
         self.clock_offset_ns = None
+        self.clock_sigma_ns = None
         self._count = count
         self._asked_ns: int | None = None
 

@@ -87,10 +87,12 @@ def test_rates_drops_offset_counters_and_identity_are_told():
     sensor = SensorHealth(link)
     sensor.status(0, 0, 10 * S)
     link.frames, link.bytes_read, link.last_frame_ns = 150, 80_000, 11 * S
-    link.clock_offset_ns, link.counters, link.identity = 1_500_000, Counter(resync=2), {"serial": "123"}
+    link.clock_offset_ns, link.clock_sigma_ns = 1_500_000, 40_000
+    link.counters, link.identity = Counter(resync=2), {"serial": "123"}
     values = sensor.status(dropped=3, unusable=1, now_ns=11 * S).values
     assert (values["rate_hz"], values["kilobytes_per_s"]) == ("50.0", "80.0")
     assert (values["dropped"], values["unusable"], values["clock_offset_ms"]) == ("3", "1", "1.500")
+    assert values["clock_sigma_ms"] == "0.040"
     assert (values["count.resync"], values["identity.serial"]) == ("2", "123")
     assert sensor.mean_rate_hz == 50.0
 

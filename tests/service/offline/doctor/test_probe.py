@@ -19,6 +19,7 @@ class Echo:
         self.counters: Counter[str] = Counter()
         self.status, self.identity = "streaming; warm", {"serial": "7"}
         self.clock_offset_ns = 5
+        self.clock_sigma_ns = None
         self._fail_at = fail_at
 
     def receive_data(self, data: bytes, arrived_ns: int) -> list[OdometrySample]:
