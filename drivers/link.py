@@ -146,7 +146,7 @@ def _pump(
     tee: RawTee | None,
 ) -> None:
     before = Counter(health.counters)
-    gate = _ClockGate()
+    gate = ClockGate()
     if tee is not None:
         tee(RawChunk(time.monotonic_ns(), "connected"))
     try:
@@ -185,7 +185,7 @@ def _pump(
         health.status = session.status
 
 
-class _ClockGate:
+class ClockGate:
     """Holds back the first frames of a connection, until the device's clock is known.
 
     On a busy machine the very first message is read up to 0.1 s late, and its stamp is as late: a map that

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 
 from service.cli.arguments import new_parser
-from service.cli.console import set_up_logging
 from service.errors import CorridorError, StorageError
+from service.log_format import set_up_logging
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments[:1] == ["simulate"]:
         _become_the_simulators(arguments[1:])
     parsed = new_parser().parse_args(arguments)
-    set_up_logging(parsed.verbose)
+    set_up_logging(logging.DEBUG if parsed.verbose else logging.INFO)
     module, function = _COMMANDS[parsed.command]
     command: Callable[..., int] = getattr(import_module(module), function)
     try:

@@ -1,9 +1,7 @@
 """What the commands say: progress and logs on stderr, results on stdout."""
 
 import json
-import logging
 import math
-import os
 import sys
 import time
 from collections.abc import Iterator
@@ -14,30 +12,6 @@ from typing import Any, TextIO
 BAR_WIDTH = 30
 REDRAW_S = 0.1
 PLAIN_STEPS = 10  # off a terminal a line each tenth
-
-_SYSLOG_LEVELS = {"DEBUG": 7, "INFO": 6, "WARNING": 4, "ERROR": 3, "CRITICAL": 2}
-
-
-class JournalFormatter(logging.Formatter):
-    """`<4>text`: systemd's journal takes the number for the severity, and has the time itself."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        text = super().format(record).replace("\n", "\n  ")
-        return f"<{_SYSLOG_LEVELS.get(record.levelname, 6)}>{text}"
-
-
-def set_up_logging(verbose: bool) -> None:
-    """Log to stderr: for the journal where systemd started us, with times for people elsewhere."""
-    handler = logging.StreamHandler(sys.stderr)
-    if "JOURNAL_STREAM" in os.environ:
-        handler.setFormatter(JournalFormatter("%(name)s: %(message)s"))
-    else:
-        handler.setFormatter(
-            logging.Formatter("%(asctime)s %(levelname)-7s %(name)s: %(message)s", "%H:%M:%S")
-        )
-    logging.basicConfig(level=logging.DEBUG if verbose else logging.INFO, handlers=[handler], force=True)
-    logging.getLogger("numba").setLevel(logging.WARNING)
-    logging.captureWarnings(True)
 
 
 def print_result(result: dict[str, Any], as_json: bool) -> None:

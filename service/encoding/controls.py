@@ -1,14 +1,15 @@
 """What is done to the mapper between two frames, as it stands among the events of a recording."""
 
 import json
-from typing import get_args
+from typing import Literal, get_args
 
 from service.encoding.outputs import decode_event
 from service.errors import InputError
-from service.mapper.steering import WISHES, Control, Steering, Step, TakeIn, Wish
+from service.mapper.steering import WISHES, Control, LeftOut, Steering, Step, TakeIn, Wish
 
 STEERINGS: tuple[Steering, ...] = get_args(Steering)
 TAKE_IN = "take_in"
+LEFT_OUT: dict[str, Literal["old", "fatal"]] = {"scan_passed_over": "old", "frame_refused": "fatal"}
 
 
 def decode_control(payload: bytes, log_ns: int) -> Step | None:
@@ -26,6 +27,8 @@ def decode_control(payload: bytes, log_ns: int) -> Step | None:
         return Control(what, log_ns)
     if what == TAKE_IN:
         return TakeIn(log_ns)
+    if what in LEFT_OUT and isinstance(event.get("sensor"), str):
+        return LeftOut(event["sensor"], LEFT_OUT[what], log_ns)
     if what in WISHES:
         return Wish(what, {key: event[key] for key in event if key not in ("event", "id")}, log_ns)
     return None

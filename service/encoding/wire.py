@@ -67,8 +67,11 @@ class LogClock:
         self._last_ns = 0
 
     def next_ns(self, unix_ns: int) -> int:
-        """`unix_ns`, or one more than the last log time where that is later."""
-        self._last_ns = max(self._last_ns + 1, unix_ns)
+        """`unix_ns`, or two more than the last log time where that is later.
+
+        The time one before a frame's own is free for what the mapper decided when it came to that frame.
+        """
+        self._last_ns = max(self._last_ns + 2, unix_ns)
         return self._last_ns
 
 

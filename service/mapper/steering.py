@@ -40,7 +40,19 @@ class Wish:
     arrived_ns: int
 
 
-Step = Control | TakeIn | Wish  # what stands among the frames
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """Live, the next frame of a sensor was not mapped.
+
+    "old" is a scan that had waited too long, "fatal" a frame that the mapper died of.
+    """
+
+    sensor: str
+    reason: Literal["old", "fatal"]
+    arrived_ns: int
+
+
+Step = Control | TakeIn | Wish | LeftOut  # what stands among the frames
 
 # What the verbs are called that go to the graph; a profile's graph says which of them it knows.
 WISHES = ("add_landmark_pair", "remove_landmark_pair", "optimize", "undo")
@@ -115,6 +127,15 @@ class SteeredMapper:
         output = self._in_one_odom(output)
         self._last_odom = (output.stamp_ns, output.pose_odom_base)
         return output
+
+    def maps(self, scan: LaserScan) -> bool:
+        """Whether `process` would map it, were it in order."""
+        return scan.sensor == self.laser and not self.paused
+
+    def pass_over(self, scan: LaserScan) -> None:
+        """Leave out a scan that is too old to be mapped: the base is where wheels and gyro say."""
+        self.counters["scans_passed_over"] += 1
+        self._mapper.skip(scan)
 
     def steer(self, steering: Steering) -> bool:
         """Whether that changed anything: a pause in a pause does not."""

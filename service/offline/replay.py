@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from drivers.frames import LaserScan
 from service.config import ServiceConfig, laser_names, load_config, mapped_laser, mountings, parse_config
 from service.encoding import LASER_SCAN, pose_on_wire
 from service.encoding import warm_up as warm_up_encoding
@@ -24,7 +25,7 @@ from service.kernel_warm_up import warm_up as warm_up_kernels
 from service.mapper.corrections import corrected
 from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
 from service.mapper.stages import WishError
-from service.mapper.steering import TAKE_IN_AFTER_SCANS, Control, SteeredMapper, TakeIn, Wish
+from service.mapper.steering import TAKE_IN_AFTER_SCANS, Control, LeftOut, SteeredMapper, TakeIn, Wish
 from service.mapstore.patch_files import PatchFiles
 from service.mapstore.picture import picture_of_tiles
 from service.mapstore.png import write_png
@@ -161,6 +162,7 @@ def replay(
 
     recording = session.recording
     span_ns = max(recording.last_log_ns - recording.first_log_ns, 1)
+    left_out: dict[str, LeftOut] = {}  # what live came to the next frame of a sensor
     pace = _Pace(options.rate)
     began_s = time.monotonic()
     for step in session.steps():
@@ -174,8 +176,16 @@ def replay(
             if as_live:
                 mapper.take_in()
             continue
+        if isinstance(step, LeftOut):
+            if as_live:
+                left_out[step.sensor] = step
+            continue
         if isinstance(step, Wish):
             _wish(mapper, step)
+            continue
+        if (reason := left_out.pop(step.sensor, None)) is not None:
+            if reason.reason == "old" and isinstance(step, LaserScan):
+                mapper.pass_over(step)
             continue
         before_ns, before_cpu_ns = time.perf_counter_ns(), time.thread_time_ns()
         output = mapper.process(step)
@@ -200,6 +210,7 @@ def replay(
         "scans": len(outputs),
         "scans_dropped": _dropped(session, mapper),
         "scans_not_mapped": mapper.counters["scans_not_mapped"],
+        "scans_passed_over": mapper.counters["scans_passed_over"],
         "scans_paused": mapper.counters["scans_paused"],
         "shared_topics": session.shared_topics,
         "duration_s": round(duration_s, 3),

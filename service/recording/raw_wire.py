@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from drivers.errors import DriverError
 from drivers.frames import Frame
-from drivers.link import RawChunk, Session
+from drivers.link import ClockGate, RawChunk, Session
 from service.encoding import BYTES, decode_raw
 from service.errors import InputError
 from service.recording.mcap_reader import Recording
@@ -38,16 +38,19 @@ def frames_from_wire(chunks: Iterable[RawChunk], new_session: Callable[[], Sessi
     new_session is what the registry's `session_maker` makes for the sensor's config. They are the frames of
     then as long as the session says what it said then, for its ticks come when it spoke. Chunks before the
     first connection are passed over: a session cannot begin in mid-stream. Where a session gives up, the
-    rest of its connection is passed over, as the link did.
+    rest of its connection is passed over, as the link did, and so are the frames that it held back.
     """
     session: Session | None = None
+    gate = ClockGate()
     for chunk in chunks:
         if chunk.kind == "connected":
-            session = new_session()
+            session, gate = new_session(), ClockGate()
         elif session is not None:
             try:
                 if chunk.kind == "received":
-                    yield from session.receive_data(chunk.data, chunk.at_ns)
+                    for frame in session.receive_data(chunk.data, chunk.at_ns):
+                        if gate.lets_through(session.clock_sigma_ns, chunk.at_ns):
+                            yield frame
                 else:
                     session.tick(chunk.at_ns)
                     session.outbox.clear()

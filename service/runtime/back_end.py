@@ -1,29 +1,56 @@
-"""The process beside the mapping in which a graph's back end does its work.
+"""The process beside the mapper's in which a graph's back end does its work.
 
-A process and not a thread, because the solver holds the interpreter while it works. One thread here speaks
-with it: it sends a batch, waits for the answer, sends the next.
+A process of its own, because the solver holds the interpreter while it works. It is forked from the mapper's,
+has no threads, and can be forked itself: a stand-by of the mapper gets a stand-by of the back end.
 """
 
+import gc
 import logging
 import os
-import queue
 import signal
-import threading
+import socket
 import time
-from multiprocessing import get_context
-from multiprocessing.connection import Connection
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from service.mapper.background import BackEnd, WorkLostError
+from service.runtime.channel import Channel, ChannelClosedError
 
 log = logging.getLogger(__name__)
 
 NICENESS = 5  # a loop may close a little later; scans may not wait
 STOP_S = 2.0
+MOST_DESCRIPTORS = 4096
+CONNECT_S = 5.0  # that a copy may take to reach its stand-by: it first ends the work that it has begun
+
+
+class _Begin(NamedTuple):
+    back_end: BackEnd
+
+
+class _Work(NamedTuple):
+    number: int
+    batch: Any
+
+
+class _Copy(NamedTuple):
+    """Be there twice from here on: the copy serves whoever listens at the path."""
+
+    path: str
+    answered: int  # answers up to this one have come
+
+
+class _Done(NamedTuple):
+    number: int
+    answer: Any
+
+
+class _Failed(NamedTuple):
+    words: str
 
 
 class BackEndProcess:
-    """Does the work of one back end after the other. `start`, then `stop`; `new_worker` at any time.
+    """Does the work of one back end after the other; waits for nothing but `result`. Needs no thread.
 
     The process begins with the first back end, so a profile without a graph has none. When it dies, that is
     said once in the log, and all work from then on is lost; it ends when this process ends, however it ends.
@@ -32,172 +59,239 @@ class BackEndProcess:
     """
 
     def __init__(self, patience_s: float) -> None:
-        self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
-        self._patience = _Patience(patience_s)
-        self._thread: threading.Thread | None = None
-        self._stopping = threading.Event()
-        self._process: Any = None
+        self.patience_s = self._left_s = patience_s
+        self._channel: Channel | None = None
+        self._listener: socket.socket | None = None  # of a stand-by, until its back end is needed
+        self._submitted = 0
+        self._answers: dict[int, Any] = {}
+        self._answered = 0
+        self._unwanted = 0  # up to here nobody waits for an answer any more
+        self.pid: int | None = None  # of the process; None where there is none, or it is another's child
         self.trouble = ""  # why it does nothing any more, "" while all is well
 
     @property
-    def pid(self) -> int | None:
-        """Of the process; None where there is none."""
-        return self._process.pid if self._process is not None else None
+    def channel(self) -> Channel | None:
+        """For who waits for several things at once."""
+        return self._channel
 
-    def start(self) -> None:
-        self._thread = threading.Thread(target=self._run, name="back-end", daemon=True)
-        self._thread.start()
+    @property
+    def is_at_work(self) -> bool:
+        """Whether answers are still to come."""
+        self._receive(0.0)
+        return self._answered < self._submitted and not self.trouble
+
+    def new_worker(self, back_end: BackEnd) -> "ProcessWorker":
+        if self._channel is None and self._listener is None and not self.trouble:
+            self._begin()
+        self._unwanted = self._submitted
+        self._answers.clear()
+        self._send(_Begin(back_end))
+        return ProcessWorker(self)
 
     def stop(self) -> None:
         """End the process, whatever it is doing; what is still out is lost."""
-        self._stopping.set()
-        self._jobs.put(None)
-        if self._process is not None:
-            self._process.kill()
-        if self._thread is not None:
-            self._thread.join(STOP_S)
+        if self._channel is not None:
+            self._channel.close()
+            self._channel = None
+        if self.pid is not None:
+            _kill(self.pid)
+            self.pid = None
+        self.trouble = self.trouble or "the back end has been stopped"
 
-    def new_worker(self, back_end: BackEnd) -> "ProcessWorker":
-        self._jobs.put(_Job("begin", back_end))
-        return ProcessWorker(self._jobs, self._patience)
+    def copy(self, path: Path) -> None:
+        """Before a fork of this process: have the back end fork, too; its copy will come to `path`."""
+        if self._connected() is None:
+            return
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._listener.bind(str(path))
+        self._listener.listen(1)
+        self._send(_Copy(str(path), self._answered))
+        if self.trouble:
+            self._close_listener()
 
-    def _run(self) -> None:
-        ours: Connection | None = None
-        while (job := self._jobs.get()) is not None:
-            if job.abandoned:
-                continue
-            if ours is None and not self.trouble:
-                ours = self._begin()
-            self._do(job, ours)
-        if ours is not None:
-            ours.close()
-        if self._process is not None:
-            self._process.join(STOP_S)
+    def forked(self, is_copy: bool) -> None:
+        """After the fork: in the copy the back end is the other one, in the parent all is as it was."""
+        if self._listener is None:
+            return
+        if is_copy:
+            if self._channel is not None:
+                self._channel.close()
+            self._channel, self.pid = None, None
+        else:
+            self._close_listener()
 
-    def _begin(self) -> Connection:
-        context = get_context("spawn")  # a forked child would inherit locks that it does not have
-        ours, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs,), name="back-end", daemon=True)
-        self._process.start()
+    def submit(self, batch: Any) -> int:
+        """Number of the piece of work."""
+        self._submitted += 1
+        self._send(_Work(self._submitted, batch))
+        return self._submitted
+
+    def is_ready(self, number: int) -> bool:
+        """Whether `result` answers at once, be it with an error."""
+        if number > self._answered and not self.trouble:
+            self._receive(0.0)
+        return number <= self._answered or bool(self.trouble)
+
+    def result(self, number: int) -> Any:
+        """Raises WorkLostError."""
+        began_s = time.monotonic()
+        while not self.is_ready(number) and self._left_s - (time.monotonic() - began_s) > 0.0:
+            self._receive(self._left_s - (time.monotonic() - began_s))
+        self._left_s = max(self._left_s - (time.monotonic() - began_s), 0.0)
+        if number in self._answers:
+            return self._answers.pop(number)
+        raise WorkLostError(self.trouble or f"the back end did not finish within {self.patience_s:g} s")
+
+    def _begin(self) -> None:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+        pid = os.fork()
+        if pid == 0:
+            _live(theirs)
         theirs.close()
-        if self._stopping.is_set():
-            self._process.kill()
-        return ours
+        self.pid, self._channel = pid, Channel(ours)
 
-    def _do(self, job: "_Job", ours: Connection | None) -> None:
-        if ours is None or self.trouble:
-            job.fail(self.trouble)
+    def _connected(self) -> Channel | None:
+        """The channel; a stand-by that has taken over meets its back end here, at the first need."""
+        if self._channel is None and self._listener is not None:
+            self._listener.settimeout(CONNECT_S)
+            try:
+                self._channel = Channel(self._listener.accept()[0])
+            except OSError as error:
+                self._give_up(f"the back end of the stand-by did not come ({error})")
+            self._close_listener()
+        return self._channel
+
+    def _close_listener(self) -> None:
+        assert self._listener is not None
+        self._listener.close()
+        self._listener = None
+
+    def _send(self, message: Any) -> None:
+        channel = self._connected()
+        if channel is None:
             return
         try:
-            ours.send((job.kind, job.payload))
-            kind, answer = ours.recv()
-        except (EOFError, OSError):
-            self._process.join(STOP_S)
-            self._give_up(f"the back end's process died (exit code {self._process.exitcode})")
-            job.fail(self.trouble)
+            channel.send(message)
+        except ChannelClosedError as error:
+            self._died(error)
+
+    def _receive(self, timeout_s: float) -> None:
+        channel = self._connected()
+        if channel is None:
             return
-        job.payload = None
-        if kind == "failed":
-            self._give_up(f"the back end failed: {answer}")
-            job.fail(self.trouble)
-        else:
-            job.succeed(answer)
+        try:
+            channel.flush()
+            for message in channel.receive_within(timeout_s) if timeout_s > 0.0 else channel.receive():
+                if isinstance(message, _Failed):
+                    self._give_up(f"the back end failed: {message.words}")
+                    continue
+                self._answered = message.number
+                if message.number > self._unwanted:
+                    self._answers[message.number] = message.answer
+        except ChannelClosedError as error:
+            self._died(error)
+
+    def _died(self, error: ChannelClosedError) -> None:
+        self._give_up(f"the back end's process died ({error})")
 
     def _give_up(self, trouble: str) -> None:
-        self.trouble = trouble
-        if not self._stopping.is_set():
+        if self._channel is not None:
+            self._channel.close()
+            self._channel = None
+        if not self.trouble:
+            self.trouble = trouble
             log.error("%s; mapping goes on without closing loops", trouble)
 
 
 class ProcessWorker:
     """Worker of one back end in the process."""
 
-    def __init__(self, jobs: "queue.SimpleQueue[_Job | None]", patience: "_Patience") -> None:
-        self._jobs = jobs
-        self._patience = patience
-        self._closed = threading.Event()
+    def __init__(self, process: BackEndProcess) -> None:
+        self._process = process
 
     def submit(self, batch: Any) -> "ProcessPending":
-        job = _Job("work", batch, self._closed)
-        self._jobs.put(job)
-        return ProcessPending(job, self._patience)
+        return ProcessPending(self._process, self._process.submit(batch))
 
-    def close(self) -> None:
-        self._closed.set()
+    def close(self) -> None: ...
 
 
 class ProcessPending:
     """Pending of what the process does."""
 
-    def __init__(self, job: "_Job", patience: "_Patience") -> None:
-        self._job = job
-        self._patience = patience
+    def __init__(self, process: BackEndProcess, number: int) -> None:
+        self._process = process
+        self._number = number
 
     @property
     def ready(self) -> bool:
-        return self._job.settled.is_set()
+        return self._process.is_ready(self._number)
 
     def result(self) -> Any:
-        if not self._patience.wait(self._job.settled):
-            raise WorkLostError(f"the back end did not finish within {self._patience.allowed_s:g} s")
-        if self._job.error:
-            raise WorkLostError(self._job.error)
-        return self._job.answer
+        return self._process.result(self._number)
 
 
-class _Job:
-    def __init__(self, kind: str, payload: Any, closed: threading.Event | None = None) -> None:
-        self.kind = kind
-        self.payload = payload
-        self.settled = threading.Event()
-        self.answer: Any = None
-        self.error = ""
-        self._closed = closed
-
-    @property
-    def abandoned(self) -> bool:
-        return self._closed is not None and self._closed.is_set()
-
-    def succeed(self, answer: Any) -> None:
-        self.answer = answer
-        self.settled.set()
-
-    def fail(self, error: str) -> None:
-        self.payload, self.error = None, error
-        self.settled.set()
-
-
-class _Patience:
-    """Seconds of waiting that all may use up together."""
-
-    def __init__(self, allowed_s: float) -> None:
-        self.allowed_s = self._left_s = allowed_s
-
-    def wait(self, event: threading.Event) -> bool:
-        began_s = time.monotonic()
-        came = event.wait(max(self._left_s, 0.0))
-        self._left_s -= time.monotonic() - began_s
-        return came
-
-
-def _serve(connection: Connection) -> None:
-    """The process: ends when the other side is gone. Who stops the service stops it too, by that."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
-    os.nice(NICENESS)
-    back_end: BackEnd | None = None
+def _kill(pid: int) -> None:
     try:
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+    except (ProcessLookupError, ChildProcessError):
+        return  # it has ended, and the system has taken it away
+
+
+def _live(connection: socket.socket) -> None:
+    """The process, from its fork to its end: when the other side is gone."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD):
+        signal.signal(number, signal.SIG_IGN)  # who stops the service stops it too; copies need no burial
+    # Else whoever waits for the mapper to be gone would wait for this process, too.
+    os.closerange(3, connection.fileno())
+    os.closerange(connection.fileno() + 1, MOST_DESCRIPTORS)
+    gc.unfreeze()
+    os.nice(NICENESS)
+    try:
+        _Server(Channel(connection)).run()
+    except ChannelClosedError:
+        pass
+    finally:
+        os._exit(0)  # nothing of the process that it was forked from is cleaned up twice
+
+
+class _Server:
+    def __init__(self, channel: Channel) -> None:
+        self._channel = channel
+        self._back_end: BackEnd | None = None
+        self._kept: list[_Done] = []  # answers since the last copy: one of the next may still need them
+
+    def run(self) -> None:
         while True:
-            kind, payload = connection.recv()
+            for message in self._channel.receive_within(3600.0):
+                self._take(message)
+
+    def _take(self, message: Any) -> None:
+        if isinstance(message, _Begin):
+            self._back_end = message.back_end
+        elif isinstance(message, _Copy):
+            self._kept = [done for done in self._kept if done.number > message.answered]
+            if os.fork() == 0:
+                self._move_to(message.path)
+        else:
+            assert self._back_end is not None
             try:
-                if kind == "begin":
-                    back_end, answer = payload, None
-                else:
-                    assert back_end is not None
-                    answer = back_end.work(payload)
+                done = _Done(message.number, self._back_end.work(message.batch))
             except Exception as error:  # whatever it is, the state of the back end is unknown now
-                connection.send(("failed", f"{type(error).__name__}: {error}"))
-                return
-            connection.send(("done", answer))
-    except (EOFError, OSError):
-        return
+                self._channel.send(_Failed(f"{type(error).__name__}: {error}"))
+                self._channel.receive_within(STOP_S)
+                raise ChannelClosedError("failed") from error
+            self._kept.append(done)
+            self._channel.send(done)
+
+    def _move_to(self, path: str) -> None:
+        """In the copy: serve the stand-by at the path from now on."""
+        self._channel.close()
+        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            connection.connect(path)
+        except OSError:
+            os._exit(0)  # the stand-by has ended already
+        self._channel = Channel(connection)
+        for done in self._kept:
+            self._channel.send(done)

@@ -1,8 +1,7 @@
-"""What each command does. All of them go through the frame queue: their place among the frames is exact."""
+"""What each command does. All of them go through the intake: their place among the frames is exact."""
 
 import json
 import threading
-import time
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Protocol
@@ -11,14 +10,14 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.encoding import Message, encode_event
 from service.encoding.controls import decode_control
-from service.mapper.stages import WishError
 from service.mapper.steering import Steering, Wish
 from service.mapstore.tiles import TileStore
 from service.publishing.commands import CommandError, Outcome, Request, Verb
 from service.recording.mcap_recorder import McapRecorder, SessionChange
+from service.runtime.intake import Intake
 from service.runtime.map_keeper import MapKeeper, SavedMap
-from service.runtime.mapping import MappingLoop
-from service.runtime.queues import Command, FrameQueue
+from service.runtime.mapper_messages import Answer
+from service.runtime.mapping_outputs import MappingOutputs
 
 
 class MarkRequest(Request):
@@ -45,7 +44,7 @@ class PairNumberRequest(Request):
 
 
 class CarryOut(Protocol):
-    """Runs in the mapping thread, between two frames: waits for nothing and raises nothing."""
+    """Runs between two frames: waits for nothing and raises nothing."""
 
     def __call__(self, event: Message, outcome: Outcome) -> None: ...
 
@@ -55,14 +54,14 @@ class Commands:
 
     def __init__(
         self,
-        queue: FrameQueue,
-        loop: MappingLoop,
+        intake: Intake,
+        outputs: MappingOutputs,
         tiles: TileStore,
         keeper: MapKeeper,
         recorder: McapRecorder,
     ) -> None:
-        self._queue = queue
-        self._loop = loop
+        self._intake = intake
+        self._outputs = outputs
         self._tiles = tiles
         self._keeper = keeper
         self._recorder = recorder
@@ -93,10 +92,9 @@ class Commands:
     def _verb(self, name: str, carry_out: CarryOut, request: type[Request] = Request) -> Verb:
         def start(request: Request, outcome: Outcome) -> None:
             event = {"event": name, **request.model_dump(exclude_none=True)}
-            command = Command(time.monotonic_ns(), event, lambda message: carry_out(message, outcome))
             with self._lock:
                 self._open = [*(o for o in self._open if not o.settled), outcome]
-            if refused := self._queue.put_command(command):
+            if refused := self._intake.mark(event, lambda message: carry_out(message, outcome)):
                 outcome.failed(refused)
                 raise CommandError(refused)
 
@@ -109,35 +107,41 @@ class Commands:
     def _ask_graph(self, name: str, event: Message, outcome: Outcome) -> None:
         """Recorded even if it is refused: a replay refuses it at the same place."""
         self._recorder.put(event)
-        try:
-            wish = decode_control(event.payload, event.log_ns)
-            assert isinstance(wish, Wish)
-            outcome.done(**self._loop.wish(name, wish.payload))
-        except WishError as error:
-            outcome.failed(str(error))
+        wish = decode_control(event.payload, event.log_ns)
+        assert isinstance(wish, Wish)
+
+        def answered(answer: Answer) -> None:
+            if answer.error:
+                outcome.failed(answer.error)
+            else:
+                outcome.done(**answer.result)
+
+        self._intake.wish(name, wish.payload, event.log_ns, answered)
 
     def _steer(self, steering: Steering, event: Message, outcome: Outcome) -> None:
         self._recorder.put(event)
-        outcome.done(changed=self._loop.steer(steering))
+        self._intake.steer(steering, event.log_ns, lambda answer: outcome.done(changed=answer.result))
 
     def _reset_map(self, event: Message, outcome: Outcome) -> None:
         """Answered when the map before is on disk."""
         self._recorder.put(event)
-        number = self._tiles.number
-        self._loop.steer("reset_map")
-        before = self._keeper.folder_of(number) if self._tiles.number != number else None
 
-        def saved(present: SavedMap | None, trouble: str) -> None:
+        def saved(before: Path | None, present: SavedMap | None, trouble: str) -> None:
             if trouble:
                 outcome.failed(f"the map is reset, but the one before is not saved yet: {trouble}")
             else:
                 outcome.done(folder=str(self._keeper.folder), folder_before=_text(before))
 
-        self._keeper.ask_to_save(saved)
+        def answered(answer: Answer) -> None:
+            number = self._tiles.number
+            self._outputs.map_reset()
+            before = self._keeper.folder_of(number) if self._tiles.number != number else None
+            self._keeper.ask_to_save(partial(saved, before))
+
+        self._intake.steer("reset_map", event.log_ns, answered)
 
     def _save_map(self, event: Message, outcome: Outcome) -> None:
         self._recorder.put(event)
-        self._loop.hand_over_tiles()
 
         def saved(present: SavedMap | None, trouble: str) -> None:
             if trouble:
@@ -147,11 +151,11 @@ class Commands:
             else:
                 outcome.done(folder=str(present.folder), version=present.number, map_version=present.version)
 
-        self._keeper.ask_to_save(saved)
+        self._intake.tiles(event.log_ns, lambda answer: self._keeper.ask_to_save(saved))
 
     def _start_recording(self, event: Message, outcome: Outcome) -> None:
         self._recorder.begin_session(event, partial(self._recording_changed, outcome))
-        if self._loop.paused:  # a session holds all that its replay needs
+        if self._intake.paused:  # a session holds all that its replay needs
             text = json.dumps({"event": "pause", "reason": "paused before the recording began"})
             self._recorder.put(encode_event(text, event.stamp_ns, event.log_ns))
 

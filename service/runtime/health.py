@@ -8,10 +8,11 @@ from service.encoding import Message, Status, encode_diagnostics
 from service.publishing.commands import CommandDesk
 from service.publishing.zenoh_publisher import ZenohPublisher
 from service.recording.mcap_recorder import McapRecorder
+from service.runtime.intake import Intake
 from service.runtime.map_keeper import MapKeeper
-from service.runtime.mapping import MappingLoop
+from service.runtime.mapper_link import MapperLink
+from service.runtime.mapping_outputs import MappingOutputs
 from service.runtime.metrics import LatencyHistogram, RateMeter
-from service.runtime.queues import FrameQueue
 
 OK, WARNING, ERROR, STALE = 0, 1, 2, 3  # levels of diagnostic_msgs/DiagnosticStatus
 STALE_AFTER_NS = 1_000_000_000
@@ -45,7 +46,7 @@ class SensorHealth:
         return (self._link.frames - self._first[0]) * 1e9 / (self._link.last_frame_ns - self._first[1])
 
     def status(self, dropped: int, unusable: int, now_ns: int) -> Status:
-        """dropped: scans that had to make room in the queue; now_ns: host monotonic."""
+        """dropped: scans that were too old to be mapped; now_ns: host monotonic."""
         link = self._link
         if self._first is None and link.frames > 0:
             self._first = (link.frames, link.last_frame_ns)
@@ -81,8 +82,9 @@ class HealthReport:
     def __init__(
         self,
         links: Mapping[str, LinkHealth],
-        queue: FrameQueue,
-        loop: MappingLoop,
+        intake: Intake,
+        link: MapperLink,
+        outputs: MappingOutputs,
         keeper: MapKeeper,
         recorder: McapRecorder,
         publisher: ZenohPublisher,
@@ -91,8 +93,9 @@ class HealthReport:
     ) -> None:
         self._links = links
         self._sensors = {name: SensorHealth(link) for name, link in links.items()}
-        self._queue = queue
-        self._loop = loop
+        self._intake = intake
+        self._link = link
+        self._outputs = outputs
         self._keeper = keeper
         self._recorder = recorder
         self._publisher = publisher
@@ -106,12 +109,9 @@ class HealthReport:
     @property
     def scans_dropped(self) -> int:
         """Scans that came in whole and were not mapped, for whatever reason."""
-        late = sum(
-            count for name, count in _snapshot(self._loop.counters) if name.startswith("scans_dropped")
-        )
-        return (
-            sum(count for _, count in _snapshot(self._queue.dropped_scans)) + late + self._loop.unusable_scans
-        )
+        counters = self._outputs.counters
+        late = sum(count for name, count in counters.items() if name.startswith("scans_dropped"))
+        return sum(dict(self._outputs.passed_over).values()) + late + self._outputs.unusable_scans
 
     @property
     def mean_rates_hz(self) -> dict[str, float]:
@@ -124,11 +124,13 @@ class HealthReport:
     @property
     def line(self) -> str:
         """One line for people who ask `systemctl status`."""
-        output, recorder = self._loop.last_output, self._recorder.health
-        if self._loop.paused:
+        last, recorder = self._outputs.last, self._recorder.health
+        if self._intake.paused:
             state = "mapping paused"
+        elif last is None:
+            state = "waiting for a scan"
         else:
-            state = "waiting for a scan" if output is None else f"mapping {output.state}"
+            state = "mapping overloaded" if self._outputs.overload() else f"mapping {last.state}"
         recording = recorder.path.name if recorder.path and recorder.state == "recording" else recorder.state
         return (
             f"{state}, {sum(self.streaming.values())}/{len(self._links)} sensors, "
@@ -138,8 +140,8 @@ class HealthReport:
     def update(self, now_ns: int, clock_step_ns: int) -> None:
         """Look at everything. now_ns: host monotonic; clock_step_ns: how far the wall clock has stepped."""
         self.clock_step_ns = clock_step_ns
-        self._scan_rate.read(self._loop.counters["scans"], now_ns)
-        dropped, unusable = self._queue.dropped_scans, self._loop.unusable
+        self._scan_rate.read(sum(dict(self._outputs.states).values()), now_ns)
+        dropped, unusable = self._outputs.passed_over, self._outputs.unusable
         sensors = [s.status(dropped[name], unusable[name], now_ns) for name, s in self._sensors.items()]
         self.statuses = [
             *sensors,
@@ -162,31 +164,35 @@ class HealthReport:
         return changes
 
     def _mapping(self) -> Status:
-        loop, output = self._loop, self._loop.last_output
-        values = {name: str(count) for name, count in _snapshot(loop.counters)}
+        outputs, last = self._outputs, self._outputs.last
+        values = {name: str(count) for name, count in sorted(outputs.counters.items())}
         values |= {
-            "laser": loop.laser or "",
+            "laser": outputs.laser or "",
             "scan_rate_hz": f"{self._scan_rate.rate_hz:.1f}",
             "scans_dropped": str(self.scans_dropped),
-            "queue_length": str(len(self._queue)),
-            "queue_deepest": str(self._queue.deepest),
+            "queue_length": str(self._link.waiting),
+            "restarts": str(outputs.restarts),
+            "restart_reason": outputs.restart_reason,
         }
-        values |= {f"scans_{state}": str(count) for state, count in _snapshot(loop.states)}
-        for name, histogram in (("latency_ms", self._latency), ("scan_cpu_ms", loop.scan_cpu)):
+        values |= {f"scans_{state}": str(count) for state, count in _snapshot(outputs.states)}
+        for name, histogram in (("latency_ms", self._latency), ("scan_cpu_ms", outputs.scan_cpu)):
             percentiles = histogram.percentiles().as_dict()
             values |= {f"{name}_{percentile}": f"{ms:.3f}" for percentile, ms in percentiles.items()}
-        if self._loop.paused:
+        if self._intake.paused:
             values["state"] = "paused"
             return Status("mapping", WARNING, "paused by a command; scans are recorded, not mapped", values)
-        if loop.graph_trouble:
-            values["graph_trouble"] = loop.graph_trouble
-        if output is None:
-            words = f"no scan of {loop.laser} mapped yet" if loop.laser else "no laser is configured"
+        if outputs.graph_trouble:
+            values["graph_trouble"] = outputs.graph_trouble
+        if last is None:
+            words = f"no scan of {outputs.laser} mapped yet" if outputs.laser else "no laser is configured"
             return Status("mapping", WARNING, words, values)
-        values |= {"state": output.state, "match_share": f"{output.match_share:.3f}"}
-        level, words = _LEVEL_OF_POSE[output.state], output.reason or output.state
-        if level == OK and loop.graph_trouble:
-            level, words = WARNING, f"no loops are closed: {loop.graph_trouble}"
+        values |= {"state": last.state, "match_share": f"{last.match_share:.3f}"}
+        level, words = _LEVEL_OF_POSE[last.state], last.reason or last.state
+        if overload := outputs.overload():
+            values["state"] = "overloaded"
+            return Status("mapping", max(level, WARNING), overload, values)
+        if level == OK and outputs.graph_trouble:
+            level, words = WARNING, f"no loops are closed: {outputs.graph_trouble}"
         return Status("mapping", level, words, values)
 
     def _map(self) -> Status:

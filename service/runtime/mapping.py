@@ -1,186 +1,194 @@
-"""The mapping thread: frames in order of arrival -> recording, subscribers and mapper."""
+"""The mapper's side: items by their number -> poses, tiles, answers. No process, socket or thread in here."""
 
-import json
-import logging
 import math
 import time
-from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable
 from typing import Any
 
 from drivers.frames import Frame, LaserScan
-from service.encoding import (
-    TAKE_IN,
-    LogClock,
-    Message,
-    decode_frame,
-    encode_event,
-    encode_frame,
-    encode_odom,
-    encode_pose,
-    encode_tf,
+from service.encoding import decode_frame, encode_odom, encode_pose, encode_tf
+from service.mapper.stages import WishError
+from service.mapper.steering import SteeredMapper
+from service.outputs import MapperOutput
+from service.runtime.mapper_messages import (
+    Answer,
+    Decisions,
+    FrameItem,
+    Go,
+    Item,
+    Mapped,
+    PassedOver,
+    Status,
+    SteerItem,
+    Tiles,
+    TookIn,
+    Unusable,
+    WishItem,
 )
-from service.mapper.steering import SteeredMapper, Steering
-from service.mapstore.tiles import TileStore
-from service.outputs import MapperOutput, TileUpdate
-from service.runtime.host_time import HostTime
-from service.runtime.metrics import LatencyHistogram
-from service.runtime.queues import Command, FrameQueue
 
-log = logging.getLogger(__name__)
-
-IDLE_S = 0.2  # how long to wait for a frame before the loop beats anyway
 TILE_INTERVAL_NS = 200_000_000
+TILES_OVERDUE_NS = 1_000_000_000  # then they are handed over though items wait
+STATUS_INTERVAL_NS = 200_000_000
+MOST_AGE_NS = 50_000_000  # of a scan when its mapping begins, or two of its periods if that is more
 
 
 class MapperError(Exception):
-    """The mapper cannot be trusted any more; the recording ends with the frame that did it."""
+    """The mapper cannot be trusted any more: it failed, or gave what is no pose."""
+
+    def __init__(self, number: int, words: str) -> None:
+        super().__init__(words)
+        self.number = number
 
 
 class MappingLoop:
-    """Owns the mapper. Waits for nothing but the next frame: `publish` and `record` only queue.
+    """Owns the mapper and takes items in the order of their numbers; what comes of them goes to `send`.
 
-    The mapper eats what the recording holds: each frame is encoded once, and what is decoded from those very
-    bytes goes on, so a replay of the file gives the same poses. Commands stand among the frames, there too.
-
-    publish    takes a message and, for a pose, the moment its scan's last byte was read (host monotonic, ns)
-    record     takes a message
-    on_tiles   takes tiles that the store holds by now, and the Unix time of the scan they are up to
+    It maps what the recording holds, so a replay of the file gives the same poses. Two things are decided by
+    the clock: when finished work of the graph comes in, and which scans are too old to be mapped. Both are
+    told, and the recording holds them.
     """
 
     def __init__(
         self,
-        queue: FrameQueue,
         mapper: SteeredMapper,
-        tiles: TileStore,
-        host_time: HostTime,
-        publish: Callable[[Message, int | None], Any],
-        record: Callable[[Message], Any],
-        on_tiles: Callable[[list[TileUpdate], int], Any],
+        send: Callable[[Any], None],
+        monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        self._queue = queue
-        self._mapper = mapper
-        self._tiles = tiles
-        self._host_time = host_time
-        self._publish = publish
-        self._record = record
-        self._on_tiles = on_tiles
-        self._log_clock = LogClock()
-        self._tiles_due_ns = 0
+        self.mapper = mapper
+        self._send = send
+        self._monotonic_ns = monotonic_ns
+        self._tiles_due_ns = self._status_due_ns = 0
         self._map_stamp_ns = 0  # Unix time of the newest scan in the map
-        self._began_version = 0  # the map's versions count from here
-        self.heartbeat = 0  # rises as long as the loop turns, with or without frames
-        self.last_output: MapperOutput | None = None
-        self.states: Counter[str] = Counter()  # scans by state: ok, degraded, lost
-        self.scan_cpu = LatencyHistogram()  # processor time of this thread in the mapper, by scan mapped
-        self.unusable_scans = 0  # of the laser that is mapped
-        self.unusable: Counter[str] = Counter()  # frames that hold nothing to map, by sensor
+        self._done_number = 0  # up to here nothing is decided anew, and nothing is told twice
+        self._decided = Decisions({}, frozenset(), frozenset())
+        self.number = 0  # the last item taken
 
     @property
-    def counters(self) -> Counter[str]:
-        """The mapper's own: scans, scans_dropped_late ..."""
-        return self._mapper.counters
+    def is_up_to_date(self) -> bool:
+        """False while items come again after another mapper was lost."""
+        return self.number >= self._done_number
 
-    @property
-    def laser(self) -> str | None:
-        """Whose scans are mapped."""
-        return self._mapper.laser
+    def go_on(self, go: Go) -> None:
+        """Items after `number` come again. What the mapper before had decided about them holds."""
+        self._done_number, self._decided = go.done_number, go.decisions
 
-    @property
-    def graph_trouble(self) -> str:
-        """Why no loop is closed any more, "" while all is well."""
-        return self._mapper.graph_trouble
-
-    @property
-    def paused(self) -> bool:
-        return self._mapper.paused
-
-    def run(self) -> None:
-        """Map until the queue is closed and empty. Raises MapperError."""
-        while not self._queue.drained:
-            self.heartbeat += 1
-            item = self._queue.get(IDLE_S)
-            if item is not None and self._mapper.work_ready:
-                self._take_in(item.arrived_ns)
-            if isinstance(item, Command):
-                self._carry_out(item)
-            elif item is not None:
-                self._take(item)
-            if time.monotonic_ns() >= self._tiles_due_ns:
-                self.hand_over_tiles()
-        self._mapper.finish()
-        self.hand_over_tiles()
-
-    def steer(self, steering: Steering) -> bool:
-        """Pause, resume or reset the mapper; whether that changed anything. For commands, between frames."""
-        if steering == "reset_map":
+    def take(self, item: Item) -> None:
+        """Raises MapperError."""
+        self._take_in_before(item)
+        if isinstance(item, FrameItem):
+            self._take_frame(item)
+        elif isinstance(item, SteerItem):
+            if item.steering == "reset_map":
+                self.hand_over_tiles()  # they are of the map before
+            self._tell(item.number, Answer(item.number, self.mapper.steer(item.steering)))
+        elif isinstance(item, WishItem):
+            self._tell(item.number, self._wish(item))
+        else:
             self.hand_over_tiles()
-            emptied = self._tiles.begin_anew()
-            if emptied:
-                self._on_tiles(emptied, self._map_stamp_ns)
-            self._began_version = self._tiles.version
-            self.last_output = None
-        return self._mapper.steer(steering)
+            self._tell(item.number, Answer(item.number, None))
+        self.number = item.number
 
-    def wish(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
-        """As Graph.wish; for commands, between frames. Raises WishError."""
-        return self._mapper.wish(name, payload)
+    def keep_up(self, is_idle: bool) -> None:
+        """Hand over tiles and tell the status where they are due; between two items."""
+        now_ns = self._monotonic_ns()
+        if self.is_up_to_date and now_ns >= self._tiles_due_ns + (0 if is_idle else TILES_OVERDUE_NS):
+            self._tiles_due_ns = now_ns + TILE_INTERVAL_NS
+            self.hand_over_tiles()
+        if now_ns >= self._status_due_ns:
+            self._status_due_ns = now_ns + STATUS_INTERVAL_NS
+            self.tell_status()
 
     def hand_over_tiles(self) -> None:
-        """Bring tile store and subscribers up to the newest scan. For commands, between frames."""
-        self._tiles_due_ns = time.monotonic_ns() + TILE_INTERVAL_NS
-        changed = self._mapper.changed_tiles()
-        if changed:
-            changed = [replace(tile, version=self._began_version + tile.version) for tile in changed]
-            self._tiles.update(changed)
-            self._on_tiles(changed, self._map_stamp_ns)
-
-    def _carry_out(self, command: Command) -> None:
-        log_ns = self._log_clock.next_ns(self._host_time.unix_ns(command.arrived_ns))
-        command.carry_out(encode_event(json.dumps(dict(command.event)), log_ns, log_ns))
-
-    def _take_in(self, arrived_ns: int) -> None:
-        """Bring in work of the graph, and record at which place among the frames that was."""
-        log_ns = self._log_clock.next_ns(self._host_time.unix_ns(arrived_ns))
-        self._mapper.take_in()
-        trouble = self._mapper.graph_trouble
-        event = {"event": "graph_lost", "reason": trouble} if trouble else {"event": TAKE_IN}
-        self._record(encode_event(json.dumps(event), log_ns, log_ns))
-
-    def _take(self, frame: Frame) -> None:
-        log_ns = self._log_clock.next_ns(self._host_time.unix_ns(frame.arrived_ns))
-        message = encode_frame(frame, self._host_time.offset_ns, log_ns)
-        self._record(message)
-        self._publish(message, None)
-        eaten = decode_frame(message.type, message.payload, frame.sensor, log_ns)
-        if eaten is None:
-            self.unusable[frame.sensor] += 1
-            self.unusable_scans += isinstance(frame, LaserScan) and frame.sensor == self.laser
+        """Those that changed since the last call. While items come again they wait: they would be old."""
+        if not self.is_up_to_date:
             return
-        output = self._map(eaten)
+        if changed := self.mapper.changed_tiles():
+            self._send(Tiles(changed, self._map_stamp_ns))
+
+    def tell_status(self) -> None:
+        self._send(
+            Status(self.number, dict(self.mapper.counters), self.mapper.graph_trouble, time.process_time())
+        )
+
+    def finish(self) -> None:
+        """After the last item: the graph's last word, and the tiles that it changed."""
+        self.mapper.finish()
+        self.hand_over_tiles()
+        self.tell_status()
+
+    def _take_in_before(self, item: Item) -> None:
+        for _ in range(self._decided.took_in.get(item.number, 0)):
+            self.mapper.take_in()
+        if item.number > self._done_number and self.mapper.work_ready:
+            self.mapper.take_in()
+            self._send(TookIn(item.number, item.log_ns, self.mapper.graph_trouble))
+
+    def _take_frame(self, item: FrameItem) -> None:
+        if item.number in self._decided.refused:
+            return
+        frame = decode_frame(item.type, item.payload, item.sensor, item.log_ns)
+        if frame is None:
+            is_mapped = item.sensor == self.mapper.laser and item.type.endswith("LaserScan")
+            self._tell(item.number, Unusable(item.number, item.sensor, is_mapped))
+            return
+        if isinstance(frame, LaserScan) and self._is_passed_over(frame, item):
+            return
+        before_ns = time.thread_time_ns()
+        output = self._map(frame, item)
         if output is None:
             return
-        self.last_output, self._map_stamp_ns = output, output.stamp_ns
-        self.states[output.state] += 1
-        pose, odom, tf = encode_pose(output, log_ns), encode_odom(output, log_ns), encode_tf(output, log_ns)
-        self._publish(pose, frame.arrived_ns)
-        for message in (odom, tf):
-            self._publish(message, None)
-        for message in (pose, odom, tf):
-            self._record(message)
+        self._map_stamp_ns = output.stamp_ns
+        messages = (encode_pose(output, 0), encode_odom(output, 0), encode_tf(output, 0))
+        cpu_ns = time.thread_time_ns() - before_ns
+        self._tell(
+            item.number,
+            Mapped(
+                number=item.number,
+                arrived_ns=item.arrived_ns,
+                stamp_ns=output.stamp_ns,
+                state=output.state,
+                reason=output.reason,
+                match_share=output.match_share,
+                cpu_ns=cpu_ns,
+                geo_reference=output.geo_reference,
+                messages=messages,
+            ),
+        )
 
-    def _map(self, frame: Frame) -> MapperOutput | None:
-        """One frame through the mapper. What it holds after an exception nobody knows, so none passes."""
+    def _is_passed_over(self, scan: LaserScan, item: FrameItem) -> bool:
+        """Whether a scan has waited too long; then the mapper only goes on by wheels and gyro."""
+        if item.number <= self._done_number:
+            if item.number in self._decided.passed_over:
+                self.mapper.pass_over(scan)
+                return True
+            return False
+        age_ns = self._monotonic_ns() - item.arrived_ns
+        if age_ns <= max(MOST_AGE_NS, 2 * scan.scan_period_ns) or not self.mapper.maps(scan):
+            return False
+        self.mapper.pass_over(scan)
+        self._send(PassedOver(item.number, item.log_ns, item.sensor, age_ns))
+        return True
+
+    def _map(self, frame: Frame, item: FrameItem) -> MapperOutput | None:
         kind = "scan" if isinstance(frame, LaserScan) else "sample"
-        before_cpu_ns = time.thread_time_ns()
         try:
-            output = self._mapper.process(frame)
+            output = self.mapper.process(frame)
         except Exception as error:
-            raise MapperError(f"{kind} of {frame.sensor} stamped {frame.stamp_ns}: {error!r}") from error
+            words = f"{kind} of {frame.sensor} stamped {frame.stamp_ns}: {error!r}"
+            raise MapperError(item.number, words) from error
         if output is not None:
-            self.scan_cpu.add(time.thread_time_ns() - before_cpu_ns)
             pose = output.pose_map_base
             if not all(map(math.isfinite, (pose.x_m, pose.y_m, pose.theta_rad))):
-                raise MapperError(f"{kind} of {frame.sensor} stamped {frame.stamp_ns} gave the pose {pose}")
+                words = f"{kind} of {frame.sensor} stamped {frame.stamp_ns} gave the pose {pose}"
+                raise MapperError(item.number, words)
         return output
+
+    def _wish(self, item: WishItem) -> Answer:
+        try:
+            return Answer(item.number, self.mapper.wish(item.name, item.payload))
+        except WishError as error:
+            return Answer(item.number, None, str(error))
+
+    def _tell(self, number: int, message: Any) -> None:
+        if number > self._done_number:
+            self._send(message)

@@ -1,8 +1,10 @@
 """The live service: builds everything from the config, starts it, watches over it, ends it in good order.
 
-    reader threads --frames--> FrameQueue --> mapping thread --messages--> publisher's and recorder's threads
-    (one a device)                                  |
-                                                    `--tiles--> TileStore --> publisher; map keeper (disk)
+    reader threads --frames--> Intake --messages--> publisher's and recorder's threads
+    (one a device)               |
+                            MapperLink --items--> mapper's process --poses, tiles--> MappingOutputs
+                                                                                        |
+              publisher; map keeper (disk) <-- TileStore <-- tiles ---------------------'--> as above
 
 The main thread calls `start`, then `tick` several times a second, at last `stop`.
 """
@@ -10,7 +12,6 @@ The main thread calls `start`, then `tick` several times a second, at last `stop
 import gc
 import json
 import logging
-import os
 import threading
 import time
 from collections.abc import Callable
@@ -26,25 +27,21 @@ from service.config import ServiceConfig, mapped_laser, mountings
 from service.encoding import encode_event, encode_raw, encode_tf_static
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import CorridorError, StorageError
-from service.kernel_warm_up import warm_up as warm_up_kernels
-from service.mapper.pipeline import Mapper
-from service.mapper.profiles import MappingConfig, build_mapper
-from service.mapper.steering import SteeredMapper
-from service.mapstore.patch_files import PatchFiles
 from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
 from service.publishing.commands import CommandDesk
 from service.publishing.zenoh_publisher import ZenohPublisher
 from service.recording.mcap_recorder import McapRecorder
-from service.runtime.back_end import BackEndProcess
 from service.runtime.commands import Commands
 from service.runtime.health import HealthReport
 from service.runtime.host_time import HostTime
+from service.runtime.intake import Intake
 from service.runtime.map_keeper import MapKeeper
-from service.runtime.mapping import MappingLoop
+from service.runtime.mapper_link import MapperLink
+from service.runtime.mapper_messages import Setup
+from service.runtime.mapping_outputs import MappingOutputs
 from service.runtime.metrics import LatencyHistogram, Percentiles
 from service.runtime.notify import Notifier
-from service.runtime.queues import FrameQueue
 from service.runtime.workers import Workers
 from service.version import VERSION
 
@@ -57,8 +54,8 @@ WARM_UP_TELL_S = 2.0  # how often the log says that it goes on
 READER_STOP_S = 5.0  # a connect to a silent host takes 3 s
 GRAPH_FINISH_S = 20.0  # for the last loops, at the end of a run
 KEEPER_STOP_S = 20.0
+WAKE_S = 0.1  # how often a start looks whether it is cancelled
 MAPPING_STOP_S = GRAPH_FINISH_S + 20.0
-READER_PRIORITY = 20  # SCHED_FIFO, where LimitRTPRIO= allows it
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +69,7 @@ class Summary:
     latency_ms: Percentiles  # from the last byte of a scan read to its pose put on Zenoh
     scan_cpu_ms: Percentiles  # processor time of a scan in the mapper
     rates_hz: dict[str, float]  # by sensor
-    cpu_percent: float  # of one core, this process
+    cpu_percent: float  # of one core: this process and the mapper's
     sessions: list[Path]
     map_folder: Path | None  # of the newest map; None where nothing was mapped
     utc_offset_ns: int  # Unix time minus host monotonic time, for the whole run
@@ -118,9 +115,7 @@ class Service:
         self._readers: list[threading.Thread] = []
         self._mapping: threading.Thread | None = None
         self._keeping: threading.Thread | None = None
-        self._queue = FrameQueue()
         self._tiles = TileStore()
-        self._back_end = BackEndProcess(GRAPH_FINISH_S)
         self._latency = LatencyHistogram()
         self._links = {name: LinkHealth(name) for name in config.sensors}
         self._recorder = McapRecorder(
@@ -132,15 +127,16 @@ class Service:
             metadata=self._metadata(),
         )
         self._publisher = ZenohPublisher(config.publishing, config.vehicle, self._tiles, self._latency.add)
-        self._loop = MappingLoop(
-            self._queue,
-            SteeredMapper(self._new_mapper, mapped_laser(config), take_in_after=None),
+        self._outputs = MappingOutputs(
+            mapped_laser(config),
             self._tiles,
-            self.host_time,
             self._publisher.put,
             self._recorder.put,
             self._publish_tiles,
+            lambda: self._intake.log_ns(),
         )
+        self._link = MapperLink(self._setup(), self._outputs)
+        self._intake = Intake(self._link, self.host_time, self._publisher.put, self._recorder.put)
         started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime(self._unix_ns() / 1e9))
         self._keeper = MapKeeper(
             map_folder or config.map.directory / f"{config.vehicle}_{started}",
@@ -150,12 +146,13 @@ class Service:
             {"vehicle": config.vehicle, "profile": config.mapping.profile},
             self._recorder.put,
         )
-        self._commands = Commands(self._queue, self._loop, self._tiles, self._keeper, self._recorder)
+        self._commands = Commands(self._intake, self._outputs, self._tiles, self._keeper, self._recorder)
         self._desk = CommandDesk(self._commands.verbs())
         self._report = HealthReport(
             self._links,
-            self._queue,
-            self._loop,
+            self._intake,
+            self._link,
+            self._outputs,
             self._keeper,
             self._recorder,
             self._publisher,
@@ -164,13 +161,18 @@ class Service:
         )
         self._ready_ns = self._health_due_ns = self._watchdog_due_ns = 0
         self._cpu_s = 0.0
-        self._last_beat = -1
+        self._last_turn = -1
         self.stopped = False
 
     @property
     def frame_sink(self) -> Callable[[Frame], None]:
         """Where the drivers put their frames, from any thread."""
-        return self._queue.put
+        return self._intake.put
+
+    @property
+    def mapper_pid(self) -> int:
+        """Of the process that maps now."""
+        return self._link.pid
 
     @property
     def failure(self) -> str:
@@ -183,23 +185,21 @@ class Service:
         return self._publisher.endpoints
 
     def start(self, cancelled: Callable[[], bool] = lambda: False) -> bool:
-        """Bring everything up, kernels first and drivers last; False if `cancelled` said so on the way.
+        """Bring everything up, the mapper first and drivers last; False if `cancelled` said so on the way.
 
-        Raises StorageError where the disk cannot be written, CorridorError where the kernels do not compile.
+        Raises StorageError where the disk cannot be written, CorridorError where the mapper does not start.
         """
         threading.excepthook = self._thread_died
-        if not self._warm_up(cancelled):
+        if not self._start_mapper(cancelled):
             return False
         self._recorder.start()
         self._event("start")
-        self._back_end.start()
-        self._mapping = self._workers.start("mapping", self._loop.run)
         self._keeping = self._workers.start("map-keeper", self._keeper.run)
         self._start_drivers()
         self._publisher.answer_commands(self._desk.answer)
         gc.collect()
         gc.freeze()  # what stands now stands for the whole run; a full collection would stall the readers
-        self._ready_ns, self._cpu_s = time.monotonic_ns(), time.process_time()
+        self._ready_ns, self._cpu_s = time.monotonic_ns(), self._processor_s()
         self._notifier.ready()
         log.info("ready; Zenoh at %s, map in %s", ", ".join(self.endpoints), self._keeper.folder)
         return True
@@ -222,12 +222,11 @@ class Service:
         self.stopped = True
         self._notifier.stopping()
         seconds = (time.monotonic_ns() - self._ready_ns) / 1e9 if self._ready_ns else 0.0
-        cpu_s = time.process_time() - self._cpu_s
+        cpu_s = self._processor_s() - self._cpu_s
         self._stop_drivers.set()
         for thread in self._readers:
             self._workers.join(thread, READER_STOP_S)
         map_trouble = self._stop_mapping()
-        self._back_end.stop()
         if self._ready_ns:
             self._tell_health(time.monotonic_ns())
             self._event("stop", reason=self.failure or "asked to")
@@ -240,11 +239,11 @@ class Service:
             raise map_trouble
         return Summary(
             seconds=round(seconds, 3),
-            scans=self._loop.counters["scans"],
+            scans=sum(self._outputs.states.values()),
             scans_dropped=self._report.scans_dropped,
-            states={state: self._loop.states[state] for state in ("ok", "degraded", "lost")},
+            states={state: self._outputs.states[state] for state in ("ok", "degraded", "lost")},
             latency_ms=self._latency.percentiles(),
-            scan_cpu_ms=self._loop.scan_cpu.percentiles(),
+            scan_cpu_ms=self._outputs.scan_cpu.percentiles(),
             rates_hz=self._report.mean_rates_hz,
             cpu_percent=round(100.0 * cpu_s / seconds, 1) if seconds else 0.0,
             sessions=sessions,
@@ -252,34 +251,36 @@ class Service:
             utc_offset_ns=self.host_time.offset_ns,
         )
 
-    def _warm_up(self, cancelled: Callable[[], bool]) -> bool:
-        """Compile the kernels or load them, in a thread, so that systemd can be told that it goes on."""
+    def _start_mapper(self, cancelled: Callable[[], bool]) -> bool:
+        """Start the mapper's process, which compiles or loads the kernels; systemd hears that it goes on."""
         self._notifier.status("compiling kernels")
         self._notifier.need_more_time(WARM_UP_MORE_S)
         began_s = asked_s = told_s = time.monotonic()
-        worker = self._workers.start("warm-up", partial(_warm_up, self._config.mapping))
-        while worker.is_alive():
+        self._link.start()
+        self._mapping = self._workers.start("mapping", self._link.run)
+        warm_up_encoding()
+        while not self._link.wait_ready(WAKE_S):
             if cancelled():
                 return False
+            if self.failure:
+                raise CorridorError(self.failure)
             if time.monotonic() - asked_s >= WARM_UP_ASK_S:
                 asked_s = time.monotonic()
                 self._notifier.need_more_time(WARM_UP_MORE_S)
             if time.monotonic() - told_s >= WARM_UP_TELL_S:
                 told_s = time.monotonic()
                 log.info("compiling kernels since %.0f s; later starts find them", told_s - began_s)
-            worker.join(0.1)
-        if self.failure:
-            raise CorridorError(f"the kernels do not compile: {self.failure}")
-        log.info("kernels ready after %.1f s", time.monotonic() - began_s)
+        log.info("mapper ready after %.1f s", time.monotonic() - began_s)
         return True
 
-    def _new_mapper(self) -> Mapper[Any]:
+    def _setup(self) -> Setup:
         config = self._config
-        return build_mapper(
-            config.mapping,
-            mountings(config.sensors),
-            new_worker=self._back_end.new_worker,
-            new_patch_store=PatchFiles,
+        return Setup(
+            mapping=config.mapping.model_dump(mode="json", exclude_defaults=True),
+            mountings=mountings(config.sensors),
+            laser=mapped_laser(config),
+            graph_patience_s=GRAPH_FINISH_S,
+            log_level=logging.getLogger().getEffectiveLevel(),
         )
 
     def _start_drivers(self) -> None:
@@ -298,7 +299,6 @@ class Service:
         tee = partial(self._tee, name) if self._config.recording.raw else None
 
         def read() -> None:
-            _take_priority()
             run_link(
                 self._links[name],
                 lambda: kind.open_transport(sensor),
@@ -314,16 +314,22 @@ class Service:
         self._recorder.put(encode_raw(name, chunk, self.host_time.offset_ns))
 
     def _stop_mapping(self) -> StorageError | None:
-        """Let the mapper eat what waits, then save the map. What went wrong with the saving, if anything."""
-        self._queue.close()
+        """Let the mapper take what waits, then save the map. What went wrong with the saving, if anything."""
+        self._intake.close()
         self._keeper.stop()
-        if self._mapping is None or self._keeping is None:
+        if self._mapping is not None:
+            self._notifier.need_more_time(MAPPING_STOP_S + KEEPER_STOP_S)
+            if self._ready_ns and not self.failure and not self._link.finish(MAPPING_STOP_S):
+                log.error(
+                    "the mapper did not finish within %.0f s; the map lacks its last word", MAPPING_STOP_S
+                )
+            self._link.close()
+            self._workers.join(self._mapping, MAPPING_STOP_S)
+        self._link.clean_up()
+        if self._keeping is None:
             return None
-        self._notifier.need_more_time(MAPPING_STOP_S + KEEPER_STOP_S)
-        mapped = self._workers.join(self._mapping, MAPPING_STOP_S)
-        kept = self._workers.join(self._keeping, KEEPER_STOP_S)
         try:
-            if mapped and kept:
+            if self._workers.join(self._keeping, KEEPER_STOP_S):
                 self._keeper.finish()
         except StorageError as error:
             log.error("%s", error)
@@ -331,12 +337,15 @@ class Service:
         return None
 
     def _feed_watchdog(self) -> None:
-        beat = self._loop.heartbeat
-        if beat == self._last_beat:
-            log.error("the mapping thread has not moved for %.1f s", self._notifier.watchdog_s)
+        turn = self._link.turns
+        if turn == self._last_turn:
+            log.error("nobody has listened to the mapper for %.1f s", self._notifier.watchdog_s)
         else:
             self._notifier.alive()
-        self._last_beat = beat
+        self._last_turn = turn
+
+    def _processor_s(self) -> float:
+        return time.process_time() + self._outputs.cpu_s
 
     def _tell_health(self, now_ns: int) -> None:
         step_before_ns = self._report.clock_step_ns
@@ -380,16 +389,3 @@ class Service:
         error = died.exc_value if died.exc_value is not None else died.exc_type()
         log.error("thread %s failed", name, exc_info=(died.exc_type, error, died.exc_traceback))
         self._workers.fail(name, error)
-
-
-def _warm_up(config: MappingConfig) -> None:
-    warm_up_encoding()
-    warm_up_kernels(config)
-
-
-def _take_priority() -> None:
-    """Real-time priority for this thread alone: bytes are stamped when they come. Refused is no harm."""
-    try:
-        os.sched_setscheduler(threading.get_native_id(), os.SCHED_FIFO, os.sched_param(READER_PRIORITY))
-    except OSError as error:
-        log.debug("reading without real-time priority: %s", error)

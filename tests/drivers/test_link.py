@@ -194,7 +194,7 @@ def test_the_first_frames_wait_until_the_devices_clock_is_known():
 
 
 def test_a_clock_that_stays_unknown_holds_frames_back_for_two_seconds_only():
-    gate = link._ClockGate()
+    gate = link.ClockGate()
     assert not gate.lets_through(30_000_000, 5)
     assert not gate.lets_through(30_000_000, 5 + link.CLOCK_PATIENCE_NS)
     assert gate.lets_through(30_000_000, 6 + link.CLOCK_PATIENCE_NS)

@@ -1,5 +1,6 @@
 import io
 import json
+import logging
 import os
 import subprocess
 import sys
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from service import log_format
 from service.cli import arguments, console, main
 from service.errors import ConfigError, CorridorError, InputError, StorageError, UsageError
 from service.version import VERSION
@@ -186,10 +188,10 @@ def test_results_are_words_or_one_json_object(capsys: pytest.CaptureFixture[str]
 
 
 def test_the_journal_is_told_the_severity(monkeypatch: pytest.MonkeyPatch):
-    record = console.logging.LogRecord(
-        "drivers.link", console.logging.WARNING, "", 0, "gone\nback", None, None
+    record = logging.LogRecord("drivers.link", logging.WARNING, "", 0, "gone\nback", None, None)
+    assert (
+        log_format.JournalFormatter("%(name)s: %(message)s").format(record) == "<4>drivers.link: gone\n  back"
     )
-    assert console.JournalFormatter("%(name)s: %(message)s").format(record) == "<4>drivers.link: gone\n  back"
 
 
 def test_every_command_of_the_parser_is_implemented():

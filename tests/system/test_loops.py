@@ -4,8 +4,8 @@ import json
 import math
 import os
 import signal
+import time
 from collections.abc import Iterator
-from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,21 +14,21 @@ import pytest
 
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
 from service.config import parse_config
-from service.encoding import Message, decode_event, encode_pose, encode_tf_static
+from service.encoding import LogClock, Message, decode_event, encode_pose, encode_tf_static
 from service.geometry.se2 import SE2
-from service.mapper.background import BackEnd, WorkLostError
 from service.mapper.profiles import build_mapper
 from service.mapper.steering import SteeredMapper
 from service.mapstore.tiles import TileStore
 from service.offline.replay import Replay, ReplayOptions, replay
 from service.recording.mcap_reader import Recording
 from service.recording.mcap_recorder import McapRecorder
-from service.runtime.back_end import BackEndProcess, ProcessPending, ProcessWorker
+from service.runtime.back_end import BackEndProcess
 from service.runtime.host_time import HostTime
-from service.runtime.mapping import MappingLoop
-from service.runtime.queues import Command, FrameQueue
+from service.runtime.intake import Intake
+from service.runtime.mapping_outputs import MappingOutputs
 from tests.service.mapper.drives import cast
 from tests.service.mapper.graph.rings import BEAMS, FIRST_RAD, RING, STEP_RAD, round_the_ring
+from tests.service.runtime.inline_link import InlineLink
 
 CONFIG = """\
 vehicle: v
@@ -60,64 +60,49 @@ def frames(scans: int) -> Iterator[Frame]:
         yield LaserScan("front", *times, FIRST_RAD, STEP_RAD, 0.05, 30.0, range_m, NO_INTENSITY)
 
 
-class UnevenQueue(FrameQueue):
-    """Now and then a frame comes only when the back end is done, so that answers come at odd places."""
-
-    def __init__(self) -> None:
-        super().__init__(scan_capacity=SCANS)
-        self.out: list[ProcessPending] = []
-        self._taken = 0
-
-    def get(self, timeout_s: float) -> Frame | Command | None:
-        self._taken += 1
-        if self._taken % 37 == 0 and self.out:
-            with suppress(WorkLostError):
-                self.out[-1].result()
-        return super().get(timeout_s)
-
-
-class Watched:
-    """A worker whose pieces of work a queue knows."""
-
-    def __init__(self, worker: ProcessWorker, queue: UnevenQueue) -> None:
-        self._worker, self._queue = worker, queue
-        self.close = worker.close
-
-    def submit(self, batch: object) -> ProcessPending:
-        self._queue.out.append(self._worker.submit(batch))
-        return self._queue.out[-1]
-
-
 class Live:
-    """The mapping loop of a service over the drive, with its recorder and its back end's process."""
+    """Intake and mapper of a service over the drive, with its recorder and its back end's process.
+
+    Now and then a frame comes only when the back end is done, so that answers come at odd places.
+    """
 
     def __init__(self, folder: Path, scans: int, kill_at: int | None = None) -> None:
-        self._queue = UnevenQueue()
         self.process = BackEndProcess(patience_s=60.0)
         recorder = McapRecorder(folder, "v", keep_free_bytes=0, metadata={"config": {"yaml": CONFIG}})
         recorder.start()
         recorder.put(encode_tf_static(MOUNTINGS, 1, 1))
-        for frame in frames(scans):
-            self._queue.put(frame)
-        self._queue.close()
         self.poses: list[bytes] = []
         self._kill_at = kill_at
         mapping = parse_config(CONFIG, "config").mapping
-        self.mapper = SteeredMapper(
-            lambda: build_mapper(mapping, MOUNTINGS, new_worker=self._worker), "front", None
+        mapper = SteeredMapper(
+            lambda: build_mapper(mapping, MOUNTINGS, new_worker=self.process.new_worker), "front", None
         )
-        self.loop = MappingLoop(
-            self._queue, self.mapper, TileStore(), HostTime(0), self._publish, recorder.put, lambda *_: None
+        log_clock = LogClock()
+        self.outputs = MappingOutputs(
+            "front",
+            TileStore(),
+            self._publish,
+            recorder.put,
+            lambda *_: None,
+            lambda: log_clock.next_ns(10**9),
         )
-        self.process.start()
+        link = InlineLink(mapper, self.outputs)
+        intake = Intake(link, HostTime(0), lambda *_: None, recorder.put)  # type: ignore[arg-type]
         try:
-            self.loop.run()
+            for k, frame in enumerate(frames(scans)):
+                if k % 37 == 36:
+                    self._let_the_back_end_finish()
+                intake.put(frame)
+            link.finish()
         finally:
             (self.session,) = recorder.finish()
             self.process.stop()
 
-    def _worker(self, back_end: BackEnd) -> Watched:
-        return Watched(self.process.new_worker(back_end), self._queue)
+    def _let_the_back_end_finish(self) -> None:
+        deadline_s = time.monotonic() + 60.0
+        while self.process.is_at_work and time.monotonic() < deadline_s:
+            if (channel := self.process.channel) is not None:
+                channel.wait(1.0)
 
     def _publish(self, message: Message, arrived_ns: int | None) -> None:
         if message.channel == "pose":
@@ -125,7 +110,6 @@ class Live:
             if len(self.poses) == self._kill_at:
                 assert self.process.pid is not None
                 os.kill(self.process.pid, signal.SIGKILL)
-                self._queue.out.clear()
 
 
 def events(session: Path) -> list[str]:
@@ -139,8 +123,8 @@ def jumps(done: Replay) -> int:
 
 def test_a_drive_whose_loops_closed_on_the_way_replays_to_the_last_bit(tmp_path: Path):
     live = Live(tmp_path, SCANS)
-    assert live.loop.counters["loop_closures"] >= 3
-    assert live.loop.graph_trouble == ""
+    assert live.outputs.counters["loop_closures"] >= 3
+    assert live.outputs.graph_trouble == ""
     assert events(live.session).count("take_in") > 20
     done = replay([live.session], ReplayOptions())
     assert [encode_pose(output, 0).payload for output in done.outputs] == live.poses
@@ -148,7 +132,7 @@ def test_a_drive_whose_loops_closed_on_the_way_replays_to_the_last_bit(tmp_path:
     odom = [output.pose_odom_base for output in done.outputs]
     steps_m = [math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) for a, b in pairwise(odom)]
     assert max(steps_m) < 2.0 * SPACING_M
-    assert done.summary["loop_closures"] == live.loop.counters["loop_closures"]
+    assert done.summary["loop_closures"] == live.outputs.counters["loop_closures"]
     truth = [round_the_ring(k * SPACING_M) for k in range(SCANS)]
     off = [t.inverse() @ p for t, p in zip(truth, done.poses_map_base, strict=True)]
     assert max(math.hypot(e.x_m, e.y_m) for e in off) < 0.03
@@ -159,8 +143,8 @@ def test_when_the_back_end_dies_mapping_goes_on_and_the_replay_is_still_the_same
 ):
     live = Live(tmp_path, 100, kill_at=50)
     assert len(live.poses) == 100
-    assert "died" in live.loop.graph_trouble
-    assert live.loop.counters["graph_work_lost"] == 1
+    assert "died" in live.outputs.graph_trouble
+    assert live.outputs.counters["graph_work_lost"] == 1
     assert events(live.session).count("graph_lost") == 1
     assert "mapping goes on without closing loops" in caplog.text
     done = replay([live.session], ReplayOptions())

@@ -1,12 +1,15 @@
 import os
 import signal
+import socket
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from service.mapper.background import WorkLostError
-from service.runtime.back_end import BackEndProcess
+from service.runtime import back_end
+from service.runtime.back_end import BackEndProcess, ProcessPending, ProcessWorker
 
 
 class Adder:
@@ -28,7 +31,6 @@ class Adder:
 @pytest.fixture
 def process() -> Iterator[BackEndProcess]:
     process = BackEndProcess(patience_s=30.0)
-    process.start()
     yield process
     process.stop()
 
@@ -74,7 +76,6 @@ def test_a_back_end_that_fails_says_how(process: BackEndProcess):
 
 def test_waiting_has_an_end():
     process = BackEndProcess(patience_s=0.0)
-    process.start()
     try:
         with pytest.raises(WorkLostError, match="within 0 s"):
             process.new_worker(Adder()).submit("hang").result()
@@ -92,6 +93,43 @@ def test_the_process_outlives_nobody_and_ignores_a_signal_to_the_group(process: 
     assert worker.submit(1).result()[0] == 2
     process.stop()
     assert not _is_there(pid)
+
+
+def test_the_copy_of_a_back_end_knows_all_up_to_the_copy_and_nothing_after(
+    process: BackEndProcess, tmp_path: Path
+):
+    """Who takes over has the answers that it has not got yet sent again."""
+    worker = process.new_worker(Adder())
+    assert worker.submit(1).result()[0] == 1
+    on_the_way = worker.submit(10)
+    process.copy(tmp_path / "copy.sock")
+    copy = BackEndProcess(patience_s=30.0)
+    copy.__dict__.update(process.__dict__)  # as a fork has it
+    copy._answers, copy.pid = {}, None
+    process._listener, copy._channel = None, None
+    assert on_the_way.result()[0] == 11
+    assert worker.submit(100).result()[0] == 111
+    assert ProcessPending(copy, 2).result()[0] == 11
+    total, pid = ProcessWorker(copy).submit(1000).result()
+    assert (total, pid != process.pid) == (1011, True)
+    copy.stop()
+    assert not _is_there(pid)
+
+
+def test_a_copy_that_does_not_come_costs_the_loops_and_nothing_else(
+    process: BackEndProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(back_end, "CONNECT_S", 0.1)
+    worker = process.new_worker(Adder())
+    hanging = worker.submit("hang")
+    process.copy(tmp_path / "copy.sock")
+    assert process.pid is not None
+    process.forked(is_copy=False)
+    assert not hanging.ready
+    copy = BackEndProcess(patience_s=30.0)
+    copy._listener = socket.create_server(str(tmp_path / "nobody.sock"), family=socket.AF_UNIX)
+    with pytest.raises(WorkLostError, match="of the stand-by did not come"):
+        ProcessWorker(copy).submit(1).result()
 
 
 def test_there_is_no_process_without_a_back_end(process: BackEndProcess):

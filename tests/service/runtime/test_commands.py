@@ -1,4 +1,4 @@
-"""What commands do to real parts: queue, loop, map keeper and recorder, each with its own thread."""
+"""What commands do to real parts: intake, mapping loop, map keeper and recorder."""
 
 import json
 import threading
@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from service.encoding import STRING, Message, decode_event
+from service.encoding import STRING, LogClock, Message, decode_event
 from service.encoding.controls import decode_control
 from service.mapper.steering import SteeredMapper, Wish
 from service.mapstore.files import load_map
@@ -19,35 +19,37 @@ from service.recording.mcap_reader import Recording
 from service.recording.mcap_recorder import McapRecorder
 from service.runtime.commands import Commands
 from service.runtime.host_time import HostTime
+from service.runtime.intake import Intake
 from service.runtime.map_keeper import MapKeeper
-from service.runtime.mapping import MappingLoop
-from service.runtime.queues import FrameQueue
+from service.runtime.mapping_outputs import MappingOutputs
+from tests.service.runtime.inline_link import InlineLink
 from tests.service.runtime.test_mapping import OFFSET_NS, FakeMapper, scan
 
 
 class Machine:
     """All that commands act on."""
 
-    def __init__(self, folder: Path, free_bytes: list[int]) -> None:
-        self.queue, self.tiles = FrameQueue(), TileStore()
-        host_time = HostTime(OFFSET_NS)
+    def __init__(self, folder: Path, free_bytes: list[int], is_deaf: bool = False) -> None:
+        self.tiles = TileStore()
+        host_time, log_clock = HostTime(OFFSET_NS), LogClock()
         self.recorder = McapRecorder(
             folder / "in", "veh1", keep_free_bytes=1000, free_bytes_of=lambda _: free_bytes[0]
         )
-        self.loop = MappingLoop(
-            self.queue,
-            SteeredMapper(FakeMapper, "front"),
+        self.outputs = MappingOutputs(
+            "front",
             self.tiles,
-            host_time,
             lambda message, origin_ns: None,
             self.recorder.put,
             lambda tiles, stamp_ns: None,
+            lambda: log_clock.next_ns(host_time.unix_ns(time.monotonic_ns())),
         )
+        self.link = InlineLink(SteeredMapper(FakeMapper, "front", None), self.outputs, is_deaf)
+        self.intake = Intake(self.link, host_time, lambda *_: None, self.recorder.put)  # type: ignore[arg-type]
         self.keeper = MapKeeper(folder / "map", self.tiles, host_time, 3600.0, {}, self.recorder.put)
-        self.commands = Commands(self.queue, self.loop, self.tiles, self.keeper, self.recorder)
+        self.commands = Commands(self.intake, self.outputs, self.tiles, self.keeper, self.recorder)
         self.desk = CommandDesk(self.commands.verbs(), answer_timeout_s=20.0)
         self._scans = 0
-        self._threads = [threading.Thread(target=self.loop.run), threading.Thread(target=self.keeper.run)]
+        self._threads = [threading.Thread(target=self.keeper.run)]
 
     def start(self) -> None:
         self.recorder.start()
@@ -57,15 +59,15 @@ class Machine:
     def scan(self, count: int = 1) -> None:
         for _ in range(count):
             self._scans += 1
-            now_ns = time.monotonic_ns()
-            self.queue.put(scan(now_ns, now_ns, [1.0, 2.0, float(self._scans)]))
+            now_ns = self.link.now_ns = time.monotonic_ns()
+            self.intake.put(scan(now_ns, now_ns, [1.0, 2.0, float(self._scans)]))
 
     def ask(self, verb: str, **request: object) -> dict[str, Any]:
         told: dict[str, Any] = json.loads(self.desk.answer(verb, json.dumps(request).encode()).body)
         return told
 
     def stop(self) -> list[Path]:
-        self.queue.close()
+        self.intake.close()
         self.keeper.stop()
         for thread in self._threads:
             thread.join(20.0)
@@ -108,7 +110,7 @@ def test_a_pause_and_a_mark_stand_in_the_recording_where_they_came(machine: Mach
     machine.scan()
     assert machine.ask("pause", id="a") == {"ok": True, "id": "a", "changed": True}
     assert machine.ask("pause") == {"ok": True, "changed": False}
-    assert machine.loop.paused
+    assert machine.intake.paused
     machine.scan()
     marked = machine.ask("mark", text="der T\u00fcrrahmen, \U0001f6aa \u0000")
     assert machine.ask("resume") == {"ok": True, "changed": True}
@@ -184,7 +186,7 @@ def test_reset_map_answers_when_the_map_before_is_on_disk(machine: Machine, tmp_
     assert machine.ask("save_map") == {
         "ok": True, "folder": str(tmp_path / "map_2"), "version": 1, "map_version": 6,
     }  # fmt: skip
-    assert machine.loop.counters["map_resets"] == 2
+    assert machine.link.loop.mapper.counters["map_resets"] == 2
 
 
 def test_recording_stops_and_starts_between_two_frames(machine: Machine):
@@ -224,17 +226,17 @@ def test_a_disk_that_is_full_is_told_to_who_wants_to_record(machine: Machine, fr
 
 
 def test_who_asks_while_the_service_stops_hears_so(machine: Machine):
-    machine.queue.close()
+    machine.intake.close()
     assert machine.ask("pause") == {"ok": False, "error": "the service is stopping"}
 
 
-def test_nobody_is_left_waiting_when_a_thread_is_gone(tmp_path: Path, free_bytes: list[int]):
-    machine = Machine(tmp_path, free_bytes)  # not started: nobody carries anything out
+def test_nobody_is_left_waiting_when_the_mapper_does_not_answer(tmp_path: Path, free_bytes: list[int]):
+    machine = Machine(tmp_path, free_bytes, is_deaf=True)
     told: list[dict[str, Any]] = []
     asking = threading.Thread(target=lambda: told.append(machine.ask("pause")))
     asking.start()
     pause = threading.Event()
-    while not len(machine.queue):
+    while not machine.link.waiting:
         pause.wait(0.005)
     machine.commands.close()
     asking.join(10.0)

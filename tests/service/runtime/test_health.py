@@ -2,16 +2,13 @@ from collections import Counter
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from drivers.link import LinkHealth
 from service.encoding import decode_diagnostics
-from service.geometry.se2 import SE2
-from service.outputs import MapperOutput
 from service.runtime.health import ERROR, OK, STALE, WARNING, HealthReport, SensorHealth
+from service.runtime.mapper_messages import Mapped
 from service.runtime.metrics import LatencyHistogram
-from service.runtime.queues import FrameQueue
 
 S = 1_000_000_000
 
@@ -24,16 +21,19 @@ def streaming(frames: int = 100, last_frame_ns: int = 10 * S) -> LinkHealth:
 
 def report(link: LinkHealth, **parts: Any) -> HealthReport:
     """A report on parts that only have what it looks at."""
-    loop = SimpleNamespace(
+    outputs = SimpleNamespace(
         graph_trouble="",
-        counters=Counter(scans=90, scans_dropped_late=2, samples_dropped_late=1),
+        counters={"scans": 90, "scans_dropped_late": 2, "samples_dropped_late": 1},
         states=Counter(ok=90),
         unusable=Counter(),
         unusable_scans=0,
         scan_cpu=LatencyHistogram(),
         laser="front",
-        last_output=None,
-        paused=False,
+        last=None,
+        passed_over=Counter(),
+        overload=lambda: "",
+        restarts=1,
+        restart_reason="ended",
     )
     recorder = SimpleNamespace(
         health=SimpleNamespace(
@@ -50,8 +50,9 @@ def report(link: LinkHealth, **parts: Any) -> HealthReport:
         sent=lambda: Counter(pose=90), dropped=Counter, failed=Counter, endpoints=["tcp/127.0.0.1:7447"]
     )
     defaults = {
-        "queue": FrameQueue(),
-        "loop": loop,
+        "intake": SimpleNamespace(paused=False),
+        "link": SimpleNamespace(waiting=3),
+        "outputs": outputs,
         "keeper": SimpleNamespace(trouble="", folder="maps/x", saved_version=4),
         "recorder": recorder,
         "publisher": publisher,
@@ -101,11 +102,11 @@ def test_a_sensor_that_never_came_has_no_rate():
     assert SensorHealth(LinkHealth("front")).mean_rate_hz == 0.0
 
 
-def test_scans_are_lost_in_the_queue_or_late_or_unusable():
+def test_scans_are_passed_over_or_late_or_unusable():
     made = report(streaming())
     assert made.scans_dropped == 2
-    made._queue.dropped_scans["front"] = 5
-    made._loop.unusable_scans = 1
+    made._outputs.passed_over["front"] = 5
+    made._outputs.unusable_scans = 1
     assert made.scans_dropped == 8
 
 
@@ -114,13 +115,11 @@ def test_the_pose_s_state_is_the_mapping_s_health(state: Any, level: int):
     made = report(streaming())
     assert status(made, "mapping").message == "no scan of front mapped yet"
     assert status(made, "mapping").values["laser"] == "front"
-    made._loop.laser = None
+    made._outputs.laser = None
     made.update(0, 0)
     assert status(made, "mapping").message == "no laser is configured"
     reason = "" if state == "ok" else "few beams agree"
-    made._loop.last_output = MapperOutput(
-        1, SE2(), SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), state, reason, 0.8
-    )
+    made._outputs.last = Mapped(1, 1, 1, state, reason, 0.8, 1, None, ())
     told = status(made, "mapping")
     assert (told.level, told.message) == (level, reason or "ok")
     assert told.values["match_share"] == "0.800"
@@ -130,7 +129,7 @@ def test_the_pose_s_state_is_the_mapping_s_health(state: Any, level: int):
 def test_latency_and_processor_time_of_scans_are_told():
     made = report(streaming())
     made._latency.add(4_000_000)
-    made._loop.scan_cpu.add(1_500_000)
+    made._outputs.scan_cpu.add(1_500_000)
     values = status(made, "mapping").values
     for name in ("p50", "p95", "p99", "max"):
         assert float(values[f"latency_ms_{name}"]) == pytest.approx(4.0, rel=0.02)
@@ -182,7 +181,7 @@ def test_the_message_holds_all_of_it():
 
 def test_a_pause_and_a_stopped_recording_are_warnings_until_they_end():
     made = report(streaming())
-    made._loop.paused = True
+    made._intake.paused = True
     made._recorder.health.state = "stopped"
     told = status(made, "mapping")
     assert (told.level, told.values["state"]) == (WARNING, "paused")
@@ -200,7 +199,18 @@ def test_commands_are_counted():
 
 def test_a_graph_that_does_no_work_is_a_warning():
     made = report(streaming())
-    made._loop.last_output = MapperOutput(1, SE2(), SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 0.9)
-    made._loop.graph_trouble = "the process died"
+    made._outputs.last = Mapped(1, 1, 1, "ok", "", 0.9, 1, None, ())
+    made._outputs.graph_trouble = "the process died"
     told = status(made, "mapping")
     assert (told.level, told.message) == (WARNING, "no loops are closed: the process died")
+
+
+def test_an_overloaded_mapper_is_a_warning_with_its_figures():
+    made = report(streaming())
+    made._outputs.last = Mapped(1, 1, 1, "ok", "", 0.9, 1, None, ())
+    made._outputs.overload = lambda: "overloaded for 3 s: 12 scans of the last second were passed over"
+    told = status(made, "mapping")
+    assert (told.level, told.values["state"]) == (WARNING, "overloaded")
+    assert told.message.startswith("overloaded for 3 s: 12 scans")
+    assert made.line.startswith("mapping overloaded")
+    assert (told.values["queue_length"], told.values["restarts"]) == ("3", "1")

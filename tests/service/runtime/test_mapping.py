@@ -1,24 +1,29 @@
+"""Frames and commands in, recorded messages, poses and tiles out; the mapper answers in place."""
+
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
-from service.encoding import Message, decode_control, decode_event, decode_frame, decode_pose
+from service.encoding import LogClock, Message, decode_control, decode_event, decode_frame, decode_pose
 from service.geometry.se2 import SE2
 from service.mapper.graph.no_graph import NoGraph
 from service.mapper.stages import FinishedGraph, GraphUpdate
-from service.mapper.steering import SteeredMapper, TakeIn
+from service.mapper.steering import LeftOut, SteeredMapper, TakeIn
 from service.mapstore.tiles import TileStore
 from service.outputs import UNKNOWN, MapperOutput, TileUpdate
 from service.runtime.host_time import HostTime
-from service.runtime.mapping import MapperError, MappingLoop
-from service.runtime.queues import Command, FrameQueue
+from service.runtime.intake import Intake
+from service.runtime.mapper_messages import Answer, Decisions, Go, Mapped, PassedOver, Tiles, TookIn
+from service.runtime.mapping import MOST_AGE_NS, MapperError, MappingLoop
+from service.runtime.mapping_outputs import MappingOutputs
+from tests.service.runtime.inline_link import InlineLink
 
 OFFSET_NS = 1_700_000_000_000_000_000
+MS = 1_000_000
 
 
 class FakeMapper:
@@ -66,9 +71,9 @@ class FakeMapper:
         return [TileUpdate(0, 0, 0, version, 0.05, np.zeros((4, 4), np.int8))] if version else []
 
 
-def scan(stamp_ns: int, arrived_ns: int, ranges: list[float]) -> LaserScan:
+def scan(stamp_ns: int, arrived_ns: int, ranges: list[float], sensor: str = "front") -> LaserScan:
     range_m = np.array(ranges, dtype=np.float32)
-    return LaserScan("front", stamp_ns, arrived_ns, 1, 3, 0.0, 0.1, 0.01, 20.0, range_m, NO_INTENSITY)
+    return LaserScan(sensor, stamp_ns, arrived_ns, 1, 3, 0.0, 0.1, 0.01, 20.0, range_m, NO_INTENSITY)
 
 
 def sample(stamp_ns: int, arrived_ns: int) -> OdometrySample:
@@ -76,30 +81,50 @@ def sample(stamp_ns: int, arrived_ns: int) -> OdometrySample:
 
 
 class Run:
-    """A mapping loop run over frames to its end, with everything it put out."""
+    """An intake, a mapping loop and what comes of it."""
 
-    def __init__(self, mapper: FakeMapper, frames: Sequence[Frame | Command]) -> None:
+    def __init__(self, mapper: FakeMapper) -> None:
         self.published: list[tuple[Message, int | None]] = []
         self.recorded: list[Message] = []
         self.handed_over: list[tuple[int, int]] = []
         self.tiles = TileStore()
-        queue = FrameQueue()
-        for frame in frames:
-            if isinstance(frame, Command):
-                assert queue.put_command(frame) == ""
-            else:
-                queue.put(frame)
         fresh = iter([mapper])
-        queue.close()
-        self.loop = MappingLoop(
-            queue,
-            SteeredMapper(lambda: next(fresh, None) or FakeMapper(), "front"),
+        log_clock = LogClock()
+        self.outputs = MappingOutputs(
+            "front",
             self.tiles,
-            HostTime(OFFSET_NS),
-            lambda message, arrived_ns: self.published.append((message, arrived_ns)),
+            self._publish,
             self.recorded.append,
             self._hand_over,
+            lambda: log_clock.next_ns(OFFSET_NS + 10**9),
+            lambda: self.link.now_ns,
         )
+        steered = SteeredMapper(lambda: next(fresh, None) or FakeMapper(), "front", take_in_after=None)
+        self.link = InlineLink(steered, self.outputs)
+        self.intake = Intake(self.link, HostTime(OFFSET_NS), self._publish, self.recorded.append)  # type: ignore[arg-type]
+
+    def put(self, *frames: Frame, waits_ns: int = 0) -> "Run":
+        for frame in frames:
+            self.link.now_ns = frame.arrived_ns + waits_ns
+            self.intake.put(frame)
+        return self
+
+    def steer(self, steering: str) -> list[Answer]:
+        """What the mapper answers to a command that is recorded as it is carried out."""
+        answers: list[Answer] = []
+
+        def carry_out(event: Message) -> None:
+            self.recorded.append(event)
+            self.intake.steer(steering, event.log_ns, answers.append)  # type: ignore[arg-type]
+
+        assert self.intake.mark({"event": steering}, carry_out) == ""
+        return answers
+
+    def channels(self) -> list[str]:
+        return [m.channel for m in self.recorded if m.channel not in ("odom", "tf")]
+
+    def _publish(self, message: Message, arrived_ns: int | None) -> None:
+        self.published.append((message, arrived_ns))
 
     def _hand_over(self, tiles: list[TileUpdate], stamp_ns: int) -> None:
         self.handed_over.append((tiles[-1].version, stamp_ns - OFFSET_NS))
@@ -110,8 +135,7 @@ FRAMES: list[Frame] = [sample(5, 30), scan(10, 20, [1.0, math.nan, 2.0]), scan(4
 
 def test_the_mapper_eats_what_the_recording_holds():
     mapper = FakeMapper()
-    run = Run(mapper, FRAMES)
-    run.loop.run()
+    run = Run(mapper).put(*FRAMES)
     recorded = [m for m in run.recorded if m.channel in ("front/scan", "base/odom")]
     assert [frame.sensor for frame in mapper.eaten] == ["base", "front", "front"]
     for message, eaten in zip(recorded, mapper.eaten, strict=True):
@@ -124,46 +148,43 @@ def test_the_mapper_eats_what_the_recording_holds():
 
 
 def test_a_laser_that_is_not_mapped_is_published_and_recorded():
-    rear, blind = replace(scan(20, 30, [1.0, 2.0]), sensor="rear"), replace(scan(21, 40, []), sensor="rear")
-    run = Run(FakeMapper(), [scan(10, 20, [1.0]), rear, blind, scan(40, 60, [1.1])])
-    run.loop.run()
+    run = Run(FakeMapper()).put(
+        scan(10, 20, [1.0]), scan(20, 30, [1.0, 2.0], "rear"), scan(21, 40, [], "rear"), scan(40, 60, [1.1])
+    )
+    run.link.finish()
     assert [m.channel for m in run.recorded].count("rear/scan") == 2
     assert [m.channel for m, _ in run.published].count("rear/scan") == 2
     assert [m.channel for m in run.recorded].count("pose") == 2
-    assert run.loop.counters["scans_not_mapped"] == 1
-    assert run.loop.scan_cpu.count == 2
-    assert (run.loop.unusable_scans, run.loop.unusable["rear"]) == (0, 1)
+    assert run.outputs.counters["scans_not_mapped"] == 1
+    assert run.outputs.scan_cpu.count == 2
+    assert (run.outputs.unusable_scans, run.outputs.unusable["rear"]) == (0, 1)
 
 
 def test_log_times_keep_the_order_in_which_the_mapper_ate():
-    run = Run(FakeMapper(), FRAMES)  # the scan was read at 20, before the sample at 30, yet queued after it
-    run.loop.run()
+    run = Run(FakeMapper()).put(*FRAMES)  # a scan read at 20, before the sample at 30, comes after it
     log_ns = [m.log_ns - OFFSET_NS for m in run.recorded if m.channel in ("front/scan", "base/odom")]
-    assert log_ns == [30, 31, 60]
+    assert log_ns == [30, 32, 60]  # 31 is free for what is decided before the scan
 
 
 def test_stamps_are_unix_time_by_the_fixed_offset():
-    run = Run(FakeMapper(), FRAMES)
-    run.loop.run()
+    run = Run(FakeMapper()).put(*FRAMES)
     assert [m.stamp_ns - OFFSET_NS for m in run.recorded if m.channel == "pose"] == [10, 40]
 
 
 def test_each_scan_gives_pose_odom_and_tf_with_the_moment_it_was_read():
-    run = Run(FakeMapper(), FRAMES)
-    run.loop.run()
-    assert [message.channel for message, _ in run.published] == [
-        "base/odom", "front/scan", "pose", "odom", "tf", "front/scan", "pose", "odom", "tf",
-    ]  # fmt: skip
+    run = Run(FakeMapper()).put(*FRAMES)
+    published = [message.channel for message, _ in run.published]
+    assert sorted(published) == sorted(["base/odom", *2 * ["front/scan", "pose", "odom", "tf"]])
     assert [arrived for message, arrived in run.published if message.channel == "pose"] == [20, 60]
     assert all(arrived is None for message, arrived in run.published if message.channel != "pose")
     poses = [decode_pose(message.payload).pose.x_m for message in run.recorded if message.channel == "pose"]
     assert poses == [1.0, 2.0]
-    assert run.loop.states == {"ok": 2}
+    assert run.outputs.states == {"ok": 2}
 
 
-def test_the_last_tiles_are_there_when_the_loop_ends():
-    run = Run(FakeMapper(), FRAMES)
-    run.loop.run()
+def test_the_last_tiles_are_there_at_the_end():
+    run = Run(FakeMapper()).put(*FRAMES)
+    run.link.finish()
     assert run.tiles.version == 2
     assert run.handed_over[-1] == (2, 40)
 
@@ -171,114 +192,96 @@ def test_the_last_tiles_are_there_when_the_loop_ends():
 def test_a_frame_without_anything_to_map_is_counted_and_recorded():
     mapper = FakeMapper()
     bad = OdometrySample("base", 1, 2, math.nan, 0.0, 0.0, (0.0, 0.0, 0.0), (0.0,) * 9)
-    run = Run(mapper, [bad])
-    run.loop.run()
-    assert run.loop.unusable == {"base": 1}
+    run = Run(mapper).put(bad)
+    assert run.outputs.unusable == {"base": 1}
     assert not mapper.eaten
     assert [m.channel for m in run.recorded] == ["base/odom"]
 
 
-def test_a_mapper_that_raises_ends_the_loop_after_its_frame_was_recorded():
-    run = Run(FakeMapper(fault=ZeroDivisionError("float division")), FRAMES)
-    with pytest.raises(MapperError, match=r"scan of front stamped 17.*ZeroDivisionError"):
-        run.loop.run()
+def test_a_mapper_that_raises_is_told_with_the_number_of_the_frame():
+    run = Run(FakeMapper(fault=ZeroDivisionError("float division"))).put(FRAMES[0])
+    with pytest.raises(MapperError, match=r"scan of front stamped 17.*ZeroDivisionError") as raised:
+        run.put(FRAMES[1])
+    assert raised.value.number == 2
     assert run.recorded[-1].channel == "front/scan"
 
 
-def test_a_pose_that_is_no_number_ends_the_loop():
-    run = Run(FakeMapper(x_m=math.inf), FRAMES)
+def test_a_pose_that_is_no_number_is_a_fault():
     with pytest.raises(MapperError, match="gave the pose SE2"):
-        run.loop.run()
+        Run(FakeMapper(x_m=math.inf)).put(*FRAMES)
 
 
-class Steered:
-    """A loop over scans with commands in between; a command's action gets the loop and its event."""
+def test_a_scan_that_has_waited_too_long_is_passed_over_and_the_recording_says_so():
+    mapper = FakeMapper()
+    run = Run(mapper).put(scan(10, 20, [1.0, 2.0]))
+    run.put(scan(40, 60, [1.0, 2.0]), waits_ns=MOST_AGE_NS + 1)
+    run.put(scan(70, 90, [1.0, 2.0]), waits_ns=MOST_AGE_NS)
+    assert mapper.skipped == 1
+    assert [m.stamp_ns - OFFSET_NS for m in run.recorded if m.channel == "pose"] == [10, 70]
+    assert [m.channel for m in run.recorded].count("front/scan") == 3
+    (event,) = [m for m in run.recorded if m.channel == "events"]
+    assert event.log_ns - OFFSET_NS == 59  # right before its scan
+    assert decode_control(event.payload, event.log_ns) == LeftOut("front", "old", event.log_ns)
+    assert run.outputs.passed_over == {"front": 1}
+    assert "1 scans of the last second were passed over, having waited up to 50 ms" in run.outputs.overload()
+    run.link.now_ns += 10**9 + 1
+    assert run.outputs.overload() == ""
 
-    def __init__(self) -> None:
-        self.mapper = FakeMapper()
-        self.events: list[Message] = []
-        self.queued: list[Frame | Command] = []
 
-    def scan(self, at_ns: int) -> "Steered":
-        self.queued.append(scan(at_ns, at_ns, [1.0, 2.0, 3.0]))
-        return self
+def test_a_scan_may_be_two_periods_old_where_that_is_more():
+    slow = replace(scan(40, 60, [1.0, 2.0]), scan_period_ns=80 * MS)  # a float32 of seconds on its way
+    assert not Run(FakeMapper()).put(slow, waits_ns=159 * MS).outputs.passed_over
+    assert Run(FakeMapper()).put(slow, waits_ns=161 * MS).outputs.passed_over == {"front": 1}
 
-    def command(self, at_ns: int, name: str, action: Callable[[Run], object]) -> "Steered":
-        def carry_out(event: Message) -> None:
-            self.events.append(event)
-            self.run.recorded.append(event)
-            action(self.run)
 
-        self.queued.append(Command(at_ns, {"event": name}, carry_out))
-        return self
-
-    def go(self) -> Run:
-        self.run = Run(self.mapper, self.queued)
-        self.run.loop.run()
-        return self.run
+def test_in_a_pause_no_scan_is_too_old():
+    run = Run(FakeMapper())
+    run.steer("pause")
+    run.put(scan(40, 60, [1.0, 2.0]), waits_ns=10**9)
+    assert run.outputs.overload() == ""
 
 
 def test_a_command_is_carried_out_between_the_frames_it_came_between():
-    steered = Steered().scan(10).command(8, "pause", lambda run: run.loop.steer("pause")).scan(20)
-    run = steered.command(30, "resume", lambda run: run.loop.steer("resume")).scan(40).go()
-    assert [m.channel for m in run.recorded if m.channel not in ("odom", "tf")] == [
-        "front/scan", "pose", "events", "front/scan", "events", "front/scan", "pose",
-    ]  # fmt: skip
-    assert [decode_event(e.payload) for e in steered.events] == ['{"event": "pause"}', '{"event": "resume"}']
-    log_ns = [m.log_ns - OFFSET_NS for m in run.recorded if m.channel in ("front/scan", "events")]
-    assert log_ns == [
-        10,
-        11,
-        20,
-        30,
-        40,
-    ]  # the pause was asked for at 8, but the scan of 10 was mapped already
-    assert steered.mapper.skipped == 1
-    assert run.loop.counters["scans_paused"] == 1
+    mapper = FakeMapper()
+    run = Run(mapper).put(scan(10, 10, [1.0, 2.0]))
+    assert [answer.result for answer in run.steer("pause")] == [True]
+    run.put(scan(20, 20, [1.0, 2.0]))
+    assert [answer.result for answer in run.steer("resume")] == [True]
+    run.put(scan(40, 40, [1.0, 2.0]))
+    assert run.channels() == ["front/scan", "pose", "events", "front/scan", "events", "front/scan", "pose"]
+    events = [decode_event(m.payload) for m in run.recorded if m.channel == "events"]
+    assert events == ['{"event": "pause"}', '{"event": "resume"}']
+    log_ns = [m.log_ns for m in run.recorded if m.channel in ("front/scan", "events")]
+    assert log_ns == sorted(log_ns)
+    assert mapper.skipped == 1
+    run.link.finish()
+    assert run.outputs.counters["scans_paused"] == 1
 
 
 def test_a_reset_empties_the_map_for_all_and_versions_go_on():
-    seen: list[tuple[int, bool]] = []
-
-    def look(run: Run) -> None:
-        run.loop.hand_over_tiles()
-        (held,) = run.tiles.since(0)
-        seen.append((held.version, bool((held.cells == UNKNOWN).all())))
-
-    steered = Steered().scan(10).scan(20)
-    steered.command(21, "reset_map", lambda run: (look(run), run.loop.steer("reset_map"), look(run)))
-    run = steered.scan(30).command(31, "mark", look).go()
-    assert seen == [(2, False), (3, True), (4, False)]
-    assert run.handed_over == [(1, 10), (2, 20), (3, 20), (4, 30)]
-    assert [m.tiles[0].version for m in run.tiles.take()[0]] == [2]
+    run = Run(FakeMapper()).put(scan(10, 10, [1.0, 2.0]), scan(20, 20, [1.0, 2.0]))
+    run.steer("reset_map")
+    (before,) = run.tiles.since(0)
+    run.outputs.map_reset()
+    (emptied,) = run.tiles.since(0)
+    assert (before.version, bool((before.cells == UNKNOWN).all())) == (2, False)
+    assert (emptied.version, bool((emptied.cells == UNKNOWN).all())) == (3, True)
+    assert run.outputs.last is None
+    run.put(scan(30, 30, [1.0, 2.0]))
+    run.link.finish()
+    (after,) = run.tiles.since(0)
+    assert (after.version, bool((after.cells == UNKNOWN).all())) == (4, False)
+    assert run.handed_over[-2:] == [(3, 20), (4, 30)]
     poses = [decode_pose(m.payload).pose.x_m for m in run.recorded if m.channel == "pose"]
     assert poses == [1.0, 2.0, 1.0]
 
 
-def test_after_a_reset_there_is_no_pose_until_the_next_scan():
-    outputs = []
-    steered = Steered().scan(10).command(11, "reset_map", lambda run: run.loop.steer("reset_map"))
-    steered.command(12, "mark", lambda run: outputs.append(run.loop.last_output)).scan(20).go()
-    assert outputs == [None]
-    assert steered.run.loop.last_output is not None
-
-
-def test_the_heart_beats_without_frames():
-    queue = FrameQueue()
-    loop = MappingLoop(
-        queue, SteeredMapper(FakeMapper, "front"), TileStore(), HostTime(0), print, print, print
-    )
-    calls = 0
-
-    def get(timeout_s: float) -> None:
-        nonlocal calls
-        calls += 1
-        if calls == 3:
-            queue.close()
-
-    queue.get = get  # type: ignore[method-assign]  # an idle wait that takes no time
-    loop.run()
-    assert loop.heartbeat == 3
+def test_after_close_nothing_is_taken():
+    run = Run(FakeMapper())
+    run.intake.close()
+    run.put(scan(10, 10, [1.0]))
+    assert not run.recorded
+    assert run.intake.mark({"event": "mark"}, run.recorded.append) == "the service is stopping"
 
 
 class GraphAtWork(NoGraph):
@@ -295,20 +298,54 @@ class GraphAtWork(NoGraph):
 
 def test_finished_work_is_taken_in_between_two_frames_and_the_recording_says_where():
     mapper = FakeMapper(graph=GraphAtWork())
-    run = Run(mapper, FRAMES)
-    run.loop.run()
+    run = Run(mapper).put(*FRAMES)
+    run.link.finish()
     assert mapper.eaten[0] == "take_in"
-    first = run.recorded[0]
-    assert decode_control(first.payload, first.log_ns) == TakeIn(first.log_ns)
-    assert first.log_ns < run.recorded[1].log_ns
-    assert [m.channel for m in run.recorded].count("events") == 1
+    (event,) = [m for m in run.recorded if m.channel == "events"]
+    assert decode_control(event.payload, event.log_ns) == TakeIn(event.log_ns)
+    assert event.log_ns - OFFSET_NS == 29  # right before the sample of 30
     assert mapper.finished
 
 
 def test_lost_work_is_not_recorded_as_taken_in():
-    run = Run(FakeMapper(graph=GraphAtWork("the process died")), FRAMES)
-    run.loop.run()
+    run = Run(FakeMapper(graph=GraphAtWork("the process died"))).put(*FRAMES)
+    run.link.finish()
     (event,) = [m for m in run.recorded if m.channel == "events"]
     assert decode_control(event.payload, event.log_ns) is None
     assert "the process died" in decode_event(event.payload)
-    assert run.loop.graph_trouble == "the process died"
+    assert run.outputs.graph_trouble == "the process died"
+
+
+class TestStandBy:
+    """A loop that goes on where another was lost."""
+
+    def follow(self, go: Go, graph: NoGraph | None = None) -> tuple[FakeMapper, list[object]]:
+        """It takes the items of FRAMES and one scan more, each of which has waited for a second."""
+        first = Run(FakeMapper()).put(*FRAMES, scan(70, 90, [1.0, 2.0]))
+        mapper, said = FakeMapper(graph=graph), []
+        loop = MappingLoop(SteeredMapper(lambda: mapper, "front", None), said.append, lambda: 10**9)
+        loop.go_on(go)
+        for item in first.link.items:
+            assert loop.is_up_to_date == (loop.number >= go.done_number)
+            loop.take(item)
+            loop.keep_up(is_idle=True)
+        return mapper, said
+
+    def test_what_is_done_is_done_again_in_silence_and_then_the_clock_decides_anew(self):
+        mapper, said = self.follow(Go(2, Decisions({}, frozenset(), frozenset())))
+        assert [frame.sensor for frame in mapper.eaten] == ["base", "front"]
+        assert mapper.skipped == 2  # both have waited for a second
+        assert [s.number for s in said if isinstance(s, PassedOver)] == [3, 4]
+        assert not any(isinstance(s, Mapped) for s in said)
+
+    def test_what_was_decided_by_the_clock_is_not_decided_anew(self):
+        decided = Decisions({3: 1}, frozenset([2]), frozenset([4]))
+        mapper, said = self.follow(Go(4, decided), GraphAtWork())
+        assert [getattr(e, "sensor", e) for e in mapper.eaten] == ["base", "take_in", "front"]
+        assert mapper.skipped == 1
+        assert not any(isinstance(s, PassedOver | TookIn | Mapped) for s in said)
+
+    def test_tiles_are_handed_over_when_it_is_where_the_other_was(self):
+        _, said = self.follow(Go(3, Decisions({}, frozenset(), frozenset())))
+        (tiles,) = [s for s in said if isinstance(s, Tiles)]
+        assert tiles.tiles[0].version == 2

@@ -1,6 +1,7 @@
 """The service in this process: what ends it, and what it leaves behind. Its devices answer nothing."""
 
 import logging
+import os
 import socket
 import threading
 import time
@@ -12,11 +13,12 @@ import pytest
 from service.config import ServiceConfig, parse_config
 from service.encoding import decode_event
 from service.errors import CorridorError, StorageError
-from service.mapper.pipeline import Mapper
 from service.recording.mcap_reader import Recording
 from service.runtime import service as service_module
+from service.runtime.mapper_link import MOST_DEATHS, MapperLink
 from service.runtime.notify import Notifier
 from service.runtime.service import Service
+from tests.service.runtime.mappers import FATAL_RANGE_M
 from tests.service.runtime.test_mapping import scan
 
 
@@ -102,50 +104,49 @@ def test_systemd_hears_ready_once_everything_runs(open_service: Callable[..., Se
     assert "STOPPING=1" in notifier.words
 
 
-def test_the_watchdog_starves_when_the_mapping_thread_hangs(
+def test_the_watchdog_starves_when_nobody_listens_to_the_mapper(
     open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
     hangs, release = threading.Event(), threading.Event()
+    listen = MapperLink._listen
 
-    def hang(self: Mapper[object], frame: object) -> None:
-        hangs.set()
-        release.wait(30.0)
+    def hang(self: MapperLink) -> None:
+        if notifier.words.count("WATCHDOG=1") >= 2:
+            hangs.set()
+            release.wait(30.0)
+        listen(self)
 
-    monkeypatch.setattr(Mapper, "process", hang)
-    monkeypatch.setattr(service_module, "warm_up_kernels", lambda config: None)
+    monkeypatch.setattr(MapperLink, "_listen", hang)
     notifier = Words(watchdog_s=0.25)
     service = open_service(notifier=notifier)
     service.start()
-    tick_until(service, lambda: notifier.words.count("WATCHDOG=1") >= 2)
-    service.frame_sink(scan(1, time.monotonic_ns(), [1.0, 2.0, 3.0]))
-    assert hangs.wait(5.0)
-    tick_until(service, lambda: "the mapping thread has not moved" in caplog.text)
+    tick_until(service, hangs.is_set)
+    tick_until(service, lambda: "nobody has listened to the mapper" in caplog.text)
     fed = notifier.words.count("WATCHDOG=1")
-    tick_until(service, lambda: caplog.text.count("has not moved") >= 3)
+    tick_until(service, lambda: caplog.text.count("has listened") >= 3)
     assert notifier.words.count("WATCHDOG=1") == fed
     release.set()
 
 
-def test_a_mapper_that_fails_brings_the_service_down_with_its_recording_finished(
-    open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch
+def test_a_mapper_that_fails_at_every_scan_brings_the_service_down_with_its_recording_finished(
+    open_service: Callable[..., Service], strange: Callable[[str], None]
 ):
+    strange("raises")
     told = threading.Event()
-
-    def fail(self: Mapper[object], frame: object) -> None:
-        raise IndexError("no such tile")
-
-    monkeypatch.setattr(Mapper, "process", fail)
-    monkeypatch.setattr(service_module, "warm_up_kernels", lambda config: None)
     service = open_service(on_failure=told.set)
     service.start()
-    service.frame_sink(scan(1, time.monotonic_ns(), [1.0, 2.0, 3.0]))
-    assert told.wait(10.0)
-    assert "mapping: MapperError: scan of front" in service.failure
+    for k in range(MOST_DEATHS):
+        arrived_ns = time.monotonic_ns() + 3600 * 10**9  # never too old, however slow this machine is
+        service.frame_sink(scan(k + 1, arrived_ns, [FATAL_RANGE_M, 2.0, 3.0]))
+    assert told.wait(30.0)
+    assert f"{MOST_DEATHS} times after item 0" in service.failure
     summary = service.stop()
     recording = Recording(summary.sessions)
-    assert [m.channel for m in recording.messages(["/front/scan"])] == ["front/scan"]
-    stop = [decode_event(m.payload) for m in recording.messages(["/events"])][-1]
-    assert "no such tile" in stop
+    assert [m.channel for m in recording.messages(["/front/scan"])] == ["front/scan"] * MOST_DEATHS
+    events = [decode_event(m.payload) for m in recording.messages(["/events"])]
+    assert sum("frame_refused" in event for event in events) == MOST_DEATHS
+    assert any("mapper_restarted" in event and "no such tile" in event for event in events)
+    assert "no such tile" in events[-1]
 
 
 def test_a_thread_nobody_watches_brings_the_service_down_too(
@@ -163,45 +164,31 @@ def test_a_thread_nobody_watches_brings_the_service_down_too(
 
 
 def test_kernels_that_do_not_compile_stop_the_start(
-    open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch
+    open_service: Callable[..., Service], strange: Callable[[str], None]
 ):
-    def broken(config: object) -> None:
-        raise TypeError("cannot lower")
-
-    monkeypatch.setattr(service_module, "warm_up_kernels", broken)
+    strange("does not compile")
     service = open_service()
-    with pytest.raises(CorridorError, match="kernels do not compile: warm-up: TypeError: cannot lower"):
+    with pytest.raises(CorridorError, match="mapper's process ended before it was ready"):
         service.start()
     assert service.stop().sessions == []
 
 
-def test_a_start_that_compiles_says_that_it_goes_on(
-    open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+def test_a_start_that_compiles_says_that_it_goes_on_and_can_be_called_off(
+    open_service: Callable[..., Service],
+    strange: Callable[[str], None],
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ):
-    compiled = threading.Event()
-    monkeypatch.setattr(service_module, "warm_up_kernels", lambda config: compiled.wait(30.0))
+    strange("compiles for ever")
     monkeypatch.setattr(service_module, "WARM_UP_TELL_S", 0.0)
-
-    def finish(record: logging.LogRecord) -> bool:
-        if "compiling kernels since" in record.getMessage():
-            compiled.set()
-        return True
-
     caplog.set_level(logging.INFO)
-    caplog.handler.addFilter(finish)
     service = open_service()
-    assert service.start()
-    assert compiled.is_set()
-    service.stop()
-
-
-def test_a_start_can_be_called_off(open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch):
-    release = threading.Event()
-    monkeypatch.setattr(service_module, "warm_up_kernels", lambda config: release.wait(30.0))
-    service = open_service()
-    assert not service.start(cancelled=lambda: True)
-    release.set()
+    assert not service.start(cancelled=lambda: "compiling kernels since" in caplog.text)
+    pid = service.mapper_pid
     assert service.stop().sessions == []
+    if pid:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
 
 
 def test_a_map_that_cannot_be_saved_is_raised_after_everything_ended(

@@ -1,0 +1,163 @@
+"""Messages between two processes over a Unix socket; sending never waits, and no thread is needed.
+
+What the socket does not take at once waits here and goes out with the next `send` or `flush`. A process
+without threads can be forked, which is what the mapper's stand-by rests on (see mapper_process.py).
+"""
+
+import pickle
+import select
+import socket
+import struct
+import threading
+import time
+from collections.abc import Collection
+from typing import Any, Protocol
+
+_SIZE = struct.Struct("<I")
+_READ_BYTES = 1 << 18
+BUFFER_BYTES = 1 << 20  # asked of the system, which may give less
+MOST_WAITING_BYTES = 256 << 20  # of a reader that stands still
+
+
+class ChannelClosedError(Exception):
+    """The other side is gone."""
+
+
+class End(Protocol):
+    """What wait_for can wait for."""
+
+    @property
+    def waiting_bytes(self) -> int: ...
+
+    def fileno(self) -> int: ...
+    def flush(self) -> bool: ...
+
+
+class Channel:
+    """One end of a connection. `send` and `flush` from any thread, `receive` from one.
+
+    Messages are any objects that can be pickled; they come in the order in which they were sent, and whole.
+    """
+
+    def __init__(self, connection: socket.socket) -> None:
+        connection.setblocking(False)
+        for buffer in (socket.SO_SNDBUF, socket.SO_RCVBUF):
+            connection.setsockopt(socket.SOL_SOCKET, buffer, BUFFER_BYTES)
+        self._socket = connection
+        self._lock = threading.Lock()  # of what waits
+        self._waiting = bytearray()
+        self._read = bytearray()
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    @property
+    def waiting_bytes(self) -> int:
+        """What the other side has not taken yet."""
+        return len(self._waiting)
+
+    def send(self, message: Any) -> None:
+        """Never waits. Raises ChannelClosedError, also where the other side has long stopped to read."""
+        body = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
+        with self._lock:
+            if len(self._waiting) > MOST_WAITING_BYTES:
+                raise ChannelClosedError(f"{len(self._waiting)} bytes wait; the other side stands still")
+            if self._waiting:
+                self._waiting += _SIZE.pack(len(body)) + body
+                self._flush()
+                return
+            parts = [_SIZE.pack(len(body)), body]
+            sent = self._write(parts)
+            if sent < _SIZE.size + len(body):
+                self._waiting += b"".join(parts)[sent:]
+
+    def flush(self) -> bool:
+        """Send what waits, as far as the socket takes it; whether all is sent. Raises ChannelClosedError."""
+        with self._lock:
+            self._flush()
+            return not self._waiting
+
+    def receive(self) -> list[Any]:
+        """All messages that are there whole; does not wait. Raises ChannelClosedError after the last."""
+        ended = ""
+        while not ended:
+            try:
+                data = self._socket.recv(_READ_BYTES)
+            except BlockingIOError:
+                break
+            except OSError as error:
+                ended = str(error)
+                break
+            if not data:
+                ended = "the other side has ended"
+            self._read += data
+            if len(data) < _READ_BYTES:
+                break
+        messages = self._take_whole()  # what came before the end is handed out first
+        if ended and not messages:
+            raise ChannelClosedError(ended)
+        return messages
+
+    def wait(self, timeout_s: float) -> bool:
+        """Until something can be read, or the other side is gone; sends meanwhile. False when time is up."""
+        return self in wait_for((self,), timeout_s)
+
+    def receive_within(self, timeout_s: float) -> list[Any]:
+        """As `receive`, but waits for a message; empty when none came in time. Raises ChannelClosedError."""
+        deadline_s = time.monotonic() + timeout_s
+        while (left_s := deadline_s - time.monotonic()) > 0.0 and self.wait(left_s):
+            if messages := self.receive():
+                return messages
+        return []
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def _take_whole(self) -> list[Any]:
+        messages = []
+        at = 0
+        with memoryview(self._read) as view:
+            while len(view) - at >= _SIZE.size:
+                (size,) = _SIZE.unpack_from(view, at)
+                end = at + _SIZE.size + size
+                if end > len(view):
+                    break
+                messages.append(pickle.loads(view[at + _SIZE.size : end]))
+                at = end
+        del self._read[:at]
+        return messages
+
+    def _flush(self) -> None:
+        while self._waiting:
+            sent = self._write([bytes(self._waiting[:_READ_BYTES])])
+            if sent == 0:
+                return
+            del self._waiting[:sent]
+
+    def _write(self, parts: Collection[bytes]) -> int:
+        try:
+            return self._socket.sendmsg(parts)
+        except BlockingIOError:
+            return 0
+        except OSError as error:
+            raise ChannelClosedError(str(error)) from error
+
+
+def wait_for(channels: Collection[End], timeout_s: float) -> list[End]:
+    """Those of which something can be read, or whose other side is gone; meanwhile what waits is sent."""
+    deadline_s = time.monotonic() + timeout_s
+    while True:
+        poll = select.poll()
+        by_number = {}
+        for channel in channels:
+            by_number[channel.fileno()] = channel
+            poll.register(channel.fileno(), select.POLLIN | (select.POLLOUT if channel.waiting_bytes else 0))
+        left_s = max(deadline_s - time.monotonic(), 0.0)
+        ready = []
+        for number, events in poll.poll(left_s * 1e3):
+            if events & select.POLLOUT and not events & ~select.POLLOUT:
+                by_number[number].flush()
+            if events & ~select.POLLOUT:
+                ready.append(by_number[number])
+        if ready or time.monotonic() >= deadline_s:
+            return ready

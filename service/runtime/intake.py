@@ -1,0 +1,99 @@
+"""Where all frames and commands come together: their order is fixed here, and everything downstream keeps it.
+
+A frame is encoded once, in the thread of its reader. The same bytes go to the recorder, to subscribers and to
+the mapper's process, so a replay of the file gives the same poses.
+"""
+
+import json
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from drivers.frames import Frame
+from service.encoding import LogClock, Message, encode_event, encode_frame
+from service.mapper.steering import Steering
+from service.runtime.host_time import HostTime
+from service.runtime.mapper_link import MapperLink
+from service.runtime.mapper_messages import Answer, FrameItem, SteerItem, TilesItem, WishItem
+
+Answered = Callable[[Answer], None]
+
+
+class Intake:
+    """Thread-safe; nobody waits for more than another's frame.
+
+    publish, record    take a message, and only queue it
+    """
+
+    def __init__(
+        self,
+        link: MapperLink,
+        host_time: HostTime,
+        publish: Callable[[Message, int | None], Any],
+        record: Callable[[Message], Any],
+    ) -> None:
+        self._link = link
+        self._host_time = host_time
+        self._publish = publish
+        self._record = record
+        self._log_clock = LogClock()
+        self._lock = threading.Lock()
+        self._is_closed = False
+        self.paused = False
+
+    def put(self, frame: Frame) -> None:
+        """Record it, publish it, have it mapped. After close() frames are ignored.
+
+        Raises OverflowError where the mapper has been stuck for minutes.
+        """
+        with self._lock:
+            if self._is_closed:
+                return
+            log_ns = self._log_clock.next_ns(self._host_time.unix_ns(frame.arrived_ns))
+            message = encode_frame(frame, self._host_time.offset_ns, log_ns)
+            self._record(message)
+            number = self._link.next_number()
+            self._link.submit(
+                FrameItem(number, log_ns, frame.arrived_ns, frame.sensor, message.type, message.payload)
+            )
+            self._publish(message, None)
+
+    def mark(self, event: Mapping[str, Any], then: Callable[[Message], None]) -> str:
+        """Put an event among the frames; `then` takes it, encoded, before any later frame is recorded.
+
+        Why that was not done, "" if it was. `then` waits for nothing and may call steer, wish and tiles.
+        """
+        with self._lock:
+            if self._is_closed:
+                return "the service is stopping"
+            then(self._event(event))
+            return ""
+
+    def steer(self, steering: Steering, log_ns: int, answered: Answered) -> None:
+        """Within `then` of a mark: pause, resume or reset the mapper at its place."""
+        if steering != "reset_map":
+            self.paused = steering == "pause"
+        self._link.submit(SteerItem(self._link.next_number(), log_ns, steering), answered)
+
+    def wish(self, name: str, payload: Mapping[str, Any], log_ns: int, answered: Answered) -> None:
+        """Within `then` of a mark: ask the graph for something."""
+        self._link.submit(WishItem(self._link.next_number(), log_ns, name, payload), answered)
+
+    def tiles(self, log_ns: int, answered: Answered) -> None:
+        """Within `then` of a mark: have all tiles up to it handed over."""
+        self._link.submit(TilesItem(self._link.next_number(), log_ns), answered)
+
+    def log_ns(self) -> int:
+        """A log time after all before, for what comes of frames."""
+        with self._lock:
+            return self._log_clock.next_ns(self._host_time.unix_ns(time.monotonic_ns()))
+
+    def close(self) -> None:
+        """Take no more."""
+        with self._lock:
+            self._is_closed = True
+
+    def _event(self, event: Mapping[str, Any]) -> Message:
+        log_ns = self._log_clock.next_ns(self._host_time.unix_ns(time.monotonic_ns()))
+        return encode_event(json.dumps(dict(event)), log_ns, log_ns)

@@ -1,0 +1,419 @@
+"""Ingest's side of the mapper's process: starts it, hands it items, hears it, replaces it by a stand-by.
+
+    readers --submit--> socket --> mapper's process --> socket --> thread here --> recorder, publisher, tiles
+
+Nothing here makes a reader wait: what the mapper does not take at once waits in the channel. A thread of its
+own listens. When the mapper dies, or stands still, the newest stand-by gets the items after its own last one
+again, which are kept here until a newer stand-by has them.
+"""
+
+import logging
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+from service.runtime.channel import Channel, ChannelClosedError, wait_for
+from service.runtime.mapper_messages import (
+    Answer,
+    Decisions,
+    Failed,
+    Finish,
+    Finished,
+    FrameItem,
+    Go,
+    Hello,
+    Item,
+    MakeStandby,
+    Mapped,
+    PassedOver,
+    Progress,
+    Ready,
+    Setup,
+    Status,
+    Tiles,
+    TookIn,
+    Unusable,
+)
+
+log = logging.getLogger(__name__)
+
+LISTEN_S = 0.2
+MODULE = "service.runtime.mapper_process"
+STUCK_S = 10.0  # items wait, and the mapper has said nothing for so long: it is ended
+MOST_KEPT = 60_000  # items; minutes of three lasers, without a stand-by that has them
+MOST_DEATHS = 4  # without an item done in between: then the service ends with an error
+STANDBY_S = 5.0  # that a stand-by which has just been made may take to come here
+END_S = 2.0
+
+Heard = Mapped | PassedOver | TookIn | Unusable | Tiles | Status | Progress
+
+
+class MapperListener(Protocol):
+    """Who gets what the mapper says; all calls come from one thread."""
+
+    def heard(self, message: Heard) -> None: ...
+
+    def taken_over(self, words: str) -> None:
+        """The mapper was lost and a stand-by went on; tiles that come now count anew."""
+        ...
+
+    def refused(self, item: FrameItem) -> None:
+        """This frame is left out from now on: a mapper died of it."""
+        ...
+
+
+class MapperLostError(Exception):
+    """The mapper dies again and again."""
+
+
+class MapperLink:
+    """`start` the process, `submit` items, have a thread `run`; at last `finish`, `close`, `clean_up`."""
+
+    def __init__(self, setup: Setup, listener: MapperListener) -> None:
+        self._setup = setup
+        self._listener = listener
+        self._folder = tempfile.TemporaryDirectory(prefix="corridor-mapper-")
+        self._door = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._door.bind(str(self._path / "mapper.sock"))
+        self._door.listen(4)
+        self._door.setblocking(False)
+        self._lock = threading.Lock()  # of what follows, down to the blank line
+        self._active: Channel | None = None
+        self._kept: deque[Item] = deque()  # those after the stand-by's last
+        self._number = 0  # of the last item submitted
+        self._answers: dict[int, Callable[[Answer], None]] = {}
+
+        self._process: subprocess.Popen[bytes] | None = None
+        self._pid = 0  # of the active mapper
+        self._newcomers: list[Channel] = []  # connected, and have not said who they are
+        self._standby: tuple[Channel, Hello] | None = None
+        self._done_number = 0
+        self._took_in: dict[int, int] = {}
+        self._passed_over: set[int] = set()
+        self._refused: set[int] = set()
+        self._heard_s = 0.0
+        self._taken_number = 0  # as the mapper said last
+        self._deaths = (0, 0)  # how many since the item that was done last
+        self._orphaned: tuple[str, float] | None = None  # why there is no mapper, and since when
+        self._is_finishing = False
+        self._finished = threading.Event()
+        self._ready = threading.Event()
+        self._closed = threading.Event()
+        self.restarts = 0
+        self.turns = 0  # rises as long as `run` turns, with or without items
+
+    @property
+    def _path(self) -> Path:
+        return Path(self._folder.name)
+
+    @property
+    def pid(self) -> int:
+        """Of the process that maps; 0 while there is none."""
+        return self._pid
+
+    @property
+    def standby_pid(self) -> int:
+        """Of the process that would take over; 0 while there is none."""
+        return self._standby[1].pid if self._standby is not None else 0
+
+    @property
+    def waiting(self) -> int:
+        """Items that the mapper has not taken yet, as far as it has told."""
+        return self._number - self._taken_number
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether kernels are there and frames are mapped."""
+        return self._ready.is_set()
+
+    def wait_ready(self, timeout_s: float) -> bool:
+        return self._ready.wait(timeout_s)
+
+    def start(self) -> None:
+        """Start the process; it is ready when `is_ready` says so. `run` must turn meanwhile."""
+        self._heard_s = time.monotonic()
+        command = [sys.executable, "-m", MODULE, str(self._path)]
+        environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+        # A session of its own: Ctrl-C is for ingest, which says when it is over.
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, env=environment, start_new_session=True
+        )
+
+    def next_number(self) -> int:
+        """That the next item must have."""
+        return self._number + 1
+
+    def submit(self, item: Item, answered: Callable[[Answer], None] | None = None) -> None:
+        """Hand over the next item, never waiting; `answered` hears, in the thread of `run`, what came of it.
+
+        Raises OverflowError where so many items wait that the mapper must be stuck.
+        """
+        with self._lock:
+            if len(self._kept) >= MOST_KEPT:
+                if self._standby is None:
+                    self._kept.popleft()
+                else:
+                    raise OverflowError(f"{len(self._kept)} items wait for the mapper; it is stuck")
+            self._number = item.number
+            self._kept.append(item)
+            if answered is not None:
+                self._answers[item.number] = answered
+            if self._active is not None and self._ready.is_set():
+                try:
+                    self._active.send(item)
+                except ChannelClosedError:
+                    self._active = None  # the thread of `run` sees to it
+
+    def run(self) -> None:
+        """Listen until `close`. Raises MapperLostError."""
+        while not self._closed.is_set():
+            self.turns += 1
+            self._listen()
+            self._watch()
+
+    def finish(self, timeout_s: float) -> bool:
+        """After the last item: have the graph finish and the last tiles handed over.
+
+        False if that takes longer, or was never begun.
+        """
+        if not self._ready.is_set():
+            return False
+        with self._lock:
+            self._is_finishing = True
+            if self._active is not None:
+                try:
+                    self._active.send(Finish())
+                except ChannelClosedError:
+                    self._active = None
+        return self._finished.wait(timeout_s)
+
+    def close(self) -> None:
+        """End the process and its stand-by, whatever they do; `run` returns."""
+        self._closed.set()
+
+    def clean_up(self) -> None:
+        """When `run` has returned."""
+        channels = [self._active, *self._newcomers, self._standby[0] if self._standby else None]
+        for channel in channels:
+            if channel is not None:
+                channel.close()
+        self._active = self._standby = None
+        self._door.close()
+        for pid in (self._pid, self._process.pid if self._process is not None else 0):
+            _kill(pid)
+        if self._process is not None:
+            self._process.wait(END_S)
+        self._folder.cleanup()
+
+    def _listen(self) -> None:
+        standby = [self._standby[0]] if self._standby is not None else []
+        active = self._active
+        ends = [*([active] if active is not None else []), *standby, *self._newcomers]
+        for end in wait_for([*ends, _Door(self._door)], LISTEN_S):
+            if not isinstance(end, Channel):
+                self._let_in()
+            elif end is active:
+                self._hear(end)
+            elif end in self._newcomers:
+                self._meet(end)
+            else:
+                self._lose_standby(end)
+
+    def _let_in(self) -> None:
+        while True:
+            try:
+                connection, _ = self._door.accept()
+            except BlockingIOError:
+                return
+            self._newcomers.append(Channel(connection))
+
+    def _meet(self, channel: Channel) -> None:
+        try:
+            hellos = channel.receive()
+        except ChannelClosedError:
+            self._newcomers.remove(channel)
+            channel.close()
+            return
+        if not hellos:
+            return
+        self._newcomers.remove(channel)
+        hello = hellos[0]
+        if not hello.is_standby:
+            channel.send(self._setup)
+            with self._lock:
+                self._active, self._pid = channel, hello.pid
+            return
+        if self._standby is not None:
+            self._standby[0].close()  # it ends by that
+        self._standby = (channel, hello)
+        self._forget_up_to(hello.number)
+
+    def _forget_up_to(self, number: int) -> None:
+        with self._lock:
+            while self._kept and self._kept[0].number <= number:
+                self._kept.popleft()
+        self._took_in = {n: count for n, count in self._took_in.items() if n > number}
+        self._passed_over = {n for n in self._passed_over if n > number}
+
+    def _hear(self, active: Channel) -> None:
+        try:
+            messages = active.receive()
+        except ChannelClosedError:
+            self._lost("ended")
+            return
+        self._heard_s = time.monotonic()
+        for message in messages:
+            if isinstance(message, Failed):
+                self._fatal(message)
+                return
+            self._take(message)
+
+    def _take(self, message: Any) -> None:
+        if isinstance(message, Ready):
+            self._begin()
+            return
+        if isinstance(message, Finished):
+            self._finished.set()
+            return
+        if isinstance(message, Status):
+            self._taken_number = message.number
+        elif isinstance(message, TookIn):
+            self._took_in[message.number] = self._took_in.get(message.number, 0) + 1
+        elif isinstance(message, Mapped | PassedOver | Unusable | Answer):
+            self._done_number = self._taken_number = message.number
+            if isinstance(message, PassedOver):
+                self._passed_over.add(message.number)
+        if isinstance(message, Answer):
+            with self._lock:
+                answered = self._answers.pop(message.number, None)
+            if answered is not None:
+                answered(message)
+        else:
+            self._listener.heard(message)
+
+    def _begin(self) -> None:
+        """The process is ready: what has been submitted meanwhile goes out."""
+        with self._lock:
+            assert self._active is not None
+            for item in self._kept:
+                self._active.send(item)
+            self._ready.set()
+            if self._is_finishing:
+                self._active.send(Finish())
+
+    def _watch(self) -> None:
+        if self._orphaned is not None:
+            self._take_over()
+        elif self._active is None and self._ready.is_set() and not self._finished.is_set():
+            self._lost("closed its connection")
+        silent_s = time.monotonic() - self._heard_s
+        is_mapping = self._active is not None and self._ready.is_set() and not self._finished.is_set()
+        if is_mapping and self.waiting and silent_s > STUCK_S:
+            self._lost(f"said nothing for {silent_s:.0f} s while {self.waiting} items waited")
+
+    def _lose_standby(self, channel: Channel) -> None:
+        try:
+            channel.receive()
+        except ChannelClosedError:
+            self._standby = None
+            channel.close()
+            with self._lock:
+                if self._active is not None:
+                    self._active.send(MakeStandby())
+
+    def _fatal(self, failed: Failed) -> None:
+        """The mapper raised: its stand-by goes on without that frame."""
+        item = next((item for item in self._kept if item.number == failed.number), None)
+        if isinstance(item, FrameItem):
+            self._refused.add(failed.number)
+            self._listener.refused(item)
+        self._lost(f"failed at {failed.words}")
+
+    def _lost(self, how: str) -> None:
+        if self._finished.is_set() or self._closed.is_set():
+            return
+        if not self._ready.is_set():
+            raise MapperLostError(f"the mapper's process {how} before it was ready; its log stands above")
+        deaths, at_number = self._deaths
+        self._deaths = (deaths + 1 if at_number == self._done_number else 1, self._done_number)
+        if self._deaths[0] >= MOST_DEATHS:
+            raise MapperLostError(
+                f"the mapper's process {how}, {MOST_DEATHS} times after item {self._done_number}"
+            )
+        self.restarts += 1
+        self._bury()
+        self._orphaned = (how, time.monotonic())
+        self._take_over()
+
+    def _take_over(self) -> None:
+        """Put the stand-by in the mapper's place; it may be on its way still."""
+        assert self._orphaned is not None
+        how, since_s = self._orphaned
+        if self._standby is None:
+            if time.monotonic() - since_s > STANDBY_S:
+                raise MapperLostError(f"the mapper's process {how}, and no stand-by was there")
+            return
+        self._orphaned = None
+        channel, hello = self._standby
+        self._standby = None
+        log.error(
+            "the mapper's process %s; a stand-by (%d) goes on after item %d of %d",
+            how,
+            hello.pid,
+            hello.number,
+            self._number,
+        )
+        decisions = Decisions(self._took_in, frozenset(self._passed_over), frozenset(self._refused))
+        self._listener.taken_over(how)
+        with self._lock:
+            self._active, self._pid, self._heard_s = channel, hello.pid, time.monotonic()
+            try:
+                channel.send(Go(self._done_number, decisions))
+                for item in self._kept:
+                    channel.send(item)
+                if self._is_finishing:
+                    channel.send(Finish())
+            except ChannelClosedError:
+                self._active = None  # the next turn finds it lost, too
+
+    def _bury(self) -> None:
+        with self._lock:
+            if self._active is not None:
+                self._active.close()
+                self._active = None
+        _kill(self._pid)
+        if self._process is not None and self._process.pid == self._pid:
+            self._process.wait(END_S)
+
+
+class _Door:
+    """Lets a listening socket be waited for beside channels."""
+
+    waiting_bytes = 0
+
+    def __init__(self, door: socket.socket) -> None:
+        self._door = door
+
+    def fileno(self) -> int:
+        return self._door.fileno()
+
+    def flush(self) -> bool:
+        return True
+
+
+def _kill(pid: int) -> None:
+    if pid <= 0:
+        return
+    try:
+        os.kill(pid, signal.SIGKILL)
+    except ProcessLookupError:
+        return

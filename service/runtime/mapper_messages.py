@@ -1,0 +1,181 @@
+"""What ingest and the mapper's process say to each other; see docs/decisions/0012-two-processes.md.
+
+Everything that ingest hands to the mapper has a number, one more than the last, and is taken in that order.
+Numbers, and what the mapper decided by the clock (`TookIn`, `PassedOver`), are all that a stand-by needs to
+go the same way again.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from service.encoding import Message
+from service.geometry.geo_reference import GeoReference
+from service.geometry.se2 import SE2
+from service.mapper.steering import Steering
+from service.outputs import State, TileUpdate
+
+
+class FrameItem(NamedTuple):
+    """An encoded frame, as it is recorded."""
+
+    number: int
+    log_ns: int
+    arrived_ns: int  # host monotonic, when its last byte was read
+    sensor: str
+    type: str
+    payload: bytes
+
+
+class SteerItem(NamedTuple):
+    """Pause, resume or reset the mapper."""
+
+    number: int
+    log_ns: int
+    steering: Steering
+
+
+class WishItem(NamedTuple):
+    """What a person asks the graph for."""
+
+    number: int
+    log_ns: int
+    name: str
+    payload: Mapping[str, Any]
+
+
+class TilesItem(NamedTuple):
+    """Hand over all tiles up to here."""
+
+    number: int
+    log_ns: int
+
+
+Item = FrameItem | SteerItem | WishItem | TilesItem
+
+
+class Decisions(NamedTuple):
+    """What the mapper that died had decided by the clock, by the number of the item it stood before."""
+
+    took_in: Mapping[int, int]  # pieces of the graph's work that it brought in
+    passed_over: frozenset[int]
+    refused: frozenset[int]  # frames that a mapper died of
+
+
+class Go(NamedTuple):
+    """A stand-by takes over: all after its own number comes again. What is done gives no output twice."""
+
+    done_number: int
+    decisions: Decisions
+
+
+class MakeStandby(NamedTuple):
+    """The stand-by is gone: make another one soon."""
+
+
+class Finish(NamedTuple):
+    """Nothing more comes: have the graph finish, hand over the last tiles, end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """All that a mapper's process needs to begin."""
+
+    mapping: Mapping[str, Any]  # the section of the config, as it can be written to YAML
+    mountings: Mapping[str, SE2]  # pose_base_sensor of each laser
+    laser: str | None  # whose scans are mapped
+    graph_patience_s: float  # how long it may wait for the graph, all waits taken together
+    log_level: int
+
+
+class Hello(NamedTuple):
+    """The first word of a process: the one that was started, or a stand-by of a mapper."""
+
+    pid: int
+    number: int  # the last item that it has taken
+    is_standby: bool
+
+
+class Progress(NamedTuple):
+    """Kernels are being compiled."""
+
+    words: str
+
+
+class Ready(NamedTuple):
+    """Kernels and a stand-by are there; frames are welcome."""
+
+
+class Mapped(NamedTuple):
+    """A scan was mapped: what is published and recorded of it, with the time of its last byte."""
+
+    number: int
+    arrived_ns: int
+    stamp_ns: int
+    state: State
+    reason: str
+    match_share: float
+    cpu_ns: int  # processor time of the mapper
+    geo_reference: GeoReference | None
+    messages: tuple[Message, ...]  # pose first
+
+
+class PassedOver(NamedTuple):
+    """A scan that was too old to be mapped."""
+
+    number: int
+    log_ns: int
+    sensor: str
+    age_ns: int
+
+
+class TookIn(NamedTuple):
+    """A piece of the graph's work was brought in before the item of this number, or is lost."""
+
+    number: int
+    log_ns: int
+    trouble: str
+
+
+class Unusable(NamedTuple):
+    """A frame that holds nothing to map."""
+
+    number: int
+    sensor: str
+    is_mapped_scan: bool
+
+
+class Answer(NamedTuple):
+    """To a SteerItem (whether that changed anything), a WishItem, a TilesItem."""
+
+    number: int
+    result: Any
+    error: str = ""
+
+
+class Tiles(NamedTuple):
+    """Tiles that changed, and Unix time of the newest scan in them."""
+
+    tiles: list[TileUpdate]
+    stamp_ns: int
+
+
+class Failed(NamedTuple):
+    """The mapper cannot be trusted after this item; its process ends with this word."""
+
+    number: int
+    words: str
+
+
+class Finished(NamedTuple):
+    """The last word of a process that was told to finish."""
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """What the mapper knows of itself, several times a second."""
+
+    number: int  # the last item that it has taken
+    counters: Mapping[str, int] = field(default_factory=dict)
+    graph_trouble: str = ""
+    cpu_s: float = 0.0  # of the process since its start

@@ -1,0 +1,206 @@
+"""The mapper's process: `python -m service.runtime.mapper_process SOCKET`, started by mapper_link.py.
+
+It has one thread and waits in one place. Every few seconds, when nothing waits, it forks: the child, a
+stand-by, holds the whole state as it was at that item and costs nothing but the pages that change afterwards.
+When the mapper dies, the newest stand-by is told to go on, gets all items after its own last one again, and
+is where the mapper was a second later. What it says is in mapper_messages.py.
+"""
+
+import gc
+import logging
+import os
+import signal
+import socket
+import sys
+import time
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+from service.encoding import warm_up as warm_up_encoding
+from service.kernel_warm_up import warm_up as warm_up_kernels
+from service.log_format import set_up_logging
+from service.mapper.patch_store import PatchStore
+from service.mapper.pipeline import Mapper
+from service.mapper.profiles import build_mapper, mapping_config
+from service.mapper.steering import SteeredMapper
+from service.mapstore.patch_files import PatchFiles
+from service.runtime.back_end import BackEndProcess
+from service.runtime.channel import Channel, ChannelClosedError, wait_for
+from service.runtime.mapper_messages import (
+    Failed,
+    Finish,
+    Finished,
+    Go,
+    Hello,
+    Item,
+    MakeStandby,
+    Ready,
+    Setup,
+)
+from service.runtime.mapping import MapperError, MappingLoop
+
+log = logging.getLogger(__name__)
+
+IDLE_S = 0.2  # how long to wait for an item before the loop looks after tiles anyway
+COPY_INTERVAL_S = 4.0  # from one stand-by to the next, while items come
+COPY_OVERDUE_S = 12.0  # then a stand-by is made though items wait
+CONNECT_S = 10.0
+
+
+class MapperProcess:
+    """One mapper, and what it needs to be there twice."""
+
+    def __init__(self, folder: Path, setup: Setup, channel: Channel) -> None:
+        self._folder = folder
+        self._setup = setup
+        self._channel = channel
+        self._back_end = BackEndProcess(setup.graph_patience_s)
+        self._can_copy = True
+        config = mapping_config(dict(setup.mapping))
+
+        def new_mapper() -> Mapper[Any]:
+            return build_mapper(
+                config,
+                setup.mountings,
+                new_worker=self._back_end.new_worker,
+                new_patch_store=self._new_patch_store,
+            )
+
+        self._loop = MappingLoop(SteeredMapper(new_mapper, setup.laser, take_in_after=None), self._send)
+        self._items: deque[Item] = deque()
+        self._is_finishing = False
+        self._copied_number = -1
+        self._copies = 0
+        self._copy_due_s = 0.0
+
+    def run(self) -> None:
+        """Until ingest says that nothing more comes, or is gone. Raises ChannelClosedError."""
+        if not self._copy():
+            self._send(Ready())
+        try:
+            while self._items or not self._is_finishing:
+                self._hear(0.0 if self._items else IDLE_S)
+                if self._items:
+                    self._loop.take(self._items.popleft())
+                self._loop.keep_up(is_idle=not self._items)
+                if self._is_copy_due():
+                    self._copy()
+            self._loop.finish()
+            self._say_last(Finished())
+        except MapperError as error:
+            log.error("the mapper failed: %s", error)
+            self._say_last(Failed(error.number, str(error)))
+        finally:
+            self._back_end.stop()
+
+    def _hear(self, timeout_s: float) -> None:
+        ends = [self._channel]
+        if self._back_end.channel is not None:
+            ends.append(self._back_end.channel)  # finished work comes in before the next item
+        if self._channel not in wait_for(ends, timeout_s):
+            return
+        for message in self._channel.receive():
+            self._take_in(message)
+
+    def _take_in(self, message: Any) -> None:
+        if isinstance(message, Finish):
+            self._is_finishing = True
+        elif isinstance(message, MakeStandby):
+            self._copied_number, self._copy_due_s = -1, 0.0
+        else:
+            self._items.append(message)
+
+    def _send(self, message: Any) -> None:
+        self._channel.send(message)
+
+    def _say_last(self, word: Any) -> None:
+        self._channel.send(word)
+        while not self._channel.flush():
+            self._channel.wait(IDLE_S)
+
+    def _new_patch_store(self) -> PatchStore:
+        self._can_copy = False  # two processes would write to one file
+        return PatchFiles()
+
+    def _is_copy_due(self) -> bool:
+        if not self._can_copy or self._loop.number == self._copied_number or not self._loop.is_up_to_date:
+            return False
+        now_s = time.monotonic()
+        return now_s >= self._copy_due_s + (COPY_OVERDUE_S - COPY_INTERVAL_S if self._items else 0.0)
+
+    def _copy(self) -> bool:
+        """Leave a stand-by behind that holds what is known now; True in it, when it has taken over."""
+        if not self._can_copy:
+            return False
+        self._loop.hand_over_tiles()
+        self._copied_number = self._loop.number
+        self._copy_due_s = time.monotonic() + COPY_INTERVAL_S
+        self._copies += 1
+        self._back_end.copy(self._folder / f"back-end-{os.getpid()}-{self._copies}.sock")
+        is_copy = os.fork() == 0
+        self._back_end.forked(is_copy)
+        if is_copy:
+            self._stand_by()
+        return is_copy
+
+    def _stand_by(self) -> None:
+        """In the copy: wait until it is needed. What the parent had not taken yet will come again."""
+        self._channel.close()
+        self._items.clear()
+        self._is_finishing = False
+        try:
+            self._channel = connect(self._folder)
+            self._channel.send(Hello(os.getpid(), self._loop.number, is_standby=True))
+            while not (messages := self._channel.receive_within(3600.0)):
+                pass
+        except ChannelClosedError:
+            os._exit(0)  # a newer stand-by is there, or nobody needs one any more
+        first, *items = messages
+        assert isinstance(first, Go)
+        self._loop.go_on(first)
+        self._copy()  # it may be needed before everything has come again
+        self._copy_due_s = 0.0  # and once more when it has
+        for message in items:
+            self._take_in(message)
+
+
+def connect(folder: Path) -> Channel:
+    """Ingest, which listens in its folder. Raises ChannelClosedError."""
+    connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    connection.settimeout(CONNECT_S)
+    try:
+        connection.connect(str(folder / "mapper.sock"))
+    except OSError as error:
+        raise ChannelClosedError(str(error)) from error
+    return Channel(connection)
+
+
+def main() -> int:
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # ingest hears them, and says when it is over
+    folder = Path(sys.argv[1])
+    try:
+        channel = connect(folder)
+        channel.send(Hello(os.getpid(), 0, is_standby=False))
+        messages = channel.receive_within(CONNECT_S)
+        if not messages:
+            return 1
+        (setup,) = messages
+        set_up_logging(setup.log_level)
+        warm_up_encoding()
+        warm_up_kernels(mapping_config(dict(setup.mapping)))
+        signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # stand-bys end when nobody needs them any more
+        gc.collect()
+        gc.freeze()  # what stands now stands for the whole run; a full collection would stall a scan
+        process = MapperProcess(folder, setup, channel)
+        process.run()
+    except ChannelClosedError:
+        return 0  # ingest is gone
+    return 0
+
+
+if __name__ == "__main__":
+    code = main()
+    sys.stderr.flush()
+    os._exit(code)  # a stand-by that took over has nothing of the first process to clean up

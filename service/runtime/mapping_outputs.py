@@ -1,0 +1,151 @@
+"""What comes back from the mapper's process: recorded, published, kept as tiles, and counted."""
+
+import json
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from service.encoding import TAKE_IN, Message, encode_event
+from service.geometry.geo_reference import GeoReference
+from service.mapstore.tiles import TileStore
+from service.outputs import TileUpdate
+from service.runtime.mapper_link import Heard
+from service.runtime.mapper_messages import FrameItem, Mapped, PassedOver, Status, Tiles, TookIn, Unusable
+from service.runtime.metrics import LatencyHistogram
+
+OVERLOAD_NS = 1_000_000_000  # so long after a scan that was passed over the service counts as overloaded
+
+
+class MappingOutputs:
+    """MapperListener. Written by the thread that listens to the mapper, read by any.
+
+    publish     takes a message and, for a pose, the moment its scan's last byte was read (host monotonic, ns)
+    record      takes a message
+    on_tiles    takes tiles that the store holds by now, and the Unix time of the scan they are up to
+    log_ns      a log time after all before
+    """
+
+    def __init__(
+        self,
+        laser: str | None,
+        tiles: TileStore,
+        publish: Callable[[Message, int | None], Any],
+        record: Callable[[Message], Any],
+        on_tiles: Callable[[list[TileUpdate], int], Any],
+        log_ns: Callable[[], int],
+        monotonic_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self.laser = laser  # whose scans are mapped
+        self._tiles = tiles
+        self._publish = publish
+        self._record = record
+        self._on_tiles = on_tiles
+        self._log_ns = log_ns
+        self._monotonic_ns = monotonic_ns
+        self._began_version = 0  # versions of the mapper's tiles count from here
+        self._passed_over_ns: deque[int] = deque(maxlen=4096)  # when, host monotonic
+        self._overloaded_since_ns: int | None = None
+        self._oldest_age_ns = 0  # of the scans passed over since then
+        self.counters: Mapping[str, int] = {}  # the mapper's own: scans, scans_dropped_late ...
+        self.graph_trouble = ""  # why no loop is closed any more, "" while all is well
+        self.last: Mapped | None = None
+        self.geo_reference: GeoReference | None = None
+        self.states: Counter[str] = Counter()  # scans by state: ok, degraded, lost
+        self.scan_cpu = LatencyHistogram()  # processor time in the mapper, by scan mapped
+        self.unusable_scans = 0  # of the laser that is mapped
+        self.unusable: Counter[str] = Counter()  # frames that hold nothing to map, by sensor
+        self.passed_over: Counter[str] = Counter()  # scans that were too old, by sensor
+        self.restarts = 0  # of the mapper
+        self.restart_reason = ""
+        self.cpu_s = 0.0  # of the mapper's processes
+        self._cpu_before_s = 0.0
+
+    def heard(self, message: Heard) -> None:
+        match message:
+            case Mapped():
+                self._mapped(message)
+            case Tiles():
+                self._put_tiles(message)
+            case Status():
+                self.counters, self.graph_trouble = message.counters, message.graph_trouble
+                self.cpu_s = self._cpu_before_s + message.cpu_s
+            case TookIn():
+                self._graph_worked(message)
+            case PassedOver():
+                self._left_out(message)
+            case Unusable():
+                self.unusable[message.sensor] += 1
+                self.unusable_scans += message.is_mapped_scan
+
+    def taken_over(self, words: str) -> None:
+        self.restarts += 1
+        self.restart_reason = words
+        self._began_version = self._tiles.version
+        self._cpu_before_s = self.cpu_s
+        log_ns = self._log_ns()
+        event = {"event": "mapper_restarted", "reason": words}
+        self._record(encode_event(json.dumps(event), log_ns, log_ns))
+
+    def refused(self, item: FrameItem) -> None:
+        self._record_before(item.log_ns, {"event": "frame_refused", "sensor": item.sensor})
+
+    def map_reset(self) -> None:
+        """The mapper has begun a new map; the tiles of the old one are emptied for all."""
+        emptied = self._tiles.begin_anew()
+        if emptied:
+            self._on_tiles(emptied, self._map_stamp_ns)
+        self._began_version = self._tiles.version
+        self.last = None
+
+    def overload(self) -> str:
+        """What is the matter where scans come faster than they are mapped, with figures; else ""."""
+        now_ns = self._monotonic_ns()
+        recent = [at_ns for at_ns in list(self._passed_over_ns) if now_ns - at_ns <= OVERLOAD_NS]
+        if not recent or self._overloaded_since_ns is None:
+            return ""
+        since_s = (now_ns - self._overloaded_since_ns) / 1e9
+        return (
+            f"overloaded for {since_s:.0f} s: {len(recent)} scans of the last second were passed over, "
+            f"having waited up to {self._oldest_age_ns / 1e6:.0f} ms; odometry carries the pose meanwhile. "
+            "Does another program take the processor?"
+        )
+
+    @property
+    def _map_stamp_ns(self) -> int:
+        return self.last.stamp_ns if self.last is not None else 0
+
+    def _mapped(self, mapped: Mapped) -> None:
+        self.last = mapped
+        self.geo_reference = mapped.geo_reference
+        self.states[mapped.state] += 1
+        self.scan_cpu.add(mapped.cpu_ns)
+        log_ns = self._log_ns()
+        for k, message in enumerate(mapped.messages):
+            stamped = replace(message, log_ns=log_ns)
+            self._publish(stamped, mapped.arrived_ns if k == 0 else None)
+            self._record(stamped)
+
+    def _put_tiles(self, message: Tiles) -> None:
+        tiles = [replace(tile, version=self._began_version + tile.version) for tile in message.tiles]
+        self._tiles.update(tiles)
+        self._on_tiles(tiles, message.stamp_ns)
+
+    def _graph_worked(self, message: TookIn) -> None:
+        trouble = message.trouble
+        event = {"event": "graph_lost", "reason": trouble} if trouble else {"event": TAKE_IN}
+        self._record_before(message.log_ns, event)
+
+    def _left_out(self, message: PassedOver) -> None:
+        now_ns = self._monotonic_ns()
+        if not self._passed_over_ns or now_ns - self._passed_over_ns[-1] > OVERLOAD_NS:
+            self._overloaded_since_ns, self._oldest_age_ns = now_ns, 0
+        self._passed_over_ns.append(now_ns)
+        self._oldest_age_ns = max(self._oldest_age_ns, message.age_ns)
+        self.passed_over[message.sensor] += 1
+        self._record_before(message.log_ns, {"event": "scan_passed_over", "sensor": message.sensor})
+
+    def _record_before(self, log_ns: int, event: Mapping[str, str]) -> None:
+        """Among the frames, right before the one of this log time."""
+        self._record(encode_event(json.dumps(dict(event)), log_ns - 1, log_ns - 1))

@@ -1,0 +1,48 @@
+"""The mapper in the thread that hands items in, not in a process: for tests of what stands around it."""
+
+from collections.abc import Callable
+from typing import Any
+
+from service.mapper.steering import SteeredMapper
+from service.runtime.mapper_messages import Answer, Item
+from service.runtime.mapping import MappingLoop
+from service.runtime.mapping_outputs import MappingOutputs
+
+Answered = Callable[[Answer], None]
+
+
+class InlineLink:
+    """As much of MapperLink as an Intake and a HealthReport use. `now_ns` is the mapper's clock."""
+
+    def __init__(self, mapper: SteeredMapper, outputs: MappingOutputs, is_deaf: bool = False) -> None:
+        self.now_ns = 0
+        self.said: list[Any] = []
+        self.items: list[Item] = []
+        self._outputs = outputs
+        self._is_deaf = is_deaf
+        self._answered: Answered | None = None
+        self.loop = MappingLoop(mapper, self._hear, lambda: self.now_ns)
+
+    @property
+    def waiting(self) -> int:
+        return len(self.items) - self.loop.number
+
+    def next_number(self) -> int:
+        return len(self.items) + 1
+
+    def submit(self, item: Item, answered: Answered | None = None) -> None:
+        self.items.append(item)
+        self._answered = answered
+        if not self._is_deaf:
+            self.loop.take(item)
+            self.loop.keep_up(is_idle=True)
+
+    def finish(self) -> None:
+        self.loop.finish()
+
+    def _hear(self, message: Any) -> None:
+        self.said.append(message)
+        if not isinstance(message, Answer):
+            self._outputs.heard(message)
+        elif self._answered is not None:
+            self._answered(message)

@@ -1,0 +1,38 @@
+"""A mapper's process that misbehaves as the environment says; see __init__.py."""
+
+import os
+import sys
+from typing import Any
+
+from drivers.frames import Frame, LaserScan
+from service.mapper.pipeline import Mapper
+from service.outputs import MapperOutput
+from service.runtime import mapper_process
+from tests.service.runtime.mappers import FATAL_RANGE_M, HOW
+
+process = Mapper.process
+
+
+def strange(self: Mapper[Any], frame: Frame) -> MapperOutput | None:
+    is_fatal = isinstance(frame, LaserScan) and abs(float(frame.range_m[0]) - FATAL_RANGE_M) < 1e-3
+    how = os.environ[HOW]
+    if is_fatal and how == "raises":
+        raise IndexError("no such tile")
+    if is_fatal and how == "hangs":
+        os.read(os.pipe()[0], 1)  # nobody writes
+    return process(self, frame)
+
+
+def no_kernels(config: object) -> None:
+    if os.environ[HOW] == "does not compile":
+        raise TypeError("cannot lower")
+    if os.environ[HOW] == "compiles for ever":
+        os.read(os.pipe()[0], 1)
+
+
+if __name__ == "__main__":
+    Mapper.process = strange  # type: ignore[method-assign]
+    mapper_process.warm_up_kernels = no_kernels
+    code = mapper_process.main()
+    sys.stderr.flush()
+    os._exit(code)

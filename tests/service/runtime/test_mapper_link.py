@@ -1,0 +1,220 @@
+"""The mapper's process and its stand-by: killed, hung, failing, and gone on with to the last bit."""
+
+import logging
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.frames import NO_INTENSITY, LaserScan
+from service.encoding import encode_frame
+from service.geometry.se2 import SE2
+from service.runtime import mapper_link
+from service.runtime.mapper_link import MapperLink, MapperLostError
+from service.runtime.mapper_messages import Answer, FrameItem, Mapped, Setup, Tiles, TilesItem
+from tests.service.runtime.mappers import FATAL_RANGE_M
+
+PERIOD_NS = 20_000_000
+TIMEOUT_S = 30.0
+
+
+class Heard:
+    """MapperListener that keeps what it hears."""
+
+    def __init__(self) -> None:
+        self.messages: list[Any] = []
+        self.takeovers: list[str] = []
+        self.refusals: list[int] = []
+
+    def heard(self, message: Any) -> None:
+        self.messages.append(message)
+
+    def taken_over(self, words: str) -> None:
+        self.takeovers.append(words)
+
+    def refused(self, item: FrameItem) -> None:
+        self.refusals.append(item.number)
+
+    @property
+    def poses(self) -> dict[int, bytes]:
+        return {m.number: m.messages[0].payload for m in self.messages if isinstance(m, Mapped)}
+
+
+class Drive:
+    """A link at work, fed with scans of a room driven through."""
+
+    def __init__(self) -> None:
+        self.heard = Heard()
+        setup = Setup({}, {"front": SE2()}, "front", 20.0, logging.WARNING)
+        self.link = MapperLink(setup, self.heard)
+        self.failure = ""
+        self.thread = threading.Thread(target=self._run)
+        self._scans = 0
+
+    def start(self) -> "Drive":
+        self.link.start()
+        self.thread.start()
+        assert self.link.wait_ready(TIMEOUT_S)
+        return self
+
+    def scan(self, count: int = 1, fatal: bool = False) -> None:
+        for _ in range(count):
+            self._scans += 1
+            stamp_ns = 10**9 + self._scans * PERIOD_NS
+            frame = _room(stamp_ns, 0.01 * self._scans, fatal)
+            message = encode_frame(frame, 0, stamp_ns)
+            number = self.link.next_number()
+            arrived_ns = time.monotonic_ns() + 3600 * 10**9  # never too old, however slow this machine is
+            self.link.submit(FrameItem(number, stamp_ns, arrived_ns, "front", message.type, message.payload))
+
+    def until(self, what: Callable[[], bool]) -> None:
+        pause, deadline_s = threading.Event(), time.monotonic() + TIMEOUT_S
+        while not what():
+            assert time.monotonic() < deadline_s, (self.failure, self.heard.takeovers, self.link.waiting)
+            pause.wait(0.01)
+
+    def until_mapped(self) -> None:
+        self.until(lambda: len(self.heard.poses) + len(self.heard.refusals) >= self._scans)
+
+    def until_standby(self, number: int) -> None:
+        self.until(lambda: self.link._standby is not None and self.link._standby[1].number >= number)
+
+    def stop(self) -> None:
+        self.link.close()
+        if self.thread.ident is not None:
+            self.thread.join(TIMEOUT_S)
+        self.link.clean_up()
+
+    def _run(self) -> None:
+        try:
+            self.link.run()
+        except MapperLostError as error:
+            self.failure = str(error)
+
+
+def _room(stamp_ns: int, x_m: float, fatal: bool) -> LaserScan:
+    """271 beams in a room of 8 x 6 m, seen from x_m along its axis; one range says that it is fatal."""
+    angle = np.deg2rad(np.arange(-135.0, 136.0))
+    with np.errstate(divide="ignore"):
+        to_x = np.where(np.cos(angle) > 0.0, 4.0 - x_m, 4.0 + x_m) / np.abs(np.cos(angle))
+        to_y = 3.0 / np.abs(np.sin(angle))
+    range_m = np.minimum(to_x, to_y).astype(np.float32)
+    if fatal:
+        range_m[0] = FATAL_RANGE_M
+    times = (stamp_ns, stamp_ns, 0, PERIOD_NS)
+    return LaserScan("front", *times, float(angle[0]), np.deg2rad(1.0), 0.05, 30.0, range_m, NO_INTENSITY)
+
+
+@pytest.fixture
+def drive() -> Iterator[Drive]:
+    drive = Drive()
+    yield drive
+    drive.stop()
+
+
+def test_a_mapper_that_is_killed_again_and_again_gives_the_poses_of_one_that_is_not(drive: Drive):
+    undisturbed = Drive()
+    try:
+        undisturbed.start().scan(60)
+        undisturbed.until_mapped()
+    finally:
+        undisturbed.stop()
+    drive.start()
+    for _ in range(6):
+        drive.scan(7)
+        pid = drive.link.pid
+        os.kill(pid, signal.SIGKILL)
+        drive.scan(3)
+        drive.until_mapped()
+        assert drive.link.pid != pid
+    assert drive.heard.poses == undisturbed.heard.poses
+    assert len(drive.heard.takeovers) == drive.link.restarts == 6
+    numbers = [m.number for m in drive.heard.messages if isinstance(m, Mapped)]
+    assert numbers == sorted(set(numbers))  # nothing is told twice
+
+
+def test_a_new_stand_by_comes_by_itself_and_the_items_that_it_has_are_forgotten(drive: Drive):
+    drive.start().scan(20)
+    drive.until_mapped()
+    drive.until_standby(20)
+    assert not drive.link._kept
+    first = drive.link.standby_pid
+    os.kill(first, signal.SIGKILL)
+    drive.until(lambda: drive.link.standby_pid not in (0, first))
+    assert not drive.heard.takeovers
+
+
+def test_tiles_after_a_takeover_hold_the_whole_map(drive: Drive):
+    drive.start().scan(10)
+    drive.until_mapped()
+    before = len(drive.heard.messages)
+    os.kill(drive.link.pid, signal.SIGKILL)
+    answers: list[Answer] = []
+    drive.scan(5)
+    drive.link.submit(TilesItem(drive.link.next_number(), 1), answers.append)
+    drive.until(lambda: bool(answers))
+    assert any(isinstance(m, Tiles) for m in drive.heard.messages[before:])
+
+
+def test_a_frame_that_the_mapper_dies_of_is_left_out(drive: Drive, strange: Callable[[str], None]):
+    strange("raises")
+    drive.start().scan(5)
+    drive.scan(fatal=True)
+    drive.scan(5)
+    drive.until_mapped()
+    assert drive.heard.refusals == [6]
+    assert sorted(drive.heard.poses) == [1, 2, 3, 4, 5, 7, 8, 9, 10, 11]
+    assert "IndexError('no such tile')" in drive.heard.takeovers[0]
+
+
+def test_a_mapper_that_stands_still_is_ended(
+    drive: Drive, strange: Callable[[str], None], monkeypatch: pytest.MonkeyPatch
+):
+    """Its stand-by stands still at the same frame, and so on: then it is given up, aloud."""
+    strange("hangs")
+    drive.start().scan(3)
+    drive.until_mapped()
+    drive.until_standby(3)
+    monkeypatch.setattr(mapper_link, "STUCK_S", 1.5)
+    drive.scan(fatal=True)
+    drive.until(lambda: bool(drive.failure))
+    assert "said nothing for" in drive.heard.takeovers[0]
+    assert drive.failure.endswith("4 times after item 3")
+
+
+def test_a_mapper_that_does_not_start_is_told(strange: Callable[[str], None]):
+    strange("does not compile")
+    drive = Drive()
+    try:
+        drive.link.start()
+        drive.thread.start()
+        drive.until(lambda: bool(drive.failure))
+        assert "before it was ready" in drive.failure
+    finally:
+        drive.stop()
+
+
+def test_everything_ends_with_the_link(drive: Drive):
+    drive.start().scan(3)
+    drive.until_mapped()
+    drive.until(lambda: drive.link.standby_pid != 0)
+    pids = [drive.link.pid, drive.link.standby_pid]
+    folder = drive.link._path
+    assert drive.link.finish(TIMEOUT_S)
+    drive.stop()
+    for pid in pids:
+        drive.until(lambda pid=pid: not _is_there(pid))
+    assert not folder.exists()
+
+
+def _is_there(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
