@@ -1,6 +1,7 @@
 """What the service raises on purpose, and the exit code each becomes.
 
     CorridorError      1   failed
+     |- CalledOffError     a signal came before the service was ready: 130 for Ctrl-C, else 0
      |- UsageError    64   the command was called wrongly
      |- InputError    65   a file that was handed in cannot be what it claims to be
      |- StorageError  74   the disk or the network refused: full, no rights, port taken
@@ -11,11 +12,24 @@ what was found, what was expected and what to do. What a device does wrong stand
 ends the service.
 """
 
+import signal
+
 
 class CorridorError(Exception):
     """Base of everything the service raises on purpose."""
 
     exit_code = 1
+
+
+class CalledOffError(CorridorError):
+    """A signal ended a start before the service was ready.
+
+    exit_code   130 for Ctrl-C; 0 where a service manager asked for it, since nothing is left undone
+    """
+
+    def __init__(self, number: signal.Signals) -> None:
+        super().__init__(f"the start was called off by {number.name}")
+        self.exit_code = 128 + number if number == signal.SIGINT else 0
 
 
 class UsageError(CorridorError):

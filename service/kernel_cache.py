@@ -11,7 +11,10 @@ import logging
 import os
 import shutil
 import tempfile
+from functools import partial
 from pathlib import Path
+
+from service.interruption import before_ending
 
 log = logging.getLogger(__name__)
 
@@ -33,7 +36,9 @@ def ensure_cache_dir() -> Path | None:
             return None
     # A fresh folder that only we can write: cached kernels are code, and /tmp belongs to everybody.
     temporary = Path(tempfile.mkdtemp(prefix="corridor-kernels-"))
-    atexit.register(shutil.rmtree, temporary, ignore_errors=True)
+    forget = partial(shutil.rmtree, temporary, ignore_errors=True)
+    atexit.register(forget)
+    before_ending(forget)
     os.environ["NUMBA_CACHE_DIR"] = str(temporary)
     log.warning(
         "cannot write to %s; the kernels are compiled anew at every start. Set NUMBA_CACHE_DIR to a folder "

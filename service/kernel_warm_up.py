@@ -15,6 +15,7 @@ from typing import Any
 
 from numba.core import event
 
+from service.interruption import children_do_not_hear, end_with_parent
 from service.mapper.profiles import MappingConfig, mapping_config, rehearsals
 
 log = logging.getLogger(__name__)
@@ -87,7 +88,8 @@ class _Helper:
         context = get_context("spawn")  # a forked child would inherit locks that it does not have
         ours, theirs = context.Pipe()
         self._process = context.Process(target=_help, args=(theirs, self._section), daemon=True)
-        self._process.start()
+        with children_do_not_hear():
+            self._process.start()
         theirs.close()
         self._thread = threading.Thread(
             target=self._hand_out, args=(ours,), name="warm-up-helper", daemon=True
@@ -120,6 +122,7 @@ class _Helper:
 
 def _help(theirs: Connection, section: dict[str, Any] | None) -> None:
     """The process. What does not compile here does not compile there either, and is said there."""
+    end_with_parent()
     work = rehearsals(None if section is None else mapping_config(section))
     try:
         while True:

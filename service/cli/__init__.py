@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 
 from service.cli.arguments import new_parser
-from service.errors import CorridorError, StorageError
+from service.errors import CalledOffError, CorridorError, StorageError
+from service.interruption import INTERRUPTED
 from service.log_format import set_up_logging
 
 log = logging.getLogger(__name__)
@@ -25,11 +26,10 @@ _COMMANDS = {
     "doctor": ("service.cli.upkeep", "doctor"),
     "warmup": ("service.cli.upkeep", "warmup"),
 }
-INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; its exit code."""
+    """Run one command; its exit code. Raises CalledOffError where a signal came before `run` was ready."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments[:1] == ["simulate"]:
         _become_the_simulators(arguments[1:])
@@ -39,6 +39,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     command: Callable[..., int] = getattr(import_module(module), function)
     try:
         return command(parsed)
+    except CalledOffError:
+        raise  # threads still compile: whoever runs the process ends it
     except CorridorError as error:
         print(f"corridor: {error}", file=sys.stderr)
         return error.exit_code

@@ -21,6 +21,7 @@ from service.encoding import LASER_SCAN, pose_on_wire
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import ConfigError, InputError, StorageError
 from service.geometry.se2 import SE2
+from service.interruption import children_do_not_hear
 from service.kernel_warm_up import warm_up as warm_up_kernels
 from service.mapper.corrections import corrected
 from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
@@ -119,10 +120,11 @@ def replay_all(
         ]
     # spawn: a forked child would inherit locks of numba's and of threads that it does not have
     with ProcessPoolExecutor(min(jobs, len(sessions)), mp_context=get_context("spawn")) as pool:
-        futures = [
-            pool.submit(_replay_to, session, options, folder)
-            for session, folder in zip(sessions, folders, strict=True)
-        ]
+        with children_do_not_hear():
+            futures = [
+                pool.submit(_replay_to, session, options, folder)
+                for session, folder in zip(sessions, folders, strict=True)
+            ]
         for done, _ in enumerate(as_completed(futures), start=1):
             progress(done / len(sessions))
         return [future.result() for future in futures]

@@ -1,12 +1,13 @@
 """One run of the service in the foreground, from start to a signal, a deadline or a failure."""
 
 import logging
+import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 from service.config import ServiceConfig
-from service.errors import CorridorError
+from service.errors import CalledOffError, CorridorError
 from service.runtime.notify import Notifier
 from service.runtime.service import Service, Summary
 from service.runtime.signals import StopSignals
@@ -27,12 +28,12 @@ def run(
 
     `give_up` is asked several times a second and may say why to stop as a failure. Whatever ends the run, the
     recording is finished and the map saved first. Raises CorridorError where a part failed, StorageError
-    where Zenoh cannot listen or the disk refuses.
+    where Zenoh cannot listen or the disk refuses, CalledOffError where a signal came before READY.
     """
     notifier = Notifier()
     with StopSignals() as signals:
         service = Service(config, notifier, map_folder, on_failure=signals.wake)
-        reason = failure = ""
+        reason = failure = called_off = ""
         try:
             if service.start(cancelled=lambda: bool(signals.received)):
                 on_ready(service)
@@ -45,10 +46,14 @@ def run(
                         break
                     if signals.wait(min(TICK_S, left_s)):
                         break
+            else:
+                called_off = signals.received
         finally:
             log.info("stopping: %s", failure or reason or signals.received or "the start failed")
             summary = service.stop()
             notifier.close()
+    if called_off:
+        raise CalledOffError(signal.Signals[called_off])
     if failure := failure or service.failure:
         raise CorridorError(f"{failure}; recording finished and map saved as far as they went")
     return summary

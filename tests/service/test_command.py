@@ -1,0 +1,142 @@
+"""Ctrl-C and SIGTERM at any moment of a command whose kernels have to be compiled first."""
+
+import os
+import random
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+ENDS_WITHIN_S = 1.0  # where no other program computes
+BUSY = 4.0  # so many times as long where others do
+SPAN_S = 9.0  # imports, the first compiled kernels, the start of the process that helps
+PATIENCE_S = 60.0
+CODES = {
+    ("run", "SIGTERM"): 0,
+    ("demo", "SIGTERM"): 0,
+    ("replay", "SIGTERM"): 143,
+    ("warmup", "SIGTERM"): 143,
+    **{(command, "SIGINT"): 130 for command in ("run", "demo", "replay", "warmup")},
+}
+
+
+@pytest.fixture
+def begin(tmp_path: Path, shared: Path) -> Iterator[Callable[[str], subprocess.Popen[bytes]]]:
+    """Begins a command with an empty kernel cache, in a group of its own, as a shell does."""
+    config = tmp_path / "vehicle.yaml"
+    settings = {
+        "vehicle": "v",
+        "sensors": {"front": {"type": "sick_lms100", "host": "127.0.0.1", "port": 9}},
+        "publishing": {"listen": ["tcp/127.0.0.1:0"]},
+        "recording": {"directory": str(tmp_path / "sessions"), "keep_free_gb": 0.0},
+        "map": {"directory": str(tmp_path / "maps")},
+    }
+    config.write_text(yaml.safe_dump(settings))
+    recording = shared / "worlds" / "tshape_s2" / "tshape_s2.mcap"
+    arguments = {
+        "run": [config],
+        "demo": ["--out", tmp_path / "demo"],
+        "replay": [recording, "--out", tmp_path / "replay"],
+        "warmup": [],
+    }
+    begun: list[subprocess.Popen[bytes]] = []
+
+    def begin_one(command: str) -> subprocess.Popen[bytes]:
+        if command == "replay" and not recording.exists():
+            pytest.skip(f"{recording} is not there; set CORRIDOR_SHARED to the folder that holds it")
+        process = subprocess.Popen(
+            [sys.executable, "-m", "service", command, *map(str, arguments[command])],
+            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+        begun.append(process)
+        return process
+
+    yield begin_one
+    for process in begun:
+        for pid in alive_in(process.pid):
+            os.kill(pid, signal.SIGKILL)
+        process.wait()
+        assert process.stdout is not None
+        process.stdout.close()
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize(("command", "name"), CODES)
+def test_a_signal_at_any_moment_ends_a_command_at_once(
+    command: str, name: str, begin: Callable[[str], subprocess.Popen[bytes]]
+):
+    moments_s = random.Random(f"{command} {name}")  # as the test, always the same
+    for at_s in (0.0, moments_s.uniform(0.0, 2.0), moments_s.uniform(2.0, SPAN_S)):
+        process = begin(command)
+        wait_until_it_takes_signals(process.pid)
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(at_s)
+        sent_s = time.monotonic()
+        if name == "SIGINT":
+            os.killpg(process.pid, signal.SIGINT)  # a terminal tells the whole group
+        else:
+            process.send_signal(signal.SIGTERM)
+        said, _ = process.communicate(timeout=PATIENCE_S)
+        took_s = time.monotonic() - sent_s
+        where = f"{command}, {name} after {at_s:.2f} s said {said.decode()}"
+        assert process.returncode == CODES[command, name], where
+        assert took_s < ENDS_WITHIN_S * BUSY, where
+        assert b"Traceback" not in said, where
+        assert b"Exception ignored" not in said, where
+        until(lambda group=process.pid: not alive_in(group), f"the children to end; {where}")
+
+
+@pytest.mark.timeout(300)
+def test_what_an_interrupted_warm_up_has_compiled_is_used_by_the_next(
+    tmp_path: Path, begin: Callable[[str], subprocess.Popen[bytes]]
+):
+    process = begin("warmup")
+    until(lambda: len(list((tmp_path / "cache").rglob("*.nbc"))) > 3, "the first kernels")
+    os.killpg(process.pid, signal.SIGINT)
+    assert process.wait(PATIENCE_S) == 130
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*.nbc")}
+    begin("warmup")
+    until(
+        lambda: len(list((tmp_path / "cache").rglob("*.nbc"))) > len(kept) + 2,
+        "kernels beyond those that were there",
+    )
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+
+
+def wait_until_it_takes_signals(pid: int) -> None:
+    def takes() -> bool:
+        status = Path(f"/proc/{pid}/status").read_text()
+        caught = int(next(line for line in status.splitlines() if line.startswith("SigCgt")).split()[1], 16)
+        return bool(caught >> (signal.SIGTERM - 1) & 1)
+
+    until(takes, "a handler of signals")
+
+
+def until(what: Callable[[], bool], expected: str) -> None:
+    """The kernel tells nobody of such things, so they are asked for."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not what():
+        assert time.monotonic() < deadline_s, f"waited {PATIENCE_S:.0f} s for {expected}"
+        select.select([], [], [], 0.005)
+
+
+def alive_in(group: int) -> list[int]:
+    """Processes of a group that have not ended."""
+    found = []
+    for name in filter(str.isdigit, os.listdir("/proc")):
+        try:
+            state = Path(f"/proc/{name}/stat").read_text().rpartition(")")[2].split()
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        if int(state[2]) == group and state[0] != "Z":
+            found.append(int(name))
+    return found
