@@ -28,8 +28,7 @@ def ensure_cache_dir() -> Path | None:
     The temporary place where that was needed, else None. Call it before anything imports numba.
     """
     given = os.environ.get("NUMBA_CACHE_DIR")
-    home_cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "numba"
-    places = [Path(given)] if given else [KERNELS / "__pycache__", home_cache]
+    places = [Path(given)] if given else [KERNELS / "__pycache__", _home_cache()]
     for place in places:
         if _is_writable(place):
             forget_old_kernels(place)
@@ -60,15 +59,34 @@ def forget_old_kernels(place: Path) -> None:
     try:
         if stamp.exists() and stamp.read_text(encoding="ascii") == digest:
             return
-        # numba's files lie beside the sources, or in a folder that has the name of theirs and a hash
-        for pattern in ("*.nb[ci]", f"{KERNELS.name}_*/*.nb[ci]"):
-            for compiled in place.glob(pattern):
-                compiled.unlink(missing_ok=True)
+        for compiled in _compiled_in(place):
+            compiled.unlink(missing_ok=True)
         stamp.write_text(digest, encoding="ascii")
     except OSError as error:
         log.warning(
             "%s: kernels compiled from older sources may be in use (%s); delete the folder", place, error
         )
+
+
+def forget_kernels() -> int:
+    """Delete every compiled kernel that a start would read; how many there were."""
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    place = Path(given) if given else KERNELS / "__pycache__"
+    count = 0
+    for folder in (place, _home_cache()):
+        for compiled in _compiled_in(folder):
+            compiled.unlink(missing_ok=True)
+            count += 1
+    return count
+
+
+def _home_cache() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "numba"
+
+
+def _compiled_in(place: Path) -> list[Path]:
+    """numba's files lie beside the sources, or in a folder that has the name of theirs and a hash."""
+    return [path for p in ("*.nb[ci]", f"{KERNELS.name}_*/*.nb[ci]") for path in place.glob(p)]
 
 
 def _is_writable(place: Path) -> bool:

@@ -7,32 +7,172 @@ has compiled is read from the cache that both share, and what it has not is comp
 
 import logging
 import os
+import pickle
+import sys
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any
 
 from numba.core import event
+from numba.core.dispatcher import Dispatcher
+from numba.core.registry import cpu_target
 
 from service.interruption import children_do_not_hear, end_with_parent
+from service.kernel_cache import forget_kernels
 from service.mapper.profiles import MappingConfig, mapping_config, rehearsals
 
 log = logging.getLogger(__name__)
 
+KERNEL_PACKAGE = "service.kernels."
+TELL_S = 2.0  # how often the log says how far it is
+CUT_SHORT = (EOFError, pickle.UnpicklingError)  # a file of the cache that a power cut left empty or in part
+BACK_END_PACKAGE = "service.mapper.graph."
 
-def warm_up(config: MappingConfig | None = None) -> None:
+
+class KernelProgress:
+    """How many kernels have been compiled. Threads may add and ask.
+
+    on_change   called after each kernel, by the thread that tells of it
+    """
+
+    def __init__(self, on_change: Callable[["KernelProgress"], None] = lambda progress: None) -> None:
+        self._on_change = on_change
+        self._began_s = time.monotonic()
+        self._compiled: set[str] = set()
+        self._needed = 0
+
+    def compiled(self, name: str) -> None:
+        """The kernel `name` (module and function), here or in the process that helps."""
+        if not name.startswith(KERNEL_PACKAGE):
+            return  # what numba brings along
+        self._compiled.add(name)
+        self._on_change(self)
+
+    def expect(self, needed: int) -> None:
+        """So many kernels at most will be compiled."""
+        self._needed = needed
+
+    @property
+    def share(self) -> float:
+        """0 to 1; 0 where none had to be compiled."""
+        return len(self._compiled) / max(self._needed, 1)
+
+    def __str__(self) -> str:
+        taken_s = time.monotonic() - self._began_s
+        if not self._compiled:
+            return f"loading kernels, {taken_s:.0f} s"
+        return f"compiling kernels: {len(self._compiled)} of {self._needed}, {taken_s:.0f} s"
+
+
+class _Tell:
+    """Writes a progress to the log, now and then."""
+
+    def __init__(self) -> None:
+        self._told_s = time.monotonic()
+
+    def __call__(self, progress: KernelProgress) -> None:
+        if time.monotonic() - self._told_s >= TELL_S:
+            self._told_s = time.monotonic()
+            log.info("%s", progress)
+
+
+def warm_up(
+    config: MappingConfig | None = None,
+    back_end_elsewhere: bool = False,
+    progress: KernelProgress | None = None,
+) -> None:
     """Compile the kernels that a config needs (None: those of every profile), or load them from the cache.
 
-    Half a second where the cache holds them. Call ensure_cache_dir first.
+    Half a second where the cache holds them. Call ensure_cache_dir first. A cache that cannot be read is
+    emptied, with a warning, and filled anew.
+
+    back_end_elsewhere   leave out what the graph's back end needs, see `rehearsals`
+    progress             told of each kernel that is compiled; left out, the log says how far it is
     """
-    pieces = _Pieces(rehearsals(config))
-    helper = _Helper(config, pieces) if len(os.sched_getaffinity(0)) > 1 else None
-    with event.install_listener("numba:compile", _AtFirstCompile(helper.start if helper else None)):
+    progress = progress or KernelProgress(_Tell())
+    _start_compiler()
+    try:
+        _warm_up(config, back_end_elsewhere, progress)
+    except CUT_SHORT as error:
+        if not forget_kernels():
+            raise
+        log.warning("compiled kernels could not be read (%r); all are compiled anew", error)
+        _warm_up(config, back_end_elsewhere, progress)
+
+
+def _warm_up(config: MappingConfig | None, back_end_elsewhere: bool, progress: KernelProgress) -> None:
+    pieces = _Pieces(rehearsals(config, back_end_elsewhere))
+    helpers = [
+        _Helper((config, back_end_elsewhere), pieces, progress)
+        for _ in range(len(os.sched_getaffinity(0)) - 1)
+    ]
+
+    def help_out() -> None:
+        progress.expect(len(needed_kernels(back_end_elsewhere)))
+        for helper in helpers:
+            helper.start()
+
+    with _listening(help_out, progress.compiled):
         while (k := pieces.claim()) is not None:
             pieces.do(k)
-        for k in helper.finish() if helper else ():
-            pieces.do(k)
+        for helper in helpers:
+            for k in helper.finish():
+                pieces.do(k)
+
+
+def needed_kernels(back_end_elsewhere: bool = False) -> set[str]:
+    """Module and name of every kernel that the modules imported by now may call, without those that only the
+    graph's back end calls where that works elsewhere.
+    """
+    without = (KERNEL_PACKAGE, BACK_END_PACKAGE) if back_end_elsewhere else KERNEL_PACKAGE
+    found: dict[str, Dispatcher] = {}
+    callers = [m for name, m in list(sys.modules.items()) if name.startswith("service.") and m is not None]
+    waiting = [
+        value
+        for module in callers
+        if not module.__name__.startswith(without)
+        for value in list(vars(module).values())
+        if isinstance(value, Dispatcher)
+    ]
+    while waiting:
+        kernel = waiting.pop()
+        name = _name_of(kernel)
+        if name in found:
+            continue
+        found[name] = kernel
+        around, code = kernel.py_func.__globals__, kernel.py_func.__code__
+        waiting += [around[word] for word in code.co_names if isinstance(around.get(word), Dispatcher)]
+    return set(found)
+
+
+def _name_of(kernel: Dispatcher) -> str:
+    return f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}"
+
+
+def _start_compiler() -> None:
+    """Have numba read its registries, without scipy.
+
+    It would import scipy.linalg only to know whether np.dot can be had: half of the time that this takes. No
+    kernel multiplies matrices that way.
+    """
+    if "scipy.linalg" in sys.modules:
+        return
+    sys.modules["scipy.linalg"] = None  # type: ignore[assignment]
+    try:
+        cpu_target.typing_context.refresh()
+        cpu_target.target_context.refresh()
+    finally:
+        del sys.modules["scipy.linalg"]
+
+
+@contextmanager
+def _listening(at_first: Callable[[], None], compiled: Callable[[str], None]) -> Iterator[None]:
+    with event.install_listener("numba:compile", _Listener(at_first, compiled)):
+        yield
 
 
 class _Pieces:
@@ -58,26 +198,32 @@ class _Pieces:
         self._work[k]()
 
 
-class _AtFirstCompile(event.Listener):
-    """Tells whether the cache is cold: what numba finds there it does not compile."""
+class _Listener(event.Listener):
+    """Tells when numba compiles, which it does only with what is not in the cache: when first, and what."""
 
-    def __init__(self, act: Callable[[], None] | None) -> None:
-        self._act = act
+    def __init__(self, at_first: Callable[[], None], compiled: Callable[[str], None]) -> None:
+        self._at_first: Callable[[], None] | None = at_first
+        self._compiled = compiled
 
-    def on_start(self, event: object) -> None:
-        act, self._act = self._act, None
+    def on_start(self, event: event.Event) -> None:
+        act, self._at_first = self._at_first, None
         if act is not None:
             act()
 
-    def on_end(self, event: object) -> None: ...
+    def on_end(self, event: event.Event) -> None:
+        self._compiled(_name_of(event.data["dispatcher"]))
 
 
 class _Helper:
-    """The other process, which ends with this one, and the thread that hands it one piece after the other."""
+    """Another process, which ends with this one, and the thread that hands it one piece after the other."""
 
-    def __init__(self, config: MappingConfig | None, pieces: _Pieces) -> None:
+    def __init__(
+        self, what: tuple[MappingConfig | None, bool], pieces: _Pieces, progress: KernelProgress
+    ) -> None:
+        config, self._back_end_elsewhere = what
         self._section = None if config is None else config.model_dump(mode="json", exclude_defaults=True)
         self._pieces = pieces
+        self._progress = progress
         self._claimed: list[int] = []
         self._process: Any = None
         self._thread: threading.Thread | None = None
@@ -87,7 +233,8 @@ class _Helper:
             return
         context = get_context("spawn")  # a forked child would inherit locks that it does not have
         ours, theirs = context.Pipe()
-        self._process = context.Process(target=_help, args=(theirs, self._section), daemon=True)
+        what = (self._section, self._back_end_elsewhere)
+        self._process = context.Process(target=_help, args=(theirs, what), daemon=True)
         with children_do_not_hear():
             self._process.start()
         theirs.close()
@@ -109,9 +256,13 @@ class _Helper:
         return self._claimed
 
     def _hand_out(self, ours: Connection) -> None:
+        """It sends the names of what it has compiled, and None for the next piece, please."""
         with ours:
             try:
-                while ours.recv():
+                while True:
+                    if (name := ours.recv()) is not None:
+                        self._progress.compiled(name)
+                        continue
                     piece = self._pieces.claim()
                     if piece is not None:
                         self._claimed.append(piece)
@@ -120,15 +271,18 @@ class _Helper:
                 return
 
 
-def _help(theirs: Connection, section: dict[str, Any] | None) -> None:
+def _help(theirs: Connection, what: tuple[dict[str, Any] | None, bool]) -> None:
     """The process. What does not compile here does not compile there either, and is said there."""
     end_with_parent()
-    work = rehearsals(None if section is None else mapping_config(section))
+    section, back_end_elsewhere = what
+    _start_compiler()
+    work = rehearsals(None if section is None else mapping_config(section), back_end_elsewhere)
     try:
-        while True:
-            theirs.send(True)
-            if (k := theirs.recv()) is None:
-                return
-            work[k]()
+        with _listening(lambda: None, theirs.send):
+            while True:
+                theirs.send(None)
+                if (k := theirs.recv()) is None:
+                    return
+                work[k]()
     except (EOFError, OSError):
         return

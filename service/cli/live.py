@@ -1,18 +1,33 @@
 """run, demo: what needs devices."""
 
 import argparse
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from service.cli.console import print_result
 from service.cli.upkeep import config_path
 from service.kernel_cache import ensure_cache_dir
 
 
+@contextmanager
+def no_collections() -> Iterator[None]:
+    """Modules are here to stay: looking for garbage among them takes a tenth of their import."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+
+
 def run(parsed: argparse.Namespace) -> int:
-    from service.config import load_config
+    with no_collections():
+        from service.config import load_config
 
     config = load_config(config_path(parsed))  # its faults first: all else takes seconds
     ensure_cache_dir()
-    from service.runtime.run import run as run_service
+    with no_collections():
+        from service.runtime.run import run as run_service
 
     summary = run_service(config)
     if parsed.json:
@@ -22,8 +37,9 @@ def run(parsed: argparse.Namespace) -> int:
 
 def demo(parsed: argparse.Namespace) -> int:
     ensure_cache_dir()
-    from service.demo import DemoOptions
-    from service.demo import demo as run_demo
+    with no_collections():
+        from service.demo import DemoOptions
+        from service.demo import demo as run_demo
 
     options = DemoOptions(
         parsed.seconds, parsed.world, parsed.profile, parsed.seed, parsed.out, parsed.faults

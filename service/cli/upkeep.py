@@ -6,7 +6,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from service.cli.console import print_result
+from service.cli.console import print_result, progress
 from service.errors import ConfigError
 from service.kernel_cache import ensure_cache_dir
 
@@ -67,7 +67,10 @@ def _width() -> int:
 
 def warmup(parsed: argparse.Namespace) -> int:
     ensure_cache_dir()
+    from service.kernel_warm_up import KernelProgress
     from service.offline.warmup import warm_up
 
-    print_result(warm_up(), parsed.json)
+    with progress("kernels") as shown:
+        told = warm_up(progress=KernelProgress(lambda kernels: shown(kernels.share)))
+    print_result(told, parsed.json)
     return 0

@@ -73,6 +73,22 @@ class InlineWorker:
     def close(self) -> None: ...
 
 
+class ElsewhereWorker:
+    """For a mapper that rehearses: what is handed in is never done, and never waited for."""
+
+    ready = False
+
+    def __init__(self, back_end: BackEnd) -> None: ...
+
+    def submit(self, batch: Any) -> "ElsewhereWorker":
+        return self
+
+    def result(self) -> Any:
+        raise WorkLostError("this back end works elsewhere")
+
+    def close(self) -> None: ...
+
+
 class Errand:
     """What a graph has out with its back end, oldest first. The other half of Graph.waiting and Graph.ready.
 

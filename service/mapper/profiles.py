@@ -20,7 +20,7 @@ from pydantic.fields import FieldInfo
 
 from drivers.frames import NO_INTENSITY, ImuSample, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
-from service.mapper.background import InlineWorker, NewWorker
+from service.mapper.background import ElsewhereWorker, InlineWorker, NewWorker
 from service.mapper.patch_store import MemoryPatches, NewPatchStore
 from service.mapper.pipeline import Mapper
 from service.mapper.stages import BOXES, Box, Method, StageKind, Stages, Stopwatch, Surroundings
@@ -195,22 +195,33 @@ def _choose(name: str, known: Iterable[str]) -> str:
     return f"known here: {', '.join(known)}"
 
 
-def rehearsals(config: MappingConfig | None = None) -> list[Callable[[], Any]]:
+def rehearsals(
+    config: MappingConfig | None = None, back_end_elsewhere: bool = False
+) -> list[Callable[[], Any]]:
     """What compiles the kernels that a config needs (None: those of every profile), or loads them from the
     cache: pieces of work that can be done in any order, the longest first.
 
     Kernels must meet the very types of a real run, so each mapper is driven a little way through a made-up
     room; stages add what such a drive does not reach, or what takes longest to compile.
+
+    back_end_elsewhere   the graph's back end works in another process, which compiles or loads its kernels
+        itself: they are left out here, and the solver is not imported
     """
     configs = [mapping_config({"profile": name}) for name in METHODS] if config is None else [config]
-    kinds = {kind.name: kind for c in configs for kind in chosen_stages(c.profile, c.stages).values()}
+    kinds = {
+        kind.name: kind
+        for c in configs
+        for box, kind in chosen_stages(c.profile, c.stages).items()
+        if not (back_end_elsewhere and box == "graph")
+    }
     first = [kind.rehearse_core for kind in kinds.values() if kind.rehearse_core is not None]
     last = [kind.rehearse for kind in kinds.values() if kind.rehearse is not None]
-    return [*first, *(partial(_drive, c) for c in configs), *last]
+    worker = ElsewhereWorker if back_end_elsewhere else InlineWorker
+    return [*first, *(partial(_drive, c, worker) for c in configs), *last]
 
 
-def _drive(config: MappingConfig) -> None:
-    mapper = build_mapper(config, {"laser": SE2()})
+def _drive(config: MappingConfig, new_worker: NewWorker) -> None:
+    mapper = build_mapper(config, {"laser": SE2()}, new_worker=new_worker)
     for k in range(4):
         stamp_ns = k * 100_000_000
         x_m = 0.4 * k

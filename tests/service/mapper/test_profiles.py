@@ -296,6 +296,14 @@ def test_kernels_are_compiled_once_for_warm_up_and_all_that_follows() -> None:
     } == {}
 
 
+def test_a_live_start_loads_every_kernel_of_a_scan_and_neither_solver_nor_scipy() -> None:
+    child = [sys.executable, "-m", "tests.service.mapper.compiled_kernels", "live"]
+    ran = json.loads(subprocess.run(child, cwd=ROOT, check=True, capture_output=True, timeout=400).stdout)
+    assert ran["late"] == []
+    assert ran["imported"] == []
+    assert not ran["signatures"]["loops.align_surfels"]
+
+
 def test_a_misspelt_key_is_refused() -> None:
     with pytest.raises(ValidationError, match="spacing"):
         mapping_config({"settings": {"local_map": {"spacing": 10.0}}})
