@@ -1,6 +1,9 @@
-"""Sensor types by name: the config, the wire and the session of each. One line per sensor."""
+"""Sensor types by name: the config, the wire and the session of each. One function per sensor.
 
-from collections.abc import Callable
+What a sensor stands on is imported when its type is asked for: a start needs two types of five.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -8,27 +11,8 @@ from typing import Any
 from pydantic import BaseModel
 
 from drivers.advice import NO_ADVICE, Advice
-from drivers.hokuyo_utm30lx.advice import ADVICE as UTM30LX_ADVICE
-from drivers.hokuyo_utm30lx.config import HokuyoUtm30lxConfig
-from drivers.hokuyo_utm30lx.driver import HokuyoUtm30lxSession
-from drivers.hokuyo_utm30lx.port import open_port as open_utm30lx_port
-from drivers.ibeo_lux.advice import ADVICE as IBEO_LUX_ADVICE
-from drivers.ibeo_lux.config import IbeoLuxConfig
-from drivers.ibeo_lux.port import open_port as open_ibeo_lux_port
-from drivers.ibeo_lux.port import session_maker as ibeo_lux_session_maker
-from drivers.irobot_create.advice import ADVICE as IROBOT_CREATE_ADVICE
-from drivers.irobot_create.config import IrobotCreateConfig
-from drivers.irobot_create.driver import session_maker as irobot_create_session_maker
-from drivers.irobot_create.port import open_port as open_irobot_create_port
 from drivers.link import Session
-from drivers.sick_lms100.advice import ADVICE as LMS100_ADVICE
-from drivers.sick_lms100.config import Lms100Config
-from drivers.sick_lms100.driver import Lms100Session
 from drivers.transport import TcpTransport, Transport
-from drivers.xsens_mtig.advice import ADVICE as XSENS_MTIG_ADVICE
-from drivers.xsens_mtig.config import XsensMtigConfig
-from drivers.xsens_mtig.driver import XsensMtigSession
-from drivers.xsens_mtig.port import open_port as open_xsens_mtig_port
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,28 +31,85 @@ class SensorKind:
     laser: bool = False
 
 
-SENSOR_KINDS: dict[str, SensorKind] = {
-    "sick_lms100": SensorKind(
+def _sick_lms100() -> SensorKind:
+    from drivers.sick_lms100.advice import ADVICE
+    from drivers.sick_lms100.config import Lms100Config
+    from drivers.sick_lms100.driver import Lms100Session
+
+    return SensorKind(
         Lms100Config,
         lambda c: TcpTransport(c.host, c.port),
         lambda c: partial(Lms100Session, c),
-        LMS100_ADVICE,
+        ADVICE,
         laser=True,
-    ),
-    "hokuyo_utm30lx": SensorKind(
-        HokuyoUtm30lxConfig,
-        open_utm30lx_port,
-        lambda c: partial(HokuyoUtm30lxSession, c),
-        UTM30LX_ADVICE,
-        laser=True,
-    ),
-    "irobot_create": SensorKind(
-        IrobotCreateConfig, open_irobot_create_port, irobot_create_session_maker, IROBOT_CREATE_ADVICE
-    ),
-    "ibeo_lux": SensorKind(
-        IbeoLuxConfig, open_ibeo_lux_port, ibeo_lux_session_maker, IBEO_LUX_ADVICE, laser=True
-    ),
-    "xsens_mtig": SensorKind(
-        XsensMtigConfig, open_xsens_mtig_port, lambda c: partial(XsensMtigSession, c), XSENS_MTIG_ADVICE
-    ),
-}
+    )
+
+
+def _hokuyo_utm30lx() -> SensorKind:
+    from drivers.hokuyo_utm30lx.advice import ADVICE
+    from drivers.hokuyo_utm30lx.config import HokuyoUtm30lxConfig
+    from drivers.hokuyo_utm30lx.driver import HokuyoUtm30lxSession
+    from drivers.hokuyo_utm30lx.port import open_port
+
+    return SensorKind(
+        HokuyoUtm30lxConfig, open_port, lambda c: partial(HokuyoUtm30lxSession, c), ADVICE, laser=True
+    )
+
+
+def _irobot_create() -> SensorKind:
+    from drivers.irobot_create.advice import ADVICE
+    from drivers.irobot_create.config import IrobotCreateConfig
+    from drivers.irobot_create.driver import session_maker
+    from drivers.irobot_create.port import open_port
+
+    return SensorKind(IrobotCreateConfig, open_port, session_maker, ADVICE)
+
+
+def _ibeo_lux() -> SensorKind:
+    from drivers.ibeo_lux.advice import ADVICE
+    from drivers.ibeo_lux.config import IbeoLuxConfig
+    from drivers.ibeo_lux.port import open_port, session_maker
+
+    return SensorKind(IbeoLuxConfig, open_port, session_maker, ADVICE, laser=True)
+
+
+def _xsens_mtig() -> SensorKind:
+    from drivers.xsens_mtig.advice import ADVICE
+    from drivers.xsens_mtig.config import XsensMtigConfig
+    from drivers.xsens_mtig.driver import XsensMtigSession
+    from drivers.xsens_mtig.port import open_port
+
+    return SensorKind(XsensMtigConfig, open_port, lambda c: partial(XsensMtigSession, c), ADVICE)
+
+
+class _Kinds(Mapping[str, SensorKind]):
+    """Each kind is made once, when it is first looked up; asking whether a type is there makes none."""
+
+    def __init__(self, makers: dict[str, Callable[[], SensorKind]]) -> None:
+        self._makers = makers
+        self._made: dict[str, SensorKind] = {}
+
+    def __getitem__(self, name: str) -> SensorKind:
+        if name not in self._made:
+            self._made[name] = self._makers[name]()
+        return self._made[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._makers
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._makers)
+
+    def __len__(self) -> int:
+        return len(self._makers)
+
+
+SENSOR_KINDS: Mapping[str, SensorKind] = _Kinds(
+    {
+        "sick_lms100": _sick_lms100,
+        "hokuyo_utm30lx": _hokuyo_utm30lx,
+        "irobot_create": _irobot_create,
+        "ibeo_lux": _ibeo_lux,
+        "xsens_mtig": _xsens_mtig,
+    }
+)
