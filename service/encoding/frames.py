@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import cast
 
 import numpy as np
-from rosbags.typesys.stores import ros2_jazzy as ros
 
 from drivers.frames import NO_INTENSITY, Frame, GnssFix, ImuSample, LaserScan, OdometrySample
+from service.encoding import ros_messages as ros
 from service.encoding import wire
 from service.encoding.wire import Message
 from service.errors import InputError
@@ -179,7 +179,7 @@ def _fix_ros(fix: GnssFix, stamp_ns: int) -> object:
     covariance = np.array(fix.covariance)
     return ros.sensor_msgs__msg__NavSatFix(
         header=wire.header_ros(stamp_ns, fix.sensor),
-        status=ros.sensor_msgs__msg__NavSatStatus(fix.status, SERVICE_GPS),  # type: ignore[arg-type]
+        status=ros.sensor_msgs__msg__NavSatStatus(fix.status, SERVICE_GPS),
         latitude=fix.latitude_deg,
         longitude=fix.longitude_deg,
         altitude=fix.altitude_m,

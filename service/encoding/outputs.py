@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, cast
 
 import numpy as np
-from rosbags.typesys.stores import ros2_jazzy as ros
 
+from service.encoding import ros_messages as ros
 from service.encoding import wire
 from service.encoding.wire import FloatArray, Message
 from service.errors import InputError

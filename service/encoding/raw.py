@@ -3,9 +3,9 @@
 from typing import cast, get_args
 
 import numpy as np
-from rosbags.typesys.stores import ros2_jazzy as ros
 
 from drivers.link import ChunkKind, RawChunk
+from service.encoding import ros_messages as ros
 from service.encoding import wire
 from service.encoding.wire import Message
 from service.errors import InputError

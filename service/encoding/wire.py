@@ -8,10 +8,9 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
-from rosbags.typesys.stores import ros2_jazzy as ros
 
+from service.encoding import ros_messages as ros
 from service.errors import InputError
 from service.geometry.se2 import SE2
 
@@ -77,7 +76,7 @@ class LogClock:
 
 @lru_cache(maxsize=1)
 def _store() -> Typestore:
-    return get_typestore(Stores.ROS2_JAZZY)
+    return Typestore(ros)
 
 
 def schema_text(type_name: str) -> str:
