@@ -24,6 +24,7 @@ $(STAMP): pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); \
 		echo "$(PYTHON) has no venv module. On Debian and Ubuntu: apt install python3-venv"; exit 1; }
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(BIN)/corridor warmup # so that the first start and the first test find every kernel compiled
 	@touch $(STAMP)
 
 demo: venv ## fake devices, drivers, mapping, Zenoh and recording on this machine, until Ctrl-C

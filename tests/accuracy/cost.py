@@ -104,7 +104,7 @@ def growing_map(seeds: int) -> Section:
 
 def start(seeds: int) -> Section:
     times = [{what: value for what, value, _ in start_up.measure()} for _ in range(min(seeds, 2))]
-    bounds = {"warm": 1.5, "cold": 10.0}
+    bounds = {"warm": 1.5, "cold": 12.0}
     rows = [
         Row("", what, [took[what] for took in times], "s", at_most=bounds[cache], digits=1)
         for cache in bounds
