@@ -54,7 +54,7 @@ MOST_DEATHS = 4  # without an item done in between: then the service ends with a
 STANDBY_S = 5.0  # that a stand-by which has just been made may take to come here
 END_S = 2.0
 
-Heard = Mapped | PassedOver | TookIn | Unusable | Tiles | Status | Progress
+Heard = Mapped | PassedOver | TookIn | Unusable | Tiles | Status
 
 
 class MapperListener(Protocol):
@@ -108,6 +108,7 @@ class MapperLink:
         self._finished = threading.Event()
         self._ready = threading.Event()
         self._closed = threading.Event()
+        self.kernels = ""  # how far the compiling of kernels is, in words; "" before the first
         self.restarts = 0
         self.turns = 0  # rises as long as `run` turns, with or without items
 
@@ -283,6 +284,9 @@ class MapperLink:
             return
         if isinstance(message, Finished):
             self._finished.set()
+            return
+        if isinstance(message, Progress):
+            self.kernels = message.words
             return
         if isinstance(message, Status):
             self._taken_number = message.number

@@ -12,12 +12,14 @@ import os
 import signal
 import socket
 import sys
+import threading
 import time
 from collections import deque
 from pathlib import Path
 from typing import Any
 
 from service.encoding import warm_up as warm_up_encoding
+from service.kernel_warm_up import KernelProgress
 from service.kernel_warm_up import warm_up as warm_up_kernels
 from service.log_format import set_up_logging
 from service.mapper.patch_store import PatchStore
@@ -35,6 +37,7 @@ from service.runtime.mapper_messages import (
     Hello,
     Item,
     MakeStandby,
+    Progress,
     Ready,
     Setup,
 )
@@ -176,6 +179,17 @@ def connect(folder: Path) -> Channel:
     return Channel(connection)
 
 
+def _progress(channel: Channel) -> KernelProgress:
+    """Tells ingest how many kernels are compiled. Only this thread may write to the channel."""
+    own = threading.get_ident()
+
+    def tell(progress: KernelProgress) -> None:
+        if threading.get_ident() == own:
+            channel.send(Progress(str(progress)))
+
+    return KernelProgress(tell)
+
+
 def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # ingest hears them, and says when it is over
@@ -189,7 +203,9 @@ def main() -> int:
         (setup,) = messages
         set_up_logging(setup.log_level)
         warm_up_encoding()
-        warm_up_kernels(mapping_config(dict(setup.mapping)))
+        warm_up_kernels(
+            mapping_config(dict(setup.mapping)), back_end_elsewhere=True, progress=_progress(channel)
+        )
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # stand-bys end when nobody needs them any more
         gc.collect()
         gc.freeze()  # what stands now stands for the whole run; a full collection would stall a scan

@@ -269,7 +269,9 @@ class Service:
                 self._notifier.need_more_time(WARM_UP_MORE_S)
             if time.monotonic() - told_s >= WARM_UP_TELL_S:
                 told_s = time.monotonic()
-                log.info("compiling kernels since %.0f s; later starts find them", told_s - began_s)
+                words = self._link.kernels or f"loading kernels since {told_s - began_s:.0f} s"
+                self._notifier.status(words)
+                log.info("%s; later starts find them", words)
         log.info("mapper ready after %.1f s", time.monotonic() - began_s)
         return True
 

@@ -182,8 +182,11 @@ def test_a_start_that_compiles_says_that_it_goes_on_and_can_be_called_off(
     strange("compiles for ever")
     monkeypatch.setattr(service_module, "WARM_UP_TELL_S", 0.0)
     caplog.set_level(logging.INFO)
-    service = open_service()
-    assert not service.start(cancelled=lambda: "compiling kernels since" in caplog.text)
+    notifier = Words()
+    service = open_service(notifier=notifier)
+    words = "compiling kernels: 1 of 2, "
+    assert not service.start(cancelled=lambda: words in caplog.text)
+    assert any(word.startswith(f"STATUS={words}") for word in notifier.words)
     pid = service.mapper_pid
     assert service.stop().sessions == []
     if pid:
