@@ -54,54 +54,25 @@ def touch_tile(grid, tile_row, tile_column):
 
 
 @njit(cache=True, nogil=True)
-def weigh_cell(grid, slot, row, column, amount, evidence, scan_number):
-    """Add to a cell what a scan says, unless that scan has spoken of it already."""
-    if grid.touched[slot, row, column] == scan_number:
-        return
-    grid.touched[slot, row, column] = scan_number
-    old = np.int64(grid.evidence[slot, row, column])
+def weigh_cell(old, amount, evidence):
+    """Evidence of a cell, by what it was and what a scan says to it; 0 is kept for "never seen"."""
     new = min(max(old + amount, evidence.least), evidence.most)
     if new == 0:
-        new = 1 if amount > 0 else -1  # 0 is kept for "never seen"
-    if new != old:
-        grid.evidence[slot, row, column] = np.int8(new)
-        grid.changed[slot] = np.uint8(1)
+        new = 1 if amount > 0 else -1
+    return new
 
 
 @njit(cache=True, nogil=True)
-def trace_beam(u, v, du, dv, grid, evidence, scan_number):
-    """Weigh the cells between two points as free, that of the end point left out.
-
-    u, v          float         start, in cells
-    du, dv        float         from start to end, in cells
-    grid          OccupancyGrid   in and out
-    evidence      Evidence
-    scan_number   uint16
-    Source: Amanatides and Woo, A fast voxel traversal algorithm for ray tracing, 1987.
-    """
-    column, row, step_column, step_row, next_column, next_row, per_column, per_row, count = begin_ray(
-        u, v, du, dv
-    )
-    tile_row = row >> TILE_BITS
-    tile_column = column >> TILE_BITS
-    slot = touch_tile(grid, tile_row, tile_column)
-    for _ in range(count):
-        if row >> TILE_BITS != tile_row or column >> TILE_BITS != tile_column:
-            tile_row = row >> TILE_BITS
-            tile_column = column >> TILE_BITS
-            slot = touch_tile(grid, tile_row, tile_column)
-        weigh_cell(grid, slot, row & TILE_MASK, column & TILE_MASK, evidence.miss, evidence, scan_number)
-        if next_column < next_row:
-            column += step_column
-            next_column += per_column
-        else:
-            row += step_row
-            next_row += per_row
+def cell_in_tiles(slot, row, column):
+    """Number of a cell among those of all tiles, one after the other; row and column in the map."""
+    return (slot << 2 * TILE_BITS) | ((row & TILE_MASK) << TILE_BITS) | (column & TILE_MASK)
 
 
 @njit(cache=True, nogil=True)
 def trace_scan(xy_base, sensor_xy_m, pose, grid, evidence, free_range_m, scan_number):
     """Weigh the cells that a scan saw: end points first, so that no beam clears what another one hit.
+
+    A scan speaks of each cell once. A beam clears the cells up to that of its end point.
 
     xy_base        (N, 2) float64   end points, m, base frame
     sensor_xy_m    (2,)   float64   where the beams start, m, base frame
@@ -110,23 +81,65 @@ def trace_scan(xy_base, sensor_xy_m, pose, grid, evidence, free_range_m, scan_nu
     evidence       Evidence
     free_range_m   float            beams clear cells up to here
     scan_number    uint16           differs from that of the last scan, and is not 0
-    Source: Thrun, Burgard, Fox, Probabilistic Robotics, table 9.1.
+    Source: Thrun, Burgard, Fox, Probabilistic Robotics, table 9.1; Amanatides and Woo, A fast voxel traversal
+    algorithm for ray tracing, 1987.
     """
+    cells = grid.evidence.reshape(-1)  # taken out once: a reference taken in the loop costs more than a cell
+    touched = grid.touched.reshape(-1)
+    changed = grid.changed
     cell_m = grid.cell_m
+    count = xy_base.shape[0]
+    ends = np.empty((count, 2))  # in cells, map frame
     c = math.cos(pose[2])
     s = math.sin(pose[2])
-    for i in range(xy_base.shape[0]):
-        column = math.floor((pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) / cell_m)
-        row = math.floor((pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) / cell_m)
-        slot = touch_tile(grid, row >> TILE_BITS, column >> TILE_BITS)
-        weigh_cell(grid, slot, row & TILE_MASK, column & TILE_MASK, evidence.hit, evidence, scan_number)
+    tile_row = tile_column = -(2**62)
+    slot = np.int64(NO_TILE)
+    for i in range(count):
+        ends[i, 0] = (pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) / cell_m
+        ends[i, 1] = (pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) / cell_m
+        column = math.floor(ends[i, 0])
+        row = math.floor(ends[i, 1])
+        if row >> TILE_BITS != tile_row or column >> TILE_BITS != tile_column:
+            tile_row = row >> TILE_BITS
+            tile_column = column >> TILE_BITS
+            slot = np.int64(touch_tile(grid, tile_row, tile_column))
+        k = cell_in_tiles(slot, row, column)
+        if touched[k] != scan_number:
+            touched[k] = scan_number
+            old = np.int64(cells[k])
+            new = weigh_cell(old, evidence.hit, evidence)
+            if new != old:
+                cells[k] = np.int8(new)
+                changed[slot] = np.uint8(1)
     u = (pose[0] + c * sensor_xy_m[0] - s * sensor_xy_m[1]) / cell_m
     v = (pose[1] + s * sensor_xy_m[0] + c * sensor_xy_m[1]) / cell_m
-    for i in range(xy_base.shape[0]):
-        du = (pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) / cell_m - u
-        dv = (pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) / cell_m - v
+    touch_tile(grid, math.floor(v) >> TILE_BITS, math.floor(u) >> TILE_BITS)
+    for i in range(count):
+        du = ends[i, 0] - u
+        dv = ends[i, 1] - v
         shrink = min(1.0, free_range_m / cell_m / max(math.hypot(du, dv), 1e-9))
-        trace_beam(u, v, shrink * du, shrink * dv, grid, evidence, scan_number)
+        column, row, step_column, step_row, next_column, next_row, per_column, per_row, steps = begin_ray(
+            u, v, shrink * du, shrink * dv
+        )
+        for _ in range(steps):
+            if row >> TILE_BITS != tile_row or column >> TILE_BITS != tile_column:
+                tile_row = row >> TILE_BITS
+                tile_column = column >> TILE_BITS
+                slot = np.int64(touch_tile(grid, tile_row, tile_column))
+            k = cell_in_tiles(slot, row, column)
+            if touched[k] != scan_number:
+                touched[k] = scan_number
+                old = np.int64(cells[k])
+                new = weigh_cell(old, evidence.miss, evidence)
+                if new != old:
+                    cells[k] = np.int8(new)
+                    changed[slot] = np.uint8(1)
+            # By selection: which border comes next is anybody's guess, that of the processor too.
+            is_column = next_column < next_row
+            column += step_column if is_column else 0
+            row += 0 if is_column else step_row
+            next_column += per_column if is_column else 0.0
+            next_row += 0.0 if is_column else per_row
 
 
 @njit(cache=True, nogil=True)
