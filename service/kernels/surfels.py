@@ -61,6 +61,8 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit):
     surfels = grid.surfels
     cell_m = grid.cell_m
     cells_per_m = 1.0 / cell_m
+    tile_row = tile_column = -(2**62)
+    slot = np.int64(NO_TILE)
     for i in range(xy_base.shape[0]):
         if normals[i, 2] < 1.0:
             continue
@@ -72,7 +74,10 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit):
         row = math.floor(y * cells_per_m)
         dx = np.float32(x - (column + 0.5) * cell_m)
         dy = np.float32(y - (row + 0.5) * cell_m)
-        slot = touch_tile(grid, row >> TILE_BITS, column >> TILE_BITS)
+        if row >> TILE_BITS != tile_row or column >> TILE_BITS != tile_column:
+            tile_row = row >> TILE_BITS
+            tile_column = column >> TILE_BITS
+            slot = np.int64(touch_tile(grid, tile_row, tile_column))
         r = row & TILE_MASK
         q = column & TILE_MASK
         side = 0
@@ -114,8 +119,10 @@ def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
                                     same cell: they share the errors of its wall
     Source: moving least squares, Kolluri 2008; for scans, Deschaud, IMLS-SLAM, 2018, eq. (1).
     """
-    # Arrays are taken out of the tuples once, and cells are read by scalars: a reference taken in the loop
-    # costs more than the search itself.
+    # Neighbouring points mostly lie in one cell: what is around it is gathered once for them. Arrays are
+    # taken out of the tuples once, and cells are read by scalars: a reference costs more than a surfel.
+    around = np.empty((18, 5))
+    around_count = 0
     surfels = grid.surfels
     slots = grid.tiles.slots
     first_row = grid.tiles.origin[0]
@@ -143,44 +150,52 @@ def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
             run = i
             run_row = row
             run_column = column
+            around_count = 0
+            last_row = last_column = -(2**62)
+            slot = NO_TILE
+            for v in range(-1, 2):
+                tile_row = ((row + v) >> TILE_BITS) - first_row
+                r = (row + v) & TILE_MASK
+                for u in range(-1, 2):
+                    tile_column = ((column + u) >> TILE_BITS) - first_column
+                    if tile_row != last_row or tile_column != last_column:
+                        last_row = tile_row
+                        last_column = tile_column
+                        slot = NO_TILE
+                        if 0 <= tile_row < slots.shape[0] and 0 <= tile_column < slots.shape[1]:
+                            slot = slots[tile_row, tile_column]
+                    if slot == NO_TILE:
+                        continue
+                    q = (column + u) & TILE_MASK
+                    for side in range(2):
+                        n = surfels[slot, r, q, side, COUNT]
+                        if n == 0.0:
+                            break  # the second side is never filled before the first
+                        around[around_count, COUNT] = n
+                        around[around_count, MEAN_X] = u * cell_m + surfels[slot, r, q, side, MEAN_X]
+                        around[around_count, MEAN_Y] = v * cell_m + surfels[slot, r, q, side, MEAN_Y]
+                        around[around_count, NORMAL_X] = surfels[slot, r, q, side, NORMAL_X]
+                        around[around_count, NORMAL_Y] = surfels[slot, r, q, side, NORMAL_Y]
+                        around_count += 1
         dx = x - (column + 0.5) * cell_m
         dy = y - (row + 0.5) * cell_m
         total = sum_x = sum_y = sum_nx = sum_ny = 0.0
-        last_row = last_column = -(2**62)
-        slot = NO_TILE
-        for v in range(-1, 2):
-            tile_row = ((row + v) >> TILE_BITS) - first_row
-            r = (row + v) & TILE_MASK
-            for u in range(-1, 2):
-                tile_column = ((column + u) >> TILE_BITS) - first_column
-                if tile_row != last_row or tile_column != last_column:
-                    last_row = tile_row
-                    last_column = tile_column
-                    slot = NO_TILE
-                    if 0 <= tile_row < slots.shape[0] and 0 <= tile_column < slots.shape[1]:
-                        slot = slots[tile_row, tile_column]
-                if slot == NO_TILE:
-                    continue
-                q = (column + u) & TILE_MASK
-                for side in range(2):
-                    n = np.float64(surfels[slot, r, q, side, COUNT])
-                    if n == 0.0:
-                        break  # the second side is never filled before the first
-                    mx = u * cell_m + surfels[slot, r, q, side, MEAN_X]
-                    my = v * cell_m + surfels[slot, r, q, side, MEAN_Y]
-                    near = 1.0 - ((mx - dx) * (mx - dx) + (my - dy) * (my - dy)) * per_square_reach
-                    if near <= 0.0:
-                        continue
-                    sx = np.float64(surfels[slot, r, q, side, NORMAL_X])
-                    sy = np.float64(surfels[slot, r, q, side, NORMAL_Y])
-                    if sx * nx + sy * ny <= least_cosine:
-                        continue
-                    weight = n * near * near
-                    total += weight
-                    sum_x += weight * mx
-                    sum_y += weight * my
-                    sum_nx += weight * sx
-                    sum_ny += weight * sy
+        for k in range(around_count):
+            mx = around[k, MEAN_X]
+            my = around[k, MEAN_Y]
+            near = 1.0 - ((mx - dx) * (mx - dx) + (my - dy) * (my - dy)) * per_square_reach
+            if near <= 0.0:
+                continue
+            sx = around[k, NORMAL_X]
+            sy = around[k, NORMAL_Y]
+            if sx * nx + sy * ny <= least_cosine:
+                continue
+            weight = around[k, COUNT] * near * near
+            total += weight
+            sum_x += weight * mx
+            sum_y += weight * my
+            sum_nx += weight * sx
+            sum_ny += weight * sy
         length = math.sqrt(sum_nx * sum_nx + sum_ny * sum_ny)
         if length > 0.0:
             found[i, 0] = sum_x / total + (column + 0.5) * cell_m
