@@ -46,22 +46,26 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazin
         first[i] = i
         if i > 0:
             gap_m = GAP_M + GAP_STEPS * angle_step_rad * min(range_m[i - 1], range_m[i])
-            step_m = math.hypot(xy_base[i, 0] - xy_base[i - 1, 0], xy_base[i, 1] - xy_base[i - 1, 1])
-            if step_m < gap_m:
+            dx = xy_base[i, 0] - xy_base[i - 1, 0]
+            dy = xy_base[i, 1] - xy_base[i - 1, 1]
+            if dx * dx + dy * dy < gap_m * gap_m:
                 first[i] = first[i - 1]
     square_m2 = range_sigma_m * range_sigma_m
     most_rad2 = (MOST_ANGLE * ANGLE_SIGMA_RAD) ** 2
+    # [16] 12 sigma^2 / (n L^2) is the variance of the direction of n points over the length L: as many beams
+    # are wanted each side as make beams^3 spacing^2 this much
+    wanted_m2 = 1.5 * (range_sigma_m / ANGLE_SIGMA_RAD) ** 2
+    reach = BEAMS_EACH_SIDE
     end = count  # of the run
     for i in range(count - 1, -1, -1):
         if i + 1 < count and first[i + 1] != first[i]:
             end = i + 1
-        reach = BEAMS_EACH_SIDE
-        if range_m[i] > 0.0:
-            # [16] 12 sigma^2 / (n L^2) is the variance of the direction of n points over the length L
-            spacing_m = angle_step_rad * range_beside(range_m, first, i, end)
-            half_m = (1.5 * spacing_m * (range_sigma_m / ANGLE_SIGMA_RAD) ** 2) ** (1.0 / 3.0)
-            wanted = half_m / spacing_m
-            reach = int(min(max(wanted, BEAMS_EACH_SIDE), MOST_BEAMS_EACH_SIDE))
+        spacing_m = angle_step_rad * range_beside(range_m, first, i, end)
+        spacing_m2 = spacing_m * spacing_m
+        while reach < MOST_BEAMS_EACH_SIDE and (reach + 1) ** 3 * spacing_m2 <= wanted_m2:
+            reach += 1  # from that of the point beside: no cube root
+        while reach > BEAMS_EACH_SIDE and reach**3 * spacing_m2 > wanted_m2:
+            reach -= 1
         low = max(first[i], i - reach)
         high = min(end, i + reach + 1)
         n = high - low
@@ -150,14 +154,14 @@ def range_noise(xy_raw, beam, sensor_xy_m):
     bins = 1000
     width_m = 5e-4
     histogram = np.zeros(bins, np.int64)
+    range_m = np.empty(xy_raw.shape[0])
+    for i in range(xy_raw.shape[0]):
+        range_m[i] = math.hypot(xy_raw[i, 0] - sensor_xy_m[0], xy_raw[i, 1] - sensor_xy_m[1])
     total = 0
     for i in range(1, xy_raw.shape[0] - 1):
         if beam[i + 1] - beam[i - 1] != 2:
             continue
-        before = math.hypot(xy_raw[i - 1, 0] - sensor_xy_m[0], xy_raw[i - 1, 1] - sensor_xy_m[1])
-        here = math.hypot(xy_raw[i, 0] - sensor_xy_m[0], xy_raw[i, 1] - sensor_xy_m[1])
-        after = math.hypot(xy_raw[i + 1, 0] - sensor_xy_m[0], xy_raw[i + 1, 1] - sensor_xy_m[1])
-        k = int(abs(before - 2.0 * here + after) / width_m)
+        k = int(abs(range_m[i - 1] - 2.0 * range_m[i] + range_m[i + 1]) / width_m)
         if k < bins:
             histogram[k] += 1
             total += 1

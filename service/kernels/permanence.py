@@ -21,7 +21,7 @@ from service.kernels.surfels import (
     TILE_MASK,
     touch_tile,
 )
-from service.kernels.tiles import NO_TILE, find_tile
+from service.kernels.tiles import NO_TILE, slot_at
 
 
 class Sightings(NamedTuple):
@@ -47,7 +47,7 @@ class PermanenceSettings(NamedTuple):
     beam_step: int
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")  # called, it costs a reference to its surfels for each cell
 def looks_through(surfels, slot, row, column, reach_m, u, v, du, dv, behind_m):
     """Whether a beam goes through a surfel of a cell and ends clearly behind its wall.
 
@@ -127,9 +127,12 @@ def look_through(xy_base, sensor_xy_m, pose, grid, sightings, settings, number, 
 
     sensor_xy_m   (2,) float64   where the beams start, m, base frame
     """
-    score = sightings.score
+    score = sightings.score  # arrays are taken out of the tuples once, as in find_surfels
     touched = sightings.touched
     surfels = grid.surfels
+    slots = grid.tiles.slots
+    first_row = grid.tiles.origin[0]
+    first_column = grid.tiles.origin[1]
     cell_m = grid.cell_m
     cells_per_m = 1.0 / cell_m
     c = math.cos(pose[2])
@@ -146,14 +149,13 @@ def look_through(xy_base, sensor_xy_m, pose, grid, sightings, settings, number, 
         column, row, step_column, step_row, next_column, next_row, per_column, per_row, count = begin_ray(
             x * cells_per_m, y * cells_per_m, reach * dx, reach * dy
         )
-        tile_row = row >> TILE_BITS
-        tile_column = column >> TILE_BITS
-        slot = find_tile(grid.tiles, tile_row, tile_column)
+        tile_row = tile_column = -(2**62)
+        slot = NO_TILE
         for _ in range(count):
             if row >> TILE_BITS != tile_row or column >> TILE_BITS != tile_column:
                 tile_row = row >> TILE_BITS
                 tile_column = column >> TILE_BITS
-                slot = find_tile(grid.tiles, tile_row, tile_column)
+                slot = slot_at(slots, tile_row - first_row, tile_column - first_column)
             r = row & TILE_MASK
             q = column & TILE_MASK
             if slot != NO_TILE and touched[slot, r, q] != number:
@@ -180,11 +182,7 @@ def look_through(xy_base, sensor_xy_m, pose, grid, sightings, settings, number, 
 @njit(cache=True, nogil=True)
 def score_at(slots, first_row, first_column, score, row, column):
     """Score of a cell, 0 where no tile is; slots, first_row and first_column as in TileIndex."""
-    tile_row = (row >> TILE_BITS) - first_row
-    tile_column = (column >> TILE_BITS) - first_column
-    if tile_row < 0 or tile_column < 0 or tile_row >= slots.shape[0] or tile_column >= slots.shape[1]:
-        return np.int64(0)
-    slot = slots[tile_row, tile_column]
+    slot = slot_at(slots, (row >> TILE_BITS) - first_row, (column >> TILE_BITS) - first_column)
     if slot == NO_TILE:
         return np.int64(0)
     return np.int64(score[slot, row & TILE_MASK, column & TILE_MASK])
@@ -217,16 +215,21 @@ def weigh_permanence(xy_base, pose, grid, sightings, settings, normals):
     count = xy_base.shape[0]
     stood = np.zeros(count, np.int64)
     longest = 1
+    last_row = last_column = -(2**62)
+    most = np.int64(0)
     for i in range(count):
         if normals[i, 2] == 0.0:
             continue
         column = math.floor((pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) * cells_per_m)
         row = math.floor((pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) * cells_per_m)
-        most = score_at(slots, first_row, first_column, score, row, column)
-        if most == 0:
-            for r in range(row - 1, row + 2):
-                for q in range(column - 1, column + 2):
-                    most = max(most, score_at(slots, first_row, first_column, score, r, q))
+        if row != last_row or column != last_column:
+            last_row = row
+            last_column = column
+            most = score_at(slots, first_row, first_column, score, row, column)
+            if most == 0:
+                for r in range(row - 1, row + 2):
+                    for q in range(column - 1, column + 2):
+                        most = max(most, score_at(slots, first_row, first_column, score, r, q))
         stood[i] = max(most, np.int64(0))
         longest = max(longest, stood[i])
     before = after = 0.0

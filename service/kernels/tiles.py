@@ -25,13 +25,17 @@ class TileIndex(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
+def slot_at(slots, row, column):
+    """Slot at a place of TileIndex.slots, NO_TILE outside; for loops, where a TileIndex costs a reference."""
+    if row < 0 or column < 0 or row >= slots.shape[0] or column >= slots.shape[1]:
+        return NO_TILE
+    return slots[row, column]
+
+
+@njit(cache=True, nogil=True)
 def find_tile(index, tile_row, tile_column):
     """Slot of a tile, NO_TILE where there is none or where it lies outside the index."""
-    row = tile_row - index.origin[0]
-    column = tile_column - index.origin[1]
-    if row < 0 or column < 0 or row >= index.slots.shape[0] or column >= index.slots.shape[1]:
-        return NO_TILE
-    return index.slots[row, column]
+    return slot_at(index.slots, tile_row - index.origin[0], tile_column - index.origin[1])
 
 
 @njit(cache=True, nogil=True)
