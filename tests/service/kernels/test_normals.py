@@ -183,3 +183,12 @@ def test_beams_that_are_no_neighbours_say_nothing_of_noise() -> None:
     assert range_noise(xy, every_other, np.zeros(2)) == 0.0
     assert range_noise(xy[:31], np.arange(31, dtype=np.int32), np.zeros(2)) == 0.0
     assert range_noise(xy[:32], np.arange(32, dtype=np.int32), np.zeros(2)) > 0.0
+
+
+def test_each_window_is_that_of_its_own_range_whatever_ranges_come_before() -> None:
+    """Close by, windows are wider: beams run along a near wall from afar, past its foot, and away again."""
+    angles = np.arange(-1.3, 1.3, STEP_RAD)
+    near, far = wall(0.3, angles), wall(6.0, angles[-60:])
+    for xy in (near, np.vstack([near, far]), np.vstack([far[::-1], near])):
+        xy = xy + np.random.default_rng(5).normal(0.0, 0.002, xy.shape)
+        np.testing.assert_allclose(normals_of(xy)[:, :2], slow_normals(xy)[:, :2], atol=1e-6)

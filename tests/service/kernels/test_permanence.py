@@ -171,3 +171,17 @@ def test_nothing_is_seen_where_no_tile_is() -> None:
     place.see(*wall(12.0, 0.05))
     assert np.count_nonzero(place.sightings.score < 0) < TILE_CELLS**2
     assert (place.scores(wall(12.0, 0.05)[0]) == 1).all()
+
+
+def test_each_point_is_weighed_by_its_own_cell() -> None:
+    """Points of one cell share what is known of it; those of the next, along a row or a column, do not."""
+    place = Place()
+    c, s = math.cos(POSE[2]), math.sin(POSE[2])
+    middle = (np.array([[20, 5], [20, 5], [20, 9], [24, 9], [24, 13], [20, 5]]) + 0.5) * place.grid.cell_m
+    xy = (middle - POSE[:2]) @ np.array([[c, -s], [s, c]])
+    normals = np.tile([-1.0, 0.0, 1.0], (len(xy), 1))
+    for first in (0, 0, 0, 2, 2, 3, 4):
+        place.see(xy[first:], normals[first:])
+    np.testing.assert_array_equal(place.scores(xy), [7, 7, 5, 6, 7, 7])
+    weights = place.weights(xy, normals)
+    np.testing.assert_allclose(weights / weights[0], [1.0, 1.0, 5.0 / 7.0, 6.0 / 7.0, 1.0, 1.0])
