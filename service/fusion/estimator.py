@@ -93,6 +93,8 @@ class _Samples:
     def forget_before(self, stamp_ns: int) -> None:
         """Drop samples before a moment, but two of them: a speed needs a pair."""
         first, end = self.track.span.tolist()
+        if end - first <= 2 or self.track.stamp_ns[first + 2] >= stamp_ns:
+            return
         keep = first + int(np.searchsorted(self.track.stamp_ns[first:end], stamp_ns)) - 2
         self.track.span[0] = min(max(first, keep), max(end - 2, 0))
 
@@ -177,7 +179,7 @@ class Estimator:
 
     def predict(self, stamp_ns: int) -> Prediction:
         state = self._filter
-        before = state.pose.copy()
+        x0_m, y0_m, theta0_rad = state.pose.tolist()
         if not self._has_begun:
             self._has_begun = True
             self._begin(stamp_ns)
@@ -189,15 +191,15 @@ class Estimator:
         covariance = state.covariance
         local = covariance[LOCAL_BLOCK, LOCAL_BLOCK].copy()
         gain = covariance[TWIST : TWIST + 3, LOCAL_BLOCK] @ np.linalg.inv(local)
+        x_m, y_m, theta_rad = state.pose.tolist()
         return Prediction(
-            pose_odom_base=SE2(*state.pose.tolist()),
+            pose_odom_base=SE2(x_m, y_m, theta_rad),
             twist_base=self._twist(),
             covariance=covariance[MAP_BLOCK, MAP_BLOCK].copy(),
             local_covariance=local,
             twist_gain=gain,
             elapsed_s=self._elapsed_s,
-            travel_m=math.dist(before[:2], state.pose[:2])
-            + TURN_M * abs(wrap_angle(state.pose[2] - before[2])),
+            travel_m=math.hypot(x_m - x0_m, y_m - y0_m) + TURN_M * abs(wrap_angle(theta_rad - theta0_rad)),
             is_measured=bool(state.said[3]),
         )
 

@@ -53,3 +53,12 @@ def take_slot(index, tile_row, tile_column):
         index.counts[1] += 1
     index.slots[tile_row - index.origin[0], tile_column - index.origin[1]] = slot
     return slot, used_before
+
+
+@njit(cache=True, nogil=True)
+def farthest_m2(xy):
+    """Square of the distance of the farthest of some points, (N, 2) float64 m, from the origin, m^2."""
+    farthest = 0.0
+    for i in range(xy.shape[0]):
+        farthest = max(farthest, xy[i, 0] * xy[i, 0] + xy[i, 1] * xy[i, 1])
+    return farthest

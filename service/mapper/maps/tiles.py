@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.geometry.grid import TileRange
-from service.kernels.tiles import NO_TILE, TileIndex, take_slot
+from service.kernels.tiles import NO_TILE, TileIndex, farthest_m2, take_slot
 
 log = logging.getLogger(__name__)
 
@@ -47,7 +47,7 @@ def reserve(layer: Layer, capacity: int) -> npt.NDArray[np.generic]:
 
 def reach_of(xy_base: npt.NDArray[np.float64]) -> float:
     """Distance of the farthest of some points, (N, 2) with N > 0, from the origin of their frame, m."""
-    return math.sqrt(float(np.max(np.einsum("ij,ij->i", xy_base, xy_base))))
+    return math.sqrt(farthest_m2(xy_base))
 
 
 class TilePool:

@@ -62,6 +62,12 @@ class RangeBias:
             points.range_sigma_m,
         )
 
+    def is_due(self, sensor: str, travel_m: float) -> bool:
+        """Whether a scan is to be learnt from, so far on from the one before; LEARN_EVERY_M apart."""
+        learnt = self._learnt[sensor]
+        learnt.travel_m += travel_m
+        return learnt.travel_m >= LEARN_EVERY_M
+
     def learn(
         self,
         points: Points,
@@ -69,13 +75,9 @@ class RangeBias:
         pose: npt.NDArray[np.float64],
         submap: Submap,
         settings: MatchSettings,
-        travel_m: float,
     ) -> None:
         """Take in a matched scan: deskewed points, their normals (N, 3), and the pose (3,) in the sub-map."""
         learnt = self._learnt[points.scan.sensor]
-        learnt.travel_m += travel_m
-        if learnt.travel_m < LEARN_EVERY_M:
-            return
         learnt.travel_m = 0.0
         information, weighted = np.empty((NODES, NODES)), np.empty(NODES)
         sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])

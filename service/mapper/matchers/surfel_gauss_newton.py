@@ -174,13 +174,14 @@ class SurfelGaussNewton:
     def _learn_bias(self, laid: _Laid, attempt: _Attempt) -> None:
         if self._gap is not None or laid.result.share < DOUBT_RATIO * self._usual_ratio:
             return
+        if not self._bias.is_due(attempt.points.scan.sensor, attempt.predicted.travel_m):
+            return
         self._bias.learn(
             replace(attempt.points, xy_base=laid.xy_base),
             attempt.normals,
             laid.result.pose,
             laid.submap,
             self._settings._replace(range_sigma_m=attempt.points.range_sigma_m),
-            attempt.predicted.travel_m,
         )
 
     def _lay(self, attempt: _Attempt, start: Matrix, submap: Submap) -> _Laid:

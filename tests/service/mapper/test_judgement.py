@@ -4,7 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.mapper.judgement import Evidence, JudgementConfig, judge, sigmas_of
+from service.geometry.se2 import SE2
+from service.mapper.judgement import Evidence, JudgementConfig, chi2_between, judge, sigmas_of
 
 RATIOS = JudgementConfig()
 GOOD = Evidence(
@@ -73,3 +74,15 @@ def test_the_sigma_of_a_position_is_that_of_its_worst_direction() -> None:
     turn[:2, :2] = [[math.cos(0.7), -math.sin(0.7)], [math.sin(0.7), math.cos(0.7)]]
     covariance = turn @ np.diag([0.3**2, 0.01**2, 0.02**2]) @ turn.T
     assert sigmas_of(covariance) == pytest.approx((0.3, 0.02))
+
+
+def test_how_far_a_pose_is_from_the_prediction_agrees_with_numpy() -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        root = rng.normal(size=(3, 3))
+        covariance = root @ root.T + 0.01 * np.eye(3)
+        predicted, off = SE2(*rng.normal(size=3)), rng.normal(size=3)
+        expected = off @ np.linalg.solve(covariance, off)
+        assert chi2_between(predicted, predicted @ SE2(*off), covariance) == pytest.approx(expected, rel=1e-9)
+    with pytest.raises(ZeroDivisionError):
+        chi2_between(SE2(), SE2(1.0, 0.0, 0.0), np.zeros((3, 3)))

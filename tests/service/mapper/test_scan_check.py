@@ -1,6 +1,7 @@
 """Stamps and scans that cannot be."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -48,3 +49,15 @@ def test_equal_scans_of_a_moving_vehicle_are_a_laser_that_hangs() -> None:
 def test_equal_scans_of_a_standing_vehicle_are_none() -> None:
     check = ScanCheck()
     assert not any(check.is_repeated(scan(k, k), 0.0) for k in range(100))
+
+
+def test_a_beam_that_comes_back_or_stays_away_makes_another_scan() -> None:
+    """No return equals no return, and nothing else; nor does a scan of fewer beams equal one of more."""
+    first = scan(0, 0)
+    more = replace(first, range_m=np.where(np.arange(50) == 7, np.float32(np.nan), first.range_m))
+    fewer = replace(first, range_m=first.range_m[:-1])
+    for one, other in ((first, more), (more, first), (first, fewer)):
+        check = ScanCheck()
+        check.is_repeated(one, 0.0)
+        assert not check.is_repeated(other, 1.0)
+        assert check.is_repeated(other, 1.0)
