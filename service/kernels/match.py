@@ -18,7 +18,7 @@ from service.kernels.pose_information import (
     weakest_direction,
     wrap,
 )
-from service.kernels.surfels import find_surfels
+from service.kernels.surfels import find_surfels_again, nothing_around
 
 UNKNOWN_COUNT = 1.0  # points that a surfel would stand for that is not there
 STUDENT = 5.0  # degrees of freedom of the prediction's error: now and then it is far larger than usual
@@ -281,7 +281,17 @@ def prior_weight_at(pose, prior_pose, information):
 
 @njit(cache=True, nogil=True)
 def fine_align(
-    returns, normals, prior, prior_information, grid, settings, doubt_share, xy_base, pose, information
+    returns,
+    normals,
+    prior,
+    prior_information,
+    grid,
+    settings,
+    doubt_share,
+    around,
+    xy_base,
+    pose,
+    information,
 ):
     """Gauss-Newton on surfels, held by the prior, deskewing anew with the twist that each step finds.
 
@@ -292,6 +302,7 @@ def fine_align(
     grid                SurfelGrid
     settings            MatchSettings
     doubt_share         float              the cost is asked with fewer points than that on the map, else 0
+    around              Around             in and out: what is around the points, of searches before
     xy_base             (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
     pose                (3,)   float64     in: where to start; out: where it ended
     information         (3, 3) float64     out: of the scan alone, in the axes of the grid
@@ -319,7 +330,7 @@ def fine_align(
             learn_twist(prior, pose, weight, twist)
             deskew_points(returns.xy_raw, returns.beam_time_s, twist, xy_base)
         copy_vector(pose, asked)
-        find_surfels(xy_base, normals, pose, grid, settings.least_normal_cosine, found)
+        find_surfels_again(xy_base, normals, pose, grid, settings.least_normal_cosine, around, found)
         used, inliers = surfel_normal_equations(xy_base, normals, found, pose, settings, H, shared, g)
         scan_information(H, shared, damping, information)
         weight = prior_weight_at(pose, prior.pose, prior_information)
@@ -368,6 +379,7 @@ def match_scan(returns, normals, prior, start, grid, settings, doubt_share, xy_b
     # the predicted heading and from two beside it. What costs least is kept.
     field = LikelihoodField(grid.tiles, grid.field, grid.cell_m)
     coarse = AlignSettings(settings.coarse_sigma, settings.coarse_beams, settings.coarse_iterations)
+    around = nothing_around(xy_base.shape[0])
     predicted_xy = xy_base.copy()
     trial_xy = xy_base.copy()
     trial_pose = start.copy()
@@ -392,6 +404,7 @@ def match_scan(returns, normals, prior, start, grid, settings, doubt_share, xy_b
             grid,
             settings,
             doubt_share if trial == 0 else math.inf,
+            around,
             trial_xy,
             trial_pose,
             of_trial,

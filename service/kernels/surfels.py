@@ -15,6 +15,8 @@ TILE_MASK = TILE_CELLS - 1
 # Columns of a surfel: how many points it stands for, mean from the centre of its cell (m), unit normal.
 COUNT, MEAN_X, MEAN_Y, NORMAL_X, NORMAL_Y = range(5)
 SAME_WALL_COSINE = np.float32(0.7)  # a point that faces farther from a surfel begins the other one
+MOST_AROUND = 18  # surfels in 3 x 3 cells
+NOWHERE = -(2**62)  # row of no cell
 REACH_CELLS = 1.25  # surfels farther than this from a point say nothing of the wall beside it
 
 
@@ -31,6 +33,36 @@ class SurfelGrid(NamedTuple):
     surfels: npt.NDArray[np.float32]
     field: npt.NDArray[np.float32]
     cell_m: float
+
+
+class Around(NamedTuple):
+    """What is around the cells of a scan's points, kept from one search to the next while no surfel changes.
+
+    cell      (N, 2) int64     row and column of the cell that was looked around for a point, in the grid
+    span      (N, 2) int64     first row in `surfels`, and count, of what was found there
+    surfels   (M, 5) float64   how many points each stands for, its mean from the centre of that cell (m), its
+                               unit normal
+    used      (1,)   int64     rows in use
+    """
+
+    cell: npt.NDArray[np.int64]
+    span: npt.NDArray[np.int64]
+    surfels: npt.NDArray[np.float64]
+    used: npt.NDArray[np.int64]
+
+
+@njit(cache=True, nogil=True)
+def nothing_around(count):
+    """Around for so many points, before the first search."""
+    cell = np.empty((count, 2), np.int64)
+    for i in range(count):
+        cell[i, 0] = NOWHERE
+    return Around(
+        cell,
+        np.empty((count, 2), np.int64),
+        np.empty((4 * count + MOST_AROUND, 5)),
+        np.zeros(1, np.int64),
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -61,7 +93,7 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit):
     surfels = grid.surfels
     cell_m = grid.cell_m
     cells_per_m = 1.0 / cell_m
-    tile_row = tile_column = -(2**62)
+    tile_row = tile_column = NOWHERE
     slot = np.int64(NO_TILE)
     for i in range(xy_base.shape[0]):
         if normals[i, 2] < 1.0:
@@ -101,6 +133,12 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit):
 
 @njit(cache=True, nogil=True)
 def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
+    """The wall beside each point, searched for once: see find_surfels_again."""
+    find_surfels_again(xy_base, normals, pose, grid, least_cosine, nothing_around(xy_base.shape[0]), found)
+
+
+@njit(cache=True, nogil=True)
+def find_surfels_again(xy_base, normals, pose, grid, least_cosine, around, found):
     """The wall beside each point: mean of the surfels in the 3 x 3 cells around it that face the same way.
 
     A wall does not end where its cells do: each of its surfels is the mean of the points that fell into one
@@ -113,16 +151,20 @@ def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
     pose           (3,)   float64   base in the frame of the grid
     grid           SurfelGrid
     least_cosine   float            between the two normals; -2 takes any
+    around         Around           in and out: from nothing_around, then from the search before
     found          (N, 6) float64   out: mean x, mean y (m, frame of the grid), normal x, normal y, how many
                                     points it stands for near by; 0 where there is none, and the rest then
                                     means nothing; and how many consecutive points of this scan lie in the
                                     same cell: they share the errors of its wall
     Source: moving least squares, Kolluri 2008; for scans, Deschaud, IMLS-SLAM, 2018, eq. (1).
     """
-    # Neighbouring points mostly lie in one cell: what is around it is gathered once for them. Arrays are
-    # taken out of the tuples once, and cells are read by scalars: a reference costs more than a surfel.
-    around = np.empty((18, 5))
-    around_count = 0
+    # Neighbouring points mostly lie in one cell: what is around it is gathered once for them and kept. Arrays
+    # are taken out of the tuples once, and cells are read by scalars: a reference costs more than a surfel.
+    near_cell = around.cell
+    near_span = around.span
+    near_surfels = around.surfels
+    used = around.used[0]
+    first = end = 0
     surfels = grid.surfels
     slots = grid.tiles.slots
     first_row = grid.tiles.origin[0]
@@ -133,7 +175,7 @@ def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
     c = math.cos(pose[2])
     s = math.sin(pose[2])
     run = 0  # first point of those in one cell
-    run_row = run_column = -(2**62)
+    run_row = run_column = NOWHERE
     for i in range(xy_base.shape[0]):
         found[i, 4] = 0.0
         if normals[i, 2] == 0.0:
@@ -150,47 +192,60 @@ def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
             run = i
             run_row = row
             run_column = column
-            around_count = 0
-            last_row = last_column = -(2**62)
-            slot = NO_TILE
-            for v in range(-1, 2):
-                tile_row = ((row + v) >> TILE_BITS) - first_row
-                r = (row + v) & TILE_MASK
-                for u in range(-1, 2):
-                    tile_column = ((column + u) >> TILE_BITS) - first_column
-                    if tile_row != last_row or tile_column != last_column:
-                        last_row = tile_row
-                        last_column = tile_column
-                        slot = NO_TILE
-                        if 0 <= tile_row < slots.shape[0] and 0 <= tile_column < slots.shape[1]:
-                            slot = slots[tile_row, tile_column]
-                    if slot == NO_TILE:
-                        continue
-                    q = (column + u) & TILE_MASK
-                    for side in range(2):
-                        n = surfels[slot, r, q, side, COUNT]
-                        if n == 0.0:
-                            break  # the second side is never filled before the first
-                        around[around_count, COUNT] = n
-                        around[around_count, MEAN_X] = u * cell_m + surfels[slot, r, q, side, MEAN_X]
-                        around[around_count, MEAN_Y] = v * cell_m + surfels[slot, r, q, side, MEAN_Y]
-                        around[around_count, NORMAL_X] = surfels[slot, r, q, side, NORMAL_X]
-                        around[around_count, NORMAL_Y] = surfels[slot, r, q, side, NORMAL_Y]
-                        around_count += 1
+            if near_cell[i, 0] == row and near_cell[i, 1] == column:
+                first = near_span[i, 0]
+                end = first + near_span[i, 1]
+            else:
+                if used + MOST_AROUND > near_surfels.shape[0]:  # full: forget all
+                    used = 0
+                    for k in range(near_cell.shape[0]):
+                        near_cell[k, 0] = NOWHERE
+                first = end = used
+                last_row = last_column = NOWHERE
+                slot = NO_TILE
+                for v in range(-1, 2):
+                    tile_row = ((row + v) >> TILE_BITS) - first_row
+                    r = (row + v) & TILE_MASK
+                    for u in range(-1, 2):
+                        tile_column = ((column + u) >> TILE_BITS) - first_column
+                        if tile_row != last_row or tile_column != last_column:
+                            last_row = tile_row
+                            last_column = tile_column
+                            slot = NO_TILE
+                            if 0 <= tile_row < slots.shape[0] and 0 <= tile_column < slots.shape[1]:
+                                slot = slots[tile_row, tile_column]
+                        if slot == NO_TILE:
+                            continue
+                        q = (column + u) & TILE_MASK
+                        for side in range(2):
+                            n = surfels[slot, r, q, side, COUNT]
+                            if n == 0.0:
+                                break  # the second side is never filled before the first
+                            near_surfels[end, COUNT] = n
+                            near_surfels[end, MEAN_X] = u * cell_m + surfels[slot, r, q, side, MEAN_X]
+                            near_surfels[end, MEAN_Y] = v * cell_m + surfels[slot, r, q, side, MEAN_Y]
+                            near_surfels[end, NORMAL_X] = surfels[slot, r, q, side, NORMAL_X]
+                            near_surfels[end, NORMAL_Y] = surfels[slot, r, q, side, NORMAL_Y]
+                            end += 1
+                near_cell[i, 0] = row
+                near_cell[i, 1] = column
+                near_span[i, 0] = first
+                near_span[i, 1] = end - first
+                used = end
         dx = x - (column + 0.5) * cell_m
         dy = y - (row + 0.5) * cell_m
         total = sum_x = sum_y = sum_nx = sum_ny = 0.0
-        for k in range(around_count):
-            mx = around[k, MEAN_X]
-            my = around[k, MEAN_Y]
+        for k in range(first, end):
+            mx = near_surfels[k, MEAN_X]
+            my = near_surfels[k, MEAN_Y]
             near = 1.0 - ((mx - dx) * (mx - dx) + (my - dy) * (my - dy)) * per_square_reach
             if near <= 0.0:
                 continue
-            sx = around[k, NORMAL_X]
-            sy = around[k, NORMAL_Y]
+            sx = near_surfels[k, NORMAL_X]
+            sy = near_surfels[k, NORMAL_Y]
             if sx * nx + sy * ny <= least_cosine:
                 continue
-            weight = around[k, COUNT] * near * near
+            weight = near_surfels[k, COUNT] * near * near
             total += weight
             sum_x += weight * mx
             sum_y += weight * my
@@ -205,3 +260,4 @@ def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
             found[i, 4] = total
     for k in range(run, xy_base.shape[0]):
         found[k, 5] = xy_base.shape[0] - run
+    around.used[0] = used

@@ -4,12 +4,15 @@ import numpy as np
 import pytest
 
 from service.kernels.surfels import (
+    MOST_AROUND,
     REACH_CELLS,
     TILE_BITS,
     TILE_MASK,
     SurfelGrid,
     find_surfels,
+    find_surfels_again,
     insert_surfels,
+    nothing_around,
 )
 from service.kernels.tiles import find_tile
 from tests.service.kernels.surfel_grids import empty_grid
@@ -186,3 +189,21 @@ def test_points_that_lie_in_one_cell_one_behind_the_other_are_counted() -> None:
     found = np.empty((8, 6))
     find_surfels(xy, normals, np.zeros(3), grid, 0.6, found)
     np.testing.assert_array_equal(found[:, 5], [3, 3, 3, 2, 2, 2, 2, 1])
+
+
+@pytest.mark.parametrize("rows", [4, 30, 4000])
+def test_what_is_kept_of_a_search_changes_no_later_one(rows: int) -> None:
+    """The pose moves by less and by more than a cell, and what is kept of the searches may not fit."""
+    rng = np.random.default_rng(8)
+    grid = empty_grid()
+    xy = np.column_stack([np.linspace(-1.0, 1.0, 300), 0.5 + rng.normal(0.0, 0.02, 300)])
+    normals = np.tile([0.0, -1.0, 1.0], (300, 1))
+    insert_surfels(xy, normals, POSE, grid, 1000.0)
+    around = nothing_around(len(xy))._replace(surfels=np.empty((MOST_AROUND + rows, 5)))
+    for off in ((0.0, 0.0, 0.0), (0.004, -0.003, 0.001), (0.15, 0.02, 0.01), (0.004, -0.003, 0.001)):
+        found, again = np.full((300, 6), np.nan), np.full((300, 6), np.nan)
+        find_surfels(xy, normals, POSE + off, grid, 0.6, found)
+        find_surfels_again(xy, normals, POSE + off, grid, 0.6, around, again)
+        assert np.count_nonzero(found[:, 4]) > 200
+        np.testing.assert_array_equal(again[:, 4:], found[:, 4:])
+        np.testing.assert_array_equal(again[found[:, 4] > 0.0], found[found[:, 4] > 0.0])
