@@ -28,6 +28,17 @@ def between(a: Poses, b: Poses) -> Poses:
     return _rows(c * dx + s * dy, -s * dx + c * dy, wrap(b[..., 2] - a[..., 2]))
 
 
+def adjoint(pose: Poses) -> npt.NDArray[np.float64]:
+    """(..., 3, 3) what takes a small error at the far end of each pose, in the axes there, to its near end.
+
+    A covariance (3, 3) at the far end is adjoint @ covariance @ adjoint^T at the near one.
+    """
+    c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    zero, one = np.zeros_like(c), np.ones_like(c)
+    rows = ((c, -s, pose[..., 1]), (s, c, -pose[..., 0]), (zero, zero, one))
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
 def points_from(pose: Poses, xy: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Points given in the frames of the poses, in the frame the poses are given in; (..., 3), (..., 2)."""
     c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])

@@ -1,17 +1,20 @@
 """Back end of the default profile: finds loops among key frames, believes few of them, and bends the way."""
 
 from collections import OrderedDict
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from service.geometry import poses as se2
+from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.kernels.loops import path_lengths, thin_points
 from service.kernels.normals import estimate_normals
+from service.mapper.graph.anchoring import Anchoring
 from service.mapper.graph.clouds import Cloud, Fit
+from service.mapper.graph.fix_track import PlacedFix
 from service.mapper.graph.keyframes import Chain, Floats, Kept, KeyFrame
 from service.mapper.graph.loops import Loop, agree, as_edges, disagreement, loop_of
 from service.mapper.graph.loops_config import LoopsConfig
@@ -45,16 +48,20 @@ PLACES_KEPT = 16
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Batch:
-    """Key frames since the last batch, and what else is wanted."""
+    """Key frames and fixes since the last batch, and what else is wanted."""
 
     frames: Sequence[KeyFrame]
     wish: str = ""  # "optimize", "undo"
     is_last: bool = False
+    fixes: Sequence[PlacedFix] = ()  # of key frames in this batch and before
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """newest: the newest key frame, if anything moved; all: every one, after the last batch."""
+    """newest: the newest key frame, if anything moved; all: every one, after the last batch.
+
+    geo, fixes   where the map lies on the earth, None: that is not known; and fixes by what became of them
+    """
 
     loops: int  # that are believed now
     aside: int  # that are not any more
@@ -63,6 +70,8 @@ class Result:
     sheet: Sheet | None = None
     all: Sequence[Correction] = ()
     g2o: str = ""
+    geo: GeoReference | None = None
+    fixes: Mapping[str, int] = field(default_factory=dict)
 
 
 class LoopBackEnd:
@@ -81,17 +90,26 @@ class LoopBackEnd:
         self._joined = {0}  # numbers of the pieces whose place in the map is known
         self._pieces = PieceSearch(config, self._chain)
         self._looked_back = 0  # key frames whose surroundings were asked for passes too many
+        self._anchoring = Anchoring()
 
     def work(self, batch: Batch) -> Result:
+        result = self._work(batch)
+        anchoring = self._anchoring
+        return replace(result, geo=anchoring.reference, fixes=dict(anchoring.counts))
+
+    def _work(self, batch: Batch) -> Result:
         for frame in batch.frames:
             self._append(frame)
+        self._anchoring.add(batch.fixes)
         joined = self._look_for_piece() if self._is_detached() else 0
         moved = bool(joined) or self._look_for_loops()
+        if self._anchoring.is_due:
+            moved |= self._find_anchors()
         if batch.wish == "undo" and self._groups:
             gone = self._groups.pop()
             self._loops = [loop for loop in self._loops if loop not in gone]
             moved = True
-        if batch.wish == "optimize" and self._loops:
+        if batch.wish == "optimize" and (self._loops or self._anchoring.reference):
             moved = True
         if batch.is_last:
             return self._finish()
@@ -104,6 +122,11 @@ class LoopBackEnd:
     def _is_detached(self) -> bool:
         """Whether the newest key frame lies in a piece of which nobody knows where it lies."""
         return bool(self._chain.count) and int(self._chain.piece[-1]) not in self._joined
+
+    def _find_anchors(self) -> bool:
+        """Whether fixes are worth a solution now."""
+        is_known = ~self._chain.is_lost & np.isin(self._chain.piece, list(self._joined))
+        return self._anchoring.find(self._chain, self._odometry().covariance, is_known)
 
     def _usable(self) -> npt.NDArray[np.bool_]:
         """(N,) key frames that others can be laid on: matched, with points, in a place that is known."""
@@ -333,18 +356,22 @@ class LoopBackEnd:
         )
 
     def _graph(self) -> PoseGraph:
-        odometry, loops = self._odometry(), as_edges(self._loops)
-        edges = Edges(
-            *(np.concatenate((getattr(odometry, name), getattr(loops, name))) for name in Edges.__slots__)
-        )
-        return PoseGraph(self._chain.map.copy(), edges)
+        """Key frames; behind them, where fixes anchor the map, the frame of east and north."""
+        edges = self._odometry().and_also(as_edges(self._loops))
+        if self._anchoring.reference is None:
+            return PoseGraph(self._chain.map.copy(), edges)
+        poses = np.vstack((self._chain.map, self._anchoring.pose_map_enu))
+        return PoseGraph(poses, edges.and_also(self._anchoring.edges(self._chain)))
 
     def _solve(self) -> None:
         """Poses that agree best; loops that the rest contradicts are laid aside."""
         if self._chain.count < 2:
             return
         for _ in range(3):
-            self._chain.map[:] = solve(self._graph()).poses
+            poses = solve(self._graph()).poses
+            self._chain.map[:] = poses[: self._chain.count]
+            if self._anchoring.reference is not None:
+                self._anchoring.solved(poses[-1])
             if not self._lay_aside():
                 return
 
@@ -360,7 +387,9 @@ class LoopBackEnd:
         chain = self._chain
         if not chain.count:
             return Result(0, 0)
-        if self._loops:
+        if self._anchoring.has_news:
+            self._find_anchors()
+        if self._loops or self._anchoring.reference:
             self._solve()
         self._search_again()
         if self._loops:

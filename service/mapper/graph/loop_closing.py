@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from drivers.antenna import antenna_of
 from drivers.frames import GnssFix
 from service.geometry.se2 import SE2, wrap_angle
 from service.mapper.background import Errand, NewWorker, WorkLostError
+from service.mapper.graph.fix_track import FixTrack
 from service.mapper.graph.keyframes import KeyFrame
 from service.mapper.graph.loop_back_end import Batch, LoopBackEnd, Result
 from service.mapper.graph.loops_config import LoopsConfig
@@ -29,8 +31,19 @@ DETACHED_INTERVAL_NS = 500_000_000  # of key frames of a piece that is looked fo
 class LoopClosing:
     """Graph."""
 
-    def __init__(self, config: LoopsConfig, painter: Painter | None, new_worker: NewWorker) -> None:
+    def __init__(
+        self,
+        config: LoopsConfig,
+        painter: Painter | None,
+        new_worker: NewWorker,
+        mountings: Mapping[str, SE2] | None = None,
+    ) -> None:
+        """mountings: pose_base_sensor; a receiver's antenna is at "<sensor>/antenna", else at its sensor."""
         self._config = config
+        self._mountings = mountings or {}
+        self._fixes = FixTrack()
+        self._keyframes = 0
+        self._fix_counts: Mapping[str, int] = {}  # as the back end had them last
         self._errand = Errand(new_worker(LoopBackEnd(config, painter)))
         self._fresh: list[KeyFrame] = []  # not yet sent
         self._sent: deque[list[KeyFrame]] = deque()  # with each piece of work that is out
@@ -60,18 +73,25 @@ class LoopClosing:
         is_due = self._is_keyframe(pose) or (
             is_detached and scan.stamp_ns - self._last_ns >= DETACHED_INTERVAL_NS
         )
-        if len(scan.points.xy_base) and is_due and not self.trouble:
+        is_keyframe = len(scan.points.xy_base) and is_due and not self.trouble
+        if is_keyframe:
             if self._last is not None:
                 self._way_m += math.hypot(pose.x_m - self._last.x_m, pose.y_m - self._last.y_m)
             self._last, self._last_ns = pose, scan.stamp_ns
             self._fresh.append(_key_frame(scan, self._gap_s))
+            self._keyframes += 1
             self._gap_s = 0.0
-            if self._way_m >= self._config.search_every_m or (is_detached and not self.waiting):
-                self._submit(Batch(self._fresh))
+        self._fixes.add_scan(scan.stamp_ns, pose, self._keyframes - 1)
+        if is_keyframe and (self._way_m >= self._config.search_every_m or (is_detached and not self.waiting)):
+            self._submit()
         return self._pose_map_odom
 
     def add_fix(self, fix: GnssFix) -> str:
-        return "fixes_passed_over"
+        if self.trouble:
+            return "fixes_passed_over"
+        sensor = self._mountings.get(fix.sensor, SE2())
+        antenna = self._mountings.get(antenna_of(fix.sensor), sensor)
+        return self._fixes.add_fix(fix, (antenna.x_m, antenna.y_m))
 
     def take_in(self) -> GraphUpdate:
         if not self.waiting:
@@ -94,7 +114,7 @@ class LoopClosing:
             raise WishError(f"{name}: no loops are closed any more: {self.trouble}")
         if name == "undo" and not self._loops:
             raise WishError("undo: no loop is closed")
-        self._submit(Batch(self._fresh, name))
+        self._submit(name)
         return {"loop_closures": self._loops}
 
     def finish(self) -> FinishedGraph:
@@ -105,7 +125,7 @@ class LoopClosing:
             _add(counts, update.counts)
         if self.trouble:
             return FinishedGraph(update=GraphUpdate(counts))
-        self._submit(Batch(self._fresh, is_last=True))
+        self._submit(is_last=True)
         try:
             result: Result = self._errand.take()
         except WorkLostError:
@@ -114,19 +134,22 @@ class LoopClosing:
         self._sent.clear()
         update = self._update(result)
         _add(counts, update.counts)
-        return FinishedGraph(result.all, result.g2o, GraphUpdate(counts, update.sheet))
+        return FinishedGraph(result.all, result.g2o, GraphUpdate(counts, update.sheet, geo=update.geo))
 
     def close(self) -> None:
         self._errand.close()
 
-    def _submit(self, batch: Batch) -> None:
-        self._errand.submit(batch)
+    def _submit(self, wish: str = "", is_last: bool = False) -> None:
+        self._errand.submit(Batch(self._fresh, wish, is_last, self._fixes.take()))
         self._sent.append(self._fresh)
         self._fresh, self._way_m = [], 0.0
 
     def _update(self, result: Result) -> GraphUpdate:
         counts = {"loop_closures": result.loops - self._loops, "loops_laid_aside": result.aside - self._aside}
         self._loops, self._aside = result.loops, result.aside
+        _add(counts, self._fixes.take_counts())
+        _add(counts, {name: n - self._fix_counts.get(name, 0) for name, n in result.fixes.items()})
+        self._fix_counts = result.fixes
         if result.newest is not None:
             self._pose_map_odom = _pose_map_odom(result.newest)
         since = [frame for batch in self._sent for frame in batch] + self._fresh
@@ -134,7 +157,7 @@ class LoopClosing:
             Drawn(frame.xy_base, frame.sensor_xy_m, self._pose_map_odom @ frame.pose_odom_base)
             for frame in (since if result.sheet is not None else ())
         ]
-        return GraphUpdate(counts, result.sheet, drawn, result.joined)
+        return GraphUpdate(counts, result.sheet, drawn, result.joined, result.geo)
 
     def _is_keyframe(self, pose: SE2) -> bool:
         last = self._last

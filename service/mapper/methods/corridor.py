@@ -30,7 +30,7 @@ SURFEL_SUBMAPS = StageKind(
 LOOP_CLOSING = StageKind(
     "loop_closing",
     LoopsConfig,
-    lambda config, around: LoopClosing(config, around.painter, around.new_worker),
+    lambda config, around: LoopClosing(config, around.painter, around.new_worker, around.mountings),
     rehearse=rehearse,
 )
 

@@ -30,3 +30,11 @@ def test_points_go_there_and_back():
     np.testing.assert_allclose(out, rows(turned)[:, :2], atol=1e-12)
     np.testing.assert_allclose(se2.points_seen(A, out), xy, atol=1e-12)
     np.testing.assert_allclose(se2.points_from(A[3], xy)[7], se2.points_from(A[3], xy[7]))
+
+
+def test_the_adjoint_takes_a_small_error_at_the_far_end_to_the_near_one():
+    small = 1e-6 * RNG.uniform(-1.0, 1.0, (50, 3))
+    there = rows([SE2(*pose) @ SE2.exp(*error) for pose, error in zip(A, small, strict=True)])
+    moved = (se2.adjoint(A) @ small[..., None])[..., 0]
+    here = rows([SE2.exp(*error) @ SE2(*pose) for pose, error in zip(A, moved, strict=True)])
+    np.testing.assert_allclose(here, there, atol=1e-10)
