@@ -1,8 +1,10 @@
 """Stored maps: one folder a map, a sub-folder a version, and a link that says which one counts.
 
     map.yaml, map.pgm, map.png -> current/...     what other programs read
+    geo.json -> current/geo.json                  where GNSS anchors the map
     current -> v000012                            switched by one rename, from the old map to the new
-    v000012/   tiles.npz, map.yaml, map.pgm, map.png and manifest.json: SHA-256 of these and of itself
+    v000012/   tiles.npz, map.yaml, map.pgm, map.png, geo.json if there is one, and manifest.json: SHA-256 of
+               these and of itself
 
 A version is written beside the others under a name that nobody reads, synced to the disk, then renamed. So a
 kill or a power cut at any moment leaves the last good one.
@@ -25,6 +27,8 @@ from typing import Any
 import numpy as np
 
 from service.errors import InputError, StorageError
+from service.geometry.geo_reference import GeoReference
+from service.mapstore.geo_file import GEO_FILE, read_geo, write_geo
 from service.mapstore.picture import picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
@@ -50,14 +54,20 @@ class StoredMap:
     saved_ns: int  # Unix time
     tiles: list[TileUpdate]
     problems: list[str]
+    geo: GeoReference | None = None  # where it lies on the earth; None: that is not known
 
 
 def save_map(
-    folder: Path, tiles: Sequence[TileUpdate], saved_ns: int, about: Mapping[str, str] | None = None
+    folder: Path,
+    tiles: Sequence[TileUpdate],
+    saved_ns: int,
+    about: Mapping[str, str] | None = None,
+    geo: GeoReference | None = None,
 ) -> int | None:
     """Store `tiles` as the next version of the map in `folder`; its number, or None where there are no tiles.
 
-    saved_ns is Unix time; `about` (vehicle, profile ...) is kept with the map. KEEP_VERSIONS versions stay.
+    saved_ns is Unix time; `about` (vehicle, profile ...) and `geo` are kept with the map, and KEEP_VERSIONS
+    versions of it.
     Raises StorageError: no room, no rights, another writer; the version before stays what it was.
     """
     if not any(tile.level == 0 for tile in tiles):
@@ -65,7 +75,7 @@ def save_map(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with _only_writer(folder):
-            return _save(folder, tiles, saved_ns, dict(about or {}))
+            return _save(folder, tiles, saved_ns, dict(about or {}), geo)
     except OSError as error:
         raise StorageError(
             f"cannot save the map to {folder}: {error}; the version before is untouched"
@@ -94,15 +104,21 @@ def is_map_folder(folder: Path) -> bool:
     return folder.is_dir() and bool(_versions(folder))
 
 
-def _save(folder: Path, tiles: Sequence[TileUpdate], saved_ns: int, about: dict[str, str]) -> int:
+def _save(
+    folder: Path,
+    tiles: Sequence[TileUpdate],
+    saved_ns: int,
+    about: dict[str, str],
+    geo: GeoReference | None,
+) -> int:
     for leftover in folder.glob(_UNFINISHED + "*"):
         _remove(leftover)
-    _point_for_others(folder)
+    _point_for_others(folder, FOR_OTHERS if geo is None else (*FOR_OTHERS, GEO_FILE))
     number = max(_versions(folder), default=0) + 1
     new = folder / f"{_UNFINISHED}{number}"
     try:
         new.mkdir()
-        _write_content(new, tiles, saved_ns, about)
+        _write_content(new, tiles, saved_ns, about, geo)
         _sync(new)
         new.rename(folder / _name(number))
     except OSError:
@@ -110,12 +126,23 @@ def _save(folder: Path, tiles: Sequence[TileUpdate], saved_ns: int, about: dict[
         raise
     _sync(folder)
     _point(folder / "current", _name(number))
+    if geo is None and (folder / GEO_FILE).is_symlink():
+        (folder / GEO_FILE).unlink()
     for old in sorted(_versions(folder))[:-KEEP_VERSIONS]:
         shutil.rmtree(folder / _name(old), ignore_errors=True)  # again with the next save
     return number
 
 
-def _write_content(new: Path, tiles: Sequence[TileUpdate], saved_ns: int, about: dict[str, str]) -> None:
+def _write_content(
+    new: Path,
+    tiles: Sequence[TileUpdate],
+    saved_ns: int,
+    about: dict[str, str],
+    geo: GeoReference | None,
+) -> None:
+    names = _CONTENT if geo is None else (*_CONTENT, GEO_FILE)
+    if geo is not None:
+        write_geo(new / GEO_FILE, geo)
     with (new / "tiles.npz").open("wb") as file:
         np.savez_compressed(
             file,
@@ -132,7 +159,7 @@ def _write_content(new: Path, tiles: Sequence[TileUpdate], saved_ns: int, about:
         "saved_ns": saved_ns,
         "about": about,
         "files": {
-            name: {"bytes": (new / name).stat().st_size, "sha256": _sha256(new / name)} for name in _CONTENT
+            name: {"bytes": (new / name).stat().st_size, "sha256": _sha256(new / name)} for name in names
         },
     }
     text = json.dumps({**manifest, "sha256": _digest(manifest)}, indent=1)
@@ -165,7 +192,8 @@ def _load(version: Path, problems: list[str]) -> StoredMap:
             index.tolist(), cell_m.tolist(), cells, strict=True
         )
     ]
-    return StoredMap(_number(version.name), manifest["about"], manifest["saved_ns"], tiles, problems)
+    geo = read_geo(version / GEO_FILE) if GEO_FILE in manifest["files"] else None
+    return StoredMap(_number(version.name), manifest["about"], manifest["saved_ns"], tiles, problems, geo)
 
 
 def _checked_manifest(version: Path) -> dict[str, Any]:
@@ -210,8 +238,8 @@ def _number(name: str) -> int:
     return int(name.removeprefix("v"))
 
 
-def _point_for_others(folder: Path) -> None:
-    for name in FOR_OTHERS:
+def _point_for_others(folder: Path, names: Sequence[str]) -> None:
+    for name in names:
         path, target = folder / name, f"current/{name}"
         if path.is_symlink() and os.readlink(path) == target:
             continue

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.errors import StorageError
+from service.geometry.geo_reference import GeoReference
 from service.outputs import UNKNOWN, Grid, TileUpdate
 
 MAX_GRID_CELLS = 2**26  # 64 MiB, 410 m square at 5 cm; a larger message helps no subscriber: they take tiles
@@ -25,6 +26,7 @@ class NumberedMap:
 
     number: int  # from 1
     tiles: list[TileUpdate]  # oldest change first
+    geo: GeoReference | None = None  # where it lies on the earth; None: that is not known
 
     @property
     def version(self) -> int:
@@ -46,6 +48,7 @@ class TileStore:
         self._number = 1
         self._began_version = 0  # tiles up to this one are of maps before, emptied
         self._ended: list[NumberedMap] = []
+        self._geo: GeoReference | None = None  # of the present map
 
     @property
     def number(self) -> int:
@@ -77,6 +80,11 @@ class TileStore:
                 taken += 1
         return taken
 
+    def place(self, geo: GeoReference | None) -> None:
+        """Say where the present map lies on the earth."""
+        with self._lock:
+            self._geo = geo
+
     def since(self, version: int) -> list[TileUpdate]:
         """Every tile newer than `version`, oldest change first; 0 gives the whole map.
 
@@ -95,8 +103,9 @@ class TileStore:
             ended = _by_version(self._newer(self._began_version))
             if not ended:
                 return []
-            self._ended.append(NumberedMap(self._number, ended))
+            self._ended.append(NumberedMap(self._number, ended, self._geo))
             self._number += 1
+            self._geo = None
             emptied = [
                 replace(tile, version=self._version + k, cells=_unknown(tile))
                 for k, tile in enumerate(ended, start=1)
@@ -111,7 +120,7 @@ class TileStore:
         """Maps ended since the last call, oldest first, and the present one, all at one moment."""
         with self._lock:
             ended, self._ended = self._ended, []
-            return ended, NumberedMap(self._number, _by_version(self._newer(self._began_version)))
+            return ended, NumberedMap(self._number, _by_version(self._newer(self._began_version)), self._geo)
 
     def grid(self) -> Grid | None:
         """The finest level as one picture, None while it is empty; paints only what changed meanwhile.

@@ -7,23 +7,28 @@ from typing import Literal
 
 from service.encoding import OCCUPANCY_GRID, ODOMETRY, decode_grid, decode_pose
 from service.errors import InputError, StorageError, UsageError
+from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapstore.files import is_map_folder, load_map
+from service.mapstore.geo_file import GEO_FILE, read_geo
 from service.mapstore.picture import Picture, picture_of_grid, picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import read_ros_map, write_ros_map
+from service.offline.geo_export import write_csv, write_geojson, write_kml, write_world_file
 from service.offline.trajectory import read_tum, write_tum
 from service.recording.mcap_reader import Recording
 
-Format = Literal["pgm", "png", "tum"]
+Format = Literal["pgm", "png", "tum", "csv", "geojson", "kml"]
 
 
 def export(source: Path, to: Format, out: Path) -> None:
-    """Write the map (pgm with its yaml, png) or the trajectory (tum) of `source` to `out`.
+    """Write the map (pgm with its yaml, png) or the trajectory (tum, csv, geojson, kml) of `source` to `out`.
 
     source    a finished session (.mcap), the folder of a stored map, or the folder that a replay wrote
 
-    Raises InputError where the source does not hold it, UsageError for a PGM by another name, StorageError.
+    Where the source says where the map lies on the earth, a png gets a world file beside it and a csv has
+    columns for it. Raises InputError where the source does not hold what is asked for, UsageError for a PGM
+    by another name, StorageError.
     """
     if to == "pgm" and out.suffix != ".pgm":
         raise UsageError(
@@ -38,14 +43,49 @@ def export(source: Path, to: Format, out: Path) -> None:
         case "pgm":
             write = partial(write_ros_map, out, out.with_suffix(".yaml"), _picture(source))
         case "png":
-            write = partial(write_png, out, _picture(source))
+            write = partial(_write_png, out, _picture(source), _reference(source))
         case "tum":
             write = partial(write_tum, out, _poses(source))
+        case "csv":
+            write = partial(write_csv, out, list(_poses(source)), _reference(source))
+        case "geojson" | "kml":
+            to_earth = write_geojson if to == "geojson" else write_kml
+            write = partial(to_earth, out, list(_poses(source)), _needed_reference(source, to))
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         write()
     except OSError as error:
         raise StorageError(f"cannot write {out}: {error}") from error
+
+
+def _write_png(out: Path, picture: Picture, reference: GeoReference | None) -> None:
+    write_png(out, picture)
+    if reference is not None:
+        write_world_file(out, picture, reference)
+
+
+def _reference(source: Path) -> GeoReference | None:
+    """Where the map of the source lies on the earth; None: that is not known."""
+    if is_map_folder(source):
+        return load_map(source).geo
+    geo = source / GEO_FILE
+    return read_geo(geo) if source.is_dir() and geo.exists() else None
+
+
+def _needed_reference(source: Path, to: str) -> GeoReference:
+    reference = _reference(source)
+    if reference is not None:
+        return reference
+    if not source.is_dir():
+        raise InputError(
+            f"{source}: a session does not say where its map lies on the earth, which {to} needs; "
+            f"corridor replay {source} --out DIR, then export DIR"
+        )
+    raise InputError(
+        f"{source}: no {GEO_FILE} in it, so nobody knows where the map lies on the earth, which {to} needs. "
+        "GNSS fixes anchor a map once they agree with some 100 m of way; summary.json counts them (fixes). "
+        "--format csv or tum writes the same poses in metres of the map"
+    )
 
 
 def _picture(source: Path) -> Picture:

@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 
 from service.errors import InputError, StorageError
+from service.geometry.geo_reference import GeoReference
+from service.geometry.geodesy import LocalFrame
+from service.geometry.se2 import SE2
 from service.mapstore import files
 from service.mapstore.files import load_map, save_map
+from service.mapstore.geo_file import read_geo
 from service.mapstore.ros_map import read_ros_map
 from tests.service.mapstore.tile_makers import same, tile
 
@@ -193,3 +197,37 @@ def test_sigkill_in_a_loop_of_saves_leaves_a_good_map_each_time(tmp_path):
         assert (stored.tiles[0].cells == stored.saved_ns % 101).all()
         assert read_ros_map(tmp_path / "map.yaml").cells.shape == (48, 48)
         saved = stored.saved_ns
+
+
+GEO = GeoReference(LocalFrame(60.161, 24.546, 51.7), SE2(3.0, -4.0, 0.0), 0.8, 0.01, 41)
+
+
+def test_a_map_keeps_where_it_lies_on_the_earth_and_map_yaml_is_the_same(tmp_path):
+    save_map(tmp_path / "there", TILES, 1, geo=GEO)
+    save_map(tmp_path / "nowhere", TILES, 1)
+    assert load_map(tmp_path / "there").geo == GEO
+    assert load_map(tmp_path / "nowhere").geo is None
+    assert read_geo(tmp_path / "there" / "geo.json") == GEO
+    yaml = [(tmp_path / name / "map.yaml").read_bytes() for name in ("there", "nowhere")]
+    assert yaml[0] == yaml[1]
+    save_map(tmp_path / "there", TILES, 2)
+    assert not (tmp_path / "there" / "geo.json").is_symlink()
+    assert load_map(tmp_path / "there").geo is None
+
+
+def test_a_damaged_geo_reference_makes_a_version_damaged(tmp_path):
+    save_map(tmp_path, TILES, 1, geo=GEO)
+    save_map(tmp_path, TILES, 2, geo=GEO)
+    path = tmp_path / "v000002" / "geo.json"
+    path.write_text(path.read_text().replace("60.161", "61.161"))
+    stored = load_map(tmp_path)
+    assert stored.number == 1
+    assert "geo.json" in stored.problems[0]
+
+
+def test_a_geo_json_of_somebody_else_is_not_written_over(tmp_path):
+    (tmp_path / "geo.json").write_text("mine")
+    with pytest.raises(StorageError, match=r"geo\.json is a file of somebody else"):
+        save_map(tmp_path, TILES, 1, geo=GEO)
+    assert (tmp_path / "geo.json").read_text() == "mine"
+    assert save_map(tmp_path, TILES, 1) == 1

@@ -1,0 +1,120 @@
+"""Maps and trajectories with their place on the earth, for programs that show maps of it."""
+
+import json
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from service.errors import InputError
+from service.geometry.geo_reference import GeoReference
+from service.geometry.geodesy import to_utm, utm_zone
+from service.geometry.se2 import SE2
+from service.mapstore.picture import Picture
+from service.version import VERSION
+
+Poses = Sequence[tuple[int, SE2]]  # stamp_ns, pose_map_base
+
+NS_PER_S = 1_000_000_000
+DEGREES = "{:.8f}"  # 1 mm
+
+
+def write_csv(path: Path, poses: Poses, reference: GeoReference | None) -> None:
+    """A line a pose; without a reference the last three columns are not there. Raises OSError."""
+    columns = "stamp_s,x_m,y_m,yaw_deg" + (",latitude_deg,longitude_deg,heading_deg" if reference else "")
+    with path.open("w", encoding="ascii") as file:
+        file.write(columns + "\n")
+        for stamp_ns, pose in poses:
+            line = f"{_seconds(stamp_ns)},{pose.x_m:.6f},{pose.y_m:.6f},{math.degrees(pose.theta_rad):.6f}"
+            if reference is not None:
+                place = ",".join(map(DEGREES.format, reference.to_geodetic(pose.x_m, pose.y_m)))
+                line += f",{place},{reference.heading_deg(pose.theta_rad):.6f}"
+            file.write(line + "\n")
+
+
+def write_geojson(path: Path, poses: Poses, reference: GeoReference) -> None:
+    """The way as one LineString, longitude before latitude (RFC 7946). Raises OSError."""
+    feature = {
+        "type": "Feature",
+        "geometry": {"type": "LineString", "coordinates": _coordinates(poses, reference)},
+        "properties": {
+            "name": "trajectory",
+            "first_stamp_s": _seconds(poses[0][0]),
+            "last_stamp_s": _seconds(poses[-1][0]),
+            "position_sigma_m": round(reference.position_sigma_m, 3),
+            "yaw_sigma_deg": round(math.degrees(reference.yaw_sigma_rad), 4),
+            "fixes": reference.fixes,
+        },
+    }
+    text = json.dumps({"type": "FeatureCollection", "features": [feature]})
+    path.write_text(text + "\n", encoding="ascii")
+
+
+def write_kml(path: Path, poses: Poses, reference: GeoReference) -> None:
+    """The way as one line on the ground (OGC KML 2.3). Raises OSError."""
+    places = " ".join(
+        f"{longitude:.8f},{latitude:.8f},0" for longitude, latitude in _coordinates(poses, reference)
+    )
+    path.write_text(
+        '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document>\n'
+        f"<Placemark><name>trajectory</name><description>corridor {VERSION}; "
+        f"{_seconds(poses[0][0])} to {_seconds(poses[-1][0])} s</description>\n"
+        "<LineString><tessellate>1</tessellate><altitudeMode>clampToGround</altitudeMode>\n"
+        f"<coordinates>{places}</coordinates></LineString></Placemark>\n</Document></kml>\n",
+        encoding="ascii",
+    )
+
+
+def write_world_file(picture_path: Path, picture: Picture, reference: GeoReference) -> tuple[Path, Path]:
+    """NAME.pgw and NAME.prj beside NAME.png: where its pixels lie in UTM. Gives both paths.
+
+    Source: ESRI, World files for raster datasets: six lines A, D, B, E, C, F; x = A column + B row + C,
+    y = D column + E row + F, at the middles of pixels, from the upper left one on. One affine map
+    stands for the whole picture: within 1 km UTM's scale changes by a few millionths.
+    Raises OSError, and InputError where UTM ends.
+    """
+    zone = utm_zone(reference.to_geodetic(0.0, 0.0)[1])
+    left_m, low_m = picture.x_min_m, picture.y_min_m
+    top_m, right_m = low_m + picture.height * picture.cell_m, left_m + picture.width * picture.cell_m
+    try:
+        corner, along, down = (
+            to_utm(*reference.to_geodetic(*xy), zone)
+            for xy in ((left_m, top_m), (right_m, top_m), (left_m, low_m))
+        )
+    except ValueError as error:
+        raise InputError(f"{picture_path}: no world file: {error}") from error
+    a, d = ((along[k] - corner[k]) / picture.width for k in (0, 1))
+    b, e = ((down[k] - corner[k]) / picture.height for k in (0, 1))
+    c, f = corner[0] + 0.5 * (a + b), corner[1] + 0.5 * (d + e)
+    world, projection = picture_path.with_suffix(".pgw"), picture_path.with_suffix(".prj")
+    world.write_text("".join(f"{value:.10f}\n" for value in (a, d, b, e, c, f)), encoding="ascii")
+    is_south = reference.to_geodetic(0.0, 0.0)[0] < 0.0
+    projection.write_text(_utm_wkt(zone, is_south) + "\n", encoding="ascii")
+    return world, projection
+
+
+def _coordinates(poses: Poses, reference: GeoReference) -> list[tuple[float, float]]:
+    """Longitude, latitude of each pose."""
+    places = (reference.to_geodetic(pose.x_m, pose.y_m) for _, pose in poses)
+    return [(round(longitude, 8), round(latitude, 8)) for latitude, longitude in places]
+
+
+def _seconds(stamp_ns: int) -> str:
+    return f"{stamp_ns // NS_PER_S}.{stamp_ns % NS_PER_S:09d}"
+
+
+def _utm_wkt(zone: int, is_south: bool) -> str:
+    """As ESRI's .prj files have it: EPSG 32600 + zone, or 32700 + zone in the south."""
+    name = f"WGS_1984_UTM_Zone_{zone}{'S' if is_south else 'N'}"
+    parameters: Iterable[tuple[str, float]] = (
+        ("False_Easting", 500000.0),
+        ("False_Northing", 10000000.0 if is_south else 0.0),
+        ("Central_Meridian", 6.0 * zone - 183.0),
+        ("Scale_Factor", 0.9996),
+        ("Latitude_Of_Origin", 0.0),
+    )
+    listed = ",".join(f'PARAMETER["{key}",{value}]' for key, value in parameters)
+    return (
+        f'PROJCS["{name}",GEOGCS["GCS_WGS_1984",DATUM["D_WGS_1984",SPHEROID["WGS_1984",6378137.0,298.257223563]],'
+        'PRIMEM["Greenwich",0.0],UNIT["Degree",0.0174532925199433]],PROJECTION["Transverse_Mercator"],'
+        f'{listed},UNIT["Meter",1.0]]'
+    )

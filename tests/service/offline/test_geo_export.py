@@ -1,0 +1,121 @@
+"""What is written of a way and a map on the earth lies where the reference puts it."""
+
+import csv
+import json
+import math
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+from service.errors import InputError
+from service.geometry.geo_reference import GeoReference
+from service.geometry.geodesy import LocalFrame, to_utm
+from service.geometry.se2 import SE2
+from service.mapstore.files import save_map
+from service.mapstore.geo_file import write_geo
+from service.mapstore.picture import picture_of_grid
+from service.mapstore.ros_map import write_ros_map
+from service.offline.export import export
+from service.offline.trajectory import write_tum
+from service.outputs import Grid
+from tests.service.mapstore.tile_makers import tile
+
+ORIGIN = LocalFrame(48.1, 11.6, 520.0)
+REFERENCE = GeoReference(ORIGIN, SE2(12.0, -7.0, math.radians(30.0)), 0.8, math.radians(0.3), 41)
+POSES = [SE2(3.0 * k, -1.0 * k, 0.1 * k) for k in range(5)]
+STAMPS = [1_700_000_000_000_000_001 + k * 20_000_003 for k in range(5)]
+
+
+def earth(pose: SE2) -> tuple[float, float]:
+    return REFERENCE.to_geodetic(pose.x_m, pose.y_m)
+
+
+@pytest.fixture
+def replayed(tmp_path):
+    folder = tmp_path / "replayed"
+    folder.mkdir()
+    cells = np.zeros((40, 60), dtype=np.int8)
+    write_ros_map(folder / "map.pgm", folder / "map.yaml", picture_of_grid(Grid(1, 0.5, -4.0, -9.0, cells)))
+    write_tum(folder / "trajectory.tum", zip(STAMPS, POSES, strict=True))
+    write_geo(folder / "geo.json", REFERENCE)
+    return folder
+
+
+def test_geojson_is_a_line_of_longitude_and_latitude(replayed, tmp_path):
+    export(replayed, "geojson", tmp_path / "way.geojson")
+    (feature,) = json.loads((tmp_path / "way.geojson").read_text())["features"]
+    assert feature["geometry"]["type"] == "LineString"
+    for (longitude, latitude), pose in zip(feature["geometry"]["coordinates"], POSES, strict=True):
+        assert (latitude, longitude) == pytest.approx(earth(pose), abs=1e-8)
+    assert feature["properties"]["first_stamp_s"] == "1700000000.000000001"
+    assert feature["properties"]["position_sigma_m"] == 0.8
+
+
+def test_kml_is_the_same_line(replayed, tmp_path):
+    export(replayed, "kml", tmp_path / "way.kml")
+    root = ElementTree.parse(tmp_path / "way.kml").getroot()
+    text = root.find(".//{http://www.opengis.net/kml/2.2}coordinates").text
+    places = [tuple(map(float, place.split(","))) for place in text.split()]
+    for (longitude, latitude, _), pose in zip(places, POSES, strict=True):
+        assert (latitude, longitude) == pytest.approx(earth(pose), abs=1e-8)
+
+
+def test_csv_has_both_frames_and_the_compass(replayed, tmp_path):
+    export(replayed, "csv", tmp_path / "way.csv")
+    rows = list(csv.DictReader((tmp_path / "way.csv").read_text().splitlines()))
+    assert [row["stamp_s"] for row in rows[:2]] == ["1700000000.000000001", "1700000000.020000004"]
+    assert float(rows[4]["x_m"]) == 12.0
+    place = float(rows[4]["latitude_deg"]), float(rows[4]["longitude_deg"])
+    assert place == pytest.approx(earth(POSES[4]), abs=1e-8)
+    assert float(rows[0]["heading_deg"]) == pytest.approx(60.0)  # 30 degrees north of east
+
+
+def test_csv_without_a_reference_is_in_metres_alone(replayed, tmp_path):
+    (replayed / "geo.json").unlink()
+    export(replayed, "csv", tmp_path / "way.csv")
+    assert (tmp_path / "way.csv").read_text().splitlines()[0] == "stamp_s,x_m,y_m,yaw_deg"
+
+
+def test_a_world_file_puts_each_pixel_where_it_lies_in_utm(replayed, tmp_path):
+    export(replayed, "png", tmp_path / "map.png")
+    a, d, b, e, c, f = map(float, (tmp_path / "map.pgw").read_text().split())
+    for column, row in ((0, 0), (59, 0), (0, 39), (30, 20)):
+        x_m, y_m = -4.0 + 0.5 * (column + 0.5), -9.0 + 0.5 * (40 - row - 0.5)
+        expected = to_utm(*REFERENCE.to_geodetic(x_m, y_m), 32)
+        assert (a * column + b * row + c, d * column + e * row + f) == pytest.approx(expected, abs=1e-3)
+    assert 'PROJCS["WGS_1984_UTM_Zone_32N"' in (tmp_path / "map.prj").read_text()
+    assert 'PARAMETER["Central_Meridian",9.0]' in (tmp_path / "map.prj").read_text()
+
+
+def test_a_picture_of_a_map_without_a_reference_has_no_world_file(replayed, tmp_path):
+    (replayed / "geo.json").unlink()
+    export(replayed, "png", tmp_path / "map.png")
+    assert not (tmp_path / "map.pgw").exists()
+
+
+def test_a_stored_map_keeps_its_reference_for_its_picture(tmp_path):
+    save_map(tmp_path / "depot", [tile(0, 0, 1)], 1, geo=REFERENCE)
+    export(tmp_path / "depot", "png", tmp_path / "depot.png")
+    assert (tmp_path / "depot.pgw").exists()
+
+
+@pytest.mark.parametrize("to", ["geojson", "kml"])
+def test_without_a_reference_the_way_on_the_earth_is_refused_in_words(replayed, tmp_path, to):
+    (replayed / "geo.json").unlink()
+    with pytest.raises(InputError, match=rf"no geo.json in it, .* which {to} needs.*summary\.json"):
+        export(replayed, to, tmp_path / "way")
+    assert not (tmp_path / "way").exists()
+
+
+def test_a_damaged_reference_is_refused(replayed, tmp_path):
+    (replayed / "geo.json").write_text("{}")
+    with pytest.raises(InputError, match=r'geo\.json: no geo-reference: expected an object whose "datum"'):
+        export(replayed, "csv", tmp_path / "way.csv")
+
+
+def test_near_a_pole_there_is_no_world_file(replayed, tmp_path):
+    polar = GeoReference(LocalFrame(89.0, 0.0, 0.0), SE2(), 0.8, 0.01, 41)
+    write_geo(replayed / "geo.json", polar)
+    with pytest.raises(InputError, match="UTM ends at 84 degrees"):
+        export(replayed, "png", tmp_path / "map.png")
