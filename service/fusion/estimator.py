@@ -26,10 +26,9 @@ from service.kernels.estimator import (
     Filter,
     MotionSettings,
     begin_window,
-    correct_motion,
     lay_into_map,
-    learn_noise,
     predict_motion,
+    take_match,
 )
 from service.kernels.tracks import Track, begin_twist
 
@@ -213,13 +212,13 @@ class Estimator:
             pose, covariance = measured.pose_odom_base, measured.covariance
             if not measured.is_joined:
                 pose, covariance = self._joined(measured)
-            correct_motion(
+            take_match(
                 state,
                 np.array([pose.x_m, pose.y_m, pose.theta_rad]),
                 covariance,
                 measured.prior_weight,
+                measured.information,
             )
-            learn_noise(state, measured.information)
         elif not state.said[3]:
             state.twist[:] = state.twist * math.exp(-self._elapsed_s / FADE_S)
         return Motion(SE2(*state.pose.tolist()), self._twist(), state.covariance[MAP_BLOCK, MAP_BLOCK].copy())

@@ -389,6 +389,13 @@ def correct_motion(state, pose, local_covariance, prior_weight):
 
 
 @njit(cache=True, nogil=True)
+def take_match(state, pose, local_covariance, prior_weight, information):
+    """correct_motion, then learn_noise: to hand the filter over takes as long as either."""
+    correct_motion(state, pose, local_covariance, prior_weight)
+    learn_noise(state, information)
+
+
+@njit(cache=True, nogil=True)
 def lay_into_map(P, kept):
     """What a scan adds to the local map carries the pose's error into it: less is left against it; [11].
 
