@@ -14,6 +14,7 @@ from typing import Any
 
 from service.encoding import Message, encode_grid
 from service.errors import StorageError
+from service.geometry.geo_reference import GeoReference
 from service.mapstore.files import save_map
 from service.mapstore.tiles import NumberedMap, TileStore
 from service.runtime.host_time import HostTime
@@ -31,6 +32,7 @@ class SavedMap:
     folder: Path
     number: int  # of the version in its folder
     version: int  # of its newest tile
+    geo: GeoReference | None = None  # where it lies on the earth
 
 
 Saved = Callable[[SavedMap | None, str], None]  # the present map, None while it is empty; or what went wrong
@@ -145,13 +147,18 @@ class MapKeeper:
 
     def _store(self, numbered: NumberedMap) -> None:
         newest = self._newest
-        if newest is not None and newest[0] == numbered.number and newest[1].version == numbered.version:
+        if (
+            newest is not None
+            and newest[0] == numbered.number
+            and newest[1].version == numbered.version
+            and newest[1].geo == numbered.geo
+        ):
             return
         folder = self.folder_of(numbered.number)
         unix_ns = self._host_time.unix_ns(time.monotonic_ns())
-        number = save_map(folder, numbered.tiles, unix_ns, self._about)
+        number = save_map(folder, numbered.tiles, unix_ns, self._about, numbered.geo)
         if number is not None:
-            self._newest = (numbered.number, SavedMap(folder, number, numbered.version))
+            self._newest = (numbered.number, SavedMap(folder, number, numbered.version, numbered.geo))
 
     def _wait(self) -> bool:
         """Until somebody asks or it is time to look; False when there is nothing more to do."""

@@ -4,9 +4,14 @@ import numpy as np
 import pytest
 
 from service.errors import StorageError
+from service.geometry.geo_reference import GeoReference
+from service.geometry.geodesy import LocalFrame
+from service.geometry.se2 import SE2
 from service.mapstore.tiles import TileStore
 from service.outputs import UNKNOWN
 from tests.service.mapstore.tile_makers import CELL_M, EDGE, tile
+
+GEO = GeoReference(LocalFrame(60.161, 24.546, 51.7), SE2(3.0, -4.0, 0.0), 0.8, 0.01, 41)
 
 
 def test_an_empty_store_has_no_version_and_no_grid():
@@ -168,3 +173,14 @@ def test_a_map_too_large_for_a_picture_is_no_trouble_to_the_next():
     grid = store.grid()
     assert grid is not None
     assert (grid.cells == 0).all()
+
+
+def test_a_map_keeps_its_place_on_the_earth_when_another_begins():
+    store = TileStore()
+    store.update([tile(0, 0, 1)])
+    store.place(GEO)
+    store.begin_anew()
+    store.update([tile(0, 0, 5)])
+    (ended,), present = store.take()
+    assert ended.geo == GEO
+    assert present.geo is None

@@ -1,5 +1,6 @@
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,11 +8,16 @@ import pytest
 
 from service.encoding import Message, decode_grid
 from service.errors import StorageError
+from service.geometry.geo_reference import GeoReference
+from service.geometry.geodesy import LocalFrame
+from service.geometry.se2 import SE2
 from service.mapstore.files import load_map
 from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
 from service.runtime.host_time import HostTime
 from service.runtime.map_keeper import MOST_UNSAVED, MapKeeper, SavedMap
+
+GEO = GeoReference(LocalFrame(60.161, 24.546, 51.7), SE2(3.0, -4.0, 0.0), 0.8, 0.01, 41)
 
 
 def tile(version: int) -> TileUpdate:
@@ -188,3 +194,13 @@ def test_unsaved_maps_do_not_pile_up_without_end(tmp_path: Path, caplog: pytest.
     kept.keeper._try_to_save()
     assert "map 1 is given up" in caplog.text
     assert len(kept.keeper._unsaved) == 0  # only the first had something in its way
+
+
+def test_where_the_map_lies_is_saved_with_it_and_anew_when_that_alone_changed(tmp_path: Path):
+    kept = Kept(tmp_path / "map")
+    kept.tiles.update([tile(1)])
+    for number, geo in enumerate((None, GEO, GEO, replace(GEO, fixes=50)), start=1):
+        kept.tiles.place(geo)
+        kept.keeper.finish()
+        assert load_map(tmp_path / "map").geo == geo
+        assert load_map(tmp_path / "map").number == min(number, 2 + (number == 4))

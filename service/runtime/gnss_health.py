@@ -1,0 +1,67 @@
+"""What health says of GNSS: whether the map is geo-referenced, and what is wrong with the fixes of late."""
+
+import math
+from collections.abc import Mapping
+
+from service.encoding import Status
+from service.geometry.geo_reference import GeoReference
+
+OK, WARNING = 0, 1
+RECENT_NS = 10_000_000_000  # what was counted within so long is said
+
+# By counter, the worst first: level and words.
+FAULTS = {
+    "fixes_frozen": (WARNING, "the receiver repeats one position while the vehicle moves; does it hang?"),
+    "fixes_impossible": (WARNING, "positions that are not on the earth; what does the receiver send?"),
+    "fixes_contradicting": (
+        WARNING,
+        "fixes contradict the way driven and are not used; walls that reflect, a jump, or a wrong lever arm",
+    ),
+    "fixes_of_another_receiver": (WARNING, "a second receiver is heard; only the first one is used"),
+    "fixes_without_covariance": (
+        WARNING,
+        "fixes that do not say how good they are cannot be used; let the receiver send its accuracy",
+    ),
+    "fixes_out_of_order": (WARNING, "fixes whose stamps do not rise"),
+    "fixes_without_scans": (WARNING, "fixes from moments without scans"),
+    "fixes_too_poor": (OK, "fixes are worse than 10 m; is there open sky?"),
+    "fixes_without_position": (OK, "the receiver has no position; indoors this is normal"),
+}
+
+
+class GnssHealth:
+    """Remembers what was counted, so that it can say what is counted now."""
+
+    def __init__(self) -> None:
+        self._counted: dict[str, int] = {}
+        self._rose_ns: dict[str, int] = {}
+
+    def status(
+        self, counters: Mapping[str, int], reference: GeoReference | None, now_ns: int
+    ) -> Status | None:
+        """None where no fix was ever heard, or no graph takes any. now_ns: host monotonic."""
+        fixes = {name: count for name, count in counters.items() if name.startswith("fixes_")}
+        if not fixes.keys() - {"fixes_passed_over"}:
+            return None
+        for name, count in fixes.items():
+            if count > self._counted.get(name, 0):
+                self._rose_ns[name] = now_ns
+        self._counted = fixes
+        values = {name: str(count) for name, count in sorted(fixes.items())}
+        values["referenced"] = str(reference is not None).lower()
+        level, words = OK, "not referenced yet: fixes have to agree with the way over some 100 to 300 m"
+        if reference is not None:
+            yaw_sigma_deg = math.degrees(reference.yaw_sigma_rad)
+            values |= {
+                "position_sigma_m": f"{reference.position_sigma_m:.2f}",
+                "yaw_sigma_deg": f"{yaw_sigma_deg:.2f}",
+                "origin": f"{reference.origin.latitude_deg:.7f} {reference.origin.longitude_deg:.7f}",
+            }
+            words = (
+                f"referenced to {reference.position_sigma_m:.1f} m and {yaw_sigma_deg:.1f} deg "
+                f"by {reference.fixes} fixes"
+            )
+        for name, (fault_level, fault) in FAULTS.items():
+            if name in self._rose_ns and now_ns - self._rose_ns[name] <= RECENT_NS:
+                return Status("gnss", fault_level, f"{fault} ({fixes[name]} so far); {words}", values)
+        return Status("gnss", level, words, values)
