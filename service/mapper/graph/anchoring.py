@@ -22,6 +22,7 @@ LEAST_FIXES = 6  # believed, for a reference
 LEAST_SHARE = 0.5  # of the fixes kept, believed: else it is they that contradict
 MOST_YAW_SIGMA_RAD = math.radians(2.0)  # above it the map's direction is not known: the way was too short
 MORE_FIXES = (5, 0.05)  # asked anew when so many came, and such a share of them
+MOST_S = 10.0  # that a fix counts for, however long the pause before it was
 NEWEST = 40  # fixes that are asked whether the map is still where it should be
 SOLVE_AT_M = 0.5  # what they must be off by together, to be worth a solution, and one sigma
 KERNEL_WIDTH = 3.0  # Cauchy, in sigmas
@@ -200,8 +201,12 @@ class Anchoring:
         return FixedWay(odom, step, way_m, antenna, enu, covariances, repeats)
 
     def _repeats(self, which: npt.NDArray[np.int64]) -> Floats:
-        """(M,) how many fixes as near in time to the one before make one independent measurement."""
+        """(M,) how many fixes as near in time to the one before make one independent measurement.
+
+        After a pause the first fix is not worth a measurement by itself, as it would be if nothing were ever
+        reflected: nothing beside it could tell.
+        """
         stamps_s = np.array([self._fixes[k].stamp_ns for k in which], np.int64) * 1e-9
-        since_s = np.diff(stamps_s, prepend=stamps_s[0] - CORRELATED_S)
-        repeats: Floats = np.maximum(CORRELATED_S / since_s, 1.0)
+        since_s = np.minimum(np.diff(stamps_s, prepend=stamps_s[0] - MOST_S), MOST_S)
+        repeats: Floats = CORRELATED_S / since_s
         return repeats
