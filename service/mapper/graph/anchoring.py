@@ -83,10 +83,9 @@ class Anchoring:
         turned = se2.adjoint(consensus.pose_odom_enu)
         of_map = turned @ consensus.covariance @ turned.T  # of pose_enu_odom, in the axes of odom
         yaw_sigma_rad = math.sqrt(of_map[2, 2])
-        if self.reference is None and (
-            believed < max(LEAST_FIXES, LEAST_SHARE * len(among)) or yaw_sigma_rad > MOST_YAW_SIGMA_RAD
-        ):
-            return False
+        is_vague = believed < LEAST_SHARE * len(among) or yaw_sigma_rad > MOST_YAW_SIGMA_RAD
+        if believed < LEAST_FIXES or (self.reference is None and is_vague):
+            return False  # a reference that there is stays, with the fixes that it has
         self.counts["fixes_anchoring"] = believed
         self._among, self._consensus = among, consensus
         pose_map_enu = SE2(*consensus.pose_odom_enu.tolist())

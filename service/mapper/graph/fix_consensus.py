@@ -26,6 +26,7 @@ STRETCH_SIGMAS = 1.5  # the mean of a stretch between two jumps is off by no mor
 STRETCH_M = 300.0  # way of the longest stretch that is judged as one: the lasers' way drifts, too
 ROUNDS = 6
 MORE_CONVEX = 2.0  # factor from one step of the graduation to the next
+MOST_MU = 1e4  # then what is undecided lies within a ten-thousandth of the gate
 QUICK = SolverConfig(most_iterations=4, least_gain=1e-3)
 
 
@@ -138,8 +139,9 @@ def _graduate(way: FixedWay, is_candidate: npt.NDArray[np.bool_]) -> tuple[npt.N
             return weight > 0.5, poses
         poses = solve(_graph(way, poses, weight), QUICK).poses
         chi2 = _chi2(way, poses)
-        if ((weight == 0.0) | (weight == 1.0)).all() and mu > 1.0:
-            return weight == 1.0, poses
+        is_decided = bool(((weight == 0.0) | (weight == 1.0)).all())
+        if (is_decided and mu > 1.0) or mu > MOST_MU:
+            return weight > 0.5, poses
         mu *= MORE_CONVEX
 
 

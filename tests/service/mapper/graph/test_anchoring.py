@@ -9,6 +9,7 @@ import pytest
 
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
+from service.mapper.graph import anchoring
 from service.mapper.graph.loop_back_end import Batch, LoopBackEnd, Result
 from simulators.gnss import GnssModel, Reflection
 from tests.service.mapper.graph.outdoors import (
@@ -193,3 +194,23 @@ def test_a_lever_arm_that_is_told_wrong_shows_in_the_place(drive: Outing):
     off = wrong.work(Batch([], is_last=True))
     assert np.median(errors_m(right, straight)) < 0.5
     assert np.median(errors_m(off, straight)) == pytest.approx(6.0, abs=0.5)
+
+
+def test_a_reference_stays_with_its_fixes_where_none_is_believed_any_more(drive: Outing, monkeypatch):
+    back_end = LoopBackEnd(NO_SEARCH, None)
+    for batch in batches(drive):
+        back_end.work(batch)
+    before = back_end.work(Batch([]))
+    found = anchoring.find_consensus
+
+    def nothing(way):
+        consensus = found(way)
+        return replace(consensus, is_believed=np.zeros_like(consensus.is_believed))
+
+    monkeypatch.setattr(anchoring, "find_consensus", nothing)
+    back_end._anchoring._asked = 0
+    after = back_end.work(Batch([], is_last=True))
+    assert before.geo is not None
+    assert after.geo is not None
+    assert after.geo.fixes == before.geo.fixes
+    assert after.fixes["fixes_contradicting"] > 100
