@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from drivers.registry import SENSOR_KINDS
-from service.encoding import decode_mountings, encode_tf_static
+from service.encoding import Message, decode_mountings, decode_upside_down, encode_tf_static
 from service.errors import ConfigError
 from service.geometry.se2 import SE2
 from service.located_yaml import Document, Fault, load
@@ -92,12 +92,24 @@ class ServiceConfig:
 
 def mountings(sensors: Mapping[str, Any]) -> dict[str, SE2]:
     """pose_base_sensor of every sensor that has a mounting, by name; rounded as /tf_static rounds it."""
-    poses = {
-        name: SE2(sensor.mounting.x_m, sensor.mounting.y_m, math.radians(sensor.mounting.yaw_deg))
-        for name, sensor in sensors.items()
-        if hasattr(sensor, "mounting")
-    }
-    return decode_mountings(encode_tf_static(poses, 0, 0).payload)
+    return decode_mountings(tf_static(sensors, 0).payload)
+
+
+def mounted_upside_down(sensors: Mapping[str, Any]) -> frozenset[str]:
+    """Names of those sensors."""
+    return decode_upside_down(tf_static(sensors, 0).payload)
+
+
+def tf_static(sensors: Mapping[str, Any], unix_ns: int) -> Message:
+    """base_link -> every sensor that has a mounting."""
+    mounted = {name: sensor.mounting for name, sensor in sensors.items() if hasattr(sensor, "mounting")}
+    return encode_tf_static(
+        {name: SE2(m.x_m, m.y_m, math.radians(m.yaw_deg)) for name, m in mounted.items()},
+        unix_ns,
+        unix_ns,
+        {name: m.z_m for name, m in mounted.items()},
+        [name for name, m in mounted.items() if m.upside_down],
+    )
 
 
 def laser_names(sensors: Mapping[str, Any]) -> list[str]:
@@ -105,10 +117,11 @@ def laser_names(sensors: Mapping[str, Any]) -> list[str]:
     return [name for name, sensor in sensors.items() if SENSOR_KINDS[sensor.type].laser]
 
 
-def mapped_laser(config: ServiceConfig) -> str | None:
-    """Whose scans are mapped: as `mapping.lasers` says, else the first laser's. None: there is no laser."""
-    named = config.mapping.lasers
-    return next(iter(named if named is not None else laser_names(config.sensors)), None)
+def mapped_lasers(config: ServiceConfig) -> tuple[str, ...]:
+    """Whose scans are mapped: as `mapping.lasers` says, else every laser's that does not say `map: false`."""
+    if config.mapping.lasers is not None:
+        return config.mapping.lasers
+    return tuple(name for name in laser_names(config.sensors) if config.sensors[name].map)
 
 
 _SECTIONS: dict[str, type[BaseModel]] = {

@@ -30,6 +30,7 @@ class HokuyoUtm30lxConfig(BaseModel):
     range_max_m: float = Field(default=30.0, gt=0.0, le=262.0)
     latency_ms: float = Field(default=0.0, ge=-50.0, le=50.0)  # from calibration; makes stamps earlier
     silence_timeout_s: float = Field(default=2.0, ge=0.5, le=60.0)  # without a scan the link is made anew
+    map: bool = True  # False: its scans are published and recorded, not mapped
     mounting: Mounting = Mounting()
 
     @model_validator(mode="after")

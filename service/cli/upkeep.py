@@ -4,6 +4,7 @@ import argparse
 import logging
 import shutil
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from service.cli.console import print_result, progress
@@ -18,19 +19,20 @@ def config_path(parsed: argparse.Namespace) -> Path:
 
 
 def check(parsed: argparse.Namespace) -> int:
-    from service.config import laser_names, load_config, mapped_laser
+    from service.config import laser_names, load_config, mapped_lasers
 
     path = config_path(parsed)
     faults: list[str] = []
-    mapped, others = None, []
+    mapped: tuple[str, ...] = ()
+    others: list[str] = []
     try:
         config = load_config(path)
-        mapped = mapped_laser(config)
-        others = [name for name in laser_names(config.sensors) if name != mapped]
+        mapped = mapped_lasers(config)
+        others = [name for name in laser_names(config.sensors) if name not in mapped]
     except ConfigError as error:
         faults = error.faults
     if parsed.json:
-        result = {"config": str(path), "ok": not faults, "faults": faults, "mapped_laser": mapped}
+        result = {"config": str(path), "ok": not faults, "faults": faults, "mapped_lasers": list(mapped)}
         print_result(result, as_json=True)
     elif faults:
         print("\n".join(faults), file=sys.stderr)
@@ -39,11 +41,11 @@ def check(parsed: argparse.Namespace) -> int:
     return ConfigError.exit_code if faults else 0
 
 
-def _what_is_mapped(mapped: str | None, others: list[str]) -> str:
-    if mapped is None:
-        return "there is no laser, so nothing will be mapped"
+def _what_is_mapped(mapped: Sequence[str], others: Sequence[str]) -> str:
+    if not mapped:
+        return "no laser is mapped"
     beside = f"; scans of {' and '.join(others)} are published and recorded, not mapped" if others else ""
-    return f"{mapped} is mapped{beside}"
+    return f"{' and '.join(mapped)} {'is' if len(mapped) == 1 else 'are'} mapped{beside}"
 
 
 def doctor(parsed: argparse.Namespace) -> int:

@@ -27,7 +27,7 @@ def decode_control(payload: bytes, log_ns: int) -> Step | None:
         return Control(what, log_ns)
     if what == TAKE_IN:
         return TakeIn(log_ns)
-    if what in LEFT_OUT and isinstance(event.get("sensor"), str):
+    if isinstance(what, str) and what in LEFT_OUT and isinstance(event.get("sensor"), str):
         return LeftOut(event["sensor"], LEFT_OUT[what], log_ns)
     if what in WISHES:
         return Wish(what, {key: event[key] for key in event if key not in ("event", "id")}, log_ns)

@@ -3,6 +3,7 @@
 import math
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -47,15 +48,29 @@ def encode_frame(frame: Frame, utc_offset_ns: int = 0, log_ns: int | None = None
     return wire.to_message(f"{frame.sensor}/{kind}", type_name, stamp_ns, log_ns, content)
 
 
-def decode_frame(message_type: str, payload: bytes, sensor: str, log_ns: int) -> Frame | None:
+def decode_frame(
+    message_type: str, payload: bytes, sensor: str, log_ns: int, upside_down: bool = False
+) -> Frame | None:
     """The frame in a LaserScan, Imu, Odometry or NavSatFix message of any origin; arrived_ns becomes log_ns.
+
+    Of a sensor that is mounted upside down, turned about its forward axis, scans and rates are turned back.
 
     None for another type and for content that no mapper can use: a scan without beams or with an impossible
     angle step, an Imu without a gyroscope, values that are not finite. A NavSatFix without a fix is content.
     Raises InputError on bytes that are not the message they are said to be.
     """
     decode = _FRAME_DECODERS.get(message_type)
-    return None if decode is None else decode(wire.read(message_type, payload), sensor, log_ns)
+    frame = None if decode is None else decode(wire.read(message_type, payload), sensor, log_ns)
+    return _turned_over(frame) if upside_down else frame
+
+
+def _turned_over(frame: Frame | None) -> Frame | None:
+    if isinstance(frame, LaserScan):
+        return replace(frame, first_angle_rad=-frame.first_angle_rad, angle_step_rad=-frame.angle_step_rad)
+    if isinstance(frame, ImuSample):
+        (rx, ry, rz), (fx, fy, fz) = frame.rate_radps, frame.force_mps2
+        return replace(frame, rate_radps=(rx, -ry, -rz), force_mps2=(fx, -fy, -fz), orientation_wxyz=None)
+    return frame
 
 
 def frame_id(payload: bytes) -> str:

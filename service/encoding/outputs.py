@@ -1,7 +1,7 @@
 """What the mapper and the service put out -> ROS messages, and back where a file is read."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, cast
 
@@ -53,6 +53,12 @@ class Transform:
         return any(self.rotation_wxyz) and not any(self.rotation_wxyz[1:3])
 
     @property
+    def is_upside_down(self) -> bool:
+        """Planar, but for half a turn about the child's forward axis."""
+        w, x, y, z = self.rotation_wxyz
+        return any((x, y)) and not any((w, z))
+
+    @property
     def pose(self) -> SE2:
         """pose_frame_child in the plane; what a planar pose becomes on the wire."""
         w, x, y, z = self.rotation_wxyz
@@ -81,11 +87,23 @@ def encode_tf(output: MapperOutput, log_ns: int) -> Message:
     return wire.to_message("tf", wire.TF, output.stamp_ns, log_ns, ros.tf2_msgs__msg__TFMessage(transforms))
 
 
-def encode_tf_static(poses_base_sensor: Mapping[str, SE2], stamp_ns: int, log_ns: int) -> Message:
-    """base_link -> each sensor, as channel "tf_static"."""
+def encode_tf_static(
+    poses_base_sensor: Mapping[str, SE2],
+    stamp_ns: int,
+    log_ns: int,
+    height_m: Mapping[str, float] | None = None,
+    upside_down: Collection[str] = (),
+) -> Message:
+    """base_link -> each sensor, as channel "tf_static"; heights in m, 0 where none is given."""
     transforms = [
         _transform_ros(stamp_ns, wire.BASE_FRAME, sensor, pose) for sensor, pose in poses_base_sensor.items()
     ]
+    for transform in transforms:
+        sensor = transform.child_frame_id
+        transform.transform.translation.z = (height_m or {}).get(sensor, 0.0)
+        if sensor in upside_down:
+            q = transform.transform.rotation
+            q.w, q.x, q.y, q.z = 0.0, q.w, q.z, 0.0  # half a turn about x, then the yaw
     return wire.to_message("tf_static", wire.TF, stamp_ns, log_ns, ros.tf2_msgs__msg__TFMessage(transforms))
 
 
@@ -200,6 +218,12 @@ def decode_mountings(payload: bytes) -> dict[str, SE2]:
     The live mapper takes its mountings from here too, so that the replay has them to the last bit.
     """
     return {t.child: t.pose for t in decode_transforms(payload) if t.frame == wire.BASE_FRAME}
+
+
+def decode_upside_down(payload: bytes) -> frozenset[str]:
+    """Sensors that `encode_tf_static` said are mounted upside down. Raises InputError."""
+    edges = decode_transforms(payload)
+    return frozenset(t.child for t in edges if t.frame == wire.BASE_FRAME and t.is_upside_down)
 
 
 def decode_event(payload: bytes) -> str:

@@ -5,19 +5,26 @@ from dataclasses import replace
 from typing import Generic
 
 from drivers.frames import Frame, GnssFix, LaserScan
+from service.fusion.motion import Motion, Prediction
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
+from service.mapper.mounting_check import MountingCheck
 from service.mapper.scan_check import ScanCheck
 from service.mapper.stages import (
     FinishedGraph,
     Graph,
     GraphUpdate,
     MappedScan,
+    Match,
+    Points,
     ReadableMap,
     Stages,
     Stopwatch,
 )
-from service.outputs import MapperOutput, TileUpdate
+from service.outputs import MapperOutput, State, TileUpdate
+
+MOST_BEHIND_NS = 250_000_000  # that a sweep may have begun before the newest pose: a slow laser beside a fast
+WELL_NS = 500_000_000  # so long a scan that lay on the map vouches for the place
 
 
 class NoStopwatch:
@@ -31,8 +38,10 @@ class Mapper(Generic[ReadableMap]):
     def __init__(self, stages: Stages[ReadableMap], stopwatch: Stopwatch | None = None) -> None:
         self._stages = stages
         self._stopwatch = stopwatch if stopwatch is not None else NoStopwatch()
-        self._last_stamp_ns: int | None = None
-        self._check = ScanCheck()
+        self._last_ns: int | None = None  # moment of the newest pose
+        self._lasers: dict[str, LaserWatch] = {}
+        self._travelled_m = 0.0  # as predicted, from scan to scan
+        self._state: tuple[State, str] = ("ok", "")  # and its reason, of the newest scan that was mapped
         self._pose_map_odom = SE2()
         self.geo_reference: GeoReference | None = None  # None: where the map lies on the earth is not known
         self.counters: Counter[str] = Counter()  # scans, scans_dropped_late, samples_dropped_late ...
@@ -40,8 +49,9 @@ class Mapper(Generic[ReadableMap]):
     def process(self, frame: Frame) -> MapperOutput | None:
         """Take the next frame in the order of arrival. None for anything but a scan that was mapped.
 
-        A scan that is older than one already mapped is dropped and counted; time never runs backwards. So is
-        one whose stamp is seconds off those around it.
+        A scan that is older than another of its laser is dropped and counted; time never runs backwards. So
+        is one whose stamp is seconds off those around it. Sweeps of several lasers overlap: one that began
+        before the newest pose is brought to the moment right after that.
         """
         if isinstance(frame, GnssFix):
             self.counters[self._stages.graph.add_fix(frame)] += 1
@@ -50,26 +60,40 @@ class Mapper(Generic[ReadableMap]):
             if not self._stages.motion_model.add(frame):
                 self.counters["samples_dropped_late"] += 1
             return None
-        if self._check.refuses(frame):
+        laser = self._lasers.get(frame.sensor)
+        if laser is None:
+            laser = self._lasers[frame.sensor] = LaserWatch()
+            if len(self._lasers) > 1:
+                laser.mounting.begin()
+        if laser.check.refuses(frame):
             self.counters["scans_dropped_stamp"] += 1
             return None
-        if self._last_stamp_ns is not None and frame.stamp_ns <= self._last_stamp_ns:
+        at_ns = self._moment_of(frame, laser)
+        if at_ns is None:
             self.counters["scans_dropped_late"] += 1
             return None
-        self._last_stamp_ns = frame.stamp_ns
+        laser.stamp_ns, self._last_ns = frame.stamp_ns, at_ns
         self.counters["scans"] += 1
-        return self._process_scan(frame)
+        return self._process_scan(frame, at_ns, laser)
 
     def skip(self, scan: LaserScan) -> None:
         """Let a scan pass unmapped: the base is where wheels and gyro say it is, or stands without them.
 
         Dead reckoning goes from scan to scan, for the motion model forgets samples after a while.
         """
-        if self._last_stamp_ns is None or scan.stamp_ns <= self._last_stamp_ns:
+        if self._last_ns is None or scan.stamp_ns <= self._last_ns:
             return
-        self._last_stamp_ns = scan.stamp_ns
+        self._last_ns = scan.stamp_ns
         self._stages.motion_model.predict(scan.stamp_ns)
         self._stages.motion_model.correct(None)
+
+    def _moment_of(self, scan: LaserScan, laser: "LaserWatch") -> int | None:
+        """To which moment its points are brought, ns; None: it is too old."""
+        if laser.stamp_ns is not None and scan.stamp_ns <= laser.stamp_ns:
+            return None
+        if self._last_ns is None or scan.stamp_ns > self._last_ns:
+            return scan.stamp_ns
+        return self._last_ns + 1 if self._last_ns - scan.stamp_ns <= MOST_BEHIND_NS else None
 
     def changed_tiles(self) -> list[TileUpdate]:
         """Tiles of the shown map that changed since the last call."""
@@ -99,19 +123,27 @@ class Mapper(Generic[ReadableMap]):
         if update.sheet is not None:
             self._stages.free_space.lay(update.sheet, update.since)
 
-    def _process_scan(self, scan: LaserScan) -> MapperOutput:
+    def _process_scan(self, scan: LaserScan, at_ns: int, laser: "LaserWatch") -> MapperOutput:
         s, watch = self._stages, self._stopwatch
         watch.start()
-        predicted = s.motion_model.predict(scan.stamp_ns)  # where we should be, and how fast
-        if self._check.is_repeated(scan, predicted.travel_m):
-            return self._passed_over(scan)
-        points = s.deskew(scan, predicted)  # base frame, one instant; keeps each beam's time
+        predicted = s.motion_model.predict(at_ns)  # where we should be, and how fast
+        self._travelled_m += predicted.travel_m
+        moved_m, laser.travelled_m = self._travelled_m - laser.travelled_m, self._travelled_m
+        if laser.check.is_repeated(scan, moved_m):
+            return self._passed_over(scan, at_ns)
+        points = s.deskew(scan, predicted, at_ns)  # base frame, one instant; keeps each beam's time
         watch.lap("deskew")
+        if not laser.mounting.is_right and self._well_besides(scan.sensor, at_ns):
+            return self._compared(scan, at_ns, laser, points, predicted)
+        laser.mounting.trust()
         match = s.matcher.match(points, predicted, s.local_map)  # where we are
         match = replace(match, motion=s.motion_model.correct(match.measured))
+        watch.lap("match")
+        if match.state == "lost" and (well := self._well_besides(scan.sensor, at_ns)):
+            return self._contradicted(scan, at_ns, match, well)
+        laser.well_ns = at_ns if match.state != "lost" else None
         if match.state == "ok" and (fault := s.motion_model.fault):
             match = replace(match, state="degraded", reason=fault)
-        watch.lap("match")
         kept = s.keep_static(match.points, match)
         change = s.local_map.insert(kept, match)
         self.counters["keyframes"] += change.is_keyframe
@@ -119,35 +151,77 @@ class Mapper(Generic[ReadableMap]):
             s.motion_model.settle(change.error_left)
         covariance = predicted.local_covariance if match.measured is None else match.measured.covariance
         pose_map_odom = self._pose_map_odom = s.graph.add(
-            MappedScan(scan.stamp_ns, kept, match, change, covariance, predicted.elapsed_s)
+            MappedScan(at_ns, kept, match, change, covariance, predicted.elapsed_s)
         )
         if match.state != "lost":  # nothing is drawn from a place that nobody knows
             s.free_space.insert(kept, pose_map_odom @ match.motion.pose_odom_base)
         watch.lap("insert")
-        return MapperOutput(
-            stamp_ns=scan.stamp_ns,
-            pose_odom_base=match.motion.pose_odom_base,
-            pose_map_odom=pose_map_odom,
-            twist_base=match.motion.twist_base,
-            covariance=match.motion.covariance,
-            state=match.state,
-            reason=match.reason,
-            match_share=match.inlier_ratio,
-            geo_reference=self.geo_reference,
-        )
+        self._state = match.state, match.reason
+        return self._output(at_ns, match.motion, match.state, match.reason, match.inlier_ratio)
 
-    def _passed_over(self, scan: LaserScan) -> MapperOutput:
+    def _compared(
+        self, scan: LaserScan, at_ns: int, laser: "LaserWatch", points: Points, predicted: Prediction
+    ) -> MapperOutput:
+        """A scan of a laser whose mounting is to be checked: laid on the map, without a say in anything."""
+        self.counters[f"scans_compared_{scan.sensor}"] += 1
+        looked_for = laser.mounting.where_to_look(predicted)
+        match = self._stages.matcher.match(points, looked_for, self._stages.local_map)
+        if match.measured is not None and match.state != "lost":
+            laser.mounting.add(looked_for, match.measured)
+        else:
+            laser.mounting.miss()
+        motion = self._stages.motion_model.correct(None)
+        state, reason = self._state
+        if state == "ok" and laser.mounting.fault:
+            state, reason = "degraded", f"{scan.sensor} {laser.mounting.fault}"
+        return self._output(at_ns, motion, state, reason, match.inlier_ratio)
+
+    def _well_besides(self, sensor: str, at_ns: int) -> str:
+        """Another laser whose scans lay on the map just now; "" where there is none."""
+        well = [
+            name
+            for name, laser in self._lasers.items()
+            if name != sensor and laser.well_ns is not None and at_ns - laser.well_ns <= WELL_NS
+        ]
+        return min(well, default="")
+
+    def _contradicted(self, scan: LaserScan, at_ns: int, match: Match, well: str) -> MapperOutput:
+        """A scan that fits nowhere while those of another laser do: its laser is wrong, not the place."""
+        self.counters[f"scans_contradicting_{scan.sensor}"] += 1
+        reason = (
+            f"{scan.sensor} contradicts the map that {well} confirms ({match.reason}); it is left out. "
+            "Is its mounting as configured, is its window clean?"
+        )
+        return self._output(at_ns, match.motion, "degraded", reason, match.inlier_ratio)
+
+    def _passed_over(self, scan: LaserScan, at_ns: int) -> MapperOutput:
         """A scan that says nothing: the pose follows the prediction, and nothing is mapped."""
         self.counters["scans_repeated"] += 1
         motion = self._stages.motion_model.correct(None)
+        reason = f"{scan.sensor}: the same scan comes again though the vehicle moves; does the laser hang?"
+        state: State = "degraded" if self._well_besides(scan.sensor, at_ns) else "lost"
+        return self._output(at_ns, motion, state, reason, 0.0)
+
+    def _output(self, at_ns: int, motion: Motion, state: State, reason: str, share: float) -> MapperOutput:
         return MapperOutput(
-            stamp_ns=scan.stamp_ns,
+            stamp_ns=at_ns,
             pose_odom_base=motion.pose_odom_base,
             pose_map_odom=self._pose_map_odom,
             twist_base=motion.twist_base,
             covariance=motion.covariance,
-            state="lost",
-            reason=f"{scan.sensor}: the same scan comes again though the vehicle moves; does the laser hang?",
-            match_share=0.0,
+            state=state,
+            reason=reason,
+            match_share=share,
             geo_reference=self.geo_reference,
         )
+
+
+class LaserWatch:
+    """What is remembered of one laser."""
+
+    def __init__(self) -> None:
+        self.check = ScanCheck()
+        self.mounting = MountingCheck()
+        self.stamp_ns: int | None = None  # of its newest scan
+        self.well_ns: int | None = None  # moment of its newest scan, if that lay on the map
+        self.travelled_m = 0.0  # of the mapper, up to that scan

@@ -79,7 +79,7 @@ class MappingConfig(BaseModel):
     profile: str = "corridor"
     cell_m: float = Field(default=0.05, ge=0.01, le=0.5)
     mode: Literal["mapping"] = "mapping"
-    lasers: tuple[str, ...] | None = None  # whose scans are mapped; None: those of the first laser
+    lasers: tuple[str, ...] | None = None  # whose scans are mapped; None: all that do not say map: false
     stages: dict[Box, str] = {}
     settings: Any = None  # by box: the settings of the stage in it; None: the profile's
 
@@ -99,12 +99,9 @@ class MappingConfig(BaseModel):
 
     @field_validator("lasers")
     @classmethod
-    def _one(cls, lasers: tuple[str, ...] | None) -> tuple[str, ...] | None:
-        if lasers is not None and len(lasers) != 1:
-            raise ValueError(
-                f"one laser is mapped, not {len(lasers)}; name one of them, or leave lasers out. "
-                "The scans of the others are published and recorded all the same"
-            )
+    def _some(cls, lasers: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        if lasers is not None and (not lasers or len(set(lasers)) != len(lasers)):
+            raise ValueError("name each laser that is mapped once; leave lasers out to map all of them")
         return lasers
 
 

@@ -21,11 +21,11 @@ from service.outputs import State, TileUpdate
 class Points:
     """End points of one scan, those without a return left out, in beam order."""
 
-    xy_base: npt.NDArray[np.float64]  # (N, 2) m, base frame at beam 0: motion during the sweep is taken out
+    xy_base: npt.NDArray[np.float64]  # (N, 2) m, base frame at one moment: the sweep's motion is taken out
     xy_raw: npt.NDArray[
         np.float64
     ]  # (N, 2) m, base frame at each beam's own moment: a matcher may deskew anew
-    beam_time_s: npt.NDArray[np.float64]  # (N,) since beam 0
+    beam_time_s: npt.NDArray[np.float64]  # (N,) since that moment; that of beam 0 where one laser is mapped
     beam: npt.NDArray[np.int32]  # (N,) which beam of the scan
     sensor_base: SE2  # pose of the sensor in the base frame (pose_base_sensor)
     scan: LaserScan
@@ -267,7 +267,7 @@ class Stages(Generic[ReadableMap]):
     """What stands in the boxes of one mapper."""
 
     motion_model: MotionModel
-    deskew: Callable[[LaserScan, Motion], Points]
+    deskew: Callable[[LaserScan, Motion, int], Points]  # to the moment of the motion, ns
     matcher: Matcher[ReadableMap]
     local_map: ReadableMap
     keep_static: Callable[[Points, Match], Points]

@@ -1,7 +1,7 @@
-"""One laser's mapper that can be paused and begun anew between two frames, live and in a replay alike."""
+"""A mapper that can be paused and begun anew between two frames, live and in a replay alike."""
 
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol
 
@@ -77,8 +77,7 @@ class FrameMapper(Protocol):
 class SteeredMapper:
     """Frames and wishes in, outputs out. Same order in, same outputs out.
 
-    Of several lasers one is mapped, `laser`: their sweeps overlap in time, and what is older than the newest
-    scan mapped would be late. Scans of the others are counted and pass. None: no laser is mapped.
+    Scans of lasers that are not among `lasers` are counted and pass.
 
     In a pause no scan is mapped and no pose comes out; samples go on to the motion model, so that it knows
     the way driven meanwhile. A reset puts a fresh mapper in the place of the old: map and `pose_map_base`
@@ -92,10 +91,10 @@ class SteeredMapper:
     def __init__(
         self,
         new_mapper: Callable[[], FrameMapper],
-        laser: str | None,
+        lasers: Collection[str],
         take_in_after: int | None = TAKE_IN_AFTER_SCANS,
     ) -> None:
-        self.laser = laser
+        self.lasers = frozenset(lasers)
         self._take_in_after = take_in_after
         self._ages: deque[int] = deque()  # scans mapped when each piece of work went out
         self._new_mapper = new_mapper
@@ -109,7 +108,7 @@ class SteeredMapper:
         """As Mapper.process. A scan that is older than one mapped before a reset is dropped as late."""
         if not isinstance(frame, LaserScan):
             return self._mapper.process(frame)
-        if frame.sensor != self.laser:
+        if frame.sensor not in self.lasers:
             self.counters["scans_not_mapped"] += 1
             return None
         if self._began is not None and frame.stamp_ns <= self._began[0]:
@@ -130,7 +129,7 @@ class SteeredMapper:
 
     def maps(self, scan: LaserScan) -> bool:
         """Whether `process` would map it, were it in order."""
-        return scan.sensor == self.laser and not self.paused
+        return scan.sensor in self.lasers and not self.paused
 
     def pass_over(self, scan: LaserScan) -> None:
         """Leave out a scan that is too old to be mapped: the base is where wheels and gyro say."""

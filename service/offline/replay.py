@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from drivers.frames import LaserScan
-from service.config import ServiceConfig, laser_names, load_config, mapped_laser, mountings, parse_config
+from service.config import ServiceConfig, laser_names, load_config, mapped_lasers, mountings, parse_config
 from service.encoding import LASER_SCAN, pose_on_wire
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import ConfigError, InputError, StorageError
@@ -137,14 +137,14 @@ def replay(
     session = open_session(paths)
     for note in session.notes:
         log.info("%s", note)
-    mapping, poses_base_sensor, laser, as_live = _setup(session, options)
-    log.info("mapping the scans of %s", laser)
+    mapping, poses_base_sensor, lasers, as_live = _setup(session, options)
+    log.info("mapping the scans of %s", ", ".join(lasers))
     warm_up_encoding()
     warm_up_kernels(mapping)
     stages, scan_ns, scan_cpu_ns, states = StageTimes(), [], [], Counter[str]()
     mapper = SteeredMapper(
         lambda: build_mapper(mapping, poses_base_sensor, stages, new_patch_store=PatchFiles),
-        laser,
+        lasers,
         take_in_after=None if as_live else TAKE_IN_AFTER_SCANS,
     )
     tiles: list[TileUpdate] = []
@@ -278,8 +278,10 @@ def _wish(mapper: SteeredMapper, wish: Wish) -> None:
         log.info("%s", error)
 
 
-def _setup(session: Session, options: ReplayOptions) -> tuple[MappingConfig, Mapping[str, SE2], str, bool]:
-    """How to map, where the lasers sit, which of them is mapped, and whether all is as it was live.
+def _setup(
+    session: Session, options: ReplayOptions
+) -> tuple[MappingConfig, Mapping[str, SE2], Sequence[str], bool]:
+    """How to map, where the lasers sit, which of them are mapped, and whether all is as it was live.
 
     By --config, else by the recording's own config, else defaults.
     """
@@ -300,21 +302,26 @@ def _setup(session: Session, options: ReplayOptions) -> tuple[MappingConfig, Map
     configured = mountings(config.sensors) if config is not None else {}
     poses = {name: configured.get(name, pose) for name, pose in session.mountings.items()}
     as_live = recorded is not None and mapping == recorded.mapping
-    return mapping, poses, _laser(session, config), as_live
+    return mapping, poses, _lasers(session, config), as_live
 
 
-def _laser(session: Session, config: ServiceConfig | None) -> str:
-    """Whose scans are mapped: as the config says; where that knows none, those of the fullest topic."""
+def _lasers(session: Session, config: ServiceConfig | None) -> Sequence[str]:
+    """Whose scans are mapped: as the config says. Where that knows none of them, those of every laser whose
+    mounting is known; where none is, of the one with most scans.
+    """
     scans = session.scan_counts
     if config is None or (config.mapping.lasers is None and not scans.keys() & laser_names(config.sensors)):
-        return min(scans, key=lambda name: (-scans[name], name))
-    laser = mapped_laser(config)
-    if laser not in scans:
+        mounted = sorted(scans.keys() - session.unmounted)
+        return mounted or [min(scans, key=lambda name: (-scans[name], name))]
+    wanted = mapped_lasers(config)
+    lasers = [name for name in wanted if name in scans]
+    if not lasers or (config.mapping.lasers is not None and len(lasers) < len(wanted)):
         raise InputError(
-            f"{session.recording.paths[0]}: the config maps {laser or 'no laser'}, but the scans here are of "
-            f"{' and '.join(scans)}; name one of these in mapping.lasers of a config and give it by --config"
+            f"{session.recording.paths[0]}: the config maps {' and '.join(wanted) or 'no laser'}, but the "
+            f"scans here are of {' and '.join(scans)}; name some of these in mapping.lasers of a config and "
+            "give it by --config"
         )
-    return laser
+    return lasers
 
 
 def _with_profile(profile: str, mapping: MappingConfig) -> MappingConfig:
@@ -349,12 +356,12 @@ def _folder(out: Path | None, session: Sequence[Path], sessions: int) -> Path | 
 
 
 def _dropped(session: Session, mapper: SteeredMapper) -> int:
-    """Scans of the mapped laser that were read and not mapped: out of order, or without anything to map."""
+    """Scans of the mapped lasers that were read and not mapped: out of order, or without anything to map."""
     late = sum(count for name, count in mapper.counters.items() if name.startswith("scans_dropped"))
     scans = [
         topic.name
         for topic in session.recording.topics
-        if topic.type == LASER_SCAN and mapper.laser in session.devices.get(topic.name, {}).values()
+        if topic.type == LASER_SCAN and mapper.lasers & set(session.devices.get(topic.name, {}).values())
     ]
     return late + sum(session.counters[f"{topic} unusable"] for topic in scans)
 

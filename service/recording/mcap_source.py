@@ -7,12 +7,12 @@ header.frame_id in a topic is a device of its own.
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import chain, groupby, islice
 from pathlib import Path
 from typing import Any
 
-from drivers.frames import Frame, LaserScan
+from drivers.frames import Frame
 from service.encoding import (
     BASE_FRAME,
     IMU,
@@ -48,6 +48,8 @@ class Session:
                    topic, by their shares at its beginning
     mountings      sensor name -> pose_base_sensor, for lasers; from /tf_static
     metadata       config, calibration, clocks as written by the recorder; empty in foreign recordings
+    upside_down    sensors that are mounted so; what they say is turned back
+    unmounted      lasers taken as sitting at the base's origin, for nothing says where they sit
     events         topics whose events may steer the mapper: ours has one, others have none
     notes          what was chosen and what was passed over, one line each, for people
     counters       filled while reading: frames by topic, messages without usable content, and those refused
@@ -61,6 +63,7 @@ class Session:
     mountings: dict[str, SE2]
     notes: list[str]
     upside_down: frozenset[str]
+    unmounted: frozenset[str] = frozenset()
     events: tuple[str, ...] = ()
     counters: Counter[str] = field(default_factory=Counter)
     frame_ids: dict[str, Counter[str]] = field(default_factory=dict)
@@ -114,16 +117,14 @@ class Session:
                 if sensor is None:
                     self.counters[f"{topic} refused"] += 1
                     continue
-                frame = decode_frame(message.type, message.payload, sensor, message.log_ns)
+                over = sensor in self.upside_down
+                frame = decode_frame(message.type, message.payload, sensor, message.log_ns, over)
             except InputError:
                 frame = None
             if frame is None or sensor is None:
                 self.counters[f"{topic} unusable"] += 1
                 continue
             self.counters[topic] += 1
-            if sensor in self.upside_down and isinstance(frame, LaserScan):
-                first, step = -frame.first_angle_rad, -frame.angle_step_rad
-                frame = replace(frame, first_angle_rad=first, angle_step_rad=step)
             yield frame
 
     def _in_order(self) -> Iterator[Message]:
@@ -156,8 +157,10 @@ def open_session(paths: Sequence[Path]) -> Session:
     moved = [decode_pose(s.head.payload).child.lstrip("/") for s in chosen if s.topic.type == ODOMETRY]
     bases = tuple(dict.fromkeys([*filter(None, moved), *BASE_FRAMES]))  # what the odometry moves is the base
     mounts: dict[str, Mounting] = {}
+    upside_down: set[str] = set()
+    unmounted: set[str] = set()
     for source in chosen:
-        if source.topic.type == ODOMETRY or (source.topic.type == IMU and ours):
+        if source.topic.type == ODOMETRY:
             continue
         try:
             mount = _mount(source, sources[source.topic.name], tree, bases, notes)
@@ -165,6 +168,10 @@ def open_session(paths: Sequence[Path]) -> Session:
             notes.append(f"passed over {source}: {error}")
             del sensors[source]
             continue
+        if mount.is_guess:
+            unmounted.add(sensors[source])
+        if mount.upside_down:
+            upside_down.add(sensors[source])
         if source.topic.type == LASER_SCAN:
             mounts[sensors[source]] = mount
     if not mounts:
@@ -182,7 +189,8 @@ def open_session(paths: Sequence[Path]) -> Session:
         },
         mountings={sensor: mount.pose_base_sensor for sensor, mount in mounts.items()},
         notes=[f"reading {', '.join(map(str, sensors))}", *notes],
-        upside_down=frozenset(sensor for sensor, mount in mounts.items() if mount.upside_down),
+        upside_down=frozenset(upside_down),
+        unmounted=frozenset(unmounted),
         events=tuple(t.name for t in recording.topics if ours and (t.name, t.type) == ("/events", STRING)),
     )
 
@@ -314,11 +322,9 @@ def _mount(
         if mounted or source is not of_topic[0]:
             raise MountingError(f"{where}, and in this topic it is not the only one")
         notes.append(f"{source}: {where}; taken as mounted at the base's origin, looking ahead")
-        return Mounting(SE2(), upside_down=False)
+        return Mounting(SE2(), upside_down=False, is_guess=True)
     if mount.upside_down:
-        if source.topic.type == IMU:
-            raise MountingError("mounted upside down")
-        notes.append(f"{source}: mounted upside down; its angles are mirrored")
+        notes.append(f"{source}: mounted upside down; what it says is turned back")
     return mount
 
 

@@ -22,6 +22,7 @@ class Mounting:
 
     pose_base_sensor: SE2
     upside_down: bool  # its angles run clockwise seen from above
+    is_guess: bool = False  # nothing says where it sits
 
 
 class MountingError(Exception):
@@ -71,8 +72,8 @@ def planar_mounting(tree: StaticTree, bases: Sequence[str], sensor_frame: str) -
     if base is None:
         return None
     edge = tree.edges.get(sensor_frame)
-    if edge is not None and edge.frame == base and edge.is_planar:
-        return Mounting(edge.pose, upside_down=False)  # exactly as the live mapper had it
+    if edge is not None and edge.frame == base and (edge.is_planar or edge.is_upside_down):
+        return Mounting(edge.pose, edge.is_upside_down)  # exactly as the live mapper had it
     matrix = above[base]
     up = float(np.clip(matrix[2, 2], -1.0, 1.0))
     tilt_deg = math.degrees(math.acos(abs(up)))

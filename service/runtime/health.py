@@ -167,7 +167,7 @@ class HealthReport:
         outputs, last = self._outputs, self._outputs.last
         values = {name: str(count) for name, count in sorted(outputs.counters.items())}
         values |= {
-            "laser": outputs.laser or "",
+            "lasers": " ".join(outputs.lasers),
             "scan_rate_hz": f"{self._scan_rate.rate_hz:.1f}",
             "scans_dropped": str(self.scans_dropped),
             "queue_length": str(self._link.waiting),
@@ -184,7 +184,8 @@ class HealthReport:
         if outputs.graph_trouble:
             values["graph_trouble"] = outputs.graph_trouble
         if last is None:
-            words = f"no scan of {outputs.laser} mapped yet" if outputs.laser else "no laser is configured"
+            lasers = " or ".join(outputs.lasers)
+            words = f"no scan of {lasers} mapped yet" if lasers else "no laser is mapped"
             return Status("mapping", WARNING, words, values)
         values |= {"state": last.state, "match_share": f"{last.match_share:.3f}"}
         level, words = _LEVEL_OF_POSE[last.state], last.reason or last.state

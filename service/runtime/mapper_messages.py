@@ -83,7 +83,8 @@ class Setup:
 
     mapping: Mapping[str, Any]  # the section of the config, as it can be written to YAML
     mountings: Mapping[str, SE2]  # pose_base_sensor of each laser
-    laser: str | None  # whose scans are mapped
+    lasers: tuple[str, ...]  # whose scans are mapped
+    upside_down: frozenset[str]  # sensors that are mounted so
     graph_patience_s: float  # how long it may wait for the graph, all waits taken together
     log_level: int
 

@@ -70,7 +70,9 @@ class MapperProcess:
                 new_patch_store=self._new_patch_store,
             )
 
-        self._loop = MappingLoop(SteeredMapper(new_mapper, setup.laser, take_in_after=None), self._send)
+        self._loop = MappingLoop(
+            SteeredMapper(new_mapper, setup.lasers, take_in_after=None), self._send, setup.upside_down
+        )
         self._items: deque[Item] = deque()
         self._is_finishing = False
         self._copied_number = -1

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 from drivers.frames import Frame, LaserScan
@@ -52,10 +52,12 @@ class MappingLoop:
         self,
         mapper: SteeredMapper,
         send: Callable[[Any], None],
+        upside_down: Collection[str] = (),
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self.mapper = mapper
         self._send = send
+        self._upside_down = frozenset(upside_down)
         self._monotonic_ns = monotonic_ns
         self._tiles_due_ns = self._status_due_ns = 0
         self._map_stamp_ns = 0  # Unix time of the newest scan in the map
@@ -126,9 +128,10 @@ class MappingLoop:
     def _take_frame(self, item: FrameItem) -> None:
         if item.number in self._decided.refused:
             return
-        frame = decode_frame(item.type, item.payload, item.sensor, item.log_ns)
+        is_turned = item.sensor in self._upside_down
+        frame = decode_frame(item.type, item.payload, item.sensor, item.log_ns, is_turned)
         if frame is None:
-            is_mapped = item.sensor == self.mapper.laser and item.type.endswith("LaserScan")
+            is_mapped = item.sensor in self.mapper.lasers and item.type.endswith("LaserScan")
             self._tell(item.number, Unusable(item.number, item.sensor, is_mapped))
             return
         if isinstance(frame, LaserScan) and self._is_passed_over(frame, item):

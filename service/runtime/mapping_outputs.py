@@ -3,7 +3,7 @@
 import json
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -29,7 +29,7 @@ class MappingOutputs:
 
     def __init__(
         self,
-        laser: str | None,
+        lasers: Sequence[str],
         tiles: TileStore,
         publish: Callable[[Message, int | None], Any],
         record: Callable[[Message], Any],
@@ -37,7 +37,7 @@ class MappingOutputs:
         log_ns: Callable[[], int],
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        self.laser = laser  # whose scans are mapped
+        self.lasers = tuple(lasers)  # whose scans are mapped
         self._tiles = tiles
         self._publish = publish
         self._record = record
@@ -54,7 +54,7 @@ class MappingOutputs:
         self.geo_reference: GeoReference | None = None
         self.states: Counter[str] = Counter()  # scans by state: ok, degraded, lost
         self.scan_cpu = LatencyHistogram()  # processor time in the mapper, by scan mapped
-        self.unusable_scans = 0  # of the laser that is mapped
+        self.unusable_scans = 0  # of the lasers that are mapped
         self.unusable: Counter[str] = Counter()  # frames that hold nothing to map, by sensor
         self.passed_over: Counter[str] = Counter()  # scans that were too old, by sensor
         self.restarts = 0  # of the mapper

@@ -23,8 +23,8 @@ from typing import Any
 from drivers.frames import Frame
 from drivers.link import LinkHealth, RawChunk, run_link
 from drivers.registry import SENSOR_KINDS
-from service.config import ServiceConfig, mapped_laser, mountings
-from service.encoding import encode_event, encode_raw, encode_tf_static
+from service.config import ServiceConfig, mapped_lasers, mounted_upside_down, mountings, tf_static
+from service.encoding import encode_event, encode_raw
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import CorridorError, StorageError
 from service.mapstore.tiles import TileStore
@@ -128,7 +128,7 @@ class Service:
         )
         self._publisher = ZenohPublisher(config.publishing, config.vehicle, self._tiles, self._latency.add)
         self._outputs = MappingOutputs(
-            mapped_laser(config),
+            mapped_lasers(config),
             self._tiles,
             self._publisher.put,
             self._recorder.put,
@@ -280,16 +280,15 @@ class Service:
         return Setup(
             mapping=config.mapping.model_dump(mode="json", exclude_defaults=True),
             mountings=mountings(config.sensors),
-            laser=mapped_laser(config),
+            lasers=mapped_lasers(config),
+            upside_down=mounted_upside_down(config.sensors),
             graph_patience_s=GRAPH_FINISH_S,
             log_level=logging.getLogger().getEffectiveLevel(),
         )
 
     def _start_drivers(self) -> None:
-        poses = mountings(self._config.sensors)
-        if poses:
-            unix_ns = self._unix_ns()
-            static = encode_tf_static(poses, unix_ns, unix_ns)
+        if mountings(self._config.sensors):
+            static = tf_static(self._config.sensors, self._unix_ns())
             self._recorder.put(static)
             self._publisher.put(static)
         for name, sensor in self._config.sensors.items():

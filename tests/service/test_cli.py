@@ -91,20 +91,23 @@ def test_check_accepts_a_good_config_both_ways(
     assert capsys.readouterr().out == f"{good}: ok; front is mapped\n"
 
 
-def test_check_says_which_laser_is_mapped(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_check_says_which_lasers_are_mapped(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     front = "{front: {type: sick_lms100, host: a}"
     rear = f"{front}, rear: {{type: hokuyo_utm30lx, host: b}}, imu: {{type: xsens_mtig, device: /dev/imu}}"
     config = tmp_path / "two.yaml"
+    config.write_text(GOOD.replace(front, rear))
+    assert main(["check", str(config)]) == 0
+    assert capsys.readouterr().out == f"{config}: ok; front and rear are mapped\n"
     config.write_text(GOOD.replace(front, rear) + "mapping: {lasers: [rear]}\n")
     assert main(["check", str(config)]) == 0
     said = capsys.readouterr().out
     assert said == f"{config}: ok; rear is mapped; scans of front are published and recorded, not mapped\n"
     assert main(["check", str(config), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["mapped_laser"] == "rear"
+    assert json.loads(capsys.readouterr().out)["mapped_lasers"] == ["rear"]
     config.write_text(GOOD.replace("sensors: {front: {type: sick_lms100, host: a}}",
                                    "sensors: {base: {type: irobot_create, device: /dev/b}}"))  # fmt: skip
     assert main(["check", str(config)]) == 0
-    assert "there is no laser" in capsys.readouterr().out
+    assert "no laser is mapped" in capsys.readouterr().out
 
 
 def test_check_lists_every_fault_and_exits_with_78(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -7,7 +7,16 @@ import pytest
 from drivers.irobot_create.config import IrobotCreateConfig
 from drivers.registry import SENSOR_KINDS
 from drivers.sick_lms100.config import Lms100Config
-from service.config import laser_names, load_config, mapped_laser, mountings, parse_config
+from service.config import (
+    laser_names,
+    load_config,
+    mapped_lasers,
+    mounted_upside_down,
+    mountings,
+    parse_config,
+    tf_static,
+)
+from service.encoding import decode_transforms
 from service.errors import ConfigError
 
 ROOT = Path(__file__).parents[2]
@@ -134,9 +143,12 @@ def test_only_sensors_with_a_mounting_have_one():
         (GOOD + "mapping: {lasers: [base]}\n", "c.yaml:9:20: mapping.lasers.0: base gives no scans; known"),
         (
             GOOD + "mapping: {lasers: [front, front]}\n",
-            "c.yaml:9:11: mapping.lasers: one laser is mapped, not 2; name one of them, or leave lasers out",
+            "c.yaml:9:11: mapping.lasers: name each laser that is mapped once; leave lasers out",
         ),
-        (GOOD + "mapping: {lasers: []}\n", "c.yaml:9:11: mapping.lasers: one laser is mapped, not 0"),
+        (
+            GOOD + "mapping: {lasers: []}\n",
+            "c.yaml:9:11: mapping.lasers: name each laser that is mapped once",
+        ),
         (GOOD + "web: {listen: 127.0.0.1:8080}\n", "c.yaml:9:1: web: unknown key; known here: vehicle, "),
         ("- a\n", "c.yaml:1:1: a config is a mapping with the keys vehicle, sensors, "),
         ("", "c.yaml:1:1: a config is a mapping with the keys vehicle, sensors, "),
@@ -157,14 +169,27 @@ def test_all_faults_come_at_once_and_in_order_of_place():
     ]
 
 
-def test_the_first_laser_is_mapped_unless_another_is_named():
+def test_every_laser_is_mapped_unless_it_says_no_or_others_are_named():
     text = with_line("  imu: {type: xsens_mtig, device: /dev/i}\n  lux: {type: ibeo_lux, host: b}\n"
                      "  rear: {type: hokuyo_utm30lx, host: c}", 3)  # fmt: skip
     config = parse_config(text, "c.yaml")
     assert laser_names(config.sensors) == ["lux", "rear"]
-    assert mapped_laser(config) == "lux"
-    assert mapped_laser(parse_config(text + "mapping: {lasers: [rear]}\n", "c.yaml")) == "rear"
-    assert mapped_laser(parse_config(with_line("", 3), "c.yaml")) is None
+    assert mapped_lasers(config) == ("lux", "rear")
+    assert mapped_lasers(parse_config(text + "mapping: {lasers: [rear]}\n", "c.yaml")) == ("rear",)
+    without = text.replace("host: b}", "host: b, map: false}")
+    assert mapped_lasers(parse_config(without, "c.yaml")) == ("rear",)
+    assert mapped_lasers(parse_config(with_line("", 3), "c.yaml")) == ()
+
+
+def test_a_sensor_upside_down_and_its_height_stand_in_its_mounting():
+    text = with_line("  front: {type: sick_lms100, host: a, mounting: {x_m: 0.2, z_m: 0.3, yaw_deg: 30.0, "
+                     "upside_down: true}}", 3)  # fmt: skip
+    sensors = parse_config(text, "c.yaml").sensors
+    assert mounted_upside_down(sensors) == {"front"}
+    pose = mountings(sensors)["front"]
+    assert (pose.x_m, math.degrees(pose.theta_rad)) == (0.2, pytest.approx(30.0))
+    (edge,) = decode_transforms(tf_static(sensors, 0).payload)
+    assert edge.translation_m == (0.2, 0.0, 0.3)
 
 
 def test_a_laser_whose_type_is_wrong_is_said_once():
@@ -204,7 +229,7 @@ def test_what_the_complete_example_leaves_out_is_right_too():
     text = (ROOT / "config" / "vehicle.yaml").read_text()
     whole = parse_config(re.sub(r"(?m)^  # (?=rear:|lux:|imu:|  \w+: )", "  ", text), "vehicle.yaml")
     assert {sensor.type for sensor in whole.sensors.values()} == set(SENSOR_KINDS)
-    assert mapped_laser(whole) == "front"
+    assert mapped_lasers(whole) == ("front", "rear", "lux")
     assert "\n  lasers: null" in text
 
 

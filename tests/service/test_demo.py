@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service import demo
-from service.config import mapped_laser
+from service.config import mapped_lasers
 from service.demo import DemoOptions, Simulators, demo_config, interpolate, pose_error
 from service.encoding import encode_pose
 from service.errors import ConfigError, CorridorError, UsageError
@@ -40,7 +40,7 @@ def test_the_config_is_what_a_user_would_write_for_these_devices(tmp_path: Path)
     assert config.sensors["lux"].port == 12002
     assert config.sensors["imu"].device == "/dev/pts/5"
     assert config.sensors["base"].device == "/dev/pts/3"
-    assert mapped_laser(config) == "front"
+    assert mapped_lasers(config) == ("front", "rear", "lux")
     assert config.recording.directory == tmp_path
     assert config.publishing.listen == ("tcp/127.0.0.1:7447",)
 

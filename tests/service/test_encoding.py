@@ -538,4 +538,4 @@ def test_warm_up_reads_and_writes_every_type():
 
 def test_log_times_rise_strictly_and_follow_the_clock():
     clock = LogClock()
-    assert [clock.next_ns(t) for t in (10, 10, 5, 20)] == [10, 11, 12, 20]
+    assert [clock.next_ns(t) for t in (10, 10, 5, 20)] == [10, 12, 14, 20]

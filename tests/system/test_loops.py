@@ -75,11 +75,11 @@ class Live:
         self._kill_at = kill_at
         mapping = parse_config(CONFIG, "config").mapping
         mapper = SteeredMapper(
-            lambda: build_mapper(mapping, MOUNTINGS, new_worker=self.process.new_worker), "front", None
+            lambda: build_mapper(mapping, MOUNTINGS, new_worker=self.process.new_worker), ["front"], None
         )
         log_clock = LogClock()
         self.outputs = MappingOutputs(
-            "front",
+            ["front"],
             TileStore(),
             self._publish,
             recorder.put,

@@ -36,7 +36,8 @@ class DeskewByTwist:
         self._noise: dict[str, tuple[int, float]] = {}
         self._directions: dict[tuple[str, float, float, int], npt.NDArray[np.float64]] = {}
 
-    def __call__(self, scan: LaserScan, motion: Motion) -> Points:
+    def __call__(self, scan: LaserScan, motion: Motion, at_ns: int | None = None) -> Points:
+        """Points at the moment of the motion, at_ns; None: that of the first beam. Raises InputError."""
         mounting = self._mountings.get(scan.sensor)
         if mounting is None:
             known = ", ".join(sorted(self._mountings)) or "none"
@@ -60,6 +61,8 @@ class DeskewByTwist:
             returns,
         )
         xy_raw, beam_time_s = returns.xy_raw[:count], returns.beam_time_s[:count]
+        if at_ns is not None and at_ns != scan.stamp_ns:
+            beam_time_s -= (at_ns - scan.stamp_ns) * 1e-9
         xy_base = np.empty((count, 2))
         deskew_points(xy_raw, beam_time_s, np.array(motion.twist_base), xy_base)
         sensor_xy_m = np.array([mounting.x_m, mounting.y_m])

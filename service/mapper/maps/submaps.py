@@ -166,6 +166,7 @@ class SurfelSubmaps:
         self._moved_m = 0.0  # from the key frame before
         self._travelled_m = 0.0  # since the younger of the pair was begun
         self._last_keyframe: SE2 | None = None
+        self._last_of: dict[str, SE2] = {}  # by laser: each sees another part of what is around
 
     @property
     def matched_to(self) -> Submap | None:
@@ -214,10 +215,11 @@ class SurfelSubmaps:
         closed = None
         if self._detached is not None:
             self._detached.release()
-            self._detached, self._last_keyframe = None, None
-        if self._pair and not self._is_keyframe(pose, self._pair[0]):
+            self._detached = None
+            self._begin_keyframes()
+        if self._pair and not self._is_keyframe(points, pose, self._pair[0]):
             return MapChange(closed, piece=self._joined_piece)
-        self._advance(pose)
+        self._advance(points, pose)
         if not self._pair or self._travelled_m >= self._config.spacing_m:
             retired = self._begin_submap()
             closed = closed if retired is None else retired
@@ -232,33 +234,39 @@ class SurfelSubmaps:
             if self._detached is not None:
                 self._detached.release()
             self._detached = self._new_submap()
-            self._last_keyframe, self._misses = None, 0
+            self._begin_keyframes()
+            self._misses = 0
             self._piece += 1
-            self._advance(pose)
+            self._advance(points, pose)
             self._insert_keyframe([self._detached], points, pose)
             return MapChange(is_keyframe=True, error_left=NEW_PIECE_ERROR, piece=self._piece)
         elif match.measured is None:
             return MapChange(piece=self._piece)
-        if not self._is_keyframe(pose, self._detached):
+        if not self._is_keyframe(points, pose, self._detached):
             return MapChange(piece=self._piece)
-        self._advance(pose)
+        self._advance(points, pose)
         self._insert_keyframe([self._detached], points, pose)
         return MapChange(is_keyframe=True, error_left=self._error_left(), piece=self._piece)
 
     def _error_left(self) -> float:
         return math.exp(-self._moved_m / self._config.memory_m)
 
-    def _is_keyframe(self, pose: SE2, submap: Submap) -> bool:
-        """Whether a sub-map wants a scan from here: one that is new, or farther on than the last."""
-        last = self._last_keyframe
+    def _begin_keyframes(self) -> None:
+        self._last_keyframe = None
+        self._last_of.clear()
+
+    def _is_keyframe(self, points: Points, pose: SE2, submap: Submap) -> bool:
+        """Whether a sub-map wants a scan from here: it is new, or this laser is farther on than it was."""
+        last = self._last_of.get(points.scan.sensor)
         if last is None or submap.scan_count < FIRST_SCANS:
             return True
         moved_m = math.hypot(pose.x_m - last.x_m, pose.y_m - last.y_m)
         turned_rad = abs(wrap_angle(pose.theta_rad - last.theta_rad))
         return moved_m >= self._config.keyframe_distance_m or turned_rad >= self._config.keyframe_turn_rad
 
-    def _advance(self, pose: SE2) -> None:
+    def _advance(self, points: Points, pose: SE2) -> None:
         last = self._last_keyframe
+        self._last_of[points.scan.sensor] = pose
         self._moved_m = math.hypot(pose.x_m - last.x_m, pose.y_m - last.y_m) if last is not None else 0.0
         self._travelled_m += self._moved_m
         self._last_keyframe = pose

@@ -59,6 +59,7 @@ class _Attempt:
     normals: Matrix  # (N, 3) from estimate_normals
     predicted: Prediction
     prior: Prior
+    usual_ratio: float  # inlier ratio of this laser's scans of late
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +102,7 @@ class SurfelGaussNewton:
             settled_rad=SETTLED_RAD,
         )
         self._bias = RangeBias()
-        self._usual_ratio = 1.0
+        self._usual_ratios: dict[str, float] = {}  # by laser: each sees other things
         self._rest_until_ns = 0  # no wide search before
         self._gap: _Gap | None = None
         self._began: _Gap | None = None  # the gap of a piece that would begin with this scan
@@ -125,10 +126,12 @@ class SurfelGaussNewton:
         elif local_map.detached is not self._detached:  # a piece that begins where the prediction puts it
             self._detached = local_map.detached
             self._gap, self._hypothesis = self._began, None
-        attempt = _Attempt(points, local_map.normals_of(points), predicted, _prior_of(predicted, self._gap))
+        usual = self._usual_ratios.get(points.scan.sensor, 1.0)
+        prior = _prior_of(predicted, self._gap)
+        attempt = _Attempt(points, local_map.normals_of(points), predicted, prior, usual)
         laid = self._searched(self._lay(attempt, attempt.prior.pose, submap), attempt)
         if laid.state != "lost" and self._is_found(laid, attempt):
-            self._usual_ratio += (laid.result.share - self._usual_ratio) / USUAL_SCANS
+            self._usual_ratios[points.scan.sensor] = usual + (laid.result.share - usual) / USUAL_SCANS
             self._learn_bias(laid, attempt)
             return self._as_match(laid, attempt, laid.state, laid.reason)
         self._began = _Gap(predicted.pose_odom_base, attempt.prior.covariance)
@@ -172,7 +175,7 @@ class SurfelGaussNewton:
         return Match(motion, deskewed, result.share, state, reason, laid.submap.number, measured)
 
     def _learn_bias(self, laid: _Laid, attempt: _Attempt) -> None:
-        if self._gap is not None or laid.result.share < DOUBT_RATIO * self._usual_ratio:
+        if self._gap is not None or laid.result.share < DOUBT_RATIO * attempt.usual_ratio:
             return
         if not self._bias.is_due(attempt.points.scan.sensor, attempt.predicted.travel_m):
             return
@@ -198,7 +201,7 @@ class SurfelGaussNewton:
             self._settings._replace(
                 range_sigma_m=points.range_sigma_m, repeats=max(1.0, SAME_WALL_M / apart_m)
             ),
-            DOUBT_RATIO * self._usual_ratio,
+            DOUBT_RATIO * attempt.usual_ratio,
             xy_base,
         )
         return _Laid(result, xy_base, submap, *self._judge(result, xy_base, attempt, submap))
@@ -211,7 +214,7 @@ class SurfelGaussNewton:
             is_loose(prior) and (self._gap is not None or attempt.predicted.elapsed_s > GAP_S)
         )
         in_free = 0
-        if is_far or result.share < DOUBT_RATIO * self._usual_ratio:
+        if is_far or result.share < DOUBT_RATIO * attempt.usual_ratio:
             in_free = submap.in_free(xy_base, attempt.normals, result.pose)
         evidence = Evidence(
             used=result.used,
@@ -232,7 +235,7 @@ class SurfelGaussNewton:
         """
         prior = sigmas_of(attempt.prior.covariance)
         share = laid.result.share
-        if laid.state != "lost" and (not is_loose(prior) or share >= DOUBT_RATIO * self._usual_ratio):
+        if laid.state != "lost" and (not is_loose(prior) or share >= DOUBT_RATIO * attempt.usual_ratio):
             return laid
         reach_m, reach_rad = reach_of(prior)
         if laid.state == "lost":

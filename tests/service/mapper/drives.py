@@ -71,11 +71,12 @@ def scan_at(
     start_ns: int,
     noise: np.random.Generator,
     sigma_m: float,
+    mounting: SE2 = MOUNTING,
 ) -> LaserScan:
     """One sweep; every beam leaves from where the laser is at its own moment."""
     origins, ways = np.empty((BEAMS, 2)), np.empty((BEAMS, 2))
     for i in range(BEAMS):
-        laser = motion((stamp_ns - start_ns + i * BEAM_NS) * 1e-9) @ MOUNTING
+        laser = motion((stamp_ns - start_ns + i * BEAM_NS) * 1e-9) @ mounting
         angle = laser.theta_rad + FIRST_RAD + i * STEP_RAD
         origins[i] = laser.x_m, laser.y_m
         ways[i] = math.cos(angle), math.sin(angle)
@@ -103,6 +104,7 @@ def drive(
     start_ns: int = 1_000_000_000,
     sigma_m: float = 0.01,
     wheel_scale: float | None = 1.01,
+    mounting: SE2 = MOUNTING,
 ) -> Drive:
     """Scans at 50 Hz and odometry at 67 Hz, by arrival.
 
@@ -132,7 +134,7 @@ def drive(
             )
     for k in range(int(seconds * 1e9) // PERIOD_NS):
         stamp_ns = start_ns + k * PERIOD_NS + 1_234_567
-        frames.append(scan_at(walls, motion, stamp_ns, start_ns, noise, sigma_m))
+        frames.append(scan_at(walls, motion, stamp_ns, start_ns, noise, sigma_m, mounting))
         truth[stamp_ns] = motion((stamp_ns - start_ns) * 1e-9)
     first = next(iter(truth.values())).inverse()
     frames.sort(key=lambda frame: frame.arrived_ns)

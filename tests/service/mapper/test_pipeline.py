@@ -1,15 +1,16 @@
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from drivers.frames import GnssFix, LaserScan
+from drivers.frames import Frame, GnssFix, LaserScan
 from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
 from service.mapper.graph.no_graph import NoGraph
-from service.mapper.pipeline import Mapper
+from service.mapper.pipeline import MOST_BEHIND_NS, Mapper
 from service.mapper.profiles import build_mapper, mapping_config
 from service.mapper.stages import GraphUpdate
 from tests.service.mapper.drives import MOUNTING, ROOM, drive, standing
@@ -75,3 +76,104 @@ def test_nothing_is_painted_while_lost_and_a_piece_is_mapped_apart():
     assert local_map.detached is not None
     assert local_map.detached.scan_count > 5
     assert np.isfinite(output.covariance).all()
+
+
+def two_lasers() -> list[Frame]:
+    """The room driven through with a second laser behind, whose sweeps overlap those of the first."""
+    front = drive(ROOM, ahead, 1.6)
+    rear = [
+        replace(frame, sensor="rear", stamp_ns=frame.stamp_ns - SHIFT_NS)
+        for frame in drive(ROOM, lambda t_s: ahead(t_s - SHIFT_NS * 1e-9), 1.6, mounting=REAR).frames
+        if isinstance(frame, LaserScan)
+    ]
+    return sorted([*front.frames, *rear], key=lambda frame: (frame.arrived_ns, frame.sensor))
+
+
+SHIFT_NS = 7_000_000  # that a sweep of the rear laser begins before one of the front laser
+REAR = SE2(-0.3, 0.1, math.pi)
+BOTH = {"front": MOUNTING, "rear": REAR}
+
+
+def ahead(t_s: float) -> SE2:
+    return SE2(0.4 * t_s, 0.0, 0.1 * t_s)
+
+
+def test_sweeps_of_two_lasers_overlap_and_every_one_is_mapped():
+    mapper: Mapper = build_mapper(mapping_config(), BOTH)
+    frames = two_lasers()
+    outputs = [output for frame in frames if (output := mapper.process(frame)) is not None]
+    assert mapper.counters["scans"] == sum(isinstance(frame, LaserScan) for frame in frames)
+    stamps_ns = [output.stamp_ns for output in outputs]
+    assert stamps_ns == sorted(set(stamps_ns))  # a pose for each, and no two at one moment
+    start = ahead((stamps_ns[0] - 10**9) * 1e-9)
+    off = [
+        (start.inverse() @ ahead((o.stamp_ns - 10**9) * 1e-9)).inverse() @ o.pose_map_base for o in outputs
+    ]
+    assert max(math.hypot(e.x_m, e.y_m) for e in off) < 0.01
+    assert {output.state for output in outputs} == {"ok"}
+
+
+def rear_mounted_at(mounting: SE2) -> tuple[set[str], Mapper, float]:
+    """The last reasons, and the farthest pose, of the drive with a rear laser that is configured so."""
+    mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING, "rear": mounting})
+    reasons, farthest_m, start = set(), 0.0, None
+    for frame in two_lasers():
+        if (output := mapper.process(frame)) is None:
+            continue
+        true = ahead((output.stamp_ns - 10**9) * 1e-9)
+        start = start or true
+        off = (start.inverse() @ true).inverse() @ output.pose_map_base
+        farthest_m = max(farthest_m, math.hypot(off.x_m, off.y_m))
+        if frame.sensor == "rear" and frame.stamp_ns > 2_560_000_000:
+            reasons.add(output.reason)
+    return reasons, mapper, farthest_m
+
+
+def test_a_laser_that_is_turned_against_its_mounting_is_not_mapped_and_told_by_how_much():
+    reasons, mapper, farthest_m = rear_mounted_at(REAR @ SE2(0.0, 0.0, math.radians(4.0)))
+    (reason,) = reasons
+    assert re.match(
+        r"rear sits -(3\.[89]|4\.[01]) deg, [+-]0\.0\d m ahead and [+-]0\.0\d m left of where", reason
+    )
+    assert mapper.counters["scans_compared_rear"] > 60
+    assert farthest_m < 0.01
+
+
+def test_a_laser_that_is_mounted_somewhere_else_is_not_mapped_and_named():
+    reasons, _, farthest_m = rear_mounted_at(SE2(1.5, 0.8, 2.0))
+    assert any(reason.startswith("rear does not fit the map of the others") for reason in reasons)
+    assert farthest_m < 0.01
+
+
+def test_a_laser_alone_needs_no_other_to_be_mapped():
+    """The one that began dies before the second has been compared for long enough."""
+    mapper: Mapper = build_mapper(mapping_config(), BOTH)
+    frames = [f for f in two_lasers() if f.sensor != "front" or f.stamp_ns < 1_200_000_000]
+    outputs = [(frame, output) for frame in frames if (output := mapper.process(frame)) is not None]
+    assert mapper.counters["scans_compared_rear"] < 40
+    assert {output.state for frame, output in outputs if frame.stamp_ns > 1_900_000_000} == {"ok"}
+
+
+def test_a_laser_that_hangs_is_named_while_another_sees_on():
+    mapper: Mapper = build_mapper(mapping_config(), BOTH)
+    held, said = None, []
+    for frame in two_lasers():
+        if isinstance(frame, LaserScan) and frame.sensor == "rear" and frame.stamp_ns > 1_700_000_000:
+            held = held or frame
+            frame = replace(frame, range_m=held.range_m)
+        output = mapper.process(frame)
+        if output is not None and frame.stamp_ns > 2_000_000_000:
+            said.append((frame.sensor, output.state, "does the laser hang" in output.reason))
+    assert {("front", "ok", False), ("rear", "degraded", True)} == set(said)
+
+
+def test_a_sweep_that_began_too_long_before_the_newest_pose_is_late():
+    mapper: Mapper = build_mapper(mapping_config(), BOTH)
+    *frames, last = [frame for frame in two_lasers() if isinstance(frame, LaserScan)]
+    for frame in frames[:20]:
+        mapper.process(frame)
+    newest_ns = max(frame.stamp_ns for frame in frames[:20])
+    lux = replace(last, sensor="rear2", stamp_ns=newest_ns - MOST_BEHIND_NS - 1, arrived_ns=newest_ns)
+    mapper._stages.deskew._mountings["rear2"] = REAR
+    assert mapper.process(lux) is None
+    assert mapper.counters["scans_dropped_late"] == 1

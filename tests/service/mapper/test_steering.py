@@ -72,7 +72,7 @@ def mapper(made: list[FakeMapper]) -> SteeredMapper:
         made.append(FakeMapper())
         return made[-1]
 
-    return SteeredMapper(new, "front")
+    return SteeredMapper(new, ["front"])
 
 
 def scan(stamp_ns: int) -> LaserScan:
@@ -98,7 +98,7 @@ def test_in_a_pause_samples_go_on_and_scans_are_let_pass(mapper: SteeredMapper, 
     assert mapper.counters == {"scans": 2, "scans_paused": 1}
 
 
-def test_of_several_lasers_one_is_mapped(mapper: SteeredMapper, made: list[FakeMapper]):
+def test_a_laser_that_is_not_to_be_mapped_passes(mapper: SteeredMapper, made: list[FakeMapper]):
     """What another laser sees comes between, newer and older than what is mapped; in a pause too."""
     rear = replace(scan(3), sensor="rear")
     assert [mapper.process(s) is None for s in (scan(1), rear, scan(2))] == [False, True, False]
@@ -109,7 +109,7 @@ def test_of_several_lasers_one_is_mapped(mapper: SteeredMapper, made: list[FakeM
 
 
 def test_without_a_laser_nothing_is_mapped(made: list[FakeMapper]):
-    mapper = SteeredMapper(FakeMapper, None)
+    mapper = SteeredMapper(FakeMapper, [])
     assert mapper.process(scan(1)) is None
     assert mapper.counters == {"scans_not_mapped": 1}
 
@@ -167,7 +167,7 @@ def drive(
 
 
 def real_mapper() -> SteeredMapper:
-    return SteeredMapper(lambda: build_mapper(mapping_config(), {"front": SE2()}), "front")
+    return SteeredMapper(lambda: build_mapper(mapping_config(), {"front": SE2()}), ["front"])
 
 
 def test_the_way_driven_in_a_pause_is_known_after_it():
@@ -209,7 +209,7 @@ def test_a_pause_before_the_first_scan_does_not_fix_where_the_map_begins():
 
 
 def test_work_comes_in_a_fixed_number_of_scans_after_it_went_out(made: list[FakeMapper]):
-    mapper = SteeredMapper(lambda: made.append(FakeMapper()) or made[-1], "front", take_in_after=3)
+    mapper = SteeredMapper(lambda: made.append(FakeMapper()) or made[-1], ["front"], take_in_after=3)
     graph = made[0].graph
     for k in range(1, 10):
         graph.waiting += k in (2, 4)
@@ -218,7 +218,7 @@ def test_work_comes_in_a_fixed_number_of_scans_after_it_went_out(made: list[Fake
 
 
 def test_work_comes_in_when_told_where_no_number_is_given(made: list[FakeMapper]):
-    mapper = SteeredMapper(lambda: made.append(FakeMapper()) or made[-1], "front", take_in_after=None)
+    mapper = SteeredMapper(lambda: made.append(FakeMapper()) or made[-1], ["front"], take_in_after=None)
     made[0].graph.waiting = 1
     for k in range(1, 100):
         mapper.process(scan(k))
@@ -228,7 +228,7 @@ def test_work_comes_in_when_told_where_no_number_is_given(made: list[FakeMapper]
 
 
 def test_a_reset_ends_the_old_graph_and_what_it_had_out(made: list[FakeMapper]):
-    mapper = SteeredMapper(lambda: made.append(FakeMapper()) or made[-1], "front", take_in_after=3)
+    mapper = SteeredMapper(lambda: made.append(FakeMapper()) or made[-1], ["front"], take_in_after=3)
     made[0].graph.waiting = 1
     mapper.process(scan(1))
     mapper.steer("reset_map")

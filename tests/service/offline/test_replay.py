@@ -110,12 +110,13 @@ TWO_LASERS = CONFIG.replace("}}}", "}}, rear: {type: hokuyo_utm30lx, host: b, mo
 @pytest.mark.parametrize(
     ("config", "mapped", "others"),
     [
-        (TWO_LASERS, 40, 30),
+        (TWO_LASERS, 70, 0),
+        (TWO_LASERS + "mapping: {lasers: [front]}\n", 40, 30),
         (TWO_LASERS + "mapping: {lasers: [rear]}\n", 30, 40),
-        (None, 40, 30),  # of a foreign recording the laser with the most scans
+        (None, 40, 30),  # of a foreign recording those whose mounting is known
     ],
 )
-def test_one_laser_is_mapped_and_the_others_cost_it_nothing(
+def test_lasers_are_mapped_as_the_config_says(
     record_drive: RecordDrive, config: str | None, mapped: int, others: int
 ):
     done = replay([record_drive(config=config, rear_scans=30)], ReplayOptions())
@@ -191,7 +192,8 @@ def test_a_replay_writes_what_other_programs_read(record_drive: RecordDrive, tmp
 def test_the_summary_counts_what_happened(record_drive: RecordDrive):
     summary = replay([record_drive(late=True)], ReplayOptions()).summary
     assert list(summary) == [
-        "corridor", "profile", "scans", "scans_dropped", "scans_not_mapped", "scans_paused", "shared_topics",
+        "corridor", "profile", "scans", "scans_dropped", "scans_not_mapped", "scans_passed_over",
+        "scans_paused", "shared_topics",
         "duration_s", "wall_s", "realtime_factor", "scan_ms", "scan_cpu_ms", "stage_ms_p50",
         "loop_closures", "keyframes", "peak_rss_mb", "map_tiles", "map_resets", "state",
     ]  # fmt: skip

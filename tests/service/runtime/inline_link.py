@@ -21,7 +21,7 @@ class InlineLink:
         self._outputs = outputs
         self._is_deaf = is_deaf
         self._answered: Answered | None = None
-        self.loop = MappingLoop(mapper, self._hear, lambda: self.now_ns)
+        self.loop = MappingLoop(mapper, self._hear, (), lambda: self.now_ns)
 
     @property
     def waiting(self) -> int:

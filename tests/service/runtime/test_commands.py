@@ -36,14 +36,14 @@ class Machine:
             folder / "in", "veh1", keep_free_bytes=1000, free_bytes_of=lambda _: free_bytes[0]
         )
         self.outputs = MappingOutputs(
-            "front",
+            ["front"],
             self.tiles,
             lambda message, origin_ns: None,
             self.recorder.put,
             lambda tiles, stamp_ns: None,
             lambda: log_clock.next_ns(host_time.unix_ns(time.monotonic_ns())),
         )
-        self.link = InlineLink(SteeredMapper(FakeMapper, "front", None), self.outputs, is_deaf)
+        self.link = InlineLink(SteeredMapper(FakeMapper, ["front"], None), self.outputs, is_deaf)
         self.intake = Intake(self.link, host_time, lambda *_: None, self.recorder.put)  # type: ignore[arg-type]
         self.keeper = MapKeeper(folder / "map", self.tiles, host_time, 3600.0, {}, self.recorder.put)
         self.commands = Commands(self.intake, self.outputs, self.tiles, self.keeper, self.recorder)

@@ -28,7 +28,7 @@ def report(link: LinkHealth, **parts: Any) -> HealthReport:
         unusable=Counter(),
         unusable_scans=0,
         scan_cpu=LatencyHistogram(),
-        laser="front",
+        lasers=("front",),
         last=None,
         passed_over=Counter(),
         overload=lambda: "",
@@ -114,10 +114,10 @@ def test_scans_are_passed_over_or_late_or_unusable():
 def test_the_pose_s_state_is_the_mapping_s_health(state: Any, level: int):
     made = report(streaming())
     assert status(made, "mapping").message == "no scan of front mapped yet"
-    assert status(made, "mapping").values["laser"] == "front"
-    made._outputs.laser = None
+    assert status(made, "mapping").values["lasers"] == "front"
+    made._outputs.lasers = ()
     made.update(0, 0)
-    assert status(made, "mapping").message == "no laser is configured"
+    assert status(made, "mapping").message == "no laser is mapped"
     reason = "" if state == "ok" else "few beams agree"
     made._outputs.last = Mapped(1, 1, 1, state, reason, 0.8, 1, None, ())
     told = status(made, "mapping")

@@ -91,7 +91,7 @@ class Run:
         fresh = iter([mapper])
         log_clock = LogClock()
         self.outputs = MappingOutputs(
-            "front",
+            ["front"],
             self.tiles,
             self._publish,
             self.recorded.append,
@@ -99,7 +99,7 @@ class Run:
             lambda: log_clock.next_ns(OFFSET_NS + 10**9),
             lambda: self.link.now_ns,
         )
-        steered = SteeredMapper(lambda: next(fresh, None) or FakeMapper(), "front", take_in_after=None)
+        steered = SteeredMapper(lambda: next(fresh, None) or FakeMapper(), ["front"], take_in_after=None)
         self.link = InlineLink(steered, self.outputs)
         self.intake = Intake(self.link, HostTime(OFFSET_NS), self._publish, self.recorded.append)  # type: ignore[arg-type]
 
@@ -323,7 +323,7 @@ class TestStandBy:
         """It takes the items of FRAMES and one scan more, each of which has waited for a second."""
         first = Run(FakeMapper()).put(*FRAMES, scan(70, 90, [1.0, 2.0]))
         mapper, said = FakeMapper(graph=graph), []
-        loop = MappingLoop(SteeredMapper(lambda: mapper, "front", None), said.append, lambda: 10**9)
+        loop = MappingLoop(SteeredMapper(lambda: mapper, ["front"], None), said.append, (), lambda: 10**9)
         loop.go_on(go)
         for item in first.link.items:
             assert loop.is_up_to_date == (loop.number >= go.done_number)

@@ -1,0 +1,94 @@
+"""Whether a laser sits where its config says: its scans against a map that other lasers have made.
+
+A mounting that is wrong by some degrees cannot be seen in that laser's own map: it agrees with itself. Taken
+for right it tears the map of the others. So a laser that joins others is laid on their map first, without a
+say in pose and map, until its offset from the configured mounting is known. The offset is estimated by least
+squares over scans; the mounting is expected to be right within TOLERANCE.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from service.fusion.motion import Measurement, Prediction
+from service.geometry.se2 import SE2
+
+TOLERANCE = np.diag([0.03, 0.03, math.radians(0.5)]) ** 2  # m, m, rad: how well people measure a mounting
+SEARCHED = np.diag([0.10, 0.10, math.radians(6.0)]) ** 2  # where its scans are looked for meanwhile
+SAME_ERRORS = 20.0  # scans that see the same errors of the map
+BATCH_SCANS = 25  # after which an offset is judged
+KNOWN_RAD, KNOWN_M = math.radians(0.3), 0.02  # the heading, and the position in its best direction
+MOST_CHI2 = 16.3  # 99.9 % of three degrees of freedom
+
+
+class MountingCheck:
+    """Of one laser. `is_right` until there is something to compare it with; see `begin`."""
+
+    def __init__(self) -> None:
+        self.is_right = True
+        self.fault = ""  # by how much it is off, once that is known
+        self._offset = np.zeros(3)  # of the sensor from where it should sit, base axes: m, m, rad
+        self._begin_batch()
+
+    def begin(self) -> None:
+        """Another laser has begun the map: this one is to be compared with it."""
+        self.is_right = False
+
+    def trust(self) -> None:
+        """There is no other laser any more, or it agrees with them."""
+        self.is_right = True
+
+    def where_to_look(self, predicted: Prediction) -> Prediction:
+        """Where its scan is looked for on the map, and how wide around."""
+        return replace(
+            predicted,
+            pose_odom_base=predicted.pose_odom_base @ SE2.exp(*self._offset.tolist()),
+            local_covariance=predicted.local_covariance + SEARCHED,
+        )
+
+    def add(self, looked_for: Prediction, measured: Measurement) -> None:
+        """A scan, laid on the map from `where_to_look`.
+
+        Prediction and scan together lie C I e from the prediction, with C their covariance, I the scan's
+        information and e where the scan alone lies; so I e is found without inverting I.
+        """
+        off = (looked_for.pose_odom_base.inverse() @ measured.pose_odom_base).log()
+        self._information += measured.information / SAME_ERRORS
+        self._sum += np.linalg.solve(measured.covariance, off) / SAME_ERRORS
+        self._scans += 1
+        if self._scans == BATCH_SCANS:
+            self._judge()
+            self._begin_batch()
+
+    def miss(self) -> None:
+        """A scan that fitted nowhere around."""
+        self._missed += 1
+        if self._missed >= BATCH_SCANS:
+            self._begin_batch()
+            self.fault = (
+                "does not fit the map of the others, not even turned by some degrees or moved by a hand; "
+                "it is not mapped. Is its mounting as configured?"
+            )
+
+    def _begin_batch(self) -> None:
+        self._information = np.zeros((3, 3))
+        self._sum = np.zeros(3)
+        self._scans = self._missed = 0
+
+    def _judge(self) -> None:
+        # A direction that no scan has fixed says nothing: there the offset stays what it was.
+        covariance = np.linalg.inv(self._information + 1e-3 * np.linalg.inv(TOLERANCE))
+        self._offset = self._offset + covariance @ self._sum
+        sigma_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[0]))
+        if math.sqrt(covariance[2, 2]) > KNOWN_RAD or sigma_m > KNOWN_M:
+            return
+        chi2 = float(self._offset @ np.linalg.solve(covariance + TOLERANCE, self._offset))
+        self.is_right = chi2 <= MOST_CHI2
+        x_m, y_m, turn_rad = self._offset.tolist()
+        self.fault = ""
+        if not self.is_right:
+            self.fault = (
+                f"sits {math.degrees(turn_rad):+.1f} deg, {x_m:+.2f} m ahead and {y_m:+.2f} m left of where "
+                "its mounting says, against the map of the others; it is not mapped. Measure its mounting"
+            )
