@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 from service.kernel_warm_up import warm_up
 from service.version import VERSION
-from tests.accuracy import ablations, anchored, buildings, cost, given, known_map, recorded, trials
+from tests.accuracy import ablations, anchored, buildings, cost, given, known_map, lasers, recorded, trials
 from tests.accuracy.page import PAGE, write_page
 from tests.papers.report import Section, below_title
 
@@ -22,6 +22,7 @@ SCENARIOS: dict[str, Callable[[int], Section]] = {
     "mall": buildings.big_mall,
     "anchored": anchored.anchored,
     "parked": trials.parked,
+    "lasers": lasers.lasers,
     "scans": cost.scans,
     "replay": cost.recording,
     "growing_map": cost.growing_map,
