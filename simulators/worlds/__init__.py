@@ -9,7 +9,6 @@ from simulators.worlds.library import library
 from simulators.worlds.mall import mall
 from simulators.worlds.navis import glass_corridor, hall, t_room
 from simulators.worlds.office import office
-from simulators.worlds.streets import streets
 from simulators.worlds.trials import crowd, featureless, glass_hall, room, spins, stop_and_go
 
 WORLDS: dict[str, Callable[[], World]] = {
@@ -25,7 +24,6 @@ WORLDS: dict[str, Callable[[], World]] = {
     "crowd": crowd,
     "glass_hall": glass_hall,
     "library": library,
-    "streets": streets,
     "t_room": t_room,
     "glass_corridor": glass_corridor,
     "hall100": lambda: hall(100.0),
