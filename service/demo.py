@@ -63,6 +63,7 @@ class Simulators:
     def __init__(self, process: subprocess.Popen[bytes], endpoints: list[dict[str, str]]) -> None:
         self._process = process
         self.endpoints = endpoints
+        self.left_out: dict[str, int] = {}  # measurements not sent, by device; known at the end
 
     def trouble(self) -> str:
         """Why the demo cannot go on, "" while they run."""
@@ -90,6 +91,7 @@ def demo(options: DemoOptions) -> dict[str, Any]:
         "scan_cpu_ms": summary.scan_cpu_ms.as_dict(),
         "rates_hz": summary.rates_hz,
         "cpu_percent": summary.cpu_percent,
+        "void": _void(fakes.left_out),
         "session": str(summary.sessions[-1]) if summary.sessions else None,
         "map": str(summary.map_folder) if summary.map_folder else None,
     }
@@ -125,8 +127,10 @@ def simulators(options: DemoOptions, truth: Path) -> Iterator[Simulators]:
         bufsize=0,  # a line that waits in a buffer of ours is invisible to select
         start_new_session=True,
     )
+    fakes = None
     try:
-        yield Simulators(process, _read_endpoints(process))
+        fakes = Simulators(process, _read_endpoints(process))
+        yield fakes
     finally:
         process.terminate()
         try:
@@ -135,7 +139,10 @@ def simulators(options: DemoOptions, truth: Path) -> Iterator[Simulators]:
             process.kill()
             process.wait()
         if process.stdout is not None:
+            last_words = process.stdout.read()
             process.stdout.close()
+            if fakes is not None:
+                fakes.left_out = _left_out(last_words)
 
 
 def demo_config(endpoints: Sequence[dict[str, str]], options: DemoOptions, zenoh_port: int) -> ServiceConfig:
@@ -224,6 +231,22 @@ def _read_endpoints(process: subprocess.Popen[bytes]) -> list[dict[str, str]]:
         if word.get("ready"):
             return endpoints
         endpoints.append(word)
+
+
+def _left_out(last_words: bytes) -> dict[str, int]:
+    for line in last_words.splitlines():
+        word = json.loads(line)
+        if "left_out" in word:
+            return dict(word["left_out"])
+    return {}
+
+
+def _void(left_out: dict[str, int]) -> str | None:
+    """Why the figures of the demo say nothing; None where they do."""
+    if not left_out:
+        return None
+    missing = ", ".join(f"{count} of {name}" for name, count in left_out.items())
+    return f"the fake devices had no processor to send {missing}; latency and error say nothing"
 
 
 def _zenoh_port() -> int:

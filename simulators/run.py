@@ -117,6 +117,9 @@ def _run(options: argparse.Namespace) -> int:
                 break
         truth.write_until(time.monotonic_ns())
         _tell_losses(vehicle, told)
+        if options.print_endpoints:
+            losses = {name: sum(counts.values()) for name, counts in vehicle.losses().items()}
+            print(json.dumps({"left_out": {name: n for name, n in losses.items() if n}}), flush=True)
     for name, counters in vehicle.fault_counters().items():
         log.info("%s had %s", name, ", ".join(f"{count} {what}" for what, count in counters.items()))
     return DONE

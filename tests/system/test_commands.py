@@ -135,8 +135,9 @@ def _scans_between(recording: Recording, begin: str, end: str) -> list[int]:
 def _check_odom_goes_on_over_the_reset(recording: Recording) -> None:
     events = recording.messages(["/events"])
     reset_ns = next(m.log_ns for m in events if '"reset_map"' in decode_event(m.payload))
+    read_ns = {m.stamp_ns: m.log_ns for m in recording.messages(["/front/scan"])}  # by the stamp of a scan
     for topic, jumps in (("/odom", False), ("/pose", True)):
-        poses = [(m.log_ns, decode_pose(m.payload).pose) for m in recording.messages([topic])]
+        poses = [(read_ns[m.stamp_ns], decode_pose(m.payload).pose) for m in recording.messages([topic])]
         before_ns, before = [(log_ns, pose) for log_ns, pose in poses if log_ns < reset_ns][-1]
         after_ns, after = next((log_ns, pose) for log_ns, pose in poses if log_ns > reset_ns)
         driven_m = FASTEST_MPS * (after_ns - before_ns) / 1e9

@@ -44,7 +44,7 @@ def test_the_demo_maps_to_a_centimetre(demo_run: DemoRun):
     summary = demo_run.summary
     assert summary.keys() == {
         "seconds", "scans", "scans_dropped", "position_rmse_m", "heading_rmse_deg",
-        "latency_ms", "scan_cpu_ms", "rates_hz", "cpu_percent", "session", "map",
+        "latency_ms", "scan_cpu_ms", "rates_hz", "cpu_percent", "void", "session", "map",
     }  # fmt: skip
     assert summary["seconds"] >= demo_run.seconds
     assert summary["position_rmse_m"] < (0.03 if demo_run.was_in_time else LOST_M)

@@ -50,7 +50,7 @@ class Drive:
 
     def __init__(self) -> None:
         self.heard = Heard()
-        setup = Setup({}, {"front": SE2()}, "front", 20.0, logging.WARNING)
+        setup = Setup({}, {"front": SE2()}, ("front",), frozenset(), 20.0, logging.WARNING)
         self.link = MapperLink(setup, self.heard)
         self.failure = ""
         self.thread = threading.Thread(target=self._run)
