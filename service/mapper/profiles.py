@@ -80,6 +80,7 @@ class MappingConfig(BaseModel):
     cell_m: float = Field(default=0.05, ge=0.01, le=0.5)
     mode: Literal["mapping"] = "mapping"
     lasers: tuple[str, ...] | None = None  # whose scans are mapped; None: all that do not say map: false
+    outline_m: tuple[tuple[float, float], ...] = ()  # corners of the vehicle, base frame; returns within go
     stages: dict[Box, str] = {}
     settings: Any = None  # by box: the settings of the stage in it; None: the profile's
 
@@ -96,6 +97,15 @@ class MappingConfig(BaseModel):
         if "profile" in info.data:
             chosen_stages(info.data["profile"], stages)
         return stages
+
+    @field_validator("outline_m")
+    @classmethod
+    def _a_polygon(cls, outline_m: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        if 0 < len(outline_m) < 3:
+            raise ValueError(
+                f"an outline has 3 corners or more, not {len(outline_m)}: [[x, y], [x, y], ...] in m"
+            )
+        return outline_m
 
     @field_validator("lasers")
     @classmethod
@@ -153,7 +163,13 @@ def build_mapper(
     def build(box: Box, around: Surroundings) -> Any:
         return chosen[box].build(getattr(config.settings, box, None), around)
 
-    around = Surroundings(config.cell_m, mountings, new_worker=new_worker, new_patch_store=new_patch_store)
+    around = Surroundings(
+        config.cell_m,
+        mountings,
+        config.outline_m,
+        new_worker=new_worker,
+        new_patch_store=new_patch_store,
+    )
     free_space = build("free_space", around)
     around = replace(around, painter=free_space.painter)
     built = {box: build(box, around) for box in BOXES if box != "free_space"}

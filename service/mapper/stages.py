@@ -285,6 +285,7 @@ class Surroundings:
 
     cell_m: float  # of the shown map
     mountings: Mapping[str, SE2]  # pose_base_sensor of each laser, by its name
+    outline_m: Sequence[tuple[float, float]] = ()  # of the vehicle, base frame; what lies within is itself
     painter: Painter | None = None  # of the shown map; the graph is told, and only it
     new_worker: NewWorker = InlineWorker  # where back ends work
     new_patch_store: NewPatchStore = MemoryPatches  # where patches of a map wait that are far away

@@ -1,6 +1,6 @@
 """Scan -> points: beams that cannot be used go, the motion during the sweep is taken out."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -28,10 +28,19 @@ class BeamsConfig(BaseModel):
 
 
 class DeskewByTwist:
-    """Callable stage; remembers the directions of the beams of each sensor."""
+    """Callable stage; remembers the directions of the beams of each sensor.
 
-    def __init__(self, config: BeamsConfig, mountings: Mapping[str, SE2]) -> None:
+    outline_m   corners of the vehicle, base frame: returns within are of the vehicle itself, and go
+    """
+
+    def __init__(
+        self,
+        config: BeamsConfig,
+        mountings: Mapping[str, SE2],
+        outline_m: Sequence[tuple[float, float]] = (),
+    ) -> None:
         self._config = config
+        self._outline_m = np.array(outline_m, np.float64).reshape(-1, 2)
         self._mountings = dict(mountings)
         self._noise: dict[str, tuple[int, float]] = {}
         self._directions: dict[tuple[str, float, float, int], npt.NDArray[np.float64]] = {}
@@ -60,6 +69,8 @@ class DeskewByTwist:
             scan.beam_interval_ns * 1e-9,
             returns,
         )
+        if len(self._outline_m):
+            count = self._leave_out_itself(returns, count)
         xy_raw, beam_time_s = returns.xy_raw[:count], returns.beam_time_s[:count]
         if at_ns is not None and at_ns != scan.stamp_ns:
             beam_time_s -= (at_ns - scan.stamp_ns) * 1e-9
@@ -68,6 +79,13 @@ class DeskewByTwist:
         sensor_xy_m = np.array([mounting.x_m, mounting.y_m])
         sigma_m = self._noise_of(scan.sensor, range_noise(xy_raw, returns.beam[:count], sensor_xy_m))
         return Points(xy_base, xy_raw, beam_time_s, returns.beam[:count], mounting, scan, sigma_m)
+
+    def _leave_out_itself(self, returns: Returns, count: int) -> int:
+        """Close up the returns that lie outside of the vehicle; how many there are."""
+        outside = np.flatnonzero(~_within(returns.xy_raw[:count], self._outline_m))
+        for array in returns:
+            array[: len(outside)] = array[outside]
+        return len(outside)
 
     def _noise_of(self, sensor: str, shown_m: float) -> float:
         """Mean over the scans so far, of the newest NOISE_SCANS."""
@@ -84,3 +102,16 @@ class DeskewByTwist:
             angle = mounting.theta_rad + scan.first_angle_rad + np.arange(key[3]) * scan.angle_step_rad
             self._directions[key] = np.ascontiguousarray(np.stack([np.cos(angle), np.sin(angle)], axis=1))
         return self._directions[key]
+
+
+def _within(xy_m: npt.NDArray[np.float64], corners_m: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+    """(N,) whether points (N, 2) lie in a polygon (K, 2): a ray ahead crosses its edges an odd number of
+    times (Shimrat, Algorithm 112, CACM 5, 1962).
+    """
+    x, y = xy_m[:, 0], xy_m[:, 1]
+    within = np.zeros(len(xy_m), np.bool_)
+    for (x0, y0), (x1, y1) in zip(corners_m, np.roll(corners_m, -1, axis=0), strict=True):
+        spans = (y0 > y) != (y1 > y)
+        if y0 != y1:
+            within ^= spans & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
+    return within

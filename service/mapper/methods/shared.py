@@ -9,7 +9,9 @@ from service.mapper.stages import NoSettings, StageKind
 
 ESTIMATOR = StageKind("estimator", EstimatorConfig, lambda config, _: Estimator(config))
 DESKEW_BY_TWIST = StageKind(
-    "deskew_by_twist", BeamsConfig, lambda config, around: DeskewByTwist(config, around.mountings)
+    "deskew_by_twist",
+    BeamsConfig,
+    lambda config, around: DeskewByTwist(config, around.mountings, around.outline_m),
 )
 KEEP_ALL = StageKind("keep_all", NoSettings, lambda _, __: keep_all)
 NO_GRAPH = StageKind("no_graph", NoSettings, lambda _, __: NoGraph())

@@ -52,3 +52,34 @@ def test_each_sensor_has_its_own_mounting() -> None:
 def test_a_sensor_without_a_mounting_is_named() -> None:
     with pytest.raises(InputError, match=r"left: .*known: front, rear"):
         DeskewByTwist(BeamsConfig(), {"rear": SE2(), "front": SE2()})(scan([1.0], "left"), moving(0, 0, 0))
+
+
+def test_returns_from_the_vehicle_itself_are_left_out():
+    """An L-shaped outline; the beams look ahead, up to a post on the vehicle and past it."""
+    outline = [(0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.0, -0.5), (0.0, 0.0), (0.5, 0.0)]
+    deskew = DeskewByTwist(BeamsConfig(), {"front": SE2()}, outline)
+    points = deskew(scan([0.3, 0.8, 0.2], step_rad=-math.pi / 4.0), moving(0.0, 0.0, 0.0))
+    seen = DeskewByTwist(BeamsConfig(), {"front": SE2()})(
+        scan([0.3, 0.8, 0.2], step_rad=-math.pi / 4.0), moving(0.0, 0.0, 0.0)
+    )
+    kept = [not _inside(x, y) for x, y in seen.xy_base]
+    assert 0 < sum(kept) < 3
+    np.testing.assert_array_equal(points.xy_base, seen.xy_base[kept])
+    np.testing.assert_array_equal(points.beam, seen.beam[kept])
+    np.testing.assert_array_equal(points.beam_time_s, seen.beam_time_s[kept])
+
+
+def _inside(x_m: float, y_m: float) -> bool:
+    """Of that outline, by its two halves."""
+    return (-0.5 < x_m < 0.0 and abs(y_m) < 0.5) or (0.0 <= x_m < 0.5 and 0.0 < y_m < 0.5)
+
+
+def test_points_are_brought_to_any_moment_of_the_sweep_or_after_it():
+    deskew = DeskewByTwist(BeamsConfig(), {"front": SE2()})
+    at_first = deskew(scan([2.0, 2.0]), moving(1.0, 0.5, 0.3))
+    late_ns = scan([2.0, 2.0]).stamp_ns + 40_000_000
+    later = deskew(scan([2.0, 2.0]), moving(1.0, 0.5, 0.3), late_ns)
+    back = SE2.exp(0.04 * 1.0, 0.04 * 0.5, 0.04 * 0.3)  # the base, 40 ms on
+    for first, then in zip(at_first.xy_base, later.xy_base, strict=True):
+        there = back @ SE2(*then.tolist(), 0.0)
+        assert (there.x_m, there.y_m) == pytest.approx(tuple(first), abs=1e-12)
