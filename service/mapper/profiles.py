@@ -102,9 +102,7 @@ class MappingConfig(BaseModel):
     @classmethod
     def _a_polygon(cls, outline_m: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
         if 0 < len(outline_m) < 3:
-            raise ValueError(
-                f"an outline has 3 corners or more, not {len(outline_m)}: [[x, y], [x, y], ...] in m"
-            )
+            raise ValueError(f"an outline has 3 corners [x, y] in m or more, not {len(outline_m)}")
         return outline_m
 
     @field_validator("lasers")
