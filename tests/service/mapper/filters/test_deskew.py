@@ -57,9 +57,9 @@ def test_a_sensor_without_a_mounting_is_named() -> None:
 def test_returns_from_the_vehicle_itself_are_left_out():
     """An L-shaped outline; the beams look ahead, up to a post on the vehicle and past it."""
     outline = [(0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.0, -0.5), (0.0, 0.0), (0.5, 0.0)]
-    deskew = DeskewByTwist(BeamsConfig(), {"front": SE2()}, outline)
+    deskew = DeskewByTwist(BeamsConfig(), {"front": SE2(0.0, 0.0, 0.2)}, outline)
     points = deskew(scan([0.3, 0.8, 0.2], step_rad=math.pi / 4.0), moving(0.0, 0.0, 0.0))
-    seen = DeskewByTwist(BeamsConfig(), {"front": SE2()})(
+    seen = DeskewByTwist(BeamsConfig(), {"front": SE2(0.0, 0.0, 0.2)})(
         scan([0.3, 0.8, 0.2], step_rad=math.pi / 4.0), moving(0.0, 0.0, 0.0)
     )
     kept = [not _inside(x, y) for x, y in seen.xy_base]
