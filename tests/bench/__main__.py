@@ -18,7 +18,7 @@ Row = tuple[str, float, str]  # what was measured, how much, of what unit
 
 def main() -> int:
     ensure_cache_dir()
-    from tests.bench import accuracy, decoding, reading, replaying, scans, start_up
+    from tests.bench import accuracy, decoding, live, reading, replaying, scans, start_up
 
     benchmarks: dict[str, Callable[[], list[Row]]] = {
         "scans": scans.measure,
@@ -26,6 +26,7 @@ def main() -> int:
         "reading": reading.measure,
         "replay": replaying.measure,
         "start-up": start_up.measure,
+        "live": live.measure,
         "accuracy": lambda: accuracy.measure(parsed.scenario, parsed.seeds),
     }
     parser = argparse.ArgumentParser(prog="python -m tests.bench", description=__doc__)
