@@ -16,6 +16,7 @@ from service.runtime.metrics import LatencyHistogram, RateMeter
 
 OK, WARNING, ERROR, STALE = 0, 1, 2, 3  # levels of diagnostic_msgs/DiagnosticStatus
 STALE_AFTER_NS = 1_000_000_000
+POSE_STALE_NS = 500_000_000  # the slowest laser sends each 80 ms
 
 _LEVEL_OF_LINK = {"streaming": OK, "starting": WARNING, "connecting": WARNING, "down": ERROR}
 _LEVEL_OF_RECORDING = {
@@ -104,7 +105,7 @@ class HealthReport:
         self._scan_rate = RateMeter()
         self._states = dict.fromkeys(links, "connecting")
         self.statuses: list[Status] = []
-        self.clock_step_ns = 0
+        self.clock_step_ns = self._now_ns = 0
 
     @property
     def scans_dropped(self) -> int:
@@ -139,7 +140,7 @@ class HealthReport:
 
     def update(self, now_ns: int, clock_step_ns: int) -> None:
         """Look at everything. now_ns: host monotonic; clock_step_ns: how far the wall clock has stepped."""
-        self.clock_step_ns = clock_step_ns
+        self.clock_step_ns, self._now_ns = clock_step_ns, now_ns
         self._scan_rate.read(sum(dict(self._outputs.states).values()), now_ns)
         dropped, unusable = self._outputs.passed_over, self._outputs.unusable
         sensors = [s.status(dropped[name], unusable[name], now_ns) for name, s in self._sensors.items()]
@@ -187,7 +188,13 @@ class HealthReport:
             lasers = " or ".join(outputs.lasers)
             words = f"no scan of {lasers} mapped yet" if lasers else "no laser is mapped"
             return Status("mapping", WARNING, words, values)
-        values |= {"state": last.state, "match_share": f"{last.match_share:.3f}"}
+        age_s = (self._now_ns - outputs.last_ns) / 1e9
+        values |= {"state": last.state, "match_share": f"{last.match_share:.3f}", "age_s": f"{age_s:.2f}"}
+        if self._now_ns - outputs.last_ns > POSE_STALE_NS:
+            values["state"] = "stale"
+            return Status(
+                "mapping", ERROR, f"no pose for {age_s:.1f} s: no scan of {values['lasers']}", values
+            )
         level, words = _LEVEL_OF_POSE[last.state], last.reason or last.state
         if overload := outputs.overload():
             values["state"] = "overloaded"

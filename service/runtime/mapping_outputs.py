@@ -51,6 +51,7 @@ class MappingOutputs:
         self.counters: Mapping[str, int] = {}  # the mapper's own: scans, scans_dropped_late ...
         self.graph_trouble = ""  # why no loop is closed any more, "" while all is well
         self.last: Mapped | None = None
+        self.last_ns = 0  # when that came, host monotonic
         self.geo_reference: GeoReference | None = None
         self.states: Counter[str] = Counter()  # scans by state: ok, degraded, lost
         self.scan_cpu = LatencyHistogram()  # processor time in the mapper, by scan mapped
@@ -117,7 +118,7 @@ class MappingOutputs:
         return self.last.stamp_ns if self.last is not None else 0
 
     def _mapped(self, mapped: Mapped) -> None:
-        self.last = mapped
+        self.last, self.last_ns = mapped, self._monotonic_ns()
         self.geo_reference = mapped.geo_reference
         self.states[mapped.state] += 1
         self.scan_cpu.add(mapped.cpu_ns)

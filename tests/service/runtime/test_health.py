@@ -30,6 +30,7 @@ def report(link: LinkHealth, **parts: Any) -> HealthReport:
         scan_cpu=LatencyHistogram(),
         lasers=("front",),
         last=None,
+        last_ns=11 * S,
         passed_over=Counter(),
         overload=lambda: "",
         restarts=1,
@@ -214,3 +215,11 @@ def test_an_overloaded_mapper_is_a_warning_with_its_figures():
     assert told.message.startswith("overloaded for 3 s: 12 scans")
     assert made.line.startswith("mapping overloaded")
     assert (told.values["queue_length"], told.values["restarts"]) == ("3", "1")
+
+
+def test_a_pose_that_is_not_fresh_is_an_error():
+    made = report(streaming())
+    made._outputs.last, made._outputs.last_ns = Mapped(1, 1, 1, "ok", "", 0.9, 1, None, ()), 7 * S
+    told = status(made, "mapping")
+    assert (told.level, told.message) == (ERROR, "no pose for 4.0 s: no scan of front")
+    assert (told.values["state"], told.values["age_s"]) == ("stale", "4.00")
