@@ -49,7 +49,7 @@ log = logging.getLogger(__name__)
 LISTEN_S = 0.2
 MODULE = "service.runtime.mapper_process"
 STUCK_S = 10.0  # items wait, and the mapper has said nothing for so long: it is ended
-MOST_KEPT = 60_000  # items; minutes of three lasers, without a stand-by that has them
+MOST_KEPT = 60_000  # items; minutes of three lasers, while a stand-by comes every few seconds
 MOST_DEATHS = 4  # without an item done in between: then the service ends with an error
 STANDBY_S = 5.0  # that a stand-by which has just been made may take to come here
 END_S = 2.0
@@ -89,6 +89,7 @@ class MapperLink:
         self._lock = threading.Lock()  # of what follows, down to the blank line
         self._active: Channel | None = None
         self._kept: deque[Item] = deque()  # those after the stand-by's last
+        self._keeps_items = True  # as long as there may be a stand-by that needs them
         self._number = 0  # of the last item submitted
         self._answers: dict[int, Callable[[Answer], None]] = {}
 
@@ -160,12 +161,10 @@ class MapperLink:
         """
         with self._lock:
             if len(self._kept) >= MOST_KEPT:
-                if self._standby is None:
-                    self._kept.popleft()
-                else:
-                    raise OverflowError(f"{len(self._kept)} items wait for the mapper; it is stuck")
+                raise OverflowError(f"{len(self._kept)} items wait for the mapper; it is stuck")
             self._number = item.number
-            self._kept.append(item)
+            if self._keeps_items:
+                self._kept.append(item)
             if answered is not None:
                 self._answers[item.number] = answered
             if self._active is not None and self._ready.is_set():
@@ -280,7 +279,7 @@ class MapperLink:
 
     def _take(self, message: Any) -> None:
         if isinstance(message, Ready):
-            self._begin()
+            self._begin(message)
             return
         if isinstance(message, Finished):
             self._finished.set()
@@ -304,12 +303,15 @@ class MapperLink:
         else:
             self._listener.heard(message)
 
-    def _begin(self) -> None:
+    def _begin(self, ready: Ready) -> None:
         """The process is ready: what has been submitted meanwhile goes out."""
         with self._lock:
             assert self._active is not None
             for item in self._kept:
                 self._active.send(item)
+            self._keeps_items = ready.has_standby
+            if not self._keeps_items:
+                self._kept.clear()
             self._ready.set()
             if self._is_finishing:
                 self._active.send(Finish())

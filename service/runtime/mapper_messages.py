@@ -104,7 +104,9 @@ class Progress(NamedTuple):
 
 
 class Ready(NamedTuple):
-    """Kernels and a stand-by are there; frames are welcome."""
+    """Kernels are there, and a stand-by where the profile can have one; frames are welcome."""
+
+    has_standby: bool
 
 
 class Mapped(NamedTuple):

@@ -82,7 +82,7 @@ class MapperProcess:
     def run(self) -> None:
         """Until ingest says that nothing more comes, or is gone. Raises ChannelClosedError."""
         if not self._copy():
-            self._send(Ready())
+            self._send(Ready(self._can_copy))
         try:
             while self._items or not self._is_finishing:
                 self._hear(0.0 if self._items else IDLE_S)
