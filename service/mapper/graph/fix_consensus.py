@@ -23,7 +23,7 @@ CORRELATED_S = 120.0  # fixes of so long make one measurement: twice the time in
 JUMP_M = 1.5  # errors do not change by more from fix to fix, besides JUMP_SIGMAS: satellites are seen anew
 JUMP_SIGMAS = 0.5
 STRETCH_SIGMAS = 1.5  # the mean of a stretch between two jumps is off by no more than this
-STRETCH_M = 300.0  # way of the longest stretch that is judged as one: the lasers' way drifts, too
+LARGEST_STRETCH = 0.5  # of all fixes: a larger one is what the others are judged by
 ROUNDS = 6
 MORE_CONVEX = 2.0  # factor from one step of the graduation to the next
 MOST_MU = 1e4  # then what is undecided lies within a ten-thousandth of the gate
@@ -187,7 +187,7 @@ def _wrong_stretches(way: FixedWay, off_m: Floats) -> npt.NDArray[np.bool_]:
     starts = np.flatnonzero(change_m > limit_m) + 1
     is_wrong = np.zeros(len(off_m), np.bool_)
     for stretch in np.split(np.arange(len(off_m)), starts):
-        if way.way_m[stretch[-1]] - way.way_m[stretch[0]] > STRETCH_M or len(stretch) == len(off_m):
+        if len(stretch) > LARGEST_STRETCH * len(off_m):
             continue
         mean_m = float(np.hypot(*off_m[stretch].mean(axis=0)))
         is_wrong[stretch] = mean_m > STRETCH_SIGMAS * float(sigma_m[stretch].mean())
