@@ -17,6 +17,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
+from drivers.antenna import antenna_of
 from drivers.registry import SENSOR_KINDS
 from service.encoding import Message, decode_mountings, decode_upside_down, encode_tf_static
 from service.errors import ConfigError
@@ -91,7 +92,10 @@ class ServiceConfig:
 
 
 def mountings(sensors: Mapping[str, Any]) -> dict[str, SE2]:
-    """pose_base_sensor of every sensor that has a mounting, by name; rounded as /tf_static rounds it."""
+    """pose_base_sensor of every sensor that has a mounting, by name; rounded as /tf_static rounds it.
+
+    A GNSS antenna whose lever arm is given is "<sensor>/antenna", which no sensor can be called.
+    """
     return decode_mountings(tf_static(sensors, 0).payload)
 
 
@@ -101,13 +105,19 @@ def mounted_upside_down(sensors: Mapping[str, Any]) -> frozenset[str]:
 
 
 def tf_static(sensors: Mapping[str, Any], unix_ns: int) -> Message:
-    """base_link -> every sensor that has a mounting."""
+    """base_link -> every sensor that has a mounting, and every GNSS antenna whose lever arm is given."""
     mounted = {name: sensor.mounting for name, sensor in sensors.items() if hasattr(sensor, "mounting")}
+    poses = {name: SE2(m.x_m, m.y_m, math.radians(m.yaw_deg)) for name, m in mounted.items()}
+    heights_m = {name: m.z_m for name, m in mounted.items()}
+    for name, sensor in sensors.items():
+        if (antenna_m := getattr(sensor, "antenna_m", None)) is not None:
+            poses[antenna_of(name)] = SE2(antenna_m[0], antenna_m[1])
+            heights_m[antenna_of(name)] = antenna_m[2]
     return encode_tf_static(
-        {name: SE2(m.x_m, m.y_m, math.radians(m.yaw_deg)) for name, m in mounted.items()},
+        poses,
         unix_ns,
         unix_ns,
-        {name: m.z_m for name, m in mounted.items()},
+        heights_m,
         [name for name, m in mounted.items() if m.upside_down],
     )
 

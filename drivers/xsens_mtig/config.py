@@ -1,11 +1,12 @@
 """Settings of an Xsens MTi-G, MTi-G-700 or MTi-G-710 as source of inertial samples and GNSS fixes."""
 
+import math
 from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from drivers.mounting import Mounting
-from drivers.xsens_mtig.orientation import axes_of
+from drivers.xsens_mtig.orientation import apply, axes_of
 from drivers.xsens_mtig.protocol import CODE_OF_BAUD
 from drivers.xsens_mtig.reals import Precision
 
@@ -59,6 +60,22 @@ class XsensMtigConfig(BaseModel):
             raise ValueError(f"lever_arm_m {self.lever_arm_m} is in metres; none is longer than 100")
         axes_of(self.forward_axis, self.up_axis)
         return self
+
+    @property
+    def antenna_m(self) -> tuple[float, float, float] | None:
+        """Forward, left and up of the GNSS antenna in the base frame; None: the lever arm is not given."""
+        if self.lever_arm_m is None:
+            return None
+        forward_m, left_m, up_m = apply(axes_of(self.forward_axis, self.up_axis), self.lever_arm_m)
+        if self.mounting.upside_down:
+            left_m, up_m = -left_m, -up_m
+        yaw_rad = math.radians(self.mounting.yaw_deg)
+        c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+        return (
+            self.mounting.x_m + c * forward_m - s * left_m,
+            self.mounting.y_m + s * forward_m + c * left_m,
+            self.mounting.z_m + up_m,
+        )
 
     @property
     def over_usb(self) -> bool:

@@ -20,6 +20,8 @@ from service.config import ServiceConfig, laser_names, load_config, mapped_laser
 from service.encoding import LASER_SCAN, pose_on_wire
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import ConfigError, InputError, StorageError
+from service.geometry.geo_reference import GeoReference
+from service.geometry.geodesy import UTM_MOST_LATITUDE_DEG
 from service.geometry.se2 import SE2
 from service.interruption import children_do_not_hear
 from service.kernel_warm_up import warm_up as warm_up_kernels
@@ -27,10 +29,12 @@ from service.mapper.corrections import corrected
 from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
 from service.mapper.stages import WishError
 from service.mapper.steering import TAKE_IN_AFTER_SCANS, Control, LeftOut, SteeredMapper, TakeIn, Wish
+from service.mapstore.geo_file import GEO_FILE, write_geo
 from service.mapstore.patch_files import PatchFiles
 from service.mapstore.picture import picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
+from service.offline.geo_export import write_world_file
 from service.offline.trajectory import write_tum
 from service.outputs import MapperOutput, TileUpdate
 from service.recording.mcap_source import Session, open_session
@@ -80,6 +84,7 @@ class Replay:
     g2o: str  # its graph; "" where the profile has none
     summary: dict[str, Any]
     notes: list[str] = field(default_factory=list)
+    geo: GeoReference | None = None  # where its map lies on the earth; None: that is not known
 
 
 def group_sessions(paths: Sequence[Path]) -> list[list[Path]]:
@@ -151,16 +156,17 @@ def replay(
     outputs: list[MapperOutput] = []
     poses: list[SE2] = []  # of the outputs of maps that are finished
     g2o = ""
+    geo: GeoReference | None = None
 
     def finish_map() -> None:
         """Of a map without a scan there is nothing to show: then that before it stands."""
-        nonlocal tiles, g2o
+        nonlocal tiles, g2o, geo
         new = outputs[len(poses) :]
         if not new:
             return
         finished = mapper.finish()
         poses.extend(corrected(new, finished.corrections))
-        tiles, g2o = mapper.changed_tiles(), finished.g2o
+        tiles, g2o, geo = mapper.changed_tiles(), finished.g2o, mapper.geo_reference
 
     recording = session.recording
     span_ns = max(recording.last_log_ns - recording.first_log_ns, 1)
@@ -227,14 +233,22 @@ def replay(
         "map_tiles": len(tiles),
         "map_resets": mapper.counters["map_resets"],
         "state": {state: states[state] for state in STATES},
+        "fixes": {
+            name.removeprefix("fixes_"): count
+            for name, count in sorted(mapper.counters.items())
+            if name.startswith("fixes_")
+        },
+        "geo_reference": None if geo is None else geo.as_dict(),
     }
-    return Replay(outputs, poses, tiles, g2o, summary, session.notes)
+    return Replay(outputs, poses, tiles, g2o, summary, session.notes, geo)
 
 
 def write_replay(done: Replay, out: Path) -> None:
-    """trajectory.tum, trajectory_live.tum, map.pgm + map.yaml, map.png, graph.g2o, summary.json.
+    """trajectory.tum, trajectory_live.tum, map.pgm + map.yaml, map.png, graph.g2o, geo.json, summary.json.
 
-    There is no graph.g2o where the profile has no graph. Raises StorageError.
+    There is no graph.g2o where the profile has no graph. Where fixes do not anchor the map there is no
+    geo.json, and none of an earlier replay stays; where they do, map.png has a world file beside it, as far
+    as UTM reaches. Raises StorageError.
 
     Poses are written as a subscriber or an export of the live session has them, to the last digit.
     """
@@ -249,6 +263,12 @@ def write_replay(done: Replay, out: Path) -> None:
         picture = picture_of_tiles(done.tiles)
         write_ros_map(out / "map.pgm", out / "map.yaml", picture)
         write_png(out / "map.png", picture)
+        for name in (GEO_FILE, "map.pgw", "map.prj"):
+            (out / name).unlink(missing_ok=True)
+        if done.geo is not None:
+            write_geo(out / GEO_FILE, done.geo)
+            if abs(done.geo.origin.latitude_deg) < UTM_MOST_LATITUDE_DEG:
+                write_world_file(out / "map.png", picture, done.geo)
         (out / "summary.json").write_text(json.dumps(done.summary, indent=1) + "\n", encoding="ascii")
     except OSError as error:
         raise StorageError(f"cannot write to {out}: {error}") from error
@@ -301,6 +321,7 @@ def _setup(
         mapping = _with_profile(options.profile, mapping)
     configured = mountings(config.sensors) if config is not None else {}
     poses = {name: configured.get(name, pose) for name, pose in session.mountings.items()}
+    poses |= session.antennas | {name: pose for name, pose in configured.items() if name not in poses}
     as_live = recorded is not None and mapping == recorded.mapping
     return mapping, poses, _lasers(session, config), as_live
 

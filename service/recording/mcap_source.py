@@ -1,6 +1,6 @@
 """Frames out of recordings, for the replay: our own sessions, and those of any other ROS 2 system.
 
-In a session of ours a sensor's topics are `/<sensor>/scan`, `/<sensor>/imu` and `/<sensor>/odom`. In others
+In a session of ours a sensor's topics are `/<sensor>/scan`, `imu`, `odom` and `fix`. In others
 they are found by type; where several fit, one is chosen, and the notes say what was passed over. Each
 header.frame_id in a topic is a device of its own.
 """
@@ -12,12 +12,14 @@ from itertools import chain, groupby, islice
 from pathlib import Path
 from typing import Any
 
+from drivers.antenna import antenna_of
 from drivers.frames import Frame
 from service.encoding import (
     BASE_FRAME,
     IMU,
     LASER_SCAN,
     MAP_FRAME,
+    NAV_SAT_FIX,
     ODOMETRY,
     STRING,
     Message,
@@ -33,7 +35,7 @@ from service.mapper.steering import Step
 from service.recording.mcap_reader import Recording, Topic
 from service.recording.mountings import Mounting, MountingError, StaticTree, planar_mounting
 
-FRAME_TYPES = {LASER_SCAN: "scan", IMU: "imu", ODOMETRY: "odom"}
+FRAME_TYPES = {LASER_SCAN: "scan", IMU: "imu", ODOMETRY: "odom", NAV_SAT_FIX: "fix"}
 BASE_FRAMES = (BASE_FRAME, "base_footprint")
 SAMPLED = 100  # messages at the beginning of a topic: what is not among them is not expected later
 DERIVED = ("filter", "fused", "icp", "visual", "amcl", "slam", "merged")  # made by others from the raw topic
@@ -47,6 +49,7 @@ class Session:
     scan_counts    laser -> how many of its scans the recording says it holds; where several devices share a
                    topic, by their shares at its beginning
     mountings      sensor name -> pose_base_sensor, for lasers; from /tf_static
+    antennas       the same for GNSS antennas, "<sensor>/antenna" where one is told apart from its sensor
     metadata       config, calibration, clocks as written by the recorder; empty in foreign recordings
     upside_down    sensors that are mounted so; what they say is turned back
     unmounted      lasers taken as sitting at the base's origin, for nothing says where they sit
@@ -64,6 +67,7 @@ class Session:
     notes: list[str]
     upside_down: frozenset[str]
     unmounted: frozenset[str] = frozenset()
+    antennas: dict[str, SE2] = field(default_factory=dict)
     events: tuple[str, ...] = ()
     counters: Counter[str] = field(default_factory=Counter)
     frame_ids: dict[str, Counter[str]] = field(default_factory=dict)
@@ -159,7 +163,11 @@ def open_session(paths: Sequence[Path]) -> Session:
     mounts: dict[str, Mounting] = {}
     upside_down: set[str] = set()
     unmounted: set[str] = set()
+    antennas: dict[str, SE2] = {}
     for source in chosen:
+        if source.topic.type == NAV_SAT_FIX:
+            antennas |= _antennas(source, sensors[source], tree, bases, notes)
+            continue
         if source.topic.type == ODOMETRY:
             continue
         try:
@@ -191,6 +199,7 @@ def open_session(paths: Sequence[Path]) -> Session:
         notes=[f"reading {', '.join(map(str, sensors))}", *notes],
         upside_down=frozenset(upside_down),
         unmounted=frozenset(unmounted),
+        antennas=antennas,
         events=tuple(t.name for t in recording.topics if ours and (t.name, t.type) == ("/events", STRING)),
     )
 
@@ -268,7 +277,7 @@ def _all_of_ours(sources: Mapping[str, Sequence[_Source]]) -> list[_Source]:
 
 
 def _choose(sources: Mapping[str, Sequence[_Source]], notes: list[str]) -> list[_Source]:
-    """Every laser once; of odometries and IMUs one, and of those in one topic that which sends most."""
+    """Every laser once; of odometries, IMUs and receivers one, and of those in one topic the fullest."""
     chosen = []
     by_frame: dict[str, list[_Source]] = {}
     for source in chain.from_iterable(sources.values()):
@@ -282,6 +291,8 @@ def _choose(sources: Mapping[str, Sequence[_Source]], notes: list[str]) -> list[
         notes.append(f"passed over {source}: poses in the map are a result, not odometry")
         odometries.remove(source)
     chosen += _first(odometries, "one odometry is used", ("/odom", "/odometry"), notes)
+    receivers = [source for source in firsts if source.topic.type == NAV_SAT_FIX]
+    chosen += _first(receivers, "one GNSS receiver is used", ("/fix", "/gps/fix"), notes)
     imus = [source for source in firsts if source.topic.type == IMU]
     chosen += _first(imus, "one IMU is used", ("/imu/data", "/imu"), notes)
     return chosen
@@ -326,6 +337,25 @@ def _mount(
     if mount.upside_down:
         notes.append(f"{source}: mounted upside down; what it says is turned back")
     return mount
+
+
+def _antennas(
+    source: _Source, sensor: str, tree: StaticTree, bases: Sequence[str], notes: list[str]
+) -> dict[str, SE2]:
+    """Where a receiver and its antenna sit; an antenna may be turned and tilted as it likes."""
+    names = {antenna_of(sensor): antenna_of(source.frame), sensor: source.frame}
+    above = {name: tree.chain(frame) for name, frame in names.items()}
+    found: dict[str, SE2] = {}
+    for name, frames in above.items():
+        base = next((base for base in bases if base in frames and len(frames) > 1), None)
+        if base is not None:
+            found[name] = SE2(float(frames[base][0, 3]), float(frames[base][1, 3]), 0.0)
+    if not found:
+        where = f"from {source.frame or 'its empty frame_id'} to {' or '.join(bases)}"
+        notes.append(
+            f"{source}: /tf_static does not lead {where}; its antenna is taken as above the base's origin"
+        )
+    return found
 
 
 def _nothing_to_map(recording: Recording, notes: Sequence[str]) -> str:

@@ -8,6 +8,7 @@ from service.encoding import Message, Status, encode_diagnostics
 from service.publishing.commands import CommandDesk
 from service.publishing.zenoh_publisher import ZenohPublisher
 from service.recording.mcap_recorder import McapRecorder
+from service.runtime.gnss_health import GnssHealth
 from service.runtime.intake import Intake
 from service.runtime.map_keeper import MapKeeper
 from service.runtime.mapper_link import MapperLink
@@ -104,6 +105,7 @@ class HealthReport:
         self._desk = desk
         self._scan_rate = RateMeter()
         self._states = dict.fromkeys(links, "connecting")
+        self._gnss_health = GnssHealth()
         self.statuses: list[Status] = []
         self.clock_step_ns = self._now_ns = 0
 
@@ -147,6 +149,7 @@ class HealthReport:
         self.statuses = [
             *sensors,
             self._mapping(),
+            *self._gnss(now_ns),
             self._map(),
             self._recording(),
             self._zenoh(),
@@ -202,6 +205,11 @@ class HealthReport:
         if level == OK and outputs.graph_trouble:
             level, words = WARNING, f"no loops are closed: {outputs.graph_trouble}"
         return Status("mapping", level, words, values)
+
+    def _gnss(self, now_ns: int) -> list[Status]:
+        """None where there are no fixes."""
+        status = self._gnss_health.status(self._outputs.counters, self._outputs.geo_reference, now_ns)
+        return [] if status is None else [status]
 
     def _map(self) -> Status:
         trouble = self._keeper.trouble

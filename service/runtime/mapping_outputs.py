@@ -98,7 +98,7 @@ class MappingOutputs:
         if emptied:
             self._on_tiles(emptied, self._map_stamp_ns)
         self._began_version = self._tiles.version
-        self.last = None
+        self.last = self.geo_reference = None
 
     def overload(self) -> str:
         """What is the matter where scans come faster than they are mapped, with figures; else ""."""
@@ -119,7 +119,9 @@ class MappingOutputs:
 
     def _mapped(self, mapped: Mapped) -> None:
         self.last, self.last_ns = mapped, self._monotonic_ns()
-        self.geo_reference = mapped.geo_reference
+        if mapped.geo_reference != self.geo_reference:
+            self.geo_reference = mapped.geo_reference
+            self._tiles.place(mapped.geo_reference)
         self.states[mapped.state] += 1
         self.scan_cpu.add(mapped.cpu_ns)
         log_ns = self._log_ns()

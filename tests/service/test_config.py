@@ -62,6 +62,23 @@ def test_only_sensors_with_a_mounting_have_one():
     assert (poses["front"].x_m, poses["front"].theta_rad) == pytest.approx((0.2, math.pi / 2))
 
 
+def test_an_antenna_lies_where_mounting_axes_and_lever_arm_put_it():
+    """The unit's y axis looks to the left of the vehicle, and the antenna lies 0.5 m along it."""
+    imu = (
+        "  imu: {type: xsens_mtig, device: /dev/x, forward_axis: y, lever_arm_m: [0.2, 0.5, 1.0], "
+        "mounting: {x_m: 1.0, y_m: 0.0, yaw_deg: 90.0}}"
+    )
+    lines = GOOD.splitlines()
+    at = next(k for k, line in enumerate(lines) if line.startswith("sensors:")) + 1
+    poses = mountings(parse_config("\n".join([*lines[:at], imu, *lines[at:]]), "c.yaml").sensors)
+    # Forward of the unit is its y, left its -x; the unit looks left, so both turn by 90 degrees.
+    assert (poses["imu/antenna"].x_m, poses["imu/antenna"].y_m) == pytest.approx((1.0 + 0.2, 0.5))
+    assert poses["imu"].x_m == 1.0
+    over = imu.replace("x_m: 1.0", "upside_down: true, z_m: 2.0, x_m: 1.0")
+    sensors = parse_config("\n".join([*lines[:at], over, *lines[at:]]), "c.yaml").sensors
+    assert sensors["imu"].antenna_m == pytest.approx((1.0 - 0.2, 0.5, 2.0 - 1.0))
+
+
 @pytest.mark.parametrize(
     ("text", "fault"),
     [

@@ -193,9 +193,10 @@ def test_the_summary_counts_what_happened(record_drive: RecordDrive):
     summary = replay([record_drive(late=True)], ReplayOptions()).summary
     assert list(summary) == [
         "corridor", "profile", "scans", "scans_dropped", "scans_not_mapped", "scans_passed_over",
-        "scans_paused", "shared_topics",
-        "duration_s", "wall_s", "realtime_factor", "scan_ms", "scan_cpu_ms", "stage_ms_p50",
-        "loop_closures", "keyframes", "peak_rss_mb", "map_tiles", "map_resets", "state",
+        "scans_paused", "shared_topics", "duration_s", "wall_s", "realtime_factor", "scan_ms", "scan_cpu_ms",
+        "stage_ms_p50",
+        "loop_closures", "keyframes", "peak_rss_mb", "map_tiles", "map_resets", "state", "fixes",
+        "geo_reference",
     ]  # fmt: skip
     assert (summary["scans"], summary["scans_dropped"]) == (40, 1)
     assert summary["duration_s"] == pytest.approx(39 * 0.02)

@@ -8,7 +8,7 @@ from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.stores import ros2_jazzy as ros
 
-from drivers.frames import ImuSample, LaserScan, OdometrySample
+from drivers.frames import GnssFix, ImuSample, LaserScan, OdometrySample
 from service import encoding
 from service.encoding import Message, decode_frame, encode_frame, encode_pose
 from service.errors import InputError
@@ -172,6 +172,43 @@ def test_a_foreign_laser_is_found_by_type_and_mounted_by_its_chain(foreign):
     assert math.degrees(pose.theta_rad) == pytest.approx(60.0)
     assert session.metadata == {}
     assert {type(frame) for frame in session.frames()} == {LaserScan, OdometrySample}
+
+
+def fix_message(index: int, sensor: str) -> Message:
+    fix = GnssFix(sensor, T0_NS + index, T0_NS + index, 0, 60.1, 24.5, 51.0, (4.0, 0, 0, 0, 4.0, 0, 0, 0, 9))
+    return encode_frame(fix)
+
+
+def test_fixes_of_our_session_come_with_the_antenna(tmp_path):
+    mounted = encoding.encode_tf_static({**MOUNTINGS, "imu/antenna": SE2(-0.5, 0.1, 0.0)}, T0_NS, T0_NS)
+    write_file(tmp_path / "s.mcap", [mounted, scan_message(0), fix_message(1, "imu")])
+    session = open_session([tmp_path / "s.mcap"])
+    assert session.sensors["/imu/fix"] == "imu"
+    assert session.antennas == {"imu/antenna": SE2(-0.5, 0.1, 0.0)}
+    assert GnssFix in {type(frame) for frame in session.frames()}
+
+
+def test_of_foreign_receivers_one_is_read_and_its_antenna_may_be_tilted(foreign):
+    foreign.tf(
+        ("base_link", "roof", (0.2, 0.0, 1.5), turn(yaw=90.0)),
+        ("roof", "gps", (0.3, 0.1, 0.0), turn(pitch=35.0)),
+    )
+    foreign.add_message("/scan", scan_message(0))
+    for topic, sensor in (("/gps/fix", "gps"), ("/gps/fix", "gps"), ("/other/fix", "other")):
+        foreign.add_message(topic, fix_message(1, sensor))
+    session = open_session(foreign.close())
+    assert session.sensors["/gps/fix"] == "gps"
+    antenna = session.antennas["gps"]
+    assert (antenna.x_m, antenna.y_m) == pytest.approx((0.2 - 0.1, 0.3))
+    assert any(note.startswith("passed over /other/fix") for note in session.notes)
+    assert sum(isinstance(frame, GnssFix) for frame in session.frames()) == 2
+
+
+def test_a_receiver_without_a_chain_is_taken_as_unmounted_and_said_so(foreign):
+    foreign.add_message("/scan", scan_message(0)).add_message("/fix", fix_message(1, "gps"))
+    session = open_session(foreign.close())
+    assert session.antennas == {}
+    assert any("does not lead from gps to base_link or base_footprint" in note for note in session.notes)
 
 
 def test_what_the_odometry_moves_is_the_base(foreign):

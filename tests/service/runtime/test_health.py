@@ -31,6 +31,7 @@ def report(link: LinkHealth, **parts: Any) -> HealthReport:
         lasers=("front",),
         last=None,
         last_ns=11 * S,
+        geo_reference=None,
         passed_over=Counter(),
         overload=lambda: "",
         restarts=1,
@@ -223,3 +224,12 @@ def test_a_pose_that_is_not_fresh_is_an_error():
     told = status(made, "mapping")
     assert (told.level, told.message) == (ERROR, "no pose for 4.0 s: no scan of front")
     assert (told.values["state"], told.values["age_s"]) == ("stale", "4.00")
+
+
+def test_gnss_is_spoken_of_where_there_are_fixes():
+    made = report(streaming())
+    made.update(11 * S, 0)
+    assert "gnss" not in {status.name for status in made.statuses}
+    made._outputs.counters["fixes_frozen"] = 3
+    assert status(made, "gnss").level == WARNING
+    assert "repeats one position" in status(made, "gnss").message
