@@ -119,7 +119,6 @@ class Mapped(NamedTuple):
     reason: str
     match_share: float
     cpu_ns: int  # processor time of the mapper
-    geo_reference: GeoReference | None
     messages: tuple[Message, ...]  # pose first
 
 
@@ -181,4 +180,5 @@ class Status:
     number: int  # the last item that it has taken
     counters: Mapping[str, int] = field(default_factory=dict)
     graph_trouble: str = ""
+    geo_reference: GeoReference | None = None  # where the map lies on the earth
     cpu_s: float = 0.0  # of the process since its start

@@ -109,7 +109,13 @@ class MappingLoop:
 
     def tell_status(self) -> None:
         self._send(
-            Status(self.number, dict(self.mapper.counters), self.mapper.graph_trouble, time.process_time())
+            Status(
+                number=self.number,
+                counters=dict(self.mapper.counters),
+                graph_trouble=self.mapper.graph_trouble,
+                geo_reference=self.mapper.geo_reference,
+                cpu_s=time.process_time(),
+            )
         )
 
     def finish(self) -> None:
@@ -153,7 +159,6 @@ class MappingLoop:
                 reason=output.reason,
                 match_share=output.match_share,
                 cpu_ns=cpu_ns,
-                geo_reference=output.geo_reference,
                 messages=messages,
             ),
         )

@@ -70,8 +70,7 @@ class MappingOutputs:
             case Tiles():
                 self._put_tiles(message)
             case Status():
-                self.counters, self.graph_trouble = message.counters, message.graph_trouble
-                self.cpu_s = self._cpu_before_s + message.cpu_s
+                self._take_status(message)
             case TookIn():
                 self._graph_worked(message)
             case PassedOver():
@@ -119,9 +118,6 @@ class MappingOutputs:
 
     def _mapped(self, mapped: Mapped) -> None:
         self.last, self.last_ns = mapped, self._monotonic_ns()
-        if mapped.geo_reference != self.geo_reference:
-            self.geo_reference = mapped.geo_reference
-            self._tiles.place(mapped.geo_reference)
         self.states[mapped.state] += 1
         self.scan_cpu.add(mapped.cpu_ns)
         log_ns = self._log_ns()
@@ -129,6 +125,13 @@ class MappingOutputs:
             stamped = replace(message, log_ns=log_ns)
             self._publish(stamped, mapped.arrived_ns if k == 0 else None)
             self._record(stamped)
+
+    def _take_status(self, status: Status) -> None:
+        self.counters, self.graph_trouble = status.counters, status.graph_trouble
+        self.cpu_s = self._cpu_before_s + status.cpu_s
+        if status.geo_reference != self.geo_reference:
+            self.geo_reference = status.geo_reference
+            self._tiles.place(status.geo_reference)
 
     def _put_tiles(self, message: Tiles) -> None:
         tiles = [replace(tile, version=self._began_version + tile.version) for tile in message.tiles]

@@ -121,7 +121,7 @@ def test_the_pose_s_state_is_the_mapping_s_health(state: Any, level: int):
     made.update(0, 0)
     assert status(made, "mapping").message == "no laser is mapped"
     reason = "" if state == "ok" else "few beams agree"
-    made._outputs.last = Mapped(1, 1, 1, state, reason, 0.8, 1, None, ())
+    made._outputs.last = Mapped(1, 1, 1, state, reason, 0.8, 1, ())
     told = status(made, "mapping")
     assert (told.level, told.message) == (level, reason or "ok")
     assert told.values["match_share"] == "0.800"
@@ -201,7 +201,7 @@ def test_commands_are_counted():
 
 def test_a_graph_that_does_no_work_is_a_warning():
     made = report(streaming())
-    made._outputs.last = Mapped(1, 1, 1, "ok", "", 0.9, 1, None, ())
+    made._outputs.last = Mapped(1, 1, 1, "ok", "", 0.9, 1, ())
     made._outputs.graph_trouble = "the process died"
     told = status(made, "mapping")
     assert (told.level, told.message) == (WARNING, "no loops are closed: the process died")
@@ -209,7 +209,7 @@ def test_a_graph_that_does_no_work_is_a_warning():
 
 def test_an_overloaded_mapper_is_a_warning_with_its_figures():
     made = report(streaming())
-    made._outputs.last = Mapped(1, 1, 1, "ok", "", 0.9, 1, None, ())
+    made._outputs.last = Mapped(1, 1, 1, "ok", "", 0.9, 1, ())
     made._outputs.overload = lambda: "overloaded for 3 s: 12 scans of the last second were passed over"
     told = status(made, "mapping")
     assert (told.level, told.values["state"]) == (WARNING, "overloaded")
@@ -220,7 +220,7 @@ def test_an_overloaded_mapper_is_a_warning_with_its_figures():
 
 def test_a_pose_that_is_not_fresh_is_an_error():
     made = report(streaming())
-    made._outputs.last, made._outputs.last_ns = Mapped(1, 1, 1, "ok", "", 0.9, 1, None, ()), 7 * S
+    made._outputs.last, made._outputs.last_ns = Mapped(1, 1, 1, "ok", "", 0.9, 1, ()), 7 * S
     told = status(made, "mapping")
     assert (told.level, told.message) == (ERROR, "no pose for 4.0 s: no scan of front")
     assert (told.values["state"], told.values["age_s"]) == ("stale", "4.00")

@@ -30,6 +30,7 @@ class FakeMapper:
     """Puts every scan one metre further along x; notes what it was given."""
 
     finished = False
+    geo_reference = None
 
     def __init__(
         self, fault: Exception | None = None, x_m: float | None = None, graph: NoGraph | None = None

@@ -2,7 +2,7 @@ from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
 from service.mapstore.tiles import TileStore
-from service.runtime.mapper_messages import Mapped
+from service.runtime.mapper_messages import Status
 from service.runtime.mapping_outputs import MappingOutputs
 from tests.service.mapstore.tile_makers import tile
 
@@ -11,14 +11,14 @@ GEO = GeoReference(LocalFrame(60.161, 24.546, 51.7), SE2(3.0, -4.0, 0.0), 0.8, 0
 
 def test_where_the_map_lies_goes_to_the_tiles_and_ends_with_the_map():
     tiles = TileStore()
-    outputs = MappingOutputs("front", tiles, lambda *_: None, lambda _: None, lambda *_: None, lambda: 0)
+    outputs = MappingOutputs(["front"], tiles, lambda *_: None, lambda _: None, lambda *_: None, lambda: 0)
     tiles.update([tile(0, 0, 1)])
-    outputs.heard(Mapped(1, 2, 3, "ok", "", 1.0, 4, GEO, ()))
+    outputs.heard(Status(1, geo_reference=GEO))
     assert outputs.geo_reference == GEO
     assert tiles.take()[1].geo == GEO
     outputs.map_reset()
     assert outputs.geo_reference is None
     (ended,), present = tiles.take()
     assert (ended.geo, present.geo) == (GEO, None)
-    outputs.heard(Mapped(2, 2, 3, "ok", "", 1.0, 4, None, ()))
+    outputs.heard(Status(2))
     assert tiles.take()[1].geo is None
