@@ -13,6 +13,7 @@ ANGLE_SIGMA_RAD = 0.1  # a window grows until the wall's direction is known so w
 MOST_ANGLE = 2.0  # times the direction's sigma that is asked for: known worse, a piece is rough
 LEAST_COS_INCIDENCE = 0.05  # beams that graze more see nothing that can be relied on
 ROUGH_WEIGHT = 0.01  # of a point that lies on no plane
+LEAST_RUNS, MOST_BEAM_GAP = 30, 4  # of three beams, that noise is seen in; steps between the beams of a run
 
 
 @njit(cache=True, nogil=True)
@@ -143,6 +144,9 @@ def range_beside(range_m, first, i, end):
 def range_noise(xy_raw, beam, sensor_xy_m):
     """Noise of a range as a scan shows it, m; 0.0 where it shows none: fewer than 30 runs of three beams.
 
+    Runs are of beams side by side; where there are too few, of every second one, up to every fourth: a LUX
+    at 25 Hz fills every second beam of its grid.
+
     Along walls the range of a beam is nearly the mean of its neighbours', so second differences are noise:
     their median is 0.6745 sqrt(6) sigma of normal noise, whatever edges and people are in view; [19].
 
@@ -153,19 +157,24 @@ def range_noise(xy_raw, beam, sensor_xy_m):
     """
     bins = 1000
     width_m = 5e-4
-    histogram = np.zeros(bins, np.int64)
     range_m = np.empty(xy_raw.shape[0])
     for i in range(xy_raw.shape[0]):
         range_m[i] = math.hypot(xy_raw[i, 0] - sensor_xy_m[0], xy_raw[i, 1] - sensor_xy_m[1])
+    histogram = np.zeros(bins, np.int64)
     total = 0
-    for i in range(1, xy_raw.shape[0] - 1):
-        if beam[i + 1] - beam[i - 1] != 2:
-            continue
-        k = int(abs(range_m[i - 1] - 2.0 * range_m[i] + range_m[i + 1]) / width_m)
-        if k < bins:
-            histogram[k] += 1
-            total += 1
-    if total < 30:
+    for gap in range(1, MOST_BEAM_GAP + 1):
+        histogram[:] = 0
+        total = 0
+        for i in range(1, xy_raw.shape[0] - 1):
+            if beam[i + 1] - beam[i] != gap or beam[i] - beam[i - 1] != gap:
+                continue
+            k = int(abs(range_m[i - 1] - 2.0 * range_m[i] + range_m[i + 1]) / width_m)
+            if k < bins:
+                histogram[k] += 1
+                total += 1
+        if total >= LEAST_RUNS:
+            break
+    if total < LEAST_RUNS:
         return 0.0
     below = 0
     for k in range(bins):

@@ -16,6 +16,7 @@ from service.mapper.stages import Points
 
 NOISE_SCANS = 100  # over which the noise of a sensor's ranges is taken
 LEAST_NOISE_M = 0.003
+UNKNOWN_NOISE_M = 0.03  # of a laser that has shown none yet
 
 
 class BeamsConfig(BaseModel):
@@ -89,7 +90,7 @@ class DeskewByTwist:
 
     def _noise_of(self, sensor: str, shown_m: float) -> float:
         """Mean over the scans so far, of the newest NOISE_SCANS."""
-        count, mean_m = self._noise.get(sensor, (0, LEAST_NOISE_M))
+        count, mean_m = self._noise.get(sensor, (0, UNKNOWN_NOISE_M))
         if shown_m > 0.0:
             count = min(count + 1, NOISE_SCANS)
             mean_m += (max(shown_m, LEAST_NOISE_M) - mean_m) / count

@@ -177,10 +177,16 @@ def test_the_noise_of_ranges_is_seen_in_a_scan_with_edges(sigma_m: float) -> Non
     assert np.mean(seen) == pytest.approx(sigma_m, rel=0.15)
 
 
+def test_noise_is_seen_where_only_every_second_beam_or_every_fourth_comes_back() -> None:
+    xy = noisy_wall(3.0, 0.04)
+    dense = range_noise(xy, np.arange(len(xy), dtype=np.int32), np.zeros(2))
+    for gap in (2, 3, 4):
+        assert range_noise(xy, np.arange(0, gap * len(xy), gap, dtype=np.int32), np.zeros(2)) == dense
+
+
 def test_beams_that_are_no_neighbours_say_nothing_of_noise() -> None:
     xy = noisy_wall(3.0, 0.01)
-    every_other = np.arange(0, 2 * len(xy), 2, dtype=np.int32)
-    assert range_noise(xy, every_other, np.zeros(2)) == 0.0
+    assert range_noise(xy, np.arange(0, 5 * len(xy), 5, dtype=np.int32), np.zeros(2)) == 0.0
     assert range_noise(xy[:31], np.arange(31, dtype=np.int32), np.zeros(2)) == 0.0
     assert range_noise(xy[:32], np.arange(32, dtype=np.int32), np.zeros(2)) > 0.0
 
