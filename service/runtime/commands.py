@@ -154,6 +154,7 @@ class Commands:
         self._intake.tiles(event.log_ns, lambda answer: self._keeper.ask_to_save(saved))
 
     def _start_recording(self, event: Message, outcome: Outcome) -> None:
+        self._outputs.session_begins(event.log_ns)
         self._recorder.begin_session(event, partial(self._recording_changed, outcome))
         if self._intake.paused:  # a session holds all that its replay needs
             text = json.dumps({"event": "pause", "reason": "paused before the recording began"})

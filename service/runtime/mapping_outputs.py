@@ -44,6 +44,7 @@ class MappingOutputs:
         self._on_tiles = on_tiles
         self._log_ns = log_ns
         self._monotonic_ns = monotonic_ns
+        self._recorded_from_ns = 0  # log time
         self._began_version = 0  # versions of the mapper's tiles count from here
         self._passed_over_ns: deque[int] = deque(maxlen=4096)  # when, host monotonic
         self._overloaded_since_ns: int | None = None
@@ -152,6 +153,12 @@ class MappingOutputs:
         self.passed_over[message.sensor] += 1
         self._record_before(message.log_ns, {"event": "scan_passed_over", "sensor": message.sensor})
 
+    def session_begins(self, log_ns: int) -> None:
+        """A recording of its own begins: what is decided about frames read before is not for it."""
+        self._recorded_from_ns = log_ns
+
     def _record_before(self, log_ns: int, event: Mapping[str, str]) -> None:
         """Among the frames, right before the one of this log time."""
+        if log_ns < self._recorded_from_ns:
+            return
         self._record(encode_event(json.dumps(dict(event)), log_ns - 1, log_ns - 1))

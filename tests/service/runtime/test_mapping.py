@@ -235,6 +235,14 @@ def test_a_scan_may_be_two_periods_old_where_that_is_more():
     assert Run(FakeMapper()).put(slow, waits_ns=161 * MS).outputs.passed_over == {"front": 1}
 
 
+def test_what_is_decided_about_a_scan_of_before_is_not_in_a_session_that_began_since():
+    run = Run(FakeMapper())
+    run.outputs.session_begins(OFFSET_NS + 70)
+    run.put(scan(40, 60, [1.0, 2.0]), scan(80, 90, [1.0, 2.0]), waits_ns=MOST_AGE_NS + 1)
+    assert [m.log_ns - OFFSET_NS for m in run.recorded if m.channel == "events"] == [89]
+    assert run.outputs.passed_over == {"front": 2}
+
+
 def test_in_a_pause_no_scan_is_too_old():
     run = Run(FakeMapper())
     run.steer("pause")
