@@ -6,6 +6,7 @@ import numpy as np
 
 from service.kernels.deskew import Returns
 from service.kernels.match import MatchSettings, Prior, match_scan
+from service.kernels.permanence import Sightings, count_in_free
 from service.kernels.range_bias import see_bias, shorten_ranges
 from service.kernels.surfels import TILE_CELLS, SurfelGrid
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
@@ -21,6 +22,9 @@ def rehearse_match() -> None:
     match_scan(returns, normals, prior, prior.pose.copy(), grid, settings, 1.0, xy)
     see_bias(xy, normals, np.zeros(3), np.zeros(2), grid, settings, 1.0, np.empty((2, 2)), np.empty(2))
     shorten_ranges(xy, np.zeros(2), np.zeros(2), 1.0, xy)
+    tile = np.zeros((1, TILE_CELLS, TILE_CELLS))
+    sightings = Sightings(tile.astype(np.int8), tile.astype(np.uint16))
+    count_in_free(xy, normals, np.zeros(3), grid, sightings)  # a scan that fits needs it not
 
 
 def _empty_grid() -> SurfelGrid:
