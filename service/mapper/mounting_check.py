@@ -23,7 +23,10 @@ MOST_CHI2 = 16.3  # 99.9 % of three degrees of freedom
 
 
 class MountingCheck:
-    """Of one laser. `is_right` until there is something to compare it with; see `begin`."""
+    """Of one laser. `is_right` until there is something to compare it with; see `begin`.
+
+    One that has a `fault` is not mapped, also where it is the only one left: it would tear the map.
+    """
 
     def __init__(self) -> None:
         self.is_right = True
@@ -34,10 +37,6 @@ class MountingCheck:
     def begin(self) -> None:
         """Another laser has begun the map: this one is to be compared with it."""
         self.is_right = False
-
-    def trust(self) -> None:
-        """There is no other laser any more, or it agrees with them."""
-        self.is_right = True
 
     def where_to_look(self, predicted: Prediction) -> Prediction:
         """Where its scan is looked for on the map, and how wide around."""

@@ -133,9 +133,8 @@ class Mapper(Generic[ReadableMap]):
             return self._passed_over(scan, at_ns)
         points = s.deskew(scan, predicted, at_ns)  # base frame, one instant; keeps each beam's time
         watch.lap("deskew")
-        if not laser.mounting.is_right and self._well_besides(scan.sensor, at_ns):
+        if laser.mounting.fault or (not laser.mounting.is_right and self._well_besides(scan.sensor, at_ns)):
             return self._compared(scan, at_ns, laser, points, predicted)
-        laser.mounting.trust()
         match = s.matcher.match(points, predicted, s.local_map)  # where we are
         match = replace(match, motion=s.motion_model.correct(match.measured))
         watch.lap("match")
@@ -172,8 +171,10 @@ class Mapper(Generic[ReadableMap]):
             laser.mounting.miss()
         motion = self._stages.motion_model.correct(None)
         state, reason = self._state
-        if state == "ok" and laser.mounting.fault:
-            state, reason = "degraded", f"{scan.sensor} {laser.mounting.fault}"
+        if laser.mounting.fault:
+            is_alone = not self._well_besides(scan.sensor, at_ns)
+            if is_alone or state == "ok":
+                state, reason = "lost" if is_alone else "degraded", f"{scan.sensor} {laser.mounting.fault}"
         return self._output(at_ns, motion, state, reason, match.inlier_ratio)
 
     def _well_besides(self, sensor: str, at_ns: int) -> str:

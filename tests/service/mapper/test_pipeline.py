@@ -78,12 +78,12 @@ def test_nothing_is_painted_while_lost_and_a_piece_is_mapped_apart():
     assert np.isfinite(output.covariance).all()
 
 
-def two_lasers() -> list[Frame]:
+def two_lasers(seconds: float = 1.6) -> list[Frame]:
     """The room driven through with a second laser behind, whose sweeps overlap those of the first."""
-    front = drive(ROOM, ahead, 1.6)
+    front = drive(ROOM, ahead, seconds)
     rear = [
         replace(frame, sensor="rear", stamp_ns=frame.stamp_ns - SHIFT_NS)
-        for frame in drive(ROOM, lambda t_s: ahead(t_s - SHIFT_NS * 1e-9), 1.6, mounting=REAR).frames
+        for frame in drive(ROOM, lambda t_s: ahead(t_s - SHIFT_NS * 1e-9), seconds, mounting=REAR).frames
         if isinstance(frame, LaserScan)
     ]
     return sorted([*front.frames, *rear], key=lambda frame: (frame.arrived_ns, frame.sensor))
@@ -152,6 +152,23 @@ def test_a_laser_alone_needs_no_other_to_be_mapped():
     outputs = [(frame, output) for frame in frames if (output := mapper.process(frame)) is not None]
     assert mapper.counters["scans_compared_rear"] < 40
     assert {output.state for frame, output in outputs if frame.stamp_ns > 1_900_000_000} == {"ok"}
+
+
+def test_a_laser_that_sits_wrong_is_not_mapped_when_the_others_fall_silent():
+    """Nor when they come back: without a word of theirs its poses would be called `ok`, turned by 4 deg."""
+    mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING, "rear": REAR @ SE2(0, 0, 0.07)})
+    alone_ns, back_ns = 2_000_000_000, 2_560_000_000  # half a second of silence is not yet alone
+    states: dict[str, set[str]] = {"silent": set(), "alone": set()}
+    for frame in two_lasers(2.2):
+        if frame.sensor == "front" and frame.stamp_ns > alone_ns:
+            continue
+        output = mapper.process(frame)
+        if output is not None and frame.stamp_ns > back_ns:
+            states["alone"].add(output.state)
+        elif output is not None and alone_ns < frame.stamp_ns < alone_ns + 450_000_000:
+            states["silent"].add(output.state)
+    assert states == {"silent": {"degraded"}, "alone": {"lost"}}
+    assert "rear" not in mapper._stages.local_map._last_of  # nothing of it stands in the map
 
 
 def test_a_laser_that_hangs_is_named_while_another_sees_on():
