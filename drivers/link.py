@@ -172,7 +172,8 @@ def _pump(
                     if gate.lets_through(session.clock_sigma_ns, arrived_ns):
                         sink(frame)
                     else:
-                        session.counters["frames_before_clock"] += 1
+                        kind = "fixes" if isinstance(frame, GnssFix) else "frames"
+                        session.counters[f"{kind}_before_clock"] += 1
             health.status = session.status
             health.clock_offset_ns = session.clock_offset_ns
             health.clock_sigma_ns = session.clock_sigma_ns

@@ -155,9 +155,14 @@ def wait_for(channels: Collection[End], timeout_s: float) -> list[End]:
         left_s = max(deadline_s - time.monotonic(), 0.0)
         ready = []
         for number, events in poll.poll(left_s * 1e3):
+            end = by_number[number]
+            is_over = False
             if events & select.POLLOUT and not events & ~select.POLLOUT:
-                by_number[number].flush()
-            if events & ~select.POLLOUT:
-                ready.append(by_number[number])
+                try:
+                    end.flush()
+                except ChannelClosedError:
+                    is_over = True  # whoever receives next hears of it
+            if events & ~select.POLLOUT or is_over:
+                ready.append(end)
         if ready or time.monotonic() >= deadline_s:
             return ready

@@ -18,6 +18,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -82,10 +83,10 @@ class MapperLink:
         self._setup = setup
         self._listener = listener
         self._folder = tempfile.TemporaryDirectory(prefix="corridor-mapper-")
-        self._door = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._door.bind(str(self._path / "mapper.sock"))
-        self._door.listen(4)
-        self._door.setblocking(False)
+        self._server = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._server.bind(str(self._path / "mapper.sock"))
+        self._server.listen(4)
+        self._server.setblocking(False)
         self._lock = threading.Lock()  # of what follows, down to the blank line
         self._active: Channel | None = None
         self._kept: deque[Item] = deque()  # those after the stand-by's last
@@ -95,7 +96,7 @@ class MapperLink:
 
         self._process: subprocess.Popen[bytes] | None = None
         self._pid = 0  # of the active mapper
-        self._newcomers: list[Channel] = []  # connected, and have not said who they are
+        self._unidentified: list[Channel] = []  # connected, and have not said who they are
         self._standby: tuple[Channel, Hello] | None = None
         self._done_number = 0
         self._took_in: dict[int, int] = {}
@@ -177,7 +178,8 @@ class MapperLink:
         """Listen until `close`. Raises MapperLostError."""
         while not self._closed.is_set():
             self.turns += 1
-            self._listen()
+            with suppress(ChannelClosedError):  # whose end that is shows when it is read
+                self._listen()
             self._watch()
 
     def finish(self, timeout_s: float) -> bool:
@@ -202,12 +204,12 @@ class MapperLink:
 
     def clean_up(self) -> None:
         """When `run` has returned."""
-        channels = [self._active, *self._newcomers, self._standby[0] if self._standby else None]
+        channels = [self._active, *self._unidentified, self._standby[0] if self._standby else None]
         for channel in channels:
             if channel is not None:
                 channel.close()
         self._active = self._standby = None
-        self._door.close()
+        self._server.close()
         for pid in (self._pid, self._process.pid if self._process is not None else 0):
             _kill(pid)
         if self._process is not None:
@@ -217,35 +219,35 @@ class MapperLink:
     def _listen(self) -> None:
         standby = [self._standby[0]] if self._standby is not None else []
         active = self._active
-        ends = [*([active] if active is not None else []), *standby, *self._newcomers]
-        for end in wait_for([*ends, _Door(self._door)], LISTEN_S):
+        ends = [*([active] if active is not None else []), *standby, *self._unidentified]
+        for end in wait_for([*ends, _ServerSocket(self._server)], LISTEN_S):
             if not isinstance(end, Channel):
-                self._let_in()
+                self._accept()
             elif end is active:
                 self._hear(end)
-            elif end in self._newcomers:
-                self._meet(end)
+            elif end in self._unidentified:
+                self._identify(end)
             else:
                 self._lose_standby(end)
 
-    def _let_in(self) -> None:
+    def _accept(self) -> None:
         while True:
             try:
-                connection, _ = self._door.accept()
+                connection, _ = self._server.accept()
             except BlockingIOError:
                 return
-            self._newcomers.append(Channel(connection))
+            self._unidentified.append(Channel(connection))
 
-    def _meet(self, channel: Channel) -> None:
+    def _identify(self, channel: Channel) -> None:
         try:
             hellos = channel.receive()
         except ChannelClosedError:
-            self._newcomers.remove(channel)
+            self._unidentified.remove(channel)
             channel.close()
             return
         if not hellos:
             return
-        self._newcomers.remove(channel)
+        self._unidentified.remove(channel)
         hello = hellos[0]
         if not hello.is_standby:
             channel.send(self._setup)
@@ -356,7 +358,7 @@ class MapperLink:
                 f"the mapper's process {how}, {MOST_DEATHS} times after item {self._done_number}"
             )
         self.restarts += 1
-        self._bury()
+        self._end_active()
         self._orphaned = (how, time.monotonic())
         self._take_over()
 
@@ -391,7 +393,7 @@ class MapperLink:
             except ChannelClosedError:
                 self._active = None  # the next turn finds it lost, too
 
-    def _bury(self) -> None:
+    def _end_active(self) -> None:
         with self._lock:
             if self._active is not None:
                 self._active.close()
@@ -401,16 +403,16 @@ class MapperLink:
             self._process.wait(END_S)
 
 
-class _Door:
+class _ServerSocket:
     """Lets a listening socket be waited for beside channels."""
 
     waiting_bytes = 0
 
-    def __init__(self, door: socket.socket) -> None:
-        self._door = door
+    def __init__(self, server: socket.socket) -> None:
+        self._server = server
 
     def fileno(self) -> int:
-        return self._door.fileno()
+        return self._server.fileno()
 
     def flush(self) -> bool:
         return True

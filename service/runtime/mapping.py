@@ -119,7 +119,11 @@ class MappingLoop:
         )
 
     def finish(self) -> None:
-        """After the last item: the graph's last word, and the tiles that it changed."""
+        """After the last item: the graph's last word, and the tiles that it changed.
+
+        That may take longer than ingest waits for a mapper with items before it, so it is told that none are.
+        """
+        self.tell_status()
         self.mapper.finish()
         self.hand_over_tiles()
         self.tell_status()

@@ -366,3 +366,17 @@ def test_other_types_are_none_and_broken_bytes_are_refused():
         decode_frame(encoding.LASER_SCAN, b"\x00\x01\x00", "front", 9)
     with pytest.raises(InputError, match="are not a sensor_msgs/msg/LaserScan"):
         decode_frame(encoding.LASER_SCAN, encode_frame(scan([1.0, 2.0])).payload[:-6], "front", 9)
+
+
+def test_what_a_sensor_upside_down_says_is_turned_back():
+    """Turned about its forward axis: what it calls left is right, and down is up."""
+    level = scan([1.0, 2.0, 3.0])
+    message = encode_frame(level)
+    turned = decode_frame(message.type, message.payload, "front", 9, upside_down=True)
+    assert (turned.first_angle_rad, turned.angle_step_rad) == pytest.approx(
+        (-level.first_angle_rad, -level.angle_step_rad)
+    )
+    message = encode_frame(ImuSample("imu", 1, 2, (0.1, 0.2, 0.3), (1.0, 2.0, -9.8), (1.0, 0.0, 0.0, 0.0)))
+    turned = decode_frame(message.type, message.payload, "imu", 9, upside_down=True)
+    assert (turned.rate_radps, turned.force_mps2) == ((0.1, -0.2, -0.3), (1.0, -2.0, 9.8))
+    assert turned.orientation_wxyz is None

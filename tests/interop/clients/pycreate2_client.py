@@ -70,7 +70,7 @@ while True:
     angle_deg += sensors.angle
     if last_ns - first_ns > SECONDS * 1e9:
         break
-    time.sleep(0.1)
+    time.sleep(0.1)  # the program has no event: it asks, and the robot answers with the way since
 seconds = (last_ns - first_ns) * 1e-9
 true_distance_mm = 500.0 * (truth["left_mps"] + truth["right_mps"]) * seconds
 lost_mm = readings + 30.0  # each reading cuts off less than a millimetre; the first may be late by some ms

@@ -38,7 +38,7 @@ for reading, start, speed_mps in zip(
 
 robot.request_distance()
 from_ns = time.monotonic_ns()
-time.sleep(1.0)
+time.sleep(1.0)  # the way of one second is what is measured
 distance_mm = robot.request_distance()
 true_mm = 500.0 * (truth["left_mps"] + truth["right_mps"]) * (time.monotonic_ns() - from_ns) * 1e-9
 expect(abs(distance_mm - true_mm) <= 15.0, f"{distance_mm} mm of {true_mm:.0f} mm")

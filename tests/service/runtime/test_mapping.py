@@ -17,7 +17,7 @@ from service.mapstore.tiles import TileStore
 from service.outputs import UNKNOWN, MapperOutput, TileUpdate
 from service.runtime.host_time import HostTime
 from service.runtime.intake import Intake
-from service.runtime.mapper_messages import Answer, Decisions, Go, Mapped, PassedOver, Tiles, TookIn
+from service.runtime.mapper_messages import Answer, Decisions, Go, Mapped, PassedOver, Status, Tiles, TookIn
 from service.runtime.mapping import MOST_AGE_NS, MapperError, MappingLoop
 from service.runtime.mapping_outputs import MappingOutputs
 from tests.service.runtime.inline_link import InlineLink
@@ -188,6 +188,19 @@ def test_the_last_tiles_are_there_at_the_end():
     run.link.finish()
     assert run.tiles.version == 2
     assert run.handed_over[-1] == (2, 40)
+
+
+def test_before_the_graph_takes_its_time_at_the_end_ingest_hears_that_no_item_waits():
+    mapper = FakeMapper()
+    said: list[object] = []
+    loop = MappingLoop(SteeredMapper(lambda: mapper, ["front"], None), said.append, (), lambda: 0)
+    for item in Run(FakeMapper()).put(*FRAMES).link.items:
+        loop.take(item)
+    finish = mapper.finish
+    mapper.finish = lambda: (said.append("finishing"), finish())[1]  # type: ignore[method-assign]
+    loop.finish()
+    before = said[: said.index("finishing")]
+    assert [s.number for s in before if isinstance(s, Status)] == [3]
 
 
 def test_a_frame_without_anything_to_map_is_counted_and_recorded():
