@@ -105,7 +105,9 @@ class Canvas:
     def sheet(self) -> Sheet:
         """A copy of all there is."""
         tiles = np.array(self.tiles.tiles(), np.int64).reshape(-1, 3)
-        return Sheet(tiles[:, 0], tiles[:, 1], self.pool.arrays[0][tiles[:, 2]])  # type: ignore[arg-type]
+        # Contiguous, as they come out of another process: else the kernel that lays them is compiled twice.
+        row, column = np.ascontiguousarray(tiles[:, 0]), np.ascontiguousarray(tiles[:, 1])
+        return Sheet(row, column, self.pool.arrays[0][tiles[:, 2]])  # type: ignore[arg-type]
 
     def lay(self, sheet: Sheet) -> None:
         if len(sheet.tile_row):

@@ -1,5 +1,6 @@
 import pickle
 
+import numba
 import numpy as np
 import pytest
 
@@ -133,3 +134,12 @@ def test_a_sheet_that_shows_the_same_changes_no_tile() -> None:
     assert shown.changed_tiles()
     shown.lay(shown.painter.paint([seen]), [])
     assert shown.changed_tiles() == []
+
+
+def test_a_sheet_is_of_the_same_types_whether_it_was_drawn_here_or_in_another_process() -> None:
+    """Else the first loop that closes live compiles a kernel, and scans wait for it."""
+    wall = Drawn(np.array([[1.0, 0.01], [9.0, 0.01]], np.float32), (0.0, 0.0), SE2())
+    here = new_map().painter.paint([wall])
+    there = pickle.loads(pickle.dumps(here))
+    for name in ("tile_row", "tile_column", "evidence"):
+        assert numba.typeof(getattr(here, name)) == numba.typeof(getattr(there, name))
