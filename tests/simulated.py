@@ -17,6 +17,7 @@ from service.geometry.se2 import SE2
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import MappingConfig, build_mapper
 from service.outputs import MapperOutput
+from simulators.trajectory import THETA, Spin, plan_drive
 from simulators.truth import LMS100, UTM30LX, LaserModel, LaserTruth, Ride, noise_of
 from simulators.world import World
 
@@ -114,6 +115,24 @@ def drive(
 ) -> Drive:
     """Every beam leaves from where the laser is at its own moment. Same arguments, same frames."""
     return drives(world, laser, seconds, [seed], wheels, imu, stand_s)[0]
+
+
+def heading_rad(seed: int) -> float:
+    """Against the walls, in (-pi, pi): the same for a seed in every world."""
+    return float(noise_of(seed, "heading", 0).uniform(-math.pi, math.pi))
+
+
+def begun_at(world: World, heading_rad: float) -> World:
+    """The same drive, begun turned by this and turned back on the spot: the map's axes are those of the
+    first scan, so its cells lie at this angle to the walls.
+    """
+    start = world.drive.start
+    turn = plan_drive(SE2(start.x_m, start.y_m, start.theta_rad + heading_rad), [Spin(-heading_rad)])
+    nodes = world.drive.nodes.copy()
+    nodes[:, THETA] += turn.nodes[-1, THETA] - nodes[0, THETA]
+    return replace(
+        world, drive=replace(world.drive, nodes=np.vstack([turn.nodes[:-1], nodes]), repeats=False)
+    )
 
 
 def drives(

@@ -1,5 +1,6 @@
 """What each part of the default profile is worth: the same drives with that part switched off."""
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any
@@ -28,7 +29,7 @@ PARTS: tuple[tuple[str, dict[str, dict[str, Any]] | None], ...] = (
 )
 
 
-def ablations(seeds: int) -> Section:
+def ablations(seeds: Sequence[int]) -> Section:
     trips = {
         "ring": Trip(WORLDS["ring"], LMS100_50HZ),
         "office": Trip(WORLDS["office"], LMS100_50HZ),

@@ -63,14 +63,14 @@ def fixes(ride: Ride, receiver: Receiver, seconds: float) -> list[GnssFix]:
 
 
 def measured(
-    seeds: int, receivers: Sequence[tuple[str, GnssModel | None]] = RECEIVERS
+    seeds: Sequence[int], receivers: Sequence[tuple[str, GnssModel | None]] = RECEIVERS
 ) -> dict[str, Anchored]:
     world = streets()
     seconds = world.drive.duration_s + STAND_S
     ride = Ride(world, 0, STAND_S)
-    all_drives = drives(world, LASER, seconds, range(1, seeds + 1), Wheels(), stand_s=STAND_S)
+    all_drives = drives(world, LASER, seconds, seeds, Wheels(), stand_s=STAND_S)
     results = {name: Anchored() for name, _ in receivers}
-    for seed, bare in enumerate(all_drives, start=1):
+    for seed, bare in zip(seeds, all_drives, strict=True):
         for name, model in receivers:
             frames: list[Frame] = list(bare.frames)
             receiver = Receiver(model or GnssModel(), seed, world_yaw_rad=YAW_RAD)
@@ -103,7 +103,7 @@ def _add(to: Anchored, drive: Drive, receiver: Receiver) -> None:
     to.sigma_m.append(geo.position_sigma_m)
 
 
-def anchored(seeds: int) -> Section:
+def anchored(seeds: Sequence[int]) -> Section:
     rows = []
     for name, result in measured(seeds).items():
         rows += [

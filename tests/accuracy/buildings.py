@@ -1,6 +1,6 @@
 """Whole buildings: those in which other mappers were seen to fail, a ring driven fast, a mall."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -29,7 +29,7 @@ BUILDINGS = (
 )
 
 
-def buildings(seeds: int) -> Section:
+def buildings(seeds: Sequence[int]) -> Section:
     rows = []
     for name, bound_mm in BUILDINGS:
         errors = errors_of(Trip(WORLDS[name], LMS100_50HZ), seeds)
@@ -48,7 +48,7 @@ def buildings(seeds: int) -> Section:
     )
 
 
-def ring(seeds: int) -> Section:
+def ring(seeds: Sequence[int]) -> Section:
     rows = []
     for name, laser in (
         ("UTM-30LX, 1081 beams at 40 Hz", UTM30LX_40HZ),
@@ -68,7 +68,7 @@ def ring(seeds: int) -> Section:
     )
 
 
-def big_mall(seeds: int) -> Section:
+def big_mall(seeds: Sequence[int]) -> Section:
     world: Callable[[], World] = FAST_MALL
     seconds = _seconds_for(world(), MALL_WAY_M)
     errors = errors_of(Trip(world, LMS100_25HZ, seconds), seeds)

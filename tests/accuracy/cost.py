@@ -5,6 +5,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,7 +30,7 @@ LOOPS, LOOP_RATE_HZ = 100, 5.0
 BLOCK = [(22.0, 0.0), (22.0, 30.0), (-5.0, 30.0), (-5.0, 0.0), (0.0, 0.0)]  # seen from the mall's start
 
 
-def scans(seeds: int) -> Section:
+def scans(seeds: Sequence[int]) -> Section:
     rows = []
     for what, world, laser, bounds in (
         ("1081 beams, ring", "ring", UTM30LX_40HZ, (0.5, 0.8, 2.0, 10.0)),
@@ -48,13 +49,13 @@ def scans(seeds: int) -> Section:
     )
 
 
-def recording(seeds: int) -> Section:
+def recording(seeds: Sequence[int]) -> Section:
     """A process of its own, for its peak memory."""
     source = FR079 / "fr079.mcap"
     if not source.exists():
         return Section("Replay", f"Left out: {source} is not there; set CORRIDOR_SHARED.")
     factors, peaks = [], []
-    for _ in range(seeds):
+    for _ in seeds:
         with tempfile.TemporaryDirectory() as folder:
             command = [str(CORRIDOR), "replay", str(source), "--out", folder]
             subprocess.run(command, check=True, capture_output=True)
@@ -71,7 +72,7 @@ def recording(seeds: int) -> Section:
     )
 
 
-def growing_map(seeds: int) -> Section:
+def growing_map(seeds: Sequence[int]) -> Section:
     """One long drive around a block of the mall: the cost of its first loops against that of its last."""
     world = _block_of_mall()
     lap_ns = round(world.drive.duration_s * 1e9)
@@ -102,8 +103,8 @@ def growing_map(seeds: int) -> Section:
     )
 
 
-def start(seeds: int) -> Section:
-    times = [{what: value for what, value, _ in start_up.measure()} for _ in range(min(seeds, 2))]
+def start(seeds: Sequence[int]) -> Section:
+    times = [{what: value for what, value, _ in start_up.measure()} for _ in seeds[:2]]
     bounds = {"warm": 1.5, "cold": 12.0}
     rows = [
         Row("", what, [took[what] for took in times], "s", at_most=bounds[cache], digits=1)

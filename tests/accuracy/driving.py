@@ -16,7 +16,7 @@ from service.mapper.profiles import MappingConfig, mapping_config
 from service.offline.score import align, compose
 from simulators.world import World
 from tests.papers.report import Row
-from tests.simulated import Drive, Imu, Laser, Run, Wheels, drives, run
+from tests.simulated import Drive, Imu, Laser, Run, Wheels, begun_at, drive, heading_rad, run
 
 Change = Callable[[Drive], Drive]
 WHEELS = Wheels()  # 1 cm and 0.3 deg per root metre, at 67 Hz
@@ -32,18 +32,21 @@ class Trip:
     wheels: Wheels | None = field(default_factory=lambda: WHEELS)
     imu: Imu | None = None
 
-    def drives(self, seeds: int) -> list[Drive]:
-        """Once for each seed."""
-        world = self.world()
-        seconds = self.seconds if self.seconds is not None else world.drive.duration_s
-        return drives(world, self.laser, seconds, range(1, seeds + 1), self.wheels, self.imu)
+    def drives(self, seeds: Sequence[int]) -> list[Drive]:
+        """Once for each seed, each begun at a heading of its own against the walls."""
+        return [self._drive(seed) for seed in seeds]
 
-    def runs(self, seeds: int, config: MappingConfig | None = None) -> Iterator[tuple[Drive, Run]]:
+    def _drive(self, seed: int) -> Drive:
+        world = begun_at(self.world(), heading_rad(seed))
+        longer_s = world.drive.duration_s - self.world().drive.duration_s
+        seconds = world.drive.duration_s if self.seconds is None else self.seconds + longer_s
+        return drive(world, self.laser, seconds, seed, self.wheels, self.imu)
+
+    def runs(self, seeds: Sequence[int], config: MappingConfig | None = None) -> Iterator[tuple[Drive, Run]]:
         """One after the other, so that memory holds the maps of one."""
-        made = self.drives(seeds)
-        while made:
-            drive = made.pop(0)
-            yield drive, run(config or mapping_config(), drive)
+        for seed in seeds:
+            made = self._drive(seed)
+            yield made, run(config or mapping_config(), made)
             gc.collect()
 
 
@@ -56,10 +59,10 @@ def poses_of(poses: Sequence[SE2]) -> npt.NDArray[np.float64]:
     return np.array([(pose.x_m, pose.y_m, pose.theta_rad) for pose in poses])
 
 
-def ate_m(drive: Drive, done: Run, poses: Sequence[SE2]) -> float:
+def ate_m(made: Drive, done: Run, poses: Sequence[SE2]) -> float:
     """RMS distance of a pose for each output of a run, after the best rigid motion."""
     estimate = poses_of(poses)
-    truth = poses_of([drive.truth[output.stamp_ns] for output in done.outputs])
+    truth = poses_of([made.truth[output.stamp_ns] for output in done.outputs])
     off = compose(align(estimate, truth), estimate) - truth
     return float(np.sqrt((off[:, :2] ** 2).sum(axis=1).mean()))
 
@@ -81,11 +84,11 @@ class Errors:
     lost_percent: list[float] = field(default_factory=list)
     scan_ms: list[float] = field(default_factory=list)  # p50
 
-    def add(self, drive: Drive, done: Run) -> None:
+    def add(self, made: Drive, done: Run) -> None:
         end_m, end_rad = done.end_error
-        self.ate_mm.append(1e3 * ate_m(drive, done, [output.pose_map_base for output in done.outputs]))
+        self.ate_mm.append(1e3 * ate_m(made, done, [output.pose_map_base for output in done.outputs]))
         finished = corrected(done.outputs, done.mapper.finish().corrections)
-        self.finished_mm.append(1e3 * ate_m(drive, done, finished))
+        self.finished_mm.append(1e3 * ate_m(made, done, finished))
         self.as_is_mm.append(1e3 * done.position_rmse_m)
         self.heading_deg.append(math.degrees(done.heading_rmse_rad))
         self.end_mm.append(1e3 * end_m)
@@ -94,10 +97,10 @@ class Errors:
         self.scan_ms.append(float(np.median(done.scan_ms)))
 
 
-def errors_of(trip: Trip, seeds: int, config: MappingConfig | None = None) -> Errors:
+def errors_of(trip: Trip, seeds: Sequence[int], config: MappingConfig | None = None) -> Errors:
     errors = Errors()
-    for drive, done in trip.runs(seeds, config):
-        errors.add(drive, done)
+    for made, done in trip.runs(seeds, config):
+        errors.add(made, done)
     return errors
 
 

@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +41,7 @@ DATASETS = (
 )
 
 
-def given(seeds: int) -> Section:  # recordings: seeds change nothing
+def given(seeds: Sequence[int]) -> Section:  # recordings: seeds change nothing
     if not (SHARED / "worlds").exists():
         return Section("Given recordings", f"Left out: {SHARED} has no worlds; set CORRIDOR_SHARED.")
     rows: list[Row] = []

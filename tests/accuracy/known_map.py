@@ -1,6 +1,7 @@
 """One scan laid on a known map, against the Cramer-Rao bound of that very scene."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +25,7 @@ START_OFF_M, START_OFF_RAD = 0.03, 0.01
 STILL = (0.0, 0.0, 0.0)
 
 
-def known_map(seeds: int) -> Section:
+def known_map(seeds: Sequence[int]) -> Section:
     rows = []
     scenes = (
         ("square room of 10 m, centre", "room", 0.0),
@@ -38,7 +39,7 @@ def known_map(seeds: int) -> Section:
             pose = SE2(float(where[0]), float(where[1]), float(where[2]))
             bound = np.sqrt(np.diag(np.linalg.inv(fisher_information(world, laser, pose))))
             ratios, spreads = [], []
-            for seed in range(1, seeds + 1):
+            for seed in seeds:
                 errors = match_errors(world, laser, pose, seed)
                 rms = np.sqrt((errors**2).mean(axis=0))
                 ratios.append(float(np.max(rms / bound)))

@@ -2,7 +2,7 @@
 
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,7 +26,7 @@ Indices = npt.NDArray[np.int64]
 LIVE, FINISHED = "trajectory_live.tum", "trajectory.tum"
 
 
-def recorded(seeds: int) -> Section:  # one recording, no noise: seeds change nothing
+def recorded(seeds: Sequence[int]) -> Section:  # one recording, no noise: seeds change nothing
     if not RELATIONS.exists():
         return Section("Freiburg 079", f"Left out: {RELATIONS} is not there; set CORRIDOR_SHARED.")
     with tempfile.TemporaryDirectory() as folder:

@@ -1,6 +1,7 @@
 """What is hard in one way: turns, stops, crowds, bad returns, nothing to hold on to, an hour in one place."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -23,7 +24,7 @@ GHOST_AFTER_S = 20.0
 HOUR_S, PARKED_HZ = 3600.0, 5.0
 
 
-def motion(seeds: int) -> Section:
+def motion(seeds: Sequence[int]) -> Section:
     rows = []
     for name, seconds in (("spins", None), ("stop_and_go", None), ("crowd", _crowd_s(WORLDS["crowd"]()))):
         errors, ghosts = Errors(), []
@@ -47,7 +48,7 @@ def motion(seeds: int) -> Section:
     )
 
 
-def bad_returns(seeds: int) -> Section:
+def bad_returns(seeds: Sequence[int]) -> Section:
     clean = replace(LMS100_50HZ.model, mixed_share=0.0, dropout_share=0.0)
     office = {
         "clean": clean,
@@ -73,7 +74,7 @@ def bad_returns(seeds: int) -> Section:
     )
 
 
-def bare_corridor(seeds: int) -> Section:
+def bare_corridor(seeds: Sequence[int]) -> Section:
     rows = []
     for what, imu in (("odometry", None), ("odometry and IMU", Imu())):
         ratios, ends, alone, told = [], [], [], []
@@ -98,7 +99,7 @@ def bare_corridor(seeds: int) -> Section:
     )
 
 
-def parked(seeds: int) -> Section:
+def parked(seeds: Sequence[int]) -> Section:
     laser = replace(LMS100_50HZ, rate_hz=PARKED_HZ)
     trip = Trip(WORLDS["room"], laser, HOUR_S, Wheels())
     ends_mm, ends_deg, worst_mm = [], [], []

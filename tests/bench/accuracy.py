@@ -6,11 +6,22 @@ from datetime import UTC, datetime
 
 from service.kernel_warm_up import warm_up
 from service.version import VERSION
-from tests.accuracy import ablations, anchored, buildings, cost, given, known_map, lasers, recorded, trials
+from tests.accuracy import (
+    ablations,
+    anchored,
+    buildings,
+    cost,
+    given,
+    known_map,
+    lasers,
+    outages,
+    recorded,
+    trials,
+)
 from tests.accuracy.page import PAGE, write_page
 from tests.papers.report import Section, below_title
 
-SCENARIOS: dict[str, Callable[[int], Section]] = {
+SCENARIOS: dict[str, Callable[[Sequence[int]], Section]] = {
     "given": given.given,
     "recorded": recorded.recorded,
     "buildings": buildings.buildings,
@@ -23,6 +34,7 @@ SCENARIOS: dict[str, Callable[[int], Section]] = {
     "anchored": anchored.anchored,
     "parked": trials.parked,
     "lasers": lasers.lasers,
+    "outages": outages.outages,
     "scans": cost.scans,
     "replay": cost.recording,
     "growing_map": cost.growing_map,
@@ -31,7 +43,7 @@ SCENARIOS: dict[str, Callable[[int], Section]] = {
 }
 
 
-def measure(scenarios: Sequence[str], seeds: int) -> list[tuple[str, float, str]]:
+def measure(scenarios: Sequence[str], seeds: Sequence[int]) -> list[tuple[str, float, str]]:
     """Run these, or all; print and keep each table as soon as it is there. Rows: medians, for bench.json."""
     warm_up()
     rows = []
@@ -40,8 +52,12 @@ def measure(scenarios: Sequence[str], seeds: int) -> list[tuple[str, float, str]
         section = SCENARIOS[name](seeds)
         took_s = time.monotonic() - began_s
         print(f"\n{section.title} ({took_s:.0f} s)\n" + "\n".join(below_title(section)), flush=True)
-        ran = f"corridor {VERSION}, {datetime.now(UTC).date()}, {seeds} seeds, {took_s:.0f} s"
+        ran = f"corridor {VERSION}, {datetime.now(UTC).date()}, {_named(seeds)}, {took_s:.0f} s"
         write_page({name: section}, list(SCENARIOS), ran)
         rows += [(f"{name}: {row.what}", row.median, row.unit) for row in section.rows]
     print(f"written to {PAGE}")
     return rows
+
+
+def _named(seeds: Sequence[int]) -> str:
+    return f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"

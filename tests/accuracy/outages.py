@@ -1,0 +1,145 @@
+"""What fails on a vehicle at night: silent sensors, a hung laser, a lift and carry, stamps that cannot be."""
+
+import gc
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from drivers.frames import Frame, LaserScan, OdometrySample
+from service.geometry.se2 import SE2
+from service.mapper.profiles import mapping_config
+from simulators.worlds import WORLDS
+from tests.accuracy.trials import ghost_cells
+from tests.papers.report import Row, Section
+from tests.simulated import LMS100_50HZ, Drive, Run, Wheels, begun_at, drive, heading_rad, run
+
+MOMENTS = 12  # a world, spread over the lap
+OUTAGE_NS = 5_000_000_000
+SETTLED_NS = 2_000_000_000  # by then the vehicle must know again where it is
+WRONG_M, SIGMAS = 0.3, 3.0
+FOUND_M = 0.05
+Fault = Callable[[Drive, int], Drive]
+
+
+@dataclass
+class Outcome:
+    """Of the runs of one fault in one world, a value a moment."""
+
+    wrong_ok: list[float] = field(default_factory=list)  # scans `ok` and farther off than WRONG_M or SIGMAS
+    found_s: list[float] = field(default_factory=list)  # from the end of the outage to the right place
+    end_mm: list[float] = field(default_factory=list)
+    ghosts: list[float] = field(default_factory=list)  # more than in the drive without the fault
+
+    def add(self, done: Run, after_ns: int, ghosts: int) -> None:
+        off_m = np.hypot(*done.errors[:, :2].T)
+        normed = np.array(
+            [
+                np.sqrt(error @ np.linalg.solve(output.covariance, error))
+                for error, output in zip(done.errors, done.outputs, strict=True)
+            ]
+        )
+        ok = np.array([output.state == "ok" for output in done.outputs])
+        stamp_ns = np.array([output.stamp_ns for output in done.outputs])
+        # Of three coordinates a distance of 3.76 is as rare as 3 sigma of one.
+        self.wrong_ok.append(float(np.sum(ok & ((off_m > WRONG_M) | ((normed > 3.76) & (off_m > FOUND_M))))))
+        right = ok & (off_m < FOUND_M) & (stamp_ns >= after_ns)
+        self.found_s.append(1e-9 * (stamp_ns[right][0] - after_ns) if right.any() else np.inf)
+        self.end_mm.append(1e3 * float(off_m[-1]))
+        self.ghosts.append(float(ghosts))
+
+
+def outages(seeds: Sequence[int]) -> Section:
+    faults: dict[str, Fault] = {
+        "laser and odometry silent for 5 s, driven on": _silent,
+        "laser silent for 5 s": _laser_silent,
+        "one scan repeated for 5 s": _hung,
+        "lifted, carried on for 5 s with everything off": _carried,
+        "one stamp 5 s ahead": lambda made, at_ns: _ahead(made, at_ns, OUTAGE_NS),
+        "one stamp 1000 s ahead": lambda made, at_ns: _ahead(made, at_ns, 1_000_000_000_000),
+    }
+    rows = []
+    for name in ("office", "library"):
+        world = begun_at(WORLDS[name](), heading_rad(seeds[0]))
+        seconds = world.drive.duration_s
+        made = drive(world, LMS100_50HZ, seconds, seeds[0], Wheels())
+        clean = ghost_cells(world, made, run(mapping_config(), made))
+        for what, fault in faults.items():
+            outcome = Outcome()
+            for share in (np.arange(MOMENTS) + 0.5) / MOMENTS:
+                at_ns = round((0.1 + 0.7 * share) * seconds * 1e9)
+                faulty = fault(made, at_ns)
+                done = run(mapping_config(), faulty)
+                one_scan = what.startswith("one stamp")
+                outcome.add(
+                    done, at_ns + (0 if one_scan else OUTAGE_NS), ghost_cells(world, faulty, done) - clean
+                )
+                gc.collect()
+            where = f"{name}, {what}"
+            rows += [
+                Row(where, "`ok` and wrong", outcome.wrong_ok, "scans", at_most=0.0, by_worst=True, digits=0),
+                Row(where, "found again after", outcome.found_s, "s", at_most=2.0, by_worst=True),
+                Row(where, "off at the end", outcome.end_mm, "mm", at_most=50.0, by_worst=True, digits=1),
+                Row(where, "ghost cells added", outcome.ghosts, "", at_most=20.0, by_worst=True, digits=0),
+            ]
+    return Section(
+        "Outages",
+        f"Each fault at {MOMENTS} moments of a lap; median and worst are over the moments. LMS-100 at 50 Hz, "
+        f"odometry. Wrong: `ok` while farther off than {WRONG_M} m, or than {SIGMAS:.0f} sigma and {FOUND_M} "
+        f"m. Found again: `ok` within {FOUND_M} m of the truth. Ghost cells: more than without the fault.",
+        rows,
+    )
+
+
+def _within(frame: Frame, at_ns: int) -> bool:
+    return at_ns <= frame.arrived_ns < at_ns + OUTAGE_NS
+
+
+def _silent(made: Drive, at_ns: int) -> Drive:
+    """Odometry counts on while nobody listens: its next pose knows the way."""
+    return replace(made, frames=[frame for frame in made.frames if not _within(frame, at_ns)])
+
+
+def _laser_silent(made: Drive, at_ns: int) -> Drive:
+    left = [f for f in made.frames if not (isinstance(f, LaserScan) and _within(f, at_ns))]
+    return replace(made, frames=left)
+
+
+def _hung(made: Drive, at_ns: int) -> Drive:
+    """The laser goes on sending the ranges of one scan under new stamps."""
+    held = next(f for f in made.frames if isinstance(f, LaserScan) and f.arrived_ns >= at_ns)
+    return replace(
+        made,
+        frames=[
+            replace(f, range_m=held.range_m) if isinstance(f, LaserScan) and _within(f, at_ns) else f
+            for f in made.frames
+        ],
+    )
+
+
+def _carried(made: Drive, at_ns: int) -> Drive:
+    """Everything off for 5 s, and odometry counts nothing of the way."""
+    left = _silent(made, at_ns).frames
+    odometry = [f for f in left if isinstance(f, OdometrySample)]
+    before = _pose(next(f for f in reversed(odometry) if f.arrived_ns < at_ns))
+    after = _pose(next(f for f in odometry if f.arrived_ns >= at_ns))
+    jump = before @ after.inverse()
+    frames: list[Frame] = []
+    for f in left:
+        if isinstance(f, OdometrySample) and f.arrived_ns >= at_ns:
+            pose = jump @ _pose(f)
+            f = replace(f, x_m=pose.x_m, y_m=pose.y_m, theta_rad=pose.theta_rad)
+        frames.append(f)
+    return replace(made, frames=frames)
+
+
+def _pose(sample: OdometrySample) -> SE2:
+    return SE2(sample.x_m, sample.y_m, sample.theta_rad)
+
+
+def _ahead(made: Drive, at_ns: int, by_ns: int) -> Drive:
+    frames = list(made.frames)
+    k = next(k for k, f in enumerate(frames) if isinstance(f, LaserScan) and f.arrived_ns >= at_ns)
+    stamp_ns = frames[k].stamp_ns + by_ns
+    frames[k] = replace(frames[k], stamp_ns=stamp_ns)
+    return replace(made, frames=frames)
