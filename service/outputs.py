@@ -56,7 +56,7 @@ class MapperOutput:
     covariance: npt.NDArray[np.float64]  # (3, 3) of x, y, theta in base axes; m^2, m rad, rad^2
     state: State
     reason: str  # why it is not "ok", else ""
-    match_share: float  # share of the beams used that agree with the map, 0..1
+    inlier_ratio: float  # share of the beams used that agree with the map, 0..1
     geo_reference: GeoReference | None = None  # where the map lies on the earth; None: that is not known
 
     @property

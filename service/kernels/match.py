@@ -287,7 +287,7 @@ def fine_align(
     prior_information,
     grid,
     settings,
-    doubt_share,
+    doubt_inlier_ratio,
     around,
     xy_base,
     pose,
@@ -301,7 +301,7 @@ def fine_align(
     prior_information   (3, 3) float64     in the axes of the grid
     grid                SurfelGrid
     settings            MatchSettings
-    doubt_share         float              the cost is asked with fewer points than that on the map, else 0
+    doubt_inlier_ratio  float              the cost is asked with fewer points than that on the map, else 0
     around              Around             in and out: what is around the points, of searches before
     xy_base             (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
     pose                (3,)   float64     in: where to start; out: where it ended
@@ -348,7 +348,7 @@ def fine_align(
         if math.hypot(step[0], step[1]) < settings.settled_m and abs(step[2]) < settings.settled_rad:
             break
     pose[2] = wrap(pose[2])
-    if inliers < doubt_share * used:
+    if inliers < doubt_inlier_ratio * used:
         cost = surfel_cost(xy_base, normals, found, asked, 1.5 * grid.cell_m, settings)
         chi2 = add_prior(asked, prior.pose, prior_information, system, g)
         cost += 0.5 * (STUDENT + 3.0) * math.log1p(chi2 / STUDENT)
@@ -356,7 +356,7 @@ def fine_align(
 
 
 @njit(cache=True, nogil=True)
-def match_scan(returns, normals, prior, start, grid, settings, doubt_share, xy_base):
+def match_scan(returns, normals, prior, start, grid, settings, doubt_inlier_ratio, xy_base):
     """Pose of a scan in a sub-map.
 
     returns     Returns            end points at their own moments
@@ -365,7 +365,7 @@ def match_scan(returns, normals, prior, start, grid, settings, doubt_share, xy_b
     start       (3,)   float64     where to begin; the prior's pose, or what a search found
     grid        SurfelGrid
     settings    MatchSettings
-    doubt_share float              with fewer points than that on the map, other starts are tried
+    doubt_inlier_ratio float              with fewer points than that on the map, other starts are tried
     xy_base     (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
     Returns MatchResult.
     """
@@ -389,7 +389,7 @@ def match_scan(returns, normals, prior, start, grid, settings, doubt_share, xy_b
     used = inliers = 0
     for trial in range(4):
         if trial > 0:
-            if inliers >= doubt_share * used:
+            if inliers >= doubt_inlier_ratio * used:
                 break
             copy_matrix(predicted_xy, trial_xy)
             copy_vector(start, trial_pose)
@@ -403,7 +403,7 @@ def match_scan(returns, normals, prior, start, grid, settings, doubt_share, xy_b
             prior_information,
             grid,
             settings,
-            doubt_share if trial == 0 else math.inf,
+            doubt_inlier_ratio if trial == 0 else math.inf,
             around,
             trial_xy,
             trial_pose,

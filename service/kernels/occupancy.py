@@ -205,7 +205,7 @@ def to_per_cent(evidence, per_step, cells):
 
 
 @njit(cache=True, nogil=True)
-def lay_tiles(tile_row, tile_column, laid, grid):
+def write_tiles(tile_row, tile_column, laid, grid):
     """Put other tiles in the place of all that a map holds; those that it holds besides become unknown.
 
     tile_row, tile_column   (T,)        int64

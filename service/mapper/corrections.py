@@ -4,7 +4,7 @@ from bisect import bisect_right
 from collections.abc import Sequence
 
 from service.geometry.se2 import SE2, wrap_angle
-from service.mapper.stages import Correction
+from service.mapper.components import Correction
 from service.outputs import MapperOutput
 
 

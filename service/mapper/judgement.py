@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.fusion.motion import Prediction
 from service.geometry.se2 import SE2
-from service.mapper.stages import Match, Points
+from service.mapper.components import Match, Points
 from service.outputs import State
 
 LEAST_RETURNS = 20  # with fewer a scan is not matched

@@ -8,9 +8,8 @@ from drivers.frames import Frame, GnssFix, LaserScan
 from service.fusion.motion import Motion, Prediction
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
-from service.mapper.mounting_check import MountingCheck
-from service.mapper.scan_check import ScanCheck
-from service.mapper.stages import (
+from service.mapper.components import (
+    Components,
     FinishedGraph,
     Graph,
     GraphUpdate,
@@ -18,9 +17,10 @@ from service.mapper.stages import (
     Match,
     Points,
     ReadableMap,
-    Stages,
     Stopwatch,
 )
+from service.mapper.mounting_check import MountingCheck
+from service.mapper.scan_check import ScanCheck
 from service.outputs import MapperOutput, State, TileUpdate
 
 MOST_BEHIND_NS = 250_000_000  # that a sweep may have begun before the newest pose: a slow laser beside a fast
@@ -35,7 +35,7 @@ class NoStopwatch:
 class Mapper(Generic[ReadableMap]):
     """Single-threaded, reads no clock, knows no method by name. Same frames in, same outputs out."""
 
-    def __init__(self, stages: Stages[ReadableMap], stopwatch: Stopwatch | None = None) -> None:
+    def __init__(self, stages: Components[ReadableMap], stopwatch: Stopwatch | None = None) -> None:
         self._stages = stages
         self._stopwatch = stopwatch if stopwatch is not None else NoStopwatch()
         self._last_ns: int | None = None  # moment of the newest pose
@@ -120,8 +120,8 @@ class Mapper(Generic[ReadableMap]):
             self.geo_reference = update.geo
         if update.joined:
             self._stages.local_map.join(update.joined)
-        if update.sheet is not None:
-            self._stages.free_space.lay(update.sheet, update.since)
+        if update.rendered_map is not None:
+            self._stages.free_space.replace_by(update.rendered_map, update.since)
 
     def _process_scan(self, scan: LaserScan, at_ns: int, laser: "LaserWatch") -> MapperOutput:
         s, watch = self._stages, self._stopwatch
@@ -212,7 +212,7 @@ class Mapper(Generic[ReadableMap]):
             covariance=motion.covariance,
             state=state,
             reason=reason,
-            match_share=share,
+            inlier_ratio=share,
             geo_reference=self.geo_reference,
         )
 

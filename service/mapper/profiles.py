@@ -21,9 +21,9 @@ from pydantic.fields import FieldInfo
 from drivers.frames import NO_INTENSITY, ImuSample, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
 from service.mapper.background import ElsewhereWorker, InlineWorker, NewWorker
+from service.mapper.components import SLOTS, BuildContext, ComponentKind, Components, Method, Slot, Stopwatch
 from service.mapper.patch_store import MemoryPatches, NewPatchStore
 from service.mapper.pipeline import Mapper
-from service.mapper.stages import BOXES, Box, Method, StageKind, Stages, Stopwatch, Surroundings
 
 
 def _imported(name: str) -> Method:
@@ -37,14 +37,14 @@ METHODS: dict[str, Callable[[], Method]] = {
 }
 
 
-def stage_kinds(box: Box, profiles: Iterable[str] | None = None) -> dict[str, StageKind]:
+def stage_kinds(box: Slot, profiles: Iterable[str] | None = None) -> dict[str, ComponentKind]:
     """What can stand in a box, by name: of these profiles, or of all."""
     methods = [METHODS[name]() for name in (METHODS if profiles is None else profiles)]
     kinds = [kind for method in methods for kind in (method.stages[box], *method.others.get(box, ()))]
     return {kind.name: kind for kind in kinds}
 
 
-def chosen_stages(profile: str, stages: Mapping[Box, str]) -> dict[Box, StageKind]:
+def chosen_stages(profile: str, stages: Mapping[Slot, str]) -> dict[Slot, ComponentKind]:
     """What stands in each box: the profile's own, or what `stages` names instead.
 
     Raises ValueError, in words, for a stage that is not there or that cannot read the local map chosen.
@@ -81,7 +81,7 @@ class MappingConfig(BaseModel):
     mode: Literal["mapping"] = "mapping"
     lasers: tuple[str, ...] | None = None  # whose scans are mapped; None: all that do not say map: false
     outline_m: tuple[tuple[float, float], ...] = ()  # corners of the vehicle, base frame; returns within go
-    stages: dict[Box, str] = {}
+    stages: dict[Slot, str] = {}
     settings: Any = None  # by box: the settings of the stage in it; None: the profile's
 
     @field_validator("profile")
@@ -93,7 +93,7 @@ class MappingConfig(BaseModel):
 
     @field_validator("stages")
     @classmethod
-    def _fitting(cls, stages: dict[Box, str], info: ValidationInfo) -> dict[Box, str]:
+    def _fitting(cls, stages: dict[Slot, str], info: ValidationInfo) -> dict[Slot, str]:
         if "profile" in info.data:
             chosen_stages(info.data["profile"], stages)
         return stages
@@ -158,10 +158,10 @@ def build_mapper(
         config = mapping_config(config.model_dump(exclude={"settings"}))
     chosen = chosen_stages(config.profile, config.stages)
 
-    def build(box: Box, around: Surroundings) -> Any:
+    def build(box: Slot, around: BuildContext) -> Any:
         return chosen[box].build(getattr(config.settings, box, None), around)
 
-    around = Surroundings(
+    around = BuildContext(
         config.cell_m,
         mountings,
         config.outline_m,
@@ -169,9 +169,9 @@ def build_mapper(
         new_patch_store=new_patch_store,
     )
     free_space = build("free_space", around)
-    around = replace(around, painter=free_space.painter)
-    built = {box: build(box, around) for box in BOXES if box != "free_space"}
-    return Mapper(Stages(free_space=free_space, **built), stopwatch)
+    around = replace(around, renderer=free_space.renderer)
+    built = {box: build(box, around) for box in SLOTS if box != "free_space"}
+    return Mapper(Components(free_space=free_space, **built), stopwatch)
 
 
 def _with_defaults(config: type[BaseModel], defaults: Mapping[str, Any]) -> type[BaseModel]:
@@ -195,7 +195,7 @@ def _field_with_default(config: type[BaseModel], key: str, value: Any) -> FieldI
     return field
 
 
-def _fits(reader: StageKind, local_map: StageKind) -> bool:
+def _fits(reader: ComponentKind, local_map: ComponentKind) -> bool:
     return reader.reads is None or (local_map.makes is not None and issubclass(local_map.makes, reader.reads))
 
 

@@ -8,7 +8,7 @@ from typing import Any, Literal, Protocol
 from drivers.frames import Frame, LaserScan
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
-from service.mapper.stages import FinishedGraph, Graph
+from service.mapper.components import FinishedGraph, Graph
 from service.outputs import MapperOutput, TileUpdate
 
 TAKE_IN_AFTER_SCANS = 25  # half a second at 50 Hz: what a loop takes live on a busy machine

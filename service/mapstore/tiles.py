@@ -41,8 +41,8 @@ class TileStore:
         self._lock = threading.Lock()
         self._tiles: dict[TileKey, TileUpdate] = {}
         self._version = 0
-        self._stale: dict[TileKey, TileUpdate] = {}  # level 0, not yet painted
-        self._painting = threading.Lock()  # holds `_canvas`; taken before `_lock`
+        self._stale: dict[TileKey, TileUpdate] = {}  # level 0, not yet rendered
+        self._rendering = threading.Lock()  # holds `_canvas`; taken before `_lock`
         self._canvas = _Canvas()
         self._blank: TileUpdate | None = None  # first tile of a new canvas, to be begun with the next picture
         self._number = 1
@@ -123,18 +123,18 @@ class TileStore:
             return ended, NumberedMap(self._number, _by_version(self._newer(self._began_version)), self._geo)
 
     def grid(self) -> Grid | None:
-        """The finest level as one picture, None while it is empty; paints only what changed meanwhile.
+        """The finest level as one picture, None while it is empty; renders only what changed meanwhile.
 
         Of an emptied map it is one tile of unknown cells, so that who shows a map sees it go. Raises
         StorageError beyond MAX_GRID_CELLS.
         """
-        with self._painting:
+        with self._rendering:
             with self._lock:
                 stale, self._stale = self._stale, {}
                 if self._blank is not None:
                     self._canvas, stale = _Canvas(), {(0, 0, 0): self._blank} | stale
                     self._blank = None
-            self._canvas.paint(stale.values())
+            self._canvas.render(stale.values())
             return self._canvas.grid()
 
     def _newer(self, version: int) -> list[TileUpdate]:
@@ -154,16 +154,16 @@ class _Canvas:
     """One array that grows to where the tiles are."""
 
     def __init__(self) -> None:
-        self._tiles: dict[tuple[int, int], TileUpdate] = {}  # to be painted
+        self._tiles: dict[tuple[int, int], TileUpdate] = {}  # to be rendered
         self._cells: npt.NDArray[np.int8] = np.empty((0, 0), dtype=np.int8)
         self._first_ix = self._first_iy = 0  # tile at cells[0, 0]
-        self._low, self._high = (0, 0), (-1, -1)  # corner tiles (ix, iy) of what was painted, both inside
+        self._low, self._high = (0, 0), (-1, -1)  # corner tiles (ix, iy) of what was rendered, both inside
         self._edge = 0  # cells along a tile
         self._cell_m = 0.0
         self._version = 0
         self._snapshot: Grid | None = None
 
-    def paint(self, tiles: Iterable[TileUpdate]) -> None:
+    def render(self, tiles: Iterable[TileUpdate]) -> None:
         for tile in tiles:
             self._tiles[tile.ix, tile.iy] = tile
         if not self._tiles:
@@ -191,7 +191,7 @@ class _Canvas:
         return self._snapshot
 
     def _cover(self, tiles: list[TileUpdate]) -> None:
-        """Make room for `tiles`, keeping what is painted. Raises StorageError when it would be too large."""
+        """Make room for `tiles`, keeping what is rendered. Raises StorageError when it would be too large."""
         edge, cell_m = tiles[0].cells.shape[0], tiles[0].cell_m
         if self._edge == 0:
             self._edge, self._cell_m = edge, cell_m
@@ -235,7 +235,7 @@ class _Canvas:
         self._cells, self._first_ix, self._first_iy = grown, first_ix, first_iy
 
     def _move_into(self, grown: npt.NDArray[np.int8], first_ix: int, first_iy: int) -> None:
-        """Copy the overlap; what lies outside of the new array was spare and never painted."""
+        """Copy the overlap; what lies outside of the new array was spare and never rendered."""
         w = self._edge
         row, column = (self._first_iy - first_iy) * w, (self._first_ix - first_ix) * w
         top, left = max(row, 0), max(column, 0)

@@ -25,9 +25,9 @@ from service.geometry.geodesy import UTM_MOST_LATITUDE_DEG
 from service.geometry.se2 import SE2
 from service.interruption import children_do_not_hear
 from service.kernel_warm_up import warm_up as warm_up_kernels
+from service.mapper.components import WishError
 from service.mapper.corrections import corrected
 from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
-from service.mapper.stages import WishError
 from service.mapper.steering import TAKE_IN_AFTER_SCANS, Control, LeftOut, SteeredMapper, TakeIn, Wish
 from service.mapstore.geo_file import GEO_FILE, write_geo
 from service.mapstore.patch_files import PatchFiles

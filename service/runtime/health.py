@@ -192,7 +192,7 @@ class HealthReport:
             words = f"no scan of {lasers} mapped yet" if lasers else "no laser is mapped"
             return Status("mapping", WARNING, words, values)
         age_s = (self._now_ns - outputs.last_ns) / 1e9
-        values |= {"state": last.state, "match_share": f"{last.match_share:.3f}", "age_s": f"{age_s:.2f}"}
+        values |= {"state": last.state, "inlier_ratio": f"{last.inlier_ratio:.3f}", "age_s": f"{age_s:.2f}"}
         if self._now_ns - outputs.last_ns > POSE_STALE_NS:
             values["state"] = "stale"
             return Status(

@@ -117,7 +117,7 @@ class Mapped(NamedTuple):
     stamp_ns: int
     state: State
     reason: str
-    match_share: float
+    inlier_ratio: float
     cpu_ns: int  # processor time of the mapper
     messages: tuple[Message, ...]  # pose first
 

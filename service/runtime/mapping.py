@@ -7,7 +7,7 @@ from typing import Any
 
 from drivers.frames import Frame, LaserScan
 from service.encoding import decode_frame, encode_odom, encode_pose, encode_tf
-from service.mapper.stages import WishError
+from service.mapper.components import WishError
 from service.mapper.steering import SteeredMapper
 from service.outputs import MapperOutput
 from service.runtime.mapper_messages import (
@@ -161,7 +161,7 @@ class MappingLoop:
                 stamp_ns=output.stamp_ns,
                 state=output.state,
                 reason=output.reason,
-                match_share=output.match_share,
+                inlier_ratio=output.inlier_ratio,
                 cpu_ns=cpu_ns,
                 messages=messages,
             ),

@@ -21,10 +21,10 @@ PARTS: tuple[tuple[str, dict[str, dict[str, Any]] | None], ...] = (
         {"motion_model": {"odometry_scale_sigma": 0.0, "odometry_lag_sigma_s": 0.0}},
     ),
     ("surfels finer than 10 cm: 5 cm", {"local_map": {"cell_m": 0.05}}),
-    ("telling what moves", {"local_map": {"permanence": {"enough_s": 0.0}}}),
-    ("weight by how long a thing stands", {"service.mapper.maps.permanence": {"LEAST_WEIGHT": 1.0}}),
-    ("looking through things", {"local_map": {"permanence": {"behind_m": 1e3}}}),
-    ("refusing what comes into free space", {"service.mapper.maps.permanence": {"FREE_S": 0.0}}),
+    ("telling what moves", {"local_map": {"dynamic_filter": {"enough_s": 0.0}}}),
+    ("weight by how long a thing stands", {"service.mapper.maps.dynamic_filter": {"LEAST_WEIGHT": 1.0}}),
+    ("looking through things", {"local_map": {"dynamic_filter": {"behind_m": 1e3}}}),
+    ("refusing what comes into free space", {"service.mapper.maps.dynamic_filter": {"FREE_S": 0.0}}),
     ("long sub-maps: 5 m", {"local_map": {"spacing_m": 5.0}}),
 )
 

@@ -9,10 +9,10 @@ import numpy.typing as npt
 from drivers.frames import NO_INTENSITY, LaserScan
 from service.fusion.motion import Motion, Prediction
 from service.geometry.se2 import SE2
+from service.mapper.components import Match, Points
 from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist
 from service.mapper.maps.submaps import SubmapsConfig, SurfelSubmaps
 from service.mapper.matchers.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
-from service.mapper.stages import Match, Points
 from simulators.world import World
 from simulators.worlds import build_world
 from tests.papers.report import Row, Section

@@ -7,10 +7,10 @@ import numpy as np
 from service.fusion.motion import Prediction
 from service.geometry.se2 import SE2
 from service.kernels.likelihood_search import SearchWindow, search_exhaustive
+from service.mapper.components import Match, Points
 from service.mapper.filters.deskew import BeamsConfig
 from service.mapper.maps.contour_map import ContourMap, ContourMapConfig
 from service.mapper.matchers.contour_lm import ContourLm, ContourLmConfig, SearchConfig
-from service.mapper.stages import Match, Points
 from tests.papers.report import Row, Section
 from tests.papers.true_poses import true_scans
 from tests.simulated import Drive

@@ -13,10 +13,10 @@ from drivers.frames import NO_INTENSITY, LaserScan
 from service.fusion.motion import Motion
 from service.geometry.se2 import SE2
 from service.kernel_warm_up import warm_up
+from service.mapper.components import Match, Points
 from service.mapper.maps.patch_map import PatchMap, PatchMapConfig
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import build_mapper, mapping_config
-from service.mapper.stages import Match, Points
 from service.mapstore.patch_files import PatchFiles
 from simulators.truth import UTM30LX
 from simulators.world import World

@@ -50,8 +50,8 @@ def sections(seeds: int) -> Iterable[Section]:
     rides = drives(library(), UTM30LX_40HZ, LAP_S, list(range(1, seeds + 1)), imu=Imu())  # B1 B2
     weighed = [_mapped(ride) for ride in rides]
     plain = [_mapped(ride, PLAIN) for ride in rides]
-    maps = [_laid(ran) for ran in weighed]
-    maps_plain = [_laid(ran) for ran in plain]
+    maps = [_aligned(ran) for ran in weighed]
+    maps_plain = [_aligned(ran) for ran in plain]
     yield _against_plain(weighed, plain, maps, maps_plain)
     yield _check_points(maps)
     yield _limits(rides[0])
@@ -113,7 +113,7 @@ def _limits(ride: Drive) -> Section:
     scans = list(true_scans(ride, BeamsConfig(), every=4))
 
     def share(**local_map: Any) -> float:
-        config = OrthogonalMapConfig.model_validate({"levels": 1, "insert_share": 0.0, **local_map})
+        config = OrthogonalMapConfig.model_validate({"levels": 1, "insert_inlier_ratio": 0.0, **local_map})
         made = OrthogonalMap(config)
         for points, match in scans:
             made.insert(points, match)
@@ -183,7 +183,7 @@ def far_share(xy: Array, likelihood: Array) -> float:
     return float(likelihood[nearest_m > FAR_M].sum() / likelihood.sum())
 
 
-def _laid(what: Run) -> Laid:
+def _aligned(what: Run) -> Laid:
     xy, likelihood = _map_of(what).occupied()
     true = library_check_points()
     read = np.array([_corner(xy, likelihood, point) for point in true])

@@ -24,7 +24,7 @@ CART = Laser(LMS100_50HZ.model, 541, 5.0, -135.0, 0.5)  # every tenth sweep
 
 
 @dataclass(frozen=True)
-class Place:
+class CandidateSubmap:
     name: str
     area_m2: int
     world: Callable[[], World]
@@ -34,9 +34,9 @@ class Place:
 
 
 PLACES = (
-    Place("office", 300, office, 60.0, 5),
-    Place("floor", 2000, floor, 260.0, 2),
-    Place("mall", 12_000, mall, 1250.0, 1, particles=3),
+    CandidateSubmap("office", 300, office, 60.0, 5),
+    CandidateSubmap("floor", 2000, floor, 260.0, 2),
+    CandidateSubmap("mall", 12_000, mall, 1250.0, 1, particles=3),
 )
 
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from drivers.frames import LaserScan
 from service.fusion.motion import Motion
+from service.mapper.components import Match, Points
 from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist
-from service.mapper.stages import Match, Points
 from tests.simulated import FORWARD, Drive
 
 

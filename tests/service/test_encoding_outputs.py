@@ -23,7 +23,7 @@ OUTPUT = MapperOutput(
     covariance=np.diag([0.04, 0.01, 0.001]),  # 0.2 m along the vehicle, 0.1 m across
     state="ok",
     reason="",
-    match_share=0.9,
+    inlier_ratio=0.9,
 )
 
 

@@ -12,7 +12,7 @@ from service.fusion.motion import Motion
 from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns, deskew_points, project_returns
 from service.kernels.normals import range_noise
-from service.mapper.stages import Points
+from service.mapper.components import Points
 
 NOISE_SCANS = 100  # over which the noise of a sensor's ranges is taken
 LEAST_NOISE_M = 0.003

@@ -1,6 +1,6 @@
 """No filter."""
 
-from service.mapper.stages import Match, Points
+from service.mapper.components import Match, Points
 
 
 def keep_all(points: Points, match: Match) -> Points:

@@ -1,7 +1,7 @@
 """Which fixes agree with the way that the lasers saw, and where east and north lie for them.
 
 The way from fix to fix is that of odometry with its covariance, without loops and without anything that
-fixes did before: that a fix was once believed is no reason to believe it again. Poses of the key frames and
+fixes did before: that a fix was once accepted is no reason to accept it again. Poses of the key frames and
 the frame of east and north are solved for together, with weights that fall to nothing for what contradicts.
 
 Source: Yang, Antonante, Tzoumas, Carlone, Graduated non-convexity for robust spatial perception, 2020, eq. 12
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from service.geometry import poses as se2
 from service.mapper.graph.pose_graph import Edges, Floats, Ints, PoseGraph, SolverConfig, solve
 
-GATE_CHI2 = 9.21  # of 2 degrees of freedom, 1 in 100: a fix that is farther off than it says is not believed
+GATE_CHI2 = 9.21  # of 2 degrees of freedom, 1 in 100: a fix that is farther off than it says is not accepted
 HEADING_SIGMA_RAD = 100.0  # of a fix: it says nothing of the heading
 LEAST_WEIGHT = 1e-6  # of an edge in the solver; less counts as nothing
 CORRELATED_S = 120.0  # fixes of so long make one measurement: twice the time in which errors change
@@ -54,25 +54,25 @@ class FixedWay:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Consensus:
-    """is_believed (M,); pose_odom_enu (3,), and its covariance (3, 3) in its own axes."""
+    """is_accepted (M,); pose_odom_enu (3,), and its covariance (3, 3) in its own axes."""
 
-    is_believed: npt.NDArray[np.bool_]
+    is_accepted: npt.NDArray[np.bool_]
     pose_odom_enu: Floats
     covariance: Floats
 
 
 def find_consensus(way: FixedWay) -> Consensus:
     """M >= 2. Deterministic. Raises GraphError where the solver fails."""
-    is_believed, poses = _graduate(way, np.ones(len(way.odom), np.bool_))
+    is_accepted, poses = _graduate(way, np.ones(len(way.odom), np.bool_))
     is_candidate = np.ones(len(way.odom), np.bool_)
     for _ in range(ROUNDS):
         is_wrong = _wrong_stretches(way, _errors(way, poses))
-        if not (is_wrong & is_believed).any() or (is_believed & ~is_wrong).sum() < 2:
+        if not (is_wrong & is_accepted).any() or (is_accepted & ~is_wrong).sum() < 2:
             break
         is_candidate &= ~is_wrong
-        is_believed, poses = _graduate(way, is_candidate)
-    solved = solve(_graph(way, poses, is_believed.astype(np.float64)), covariances_of=[len(way.odom)])
-    return Consensus(is_believed, solved.poses[-1], solved.covariances[len(way.odom)])
+        is_accepted, poses = _graduate(way, is_candidate)
+    solved = solve(_graph(way, poses, is_accepted.astype(np.float64)), covariances_of=[len(way.odom)])
+    return Consensus(is_accepted, solved.poses[-1], solved.covariances[len(way.odom)])
 
 
 def fix_edges(
@@ -122,7 +122,7 @@ def align(points: Floats, enu: Floats) -> Floats:
 
 
 def _graduate(way: FixedWay, is_candidate: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.bool_], Floats]:
-    """Fixes believed (M,) and poses (M + 1, 3), E the last, by graduated non-convexity."""
+    """Fixes accepted (M,) and poses (M + 1, 3), E the last, by graduated non-convexity."""
     points = se2.points_from(way.odom, way.antenna)
     start = align(points[is_candidate], way.enu[is_candidate])
     poses = np.vstack((way.odom, start))
@@ -160,8 +160,8 @@ def _graph(way: FixedWay, poses: Floats, weight: Floats) -> PoseGraph:
     fixes = fix_edges(count, used, heading, way.antenna[used], way.enu[used], covariance, 0.0)
     step = np.arange(1, count)
     measured = se2.between(way.odom[:-1], way.odom[1:])
-    chain = Edges(step - 1, step, measured, way.step[1:], np.zeros(count - 1))
-    return PoseGraph(poses, chain.and_also(fixes))
+    keyframes = Edges(step - 1, step, measured, way.step[1:], np.zeros(count - 1))
+    return PoseGraph(poses, keyframes.and_also(fixes))
 
 
 def _errors(way: FixedWay, poses: Floats) -> Floats:

@@ -73,7 +73,7 @@ class FixTrack:
             self._waiting.popleft()
             self._counts["fixes_without_scans"] += 1
         self._waiting.append((fix, antenna_xy_m))
-        self._place()
+        self._submap_about()
         return "fixes_taken"
 
     def add_scan(self, stamp_ns: int, pose_odom_base: SE2, keyframe: int) -> None:
@@ -81,7 +81,7 @@ class FixTrack:
         self._scans.append(_Scan(stamp_ns, pose_odom_base, keyframe))
         while stamp_ns - self._scans[0].stamp_ns > REMEMBERED_NS and len(self._scans) > 2:
             self._scans.popleft()
-        self._place()
+        self._submap_about()
 
     def take(self) -> list[PlacedFix]:
         """Those placed since the last call, by rising stamps."""
@@ -93,7 +93,7 @@ class FixTrack:
         counts, self._counts = self._counts, Counter()
         return counts
 
-    def _place(self) -> None:
+    def _submap_about(self) -> None:
         while self._waiting and self._scans and self._waiting[0][0].stamp_ns <= self._scans[-1].stamp_ns:
             fix, antenna_xy_m = self._waiting.popleft()
             after = next(k for k, scan in enumerate(self._scans) if scan.stamp_ns >= fix.stamp_ns)

@@ -7,7 +7,7 @@ sub-maps share. Landmarks come from laying sub-maps on each other, or from a per
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -15,9 +15,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
-from service.mapper.graph.clouds import Cloud, SurfelCloud
+from service.mapper.components import MapRenderer, RenderedMap, ScanToRender
+from service.mapper.graph.point_clouds import PointCloud, SurfelSet
 from service.mapper.graph.pose_graph import Edges, GraphError, PoseGraph, Sightings, Solution, solve, to_g2o
-from service.mapper.graph.redrawing import Redrawing, cloud_of, lay_on
 from service.mapper.graph.submap_match import (
     Floats,
     Found,
@@ -28,8 +28,8 @@ from service.mapper.graph.submap_match import (
     find,
     is_seen,
 )
+from service.mapper.graph.submap_realignment import SubmapRealignment, align_cloud, cloud_of
 from service.mapper.maps.counted_submaps import ClosedSubmap
-from service.mapper.stages import Drawn, Painter, Sheet
 
 SURFEL_POINTS = 2000  # of a sub-map, laid on the surfels of another
 
@@ -38,6 +38,7 @@ class LandmarkGraphConfig(BaseModel):
     """Which sub-maps are laid on each other, and how far odometry is trusted between track points."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+    RENAMED: ClassVar = {"redraw_m": "render_again_m"}
 
     match: SubmapMatchConfig = SubmapMatchConfig()
     least_on_surfels: float = Field(
@@ -56,7 +57,7 @@ class LandmarkGraphConfig(BaseModel):
     search_rad: float = Field(default=0.08, gt=0.0)
     kernel_width: float = Field(default=1.0, ge=0.0)  # Cauchy, in sigmas, of automatic landmarks
     pair_sigma_m: float = Field(default=0.02, gt=0.0)  # of a point that a person names
-    redraw_m: float = Field(
+    render_again_m: float = Field(
         default=0.03, ge=0.0
     )  # the shown map is drawn anew if a track point moved this far
 
@@ -98,7 +99,7 @@ class Result:
     landmarks: int
     residual_m: dict[int, float]
     rms_m: float
-    sheet: Sheet | None
+    rendered_map: RenderedMap | None
     trouble: str
     g2o: str = ""
 
@@ -133,7 +134,7 @@ class LandmarkBackEnd:
     """BackEnd. Track points stand in two frames: `drawn` in odom, as scans were laid anew; `poses` in map."""
 
     config: LandmarkGraphConfig
-    painter: Painter | None
+    renderer: MapRenderer | None
     submaps: list[_Submap] = field(default_factory=list)
     drawn: list[Floats] = field(default_factory=list)
     poses: list[Floats] = field(default_factory=list)
@@ -141,12 +142,12 @@ class LandmarkBackEnd:
     landmarks: list[_Landmark] = field(default_factory=list)
     pairs: list[Pair] = field(default_factory=list)
     tried: set[tuple[int, int]] = field(default_factory=set)
-    painted: Floats | None = None  # poses of the nodes when the shown map was last drawn
+    rendered: Floats | None = None  # poses of the nodes when the shown map was last drawn
     solution: Solution | None = None
-    redrawing: Redrawing = field(init=False)
+    realignment: SubmapRealignment = field(init=False)
 
     def __post_init__(self) -> None:
-        self.redrawing = Redrawing(self.config.least_on_surfels)
+        self.realignment = SubmapRealignment(self.config.least_on_surfels)
 
     def work(self, batch: Batch) -> Result:
         trouble = ""
@@ -167,7 +168,7 @@ class LandmarkBackEnd:
     def _add(self, closed: ClosedSubmap) -> bool:
         """Take in a sub-map; whether landmarks were found in others."""
         begin_m = self.way_m[-1] if self.way_m else 0.0
-        laid = self.redrawing.redraw(closed)
+        laid = self.realignment.realign(closed)
         submap = _Submap(laid, closed.track[-1], draw_walls(laid, self.config.match), begin_m)
         self.submaps.append(submap)
         for pose in laid.track[submap.own]:
@@ -222,15 +223,15 @@ class LandmarkBackEnd:
         config = self.config
         cloud, other = self._cloud(new), self.submaps[old].walls
         common = is_seen(other, se2.points_from(found.pose, cloud.xy))
-        shared = Cloud(cloud.xy[common], cloud.normals[common])
-        fit, shift = lay_on(shared, SurfelCloud(self._cloud(old)), found.pose, SURFEL_POINTS)
+        shared = PointCloud(cloud.xy[common], cloud.normals[common])
+        fit, shift = align_cloud(shared, SurfelSet(self._cloud(old)), found.pose, SURFEL_POINTS)
         if fit.share < config.least_on_surfels:
             return None
         covariance = config.match.match_covariance_scale * np.linalg.inv(fit.information + 1e-2 * np.eye(3))
         at_origin = about_origin(np.asarray(covariance, np.float64), fit.pose, shift)
         return replace(found, pose=shift, covariance=at_origin, share=fit.share)
 
-    def _cloud(self, number: int) -> Cloud:
+    def _cloud(self, number: int) -> PointCloud:
         closed = self.submaps[number].closed
         return cloud_of(closed.scans, closed.track)
 
@@ -345,12 +346,12 @@ class LandmarkBackEnd:
         stamps, poses = self._key_poses()
         map_odom = se2.compose(poses[-1], se2.between(self.submaps[-1].end_odom, np.zeros(3)))
         nodes = np.array(self.poses)
-        before = np.array(self.drawn) if self.painted is None else self.painted
+        before = np.array(self.drawn) if self.rendered is None else self.rendered
         moved_m = float(np.hypot(*(nodes[: len(before)] - before[: len(nodes)]).T[:2]).max())
-        sheet = None
-        if self.painter is not None and moved_m > (0.0 if is_last else self.config.redraw_m):
-            self.painted = nodes
-            sheet = self.painter.paint(self._drawn(poses))
+        rendered_map = None
+        if self.renderer is not None and moved_m > (0.0 if is_last else self.config.render_again_m):
+            self.rendered = nodes
+            rendered_map = self.renderer.render(self._drawn(poses))
         residuals = {pair.number: self._apart_m(pair.number) for pair in self.pairs}
         seen = self.solution.sighting_chi2 if self.solution is not None else np.zeros(0)
         return Result(
@@ -362,15 +363,15 @@ class LandmarkBackEnd:
             len(self.landmarks),
             residuals,
             float(np.sqrt(seen.mean())) * self.config.match.landmark_sigma_m if len(seen) else 0.0,
-            sheet,
+            rendered_map,
             trouble,
             to_g2o(self._graph()) if is_last and len(self.drawn) > 1 else "",
         )
 
-    def _drawn(self, poses: Floats) -> Sequence[Drawn]:
+    def _drawn(self, poses: Floats) -> Sequence[ScanToRender]:
         scans = [scan for submap in self.submaps for scan in submap.closed.scans[submap.own]]
         return [
-            Drawn(scan.xy_base, scan.sensor_xy_m, SE2(*pose.tolist()))
+            ScanToRender(scan.xy_base, scan.sensor_xy_m, SE2(*pose.tolist()))
             for scan, pose in zip(scans, poses, strict=True)
         ]
 

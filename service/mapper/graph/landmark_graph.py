@@ -8,17 +8,17 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from drivers.frames import GnssFix
 from service.geometry.se2 import SE2
 from service.mapper.background import Errand, NewWorker, WorkLostError
-from service.mapper.graph.landmark_back_end import Batch, LandmarkBackEnd, LandmarkGraphConfig, Pair, Result
-from service.mapper.maps.counted_submaps import CountedChange
-from service.mapper.stages import (
+from service.mapper.components import (
     Correction,
-    Drawn,
     FinishedGraph,
     GraphUpdate,
     MappedScan,
-    Painter,
+    MapRenderer,
+    ScanToRender,
     WishError,
 )
+from service.mapper.graph.landmark_back_end import Batch, LandmarkBackEnd, LandmarkGraphConfig, Pair, Result
+from service.mapper.maps.counted_submaps import CountedChange
 
 
 class PointOfSubmap(BaseModel):
@@ -52,10 +52,10 @@ class LandmarkGraph:
     def __init__(
         self,
         config: LandmarkGraphConfig,
-        painter: Painter | None,
+        renderer: MapRenderer | None,
         new_worker: NewWorker,
     ) -> None:
-        self._errand = Errand(new_worker(LandmarkBackEnd(config, painter)))
+        self._errand = Errand(new_worker(LandmarkBackEnd(config, renderer)))
         self._pose_map_odom = SE2()
         self._key_odom: dict[int, SE2] = {}  # by stamp of each key scan: as the mapper gave it
         self._since: list[tuple[int, MappedScan]] = []  # key scans that no closed sub-map holds
@@ -135,12 +135,12 @@ class LandmarkGraph:
                 counts[name] = counts.get(name, 0) + count
         result = self._last
         if result is None or not len(result.stamps):
-            return FinishedGraph(update=GraphUpdate(counts, update.sheet, update.since))
+            return FinishedGraph(update=GraphUpdate(counts, update.rendered_map, update.since))
         corrections = [
             Correction(stamp_ns, self._key_odom[stamp_ns], SE2(*pose))
             for stamp_ns, pose in zip(result.stamps.tolist(), result.poses.tolist(), strict=True)
         ]
-        return FinishedGraph(corrections, result.g2o, GraphUpdate(counts, update.sheet, update.since))
+        return FinishedGraph(corrections, result.g2o, GraphUpdate(counts, update.rendered_map, update.since))
 
     def close(self) -> None:
         self._errand.close()
@@ -149,10 +149,10 @@ class LandmarkGraph:
         before, self._last = self._last, result
         self._pose_map_odom = result.pose_map_odom
         self._since = [(number, scan) for number, scan in self._since if number >= result.submaps]
-        since: list[Drawn] = []
-        if result.sheet is not None:
+        since: list[ScanToRender] = []
+        if result.rendered_map is not None:
             since = [
-                Drawn(
+                ScanToRender(
                     scan.points.xy_base.astype("float32"),
                     (scan.points.sensor_base.x_m, scan.points.sensor_base.y_m),
                     self._pose_map_odom @ scan.match.motion.pose_odom_base,
@@ -160,7 +160,7 @@ class LandmarkGraph:
                 for _number, scan in self._since
             ]
         links = before.links if before is not None else 0
-        return GraphUpdate({"loop_closures": result.links - links}, result.sheet, since)
+        return GraphUpdate({"loop_closures": result.links - links}, result.rendered_map, since)
 
     def _new_pair(self, name: str, payload: Mapping[str, Any]) -> Pair:
         request = _read(PairRequest, name, payload)

@@ -12,7 +12,9 @@ SCANS = 4  # a sub-map
 
 def rehearse() -> Result:
     """Three sub-maps along a room: the third is laid on the first."""
-    match = SubmapMatchConfig(least_common=10, common_part=0.1, least_share=0.1, landmark_probability=0.6)
+    match = SubmapMatchConfig(
+        least_common=10, common_part=0.1, least_inlier_ratio=0.1, landmark_probability=0.6
+    )
     back_end = LandmarkBackEnd(LandmarkGraphConfig(match=match, least_on_surfels=0.0), None)
     for number in range(3):
         track = np.zeros((SCANS, 3))

@@ -1,4 +1,4 @@
-"""Back end of the default profile: finds loops among key frames, believes few of them, and bends the way."""
+"""Back end of the default profile: finds loops among key frames, accepts few of them, and bends the way."""
 
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
@@ -12,16 +12,16 @@ from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.kernels.loops import path_lengths, thin_points
 from service.kernels.normals import estimate_normals
+from service.mapper.components import Correction, MapRenderer, RenderedMap, ScanToRender
 from service.mapper.graph.anchoring import Anchoring
-from service.mapper.graph.clouds import Cloud, Fit
+from service.mapper.graph.candidate_submap import LEAST_SCORE, CandidateSubmap, cloud_of
 from service.mapper.graph.fix_track import PlacedFix
-from service.mapper.graph.keyframes import Chain, Floats, Kept, KeyFrame
+from service.mapper.graph.keyframe_list import Floats, KeyFrame, KeyframeList, ThinnedScan
 from service.mapper.graph.loops import Loop, agree, as_edges, disagreement, loop_of
 from service.mapper.graph.loops_config import LoopsConfig
 from service.mapper.graph.piece_search import PieceSearch
-from service.mapper.graph.places import LEAST_SCORE, Place, cloud_of
+from service.mapper.graph.point_clouds import Fit, PointCloud
 from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, solve, to_g2o
-from service.mapper.stages import Correction, Drawn, Painter, Sheet
 
 STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: of a step between key frames, at best
 LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])  # of a step that only a prediction vouches for; m^2, rad^2
@@ -40,10 +40,10 @@ LEAST_SHARE = 0.45  # of the points on the map, in medians of the drive: half of
 MOST_AGAINST = 0.12  # of the points in free space of the place: doors that were closed, things that moved
 WITHIN_M = 30.0  # way within which loops that say the same lie
 AGREE_M, AGREE_RAD = 0.15, 0.03  # two loops say the same, besides the drift between them
-CONTRADICTION_CHI2 = 30.0  # of three degrees of freedom, 1 in 700 000: a loop beyond it is laid aside
+CONTRADICTION_CHI2 = 30.0  # of three degrees of freedom, 1 in 700 000: a loop beyond it is disabled
 LOOP_M = 1.0  # what going over a loop counts in the length of a path
 NEWS_CHI2 = 4.0  # of a loop: two sigmas
-PLACES_KEPT = 16
+SUBMAPS_KEPT = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,11 +63,11 @@ class Result:
     geo, fixes   where the map lies on the earth, None: that is not known; and fixes by what became of them
     """
 
-    loops: int  # that are believed now
-    aside: int  # that are not any more
+    loops: int  # that are accepted now
+    disabled: int  # that are not any more
     joined: int = 0  # number of the piece that was found in the rest; 0: none
     newest: Correction | None = None
-    sheet: Sheet | None = None
+    rendered_map: RenderedMap | None = None
     all: Sequence[Correction] = ()
     g2o: str = ""
     geo: GeoReference | None = None
@@ -77,19 +77,19 @@ class Result:
 class LoopBackEnd:
     """BackEnd. Empty when it is handed over; key frames, loops and poses gather here."""
 
-    def __init__(self, config: LoopsConfig, painter: Painter | None) -> None:
+    def __init__(self, config: LoopsConfig, renderer: MapRenderer | None) -> None:
         self._config = config
-        self._painter = painter
-        self._chain = Chain()
+        self._renderer = renderer
+        self._keyframes = KeyframeList()
         self._loops: list[Loop] = []
-        self._groups: list[list[Loop]] = []  # as they came to be believed; for who takes one back
+        self._accepted: list[list[Loop]] = []  # as they came to be accepted; for who takes one back
         self._candidates: list[Loop] = []
-        self._aside: list[Loop] = []
-        self._places: OrderedDict[int, Place] = OrderedDict()
+        self._disabled: list[Loop] = []
+        self._submaps: OrderedDict[int, CandidateSubmap] = OrderedDict()
         self._searched_m = 0.0
         self._joined = {0}  # numbers of the pieces whose place in the map is known
-        self._pieces = PieceSearch(config, self._chain)
-        self._looked_back = 0  # key frames whose surroundings were asked for passes too many
+        self._pieces = PieceSearch(config, self._keyframes)
+        self._looked_back = 0  # key frames whose context were asked for passes too many
         self._anchoring = Anchoring()
 
     def work(self, batch: Batch) -> Result:
@@ -105,8 +105,8 @@ class LoopBackEnd:
         moved = bool(joined) or self._look_for_loops()
         if self._anchoring.is_due:
             moved |= self._find_anchors()
-        if batch.wish == "undo" and self._groups:
-            gone = self._groups.pop()
+        if batch.wish == "undo" and self._accepted:
+            gone = self._accepted.pop()
             self._loops = [loop for loop in self._loops if loop not in gone]
             moved = True
         if batch.wish == "optimize" and (self._loops or self._anchoring.reference):
@@ -115,70 +115,70 @@ class LoopBackEnd:
             return self._finish()
         self._forget()
         if not moved:
-            return Result(len(self._loops), len(self._aside))
+            return Result(len(self._loops), len(self._disabled))
         self._solve()
-        return Result(len(self._loops), len(self._aside), joined, self._correction(-1), self._paint())
+        return Result(len(self._loops), len(self._disabled), joined, self._correction(-1), self._render())
 
     def _is_detached(self) -> bool:
         """Whether the newest key frame lies in a piece of which nobody knows where it lies."""
-        return bool(self._chain.count) and int(self._chain.piece[-1]) not in self._joined
+        return bool(self._keyframes.count) and int(self._keyframes.piece[-1]) not in self._joined
 
     def _find_anchors(self) -> bool:
         """Whether fixes are worth a solution now."""
-        is_known = ~self._chain.is_lost & np.isin(self._chain.piece, list(self._joined))
-        return self._anchoring.find(self._chain, self._odometry().covariance, is_known)
+        is_known = ~self._keyframes.is_lost & np.isin(self._keyframes.piece, list(self._joined))
+        return self._anchoring.find(self._keyframes, self._odometry().covariance, is_known)
 
     def _usable(self) -> npt.NDArray[np.bool_]:
         """(N,) key frames that others can be laid on: matched, with points, in a place that is known."""
-        return self._chain.is_usable & np.isin(self._chain.piece, list(self._joined))
+        return self._keyframes.is_usable & np.isin(self._keyframes.piece, list(self._joined))
 
     def _look_for_piece(self) -> int:
         """Number of the newest piece, if its place was found now; else 0."""
-        loops = self._pieces.find(np.flatnonzero(self._usable()), self._place)
+        loops = self._pieces.find(np.flatnonzero(self._usable()), self._submap_about)
         if loops is None:
             return 0
-        piece = int(self._chain.piece[-1])
+        piece = int(self._keyframes.piece[-1])
         self._joined.add(piece)
         self._loops += loops
-        self._groups.append([*loops])
+        self._accepted.append([*loops])
         return piece
 
     def _append(self, frame: KeyFrame) -> None:
-        chain = self._chain
+        keyframes = self._keyframes
         pose = frame.pose_odom_base
         odom = np.array([pose.x_m, pose.y_m, pose.theta_rad])
-        if chain.count:
-            odom = se2.compose(chain.map[-1], se2.between(chain.odom[-1], odom))
+        if keyframes.count:
+            odom = se2.compose(keyframes.map[-1], se2.between(keyframes.odom[-1], odom))
         xy = frame.xy_base.astype(np.float64)
         normals, kept = np.empty((len(xy), 3)), np.empty(len(xy), np.bool_)
         estimate_normals(
             xy, np.array(frame.sensor_xy_m), frame.angle_step_rad, frame.range_sigma_m, 1.0, normals
         )
         thin_points(xy, self._config.thin_m, kept)
-        chain.append(
-            frame, odom, Kept(frame.xy_base[kept], normals[kept].astype(np.float32), frame.sensor_xy_m)
+        keyframes.append(
+            frame, odom, ThinnedScan(frame.xy_base[kept], normals[kept].astype(np.float32), frame.sensor_xy_m)
         )
 
     def _look_for_loops(self) -> bool:
-        """Search if it is time; whether what came to be believed is worth a solution now."""
-        config, chain = self._config, self._chain
-        if not chain.count or chain.way_m[-1] - self._searched_m < config.search_every_m:
+        """Search if it is time; whether what came to be accepted is worth a solution now."""
+        config, keyframes = self._config, self._keyframes
+        if not keyframes.count or keyframes.way_m[-1] - self._searched_m < config.search_every_m:
             return False
-        self._searched_m = float(chain.way_m[-1])
-        for found in self._search(chain.count - 1):
+        self._searched_m = float(keyframes.way_m[-1])
+        for found in self._search(keyframes.count - 1):
             self._candidates.append(found)
-            self._believe(found)
+            self._accept(found)
         oldest_m = self._searched_m - 2.0 * WITHIN_M
-        self._candidates = [loop for loop in self._candidates if chain.way_m[loop.to] >= oldest_m]
+        self._candidates = [loop for loop in self._candidates if keyframes.way_m[loop.to] >= oldest_m]
         return self._has_news(self._loops[-20:])
 
     def _has_news(self, loops: Sequence[Loop]) -> bool:
         """Whether one of these, from lately, would move the map by more than it is itself unsure of."""
-        chain = self._chain
-        chi2 = edge_chi2(as_edges(loops), chain.map)
+        keyframes = self._keyframes
+        chi2 = edge_chi2(as_edges(loops), keyframes.map)
         for loop, c in zip(loops, chi2.tolist(), strict=True):
-            off_m, off_rad = disagreement(chain, loop)
-            if chain.way_m[loop.to] <= self._searched_m - WITHIN_M:
+            off_m, off_rad = disagreement(keyframes, loop)
+            if keyframes.way_m[loop.to] <= self._searched_m - WITHIN_M:
                 continue
             if (off_m > self._config.solve_at_m and c > NEWS_CHI2) or off_rad > self._config.solve_at_rad:
                 return True
@@ -189,33 +189,33 @@ class LoopBackEnd:
 
         Only where loops hold the pass in its place: a drifted one would drive out another part of the map.
         """
-        config, chain = self._config, self._chain
+        config, keyframes = self._config, self._keyframes
         if not self._loops:
             return
-        way = chain.way_m
+        way = keyframes.way_m
         looped_m = np.sort([way[loop.to] for loop in self._loops])
         until = int(np.searchsorted(way, way[-1] - WITHIN_M))
         for k in range(self._looked_back, until):
             right = int(np.searchsorted(looped_m, way[k] - config.place_m))
             if right == len(looped_m) or looped_m[right] > way[k] + config.place_m:
                 continue
-            away = se2.between(chain.map[k], chain.map[:k])
+            away = se2.between(keyframes.map[k], keyframes.map[:k])
             near = np.flatnonzero(
                 (np.hypot(away[:, 0], away[:, 1]) <= SAME_SPOT_M)
                 & (np.abs(away[:, 2]) <= SAME_VIEW_RAD)
                 & (way[:k] < way[k] - config.apart_m)
-                & chain.has_points[:k]
+                & keyframes.has_points[:k]
             )
             passes = np.split(near, np.flatnonzero(np.diff(way[near]) > config.apart_m) + 1)
             for oldest in passes[: max(len(passes) + 1 - config.keep_passes, 0)]:
                 for old in oldest.tolist():
-                    chain.forget(old)
+                    keyframes.forget(old)
         self._looked_back = max(until, self._looked_back)
 
     def _search(self, last: int, window: tuple[float, float] | None = None) -> list[Loop]:
         """Loops that end in the query whose last key frame is `last`. window: m, rad; None: by path."""
-        config, chain = self._config, self._chain
-        way = chain.way_m
+        config, keyframes = self._config, self._keyframes
+        way = keyframes.way_m
         first = int(np.searchsorted(way, way[last] - config.place_m))
         usable = self._usable()
         members = [k for k in range(first, last + 1) if usable[k]]
@@ -226,38 +226,38 @@ class LoopBackEnd:
         if window is None:
             reach_m = np.minimum(WINDOW_M + DRIFTS[0] * config.drift * length_m, MOST_WINDOW_M)
         else:
-            reach_m = np.full(chain.count, window[0])
-        away_m = np.hypot(*(chain.map[:, :2] - chain.map[reference, :2]).T)
+            reach_m = np.full(keyframes.count, window[0])
+        away_m = np.hypot(*(keyframes.map[:, :2] - keyframes.map[reference, :2]).T)
         apart = np.abs(way - way[reference]) >= config.apart_m + config.place_m
         if window is None:
             apart &= way < way[reference]
         near = np.flatnonzero(apart & usable & (away_m <= reach_m + 1.0))
-        cloud: Cloud | None = None
+        cloud: PointCloud | None = None
         found = []
         for k in self._worth_asking(near, away_m, reach_m):
-            place = self._place(k)
+            submap = self._submap_about(k)
             if cloud is None:
-                cloud = cloud_of(chain, members, reference)
-            guess = se2.between(chain.map[place.reference], chain.map[reference])
+                cloud = cloud_of(keyframes, members, reference)
+            guess = se2.between(keyframes.map[submap.reference], keyframes.map[reference])
             reach_rad = (
                 min(WINDOW_RAD + DRIFTS[1] * config.drift_radpm * length_m[k], MOST_WINDOW_RAD)
                 if window is None
                 else window[1]
             )
-            pose = place.search(cloud, guess, float(reach_m[k]), float(reach_rad), LEAST_SCORE)
+            pose = submap.search(cloud, guess, float(reach_m[k]), float(reach_rad), LEAST_SCORE)
             if pose is None:
                 continue
-            fit = place.align(cloud, pose)
-            if self._is_good(fit) and place.against(cloud, fit.pose) < MOST_AGAINST:
-                found.append(loop_of(place.reference, reference, fit.pose, fit.information, fit.share))
+            fit = submap.align(cloud, pose)
+            if self._is_good(fit) and submap.against(cloud, fit.pose) < MOST_AGAINST:
+                found.append(loop_of(submap.reference, reference, fit.pose, fit.information, fit.share))
         return found
 
     def _is_good(self, fit: Fit) -> bool:
-        usual = float(np.median(self._chain.score))
+        usual = float(np.median(self._keyframes.score))
         return fit.share >= LEAST_SHARE * usual
 
     def _lengths_from(self, k: int) -> Floats:
-        way = self._chain.way_m
+        way = self._keyframes.way_m
         length_m = np.empty(len(way))
         of = np.array([loop.of for loop in self._loops], np.int64)
         to = np.array([loop.to for loop in self._loops], np.int64)
@@ -269,13 +269,13 @@ class LoopBackEnd:
         """The nearest key frame of each stretch of the way, nearest stretch first."""
         if not len(near):
             return []
-        breaks = np.flatnonzero(np.diff(self._chain.way_m[near]) > self._config.place_m) + 1
+        breaks = np.flatnonzero(np.diff(self._keyframes.way_m[near]) > self._config.place_m) + 1
         best = [int(run[np.argmin(away_m[run])]) for run in np.split(near, breaks)]
         return sorted(best, key=lambda k: (away_m[k], k))
 
     def _worth_asking(self, near: npt.NDArray[np.int64], away_m: Floats, reach_m: Floats) -> list[int]:
         """The nearest key frame of each pass; where the window is wider than a place, others beside it."""
-        config, way = self._config, self._chain.way_m
+        config, way = self._config, self._keyframes.way_m
         asked = self._nearest_of_passes(near, away_m)[:PASSES]
         for k in list(asked):
             aside = 1
@@ -287,89 +287,93 @@ class LoopBackEnd:
                 aside += 1
         return asked
 
-    def _place(self, k: int) -> Place:
+    def _submap_about(self, k: int) -> CandidateSubmap:
         """One about key frame k; a place that is kept already and lies near will do."""
-        way, config = self._chain.way_m, self._config
-        for reference in self._places:
+        way, config = self._keyframes.way_m, self._config
+        for reference in self._submaps:
             if abs(way[reference] - way[k]) <= self._config.search_every_m:
-                self._places.move_to_end(reference)
-                return self._places[reference]
+                self._submaps.move_to_end(reference)
+                return self._submaps[reference]
         first = int(np.searchsorted(way, way[k] - config.place_m))
         last = int(np.searchsorted(way, way[k] + config.place_m, side="right"))
         usable = self._usable()
         members = [m for m in range(first, last) if usable[m]]
-        self._places[k] = Place(self._chain, members, k)
-        if len(self._places) > PLACES_KEPT:
-            self._places.popitem(last=False)
-        return self._places[k]
+        self._submaps[k] = CandidateSubmap(self._keyframes, members, k)
+        if len(self._submaps) > SUBMAPS_KEPT:
+            self._submaps.popitem(last=False)
+        return self._submaps[k]
 
-    def _believe(self, found: Loop) -> None:
+    def _accept(self, found: Loop) -> None:
         """Believe all candidates that say the same as this one, if they are not of one spot."""
-        config, way = self._config, self._chain.way_m
+        config, way = self._config, self._keyframes.way_m
         base, growth = (AGREE_M, AGREE_RAD), (config.drift, config.drift_radpm)
         group = [
             loop
             for loop in self._candidates
             if abs(way[loop.to] - way[found.to]) <= WITHIN_M
             and abs(way[loop.of] - way[found.of]) <= 2.0 * WITHIN_M
-            and agree(self._chain, found, loop, base, growth)
+            and agree(self._keyframes, found, loop, base, growth)
         ]
         ends_m = [float(way[loop.to]) for loop in group]
-        if max(ends_m) - min(ends_m) < config.group_span_m:
+        if max(ends_m) - min(ends_m) < config.consensus_span_m:
             return
-        new = [loop for loop in group if loop not in self._loops and loop not in self._aside]
+        new = [loop for loop in group if loop not in self._loops and loop not in self._disabled]
         if new:
             self._loops += new
-            self._groups.append(new)
+            self._accepted.append(new)
 
     def _lost_steps(self) -> npt.NDArray[np.bool_]:
         """(N - 1,) steps between key frames of which one was not matched."""
-        lost = self._chain.is_lost
+        lost = self._keyframes.is_lost
         return lost[1:] | lost[:-1]
 
     def _doubtful_steps(self) -> npt.NDArray[np.bool_]:
         """(N - 1,) steps to or from a key frame of which far less than usual lies on the map."""
-        score = self._chain.score
+        score = self._keyframes.score
         doubtful: npt.NDArray[np.bool_] = score < DOUBTFUL_SHARE * np.median(score)
         return doubtful[1:] | doubtful[:-1]
 
     def _odometry(self) -> Edges:
-        chain = self._chain
-        covariance = chain.covariance[1:] + STEP_FLOOR
+        keyframes = self._keyframes
+        covariance = keyframes.covariance[1:] + STEP_FLOOR
         covariance = np.where(self._lost_steps()[:, None, None], LOST_COVARIANCE, covariance)
         covariance = covariance + self._doubtful_steps()[:, None, None] * DOUBTFUL_COVARIANCE
-        gap_m = np.maximum(np.diff(chain.way_m) - 2.0 * self._config.keyframe_distance_m, 0.0)
+        gap_m = np.maximum(np.diff(keyframes.way_m) - 2.0 * self._config.keyframe_distance_m, 0.0)
         covariance = covariance + (GAP_SHARE * gap_m[:, None, None]) ** 2 * np.eye(3)
-        of = np.arange(chain.count - 1, dtype=np.int64)
+        of = np.arange(keyframes.count - 1, dtype=np.int64)
         # Into another piece nobody knows the way; back in one, the newest key frame of it goes before.
         last_of: dict[int, int] = {}
-        for k, piece in enumerate(chain.piece.tolist()):
-            if k and piece != chain.piece[k - 1]:
+        for k, piece in enumerate(keyframes.piece.tolist()):
+            if k and piece != keyframes.piece[k - 1]:
                 if piece in last_of:
                     of[k - 1] = last_of[piece]
                 else:
                     covariance[k - 1] = UNKNOWN_COVARIANCE
             last_of[piece] = k
-        to = np.arange(1, chain.count, dtype=np.int64)
+        to = np.arange(1, keyframes.count, dtype=np.int64)
         return Edges(
-            of, to, se2.between(chain.odom[of], chain.odom[to]), covariance, np.zeros(chain.count - 1)
+            of,
+            to,
+            se2.between(keyframes.odom[of], keyframes.odom[to]),
+            covariance,
+            np.zeros(keyframes.count - 1),
         )
 
     def _graph(self) -> PoseGraph:
         """Key frames; behind them, where fixes anchor the map, the frame of east and north."""
         edges = self._odometry().and_also(as_edges(self._loops))
         if self._anchoring.reference is None:
-            return PoseGraph(self._chain.map.copy(), edges)
-        poses = np.vstack((self._chain.map, self._anchoring.pose_map_enu))
-        return PoseGraph(poses, edges.and_also(self._anchoring.edges(self._chain)))
+            return PoseGraph(self._keyframes.map.copy(), edges)
+        poses = np.vstack((self._keyframes.map, self._anchoring.pose_map_enu))
+        return PoseGraph(poses, edges.and_also(self._anchoring.edges(self._keyframes)))
 
     def _solve(self) -> None:
-        """Poses that agree best; loops that the rest contradicts are laid aside."""
-        if self._chain.count < 2:
+        """Poses that agree best; loops that the rest contradicts are disabled."""
+        if self._keyframes.count < 2:
             return
         for _ in range(3):
             poses = solve(self._graph()).poses
-            self._chain.map[:] = poses[: self._chain.count]
+            self._keyframes.map[:] = poses[: self._keyframes.count]
             if self._anchoring.reference is not None:
                 self._anchoring.solved(poses[-1])
             if not self._lay_aside():
@@ -377,15 +381,15 @@ class LoopBackEnd:
 
     def _lay_aside(self) -> bool:
         """Whether a loop had to go."""
-        chi2 = edge_chi2(as_edges(self._loops), self._chain.map)
+        chi2 = edge_chi2(as_edges(self._loops), self._keyframes.map)
         go = [loop for loop, c in zip(self._loops, chi2, strict=True) if c > CONTRADICTION_CHI2]
         self._loops = [loop for loop in self._loops if loop not in go]
-        self._aside += go
+        self._disabled += go
         return bool(go)
 
     def _finish(self) -> Result:
-        chain = self._chain
-        if not chain.count:
+        keyframes = self._keyframes
+        if not keyframes.count:
             return Result(0, 0)
         if self._anchoring.has_news:
             self._find_anchors()
@@ -394,16 +398,16 @@ class LoopBackEnd:
         self._search_again()
         if self._loops:
             self._solve()
-        self._places.clear()
+        self._submaps.clear()
         text = to_g2o(self._graph())
-        corrections = [self._correction(k) for k in range(chain.count)]
+        corrections = [self._correction(k) for k in range(keyframes.count)]
         return Result(
-            len(self._loops), len(self._aside), 0, corrections[-1], self._paint(), corrections, text
+            len(self._loops), len(self._disabled), 0, corrections[-1], self._render(), corrections, text
         )
 
     def _search_again(self) -> None:
         """Every stretch against the passes that lie near it now: revisits that were missed on the way."""
-        config, way = self._config, self._chain.way_m
+        config, way = self._config, self._keyframes.way_m
         done = {(round(way[loop.to] / 3.0), round(way[loop.of] / 3.0)) for loop in self._loops}
         self._candidates = list(self._loops)
         new = []
@@ -417,19 +421,21 @@ class LoopBackEnd:
             self._candidates.append(loop)
         for loop in new:
             if loop not in self._loops:
-                self._believe(loop)
+                self._accept(loop)
 
-    def _paint(self) -> Sheet | None:
-        if self._painter is None:
+    def _render(self) -> RenderedMap | None:
+        if self._renderer is None:
             return None
-        poses = self._chain.map.tolist()
-        known = np.isin(self._chain.piece, list(self._joined)) & ~self._chain.is_lost
-        return self._painter.paint(
-            Drawn(kept.xy_base, kept.sensor_xy_m, SE2(*pose))
-            for kept, pose, is_known in zip(self._chain.kept, poses, known.tolist(), strict=True)
+        poses = self._keyframes.map.tolist()
+        known = np.isin(self._keyframes.piece, list(self._joined)) & ~self._keyframes.is_lost
+        return self._renderer.render(
+            ScanToRender(kept.xy_base, kept.sensor_xy_m, SE2(*pose))
+            for kept, pose, is_known in zip(self._keyframes.thinned, poses, known.tolist(), strict=True)
             if is_known
         )
 
     def _correction(self, k: int) -> Correction:
-        chain = self._chain
-        return Correction(chain.stamps_ns[k], SE2(*chain.odom[k].tolist()), SE2(*chain.map[k].tolist()))
+        keyframes = self._keyframes
+        return Correction(
+            keyframes.stamps_ns[k], SE2(*keyframes.odom[k].tolist()), SE2(*keyframes.map[k].tolist())
+        )

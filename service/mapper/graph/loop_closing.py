@@ -11,19 +11,19 @@ from drivers.antenna import antenna_of
 from drivers.frames import GnssFix
 from service.geometry.se2 import SE2, wrap_angle
 from service.mapper.background import Errand, NewWorker, WorkLostError
-from service.mapper.graph.fix_track import FixTrack
-from service.mapper.graph.keyframes import KeyFrame
-from service.mapper.graph.loop_back_end import Batch, LoopBackEnd, Result
-from service.mapper.graph.loops_config import LoopsConfig
-from service.mapper.stages import (
+from service.mapper.components import (
     Correction,
-    Drawn,
     FinishedGraph,
     GraphUpdate,
     MappedScan,
-    Painter,
+    MapRenderer,
+    ScanToRender,
     WishError,
 )
+from service.mapper.graph.fix_track import FixTrack
+from service.mapper.graph.keyframe_list import KeyFrame
+from service.mapper.graph.loop_back_end import Batch, LoopBackEnd, Result
+from service.mapper.graph.loops_config import LoopsConfig
 
 DETACHED_INTERVAL_NS = 500_000_000  # of key frames of a piece that is looked for, also while standing
 
@@ -34,7 +34,7 @@ class LoopClosing:
     def __init__(
         self,
         config: LoopsConfig,
-        painter: Painter | None,
+        renderer: MapRenderer | None,
         new_worker: NewWorker,
         mountings: Mapping[str, SE2] | None = None,
     ) -> None:
@@ -44,7 +44,7 @@ class LoopClosing:
         self._fixes = FixTrack()
         self._keyframes = 0
         self._fix_counts: Mapping[str, int] = {}  # as the back end had them last
-        self._errand = Errand(new_worker(LoopBackEnd(config, painter)))
+        self._errand = Errand(new_worker(LoopBackEnd(config, renderer)))
         self._fresh: list[KeyFrame] = []  # not yet sent
         self._sent: deque[list[KeyFrame]] = deque()  # with each piece of work that is out
         self._last: SE2 | None = None  # of the newest key frame
@@ -52,7 +52,7 @@ class LoopClosing:
         self._gap_s = 0.0  # longest time without a scan since then
         self._way_m = 0.0  # of those not yet sent
         self._pose_map_odom = SE2()
-        self._loops = self._aside = 0
+        self._loops = self._disabled = 0
 
     @property
     def waiting(self) -> int:
@@ -134,7 +134,7 @@ class LoopClosing:
         self._sent.clear()
         update = self._update(result)
         _add(counts, update.counts)
-        return FinishedGraph(result.all, result.g2o, GraphUpdate(counts, update.sheet, geo=update.geo))
+        return FinishedGraph(result.all, result.g2o, GraphUpdate(counts, update.rendered_map, geo=update.geo))
 
     def close(self) -> None:
         self._errand.close()
@@ -145,8 +145,11 @@ class LoopClosing:
         self._fresh, self._way_m = [], 0.0
 
     def _update(self, result: Result) -> GraphUpdate:
-        counts = {"loop_closures": result.loops - self._loops, "loops_laid_aside": result.aside - self._aside}
-        self._loops, self._aside = result.loops, result.aside
+        counts = {
+            "loop_closures": result.loops - self._loops,
+            "loops_disabled": result.disabled - self._disabled,
+        }
+        self._loops, self._disabled = result.loops, result.disabled
         _add(counts, self._fixes.take_counts())
         _add(counts, {name: n - self._fix_counts.get(name, 0) for name, n in result.fixes.items()})
         self._fix_counts = result.fixes
@@ -154,10 +157,10 @@ class LoopClosing:
             self._pose_map_odom = _pose_map_odom(result.newest)
         since = [frame for batch in self._sent for frame in batch] + self._fresh
         drawn = [
-            Drawn(frame.xy_base, frame.sensor_xy_m, self._pose_map_odom @ frame.pose_odom_base)
-            for frame in (since if result.sheet is not None else ())
+            ScanToRender(frame.xy_base, frame.sensor_xy_m, self._pose_map_odom @ frame.pose_odom_base)
+            for frame in (since if result.rendered_map is not None else ())
         ]
-        return GraphUpdate(counts, result.sheet, drawn, result.joined, result.geo)
+        return GraphUpdate(counts, result.rendered_map, drawn, result.joined, result.geo)
 
     def _is_keyframe(self, pose: SE2) -> bool:
         last = self._last

@@ -1,4 +1,4 @@
-"""Loops: measured relations between two passes of one place, and which of them are believed."""
+"""Loops: measured relations between two passes of one place, and which of them are accepted."""
 
 import math
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.geometry import poses as se2
-from service.mapper.graph.keyframes import Chain, Floats
+from service.mapper.graph.keyframe_list import Floats, KeyframeList
 from service.mapper.graph.pose_graph import Edges
 
 FLOOR = np.diag([0.006**2, 0.006**2, 0.0015**2])  # m^2, rad^2: what walls and sweeps leave open at best
@@ -47,22 +47,24 @@ def as_edges(loops: Sequence[Loop]) -> Edges:
     )
 
 
-def disagreement(chain: Chain, loop: Loop) -> tuple[float, float]:
+def disagreement(keyframes: KeyframeList, loop: Loop) -> tuple[float, float]:
     """m and rad between a loop and where the key frames lie in the map now."""
-    here = se2.between(chain.map[loop.of], chain.map[loop.to])
+    here = se2.between(keyframes.map[loop.of], keyframes.map[loop.to])
     error = se2.between(loop.measured, here)
     return float(np.hypot(error[0], error[1])), float(abs(error[2]))
 
 
-def agree(chain: Chain, a: Loop, b: Loop, base: tuple[float, float], growth: tuple[float, float]) -> bool:
+def agree(
+    keyframes: KeyframeList, a: Loop, b: Loop, base: tuple[float, float], growth: tuple[float, float]
+) -> bool:
     """Whether two loops say the same, as far as odometry between them can tell.
 
     base, growth   m, rad that they may differ by, at once and for each metre of way between them
     """
-    there = se2.compose(a.measured, se2.between(chain.odom[a.to], chain.odom[b.to]))
-    back = se2.compose(se2.between(chain.odom[a.of], chain.odom[b.of]), b.measured)
+    there = se2.compose(a.measured, se2.between(keyframes.odom[a.to], keyframes.odom[b.to]))
+    back = se2.compose(se2.between(keyframes.odom[a.of], keyframes.odom[b.of]), b.measured)
     error = se2.between(there, back)
-    way = chain.way_m
+    way = keyframes.way_m
     path_m = abs(way[a.to] - way[b.to]) + abs(way[a.of] - way[b.of])
     return bool(
         np.hypot(error[0], error[1]) <= base[0] + growth[0] * path_m

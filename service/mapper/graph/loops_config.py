@@ -12,13 +12,14 @@ class LoopsConfig(BaseModel):
     # fmt: off
     FIXED: ClassVar = (  # in older configs
         "query_m", "passes", "window_m", "window_growth", "most_window_m", "window_rad",
-        "window_growth_radpm", "most_window_rad", "least_score", "least_share", "doubtful_share",
+        "window_growth_radpm", "most_window_rad", "least_score", "least_inlier_ratio", "doubtful_share",
         "most_against", "group", "group_within_m", "agree_m", "agree_growth", "agree_rad",
         "agree_growth_radpm", "contradiction_chi2", "reinstated_chi2",
         "finish_window_m", "finish_window_rad",
         "dense_m", "dense_passes", "dense_most_m", "dense_most_rad", "dense_most",
     )
     # fmt: on
+    RENAMED: ClassVar = {"group_span_m": "consensus_span_m"}
 
     keyframe_distance_m: float = Field(default=0.3, gt=0.0)
     keyframe_turn_rad: float = Field(default=0.15, gt=0.0)
@@ -30,7 +31,7 @@ class LoopsConfig(BaseModel):
     solve_at_rad: float = Field(default=0.01, gt=0.0)
     place_m: float = Field(default=5.0, gt=0.0)  # way that is looked for, and way to each side of where it is
     apart_m: float = Field(default=12.0, gt=0.0)  # way between two passes of a place, at least
-    group_span_m: float = Field(default=5.0, gt=0.0)  # way over which loops must say the same
+    consensus_span_m: float = Field(default=5.0, gt=0.0)  # way over which loops must say the same
 
     drift: float = Field(default=0.01, ge=0.0)  # m for each m of way through the graph
     drift_radpm: float = Field(default=0.0015, ge=0.0)

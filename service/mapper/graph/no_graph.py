@@ -5,7 +5,7 @@ from typing import Any
 
 from drivers.frames import GnssFix
 from service.geometry.se2 import SE2
-from service.mapper.stages import FinishedGraph, GraphUpdate, MappedScan, WishError
+from service.mapper.components import FinishedGraph, GraphUpdate, MappedScan, WishError
 
 
 class NoGraph:

@@ -7,10 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from service.geometry import poses as se2
-from service.mapper.graph.keyframes import Chain, Floats
+from service.mapper.graph.candidate_submap import LEAST_SCORE, CandidateSubmap, cloud_of
+from service.mapper.graph.keyframe_list import Floats, KeyframeList
 from service.mapper.graph.loops import Loop, loop_of
 from service.mapper.graph.loops_config import LoopsConfig
-from service.mapper.graph.places import LEAST_SCORE, Place, cloud_of
 
 PIECE_REACH_M, PIECE_STEP_RAD = 8.0, 0.03  # window in which a piece is looked for about each place
 MOST_QUERY = 12  # key frames of a piece that are looked for together
@@ -35,53 +35,53 @@ class Hypothesis:
 
 
 class PieceSearch:
-    """Looks for the newest piece of a chain of key frames; remembers the last find."""
+    """Looks for the newest piece of a keyframes of key frames; remembers the last find."""
 
-    def __init__(self, config: LoopsConfig, chain: Chain) -> None:
+    def __init__(self, config: LoopsConfig, keyframes: KeyframeList) -> None:
         self._config = config
-        self._chain = chain
+        self._keyframes = keyframes
         self._hypothesis: Hypothesis | None = None
 
     def find(
-        self, known: npt.NDArray[np.int64], place_of: Callable[[int], Place]
+        self, known: npt.NDArray[np.int64], submap_about: Callable[[int], CandidateSubmap]
     ) -> tuple[Loop, Loop] | None:
         """Move the newest piece to where it lies, and give the two loops that say so; None: nothing is sure.
 
         known      numbers of the key frames whose place in the map is known
-        place_of   the place about one of them
+        submap_about   the place about one of them
 
         It is asked of every stretch of the way, at every heading. One find is a hypothesis, since rooms look
         alike: it must fit clearly better than any other place, and the next key frames must say the same.
         """
-        config, chain = self._config, self._chain
-        piece = int(chain.piece[-1])
-        own = np.flatnonzero((chain.piece == piece) & chain.is_usable)
-        from_m = chain.way_m[-1] - config.place_m
-        if self._hypothesis is not None and chain.way_m[-1] - self._hypothesis.way_m >= LEAST_APART_M:
+        config, keyframes = self._config, self._keyframes
+        piece = int(keyframes.piece[-1])
+        own = np.flatnonzero((keyframes.piece == piece) & keyframes.is_usable)
+        from_m = keyframes.way_m[-1] - config.place_m
+        if self._hypothesis is not None and keyframes.way_m[-1] - self._hypothesis.way_m >= LEAST_APART_M:
             from_m = self._hypothesis.way_m + 0.5 * LEAST_APART_M  # none of what the first find has seen
-        own = own[chain.way_m[own] >= from_m][-MOST_QUERY:]
+        own = own[keyframes.way_m[own] >= from_m][-MOST_QUERY:]
         if not len(own) or not len(known):
             return None
         reference = int(own[-1])
-        cloud = cloud_of(chain, own.tolist(), reference)
+        cloud = cloud_of(keyframes, own.tolist(), reference)
         found: list[tuple[float, Floats, Loop | None]] = []
         asked_m = -np.inf
         for k in known.tolist():
-            if chain.way_m[k] < asked_m + config.place_m:
+            if keyframes.way_m[k] < asked_m + config.place_m:
                 continue
-            asked_m = float(chain.way_m[k])
-            place = place_of(k)
-            pose = place.search(cloud, np.zeros(3), PIECE_REACH_M, np.pi, LEAST_SCORE, PIECE_STEP_RAD)
+            asked_m = float(keyframes.way_m[k])
+            submap = submap_about(k)
+            pose = submap.search(cloud, np.zeros(3), PIECE_REACH_M, np.pi, LEAST_SCORE, PIECE_STEP_RAD)
             if pose is None:
                 continue
-            fit = place.align(cloud, pose)
+            fit = submap.align(cloud, pose)
             loop = None
             if (
-                fit.share >= PIECE_SHARE * float(np.median(chain.score))
-                and place.against(cloud, fit.pose) < PIECE_AGAINST
+                fit.share >= PIECE_SHARE * float(np.median(keyframes.score))
+                and submap.against(cloud, fit.pose) < PIECE_AGAINST
             ):
-                loop = loop_of(place.reference, reference, fit.pose, fit.information, fit.share)
-            found.append((fit.share, se2.compose(chain.map[place.reference], fit.pose), loop))
+                loop = loop_of(submap.reference, reference, fit.pose, fit.information, fit.share)
+            found.append((fit.share, se2.compose(keyframes.map[submap.reference], fit.pose), loop))
         share, at, loop = max(found, key=lambda f: f[0]) if found else (0.0, np.zeros(3), None)
         if loop is None or not self._could_be_at(at, piece, reference):
             self._hypothesis = None
@@ -93,8 +93,8 @@ class PieceSearch:
             ):
                 self._hypothesis = None  # two places that look alike
                 return None
-        inverse = se2.between(chain.odom[reference], np.zeros(3))
-        new = Hypothesis(se2.compose(at, inverse), loop, float(chain.way_m[reference]))
+        inverse = se2.between(keyframes.odom[reference], np.zeros(3))
+        new = Hypothesis(se2.compose(at, inverse), loop, float(keyframes.way_m[reference]))
         old = self._hypothesis
         if old is None:
             self._hypothesis = new
@@ -102,11 +102,11 @@ class PieceSearch:
         if new.way_m - old.way_m < LEAST_APART_M:
             return None
         self._hypothesis = new
-        away = se2.between(se2.compose(old.pose_map_odom, chain.odom[reference]), at)
+        away = se2.between(se2.compose(old.pose_map_odom, keyframes.odom[reference]), at)
         if np.hypot(away[0], away[1]) > SAME_PLACE_M or abs(away[2]) > SAME_PLACE_RAD:
             return None
-        mine = chain.piece == piece
-        chain.map[mine] = se2.compose(new.pose_map_odom, chain.odom[mine])
+        mine = keyframes.piece == piece
+        keyframes.map[mine] = se2.compose(new.pose_map_odom, keyframes.odom[mine])
         self._hypothesis = None
         return old.loop, new.loop
 
@@ -116,10 +116,10 @@ class PieceSearch:
         Where scans went missing before the piece the vehicle may have been carried anywhere; where they did
         not it can be no farther from where dead reckoning puts it than that errs.
         """
-        chain = self._chain
-        first = int(np.flatnonzero(chain.piece == piece)[0])
-        if chain.gap_s[first] > CARRIED_S:
+        keyframes = self._keyframes
+        first = int(np.flatnonzero(keyframes.piece == piece)[0])
+        if keyframes.gap_s[first] > CARRIED_S:
             return True
-        away = se2.between(chain.map[reference], at)
-        way_m = float(chain.way_m[reference] - chain.way_m[first])
+        away = se2.between(keyframes.map[reference], at)
+        way_m = float(keyframes.way_m[reference] - keyframes.way_m[first])
         return bool(np.hypot(away[0], away[1]) <= MOST_OFF_M + MOST_OFF_SHARE * way_m)

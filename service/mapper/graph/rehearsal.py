@@ -3,7 +3,7 @@
 import numpy as np
 
 from service.geometry.se2 import SE2
-from service.mapper.graph.keyframes import KeyFrame
+from service.mapper.graph.keyframe_list import KeyFrame
 from service.mapper.graph.loop_back_end import Batch, LoopBackEnd, Result
 from service.mapper.graph.loops_config import LoopsConfig
 
@@ -13,7 +13,7 @@ BEAMS = 181
 
 def rehearse() -> Result:
     """There and back through a room: the way back closes loops with the way there."""
-    config = LoopsConfig(apart_m=0.5, place_m=1.0, search_every_m=0.5, group_span_m=0.2)
+    config = LoopsConfig(apart_m=0.5, place_m=1.0, search_every_m=0.5, consensus_span_m=0.2)
     back_end = LoopBackEnd(config, None)
     there = [STEP_M * k for k in range(12)]
     frames = [seen_from(x_m, k) for k, x_m in enumerate([*there, *there[-2::-1]])]

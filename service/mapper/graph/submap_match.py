@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -27,12 +28,15 @@ class SubmapMatchConfig(BaseModel):
     """When two sub-maps are said to show the same place, and which points are landmarks."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+    RENAMED: ClassVar = {"least_share": "least_inlier_ratio"}
 
     search_cell_m: float = Field(default=0.10, ge=0.02, le=0.5)
     most_points: int = Field(default=400, ge=50)
     align_sigma: float = Field(default=0.5, gt=0.0)
     align_iterations: int = Field(default=30, ge=1, le=200)
-    least_share: float = Field(default=0.6, gt=0.0, le=1.0)  # of the common points that lie on the other
+    least_inlier_ratio: float = Field(
+        default=0.6, gt=0.0, le=1.0
+    )  # of the common points that lie on the other
     least_common: int = Field(default=120, ge=10)  # points that both sub-maps have seen the place of
     common_part: float = Field(default=0.25, gt=0.0, le=1.0)  # of all points, at least
     landmarks: int = Field(default=4, ge=2, le=20)  # K, of each pair of sub-maps
@@ -135,7 +139,7 @@ def find(
     if count < max(config.common_part * len(points), config.least_common * len(points) / len(new.xy)):
         return None
     share = float(np.mean(values[common, 0] > ON_MAP))
-    if share < config.least_share:
+    if share < config.least_inlier_ratio:
         return None
     hessian, g = np.empty((3, 3)), np.empty(3)
     coarse_normal_equations(points, values, 1, pose, config.align_sigma, hessian, g)

@@ -12,13 +12,13 @@ QUARTER_RAD = math.pi / 2.0
 
 
 def building_axes(
-    xy_base: npt.NDArray[np.float64], gap_m: npt.NDArray[np.float64], least_share: float
+    xy_base: npt.NDArray[np.float64], gap_m: npt.NDArray[np.float64], least_inlier_ratio: float
 ) -> float | None:
     """Direction of the walls in the base frame, rad in (-pi/4, pi/4]; None where no direction stands out.
 
     xy_base       (N, 2) m, in beam order
     gap_m         (N,) m: a longer step to the next point ends a surface
-    least_share   of the length of all chords, that must lie within 3 deg of the walls' direction
+    least_inlier_ratio   of the length of all chords, that must lie within 3 deg of the walls' direction
 
     A histogram of the directions of chords, folded to a quarter turn and weighted with their lengths, gives
     the peak; the mean of what lies near it, weighted with the squares, the direction.
@@ -39,7 +39,7 @@ def building_axes(
     peak = (float(np.argmax(smooth)) + 0.5) / BINS * QUARTER_RAD
     off = np.remainder(direction - peak + QUARTER_RAD / 2.0, QUARTER_RAD) - QUARTER_RAD / 2.0
     near = np.abs(off) < NEAR_PEAK_RAD
-    if length_m[near].sum() < least_share * length_m.sum():
+    if length_m[near].sum() < least_inlier_ratio * length_m.sum():
         return None
     axes = peak + float(np.average(off[near], weights=length_m[near] ** 2))
     return axes if axes <= QUARTER_RAD / 2.0 else axes - QUARTER_RAD

@@ -21,9 +21,9 @@ from service.kernels.contour_blur import (
 from service.kernels.contours import extract_contours
 from service.kernels.likelihood_search import LikelihoodLayer
 from service.kernels.surfels import TILE_BITS, TILE_CELLS
+from service.mapper.components import MapChange, Match, Overlap, Points
 from service.mapper.maps.known_ground import KnownGround
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
-from service.mapper.stages import MapChange, Match, Overlap, Points
 
 POOL_TILES = 65_536  # 0.9 GB of address space: 0.17 km2 at 5 cm
 FIRST_SCAN_CELLS = 65_536

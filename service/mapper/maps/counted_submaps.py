@@ -12,8 +12,8 @@ from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.counted_occupancy import CountedGrid, CountWeights, count_overlap, count_scan
 from service.kernels.likelihood import LikelihoodField
 from service.kernels.surfels import TILE_BITS, TILE_CELLS
+from service.mapper.components import MapChange, Match, Overlap, Points
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
-from service.mapper.stages import MapChange, Match, Overlap, Points
 
 SAME_WALL_M = 0.10  # a return so near to a wall lies on it
 POOL_TILES = 131_072  # 1.3 GB of address space; only what is seen costs memory

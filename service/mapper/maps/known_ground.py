@@ -5,8 +5,8 @@ import numpy.typing as npt
 
 from service.geometry.se2 import SE2
 from service.kernels.occupancy import Evidence, count_overlap
+from service.mapper.components import Overlap, Points
 from service.mapper.maps.occupancy import Canvas
-from service.mapper.stages import Overlap, Points
 
 CELL_M = 0.10
 FREE_RANGE_M = 20.0  # beams clear cells up to here

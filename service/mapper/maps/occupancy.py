@@ -17,12 +17,12 @@ from service.kernels.occupancy import (
     TILE_CELLS,
     Evidence,
     OccupancyGrid,
-    lay_tiles,
     to_per_cent,
     trace_scan,
+    write_tiles,
 )
+from service.mapper.components import Points, RenderedMap, ScanToRender
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
-from service.mapper.stages import Drawn, Points, Sheet
 from service.outputs import UNKNOWN, TileUpdate
 
 POOL_TILES = 131_072  # 1.6 GB of address space, 1.3 km2 at 5 cm; only what is seen costs memory
@@ -98,28 +98,28 @@ class Canvas:
             np.uint16(self._scan_number),
         )
 
-    def draw_again(self, scans: Iterable[Drawn]) -> None:
+    def draw_again(self, scans: Iterable[ScanToRender]) -> None:
         for scan in scans:
             self.draw(scan.xy_base.astype(np.float64), scan.sensor_xy_m, scan.pose_map_base)
 
-    def sheet(self) -> Sheet:
+    def rendered_map(self) -> RenderedMap:
         """A copy of all there is."""
         tiles = np.array(self.tiles.tiles(), np.int64).reshape(-1, 3)
         # Contiguous, as they come out of another process: else the kernel that lays them is compiled twice.
         row, column = np.ascontiguousarray(tiles[:, 0]), np.ascontiguousarray(tiles[:, 1])
-        return Sheet(row, column, self.pool.arrays[0][tiles[:, 2]])  # type: ignore[arg-type]
+        return RenderedMap(row, column, self.pool.arrays[0][tiles[:, 2]])  # type: ignore[arg-type]
 
-    def lay(self, sheet: Sheet) -> None:
-        if len(sheet.tile_row):
+    def replace_by(self, rendered_map: RenderedMap) -> None:
+        if len(rendered_map.tile_row):
             self.tiles.cover(
                 TileRange(
-                    int(sheet.tile_row.min()),
-                    int(sheet.tile_column.min()),
-                    int(sheet.tile_row.max()),
-                    int(sheet.tile_column.max()),
+                    int(rendered_map.tile_row.min()),
+                    int(rendered_map.tile_column.min()),
+                    int(rendered_map.tile_row.max()),
+                    int(rendered_map.tile_column.max()),
                 )
             )
-        lay_tiles(sheet.tile_row, sheet.tile_column, sheet.evidence, self.grid())
+        write_tiles(rendered_map.tile_row, rendered_map.tile_column, rendered_map.evidence, self.grid())
 
     def grid(self) -> OccupancyGrid:
         evidence, touched, changed = self.pool.arrays
@@ -127,8 +127,8 @@ class Canvas:
 
 
 @dataclass(frozen=True, slots=True)
-class OccupancyPainter:
-    """Painter of OccupancyTiles."""
+class OccupancyRenderer:
+    """MapRenderer of OccupancyTiles."""
 
     free_range_m: float
     cell_m: float
@@ -136,10 +136,10 @@ class OccupancyPainter:
     def canvas(self) -> Canvas:
         return Canvas(EVIDENCE, self.free_range_m, self.cell_m)
 
-    def paint(self, scans: Iterable[Drawn]) -> Sheet:
+    def render(self, scans: Iterable[ScanToRender]) -> RenderedMap:
         canvas = self.canvas()
         canvas.draw_again(scans)
-        return canvas.sheet()
+        return canvas.rendered_map()
 
 
 class OccupancyTiles:
@@ -148,11 +148,11 @@ class OccupancyTiles:
     def __init__(self, config: OccupancyConfig, cell_m: float) -> None:
         self._config = config
         self._cell_m = cell_m
-        self.painter = OccupancyPainter(config.free_range_m, cell_m)
-        self._canvas = self.painter.canvas()
+        self.renderer = OccupancyRenderer(config.free_range_m, cell_m)
+        self._canvas = self.renderer.canvas()
         self._shown: dict[int, npt.NDArray[np.int8]] = {}  # by slot: the cells as last handed out
         self._version = 0
-        self._to_draw: deque[Drawn] = deque()
+        self._to_draw: deque[ScanToRender] = deque()
         self._last: tuple[SE2, int] | None = None
 
     @property
@@ -170,12 +170,12 @@ class OccupancyTiles:
         sensor = points.sensor_base
         self._canvas.draw(points.xy_base, (sensor.x_m, sensor.y_m), pose_map_base)
 
-    def lay(self, sheet: Sheet, since: Sequence[Drawn]) -> None:
-        """Tiles that the sheet lacks become unknown; only those that differ get a new version.
+    def replace_by(self, rendered_map: RenderedMap, since: Sequence[ScanToRender]) -> None:
+        """Tiles that the rendered map lacks become unknown; only those that differ get a new version.
 
         `since` is drawn with the next scans, a few with each, so that none of them has to wait.
         """
-        self._canvas.lay(sheet)
+        self._canvas.replace_by(rendered_map)
         self._to_draw = deque(since)
 
     def changed_tiles(self) -> list[TileUpdate]:

@@ -3,7 +3,7 @@
 import logging
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -22,10 +22,10 @@ from service.kernels.orthogonal_weights import (
     insert_weighted,
 )
 from service.kernels.surfels import TILE_BITS, TILE_CELLS
+from service.mapper.components import MapChange, Match, Overlap, Points
 from service.mapper.maps.building_axes import building_axes
 from service.mapper.maps.known_ground import KnownGround
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
-from service.mapper.stages import MapChange, Match, Overlap, Points
 
 log = logging.getLogger(__name__)
 
@@ -49,6 +49,7 @@ class OrthogonalMapConfig(BaseModel):
     """The pyramid, and how a point is blurred."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+    RENAMED: ClassVar = {"insert_share": "insert_inlier_ratio"}
 
     cell_m: float = Field(default=0.025, ge=0.005, le=0.5)  # of the finest level
     ratio: Literal[2, 4, 5] = 4
@@ -64,7 +65,9 @@ class OrthogonalMapConfig(BaseModel):
     rule: Literal["noisy_or", "maximum"] = "noisy_or"
     insert_distance_m: float = Field(default=0.3, ge=0.0)
     insert_turn_rad: float = Field(default=0.1, ge=0.0)
-    insert_share: float = Field(default=0.9, ge=0.0, le=1.0)  # at once where less of the scan lies on the map
+    insert_inlier_ratio: float = Field(
+        default=0.9, ge=0.0, le=1.0
+    )  # at once where less of the scan lies on the map
     on_map_likelihood: float = Field(default=0.02, gt=0.0, le=1.0)  # a point from here on lies on the map
     first_scans: int = Field(default=1, ge=1)
 
@@ -208,7 +211,7 @@ class OrthogonalMap:
             return
         self.pose_axes_odom = SE2(0.0, 0.0, -wrap_angle(pose.theta_rad + axes_rad))
 
-    def _share_on_map(self, points: Points, pose: SE2) -> float:
+    def _inlier_ratio(self, points: Points, pose: SE2) -> float:
         at = self.pose_axes_odom @ pose
         values = np.empty((len(points.xy_base), 3))
         read_field(points.xy_base, 1, np.array([at.x_m, at.y_m, at.theta_rad]), *self.field(), values)
@@ -218,7 +221,7 @@ class OrthogonalMap:
         if self._last is None or self._scan_count < self._config.first_scans:
             return True
         matched = match.motion if match.measured is None else match.measured
-        if self._share_on_map(points, matched.pose_odom_base) < self._config.insert_share:
+        if self._inlier_ratio(points, matched.pose_odom_base) < self._config.insert_inlier_ratio:
             return True
         step = self._last.inverse() @ match.motion.pose_odom_base
         return (

@@ -16,10 +16,10 @@ from service.geometry.grid import TileRange
 from service.geometry.se2 import SE2
 from service.kernels.likelihood_search import LikelihoodLayer
 from service.kernels.line_likelihood import draw_scan, mark_patches, smooth_lines
+from service.mapper.components import MapChange, Match, Overlap, Points
 from service.mapper.maps.known_ground import KnownGround
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 from service.mapper.patch_store import NewPatchStore, PatchKey
-from service.mapper.stages import MapChange, Match, Overlap, Points
 
 Array = npt.NDArray[np.float64]
 

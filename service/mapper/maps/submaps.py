@@ -11,18 +11,18 @@ from service.geometry.grid import tiles_of
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.likelihood import SPLAT_REACH_CELLS, splat_likelihood
 from service.kernels.normals import estimate_normals
-from service.kernels.permanence import (
+from service.kernels.static_score import (
     Sightings,
     count_hits,
     count_in_free,
-    look_through,
-    weigh_permanence,
+    remove_by_ray_cast,
+    weigh_static_score,
 )
 from service.kernels.surfels import TILE_BITS, TILE_CELLS, SurfelGrid, insert_surfels
 from service.kernels.tiles import NO_TILE
-from service.mapper.maps.permanence import PermanenceConfig, ticks_in
+from service.mapper.components import MapChange, Match, Points
+from service.mapper.maps.dynamic_filter import DynamicFilterConfig, ticks_in
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
-from service.mapper.stages import MapChange, Match, Points
 
 FIRST_SCANS = 25  # all of the first ones of a map are taken, even standing: half a second of a 50 Hz laser
 COUNT_LIMIT = 1000.0  # points that a surfel stands for at most, so that it forgets what was moved
@@ -40,8 +40,9 @@ class SubmapsConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     FIXED: ClassVar = ("first_scans", "count_limit", "field_sigma_m", "field_enough")  # in older configs
+    RENAMED: ClassVar = {"permanence": "dynamic_filter"}
 
-    permanence: PermanenceConfig = PermanenceConfig()
+    dynamic_filter: DynamicFilterConfig = DynamicFilterConfig()
     cell_m: float = Field(default=0.10, ge=0.02, le=0.5)
     spacing_m: float = Field(default=20.0, gt=0.0)  # a new sub-map each time so far was travelled
     keyframe_distance_m: float = Field(default=0.05, gt=0.0)
@@ -50,14 +51,14 @@ class SubmapsConfig(BaseModel):
 
 
 class Submap:
-    """One sheet of surfels, in the odom frame."""
+    """One sub-map of surfels, in the odom frame."""
 
     def __init__(self, number: int, pool: TilePool, config: SubmapsConfig) -> None:
         self.number = number
         self.scan_count = 0
         self._last_ns: int | None = None  # of its newest key frame
         self._config = config
-        self._permanence = config.permanence.settings()
+        self._dynamic_filter = config.dynamic_filter.settings()
         self._tiles = TileMap(pool)
 
     def grid(self) -> SurfelGrid:
@@ -68,10 +69,12 @@ class Submap:
         self, points: Points, normals: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
         """The normals of a scan as to be matched from a pose (3,): what stands for long weighs more."""
-        if self._permanence.enough == 0:
+        if self._dynamic_filter.enough == 0:
             return normals
         weighed = normals.copy()
-        weigh_permanence(points.xy_base, pose, self.grid(), self._sightings(), self._permanence, weighed)
+        weigh_static_score(
+            points.xy_base, pose, self.grid(), self._sightings(), self._dynamic_filter, weighed
+        )
         return weighed
 
     def in_free(
@@ -97,7 +100,7 @@ class Submap:
         )
         grid = self.grid()
         pose_vector = np.array([pose.x_m, pose.y_m, pose.theta_rad])
-        if self._permanence.enough > 0:
+        if self._dynamic_filter.enough > 0:
             normals = self._sight(points, normals, pose_vector, grid)
         insert_surfels(points.xy_base, normals, pose_vector, grid, COUNT_LIMIT)
         splat_likelihood(points.xy_base, pose_vector, grid, FIELD_SIGMA_M, FIELD_ENOUGH)
@@ -114,17 +117,17 @@ class Submap:
         number = np.uint16(self.scan_count % MOST_NUMBER + 1)
         ticks = np.int64(self._ticks_since(points.scan.stamp_ns))
         static = normals.copy()
-        settings, sightings = self._permanence, self._sightings()
+        settings, sightings = self._dynamic_filter, self._sightings()
         count_hits(points.xy_base, static, pose, grid, sightings, settings, number, ticks)
         sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
-        look_through(points.xy_base, sensor, pose, grid, sightings, settings, number, ticks)
+        remove_by_ray_cast(points.xy_base, sensor, pose, grid, sightings, settings, number, ticks)
         return static
 
     def _ticks_since(self, stamp_ns: int) -> int:
         """From the key frame before to one of this stamp; 1 at least."""
         last_ns = stamp_ns if self._last_ns is None else self._last_ns
         self._last_ns = stamp_ns
-        return min(max(1, ticks_in((stamp_ns - last_ns) * 1e-9)), self._permanence.enough)
+        return min(max(1, ticks_in((stamp_ns - last_ns) * 1e-9)), self._dynamic_filter.enough)
 
     def _sightings(self) -> Sightings:
         _surfels, _field, score, touched = self._tiles.pool.arrays

@@ -11,11 +11,11 @@ from service.geometry.se2 import SE2
 from service.kernels.coarse_align import AlignSettings, coarse_align, coarse_normal_equations
 from service.kernels.likelihood import read_field
 from service.kernels.likelihood_search import LikelihoodLayer, SearchWindow, search_exhaustive
+from service.mapper.components import Match, Points
 from service.mapper.judgement import JudgementConfig
 from service.mapper.maps.orthogonal_map import OrthogonalMap
 from service.mapper.matchers.judged import JudgedMatching, Laid
 from service.mapper.matchers.recovery import search_around, step_of
-from service.mapper.stages import Match, Points
 
 Array = npt.NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class BruteSearch:
     def match(self, points: Points, predicted: Prediction, local_map: OrthogonalMap) -> Match:
         return self._matching.match(points, predicted, local_map, self)
 
-    def lay(
+    def align(
         self, points: Points, predicted: Prediction, local_map: OrthogonalMap, is_found: bool = False
     ) -> Laid:
         config = self._config

@@ -17,11 +17,11 @@ from service.kernels.likelihood_lm import LmSettings, align_level
 from service.kernels.likelihood_search import SearchWindow, search_exhaustive
 from service.kernels.pose_information import rotate_information
 from service.kernels.robust_normals import balance_weights, estimate_orientations
+from service.mapper.components import Match, Points
 from service.mapper.judgement import JudgementConfig
 from service.mapper.maps.contour_map import ContourMap
 from service.mapper.matchers.judged import JudgedMatching, Laid
 from service.mapper.matchers.recovery import search_around, step_of
-from service.mapper.stages import Match, Points
 
 Array = npt.NDArray[np.float64]
 PRINTED_BEAMS = 540
@@ -91,7 +91,7 @@ class ContourLm:
     def match(self, points: Points, predicted: Prediction, local_map: ContourMap) -> Match:
         return self._matching.match(points, predicted, local_map, self)
 
-    def lay(
+    def align(
         self, points: Points, predicted: Prediction, local_map: ContourMap, is_found: bool = False
     ) -> Laid:
         returns = Returns(points.xy_raw, self._beam_times_s(points), points.beam)

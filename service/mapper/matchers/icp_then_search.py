@@ -16,13 +16,13 @@ from service.kernels.likelihood_search import (
     search_exhaustive,
     surface_moments,
 )
+from service.mapper.components import Match, Points
 from service.mapper.judgement import JudgementConfig, too_few
 from service.mapper.maps.patch_map import PatchMap, moved
 from service.mapper.matchers.judged import JudgedMatching, Laid
 from service.mapper.matchers.recovery import search_around, step_of
 from service.mapper.matchers.scan_icp import IcpConfig, ScanIcp, deskewed
 from service.mapper.matchers.window_search import search_bounded
-from service.mapper.stages import Match, Points
 
 Array = npt.NDArray[np.float64]
 Sums = npt.NDArray[np.float32]
@@ -67,7 +67,9 @@ class IcpThenSearch:
             self._icp.remember(match)
         return match
 
-    def lay(self, points: Points, predicted: Prediction, local_map: PatchMap, is_found: bool = False) -> Laid:
+    def align(
+        self, points: Points, predicted: Prediction, local_map: PatchMap, is_found: bool = False
+    ) -> Laid:
         """Found by a search, the scan before has no say: it lies elsewhere."""
         config = self._config
         begin, rms_m = predicted.pose_odom_base, 0.0

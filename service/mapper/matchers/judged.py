@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from service.fusion.motion import Measurement, Motion, Prediction
 from service.geometry.se2 import SE2
+from service.mapper.components import KnownMap, Match, Points
 from service.mapper.judgement import (
     GAP_S,
     JUMP_CHI2,
@@ -25,7 +26,6 @@ from service.mapper.judgement import (
 )
 from service.mapper.maps.known_ground import KnownGround
 from service.mapper.matchers.recovery import FIRST, GAIN, MOST, REST_S, agree, reach_of
-from service.mapper.stages import KnownMap, Match, Points
 from service.outputs import State
 
 Matrix = npt.NDArray[np.float64]
@@ -56,7 +56,9 @@ class Laid:
 class Laying(Protocol[KnownMap_contra]):
     """What a matcher does itself."""
 
-    def lay(self, points: Points, predicted: Prediction, local_map: KnownMap_contra, is_found: bool) -> Laid:
+    def align(
+        self, points: Points, predicted: Prediction, local_map: KnownMap_contra, is_found: bool
+    ) -> Laid:
         """Put a scan on a map that is not empty; is_found: a search led to the prediction, not the way."""
         ...
 
@@ -128,7 +130,7 @@ class JudgedMatching:
         local_map: SomeKnownMap,
         laying: Laying[SomeKnownMap],
     ) -> Match:
-        laid = laying.lay(points, predicted, local_map, is_found=False)
+        laid = laying.align(points, predicted, local_map, is_found=False)
         verdict = self._judged(laid, predicted, local_map)
         if verdict.state != "lost" and (
             laid.measured.is_joined or verdict.inlier_ratio >= self._limits.lost_ratio
@@ -210,7 +212,7 @@ class JudgedMatching:
         start = laying.search(points, local_map, predicted.pose_odom_base, (reach_m, reach_rad))
         if start is not None:
             there = replace(predicted, pose_odom_base=start, local_covariance=FOUND_COVARIANCE)
-            laid = laying.lay(points, there, local_map, is_found=True)
+            laid = laying.align(points, there, local_map, is_found=True)
             verdict = self._judged(laid, predicted, local_map, is_found=True)
             if verdict.state != "lost" and verdict.inlier_ratio >= ratio + GAIN:
                 chi2 = _chi2(laid, predicted, LEAST_COVARIANCE)

@@ -6,11 +6,11 @@ from pydantic import Field
 from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.line_likelihood import monte_carlo_search
+from service.mapper.components import Match, Points
 from service.mapper.judgement import JudgementConfig, begun, held, too_few
 from service.mapper.maps.patch_map import PatchMap, moved
 from service.mapper.matchers.judged import Laid, judged_alone
 from service.mapper.matchers.scan_icp import deskewed
-from service.mapper.stages import Match, Points
 
 
 class MonteCarloConfig(JudgementConfig):

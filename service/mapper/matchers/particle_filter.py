@@ -19,11 +19,11 @@ from service.kernels.likelihood import read_field
 from service.kernels.likelihood_search import LikelihoodLayer, SearchWindow, search_exhaustive
 from service.kernels.particles import normalise_weights, resample
 from service.kernels.pose_information import rotate_information
+from service.mapper.components import Match, Points
 from service.mapper.judgement import JudgementConfig
 from service.mapper.maps.counted_submaps import CountedSubmaps, Particle
 from service.mapper.matchers.judged import JudgedMatching, Laid
 from service.mapper.matchers.recovery import search_around, step_of
-from service.mapper.stages import Match, Points
 
 SEARCH_STEP_RAD = 0.02  # turns a point at 5 m by two cells
 
@@ -73,7 +73,7 @@ class ParticleFilter:
         self._last = match.motion.pose_odom_base
         return match
 
-    def lay(
+    def align(
         self, points: Points, predicted: Prediction, local_map: CountedSubmaps, is_found: bool = False
     ) -> Laid:
         """Prediction and scan together: the particles are drawn from the one and weighed by the other."""

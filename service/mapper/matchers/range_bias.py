@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from service.kernels.match import MatchSettings
 from service.kernels.range_bias import see_bias, shorten_ranges
+from service.mapper.components import Points
 from service.mapper.maps.submaps import Submap
-from service.mapper.stages import Points
 
 NODE_M, NODES = 0.5, 41
 SIGMA_M, SMOOTH_M = 0.01, 0.5  # of the curve before anything is learnt: its size, and how fast it changes

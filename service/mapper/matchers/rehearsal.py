@@ -6,8 +6,8 @@ import numpy as np
 
 from service.kernels.deskew import Returns
 from service.kernels.match import MatchSettings, Prior, match_scan
-from service.kernels.permanence import Sightings, count_in_free
 from service.kernels.range_bias import see_bias, shorten_ranges
+from service.kernels.static_score import Sightings, count_in_free
 from service.kernels.surfels import TILE_CELLS, SurfelGrid
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 

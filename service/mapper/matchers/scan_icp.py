@@ -1,7 +1,7 @@
 """Scan to scan by iterative closest points: the start of a search, or a matcher by itself."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,10 +11,10 @@ from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.deskew import deskew_points
 from service.kernels.icp import icp_point_to_point
+from service.mapper.components import Match, Points
 from service.mapper.judgement import JudgementConfig, begun, held, too_few
 from service.mapper.maps.patch_map import PatchMap
 from service.mapper.matchers.judged import Laid, judged_alone
-from service.mapper.stages import Match, Points
 
 Array = npt.NDArray[np.float64]
 
@@ -23,12 +23,13 @@ class IcpConfig(BaseModel):
     """Which points are pairs, and when it ends."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+    RENAMED: ClassVar = {"least_share": "least_inlier_ratio"}
 
     pair_m: float = Field(default=1.0, gt=0.0)  # points farther apart are no pair
     points: int = Field(default=180, ge=20)  # of the newer scan that look for a partner, evenly chosen
     iterations: int = Field(default=50, ge=1, le=1000)
     settled: float = Field(default=1e-3, gt=0.0)  # m and rad: ends with a step below it
-    least_share: float = Field(default=0.5, ge=0.0, le=1.0)  # of the points must have a partner
+    least_inlier_ratio: float = Field(default=0.5, ge=0.0, le=1.0)  # of the points must have a partner
 
 
 class Step(NamedTuple):
@@ -67,7 +68,7 @@ class ScanIcp:
             config.iterations,
             config.settled,
         )
-        if result.paired < max(config.least_share * len(newer), 3):
+        if result.paired < max(config.least_inlier_ratio * len(newer), 3):
             return None
         x_m, y_m, theta_rad = result.step.tolist()
         return Step(pose @ SE2(x_m, y_m, theta_rad), float(result.rms_m), result.paired / len(newer))

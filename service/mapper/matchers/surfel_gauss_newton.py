@@ -12,6 +12,7 @@ from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns
 from service.kernels.likelihood_search import LikelihoodLayer
 from service.kernels.match import MatchResult, MatchSettings, Prior, match_scan
+from service.mapper.components import Match, Points
 from service.mapper.judgement import (
     GAP_S,
     JUMP_CHI2,
@@ -28,7 +29,6 @@ from service.mapper.judgement import (
 from service.mapper.maps.submaps import Submap, SurfelSubmaps
 from service.mapper.matchers.range_bias import RangeBias
 from service.mapper.matchers.recovery import FIRST, GAIN, REST_S, agree, reach_of, search_around
-from service.mapper.stages import Match, Points
 from service.outputs import State
 
 Matrix = npt.NDArray[np.float64]

@@ -1,5 +1,6 @@
 """Scans matched to a learned map of blurred contours, the speed of the laser found on the way; paper 000."""
 
+from service.mapper.components import ComponentKind, Method
 from service.mapper.maps.contour_map import ContourMap, ContourMapConfig
 from service.mapper.matchers.contour_lm import ContourLm, ContourLmConfig
 from service.mapper.matchers.search_rehearsal import rehearse_search
@@ -10,16 +11,15 @@ from service.mapper.methods.shared import (
     NO_GRAPH,
     OCCUPANCY_TILES,
 )
-from service.mapper.stages import Method, StageKind
 
-CONTOUR_LM = StageKind(
+CONTOUR_LM = ComponentKind(
     "contour_lm",
     ContourLmConfig,
     lambda config, _: ContourLm(config),
     reads=ContourMap,
     rehearse=rehearse_search,
 )
-CONTOUR_MAP = StageKind(
+CONTOUR_MAP = ComponentKind(
     "contour_map", ContourMapConfig, lambda config, _: ContourMap(config), makes=ContourMap
 )
 

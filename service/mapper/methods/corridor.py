@@ -1,5 +1,6 @@
 """The default profile: every scan matched to surfels, odometry or IMU holding what the scan does not see."""
 
+from service.mapper.components import ComponentKind, Method
 from service.mapper.graph.loop_closing import LoopClosing
 from service.mapper.graph.loops_config import LoopsConfig
 from service.mapper.graph.rehearsal import rehearse
@@ -14,9 +15,8 @@ from service.mapper.methods.shared import (
     NO_GRAPH,
     OCCUPANCY_TILES,
 )
-from service.mapper.stages import Method, StageKind
 
-SURFEL_GAUSS_NEWTON = StageKind(
+SURFEL_GAUSS_NEWTON = ComponentKind(
     "surfel_gauss_newton",
     SurfelMatcherConfig,
     lambda config, _: SurfelGaussNewton(config),
@@ -24,13 +24,13 @@ SURFEL_GAUSS_NEWTON = StageKind(
     rehearse=rehearse_search,
     rehearse_core=rehearse_match,
 )
-SURFEL_SUBMAPS = StageKind(
+SURFEL_SUBMAPS = ComponentKind(
     "surfel_submaps", SubmapsConfig, lambda config, _: SurfelSubmaps(config), makes=SurfelSubmaps
 )
-LOOP_CLOSING = StageKind(
+LOOP_CLOSING = ComponentKind(
     "loop_closing",
     LoopsConfig,
-    lambda config, around: LoopClosing(config, around.painter, around.new_worker, around.mountings),
+    lambda config, around: LoopClosing(config, around.renderer, around.new_worker, around.mountings),
     rehearse=rehearse,
 )
 

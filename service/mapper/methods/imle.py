@@ -1,5 +1,6 @@
 """Paper 003: ICP narrows the window, exhaustive search on a likelihood map in patches finds the pose."""
 
+from service.mapper.components import ComponentKind, Method
 from service.mapper.maps.patch_map import PatchMap, PatchMapConfig
 from service.mapper.matchers.icp_then_search import IcpThenSearch, IcpThenSearchConfig
 from service.mapper.matchers.monte_carlo import MonteCarloConfig, MonteCarloSearch
@@ -12,25 +13,24 @@ from service.mapper.methods.shared import (
     NO_GRAPH,
     OCCUPANCY_TILES,
 )
-from service.mapper.stages import Method, StageKind
 
-PATCH_MAP = StageKind(
+PATCH_MAP = ComponentKind(
     "patch_map",
     PatchMapConfig,
     lambda config, around: PatchMap(config, around.new_patch_store),
     makes=PatchMap,
 )
-ICP_THEN_SEARCH = StageKind(
+ICP_THEN_SEARCH = ComponentKind(
     "icp_then_search",
     IcpThenSearchConfig,
     lambda config, _: IcpThenSearch(config),
     reads=PatchMap,
     rehearse=rehearse_byte_search,
 )
-ICP_SCAN_TO_SCAN = StageKind(
+ICP_SCAN_TO_SCAN = ComponentKind(
     "icp_scan_to_scan", IcpScanToScanConfig, lambda config, _: IcpScanToScan(config), reads=PatchMap
 )
-MONTE_CARLO = StageKind(
+MONTE_CARLO = ComponentKind(
     "monte_carlo", MonteCarloConfig, lambda config, _: MonteCarloSearch(config), reads=PatchMap
 )
 

@@ -1,21 +1,23 @@
 """Paper 002: an IMU predicts, brute search on an orthogonally weighted likelihood map corrects it."""
 
 from service.fusion.inertial_motion import InertialMotion, InertialMotionConfig
+from service.mapper.components import ComponentKind, Method
 from service.mapper.maps.orthogonal_map import OrthogonalMap, OrthogonalMapConfig
 from service.mapper.matchers.brute_search import BruteSearch, BruteSearchConfig
 from service.mapper.matchers.search_rehearsal import rehearse_byte_search
 from service.mapper.methods.shared import DESKEW_BY_TWIST, KEEP_ALL, NO_GRAPH, OCCUPANCY_TILES
-from service.mapper.stages import Method, StageKind
 
-INERTIAL_MOTION = StageKind("inertial_motion", InertialMotionConfig, lambda config, _: InertialMotion(config))
-BRUTE_SEARCH = StageKind(
+INERTIAL_MOTION = ComponentKind(
+    "inertial_motion", InertialMotionConfig, lambda config, _: InertialMotion(config)
+)
+BRUTE_SEARCH = ComponentKind(
     "brute_search",
     BruteSearchConfig,
     lambda config, _: BruteSearch(config),
     reads=OrthogonalMap,
     rehearse=rehearse_byte_search,
 )
-ORTHOGONAL_MAP = StageKind(
+ORTHOGONAL_MAP = ComponentKind(
     "orthogonal_map", OrthogonalMapConfig, lambda config, _: OrthogonalMap(config), makes=OrthogonalMap
 )
 

@@ -1,20 +1,20 @@
-"""Stages that stand in the boxes of more than one profile."""
+"""Components that stand in the boxes of more than one profile."""
 
 from service.fusion.estimator import Estimator, EstimatorConfig
+from service.mapper.components import ComponentKind, NoSettings
 from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist
 from service.mapper.filters.keep_all import keep_all
 from service.mapper.graph.no_graph import NoGraph
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
-from service.mapper.stages import NoSettings, StageKind
 
-ESTIMATOR = StageKind("estimator", EstimatorConfig, lambda config, _: Estimator(config))
-DESKEW_BY_TWIST = StageKind(
+ESTIMATOR = ComponentKind("estimator", EstimatorConfig, lambda config, _: Estimator(config))
+DESKEW_BY_TWIST = ComponentKind(
     "deskew_by_twist",
     BeamsConfig,
     lambda config, around: DeskewByTwist(config, around.mountings, around.outline_m),
 )
-KEEP_ALL = StageKind("keep_all", NoSettings, lambda _, __: keep_all)
-NO_GRAPH = StageKind("no_graph", NoSettings, lambda _, __: NoGraph())
-OCCUPANCY_TILES = StageKind(
+KEEP_ALL = ComponentKind("keep_all", NoSettings, lambda _, __: keep_all)
+NO_GRAPH = ComponentKind("no_graph", NoSettings, lambda _, __: NoGraph())
+OCCUPANCY_TILES = ComponentKind(
     "occupancy_tiles", OccupancyConfig, lambda config, around: OccupancyTiles(config, around.cell_m)
 )

@@ -1,5 +1,6 @@
 """Paper 004: particle-filtered sub-maps of counts, virtual landmarks between them, a graph that ties them."""
 
+from service.mapper.components import ComponentKind, Method
 from service.mapper.graph.landmark_back_end import LandmarkGraphConfig
 from service.mapper.graph.landmark_graph import LandmarkGraph
 from service.mapper.graph.landmark_rehearsal import rehearse
@@ -12,22 +13,21 @@ from service.mapper.methods.shared import (
     KEEP_ALL,
     OCCUPANCY_TILES,
 )
-from service.mapper.stages import Method, StageKind
 
-COUNTED_SUBMAPS = StageKind(
+COUNTED_SUBMAPS = ComponentKind(
     "counted_submaps", CountedSubmapsConfig, lambda config, _: CountedSubmaps(config), makes=CountedSubmaps
 )
-PARTICLE_FILTER = StageKind(
+PARTICLE_FILTER = ComponentKind(
     "particle_filter",
     ParticleFilterConfig,
     lambda config, _: ParticleFilter(config),
     reads=CountedSubmaps,
     rehearse=rehearse_search,
 )
-LANDMARK_GRAPH = StageKind(
+LANDMARK_GRAPH = ComponentKind(
     "landmark_graph",
     LandmarkGraphConfig,
-    lambda config, around: LandmarkGraph(config, around.painter, around.new_worker),
+    lambda config, around: LandmarkGraph(config, around.renderer, around.new_worker),
     reads=CountedSubmaps,
     rehearse=rehearse,
 )

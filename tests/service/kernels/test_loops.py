@@ -7,8 +7,8 @@ from service.kernels.loops import (
     splat_field,
     thin_points,
 )
-from service.mapper.graph.clouds import Cloud, SurfelCloud
-from service.mapper.maps.occupancy import OccupancyPainter
+from service.mapper.graph.point_clouds import PointCloud, SurfelSet
+from service.mapper.maps.occupancy import OccupancyRenderer
 
 
 def lengths(step_m: list[float], of: list[int], to: list[int], start: int) -> np.ndarray:
@@ -57,8 +57,8 @@ def test_points_that_are_left_lie_apart():
 
 
 def test_points_behind_a_wall_are_not_in_free_space_and_those_before_it_are():
-    painter = OccupancyPainter(15.0, 0.1)
-    canvas = painter.canvas()
+    renderer = OccupancyRenderer(15.0, 0.1)
+    canvas = renderer.canvas()
     wall = np.column_stack((np.full(81, 4.05), np.linspace(-2.0, 2.0, 81)))
     for _ in range(4):
         canvas.draw(wall, (0.0, 0.0), SE2())
@@ -74,8 +74,8 @@ def test_alignment_finds_a_corner_again():
     side = np.linspace(-2.0, 1.95, 80)
     xy = np.vstack((np.column_stack((np.full(80, 2.05), side)), np.column_stack((side, np.full(80, 2.05)))))
     normals = np.vstack((np.tile([-1.0, 0.0, 1.0], (80, 1)), np.tile([0.0, -1.0, 1.0], (80, 1))))
-    corner = Cloud(xy, normals)
-    fit = SurfelCloud(corner).align(corner, np.array([0.06, -0.05, 0.02]))
+    corner = PointCloud(xy, normals)
+    fit = SurfelSet(corner).align(corner, np.array([0.06, -0.05, 0.02]))
     assert fit.share == 1.0
     np.testing.assert_allclose(fit.pose, 0.0, atol=2e-3)
     assert np.linalg.eigvalsh(fit.information)[0] > 0.0

@@ -71,9 +71,11 @@ def prior_at(pose: tuple[float, float, float], sigma: float = 0.1, **changes: ob
     return prior._replace(**changes)
 
 
-def match(xy: np.ndarray, prior: Prior, grid: SurfelGrid, doubt_share: float = 0.8):
+def match(xy: np.ndarray, prior: Prior, grid: SurfelGrid, doubt_inlier_ratio: float = 0.8):
     returns = Returns(xy, np.zeros(len(xy)), np.arange(len(xy), dtype=np.int32))
-    return match_scan(returns, normals_of(xy), prior, prior.pose, grid, SETTINGS, doubt_share, xy.copy())
+    return match_scan(
+        returns, normals_of(xy), prior, prior.pose, grid, SETTINGS, doubt_inlier_ratio, xy.copy()
+    )
 
 
 def slopes(cost, pose: np.ndarray) -> np.ndarray:
@@ -228,7 +230,7 @@ def test_the_coarse_map_leads_where_the_surfels_are_out_of_reach() -> None:
     truth = (1.0, 0.5, 0.3)
     prior = prior_at((0.0, 0.0, 0.0), sigma=0.3)
     led = match(room_scan(truth), prior, room_grid())
-    alone = match(room_scan(truth), prior, room_grid(), doubt_share=0.0)
+    alone = match(room_scan(truth), prior, room_grid(), doubt_inlier_ratio=0.0)
     assert np.abs(alone.pose - truth).max() > 0.05
     np.testing.assert_allclose(led.pose, truth, atol=2e-3)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
+from service.mapper.components import Correction
 from service.mapper.corrections import corrected
-from service.mapper.stages import Correction
 from service.outputs import MapperOutput
 
 

@@ -7,9 +7,9 @@ from pydantic import ValidationError
 from drivers.frames import NO_INTENSITY, LaserScan
 from service.fusion.motion import Motion
 from service.geometry.se2 import SE2
+from service.mapper.components import Match, Points
 from service.mapper.maps.patch_map import PatchMap, PatchMapConfig
 from service.mapper.patch_store import MemoryPatches
-from service.mapper.stages import Match, Points
 
 CONFIG = PatchMapConfig(cell_m=0.02, patch_cells=200, resident_patches=16, ahead_m=1.0)  # patches of 4 m
 

@@ -9,10 +9,10 @@ from drivers.frames import Frame, GnssFix, LaserScan
 from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
+from service.mapper.components import GraphUpdate
 from service.mapper.graph.no_graph import NoGraph
 from service.mapper.pipeline import MOST_BEHIND_NS, Mapper
 from service.mapper.profiles import build_mapper, mapping_config
-from service.mapper.stages import GraphUpdate
 from tests.service.mapper.drives import MOUNTING, ROOM, drive, standing
 
 
@@ -50,7 +50,7 @@ def test_where_the_map_lies_on_the_earth_stays_with_the_mapper_and_goes_out_with
     assert after.geo_reference is mapper.geo_reference is TalkingGraph.reference
 
 
-def test_nothing_is_painted_while_lost_and_a_piece_is_mapped_apart():
+def test_nothing_is_rendered_while_lost_and_a_piece_is_mapped_apart():
     """The laser is carried into another room, where the vehicle is said to stand still."""
     mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
     here = drive(ROOM, standing, 1.2)

@@ -19,9 +19,9 @@ from drivers.frames import LaserScan, OdometrySample
 from service.errors import InputError
 from service.fusion.motion import Prediction
 from service.geometry.se2 import SE2
+from service.mapper.components import ComponentKind, Method, NoSettings
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import METHODS, build_mapper, mapping_config
-from service.mapper.stages import Method, NoSettings, StageKind
 from service.outputs import MapperOutput, TileUpdate
 from tests.service.mapper.drives import (
     CORRIDOR,
@@ -64,7 +64,7 @@ def digest(output: MapperOutput) -> tuple:
         output.twist_base,
         output.covariance.tobytes(),
         output.state,
-        output.match_share,
+        output.inlier_ratio,
     )
 
 
@@ -359,28 +359,28 @@ def test_a_stage_that_is_not_there_is_refused_with_those_that_are() -> None:
 
 
 def test_a_matcher_that_cannot_read_the_local_map_is_refused_with_words(monkeypatch) -> None:
-    class Sheet: ...
+    class RenderedMap: ...
 
-    sheet = StageKind("sheet", NoSettings, lambda _, __: Sheet(), makes=Sheet)
-    other = Method("other", {**METHODS["corridor"]().stages, "local_map": sheet}, {})
+    rendered_map = ComponentKind("rendered_map", NoSettings, lambda _, __: RenderedMap(), makes=RenderedMap)
+    other = Method("other", {**METHODS["corridor"]().stages, "local_map": rendered_map}, {})
     monkeypatch.setitem(METHODS, "other", lambda: other)
     with pytest.raises(ValidationError) as refused:
-        mapping_config({"stages": {"local_map": "sheet"}})
+        mapping_config({"stages": {"local_map": "rendered_map"}})
     assert (
-        "the matcher surfel_gauss_newton cannot read the local_map sheet; it reads surfel_submaps. "
-        "What reads sheet as matcher: nothing"
+        "the matcher surfel_gauss_newton cannot read the local_map rendered_map; it reads surfel_submaps. "
+        "What reads rendered_map as matcher: nothing"
     ) in str(refused.value)
 
 
 def test_a_method_may_have_other_defaults_than_its_stages(monkeypatch) -> None:
     corridor = METHODS["corridor"]()
-    settings = {"local_map": {"spacing_m": 7.0, "permanence": {"behind_m": 0.5}}}
+    settings = {"local_map": {"spacing_m": 7.0, "dynamic_filter": {"behind_m": 0.5}}}
     monkeypatch.setitem(METHODS, "other", lambda: Method("other", corridor.stages, settings))
     local_map = mapping_config(
         {"profile": "other", "settings": {"local_map": {"cell_m": 0.2}}}
     ).settings.local_map
-    assert (local_map.spacing_m, local_map.cell_m, local_map.permanence.behind_m) == (7.0, 0.2, 0.5)
-    assert local_map.permanence.enough_s == mapping_config().settings.local_map.permanence.enough_s
+    assert (local_map.spacing_m, local_map.cell_m, local_map.dynamic_filter.behind_m) == (7.0, 0.2, 0.5)
+    assert local_map.dynamic_filter.enough_s == mapping_config().settings.local_map.dynamic_filter.enough_s
     with pytest.raises(ValidationError, match="greater than 0"):
         mapping_config({"profile": "other", "settings": {"local_map": {"spacing_m": -1.0}}})
 

@@ -8,9 +8,9 @@ import pytest
 
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
+from service.mapper.components import Correction, FinishedGraph
 from service.mapper.graph.no_graph import NoGraph
 from service.mapper.profiles import build_mapper, mapping_config
-from service.mapper.stages import Correction, FinishedGraph
 from service.mapper.steering import SteeredMapper
 from service.outputs import MapperOutput, TileUpdate
 from tests.service.offline.test_replay import room_scan

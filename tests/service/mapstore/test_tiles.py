@@ -41,7 +41,7 @@ def slow_grid(tiles):
 
 
 @pytest.mark.parametrize("stretch", [(1, 1), (8, 0), (0, 8)])
-def test_the_grid_agrees_with_painting_cell_by_cell_while_the_map_grows_on_all_sides(stretch):
+def test_the_grid_agrees_with_rendering_cell_by_cell_while_the_map_grows_on_all_sides(stretch):
     random = np.random.default_rng(7)
     store = TileStore()
     for version in range(1, 120, 3):
@@ -52,10 +52,10 @@ def test_the_grid_agrees_with_painting_cell_by_cell_while_the_map_grows_on_all_s
         assert grid is not None
         expected = slow_grid([t for t in store.since(0) if t.level == 0])
         left, low = round(grid.x_min_m / CELL_M), round(grid.y_min_m / CELL_M)
-        painted = np.full(grid.cells.shape, UNKNOWN)
+        rendered = np.full(grid.cells.shape, UNKNOWN)
         for (column, row), value in expected.items():
-            painted[row - low, column - left] = value
-        np.testing.assert_array_equal(grid.cells, painted)
+            rendered[row - low, column - left] = value
+        np.testing.assert_array_equal(grid.cells, rendered)
         columns, rows = zip(*expected, strict=True)
         assert grid.cells.shape == (max(rows) - min(rows) + 1, max(columns) - min(columns) + 1)
         assert grid.version == max(t.version for t in store.since(0) if t.level == 0)
@@ -101,17 +101,17 @@ def test_updates_and_pictures_from_two_threads_end_in_the_same_map():
     store = TileStore()
     done = threading.Event()
 
-    def paint() -> None:
+    def render() -> None:
         while not done.is_set():
             store.grid()
 
-    painter = threading.Thread(target=paint)
-    painter.start()
+    renderer = threading.Thread(target=render)
+    renderer.start()
     for version in range(1, 400):
         store.update([tile(version % 11 - 5, version % 7 - 3, version, value=version % 101)])
     done.set()
-    painter.join(timeout=10.0)
-    assert not painter.is_alive()
+    renderer.join(timeout=10.0)
+    assert not renderer.is_alive()
     grid = store.grid()
     assert grid is not None
     for t in store.since(0):

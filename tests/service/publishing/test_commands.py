@@ -22,7 +22,7 @@ class Workshop:
         self.outcomes: list[Outcome] = []
         self.settles = True
         self.refuses = ""
-        verbs = {"paint": Verb(Paint, self._start), "wash": Verb(Request, self._start)}
+        verbs = {"render": Verb(Paint, self._start), "wash": Verb(Request, self._start)}
         self.desk = CommandDesk(verbs, answer_timeout_s=0.05, monotonic_s=lambda: self.now_s)
 
     def _start(self, request: Request, outcome: Outcome) -> None:
@@ -47,27 +47,27 @@ def workshop() -> Workshop:
 
 
 def test_a_request_is_done_and_its_answer_told(workshop: Workshop):
-    assert workshop.ask("paint", {"colour": "red"}) == {"ok": True, "number": 1}
+    assert workshop.ask("render", {"colour": "red"}) == {"ok": True, "number": 1}
     assert workshop.ask("wash") == {"ok": True, "number": 2}
     assert workshop.ask("wash", {"id": "a"}) == {"ok": True, "id": "a", "number": 3}
     assert workshop.begun == [Paint(colour="red"), Request(), Request(id="a")]
-    assert workshop.desk.counts() == {"paint": 1, "wash": 2}
+    assert workshop.desk.counts() == {"render": 1, "wash": 2}
 
 
 @pytest.mark.parametrize(
     ("verb", "request_", "words"),
     [
-        ("iron", {}, "there is no command 'iron'; known: paint, wash"),
-        ("paint", b"red", "the payload is no JSON: Expecting value: line 1 column 1 (char 0); expected "),
-        ("paint", b"\xff\xfe\xfd", "the payload is no JSON: "),
-        ("paint", b"[" * 60_000, "the payload is no JSON: "),
-        ("paint", b'["red"]', 'the payload is no JSON object; expected {"colour": ..., "id": ...}'),
-        ("paint", None, '\'colour\' is missing; expected {"colour": ..., "id": ...} (id may be left out)'),
-        ("paint", {"color": "red"}, "unknown key 'color', did you mean 'colour'?"),
+        ("iron", {}, "there is no command 'iron'; known: render, wash"),
+        ("render", b"red", "the payload is no JSON: Expecting value: line 1 column 1 (char 0); expected "),
+        ("render", b"\xff\xfe\xfd", "the payload is no JSON: "),
+        ("render", b"[" * 60_000, "the payload is no JSON: "),
+        ("render", b'["red"]', 'the payload is no JSON object; expected {"colour": ..., "id": ...}'),
+        ("render", None, '\'colour\' is missing; expected {"colour": ..., "id": ...} (id may be left out)'),
+        ("render", {"color": "red"}, "unknown key 'color', did you mean 'colour'?"),
         ("wash", {"hot": True}, "unknown key 'hot'; expected {\"id\": ...} (id may be left out)"),
-        ("paint", {"colour": 7}, "'colour' should be a valid string; expected "),
-        ("paint", {"colour": "vermilion"}, "'colour' should have at most 5 characters"),
-        ("paint", b'{"colour": "\\ud800"}', "'colour' should be a valid string"),
+        ("render", {"colour": 7}, "'colour' should be a valid string; expected "),
+        ("render", {"colour": "vermilion"}, "'colour' should have at most 5 characters"),
+        ("render", b'{"colour": "\\ud800"}', "'colour' should be a valid string"),
         ("wash", {"id": 7}, "'id' should be a valid string"),
         ("wash", {"id": ""}, "'id' should have at least 1 character"),
         ("wash", b" " * 65_537, "a request of 65537 bytes; at most 65536 are read"),
@@ -81,20 +81,20 @@ def test_what_cannot_be_done_is_told_in_words(workshop: Workshop, verb: str, req
 
 
 def test_the_same_id_gives_the_same_answer_and_is_done_once(workshop: Workshop):
-    first = workshop.ask("paint", {"colour": "red", "id": "7"})
+    first = workshop.ask("render", {"colour": "red", "id": "7"})
     workshop.now_s = REMEMBER_S
-    assert workshop.ask("paint", {"id": "7", "colour": "red"}) == first
+    assert workshop.ask("render", {"id": "7", "colour": "red"}) == first
     assert len(workshop.begun) == 1
     workshop.now_s = REMEMBER_S + 0.001
-    assert workshop.ask("paint", {"colour": "red", "id": "7"})["number"] == 2
+    assert workshop.ask("render", {"colour": "red", "id": "7"})["number"] == 2
 
 
 def test_an_id_does_not_serve_for_another_command(workshop: Workshop):
-    workshop.ask("paint", {"colour": "red", "id": "7"})
+    workshop.ask("render", {"colour": "red", "id": "7"})
     workshop.now_s = 12.0
-    for verb, request in (("paint", {"colour": "blue", "id": "7"}), ("wash", {"id": "7"})):
+    for verb, request in (("render", {"colour": "blue", "id": "7"}), ("wash", {"id": "7"})):
         told = workshop.ask(verb, request)
-        assert told["error"].startswith("the id '7' was taken 12 s ago by paint, with other content")
+        assert told["error"].startswith("the id '7' was taken 12 s ago by render, with other content")
     assert len(workshop.begun) == 1
 
 

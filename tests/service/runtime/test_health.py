@@ -124,7 +124,7 @@ def test_the_pose_s_state_is_the_mapping_s_health(state: Any, level: int):
     made._outputs.last = Mapped(1, 1, 1, state, reason, 0.8, 1, ())
     told = status(made, "mapping")
     assert (told.level, told.message) == (level, reason or "ok")
-    assert told.values["match_share"] == "0.800"
+    assert told.values["inlier_ratio"] == "0.800"
     assert made.line.startswith(f"mapping {state}, 1/1 sensors, ")
 
 

@@ -10,8 +10,8 @@ import pytest
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
 from service.encoding import LogClock, Message, decode_control, decode_event, decode_frame, decode_pose
 from service.geometry.se2 import SE2
+from service.mapper.components import FinishedGraph, GraphUpdate
 from service.mapper.graph.no_graph import NoGraph
-from service.mapper.stages import FinishedGraph, GraphUpdate
 from service.mapper.steering import LeftOut, SteeredMapper, TakeIn
 from service.mapstore.tiles import TileStore
 from service.outputs import UNKNOWN, MapperOutput, TileUpdate

@@ -10,7 +10,7 @@ from drivers.frames import GnssFix
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
 from service.mapper.graph.fix_track import FixTrack
-from service.mapper.graph.keyframes import KeyFrame
+from service.mapper.graph.keyframe_list import KeyFrame
 from service.mapper.graph.loop_back_end import Batch, LoopBackEnd, Result
 from service.mapper.graph.loops_config import LoopsConfig
 from service.offline.score import align, compose
@@ -61,7 +61,7 @@ def outing(
     receiver = Receiver(model or GnssModel(), seed, ORIGIN)
     start = SE2(0.0, 0.0, YAW_RAD)
     covariance = np.diag([2e-3**2, 2e-3**2, turn_walk_rad**2])
-    frames, truth, believed = [], [], SE2()
+    frames, truth, accepted = [], [], SE2()
     nothing = np.empty((0, 2), np.float32)
     step_ns = round(STEP_M / speed_mps * 1e9)
     for k in range(int(way_m / STEP_M) + 1):
@@ -69,9 +69,9 @@ def outing(
         if k:
             step = truth[-1].inverse() @ pose
             off = noise.standard_normal(3) * (2e-3, 2e-3, turn_walk_rad)
-            believed = believed @ SE2(step.x_m + off[0], step.y_m + off[1], step.theta_rad + off[2])
+            accepted = accepted @ SE2(step.x_m + off[0], step.y_m + off[1], step.theta_rad + off[2])
         truth.append(pose)
-        frames.append(KeyFrame(k * step_ns, believed, covariance, 0, 0.9, False, nothing, (0.0, 0.0), 0.01))
+        frames.append(KeyFrame(k * step_ns, accepted, covariance, 0, 0.9, False, nothing, (0.0, 0.0), 0.01))
     fixes = []
     for stamp_ns in range(0, frames[-1].stamp_ns, receiver.period_ns):
         antenna = start @ route(stamp_ns * 1e-9 * speed_mps) @ SE2(*ANTENNA)

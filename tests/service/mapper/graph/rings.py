@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from service.geometry.se2 import SE2
-from service.mapper.graph.keyframes import KeyFrame
+from service.mapper.graph.keyframe_list import KeyFrame
 from tests.service.mapper.drives import cast
 
 LENGTH_M, WIDTH_M, HALF_M = 14.0, 9.0, 1.0  # of the middle line, and from there to the walls
@@ -54,17 +54,17 @@ def key_frames(rounds: float, seed: int = 0) -> tuple[list[KeyFrame], list[SE2]]
     noise = np.random.default_rng(seed)
     angle = FIRST_RAD + STEP_RAD * np.arange(BEAMS)
     truth, frames = [], []
-    believed = SE2()
+    accepted = SE2()
     for k in range(int(rounds * 2.0 * (LENGTH_M + WIDTH_M) / STEP_M)):
         pose = round_the_ring(k * STEP_M)
         truth.append(pose)
         if k:
             step = truth[-2].inverse() @ pose
-            believed = believed @ SE2(step.x_m, step.y_m, step.theta_rad + TURN_ERROR_RADPM * STEP_M)
+            accepted = accepted @ SE2(step.x_m, step.y_m, step.theta_rad + TURN_ERROR_RADPM * STEP_M)
         origins = np.tile([pose.x_m, pose.y_m], (BEAMS, 1))
         ways = np.column_stack((np.cos(angle + pose.theta_rad), np.sin(angle + pose.theta_rad)))
         range_m = cast(RING, origins, ways) + 0.005 * noise.standard_normal(BEAMS)
         xy = np.column_stack((range_m * np.cos(angle), range_m * np.sin(angle))).astype(np.float32)
         covariance = np.diag([1e-4, 1e-4, 1e-5])
-        frames.append(KeyFrame(k * 10**8, believed, covariance, 0, 0.9, False, xy, (0.0, 0.0), STEP_RAD))
+        frames.append(KeyFrame(k * 10**8, accepted, covariance, 0, 0.9, False, xy, (0.0, 0.0), STEP_RAD))
     return frames, truth

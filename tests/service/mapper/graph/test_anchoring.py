@@ -205,7 +205,7 @@ def test_a_reference_stays_with_its_fixes_where_none_is_believed_any_more(drive:
 
     def nothing(way):
         consensus = found(way)
-        return replace(consensus, is_believed=np.zeros_like(consensus.is_believed))
+        return replace(consensus, is_accepted=np.zeros_like(consensus.is_accepted))
 
     monkeypatch.setattr(anchoring, "find_consensus", nothing)
     back_end._anchoring._asked = 0

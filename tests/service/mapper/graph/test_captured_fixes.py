@@ -11,7 +11,7 @@ from service.encoding import decode_frame, encode_frame
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
 from service.mapper.graph.fix_track import FixTrack
-from service.mapper.graph.keyframes import KeyFrame
+from service.mapper.graph.keyframe_list import KeyFrame
 from service.mapper.graph.loop_back_end import Batch, LoopBackEnd, Result
 from tests.drivers.mtig import fixes, mtdata2, talk
 from tests.service.mapper.graph.outdoors import NO_SEARCH

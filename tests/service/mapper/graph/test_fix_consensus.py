@@ -38,7 +38,7 @@ def test_alignment_finds_the_motion_that_made_the_points():
 def test_good_fixes_are_all_believed():
     way = half_circle()
     found = find_consensus(way)
-    assert found.is_believed.all()
+    assert found.is_accepted.all()
     assert off(found, way) < 0.8
     assert math.sqrt(found.covariance[2, 2]) < math.radians(2.0)
 
@@ -48,7 +48,7 @@ def test_a_third_that_lies_elsewhere_is_found_and_moves_nothing():
     clean = find_consensus(way)
     way.enu[20:40] += (9.0, -5.0)
     found = find_consensus(way)
-    np.testing.assert_array_equal(np.flatnonzero(~found.is_believed), np.arange(20, 40))
+    np.testing.assert_array_equal(np.flatnonzero(~found.is_accepted), np.arange(20, 40))
     assert off(found, way) < off(clean, way) + 0.5
 
 
@@ -56,7 +56,7 @@ def test_a_stretch_that_is_off_by_no_more_than_each_may_be_is_found_as_a_whole()
     way = half_circle()
     way.enu[20:30] += (4.5, 0.0)  # 2.2 sigma
     found = find_consensus(way)
-    np.testing.assert_array_equal(np.flatnonzero(~found.is_believed), np.arange(20, 30))
+    np.testing.assert_array_equal(np.flatnonzero(~found.is_accepted), np.arange(20, 30))
 
 
 def test_edges_of_fixes_pull_the_antenna_and_leave_the_heading_alone():

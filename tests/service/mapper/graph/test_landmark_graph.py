@@ -10,14 +10,14 @@ from service.fusion.motion import Motion
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
 from service.mapper.background import InlineWorker
+from service.mapper.components import MappedScan, Match, WishError
 from service.mapper.graph.landmark_back_end import Batch, LandmarkBackEnd, LandmarkGraphConfig
 from service.mapper.graph.landmark_graph import LandmarkGraph
 from service.mapper.graph.landmark_rehearsal import rehearse
-from service.mapper.graph.redrawing import Redrawing
 from service.mapper.graph.submap_match import draw_walls, find
+from service.mapper.graph.submap_realignment import SubmapRealignment
 from service.mapper.maps.counted_submaps import ClosedSubmap, CountedChange, CountedSubmapsConfig, KeyScan
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
-from service.mapper.stages import MappedScan, Match, WishError
 from tests.service.mapper.drives import ROOM, cast
 from tests.service.mapper.maps.points import points_of
 
@@ -99,14 +99,14 @@ def test_scans_are_laid_on_walls_and_what_is_carried_stays_where_it_was_laid() -
     whole = submap(0, way, drawn)
     first = replace(whole, scans=whole.scans[:6], track=drawn[:6])
     second = replace(whole, number=1, carried=2, scans=whole.scans[4:], track=drawn[4:])
-    redrawing = Redrawing(CONFIG.least_on_surfels)
-    laid = [redrawing.redraw(first).track, redrawing.redraw(second).track]
+    realignment = SubmapRealignment(CONFIG.least_on_surfels)
+    laid = [realignment.realign(first).track, realignment.realign(second).track]
     np.testing.assert_array_equal(laid[1][:2], laid[0][4:])
     found = np.concatenate((laid[0], laid[1][2:]))
     assert furthest_m(drawn, way) > 0.02
     assert furthest_m(found, way) < 0.008
-    blind = Redrawing(1.0)
-    np.testing.assert_allclose(blind.redraw(first).track, first.track, atol=1e-12)
+    blind = SubmapRealignment(1.0)
+    np.testing.assert_allclose(blind.realign(first).track, first.track, atol=1e-12)
 
 
 def test_the_rehearsal_ties_a_sub_map() -> None:
@@ -116,7 +116,7 @@ def test_the_rehearsal_ties_a_sub_map() -> None:
 # D3, D12
 def test_landmarks_take_out_what_the_ways_disagree_in(trip) -> None:
     closed, truth = trip
-    back_end = LandmarkBackEnd(CONFIG, OccupancyTiles(OccupancyConfig(), 0.05).painter)
+    back_end = LandmarkBackEnd(CONFIG, OccupancyTiles(OccupancyConfig(), 0.05).renderer)
     results = [pickle.loads(pickle.dumps(back_end.work(Batch("submap", closed=one)))) for one in closed]
     assert [result.submaps for result in results] == [1, 2, 3, 4]
     assert results[1].links == 0  # neighbours in time share scans
@@ -125,7 +125,7 @@ def test_landmarks_take_out_what_the_ways_disagree_in(trip) -> None:
     drawn = np.concatenate([one.track for one in closed])
     assert furthest_m(drawn, truth) > 0.12
     assert furthest_m(results[3].poses, truth) < 0.07
-    assert any(result.sheet is not None for result in results)
+    assert any(result.rendered_map is not None for result in results)
     last = back_end.work(Batch("finish"))
     assert last.g2o.count("EDGE_SE2_XY") == 2 * last.landmarks
     again = LandmarkBackEnd(CONFIG, None)

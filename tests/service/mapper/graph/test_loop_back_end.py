@@ -1,4 +1,4 @@
-"""Loops in a ring of corridors: found, believed only in company, taken back when the rest says otherwise."""
+"""Loops in a ring of corridors: found, accepted only in company, taken back when the rest says otherwise."""
 
 import pickle
 from dataclasses import replace
@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
-from service.mapper.graph.keyframes import KeyFrame
+from service.mapper.components import Correction
+from service.mapper.graph.keyframe_list import KeyFrame
 from service.mapper.graph.loop_back_end import Batch, LoopBackEnd, Result
 from service.mapper.graph.loops import Loop
 from service.mapper.graph.loops_config import LoopsConfig
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
-from service.mapper.stages import Correction
 from tests.service.mapper.graph.rings import LENGTH_M, STEP_M, WIDTH_M, key_frames
 
 BATCH = 7
@@ -24,10 +24,10 @@ def ring() -> tuple[list[KeyFrame], list[SE2]]:
 
 
 def fed(
-    frames: list[KeyFrame], config: LoopsConfig | None = None, paints: bool = True
+    frames: list[KeyFrame], config: LoopsConfig | None = None, renders: bool = True
 ) -> tuple[LoopBackEnd, list[Result]]:
-    painter = OccupancyTiles(OccupancyConfig(), 0.05).painter if paints else None
-    back_end = LoopBackEnd(config or LoopsConfig(), painter)
+    renderer = OccupancyTiles(OccupancyConfig(), 0.05).renderer if renders else None
+    back_end = LoopBackEnd(config or LoopsConfig(), renderer)
     return back_end, [back_end.work(Batch(frames[k : k + BATCH])) for k in range(0, len(frames), BATCH)]
 
 
@@ -56,27 +56,27 @@ def test_a_ring_is_closed_and_the_way_bent_back(ring: tuple[list[KeyFrame], list
     assert results[len(frames) // (2 * BATCH)].loops == 0
     corrected_live = next(r for r in results if r.newest is not None)
     assert corrected_live.loops >= 3
-    assert corrected_live.sheet is not None
+    assert corrected_live.rendered_map is not None
     finished = back_end.work(Batch([], is_last=True))
     assert seam_m(list(finished.all), truth).max() < 0.02
     assert np.median(errors_m(list(finished.all), truth)) < 0.3 * np.median(errors_m(drifted, truth))
-    assert finished.aside == 0
+    assert finished.disabled == 0
     assert finished.g2o.count("VERTEX_SE2") == len(frames)
     assert finished.g2o.count("EDGE_SE2") >= len(frames) - 1 + finished.loops
 
 
 def test_memory_grows_with_the_area_and_not_with_the_way():
     frames, truth = key_frames(4.2)
-    back_end, _ = fed(frames, LoopsConfig(keep_passes=2), paints=False)
-    has_points = back_end._chain.has_points
+    back_end, _ = fed(frames, LoopsConfig(keep_passes=2), renders=False)
+    has_points = back_end._keyframes.has_points
     a_round = round(2.0 * (LENGTH_M + WIDTH_M) / STEP_M)
     assert has_points[-2 * a_round :].all()
     assert not has_points[20 : a_round - 20].any()
     assert has_points.sum() < 3.6 * a_round
     finished = back_end.work(Batch([], is_last=True))
     assert seam_m(list(finished.all), truth).max() < 0.02
-    everything, _ = fed(frames, LoopsConfig(keep_passes=100), paints=False)
-    assert everything._chain.has_points.all()
+    everything, _ = fed(frames, LoopsConfig(keep_passes=100), renders=False)
+    assert everything._keyframes.has_points.all()
 
 
 def test_the_same_batches_give_the_same_result_and_a_pickled_back_end_too(
@@ -95,7 +95,7 @@ def test_the_same_batches_give_the_same_result_and_a_pickled_back_end_too(
 
 
 def test_without_company_no_loop_is_believed(ring: tuple[list[KeyFrame], list[SE2]]):
-    back_end, results = fed(ring[0], LoopsConfig(group_span_m=1000.0))
+    back_end, results = fed(ring[0], LoopsConfig(consensus_span_m=1000.0))
     assert {result.loops for result in results} == {0}
     assert back_end.work(Batch([], is_last=True)).loops == 0
 
@@ -116,15 +116,15 @@ def test_a_false_loop_that_the_rest_contradicts_is_laid_aside(ring: tuple[list[K
     false = Loop(10, 80, np.array([0.0, 0.3, 0.0]), np.diag([1e-4, 1e-4, 1e-5]), 0.9)
     back_end._loops.append(false)
     finished = back_end.work(Batch([], is_last=True))
-    assert finished.aside >= 1
-    assert false in back_end._aside
+    assert finished.disabled >= 1
+    assert false in back_end._disabled
     assert seam_m(list(finished.all), truth).max() < 0.02
 
 
 def test_who_undoes_the_last_loops_gets_the_way_before_them(ring: tuple[list[KeyFrame], list[SE2]]):
     back_end, results = fed(ring[0])
     before = results[-1].loops
-    groups = len(back_end._groups)
+    groups = len(back_end._accepted)
     for _ in range(groups):
         result = back_end.work(Batch([], "undo"))
     assert before > result.loops == 0
@@ -206,22 +206,22 @@ def test_a_piece_seen_from_one_place_only_is_not_joined(ring: tuple[list[KeyFram
         assert not back_end.work(Batch([replace(frame, stamp_ns=frame.stamp_ns + k)])).joined
 
 
-def test_a_piece_that_is_not_joined_is_neither_laid_on_nor_painted(
+def test_a_piece_that_is_not_joined_is_neither_laid_on_nor_rendered(
     ring: tuple[list[KeyFrame], list[SE2]],
 ):
     known = ring[0][:SIDE]
-    back_end = LoopBackEnd(LoopsConfig(), OccupancyTiles(OccupancyConfig(), 0.05).painter)
+    back_end = LoopBackEnd(LoopsConfig(), OccupancyTiles(OccupancyConfig(), 0.05).renderer)
     back_end.work(Batch(known))
-    alone = back_end._paint()
+    alone = back_end._render()
     back_end.work(Batch(piece_after(known, known[10:11] * 3)))
-    assert back_end._chain.count == SIDE + 3
+    assert back_end._keyframes.count == SIDE + 3
     assert back_end._usable().tolist() == [True] * SIDE + [False] * 3
-    painted = back_end._paint()
+    rendered = back_end._render()
     assert alone is not None
-    assert painted is not None
-    np.testing.assert_array_equal(painted.evidence, alone.evidence)
+    assert rendered is not None
+    np.testing.assert_array_equal(rendered.evidence, alone.evidence)
     back_end._joined.add(1)
     assert back_end._usable().all()
-    both = back_end._paint()
+    both = back_end._render()
     assert both is not None
     assert both.evidence.shape != alone.evidence.shape or (both.evidence != alone.evidence).any()

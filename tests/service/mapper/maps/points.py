@@ -7,7 +7,7 @@ import numpy as np
 from drivers.frames import NO_INTENSITY, LaserScan
 from service.fusion.motion import Motion
 from service.geometry.se2 import SE2
-from service.mapper.stages import Match, Points
+from service.mapper.components import Match, Points
 from service.outputs import State
 
 STEP_RAD = math.radians(1.0)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
+from service.mapper.components import ScanToRender
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
-from service.mapper.stages import Drawn
 from service.outputs import TileUpdate
 from tests.service.mapper.maps.points import points_of, square
 
@@ -110,36 +110,36 @@ def test_a_map_spreads_to_negative_tiles_and_keeps_what_it_had() -> None:
     assert shown.tile_count == len(tiles)
 
 
-def test_a_sheet_takes_the_place_of_all_there_was_with_rising_versions() -> None:
+def test_a_rendered_map_takes_the_place_of_all_there_was_with_rising_versions() -> None:
     shown = new_map()
     shown.insert(points_of(np.array([[1.0, 0.01], [8.0, 0.01]])), SE2())
     first = shown.changed_tiles()
-    wall = Drawn(np.array([[1.0, 0.01], [3.0, 0.01]], np.float32), (0.0, 0.0), SE2(0.0, 0.2, 0.0))
-    late = Drawn(np.array([[1.0, 0.01]], np.float32), (0.0, 0.0), SE2(0.0, 1.0, 0.0))
-    sheet = pickle.loads(pickle.dumps(shown.painter)).paint([wall])
-    shown.lay(sheet, [late])
+    wall = ScanToRender(np.array([[1.0, 0.01], [3.0, 0.01]], np.float32), (0.0, 0.0), SE2(0.0, 0.2, 0.0))
+    late = ScanToRender(np.array([[1.0, 0.01]], np.float32), (0.0, 0.0), SE2(0.0, 1.0, 0.0))
+    rendered_map = pickle.loads(pickle.dumps(shown.renderer)).render([wall])
+    shown.replace_by(rendered_map, [late])
     shown.insert(points_of(np.empty((0, 2)), SECOND_NS), SE2())  # with the next scan, whatever it sees
     second = shown.changed_tiles()
     assert min(t.version for t in second) > max(t.version for t in first)
     assert cell(second, 3.0, 0.21) > 60
     assert cell(second, 1.0, 0.01) == -1  # as if it had never been drawn
-    assert cell(second, 1.0, 1.01) > 60  # what the sheet does not know of
+    assert cell(second, 1.0, 1.01) > 60  # what the rendered map does not hold
     assert (next(t for t in second if t.ix == 2).cells == -1).all()
 
 
-def test_a_sheet_that_shows_the_same_changes_no_tile() -> None:
+def test_a_rendered_map_that_shows_the_same_changes_no_tile() -> None:
     shown = new_map()
-    seen = Drawn(square(2.01).xy_base.astype(np.float32), (0.0, 0.0), SE2())
-    shown.lay(shown.painter.paint([seen]), [])
+    seen = ScanToRender(square(2.01).xy_base.astype(np.float32), (0.0, 0.0), SE2())
+    shown.replace_by(shown.renderer.render([seen]), [])
     assert shown.changed_tiles()
-    shown.lay(shown.painter.paint([seen]), [])
+    shown.replace_by(shown.renderer.render([seen]), [])
     assert shown.changed_tiles() == []
 
 
-def test_a_sheet_is_of_the_same_types_whether_it_was_drawn_here_or_in_another_process() -> None:
+def test_a_rendered_map_is_of_the_same_types_whether_it_was_drawn_here_or_in_another_process() -> None:
     """Else the first loop that closes live compiles a kernel, and scans wait for it."""
-    wall = Drawn(np.array([[1.0, 0.01], [9.0, 0.01]], np.float32), (0.0, 0.0), SE2())
-    here = new_map().painter.paint([wall])
+    wall = ScanToRender(np.array([[1.0, 0.01], [9.0, 0.01]], np.float32), (0.0, 0.0), SE2())
+    here = new_map().renderer.render([wall])
     there = pickle.loads(pickle.dumps(here))
     for name in ("tile_row", "tile_column", "evidence"):
         assert numba.typeof(getattr(here, name)) == numba.typeof(getattr(there, name))

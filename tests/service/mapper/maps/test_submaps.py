@@ -6,8 +6,8 @@ import pytest
 
 from service.fusion.motion import Measurement
 from service.geometry.se2 import SE2
+from service.mapper.components import MapChange
 from service.mapper.maps.submaps import MOST_MISSES, Submap, SubmapsConfig, SurfelSubmaps
-from service.mapper.stages import MapChange
 from service.outputs import State
 from tests.service.mapper.maps.points import match_at, points_of, square
 

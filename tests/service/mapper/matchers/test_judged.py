@@ -8,10 +8,10 @@ import pytest
 
 from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
+from service.mapper.components import MapChange, Match, Overlap, Points
 from service.mapper.judgement import JudgementConfig
 from service.mapper.maps.known_ground import KnownGround
 from service.mapper.matchers.judged import ANEW_M, JudgedMatching, Laid
-from service.mapper.stages import MapChange, Match, Overlap, Points
 from tests.service.mapper.maps.points import points_of, square
 
 ORIGIN = SE2()
@@ -46,7 +46,7 @@ class Told:
     finds: list[SE2] = field(default_factory=list)
     asked: list[tuple[float, float]] = field(default_factory=list)
 
-    def lay(self, points: Points, predicted: Prediction, local_map: Ground, is_found: bool) -> Laid:
+    def align(self, points: Points, predicted: Prediction, local_map: Ground, is_found: bool) -> Laid:
         pose = predicted.pose_odom_base if is_found else predicted.pose_odom_base @ self.off
         return Laid(Measurement(pose, SURE, np.linalg.inv(SURE), is_joined=False), points)
 

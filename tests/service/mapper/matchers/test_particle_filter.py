@@ -5,6 +5,7 @@ import pytest
 
 from drivers.frames import LaserScan, OdometrySample
 from service.fusion.estimator import Estimator, EstimatorConfig
+from service.mapper.components import Components
 from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist
 from service.mapper.filters.keep_all import keep_all
 from service.mapper.graph.no_graph import NoGraph
@@ -12,14 +13,13 @@ from service.mapper.maps.counted_submaps import CountedSubmaps, CountedSubmapsCo
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapper.matchers.particle_filter import ParticleFilter, ParticleFilterConfig
 from service.mapper.pipeline import Mapper
-from service.mapper.stages import Stages
 from service.outputs import MapperOutput
 from tests.service.mapper.drives import MOUNTING, ROOM, Drive, drive, round_the_room
 
 
 def mapper(seed: int = 1, particles: int = 8) -> Mapper[CountedSubmaps]:
     return Mapper(
-        Stages(
+        Components(
             motion_model=Estimator(EstimatorConfig()),
             deskew=DeskewByTwist(BeamsConfig(), {"front": MOUNTING}),
             matcher=ParticleFilter(ParticleFilterConfig(seed=seed)),

@@ -5,9 +5,9 @@ import pytest
 
 from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
+from service.mapper.components import Match, Points
 from service.mapper.maps.submaps import SubmapsConfig, SurfelSubmaps
 from service.mapper.matchers.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
-from service.mapper.stages import Match, Points
 from tests.service.mapper.maps.points import match_at, points_of, square
 
 

@@ -11,8 +11,8 @@ from service.kernels.branch_and_bound import MaxPyramid, padding_cells, pool_lev
 from service.kernels.likelihood_search import SearchWindow
 from service.kernels.loops import share_in_free_space, splat_field
 from service.kernels.occupancy import OccupancyGrid, trace_scan
-from service.mapper.graph.clouds import CELL_M, POOL_TILES, Cloud, Fit, SurfelCloud, cover, joined
-from service.mapper.graph.keyframes import Chain, Floats
+from service.mapper.graph.keyframe_list import Floats, KeyframeList
+from service.mapper.graph.point_clouds import CELL_M, POOL_TILES, Fit, PointCloud, SurfelSet, cover, joined
 from service.mapper.maps.occupancy import EVIDENCE
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 
@@ -25,21 +25,21 @@ LEAST_SCORE = 0.5  # mean likelihood of the points that a search must reach: hal
 TRACED_EVERY = 3  # key frames of a place: neighbours see the same free space
 
 
-def cloud_of(chain: Chain, members: Iterable[int], reference: int) -> Cloud:
+def cloud_of(keyframes: KeyframeList, members: Iterable[int], reference: int) -> PointCloud:
     """Key frames as odometry lays them, in the frame of `reference`."""
     clouds = []
     for k in members:
-        kept = chain.kept[k]
+        kept = keyframes.thinned[k]
         near = (kept.xy_base * kept.xy_base).sum(axis=1) < REACH_M * REACH_M
-        seen = Cloud(kept.xy_base[near].astype(np.float64), kept.normals[near].astype(np.float64))
-        clouds.append(seen.laid_at(se2.between(chain.odom[reference], chain.odom[k])))
+        seen = PointCloud(kept.xy_base[near].astype(np.float64), kept.normals[near].astype(np.float64))
+        clouds.append(seen.transformed(se2.between(keyframes.odom[reference], keyframes.odom[k])))
     return joined(clouds)
 
 
-class Place:
+class CandidateSubmap:
     """Key frames around one, `reference`, in whose frame all lies, put together by odometry."""
 
-    def __init__(self, chain: Chain, members: Iterable[int], reference: int) -> None:
+    def __init__(self, keyframes: KeyframeList, members: Iterable[int], reference: int) -> None:
         self.reference = reference
         self.members = list(members)
         cells = (occupancy.TILE_CELLS,) * 2
@@ -47,21 +47,22 @@ class Place:
             TilePool((Layer(cells, np.int8), Layer(cells, np.uint16), Layer((), np.uint8)), POOL_TILES)
         )
         self._pyramid: MaxPyramid | None = None
-        self._clouds = [cloud_of(chain, [k], reference) for k in self.members]
+        self._clouds = [cloud_of(keyframes, [k], reference) for k in self.members]
         self._sensors = [
             se2.points_from(
-                se2.between(chain.odom[reference], chain.odom[k]), np.array(chain.kept[k].sensor_xy_m)
+                se2.between(keyframes.odom[reference], keyframes.odom[k]),
+                np.array(keyframes.thinned[k].sensor_xy_m),
             )
             for k in self.members
         ]
         whole = joined(self._clouds)
         self._xy = whole.xy
-        self._surfels = SurfelCloud(whole)
+        self._surfels = SurfelSet(whole)
         self._knows_space = False
 
     def search(
         self,
-        cloud: Cloud,
+        cloud: PointCloud,
         pose: Floats,
         reach_m: float,
         reach_rad: float,
@@ -78,11 +79,11 @@ class Place:
         found = search_branch_and_bound(thin, weights, self.pyramid(), window, least)
         return found.pose if found.score >= least else None
 
-    def align(self, cloud: Cloud, pose: Floats) -> Fit:
+    def align(self, cloud: PointCloud, pose: Floats) -> Fit:
         """The cloud laid on the surfels, from a pose near enough."""
         return self._surfels.align(cloud, pose)
 
-    def against(self, cloud: Cloud, pose: Floats) -> float:
+    def against(self, cloud: PointCloud, pose: Floats) -> float:
         """Share of the points that would lie in free space of the place, 0..1."""
         if not self._knows_space:
             self._trace()

@@ -36,8 +36,8 @@ class Sightings(NamedTuple):
     touched: npt.NDArray[np.uint16]
 
 
-class PermanenceSettings(NamedTuple):
-    """Documented in service/mapper/maps/permanence.py; times in ticks."""
+class StaticScoreSettings(NamedTuple):
+    """Documented in service/mapper/maps/dynamic_filter.py; times in ticks."""
 
     enough: int
     free: int
@@ -88,7 +88,7 @@ def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks)
     pose        (3,)   float64       base in the frame of the grid
     grid        SurfelGrid           in and out; its index covers the points
     sightings   Sightings            in and out
-    settings    PermanenceSettings
+    settings    StaticScoreSettings
     number      uint16               of the key frame: not that of the one before, nor 0
     ticks       int                  since the one before
     """
@@ -119,7 +119,7 @@ def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks)
 
 
 @njit(cache=True, nogil=True)
-def look_through(xy_base, sensor_xy_m, pose, grid, sightings, settings, number, ticks):
+def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, sightings, settings, number, ticks):
     """Take away surfels that beams of a key frame look through, and remember which cells are free.
 
     Cells in which the key frame has an end point stay as they are, and so do cells without a tile: no wall
@@ -189,7 +189,7 @@ def score_at(slots, first_row, first_column, score, row, column):
 
 
 @njit(cache=True, nogil=True)
-def weigh_permanence(xy_base, pose, grid, sightings, settings, normals):
+def weigh_static_score(xy_base, pose, grid, sightings, settings, normals):
     """Let points count by how long something stands where they lie, against what stands longest in the scan.
 
     Where nobody looked yet, what stands beside counts: a prediction that is off by a cell puts part of the
@@ -202,7 +202,7 @@ def weigh_permanence(xy_base, pose, grid, sightings, settings, normals):
     pose        (3,)   float64       base in the frame of the grid, as predicted
     grid        SurfelGrid
     sightings   Sightings
-    settings    PermanenceSettings
+    settings    StaticScoreSettings
     normals     (N, 3) float64       in and out: weights from estimate_normals
     """
     score = sightings.score

@@ -11,8 +11,8 @@ import numpy as np
 
 from service.geometry import poses as se2
 from service.kernels.normals import estimate_normals
-from service.mapper.graph.clouds import Cloud, Fit, SurfelCloud, joined
-from service.mapper.graph.keyframes import Floats
+from service.mapper.graph.keyframe_list import Floats
+from service.mapper.graph.point_clouds import Fit, PointCloud, SurfelSet, joined
 from service.mapper.maps.counted_submaps import ClosedSubmap, KeyScan
 
 # How sure the step of a particle is from key scan to key scan, m, m, rad. It says where a scan lies along
@@ -21,17 +21,17 @@ STEP_INFORMATION = np.diag([0.05**-2, 0.05**-2, 0.02**-2])
 INFLATION = 16.0  # beams share errors, so as many count as one
 
 
-class Redrawing:
+class SubmapRealignment:
     """Lays sub-map after sub-map anew; all drawings stay in one frame, that of the first scan."""
 
-    def __init__(self, least_share: float) -> None:
-        self._least_share = least_share
+    def __init__(self, least_inlier_ratio: float) -> None:
+        self._least_share = least_inlier_ratio
         self._before: dict[int, Floats] = {}  # by stamp: where the scans of the sub-map before were laid
         self._last: tuple[Floats, Floats] | None = None  # the newest scan: as it was drawn, and as laid
 
-    def redraw(self, closed: ClosedSubmap) -> ClosedSubmap:
+    def realign(self, closed: ClosedSubmap) -> ClosedSubmap:
         """The same sub-map with another track: each scan laid on the surfels of those before it."""
-        map_ = SurfelCloud()
+        map_ = SurfelSet()
         track = closed.track.copy()
         for k, scan in enumerate(closed.scans):
             cloud = _cloud(scan)
@@ -39,13 +39,13 @@ class Redrawing:
                 track[k] = self._before[scan.stamp_ns]
             elif self._last is not None:
                 drawn, laid = self._last
-                track[k] = self._laid(map_, cloud, se2.compose(laid, se2.between(drawn, closed.track[k])))
-            map_.insert(cloud.laid_at(track[k]))
+                track[k] = self._aligned(map_, cloud, se2.compose(laid, se2.between(drawn, closed.track[k])))
+            map_.insert(cloud.transformed(track[k]))
             self._last = closed.track[k], track[k]
         self._before = {scan.stamp_ns: pose for scan, pose in zip(closed.scans, track, strict=True)}
         return replace(closed, track=track)
 
-    def _laid(self, map_: SurfelCloud, cloud: Cloud, guess: Floats) -> Floats:
+    def _aligned(self, map_: SurfelSet, cloud: PointCloud, guess: Floats) -> Floats:
         fit = map_.align(cloud, guess)
         if fit.share < self._least_share:
             return guess
@@ -56,23 +56,23 @@ class Redrawing:
         return pose
 
 
-def cloud_of(scans: Sequence[KeyScan], track: Floats) -> Cloud:
+def cloud_of(scans: Sequence[KeyScan], track: Floats) -> PointCloud:
     """Scans with their poses (K, 3) as one cloud, in the frame of the poses."""
-    return joined([_cloud(scan).laid_at(pose) for scan, pose in zip(scans, track, strict=True)])
+    return joined([_cloud(scan).transformed(pose) for scan, pose in zip(scans, track, strict=True)])
 
 
-def lay_on(cloud: Cloud, surfels: SurfelCloud, shift: Floats, most_points: int) -> tuple[Fit, Floats]:
+def align_cloud(cloud: PointCloud, surfels: SurfelSet, shift: Floats, most_points: int) -> tuple[Fit, Floats]:
     """A cloud laid on surfels from the pose (3,) `shift` of its frame in theirs: how it lies about the middle
     of the cloud, where a turn and a shift stay apart; and the pose of its frame then."""
     middle = np.array([*cloud.xy.mean(axis=0), 0.0])
     every = max(1, len(cloud.xy) // most_points)
-    thin = Cloud(cloud.xy[::every] - middle[:2], cloud.normals[::every])
+    thin = PointCloud(cloud.xy[::every] - middle[:2], cloud.normals[::every])
     fit = surfels.align(thin, se2.compose(shift, middle))
     return fit, se2.compose(fit.pose, -middle)
 
 
-def _cloud(scan: KeyScan) -> Cloud:
+def _cloud(scan: KeyScan) -> PointCloud:
     xy = scan.xy_base.astype(np.float64)
     normals = np.zeros((len(xy), 3))
     estimate_normals(xy, np.array(scan.sensor_xy_m), scan.angle_step_rad, 0.01, 1.0, normals)
-    return Cloud(xy, normals)
+    return PointCloud(xy, normals)

@@ -86,7 +86,7 @@ class Correction:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sheet:
+class RenderedMap:
     """The shown map drawn anew, to be laid in the place of the old. Can be pickled."""
 
     tile_row: npt.NDArray[np.int64]  # (T,)
@@ -95,7 +95,7 @@ class Sheet:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drawn:
+class ScanToRender:
     """A scan to be drawn into the shown map again."""
 
     xy_base: npt.NDArray[np.float32]  # (N, 2) m
@@ -108,15 +108,15 @@ class GraphUpdate:
     """What a piece of finished work changed, besides pose_map_odom.
 
     counts   counter -> how much it rose (or fell): loop_closures ...
-    sheet    the shown map from now on; None: it stays
-    since    what to draw into it besides: scans that the sheet does not know of
+    rendered_map    the shown map from now on; None: it stays
+    since    what to draw into it besides: scans that the rendered map does not hold
     joined   number of a piece of the map that was found in the rest; 0: none
     geo      where the map lies on the earth; None: that is not known, or not news
     """
 
     counts: Mapping[str, int]
-    sheet: Sheet | None = None
-    since: Sequence[Drawn] = ()
+    rendered_map: RenderedMap | None = None
+    since: Sequence[ScanToRender] = ()
     joined: int = 0
     geo: GeoReference | None = None
 
@@ -167,24 +167,24 @@ class KnownMap(LocalMap, Protocol):
         ...
 
 
-class Painter(Protocol):
+class MapRenderer(Protocol):
     """Draws the shown map from scratch, elsewhere: can be pickled."""
 
-    def paint(self, scans: Iterable[Drawn]) -> Sheet: ...
+    def render(self, scans: Iterable[ScanToRender]) -> RenderedMap: ...
 
 
 class FreeSpaceMap(Protocol):
     """What is shown and driven on: occupancy in tiles, in the map frame."""
 
     @property
-    def painter(self) -> Painter:
+    def renderer(self) -> MapRenderer:
         """Draws as this map does."""
         ...
 
     def insert(self, points: Points, pose_map_base: SE2) -> None: ...
 
-    def lay(self, sheet: Sheet, since: Sequence[Drawn]) -> None:
-        """Show the sheet instead of all there is, and draw `since` into it soon. Versions go on rising."""
+    def replace_by(self, rendered_map: RenderedMap, since: Sequence[ScanToRender]) -> None:
+        """Show the rendered map in place of all there is, and render `since` into it soon. Versions rise."""
         ...
 
     def changed_tiles(self) -> list[TileUpdate]:
@@ -263,7 +263,7 @@ class Stopwatch(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Stages(Generic[ReadableMap]):
+class Components(Generic[ReadableMap]):
     """What stands in the boxes of one mapper."""
 
     motion_model: MotionModel
@@ -275,24 +275,24 @@ class Stages(Generic[ReadableMap]):
     free_space: FreeSpaceMap
 
 
-Box = Literal["motion_model", "deskew", "matcher", "local_map", "keep_static", "graph", "free_space"]
-BOXES: tuple[Box, ...] = get_args(Box)  # the fields of Stages
+Slot = Literal["motion_model", "deskew", "matcher", "local_map", "keep_static", "graph", "free_space"]
+SLOTS: tuple[Slot, ...] = get_args(Slot)  # the fields of Components
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class BuildContext:
     """What a stage is told besides its own settings."""
 
     cell_m: float  # of the shown map
     mountings: Mapping[str, SE2]  # pose_base_sensor of each laser, by its name
     outline_m: Sequence[tuple[float, float]] = ()  # of the vehicle, base frame; what lies within is itself
-    painter: Painter | None = None  # of the shown map; the graph is told, and only it
+    renderer: MapRenderer | None = None  # of the shown map; the graph is told, and only it
     new_worker: NewWorker = InlineWorker  # where back ends work
     new_patch_store: NewPatchStore = MemoryPatches  # where patches of a map wait that are far away
 
 
 @dataclass(frozen=True, slots=True)
-class StageKind:
+class ComponentKind:
     """Something that can stand in a box: its name in a config, its settings, and how it is made.
 
     makes     the class that build gives, where another stage reads it (local maps); else None
@@ -303,7 +303,7 @@ class StageKind:
 
     name: str
     config: type[BaseModel]
-    build: Callable[[Any, Surroundings], Any]
+    build: Callable[[Any, BuildContext], Any]
     makes: type | None = None
     reads: type | None = None
     rehearse: Callable[[], Any] | None = None
@@ -325,6 +325,6 @@ class Method:
     """
 
     name: str
-    stages: Mapping[Box, StageKind]
-    settings: Mapping[Box, Mapping[str, Any]]
-    others: Mapping[Box, Sequence[StageKind]] = field(default_factory=dict)
+    stages: Mapping[Slot, ComponentKind]
+    settings: Mapping[Slot, Mapping[str, Any]]
+    others: Mapping[Slot, Sequence[ComponentKind]] = field(default_factory=dict)

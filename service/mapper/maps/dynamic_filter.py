@@ -4,7 +4,7 @@ from typing import ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.kernels.permanence import PermanenceSettings
+from service.kernels.static_score import StaticScoreSettings
 
 TICK_S = 0.05  # in which it is counted how long something stands
 FREE_S = 0.25  # what comes into a free cell must stay so long: a person of 0.3 m has left it by then
@@ -17,7 +17,7 @@ def ticks_in(time_s: float) -> int:
     return round(time_s / TICK_S)
 
 
-class PermanenceConfig(BaseModel):
+class DynamicFilterConfig(BaseModel):
     """When something counts in full, and when it is forgotten."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -26,8 +26,8 @@ class PermanenceConfig(BaseModel):
     enough_s: float = Field(default=1.0, ge=0.0, le=6.0)  # 0: all things count alike, and stay
     behind_m: float = Field(default=0.2, gt=0.0)
 
-    def settings(self) -> PermanenceSettings:
-        return PermanenceSettings(
+    def settings(self) -> StaticScoreSettings:
+        return StaticScoreSettings(
             ticks_in(self.enough_s),
             ticks_in(FREE_S),
             LEAST_WEIGHT,

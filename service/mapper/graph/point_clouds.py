@@ -13,7 +13,7 @@ from service.kernels import surfels
 from service.kernels.loops import align_surfels
 from service.kernels.match import MatchSettings
 from service.kernels.surfels import SurfelGrid, insert_surfels
-from service.mapper.graph.keyframes import Floats
+from service.mapper.graph.keyframe_list import Floats
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 
 CELL_M = 0.10
@@ -38,24 +38,24 @@ NO_FIELD: npt.NDArray[np.float32] = np.zeros((POOL_TILES, 1, 1), np.float32)  # 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cloud:
+class PointCloud:
     """Points of one or more scans in one frame."""
 
     xy: Floats  # (N, 2) m
     normals: Floats  # (N, 3) as estimate_normals gives them
 
-    def laid_at(self, pose: Floats) -> "Cloud":
+    def transformed(self, pose: Floats) -> "PointCloud":
         """The cloud in the frame that its own has the pose (3,) in."""
         c, s = math.cos(pose[2]), math.sin(pose[2])
         normals = self.normals.copy()
         normals[:, 0] = c * self.normals[:, 0] - s * self.normals[:, 1]
         normals[:, 1] = s * self.normals[:, 0] + c * self.normals[:, 1]
-        return Cloud(se2.points_from(pose, self.xy), normals)
+        return PointCloud(se2.points_from(pose, self.xy), normals)
 
 
-def joined(clouds: Sequence[Cloud]) -> Cloud:
+def joined(clouds: Sequence[PointCloud]) -> PointCloud:
     """Clouds of one frame as one."""
-    return Cloud(
+    return PointCloud(
         np.concatenate([cloud.xy for cloud in clouds]), np.concatenate([cloud.normals for cloud in clouds])
     )
 
@@ -69,22 +69,22 @@ class Fit:
     share: float  # of the points asked that lie on them
 
 
-class SurfelCloud:
+class SurfelSet:
     """A cloud as surfels."""
 
-    def __init__(self, cloud: Cloud | None = None) -> None:
+    def __init__(self, cloud: PointCloud | None = None) -> None:
         cells = (surfels.TILE_CELLS,) * 2 + (2, 5)
         self._tiles = TileMap(TilePool((Layer(cells, np.float32),), POOL_TILES))
         if cloud is not None:
             self.insert(cloud)
 
-    def insert(self, cloud: Cloud) -> None:
+    def insert(self, cloud: PointCloud) -> None:
         """More points of the same frame."""
         if len(cloud.xy):
             cover(self._tiles, surfels.TILE_BITS, cloud.xy)
             insert_surfels(cloud.xy, cloud.normals, np.zeros(3), self._grid(), COUNT_LIMIT)
 
-    def align(self, cloud: Cloud, pose: Floats) -> Fit:
+    def align(self, cloud: PointCloud, pose: Floats) -> Fit:
         """Another cloud laid on it, from a pose near enough."""
         aligned, information = pose.copy(), np.zeros((3, 3))
         used, inliers = align_surfels(cloud.xy, cloud.normals, self._grid(), SETTINGS, aligned, information)

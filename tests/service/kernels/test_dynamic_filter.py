@@ -2,18 +2,18 @@ import math
 
 import numpy as np
 
-from service.kernels.permanence import (
-    PermanenceSettings,
+from service.kernels.static_score import (
     Sightings,
+    StaticScoreSettings,
     count_hits,
-    look_through,
-    weigh_permanence,
+    remove_by_ray_cast,
+    weigh_static_score,
 )
 from service.kernels.surfels import TILE_BITS, TILE_CELLS, TILE_MASK, SurfelGrid, insert_surfels
 from service.kernels.tiles import find_tile
 from tests.service.kernels.surfel_grids import empty_grid
 
-SETTINGS = PermanenceSettings(
+SETTINGS = StaticScoreSettings(
     enough=10,
     free=3,
     least_weight=0.1,
@@ -24,10 +24,10 @@ SETTINGS = PermanenceSettings(
 SENSOR, POSE = np.zeros(2), np.array([0.31, -0.17, 0.4])
 
 
-class Place:
+class CandidateSubmap:
     """A sub-map whose key frames are all taken from POSE."""
 
-    def __init__(self, settings: PermanenceSettings = SETTINGS) -> None:
+    def __init__(self, settings: StaticScoreSettings = SETTINGS) -> None:
         self.grid: SurfelGrid = empty_grid()
         shape = self.grid.field.shape
         self.sightings = Sightings(np.zeros(shape, np.int8), np.zeros(shape, np.uint16))
@@ -40,13 +40,13 @@ class Place:
         kept = normals.copy()
         numbers = np.uint16(self.number), np.int64(ticks)
         count_hits(xy, kept, POSE, self.grid, self.sightings, self.settings, *numbers)
-        look_through(xy, SENSOR, POSE, self.grid, self.sightings, self.settings, *numbers)
+        remove_by_ray_cast(xy, SENSOR, POSE, self.grid, self.sightings, self.settings, *numbers)
         insert_surfels(xy, kept, POSE, self.grid, 1000.0)
         return kept[:, 2]
 
     def weights(self, xy: np.ndarray, normals: np.ndarray) -> np.ndarray:
         weighed = normals.copy()
-        weigh_permanence(xy, POSE, self.grid, self.sightings, self.settings, weighed)
+        weigh_static_score(xy, POSE, self.grid, self.sightings, self.settings, weighed)
         return weighed[:, 2]
 
     def scores(self, xy: np.ndarray) -> np.ndarray:
@@ -81,12 +81,12 @@ def side_wall(aside_m: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_cell_counts_time_and_not_beyond_enough() -> None:
-    place = Place()
+    place = CandidateSubmap()
     xy, normals = wall(2.0)
     for k in range(1, 15):
         place.see(xy, normals)
         assert set(place.scores(xy)) == {min(k, SETTINGS.enough)}
-    other = Place()
+    other = CandidateSubmap()
     expected = (1, 5, 9, 10)  # when it was seen first, nobody knows for how long it had been there
     for score in expected:
         other.see(xy, normals, ticks=4)
@@ -94,7 +94,7 @@ def test_a_cell_counts_time_and_not_beyond_enough() -> None:
 
 
 def test_what_is_looked_through_goes_and_what_is_behind_stays() -> None:
-    place = Place()
+    place = CandidateSubmap()
     near, far = wall(2.0, 0.2), wall(3.0)
     for _ in range(6):
         place.see(*near)
@@ -109,7 +109,7 @@ def test_what_is_looked_through_goes_and_what_is_behind_stays() -> None:
 
 
 def test_a_wall_that_the_beams_pass_along_stays() -> None:
-    place = Place()
+    place = CandidateSubmap()
     xy, normals = side_wall(0.8)
     place.see(xy, normals)
     held = place.points_held(xy)
@@ -122,7 +122,7 @@ def test_a_wall_that_the_beams_pass_along_stays() -> None:
 
 
 def test_the_far_side_of_a_thin_wall_is_not_looked_through() -> None:
-    place = Place()
+    place = CandidateSubmap()
     xy, _ = wall(2.0, 0.2)
     facing_away = np.tile([1.0, 0.0, 1.0], (len(xy), 1))
     place.see(xy, facing_away)
@@ -131,7 +131,7 @@ def test_the_far_side_of_a_thin_wall_is_not_looked_through() -> None:
 
 
 def test_a_beam_that_ends_close_behind_says_nothing() -> None:
-    place = Place()
+    place = CandidateSubmap()
     xy, normals = wall(2.0, 0.2)
     place.see(xy, normals)
     for _ in range(5):
@@ -140,7 +140,7 @@ def test_a_beam_that_ends_close_behind_says_nothing() -> None:
 
 
 def test_what_comes_into_free_space_has_to_stay_before_it_is_taken() -> None:
-    place = Place()
+    place = CandidateSubmap()
     near, far = wall(2.0, 0.2), wall(3.0)
     for _ in range(9):
         place.see(*far)
@@ -150,7 +150,7 @@ def test_what_comes_into_free_space_has_to_stay_before_it_is_taken() -> None:
 
 
 def test_new_things_weigh_less_beside_old_ones_only() -> None:
-    place = Place()
+    place = CandidateSubmap()
     old, new = wall(2.0, 0.2), wall(2.5, 0.2)
     both = tuple(np.concatenate(pair) for pair in zip(old, new, strict=True))
     place.see(*new)
@@ -167,7 +167,7 @@ def test_new_things_weigh_less_beside_old_ones_only() -> None:
 
 
 def test_nothing_is_seen_where_no_tile_is() -> None:
-    place = Place()
+    place = CandidateSubmap()
     place.see(*wall(12.0, 0.05))
     assert np.count_nonzero(place.sightings.score < 0) < TILE_CELLS**2
     assert (place.scores(wall(12.0, 0.05)[0]) == 1).all()
@@ -175,7 +175,7 @@ def test_nothing_is_seen_where_no_tile_is() -> None:
 
 def test_each_point_is_weighed_by_its_own_cell() -> None:
     """Points of one cell share what is known of it; those of the next, along a row or a column, do not."""
-    place = Place()
+    place = CandidateSubmap()
     c, s = math.cos(POSE[2]), math.sin(POSE[2])
     middle = (np.array([[20, 5], [20, 5], [20, 9], [24, 9], [24, 13], [20, 5]]) + 0.5) * place.grid.cell_m
     xy = (middle - POSE[:2]) @ np.array([[c, -s], [s, c]])

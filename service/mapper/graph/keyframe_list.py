@@ -30,7 +30,7 @@ class KeyFrame:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Kept:
+class ThinnedScan:
     """Points of a key frame, thinned."""
 
     xy_base: npt.NDArray[np.float32]  # (N, 2) m
@@ -38,7 +38,7 @@ class Kept:
     sensor_xy_m: tuple[float, float]
 
 
-class Chain:
+class KeyframeList:
     """All key frames so far, one behind the other. Arrays grow by doubling; rows are key frames."""
 
     def __init__(self) -> None:
@@ -47,7 +47,7 @@ class Chain:
         self._numbers = np.zeros((64, 6))
         self._covariance = np.zeros((64, 3, 3))
         self.stamps_ns: list[int] = []
-        self.kept: list[Kept] = []
+        self.thinned: list[ThinnedScan] = []
 
     @property
     def odom(self) -> Floats:
@@ -101,7 +101,7 @@ class Chain:
         """(N, 3, 3) of each one's match."""
         return self._covariance[: self.count]
 
-    def append(self, frame: KeyFrame, pose_map: Floats, kept: Kept) -> None:
+    def append(self, frame: KeyFrame, pose_map: Floats, thinned: ThinnedScan) -> None:
         if self.count == len(self._poses):
             self._poses, self._numbers, self._covariance = (
                 np.concatenate((array, np.zeros_like(array)))
@@ -117,10 +117,10 @@ class Chain:
         self._numbers[k] = way_m, frame.score, frame.is_lost, True, frame.piece, frame.gap_s
         self._covariance[k] = frame.covariance
         self.stamps_ns.append(frame.stamp_ns)
-        self.kept.append(kept)
+        self.thinned.append(thinned)
         self.count += 1
 
     def forget(self, k: int) -> None:
         """Keep of a key frame no more than where it is."""
-        self.kept[k] = Kept(NO_POINTS, NO_NORMALS, self.kept[k].sensor_xy_m)
+        self.thinned[k] = ThinnedScan(NO_POINTS, NO_NORMALS, self.thinned[k].sensor_xy_m)
         self._numbers[k, 3] = False
