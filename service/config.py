@@ -12,9 +12,9 @@ import typing
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from drivers.antenna import antenna_of
@@ -57,12 +57,27 @@ _UNITS: dict[str, tuple[str, float, str]] = {  # suffix -> dimension, size, word
 }
 
 
+MAX_FILE_BYTES = 1_000_000  # a config of thirty sensors has 10 kB; /dev/zero has no end
+
+
+def _whole_path(directory: Any) -> Any:
+    """An empty path would be the folder in which the service happens to be started; a shell expands ~."""
+    if isinstance(directory, str) and not directory.strip():
+        raise ValueError("an empty path; write the folder, such as /var/lib/corridor/sessions")
+    if isinstance(directory, str) and directory.startswith("~"):
+        raise ValueError("~ is not expanded here; write the whole path, such as /home/me/sessions")
+    return directory
+
+
+Folder = Annotated[Path, BeforeValidator(_whole_path)]
+
+
 class RecordingConfig(BaseModel):
     """Where sessions go, and how much of the disk they may take."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    directory: Path
+    directory: Folder
     rotate_mb: int = Field(default=1024, ge=1, le=100_000)
     rotate_min: float = Field(default=10.0, ge=0.1, le=1440.0)
     keep_free_gb: float = Field(default=2.0, ge=0.0, le=100_000.0)
@@ -74,7 +89,7 @@ class MapConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    directory: Path
+    directory: Folder
     checkpoint_s: float = Field(default=30.0, ge=1.0, le=3600.0)
 
 
@@ -146,8 +161,12 @@ _KEYS = ("vehicle", "sensors", *_SECTIONS)
 def load_config(path: Path) -> ServiceConfig:
     """Read a config file. Raises ConfigError with every fault, also where the file cannot be read."""
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        with path.open("rb") as file:
+            content = file.read(MAX_FILE_BYTES + 1)
+        if len(content) > MAX_FILE_BYTES:
+            raise ConfigError([f"{path}: larger than {MAX_FILE_BYTES} bytes; that is no config"])
+        text = content.decode("utf-8")
+    except (OSError, ValueError) as error:  # ValueError: no UTF-8, or a NUL in the path
         raise ConfigError([f"{path}: cannot be read: {error}"]) from error
     return parse_config(text, str(path))
 
@@ -224,16 +243,30 @@ class _Reader:
         if not isinstance(settings, dict):
             self._fault(path, "a sensor is a mapping; write {type: sick_lms100, host: 192.168.0.1}, say")
             return None
-        kind = settings.get("type")
-        if kind not in SENSOR_KINDS:
-            where = (*path, "type") if "type" in settings else path
-            problem = f"{kind!r} is no type of sensor" if "type" in settings else '"type" is missing'
-            self._fault(where, f"{problem}; {_choose(str(kind), list(SENSOR_KINDS))}")
-            return None
         if "name" in settings:
             self._fault((*path, "name"), f"the name stands in front already ({name}); take this line out")
-            return None
-        return self._model(SENSOR_KINDS[str(kind)].config, {**settings, "name": name}, path)
+        settings = {**settings, "name": name}
+        kind = settings.get("type")
+        if isinstance(kind, str) and kind in SENSOR_KINDS:
+            return self._model(SENSOR_KINDS[kind].config, settings, path)
+        where = (*path, "type") if "type" in settings else path
+        problem = f"{kind!r} is no type of sensor" if "type" in settings else '"type" is missing'
+        self._fault(where, f"{problem}; {_choose(str(kind), list(SENSOR_KINDS))}")
+        self._refuse_what_no_type_takes(settings, path)
+        return None
+
+    def _refuse_what_no_type_takes(self, settings: dict[str, Any], path: KeyPath) -> None:
+        """Where the type is wrong: the faults that every type finds which may have been meant."""
+        before = self._document.faults
+        found: list[list[Fault]] = []
+        for kind in _kinds_meant(settings):
+            self._document.faults = list(before)
+            self._model(SENSOR_KINDS[kind].config, {**settings, "type": kind}, path)
+            found.append(self._document.faults[len(before) :])
+        self._document.faults = [
+            *before,
+            *(fault for fault in found[0] if all(fault in others for others in found[1:])),
+        ]
 
     def _refuse_shared_wires(self, sensors: Mapping[str, BaseModel]) -> None:
         owners: dict[tuple[object, ...], str] = {}
@@ -314,6 +347,14 @@ class _Reader:
         if any(fault.path == path for fault in self._document.faults):
             return  # what is not even YAML is said once
         self._document.faults.append(Fault(self._document.position(path), path, message))
+
+
+def _kinds_meant(settings: Mapping[str, Any]) -> list[str]:
+    """Types of sensor that somebody may have meant: the one spelt alike, else those with most of the keys."""
+    if near := difflib.get_close_matches(str(settings.get("type")), list(SENSOR_KINDS), n=1, cutoff=0.6):
+        return near
+    known = {kind: len(settings.keys() & SENSOR_KINDS[kind].config.model_fields) for kind in SENSOR_KINDS}
+    return [kind for kind, count in known.items() if count == max(known.values())]
 
 
 def _name_fault(name: str) -> str:

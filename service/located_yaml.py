@@ -4,6 +4,7 @@ PyYAML alone reads `no` as False, `012` as 10, `1:30` as 90 and `1e3` as text, a
 same name win in silence. Here each of those is a fault that names its place and says what to write instead.
 """
 
+import json
 import math
 import re
 from collections.abc import Iterator
@@ -20,6 +21,10 @@ _TOO_MANY = f"more than {MAX_VALUES} values; aliases of aliases?"
 _LOOKS_LIKE_A_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+|0o[0-7]+|\d+(_\d+)+")
 _OCTAL = re.compile(r"[-+]?0[0-9_]+")
 _BOOLS = {"true": True, "false": False}
+_NOT_TEXT = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")  # tab and new line are text
+_PLAIN_TAGS = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
+_LARGEST_INT = 2**63 - 1
+_SHOWN_CHARS = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +46,7 @@ class Fault:
     def text(self, file: str) -> str:
         """`file:line:column: path: message`"""
         where = f"{file}:{self.position.line}:{self.position.column}: "
-        return where + (f"{dotted(self.path)}: " if self.path else "") + self.message
+        return where + (f"{dotted(self.path)}: " if self.path else "") + self.message.replace("\n", " ")
 
 
 @dataclass(slots=True)
@@ -67,20 +72,45 @@ def load(text: str) -> Document:
     """Read one YAML document. Never raises: what is wrong stands in `faults`."""
     document = Document()
     try:
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
+        loader = _Loader(text)
+    except yaml.YAMLError as error:  # a character YAML forbids; the reader has no mark
+        line = text.count("\n", 0, getattr(error, "position", 0)) + 1
+        document.faults.append(Fault(Position(line, 1), (), f"not YAML: {error}".splitlines()[0]))
+        return document
+    try:
+        root = loader.get_single_node()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         position = Position(mark.line + 1, mark.column + 1) if mark else Position(1, 1)
         problem = ", ".join(part for part in (error.context, error.problem) if part)
         document.faults.append(Fault(position, (), f"not YAML: {problem}"))
         return document
-    except yaml.YAMLError as error:  # a character YAML forbids; the reader has no mark
-        line = text.count("\n", 0, getattr(error, "position", 0)) + 1
-        document.faults.append(Fault(Position(line, 1), (), f"not YAML: {error}".splitlines()[0]))
+    except (ValueError, OverflowError) as error:  # PyYAML lets those of chr() and int() through
+        mark = loader.get_mark()
+        position = Position(mark.line + 1, mark.column + 1)
+        document.faults.append(Fault(position, (), f"not YAML: {error}"))
         return document
     if root is not None:
         document.value = _value(root, (), document, MAX_DEPTH)
     return document
+
+
+class _Loader(yaml.SafeLoader):
+    """Stops at MAX_DEPTH. PyYAML calls itself for each level, until the interpreter gives up."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        if self._depth > MAX_DEPTH:
+            mark = self.get_mark()
+            raise yaml.composer.ComposerError(None, None, f"nested deeper than {MAX_DEPTH} levels", mark)
+        self._depth += 1
+        try:
+            return super().compose_node(parent, index)
+        finally:
+            self._depth -= 1
 
 
 def _value(node: yaml.Node, path: Path, document: Document, depth: int) -> Any:
@@ -91,6 +121,8 @@ def _value(node: yaml.Node, path: Path, document: Document, depth: int) -> Any:
         return None
     if depth == 0:
         return _fault(document, node, path, f"nested deeper than {MAX_DEPTH} levels; an alias inside itself?")
+    if not isinstance(node, yaml.ScalarNode) and node.tag not in _PLAIN_TAGS:
+        _fault(document, node, path, f"tags such as {_shown(node.tag)} are not read here")
     if isinstance(node, yaml.MappingNode):
         return {
             key: _value(value, (*path, key), document, depth - 1)
@@ -110,6 +142,9 @@ def _entries(node: yaml.MappingNode, path: Path, document: Document) -> Iterator
             continue
         key = str(key_node.value)
         position = _position(key_node)
+        if _NOT_TEXT.search(key) or "\n" in key:
+            _fault(document, key_node, path, f"the key {_shown(key)} holds a control character")
+            continue
         if key_node.tag.endswith(":merge"):
             _fault(document, key_node, (*path, key), "merge keys are not read here; write the keys out")
             continue
@@ -124,12 +159,14 @@ def _entries(node: yaml.MappingNode, path: Path, document: Document) -> Iterator
 
 def _scalar(node: yaml.ScalarNode, path: Path, document: Document) -> Any:
     text, kind = str(node.value), node.tag.rpartition(":")[2]
-    quoted = node.style is not None
+    if _NOT_TEXT.search(text):
+        return _fault(document, node, path, f"{_shown(text)} holds a control character; write plain text")
+    quoted, shown = node.style is not None, _shown(text)
     match kind:
         case "str":
             if not quoted and _LOOKS_LIKE_A_NUMBER.fullmatch(text):
                 return _fault(
-                    document, node, path, f"YAML takes {text} for text; write {_plain(text)}, or quote it"
+                    document, node, path, f"YAML takes {shown} for text; write {_plain(text)}, or quote it"
                 )
             return text
         case "null":
@@ -141,26 +178,40 @@ def _scalar(node: yaml.ScalarNode, path: Path, document: Document) -> Any:
                     document,
                     node,
                     path,
-                    f'YAML takes {text} for {meant}; write {meant}, or quote it: "{text}"',
+                    f'YAML takes {shown} for {meant}; write {meant}, or quote it: "{shown}"',
                 )
             return _BOOLS[text]
         case "int" if ":" in text:
-            return _fault(document, node, path, f'YAML takes {text} for a base-60 number; quote it: "{text}"')
+            return _fault(
+                document, node, path, f'YAML takes {shown} for a base-60 number; quote it: "{shown}"'
+            )
         case "int" if "_" in text or text.lower().lstrip("+-").startswith("0b"):
-            return _fault(document, node, path, f'write {_plain(text)}, or quote it: "{text}"')
+            return _fault(document, node, path, f'write {_plain(text)}, or quote it: "{shown}"')
         case "int" if _OCTAL.fullmatch(text):
             meant = text.lstrip("+-").lstrip("0") or "0"
             return _fault(
-                document, node, path, f'YAML takes {text} for octal; write {meant}, or quote it: "{text}"'
+                document, node, path, f'YAML takes {shown} for octal; write {meant}, or quote it: "{shown}"'
             )
         case "int":
-            return int(text, 0)
+            return _int(text, node, path, document)
         case "float":
             return _float(text, node, path, document)
         case "timestamp":
-            return _fault(document, node, path, f'YAML takes {text} for a date; quote it: "{text}"')
+            return _fault(document, node, path, f'YAML takes {shown} for a date; quote it: "{shown}"')
         case _:
-            return _fault(document, node, path, f"tags such as {node.tag} are not read here")
+            return _fault(document, node, path, f"tags such as {_shown(node.tag)} are not read here")
+
+
+def _int(text: str, node: yaml.Node, path: Path, document: Document) -> int | None:
+    try:
+        value = int(text, 0)  # refuses more than 4300 digits
+    except ValueError:
+        _fault(document, node, path, f"{_shown(text)} is no whole number in plain digits")
+        return None
+    if abs(value) > _LARGEST_INT:
+        _fault(document, node, path, f"{_shown(text)} is beyond 64 bits")
+        return None
+    return value
 
 
 def _float(text: str, node: yaml.Node, path: Path, document: Document) -> float | None:
@@ -169,7 +220,7 @@ def _float(text: str, node: yaml.Node, path: Path, document: Document) -> float 
     except ValueError:
         value = math.nan  # .inf, .nan, 1:30.5 and 1_0.5
     if not math.isfinite(value):
-        _fault(document, node, path, f"{text} is not a finite number in plain decimals")
+        _fault(document, node, path, f"{_shown(text)} is not a finite number in plain decimals")
         return None
     return value
 
@@ -177,11 +228,14 @@ def _float(text: str, node: yaml.Node, path: Path, document: Document) -> float 
 def _plain(text: str) -> str:
     """The number that was meant, in a spelling every YAML reads the same."""
     digits = text.replace("_", "")
-    if digits.startswith("0o"):
-        return str(int(digits, 8))
-    if digits.lower().lstrip("+-").startswith("0b"):
-        return str(int(digits, 2))
-    value = float(digits)
+    try:
+        if digits.lower().lstrip("+-").startswith(("0o", "0b", "0x")):
+            return _shown(str(int(digits, 0)))
+        value = float(digits)
+    except ValueError:
+        return "a plain number"
+    if not math.isfinite(value):
+        return "a number that is not beyond all bounds"
     if value.is_integer() and abs(value) < 1e15:
         return str(int(value)) if "_" in text else f"{value:.1f}"
     return f"{value:.12f}".rstrip("0") if 1e-6 < abs(value) < 1e15 else repr(value)
@@ -189,6 +243,13 @@ def _plain(text: str) -> str:
 
 def _fault(document: Document, node: yaml.Node, path: Path, message: str) -> None:
     document.faults.append(Fault(_position(node), path, message))
+
+
+def _shown(text: str) -> str:
+    """Printable wherever faults are printed, and no longer than a line."""
+    if not _NOT_TEXT.search(text) and "\n" not in text:
+        return text if len(text) <= _SHOWN_CHARS else f"{text[:_SHOWN_CHARS]}..."
+    return json.dumps(text[:_SHOWN_CHARS])
 
 
 def _position(node: yaml.Node) -> Position:

@@ -5,6 +5,7 @@ from typing import Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from drivers.mounting import Mounting
+from drivers.wires import DeviceFile, Host
 
 
 class HokuyoUtm30lxConfig(BaseModel):
@@ -14,8 +15,8 @@ class HokuyoUtm30lxConfig(BaseModel):
 
     type: Literal["hokuyo_utm30lx"] = "hokuyo_utm30lx"
     name: str = Field(min_length=1)
-    device: str | None = Field(default=None, min_length=1)  # UTM-30LX: path, or a pyserial URL
-    host: str | None = Field(default=None, min_length=1)  # UTM-30LX-EW; 192.168.0.10 from the factory
+    device: DeviceFile | None = Field(default=None, min_length=1)  # UTM-30LX: path, or a pyserial URL
+    host: Host | None = Field(default=None, min_length=1)  # UTM-30LX-EW; 192.168.0.10 from the factory
     port: int = Field(default=10940, ge=1, le=65535)  # with host alone
     serial_number: str | None = Field(default=None, min_length=1)  # as VV says; another unit is refused
     first_angle_deg: float = Field(default=-135.0, ge=-180.0, le=180.0)  # sensor frame, 0 straight ahead;

@@ -6,6 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from drivers.ibeo_lux.messages import TICKS_PER_DEG
 from drivers.mounting import Mounting
+from drivers.wires import Host
 
 Label = Literal["dirt", "rain", "ground", "transparent"]
 
@@ -17,7 +18,7 @@ class IbeoLuxConfig(BaseModel):
 
     type: Literal["ibeo_lux"] = "ibeo_lux"
     name: str = Field(min_length=1)
-    host: str = Field(min_length=1)
+    host: Host = Field(min_length=1)
     port: int = Field(default=12_002, ge=1, le=65_535)
     scan_rate_hz: float = 25.0
     first_angle_deg: float = Field(

@@ -5,6 +5,8 @@ from typing import Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from drivers.wires import DeviceFile
+
 
 class _Preset(NamedTuple):
     baud: int
@@ -39,7 +41,7 @@ class IrobotCreateConfig(BaseModel):
 
     type: Literal["irobot_create"] = "irobot_create"
     name: str = Field(min_length=1)
-    device: str = Field(min_length=1)  # a path, or a pyserial URL such as socket://192.168.0.7:4000
+    device: DeviceFile = Field(min_length=1)  # a path, or a pyserial URL such as socket://192.168.0.7:4000
     model: Literal["create1", "create2", "roomba"] = "create2"  # roomba: series 500 to 800
     baud: int = 0  # filled in by the model where not given
     wheel_base_m: float = Field(default=math.nan, gt=0.0, le=2.0)  # this and the next two: likewise

@@ -5,6 +5,7 @@ from typing import Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from drivers.mounting import Mounting
+from drivers.wires import Host
 
 
 class Lms100Config(BaseModel):
@@ -14,7 +15,7 @@ class Lms100Config(BaseModel):
 
     type: Literal["sick_lms100"] = "sick_lms100"
     name: str = Field(min_length=1)
-    host: str = Field(min_length=1)
+    host: Host = Field(min_length=1)
     port: int = Field(default=2111, ge=1, le=65535)  # or 2112
     dialect: Literal["auto", "cola_a", "cola_b"] = "auto"  # auto asks in both; the device is never rewritten
     password_hash: str = Field(default="F4724744", pattern=r"^[0-9A-Fa-f]{8}$")  # of level 3, "client"

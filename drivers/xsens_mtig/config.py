@@ -6,6 +6,7 @@ from typing import Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from drivers.mounting import Mounting
+from drivers.wires import DeviceFile
 from drivers.xsens_mtig.orientation import apply, axes_of
 from drivers.xsens_mtig.protocol import CODE_OF_BAUD
 from drivers.xsens_mtig.reals import Precision
@@ -28,7 +29,7 @@ class XsensMtigConfig(BaseModel):
 
     type: Literal["xsens_mtig"] = "xsens_mtig"
     name: str = Field(min_length=1)
-    device: str = Field(min_length=1)  # a path, a pyserial URL, "usb", or "usb:<serial number>"
+    device: DeviceFile = Field(min_length=1)  # a path, a pyserial URL, "usb", or "usb:<serial number>"
     baud: int | Literal["auto"] = AUTO
     store_baud: int | None = None  # put this rate into the device where it speaks at another
     configure: bool = True  # false: take what it sends; only time and rate of turn must be among it

@@ -140,6 +140,15 @@ def test_an_antenna_lies_where_mounting_axes_and_lever_arm_put_it():
             with_line("recording: {directory: s, keep_free_gb: -1}", 7),
             "recording.keep_free_gb: should be greater than or equal to 0 (got -1)",
         ),
+        (with_line("  front: {type: sick_lms100, host: 192.168.0. 1}", 3), "sensors.front.host: neither"),
+        (with_line("  front: {type: [a], host: b}", 3), "sensors.front.type: ['a'] is no type of"),
+        (with_line('recording: {directory: ""}', 7), "c.yaml:7:13: recording.directory: an empty path"),
+        (with_line("map: {directory: ~/maps}", 8), "c.yaml:8:7: map.directory: ~ is not expanded"),
+        (with_line("recording: {directory: s, rotate_mb: 0x1_0}", 7), 'write 16, or quote it: "0x1_0"'),
+        (
+            with_line(f"recording: {{directory: s, rotate_mb: {'9' * 30}}}", 7),
+            f"recording.rotate_mb: {'9' * 30} is beyond 64 bits",
+        ),
         (with_line("recording: []", 7), "c.yaml:7:1: recording: this is a mapping with the keys directory, "),
         (with_line("recroding: {}", 7), 'c.yaml:7:1: recroding: unknown key; did you mean "recording"'),
         (with_line("map: {directory: no}", 8), "c.yaml:8:18: map.directory: YAML takes no for false"),
@@ -216,6 +225,21 @@ def test_a_sensor_upside_down_and_its_height_stand_in_its_mounting():
 def test_a_laser_whose_type_is_wrong_is_said_once():
     text = with_line("  front: {type: sick_lms10, host: a}", 3) + "mapping: {lasers: [front]}\n"
     assert [fault.split(": ")[1] for fault in faults(text)] == ["sensors.front.type"]
+
+
+@pytest.mark.parametrize(
+    ("front", "paths"),
+    [
+        ("type: sick_lms10, hots: a, mounting: {yaw: 1}", ["type", "host", "hots", "mounting.yaw"]),
+        ("type: roof, host: a b, mounting: {yaw: 1}", ["type", "host", "mounting.yaw"]),
+        ("host: a, dialect: third, scan_rate_hz: 50", ["", "dialect"]),
+        ("type: sick_lms100, name: it, port: x", ["name", "port", "host"]),
+    ],
+)
+def test_a_wrong_type_hides_no_other_fault(front: str, paths: list[str]):
+    """What the type spelt alike refuses, or what all types refuse that take most of the keys."""
+    found = [fault.split(": ")[1] for fault in faults(with_line(f"  front: {{{front}}}", 3))]
+    assert sorted(found) == sorted(".".join(["sensors.front", path]).rstrip(".") for path in paths)
 
 
 def test_two_sensors_on_one_wire_are_refused():

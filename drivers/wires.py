@@ -1,0 +1,37 @@
+"""How a config names a wire: the host of a device, or the device file of a port."""
+
+import ipaddress
+import re
+from typing import Annotated
+
+from pydantic import AfterValidator
+
+_LABEL = r"[A-Za-z0-9_]([A-Za-z0-9_-]*[A-Za-z0-9_])?"
+_HOST_NAME = re.compile(rf"{_LABEL}(\.{_LABEL})*\.?")
+_LOOKS_LIKE_IPV4 = re.compile(r"[0-9.]+")
+MAX_HOST_CHARS = 253  # RFC 1035, section 2.3.4
+
+
+def _check_host(host: str) -> str:
+    try:
+        ipaddress.ip_address(host)  # also with a zone: fe80::1%eth0
+    except ValueError:
+        if len(host) > MAX_HOST_CHARS or _LOOKS_LIKE_IPV4.fullmatch(host) or not _HOST_NAME.fullmatch(host):
+            raise ValueError(
+                "neither an IP address nor a host name; write 192.168.0.1, say, without port, space or URL"
+            ) from None
+    return host
+
+
+def _check_device(device: str) -> str:
+    if not device.strip() or device != device.strip():
+        raise ValueError("a path without spaces at its ends; write /dev/ttyUSB0, say")
+    if "\0" in device:
+        raise ValueError("holds a NUL; write /dev/ttyUSB0, say")
+    if device.startswith("~"):
+        raise ValueError("~ is not expanded here; write the whole path, such as /dev/ttyUSB0")
+    return device
+
+
+Host = Annotated[str, AfterValidator(_check_host)]  # IPv4, IPv6 or a name
+DeviceFile = Annotated[str, AfterValidator(_check_device)]  # a path, or a URL of pyserial
