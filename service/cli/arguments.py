@@ -103,6 +103,10 @@ def _add_offline(commands: Any) -> None:
         help="auto: poses of a corrected log are a result and no odometry; logged: take them all the same",
     )
 
+    rosbag = _add(kinds, "rosbag", "a ROS 1 bag, or a ROS 2 bag (.db3, .mcap, a folder with metadata.yaml)")
+    rosbag.add_argument("log", type=Path, metavar="BAG")
+    rosbag.add_argument("out", type=Path, metavar="OUT.mcap")
+
     export = _add(commands, "export", "a session, a map or a replay's folder to a file other programs read")
     export.add_argument("input", type=Path, metavar="INPUT")
     export.add_argument("--format", choices=FORMATS, required=True)

@@ -23,10 +23,14 @@ def replay(parsed: argparse.Namespace) -> int:
 
 
 def import_log(parsed: argparse.Namespace) -> int:
+    if parsed.kind == "rosbag":
+        from service.offline.rosbag import import_rosbag
+
+        print_report(import_rosbag(parsed.log, parsed.out), parsed.json)
+        return 0
     from service.offline.carmen import import_carmen
 
-    report = import_carmen(parsed.log, parsed.out, parsed.odometry)
-    print_report(report, parsed.json)
+    print_report(import_carmen(parsed.log, parsed.out, parsed.odometry), parsed.json)
     return 0
 
 

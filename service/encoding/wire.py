@@ -103,6 +103,14 @@ def read(type_name: str, payload: bytes) -> object:
         raise InputError(f"{len(payload)} bytes are not a {type_name}: {error}") from error
 
 
+def from_ros1(type_name: str, payload: bytes) -> bytes:
+    """A message as ROS 1 writes it, as CDR. Raises InputError where the bytes are no such message."""
+    try:
+        return bytes(_store().ros1_to_cdr(payload, type_name))
+    except (SerdeError, AssertionError) as error:
+        raise InputError(f"{len(payload)} bytes are not a {type_name} of ROS 1: {error}") from error
+
+
 def time_ros(stamp_ns: int) -> ros.builtin_interfaces__msg__Time:
     seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
     return ros.builtin_interfaces__msg__Time(seconds, nanoseconds)

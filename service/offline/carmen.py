@@ -11,10 +11,11 @@ odometry unless asked for.
 
 import gzip
 import math
+import zlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from pathlib import Path
 from typing import IO, Literal
 
@@ -22,10 +23,9 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
-from service.encoding import LogClock, encode_frame, encode_tf_static
-from service.errors import InputError, StorageError
+from service.errors import InputError
 from service.geometry.se2 import SE2, wrap_angle
-from service.recording.mcap_file import McapFile
+from service.offline.session_file import refuse_to_overwrite, write_session
 
 OdometryChoice = Literal["auto", "logged", "none"]
 
@@ -40,6 +40,13 @@ LASERS = {
     "LASER_READING": "front",
     "L": "front",
 }
+PLACE_PARAMS = frozenset(
+    f"robot_{laser}laser_{name}"
+    for laser in ("front", "rear")
+    for name in ("offset", "side_offset", "angular_offset")
+)
+FARTHEST_M = 1e6  # from where a log began; farther away nobody drove
+MOST_STAMP_S = 2**31  # ROS messages count seconds in int32
 CORRECTED_MARKS = {"NEFF": "GMapping's NEFF lines", "SM_UPDATE": "GMapping's SM_UPDATE lines"}
 
 
@@ -118,8 +125,10 @@ def import_carmen(log_path: Path, out_path: Path, odometry: OdometryChoice = "au
 
     odometry    "auto": from ODOM lines, else from the odometry of the scans; of a corrected log only what is
                 odometry. "logged": the poses as they stand, corrected or not. "none": leave it out.
-    Raises InputError for a file that is no such log or has no usable time, StorageError when writing fails.
+    Raises InputError for a file that is no such log, has no usable time or no beam that came back, UsageError
+    where out_path is the log itself, StorageError when writing fails.
     """
+    refuse_to_overwrite(log_path, out_path)
     report = ImportReport(log_path, out_path)
     log = _read(log_path, report)
     report.corrected = _why_corrected(log, log_path)
@@ -136,33 +145,13 @@ def import_carmen(log_path: Path, out_path: Path, odometry: OdometryChoice = "au
 
 
 def _write(frames: Sequence[Frame], report: ImportReport) -> None:
-    clock = LogClock()
-    first_ns = clock.next_ns(frames[0].stamp_ns)
-    file = None
-    try:
-        file = McapFile(report.path, first_ns)
-        file.write_metadata(
-            "import",
-            {
-                "source": report.source.name,
-                "format": "carmen",
-                "corrected": report.corrected,
-                "odometry": report.odometry_source,
-            },
-        )
-        file.write(encode_tf_static(report.mountings, first_ns, first_ns))
-        for frame in frames:
-            file.write(encode_frame(frame, log_ns=clock.next_ns(frame.stamp_ns)))
-        file.finish()
-    except FileExistsError as error:
-        raise StorageError(
-            f"{error.filename} is in the way; is another import writing {report.path}?"
-        ) from error
-    except OSError as error:
-        if file is not None:
-            file.abandon()
-            file.active_path.unlink(missing_ok=True)
-        raise StorageError(f"cannot write {report.path}: {error.strerror}") from error
+    about = {
+        "source": report.source.name,
+        "format": "carmen",
+        "corrected": report.corrected,
+        "odometry": report.odometry_source,
+    }
+    write_session(report.path, frames, report.mountings, about)
 
 
 def _read(path: Path, report: ImportReport) -> _Log:
@@ -177,13 +166,13 @@ def _read(path: Path, report: ImportReport) -> _Log:
                 fields = line.split()
                 try:
                     stamp_ns = _take(log, fields, report)
-                except (ValueError, IndexError, InvalidOperation):
+                except (ValueError, IndexError, ArithmeticError):
                     report.malformed[fields[0][:20]] += 1
                     continue
                 if stamp_ns:
                     log.out_of_order += stamp_ns < last_ns
                     last_ns = stamp_ns
-    except (OSError, EOFError) as error:
+    except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"cannot read {path}: {error}") from error
     if not log.scans:
         raise InputError(
@@ -196,7 +185,16 @@ def _read(path: Path, report: ImportReport) -> _Log:
             f"{path}: {len(log.scans)} scans carry {distinct} different times, so when they were taken is "
             "lost (some logs were written with six digits); look for another copy, such as its .gfs"
         )
+    if not any(_has_return(scan) for scan in log.scans):
+        raise InputError(
+            f"{path}: not one beam of {len(log.scans)} scans came back between 0 and "
+            f"{log.scans[0].range_max_m:g} m; nothing can be mapped of it"
+        )
     return log
+
+
+def _has_return(scan: _Scan) -> bool:
+    return bool(((scan.range_m > 0.0) & (scan.range_m < scan.range_max_m)).any())
 
 
 def _lines(stream: IO[str]) -> Iterator[str]:
@@ -206,7 +204,7 @@ def _lines(stream: IO[str]) -> Iterator[str]:
 def _take(log: _Log, fields: list[str], report: ImportReport) -> int:
     """Take in one line; its stamp, or 0 where it has none.
 
-    Raises ValueError, IndexError, InvalidOperation for a line that is not as it should be.
+    Raises ValueError, IndexError, ArithmeticError for a line that is not as it should be.
     """
     kind, above = fields[0], log.scan_above
     log.scan_above = None
@@ -224,6 +222,8 @@ def _take(log: _Log, fields: list[str], report: ImportReport) -> int:
             log.odometry.append(odometry)
             return odometry.stamp_ns
         case "PARAM":
+            if fields[1] in PLACE_PARAMS:
+                _finite(fields[2])
             log.params[fields[1]] = fields[2]
             return 0
         case _:
@@ -256,9 +256,9 @@ def _robotlaser(fields: list[str]) -> _Scan:
     laser_x y theta robot_x y theta tv rv forward_safety side_safety turn_axis timestamp host logger_timestamp
     """
     start_rad, _, step_rad, max_range_m = map(_finite, fields[2:6])
-    if not step_rad:
-        raise ValueError("angular resolution 0")
     count = int(fields[8])
+    if not abs(start_rad) <= 2.0 * math.pi or not 0.0 < abs(step_rad) * max(count - 1, 1) < 2.1 * math.pi:
+        raise ValueError(f"{count} beams from {start_rad} rad on, {step_rad} rad apart")
     after = 10 + count + int(fields[9 + count])
     return _Scan(
         stamp_ns=_ns(fields[after + 11]),
@@ -300,9 +300,15 @@ def _odom(fields: list[str], above: _Scan | None) -> _Odometry:
     pose = _pose(fields[1:4])
     if len(fields) == 5:
         return _Odometry(_ns(fields[4]), pose)
-    if above is not None and pose == above.pose_robot and Decimal(fields[7]).scaleb(9) < above.stamp_ns:
+    if above is not None and pose == above.pose_robot and _restates(fields[7], above):
         return _Odometry(0, pose)
     return _Odometry(_ns(fields[7]), pose, _finite(fields[4]), _finite(fields[5]))
+
+
+def _restates(text: str, above: _Scan) -> bool:
+    """Whether a stamp is none of its own: before that of the scan above."""
+    stamp_s = Decimal(text)
+    return stamp_s.is_finite() and stamp_s < Decimal(above.stamp_ns).scaleb(-9)
 
 
 def _o_line(fields: list[str]) -> _Odometry:
@@ -326,11 +332,14 @@ def _guessed_angles(count: int) -> tuple[float, float]:
 def _ranges(texts: Sequence[str], count: int) -> npt.NDArray[np.float32]:
     if len(texts) != count:
         raise ValueError(f"{len(texts)} ranges instead of {count}")
-    return np.array([float(text) for text in texts], dtype=np.float32)
+    with np.errstate(over="ignore"):  # what no float32 holds lies beyond every laser: no return
+        return np.array([float(text) for text in texts]).astype(np.float32)
 
 
 def _pose(texts: Sequence[str], unit_m: float = 1.0) -> SE2:
     x, y, theta_rad = map(_finite, texts)
+    if max(abs(x * unit_m), abs(y * unit_m), abs(theta_rad)) > FARTHEST_M:
+        raise ValueError(f"pose {x}, {y}, {theta_rad}")
     return SE2(x * unit_m, y * unit_m, theta_rad)
 
 
@@ -343,10 +352,10 @@ def _finite(text: str) -> float:
 
 def _ns(text: str) -> int:
     """Seconds as text to ns, exactly: a double holds today's Unix time to 0.2 us only."""
-    value = int(Decimal(text).scaleb(9))
-    if not 0 <= value < 2**62:
+    seconds = Decimal(text)
+    if not seconds.is_finite() or not 0 <= seconds < MOST_STAMP_S:
         raise ValueError(f"time {text}")
-    return value
+    return int(seconds.scaleb(9))
 
 
 def _why_corrected(log: _Log, path: Path) -> str:

@@ -16,6 +16,7 @@ from service.errors import InputError
 from service.geometry.se2 import SE2
 
 NS_PER_S = 1_000_000_000
+LARGEST = 1e9  # m; beyond it no double holds a micrometre
 MIN_NORM, MAX_NORM = 0.99, 1.01  # of a quaternion that somebody rounded
 
 
@@ -116,6 +117,6 @@ def parse_numbers(fields: list[str], where: str) -> list[float]:
         numbers = [float(field) for field in fields]
     except ValueError as error:
         raise InputError(f"{where}: {error}") from None
-    if not all(map(math.isfinite, numbers)):
-        raise InputError(f"{where}: {' '.join(fields)}: not finite")
+    if not all(abs(number) <= LARGEST for number in numbers):
+        raise InputError(f"{where}: {' '.join(fields)}: expected finite numbers up to {LARGEST:g}")
     return numbers

@@ -6,11 +6,11 @@ header.frame_id in a topic is a device of its own.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, groupby, islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from drivers.antenna import antenna_of
 from drivers.frames import Frame
@@ -41,6 +41,19 @@ SAMPLED = 100  # messages at the beginning of a topic: what is not among them is
 DERIVED = ("filter", "fused", "icp", "visual", "amcl", "slam", "merged")  # made by others from the raw topic
 
 
+class Readable(Protocol):
+    """A recording of any container as ROS 2 messages, see mcap_reader.Recording."""
+
+    paths: list[Path]
+    library: str
+    first_log_ns: int
+    last_log_ns: int
+    metadata: dict[str, dict[str, str]]
+    topics: list[Topic]
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]: ...
+
+
 @dataclass(slots=True)
 class Session:
     """What a recording offers to a mapper.
@@ -60,7 +73,7 @@ class Session:
     frame_ids      filled while reading: topic -> frame_id -> messages
     """
 
-    recording: Recording
+    recording: Readable
     devices: dict[str, dict[str, str]]
     scan_counts: dict[str, int]
     mountings: dict[str, SE2]
@@ -147,7 +160,11 @@ class Session:
 
 def open_session(paths: Sequence[Path]) -> Session:
     """Look into finished recordings. Raises InputError where there is no laser scan that can be mapped."""
-    recording = Recording(paths)
+    return session_of(Recording(paths))
+
+
+def session_of(recording: Readable) -> Session:
+    """As open_session, of a recording that is already open."""
     notes: list[str] = []
     readable = [topic for topic in recording.topics if topic.type in FRAME_TYPES and topic.count]
     for topic in [t for t in readable if t.encoding != "cdr"]:
@@ -204,7 +221,7 @@ def open_session(paths: Sequence[Path]) -> Session:
     )
 
 
-def _is_our_session(recording: Recording) -> bool:
+def _is_our_session(recording: Readable) -> bool:
     """By who wrote it; or, where another program rewrote it, by what only we write."""
     by_us = recording.library.startswith("corridor ") or any(t.name == "/pose" for t in recording.topics)
     return by_us and any(_is_ours(t) and t.type == LASER_SCAN for t in recording.topics)
@@ -228,7 +245,7 @@ class _Source:
         return str(self.topic) if self.share == 1.0 else f"frame_id {self.frame!r} in {self.topic}"
 
 
-def _sources(recording: Recording, topic: Topic) -> list[_Source]:
+def _sources(recording: Readable, topic: Topic) -> list[_Source]:
     """The devices at the beginning of a topic, the one that sends most first."""
     heads: dict[str, Message] = {}
     counts: Counter[str] = Counter()
@@ -358,7 +375,7 @@ def _antennas(
     return found
 
 
-def _nothing_to_map(recording: Recording, notes: Sequence[str]) -> str:
+def _nothing_to_map(recording: Readable, notes: Sequence[str]) -> str:
     where = ", ".join(map(str, recording.paths))
     held = ", ".join(map(str, recording.topics)) or "nothing"
     reasons = "".join(f"; {note}" for note in notes)

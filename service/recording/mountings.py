@@ -1,15 +1,17 @@
 """Where the sensors of a recording sit, by its static transforms, as far as a planar mapper wants to know."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from service.encoding import TF, Transform, decode_transforms
+from service.encoding import TF, Message, Transform, decode_transforms
+from service.errors import InputError
 from service.geometry.se2 import SE2
-from service.recording.mcap_reader import Recording
+from service.recording.mcap_reader import Topic
 
 MOST_TILT_DEG = 10.0  # what a planar mapper can take; upside down is fine
 
@@ -29,17 +31,62 @@ class MountingError(Exception):
     """Why a sensor cannot be mapped where it sits."""
 
 
-class StaticTree:
-    """The static transforms of a recording: child -> parent with its 4 x 4 matrix."""
+class Transforms(Protocol):
+    """A recording, as far as transforms are asked for."""
 
-    def __init__(self, recording: Recording) -> None:
-        names = [t.name for t in recording.topics if t.type == TF and t.name.endswith("tf_static")]
+    topics: list[Topic]
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]: ...
+
+
+class StaticTree:
+    """The static transforms of a recording: child -> parent with its 4 x 4 matrix.
+
+    They stand in /tf_static. Where that does not lead from a sensor to the base, those edges of /tf that
+    never change are taken too: tf 1 knew no other way, and said them again and again.
+    """
+
+    def __init__(self, recording: Transforms) -> None:
+        self._recording = recording
+        self._knows_repeated = False
         self.parents: dict[str, tuple[str, Matrix]] = {}
         self.edges: dict[str, Transform] = {}
-        for message in recording.messages(names) if names else ():
-            for transform in decode_transforms(message.payload):
-                self.parents.setdefault(transform.child, (transform.frame, _matrix(transform)))
-                self.edges.setdefault(transform.child, transform)
+        for transform in self._transforms(is_static=True):
+            self._add(transform)
+
+    def learn_repeated(self) -> bool:
+        """Add what /tf says again and again; False where that was done before, or there is nothing to add."""
+        if self._knows_repeated:
+            return False
+        self._knows_repeated = True
+        said: dict[str, Transform] = {}
+        moving: set[str] = set()
+        for transform in self._transforms(is_static=False):
+            first = said.setdefault(transform.child, transform)
+            if _place(first) != _place(transform):
+                moving.add(transform.child)
+        repeated = [said[child] for child in said if child not in moving and child not in self.parents]
+        for transform in repeated:
+            self._add(transform)
+        return bool(repeated)
+
+    def _transforms(self, is_static: bool) -> Iterator[Transform]:
+        names = [
+            t.name
+            for t in self._recording.topics
+            if t.type == TF and t.name.endswith("tf_static") == is_static
+        ]
+        for message in self._recording.messages(names) if names else ():
+            try:
+                yield from decode_transforms(message.payload)
+            except InputError:  # one broken message does not unseat the sensors
+                continue
+
+    def _add(self, transform: Transform) -> None:
+        if not np.isfinite([*transform.translation_m, *transform.rotation_wxyz]).all():
+            return
+        self.parents.setdefault(transform.child, (transform.frame, _matrix(transform)))
+        self.edges.setdefault(transform.child, transform)
 
     def chain(self, frame: str) -> dict[str, Matrix]:
         """Every frame above, with the matrix that takes coordinates of `frame` to it."""
@@ -51,6 +98,10 @@ class StaticTree:
             matrix = step @ matrix
             above[frame] = matrix
         return above
+
+
+def _place(transform: Transform) -> tuple[str, tuple[float, ...], tuple[float, ...]]:
+    return transform.frame, transform.translation_m, transform.rotation_wxyz
 
 
 def _matrix(transform: Transform) -> Matrix:
@@ -70,7 +121,7 @@ def planar_mounting(tree: StaticTree, bases: Sequence[str], sensor_frame: str) -
     above = tree.chain(sensor_frame)
     base = next((name for name in bases if name in above), None)
     if base is None:
-        return None
+        return planar_mounting(tree, bases, sensor_frame) if tree.learn_repeated() else None
     edge = tree.edges.get(sensor_frame)
     if edge is not None and edge.frame == base and (edge.is_planar or edge.is_upside_down):
         return Mounting(edge.pose, edge.is_upside_down)  # exactly as the live mapper had it

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from drivers.frames import LaserScan, OdometrySample
-from service.errors import InputError, StorageError
+from service.cli import main
+from service.errors import InputError, StorageError, UsageError
 from service.geometry.se2 import SE2
 from service.offline.carmen import import_carmen
 from service.recording.mcap_source import open_session
@@ -184,6 +185,59 @@ def test_malformed_lines_are_counted_and_skipped(imported):
     assert report.malformed == {"FLASER": 4, "ODOM": 2, "PARAM": 1}
     assert report.ignored == {"SYNC": 1, "SONAR": 1}
     assert "skipped as malformed: 4 FLASER, 2 ODOM, 1 PARAM" in str(report)
+
+
+@pytest.mark.parametrize("stamp", ["inf", "-inf", "nan", "sNaN", "1e999999", "-1", "2147483648", "1e20"])
+def test_a_stamp_that_is_no_time_makes_its_line_malformed(imported, stamp):
+    report, _, scans, samples = imported(
+        flaser(stamp, (1, 0, 0)) + flaser("1.0", (0, 0, 0)) + odom(stamp, 3, 0, 0) + odom("1.0", 0, 0, 0)
+    )
+    assert (len(scans), len(samples)) == (1, 1)
+    assert report.malformed == {"FLASER": 1, "ODOM": 1}
+
+
+@pytest.mark.parametrize("stamp", ["inf", "nan"])
+def test_a_log_of_stamps_that_are_no_times_is_refused(tmp_path, capsys, stamp):
+    log = tmp_path / "run.log"
+    log.write_text(flaser(stamp, (1, 0, 0)))
+    assert main(["import", "carmen", str(log), str(tmp_path / "out.mcap")]) == InputError.exit_code
+    assert "holds no line of FLASER" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("value", ["ahead", "nan", "inf"])
+def test_a_mounting_that_is_no_number_is_malformed(imported, value):
+    report, session, _, _ = imported(
+        f"PARAM robot_frontlaser_offset {value} 1 merlin 1\n" + flaser("1.0", (1, 0, 0))
+    )
+    assert report.malformed == {"PARAM": 1}
+    assert session.mountings["front"] == SE2()
+
+
+def test_a_range_beyond_every_number_is_no_return(imported):
+    _, _, (scan,), _ = imported(flaser("1.0", (0, 0, 0), ranges=["1e300", "1e400", *[3.0] * 178]))
+    assert np.isnan(scan.range_m[:3]).tolist() == [True, True, False]
+
+
+def test_a_log_in_which_no_beam_came_back_is_refused(tmp_path):
+    log = tmp_path / "run.log"
+    log.write_text(
+        flaser("1.0", (0, 0, 0), ranges=[81.91] * 180) + flaser("2.0", (0, 0, 0), ranges=[0] * 180)
+    )
+    with pytest.raises(InputError, match="not one beam of 2 scans came back between 0 and 50 m"):
+        import_carmen(log, tmp_path / "out.mcap")
+
+
+def test_an_import_does_not_overwrite_its_log(tmp_path, capsys):
+    log = tmp_path / "run.log"
+    log.write_text(flaser("1.0", (0, 0, 0)))
+    before = log.read_bytes()
+    assert main(["import", "carmen", str(log), str(log)]) == UsageError.exit_code
+    assert "is read and would be overwritten" in capsys.readouterr().err
+    (tmp_path / "link.mcap").symlink_to(log)
+    with pytest.raises(UsageError, match="would be overwritten"):
+        import_carmen(log, tmp_path / "link.mcap")
+    assert log.read_bytes() == before
+    assert not list(tmp_path.glob("*.active"))
 
 
 def test_lines_out_of_order_are_put_in_order(imported):

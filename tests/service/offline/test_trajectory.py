@@ -53,7 +53,7 @@ GOOD = "1.0 0 0 0 0 0 0 1\n# comment\n\n2.0 1 0 0 0 0 0 1\n"
     [
         ("3.0 1 2 3", r"a\.tum:5: 4 columns; expected 8: stamp tx ty"),
         ("3.0 1 2 x 0 0 0 1", r"a\.tum:5: could not convert string to float: 'x'"),
-        ("3.0 1 nan 0 0 0 0 1", r"a\.tum:5: .*not finite"),
+        ("3.0 1 nan 0 0 0 0 1", r"a\.tum:5: .*expected finite numbers"),
         ("3.0 1 2 0 0 0 0 0", r"a\.tum:5: the quaternion's length is 0.0000, expected 1"),
         ("2.0 1 2 0 0 0 0 1", r"a\.tum:5: the stamp 2.0 does not rise"),
         ("t 1 2 0 0 0 0 1", r"a\.tum:5: 't' is no time"),

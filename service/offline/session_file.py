@@ -1,0 +1,67 @@
+"""Writes what was imported as a session: frames, mountings and where they come from."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from drivers.frames import Frame
+from service.encoding import LogClock, encode_frame, encode_tf_static
+from service.errors import InputError, StorageError, UsageError
+from service.geometry.se2 import SE2
+from service.recording.mcap_file import McapFile
+
+
+def refuse_to_overwrite(source: Path, out: Path) -> None:
+    """Raises UsageError where writing `out` would destroy `source`, or a file of that folder."""
+    try:
+        inputs = [source, *source.iterdir()] if source.is_dir() else [source]
+        own = out.exists() and any(out.samefile(path) for path in inputs)
+    except OSError as error:
+        raise InputError(f"cannot read {source}: {error.strerror}") from error
+    if own:
+        raise UsageError(f"{out} is read and would be overwritten; name another file to write to")
+
+
+def write_session(
+    path: Path,
+    frames: Iterable[Frame],
+    mountings: Mapping[str, SE2],
+    about: Mapping[str, str],
+    log_times: bool = False,
+) -> int:
+    """Write `/tf_static` and the frames, each at its own time; how many frames there were.
+
+    frames      in the order in which a mapper is to have them; at least one
+    mountings   sensor -> pose_base_sensor
+    about       becomes the metadata "import"
+    log_times   True: log times are those of arrival; False: those of the stamps, for logs that have no others
+
+    Nothing stays where it fails. Raises StorageError, and what `frames` raises.
+    """
+    clock, count, file = LogClock(), 0, None
+    try:
+        for frame in frames:
+            log_ns = clock.next_ns(frame.arrived_ns if log_times else frame.stamp_ns)
+            if file is None:
+                file = McapFile(path, log_ns)
+                file.write_metadata("import", about)
+                file.write(encode_tf_static(mountings, log_ns, log_ns))
+            file.write(encode_frame(frame, log_ns=log_ns))
+            count += 1
+        if file is None:
+            raise ValueError("no frame to write")
+        file.finish()
+    except FileExistsError as error:
+        raise StorageError(f"{error.filename} is in the way; is another import writing {path}?") from error
+    except OSError as error:
+        _leave(file)
+        raise StorageError(f"cannot write {path}: {error.strerror}") from error
+    except BaseException:
+        _leave(file)
+        raise
+    return count
+
+
+def _leave(file: McapFile | None) -> None:
+    if file is not None:
+        file.abandon()
+        file.active_path.unlink(missing_ok=True)
