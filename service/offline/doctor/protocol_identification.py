@@ -1,4 +1,4 @@
-"""Who speaks in these bytes? In words, for somebody who expected another device."""
+"""Which device or program speaks in these bytes, in words, for somebody who expected another one."""
 
 import re
 from collections import Counter

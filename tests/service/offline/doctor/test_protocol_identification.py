@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from drivers.irobot_create.driver import STREAM_IDS
 from drivers.irobot_create.protocol import encode_frame
 from drivers.sick_lms100.protocol import Dialect, Telegram, encode
-from service.offline.doctor.voices import describe, recognise_sensor
+from service.offline.doctor.protocol_identification import describe, recognise_sensor
 
 
 @pytest.mark.parametrize(
