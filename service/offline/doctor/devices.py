@@ -15,8 +15,8 @@ from service.offline.doctor.findings import Finding, fault
 from service.offline.doctor.machine import Machine
 from service.offline.doctor.network import call_failed, errno_of, look_at_route, resolve
 from service.offline.doctor.probe import Probe, listen, probe
-from service.offline.doctor.serial_ports import busy_finding, look_at_port
 from service.offline.doctor.protocol_identification import recognise_sensor
+from service.offline.doctor.serial_ports import busy_finding, look_at_port
 
 OTHER_SETTINGS_S = 4.0
 LISTEN_S = 0.6  # a stream of 10 messages a second shows itself in it

@@ -8,7 +8,12 @@ from drivers.registry import SensorKind
 from service.offline.doctor.findings import Finding, fault, note, ok
 from service.offline.doctor.network import errno_of
 from service.offline.doctor.probe import Probe
-from service.offline.doctor.protocol_identification import describe, is_text, recognise_sensor, recognise_stranger
+from service.offline.doctor.protocol_identification import (
+    describe,
+    is_text,
+    recognise_sensor,
+    recognise_stranger,
+)
 
 RATE_SHARE = 0.95  # of the configured rate; motors turn up to 1 % slower than they say
 STAMP_AHEAD_MS = 0.5  # jitter of the estimate; more is a wrong latency setting

@@ -1,0 +1,64 @@
+"""What the packages import is what pyproject.toml declares: no more, no less."""
+
+import ast
+import re
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("service", "drivers", "simulators")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+FOR_DEVELOPMENT = "dev"  # the extra that the packages themselves may not need
+
+
+def imported() -> dict[str, str]:
+    """Distribution -> a file that imports it, function bodies included."""
+    distributions = packages_distributions()
+    found: dict[str, str] = {}
+    for package in PACKAGES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            for module in modules_of(ast.parse(path.read_text(encoding="utf-8"))):
+                top = module.partition(".")[0]
+                if top not in sys.stdlib_module_names and top not in PACKAGES:
+                    name = distributions.get(top, [top])[0]
+                    found.setdefault(plain(name), str(path.relative_to(ROOT)))
+    return found
+
+
+def modules_of(tree: ast.Module) -> list[str]:
+    modules = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            modules += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module is not None:
+            modules.append(node.module)
+    return modules
+
+
+def plain(requirement: str) -> str:
+    """The name of a distribution as PEP 503 writes it, without its versions."""
+    name = re.match(r"[A-Za-z0-9._-]+", requirement)
+    assert name is not None, requirement
+    return re.sub(r"[-_.]+", "-", name[0]).lower()
+
+
+def test_every_import_is_declared_and_every_declaration_imported():
+    found = imported()
+    needed = {plain(requirement) for requirement in PROJECT["dependencies"]}
+    extras = {
+        plain(requirement)
+        for extra, requirements in PROJECT["optional-dependencies"].items()
+        if extra != FOR_DEVELOPMENT
+        for requirement in requirements
+    }
+    undeclared = {name: file for name, file in found.items() if name not in needed | extras}
+    assert not undeclared, "imported, but not in pyproject.toml"
+    assert (needed | extras) - found.keys() == set(), "declared, but imported nowhere"
+
+
+def test_every_dependency_has_its_reason():
+    reasons = (ROOT / "docs" / "decisions" / "0001-dependencies.md").read_text().lower()
+    for requirement in PROJECT["dependencies"]:
+        assert f"| {plain(requirement)} |" in reasons, f"{requirement}: say in 0001-dependencies.md why"
