@@ -1,0 +1,10 @@
+"""The operator's page: one HTML page, one websocket, served by the service itself.
+
+protocol.py   messages to and from a browser, as bytes: no socket, no clock
+live_view.py  the newest of everything that the page shows, kept from the service's messages
+mailbox.py    what waits for one browser: bounded, the newest of each thing
+tile_feed.py  map tiles newer than a browser's version, deflated once for all browsers
+access.py     token, Host, Origin, response headers
+server.py     the thread with its own event loop that serves all of it
+static/       the page: plain ES modules, drawn on a canvas; no build step, no external resource
+"""

@@ -1,0 +1,114 @@
+"""Who may open the page, and who may change something.
+
+Looking needs no token; changing does. A browser on another site's page is kept out by Host and Origin: a
+name that leads to this machine by DNS rebinding is no name of ours, and an address cannot be rebound.
+"""
+
+import hmac
+import ipaddress
+import os
+import secrets
+import socket
+import stat
+from collections.abc import Collection
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from service.errors import StorageError
+
+TOKEN_BYTES = 16
+LONGEST_TOKEN_FILE = 1000
+
+HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
+        "manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-cache",
+}
+
+
+def new_token() -> str:
+    return secrets.token_urlsafe(TOKEN_BYTES)
+
+
+def token_from_file(path: Path) -> str:
+    """The token kept there, made at the first call, readable for its owner alone.
+
+    Raises StorageError where the file cannot be made or read, is empty, or others may read it.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            return _kept_token(path)
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    except OSError as error:
+        raise StorageError(f"{path}: the token of the page cannot be kept there: {error}") from error
+    token = new_token()
+    with os.fdopen(descriptor, "w", encoding="ascii") as file:
+        file.write(f"{token}\n")
+    return token
+
+
+def _kept_token(path: Path) -> str:
+    try:
+        mode = stat.S_IMODE(path.stat().st_mode)
+        with path.open(encoding="ascii") as file:
+            token = file.read(LONGEST_TOKEN_FILE).strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise StorageError(f"{path}: the token of the page cannot be read: {error}") from error
+    if mode & 0o077:
+        raise StorageError(
+            f"{path}: others may read the token of the page (mode {mode:04o}); chmod 600 {path}"
+        )
+    if not token:
+        raise StorageError(f"{path}: empty; remove it, and the next start writes a token into it")
+    return token
+
+
+def is_token(shown: str, token: str) -> bool:
+    """Takes as long for a wrong token as for a right one."""
+    return hmac.compare_digest(shown.encode(), token.encode())
+
+
+def own_names(hosts: Collection[str]) -> frozenset[str]:
+    """Names by which this machine may be called besides its addresses."""
+    name = socket.gethostname().lower()
+    return frozenset(("localhost", name, f"{name}.local", *hosts))
+
+
+def host_fault(host: str, names: Collection[str]) -> str:
+    """What is wrong with a Host header, "" if nothing is. Any port: it may have been forwarded."""
+    name = _host_name(host)
+    if name in names or _is_address(name):
+        return ""
+    return f"this page is not called {name!r}; open it by its IP address, or list the name under web.hosts"
+
+
+def origin_fault(origin: str | None, host: str, scheme: str) -> str:
+    """What is wrong with the Origin header of a websocket, "" if nothing is. Programs send none."""
+    if origin is None:
+        return ""
+    if origin.lower() != f"{scheme}://{host.lower()}":
+        return f"the page {origin!r} may not speak to this service; open the page of the service itself"
+    return ""
+
+
+def _host_name(host: str) -> str:
+    try:
+        return (urlsplit(f"//{host}").hostname or "").lower()
+    except ValueError:
+        return ""
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True

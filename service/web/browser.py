@@ -1,0 +1,147 @@
+"""One browser's websocket: what it gets, and what it may ask."""
+
+import asyncio
+import json
+import logging
+from collections.abc import Awaitable, Callable
+
+from aiohttp import WSCloseCode, WSMsgType, web
+
+from service.web.access import is_token
+from service.web.mailbox import Mailbox
+from service.web.protocol import AskedError, CommandAsked, TokenShown, read_asked, to_json
+from service.web.tile_feed import TileFeed
+
+log = logging.getLogger(__name__)
+
+SEND_TIMEOUT_S = 10.0  # a browser that has not read for so long is let go; it comes back by itself
+CLOSE_TIMEOUT_S = 1.0
+TILE_PERIOD_S = 0.5
+MOST_WRONG_TOKENS = 5
+MOST_COMMANDS = 4  # of one browser, being carried out
+MOST_ASKED_PER_S = 20.0
+ASKED_BURST = 40.0
+
+CarryOut = Callable[[str, bytes], Awaitable[bytes]]  # verb, JSON -> JSON
+
+
+class Browser:
+    """Sends from its mailbox and tiles from the feed; reads tokens and commands. Lives in the event loop."""
+
+    def __init__(
+        self, socket: web.WebSocketResponse, name: str, token: str, feed: TileFeed, carry_out: CarryOut
+    ) -> None:
+        self.mailbox = Mailbox()
+        self.may_control = False
+        self.reads = True  # False: it has not taken what was sent for too long
+        self._socket = socket
+        self._name = name
+        self._token = token
+        self._feed = feed
+        self._carry_out = carry_out
+        self._version = 0  # of the newest tile sent
+        self._tiles_due_s = 0.0
+        self._wrong_tokens = 0
+        self._commands: set[asyncio.Task[None]] = set()
+        self._allowance = ASKED_BURST  # messages it may send at once
+        self._asked_s = asyncio.get_running_loop().time()
+
+    async def serve(self) -> None:
+        """Until it goes away, or is let go."""
+        sending = asyncio.create_task(self._send())
+        reading = asyncio.create_task(self._read())
+        try:
+            await asyncio.wait((sending, reading), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in (sending, reading, *self._commands):
+                task.cancel()
+            await asyncio.gather(sending, reading, *self._commands, return_exceptions=True)
+
+    async def let_go(self, code: WSCloseCode, words: str) -> None:
+        """Close, without waiting for one who does not listen."""
+        try:
+            async with asyncio.timeout(CLOSE_TIMEOUT_S):
+                await self._socket.close(code=code, message=words.encode()[:120])
+        except TimeoutError:
+            self.reads = False
+
+    async def _send(self) -> None:
+        clock = asyncio.get_running_loop().time
+        while True:
+            await self.mailbox.filled.wait()
+            for payload in self.mailbox.take():
+                await self._put(payload)
+            if clock() >= self._tiles_due_s and (batch := await self._feed.after(self._version)):
+                await self._put(batch.payload)
+                self._version = batch.version
+                if batch.is_last:
+                    self._tiles_due_s = clock() + TILE_PERIOD_S
+                else:
+                    self.mailbox.wake()  # the rest at once: poses go between the parts
+
+    async def _put(self, payload: str | bytes) -> None:
+        try:
+            async with asyncio.timeout(SEND_TIMEOUT_S):
+                if isinstance(payload, str):
+                    await self._socket.send_str(payload)
+                else:
+                    await self._socket.send_bytes(payload)
+        except TimeoutError:
+            self.reads = False
+            log.info("web: %s has not read for %.0f s; it is let go", self._name, SEND_TIMEOUT_S)
+            raise
+
+    async def _read(self) -> None:
+        async for message in self._socket:
+            if message.type is not WSMsgType.TEXT or not self._is_allowed_one_more():
+                await self.let_go(WSCloseCode.POLICY_VIOLATION, "more or other messages than are read")
+                return
+            try:
+                asked = read_asked(message.data)
+            except AskedError as error:
+                self.mailbox.note(to_json("refused", error=str(error)))
+                continue
+            match asked:
+                case TokenShown(token=token):
+                    if not await self._look_at(token):
+                        return
+                case CommandAsked():
+                    self._begin(asked)
+
+    def _is_allowed_one_more(self) -> bool:
+        now_s = asyncio.get_running_loop().time()
+        earned = (now_s - self._asked_s) * MOST_ASKED_PER_S
+        self._asked_s = now_s
+        self._allowance = min(ASKED_BURST, self._allowance + earned) - 1.0
+        return self._allowance >= 0.0
+
+    async def _look_at(self, token: str) -> bool:
+        """False where it has tried too often and is let go."""
+        self.may_control = is_token(token, self._token)
+        words = "" if self.may_control else "this is not the token of this service"
+        self.mailbox.note(to_json("access", may_control=self.may_control, error=words))
+        if not self.may_control:
+            self._wrong_tokens += 1
+            log.warning("web: wrong token from %s", self._name)
+        if self._wrong_tokens < MOST_WRONG_TOKENS:
+            return True
+        await self.let_go(WSCloseCode.POLICY_VIOLATION, "too many wrong tokens")
+        return False
+
+    def _begin(self, asked: CommandAsked) -> None:
+        if not self.may_control:
+            self._answer(asked.n, {"ok": False, "error": "this needs the token; you may only look"})
+        elif len(self._commands) >= MOST_COMMANDS:
+            words = f"{MOST_COMMANDS} commands of this page are being carried out; wait for one to end"
+            self._answer(asked.n, {"ok": False, "error": words})
+        else:
+            task = asyncio.create_task(self._command(asked))
+            self._commands.add(task)
+            task.add_done_callback(self._commands.discard)
+
+    async def _command(self, asked: CommandAsked) -> None:
+        body = await self._carry_out(asked.verb, json.dumps(asked.request).encode())
+        self._answer(asked.n, json.loads(body))
+
+    def _answer(self, n: int, body: dict[str, object]) -> None:
+        self.mailbox.note(to_json("answer", n=n, body=body))

@@ -1,0 +1,50 @@
+"""What the operator's page is told."""
+
+import re
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+_LISTEN = re.compile(r"(?:\[(?P<v6>[0-9A-Fa-f:.]+)\]|(?P<host>[A-Za-z0-9_.-]+)):(?P<port>\d{1,5})")
+_HOST_NAME = re.compile(r"[a-z0-9]([a-z0-9-]*[a-z0-9])?(\.[a-z0-9]([a-z0-9-]*[a-z0-9])?)*")
+
+
+def split_listen(listen: str) -> tuple[str, int]:
+    """Host and port of "127.0.0.1:8080" or "[::1]:8080". Raises ValueError."""
+    found = _LISTEN.fullmatch(listen)
+    if found is None or int(found["port"]) > 65535:
+        raise ValueError('write host and port as "127.0.0.1:8080" or "[::]:8080" (port 0: any free one)')
+    return found["v6"] or found["host"], int(found["port"])
+
+
+def _check_listen(listen: str) -> str:
+    split_listen(listen)
+    return listen
+
+
+def _check_host_name(name: str) -> str:
+    if len(name) > 253 or _HOST_NAME.fullmatch(name) is None:
+        raise ValueError('write a host name in lower case without scheme and port, "vehicle.local", say')
+    return name
+
+
+class WebConfig(BaseModel):
+    """The operator's page. Loopback unless told otherwise; what changes state needs the token."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    enabled: bool = True
+    listen: Annotated[str, AfterValidator(_check_listen)] = "127.0.0.1:8080"
+    # Names, besides IP addresses, localhost and this machine's own name, by which browsers may open the page.
+    hosts: tuple[Annotated[str, AfterValidator(_check_host_name)], ...] = ()
+    token_file: Path | None = None  # None: web.token in map.directory
+    tls_certificate: Path | None = None  # PEM, the whole chain; None: plain HTTP
+    tls_key: Path | None = None  # PEM
+    most_browsers: int = Field(default=32, ge=1, le=1000)  # at the same time
+
+    @model_validator(mode="after")
+    def _tls_is_whole(self) -> "WebConfig":
+        if (self.tls_certificate is None) != (self.tls_key is None):
+            raise ValueError("tls_certificate and tls_key go together; give both, or neither for plain HTTP")
+        return self

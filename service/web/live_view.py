@@ -1,0 +1,227 @@
+"""What the page shows, kept from the service's messages: the newest of each, and the path driven.
+
+Any thread puts; the event loop asks what is due. Messages are decoded when they are due, not when they come:
+most are replaced before.
+"""
+
+import math
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drivers.frames import LaserScan
+from service.encoding import (
+    BASE_FRAME,
+    Message,
+    Status,
+    decode_diagnostics,
+    decode_event,
+    decode_frame,
+    decode_pose,
+    decode_transforms,
+    decode_upside_down,
+)
+from service.errors import InputError
+from service.geometry.se2 import SE2
+from service.web.mailbox import Payload
+from service.web.protocol import encode_path, encode_scan, health_json, pose_json, to_json
+
+SCAN_PERIOD_NS = 200_000_000  # of one laser; five pictures a second look alive and take 20 kB
+LATENCY_PERIOD_NS = 1_000_000_000
+KEPT_LATENCIES = 300  # five minutes
+MOST_EVENTS = 100
+PATH_STEP_M = 0.05
+MOST_PATH_POINTS = 20_000  # 1 km at 5 cm; then every second point goes
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A payload for every browser. key "": something that happened, which no newer payload replaces."""
+
+    key: str
+    payload: Payload
+
+
+class DrivenPath:
+    """The way driven, thinned: points at least `step_m` apart, never more than `most`."""
+
+    def __init__(self, step_m: float = PATH_STEP_M, most: int = MOST_PATH_POINTS) -> None:
+        self._first_step_m = self._step_m = step_m
+        self._most = most
+        self._points: list[tuple[float, float]] = []
+
+    def add(self, x_m: float, y_m: float) -> None:
+        """Map frame."""
+        if self._points and math.dist(self._points[-1], (x_m, y_m)) < self._step_m:
+            return
+        self._points.append((x_m, y_m))
+        if len(self._points) > self._most:
+            self._points = self._points[::2]
+            self._step_m *= 2.0
+
+    def clear(self) -> None:
+        self._points.clear()
+        self._step_m = self._first_step_m
+
+    def payload(self) -> bytes:
+        return encode_path(np.array(self._points, dtype=np.float32).reshape(-1, 2))
+
+
+@dataclass(slots=True)
+class _Streams:
+    """What came and is not shown yet; guarded by the view's lock."""
+
+    newest: dict[str, Message] = field(default_factory=dict)
+    events: deque[Message] = field(default_factory=lambda: deque(maxlen=MOST_EVENTS))
+    latencies_ns: deque[int] = field(default_factory=lambda: deque(maxlen=1000))
+
+
+class LiveView:
+    """The newest pose, scans, health, mountings and events, the path and the latencies.
+
+    monotonic_ns    of the host, to give each laser's scans a period
+    """
+
+    def __init__(self, monotonic_ns: Callable[[], int]) -> None:
+        self._monotonic_ns = monotonic_ns
+        self._lock = threading.Lock()
+        self._came = _Streams()
+        self._arrival_ms: dict[str, float] = {}  # by sensor, of its newest frame
+        self._upside_down: frozenset[str] = frozenset()
+        self._since: dict[str, tuple[tuple[int, str], float]] = {}  # status -> how it is, and since when
+        self._scan_due_ns: dict[str, int] = {}
+        self._latency_due_ns = 0
+        self._latencies: deque[tuple[float, float, float, int]] = deque(maxlen=KEPT_LATENCIES)
+        self._events: deque[str] = deque(maxlen=MOST_EVENTS)
+        self._kept: dict[str, Payload] = {}  # by key, for a browser that comes late
+        self._path = DrivenPath()
+        self.unreadable = 0  # messages that did not decode
+
+    def put(self, message: Message, origin_ns: int | None = None) -> None:
+        """Take a message in; from any thread, in about a microsecond.
+
+        origin_ns: of a pose, the moment its scan's last byte was read (host monotonic).
+        """
+        with self._lock:
+            if message.channel == "events":
+                self._came.events.append(message)
+                return
+            self._came.newest[message.channel] = message
+            if origin_ns is not None:
+                self._came.latencies_ns.append(self._monotonic_ns() - origin_ns)
+
+    def due(self) -> list[Shown]:
+        """What every browser should get now."""
+        now_ns = self._monotonic_ns()
+        came = self._take(now_ns)
+        shown: list[Shown] = []
+        for channel, message in came.newest.items():
+            try:
+                shown += self._show(channel, message)
+            except InputError:  # a fault of ours: the service made them
+                self.unreadable += 1
+        for event in came.events:
+            text = to_json("event", stamp_s=event.stamp_ns / 1e9, text=decode_event(event.payload))
+            self._events.append(text)
+            shown.append(Shown("", text))
+        if came.latencies_ns:
+            shown.append(Shown("", self._latency(came)))
+        return shown
+
+    def snapshot(self) -> list[Shown]:
+        """All that a browser needs that comes now; tiles come apart."""
+        history = to_json("latency_history", points=[list(point) for point in self._latencies])
+        return [
+            Shown("path", self._path.payload()),
+            Shown("latency_history", history),
+            *(Shown("", text) for text in self._events),
+            *(Shown(key, payload) for key, payload in self._kept.items()),
+        ]
+
+    def map_reset(self) -> Shown:
+        """The map begins anew, and with it the path."""
+        self._path.clear()
+        return Shown("path", self._path.payload())
+
+    def _take(self, now_ns: int) -> _Streams:
+        """What came; scans whose laser was shown just now, and latencies that are not due, stay."""
+        with self._lock:
+            came, self._came = self._came, _Streams()
+            for channel in [c for c in came.newest if self._scan_due_ns.get(c, 0) > now_ns]:
+                self._came.newest[channel] = came.newest.pop(channel)
+            if now_ns < self._latency_due_ns:
+                self._came.latencies_ns, came.latencies_ns = came.latencies_ns, self._came.latencies_ns
+            elif came.latencies_ns:
+                self._latency_due_ns = now_ns + LATENCY_PERIOD_NS
+            for channel in came.newest:
+                if channel.endswith("/scan"):
+                    self._scan_due_ns[channel] = now_ns + SCAN_PERIOD_NS
+        return came
+
+    def _show(self, channel: str, message: Message) -> list[Shown]:
+        sensor, _, kind = channel.rpartition("/")
+        if sensor in ("map", "map/tile"):
+            return []  # the page takes tiles
+        if sensor:
+            self._arrival_ms[sensor] = (message.log_ns - message.stamp_ns) / 1e6
+        match sensor, kind:
+            case "", "pose":
+                return self._pose(message)
+            case "", "health":
+                return self._health(message)
+            case "", "tf_static":
+                return self._mountings(message)
+            case _, "scan":
+                return self._scan(message, sensor)
+            case _:
+                return []
+
+    def _pose(self, message: Message) -> list[Shown]:
+        pose = decode_pose(message.payload)
+        self._path.add(pose.pose.x_m, pose.pose.y_m)
+        return [self._keep("pose", pose_json(pose))]
+
+    def _scan(self, message: Message, sensor: str) -> list[Shown]:
+        scan = decode_frame(
+            message.type, message.payload, sensor, message.log_ns, sensor in self._upside_down
+        )
+        return [self._keep(f"scan/{sensor}", encode_scan(scan))] if isinstance(scan, LaserScan) else []
+
+    def _health(self, message: Message) -> list[Shown]:
+        statuses, stamp_s = decode_diagnostics(message.payload), message.stamp_ns / 1e9
+        since = {status.name: self._status_since(status, stamp_s) for status in statuses}
+        return [self._keep("health", health_json(statuses, since, self._arrival_ms, stamp_s))]
+
+    def _status_since(self, status: Status, stamp_s: float) -> float:
+        """Its words may change each second, with the figures in them; how it is does not."""
+        how = (status.level, status.values.get("state", ""))
+        before = self._since.get(status.name)
+        if before is None or before[0] != how:
+            self._since[status.name] = (how, stamp_s)
+            return stamp_s
+        return before[1]
+
+    def _mountings(self, message: Message) -> list[Shown]:
+        self._upside_down = decode_upside_down(message.payload)
+        edges = [edge for edge in decode_transforms(message.payload) if edge.frame == BASE_FRAME]
+        mountings = {edge.child: _xy_theta(edge.pose) for edge in edges}
+        return [self._keep("mountings", to_json("mountings", pose_base_sensor=mountings))]
+
+    def _latency(self, came: _Streams) -> str:
+        """Of the scans since the last: median and longest, ms from the last byte read to the pose."""
+        ns = sorted(came.latencies_ns)
+        stamp_s = max((m.log_ns for m in came.newest.values()), default=0) / 1e9
+        point = (stamp_s, ns[len(ns) // 2] / 1e6, ns[-1] / 1e6, len(ns))
+        self._latencies.append(point)
+        return to_json("latency", point=list(point))
+
+    def _keep(self, key: str, payload: Payload) -> Shown:
+        self._kept[key] = payload
+        return Shown(key, payload)
+
+
+def _xy_theta(pose: SE2) -> Sequence[float]:
+    return [pose.x_m, pose.y_m, pose.theta_rad]

@@ -1,0 +1,45 @@
+"""What waits to be sent to one browser. It cannot grow: of each thing only the newest stays."""
+
+import asyncio
+from collections import deque
+
+Payload = str | bytes
+
+MOST_NOTES = 64  # answers and events; the oldest goes
+
+
+class Mailbox:
+    """Filled and emptied in the event loop; `filled` is set while something waits."""
+
+    def __init__(self) -> None:
+        self.filled = asyncio.Event()
+        self.dropped = 0  # payloads that a newer one replaced before they were sent
+        self._newest: dict[str, Payload] = {}
+        self._notes: deque[Payload] = deque()
+
+    def put(self, key: str, payload: Payload) -> None:
+        """A state or a picture: the newest under its key replaces what waits."""
+        if self._newest.pop(key, None) is not None:
+            self.dropped += 1
+        self._newest[key] = payload
+        self.filled.set()
+
+    def note(self, payload: Payload) -> None:
+        """Something that happened; each is sent, as long as the browser reads."""
+        if len(self._notes) >= MOST_NOTES:
+            self._notes.popleft()
+            self.dropped += 1
+        self._notes.append(payload)
+        self.filled.set()
+
+    def wake(self) -> None:
+        """Have the sender look for tiles."""
+        self.filled.set()
+
+    def take(self) -> list[Payload]:
+        """All that waits, notes first; nothing waits afterwards."""
+        self.filled.clear()
+        taken = [*self._notes, *self._newest.values()]
+        self._notes.clear()
+        self._newest.clear()
+        return taken

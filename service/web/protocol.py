@@ -1,0 +1,158 @@
+"""Messages to and from a browser, as bytes. No socket and no clock.
+
+To the browser, text is JSON with a "type"; binary begins with a kind:
+
+    TILES   u8 1, u8 0, u16 tile_cells, f32 cell_m, u32 count, then zlib of
+            count x (i32 ix, i32 iy) and count x tile_cells^2 x i8 (-1 unknown, 0..100 per cent occupied)
+    SCAN    u8 2, u8 name_bytes, u16 beams, f64 stamp_s (Unix), f32 first_angle_rad, f32 angle_step_rad,
+            f32 beam_interval_s, the name in UTF-8, then beams x u16 in RANGE_STEP_M, 0 = no return
+    PATH    u8 3, u8 0, u16 0, u32 count, count x (f32 x_m, f32 y_m), map frame
+
+All little-endian. From the browser only text comes: see `Asked`.
+"""
+
+import json
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from drivers.frames import LaserScan
+from service.encoding import Pose, Status
+from service.outputs import TileUpdate
+
+TILES, SCAN, PATH = 1, 2, 3
+RANGE_STEP_M = 0.005  # a tenth of a cell; 16 bits reach 327 m
+LARGEST_ASKED = 65_536  # bytes of one message from a browser
+DEFLATE_LEVEL = 1  # tiles are mostly of one value; higher levels cost more than they save
+
+FloatArray = npt.NDArray[np.float32]
+
+
+class TokenShown(BaseModel):
+    """Asks for the right to change something."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    type: Literal["token"]
+    token: Annotated[str, Field(max_length=200)]
+
+
+class CommandAsked(BaseModel):
+    """A command of docs/commands.md; `n` comes back with the answer."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    type: Literal["command"]
+    n: Annotated[int, Field(ge=0, lt=2**53)]
+    verb: Annotated[str, Field(min_length=1, max_length=40)]
+    request: dict[str, Any] = {}
+
+
+Asked = TokenShown | CommandAsked
+_ASKED: TypeAdapter[Asked] = TypeAdapter(Annotated[Asked, Field(discriminator="type")])
+
+
+class AskedError(Exception):
+    """Why a browser's message cannot be read, in words."""
+
+
+def read_asked(text: str) -> Asked:
+    """A browser's message. Raises AskedError."""
+    try:
+        return _ASKED.validate_json(text, strict=True)
+    except ValidationError as error:
+        fault = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(map(str, fault["loc"]))
+        raise AskedError(f"{where}: {fault['msg']}" if where else fault["msg"]) from error
+
+
+def to_json(kind: str, **content: Any) -> str:
+    """A text message; numbers that are not finite become null, which JSON has and NaN it has not."""
+    return json.dumps({"type": kind, **_finite(content)}, allow_nan=False, separators=(",", ":"))
+
+
+def pose_json(pose: Pose) -> str:
+    """Base in map. covariance: the 9 values of x, y, theta in base axes; m^2, m rad, rad^2."""
+    return to_json(
+        "pose",
+        stamp_ns=str(pose.stamp_ns),  # too long for a number of JavaScript
+        stamp_s=pose.stamp_ns / 1e9,
+        x_m=pose.pose.x_m,
+        y_m=pose.pose.y_m,
+        theta_rad=pose.pose.theta_rad,
+        covariance=pose.covariance.ravel().tolist(),
+        twist=list(pose.twist),
+    )
+
+
+def health_json(
+    statuses: Sequence[Status], since_s: Mapping[str, float], latency_ms: Mapping[str, float], stamp_s: float
+) -> str:
+    """since_s: Unix time since when a status is as it is, by its name; latency_ms: by sensor."""
+    return to_json(
+        "health",
+        stamp_s=stamp_s,
+        latency_ms=dict(latency_ms),
+        statuses=[
+            {
+                "name": status.name,
+                "level": status.level,
+                "message": status.message,
+                "values": dict(status.values),
+                "since_s": since_s[status.name],
+            }
+            for status in statuses
+        ],
+    )
+
+
+def encode_tiles(tiles: Sequence[TileUpdate]) -> bytes:
+    """Tiles of one size, at least one."""
+    first = tiles[0]
+    cells = first.cells.shape[0]
+    places = np.array([(tile.ix, tile.iy) for tile in tiles], dtype="<i4")
+    body = places.tobytes() + b"".join(
+        np.ascontiguousarray(tile.cells, dtype=np.int8).tobytes() for tile in tiles
+    )
+    header = struct.pack("<BBHfI", TILES, 0, cells, first.cell_m, len(tiles))
+    return header + zlib.compress(body, DEFLATE_LEVEL)
+
+
+def encode_scan(scan: LaserScan) -> bytes:
+    """Angles count from the sensor's forward axis, counter-clockwise; its mounting is told apart."""
+    name = scan.sensor.encode()
+    steps = np.nan_to_num(scan.range_m / np.float32(RANGE_STEP_M), nan=0.0, posinf=0.0, neginf=0.0)
+    ranges = np.where(steps < 65_535.5, np.rint(steps), 0.0).astype("<u2")
+    header = struct.pack(
+        "<BBHdfff",
+        SCAN,
+        len(name),
+        ranges.size,
+        scan.stamp_ns / 1e9,
+        scan.first_angle_rad,
+        scan.angle_step_rad,
+        scan.beam_interval_ns * 1e-9,
+    )
+    return header + name + ranges.tobytes()
+
+
+def encode_path(points_map: FloatArray) -> bytes:
+    """points_map: (N, 2), m."""
+    return struct.pack("<BBHI", PATH, 0, 0, len(points_map)) + points_map.astype("<f4").tobytes()
+
+
+def _finite(value: Any) -> Any:
+    match value:
+        case float():
+            return value if np.isfinite(value) else None
+        case dict():
+            return {key: _finite(item) for key, item in value.items()}
+        case list() | tuple():
+            return [_finite(item) for item in value]
+        case _:
+            return value

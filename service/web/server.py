@@ -1,0 +1,308 @@
+"""Serves the operator's page from a thread with its own event loop; no driver and no mapper waits for it.
+
+    any thread --put--> LiveView --twenty times a second--> a Mailbox a browser --> its websocket
+                        TileStore --TileFeed, when the browser has taken what came before--'
+
+A page that cannot be served is said in health and tried again; mapping goes on without it.
+"""
+
+import asyncio
+import contextlib
+import hashlib
+import logging
+import ssl
+import threading
+import time
+import uuid
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from importlib import resources
+from typing import Any, Protocol
+
+from aiohttp import WSCloseCode, web
+
+from service.encoding import Message, Status
+from service.version import VERSION
+from service.web.access import HEADERS, host_fault, origin_fault, own_names
+from service.web.browser import Browser
+from service.web.config import WebConfig, split_listen
+from service.web.live_view import LiveView, Shown
+from service.web.protocol import LARGEST_ASKED, to_json
+from service.web.tile_feed import MapSource, TileFeed
+
+log = logging.getLogger(__name__)
+
+SHOW_PERIOD_S = 0.05
+IDLE_PERIOD_S = 0.25  # nobody looks: only the path is kept
+RETRY_S = 5.0
+HEARTBEAT_S = 20.0
+CLOSE_TIMEOUT_S = 5.0
+COMMAND_THREADS = 4
+WRITE_BUFFER = 262_144  # bytes that wait in the process for a browser that does not read
+OK, ERROR = 0, 2  # levels of diagnostic_msgs/DiagnosticStatus
+
+_TYPES = {
+    "html": "text/html; charset=utf-8",
+    "css": "text/css; charset=utf-8",
+    "js": "text/javascript; charset=utf-8",
+    "svg": "image/svg+xml",
+    "webmanifest": "application/manifest+json",
+}
+
+
+class CommandAnswer(Protocol):
+    """What came of a command."""
+
+    @property
+    def body(self) -> bytes: ...
+
+
+@dataclass(frozen=True, slots=True)
+class About:
+    """What the page says of the service, from the first moment."""
+
+    vehicle: str
+    profile: str
+    cell_m: float
+    verbs: Sequence[str]  # commands that the service knows
+
+
+class WebServer:
+    """The page, from `start` to `close`. `put` and `health` from any thread.
+
+    tiles     the store of the map
+    answer    carries out a command: verb, JSON -> JSON; may wait, in bounded time
+    token     who shows it may give commands
+    """
+
+    def __init__(
+        self,
+        config: WebConfig,
+        about: About,
+        tiles: MapSource,
+        answer: Callable[[str, bytes], CommandAnswer],
+        token: str,
+        retry_s: float = RETRY_S,
+    ) -> None:
+        self._config = config
+        self._about = about
+        self._tiles = tiles
+        self._answer = answer
+        self._token = token
+        self._retry_s = retry_s
+        self._names = own_names(config.hosts)
+        self._scheme = "https" if config.tls_certificate else "http"
+        self._view = LiveView(time.monotonic_ns)
+        self._run_id = uuid.uuid4().hex  # another one: the service was started again
+        self._files = _static_files()
+        self._browsers: set[Browser] = set()
+        self._workers = ThreadPoolExecutor(COMMAND_THREADS, thread_name_prefix="web-command")
+        self._map_number = tiles.number
+        self._dropped = self._refused = 0
+        self._trouble = "not started"
+        self._address = ""
+        self._changed = threading.Condition()  # of _address and _trouble
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._ending: asyncio.Event | None = None
+        self._thread = threading.Thread(target=self._run, name="web", daemon=True)
+
+    @property
+    def address(self) -> str:
+        """Such as http://127.0.0.1:8080/, "" while nothing is served."""
+        return self._address
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def wait_served(self, timeout_s: float) -> bool:
+        """Whether the page is up, at the latest after `timeout_s`."""
+        with self._changed:
+            return self._changed.wait_for(lambda: bool(self._address), timeout_s)
+
+    def put(self, message: Message, origin_ns: int | None = None) -> None:
+        """Take a message in; never waits. origin_ns: of a pose, when its scan's last byte was read."""
+        self._view.put(message, origin_ns)
+
+    def health(self) -> Status:
+        values = {
+            "address": self._address,
+            "browsers": str(len(self._browsers)),
+            "dropped": str(self._dropped + sum(b.mailbox.dropped for b in list(self._browsers))),
+            "refused": str(self._refused),
+        }
+        return Status("web", ERROR if self._trouble else OK, self._trouble or "ok", values)
+
+    def close(self) -> None:
+        """Let the browsers go, and the port. A second call does nothing."""
+        loop, ending = self._loop, self._ending
+        if loop is not None and ending is not None:
+            with contextlib.suppress(RuntimeError):  # the loop has ended by itself
+                loop.call_soon_threadsafe(ending.set)
+        if self._thread.is_alive():
+            self._thread.join(CLOSE_TIMEOUT_S)
+            if self._thread.is_alive():
+                log.error("web: still serving after %.0f s; the page is left behind", CLOSE_TIMEOUT_S)
+        self._workers.shutdown(wait=False, cancel_futures=True)
+
+    def _run(self) -> None:
+        asyncio.run(self._serve())
+
+    async def _serve(self) -> None:
+        self._loop, self._ending = asyncio.get_running_loop(), asyncio.Event()
+        self._feed = TileFeed(self._tiles)
+        runner = web.AppRunner(self._app(), access_log=None, handle_signals=False, shutdown_timeout=1.0)
+        await runner.setup()
+        showing = asyncio.create_task(self._show())
+        try:
+            while not await self._listen(runner):
+                if await self._ends_within(self._retry_s):
+                    return
+            await self._ending.wait()
+        finally:
+            self._say("", "stopped")
+            showing.cancel()
+            goodbye = [b.let_go(WSCloseCode.GOING_AWAY, "the service stops") for b in self._browsers]
+            await asyncio.gather(showing, *goodbye, return_exceptions=True)
+            await runner.cleanup()
+
+    async def _listen(self, runner: web.AppRunner) -> bool:
+        host, port = split_listen(self._config.listen)
+        try:
+            site = web.TCPSite(runner, host, port, ssl_context=self._tls(), reuse_address=True)
+            await site.start()
+        except (OSError, ssl.SSLError) as error:
+            words = f"the page cannot be served at {self._config.listen}: {error}"
+            if words != self._trouble:
+                log.error("web: %s; tried again each %.0f s, mapping goes on", words, self._retry_s)
+            self._say("", words)
+            return False
+        bound_port = runner.addresses[0][1]
+        shown_host = f"[{host}]" if ":" in host else host
+        self._say(f"{self._scheme}://{shown_host}:{bound_port}/", "")
+        return True
+
+    async def _ends_within(self, timeout_s: float) -> bool:
+        assert self._ending is not None
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._ending.wait(), timeout_s)
+        return self._ending.is_set()
+
+    def _say(self, address: str, trouble: str) -> None:
+        with self._changed:
+            self._address, self._trouble = address, trouble
+            self._changed.notify_all()
+
+    def _tls(self) -> ssl.SSLContext | None:
+        if self._config.tls_certificate is None:
+            return None
+        context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+        context.load_cert_chain(self._config.tls_certificate, self._config.tls_key)
+        return context
+
+    def _app(self) -> web.Application:
+        app = web.Application(middlewares=[self._guard], client_max_size=LARGEST_ASKED)
+        app.router.add_get("/", partial(self._file, "index.html"))
+        for name in self._files:
+            app.router.add_get(f"/{name}", partial(self._file, name))
+        app.router.add_get("/ws", self._websocket)
+        return app
+
+    @web.middleware
+    async def _guard(self, request: web.Request, handler: Any) -> web.StreamResponse:
+        """Host and Origin first, for every request; strict headers on every response."""
+        fault = host_fault(request.host, self._names) or origin_fault(
+            request.headers.get("Origin"), request.host, self._scheme
+        )
+        if fault:
+            self._refused += 1
+            return web.Response(status=403, text=f"{fault}\n", headers=HEADERS)
+        try:
+            response: web.StreamResponse = await handler(request)
+        except web.HTTPException as error:
+            return web.Response(status=error.status, text=f"{error.reason}\n", headers=HEADERS)
+        if not response.prepared:
+            response.headers.update(HEADERS)
+        return response
+
+    async def _file(self, name: str, request: web.Request) -> web.Response:
+        content, content_type, tag = self._files[name]
+        if request.headers.get("If-None-Match") == tag:
+            return web.Response(status=304, headers={"ETag": tag})
+        return web.Response(body=content, headers={"Content-Type": content_type, "ETag": tag})
+
+    async def _websocket(self, request: web.Request) -> web.StreamResponse:
+        if len(self._browsers) >= self._config.most_browsers:
+            self._refused += 1
+            return web.Response(status=503, text=f"{len(self._browsers)} browsers look already\n")
+        socket = web.WebSocketResponse(
+            heartbeat=HEARTBEAT_S, max_msg_size=LARGEST_ASKED, compress=False, writer_limit=WRITE_BUFFER
+        )
+        await socket.prepare(request)
+        browser = Browser(socket, str(request.remote), self._token, self._feed, self._carry_out)
+        browser.mailbox.note(self._hello())
+        for shown in self._view.snapshot():
+            _post(browser, shown)
+        self._browsers.add(browser)
+        try:
+            await browser.serve()
+        finally:
+            self._browsers.discard(browser)
+            self._dropped += browser.mailbox.dropped
+            if request.transport is not None and not browser.reads:
+                request.transport.abort()  # what waits for it would stay for minutes
+        return socket
+
+    def _hello(self) -> str:
+        return to_json(
+            "hello",
+            run_id=self._run_id,
+            version=VERSION,
+            vehicle=self._about.vehicle,
+            profile=self._about.profile,
+            cell_m=self._about.cell_m,
+            verbs=list(self._about.verbs),
+            now_s=time.time(),
+        )
+
+    async def _show(self) -> None:
+        """Hand out what is due, until cancelled."""
+        while True:
+            for shown in self._due():
+                for browser in self._browsers:
+                    _post(browser, shown)
+            for browser in self._browsers:
+                browser.mailbox.wake()  # tiles may be due
+            # the pace at which a picture changes, not a wait for something
+            await asyncio.sleep(SHOW_PERIOD_S if self._browsers else IDLE_PERIOD_S)
+
+    def _due(self) -> list[Shown]:
+        shown = self._view.due()
+        if self._tiles.number != self._map_number:
+            self._map_number = self._tiles.number
+            shown.append(self._view.map_reset())
+        return shown
+
+    async def _carry_out(self, verb: str, request: bytes) -> bytes:
+        loop = asyncio.get_running_loop()
+        answer = await loop.run_in_executor(self._workers, self._answer, verb, request)
+        return answer.body
+
+
+def _post(browser: Browser, shown: Shown) -> None:
+    if shown.key:
+        browser.mailbox.put(shown.key, shown.payload)
+    else:
+        browser.mailbox.note(shown.payload)
+
+
+def _static_files() -> Mapping[str, tuple[bytes, str, str]]:
+    """By name: content, type, tag. Read once; nothing else of the disk can be asked for."""
+    files = {}
+    for file in resources.files("service.web").joinpath("static").iterdir():
+        kind = file.name.rpartition(".")[2]
+        if kind in _TYPES:
+            content = file.read_bytes()
+            files[file.name] = (content, _TYPES[kind], f'"{hashlib.sha256(content).hexdigest()[:16]}"')
+    return files

@@ -1,0 +1,125 @@
+// The area Control: what changes something. It needs the token; the service checks it, the page only asks.
+
+import { card, confirmed, element, notice, setText } from "./dom.js";
+import { degrees, fixed } from "./format.js";
+
+export class Control {
+  /** point(tool or null): take over the map's clicks. */
+  constructor(root, connection, startPoseTool) {
+    this.connection = connection;
+    this.startPoseTool = startPoseTool;
+    this.verbs = [];
+    this.isPaused = this.isRecording = false;
+    this.buttons = new Map();
+
+    this.access = card("Access");
+    this.accessWords = element("p", { className: "note", id: "access-words" });
+    this.token = element("input", { type: "password", id: "token", autocomplete: "off", maxLength: 200 });
+    this.tokenForm = element("form", { className: "row", onsubmit: (event) => this.#showToken(event) },
+      element("label", { for: "token" }, "Token"), this.token,
+      element("button", { type: "submit", className: "primary" }, "Unlock"));
+    this.access.node.append(this.accessWords, this.tokenForm);
+
+    const mapping = card("Mapping");
+    mapping.node.append(element("div", { className: "row" },
+      this.#button("pause", "Pause", "Scans are recorded, not mapped"),
+      this.#button("resume", "Resume"),
+      this.#button("save_map", "Save map"),
+      this.#button("reset_map", "Reset map\u2026", "", "danger", () => this.#reset())));
+    const recording = card("Recording");
+    this.mark = element("input", { type: "text", id: "mark-text", maxLength: 1000, placeholder: "What happened here" });
+    recording.node.append(element("div", { className: "row" },
+      this.#button("start_recording", "Start"), this.#button("stop_recording", "Stop")),
+    element("form", { className: "row", onsubmit: (event) => this.#mark(event) },
+      element("label", { for: "mark-text" }, "Mark"), this.mark, this.#button("mark", "Set mark", "", "", null, "submit")));
+    this.pose = card("Pose");
+    this.pose.node.append(element("p", { className: "note" }, "Tell the vehicle where it is: press on the map where it stands, drag to where it looks."),
+      element("div", { className: "row" }, this.#button("set_pose", "Set pose on the map", "", "", () => this.#setPose())));
+    root.append(this.access.node, mapping.node, recording.node, this.pose.node);
+    this.update();
+  }
+
+  putHello({ verbs }) {
+    this.verbs = verbs;
+    this.update();
+  }
+
+  putHealth({ statuses }) {
+    const values = (name) => statuses.find((status) => status.name === name)?.values ?? {};
+    this.isPaused = values("mapping").state === "paused";
+    this.isRecording = values("recording").state === "recording";
+    this.update();
+  }
+
+  putAccess({ may_control, error }) {
+    if (may_control) this.connection.keepToken();
+    else this.connection.dropToken();
+    if (error) notice(`Not unlocked: ${error}.`, "error");
+    this.token.value = "";
+    this.update();
+  }
+
+  update() {
+    const may = this.connection.mayControl;
+    setText(this.accessWords, may
+      ? "Unlocked: this page may give commands."
+      : "You may look. To give commands, enter the token of the service: `corridor demo` prints it; `corridor run` keeps it in the file web.token beside the maps.");
+    this.tokenForm.hidden = may;
+    const useless = { pause: this.isPaused, resume: !this.isPaused, start_recording: this.isRecording,
+      stop_recording: !this.isRecording, mark: !this.isRecording };
+    for (const [verb, button] of this.buttons) {
+      button.hidden = !this.verbs.includes(verb);
+      button.disabled = !may || Boolean(useless[verb]);
+    }
+    this.pose.node.hidden = !this.verbs.includes("set_pose");
+    this.mark.disabled = !may || !this.isRecording;
+  }
+
+  async ask(verb, request = {}) {
+    const answer = await this.connection.command(verb, request);
+    const label = this.buttons.get(verb)?.textContent.replace("\u2026", "") ?? verb;
+    if (answer.ok) notice(`${label}: done${words(answer)}.`, "ok");
+    else notice(`${label}: ${answer.error}.`, "error");
+    return answer;
+  }
+
+  #button(verb, text, title = "", className = "", act = () => this.ask(verb), type = "button") {
+    const button = element("button", { type, className, title, id: `do-${verb}` }, text);
+    if (act) button.addEventListener("click", act);
+    this.buttons.set(verb, button);
+    return button;
+  }
+
+  #showToken(event) {
+    event.preventDefault();
+    if (this.token.value.trim()) this.connection.showToken(this.token.value.trim());
+  }
+
+  async #reset() {
+    const isSure = await confirmed("Reset the map?",
+      "The present map is saved and closed, and mapping begins a new one where the vehicle stands.", "Reset map");
+    if (isSure) this.ask("reset_map");
+  }
+
+  async #mark(event) {
+    event.preventDefault();
+    const text = this.mark.value.trim();
+    if (text && (await this.ask("mark", { text })).ok) this.mark.value = "";
+  }
+
+  #setPose() {
+    this.startPoseTool(async ({ x_m, y_m, theta_rad }) => {
+      const request = { x_m, y_m, ...(theta_rad === null ? {} : { theta_rad }) };
+      const heading = theta_rad === null ? "heading unknown" : `heading ${degrees(theta_rad)}`;
+      const isSure = await confirmed("Set the pose?", `x ${fixed(x_m, 2, " m")}, y ${fixed(y_m, 2, " m")}, ${heading}.`, "Set pose");
+      if (isSure) this.ask("set_pose", request);
+    });
+  }
+}
+
+const words = (answer) => {
+  if (answer.folder_before) return `, the map before is in ${answer.folder_before}`;
+  if (answer.folder) return `, in ${answer.folder}`;
+  if (answer.changed === false) return ", it was so already";
+  return "";
+};

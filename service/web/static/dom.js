@@ -1,0 +1,74 @@
+// Small things for building and filling the page. No markup comes from the service: text stays text.
+
+export const byId = (id) => document.getElementById(id);
+
+/** An element; properties starting with "on" are listeners, "data" and "aria" ones become attributes. */
+export const element = (tag, properties = {}, ...children) => {
+  const made = document.createElement(tag);
+  for (const [name, value] of Object.entries(properties)) {
+    if (name.startsWith("on")) made.addEventListener(name.slice(2), value);
+    else if (name.includes("-") || name === "role" || name === "for") made.setAttribute(name, value);
+    else made[name] = value;
+  }
+  made.append(...children);
+  return made;
+};
+
+/** Set text only where it differs: a selection and a screen reader stay undisturbed. */
+export const setText = (node, text) => {
+  if (node.textContent !== text) node.textContent = text;
+};
+
+export const card = (title, ...children) => {
+  const aside = element("span", { className: "aside" });
+  const made = element("section", { className: "card" }, element("h2", {}, title, aside), ...children);
+  return { node: made, aside };
+};
+
+/** A list of facts, filled by set({name: text}); a name whose text is null goes. */
+export class Facts {
+  constructor() {
+    this.node = element("dl", { className: "facts" });
+    this.rows = new Map();
+  }
+
+  set(facts) {
+    for (const [name, text] of Object.entries(facts)) {
+      let row = this.rows.get(name);
+      if (text === null) {
+        row?.forEach((node) => node.remove());
+        this.rows.delete(name);
+        continue;
+      }
+      if (!row) {
+        row = [element("dt", {}, name), element("dd")];
+        this.node.append(...row);
+        this.rows.set(name, row);
+      }
+      setText(row[1], text);
+    }
+  }
+}
+
+const NOTICE_MS = 8000;
+
+/** Say something at the edge of the page. level: "ok", "error" or "none". */
+export const notice = (text, level = "none") => {
+  const close = element("button", { type: "button", className: "quiet", "aria-label": "Close notice" }, "\u00d7");
+  const node = element("div", { className: "notice", "data-level": level }, element("span", {}, text), close);
+  close.addEventListener("click", () => node.remove());
+  byId("notices").append(node);
+  if (level !== "error") setTimeout(() => node.remove(), NOTICE_MS);
+  while (byId("notices").children.length > 4) byId("notices").firstChild.remove();
+};
+
+/** Ask before something that cannot be taken back; resolves to true or false. */
+export const confirmed = (title, text, yes) => new Promise((settle) => {
+  const dialog = byId("confirm");
+  setText(byId("confirm-title"), title);
+  setText(byId("confirm-text"), text);
+  setText(byId("confirm-yes"), yes);
+  dialog.returnValue = "no";
+  dialog.addEventListener("close", () => settle(dialog.returnValue === "yes"), { once: true });
+  dialog.showModal();
+});

@@ -1,0 +1,36 @@
+// Numbers as words. A fixed count of digits, so that nothing on the page moves while they change.
+
+const isNumber = (value) => typeof value === "number" && Number.isFinite(value);
+
+export const fixed = (value, digits, unit = "") => (isNumber(value) ? `${value.toFixed(digits)}${unit}` : "\u2013");
+
+/** A figure that came as text; "" means that it is not known. */
+export const figure = (text, digits, unit = "") => fixed(text === undefined || text === "" ? NaN : Number(text), digits, unit);
+
+export const degrees = (rad, digits = 1) => (isNumber(rad) ? `${((rad * 180) / Math.PI).toFixed(digits)}\u00b0` : "\u2013");
+
+/** A length in the unit in which one would say it. */
+export const metres = (m) => {
+  if (!isNumber(m)) return "\u2013";
+  if (Math.abs(m) < 0.995) return `${(100 * m).toFixed(1)} cm`;
+  return Math.abs(m) < 1000 ? `${m.toFixed(2)} m` : `${(m / 1000).toFixed(3)} km`;
+};
+
+export const duration = (s) => {
+  if (!isNumber(s) || s < 0) return "\u2013";
+  const whole = Math.floor(s), h = Math.floor(whole / 3600), min = Math.floor(whole / 60) % 60;
+  const two = (n) => String(n).padStart(2, "0");
+  return h > 0 ? `${h}:${two(min)}:${two(whole % 60)} h` : `${min}:${two(whole % 60)} min`;
+};
+
+export const clockTime = (unix_s) => new Date(1000 * unix_s).toLocaleTimeString([], { hour12: false });
+
+export const bytes = (count) => {
+  const units = ["B", "kB", "MB", "GB"];
+  let size = count, unit = 0;
+  while (size >= 1000 && unit < units.length - 1) {
+    size /= 1000;
+    unit += 1;
+  }
+  return `${size.toFixed(unit === 0 ? 0 : 1)} ${units[unit]}`;
+};

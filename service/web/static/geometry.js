@@ -1,0 +1,89 @@
+// Poses in the plane: {x_m, y_m, theta_rad}; pose_map_base takes base coordinates to map.
+
+export const compose = (a, b) => {
+  const c = Math.cos(a.theta_rad), s = Math.sin(a.theta_rad);
+  return {
+    x_m: a.x_m + c * b.x_m - s * b.y_m,
+    y_m: a.y_m + s * b.x_m + c * b.y_m,
+    theta_rad: a.theta_rad + b.theta_rad,
+  };
+};
+
+export const wrapAngle = (rad) => rad - 2 * Math.PI * Math.round(rad / (2 * Math.PI));
+
+/** Between two poses: share 0 gives a, 1 gives b; beyond 1 it goes on as between them. */
+export const interpolate = (a, b, share) => ({
+  x_m: a.x_m + share * (b.x_m - a.x_m),
+  y_m: a.y_m + share * (b.y_m - a.y_m),
+  theta_rad: a.theta_rad + share * wrapAngle(b.theta_rad - a.theta_rad),
+});
+
+/** Where a base that moves by twist (m/s forward, m/s left, rad/s) is after dt_s. */
+export const moved = (pose, twist, dt_s) => compose(pose, {
+  x_m: twist[0] * dt_s, y_m: twist[1] * dt_s, theta_rad: twist[2] * dt_s,
+});
+
+const CHI2_95_PLANE = 5.991; // 95 % of a normal distribution of two dimensions
+const CHI_95_LINE = 1.96;
+
+/** Half axes (m) and direction (rad, base frame) of the 95 % ellipse of a 3x3 covariance of x, y, theta. */
+export const ellipse = (covariance) => {
+  const [a, b, , , d] = covariance;
+  const mean = (a + d) / 2, spread = Math.hypot((a - d) / 2, b);
+  return {
+    major_m: Math.sqrt(CHI2_95_PLANE * Math.max(mean + spread, 0)),
+    minor_m: Math.sqrt(CHI2_95_PLANE * Math.max(mean - spread, 0)),
+    direction_rad: Math.atan2(2 * b, a - d) / 2,
+    heading_rad: CHI_95_LINE * Math.sqrt(Math.max(covariance[8], 0)),
+  };
+};
+
+/** Standard deviations along the map's axes: the covariance of a pose is in the axes of its base. */
+export const deviationsInMap = ({ theta_rad, covariance }) => {
+  const c = Math.cos(theta_rad), s = Math.sin(theta_rad);
+  const [xx, xy, , , yy] = covariance;
+  const root = (variance) => Math.sqrt(Math.max(variance, 0));
+  return {
+    x_std_m: root(c * c * xx - 2 * c * s * xy + s * s * yy),
+    y_std_m: root(s * s * xx + 2 * c * s * xy + c * c * yy),
+    theta_std_rad: root(covariance[8]),
+  };
+};
+
+/** The poses of the last seconds, by stamp. */
+export class PoseTrack {
+  constructor(kept_s = 3) {
+    this.kept_s = kept_s;
+    this.poses = [];
+  }
+
+  add(pose) {
+    const last = this.poses.at(-1);
+    if (last && pose.stamp_s <= last.stamp_s) this.poses.length = 0; // another run
+    this.poses.push(pose);
+    while (this.poses[0].stamp_s < pose.stamp_s - this.kept_s) this.poses.shift();
+  }
+
+  get last() {
+    return this.poses.at(-1) ?? null;
+  }
+
+  clear() {
+    this.poses.length = 0;
+  }
+
+  /** {pose, twist, isFinal} at a stamp; before a later pose has come it is the last one, moved on. */
+  at(stamp_s) {
+    const last = this.last;
+    if (!last || stamp_s < this.poses[0].stamp_s) return null;
+    if (stamp_s >= last.stamp_s) {
+      const ahead_s = Math.min(stamp_s - last.stamp_s, 0.5);
+      return { pose: moved(last, last.twist, ahead_s), twist: last.twist, isFinal: stamp_s === last.stamp_s };
+    }
+    let i = this.poses.length - 2;
+    while (this.poses[i].stamp_s > stamp_s) i -= 1;
+    const a = this.poses[i], b = this.poses[i + 1];
+    const share = (stamp_s - a.stamp_s) / (b.stamp_s - a.stamp_s);
+    return { pose: interpolate(a, b, share), twist: a.twist, isFinal: true };
+  }
+}

@@ -1,0 +1,161 @@
+// The area Information: how things stand, in words and figures.
+
+import { card, element, Facts, setText } from "./dom.js";
+import { deviationsInMap, wrapAngle } from "./geometry.js";
+import { clockTime, degrees, duration, figure, fixed } from "./format.js";
+import { LatencyPlot } from "./plot.js";
+
+export const LEVELS = ["ok", "warn", "error", "error"]; // of diagnostic_msgs/DiagnosticStatus
+const COLUMNS = [["Sensor", ""], ["Hz", "frames a second"], ["Age s", "since the newest frame"],
+  ["Delay ms", "from the measurement to its arrival"], ["Dropped", "scans not mapped: they had waited too long"],
+  ["Offset ms", "of the device's clock against the host's"]];
+const EVENT_WORDS = { start: "service started", stop: "service stops", mark: "mark", pause: "mapping paused",
+  resume: "mapping resumed", reset_map: "map reset", save_map: "map saved", sensor: "sensor" };
+const MOST_EVENTS = 60;
+
+export class Information {
+  constructor(root, colourOf) {
+    this.colourOf = colourOf;
+    this.mapping = card("Mapping");
+    this.words = element("p", { className: "note" });
+    this.pose = new Facts();
+    this.mapping.node.append(this.words, this.pose.node);
+    this.sensors = card("Sensors");
+    this.rows = element("tbody");
+    const heads = COLUMNS.map(([text, title]) => element("th", { scope: "col", title }, text));
+    this.sensors.node.append(element("table", {}, element("thead", {}, element("tr", {}, ...heads)), this.rows));
+    this.sensorRows = new Map();
+    this.recording = card("Recording and disk");
+    this.recordingFacts = new Facts();
+    this.recording.node.append(this.recordingFacts.node);
+    this.latency = card("From a scan to its pose");
+    this.plot = new LatencyPlot();
+    this.latency.node.append(this.plot.node, element("p", { className: "note" }, "Blue: median of a second. Amber: its longest."));
+    this.parts = card("Parts of the service");
+    this.partRows = element("tbody");
+    this.parts.node.append(element("table", {}, this.partRows));
+    this.events = card("Events");
+    this.eventList = element("ul", { className: "events" });
+    this.events.node.append(this.eventList);
+    root.append(...[this.mapping, this.sensors, this.recording, this.latency, this.parts, this.events].map((c) => c.node));
+  }
+
+  putPose(pose) {
+    const { x_std_m, y_std_m, theta_std_rad } = deviationsInMap(pose);
+    this.pose.set({
+      "x": `${fixed(pose.x_m, 3, " m")} \u00b1 ${fixed(100 * x_std_m, 1, " cm")}`,
+      "y": `${fixed(pose.y_m, 3, " m")} \u00b1 ${fixed(100 * y_std_m, 1, " cm")}`,
+      "Heading": `${degrees(wrapAngle(pose.theta_rad))} \u00b1 ${degrees(theta_std_rad, 2)}`,
+      "Speed": `${fixed(pose.twist[0], 2, " m/s")}, ${degrees(pose.twist[2])}/s`,
+    });
+  }
+
+  putHealth(health) {
+    const byName = new Map(health.statuses.map((status) => [status.name, status]));
+    this.#mapping(byName.get("mapping"), health.stamp_s);
+    this.#sensors(health);
+    this.#recording(byName.get("recording"), byName.get("map"), health.stamp_s);
+    this.#parts(health.statuses);
+  }
+
+  putLatency({ point }) {
+    this.plot.add(point);
+    setText(this.latency.aside, `${point[1].toFixed(1)} ms`);
+  }
+
+  putEvent({ stamp_s, text }) {
+    let words = text;
+    try {
+      const { event, ...rest } = JSON.parse(text);
+      if (event === "take_in" || event === "scan_passed_over") return; // several a second, counted elsewhere
+      words = [EVENT_WORDS[event] ?? event, ...Object.values(rest)].join(", ");
+    } catch {
+      // no JSON: then it is words already
+    }
+    this.eventList.prepend(element("li", {}, element("time", {}, clockTime(stamp_s)), element("span", {}, words)));
+    if (this.eventList.children.length > MOST_EVENTS) this.eventList.lastChild.remove();
+  }
+
+  #mapping(mapping, now_s) {
+    if (!mapping) return;
+    const { values } = mapping;
+    setText(this.mapping.aside, `for ${duration(now_s - mapping.since_s)}`);
+    setText(this.words, mapping.message === "ok" ? "Everything is well." : mapping.message);
+    this.pose.set({
+      "Agreement with the map": figure(values.match_share && 100 * values.match_share, 0, " %"),
+      "Scans mapped a second": figure(values.scan_rate_hz, 1),
+      "Scans not mapped": values.scans_dropped ?? "\u2013",
+      "Processor a scan, median": figure(values.scan_cpu_ms_p50, 1, " ms"),
+      "Loops closed": values.loop_closures ?? null,
+    });
+  }
+
+  #sensors(health) {
+    const sensors = health.statuses.filter((status) => status.name.startsWith("sensor/"));
+    let streaming = 0;
+    for (const status of sensors) {
+      const name = status.name.slice("sensor/".length), level = LEVELS[status.level];
+      streaming += status.level === 0;
+      const row = this.#sensorRow(name);
+      row.dot.dataset.level = level;
+      row.swatch.style.background = this.colourOf(name) ?? "transparent";
+      const { values } = status;
+      const figures = [figure(values.rate_hz, 1), figure(values.age_s, 2), fixed(health.latency_ms[name], 1),
+        values.dropped ?? "\u2013", figure(values.clock_offset_ms === "" ? "" : values.clock_offset_ms, 1)];
+      figures.forEach((text, i) => setText(row.cells[i], text));
+      row.words.hidden = status.level === 0;
+      setText(row.words.firstChild, `${status.message}, for ${duration(health.stamp_s - status.since_s)}`);
+      row.name.title = details(values);
+    }
+    setText(this.sensors.aside, `${streaming} of ${sensors.length} well`);
+  }
+
+  #sensorRow(name) {
+    let row = this.sensorRows.get(name);
+    if (!row) {
+      const dot = element("span", { className: "dot" }), swatch = element("span", { className: "swatch" });
+      const label = element("span", { className: "name" }, dot, name, swatch);
+      const cells = COLUMNS.slice(1).map(() => element("td"));
+      const words = element("tr", { className: "words", hidden: true }, element("td", { colSpan: COLUMNS.length }));
+      this.rows.append(element("tr", {}, element("td", {}, label), ...cells), words);
+      row = { dot, swatch, cells, words, name: label };
+      this.sensorRows.set(name, row);
+    }
+    return row;
+  }
+
+  #recording(recording, map, now_s) {
+    if (!recording) return;
+    const { values } = recording;
+    const isOn = values.state === "recording";
+    setText(this.recording.aside, recording.message);
+    this.recordingFacts.set({
+      "Recording for": isOn ? duration(now_s - recording.since_s) : "not recording",
+      "File": values.file ? values.file.split("/").at(-1) : "\u2013", // its name says vehicle, time and number
+      "Messages": values.messages ?? "\u2013",
+      "Disk left": figure(values.free_gb, 1, " GB"),
+      "Map folder": map?.values.folder.split("/").at(-1) ?? "\u2013",
+    });
+  }
+
+  #parts(statuses) {
+    const parts = statuses.filter((status) => !status.name.startsWith("sensor/"));
+    const known = new Map([...this.partRows.children].map((row) => [row.dataset.name, row]));
+    for (const status of parts) {
+      const row = known.get(status.name) ?? this.#partRow(status.name);
+      row.firstChild.firstChild.firstChild.dataset.level = LEVELS[status.level];
+      setText(row.lastChild, status.message);
+      row.title = details(status.values);
+    }
+  }
+
+  #partRow(name) {
+    const label = element("span", { className: "name" }, element("span", { className: "dot" }), name);
+    const row = element("tr", { className: "words", "data-name": name }, element("td", {}, label), element("td"));
+    this.partRows.append(row);
+    return row;
+  }
+}
+
+const details = (values) => Object.entries(values).filter(([, text]) => text !== "")
+  .map(([key, text]) => `${key}: ${text}`).join("\n");

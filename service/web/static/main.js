@@ -1,0 +1,155 @@
+// Joins the parts of the page.
+
+import { Connection } from "./connection.js";
+import { Control } from "./control.js";
+import { byId, element, setText } from "./dom.js";
+import { fixed } from "./format.js";
+import { Gestures } from "./gestures.js";
+import { Information, LEVELS } from "./information.js";
+import { MapView, scaleBar } from "./map_view.js";
+import { chooseTab, setUpTabs } from "./tabs.js";
+import { setUpTheme } from "./theme.js";
+import { MeasureTool, PoseTool } from "./tools.js";
+
+const POSE_WORDS_MS = 200; // figures that change faster cannot be read
+
+const view = new MapView(byId("map"));
+const information = new Information(byId("information"), (sensor) => view.colourOf(sensor));
+let tool = null, runId = "", isOpen = false, poseShown_ms = 0, health = null;
+
+const connection = new Connection({
+  open: () => { isOpen = true; showState(); },
+  closed: () => { isOpen = false; showState(); control.update(); },
+  hello: (hello) => {
+    if (hello.run_id !== runId) view.clear();
+    runId = hello.run_id;
+    setText(byId("vehicle"), hello.vehicle);
+    document.title = `${hello.vehicle} \u00b7 corridor`;
+    information.eventList.replaceChildren(); // all of them come again
+    control.putHello(hello);
+  },
+  access: (access) => control.putAccess(access),
+  refused: ({ error }) => console.error(error),
+  tiles: (message) => { view.putTiles(message); byId("empty").hidden = view.tiles.tiles.size > 0; },
+  path: (message) => view.putPath(message),
+  scan: (message) => { view.putScan(message); showLayers(); },
+  mountings: ({ pose_base_sensor }) => { view.mountings = pose_base_sensor; },
+  pose: (pose) => {
+    view.putPose(pose);
+    if (performance.now() - poseShown_ms < POSE_WORDS_MS) return;
+    poseShown_ms = performance.now();
+    information.putPose(pose);
+  },
+  health: (message) => {
+    health = message;
+    information.putHealth(message);
+    control.putHealth(message);
+    showState();
+  },
+  latency: (message) => information.putLatency(message),
+  latency_history: ({ points }) => information.plot.set(points),
+  event: (message) => information.putEvent(message),
+});
+
+const control = new Control(byId("control"), connection, (done) => setTool(new PoseTool(view, (pose) => {
+  setTool(null);
+  done(pose);
+})));
+const gestures = new Gestures(byId("map"), view, () => tool, () => showFollow());
+
+/** The one thing that everybody should see at once: is it well, and if not, why. */
+function showState() {
+  const mapping = health?.statuses.find((status) => status.name === "mapping");
+  const [level, word, reason] = !isOpen ? ["none", "no connection", "The service does not answer; this page goes on trying."]
+    : !mapping ? ["none", "starting", "The service compiles or waits for its first scan."]
+      : [LEVELS[mapping.level], mapping.values.state ?? "waiting", mapping.message === "ok" ? "" : mapping.message];
+  byId("state").dataset.level = level;
+  setText(byId("state"), word);
+  setText(byId("reason"), reason);
+}
+
+function setTool(next) {
+  tool = next;
+  view.overlays = tool ? [(...drawing) => tool.draw(...drawing)] : [];
+  byId("measure").setAttribute("aria-pressed", String(tool instanceof MeasureTool));
+  byId("map").classList.toggle("pointing", tool !== null);
+  byId("hint").hidden = tool === null;
+  setText(byId("hint"), tool?.hint ?? "");
+  if (tool) chooseTab("map", { onlyOnPhone: true });
+  view.invalidate();
+}
+
+function showFollow() {
+  byId("follow").setAttribute("aria-pressed", String(view.follows));
+}
+
+const LAYERS = { map: "Map", path: "Path", scans: "Scans", vehicle: "Vehicle with its 95 % ellipse", grid: "Grid" };
+
+function showLayers() {
+  const known = byId("layers").querySelectorAll(".laser").length;
+  if (known === view.sensors.length && known > 0) return;
+  byId("layers").replaceChildren(byId("layers").querySelector("legend"));
+  for (const [layer, words] of Object.entries(LAYERS)) {
+    const box = element("input", { type: "checkbox", checked: view.layers[layer], id: `layer-${layer}` });
+    box.addEventListener("change", () => { view.layers[layer] = box.checked; view.invalidate(); });
+    byId("layers").append(element("label", {}, box, words));
+    if (layer !== "scans") continue;
+    for (const sensor of view.sensors) {
+      const swatch = element("span", { className: "swatch" });
+      swatch.style.background = view.colourOf(sensor);
+      byId("layers").append(element("label", { className: "laser" }, swatch, sensor));
+    }
+  }
+}
+
+view.onDrawn = () => {
+  const bar = scaleBar(view.camera.scale, 140);
+  byId("scale-bar").style.width = `${bar.pixels.toFixed(1)}px`;
+  setText(byId("scale-text"), bar.text);
+  if (tool?.text) setText(byId("hint"), tool.text);
+};
+
+gestures.onHover = ([sx, sy]) => {
+  const [x_m, y_m] = view.camera.toMap(sx, sy);
+  const value = view.tiles.valueAt(x_m, y_m);
+  const cell = value < 0 ? "unknown" : `${value} % occupied`;
+  setText(byId("cursor"), `x ${fixed(x_m, 2, " m")}  y ${fixed(y_m, 2, " m")}  ${cell}`);
+};
+
+const toggleFollow = () => { view.follow(!view.follows); showFollow(); };
+const toggleMeasure = () => setTool(tool instanceof MeasureTool ? null : new MeasureTool(view));
+const fit = () => { view.fit(); showFollow(); };
+
+byId("follow").addEventListener("click", toggleFollow);
+byId("fit").addEventListener("click", fit);
+byId("zoom-in").addEventListener("click", () => gestures.key("+"));
+byId("zoom-out").addEventListener("click", () => gestures.key("-"));
+byId("turn-left").addEventListener("click", () => gestures.turn(1));
+byId("turn-right").addEventListener("click", () => gestures.turn(-1));
+byId("north").addEventListener("click", () => gestures.north());
+byId("measure").addEventListener("click", toggleMeasure);
+byId("map").addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  const own = { f: toggleFollow, F: toggleFollow, 0: fit, m: toggleMeasure, M: toggleMeasure }[event.key];
+  if (own) own();
+  if (own || gestures.key(event.key)) event.preventDefault();
+});
+document.addEventListener("keydown", (event) => { if (event.key === "Escape" && tool) setTool(null); });
+
+setUpTabs();
+setUpTheme(() => { view.readColours(); information.plot.draw(); });
+showLayers();
+showState();
+connection.open();
+setInterval(() => view.invalidate(), 1000); // what is stale shall look so
+
+/** For tests and for people who look into a fault: what the page shows. */
+window.corridor = {
+  view, connection,
+  report: () => ({
+    runId, isOpen, mayControl: connection.mayControl, tiles: view.tiles.tiles.size, bounds: view.tiles.bounds,
+    pose: view.track.last, pathPoints: view.path.length / 2, sensors: view.sensors, health, follows: view.follows,
+    bytes: connection.bytes, frames: view.frames, drawn_ms: [...view.drawn_ms],
+    scanPoints: Object.fromEntries([...view.scans].map(([sensor, held]) => [sensor, held.points?.length / 2])),
+  }),
+};

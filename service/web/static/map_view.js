@@ -1,0 +1,296 @@
+// Draws the map, the way, the scans and the vehicle; only when something changed, at most once a screen refresh.
+
+import { Camera } from "./camera.js";
+import { compose, ellipse, PoseTrack } from "./geometry.js";
+import { metres } from "./format.js";
+import { RANGE_STEP_M } from "./protocol.js";
+import { TileMap } from "./tiles.js";
+
+const STALE_MS = 1500; // older scans and poses are not shown as live
+const PATH_STEP_M = 0.05, MOST_PATH_POINTS = 40_000;
+const LASER_COLOURS = 5;
+const VEHICLE_M = 0.5; // length of the arrow; never smaller than VEHICLE_PIXELS
+const VEHICLE_PIXELS = 22;
+
+/** A colour of the style sheet as [red, green, blue, 255]. */
+const rgba = (colour) => {
+  const canvas = new OffscreenCanvas(1, 1).getContext("2d");
+  canvas.fillStyle = colour;
+  canvas.fillRect(0, 0, 1, 1);
+  return [...canvas.getImageData(0, 0, 1, 1).data];
+};
+
+export class MapView {
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.context = canvas.getContext("2d", { alpha: false });
+    this.camera = new Camera();
+    this.tiles = new TileMap();
+    this.track = new PoseTrack();
+    this.path = []; // [x_m, y_m, x_m, y_m ...]
+    this.scans = new Map(); // sensor -> {scan, arrived_ms}
+    this.sensors = []; // lasers in the order in which they were first seen: gives each its colour
+    this.mountings = {};
+    this.layers = { map: true, path: true, scans: true, vehicle: true, grid: true };
+    this.overlays = []; // functions(context, camera) of the tools
+    this.follows = true;
+    this.isFitted = false; // until then the first tiles are brought into view
+    this.poseArrived_ms = -Infinity;
+    this.frames = 0;
+    this.drawn_ms = []; // how long the last pictures took
+    this.needsPicture = false;
+    new ResizeObserver(() => this.#resize()).observe(canvas);
+    this.readColours();
+  }
+
+  /** Again after the theme has changed. */
+  readColours() {
+    const style = getComputedStyle(document.documentElement);
+    const colour = (name) => style.getPropertyValue(name).trim();
+    this.colours = {
+      ground: colour("--map-ground"), grid: colour("--map-grid"), path: colour("--map-path"),
+      vehicle: colour("--map-vehicle"), measure: colour("--map-measure"), text: colour("--text"),
+      paper: colour("--ground"), stale: colour("--none"),
+      lasers: Array.from({ length: LASER_COLOURS }, (_, i) => colour(`--laser-${i}`)),
+    };
+    this.tiles.setColours({
+      unknown: [0, 0, 0, 0], free: rgba(colour("--map-free")), occupied: rgba(colour("--map-occupied")),
+    });
+    this.invalidate();
+  }
+
+  invalidate() {
+    if (this.needsPicture) return;
+    this.needsPicture = true;
+    requestAnimationFrame(() => {
+      this.needsPicture = false;
+      this.#draw();
+    });
+  }
+
+  clear() {
+    this.tiles.clear();
+    this.track.clear();
+    this.scans.clear();
+    this.path = [];
+    this.isFitted = false;
+    this.invalidate();
+  }
+
+  putTiles({ edge, cell_m, tiles }) {
+    for (const { ix, iy, cells } of tiles) this.tiles.put(ix, iy, edge, cell_m, cells);
+    if (!this.isFitted && this.track.last === null && this.tiles.bounds) this.fit();
+    this.invalidate();
+  }
+
+  putPath({ points }) {
+    this.path = Array.from(points);
+    this.invalidate();
+  }
+
+  putPose(pose) {
+    this.track.add(pose);
+    this.poseArrived_ms = performance.now();
+    const n = this.path.length;
+    const step_m = n ? Math.hypot(this.path[n - 2] - pose.x_m, this.path[n - 1] - pose.y_m) : Infinity;
+    if (step_m >= PATH_STEP_M) this.path.push(pose.x_m, pose.y_m);
+    if (this.path.length > 2 * MOST_PATH_POINTS) {
+      this.path = this.path.filter((_, i) => i % 4 < 2);
+    }
+    if (this.follows) this.camera.centreOn(pose.x_m, pose.y_m);
+    this.isFitted = true;
+    this.invalidate();
+  }
+
+  putScan(scan) {
+    if (!this.sensors.includes(scan.sensor)) {
+      this.sensors.push(scan.sensor);
+      this.sensors.sort();
+    }
+    this.scans.set(scan.sensor, { scan, arrived_ms: performance.now() });
+    this.invalidate();
+  }
+
+  /** Of a laser that was seen; null of any other sensor. */
+  colourOf(sensor) {
+    const index = this.sensors.indexOf(sensor);
+    return index < 0 ? null : this.colours.lasers[index % LASER_COLOURS];
+  }
+
+  fit() {
+    const bounds = this.tiles.bounds;
+    if (!bounds) return;
+    this.follows = false;
+    this.isFitted = true;
+    this.camera.fit(bounds);
+    this.invalidate();
+  }
+
+  follow(isOn) {
+    this.follows = isOn;
+    const last = this.track.last;
+    if (isOn && last) this.camera.centreOn(last.x_m, last.y_m);
+    this.invalidate();
+  }
+
+  /** Whether the newest pose is of now. */
+  get isLive() {
+    return performance.now() - this.poseArrived_ms < STALE_MS;
+  }
+
+  #resize() {
+    const { clientWidth, clientHeight } = this.canvas;
+    const ratio = window.devicePixelRatio || 1;
+    this.dpr = ratio;
+    this.camera.width = Math.max(1, clientWidth);
+    this.camera.height = Math.max(1, clientHeight);
+    this.canvas.width = Math.round(this.camera.width * ratio);
+    this.canvas.height = Math.round(this.camera.height * ratio);
+    this.#draw(); // at once: an emptied canvas would flash
+  }
+
+  #draw() {
+    const began_ms = performance.now();
+    const { context, camera, colours, layers, dpr = 1 } = this;
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.fillStyle = colours.ground;
+    context.fillRect(0, 0, this.canvas.width, this.canvas.height);
+    camera.applyTo(context, dpr);
+    if (layers.grid) this.#drawGrid();
+    if (layers.map) this.tiles.draw(context, camera.seen, camera.scale * dpr);
+    if (layers.path) this.#drawPath();
+    if (layers.scans) this.#drawScans();
+    if (layers.vehicle) this.#drawVehicle();
+    context.setTransform(dpr, 0, 0, dpr, 0, 0);
+    for (const overlay of this.overlays) overlay(context, camera, colours);
+    this.onDrawn?.();
+    this.frames += 1;
+    this.drawn_ms.push(performance.now() - began_ms);
+    if (this.drawn_ms.length > 300) this.drawn_ms.shift();
+  }
+
+  #drawGrid() {
+    const { context, camera } = this;
+    const step_m = niceLength(90 / camera.scale);
+    const { x_min_m, y_min_m, x_max_m, y_max_m } = camera.seen;
+    context.beginPath();
+    for (let x = Math.ceil(x_min_m / step_m) * step_m; x <= x_max_m; x += step_m) {
+      context.moveTo(x, y_min_m);
+      context.lineTo(x, y_max_m);
+    }
+    for (let y = Math.ceil(y_min_m / step_m) * step_m; y <= y_max_m; y += step_m) {
+      context.moveTo(x_min_m, y);
+      context.lineTo(x_max_m, y);
+    }
+    context.strokeStyle = this.colours.grid;
+    context.lineWidth = 1 / camera.scale;
+    context.stroke();
+  }
+
+  #drawPath() {
+    const { context, path, camera } = this;
+    if (path.length < 4) return;
+    const every = Math.max(1, Math.floor(1 / (camera.scale * PATH_STEP_M))); // points a pixel
+    context.beginPath();
+    context.moveTo(path[0], path[1]);
+    for (let i = 2 * every; i < path.length; i += 2 * every) context.lineTo(path[i], path[i + 1]);
+    context.lineTo(path.at(-2), path.at(-1));
+    context.strokeStyle = this.colours.path;
+    context.lineWidth = 2 / camera.scale;
+    context.lineJoin = "round";
+    context.stroke();
+  }
+
+  #drawScans() {
+    const { context, camera } = this;
+    const now_ms = performance.now();
+    const size_m = Math.max(3 / camera.scale, 0.02);
+    for (const [sensor, held] of this.scans) {
+      if (now_ms - held.arrived_ms > STALE_MS) continue;
+      if (!held.isFinal) this.#placeScan(held);
+      if (!held.points) continue;
+      context.fillStyle = this.colourOf(sensor);
+      const { points } = held;
+      for (let i = 0; i < points.length; i += 2) {
+        context.fillRect(points[i] - size_m / 2, points[i + 1] - size_m / 2, size_m, size_m);
+      }
+    }
+  }
+
+  /** End points in the map, each beam at its own moment. */
+  #placeScan(held) {
+    const { scan } = held;
+    const at = this.track.at(scan.stamp_s);
+    const mounting = this.mountings[scan.sensor];
+    if (!at || !mounting) {
+      held.points = null;
+      return;
+    }
+    const laser = { x_m: mounting[0], y_m: mounting[1], theta_rad: mounting[2] };
+    const sensor = compose(at.pose, laser);
+    const c = Math.cos(at.pose.theta_rad), s = Math.sin(at.pose.theta_rad);
+    const [forward, left, rate] = at.twist;
+    const vx = c * forward - s * left, vy = s * forward + c * left;
+    const points = [];
+    scan.ranges.forEach((steps, i) => {
+      if (steps === 0) return;
+      const range_m = steps * RANGE_STEP_M, t_s = i * scan.beam_interval_s;
+      const angle = sensor.theta_rad + scan.first_angle_rad + i * scan.angle_step_rad + rate * t_s;
+      points.push(sensor.x_m + vx * t_s + range_m * Math.cos(angle), sensor.y_m + vy * t_s + range_m * Math.sin(angle));
+    });
+    held.points = points;
+    held.isFinal = at.isFinal;
+  }
+
+  #drawVehicle() {
+    const { context, camera, colours } = this;
+    const pose = this.track.last;
+    if (!pose) return;
+    const colour = this.isLive ? colours.vehicle : colours.stale;
+    context.save();
+    context.translate(pose.x_m, pose.y_m);
+    context.rotate(pose.theta_rad);
+    const { major_m, minor_m, direction_rad, heading_rad } = ellipse(pose.covariance);
+    const size_m = Math.max(VEHICLE_M, VEHICLE_PIXELS / camera.scale);
+    context.lineWidth = 2 / camera.scale;
+    context.strokeStyle = colour;
+    context.fillStyle = colour;
+    context.globalAlpha = 0.25;
+    context.beginPath();
+    context.ellipse(0, 0, Math.min(major_m, 1000), Math.min(minor_m, 1000), direction_rad, 0, 2 * Math.PI);
+    context.fill();
+    context.beginPath(); // where it may be heading
+    const wedge = Math.min(heading_rad, Math.PI);
+    context.moveTo(0, 0);
+    context.arc(0, 0, 1.6 * size_m, -wedge, wedge);
+    context.closePath();
+    context.fill();
+    context.globalAlpha = 1;
+    context.beginPath();
+    context.ellipse(0, 0, Math.min(major_m, 1000), Math.min(minor_m, 1000), direction_rad, 0, 2 * Math.PI);
+    context.stroke();
+    context.beginPath();
+    context.moveTo(0.6 * size_m, 0);
+    context.lineTo(-0.4 * size_m, 0.35 * size_m);
+    context.lineTo(-0.2 * size_m, 0);
+    context.lineTo(-0.4 * size_m, -0.35 * size_m);
+    context.closePath();
+    context.fill();
+    context.strokeStyle = colours.paper;
+    context.stroke();
+    context.restore();
+  }
+}
+
+/** 1, 2 or 5 times a power of ten, at least `least`. */
+export const niceLength = (least) => {
+  const power = 10 ** Math.floor(Math.log10(least));
+  return [1, 2, 5, 10].map((k) => k * power).find((length) => length >= least * (1 - 1e-9));
+};
+
+/** Length and words of a scale bar that is at most `most` pixels long. */
+export const scaleBar = (pixels_per_m, most) => {
+  const length_m = [5, 2, 1].map((k) => k * 10 ** Math.floor(Math.log10(most / pixels_per_m)))
+    .find((length) => length * pixels_per_m <= most);
+  return { pixels: length_m * pixels_per_m, text: length_m < 1 ? `${Math.round(100 * length_m)} cm` : metres(length_m).replace(".00", "") };
+};

@@ -1,0 +1,52 @@
+// The binary messages of service/web/protocol.py, which describes them.
+
+const TILES = 1, SCAN = 2, PATH = 3;
+export const RANGE_STEP_M = 0.005;
+
+const inflate = async (bytes) => {
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Response(stream).arrayBuffer();
+};
+
+const decodeTiles = async (view) => {
+  const edge = view.getUint16(2, true), cell_m = view.getFloat32(4, true), count = view.getUint32(8, true);
+  const body = await inflate(new Uint8Array(view.buffer, 12));
+  const places = new Int32Array(body, 0, 2 * count);
+  const cells = new Int8Array(body, 8 * count);
+  const tiles = [];
+  for (let i = 0; i < count; i += 1) {
+    const of = cells.subarray(i * edge * edge, (i + 1) * edge * edge);
+    tiles.push({ ix: places[2 * i], iy: places[2 * i + 1], cells: of });
+  }
+  return { type: "tiles", edge, cell_m: Math.round(cell_m * 1e6) / 1e6, tiles };
+};
+
+const decodeScan = (view) => {
+  const nameBytes = view.getUint8(1), beams = view.getUint16(2, true), start = 24 + nameBytes;
+  return {
+    type: "scan",
+    sensor: new TextDecoder().decode(new Uint8Array(view.buffer, 24, nameBytes)),
+    stamp_s: view.getFloat64(4, true),
+    first_angle_rad: view.getFloat32(12, true),
+    angle_step_rad: view.getFloat32(16, true),
+    beam_interval_s: view.getFloat32(20, true),
+    ranges: new Uint16Array(view.buffer.slice(start, start + 2 * beams)),
+  };
+};
+
+const decodePath = (view) => ({
+  type: "path",
+  points: new Float32Array(view.buffer, 8, 2 * view.getUint32(4, true)),
+});
+
+/** A message of the service as an object with a type; tiles take a moment to inflate. */
+export const decode = (data) => {
+  if (typeof data === "string") return JSON.parse(data);
+  const view = new DataView(data);
+  switch (view.getUint8(0)) {
+    case TILES: return decodeTiles(view);
+    case SCAN: return decodeScan(view);
+    case PATH: return decodePath(view);
+    default: throw new Error(`message of kind ${view.getUint8(0)}; expected 1 to 3`);
+  }
+};

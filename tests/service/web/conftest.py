@@ -1,0 +1,137 @@
+"""A page that is always closed again, and a browser without a window."""
+
+import asyncio
+import json
+import threading
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import aiohttp
+import pytest
+
+from service.mapstore.tiles import TileStore
+from service.publishing.commands import Answer
+from service.web.config import WebConfig
+from service.web.server import About, WebServer
+
+TOKEN = "the token of the test"
+TIMEOUT_S = 20.0
+
+
+@dataclass
+class Desk:
+    """Answers commands, and holds one back until it is told to go on."""
+
+    asked: list[tuple[str, bytes]] = field(default_factory=list)
+    go_on: threading.Event = field(default_factory=threading.Event)
+
+    def answer(self, verb: str, payload: bytes) -> Answer:
+        self.asked.append((verb, payload))
+        if verb == "wait":
+            assert self.go_on.wait(TIMEOUT_S)
+        return Answer(True, json.dumps({"ok": True, "verb": verb}).encode())
+
+
+@pytest.fixture
+def store() -> TileStore:
+    return TileStore()
+
+
+@pytest.fixture
+def desk() -> Iterator[Desk]:
+    made = Desk()
+    yield made
+    made.go_on.set()
+
+
+@pytest.fixture
+def serve(store: TileStore, desk: Desk) -> Iterator[Callable[..., WebServer]]:
+    """Starts a page; by default at any free port of this machine."""
+    opened: list[WebServer] = []
+
+    def start(wait: bool = True, retry_s: float = 0.05, **settings: Any) -> WebServer:
+        config = WebConfig(**{"listen": "127.0.0.1:0", **settings})
+        about = About("veh1", "corridor", 0.05, ["mark", "wait"])
+        opened.append(WebServer(config, about, store, desk.answer, TOKEN, retry_s=retry_s))
+        opened[-1].start()
+        assert not wait or opened[-1].wait_served(TIMEOUT_S)
+        return opened[-1]
+
+    yield start
+    for server in opened:
+        server.close()
+
+
+class Client:
+    """A program that speaks as the page does."""
+
+    def __init__(self, session: aiohttp.ClientSession, address: str) -> None:
+        self.session = session
+        self.address = address
+        self._passed_over: dict[Any, list[tuple[str | int, Any]]] = {}  # by socket
+
+    def socket(self, **settings: Any) -> Any:
+        return self.session.ws_connect(f"{self.address}ws", max_msg_size=0, **settings)
+
+    async def next(self, socket: aiohttp.ClientWebSocketResponse, kind: str | int) -> Any:
+        """The next message of a type, or of a binary kind; those before it wait to be asked for."""
+        waiting = self._passed_over.setdefault(socket, [])
+        for k, (kind_of, content) in enumerate(waiting):
+            if kind_of == kind:
+                del waiting[k]
+                return content
+        async with asyncio.timeout(TIMEOUT_S):
+            while True:
+                kind_of, content = _read(await socket.receive())
+                if kind_of == kind:
+                    return content
+                waiting.append((kind_of, content))
+
+    async def ask(self, socket: aiohttp.ClientWebSocketResponse, **message: Any) -> None:
+        await socket.send_str(json.dumps(message))
+
+    async def closed_with(self, socket: aiohttp.ClientWebSocketResponse) -> int | None:
+        """The close code, whatever still comes before."""
+        async with asyncio.timeout(TIMEOUT_S):
+            while not socket.closed:
+                await socket.receive()
+        return socket.close_code
+
+
+def _read(message: aiohttp.WSMessage) -> tuple[str | int, Any]:
+    """Type and content of a text, kind and bytes of a binary message."""
+    if message.type is aiohttp.WSMsgType.TEXT:
+        content = json.loads(message.data)
+        return content["type"], content
+    assert message.type is aiohttp.WSMsgType.BINARY, f"closed meanwhile: {message}"
+    return message.data[0], message.data
+
+
+def talk(server: WebServer, conversation: Callable[[Client], Awaitable[None]]) -> None:
+    """Hold it, and close what was opened."""
+
+    async def hold() -> None:
+        async with aiohttp.ClientSession() as session:
+            await conversation(Client(session, server.address))
+
+    asyncio.run(hold())
+
+
+@contextmanager
+def repeating(action: Callable[[], None], period_s: float = 0.01) -> Iterator[None]:
+    """Does it again and again in a thread of its own."""
+    ended = threading.Event()
+
+    def repeat() -> None:
+        while not ended.wait(period_s):
+            action()
+
+    thread = threading.Thread(target=repeat)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join(TIMEOUT_S)

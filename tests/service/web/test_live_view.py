@@ -1,0 +1,172 @@
+import json
+import math
+import struct
+
+import numpy as np
+import pytest
+
+from service.encoding import Message, encode_diagnostics, encode_frame, encode_pose, encode_tf_static
+from service.geometry.se2 import SE2
+from service.web.live_view import LATENCY_PERIOD_NS, SCAN_PERIOD_NS, DrivenPath, LiveView
+from tests.browser.scene import MOUNTINGS, Scene, event, stamp, statuses
+
+
+class Clock:
+    ns = 0
+
+    def __call__(self) -> int:
+        return self.ns
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def view(clock):
+    return LiveView(clock)
+
+
+def texts(shown, kind):
+    read = [json.loads(s.payload) for s in shown if isinstance(s.payload, str)]
+    return [message for message in read if message["type"] == kind]
+
+
+def keys(shown):
+    return [s.key for s in shown]
+
+
+def test_the_newest_of_each_is_shown_once(view):
+    scene = Scene()
+    for seconds in (0.0, 0.1):
+        for message in scene.messages(seconds):
+            view.put(message)
+    shown = view.due()
+    assert sorted(keys(shown)) == ["health", "mountings", "pose", "scan/front", "scan/rear"]
+    (pose,) = texts(shown, "pose")
+    assert pose["stamp_ns"] == str(stamp(0.1))
+    assert (pose["x_m"], pose["y_m"]) == (scene.pose(0.1).x_m, scene.pose(0.1).y_m)
+    assert view.due() == []
+
+
+def test_a_laser_is_shown_five_times_a_second_with_its_newest_scan(view, clock):
+    scene = Scene()
+    stamps = []
+    for tick in range(11):  # of 20 ms; a scan comes with each
+        clock.ns = tick * 20_000_000
+        view.put(encode_frame(scene.scan("front", tick * 0.02)))
+        stamps += [struct.unpack_from("<d", s.payload, 4)[0] for s in view.due()]
+    assert SCAN_PERIOD_NS == 200_000_000
+    assert stamps == [pytest.approx(stamp(s) / 1e9, abs=1e-6) for s in (0.0, 0.2)]
+
+
+def test_a_scan_of_a_laser_that_hangs_upside_down_is_turned_back(view):
+    view.put(encode_tf_static(MOUNTINGS, 1, 1, upside_down=["front"]))
+    view.due()
+    view.put(encode_frame(Scene().scan("front", 0.0)))
+    (shown,) = view.due()
+    first, step = struct.unpack_from("<ff", shown.payload, 12)
+    assert first == pytest.approx(math.pi / 2, abs=1e-6)
+    assert step < 0.0
+
+
+def test_health_says_since_when_it_is_so_whatever_its_words(view):
+    def told(seconds, state, reason):
+        view.put(encode_diagnostics("health", statuses(state, reason), stamp(seconds), stamp(seconds)))
+        (health,) = texts(view.due(), "health")
+        return next(s["since_s"] for s in health["statuses"] if s["name"] == "mapping")
+
+    assert told(1, "ok", "") == stamp(1) / 1e9
+    assert told(2, "lost", "no agreement for 1 s") == stamp(2) / 1e9
+    assert told(3, "lost", "no agreement for 2 s") == stamp(2) / 1e9
+    assert told(4, "ok", "") == stamp(4) / 1e9
+
+
+def test_health_says_how_long_a_frame_is_on_its_way(view):
+    for message in Scene().messages(1.0):
+        view.put(message)
+    (health,) = texts(view.due(), "health")
+    assert health["latency_ms"] == {"front": pytest.approx(5.0), "rear": pytest.approx(5.0)}
+
+
+def test_latencies_are_told_once_a_second_with_their_longest(view, clock):
+    clock.ns = 10 * LATENCY_PERIOD_NS
+    pose = encode_pose(Scene().output(0.0), 1_000_000_000)
+    for ms in (2, 9, 4):
+        view.put(pose, clock.ns - ms * 1_000_000)
+    ((_, median_ms, longest_ms, count),) = [m["point"] for m in texts(view.due(), "latency")]
+    assert (median_ms, longest_ms, count) == (4.0, 9.0, 3)
+    view.put(pose, clock.ns)
+    assert texts(view.due(), "latency") == []
+    clock.ns += LATENCY_PERIOD_NS
+    view.put(pose, clock.ns)
+    ((_, _, _, count),) = [m["point"] for m in texts(view.due(), "latency")]
+    assert count == 2  # the one that waited, too
+    (history,) = texts(view.snapshot(), "latency_history")
+    assert [point[3] for point in history["points"]] == [3, 2]
+
+
+def test_who_comes_late_gets_all_of_it(view):
+    scene = Scene()
+    for message in (*scene.messages(0.0), event('{"event": "start"}', 0.0)):
+        view.put(message)
+    now = view.due()
+    later = view.snapshot()
+    assert {key for key in keys(now) if key} <= set(keys(later))
+    assert texts(later, "event") == texts(now, "event") != []
+
+
+def test_the_path_is_told_to_who_comes_late_and_ends_with_its_map(view):
+    scene = Scene()
+    for seconds in (0.0, 0.01, 1.0, 2.0):  # the second is nearer than 5 cm
+        view.put(encode_pose(scene.output(seconds), 1))
+        view.due()
+
+    def points():
+        payload = next(s.payload for s in view.snapshot() if s.key == "path")
+        return np.frombuffer(payload, "<f4", offset=8).reshape(-1, 2)
+
+    expected = [(scene.pose(t).x_m, scene.pose(t).y_m) for t in (0.0, 1.0, 2.0)]
+    np.testing.assert_allclose(points(), expected, atol=1e-6)
+    reset = view.map_reset()
+    assert struct.unpack_from("<I", reset.payload, 4) == (0,)
+    assert len(points()) == 0
+
+
+def test_a_long_path_keeps_its_shape_and_its_bound():
+    path = DrivenPath(step_m=1.0, most=10)
+    for metre in range(100):
+        path.add(float(metre), 0.0)
+    points = np.frombuffer(path.payload(), "<f4", offset=8).reshape(-1, 2)
+    assert len(points) <= 10
+    assert points[0].tolist() == [0.0, 0.0]
+    assert points[-1, 0] >= 80.0
+    assert np.ptp(np.diff(points[:, 0])) <= 16.0
+
+
+def test_bytes_that_are_no_pose_are_counted(view):
+    view.put(Message("pose", "nav_msgs/msg/Odometry", 1, 1, b"\x00\x01\x00\x00"))
+    assert view.due() == []
+    assert view.unreadable == 1
+
+
+def test_the_whole_map_and_its_tiles_are_left_to_the_feed(view):
+    for channel in ("map", "map/meta", "map/tile/0/1/1", "tf", "odom", "imu/imu"):
+        view.put(Message(channel, "x", 1, 1, b""))
+    assert view.due() == []
+    assert view.unreadable == 0
+
+
+def test_sensors_with_poses_of_their_own_are_not_the_pose(view):
+    view.put(encode_pose(Scene().output(0.0), 1))
+    view.due()
+    message = encode_pose(Scene().output(5.0), 1)
+    view.put(Message("base/pose", message.type, 1, 1, message.payload))
+    assert texts(view.due(), "pose") == []
+
+
+def test_a_turn_of_the_mounting_is_told(view):
+    view.put(encode_tf_static({"front": SE2(0.2, 0.1, 0.5)}, 1, 1))
+    (told,) = texts(view.due(), "mountings")
+    assert told["pose_base_sensor"]["front"] == pytest.approx([0.2, 0.1, 0.5])

@@ -1,0 +1,118 @@
+import json
+import math
+import struct
+import zlib
+
+import numpy as np
+import pytest
+
+from drivers.frames import NO_INTENSITY, LaserScan
+from service.encoding import Pose, Status
+from service.geometry.se2 import SE2
+from service.web.protocol import (
+    RANGE_STEP_M,
+    AskedError,
+    CommandAsked,
+    TokenShown,
+    encode_path,
+    encode_scan,
+    encode_tiles,
+    health_json,
+    pose_json,
+    read_asked,
+    to_json,
+)
+from tests.service.mapstore.tile_makers import CELL_M, EDGE, tile
+
+
+def test_tiles_come_back_as_they_went():
+    tiles = [tile(-3, 2, 1), tile(7, -1, 2, value=-1)]
+    payload = encode_tiles(tiles)
+    kind, flags, edge, cell_m, count = struct.unpack_from("<BBHfI", payload)
+    body = zlib.decompress(payload[12:])
+    assert (kind, flags, edge, cell_m, count) == (1, 0, EDGE, CELL_M, 2)
+    assert np.frombuffer(body, "<i4", 4).tolist() == [-3, 2, 7, -1]
+    cells = np.frombuffer(body, np.int8, offset=16).reshape(2, EDGE, EDGE)
+    np.testing.assert_array_equal(cells, [t.cells for t in tiles])
+
+
+def test_tiles_of_an_emptied_map_share_one_cell_and_are_sent_whole():
+    empty = tile(0, 0, 1, value=5)
+    shared = type(empty)(0, 0, 0, 2, CELL_M, np.broadcast_to(np.int8(-1), (EDGE, EDGE)))
+    body = zlib.decompress(encode_tiles([shared])[12:])
+    assert body[8:] == b"\xff" * EDGE**2
+
+
+def scan(ranges: list[float]) -> LaserScan:
+    return LaserScan(
+        "vörne", 1_500_000_000, 2_000_000_000, 25_000, 20_000_000, -1.5, 0.25, 0.1, 400.0,
+        np.array(ranges, np.float32), NO_INTENSITY,
+    )  # fmt: skip
+
+
+def test_ranges_come_back_to_half_a_step_and_no_return_as_zero():
+    payload = encode_scan(scan([1.0, math.nan, 0.004, 327.6, 328.0, math.inf]))
+    kind, name_bytes, beams = struct.unpack_from("<BBH", payload)
+    stamp_s, first, step, interval_s = struct.unpack_from("<dfff", payload, 4)
+    assert (kind, beams, stamp_s, first, step) == (2, 6, 1.5, -1.5, 0.25)
+    assert interval_s == pytest.approx(25e-6)
+    assert payload[24 : 24 + name_bytes].decode() == "vörne"
+    steps = np.frombuffer(payload, "<u2", offset=24 + name_bytes)
+    assert steps.tolist() == [200, 0, 1, 65520, 0, 0]
+    assert steps[3] * RANGE_STEP_M == pytest.approx(327.6, abs=RANGE_STEP_M / 2)
+
+
+def test_a_path_is_pairs_of_metres():
+    payload = encode_path(np.array([[1.5, -2.0], [0.25, 8.0]], np.float32))
+    assert struct.unpack_from("<BBHI", payload) == (3, 0, 0, 2)
+    assert np.frombuffer(payload, "<f4", offset=8).tolist() == [1.5, -2.0, 0.25, 8.0]
+
+
+def test_a_pose_keeps_every_digit_of_its_stamp():
+    stamp_ns = 1_700_000_000_123_456_789
+    pose = Pose(stamp_ns, "map", "base_link", SE2(1.0, 2.0, 0.5), np.eye(3), (1.0, 0.0, 0.1))
+    told = json.loads(pose_json(pose))
+    assert (told["stamp_ns"], told["x_m"], told["theta_rad"]) == (str(stamp_ns), 1.0, 0.5)
+    assert told["covariance"] == np.eye(3).ravel().tolist()
+    assert told["twist"] == [1.0, 0.0, 0.1]
+
+
+def test_what_is_not_finite_becomes_null():
+    told = json.loads(to_json("x", a=math.nan, b=[math.inf, 1.0], c={"d": -math.inf}))
+    assert told == {"type": "x", "a": None, "b": [None, 1.0], "c": {"d": None}}
+
+
+def test_health_says_since_when():
+    told = json.loads(health_json([Status("map", 1, "full", {"k": "v"})], {"map": 7.5}, {"front": 4.0}, 9.0))
+    assert told["statuses"] == [
+        {"name": "map", "level": 1, "message": "full", "values": {"k": "v"}, "since_s": 7.5}
+    ]
+    assert told["latency_ms"] == {"front": 4.0}
+
+
+def test_a_token_and_a_command_are_read():
+    assert read_asked('{"type": "token", "token": "abc"}') == TokenShown(type="token", token="abc")
+    asked = read_asked('{"type": "command", "n": 3, "verb": "mark", "request": {"text": "x"}}')
+    assert asked == CommandAsked(type="command", n=3, verb="mark", request={"text": "x"})
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "{",
+        '{"type": "shell"}',
+        '{"type": "token", "token": 5}',
+        '{"type": "token", "token": "' + "x" * 201 + '"}',
+        '{"type": "command", "n": -1, "verb": "mark"}',
+        '{"type": "command", "n": 1e400, "verb": "mark"}',
+        '{"type": "command", "n": 1, "verb": "' + "m" * 41 + '"}',
+        '{"type": "command", "n": 1, "verb": "mark", "request": []}',
+        '{"type": "command", "n": 1, "verb": "mark", "more": 1}',
+        "[" * 50_000,
+    ],
+)
+def test_anything_else_is_refused_in_words(text):
+    with pytest.raises(AskedError, match=r"\w"):
+        read_asked(text)

@@ -1,0 +1,347 @@
+import asyncio
+import json
+import socket as sockets
+import ssl
+import struct
+import subprocess
+import threading
+import time
+
+import aiohttp
+import pytest
+
+from service.encoding import encode_pose
+from service.web import browser
+from tests.browser.scene import Scene, event, stamp
+from tests.service.mapstore.tile_makers import tile
+from tests.service.web.conftest import TIMEOUT_S, TOKEN, repeating, talk
+
+TILES, PATH = 1, 3
+
+HANDSHAKE = (
+    "GET /ws HTTP/1.1\r\nHost: {host}\r\nOrigin: {origin}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    "Sec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+)
+
+
+def host_and_port(address: str) -> tuple[str, int]:
+    host, _, port = address.partition("://")[2].rstrip("/").rpartition(":")
+    return host, int(port)
+
+
+def read_until(socket: sockets.socket, end: bytes) -> bytes:
+    read = b""
+    while end not in read:
+        more = socket.recv(4096)
+        assert more, f"closed after {read!r}"
+        read += more
+    return read
+
+
+def test_the_page_and_all_it_needs_come_with_strict_headers(serve):
+    async def look(client):
+        async with client.session.get(client.address) as response:
+            page = await response.text()
+        assert response.status == 200
+        assert response.headers["Content-Security-Policy"].startswith("default-src 'none'")
+        assert "Server" not in response.headers or "corridor" not in response.headers["Server"]
+        assert "<canvas" in page
+        assert "http" not in page.replace("http-equiv", "")
+        for name in ("main.js", "page.css", "icon.svg"):
+            async with client.session.get(f"{client.address}{name}") as response:
+                assert response.status == 200
+                assert response.headers["X-Content-Type-Options"] == "nosniff"
+                tag = response.headers["ETag"]
+            async with client.session.get(f"{client.address}{name}", headers={"If-None-Match": tag}) as again:
+                assert again.status == 304
+
+    talk(serve(), look)
+
+
+@pytest.mark.parametrize(
+    "path", ["server.py", "../server.py", "%2e%2e/server.py", "static/main.js", "main.js/", "//etc/passwd"]
+)
+def test_nothing_else_can_be_fetched(serve, path):
+    async def look(client):
+        async with client.session.get(f"{client.address}{path}") as response:
+            assert response.status == 404
+            assert response.headers["Content-Security-Policy"]
+
+    talk(serve(), look)
+
+
+def test_a_new_browser_is_told_all_of_it(serve, store):
+    scene = Scene(store=store)
+    scene.map_all()
+    server = serve()
+
+    async def look(client):
+        for message in (*scene.messages(1.0), event('{"event": "start"}', 1.0)):
+            server.put(message)
+        async with client.socket() as socket:
+            hello = await client.next(socket, "hello")
+            assert (hello["vehicle"], hello["profile"], hello["verbs"]) == (
+                "veh1",
+                "corridor",
+                ["mark", "wait"],
+            )
+            pose = await client.next(socket, "pose")
+            assert pose["stamp_ns"] == str(stamp(1.0))
+            tiles = await client.next(socket, TILES)
+            assert struct.unpack_from("<I", tiles, 8) == (len(scene.tiles()),)
+        async with client.socket() as late:
+            assert len(await client.next(late, PATH)) == 8 + 8
+            assert (await client.next(late, "event"))["text"] == '{"event": "start"}'
+            assert (await client.next(late, "pose"))["stamp_ns"] == str(stamp(1.0))
+
+    talk(server, look)
+
+
+def test_changed_tiles_follow_and_a_reset_empties_map_and_path(serve, store):
+    server = serve()
+    store.update([tile(0, 0, 1)])
+
+    async def look(client):
+        server.put(encode_pose(Scene().output(0.0), 1))
+        async with client.socket() as socket:
+            await client.next(socket, TILES)
+            store.update([tile(5, -5, 2)])
+            payload = await client.next(socket, TILES)
+            assert struct.unpack_from("<I", payload, 8) == (1,)
+            store.begin_anew()
+            paths = [await client.next(socket, PATH)]
+            while struct.unpack_from("<I", paths[-1], 4) != (0,):
+                paths.append(await client.next(socket, PATH))
+            assert struct.unpack_from("<I", await client.next(socket, TILES), 8) == (2,)
+
+    talk(server, look)
+
+
+def test_commands_need_the_token(serve, desk):
+    async def ask(client):
+        async with client.socket() as socket:
+            await client.ask(socket, type="command", n=1, verb="mark", request={"text": "x"})
+            refused = await client.next(socket, "answer")
+            assert (refused["n"], refused["body"]["ok"]) == (1, False)
+            assert "token" in refused["body"]["error"]
+            await client.ask(socket, type="token", token="wrong")
+            access = await client.next(socket, "access")
+            assert (access["may_control"], access["error"]) == (
+                False,
+                "this is not the token of this service",
+            )
+            await client.ask(socket, type="command", n=2, verb="mark")
+            assert not (await client.next(socket, "answer"))["body"]["ok"]
+            assert desk.asked == []
+            await client.ask(socket, type="token", token=TOKEN)
+            assert (await client.next(socket, "access"))["may_control"]
+            await client.ask(socket, type="command", n=3, verb="mark", request={"text": "x"})
+            answer = await client.next(socket, "answer")
+            assert (answer["n"], answer["body"]) == (3, {"ok": True, "verb": "mark"})
+        assert [(verb, json.loads(payload)) for verb, payload in desk.asked] == [("mark", {"text": "x"})]
+
+    talk(serve(), ask)
+
+
+def test_who_guesses_tokens_is_let_go(serve):
+    async def guess(client):
+        async with client.socket() as socket:
+            for number in range(browser.MOST_WRONG_TOKENS):
+                await client.ask(socket, type="token", token=f"guess {number}")
+            assert await client.closed_with(socket) == aiohttp.WSCloseCode.POLICY_VIOLATION
+
+    talk(serve(), guess)
+
+
+def test_a_wrong_token_takes_the_right_away_again(serve, desk):
+    async def ask(client):
+        async with client.socket() as socket:
+            await client.ask(socket, type="token", token=TOKEN)
+            assert (await client.next(socket, "access"))["may_control"]
+            await client.ask(socket, type="token", token="wrong")
+            assert not (await client.next(socket, "access"))["may_control"]
+            await client.ask(socket, type="command", n=1, verb="mark")
+            assert not (await client.next(socket, "answer"))["body"]["ok"]
+        assert desk.asked == []
+
+    talk(serve(), ask)
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1"])
+def test_another_page_cannot_open_the_socket(serve, origin):
+    server = serve()
+
+    async def open_socket(client):
+        with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+            async with client.socket(origin=origin):
+                raise AssertionError("opened")
+        assert refused.value.status == 403
+
+    talk(server, open_socket)
+    assert server.health().values["refused"] == "1"
+
+
+@pytest.mark.parametrize("path", ["", "main.js", "ws"])
+def test_a_name_that_is_not_ours_is_refused_everywhere(serve, path):
+    async def look(client):
+        headers = {"Host": "evil.example"}
+        async with client.session.get(f"{client.address}{path}", headers=headers) as response:
+            assert response.status == 403
+            assert "web.hosts" in await response.text()
+
+    talk(serve(), look)
+
+
+def test_a_message_that_cannot_be_read_is_answered_in_words(serve):
+    async def ask(client):
+        async with client.socket() as socket:
+            await socket.send_str("{")
+            assert "JSON" in (await client.next(socket, "refused"))["error"]
+
+    talk(serve(), ask)
+
+
+@pytest.mark.parametrize("text", ["x" * 70_000, None])
+def test_what_is_too_large_or_no_text_ends_the_talk(serve, text):
+    async def ask(client):
+        async with client.socket() as socket:
+            await (socket.send_bytes(b"\0") if text is None else socket.send_str(text))
+            code = await client.closed_with(socket)
+            assert code in (aiohttp.WSCloseCode.MESSAGE_TOO_BIG, aiohttp.WSCloseCode.POLICY_VIOLATION)
+
+    talk(serve(), ask)
+
+
+def test_who_asks_too_often_is_let_go(serve):
+    async def ask(client):
+        async with client.socket() as socket:
+            for number in range(round(3 * browser.ASKED_BURST)):
+                await client.ask(socket, type="command", n=number, verb="mark")
+            assert await client.closed_with(socket) == aiohttp.WSCloseCode.POLICY_VIOLATION
+
+    talk(serve(), ask)
+
+
+def test_a_command_that_takes_long_holds_up_neither_poses_nor_others(serve, desk):
+    server = serve()
+
+    async def ask(client):
+        async with client.socket() as socket:
+            await client.ask(socket, type="token", token=TOKEN)
+            for n in range(browser.MOST_COMMANDS + 1):
+                await client.ask(socket, type="command", n=n, verb="wait")
+            too_many = await client.next(socket, "answer")
+            assert too_many["n"] == browser.MOST_COMMANDS
+            assert "wait for one to end" in too_many["body"]["error"]
+            server.put(encode_pose(Scene().output(0.0), 1))
+            await client.next(socket, "pose")
+            desk.go_on.set()
+            answered = [(await client.next(socket, "answer"))["n"] for _ in range(browser.MOST_COMMANDS)]
+            assert sorted(answered) == list(range(browser.MOST_COMMANDS))
+
+    talk(server, ask)
+
+
+def test_only_so_many_browsers_look_at_once(serve):
+    async def look(client):
+        async with client.socket() as first, client.socket() as second:
+            await client.next(first, "hello")
+            await client.next(second, "hello")
+            with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+                async with client.socket():
+                    raise AssertionError("opened")
+            assert refused.value.status == 503
+
+    talk(serve(most_browsers=2), look)
+
+
+def test_a_browser_that_never_reads_slows_nothing_and_is_let_go(serve, store, monkeypatch):
+    monkeypatch.setattr(browser, "SEND_TIMEOUT_S", 1.0)
+    monkeypatch.setattr(browser, "TILE_PERIOD_S", 0.0)
+    server = serve()
+    scene = Scene()
+    took_ns: list[int] = []
+    version = 0
+
+    def put() -> None:
+        """Poses, and as much new map as fills every buffer on the way soon."""
+        nonlocal version
+        tiles = [tile(ix, 0, version + ix + 1, edge=256) for ix in range(8)]
+        version += 8
+        store.update(tiles)
+        messages = scene.messages(version / 100)
+        before_ns = time.monotonic_ns()
+        for message in messages:
+            server.put(message)
+        took_ns.append(time.monotonic_ns() - before_ns)
+
+    host, port = host_and_port(server.address)
+    with sockets.create_connection((host, port), TIMEOUT_S) as silent:
+        silent.setsockopt(sockets.SOL_SOCKET, sockets.SO_RCVBUF, 4096)
+        silent.sendall(HANDSHAKE.format(origin=server.address.rstrip("/"), host=f"{host}:{port}").encode())
+
+        async def look(client):
+            async with client.socket() as socket:
+                while server.health().values["browsers"] != "2":
+                    await client.next(socket, "pose")
+                while server.health().values["browsers"] != "1":  # the silent one is let go
+                    await client.next(socket, "pose")
+
+        with repeating(put):
+            talk(server, look)
+    assert int(server.health().values["dropped"]) > 0
+    assert sorted(took_ns)[len(took_ns) // 2] < 1_000_000  # five messages; it only queues
+
+
+def test_a_port_that_is_taken_is_said_and_taken_when_it_is_free(serve):
+    with sockets.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        server = serve(wait=False, listen=f"127.0.0.1:{port}")
+        deadline_s = time.monotonic() + TIMEOUT_S
+        while "cannot be served" not in server.health().message:
+            assert time.monotonic() < deadline_s
+            threading.Event().wait(0.01)
+        assert server.health().level == 2
+        assert server.address == ""
+    assert server.wait_served(TIMEOUT_S)
+    assert server.address == f"http://127.0.0.1:{port}/"
+    assert (server.health().level, server.health().message) == (0, "ok")
+
+
+def test_close_lets_browsers_and_port_go(serve):
+    server = serve()
+    ended: list[int | None] = []
+
+    async def look(client):
+        async with client.socket() as socket:
+            await client.next(socket, "hello")
+            await asyncio.to_thread(server.close)
+            ended.append(await client.closed_with(socket))
+
+    address = server.address
+    talk(server, look)
+    server.close()
+    assert ended == [aiohttp.WSCloseCode.GOING_AWAY]
+    assert server.health().message == "stopped"
+    with pytest.raises(ConnectionRefusedError):
+        sockets.create_connection(host_and_port(address), 1.0)
+
+
+def test_a_certificate_makes_it_https(serve, tmp_path):
+    key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
+    command = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 1"
+    command += f" -subj /CN=localhost -addext subjectAltName=IP:127.0.0.1 -keyout {key} -out {certificate}"
+    made = subprocess.run(command.split(), capture_output=True, check=False)
+    if made.returncode != 0:
+        pytest.skip(f"openssl makes no certificate here: {made.stderr.decode()[-200:]}")
+    server = serve(tls_certificate=certificate, tls_key=key)
+    assert server.address.startswith("https://")
+
+    trust = ssl.create_default_context(cafile=str(certificate))
+    host, port = host_and_port(server.address)
+    with (
+        sockets.create_connection((host, port), TIMEOUT_S) as plain,
+        trust.wrap_socket(plain, server_hostname=host) as socket,
+    ):
+        socket.sendall(HANDSHAKE.format(origin=server.address.rstrip("/"), host=f"{host}:{port}").encode())
+        assert b"hello" in read_until(socket, b'"verbs"')

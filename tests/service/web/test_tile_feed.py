@@ -1,0 +1,75 @@
+import asyncio
+import struct
+
+from service.mapstore.tiles import TileStore
+from service.web import tile_feed
+from service.web.tile_feed import TileFeed
+from tests.service.mapstore.tile_makers import EDGE, tile
+
+
+class CountingStore(TileStore):
+    asked = 0
+
+    def since(self, version):
+        self.asked += 1
+        return super().since(version)
+
+
+def count_of(payload: bytes) -> int:
+    return struct.unpack_from("<I", payload, 8)[0]
+
+
+def test_a_browser_gets_what_it_has_not():
+    store = TileStore()
+    store.update([tile(0, 0, 1), tile(1, 0, 2)])
+
+    async def ask():
+        feed = TileFeed(store)
+        whole = await feed.after(0)
+        assert (count_of(whole.payload), whole.version, whole.is_last) == (2, 2, True)
+        assert await feed.after(2) is None
+        store.update([tile(0, 0, 3)])
+        assert count_of((await feed.after(2)).payload) == 1
+
+    asyncio.run(ask())
+
+
+def test_browsers_that_ask_for_the_same_share_one_message():
+    store = CountingStore()
+    store.update([tile(0, 0, 1)])
+
+    async def ask():
+        feed = TileFeed(store)
+        first, second = await asyncio.gather(feed.after(0), feed.after(0))
+        assert first.payload is second.payload
+
+    asyncio.run(ask())
+    assert store.asked == 1
+
+
+def test_a_large_map_comes_in_parts_between_versions(monkeypatch):
+    monkeypatch.setattr(tile_feed, "MOST_CELLS", 2 * EDGE**2)
+    store = TileStore()
+    store.update([tile(ix, 0, version) for ix, version in enumerate((1, 2, 2, 3, 4))])
+
+    async def ask():
+        feed, version, counts = TileFeed(store), 0, []
+        while (batch := await feed.after(version)) is not None:
+            counts.append(count_of(batch.payload))
+            version = batch.version
+        return counts
+
+    assert asyncio.run(ask()) == [3, 2]  # two of version 2 stay together
+
+
+def test_coarser_levels_are_not_sent():
+    store = TileStore()
+    store.update([tile(0, 0, 1), tile(0, 0, 2, level=1)])
+
+    async def ask():
+        feed = TileFeed(store)
+        batch = await feed.after(0)
+        assert count_of(batch.payload) == 1
+        assert await feed.after(batch.version) is None
+
+    asyncio.run(ask())
