@@ -12,9 +12,9 @@ import typing
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from drivers.antenna import antenna_of
@@ -25,7 +25,7 @@ from service.geometry.se2 import SE2
 from service.located_yaml import Document, Fault, load
 from service.located_yaml import Path as KeyPath
 from service.mapper.profiles import MappingConfig, mapping_model
-from service.publishing.config import PublishingConfig
+from service.sinks.registry import SINKS
 
 NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")  # a chunk of a Zenoh key and a ROS 2 name at once
 NAME_RULE = "lower-case letters, digits and single _ in between, a letter first, at most 32 of them"
@@ -60,39 +60,6 @@ _UNITS: dict[str, tuple[str, float, str]] = {  # suffix -> dimension, size, word
 MAX_FILE_BYTES = 1_000_000  # a config of thirty sensors has 10 kB; /dev/zero has no end
 
 
-def _whole_path(directory: Any) -> Any:
-    """An empty path would be the folder in which the service happens to be started; a shell expands ~."""
-    if isinstance(directory, str) and not directory.strip():
-        raise ValueError("an empty path; write the folder, such as /var/lib/corridor/sessions")
-    if isinstance(directory, str) and directory.startswith("~"):
-        raise ValueError("~ is not expanded here; write the whole path, such as /home/me/sessions")
-    return directory
-
-
-Folder = Annotated[Path, BeforeValidator(_whole_path)]
-
-
-class RecordingConfig(BaseModel):
-    """Where sessions go, and how much of the disk they may take."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    directory: Folder
-    rotate_mb: int = Field(default=1024, ge=1, le=100_000)
-    rotate_min: float = Field(default=10.0, ge=0.1, le=1440.0)
-    keep_free_gb: float = Field(default=2.0, ge=0.0, le=100_000.0)
-    raw: bool = False
-
-
-class MapConfig(BaseModel):
-    """Where the map is kept, and how often it is saved on the way."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    directory: Folder
-    checkpoint_s: float = Field(default=30.0, ge=1.0, le=3600.0)
-
-
 @dataclass(frozen=True, slots=True)
 class ServiceConfig:
     """Everything the service is told. `text` is the YAML itself, which goes into every recording."""
@@ -100,9 +67,7 @@ class ServiceConfig:
     vehicle: str
     sensors: Mapping[str, Any]  # name -> the config model of its type, see drivers.registry
     mapping: MappingConfig
-    publishing: PublishingConfig
-    recording: RecordingConfig
-    map: MapConfig
+    sinks: Mapping[str, Any]  # section -> its config model, see service.sinks.registry
     text: str
 
 
@@ -149,13 +114,7 @@ def mapped_lasers(config: ServiceConfig) -> tuple[str, ...]:
     return tuple(name for name in laser_names(config.sensors) if config.sensors[name].map)
 
 
-_SECTIONS: dict[str, type[BaseModel]] = {
-    "mapping": MappingConfig,
-    "publishing": PublishingConfig,
-    "recording": RecordingConfig,
-    "map": MapConfig,
-}
-_KEYS = ("vehicle", "sensors", *_SECTIONS)
+_KEYS = ("vehicle", "sensors", "mapping", *(kind.section for kind in SINKS))
 
 
 def load_config(path: Path) -> ServiceConfig:
@@ -201,11 +160,13 @@ class _Reader:
             "vehicle": self._name((), root.get("vehicle"), "vehicle"),
             "sensors": self._sensors(root.get("sensors")),
         }
-        for key, model in _SECTIONS.items():
-            section = {} if root.get(key) is None else root[key]
-            if model is MappingConfig and isinstance(section, dict):
-                model = mapping_model(section)
-            values[key] = self._model(model, section, (key,))
+        section = _section(root, "mapping")
+        model = mapping_model(section) if isinstance(section, dict) else MappingConfig
+        values["mapping"] = self._model(model, section, ("mapping",))
+        values["sinks"] = {
+            kind.section: self._model(kind.load_model(), _section(root, kind.section), (kind.section,))
+            for kind in SINKS
+        }
         if isinstance(mapping := values["mapping"], MappingConfig):
             self._refuse_what_is_no_laser(mapping.lasers or (), root.get("sensors"))
         return values
@@ -355,6 +316,11 @@ def _kinds_meant(settings: Mapping[str, Any]) -> list[str]:
         return near
     known = {kind: len(settings.keys() & SENSOR_KINDS[kind].config.model_fields) for kind in SENSOR_KINDS}
     return [kind for kind, count in known.items() if count == max(known.values())]
+
+
+def _section(root: Mapping[str, Any], key: str) -> Any:
+    """What stands under the key; a section left out or left empty has its defaults."""
+    return {} if root.get(key) is None else root[key]
 
 
 def _name_fault(name: str) -> str:

@@ -27,7 +27,8 @@ from service.mapper.profiles import MappingConfig, mapping_config
 from service.offline.warmup import warm_up
 from service.recording.mcap_reader import Recording
 from service.runtime.run import run
-from service.runtime.service import Service, Summary
+from service.runtime.service import Service
+from service.runtime.summary import Summary
 
 log = logging.getLogger(__name__)
 
@@ -262,6 +263,6 @@ def _zenoh_port() -> int:
 
 
 def _tell_where_to_look(service: Service) -> None:
-    where = service.endpoints[0]
+    where = service.places["zenoh"]
     log.info("poses: subscribe to corridor/v1/%s/pose at %s as a Zenoh client, for instance", VEHICLE, where)
     log.info("stop with Ctrl-C; the map is then in the folder named above, as map.png and map.yaml")

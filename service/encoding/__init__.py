@@ -14,6 +14,10 @@ from drivers.link import RawChunk
 from service.encoding.controls import TAKE_IN, decode_control
 from service.encoding.frames import decode_frame, encode_frame, frame_id
 from service.encoding.outputs import (
+    ERROR,
+    OK,
+    STALE,
+    WARNING,
     Pose,
     Status,
     Transform,
@@ -62,6 +66,7 @@ __all__ = [
     "BASE_FRAME",
     "BYTES",
     "DIAGNOSTICS",
+    "ERROR",
     "IMU",
     "LASER_SCAN",
     "MAP_FRAME",
@@ -69,9 +74,12 @@ __all__ = [
     "OCCUPANCY_GRID",
     "ODOMETRY",
     "ODOM_FRAME",
+    "OK",
+    "STALE",
     "STRING",
     "TAKE_IN",
     "TF",
+    "WARNING",
     "LogClock",
     "Message",
     "Pose",

@@ -17,8 +17,11 @@ from service.outputs import Grid, MapperOutput, TileUpdate
 ANY_HEADING = math.pi**2 / 3.0  # rad^2, variance of a heading of which nothing is known
 
 
+OK, WARNING, ERROR, STALE = 0, 1, 2, 3  # levels of diagnostic_msgs/DiagnosticStatus
+
+
 class Status(NamedTuple):
-    """One line of a DiagnosticArray. level: 0 ok, 1 warning, 2 error, 3 stale."""
+    """One line of a DiagnosticArray."""
 
     name: str
     level: int

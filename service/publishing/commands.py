@@ -97,7 +97,7 @@ class _Known:
     at_s: float
 
 
-class CommandDesk:
+class CommandDispatcher:
     """Takes requests from any thread and waits with each until it is settled, at most answer_timeout_s."""
 
     def __init__(

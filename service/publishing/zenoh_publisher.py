@@ -8,7 +8,7 @@ import logging
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any, Protocol
 
@@ -23,7 +23,7 @@ from service.publishing.command_queryable import CommandQueryable
 from service.publishing.commands import Answer
 from service.publishing.config import PublishingConfig
 from service.publishing.keys import alive_key, tile_channel, vehicle_key
-from service.publishing.lanes import BulkLane, Sending, StreamLane
+from service.publishing.send_queues import BulkQueue, Sending, StreamQueue
 from service.publishing.session import listened_at, open_session
 
 log = logging.getLogger(__name__)
@@ -76,8 +76,9 @@ class ZenohPublisher:
         self._gids: dict[str, bytes] = {}
         self._last: dict[str, tuple[Message, int]] = {}  # with its sequence number
         self._tokens: dict[str, zenoh.LivelinessToken] = {}
-        self._stream = StreamLane(STREAM_CAPACITY)
-        self._bulk = BulkLane(TILE_PERIOD_S, picture_period_s)
+        self._alive: Mapping[str, bool] = {}  # as it is to be shown
+        self._stream = StreamQueue(STREAM_CAPACITY)
+        self._bulk = BulkQueue(TILE_PERIOD_S, picture_period_s)
         self._commands: CommandQueryable | None = None
         self._closed = False
         self._session = open_session(config)
@@ -102,7 +103,7 @@ class ZenohPublisher:
         self.close()
 
     def put(self, message: Message, origin_ns: int | None = None) -> None:
-        """Hand over a message; never waits. Of a stream the oldest goes when the line is full, counted."""
+        """Hand over a message; never waits. A full queue drops its oldest, counted."""
         if message.channel in STATES:
             self._bulk.put(message)
         else:
@@ -125,6 +126,10 @@ class ZenohPublisher:
                 self._tokens[component] = self._session.liveliness().declare_token(key)
             elif not alive and component in self._tokens:
                 self._tokens.pop(component).undeclare()  # type: ignore[no-untyped-call]
+
+    def show_alive(self, components: Mapping[str, bool]) -> None:
+        """Have `set_alive` called for each with the next bulk, by the thread that sends it; never waits."""
+        self._alive = components
 
     def answer_commands(self, answer: Callable[[str, bytes], Answer]) -> None:
         """Answer cmd/<verb> from now on; `answer` takes verb and payload and may wait, in bounded time."""
@@ -178,6 +183,8 @@ class ZenohPublisher:
         while (bulk := self._bulk.take()) is not None:
             for message in bulk.messages:
                 self._try(message.channel, partial(self._send, message))
+            for component, alive in self._alive.items():
+                self._try("alive", partial(self.set_alive, component, alive))
             for tile in bulk.tiles:
                 self._try(TILES, partial(self._send_tile, tile))
             for channel in bulk.pictures:

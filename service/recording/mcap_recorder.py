@@ -30,6 +30,7 @@ log = logging.getLogger(__name__)
 SYNC_PERIOD_S = 0.9  # with the flush and the sync themselves, less than a second is at risk
 QUEUE_MESSAGES, QUEUE_BYTES = 20_000, 64 << 20  # a disk may stall for a minute before scans are lost
 RAW_SUFFIX, RAW_SHARE = "/raw", 0.5  # of the queue: bytes as they came never push out the frames made of them
+EVENTS = "events"
 RETRY_S = 5.0  # after a disk error, until a new file is tried
 RESUME_FACTOR = 1.05  # free space must exceed the limit by this before recording resumes, or it would flutter
 FINISH_TIMEOUT_S = 30.0
@@ -45,25 +46,25 @@ class _Metadata:
 
 @dataclass(frozen=True, slots=True)
 class SessionChange:
-    """What became of the wish to begin or to end a session."""
+    """What became of the request to begin or to end a session."""
 
     changed: bool  # False: it was so already
     files: list[Path]  # the one being written; of an ended session all, complete, oldest first
     error: str  # why the disk does not do it, else ""
 
 
-Heard = Callable[[SessionChange], None]
+SessionHeard = Callable[[SessionChange], None]
 
 
 @dataclass(frozen=True, slots=True)
 class _Begin:
     first: Message
-    heard: Heard
+    heard: SessionHeard
 
 
 @dataclass(frozen=True, slots=True)
 class _End:
-    heard: Heard
+    heard: SessionHeard
 
 
 _Item = Message | _Metadata | _Begin | _End
@@ -88,6 +89,8 @@ class McapRecorder:
 
     It begins to record at once. `end_session` and `begin_session` cut the stream of messages where they are
     called; what is put in between is let go, uncounted, but for what a new session has to know (LATCHED).
+    Events of log times before the begin are let go, too: what the mapper decides about an earlier frame
+    stands right ahead of that frame, which the session does not hold.
 
     directory          where sessions go; made if it is not there
     rotate_bytes       a new file when the current one is this large
@@ -123,7 +126,7 @@ class McapRecorder:
         self._queue: deque[_Item] = deque()
         self._queue_bytes = 0
         self._stopping = False
-        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="recording-writer", daemon=True)
         self._leftovers: Leftovers | None = None
         self._file: McapFile | None = None
         self._enabled = True
@@ -132,6 +135,9 @@ class McapRecorder:
         self._session_files = 0  # how many were finished before it
         self._file_count = 0
         self._latched: dict[str, Message] = {}
+        self._events_from_ns = (
+            0  # log time; an event before it is about a frame that the session does not hold
+        )
         self._last_log_ns = 0
         self._sync_at_s = 0.0
         self._retry_at_s = 0.0
@@ -176,17 +182,17 @@ class McapRecorder:
             self._queue.append(_Metadata(name, dict(values)))
             self._wake.notify()
 
-    def begin_session(self, first: Message, heard: Heard) -> None:
+    def begin_session(self, first: Message, heard: SessionHeard) -> None:
         """Record again, into a new file that opens with metadata, latched messages and `first`.
 
         Where a session is being recorded it goes on, and takes `first`. `heard` is called by the recorder's
         thread and must not wait.
         """
-        self._wish(_Begin(first, heard))
+        self._request(_Begin(first, heard))
 
-    def end_session(self, heard: Heard) -> None:
+    def end_session(self, heard: SessionHeard) -> None:
         """Complete the file with what was put until now, and record no more. `heard` as in begin_session."""
-        self._wish(_End(heard))
+        self._request(_End(heard))
 
     def finish(self) -> list[Path]:
         """Write what is queued, complete the file and stop. Returns the session's files, oldest first."""
@@ -205,13 +211,13 @@ class McapRecorder:
             self._leftovers.stop()
         return list(self.health.finished)
 
-    def _wish(self, wish: _Begin | _End) -> None:
+    def _request(self, request: _Begin | _End) -> None:
         with self._wake:
             if not self._stopping:
-                self._queue.append(wish)
+                self._queue.append(request)
                 self._wake.notify()
                 return
-        wish.heard(SessionChange(False, [], "the recorder is being stopped"))
+        request.heard(SessionChange(False, [], "the recorder is being stopped"))
 
     def _run(self) -> None:
         while True:
@@ -243,6 +249,7 @@ class McapRecorder:
         if changed:
             self._enabled, self._session, self._file_count = True, "", 0
             self._session_files = len(self.health.finished)
+            self._events_from_ns = first.log_ns
             self._retry_at_s = 0.0
             self.health.state = "waiting"
         self._keep(first)
@@ -267,7 +274,7 @@ class McapRecorder:
                 return
             if item.channel in LATCHED:
                 self._latched[item.channel] = item
-            if not self._enabled:
+            if not self._enabled or (item.channel == EVENTS and item.log_ns < self._events_from_ns):
                 return
             if self._may_write():
                 self._write(item)

@@ -1,23 +1,23 @@
 """What each command does. All of them go through the intake: their place among the frames is exact."""
 
-import json
 import threading
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Protocol
+from typing import Annotated, Any, Protocol
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.encoding import Message, encode_event
+from service.encoding import Message
 from service.encoding.controls import decode_control
 from service.mapper.steering import Steering, Wish
 from service.mapstore.tiles import TileStore
 from service.publishing.commands import CommandError, Outcome, Request, Verb
-from service.recording.mcap_recorder import McapRecorder, SessionChange
+from service.recording.mcap_recorder import SessionChange
 from service.runtime.intake import Intake
-from service.runtime.map_keeper import MapKeeper, SavedMap
 from service.runtime.mapper_messages import Answer
 from service.runtime.mapping_outputs import MappingOutputs
+from service.sinks.sink import MapStorage, SavedMap, SessionRecorder
 
 
 class MarkRequest(Request):
@@ -50,21 +50,28 @@ class CarryOut(Protocol):
 
 
 class Commands:
-    """Verbs for a CommandDesk. Whoever is asked settles the outcome when it is done."""
+    """Verbs for a CommandDispatcher. Whoever is asked settles the outcome when it is done.
+
+    put        takes a message for all sinks, and only queues it
+    recorder   for start_recording and stop_recording
+    storage    for save_map and reset_map
+    """
 
     def __init__(
         self,
         intake: Intake,
         outputs: MappingOutputs,
         tiles: TileStore,
-        keeper: MapKeeper,
-        recorder: McapRecorder,
+        put: Callable[[Message], Any],
+        recorder: SessionRecorder,
+        storage: MapStorage,
     ) -> None:
         self._intake = intake
         self._outputs = outputs
         self._tiles = tiles
-        self._keeper = keeper
+        self._put = put
         self._recorder = recorder
+        self._storage = storage
         self._lock = threading.Lock()
         self._open: list[Outcome] = []
 
@@ -106,7 +113,7 @@ class Commands:
 
     def _ask_graph(self, name: str, event: Message, outcome: Outcome) -> None:
         """Recorded even if it is refused: a replay refuses it at the same place."""
-        self._recorder.put(event)
+        self._put(event)
         wish = decode_control(event.payload, event.log_ns)
         assert isinstance(wish, Wish)
 
@@ -119,29 +126,29 @@ class Commands:
         self._intake.wish(name, wish.payload, event.log_ns, answered)
 
     def _steer(self, steering: Steering, event: Message, outcome: Outcome) -> None:
-        self._recorder.put(event)
+        self._put(event)
         self._intake.steer(steering, event.log_ns, lambda answer: outcome.done(changed=answer.result))
 
     def _reset_map(self, event: Message, outcome: Outcome) -> None:
         """Answered when the map before is on disk."""
-        self._recorder.put(event)
+        self._put(event)
 
         def saved(before: Path | None, present: SavedMap | None, trouble: str) -> None:
             if trouble:
                 outcome.failed(f"the map is reset, but the one before is not saved yet: {trouble}")
             else:
-                outcome.done(folder=str(self._keeper.folder), folder_before=_text(before))
+                outcome.done(folder=str(self._storage.folder), folder_before=_text(before))
 
         def answered(answer: Answer) -> None:
             number = self._tiles.number
             self._outputs.map_reset()
-            before = self._keeper.folder_of(number) if self._tiles.number != number else None
-            self._keeper.ask_to_save(partial(saved, before))
+            before = self._storage.folder_of(number) if self._tiles.number != number else None
+            self._storage.ask_to_save(partial(saved, before))
 
         self._intake.steer("reset_map", event.log_ns, answered)
 
     def _save_map(self, event: Message, outcome: Outcome) -> None:
-        self._recorder.put(event)
+        self._put(event)
 
         def saved(present: SavedMap | None, trouble: str) -> None:
             if trouble:
@@ -151,17 +158,13 @@ class Commands:
             else:
                 outcome.done(folder=str(present.folder), version=present.number, map_version=present.version)
 
-        self._intake.tiles(event.log_ns, lambda answer: self._keeper.ask_to_save(saved))
+        self._intake.tiles(event.log_ns, lambda answer: self._storage.ask_to_save(saved))
 
     def _start_recording(self, event: Message, outcome: Outcome) -> None:
-        self._outputs.session_begins(event.log_ns)
         self._recorder.begin_session(event, partial(self._recording_changed, outcome))
-        if self._intake.paused:  # a session holds all that its replay needs
-            text = json.dumps({"event": "pause", "reason": "paused before the recording began"})
-            self._recorder.put(encode_event(text, event.stamp_ns, event.log_ns))
 
     def _stop_recording(self, event: Message, outcome: Outcome) -> None:
-        self._recorder.put(event)
+        self._put(event)
         self._recorder.end_session(partial(self._recording_changed, outcome))
 
     def _recording_changed(self, outcome: Outcome, change: SessionChange) -> None:
@@ -171,7 +174,7 @@ class Commands:
             outcome.done(changed=change.changed, files=[str(path) for path in change.files])
 
     def _mark(self, event: Message, outcome: Outcome) -> None:
-        self._recorder.put(event)
+        self._put(event)
         outcome.done(log_ns=event.log_ns)
 
 

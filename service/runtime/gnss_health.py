@@ -3,10 +3,9 @@
 import math
 from collections.abc import Mapping
 
-from service.encoding import Status
+from service.encoding import OK, WARNING, Status
 from service.geometry.geo_reference import GeoReference
 
-OK, WARNING = 0, 1
 RECENT_NS = 10_000_000_000  # what was counted within so long is said
 
 # By counter, the worst first: level and words.

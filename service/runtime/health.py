@@ -4,30 +4,19 @@ from collections import Counter
 from collections.abc import Mapping
 
 from drivers.link import LinkHealth
-from service.encoding import Message, Status, encode_diagnostics
-from service.publishing.commands import CommandDesk
-from service.publishing.zenoh_publisher import ZenohPublisher
-from service.recording.mcap_recorder import McapRecorder
+from service.encoding import ERROR, OK, STALE, WARNING, Message, Status, encode_diagnostics
+from service.publishing.commands import CommandDispatcher
 from service.runtime.gnss_health import GnssHealth
 from service.runtime.intake import Intake
-from service.runtime.map_keeper import MapKeeper
 from service.runtime.mapper_link import MapperLink
 from service.runtime.mapping_outputs import MappingOutputs
 from service.runtime.metrics import LatencyHistogram, RateMeter
+from service.sinks.fan_out import Sinks
 
-OK, WARNING, ERROR, STALE = 0, 1, 2, 3  # levels of diagnostic_msgs/DiagnosticStatus
 STALE_AFTER_NS = 1_000_000_000
 POSE_STALE_NS = 500_000_000  # the slowest laser sends each 80 ms
 
 _LEVEL_OF_LINK = {"streaming": OK, "starting": WARNING, "connecting": WARNING, "down": ERROR}
-_LEVEL_OF_RECORDING = {
-    "waiting": OK,
-    "recording": OK,
-    "finished": OK,
-    "stopped": WARNING,
-    "disk full": ERROR,
-    "disk error": ERROR,
-}
 _LEVEL_OF_POSE = {"ok": OK, "degraded": WARNING, "lost": ERROR}
 
 
@@ -87,22 +76,18 @@ class HealthReport:
         intake: Intake,
         link: MapperLink,
         outputs: MappingOutputs,
-        keeper: MapKeeper,
-        recorder: McapRecorder,
-        publisher: ZenohPublisher,
+        sinks: Sinks,
         latency: LatencyHistogram,
-        desk: CommandDesk,
+        dispatcher: CommandDispatcher,
     ) -> None:
         self._links = links
         self._sensors = {name: SensorHealth(link) for name, link in links.items()}
         self._intake = intake
         self._link = link
         self._outputs = outputs
-        self._keeper = keeper
-        self._recorder = recorder
-        self._publisher = publisher
+        self._sinks = sinks
         self._latency = latency
-        self._desk = desk
+        self._dispatcher = dispatcher
         self._scan_rate = RateMeter()
         self._states = dict.fromkeys(links, "connecting")
         self._gnss_health = GnssHealth()
@@ -121,24 +106,23 @@ class HealthReport:
         return {name: round(sensor.mean_rate_hz, 2) for name, sensor in self._sensors.items()}
 
     @property
-    def streaming(self) -> dict[str, bool]:
-        return {name: link.state == "streaming" for name, link in self._links.items()}
-
-    @property
     def line(self) -> str:
         """One line for people who ask `systemctl status`."""
-        last, recorder = self._outputs.last, self._recorder.health
+        last = self._outputs.last
         if self._intake.paused:
             state = "mapping paused"
         elif last is None:
             state = "waiting for a scan"
         else:
             state = "mapping overloaded" if self._outputs.overload() else f"mapping {last.state}"
-        recording = recorder.path.name if recorder.path and recorder.state == "recording" else recorder.state
-        return (
-            f"{state}, {sum(self.streaming.values())}/{len(self._links)} sensors, "
-            f"{self._scan_rate.rate_hz:.1f} scans/s, recording: {recording}"
-        )
+        streaming = sum(link.state == "streaming" for link in self._links.values())
+        words = [
+            state,
+            f"{streaming}/{len(self._links)} sensors",
+            f"{self._scan_rate.rate_hz:.1f} scans/s",
+            *self._sinks.status_words(),
+        ]
+        return ", ".join(words)
 
     def update(self, now_ns: int, clock_step_ns: int) -> None:
         """Look at everything. now_ns: host monotonic; clock_step_ns: how far the wall clock has stepped."""
@@ -150,15 +134,13 @@ class HealthReport:
             *sensors,
             self._mapping(),
             *self._gnss(now_ns),
-            self._map(),
-            self._recording(),
-            self._zenoh(),
+            *self._sinks.health(),
             self._clock(),
             self._commands(),
         ]
 
-    def message(self, channel: str, unix_ns: int) -> Message:
-        return encode_diagnostics(channel, self.statuses, unix_ns, unix_ns)
+    def message(self, unix_ns: int) -> Message:
+        return encode_diagnostics("diagnostics", self.statuses, unix_ns, unix_ns)
 
     def take_state_changes(self) -> list[tuple[str, str]]:
         """Sensors whose link is in another state than at the last call, with that state."""
@@ -211,37 +193,6 @@ class HealthReport:
         status = self._gnss_health.status(self._outputs.counters, self._outputs.geo_reference, now_ns)
         return [] if status is None else [status]
 
-    def _map(self) -> Status:
-        trouble = self._keeper.trouble
-        values = {"folder": str(self._keeper.folder), "saved_version": str(self._keeper.saved_version)}
-        return Status("map", ERROR if trouble else OK, trouble or "ok", values)
-
-    def _recording(self) -> Status:
-        recorder = self._recorder.health
-        level = _LEVEL_OF_RECORDING[recorder.state]
-        values = {
-            "state": recorder.state,
-            "file": str(recorder.path or ""),
-            "messages": str(recorder.messages),
-            "free_gb": f"{recorder.free_bytes / 1e9:.1f}",
-            "log_time_steps_back": str(recorder.steps_back),
-        }
-        values |= {f"dropped.{channel}": str(count) for channel, count in _snapshot(recorder.dropped)}
-        words = {OK: recorder.state, WARNING: "stopped by a command"}.get(level, recorder.last_error)
-        return Status("recording", level, words, values)
-
-    def _zenoh(self) -> Status:
-        failed, dropped = self._publisher.failed(), self._publisher.dropped()
-        values = {f"sent.{channel}": str(count) for channel, count in sorted(self._publisher.sent().items())}
-        values |= {f"dropped.{channel}": str(count) for channel, count in sorted(dropped.items())}
-        values |= {f"failed.{channel}": str(count) for channel, count in sorted(failed.items())}
-        values["endpoints"] = " ".join(self._publisher.endpoints)
-        if failed or dropped:
-            return Status(
-                "zenoh", WARNING, f"{sum(dropped.values())} dropped, {sum(failed.values())} failed", values
-            )
-        return Status("zenoh", OK, "ok", values)
-
     def _clock(self) -> Status:
         step_s = self.clock_step_ns / 1e9
         values = {"step_s": f"{step_s:.3f}"}
@@ -252,7 +203,7 @@ class HealthReport:
 
     def _commands(self) -> Status:
         """Counts of marks, pauses ... since the start."""
-        counts = self._desk.counts()
+        counts = self._dispatcher.counts()
         return Status("commands", OK, "ok", {name: str(count) for name, count in sorted(counts.items())})
 
 

@@ -1,7 +1,7 @@
 """Where all frames and commands come together: their order is fixed here, and everything downstream keeps it.
 
-A frame is encoded once, in the thread of its reader. The same bytes go to the recorder, to subscribers and to
-the mapper's process, so a replay of the file gives the same poses.
+A frame is encoded once, in the thread of its reader. The same bytes go to the sinks and to the mapper's
+process, so a replay of the recording gives the same poses.
 """
 
 import json
@@ -23,27 +23,25 @@ Answered = Callable[[Answer], None]
 class Intake:
     """Thread-safe; nobody waits for more than another's frame.
 
-    publish, record    take a message, and only queue it
+    put    takes a message for all sinks, and only queues it
     """
 
     def __init__(
         self,
         link: MapperLink,
         host_time: HostTime,
-        publish: Callable[[Message, int | None], Any],
-        record: Callable[[Message], Any],
+        put: Callable[[Message], Any],
     ) -> None:
         self._link = link
         self._host_time = host_time
-        self._publish = publish
-        self._record = record
+        self._put = put
         self._log_clock = LogClock()
         self._lock = threading.Lock()
         self._is_closed = False
         self.paused = False
 
     def put(self, frame: Frame) -> None:
-        """Record it, publish it, have it mapped. After close() frames are ignored.
+        """Hand it to the sinks and have it mapped. After close() frames are ignored.
 
         Raises OverflowError where the mapper has been stuck for minutes.
         """
@@ -52,12 +50,11 @@ class Intake:
                 return
             log_ns = self._log_clock.next_ns(self._host_time.unix_ns(frame.arrived_ns))
             message = encode_frame(frame, self._host_time.offset_ns, log_ns)
-            self._record(message)
+            self._put(message)
             number = self._link.next_number()
             self._link.submit(
                 FrameItem(number, log_ns, frame.arrived_ns, frame.sensor, message.type, message.payload)
             )
-            self._publish(message, None)
 
     def mark(self, event: Mapping[str, Any], then: Callable[[Message], None]) -> str:
         """Put an event among the frames; `then` takes it, encoded, before any later frame is recorded.

@@ -1,4 +1,4 @@
-"""What comes back from the mapper's process: recorded, published, kept as tiles, and counted."""
+"""What comes back from the mapper's process: handed to the sinks, kept as tiles, and counted."""
 
 import json
 import time
@@ -21,9 +21,8 @@ OVERLOAD_NS = 1_000_000_000  # so long after a scan that was passed over the ser
 class MappingOutputs:
     """MapperListener. Written by the thread that listens to the mapper, read by any.
 
-    publish     takes a message and, for a pose, the moment its scan's last byte was read (host monotonic, ns)
-    record      takes a message
-    on_tiles    takes tiles that the store holds by now, and the Unix time of the scan they are up to
+    put         takes a message and, for a pose, the moment its scan's last byte was read (host monotonic, ns)
+    put_tiles   takes tiles that the store holds by now, and the Unix time of the scan they are up to
     log_ns      a log time after all before
     """
 
@@ -31,20 +30,17 @@ class MappingOutputs:
         self,
         lasers: Sequence[str],
         tiles: TileStore,
-        publish: Callable[[Message, int | None], Any],
-        record: Callable[[Message], Any],
-        on_tiles: Callable[[list[TileUpdate], int], Any],
+        put: Callable[[Message, int | None], Any],
+        put_tiles: Callable[[list[TileUpdate], int], Any],
         log_ns: Callable[[], int],
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self.lasers = tuple(lasers)  # whose scans are mapped
         self._tiles = tiles
-        self._publish = publish
-        self._record = record
-        self._on_tiles = on_tiles
+        self._put = put
+        self._put_tiles = put_tiles
         self._log_ns = log_ns
         self._monotonic_ns = monotonic_ns
-        self._recorded_from_ns = 0  # log time
         self._began_version = 0  # versions of the mapper's tiles count from here
         self._passed_over_ns: deque[int] = deque(maxlen=4096)  # when, host monotonic
         self._overloaded_since_ns: int | None = None
@@ -69,7 +65,7 @@ class MappingOutputs:
             case Mapped():
                 self._mapped(message)
             case Tiles():
-                self._put_tiles(message)
+                self._take_tiles(message)
             case Status():
                 self._take_status(message)
             case TookIn():
@@ -87,16 +83,16 @@ class MappingOutputs:
         self._cpu_before_s = self.cpu_s
         log_ns = self._log_ns()
         event = {"event": "mapper_restarted", "reason": words}
-        self._record(encode_event(json.dumps(event), log_ns, log_ns))
+        self._put(encode_event(json.dumps(event), log_ns, log_ns), None)
 
     def refused(self, item: FrameItem) -> None:
-        self._record_before(item.log_ns, {"event": "frame_refused", "sensor": item.sensor})
+        self._put_before(item.log_ns, {"event": "frame_refused", "sensor": item.sensor})
 
     def map_reset(self) -> None:
         """The mapper has begun a new map; the tiles of the old one are emptied for all."""
         emptied = self._tiles.begin_anew()
         if emptied:
-            self._on_tiles(emptied, self._map_stamp_ns)
+            self._put_tiles(emptied, self._map_stamp_ns)
         self._began_version = self._tiles.version
         self.last = self.geo_reference = None
 
@@ -124,8 +120,7 @@ class MappingOutputs:
         log_ns = self._log_ns()
         for k, message in enumerate(mapped.messages):
             stamped = replace(message, log_ns=log_ns)
-            self._publish(stamped, mapped.arrived_ns if k == 0 else None)
-            self._record(stamped)
+            self._put(stamped, mapped.arrived_ns if k == 0 else None)
 
     def _take_status(self, status: Status) -> None:
         self.counters, self.graph_trouble = status.counters, status.graph_trouble
@@ -134,15 +129,15 @@ class MappingOutputs:
             self.geo_reference = status.geo_reference
             self._tiles.place(status.geo_reference)
 
-    def _put_tiles(self, message: Tiles) -> None:
+    def _take_tiles(self, message: Tiles) -> None:
         tiles = [replace(tile, version=self._began_version + tile.version) for tile in message.tiles]
         self._tiles.update(tiles)
-        self._on_tiles(tiles, message.stamp_ns)
+        self._put_tiles(tiles, message.stamp_ns)
 
     def _graph_worked(self, message: TookIn) -> None:
         trouble = message.trouble
         event = {"event": "graph_lost", "reason": trouble} if trouble else {"event": TAKE_IN}
-        self._record_before(message.log_ns, event)
+        self._put_before(message.log_ns, event)
 
     def _left_out(self, message: PassedOver) -> None:
         now_ns = self._monotonic_ns()
@@ -151,14 +146,8 @@ class MappingOutputs:
         self._passed_over_ns.append(now_ns)
         self._oldest_age_ns = max(self._oldest_age_ns, message.age_ns)
         self.passed_over[message.sensor] += 1
-        self._record_before(message.log_ns, {"event": "scan_passed_over", "sensor": message.sensor})
+        self._put_before(message.log_ns, {"event": "scan_passed_over", "sensor": message.sensor})
 
-    def session_begins(self, log_ns: int) -> None:
-        """A recording of its own begins: what is decided about frames read before is not for it."""
-        self._recorded_from_ns = log_ns
-
-    def _record_before(self, log_ns: int, event: Mapping[str, str]) -> None:
-        """Among the frames, right before the one of this log time."""
-        if log_ns < self._recorded_from_ns:
-            return
-        self._record(encode_event(json.dumps(dict(event)), log_ns - 1, log_ns - 1))
+    def _put_before(self, log_ns: int, event: Mapping[str, str]) -> None:
+        """An event among the frames, right before the one of this log time."""
+        self._put(encode_event(json.dumps(dict(event)), log_ns - 1, log_ns - 1), None)

@@ -9,8 +9,9 @@ from pathlib import Path
 from service.config import ServiceConfig
 from service.errors import CalledOffError, CorridorError
 from service.runtime.notify import Notifier
-from service.runtime.service import Service, Summary
+from service.runtime.service import Service
 from service.runtime.signals import StopSignals
+from service.runtime.summary import Summary
 
 log = logging.getLogger(__name__)
 

@@ -49,9 +49,9 @@ def test_a_good_config_is_read_with_its_defaults():
     assert isinstance(config.sensors["front"], Lms100Config)
     assert isinstance(config.sensors["base"], IrobotCreateConfig)
     assert config.sensors["front"].name == "front"
-    assert config.recording.directory == Path("sessions")
-    assert config.recording.rotate_mb == 1024
-    assert config.publishing.listen == ("tcp/127.0.0.1:7447",)
+    assert config.sinks["recording"].directory == Path("sessions")
+    assert config.sinks["recording"].rotate_mb == 1024
+    assert config.sinks["publishing"].listen == ("tcp/127.0.0.1:7447",)
     assert config.mapping.profile == "corridor"
     assert config.text == GOOD
 
@@ -265,7 +265,7 @@ def test_the_complete_example_is_right_and_shows_every_section():
     config = load_config(ROOT / "config" / "vehicle.yaml")
     for section in ("vehicle", "sensors", "mapping", "publishing", "recording", "map"):
         assert f"\n{section}:" in config.text
-    for model in (config.publishing, config.recording, config.map):
+    for model in config.sinks.values():
         for key in type(model).model_fields:
             assert f"  {key}:" in config.text
 

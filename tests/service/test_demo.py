@@ -15,7 +15,7 @@ from service.geometry.se2 import SE2
 from service.outputs import MapperOutput
 from service.recording.mcap_recorder import McapRecorder
 from service.runtime.metrics import Percentiles
-from service.runtime.service import Summary
+from service.runtime.summary import Summary
 
 OFFSET_NS = 1_700_000_000_000_000_000
 ENDPOINTS = [
@@ -41,8 +41,8 @@ def test_the_config_is_what_a_user_would_write_for_these_devices(tmp_path: Path)
     assert config.sensors["imu"].device == "/dev/pts/5"
     assert config.sensors["base"].device == "/dev/pts/3"
     assert mapped_lasers(config) == ("front", "rear", "lux")
-    assert config.recording.directory == tmp_path
-    assert config.publishing.listen == ("tcp/127.0.0.1:7447",)
+    assert config.sinks["recording"].directory == tmp_path
+    assert config.sinks["publishing"].listen == ("tcp/127.0.0.1:7447",)
 
 
 def test_a_profile_that_there_is_not_is_a_config_error(tmp_path: Path):
@@ -72,7 +72,9 @@ def record(folder: Path, poses: list[tuple[int, SE2]]) -> Summary:
         output = MapperOutput(unix_ns, pose, SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 1.0)
         recorder.put(encode_pose(output, unix_ns))
     nothing = Percentiles(0.0, 0.0, 0.0, 0.0)
-    return Summary(1.0, len(poses), 0, {}, nothing, nothing, {}, 0.0, recorder.finish(), None, OFFSET_NS)
+    return Summary(
+        1.0, len(poses), 0, {}, nothing, nothing, {}, 0.0, {"recording": recorder.finish()}, OFFSET_NS
+    )
 
 
 def test_the_error_is_that_against_the_truth_from_the_first_pose_on(tmp_path: Path):

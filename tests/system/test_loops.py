@@ -70,6 +70,7 @@ class Live:
         self.process = BackEndProcess(patience_s=60.0)
         recorder = McapRecorder(folder, "v", keep_free_bytes=0, metadata={"config": {"yaml": CONFIG}})
         recorder.start()
+        self._recorder = recorder
         recorder.put(encode_tf_static(MOUNTINGS, 1, 1))
         self.poses: list[bytes] = []
         self._kill_at = kill_at
@@ -81,13 +82,12 @@ class Live:
         self.outputs = MappingOutputs(
             ["front"],
             TileStore(),
-            self._publish,
-            recorder.put,
+            self._put,
             lambda *_: None,
             lambda: log_clock.next_ns(10**9),
         )
         link = InlineLink(mapper, self.outputs)
-        intake = Intake(link, HostTime(0), lambda *_: None, recorder.put)  # type: ignore[arg-type]
+        intake = Intake(link, HostTime(0), recorder.put)  # type: ignore[arg-type]
         try:
             for k, frame in enumerate(frames(scans)):
                 if k % 37 == 36:
@@ -104,7 +104,8 @@ class Live:
             if (channel := self.process.channel) is not None:
                 channel.wait(1.0)
 
-    def _publish(self, message: Message, arrived_ns: int | None) -> None:
+    def _put(self, message: Message, arrived_ns: int | None) -> None:
+        self._recorder.put(message)
         if message.channel == "pose":
             self.poses.append(message.payload)
             if len(self.poses) == self._kill_at:

@@ -14,7 +14,7 @@ from service.offline.doctor.running import RunningService
 def look_at_zenoh(machine: Machine, config: ServiceConfig) -> tuple[list[Finding], RunningService | None]:
     """A finding for each place to listen at, and the running service that holds one."""
     found, service = [], None
-    for endpoint in config.publishing.listen:
+    for endpoint in config.sinks["publishing"].listen:
         finding, holder = _endpoint(machine, endpoint)
         found.append(finding)
         service = service or holder

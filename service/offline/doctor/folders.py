@@ -13,8 +13,8 @@ ROOM_SESSIONS = 2  # files of the largest size that should still fit
 
 def look_at_folders(machine: Machine, config: ServiceConfig) -> list[Finding]:
     return [
-        _folder(machine, "recording", "recording.directory", config.recording.directory),
-        _folder(machine, "map", "map.directory", config.map.directory),
+        _folder(machine, "recording", "recording.directory", config.sinks["recording"].directory),
+        _folder(machine, "map", "map.directory", config.sinks["map"].directory),
     ]
 
 
@@ -35,29 +35,29 @@ def _folder(machine: Machine, who: str, key: str, folder: Path) -> Finding:
 
 
 def look_at_disk(machine: Machine, config: ServiceConfig) -> Finding:
-    folder = machine.path(config.recording.directory)
+    folder = machine.path(config.sinks["recording"].directory)
     there = nearest_parent(folder)
-    keep, session_gb = config.recording.keep_free_gb, config.recording.rotate_mb / 1e3
+    keep, session_gb = config.sinks["recording"].keep_free_gb, config.sinks["recording"].rotate_mb / 1e3
     free = machine.free_bytes(there) / 1e9
     if free < keep:
         return fault(
             "disk",
             f"{free:.1f} GB free at {there}; recording pauses",
             f"more than recording.keep_free_gb {keep:g} GB",
-            f"move sessions away from {config.recording.directory}, or take another disk",
+            f"move sessions away from {config.sinks['recording'].directory}, or take another disk",
         )
     if free < keep + ROOM_SESSIONS * session_gb:
         return note(
             "disk",
             f"{free:.1f} GB free at {there}: {free - keep:.1f} GB more and recording pauses",
-            f"move sessions away from {config.recording.directory}",
+            f"move sessions away from {config.sinks['recording'].directory}",
             f"room for {ROOM_SESSIONS} sessions of {session_gb:g} GB beside keep_free_gb {keep:g} GB",
         )
     return ok("disk", f"{free:.1f} GB free at {there}, {keep:g} GB are kept", free_gb=round(free, 2))
 
 
 def look_at_leftovers(machine: Machine, config: ServiceConfig) -> list[Finding]:
-    folder = machine.path(config.recording.directory)
+    folder = machine.path(config.sinks["recording"].directory)
     left = [path for path in sorted(folder.glob("*.mcap.active")) if not _is_being_written(path)]
     if not left:
         return []

@@ -6,7 +6,7 @@ import pytest
 from pydantic import Field
 
 from service.publishing import commands
-from service.publishing.commands import REMEMBER_S, CommandDesk, CommandError, Outcome, Request, Verb
+from service.publishing.commands import REMEMBER_S, CommandDispatcher, CommandError, Outcome, Request, Verb
 
 
 class Paint(Request):
@@ -23,7 +23,7 @@ class Workshop:
         self.settles = True
         self.refuses = ""
         verbs = {"render": Verb(Paint, self._start), "wash": Verb(Request, self._start)}
-        self.desk = CommandDesk(verbs, answer_timeout_s=0.05, monotonic_s=lambda: self.now_s)
+        self.dispatcher = CommandDispatcher(verbs, answer_timeout_s=0.05, monotonic_s=lambda: self.now_s)
 
     def _start(self, request: Request, outcome: Outcome) -> None:
         if self.refuses:
@@ -35,7 +35,7 @@ class Workshop:
 
     def ask(self, verb: str, request: object = None) -> dict[str, Any]:
         payload = request if isinstance(request, bytes) else json.dumps(request).encode() if request else b""
-        answer = self.desk.answer(verb, payload)
+        answer = self.dispatcher.answer(verb, payload)
         told: dict[str, Any] = json.loads(answer.body)
         assert told["ok"] is answer.ok
         return told
@@ -51,7 +51,7 @@ def test_a_request_is_done_and_its_answer_told(workshop: Workshop):
     assert workshop.ask("wash") == {"ok": True, "number": 2}
     assert workshop.ask("wash", {"id": "a"}) == {"ok": True, "id": "a", "number": 3}
     assert workshop.begun == [Paint(colour="red"), Request(), Request(id="a")]
-    assert workshop.desk.counts() == {"render": 1, "wash": 2}
+    assert workshop.dispatcher.counts() == {"render": 1, "wash": 2}
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_what_cannot_be_done_is_told_in_words(workshop: Workshop, verb: str, req
     told = workshop.ask(verb, request_)
     assert words in told["error"]
     assert workshop.begun == []
-    assert workshop.desk.counts() == {"refused": 1}
+    assert workshop.dispatcher.counts() == {"refused": 1}
 
 
 def test_the_same_id_gives_the_same_answer_and_is_done_once(workshop: Workshop):
@@ -129,10 +129,11 @@ def test_two_who_ask_at_once_with_one_id_share_one_outcome():
         began.set()
         threading.Thread(target=lambda: release.wait(10.0) and outcome.done(number=1)).start()
 
-    desk = CommandDesk({"wash": Verb(Request, start)})
+    dispatcher = CommandDispatcher({"wash": Verb(Request, start)})
     answers = []
     asking = [
-        threading.Thread(target=lambda: answers.append(desk.answer("wash", b'{"id": "7"}'))) for _ in range(2)
+        threading.Thread(target=lambda: answers.append(dispatcher.answer("wash", b'{"id": "7"}')))
+        for _ in range(2)
     ]
     for thread in asking:
         thread.start()
@@ -141,7 +142,7 @@ def test_two_who_ask_at_once_with_one_id_share_one_outcome():
     for thread in asking:
         thread.join(10.0)
     assert [json.loads(a.body) for a in answers] == [{"ok": True, "id": "7", "number": 1}] * 2
-    assert desk.counts() == {"wash": 1}
+    assert dispatcher.counts() == {"wash": 1}
 
 
 def test_an_outcome_is_settled_once():

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from service.publishing.commands import CommandDesk, Outcome, Request, Verb
+from service.publishing.commands import CommandDispatcher, Outcome, Request, Verb
 from service.publishing.zenoh_publisher import ZenohPublisher
 
 PAGE = Path(__file__).parents[3] / "docs" / "commands.md"
@@ -23,7 +23,7 @@ def test_the_program_prints_the_answer_and_the_error(
         assert request.text == "door open"
         outcome.done(log_ns=1795256101483012467)
 
-    publisher.answer_commands(CommandDesk({"mark": Verb(Mark, mark)}).answer)
+    publisher.answer_commands(CommandDispatcher({"mark": Verb(Mark, mark)}).answer)
     text = PAGE.read_text(encoding="utf-8")
     program = re.search(r"```python\n(.*?)```", text, re.DOTALL)
     assert program is not None

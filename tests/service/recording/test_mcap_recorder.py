@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from rosbags.highlevel import AnyReader
 
-from service.encoding import STRING, Message, encode_event
+from service.encoding import STRING, Message, decode_event, encode_event
 from service.errors import StorageError
 from service.recording import mcap_recorder
 from service.recording.mcap_file import create_stream
@@ -314,6 +314,23 @@ def test_a_session_ends_and_another_begins_where_it_was_asked_for(recorder, chan
     assert second.name == "veh1_20251121T100001Z_0001.mcap"  # it began within the same second
     assert [topic for topic, _, _ in read_back(second)] == ["/tf_static", "/events", "/front/scan"]
     assert Recording([second]).metadata == {"config": {"vehicle": "veh1"}, "clock": {"step_ns": "3"}}
+    assert not session.health.dropped
+
+
+def test_what_is_decided_about_an_earlier_frame_is_not_in_a_session_that_began_since(recorder, changes):
+    session = recorder()
+    session.put(scan_message(0))
+    session.begin_session(event("go on", T0_NS + 1), changes)  # it is being recorded: nothing is cut off
+    session.put(event("about scan 0", scan_message(0).log_ns - 1))
+    session.end_session(changes)
+    session.put(scan_message(1))
+    session.begin_session(event("begin", scan_message(1).log_ns + 1), changes)
+    session.put(scan_message(2))
+    session.put(event("about scan 1", scan_message(1).log_ns - 1))
+    session.put(event("about scan 2", scan_message(2).log_ns - 1))
+    first, second = session.finish()
+    told = [[decode_event(m.payload) for m in Recording([f]).messages(["/events"])] for f in (first, second)]
+    assert told == [["go on", "about scan 0"], ["begin", "about scan 2"]]
     assert not session.health.dropped
 
 

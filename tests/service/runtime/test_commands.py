@@ -1,4 +1,4 @@
-"""What commands do to real parts: intake, mapping loop, map keeper and recorder."""
+"""What commands do to real parts: intake, mapping loop, map saver and recorder."""
 
 import json
 import threading
@@ -12,18 +12,22 @@ import pytest
 from service.encoding import STRING, LogClock, Message, decode_event
 from service.encoding.controls import decode_control
 from service.mapper.steering import SteeredMapper, Wish
+from service.mapstore.config import MapConfig
 from service.mapstore.files import load_map
 from service.mapstore.tiles import TileStore
-from service.publishing.commands import CommandDesk
+from service.publishing.commands import CommandDispatcher
+from service.recording.config import RecordingConfig
 from service.recording.mcap_reader import Recording
 from service.recording.mcap_recorder import McapRecorder
 from service.runtime.commands import Commands
 from service.runtime.host_time import HostTime
 from service.runtime.intake import Intake
-from service.runtime.map_keeper import MapKeeper
 from service.runtime.mapping_outputs import MappingOutputs
+from service.sinks.map_saver import MapSaver
+from service.sinks.mcap_sink import McapSink
 from tests.service.runtime.inline_link import InlineLink
 from tests.service.runtime.test_mapping import OFFSET_NS, FakeMapper, scan
+from tests.service.sinks.contexts import sink_context
 
 
 class Machine:
@@ -32,29 +36,34 @@ class Machine:
     def __init__(self, folder: Path, free_bytes: list[int], is_deaf: bool = False) -> None:
         self.tiles = TileStore()
         host_time, log_clock = HostTime(OFFSET_NS), LogClock()
-        self.recorder = McapRecorder(
+        context = sink_context(
+            map_folder=folder / "map",
+            tiles=self.tiles,
+            emit=self._put,
+            unix_ns=lambda: host_time.unix_ns(time.monotonic_ns()),
+            is_paused=lambda: self.intake.paused,
+        )
+        self.recorder = McapSink(RecordingConfig(directory=folder / "in"), context)
+        self.recorder._recorder = McapRecorder(
             folder / "in", "veh1", keep_free_bytes=1000, free_bytes_of=lambda _: free_bytes[0]
         )
+        self.saver = MapSaver(MapConfig(directory=folder, checkpoint_s=3600.0), context)
         self.outputs = MappingOutputs(
             ["front"],
             self.tiles,
-            lambda message, origin_ns: None,
-            self.recorder.put,
+            self._put,
             lambda tiles, stamp_ns: None,
             lambda: log_clock.next_ns(host_time.unix_ns(time.monotonic_ns())),
         )
         self.link = InlineLink(SteeredMapper(FakeMapper, ["front"], None), self.outputs, is_deaf)
-        self.intake = Intake(self.link, host_time, lambda *_: None, self.recorder.put)  # type: ignore[arg-type]
-        self.keeper = MapKeeper(folder / "map", self.tiles, host_time, 3600.0, {}, self.recorder.put)
-        self.commands = Commands(self.intake, self.outputs, self.tiles, self.keeper, self.recorder)
-        self.desk = CommandDesk(self.commands.verbs(), answer_timeout_s=20.0)
+        self.intake = Intake(self.link, host_time, self._put)  # type: ignore[arg-type]
+        self.commands = Commands(self.intake, self.outputs, self.tiles, self._put, self.recorder, self.saver)
+        self.dispatcher = CommandDispatcher(self.commands.verbs(), answer_timeout_s=20.0)
         self._scans = 0
-        self._threads = [threading.Thread(target=self.keeper.run)]
 
     def start(self) -> None:
         self.recorder.start()
-        for thread in self._threads:
-            thread.start()
+        self.saver.start()
 
     def scan(self, count: int = 1) -> None:
         for _ in range(count):
@@ -63,16 +72,17 @@ class Machine:
             self.intake.put(scan(now_ns, now_ns, [1.0, 2.0, float(self._scans)]))
 
     def ask(self, verb: str, **request: object) -> dict[str, Any]:
-        told: dict[str, Any] = json.loads(self.desk.answer(verb, json.dumps(request).encode()).body)
+        told: dict[str, Any] = json.loads(self.dispatcher.answer(verb, json.dumps(request).encode()).body)
         return told
 
     def stop(self) -> list[Path]:
         self.intake.close()
-        self.keeper.stop()
-        for thread in self._threads:
-            thread.join(20.0)
-        self.keeper.finish()
-        return self.recorder.finish()
+        self.saver.flush()
+        self.recorder.close()
+        return self.recorder.written()
+
+    def _put(self, message: Message, arrived_ns: int | None = None) -> None:
+        self.recorder.put(message, arrived_ns)
 
 
 @pytest.fixture

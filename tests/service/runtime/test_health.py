@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from drivers.link import LinkHealth
-from service.encoding import decode_diagnostics
-from service.runtime.health import ERROR, OK, STALE, WARNING, HealthReport, SensorHealth
+from service.encoding import ERROR, OK, STALE, WARNING, Status, decode_diagnostics
+from service.runtime.health import HealthReport, SensorHealth
 from service.runtime.mapper_messages import Mapped
 from service.runtime.metrics import LatencyHistogram
 
@@ -37,29 +37,17 @@ def report(link: LinkHealth, **parts: Any) -> HealthReport:
         restarts=1,
         restart_reason="ended",
     )
-    recorder = SimpleNamespace(
-        health=SimpleNamespace(
-            state="recording",
-            path=None,
-            messages=7,
-            free_bytes=5e9,
-            steps_back=0,
-            dropped=Counter(),
-            last_error="",
-        )
-    )
-    publisher = SimpleNamespace(
-        sent=lambda: Counter(pose=90), dropped=Counter, failed=Counter, endpoints=["tcp/127.0.0.1:7447"]
+    sinks = SimpleNamespace(
+        health=lambda: [Status("zenoh", OK, "ok", {}), Status("recording", WARNING, "stopped", {})],
+        status_words=lambda: ["recording: stopped"],
     )
     defaults = {
         "intake": SimpleNamespace(paused=False),
         "link": SimpleNamespace(waiting=3),
         "outputs": outputs,
-        "keeper": SimpleNamespace(trouble="", folder="maps/x", saved_version=4),
-        "recorder": recorder,
-        "publisher": publisher,
+        "sinks": sinks,
         "latency": LatencyHistogram(),
-        "desk": SimpleNamespace(counts=lambda: Counter(mark=2, refused=1)),
+        "dispatcher": SimpleNamespace(counts=lambda: Counter(mark=2, refused=1)),
     }
     return HealthReport({"front": link}, **(defaults | parts))
 
@@ -138,15 +126,13 @@ def test_latency_and_processor_time_of_scans_are_told():
         assert float(values[f"scan_cpu_ms_{name}"]) == pytest.approx(1.5, rel=0.02)
 
 
-def test_trouble_with_disk_and_bus_is_told():
+def test_rows_and_words_of_the_sinks_come_from_the_sinks():
     made = report(streaming())
-    assert [status(made, name).level for name in ("recording", "map", "zenoh")] == [OK, OK, OK]
-    made._recorder.health.state, made._recorder.health.last_error = "disk full", "0.1 GB left"
-    made._keeper.trouble = "cannot save the map"
-    made._publisher.dropped = lambda: Counter({"front/scan": 4})
-    assert (status(made, "recording").level, status(made, "recording").message) == (ERROR, "0.1 GB left")
-    assert (status(made, "map").level, status(made, "map").message) == (ERROR, "cannot save the map")
-    assert (status(made, "zenoh").level, status(made, "zenoh").message) == (WARNING, "4 dropped, 0 failed")
+    assert status(made, "zenoh") == Status("zenoh", OK, "ok", {})
+    made._sinks.health = lambda: [Status("printer", ERROR, "no paper", {"sheets": "0"})]
+    assert status(made, "printer") == Status("printer", ERROR, "no paper", {"sheets": "0"})
+    made._sinks.status_words = lambda: ["paper: none"]
+    assert made.line.endswith(" scans/s, paper: none")
 
 
 def test_a_stepped_wall_clock_is_told():
@@ -169,30 +155,24 @@ def test_a_change_of_state_is_told_once():
 def test_the_message_holds_all_of_it():
     made = report(streaming())
     made.update(11 * S, 0)
-    told = decode_diagnostics(made.message("health", 1).payload)
-    assert [status.name for status in told] == [
+    message = made.message(1)
+    assert message.channel == "diagnostics"
+    assert [status.name for status in decode_diagnostics(message.payload)] == [
         "sensor/front",
         "mapping",
-        "map",
-        "recording",
         "zenoh",
+        "recording",
         "clock",
         "commands",
     ]
 
 
-def test_a_pause_and_a_stopped_recording_are_warnings_until_they_end():
+def test_a_pause_is_a_warning_until_it_ends():
     made = report(streaming())
     made._intake.paused = True
-    made._recorder.health.state = "stopped"
     told = status(made, "mapping")
     assert (told.level, told.values["state"]) == (WARNING, "paused")
     assert made.line.startswith("mapping paused, 1/1 sensors, ")
-    assert made.line.endswith("recording: stopped")
-    assert (status(made, "recording").level, status(made, "recording").message) == (
-        WARNING,
-        "stopped by a command",
-    )
 
 
 def test_commands_are_counted():

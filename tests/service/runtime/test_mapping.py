@@ -85,8 +85,7 @@ class Run:
     """An intake, a mapping loop and what comes of it."""
 
     def __init__(self, mapper: FakeMapper) -> None:
-        self.published: list[tuple[Message, int | None]] = []
-        self.recorded: list[Message] = []
+        self.put_out: list[tuple[Message, int | None]] = []  # what the sinks were handed
         self.handed_over: list[tuple[int, int]] = []
         self.tiles = TileStore()
         fresh = iter([mapper])
@@ -94,15 +93,14 @@ class Run:
         self.outputs = MappingOutputs(
             ["front"],
             self.tiles,
-            self._publish,
-            self.recorded.append,
+            self._put,
             self._hand_over,
             lambda: log_clock.next_ns(OFFSET_NS + 10**9),
             lambda: self.link.now_ns,
         )
         steered = SteeredMapper(lambda: next(fresh, None) or FakeMapper(), ["front"], take_in_after=None)
         self.link = InlineLink(steered, self.outputs)
-        self.intake = Intake(self.link, HostTime(OFFSET_NS), self._publish, self.recorded.append)  # type: ignore[arg-type]
+        self.intake = Intake(self.link, HostTime(OFFSET_NS), self._put)  # type: ignore[arg-type]
 
     def put(self, *frames: Frame, waits_ns: int = 0) -> "Run":
         for frame in frames:
@@ -115,7 +113,7 @@ class Run:
         answers: list[Answer] = []
 
         def carry_out(event: Message) -> None:
-            self.recorded.append(event)
+            self._put(event)
             self.intake.steer(steering, event.log_ns, answers.append)  # type: ignore[arg-type]
 
         assert self.intake.mark({"event": steering}, carry_out) == ""
@@ -124,8 +122,12 @@ class Run:
     def channels(self) -> list[str]:
         return [m.channel for m in self.recorded if m.channel not in ("odom", "tf")]
 
-    def _publish(self, message: Message, arrived_ns: int | None) -> None:
-        self.published.append((message, arrived_ns))
+    @property
+    def recorded(self) -> list[Message]:
+        return [message for message, _ in self.put_out]
+
+    def _put(self, message: Message, arrived_ns: int | None = None) -> None:
+        self.put_out.append((message, arrived_ns))
 
     def _hand_over(self, tiles: list[TileUpdate], stamp_ns: int) -> None:
         self.handed_over.append((tiles[-1].version, stamp_ns - OFFSET_NS))
@@ -148,13 +150,12 @@ def test_the_mapper_eats_what_the_recording_holds():
             np.testing.assert_array_equal(again.range_m, eaten.range_m)
 
 
-def test_a_laser_that_is_not_mapped_is_published_and_recorded():
+def test_a_laser_that_is_not_mapped_is_recorded():
     run = Run(FakeMapper()).put(
         scan(10, 20, [1.0]), scan(20, 30, [1.0, 2.0], "rear"), scan(21, 40, [], "rear"), scan(40, 60, [1.1])
     )
     run.link.finish()
     assert [m.channel for m in run.recorded].count("rear/scan") == 2
-    assert [m.channel for m, _ in run.published].count("rear/scan") == 2
     assert [m.channel for m in run.recorded].count("pose") == 2
     assert run.outputs.counters["scans_not_mapped"] == 1
     assert run.outputs.scan_cpu.count == 2
@@ -174,10 +175,10 @@ def test_stamps_are_unix_time_by_the_fixed_offset():
 
 def test_each_scan_gives_pose_odom_and_tf_with_the_moment_it_was_read():
     run = Run(FakeMapper()).put(*FRAMES)
-    published = [message.channel for message, _ in run.published]
+    published = [message.channel for message in run.recorded]
     assert sorted(published) == sorted(["base/odom", *2 * ["front/scan", "pose", "odom", "tf"]])
-    assert [arrived for message, arrived in run.published if message.channel == "pose"] == [20, 60]
-    assert all(arrived is None for message, arrived in run.published if message.channel != "pose")
+    assert [arrived for message, arrived in run.put_out if message.channel == "pose"] == [20, 60]
+    assert all(arrived is None for message, arrived in run.put_out if message.channel != "pose")
     poses = [decode_pose(message.payload).pose.x_m for message in run.recorded if message.channel == "pose"]
     assert poses == [1.0, 2.0]
     assert run.outputs.states == {"ok": 2}
@@ -248,14 +249,6 @@ def test_a_scan_may_be_two_periods_old_where_that_is_more():
     assert Run(FakeMapper()).put(slow, waits_ns=161 * MS).outputs.passed_over == {"front": 1}
 
 
-def test_what_is_decided_about_a_scan_of_before_is_not_in_a_session_that_began_since():
-    run = Run(FakeMapper())
-    run.outputs.session_begins(OFFSET_NS + 70)
-    run.put(scan(40, 60, [1.0, 2.0]), scan(80, 90, [1.0, 2.0]), waits_ns=MOST_AGE_NS + 1)
-    assert [m.log_ns - OFFSET_NS for m in run.recorded if m.channel == "events"] == [89]
-    assert run.outputs.passed_over == {"front": 2}
-
-
 def test_in_a_pause_no_scan_is_too_old():
     run = Run(FakeMapper())
     run.steer("pause")
@@ -303,7 +296,7 @@ def test_after_close_nothing_is_taken():
     run.intake.close()
     run.put(scan(10, 10, [1.0]))
     assert not run.recorded
-    assert run.intake.mark({"event": "mark"}, run.recorded.append) == "the service is stopping"
+    assert run.intake.mark({"event": "mark"}, run._put) == "the service is stopping"
 
 
 class GraphAtWork(NoGraph):

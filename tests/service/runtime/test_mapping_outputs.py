@@ -11,7 +11,7 @@ GEO = GeoReference(LocalFrame(60.161, 24.546, 51.7), SE2(3.0, -4.0, 0.0), 0.8, 0
 
 def test_where_the_map_lies_goes_to_the_tiles_and_ends_with_the_map():
     tiles = TileStore()
-    outputs = MappingOutputs(["front"], tiles, lambda *_: None, lambda _: None, lambda *_: None, lambda: 0)
+    outputs = MappingOutputs(["front"], tiles, lambda *_: None, lambda *_: None, lambda: 0)
     tiles.update([tile(0, 0, 1)])
     outputs.heard(Status(1, geo_reference=GEO))
     assert outputs.geo_reference == GEO

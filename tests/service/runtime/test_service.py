@@ -12,7 +12,7 @@ import pytest
 
 from service.config import ServiceConfig, parse_config
 from service.encoding import decode_event
-from service.errors import CorridorError, StorageError
+from service.errors import CorridorError, OutputLostError, StorageError
 from service.recording.mcap_reader import Recording
 from service.runtime import service as service_module
 from service.runtime.mapper_link import MOST_DEATHS, MapperLink
@@ -203,8 +203,9 @@ def test_a_map_that_cannot_be_saved_is_raised_after_everything_ended(
     for k in range(40):
         stamp_ns = time.monotonic_ns()
         service.frame_sink(scan(stamp_ns + k, stamp_ns + k, [2.0] * 60))
-    with pytest.raises(StorageError, match="cannot save the map"):
+    with pytest.raises(OutputLostError, match="cannot save the map") as caught:
         service.stop()
+    assert caught.value.exit_code == 1
     (session,) = (tmp_path / "sessions").glob("*.mcap")
     assert any(t.name == "/pose" for t in Recording([session]).topics)
 

@@ -11,11 +11,13 @@ from service.errors import StorageError
 from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
+from service.mapstore.config import MapConfig
 from service.mapstore.files import load_map
 from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
-from service.runtime.host_time import HostTime
-from service.runtime.map_keeper import MOST_UNSAVED, MapKeeper, SavedMap
+from service.sinks.map_saver import MOST_UNSAVED, MapSaver
+from service.sinks.sink import SavedMap
+from tests.service.sinks.contexts import sink_context
 
 GEO = GeoReference(LocalFrame(60.161, 24.546, 51.7), SE2(3.0, -4.0, 0.0), 0.8, 0.01, 41)
 
@@ -25,26 +27,26 @@ def tile(version: int) -> TileUpdate:
 
 
 class Kept:
-    """A keeper with its store and what it recorded."""
+    """A map saver with its store and what it emitted."""
 
     def __init__(self, folder: Path, checkpoint_s: float = 30.0) -> None:
         self.tiles = TileStore()
-        self.recorded: list[Message] = []
-        self.recorded_one = threading.Event()
-        about = {"vehicle": "veh1", "profile": "corridor"}
-        self.keeper = MapKeeper(folder, self.tiles, HostTime(0), checkpoint_s, about, self._record)
+        self.emitted: list[Message] = []
+        self.emitted_one = threading.Event()
+        context = sink_context(tiles=self.tiles, map_folder=folder, emit=self._emit)
+        self.saver = MapSaver(MapConfig.model_construct(directory=folder, checkpoint_s=checkpoint_s), context)
 
-    def _record(self, message: Message) -> None:
-        self.recorded.append(message)
-        self.recorded_one.set()
+    def _emit(self, message: Message) -> None:
+        self.emitted.append(message)
+        self.emitted_one.set()
 
 
 def test_the_map_is_recorded_and_saved_at_the_end(tmp_path: Path):
     kept = Kept(tmp_path / "map")
     kept.tiles.update([tile(3)])
-    kept.keeper.finish()
-    assert [message.channel for message in kept.recorded] == ["map"]
-    assert (decode_grid(kept.recorded[0].payload).cells == 100).all()
+    kept.saver.flush()
+    assert [message.channel for message in kept.emitted] == ["map"]
+    assert (decode_grid(kept.emitted[0].payload).cells == 100).all()
     stored = load_map(tmp_path / "map")
     assert [t.version for t in stored.tiles] == [3]
     assert stored.about == {"vehicle": "veh1", "profile": "corridor"}
@@ -53,39 +55,37 @@ def test_the_map_is_recorded_and_saved_at_the_end(tmp_path: Path):
 def test_what_did_not_change_is_neither_recorded_nor_saved_again(tmp_path: Path):
     kept = Kept(tmp_path / "map")
     kept.tiles.update([tile(1)])
-    kept.keeper.finish()
-    kept.keeper.finish()
-    assert len(kept.recorded) == 1
+    kept.saver.flush()
+    kept.saver.flush()
+    assert len(kept.emitted) == 1
     assert load_map(tmp_path / "map").number == 1
     kept.tiles.update([tile(2)])
-    kept.keeper.finish()
-    assert len(kept.recorded) == 2
+    kept.saver.flush()
+    assert len(kept.emitted) == 2
     assert load_map(tmp_path / "map").number == 2
 
 
 def test_an_empty_map_leaves_nothing(tmp_path: Path):
     kept = Kept(tmp_path / "map")
-    kept.keeper.finish()
-    assert not kept.recorded
+    kept.saver.flush()
+    assert not kept.emitted
     assert not (tmp_path / "map").exists()
-    assert kept.keeper.saved_version == 0
+    assert kept.saver.saved_version == 0
 
 
 def test_checkpoints_are_made_on_the_way_until_told_to_stop(tmp_path: Path):
     kept = Kept(tmp_path / "map", checkpoint_s=0.01)
     kept.tiles.update([tile(1)])
-    thread = threading.Thread(target=kept.keeper.run)
-    thread.start()
-    assert kept.recorded_one.wait(10.0)
+    kept.saver.start()
+    assert kept.emitted_one.wait(10.0)
     kept.tiles.update([tile(2)])
     deadline = threading.Event()
     for _ in range(1000):
-        if kept.keeper.saved_version == 2:
+        if kept.saver.saved_version == 2:
             break
         deadline.wait(0.01)
-    kept.keeper.stop()
-    thread.join(10.0)
-    assert kept.keeper.saved_version == 2
+    kept.saver.flush()
+    assert kept.saver.saved_version == 2
     assert [t.version for t in load_map(tmp_path / "map").tiles] == [2]
 
 
@@ -95,26 +95,26 @@ def test_a_folder_that_cannot_be_written_is_health_on_the_way_and_an_error_at_th
     (tmp_path / "map").write_text("in the way")
     kept = Kept(tmp_path / "map")
     kept.tiles.update([tile(1)])
-    kept.keeper._try_to_save()
-    kept.keeper._try_to_save()
-    assert "cannot save the map" in kept.keeper.trouble
+    kept.saver._try_to_save()
+    kept.saver._try_to_save()
+    assert "cannot save the map" in kept.saver.fault
     assert caplog.text.count("cannot save the map") == 1
     with pytest.raises(StorageError, match="cannot save the map"):
-        kept.keeper.finish()
+        kept.saver.flush()
     (tmp_path / "map").unlink()
-    kept.keeper.finish()
-    assert kept.keeper.trouble == ""
+    kept.saver.flush()
+    assert kept.saver.fault == ""
 
 
 class Answers:
-    """What a keeper says to whoever asked it to save."""
+    """What a map saver says to whoever asked it to save."""
 
     def __init__(self) -> None:
         self.came = threading.Semaphore(0)
         self.heard: list[tuple[SavedMap | None, str]] = []
 
-    def __call__(self, saved: SavedMap | None, trouble: str) -> None:
-        self.heard.append((saved, trouble))
+    def __call__(self, saved: SavedMap | None, fault: str) -> None:
+        self.heard.append((saved, fault))
         self.came.release()
 
 
@@ -125,22 +125,20 @@ def answers() -> Answers:
 
 @pytest.fixture
 def running(tmp_path: Path) -> Iterator[Kept]:
-    """A keeper whose thread runs and whose checkpoints are far away."""
+    """A map saver whose thread runs and whose checkpoints are far away."""
     kept = Kept(tmp_path / "map", checkpoint_s=3600.0)
-    thread = threading.Thread(target=kept.keeper.run)
-    thread.start()
+    kept.saver.start()
     yield kept
-    kept.keeper.stop()
-    thread.join(10.0)
-    assert not thread.is_alive()
+    kept.saver.flush()
+    assert not any(thread.name == "map-saver" for thread in threading.enumerate())
 
 
 def test_who_asks_hears_where_the_map_is_once_it_is_there(running: Kept, answers: Answers, tmp_path: Path):
-    running.keeper.ask_to_save(answers)
+    running.saver.ask_to_save(answers)
     assert answers.came.acquire(timeout=10.0)
     running.tiles.update([tile(4)])
     for _ in range(2):  # the second time there is nothing new to save
-        running.keeper.ask_to_save(answers)
+        running.saver.ask_to_save(answers)
         assert answers.came.acquire(timeout=10.0)
     saved = SavedMap(tmp_path / "map", 1, 4)
     assert answers.heard == [(None, ""), (saved, ""), (saved, "")]
@@ -152,14 +150,14 @@ def test_the_map_before_a_reset_is_saved_whole_and_the_next_goes_beside_it(
 ):
     running.tiles.update([tile(1)])
     running.tiles.begin_anew()
-    running.keeper.ask_to_save(answers)
+    running.saver.ask_to_save(answers)
     assert answers.came.acquire(timeout=10.0)
     assert answers.heard == [(None, "")]  # of the present map there is nothing yet
-    assert running.keeper.newest == SavedMap(tmp_path / "map", 1, 1)
-    assert (running.keeper.folder, running.keeper.saved_version) == (tmp_path / "map_2", 0)
+    assert running.saver.newest == SavedMap(tmp_path / "map", 1, 1)
+    assert (running.saver.folder, running.saver.saved_version) == (tmp_path / "map_2", 0)
     assert not (tmp_path / "map_2").exists()
     running.tiles.update([tile(3)])
-    running.keeper.ask_to_save(answers)
+    running.saver.ask_to_save(answers)
     assert answers.came.acquire(timeout=10.0)
     assert answers.heard[1] == (SavedMap(tmp_path / "map_2", 1, 3), "")
     assert [t.version for t in load_map(tmp_path / "map").tiles] == [1]
@@ -172,17 +170,17 @@ def test_a_map_that_the_disk_refused_is_saved_later_even_after_resets(tmp_path: 
     kept.tiles.update([tile(1)])
     kept.tiles.begin_anew()
     kept.tiles.update([tile(5)])
-    kept.keeper.ask_to_save(answers)
+    kept.saver.ask_to_save(answers)
     with pytest.raises(StorageError, match="cannot save the map"):
-        kept.keeper.finish()
+        kept.saver.flush()
     assert answers.heard[0][0] is None
     assert "cannot save the map" in answers.heard[0][1]
     (tmp_path / "map").unlink()
     kept.tiles.begin_anew()
-    kept.keeper.finish()
+    kept.saver.flush()
     assert [t.version for t in load_map(tmp_path / "map").tiles] == [1]
     assert [t.version for t in load_map(tmp_path / "map_2").tiles] == [5]
-    assert kept.keeper.newest == SavedMap(tmp_path / "map_2", 1, 5)
+    assert kept.saver.newest == SavedMap(tmp_path / "map_2", 1, 5)
 
 
 def test_unsaved_maps_do_not_pile_up_without_end(tmp_path: Path, caplog: pytest.LogCaptureFixture):
@@ -191,9 +189,12 @@ def test_unsaved_maps_do_not_pile_up_without_end(tmp_path: Path, caplog: pytest.
     for _ in range(MOST_UNSAVED + 1):
         kept.tiles.update([tile(kept.tiles.version + 1)])
         kept.tiles.begin_anew()
-    kept.keeper._try_to_save()
-    assert "map 1 is given up" in caplog.text
-    assert len(kept.keeper._unsaved) == 0  # only the first had something in its way
+    kept.saver._try_to_save()
+    assert "map 1 of this run is given up" in caplog.text
+    assert len(kept.saver._unsaved) == 0  # only the first had something in its way
+    assert "map 1 of this run is given up" in kept.saver.health().message
+    with pytest.raises(StorageError, match="map 1 of this run is given up"):
+        kept.saver.flush()
 
 
 def test_where_the_map_lies_is_saved_with_it_and_anew_when_that_alone_changed(tmp_path: Path):
@@ -201,6 +202,6 @@ def test_where_the_map_lies_is_saved_with_it_and_anew_when_that_alone_changed(tm
     kept.tiles.update([tile(1)])
     for number, geo in enumerate((None, GEO, GEO, replace(GEO, fixes=50)), start=1):
         kept.tiles.place(geo)
-        kept.keeper.finish()
+        kept.saver.flush()
         assert load_map(tmp_path / "map").geo == geo
         assert load_map(tmp_path / "map").number == min(number, 2 + (number == 4))

@@ -1,6 +1,6 @@
-"""What waits to be sent. Two lanes, so that a large map never stands in the way of a pose.
+"""What waits to be sent, in two queues, so that a large map never stands in the way of a pose.
 
-`StreamLane` keeps order and lets the oldest go when full; `BulkLane` keeps only the newest of each thing.
+`StreamQueue` keeps order and lets the oldest go when full; `BulkQueue` keeps only the newest of each thing.
 """
 
 import threading
@@ -19,7 +19,7 @@ class Sending:
     origin_ns: int | None  # host monotonic time from which its latency counts
 
 
-class StreamLane:
+class StreamQueue:
     """Any thread puts and never waits; one thread takes."""
 
     def __init__(self, capacity: int) -> None:
@@ -40,7 +40,7 @@ class StreamLane:
             self._wake.notify()
 
     def take(self) -> Sending | None:
-        """The oldest; waits for one. None when the lane is closed and empty."""
+        """The oldest; waits for one. None when the queue is closed and empty."""
         with self._wake:
             while not self._waiting and not self._closed:
                 self._wake.wait()
@@ -69,7 +69,7 @@ class Bulk:
     pictures: set[str]  # channels of which a new whole should be made
 
 
-class BulkLane:
+class BulkQueue:
     """Messages at once, tiles and pictures of the whole at most once a period each."""
 
     def __init__(self, tile_period_s: float, picture_period_s: float) -> None:

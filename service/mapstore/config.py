@@ -1,0 +1,14 @@
+"""What the map saver is told."""
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.config_types import Folder
+
+
+class MapConfig(BaseModel):
+    """Where the map is kept, and how often it is saved on the way."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    directory: Folder
+    checkpoint_s: float = Field(default=30.0, ge=1.0, le=3600.0)

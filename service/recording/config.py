@@ -1,0 +1,17 @@
+"""What the recorder is told."""
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.config_types import Folder
+
+
+class RecordingConfig(BaseModel):
+    """Where sessions go, and how much of the disk they may take."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    directory: Folder
+    rotate_mb: int = Field(default=1024, ge=1, le=100_000)
+    rotate_min: float = Field(default=10.0, ge=0.1, le=1440.0)
+    keep_free_gb: float = Field(default=2.0, ge=0.0, le=100_000.0)
+    raw: bool = False  # also the bytes of the devices, as they came

@@ -1,0 +1,72 @@
+"""The threads that read the devices: one a sensor, each in the loop that all drivers share."""
+
+import threading
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+from drivers.frames import Frame
+from drivers.link import LinkHealth, RawChunk, run_link
+from drivers.registry import SENSOR_KINDS
+from service.encoding import Message, encode_raw
+from service.runtime.workers import Workers
+
+STOP_S = 5.0  # a connect to a silent host takes 3 s
+
+
+class Readers:
+    """`start`, at last `stop`; `links` says meanwhile how each sensor is.
+
+    sensors         name -> the config model of its type
+    put_frame       takes each frame, in the thread of its reader
+    put_raw         takes the bytes of the devices as messages; None: nobody wants them
+    utc_offset_ns   Unix time minus host monotonic clock
+    """
+
+    def __init__(
+        self,
+        sensors: Mapping[str, Any],
+        links: Mapping[str, LinkHealth],
+        workers: Workers,
+        put_frame: Callable[[Frame], None],
+        put_raw: Callable[[Message], None] | None,
+        utc_offset_ns: int,
+    ) -> None:
+        self._sensors = sensors
+        self._links = links
+        self._workers = workers
+        self._put_frame = put_frame
+        self._put_raw = put_raw
+        self._utc_offset_ns = utc_offset_ns
+        self._stop = threading.Event()
+        self._threads: list[threading.Thread] = []
+
+    def start(self) -> None:
+        for name, sensor in self._sensors.items():
+            self._threads.append(self._workers.start(f"reader-{name}", self._reader(name, sensor)))
+
+    def stop(self) -> None:
+        """Disconnect every device, in order of the config; one that hangs is left behind."""
+        self._stop.set()
+        for thread in self._threads:
+            self._workers.join(thread, STOP_S)
+
+    def _reader(self, name: str, sensor: Any) -> Callable[[], None]:
+        kind = SENSOR_KINDS[sensor.type]
+        new_session = kind.session_maker(sensor)
+        tee = None if self._put_raw is None else partial(self._tee, name, self._put_raw)
+
+        def read() -> None:
+            run_link(
+                self._links[name],
+                lambda: kind.open_transport(sensor),
+                new_session,
+                self._put_frame,
+                self._stop,
+                tee,
+            )
+
+        return read
+
+    def _tee(self, name: str, put_raw: Callable[[Message], None], chunk: RawChunk) -> None:
+        put_raw(encode_raw(name, chunk, self._utc_offset_ns))

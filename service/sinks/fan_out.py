@@ -1,0 +1,199 @@
+"""Everything that leaves the service, handed to every open sink. A sink that fails stops only itself."""
+
+import logging
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from service.encoding import ERROR, Message, Status
+from service.errors import CorridorError
+from service.outputs import TileUpdate
+from service.sinks.registry import SinkKind
+from service.sinks.sink import MapStorage, SessionRecorder, Sink, SinkContext
+
+log = logging.getLogger(__name__)
+
+FLUSH_S = 20.0  # that a sink may take to bring out what it held back
+CLOSE_S = 40.0  # and to end; the recorder waits 30 s for its disk
+
+
+class Sinks:
+    """The open sinks, in the order of the registry.
+
+    Thread-safe after `open`. `put` and its kin call one sink after the other, which never wait. What a sink
+    raises there is counted, said once in the log, and makes its row in health an error.
+    """
+
+    def __init__(self) -> None:
+        self._sinks: list[Sink] = []
+        self._lock = threading.Lock()  # of what follows
+        self._faults: dict[str, str] = {}  # by name of the sink: why it does not work any more
+        self._refused: Counter[str] = Counter()  # calls that raised, by name of the sink
+
+    def open(
+        self,
+        kinds: Sequence[SinkKind],
+        sections: Mapping[str, Any],
+        context: SinkContext,
+    ) -> None:
+        """Open every kind that its section of the config does not switch off; all or none.
+
+        sections   section of the config -> its model
+
+        Raises StorageError where one cannot be opened.
+        """
+        try:
+            for kind in kinds:
+                sink = kind.open_sink(sections[kind.section], context)
+                if sink is not None:
+                    self._sinks.append(sink)
+        except BaseException:
+            self.close()
+            raise
+
+    def session_recorder(self) -> SessionRecorder:
+        """The first sink that is one. Raises LookupError."""
+        for sink in self._sinks:
+            if isinstance(sink, SessionRecorder):
+                return sink
+        raise LookupError("no sink of the registry records sessions; start_recording needs one")
+
+    def map_storage(self) -> MapStorage:
+        """The first sink that is one. Raises LookupError."""
+        for sink in self._sinks:
+            if isinstance(sink, MapStorage):
+                return sink
+        raise LookupError("no sink of the registry stores maps; save_map needs one")
+
+    @property
+    def wants_raw(self) -> bool:
+        """Whether a sink takes the bytes of the devices."""
+        return any(sink.wants_raw for sink in self._sinks)
+
+    def start(self) -> None:
+        """Raises StorageError where a sink cannot begin."""
+        for sink in self._sinks:
+            sink.start()
+
+    def put(self, message: Message, arrived_ns: int | None = None) -> None:
+        for sink in self._sinks:
+            try:
+                sink.put(message, arrived_ns)
+            except Exception as error:
+                self._refuse(sink, error)
+
+    def put_tiles(self, tiles: Sequence[TileUpdate], stamp_ns: int, log_ns: int) -> None:
+        for sink in self._sinks:
+            try:
+                sink.put_tiles(tiles, stamp_ns, log_ns)
+            except Exception as error:
+                self._refuse(sink, error)
+
+    def put_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        for sink in self._sinks:
+            try:
+                sink.put_metadata(name, values)
+            except Exception as error:
+                self._refuse(sink, error)
+
+    def health(self) -> list[Status]:
+        """One row a sink; an error where it raised, or a thread of it died."""
+        return [self._row(sink) for sink in self._sinks]
+
+    def status_words(self) -> list[str]:
+        return [words for sink in self._sinks if (words := sink.status_words())]
+
+    def places(self) -> dict[str, str]:
+        """By name of the sink: where its output is found."""
+        return {sink.name: place for sink in self._sinks if (place := sink.place())}
+
+    def written(self) -> dict[str, list[Path]]:
+        """By name of the sink: what it has completed on disk."""
+        return {sink.name: sink.written() for sink in self._sinks}
+
+    def thread_died(self, thread_name: str, error: BaseException) -> bool:
+        """Note that a thread is gone; False where it belongs to no sink."""
+        for sink in self._sinks:
+            if thread_name.startswith(f"{sink.name}-"):
+                self._fail(sink.name, f"thread {thread_name} died: {type(error).__name__}: {error}")
+                return True
+        return False
+
+    def flush(self) -> list[str]:
+        """Flush all at the same time. What is lost, a sentence each; empty where all is well."""
+        return self._end("flush", FLUSH_S)
+
+    def close(self) -> None:
+        """Close all at the same time, each even if another fails or hangs."""
+        self._end("close", CLOSE_S)
+
+    def _end(self, action: str, timeout_s: float) -> list[str]:
+        """Have every sink flush or close in a thread of its own; one that hangs is left behind."""
+        endings = [_Ending(sink, action) for sink in self._sinks]
+        deadline_s = time.monotonic() + timeout_s
+        faults = []
+        for ending in endings:
+            if fault := ending.wait(deadline_s - time.monotonic(), timeout_s):
+                self._fail(ending.sink.name, fault)
+                faults.append(fault)
+        return faults
+
+    def _refuse(self, sink: Sink, error: Exception) -> None:
+        with self._lock:
+            self._refused[sink.name] += 1
+            is_first = self._refused[sink.name] == 1
+        if is_first:
+            log.error("sink %s does not take what it is given", sink.name, exc_info=error)
+            self._fail(sink.name, f"it raised {type(error).__name__}: {error}; the log holds where")
+
+    def _fail(self, name: str, fault: str) -> None:
+        with self._lock:
+            self._faults.setdefault(name, fault)
+
+    def _row(self, sink: Sink) -> Status:
+        try:
+            row = sink.health()
+        except Exception as error:
+            self._refuse(sink, error)
+            row = Status(sink.name, ERROR, "", {})
+        with self._lock:
+            fault, refused = self._faults.get(sink.name, ""), self._refused[sink.name]
+        if not fault:
+            return row
+        return Status(row.name, ERROR, fault, {**row.values, "refused": str(refused)})
+
+
+class _Ending:
+    """A sink that flushes or closes."""
+
+    def __init__(self, sink: Sink, action: str) -> None:
+        self.sink = sink
+        self._action = action
+        self._work: Callable[[], None] = getattr(sink, action)
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name=f"{sink.name}-{action}", daemon=True)
+        self._thread.start()
+
+    def wait(self, left_s: float, timeout_s: float) -> str:
+        """What went wrong, "" if nothing did. timeout_s is what it was allowed in all."""
+        self._thread.join(max(left_s, 0.0))
+        if self._thread.is_alive():
+            fault = f"{self.sink.name} did not {self._action} within {timeout_s:.0f} s"
+        elif self._error is None:
+            return ""
+        elif isinstance(self._error, CorridorError):
+            fault = str(self._error)
+        else:
+            fault = f"{self.sink.name} failed to {self._action}: {type(self._error).__name__}: {self._error}"
+        is_expected = self._error is None or isinstance(self._error, CorridorError)
+        log.error("%s", fault, exc_info=None if is_expected else self._error)
+        return fault
+
+    def _run(self) -> None:
+        try:
+            self._work()
+        except BaseException as error:  # told by `wait`
+            self._error = error

@@ -1,0 +1,209 @@
+"""The map on its way to the disk, as a sink: to the recording every few seconds, to its folder now and then.
+
+It reads the TileStore from a thread of its own: neither a slow disk nor a large picture holds up mapping.
+"""
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from pathlib import Path
+
+from service.encoding import ERROR, OK, Message, Status, encode_grid
+from service.errors import StorageError
+from service.mapstore.config import MapConfig
+from service.mapstore.files import save_map
+from service.mapstore.tiles import NumberedMap
+from service.sinks.sink import SavedHeard, SavedMap, Sink, SinkContext
+
+log = logging.getLogger(__name__)
+
+EMIT_INTERVAL_S = 10.0  # a whole map a second would outgrow the scans
+MOST_UNSAVED = 8  # maps that a reset ended and the disk has not taken yet
+
+
+def open_sink(config: MapConfig, context: SinkContext) -> "MapSaver":
+    return MapSaver(config, context)
+
+
+class MapSaver(Sink):
+    """Saves the map while it grows; a MapStorage.
+
+    The first map goes to the folder that the context names, else to <vehicle>_<UTC start> in the directory of
+    the config; those after a reset go beside it, to <folder>_2, <folder>_3 ...
+    """
+
+    name = "map"
+
+    def __init__(self, config: MapConfig, context: SinkContext) -> None:
+        started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime(context.start_unix_ns / 1e9))
+        self._folder = context.map_folder or config.directory / f"{context.vehicle}_{started}"
+        self._tiles = context.tiles
+        self._unix_ns = context.unix_ns
+        self._emit = context.emit
+        self._checkpoint_s = config.checkpoint_s
+        self._about: Mapping[str, str] = {"vehicle": context.vehicle, "profile": context.profile}
+        self._emitted_version = 0
+        self._unsaved: list[NumberedMap] = []  # ended by a reset
+        self._wake = threading.Condition()  # of the two that follow
+        self._asked: deque[SavedHeard] = deque()
+        self._stopping = False
+        self._newest: tuple[int, SavedMap] | None = None  # map number
+        self._thread = threading.Thread(target=self._run, name="map-saver", daemon=True)
+        self._given_up = ""  # which map of this run is lost, and why
+        self.fault = ""  # why the last save failed, "" if it did not
+
+    @property
+    def folder(self) -> Path:
+        """Of the present map."""
+        return self.folder_of(self._tiles.number)
+
+    @property
+    def newest(self) -> SavedMap | None:
+        """What was saved last; after a reset the map before, until there is something to save."""
+        return None if self._newest is None else self._newest[1]
+
+    @property
+    def saved_version(self) -> int:
+        """Newest tile of the present map that is on disk; 0: none."""
+        newest = self._newest
+        return newest[1].version if newest is not None and newest[0] == self._tiles.number else 0
+
+    def folder_of(self, number: int) -> Path:
+        return self._folder if number == 1 else self._folder.with_name(f"{self._folder.name}_{number}")
+
+    def ask_to_save(self, saved: SavedHeard) -> None:
+        """Have what is not yet on disk saved soon, by the sink's thread, in which `saved` hears of it."""
+        with self._wake:
+            self._asked.append(saved)
+            self._wake.notify()
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def put(self, message: Message, arrived_ns: int | None = None) -> None:
+        """The map is taken from the TileStore: messages pass."""
+        return
+
+    def health(self) -> Status:
+        fault = self.fault or self._given_up
+        values = {"folder": str(self.folder), "saved_version": str(self.saved_version)}
+        return Status(self.name, ERROR if fault else OK, fault or "ok", values)
+
+    def place(self) -> str:
+        return str(self.folder)
+
+    def written(self) -> list[Path]:
+        """The folder of the newest map that was saved; none where nothing was mapped."""
+        return [] if self.newest is None else [self.newest.folder]
+
+    def flush(self) -> None:
+        """Emit and save what is not yet. Raises StorageError where a map of this run is not on disk."""
+        self._stop()
+        if self._thread.ident is not None:
+            self._thread.join()
+        self._answer()
+        self._emit_map()
+        try:
+            self.save()
+        except StorageError as error:
+            self._report(error)
+            raise
+        if self._given_up:
+            raise StorageError(self._given_up)
+
+    def close(self) -> None:
+        self._stop()
+
+    def save(self) -> SavedMap | None:
+        """Store what is not yet: maps that a reset ended, then the present one, which is returned.
+
+        Raises StorageError; what could not be saved is tried again the next time.
+        """
+        ended, present = self._tiles.take()
+        self._unsaved += ended
+        while len(self._unsaved) > MOST_UNSAVED:
+            lost = self._unsaved.pop(0)
+            self._given_up = (
+                f"map {lost.number} of this run is given up: more than {MOST_UNSAVED} ended maps wait to be "
+                f"saved under {self._folder.parent}; make room there, or change map.directory"
+            )
+            log.error("%s", self._given_up)
+        while self._unsaved:
+            self._store(self._unsaved[0])
+            self._unsaved.pop(0)
+        self._store(present)
+        self.fault = ""
+        return self._newest[1] if self._newest is not None and self._newest[0] == present.number else None
+
+    def _store(self, numbered: NumberedMap) -> None:
+        newest = self._newest
+        if (
+            newest is not None
+            and newest[0] == numbered.number
+            and newest[1].version == numbered.version
+            and newest[1].geo == numbered.geo
+        ):
+            return
+        folder = self.folder_of(numbered.number)
+        number = save_map(folder, numbered.tiles, self._unix_ns(), self._about, numbered.geo)
+        if number is not None:
+            self._newest = (numbered.number, SavedMap(folder, number, numbered.version, numbered.geo))
+
+    def _run(self) -> None:
+        save_at_s = time.monotonic() + self._checkpoint_s
+        while self._wait():
+            self._answer()
+            self._emit_map()
+            if time.monotonic() >= save_at_s:
+                save_at_s = time.monotonic() + self._checkpoint_s
+                self._try_to_save()
+
+    def _stop(self) -> None:
+        with self._wake:
+            self._stopping = True
+            self._wake.notify()
+
+    def _emit_map(self) -> None:
+        """Hand the whole map to all sinks if it changed; the recording keeps it."""
+        version = self._tiles.version
+        if version == self._emitted_version:
+            return
+        self._emitted_version = version
+        try:
+            grid = self._tiles.grid()
+        except StorageError as error:
+            self._report(error)  # too large for one picture; the tiles are saved all the same
+            return
+        if grid is not None:
+            unix_ns = self._unix_ns()
+            self._emit(encode_grid(grid, unix_ns, unix_ns))
+
+    def _wait(self) -> bool:
+        """Until somebody asks or it is time to look; False when there is nothing more to do."""
+        with self._wake:
+            if not self._asked and not self._stopping:
+                self._wake.wait(min(EMIT_INTERVAL_S, self._checkpoint_s))
+            return not self._stopping
+
+    def _answer(self) -> None:
+        with self._wake:
+            asked, self._asked = self._asked, deque()
+        if not asked:
+            return
+        saved = self._try_to_save()
+        for answer in asked:
+            answer(saved, self.fault)
+
+    def _try_to_save(self) -> SavedMap | None:
+        try:
+            return self.save()
+        except StorageError as error:
+            self._report(error)
+            return None
+
+    def _report(self, error: StorageError) -> None:
+        if str(error) != self.fault:  # once, not at every try
+            log.error("%s", error)
+        self.fault = str(error)

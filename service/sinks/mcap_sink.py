@@ -1,0 +1,91 @@
+"""Every message into MCAP sessions, as a sink."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+from service.encoding import ERROR, OK, WARNING, Message, Status, encode_event
+from service.recording.config import RecordingConfig
+from service.recording.mcap_recorder import McapRecorder, SessionHeard
+from service.sinks.sink import Sink, SinkContext
+
+_LEVELS = {
+    "waiting": OK,
+    "recording": OK,
+    "finished": OK,
+    "stopped": WARNING,
+    "disk full": ERROR,
+    "disk error": ERROR,
+}
+
+
+def open_sink(config: RecordingConfig, context: SinkContext) -> "McapSink":
+    return McapSink(config, context)
+
+
+class McapSink(Sink):
+    """Records from `start` on; a SessionRecorder."""
+
+    name = "recording"
+
+    def __init__(self, config: RecordingConfig, context: SinkContext) -> None:
+        self.wants_raw = config.raw
+        self._directory = config.directory
+        self._is_paused = context.is_paused
+        self._recorder = McapRecorder(
+            config.directory,
+            context.vehicle,
+            rotate_bytes=config.rotate_mb << 20,
+            rotate_s=config.rotate_min * 60.0,
+            keep_free_bytes=round(config.keep_free_gb * 1e9),
+            metadata=context.metadata,
+        )
+
+    def start(self) -> None:
+        """Raises StorageError where the directory cannot be written."""
+        self._recorder.start()
+
+    def put(self, message: Message, arrived_ns: int | None = None) -> None:
+        self._recorder.put(message)
+
+    def put_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        self._recorder.put_metadata(name, values)
+
+    def begin_session(self, first: Message, heard: SessionHeard) -> None:
+        """As McapRecorder.begin_session; a session that begins in a pause says so in its second message."""
+        self._recorder.begin_session(first, heard)
+        if self._is_paused():  # a session holds all that its replay needs
+            text = json.dumps({"event": "pause", "reason": "paused before the recording began"})
+            self._recorder.put(encode_event(text, first.stamp_ns, first.log_ns))
+
+    def end_session(self, heard: SessionHeard) -> None:
+        self._recorder.end_session(heard)
+
+    def health(self) -> Status:
+        recorder = self._recorder.health
+        level = _LEVELS[recorder.state]
+        values = {
+            "state": recorder.state,
+            "file": str(recorder.path or ""),
+            "messages": str(recorder.messages),
+            "free_gb": f"{recorder.free_bytes / 1e9:.1f}",
+            "log_time_steps_back": str(recorder.steps_back),
+        }
+        dropped = dict(recorder.dropped)  # in one step: the recorder's thread goes on counting
+        values |= {f"dropped.{channel}": str(count) for channel, count in sorted(dropped.items())}
+        words = {OK: recorder.state, WARNING: "stopped by a command"}.get(level, recorder.last_error)
+        return Status(self.name, level, words, values)
+
+    def place(self) -> str:
+        return str(self._directory)
+
+    def status_words(self) -> str:
+        recorder = self._recorder.health
+        is_writing = recorder.path is not None and recorder.state == "recording"
+        return f"recording: {recorder.path.name if recorder.path and is_writing else recorder.state}"
+
+    def written(self) -> list[Path]:
+        return list(self._recorder.health.finished)
+
+    def close(self) -> None:
+        self._recorder.finish()

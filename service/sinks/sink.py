@@ -1,0 +1,145 @@
+"""The seam of the outputs: what the service offers a sink, and what a sink has to be.
+
+A sink takes every message and every changed tile that leaves the service, and brings them somewhere: onto a
+network, into a file, to a page. `registry.py` lists the kinds of sinks, `fan_out.py` serves the open ones.
+"""
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from drivers.link import LinkHealth
+from service.encoding import Message, Status
+from service.geometry.geo_reference import GeoReference
+from service.mapstore.tiles import TileStore
+from service.outputs import TileUpdate
+from service.publishing.commands import Answer
+from service.recording.mcap_recorder import SessionHeard
+
+
+@dataclass(frozen=True, slots=True)
+class SinkContext:
+    """What the service offers a sink when it is opened. Every callable may be called from any thread."""
+
+    vehicle: str
+    profile: str  # of the mapper
+    start_unix_ns: int  # Unix time at which the service was constructed
+    map_folder: Path | None  # where this run's map is to be stored, if the caller asked for a folder
+    metadata: Mapping[str, Mapping[str, str]]  # name -> key -> text: version, config as YAML, clock
+    tiles: TileStore  # the newest version of every tile of the map
+    links: Mapping[str, LinkHealth]  # sensor name -> state of its link
+    command: Callable[[str, bytes], Answer]  # verb and JSON -> answer; waits, in bounded time
+    emit: Callable[[Message], None]  # hands a message to all sinks, the caller included
+    unix_ns: Callable[[], int]  # the service's Unix time: host monotonic clock plus the offset of the start
+    is_paused: Callable[[], bool]  # whether a command has paused the mapping
+    pose_sent: Callable[[int], None]  # takes ns from the last byte of a scan to its pose on the network
+
+
+class Sink(Protocol):
+    """One output of the service, from `open` of its kind until `close`.
+
+    `put`, `put_tiles`, `put_metadata` and `health` come from any thread, before `start` too, and never wait:
+    what cannot go out at once waits in a queue of bounded size; what the queue cannot take is dropped and
+    counted. Work is done in threads of the sink, whose names begin with `<name>-`: when one of them dies, the
+    fan-out says so in health, and mapping and the other sinks go on.
+    """
+
+    name: str  # of its row in health and of its threads
+    wants_raw: bool = False  # whether bytes of the devices are to be put as messages "<sensor>/raw"
+
+    @abstractmethod
+    def put(self, message: Message, arrived_ns: int | None = None) -> None:
+        """Take a message, or let it pass if this sink has no use for its channel.
+
+        arrived_ns   for a pose: when its scan's last byte was read, host monotonic clock; else None
+        """
+        raise NotImplementedError
+
+    @abstractmethod
+    def health(self) -> Status:
+        """Its row in health, with the counters of what it sent and dropped."""
+        raise NotImplementedError
+
+    @abstractmethod
+    def close(self) -> None:
+        """Bring out what waits and end every thread within 40 s (CLOSE_S of the fan-out).
+
+        Called once, after `flush`, also where `start` was never called or failed.
+        """
+        raise NotImplementedError
+
+    def start(self) -> None:
+        """Begin: the mapper is ready, the drivers are not started yet. Raises StorageError.
+
+        A sink that is complete when it is opened inherits this.
+        """
+        return
+
+    def put_tiles(self, tiles: Sequence[TileUpdate], stamp_ns: int, log_ns: int) -> None:
+        """Hear that tiles changed; the TileStore holds them already. Times are Unix time.
+
+        stamp_ns   of the newest scan in the tiles
+        log_ns     when the service had them
+
+        A sink that brings no tiles out, or reads the TileStore at times of its own, inherits this.
+        """
+        return
+
+    def put_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Hear that a part of `SinkContext.metadata` changed. A sink that keeps none inherits this."""
+        return
+
+    def flush(self) -> None:
+        """Nothing is mapped any more: bring out what was held back, and emit what all sinks should have.
+
+        Ends within 20 s (FLUSH_S of the fan-out), or is left behind.
+
+        Raises StorageError where something the run was made for is lost; the process then exits with 1.
+        A sink that holds nothing back inherits this.
+        """
+        return
+
+    def place(self) -> str:
+        """Where its output is found: an endpoint, a folder, an address; "" while there is none."""
+        return ""
+
+    def status_words(self) -> str:
+        """A few words for the status line of the service; "" for none."""
+        return ""
+
+    def written(self) -> list[Path]:
+        """What it has completed on disk so far, oldest first."""
+        return []
+
+
+@runtime_checkable
+class SessionRecorder(Protocol):
+    """A sink that records sessions: what start_recording and stop_recording need."""
+
+    def begin_session(self, first: Message, heard: SessionHeard) -> None: ...
+    def end_session(self, heard: SessionHeard) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class SavedMap:
+    """A map on disk."""
+
+    folder: Path
+    number: int  # of the version in its folder
+    version: int  # of its newest tile
+    geo: GeoReference | None = None  # where it lies on the earth
+
+
+SavedHeard = Callable[[SavedMap | None, str], None]  # the present map, None while it is empty; or the fault
+
+
+@runtime_checkable
+class MapStorage(Protocol):
+    """A sink that stores maps: what save_map and reset_map need."""
+
+    @property
+    def folder(self) -> Path: ...
+    def folder_of(self, number: int) -> Path: ...
+    def ask_to_save(self, saved: SavedHeard) -> None: ...

@@ -1,0 +1,68 @@
+"""Messages, the map and commands on Zenoh, as a sink."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from service.encoding import OK, WARNING, Message, Status
+from service.outputs import TileUpdate
+from service.publishing.config import PublishingConfig
+from service.publishing.zenoh_publisher import ZenohPublisher
+from service.sinks.sink import Sink, SinkContext
+
+KEYS = {"diagnostics": "health"}  # channels that have another name on Zenoh
+NOT_SENT = frozenset({"events", "map"})  # the publisher makes the map itself, when somebody listens
+
+
+def open_sink(config: PublishingConfig, context: SinkContext) -> "ZenohSink":
+    """Raises StorageError where Zenoh cannot listen."""
+    return ZenohSink(config, context)
+
+
+class ZenohSink(Sink):
+    """Sends from the moment it is constructed; answers commands from `start` on."""
+
+    name = "zenoh"
+
+    def __init__(self, config: PublishingConfig, context: SinkContext) -> None:
+        self._context = context
+        self._publisher = ZenohPublisher(config, context.vehicle, context.tiles, context.pose_sent)
+
+    def start(self) -> None:
+        self._publisher.answer_commands(self._context.command)
+
+    def put(self, message: Message, arrived_ns: int | None = None) -> None:
+        channel = message.channel
+        if channel in NOT_SENT or channel.endswith("/raw"):
+            return
+        if channel in KEYS:
+            message = replace(message, channel=KEYS[channel])
+            self._publisher.show_alive(
+                {name: link.state == "streaming" for name, link in self._context.links.items()}
+            )
+        self._publisher.put(message, arrived_ns)
+
+    def put_tiles(self, tiles: Sequence[TileUpdate], stamp_ns: int, log_ns: int) -> None:
+        self._publisher.map_changed(tiles, stamp_ns, log_ns)
+
+    def health(self) -> Status:
+        counters = {
+            "sent": self._publisher.sent(),
+            "dropped": self._publisher.dropped(),
+            "failed": self._publisher.failed(),
+        }
+        values = {
+            f"{name}.{channel}": str(count)
+            for name, counter in counters.items()
+            for channel, count in sorted(counter.items())
+        }
+        values["endpoints"] = " ".join(self._publisher.endpoints)
+        dropped, failed = counters["dropped"].total(), counters["failed"].total()
+        if dropped or failed:
+            return Status(self.name, WARNING, f"{dropped} dropped, {failed} failed", values)
+        return Status(self.name, OK, "ok", values)
+
+    def place(self) -> str:
+        return ", ".join(self._publisher.endpoints)
+
+    def close(self) -> None:
+        self._publisher.close()

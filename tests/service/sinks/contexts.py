@@ -1,0 +1,26 @@
+"""What a service offers its sinks, as far as a test cares."""
+
+import time
+from typing import Any
+
+from service.mapstore.tiles import TileStore
+from service.publishing.commands import Answer
+from service.sinks.sink import SinkContext
+
+
+def sink_context(**parts: Any) -> SinkContext:
+    defaults: dict[str, Any] = {
+        "vehicle": "veh1",
+        "profile": "corridor",
+        "start_unix_ns": 1_700_000_000_000_000_000,
+        "map_folder": None,
+        "metadata": {},
+        "tiles": TileStore(),
+        "links": {},
+        "command": lambda verb, payload: Answer(True, b"{}"),
+        "emit": lambda message: None,
+        "unix_ns": time.time_ns,
+        "is_paused": lambda: False,
+        "pose_sent": lambda duration_ns: None,
+    }
+    return SinkContext(**(defaults | parts))

@@ -1,0 +1,209 @@
+"""What one sink does must not reach another, nor whoever puts."""
+
+import logging
+import threading
+import time
+from collections.abc import Iterator, Sequence
+
+import pytest
+
+from service.encoding import ERROR, OK, Message, Status
+from service.errors import StorageError
+from service.outputs import TileUpdate
+from service.sinks import fan_out
+from service.sinks.fan_out import Sinks
+from service.sinks.registry import SinkKind
+from service.sinks.sink import Sink, SinkContext
+from tests.service.mapstore.tile_makers import tile
+from tests.service.sinks.contexts import sink_context
+
+
+class ListSink(Sink):
+    """Keeps what it is given; `fails` names the methods that raise."""
+
+    def __init__(self, name: str = "list", fails: Sequence[str] = (), error: Exception | None = None) -> None:
+        self.name = name
+        self._fails = fails
+        self._error = error or RuntimeError("out of order")
+        self.messages: list[tuple[Message, int | None]] = []
+        self.tiles: list[tuple[Sequence[TileUpdate], int, int]] = []
+        self.ended: list[str] = []
+        self.may_end = threading.Event()
+        self.may_end.set()
+
+    def put(self, message: Message, arrived_ns: int | None = None) -> None:
+        self._do("put")
+        self.messages.append((message, arrived_ns))
+
+    def put_tiles(self, tiles: Sequence[TileUpdate], stamp_ns: int, log_ns: int) -> None:
+        self._do("put_tiles")
+        self.tiles.append((tiles, stamp_ns, log_ns))
+
+    def health(self) -> Status:
+        self._do("health")
+        return Status(self.name, OK, "ok", {"messages": str(len(self.messages))})
+
+    def flush(self) -> None:
+        self._do("flush")
+        self.may_end.wait(20.0)
+        self.ended.append("flush")
+
+    def close(self) -> None:
+        self._do("close")
+        self.may_end.wait(20.0)
+        self.ended.append("close")
+
+    def _do(self, what: str) -> None:
+        if what in self._fails:
+            raise self._error
+
+
+def message(channel: str = "pose") -> Message:
+    return Message(channel, "std_msgs/msg/String", 1, 2, b"")
+
+
+def open_all(*sinks: Sink) -> Sinks:
+    opened = Sinks()
+    opened._sinks.extend(sinks)
+    return opened
+
+
+# Kinds for `Sinks.open`: a registry line names them by module and name.
+OPENED: list[ListSink] = []
+
+
+def open_list(section: str, context: SinkContext) -> ListSink | None:
+    if section == "off":
+        return None
+    if section == "refused":
+        raise StorageError("the port is taken")
+    OPENED.append(ListSink(section))
+    return OPENED[-1]
+
+
+def kind(section: str) -> SinkKind:
+    return SinkKind(section, "none:none", f"{__name__}:open_list")
+
+
+@pytest.fixture(autouse=True)
+def _no_sink_is_open() -> Iterator[None]:
+    OPENED.clear()
+    yield
+    OPENED.clear()
+
+
+def test_a_section_opens_its_sink_or_switches_it_off():
+    sinks = Sinks()
+    names = {name: name for name in ("first", "off", "second")}
+    sinks.open([kind(name) for name in names], names, sink_context())  # type: ignore[arg-type]
+    assert [row.name for row in sinks.health()] == ["first", "second"]
+
+
+def test_where_one_cannot_be_opened_those_before_are_closed():
+    names = {name: name for name in ("first", "refused")}
+    with pytest.raises(StorageError, match="the port is taken"):
+        Sinks().open([kind(name) for name in names], names, sink_context())  # type: ignore[arg-type]
+    assert OPENED[0].ended == ["close"]
+
+
+def test_every_sink_gets_every_message_and_every_tile():
+    first, second = ListSink("first"), ListSink("second")
+    sinks = open_all(first, second)
+    pose, tiles = message(), [tile(0, 0, 1)]
+    sinks.put(pose, 7)
+    sinks.put_tiles(tiles, 10, 11)
+    for sink in (first, second):
+        assert sink.messages == [(pose, 7)]
+        assert sink.tiles == [(tiles, 10, 11)]
+
+
+@pytest.mark.parametrize("what", ["put", "put_tiles"])
+def test_a_sink_that_raises_is_an_error_in_health_said_once_and_the_next_gets_all(
+    what: str, caplog: pytest.LogCaptureFixture
+):
+    broken, well = ListSink("broken", [what]), ListSink("well")
+    sinks = open_all(broken, well)
+    for _ in range(3):
+        sinks.put(message())
+        sinks.put_tiles([tile(0, 0, 1)], 1, 1)
+    assert (len(well.messages), len(well.tiles)) == (3, 3)
+    assert [record.levelno for record in caplog.records] == [logging.ERROR]
+    broken_row, well_row = sinks.health()
+    assert broken_row.level == ERROR
+    assert broken_row.message.startswith("it raised RuntimeError: out of order")
+    assert broken_row.values["refused"] == "3"
+    assert well_row == Status("well", OK, "ok", {"messages": "3"})
+
+
+def test_a_sink_that_cannot_tell_its_health_is_an_error_row():
+    sinks = open_all(ListSink("mute", ["health"]), ListSink("well"))
+    assert [(row.name, row.level) for row in sinks.health()] == [("mute", ERROR), ("well", OK)]
+
+
+def test_a_thread_of_a_sink_that_dies_is_the_sink_s_fault_and_another_thread_is_not():
+    sinks = open_all(ListSink("list"), ListSink("other"))
+    assert not sinks.thread_died("listless", ValueError("x"))
+    assert sinks.thread_died("list-writer", ValueError("x"))
+    rows = {row.name: row for row in sinks.health()}
+    assert (rows["list"].level, rows["list"].message) == (ERROR, "thread list-writer died: ValueError: x")
+    assert rows["other"].level == OK
+
+
+def test_what_is_lost_at_the_end_is_told_and_the_others_end_as_they_should(caplog: pytest.LogCaptureFixture):
+    broken = ListSink("broken", ["flush"], StorageError("cannot save the map to /x"))
+    well = ListSink("well")
+    sinks = open_all(well, broken)
+    assert sinks.flush() == ["cannot save the map to /x"]
+    sinks.close()
+    assert well.ended == ["flush", "close"]
+    assert broken.ended == ["close"]
+    assert "cannot save the map to /x" in caplog.text
+
+
+def test_a_fault_of_the_program_at_the_end_is_told_with_where_it_was_raised(caplog: pytest.LogCaptureFixture):
+    assert open_all(ListSink("odd", ["flush"])).flush() == ["odd failed to flush: RuntimeError: out of order"]
+    assert "in _do" in caplog.text
+
+
+@pytest.mark.parametrize("action", ["flush", "close"])
+def test_a_sink_that_hangs_at_the_end_is_left_behind_and_holds_up_no_other(
+    action: str, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(fan_out, "FLUSH_S", 0.2)
+    monkeypatch.setattr(fan_out, "CLOSE_S", 0.2)
+    hangs, well = ListSink("hangs"), ListSink("well")
+    hangs.may_end.clear()
+    sinks = open_all(hangs, well)
+    getattr(sinks, action)()
+    assert well.ended == [action]
+    row = sinks.health()[0]
+    assert (row.level, row.message) == (ERROR, f"hangs did not {action} within 0 s")
+    hangs.may_end.set()
+
+
+def test_sinks_end_at_the_same_time():
+    """Each waits for the other one: one after the other they would take 20 s and be told to hang."""
+    first, second = ListSink("first"), ListSink("second")
+    meet = threading.Barrier(2, timeout=10.0)
+    first.flush = second.flush = meet.wait  # type: ignore[method-assign]
+    assert open_all(first, second).flush() == []
+
+
+def test_what_commands_need_is_found_or_said_to_be_missing():
+    with pytest.raises(LookupError, match="records sessions"):
+        open_all(ListSink()).session_recorder()
+    with pytest.raises(LookupError, match="stores maps"):
+        open_all(ListSink()).map_storage()
+
+
+def test_a_slow_reader_of_one_sink_does_not_hold_up_whoever_puts():
+    """The contract of `put`, by the two sinks that have a queue: the writer stands still all the while."""
+    from service.recording.config import RecordingConfig
+    from service.sinks.mcap_sink import McapSink
+
+    sink = McapSink(RecordingConfig(directory="/nowhere"), sink_context())  # type: ignore[arg-type]
+    began_s = time.thread_time()
+    for _ in range(25_000):  # never started: nothing is taken out
+        sink.put(message("front/scan"))
+    assert time.thread_time() - began_s < 10.0
+    assert int(sink.health().values["dropped.front/scan"]) == 5_000

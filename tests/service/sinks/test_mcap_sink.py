@@ -1,0 +1,107 @@
+import threading
+from pathlib import Path
+
+import pytest
+
+from service.encoding import ERROR, OK, WARNING, Message, decode_event, encode_event
+from service.errors import StorageError
+from service.recording.config import RecordingConfig
+from service.recording.mcap_reader import Recording
+from service.recording.mcap_recorder import SessionChange
+from service.sinks.mcap_sink import McapSink
+from tests.service.sinks.contexts import sink_context
+
+T0_NS = 1_700_000_000_000_000_000
+
+
+def sink_in(folder: Path, is_paused: bool = False, **config: object) -> McapSink:
+    context = sink_context(metadata={"clock": {"step": "0"}}, is_paused=lambda: is_paused)
+    settings = {"directory": folder, "keep_free_gb": 0.0, **config}
+    return McapSink(RecordingConfig.model_validate(settings), context)
+
+
+def event(text: str, log_ns: int) -> Message:
+    return encode_event(text, log_ns, log_ns)
+
+
+def end(sink: McapSink) -> list[Path]:
+    """End the session that is being recorded; its files."""
+    ended = threading.Event()
+    changes: list[SessionChange] = []
+
+    def heard(change: SessionChange) -> None:
+        changes.append(change)
+        ended.set()
+
+    sink.end_session(heard)
+    assert ended.wait(20.0)
+    return changes[0].files
+
+
+def events(path: Path) -> list[str]:
+    return [decode_event(m.payload) for m in Recording([path]).messages(["/events"])]
+
+
+def test_every_channel_is_recorded_and_what_is_complete_is_told(tmp_path: Path):
+    sink = sink_in(tmp_path)
+    sink.start()
+    sink.put(event("a", T0_NS))
+    assert sink.written() == []
+    sink.put_metadata("clock", {"step": "5"})
+    sink.close()
+    (session,) = sink.written()
+    assert events(session) == ["a"]
+    assert Recording([session]).metadata["clock"] == {"step": "5"}
+    assert sink.place() == str(tmp_path)
+
+
+def test_its_row_tells_what_is_recorded_and_what_stops_it(tmp_path: Path):
+    sink = sink_in(tmp_path)
+    assert (sink.health().level, sink.status_words()) == (OK, "recording: waiting")
+    sink.start()
+    sink.put(event("a", T0_NS))
+    end(sink)
+    row = sink.health()
+    assert (row.level, row.message, row.values["messages"]) == (WARNING, "stopped by a command", "1")
+    assert sink.status_words() == "recording: stopped"
+    recorder = sink._recorder.health
+    recorder.state, recorder.last_error = "disk full", "0.1 GB left"
+    assert (sink.health().level, sink.health().message) == (ERROR, "0.1 GB left")
+    recorder.dropped["front/scan"] = 3
+    assert sink.health().values["dropped.front/scan"] == "3"
+    sink.close()
+
+
+def test_the_file_being_written_is_named(tmp_path: Path):
+    sink = sink_in(tmp_path)
+    sink.start()
+    begun = threading.Event()
+    sink.begin_session(event("a", T0_NS), lambda change: begun.set())
+    assert begun.wait(20.0)
+    assert sink.status_words() == "recording: veh1_20231114T221320Z_0001.mcap.active"
+    assert sink.health().values["file"].endswith("_0001.mcap.active")
+    sink.close()
+
+
+@pytest.mark.parametrize("is_paused", [False, True])
+def test_a_session_that_begins_in_a_pause_says_so(tmp_path: Path, is_paused: bool):
+    sink = sink_in(tmp_path, is_paused)
+    sink.start()
+    sink.begin_session(event("begin", T0_NS), lambda change: None)
+    sink.close()
+    (session,) = sink.written()
+    paused = ['{"event": "pause", "reason": "paused before the recording began"}']
+    assert events(session) == ["begin", *(paused if is_paused else [])]
+
+
+def test_raw_bytes_are_wanted_where_the_config_says_so(tmp_path: Path):
+    assert not sink_in(tmp_path).wants_raw
+    assert sink_in(tmp_path, raw=True).wants_raw
+
+
+def test_a_directory_that_cannot_be_written_is_said_at_the_start(tmp_path: Path):
+    (tmp_path / "file").write_text("in the way")
+    sink = sink_in(tmp_path / "file")
+    with pytest.raises(StorageError, match="cannot record"):
+        sink.start()
+    sink.close()

@@ -1,0 +1,102 @@
+from collections.abc import Iterator
+
+import pytest
+import zenoh
+
+from drivers.link import LinkHealth
+from service.encoding import OK, STRING, WARNING, Message, Status, encode_diagnostics
+from service.mapstore.tiles import TileStore
+from service.publishing.commands import Answer
+from service.publishing.config import PublishingConfig
+from service.sinks.zenoh_sink import ZenohSink
+from tests.service.mapstore.tile_makers import tile
+from tests.service.publishing.conftest import Inbox, client_config
+from tests.service.sinks.contexts import sink_context
+
+ROOT = "corridor/v1/veh1"
+
+
+@pytest.fixture
+def link() -> LinkHealth:
+    return LinkHealth("front")
+
+
+@pytest.fixture
+def store() -> TileStore:
+    return TileStore()
+
+
+@pytest.fixture
+def sink(link: LinkHealth, store: TileStore) -> Iterator[ZenohSink]:
+    context = sink_context(
+        links={"front": link},
+        tiles=store,
+        command=lambda verb, payload: Answer(True, b'{"did": "' + verb.encode() + b'"}'),
+    )
+    opened = ZenohSink(PublishingConfig(listen=("tcp/127.0.0.1:0",)), context)
+    opened.start()
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def client(sink: ZenohSink) -> Iterator[zenoh.Session]:
+    with zenoh.open(client_config(sink.place())) as session:
+        yield session
+
+
+def test_only_what_subscribers_have_use_for_goes_out(sink: ZenohSink, client: zenoh.Session):
+    inbox = Inbox()
+    subscriber = client.declare_subscriber(f"{ROOT}/**", inbox)
+    for channel in ("events", "front/raw", "map", "front/scan"):
+        sink.put(Message(channel, STRING, 1, 1, b"\0\1\0\0"))
+    (sample,) = inbox.wait_for(1)
+    assert str(sample.key_expr) == f"{ROOT}/front/scan"
+    subscriber.undeclare()  # type: ignore[no-untyped-call]
+    sink.close()  # after that nothing is counted any more
+    sent = {key: count for key, count in sink.health().values.items() if key.startswith("sent.")}
+    assert sent == {"sent.front/scan": "1"}
+
+
+def test_diagnostics_are_called_health_and_bring_the_tokens_of_sensors_up_to_date(
+    sink: ZenohSink, client: zenoh.Session, link: LinkHealth
+):
+    health, tokens = Inbox(), Inbox()
+    subscriber = client.declare_subscriber(f"{ROOT}/health", health)
+    watcher = client.liveliness().declare_subscriber(f"{ROOT}/alive/*", tokens)
+    rows = encode_diagnostics("diagnostics", [Status("x", OK, "", {})], 1, 1)
+    link.state = "streaming"
+    sink.put(rows)
+    assert health.wait_for(1)[0].payload.to_bytes() == rows.payload
+    (token,) = tokens.wait_for(1)
+    assert (str(token.key_expr), token.kind) == (f"{ROOT}/alive/front", zenoh.SampleKind.PUT)
+    link.state = "down"
+    sink.put(rows)
+    assert tokens.wait_for(2)[1].kind == zenoh.SampleKind.DELETE
+    for declared in (subscriber, watcher):
+        declared.undeclare()  # type: ignore[no-untyped-call]
+
+
+def test_commands_go_to_the_service(sink: ZenohSink, client: zenoh.Session):
+    (reply,) = list(client.get(f"{ROOT}/cmd/pause", timeout=20.0))
+    assert reply.ok is not None
+    assert reply.ok.payload.to_string() == '{"did": "pause"}'
+
+
+def test_changed_tiles_go_out(sink: ZenohSink, client: zenoh.Session, store: TileStore):
+    inbox = Inbox()
+    subscriber = client.declare_subscriber(f"{ROOT}/map/tile/**", inbox)
+    changed = [tile(2, 3, 1)]
+    store.update(changed)
+    sink.put_tiles(changed, 1, 1)
+    assert str(inbox.wait_for(1)[0].key_expr) == f"{ROOT}/map/tile/0/2/3"
+    subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+
+def test_what_was_dropped_is_a_warning(sink: ZenohSink):
+    assert sink.health().level == OK
+    sink.close()
+    sink.put(Message("front/scan", STRING, 1, 1, b"\0\1\0\0"))
+    row = sink.health()
+    assert (row.level, row.message) == (WARNING, "1 dropped, 0 failed")
+    assert row.values["dropped.front/scan"] == "1"
