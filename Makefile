@@ -5,55 +5,56 @@ SHELL := /bin/sh
 # The first interpreter between 3.11 and 3.13 that really runs; override with PYTHON=...
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null && echo $$p && break; done)
-VENV := .venv
+VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/installed
+VENV_MB := 900
 export CORRIDOR_SHARED ?= $(abspath ../shared)
 # One thread a process: the mapper is single-threaded, and BLAS pools only steal its core.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv demo test check bench papers chaos interop soak clean
+.PHONY: help venv demo test check ci bench papers chaos interop soak clean
 
 help: ## this list
 	@awk -F':.*## ' '/^[a-z]+:.*## /{printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 venv: $(STAMP) ## set up .venv; nothing to do when nothing changed
 
+# pip is silent while it downloads and unpacks: meanwhile the size of the venv is told each 5 s.
 $(STAMP): pyproject.toml
 	@test -n "$(PYTHON)" || { echo "corridor needs Python 3.11, 3.12 or 3.13 with venv; none found. On Debian: apt install python3-venv"; exit 1; }
+	@echo "1/3 $(VENV): a Python environment by $(PYTHON), some seconds"
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); \
 		echo "$(PYTHON) has no venv module. On Debian and Ubuntu: apt install python3-venv"; exit 1; }
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
-	$(BIN)/corridor warmup # so that the first start and the first test find every kernel compiled
+	@echo "2/3 packages: some $(VENV_MB) MB on disk, a quarter of it to download; one to five minutes"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]' & pip=$$!; \
+	trap 'kill $$pip' INT TERM; seconds=0; \
+	while kill -0 $$pip 2>/dev/null; do sleep 1; seconds=$$((seconds + 1)); \
+		test $$((seconds % 5)) -ne 0 || echo "    $$(du -sm $(VENV) | cut -f1) of some $(VENV_MB) MB, $$seconds s"; done; \
+	wait $$pip || { echo "pip failed; why stands above"; exit 1; }
+	@echo "3/3 kernels: compiled once for this processor, half a minute to two minutes"
+	@$(BIN)/corridor warmup # so that the first start and the first test find every kernel compiled
 	@touch $(STAMP)
 
 demo: venv ## fake devices, drivers, mapping, Zenoh and recording on this machine, until Ctrl-C
 	$(BIN)/corridor demo $(DEMO_ARGS)
 
-# Three groups side by side. What computes gives way to what talks to devices and clocks in real time.
-COMPUTING := tests/accuracy $(addprefix tests/service/,fusion geometry kernels mapper mapstore offline recording)
-TALKING := $(addprefix tests/,chaos drivers simulators)
-PYTEST = $(BIN)/python -m pytest -q -m "not soak and not bench"
-
 test: venv ## every test that needs no root
-	$(BIN)/corridor warmup # on both cores; a test compiles on one
 ifdef TEST_ARGS
-	$(PYTEST) $(TEST_ARGS)
+	$(BIN)/python -m pytest -q -rs -m "not soak and not bench" $(TEST_ARGS)
 else
-	@mkdir -p build; \
-	nice $(PYTEST) -p no:cacheprovider $(COMPUTING) > build/computing.log 2>&1 & computing=$$!; \
-	nice $(PYTEST) -p no:cacheprovider $(TALKING) > build/talking.log 2>&1 & talking=$$!; \
-	trap 'kill $$computing $$talking' INT TERM; \
-	$(PYTEST) $(addprefix --ignore=,$(COMPUTING) $(TALKING)); waited=$$?; \
-	wait $$talking; talked=$$?; cat build/talking.log; \
-	wait $$computing; computed=$$?; cat build/computing.log; exit $$((waited + talked + computed))
+	@$(BIN)/python -m tests.groups
 endif
 
 check: venv ## ruff, mypy --strict, import-linter
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	@echo "mypy: half a minute where nothing is cached"
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+ci: ## what a pull request must pass: check, test, and both with Python 3.13 where that is installed
+	.ci/run
 
 bench: venv ## the benchmarks: a table, and bench.json
 	$(BIN)/python -m tests.bench $(BENCH_ARGS)
@@ -71,4 +72,4 @@ soak: venv ## the long checks
 	$(BIN)/python -m pytest -q -m soak $(TEST_ARGS)
 
 clean: ## remove what make made
-	rm -rf $(VENV) .venv-interop build *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache out bench.json
+	rm -rf $(VENV) .venv-3.13 .venv-interop build *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache out bench.json

@@ -10,8 +10,11 @@ import hashlib
 import logging
 import os
 import shutil
+import sys
 import tempfile
+from contextlib import suppress
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 
 from service.interruption import before_ending
@@ -20,6 +23,7 @@ log = logging.getLogger(__name__)
 
 KERNELS = Path(__file__).parent / "kernels"
 DIGEST_NAME = "corridor-kernels.sha256"
+WARM_NAME = "corridor-kernels.warm"  # written when the kernels of all profiles are in the cache
 
 
 def ensure_cache_dir() -> Path | None:
@@ -53,8 +57,7 @@ def forget_old_kernels(place: Path) -> None:
     numba looks only at the file that a kernel stands in: after `git pull` one that calls a changed kernel of
     another file would go on with the old one.
     """
-    sources = sorted(KERNELS.glob("*.py"))
-    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
+    digest = _digest()
     stamp = place / DIGEST_NAME
     try:
         if stamp.exists() and stamp.read_text(encoding="ascii") == digest:
@@ -74,10 +77,46 @@ def forget_kernels() -> int:
     place = Path(given) if given else KERNELS / "__pycache__"
     count = 0
     for folder in (place, _home_cache()):
+        (folder / WARM_NAME).unlink(missing_ok=True)
         for compiled in _compiled_in(folder):
             compiled.unlink(missing_ok=True)
             count += 1
     return count
+
+
+def mark_warm() -> None:
+    """Note that the kernels of all profiles are in the cache, as they are compiled here and now."""
+    with suppress(OSError):  # then nobody may rely on it
+        (_place() / WARM_NAME).write_text(_compiled_for(), encoding="utf-8")
+
+
+def is_warm() -> bool:
+    """Whether nothing is left to compile, whatever profile maps. Call it after ensure_cache_dir."""
+    try:
+        return (_place() / WARM_NAME).read_text(encoding="utf-8") == _compiled_for()
+    except OSError:
+        return False
+
+
+def _place() -> Path:
+    """Where numba keeps the kernels: the first of the places that can be written to."""
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    places = [Path(given)] if given else [KERNELS / "__pycache__", _home_cache()]
+    return next((place for place in places if _is_writable(place)), places[0])
+
+
+def _compiled_for() -> str:
+    """Sources, compiler and processor; numba reads no kernel of another."""
+    processor = next(
+        (line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")), ""
+    )
+    packages = " ".join(f"{name} {version(name)}" for name in ("numba", "llvmlite"))
+    return f"{_digest()}\n{packages}, Python {sys.version}\n{processor}\n"
+
+
+def _digest() -> str:
+    sources = sorted(KERNELS.glob("*.py"))
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
 
 
 def _home_cache() -> Path:

@@ -2,18 +2,55 @@
 
 import logging
 import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import pytest
 
-from service.kernel_cache import ensure_cache_dir
+from service.kernel_cache import ensure_cache_dir, is_warm
 
 ensure_cache_dir()  # before anything imports numba: what is compiled from now on is kept
 
+ROOT = Path(__file__).parents[1]
+
 hypothesis.settings.register_profile("corridor", deadline=None)  # a core may be busy with other things
 hypothesis.settings.load_profile("corridor")
+
+
+NEEDS_SHARED = (
+    "CORRIDOR_NEEDS_SHARED"  # set, what wants for the recordings below fails instead of being skipped
+)
+RUNS_THE_PROGRAM = ("tests/system", "tests/chaos", "tests/service/cli")
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Compile all kernels before the first test where they are not in the cache: on every core, under no
+    test's time-out.
+    """
+    nodes = [item.nodeid for item in session.items]
+    wanted = any(name.startswith("service.kernels.") for name in sys.modules) or any(
+        node.startswith(RUNS_THE_PROGRAM) for node in nodes
+    )
+    if not nodes or not wanted or session.config.option.collectonly or is_warm():
+        return
+    reporter: Any = session.config.pluginmanager.get_plugin("terminalreporter")
+    with session.config.pluginmanager.get_plugin("capturemanager").global_and_fixture_disabled():
+        reporter.write_line("the kernels are compiled first, once, in a minute or two")
+        subprocess.run([sys.executable, "-m", "service", "warmup"], cwd=ROOT, check=True)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Any:
+    """Where $CORRIDOR_NEEDS_SHARED is set, a skip for want of real recordings is a failure."""
+    report = yield
+    if report.skipped and os.environ.get(NEEDS_SHARED) and "CORRIDOR_SHARED" in str(report.longrepr):
+        report.outcome = "failed"
+        report.longrepr = f"{NEEDS_SHARED} is set: {report.longrepr}"
+    return report
 
 
 @pytest.fixture(scope="session")

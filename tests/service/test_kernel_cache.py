@@ -68,3 +68,24 @@ def test_kernels_of_other_sources_are_forgotten(folder: str, monkeypatch: pytest
     kernel_cache.ensure_cache_dir()
     assert not compiled.exists()
     assert foreign.exists()
+
+
+def test_a_cache_is_warm_until_sources_or_compiler_change(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    sources = tmp_path / "kernels"
+    sources.mkdir()
+    (sources / "a.py").write_text("one")
+    monkeypatch.setattr(kernel_cache, "KERNELS", sources)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    kernel_cache.ensure_cache_dir()
+    assert not kernel_cache.is_warm()
+    kernel_cache.mark_warm()
+    assert kernel_cache.is_warm()
+    with monkeypatch.context() as other:
+        other.setattr(kernel_cache, "version", lambda name: "0.1")
+        assert not kernel_cache.is_warm()
+    (sources / "a.py").write_text("two")
+    assert not kernel_cache.is_warm()
+    (sources / "a.py").write_text("one")
+    assert kernel_cache.is_warm()
+    kernel_cache.forget_kernels()
+    assert not kernel_cache.is_warm()

@@ -1,0 +1,140 @@
+"""`make test`: groups of tests side by side, how far each is while it runs, and their failures at the end.
+
+What computes gives way (nice) to what talks to devices and clocks in real time.
+"""
+
+import os
+import re
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+from service.kernel_cache import ensure_cache_dir, is_warm
+
+LOGS = Path("build")
+TELL_S = 10.0  # no silence for longer
+LOOK_S = 0.5
+EXPECTED = "some six minutes on two cores"
+COMPUTING = (
+    "tests/accuracy",
+    *(f"tests/service/{folder}" for folder in ("fusion", "geometry", "kernels", "mapper", "mapstore")),
+)
+TALKING = ("tests/chaos", "tests/drivers", "tests/simulators")
+_SHARE = re.compile(r"\[ *(\d+)%\]")
+_SKIP = re.compile(r"^SKIPPED \[(\d+)\] (.*)$", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Group:
+    name: str
+    arguments: tuple[str, ...]
+    gives_way: bool
+
+
+GROUPS = (
+    Group("service", tuple(f"--ignore={folder}" for folder in (*COMPUTING, *TALKING)), gives_way=False),
+    Group("devices", TALKING, gives_way=True),
+    Group("mapping", COMPUTING, gives_way=True),
+)
+
+
+class Running:
+    """One group in a process of its own; its output goes to a file."""
+
+    def __init__(self, group: Group, folder: Path) -> None:
+        self.group = group
+        self.log = folder / f"{group.name}.log"
+        self._began_s = time.monotonic()
+        self._file: IO[str] = self.log.open("w")
+        command = [sys.executable, "-m", "pytest", "-q", "-rs", "-m", "not soak and not bench"]
+        self.process = subprocess.Popen(
+            [*(["nice"] if group.gives_way else []), *command, "-p", "no:cacheprovider", *group.arguments],
+            stdout=self._file,
+            stderr=subprocess.STDOUT,
+        )
+        self.told = False
+
+    @property
+    def text(self) -> str:
+        return self.log.read_text(errors="replace")
+
+    @property
+    def percent(self) -> int:
+        shares = _SHARE.findall(self.text)
+        return int(shares[-1]) if shares else 0
+
+    def end(self) -> str:
+        """Its last word, once it has ended."""
+        self._file.close()
+        words = self.text.strip().splitlines() or ["said nothing"]
+        took_s = time.monotonic() - self._began_s
+        return f"{self.group.name}: exit code {self.process.returncode} after {took_s:.0f} s: {words[-1]}"
+
+
+def run(groups: Sequence[Group], folder: Path = LOGS) -> int:
+    """Run them; 0 where all passed, 1 where one did not."""
+    folder.mkdir(exist_ok=True)
+    say(f"{len(groups)} groups of tests side by side, {EXPECTED}; their words: {folder}/<group>.log")
+    began_s = told_s = time.monotonic()
+    running = [Running(group, folder) for group in groups]
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    try:
+        while alive := [one for one in running if one.process.poll() is None]:
+            with suppress(subprocess.TimeoutExpired):
+                alive[0].process.wait(LOOK_S)
+            for one in running:
+                if one.process.poll() is not None and not one.told:
+                    one.told = True
+                    say(one.end())
+            if time.monotonic() - told_s >= TELL_S:
+                told_s = time.monotonic()
+                shares = ", ".join(f"{o.group.name} {o.percent} %" for o in running if not o.told)
+                if shares:
+                    say(f"{told_s - began_s:4.0f} s: {shares}")
+    finally:
+        for one in running:
+            if one.process.poll() is None:
+                one.process.terminate()
+                one.process.wait()
+    return summarise(running, time.monotonic() - began_s)
+
+
+def summarise(running: Sequence[Running], took_s: float) -> int:
+    """Failures whole, each reason to skip once with its count, and what it cost."""
+    failed = [one for one in running if one.process.returncode != 0]
+    for one in running:
+        if not one.told:
+            say(one.end())
+    for one in failed:
+        say(f"\n===== {one.group.name} =====")
+        say(one.text)
+    skips: Counter[str] = Counter()
+    for one in running:
+        for count, reason in _SKIP.findall(one.text):
+            skips[reason.partition(": ")[2] or reason] += int(count)
+    for reason, count in sorted(skips.items()):
+        say(f"skipped {count}: {reason}")
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    say(f"{took_s:.0f} s, {usage.ru_utime + usage.ru_stime:.0f} s of processor")
+    say(f"FAILED: {', '.join(one.group.name for one in failed)}" if failed else "all passed")
+    return 1 if failed else 0
+
+
+def say(words: str) -> None:
+    print(words, flush=True)
+
+
+if __name__ == "__main__":
+    os.chdir(Path(__file__).parents[1])
+    ensure_cache_dir()
+    if not is_warm():  # once, on all cores, before three groups would
+        subprocess.run([sys.executable, "-m", "service", "warmup"], check=True)
+    sys.exit(run(GROUPS))

@@ -1,0 +1,61 @@
+from pathlib import Path
+
+import pytest
+
+from tests import groups
+from tests.groups import GROUPS, Group, run
+
+ROOT = Path(__file__).parents[1]
+PASSES = "def test_a():\n    pass\n"
+FAILS = "def test_b():\n    raise AssertionError('it is broken')\n"
+SKIPS = "import pytest\n\ndef test_c():\n    pytest.skip('no laser here; plug one in')\n"
+
+
+@pytest.fixture(autouse=True)
+def signals_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.groups.signal.signal", lambda number, handler: None)
+
+
+def group(folder: Path, name: str, text: str) -> Group:
+    path = folder / f"test_{name}.py"
+    path.write_text(text)
+    return Group(name, (str(path), "-c", "/dev/null", f"--rootdir={folder}"), gives_way=True)
+
+
+def test_groups_that_pass_are_one_line_each_and_skips_have_their_reason(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert run([group(tmp_path, "a", PASSES), group(tmp_path, "c", SKIPS)], tmp_path / "logs") == 0
+    said = capsys.readouterr().out
+    assert "a: exit code 0 after" in said
+    assert "1 passed" in said
+    assert "skipped 1: no laser here; plug one in" in said
+    assert said.splitlines()[-1] == "all passed"
+
+
+def test_a_group_that_fails_is_told_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert run([group(tmp_path, "a", PASSES), group(tmp_path, "b", FAILS)], tmp_path / "logs") == 1
+    said = capsys.readouterr().out
+    assert "it is broken" in said
+    assert said.splitlines()[-1] == "FAILED: b"
+
+
+def test_a_group_without_a_test_is_no_success(tmp_path: Path):
+    assert run([group(tmp_path, "empty", "")], tmp_path / "logs") == 1
+
+
+def test_it_is_never_silent_for_long(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(groups, "TELL_S", 0.0)
+    monkeypatch.setattr(groups, "LOOK_S", 0.01)
+    run([group(tmp_path, "a", PASSES)], tmp_path / "logs")
+    assert "s: a 0 %" in capsys.readouterr().out
+
+
+def test_every_test_is_in_exactly_one_group():
+    service, *others = GROUPS
+    named = [folder for one in others for folder in one.arguments]
+    assert sorted(named) == sorted(set(named))
+    assert sorted(service.arguments) == sorted(f"--ignore={folder}" for folder in named)
+    assert all((ROOT / folder).is_dir() for folder in named)
