@@ -14,21 +14,38 @@ from service.mapstore.geo_file import GEO_FILE, read_geo
 from service.mapstore.picture import Picture, picture_of_grid, picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import read_ros_map, write_ros_map
-from service.offline.geo_export import write_csv, write_geojson, write_kml, write_world_file
+from service.offline.drawings import write_dxf, write_svg
+from service.offline.geo_export import (
+    write_csv,
+    write_geojson,
+    write_kml,
+    write_local_world_file,
+    write_world_file,
+)
+from service.offline.geotiff import write_geotiff
+from service.offline.outlines import outlines
+from service.offline.point_cloud import write_pcd, write_ply
+from service.offline.session_file import refuse_to_overwrite
 from service.offline.trajectory import read_tum, write_tum
 from service.recording.mcap_reader import Recording
 
-Format = Literal["pgm", "png", "tum", "csv", "geojson", "kml"]
+Format = Literal[
+    "pgm", "png", "geotiff", "svg", "dxf", "geojson", "kml", "tum", "csv", "g2o", "ply", "pcd"
+]  # fmt: skip
+GRAPH_FILE = "graph.g2o"
 
 
 def export(source: Path, to: Format, out: Path) -> None:
-    """Write the map (pgm with its yaml, png) or the trajectory (tum, csv, geojson, kml) of `source` to `out`.
+    """Write the map or the trajectory of `source` to `out`, in a format that other programs read.
 
     source    a finished session (.mcap), the folder of a stored map, or the folder that a replay wrote
+    to        the map: pgm with its yaml, png with its world file, geotiff, ply, pcd; the map and, where the
+              source has one, the trajectory: svg, dxf, geojson; the trajectory: tum, csv, kml; the graph: g2o
 
-    Where the source says where the map lies on the earth, a png gets a world file beside it and a csv has
-    columns for it. Raises InputError where the source does not hold what is asked for, UsageError for a PGM
-    by another name, StorageError.
+    Where the source says where the map lies on the earth, png and geotiff are in UTM, svg has north, and csv
+    has columns for it; geojson and kml are refused without. Raises InputError where the source does not hold
+    what is asked for, UsageError for a PGM by another name and for a session as its own export, StorageError,
+    CorridorError where a library that only this format needs is not installed.
     """
     if to == "pgm" and out.suffix != ".pgm":
         raise UsageError(
@@ -36,21 +53,11 @@ def export(source: Path, to: Format, out: Path) -> None:
         )
     if not source.exists():
         raise InputError(f"{source}: no such file or folder")
+    if source.is_file():
+        refuse_to_overwrite(source, out)
     if is_map_folder(source) and source.resolve() in out.resolve().parents:
         raise UsageError(f"--out {out} lies inside the stored map {source}, which would damage it")
-    write: Callable[[], object]
-    match to:
-        case "pgm":
-            write = partial(write_ros_map, out, out.with_suffix(".yaml"), _picture(source))
-        case "png":
-            write = partial(_write_png, out, _picture(source), _reference(source))
-        case "tum":
-            write = partial(write_tum, out, _poses(source))
-        case "csv":
-            write = partial(write_csv, out, list(_poses(source)), _reference(source))
-        case "geojson" | "kml":
-            to_earth = write_geojson if to == "geojson" else write_kml
-            write = partial(to_earth, out, list(_poses(source)), _needed_reference(source, to))
+    write = _writer(source, to, out)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         write()
@@ -58,10 +65,44 @@ def export(source: Path, to: Format, out: Path) -> None:
         raise StorageError(f"cannot write {out}: {error}") from error
 
 
+def _writer(source: Path, to: Format, out: Path) -> Callable[[], object]:
+    """All is read before anything is written."""
+    match to:
+        case "pgm":
+            return partial(write_ros_map, out, out.with_suffix(".yaml"), _picture(source))
+        case "png":
+            return partial(_write_png, out, _picture(source), _reference(source))
+        case "geotiff":
+            return partial(write_geotiff, out, _picture(source), _reference(source))
+        case "svg":
+            return partial(write_svg, out, _picture(source), _way(source), _reference(source))
+        case "dxf":
+            return partial(write_dxf, out, _picture(source), _way(source))
+        case "ply":
+            return partial(write_ply, out, _picture(source))
+        case "pcd":
+            return partial(write_pcd, out, _picture(source))
+        case "tum":
+            return partial(write_tum, out, list(_poses(source)))
+        case "csv":
+            return partial(write_csv, out, list(_poses(source)), _reference(source))
+        case "kml":
+            return partial(write_kml, out, list(_poses(source)), _needed_reference(source, to))
+        case "geojson":
+            reference = _needed_reference(source, to)
+            poses = list(_poses(source)) if _has_poses(source) else []
+            walls = outlines(_picture(source)) if _has_picture(source) else []
+            return partial(write_geojson, out, poses, walls, reference)
+        case "g2o":
+            return partial(out.write_text, _graph(source), encoding="ascii")
+
+
 def _write_png(out: Path, picture: Picture, reference: GeoReference | None) -> None:
     write_png(out, picture)
     if reference is not None:
         write_world_file(out, picture, reference)
+    else:
+        write_local_world_file(out, picture)
 
 
 def _reference(source: Path) -> GeoReference | None:
@@ -98,6 +139,37 @@ def _picture(source: Path) -> Picture:
     raise InputError(_no_such_folder(source))
 
 
+def _has_picture(source: Path) -> bool:
+    if source.is_dir():
+        return is_map_folder(source) or (source / "map.yaml").exists()
+    return _holds(Recording([source]), "/map", OCCUPANCY_GRID)
+
+
+def _has_poses(source: Path) -> bool:
+    if source.is_dir():
+        return (source / "trajectory.tum").exists()
+    return _holds(Recording([source]), "/pose", ODOMETRY)
+
+
+def _way(source: Path) -> list[SE2]:
+    """Where the source has one."""
+    return [pose for _, pose in _poses(source)] if _has_poses(source) else []
+
+
+def _graph(source: Path) -> str:
+    path = source / GRAPH_FILE
+    if source.is_dir() and path.exists():
+        return path.read_text(encoding="ascii")
+    if is_map_folder(source) or not source.is_dir():
+        raise InputError(
+            f"{source}: no graph in it; a replay writes one: corridor replay SESSION.mcap --out DIR, then "
+            "export DIR"
+        )
+    raise InputError(
+        f"{source}: no {GRAPH_FILE} in it; its profile has no graph (corridor and submap_graph have one)"
+    )
+
+
 def _recorded_picture(source: Path) -> Picture:
     """The last map in a session."""
     recording = Recording([source])
@@ -125,8 +197,12 @@ def _poses(source: Path) -> Iterable[tuple[int, SE2]]:
     return [(pose.stamp_ns, pose.pose) for pose in poses]
 
 
+def _holds(recording: Recording, name: str, type_name: str) -> bool:
+    return any(topic.name == name and topic.type == type_name and topic.count for topic in recording.topics)
+
+
 def _topic(recording: Recording, name: str, type_name: str) -> str:
-    if any(topic.name == name and topic.type == type_name and topic.count for topic in recording.topics):
+    if _holds(recording, name, type_name):
         return name
     source = recording.paths[0]
     held = ", ".join(map(str, recording.topics)) or "nothing"

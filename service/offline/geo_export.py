@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from service.errors import InputError
@@ -10,6 +10,7 @@ from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import to_utm, utm_zone
 from service.geometry.se2 import SE2
 from service.mapstore.picture import Picture
+from service.offline.outlines import Points
 from service.version import VERSION
 
 Poses = Sequence[tuple[int, SE2]]  # stamp_ns, pose_map_base
@@ -31,22 +32,34 @@ def write_csv(path: Path, poses: Poses, reference: GeoReference | None) -> None:
             file.write(line + "\n")
 
 
-def write_geojson(path: Path, poses: Poses, reference: GeoReference) -> None:
-    """The way as one LineString, longitude before latitude (RFC 7946). Raises OSError."""
-    feature = {
-        "type": "Feature",
-        "geometry": {"type": "LineString", "coordinates": _coordinates(poses, reference)},
-        "properties": {
+def write_geojson(path: Path, poses: Poses, walls: Sequence[Points], reference: GeoReference) -> None:
+    """The way as one LineString, walls as a MultiLineString of closed outlines; longitude before latitude.
+
+    What is empty is left out. Source: RFC 7946. Raises OSError.
+    """
+    features = []
+    if poses:
+        about = {
             "name": "trajectory",
             "first_stamp_s": _seconds(poses[0][0]),
             "last_stamp_s": _seconds(poses[-1][0]),
             "position_sigma_m": round(reference.position_sigma_m, 3),
             "yaw_sigma_deg": round(math.degrees(reference.yaw_sigma_rad), 4),
             "fixes": reference.fixes,
-        },
-    }
-    text = json.dumps({"type": "FeatureCollection", "features": [feature]})
-    path.write_text(text + "\n", encoding="ascii")
+        }
+        features.append(_feature("LineString", _coordinates(poses, reference), about))
+    if walls:
+        rings = [
+            [_longitude_latitude(x, y, reference) for x, y in [*wall.tolist(), wall[0].tolist()]]
+            for wall in walls
+        ]
+        features.append(_feature("MultiLineString", rings, {"name": "walls"}))
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}) + "\n", encoding="ascii")
+
+
+def _feature(kind: str, coordinates: object, about: Mapping[str, object]) -> dict[str, object]:
+    geometry = {"type": kind, "coordinates": coordinates}
+    return {"type": "Feature", "geometry": geometry, "properties": about}
 
 
 def write_kml(path: Path, poses: Poses, reference: GeoReference) -> None:
@@ -64,13 +77,34 @@ def write_kml(path: Path, poses: Poses, reference: GeoReference) -> None:
     )
 
 
+Affine = tuple[float, float, float, float, float, float]  # A, D, B, E, C, F: x = A column + B row + C, ...
+
+
 def write_world_file(picture_path: Path, picture: Picture, reference: GeoReference) -> tuple[Path, Path]:
     """NAME.pgw and NAME.prj beside NAME.png: where its pixels lie in UTM. Gives both paths.
 
-    Source: ESRI, World files for raster datasets: six lines A, D, B, E, C, F; x = A column + B row + C,
-    y = D column + E row + F, at the middles of pixels, from the upper left one on. One affine map
-    stands for the whole picture: within 1 km UTM's scale changes by a few millionths.
+    Source: ESRI, World files for raster datasets: six lines A, D, B, E, C, F.
     Raises OSError, and InputError where UTM ends.
+    """
+    zone, is_south, affine = utm_affine(picture_path, picture, reference)
+    projection = picture_path.with_suffix(".prj")
+    world = _write_affine(picture_path, affine)
+    projection.write_text(_utm_wkt(zone, is_south) + "\n", encoding="ascii")
+    return world, projection
+
+
+def write_local_world_file(picture_path: Path, picture: Picture) -> Path:
+    """NAME.pgw beside NAME.png: where its pixels lie in the map, m. Raises OSError."""
+    cell_m = picture.cell_m
+    left_m, top_m = picture.x_min_m + 0.5 * cell_m, picture.y_min_m + (picture.height - 0.5) * cell_m
+    return _write_affine(picture_path, (cell_m, 0.0, 0.0, -cell_m, left_m, top_m))
+
+
+def utm_affine(path: Path, picture: Picture, reference: GeoReference) -> tuple[int, bool, Affine]:
+    """Zone, whether it is in the south, and what takes column and row to UTM, at the middles of pixels.
+
+    One affine map stands for the whole picture: within 1 km UTM's scale changes by a few millionths.
+    Raises InputError, which names `path`, where UTM ends.
     """
     zone = utm_zone(reference.to_geodetic(0.0, 0.0)[1])
     left_m, low_m = picture.x_min_m, picture.y_min_m
@@ -81,21 +115,27 @@ def write_world_file(picture_path: Path, picture: Picture, reference: GeoReferen
             for xy in ((left_m, top_m), (right_m, top_m), (left_m, low_m))
         )
     except ValueError as error:
-        raise InputError(f"{picture_path}: no world file: {error}") from error
+        raise InputError(f"{path}: no place in UTM: {error}") from error
     a, d = ((along[k] - corner[k]) / picture.width for k in (0, 1))
     b, e = ((down[k] - corner[k]) / picture.height for k in (0, 1))
     c, f = corner[0] + 0.5 * (a + b), corner[1] + 0.5 * (d + e)
-    world, projection = picture_path.with_suffix(".pgw"), picture_path.with_suffix(".prj")
-    world.write_text("".join(f"{value:.10f}\n" for value in (a, d, b, e, c, f)), encoding="ascii")
-    is_south = reference.to_geodetic(0.0, 0.0)[0] < 0.0
-    projection.write_text(_utm_wkt(zone, is_south) + "\n", encoding="ascii")
-    return world, projection
+    return zone, reference.to_geodetic(0.0, 0.0)[0] < 0.0, (a, d, b, e, c, f)
+
+
+def _write_affine(picture_path: Path, affine: Affine) -> Path:
+    world = picture_path.with_suffix(".pgw")
+    world.write_text("".join(f"{value:.10f}\n" for value in affine), encoding="ascii")
+    return world
 
 
 def _coordinates(poses: Poses, reference: GeoReference) -> list[tuple[float, float]]:
     """Longitude, latitude of each pose."""
-    places = (reference.to_geodetic(pose.x_m, pose.y_m) for _, pose in poses)
-    return [(round(longitude, 8), round(latitude, 8)) for latitude, longitude in places]
+    return [_longitude_latitude(pose.x_m, pose.y_m, reference) for _, pose in poses]
+
+
+def _longitude_latitude(x_m: float, y_m: float, reference: GeoReference) -> tuple[float, float]:
+    latitude, longitude = reference.to_geodetic(x_m, y_m)
+    return round(longitude, 8), round(latitude, 8)
 
 
 def _seconds(stamp_ns: int) -> str:

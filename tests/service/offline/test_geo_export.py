@@ -14,9 +14,10 @@ from service.geometry.geodesy import LocalFrame, to_utm
 from service.geometry.se2 import SE2
 from service.mapstore.files import save_map
 from service.mapstore.geo_file import write_geo
-from service.mapstore.picture import picture_of_grid
+from service.mapstore.picture import picture_of_grid, picture_of_tiles
 from service.mapstore.ros_map import write_ros_map
 from service.offline.export import export
+from service.offline.outlines import outlines
 from service.offline.trajectory import write_tum
 from service.outputs import Grid
 from tests.service.mapstore.tile_makers import tile
@@ -50,6 +51,20 @@ def test_geojson_is_a_line_of_longitude_and_latitude(replayed, tmp_path):
         assert (latitude, longitude) == pytest.approx(earth(pose), abs=1e-8)
     assert feature["properties"]["first_stamp_s"] == "1700000000.000000001"
     assert feature["properties"]["position_sigma_m"] == 0.8
+
+
+def test_geojson_of_a_stored_map_has_its_walls_on_the_earth(tmp_path):
+    save_map(tmp_path / "depot", [tile(0, 0, 1)], 1, geo=REFERENCE)
+    export(tmp_path / "depot", "geojson", tmp_path / "walls.geojson")
+    (feature,) = json.loads((tmp_path / "walls.geojson").read_text())["features"]
+    assert feature["geometry"]["type"] == "MultiLineString"
+    rings = feature["geometry"]["coordinates"]
+    expected = outlines(picture_of_tiles([tile(0, 0, 1)]))
+    assert len(rings) == len(expected) > 0
+    for ring, wall in zip(rings, expected, strict=True):
+        assert ring[0] == ring[-1]
+        longitude, latitude = ring[0]
+        assert (latitude, longitude) == pytest.approx(REFERENCE.to_geodetic(*wall[0]), abs=1e-8)
 
 
 def test_kml_is_the_same_line(replayed, tmp_path):
@@ -88,10 +103,12 @@ def test_a_world_file_puts_each_pixel_where_it_lies_in_utm(replayed, tmp_path):
     assert 'PARAMETER["Central_Meridian",9.0]' in (tmp_path / "map.prj").read_text()
 
 
-def test_a_picture_of_a_map_without_a_reference_has_no_world_file(replayed, tmp_path):
+def test_the_world_file_of_a_map_without_a_reference_is_in_metres_of_the_map(replayed, tmp_path):
     (replayed / "geo.json").unlink()
     export(replayed, "png", tmp_path / "map.png")
-    assert not (tmp_path / "map.pgw").exists()
+    numbers = list(map(float, (tmp_path / "map.pgw").read_text().split()))
+    assert numbers == [0.5, 0.0, 0.0, -0.5, -3.75, 10.75]  # the middle of the upper left cell
+    assert not (tmp_path / "map.prj").exists()
 
 
 def test_a_stored_map_keeps_its_reference_for_its_picture(tmp_path):
