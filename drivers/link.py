@@ -28,7 +28,8 @@ class RawChunk:
 
     connected    a new connection, hence a new session; no bytes
     received     bytes as they came
-    sent         bytes that the session had in its outbox after the tick of at_ns; last words are left out
+    sent         bytes that the session had in its outbox after the tick of at_ns; its shutdown request is
+                 left out
     """
 
     at_ns: int  # host monotonic
@@ -62,8 +63,8 @@ class Session(Protocol):
         """Let timers run: resend, probe, give up. Raises TransportError on silence, DeviceError."""
         ...
 
-    def farewell(self) -> bytes:
-        """Last words before a clean close, b"" where none are needed."""
+    def shutdown_request(self) -> bytes:
+        """What to send before a clean close, b"" where nothing is needed."""
         ...
 
     @property
@@ -179,8 +180,8 @@ def _pump(
             health.clock_sigma_ns = session.clock_sigma_ns
             health.counters = before + session.counters
             health.identity = session.identity
-        if last_words := session.farewell():
-            transport.write(last_words)
+        if request := session.shutdown_request():
+            transport.write(request)
     finally:
         health.counters = before + session.counters
         health.status = session.status

@@ -77,7 +77,7 @@ class Lms100Setup:
     boot_ns: int = 0  # the port is open but nothing answers
     start_delay_ns: int = 200_000_000  # from standing still to measuring; a real one takes seconds
     reconfigure_delay_ns: int = 300_000_000  # a real one takes 30 s
-    refusal_ns: int = 0  # silent towards a new client after one died without a farewell; real ones up to 60 s
+    refusal_ns: int = 0  # no answer to a client after one that died while subscribed; real ones up to 60 s
     first_writes_refused: int = 0  # with error 4, as after power-up
     clock_start_us: int = 0  # counter at power-up; near 2**32 it soon wraps
     clock_drift_ppm: float = 0.0  # positive: the device's clock runs fast

@@ -107,7 +107,7 @@ class HokuyoUtm30lxSession:
             raise TransportError(f"no scan for {limit_s:g} s; did it lose power or reboot?")
         self._set_status()
 
-    def farewell(self) -> bytes:
+    def shutdown_request(self) -> bytes:
         return b"QT\n" if self._running else b""  # else a USB unit streams on for nobody
 
     def _continue(self, answer: Answer | None, now_ns: int) -> None:

@@ -131,7 +131,7 @@ class IbeoLuxSession:
             self._give_up(limit_s)
         self._set_status()
 
-    def farewell(self) -> bytes:
+    def shutdown_request(self) -> bytes:
         """Nothing: the device goes on measuring, as it does by itself after power-up."""
         return b""
 

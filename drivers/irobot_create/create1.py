@@ -87,7 +87,7 @@ class Create1Session:
     def clock_sigma_ns(self) -> int | None:
         return None
 
-    def farewell(self) -> bytes:
+    def shutdown_request(self) -> bytes:
         return bytes([Opcode.START])  # Passive: the robot may charge and sleep
 
     def tick(self, now_ns: int) -> None:

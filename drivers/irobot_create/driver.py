@@ -93,7 +93,7 @@ class IrobotCreateSession:
     def clock_sigma_ns(self) -> int | None:
         return self._clock.offset_sigma_ns
 
-    def farewell(self) -> bytes:
+    def shutdown_request(self) -> bytes:
         return bytes([Opcode.START, Opcode.STOP])  # Stop ends stream and mode; else Safe drains the battery
 
     def tick(self, now_ns: int) -> None:

@@ -103,7 +103,7 @@ class Lms100Session:
             )
         self._set_status()
 
-    def farewell(self) -> bytes:
+    def shutdown_request(self) -> bytes:
         if self._dialogue.dialect is None or not self._running:
             return b""
         w = writer(self._dialogue.dialect)

@@ -82,7 +82,7 @@ class XsensMtigSession:
             raise TransportError(f"no sample for {limit_s:g} s; did it lose power, or is the cable out?")
         self._set_status(now_ns)
 
-    def farewell(self) -> bytes:
+    def shutdown_request(self) -> bytes:
         return encode(Mid.GO_TO_CONFIG)  # units left streaming over USB were seen deaf to the next client
 
     def _take_all(self, messages: list[Message], arrived_ns: int, old: bool = False) -> list[Frame]:

@@ -385,12 +385,12 @@ def test_scans_pass_the_wrap_of_the_milliseconds_without_a_hitch():
     assert t.session.counters["clock_resets"] == t.session.counters["scans_missed"] == 0
 
 
-def test_farewell_ends_the_stream_a_usb_unit_would_go_on_with():
+def test_shutdown_request_ends_the_stream_a_usb_unit_would_go_on_with():
     t = talk().run(4.0)
     assert t.device.next_due_ns(t.now_ns) is not None
-    t.device.receive_data(t.session.farewell(), t.now_ns)
+    t.device.receive_data(t.session.shutdown_request(), t.now_ns)
     assert t.device.next_due_ns(t.now_ns) is None
-    assert HokuyoUtm30lxSession(config()).farewell() == b""
+    assert HokuyoUtm30lxSession(config()).shutdown_request() == b""
 
 
 @pytest.mark.parametrize("by_s", [-676.0, 676.0, -2.0, 0.7])

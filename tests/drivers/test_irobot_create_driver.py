@@ -312,7 +312,7 @@ def test_nothing_that_moves_is_ever_sent():
         table.run(3.0)
         table.robot.reset(table.now_ns)
         table.run(70.0)
-        heard = CommandDecoder().receive_data(bytes(table.sent) + table.session.farewell())
+        heard = CommandDecoder().receive_data(bytes(table.sent) + table.session.shutdown_request())
         assert {command.opcode for command in heard} <= HARMLESS
         assert heard[-1].opcode in (Opcode.STOP, Opcode.START)
 

@@ -46,7 +46,7 @@ class EchoSession:
         if self._fails_in_tick is not None:
             raise self._fails_in_tick
 
-    def farewell(self):
+    def shutdown_request(self):
         return b"bye"
 
 
@@ -165,7 +165,7 @@ def test_status_follows_the_session_while_the_wire_is_silent():
     assert health.state == "starting"
 
 
-def test_wire_that_breaks_during_the_farewell_ends_the_link_quietly():
+def test_wire_that_breaks_during_the_shutdown_request_ends_the_link_quietly():
     stop = threading.Event()
 
     class Breaks(StoppableTransport):

@@ -123,10 +123,10 @@ def test_time_in_which_the_host_did_not_look_is_no_silence():
     assert t.session.status == "streaming"
 
 
-def test_farewell_ends_the_subscription():
+def test_shutdown_request_ends_the_subscription():
     t = talk(Lms100Setup(dialect=BINARY)).run(2.0)
-    assert t.session.farewell().hex() == "020202020000001173454e204c4d447363616e64617461200032"
-    assert Lms100Session(config()).farewell() == b""
+    assert t.session.shutdown_request().hex() == "020202020000001173454e204c4d447363616e64617461200032"
+    assert Lms100Session(config()).shutdown_request() == b""
 
 
 def test_health_is_asked_seldom_and_put_into_words():

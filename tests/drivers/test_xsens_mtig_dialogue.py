@@ -62,7 +62,7 @@ def test_settings_are_written_once_read_back_and_left_alone_ever_after(make):
     first = talk(device).run(2.0)
     assert first.session.counters["settings_written"] == 1
     assert sent_with_data(first.sent)
-    device.receive_data(first.session.farewell(), first.now_ns)
+    device.receive_data(first.session.shutdown_request(), first.now_ns)
     second = talk(device)
     second.now_ns = first.now_ns + 1_000_000_000
     second.run(2.0)

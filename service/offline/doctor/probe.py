@@ -131,8 +131,8 @@ def _talk(
                 seen.arrivals_ns.append(frame.arrived_ns)
             if until_answered and (frames or session.identity != known):
                 end_s = min(end_s, time.monotonic() + TALK_S)
-        if last_words := session.farewell():
-            transport.write(last_words)
+        if request := session.shutdown_request():
+            transport.write(request)
     finally:
         seen.seconds, seen.ended_ns = time.monotonic() - began_s, time.monotonic_ns()
         seen.status, seen.identity = session.status, dict(session.identity)

@@ -56,7 +56,7 @@ class AskingSession:
             )
         ]
 
-    def farewell(self) -> bytes:
+    def shutdown_request(self) -> bytes:
         return b"bye"
 
 

@@ -35,7 +35,7 @@ class Echo:
     def tick(self, now_ns: int) -> None:
         pass
 
-    def farewell(self) -> bytes:
+    def shutdown_request(self) -> bytes:
         return b"stop"
 
 
@@ -64,7 +64,7 @@ def test_a_stall_at_the_end_lowers_the_rate():
     assert Probe(stamps_ns=[0, 20], arrivals_ns=[0, 20], ended_ns=3_000 * MS).arrival_rate_hz is None
 
 
-def test_the_device_is_left_with_the_sessions_last_words():
+def test_the_device_is_left_with_the_sessions_shutdown_request():
     transport = ScriptedTransport([b"abc"] * 100_000)
     seen = run(transport, Echo(), measure_s=0.0)
     assert seen.error is None
