@@ -17,8 +17,9 @@ import numpy as np
 
 from service.errors import ConfigError
 from simulators.fault_file import read_faults
+from simulators.registry import DEVICE_KINDS
 from simulators.truth import Ride
-from simulators.vehicle import KINDS, FakeVehicle, parse_devices, warm_up
+from simulators.vehicle import FakeVehicle, parse_devices, warm_up
 from simulators.worlds import WORLDS, build_world
 
 log = logging.getLogger("simulators")
@@ -46,7 +47,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         action="append",
         default=[],
         metavar="NAME=TYPE[:key=value,...]",
-        help=f"may be repeated; TYPE is one of {', '.join(KINDS)}; without: one laser and one base",
+        help=f"may be repeated; TYPE is one of {', '.join(DEVICE_KINDS)}; without: one laser and one base",
     )
     parser.add_argument("--seed", type=int, default=1, help="of all noise (default 1)")
     parser.add_argument(

@@ -8,7 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from drivers.registry import SENSOR_KINDS, SensorKind
+from drivers.registry import SENSOR_KINDS
+from drivers.sensor_kind import SensorKind
 from drivers.transport import SerialTransport, Transport
 from service.offline.doctor import verdict
 from service.offline.doctor.findings import Finding, fault

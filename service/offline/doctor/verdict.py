@@ -4,7 +4,7 @@ import errno
 from typing import Any
 
 from drivers.errors import DeviceError
-from drivers.registry import SensorKind
+from drivers.sensor_kind import SensorKind
 from service.offline.doctor.findings import Finding, fault, note, ok
 from service.offline.doctor.network import errno_of
 from service.offline.doctor.probe import Probe

@@ -1,0 +1,11 @@
+"""The LMS1xx as a type of sensor."""
+
+from functools import partial
+
+from drivers.sensor_kind import SensorKind
+from drivers.sick_lms100.advice import ADVICE
+from drivers.sick_lms100.config import Lms100Config
+from drivers.sick_lms100.driver import Lms100Session
+from drivers.sick_lms100.port import open_port
+
+KIND = SensorKind(Lms100Config, open_port, lambda config: partial(Lms100Session, config), ADVICE, laser=True)

@@ -1,0 +1,22 @@
+"""What `corridor simulate` has to know of a type of device to pretend one."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel
+
+from simulators.truth import Ride
+from simulators.wire import PtyWire, TcpWire
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceKind:
+    """options stand behind NAME=TYPE: as key=value; all have defaults.
+
+    build takes the device's name, its options, the ride that feeds it and the seed of all noise, and gives
+    the device on its wire, which is served while it is entered.
+    """
+
+    options: type[BaseModel]
+    build: Callable[[str, Any, Ride, int], TcpWire | PtyWire]

@@ -1,0 +1,38 @@
+"""The pretended LMS1xx as a type of device: its options, and how it comes to its wire."""
+
+import math
+from dataclasses import replace
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.geometry.se2 import SE2
+from simulators.device_kind import DeviceKind
+from simulators.sick_lms100 import FakeLms100, Lms100Setup
+from simulators.truth import LMS100, LaserTruth, Ride, seed_of
+from simulators.wire import TcpWire, serve_tcp
+
+
+class Lms100Options(BaseModel):
+    """What may stand behind `sick_lms100:`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    host: str = "127.0.0.1"
+    port: int = Field(default=0, ge=0, le=65535)  # 0: any free
+    x_m: float = 0.20  # mounting in the base frame, as in config/vehicle.yaml
+    y_m: float = 0.0
+    yaw_deg: float = 0.0
+    sigma_m: float = Field(default=LMS100.sigma_m, ge=0.0)
+    bias_m: float = LMS100.bias_m
+    clock_drift_ppm: float = 40.0
+
+
+def build(name: str, options: Lms100Options, ride: Ride, seed: int) -> TcpWire:
+    mounting = SE2(options.x_m, options.y_m, math.radians(options.yaw_deg))
+    model = replace(LMS100, sigma_m=options.sigma_m, bias_m=options.bias_m)
+    source = LaserTruth(ride, name, mounting, model, seed)
+    setup = Lms100Setup(clock_drift_ppm=options.clock_drift_ppm)
+    return serve_tcp(FakeLms100(source, setup, seed_of(seed, name)), options.host, options.port)
+
+
+KIND = DeviceKind(Lms100Options, build)
