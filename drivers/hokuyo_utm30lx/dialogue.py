@@ -1,8 +1,5 @@
 """What is said to the device from the first byte to the stream. No I/O, no clock.
 
-A dialogue is a generator: it yields what to ask or how long to pause, and is sent the answer, or None when
-none came in time. So the order of a start-up reads from top to bottom.
-
 The device may be booting (silent, or 0M), streaming for a client that died (on USB it goes on), left in
 time-adjust mode, asleep, in SCIP 1 or abnormal. Hence: end all that first, then ask who it is. Sources:
 C-42-03320B; UrgNetworks/urg_library; ros-drivers/hokuyo_node; gbiggs/hokuyoaist; seqsense/urg_stamped PR 115.
@@ -13,6 +10,7 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import TypeVar
 
+from drivers.dialogue import Pause
 from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.hokuyo_utm30lx.config import HokuyoUtm30lxConfig
 from drivers.hokuyo_utm30lx.geometry import Geometry
@@ -54,11 +52,6 @@ T = TypeVar("T")
 class Ask:
     command: str
     timeout_s: float = ANSWER_TIMEOUT_S
-
-
-@dataclass(frozen=True, slots=True)
-class Pause:
-    seconds: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from collections import Counter
 import numpy as np
 import numpy.typing as npt
 
+from drivers.dialogue import DialogueRunner
 from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.frames import NO_INTENSITY, LaserScan
 from drivers.hokuyo_utm30lx.config import HokuyoUtm30lxConfig
@@ -32,7 +33,6 @@ FIRST_SCAN_TIMEOUT_S = 10.0  # the motor may have to come to speed
 MALFORMED_LIMIT = 40  # scans in a row
 SENDING_NS = 300_000  # from the last beam to arrival, a guess until TM1 says better
 VERIFYING, TROUBLE = range(21, 50), range(50, 98)  # statuses in a stream
-NO_RETURN_MM = 65_533  # of a UTM-30LX-EW
 # C-42-03320B, table 4; 0 was seen too.
 ERROR_CODES = {
     1: "beams_no_return",
@@ -52,12 +52,7 @@ class HokuyoUtm30lxSession:
         self._config = config
         self._decoder = ReplyDecoder()
         self._dialogue = UtmDialogue(config)
-        self._steps = self._dialogue.run()
-        self._running = False
-        self._asked: Ask | None = None  # the command whose answer is due
-        self._asked_ns = 0
-        self._next: Ask | None = None  # goes out at the next tick, which knows the time best
-        self._deadline_ns: int | None = 0
+        self._runner: DialogueRunner[Ask, Answer] = DialogueRunner(self._dialogue.run)
         self._silence = SilenceWatch()
         self._clock: ScanClock | None = None
         self._last_ms: int | None = None
@@ -80,9 +75,12 @@ class HokuyoUtm30lxSession:
     def receive_data(self, data: bytes, arrived_ns: int) -> list[LaserScan]:
         scans = []
         for reply in self._decoder.receive_data(data):
-            answers = self._asked is not None and reply.echo == self._asked.command
+            asked = self._runner.awaited
+            answers = asked is not None and reply.echo == asked.command
             if answers and reply.status != SCAN_FOLLOWS:  # else its answer was damaged; it is asked again
-                self._continue(Answer(reply, self._asked_ns, arrived_ns), arrived_ns)
+                self._runner.answer(Answer(reply, self._runner.asked_ns, arrived_ns), arrived_ns)
+                if self._runner.ended:
+                    self._begin_stream()
             elif reply.echo[0] in "MN" and reply.status != OK:
                 if (scan := self._take_scan(reply, arrived_ns)) is not None:
                     scans.append(scan)
@@ -94,13 +92,8 @@ class HokuyoUtm30lxSession:
         return scans
 
     def tick(self, now_ns: int) -> None:
-        if self._next is None and self._deadline_ns is not None and now_ns >= self._deadline_ns:
-            self._continue(None, now_ns)
-        if self._next is not None:
-            self._asked, self._next = self._next, None
-            self._asked_ns = now_ns
-            self._deadline_ns = now_ns + round(self._asked.timeout_s * 1e9)
-            self.outbox += self._asked.command.encode("ascii") + b"\n"
+        if (asked := self._runner.tick(now_ns)) is not None:
+            self.outbox += asked.command.encode("ascii") + b"\n"
         self._silence.look(now_ns, waiting=self._dialogue.request is not None)
         limit_s = FIRST_SCAN_TIMEOUT_S if self._last_ms is None else self._config.silence_timeout_s
         if self._silence.exceeds(limit_s):
@@ -108,23 +101,7 @@ class HokuyoUtm30lxSession:
         self._set_status()
 
     def shutdown_request(self) -> bytes:
-        return b"QT\n" if self._running else b""  # else a USB unit streams on for nobody
-
-    def _continue(self, answer: Answer | None, now_ns: int) -> None:
-        """Run the dialogue to its next request or pause."""
-        self._asked = None
-        try:
-            step = self._steps.send(answer) if self._running else next(self._steps)
-        except StopIteration:
-            self._deadline_ns = None
-            self._begin_stream()
-            return
-        finally:
-            self._running = True
-        if isinstance(step, Ask):
-            self._next = step
-        else:
-            self._deadline_ns = now_ns + round(step.seconds * 1e9)
+        return b"QT\n" if self._runner.begun else b""  # else a USB unit streams on for nobody
 
     def _begin_stream(self) -> None:
         dialogue = self._dialogue

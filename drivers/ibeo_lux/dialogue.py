@@ -15,6 +15,7 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import TypeVar
 
+from drivers.dialogue import Pause
 from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.ibeo_lux.config import IbeoLuxConfig
 from drivers.ibeo_lux.messages import (
@@ -58,11 +59,6 @@ class Ask:
     command: Command
     body: bytes
     timeout_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Pause:
-    seconds: float
 
 
 Dialogue = Generator[Ask | Pause, Reply | None, T]

@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Callable
 
+from drivers.dialogue import DialogueRunner
 from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.frames import NO_INTENSITY, LaserScan
 from drivers.ibeo_lux.config import IbeoLuxConfig
@@ -68,10 +69,7 @@ class IbeoLuxSession:
         self._decoder = Decoder()
         self._dialogue = IbeoLuxDialogue(config, unix_ns)
         self._dialogue.explain_faults = lambda: ", ".join(self._errors_shown())
-        self._steps = self._dialogue.run()
-        self._running = False
-        self._awaited: Ask | None = None  # whose reply is due
-        self._deadline_ns: int | None = 0
+        self._runner: DialogueRunner[Ask, Reply] = DialogueRunner(self._dialogue.run)
         self._now_ns: int | None = None
         self._silence = SilenceWatch()
         self._clock = DeviceClock(round(config.latency_ms * 1e6))
@@ -123,8 +121,10 @@ class IbeoLuxSession:
 
     def tick(self, now_ns: int) -> None:
         self._now_ns = now_ns
-        if self._deadline_ns is not None and now_ns >= self._deadline_ns:
-            self._continue(None, now_ns)
+        if (asked := self._runner.tick(now_ns)) is not None:
+            payload = write_command(asked.command, asked.body)
+            self.outbox += encode(Message(DataType.COMMAND, payload, DEVICE_ID))
+        self._take_over()
         self._silence.look(now_ns, waiting=self._dialogue.ready)
         limit_s = FIRST_SCAN_TIMEOUT_S if self._last is None else self._config.silence_timeout_s
         if self._silence.exceeds(limit_s):
@@ -163,28 +163,15 @@ class IbeoLuxSession:
         except ProtocolError:
             self.counters["replies_unusable"] += 1
             return
-        if self._awaited is None or not _answers(reply, self._awaited):
+        asked = self._runner.awaited
+        if asked is None or not _answers(reply, asked):
             self.counters["replies_not_asked_for"] += 1
             return
-        self._continue(reply, now_ns)
+        self._runner.answer(reply, now_ns)
+        self._take_over()
 
-    def _continue(self, reply: Reply | None, now_ns: int) -> None:
-        """Run the dialogue to its next request or pause."""
-        self._awaited = None
-        try:
-            step = self._steps.send(reply) if self._running else next(self._steps)
-        except StopIteration:
-            self._deadline_ns = None
-            return
-        finally:
-            self._running = True
-        if isinstance(step, Ask):
-            payload = write_command(step.command, step.body)
-            self.outbox += encode(Message(DataType.COMMAND, payload, DEVICE_ID))
-            self._awaited = step
-            self._deadline_ns = now_ns + round(step.timeout_s * 1e9)
-        else:
-            self._deadline_ns = now_ns + round(step.seconds * 1e9)
+    def _take_over(self) -> None:
+        """What the dialogue found out of the geometry."""
         self._reduction.beam_tilt_rad = self._dialogue.beam_tilt_rad
         self._reduction.upside_down = self._dialogue.upside_down
 

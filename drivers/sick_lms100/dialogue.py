@@ -1,8 +1,5 @@
 """What is said to an LMS1xx from the first byte to the stream, and while it streams. No I/O, no clock.
 
-A dialogue is a generator: it yields what to ask or how long to pause, and is sent the answer, or None when
-none came in time. So the order of a start-up reads from top to bottom.
-
 Boot: the port is open before anything answers, the first write after power-up is refused with error 4, and
 a new scan rate or angle step costs some 30 s without data. Hence: ask until answered, change only what
 differs, read back. Sources: an LMS111's start-up recorded in SICKAG/sick_scan_xd; clearpathrobotics/LMS1xx
@@ -14,6 +11,7 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import TypeVar
 
+from drivers.dialogue import Pause
 from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.sick_lms100.config import Lms100Config
 from drivers.sick_lms100.protocol import Dialect, Reader, Telegram, Writer, reader, refusal_text, writer
@@ -54,11 +52,6 @@ T = TypeVar("T")
 class Ask:
     request: Telegram
     timeout_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Pause:
-    seconds: float
 
 
 Dialogue = Generator[Ask | Pause, Telegram | None, T]

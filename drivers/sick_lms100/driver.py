@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.clock import ClockMap
+from drivers.dialogue import DialogueRunner
 from drivers.errors import ProtocolError, TransportError
 from drivers.frames import NO_INTENSITY, LaserScan
 from drivers.sick_lms100.config import Lms100Config
@@ -50,11 +51,7 @@ class Lms100Session:
         self._config = config
         self._decoder = Decoder(DIALECTS.get(config.dialect))
         self._dialogue = Lms100Dialogue(config)
-        self._steps = self._dialogue.run()
-        self._running = False
-        self._awaited = ""  # name of the command whose answer is due
-        self._deadline_ns: int | None = 0
-        self._timeout_ns = 0
+        self._runner: DialogueRunner[Ask, Telegram] = DialogueRunner(self._dialogue.run)
         self._silence = SilenceWatch()
         self._clock = ClockMap(1_000.0, CLOCK_MODULUS, round(config.latency_ms * 1e6))
         self._start_before_zero_us: int | None = None
@@ -83,18 +80,17 @@ class Lms100Session:
                     self.counters["events_ignored"] += 1
                 elif (scan := self._to_frame(telegram, arrived_ns)) is not None:
                     scans.append(scan)
-            elif telegram.kind == "sFA" or telegram.name == self._awaited:
-                self._take_answer(telegram, arrived_ns)
             else:
-                self.counters["answers_not_asked_for"] += 1
+                self._take_answer(telegram, arrived_ns)
         self._count("bytes_skipped", self._decoder.skipped_bytes)
         self._count("checksum_errors", self._decoder.bad_checksums)
         self._set_status()
         return scans
 
     def tick(self, now_ns: int) -> None:
-        if self._deadline_ns is not None and now_ns >= self._deadline_ns:
-            self._continue(None, now_ns)
+        if (asked := self._runner.tick(now_ns)) is not None:
+            self.outbox += encode(asked.request)
+        self._choose_dialect()
         self._silence.look(now_ns, waiting=self._dialogue.subscribed)
         limit_s = FIRST_SCAN_TIMEOUT_S if self._last is None else self._config.silence_timeout_s
         if self._silence.exceeds(limit_s):
@@ -104,37 +100,23 @@ class Lms100Session:
         self._set_status()
 
     def shutdown_request(self) -> bytes:
-        if self._dialogue.dialect is None or not self._running:
+        if self._dialogue.dialect is None or not self._runner.begun:
             return b""
         w = writer(self._dialogue.dialect)
         w.u8(0)
         return encode(Telegram(self._dialogue.dialect, "sEN", "LMDscandata", w.body))
 
     def _take_answer(self, telegram: Telegram, now_ns: int) -> None:
-        if not self._awaited:
+        asked = self._runner.awaited
+        if asked is None or (telegram.kind != "sFA" and telegram.name != asked.request.name):
             self.counters["answers_not_asked_for"] += 1
         elif telegram.kind == "sMA":  # accepted, the answer follows
-            self._deadline_ns = now_ns + self._timeout_ns
+            self._runner.wait_anew(now_ns)
         elif telegram.kind == "sFA" or telegram.kind in ANSWERS:
-            self._continue(telegram, now_ns)
+            self._runner.answer(telegram, now_ns)
+            self._choose_dialect()
 
-    def _continue(self, answer: Telegram | None, now_ns: int) -> None:
-        """Run the dialogue to its next request or pause."""
-        self._awaited = ""
-        try:
-            step = self._steps.send(answer) if self._running else next(self._steps)
-        except StopIteration:
-            self._deadline_ns = None
-            return
-        finally:
-            self._running = True
-        if isinstance(step, Ask):
-            self.outbox += encode(step.request)
-            self._awaited = step.request.name
-            self._timeout_ns = round(step.timeout_s * 1e9)
-        else:
-            self._timeout_ns = round(step.seconds * 1e9)
-        self._deadline_ns = now_ns + self._timeout_ns
+    def _choose_dialect(self) -> None:
         if self._dialogue.dialect is not None:
             self._decoder.dialect = self._dialogue.dialect
 
@@ -268,9 +250,6 @@ class Lms100Session:
             sending_us = (scan.sent_us - scan.start_us) % CLOCK_MODULUS
             self._start_before_zero_us = sweep_us - sending_us if sending_us < last_us else 0
         return self._start_before_zero_us - round((geometry.first_e4deg - FULL_FIRST_E4DEG) / e4deg_per_us)
-
-    def _first_echo(self, echoes: Echoes) -> Rows:
-        return self._convert(*echoes[0])
 
     def _last_echo(self, echoes: Echoes) -> Rows:
         """The second echo where there is one, else the first."""

@@ -1,7 +1,6 @@
 """What is said to the device from the first byte to the stream. No I/O, no clock.
 
-A dialogue is a generator: it yields what to ask or how long to pause, and is sent the answer, or None when
-none came in time. The order: into config state, who are you, what do you send, write what differs, read back,
+The order: into config state, who are you, what do you send, write what differs, read back,
 into measurement state.
 
 A device that streams acknowledges GoToConfig behind some data, and was seen not to hear it at all until it

@@ -2,6 +2,7 @@
 
 from collections import Counter
 
+from drivers.dialogue import DialogueRunner
 from drivers.errors import ProtocolError, TransportError
 from drivers.frames import Frame, ImuSample
 from drivers.watch import MalformedRun, SilenceWatch
@@ -33,10 +34,7 @@ class XsensMtigSession:
         self._config = config
         self._decoder = MessageDecoder()
         self._dialogue = MtigDialogue(config)
-        self._steps = self._dialogue.run()
-        self._running = False
-        self._asked: Ask | None = None
-        self._deadline_ns: int | None = 0
+        self._runner: DialogueRunner[Ask, Message] = DialogueRunner(self._dialogue.run)
         self._heard_ns: int | None = None
         self._backdated = False  # the read at hand: its bytes had the time to come one after the other
         self._byte_ns = 0.0  # on the line; over USB none
@@ -74,8 +72,8 @@ class XsensMtigSession:
     def tick(self, now_ns: int) -> None:
         if self._decoder.waiting_bytes and now_ns - (self._heard_ns or 0) > STALE_NS:
             self._take_all(self._decoder.give_up_waiting(), now_ns, old=True)
-        if self._deadline_ns is not None and now_ns >= self._deadline_ns:
-            self._continue(None, now_ns)
+        if (asked := self._runner.tick(now_ns)) is not None:
+            self.outbox += encode(asked.mid, asked.data)
         self._silence.look(now_ns, waiting=self._dialogue.measuring)
         limit_s = self._config.silence_timeout_s if self._streaming else FIRST_SAMPLE_TIMEOUT_S
         if self._silence.exceeds(limit_s):
@@ -112,13 +110,12 @@ class XsensMtigSession:
         return frames
 
     def _take_answer(self, message: Message, now_ns: int) -> None:
-        asked = self._asked
-        if asked is not None and message.mid == (asked.mid + 1) & 0xFF:
-            self._continue(message, now_ns)
+        asked = self._runner.awaited
+        if asked is not None and _answers(message, asked):
+            self._runner.answer(message, now_ns)
+            if self._runner.ended:
+                self._begin_stream()
         elif message.mid == Mid.ERROR:
-            if asked is not None and asked.mid not in (Mid.GO_TO_CONFIG, Mid.RESET):
-                self._continue(message, now_ns)
-                return
             self.counters["device_errors"] += 1
             self._health.say(error_text(message), now_ns)
         else:
@@ -132,25 +129,8 @@ class XsensMtigSession:
             return
         if self._streaming:
             self.counters["device_restarts"] += 1
-        self._steps.close()
-        self._steps = self._dialogue.run()
-        self._running = self._streaming = False
-        self._continue(None, now_ns)
-
-    def _continue(self, answer: Message | None, now_ns: int) -> None:
-        """Run the dialogue to its next request."""
-        self._asked = None
-        try:
-            step = self._steps.send(answer) if self._running else next(self._steps)
-        except StopIteration:
-            self._deadline_ns = None
-            self._begin_stream()
-            return
-        finally:
-            self._running = True
-        self.outbox += encode(step.mid, step.data)
-        self._asked = step
-        self._deadline_ns = now_ns + round(step.timeout_s * 1e9)
+        self._runner.restart()
+        self._dialogue.measuring = self._streaming = False
 
     def _begin_stream(self) -> None:
         dialogue = self._dialogue
@@ -193,3 +173,10 @@ class XsensMtigSession:
         else:
             texts = ("streaming", self._dialogue.fault, self._health.words(now_ns))
         self.status = "; ".join(text for text in texts if text)
+
+
+def _answers(message: Message, asked: Ask) -> bool:
+    """An Error message answers every request but those that a unit may not hear at all."""
+    if message.mid == Mid.ERROR:
+        return asked.mid not in (Mid.GO_TO_CONFIG, Mid.RESET)
+    return message.mid == (asked.mid + 1) & 0xFF

@@ -27,7 +27,7 @@ def ready_session(**changes):
     """A session that takes scans: one whose device sends but does not answer."""
     session = IbeoLuxSession(config(**changes), lambda: 0)
     session._dialogue.ready = True
-    session._deadline_ns = None
+    session._runner.ended = True
     return session
 
 

@@ -114,4 +114,5 @@ class VirtualLink:
             self.sent.append((self.now_ns, data))
             frames = self._session.receive_data(data, self.now_ns + DELAY_NS)
             self.frames += [frame for frame in frames if not isinstance(frame, GnssFix)]
+            self._session.tick(self.now_ns + DELAY_NS)
             self._say()

@@ -50,7 +50,9 @@ class Talk:
 
     def _deliver(self, data: bytes) -> None:
         if data:
-            self.frames += self.session.receive_data(data, self.now_ns + self.delay_ns())
+            arrived_ns = self.now_ns + self.delay_ns()
+            self.frames += self.session.receive_data(data, arrived_ns)
+            self.session.tick(arrived_ns)  # as drivers.link does after each read
             if self.session.status not in self.statuses[-1:]:
                 self.statuses.append(self.session.status)
             self._say()

@@ -1,0 +1,124 @@
+from collections.abc import Generator
+from dataclasses import dataclass
+
+import pytest
+
+from drivers.dialogue import DialogueRunner, Pause
+from drivers.errors import DeviceError
+
+S = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    word: str
+    timeout_s: float = 1.0
+
+
+Steps = Generator[Ask | Pause, str | None, None]
+
+
+def runner_of(*steps: Ask | Pause) -> tuple[DialogueRunner[Ask, str], list[str | None]]:
+    """A runner of these steps, and what the dialogue is sent after each."""
+    sent: list[str | None] = []
+
+    def dialogue() -> Steps:
+        for step in steps:
+            sent.append((yield step))
+
+    return DialogueRunner(dialogue), sent
+
+
+def test_a_request_is_handed_out_once_and_waited_for():
+    runner, sent = runner_of(Ask("who"), Ask("where"))
+    assert not runner.begun
+    assert runner.tick(5 * S) == Ask("who")
+    assert (runner.awaited, runner.asked_ns, runner.begun) == (Ask("who"), 5 * S, True)
+    assert runner.tick(5 * S + 999_999_999) is None
+    assert sent == []
+
+
+def test_an_answer_brings_the_next_request_at_the_next_tick():
+    runner, sent = runner_of(Ask("who"), Ask("where"))
+    runner.tick(0)
+    runner.answer("me", 3)
+    assert (sent, runner.awaited) == (["me"], None)
+    assert runner.tick(7) == Ask("where")
+    assert runner.asked_ns == 7
+
+
+def test_the_time_out_counts_from_the_tick_that_sent_not_from_the_answer_before():
+    runner, sent = runner_of(Ask("who"), Ask("where"))
+    runner.tick(0)
+    runner.answer("me", 1 * S)
+    runner.tick(3 * S)
+    runner.tick(4 * S - 1)
+    assert sent == ["me"]
+    runner.tick(4 * S)
+    assert sent == ["me", None]
+
+
+def test_an_unanswered_request_is_told_as_none_and_the_next_goes_out_in_the_same_tick():
+    runner, sent = runner_of(Ask("who", 0.5), Ask("where"))
+    runner.tick(0)
+    assert runner.tick(S // 2) == Ask("where")
+    assert sent == [None]
+
+
+def test_a_pause_sends_nothing_until_it_is_over():
+    runner, sent = runner_of(Pause(2.0), Ask("who"))
+    assert runner.tick(0) is None
+    assert runner.awaited is None
+    assert runner.tick(2 * S - 1) is None
+    assert runner.tick(2 * S) == Ask("who")
+    assert sent == [None]
+
+
+def test_an_answer_that_was_announced_may_take_its_time_out_again():
+    runner, sent = runner_of(Ask("who"), Ask("where"))
+    runner.tick(0)
+    runner.wait_anew(S - 1)
+    assert runner.tick(S) is None
+    runner.answer("me", 2 * S - 2)
+    assert sent == ["me"]
+
+
+def test_after_its_end_a_dialogue_is_left_alone():
+    runner, sent = runner_of(Ask("who"))
+    runner.tick(0)
+    assert not runner.ended
+    runner.answer("me", 1)
+    assert runner.ended
+    assert runner.tick(100 * S) is None
+    assert sent == ["me"]
+
+
+def test_a_restart_closes_the_old_dialogue_and_begins_at_the_next_tick():
+    closed = []
+
+    def dialogue() -> Steps:
+        try:
+            yield Ask("who", 100.0)
+        finally:
+            closed.append(True)
+
+    runner = DialogueRunner(dialogue)
+    runner.tick(0)
+    runner.restart()
+    assert (closed, runner.awaited, runner.begun) == ([True], None, False)
+    assert runner.tick(1) == Ask("who", 100.0)
+
+
+def test_what_a_dialogue_raises_reaches_the_session():
+    def dialogue() -> Steps:
+        if (yield Ask("who")) is None:
+            raise DeviceError("deaf")
+        raise DeviceError("not you")
+
+    heard, unheard = DialogueRunner(dialogue), DialogueRunner(dialogue)
+    heard.tick(0)
+    with pytest.raises(DeviceError, match="not you"):
+        heard.answer("me", 1)
+    unheard.tick(0)
+    with pytest.raises(DeviceError, match="deaf"):
+        unheard.tick(S)
