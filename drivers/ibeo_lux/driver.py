@@ -10,6 +10,8 @@ import math
 from collections import Counter
 from collections.abc import Callable
 
+import numpy as np
+
 from drivers.dialogue import DialogueRunner
 from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.frames import NO_INTENSITY, LaserScan
@@ -72,7 +74,9 @@ class IbeoLuxSession:
         self._runner: DialogueRunner[Ask, Reply] = DialogueRunner(self._dialogue.run)
         self._now_ns: int | None = None
         self._silence = SilenceWatch()
-        self._clock = DeviceClock(round(config.latency_ms * 1e6))
+        self._latency_ns = round(config.latency_ms * 1e6)
+        self._clock = DeviceClock(self._latency_ns)
+        self._clock_stands = False  # the newest scan has the time of the one before
         self._last: Scan | None = None
         self._last_stamp_ns: int | None = None
         self._repeated_in_a_row = 0
@@ -151,7 +155,7 @@ class IbeoLuxSession:
                 f"no scan of a LUX for {silent_s:g} s, but those of {self._dialogue.foreign}; wrong address?"
             )
         if self._repeated_in_a_row > REPEATED_LIMIT:
-            raise TransportError(f"no new scan for {silent_s:g} s: scan number and clock stand still")
+            raise TransportError(f"no new scan for {silent_s:g} s: it repeats the same one")
         raise TransportError(
             f"no scan for {silent_s:g} s{''.join(f', it reported {text}' for text in told)}; is the device "
             "rebooting, was it stopped, or is the cable out?"
@@ -209,7 +213,9 @@ class IbeoLuxSession:
             if self._config.sync_angle_deg is not None and not synced:
                 parts.append("no external synchronisation signal")
             if self._repeated_in_a_row > REPEATED_LIMIT:
-                parts.append("scan number and clock stand still, scans are not used")
+                parts.append("the same scan again and again, not used")
+            elif self._clock_stands:
+                parts.append("its clock stands still, stamps are those of arrival")
         parts += [f"error: {text}" for text in self._errors_shown()]
         parts += [f"warning: {text}" for text in self._shown(self._warnings)]
         status = self._dialogue.device_status
@@ -234,7 +240,8 @@ class IbeoLuxSession:
             return None
         if not self._is_new(scan):
             return None
-        self._last = scan
+        last, self._last = self._last, scan
+        self._clock_stands = last is not None and scan.start_ntp == last.start_ntp
         return self._frame(scan, arrived_ns)
 
     def _is_new(self, scan: Scan) -> bool:
@@ -242,13 +249,16 @@ class IbeoLuxSession:
         last = self._last
         if last is None:
             return True
-        if scan.number == last.number and scan.start_ntp == last.start_ntp:
+        same_header = scan.number == last.number and scan.start_ntp == last.start_ntp
+        if same_header and np.array_equal(scan.points, last.points):
             self.counters["scans_repeated"] += 1
             self._repeated_in_a_row += 1
             return False
         self._repeated_in_a_row = 0
         gap = (scan.number - last.number) % NUMBER_MODULUS
-        if 1 <= gap <= 10 * NEAR_SCANS:
+        if same_header:
+            self.counters["scans_of_one_number"] += 1
+        elif 1 <= gap <= 10 * NEAR_SCANS:
             self.counters["scans_missed"] += gap - 1
         else:
             self.counters["scan_number_restarts"] += 1
@@ -258,7 +268,10 @@ class IbeoLuxSession:
         sweep_ns = ntp_difference_ns(scan.end_ntp, scan.start_ntp)
         sweep_ticks = scan.start_ticks - scan.end_ticks
         period_ns = round(sweep_ns * scan.ticks_per_turn / sweep_ticks)
-        self._clock.observe(scan, period_ns, arrived_ns)
+        if self._clock_stands:
+            self.counters["scans_stamped_by_arrival"] += 1
+        else:
+            self._clock.observe(scan, period_ns, arrived_ns)
         if self._clock.resets:
             self.counters["clock_resets"] = self._clock.resets
         self._check_against_config(scan, period_ns)
@@ -268,7 +281,11 @@ class IbeoLuxSession:
             return None
         beams = self._reduction.reduce(scan)
         tick_ns = sweep_ns / sweep_ticks
-        stamp_ns = self._clock.to_host_ns(scan.start_ntp)
+        stamp_ns = (
+            arrived_ns - sweep_ns - self._latency_ns
+            if self._clock_stands
+            else self._clock.to_host_ns(scan.start_ntp)
+        )
         stamp_ns -= round((beams.first_ticks - scan.start_ticks) * tick_ns)
         if stamp_ns > arrived_ns:
             self.counters["scans_ahead_of_arrival"] += 1

@@ -45,7 +45,25 @@ DIALECTS = {"cola_a": Dialect.ASCII, "cola_b": Dialect.BINARY}
 IDENTITY = (("device", "DeviceIdent"), ("firmware", "FirmwareVersion"), ("serial", "SerialNumber"))
 ANSWERS = ("sRA", "sWA", "sAN", "sEA")
 
+# DeviceIdent of other SICK sensors that speak CoLa begins with their type name; an LMS1000 calls itself
+# LMS1xxxx, an LMS100 LMS10x. Source: SICKAG/sick_scan, sick_scan_common.cpp, isCompatibleDevice.
+OTHER_FAMILIES = {
+    "LMS1XXX": "LMS1000",
+    "LMS4": "LMS4000",
+    "LMS5": "LMS5xx",
+    "MRS1": "MRS1000",
+    "MRS6": "MRS6000",
+    "TIM": "TiM",
+    "NAV": "NAV",
+    "RMS": "RMS radar",
+}
+
 T = TypeVar("T")
+
+
+def other_family(device: str) -> str:
+    """Which scanner calls itself so, where it is one that this driver does not read; else ""."""
+    return next((name for start, name in OTHER_FAMILIES.items() if device.upper().startswith(start)), "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +131,12 @@ class Lms100Dialogue:
             text = yield from self._read(name, lambda r: r.text().strip())
             if text:
                 self.identity[key] = text
+        device = self.identity.get("device", "")
+        if family := other_family(device):
+            raise DeviceError(
+                f"this is of the family {family} (it calls itself {device}), expected an LMS1xx: its "
+                f"field of view, scan rates and stamps differ; is host {self._config.host} the right scanner?"
+            )
 
     def _differences(self) -> Dialogue[list[Callable[[], Dialogue[None]]]]:
         """The changes to be made, in the order to make them. What cannot be read is taken to be right,

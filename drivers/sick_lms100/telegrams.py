@@ -320,12 +320,12 @@ def _read_channels(r: Reader, bits: int) -> tuple[Channel, ...]:
     channels = []
     for _ in range(_at_most(r.u16(), MAX_CHANNELS, f"channels of {bits} bits")):
         content, scale, offset, first_e4deg, step_e4deg = r.characters(5), r.f32(), r.f32(), r.i32(), r.u16()
-        values = r.array(_at_most(r.u16(), MAX_BEAMS, "beams"), bits)
+        values = r.array(_at_most(r.u16(), MAX_BEAMS, "beams", "; is it an LMS5xx or an MRS1000?"), bits)
         channels.append(Channel(content, values, first_e4deg, step_e4deg, scale, offset))
     return tuple(channels)
 
 
-def _at_most(count: int, limit: int, what: str) -> int:
+def _at_most(count: int, limit: int, what: str, question: str = "") -> int:
     if count > limit:
-        raise ProtocolError(f"{count} {what} in a scan telegram, at most {limit} are possible")
+        raise ProtocolError(f"{count} {what} in a scan telegram, at most {limit} are possible{question}")
     return count

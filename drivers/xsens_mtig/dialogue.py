@@ -43,6 +43,7 @@ WAKE_KNOCK_S = 0.1
 ANSWER_S = 0.5
 WRITE_S = 2.0  # into its flash
 ATTEMPTS = 3
+OPTIONAL_ATTEMPTS = 2  # of what the stream does not depend on
 SCENARIO_BYTES, SCENARIO_LABEL_BYTES = 22, 20
 
 T = TypeVar("T")
@@ -141,13 +142,13 @@ class MtigDialogue:
 
     def _identify(self) -> Dialogue[None]:
         self.phase = "reading identity"
-        device_id = yield from self._ask(Mid.REQ_DEVICE_ID)
+        device_id = yield from self._ask_if_known(Mid.REQ_DEVICE_ID)
         if device_id:
             self.identity["device_id"] = device_id.hex().upper()
-        code = yield from self._ask(Mid.REQ_PRODUCT_CODE)
+        code = yield from self._ask_if_known(Mid.REQ_PRODUCT_CODE)
         if code:
             self.identity["product"] = "".join(chr(b) for b in code if 0x20 < b < 0x7F)
-        firmware = yield from self._ask(Mid.REQ_FIRMWARE)
+        firmware = yield from self._ask_if_known(Mid.REQ_FIRMWARE)
         if firmware and len(firmware) >= 3:
             self.identity["firmware"] = ".".join(map(str, firmware[:3]))
 
@@ -155,7 +156,7 @@ class MtigDialogue:
         """Which rate the line has; and store_baud, which ends this connection."""
         if self._config.over_usb:
             return
-        code = yield from self._ask(Mid.BAUDRATE)
+        code = yield from self._ask_if_known(Mid.BAUDRATE)
         reported = BAUD_OF_CODE.get(code[0]) if code else None
         self.baud = self._config.baud if isinstance(self._config.baud, int) else reported or self.baud
         self.identity["baud"] = str(self.baud)
@@ -220,7 +221,7 @@ class MtigDialogue:
                 f"mode 0x{current.layout.mode:04X} with settings 0x{current.layout.settings:08X} lacks "
                 "rate of turn, acceleration, or a sample counter; write configure: true"
             )
-        said = yield from self._ask(Mid.REQ_DATA_LENGTH)
+        said = yield from self._ask_if_known(Mid.REQ_DATA_LENGTH)
         length = int.from_bytes(said, "big") if said else current.layout.data_bytes
         if length != current.layout.data_bytes:
             raise DeviceError(
@@ -284,6 +285,18 @@ class MtigDialogue:
         except struct.error as error:
             raise ProtocolError(f"answer to 0x{mid:02X} is {(answer or b'').hex()}") from error
         return int(value)
+
+    def _ask_if_known(self, mid: int) -> Dialogue[bytes | None]:
+        """Data of the answer to what the stream does not depend on; None where it is silent or refuses."""
+        for _ in range(OPTIONAL_ATTEMPTS):
+            answer = yield Ask(mid, b"", ANSWER_S)
+            if answer is not None and answer.mid != Mid.ERROR:
+                return answer.data
+            if answer is not None:
+                self.counters["requests_unsupported"] += 1
+                return None
+        self.counters["requests_unanswered"] += 1
+        return None
 
     def _ask(self, mid: int, data: bytes = b"", needed: bool = False) -> Dialogue[bytes | None]:
         """Data of the answer; None where the device does not know the message and it is not needed.

@@ -154,7 +154,7 @@ def test_old_firmware_that_does_not_know_a_parameter_is_taken():
         (
             LuxSetup(refused=frozenset({Command.SET_PARAMETER})),
             {},
-            "set data_output .0x1012. to 65518 was refused",
+            "set scan_frequency .0x1102. to 6400 was refused",
         ),
         (
             LuxSetup(measuring=False, refused=frozenset({Command.START})),
@@ -180,8 +180,24 @@ def test_device_that_forgets_what_was_written_is_found_out():
         return answer
 
     t.device.receive_data = forget
-    with pytest.raises(DeviceError, match="the device has 0; write-protected"):
+    with pytest.raises(DeviceError, match="the device has 3200; write-protected"):
         t.run(10.0)
+
+
+@pytest.mark.parametrize("stored", [0x0000, 0x0010])
+def test_output_that_cannot_be_changed_is_borne_where_scans_come(stored):
+    """Objects come along, or errors do not."""
+    parameters = {0x1012: stored, 0x1102: 6400}
+    t = talk(LuxSetup(parameters=parameters, refused=frozenset({Command.SET_PARAMETER}))).run(3.0)
+    assert len(t.frames) > 50
+    assert t.session.counters["output_not_set"] == 1
+    assert t.session.status.startswith("streaming")
+
+
+def test_output_without_scans_that_cannot_be_changed_is_a_device_error():
+    parameters = {0x1012: 0x0001, 0x1102: 6400}
+    with pytest.raises(DeviceError, match=r"set data_output .0x1012. to 65518 was refused 3 times, it has 1"):
+        talk(LuxSetup(parameters=parameters, refused=frozenset({Command.SET_PARAMETER}))).run(10.0)
 
 
 def test_device_that_stands_still_is_started_and_waited_for():

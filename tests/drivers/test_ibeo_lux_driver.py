@@ -109,13 +109,29 @@ def test_missing_repeated_and_restarted_scans_are_counted():
     assert session.counters["scans_received"] == 6
 
 
+def test_scans_of_one_number_and_time_are_taken_where_their_points_differ():
+    """Some converters write one header again and again; then only the arrival tells the time."""
+    session, frames = ready_session(latency_ms=3.0), []
+    for k in range(100):
+        made = scan((1, 0, 0, 1600, 1000 + k, 60), (2, 0, 0, -1920, 2000, 80))
+        frames += session.receive_data(wire(made), 60 * SECOND_NS + PERIOD_NS * k)
+    assert len(frames) == 100
+    assert frames[50].range_m[0] == pytest.approx(10.5, rel=1e-3)
+    assert np.diff([frame.stamp_ns for frame in frames[1:]]).tolist() == [PERIOD_NS] * 98
+    last = frames[-1]
+    assert last.stamp_ns == pytest.approx(last.arrived_ns - SWEEP_NS - 3_000_000, abs=2)
+    assert session.counters["scans_stamped_by_arrival"] == 99
+    assert session.counters["scans_repeated"] == session.counters["scan_number_restarts"] == 0
+    assert "its clock stands still, stamps are those of arrival" in session.status
+
+
 def test_device_whose_number_and_clock_stand_still_is_told_of():
     _, session = frames_of(*[scan()] * 30)
     assert session.counters["scans_repeated"] == 29
-    assert "scan number and clock stand still" in session.status
+    assert "the same scan again and again, not used" in session.status
     for tick in range(11):
         session.tick(100 * SECOND_NS + tick * 200_000_000)
-    with pytest.raises(TransportError, match="no new scan for 2 s: scan number and clock stand still"):
+    with pytest.raises(TransportError, match="no new scan for 2 s: it repeats the same one"):
         session.tick(102_200_000_000)
 
 
