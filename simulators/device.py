@@ -112,6 +112,22 @@ class SweepSource(Protocol):
         ...
 
 
+class LayeredSweepSource(Protocol):
+    """What a laser of several layers sees, each layer with noise of its own."""
+
+    def sweep_layers(
+        self,
+        layer_count: int,
+        first_ray_ns: int,
+        beam_interval_ns: int,
+        first_angle_rad: float,
+        angle_step_rad: float,
+        beam_count: int,
+    ) -> list[Sweep]:
+        """As SweepSource.sweep, one sweep each layer; layers are close together and meet the same walls."""
+        ...
+
+
 class WheelSource(Protocol):
     """What wheel encoders feel: true travel with slip and scale error on it, before quantisation."""
 

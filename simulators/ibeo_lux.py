@@ -17,17 +17,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from drivers.errors import ProtocolError
 from drivers.ibeo_lux.messages import (
-    POINT,
     TICKS_PER_TURN,
     Command,
     DeviceStatus,
     ErrorRegisters,
     Parameter,
-    PointFlag,
     Scan,
     ScanFlag,
     ScannerStatus,
@@ -38,18 +35,15 @@ from drivers.ibeo_lux.messages import (
     write_scan,
 )
 from drivers.ibeo_lux.protocol import NTP_MODULUS, DataType, Decoder, Message, encode
-from simulators.device import TURNS_SKIPPED, SweepSource, turns_to_skip
+from simulators.device import TURNS_SKIPPED, LayeredSweepSource, turns_to_skip
+from simulators.lux_optics import FOCUSED_SECTORS, LuxOptics, is_shot
 
 DEVICE_ID = 7
 LEAVES_AFTER_SWEEP_NS = 2_000_000
 FAULT_PERIOD_NS = 1_000_000_000
 COMPENSATIONS = 0x0300  # set in every status of a real unit
-LOWER_PAIR_LAST_TICKS = -1600  # layers 0 and 1 from 50 to -50 deg, as recorded
-UPPER_PAIR_FIRST_TICKS = 1120  # layers 2 and 3 from 35 deg
+LAYERS_OF_A_SHOT = 2
 SHOT_TICKS = 8  # between two shots; they go to the lower and the upper pair by turns
-FOCUSED_SECTORS = ((320, 4), (960, 8), (1920, 16))  # up to so many ticks off the middle, ticks a shot
-LAYER_STEP_RAD = math.radians(0.8)
-NEAREST_CM, FARTHEST_CM = 30, 20_000
 FREQUENCIES = (3200, 6400, 12_800)
 FLEXRES, FLEXRES_AT_WRONG_FREQUENCY, FLEXRES_NOT_IDLE = 2, 0x6E, 0x70
 READ_ONLY = (0x1105, Parameter.BEAM_TILT, Parameter.OPERATING_MINUTES, Parameter.FLEXRES_ERROR)
@@ -100,13 +94,14 @@ class LuxSetup:
 class FakeIbeoLux:
     """One device with room for one client. Set `motor_failed` and `silent` while it runs."""
 
-    def __init__(self, source: SweepSource, setup: LuxSetup | None = None, seed: int = 0) -> None:
+    def __init__(self, source: LayeredSweepSource, setup: LuxSetup | None = None, seed: int = 0) -> None:
         self.setup = setup or LuxSetup()
         self.motor_failed = False  # scans end, and it says so once a second
         self.silent = False  # nothing more is said
         self.counters: Counter[str] = Counter()
         self._source = source
-        self._noise = np.random.default_rng(seed)
+        s = self.setup
+        self._optics = LuxOptics(s.labels, s.height_m, s.rain_share, np.random.default_rng(seed))
         self._stored = DEFAULTS | self.setup.parameters
         self._parameters = dict(self._stored)
         self._decoder = Decoder()
@@ -277,7 +272,8 @@ class FakeIbeoLux:
         ray_ticks = FOCUSED_SECTORS[0][1] if focused else SHOT_TICKS
         ray_count = (start - end) // ray_ticks + 1
         radians_per_tick = 2.0 * math.pi / TICKS_PER_TURN
-        sweep = self._source.sweep(
+        sweeps = self._source.sweep_layers(
+            LAYERS_OF_A_SHOT,
             begins_ns,
             round(self._period_ns() * ray_ticks / TICKS_PER_TURN),
             start * radians_per_tick,
@@ -285,7 +281,7 @@ class FakeIbeoLux:
             ray_count,
         )
         angle_ticks = start - ray_ticks * np.arange(ray_count)
-        shot = np.flatnonzero(_is_shot(angle_ticks, start)) if focused else np.arange(ray_count)
+        shot = np.flatnonzero(is_shot(angle_ticks, start)) if focused else np.arange(ray_count)
         rear = bool(self._number(index) % 2)
         return Scan(
             number=self._number(index),
@@ -294,61 +290,16 @@ class FakeIbeoLux:
             end_ntp=self.ntp(ends_ns),
             start_ticks=start,
             end_ticks=end,
-            points=self._points(angle_ticks[shot], sweep.range_m[shot], sweep.intensity[shot]),
+            points=self._optics.points(
+                angle_ticks[shot],
+                np.stack([sweep.range_m[shot] for sweep in sweeps], axis=1),
+                np.stack([sweep.intensity[shot] for sweep in sweeps], axis=1),
+            ),
             flags=self.setup.labels | (ScanFlag.REAR_MIRROR_SIDE if rear else 0),
         )
 
     def _number(self, index: int) -> int:
         return (self._number_base + index) % 65_536
-
-    def _points(
-        self,
-        angle_ticks: npt.NDArray[np.int64],
-        range_m: npt.NDArray[np.float32],
-        intensity: npt.NDArray[np.float32],
-    ) -> npt.NDArray[np.void]:
-        """Two layers a shot, two echoes a layer where there is rain, in the order of the wire."""
-        count = len(angle_ticks)
-        points = np.zeros((count, 2, 2), POINT)  # shot, layer of the pair, echo
-        upper = np.arange(count) % 2 == 1
-        layer = np.where(upper, 2, 0)[:, None] + np.arange(2)
-        visible = np.where(upper, angle_ticks <= UPPER_PAIR_FIRST_TICKS, angle_ticks >= LOWER_PAIR_LAST_TICKS)
-        elevation = (layer - 1.5) * LAYER_STEP_RAD
-        wall_m = range_m[:, None] / np.cos(elevation)
-        ground_m = np.full_like(wall_m, np.inf)
-        if self.setup.height_m is not None:
-            down = elevation < 0.0
-            ground_m[down] = self.setup.height_m / np.sin(-elevation[down])
-        is_ground = ~(wall_m <= ground_m) & np.isfinite(ground_m)
-        wall_m = np.where(is_ground, ground_m, wall_m)
-        wet = self._noise.random((count, 2)) < self.setup.rain_share
-        drop_m = np.where(wet, self._noise.uniform(0.5, 5.0, (count, 2)), np.nan)
-        wet &= drop_m < np.where(np.isnan(wall_m), np.inf, wall_m)
-
-        cm = np.nan_to_num(np.rint(np.stack([drop_m, wall_m], axis=2) * 100.0))
-        points["range_cm"] = np.clip(cm, 0, FARTHEST_CM + 1)
-        points["angle_ticks"] = angle_ticks[:, None, None]
-        points["width_cm"][:, :, 0] = 60
-        points["width_cm"][:, :, 1] = (80 + np.rint(40 * intensity) * 4)[:, None]
-        points["layer_echo"][:, :, 0] = layer
-        points["layer_echo"][:, :, 1] = layer | wet.astype(np.int64) << 4
-        points["flags"] = self._flags(is_ground, wet)
-        there = (
-            (points["range_cm"] >= NEAREST_CM) & (points["range_cm"] <= FARTHEST_CM) & visible[:, None, None]
-        )
-        there[:, :, 0] &= wet
-        return points[there]
-
-    def _flags(self, is_ground: npt.NDArray[np.bool_], wet: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint8]:
-        """(S, 2, 2) reserved bits as recorded, labels where they ran and chance where they did not."""
-        flags = 0x40 | self._noise.integers(0, 2, (*is_ground.shape, 2)) << 4
-        if self.setup.labels & ScanFlag.GROUND_LABELLED:
-            flags[:, :, 1] |= is_ground * PointFlag.GROUND
-        else:
-            flags |= (self._noise.random(flags.shape) < 0.86) * PointFlag.GROUND
-        if self.setup.labels & ScanFlag.RAIN_LABELLED:
-            flags[:, :, 0] |= wet * PointFlag.RAIN
-        return flags.astype(np.uint8)
 
     def _objects(self, index: int) -> bytes:
         """An object list with one object that has no contour."""
@@ -486,13 +437,3 @@ class FakeIbeoLux:
 
 class _RefusedError(Exception):
     """The device does not do this."""
-
-
-def _is_shot(angle_ticks: npt.NDArray[np.int64], start_ticks: int) -> npt.NDArray[np.bool_]:
-    """Which rays the focused resolution fires."""
-    off = np.abs(angle_ticks)
-    step = np.full(len(angle_ticks), FOCUSED_SECTORS[-1][1])
-    for limit, ticks in reversed(FOCUSED_SECTORS):
-        step[off <= limit] = ticks
-    fired: npt.NDArray[np.bool_] = (start_ticks - angle_ticks) % step == 0
-    return fired

@@ -18,6 +18,9 @@ HALF_STEP_S = 0.005  # accelerations are differences of the drive's twist over t
 BIAS_STEP_S = 1.0
 BIAS_BLOCK = 600  # steps drawn at a time
 GNSS_STEP_S = 30.0  # between independent errors of the receiver; straight in between
+VELOCITY_STEP_S = 5.0  # the same of the filter's velocity
+RECEIVER_VELOCITY_SIGMA_MPS = 0.1  # each direction; u-blox 6 data sheet, velocity accuracy
+FILTER_VELOCITY_SIGMA_MPS = 0.05  # MTi-G leaflet: 0.1 m/s
 
 WGS84_A_M, WGS84_E2 = 6_378_137.0, 6.694_379_990_14e-3
 
@@ -33,7 +36,7 @@ class Inertial:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """What the receiver finds."""
+    """What the receiver finds of its antenna, or the filter of the unit itself."""
 
     latitude_deg: float
     longitude_deg: float
@@ -50,7 +53,11 @@ class InertialSource(Protocol):
     def inertial(self, stamps_ns: npt.NDArray[np.int64]) -> Inertial: ...
 
     def place(self, stamp_ns: int) -> Place | None:
-        """None where there are no satellites in sight."""
+        """What the receiver finds; None where there are no satellites in sight."""
+        ...
+
+    def estimates(self, stamps_ns: npt.NDArray[np.int64]) -> list[Place] | None:
+        """What the filter of unit and receiver makes of it, one each stamp; None without satellites."""
         ...
 
 
@@ -191,23 +198,83 @@ class InertialTruth:
         velocity = _turned(self.datum.heading_rad + theta, speed - turn * arm_y, turn * arm_x)
         at = _turned(self.datum.heading_rad, x + c * arm_x - s * arm_y, y + s * arm_x + c * arm_y)
         error = sigma_m * self._receiver_error(stamp_ns)
-        latitude, longitude = _on_earth(self.datum, at[0] + error[0], at[1] + error[1])
+        noise = noise_of(self.seed, f"{self.sensor} doppler", stamp_ns - self.ride.start_ns)
+        wrong_mps = self._velocity_sigma(RECEIVER_VELOCITY_SIGMA_MPS) * noise.standard_normal(3)
+        return self._found(at, error, (*velocity, 0.0), wrong_mps)
+
+    def estimates(self, stamps_ns: npt.NDArray[np.int64]) -> list[Place] | None:
+        """Where the filter puts the unit itself at these moments, and how fast; it follows the receiver's
+        slow errors. None where there are no satellites in sight.
+        """
+        sigma_m = self.gnss_sigma_m
+        if sigma_m is None:
+            return None
+        time_s, mounting = self._drive_s(stamps_ns), self.mounting
+        poses, twists = self.ride.world.drive.poses(time_s), self.ride.world.drive.twists(time_s)
+        errors_m = sigma_m * self._straight("gnss", GNSS_STEP_S, stamps_ns)
+        wrong_mps = self._velocity_sigma(FILTER_VELOCITY_SIGMA_MPS) * self._straight(
+            "filter velocity", VELOCITY_STEP_S, stamps_ns
+        )
+        found = []
+        for (x, y, theta), (speed, turn), error, wrong in zip(
+            poses.tolist(), twists.tolist(), errors_m, wrong_mps, strict=True
+        ):
+            c, s = math.cos(theta), math.sin(theta)
+            at = _turned(
+                self.datum.heading_rad,
+                x + c * mounting.x_m - s * mounting.y_m,
+                y + s * mounting.x_m + c * mounting.y_m,
+            )
+            velocity = _turned(
+                self.datum.heading_rad + theta, speed - turn * mounting.y_m, turn * mounting.x_m
+            )
+            found.append(self._found(at, error, (*velocity, 0.0), wrong))
+        return found
+
+    def _found(
+        self,
+        at: tuple[float, float],
+        error_m: Floats,
+        velocity: tuple[float, float, float],
+        wrong_mps: Floats,
+    ) -> Place:
+        """at: east and north of the datum, m; velocity and its error east, north, up."""
+        sigma_m = self.gnss_sigma_m or 0.0
+        latitude, longitude = _on_earth(self.datum, at[0] + error_m[0], at[1] + error_m[1])
+        east, north, up = (v + float(wrong) for v, wrong in zip(velocity, wrong_mps, strict=True))
         return Place(
             latitude_deg=latitude,
             longitude_deg=longitude,
-            height_m=self.datum.height_m + 2.0 * float(error[2]),
-            velocity_enu_mps=(*velocity, 0.0),
+            height_m=self.datum.height_m + 2.0 * float(error_m[2]),
+            velocity_enu_mps=(east, north, up),
             horizontal_accuracy_m=max(1.5 * sigma_m, 0.5),
             vertical_accuracy_m=max(2.5 * sigma_m, 0.8),
             satellites=11,
         )
 
+    def _velocity_sigma(self, sigma_mps: float) -> float:
+        """A receiver that makes no errors of place makes none of velocity."""
+        return sigma_mps if self.gnss_sigma_m else 0.0
+
     def _receiver_error(self, stamp_ns: int) -> Floats:
-        place = (stamp_ns - self.ride.start_ns) * 1e-9 / GNSS_STEP_S
-        step = math.floor(place)
-        knots = [noise_of(self.seed, f"{self.sensor} gnss", k).standard_normal(3) for k in (step, step + 1)]
-        error: Floats = knots[0] + (place - step) * (knots[1] - knots[0])
+        """(3,) in standard deviations: east, north, up."""
+        error: Floats = self._straight("gnss", GNSS_STEP_S, np.array([stamp_ns], dtype=np.int64))[0]
         return error
+
+    def _straight(self, what: str, step_s: float, stamps_ns: npt.NDArray[np.int64]) -> Floats:
+        """(N, 3) normal numbers drawn each step_s since the ride began, straight in between."""
+        place = (stamps_ns - self.ride.start_ns) * (1e-9 / step_s)
+        step = np.floor(place).astype(np.int64)
+        first = int(step.min())
+        knots = np.array(
+            [
+                noise_of(self.seed, f"{self.sensor} {what}", k).standard_normal(3)
+                for k in range(first, int(step.max()) + 2)
+            ]
+        )
+        share = (place - step)[:, None]
+        drawn: Floats = (1.0 - share) * knots[step - first] + share * knots[step - first + 1]
+        return drawn
 
 
 def _turned(angle_rad: float, x: float, y: float) -> tuple[float, float]:

@@ -140,6 +140,19 @@ class LaserTruth:
         view = self.view(first_ray_ns, beam_interval_ns, first_angle_rad, angle_step_rad, beam_count)
         return self.measure(view, self._seed)
 
+    def sweep_layers(
+        self,
+        layer_count: int,
+        first_ray_ns: int,
+        beam_interval_ns: int,
+        first_angle_rad: float,
+        angle_step_rad: float,
+        beam_count: int,
+    ) -> list[Sweep]:
+        """The same walls measured once each layer, with noise of its own."""
+        view = self.view(first_ray_ns, beam_interval_ns, first_angle_rad, angle_step_rad, beam_count)
+        return [self.measure(view, seed_of(self._seed, f"layer {k}")) for k in range(layer_count)]
+
     def view(
         self,
         first_ray_ns: int,

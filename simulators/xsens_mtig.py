@@ -107,7 +107,7 @@ class FakeMtiG:
     _next_fix_ns: int = 0  # host time of the receiver's next measurement
     _wake_at_ns: int | None = None
     _boot_ends_ns: int | None = None
-    _batch: tuple[int, Inertial] | None = None  # index of its first sample
+    _batch: tuple[int, Inertial, list[Place] | None] | None = None  # index of its first sample
     _place: Place | None = None
     _place_utc_ns: int = 0
     _place_index: int = 0
@@ -280,7 +280,9 @@ class FakeMtiG:
     def _next_message(self) -> bytes:
         index = self._next_sample
         count, self._count = self._count, self._count + self._counts_a_message
-        sample = self._sample(self._host_ns(index), count, self._felt(index))
+        felt, estimates, row = self._felt(index)
+        estimate = None if self._place is None or estimates is None else estimates[row]
+        sample = self._sample(self._host_ns(index), count, felt, row, estimate)
         if self.settings.legacy:
             codec = LegacyCodec(Layout(self.settings.mode, self.settings.output_settings))
             age = index - self._place_index
@@ -298,21 +300,24 @@ class FakeMtiG:
         if self.settings.legacy or Kind.GNSS_PVT not in identifiers:
             return
         felt = Inertial(np.zeros((1, 3)), np.zeros((1, 3)), np.eye(3)[np.newaxis])
-        sample = self._sample(at_ns, self._count, (felt, 0))
+        sample = self._sample(at_ns, self._count, felt, 0, None)
         self._count += 1
         every = [i for i, rate in self.settings.output if rate == EVERY_MESSAGE]
         self._emit(encode(Mid.MTDATA2, gnss_message(every, sample)), ready_ns)
 
-    def _felt(self, index: int) -> tuple[Inertial, int]:
+    def _felt(self, index: int) -> tuple[Inertial, list[Place] | None, int]:
+        """A batch of samples, what the filter makes of them, and the row of this one."""
         if self._batch is None or not 0 <= index - self._batch[0] < BATCH:
             stamps_ns = np.array([self._host_ns(index + i) for i in range(BATCH)], dtype=np.int64)
-            self._batch = (index, self.source.inertial(stamps_ns))
-        return self._batch[1], index - self._batch[0]
+            self._batch = (index, self.source.inertial(stamps_ns), self.source.estimates(stamps_ns))
+        first, felt, estimates = self._batch
+        return felt, estimates, index - first
 
-    def _sample(self, host_ns: int, count: int, felt: tuple[Inertial, int]) -> Sample:
+    def _sample(
+        self, host_ns: int, count: int, samples: Inertial, row: int, estimate: Place | None
+    ) -> Sample:
         assert self._clock is not None
         device_ns = self._clock.device_ns(host_ns)
-        samples, row = felt
         return Sample(
             ticks=(self._start_ticks + device_ns // FINE_TICK_NS) % self.setup.fine_modulus,
             packet=count & 0xFFFF,
@@ -325,6 +330,7 @@ class FakeMtiG:
             clipped=self.clipped,
             period_s=self._period_ns * 1e-9,
             place=self._place,
+            estimate=estimate,
         )
 
     def _emit(self, message: bytes, ready_ns: int) -> None:

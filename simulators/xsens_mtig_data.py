@@ -54,7 +54,8 @@ class Sample:
     filter_valid: bool
     clipped: int  # bits 8 to 16 of the status word
     period_s: float
-    place: Place | None  # the newest solution
+    place: Place | None  # the receiver's newest solution
+    estimate: Place | None  # of the filter, at this very moment
 
 
 def euler_deg(matrix: Floats) -> tuple[float, float, float]:
@@ -95,7 +96,7 @@ def _delta_q(sample: Sample) -> tuple[float, ...]:
 
 
 def _velocity(identifier: int, sample: Sample) -> tuple[float, ...]:
-    enu = np.zeros(3) if sample.place is None else np.array(sample.place.velocity_enu_mps)
+    enu = np.zeros(3) if sample.estimate is None else np.array(sample.estimate.velocity_enu_mps)
     return tuple((_local(identifier) @ enu).tolist())
 
 
@@ -105,7 +106,7 @@ def _free(identifier: int, sample: Sample) -> tuple[float, ...]:
 
 
 def _ecef(sample: Sample) -> tuple[float, ...]:
-    p = sample.place
+    p = sample.estimate
     assert p is not None
     latitude, longitude = math.radians(p.latitude_deg), math.radians(p.longitude_deg)
     n = WGS84_A_M / math.sqrt(1.0 - WGS84_E2 * math.sin(latitude) ** 2)
@@ -138,9 +139,11 @@ _VALUES: dict[int, Callable[[int, Sample], Value]] = {
     Kind.ACCELERATION: lambda i, s: tuple(s.force_mps2.tolist()),
     Kind.FREE_ACCELERATION: _free,
     Kind.ACCELERATION_HR: lambda i, s: tuple(s.force_mps2.tolist()),
-    Kind.ALTITUDE: lambda i, s: (s.place.height_m if s.place else 0.0,),
+    Kind.ALTITUDE: lambda i, s: (s.estimate.height_m if s.estimate else 0.0,),
     Kind.ECEF: lambda i, s: _ecef(s),
-    Kind.LAT_LON: lambda i, s: (s.place.latitude_deg, s.place.longitude_deg) if s.place else (0.0, 0.0),
+    Kind.LAT_LON: lambda i, s: (
+        (s.estimate.latitude_deg, s.estimate.longitude_deg) if s.estimate else (0.0, 0.0)
+    ),
     Kind.RATE: lambda i, s: tuple(s.rate_radps.tolist()),
     Kind.DELTA_Q: lambda i, s: _delta_q(s),
     Kind.RATE_HR: lambda i, s: tuple(s.rate_radps.tolist()),
@@ -162,7 +165,7 @@ def inertial_message(identifiers: list[int], sample: Sample) -> bytes:
     for identifier in identifiers:
         kind = identifier & KIND_MASK
         if (kind in NEEDS_FILTER and not sample.filter_valid) or (
-            kind in NEEDS_PLACE and sample.place is None
+            kind in NEEDS_PLACE and sample.estimate is None
         ):
             continue
         items.append((identifier, write_item(identifier, _VALUES[kind](identifier, sample))))
@@ -260,7 +263,7 @@ def legacy_message(codec: LegacyCodec, sample: Sample, count: int, fix_age: int,
             if kind == EULER
             else tuple(flat)
         )
-    p = sample.place
+    p = sample.estimate
     velocity = LOCAL_FROM_ENU[codec.layout.local_frame] @ np.array(
         p.velocity_enu_mps if p else (0.0, 0.0, 0.0)
     )
@@ -268,7 +271,7 @@ def legacy_message(codec: LegacyCodec, sample: Sample, count: int, fix_age: int,
     return codec.encode(
         LegacyData(
             raw_inertial=(32768,) * 10 if mode & Mode.RAW_INERTIAL else None,
-            raw_gps=_raw_gps(p, fix_age, fix_utc_ns) if mode & Mode.RAW_GPS else None,
+            raw_gps=_raw_gps(sample.place, fix_age, fix_utc_ns) if mode & Mode.RAW_GPS else None,
             temperature_c=31.5 if mode & Mode.TEMPERATURE else None,
             acceleration_mps2=_if(calibrated and not settings & Settings.NO_ACCELERATION, sample.force_mps2),
             rate_radps=_if(calibrated and not settings & Settings.NO_RATE, sample.rate_radps),

@@ -25,6 +25,9 @@ class Room:
         self.first_rays_ns.append(first_ray_ns)
         return Sweep(np.full(beam_count, 20.0, np.float32), np.full(beam_count, 0.5, np.float32))
 
+    def sweep_layers(self, layer_count, *asked):
+        return [self.sweep(*asked)] * layer_count
+
 
 def config(**changes):
     return IbeoLuxConfig(**{"name": "lux", "host": "127.0.0.1"} | changes)

@@ -46,6 +46,9 @@ class Swing:
     def place(self, stamp_ns: int) -> Place | None:
         return self._place
 
+    def estimates(self, stamps_ns: npt.NDArray[np.int64]) -> list[Place] | None:
+        return None if self._place is None else [self._place] * len(stamps_ns)
+
 
 def config(**changes: object) -> XsensMtigConfig:
     return XsensMtigConfig.model_validate({"name": "imu", "device": "/dev/null", **changes})

@@ -28,7 +28,7 @@ from drivers.ibeo_lux.protocol import DataType, Decoder, Message, encode, ntp_di
 from service.geometry.se2 import SE2
 from simulators.ibeo_lux import LEAVES_AFTER_SWEEP_NS, FakeIbeoLux, LuxSetup
 from simulators.trajectory import Follow, plan_drive
-from simulators.truth import Ride
+from simulators.truth import IBEO_LUX, LaserTruth, Ride
 from simulators.vehicle import FakeVehicle, parse_device
 from simulators.world import Plan, make_world
 from tests.drivers.lux import Room
@@ -318,3 +318,25 @@ def test_vehicle_has_one_on_a_port_where_its_layers_see_the_walls():
     upper, lowest = ahead[ahead["layer_echo"] > 1], ahead[ahead["layer_echo"] == 0]
     np.testing.assert_allclose(upper["range_cm"] * np.cos(upper["angle_ticks"] * math.pi / 5760), 400, atol=3)
     assert lowest["range_cm"].max() == 239  # ground, before the wall
+
+
+def test_each_layer_has_noise_of_its_own():
+    """Both layers of a shot meet the same wall; their ranges differ as two measurements do."""
+    plan = Plan()
+    plan.line((-30, -30), (30, -30), (30, 30), (-30, 30), (-30, -30))
+    world = make_world("hall", plan, [], plan_drive(SE2(), [Follow([(3, 0)])]))
+    source = LaserTruth(Ride(world, START_NS, 0.0), "lux", SE2(), IBEO_LUX, 1)
+    points = Client(source=source).scans(0.2)[0].points
+    layer, range_m = points["layer_echo"] & 0x0F, points["range_cm"] / 100.0
+    by_layer = [
+        dict(zip(points["angle_ticks"][layer == k], range_m[layer == k], strict=True)) for k in (1, 2)
+    ]
+    assert not by_layer[0].keys() & by_layer[1].keys()  # shots go to the pairs by turns
+    lower, upper = (
+        dict(zip(points["angle_ticks"][layer == k], range_m[layer == k], strict=True)) for k in (2, 3)
+    )
+    both = sorted(lower.keys() & upper.keys())
+    elevation = np.radians([0.4, 1.2])
+    apart_m = np.array([upper[a] * np.cos(elevation[1]) - lower[a] * np.cos(elevation[0]) for a in both])
+    assert len(both) > 150
+    assert apart_m.std() == pytest.approx(math.sqrt(2.0) * IBEO_LUX.sigma_m, rel=0.25)

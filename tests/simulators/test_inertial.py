@@ -147,6 +147,37 @@ def test_places_are_the_rides_on_the_earth(world):
     assert (later.longitude_deg - place.longitude_deg) * 55_800.6 / 0.01 == pytest.approx(east, abs=0.03)
 
 
+def test_the_filter_places_the_unit_at_each_sample_with_the_receivers_slow_errors(world):
+    """A unit whose antenna it is itself: the filter lies where the receiver lies, and moves in between."""
+    at = stamps(world)
+    exact, wrong = truth(world, gnss_sigma_m=0.0), truth(world, gnss_sigma_m=2.0)
+    places, erring = exact.estimates(at), wrong.estimates(at)
+    assert places is not None
+    assert erring is not None
+    assert places[40] == exact.place(int(at[40]))
+    north_m = np.array([place.latitude_deg for place in places]) * 111_412.8
+    north_mps = np.array([place.velocity_enu_mps[1] for place in places])
+    speed_mps = np.gradient(north_m, 0.005)
+    assert np.quantile(np.abs(speed_mps - north_mps), 0.9) < 0.02
+    assert np.abs(north_mps).max() > 0.3
+    off_m = [(e.latitude_deg - p.latitude_deg) * 111_412.8 for e, p in zip(erring, places, strict=True)]
+    assert off_m[40] == pytest.approx(2.0 * wrong._receiver_error(int(at[40]))[1], rel=1e-3)
+    assert np.abs(np.diff(off_m)).max() < 0.005  # it does not jump where a fix comes
+    assert truth(world, gnss_sigma_m=None).estimates(at) is None
+
+
+def test_velocities_err_by_their_sigma(world):
+    """At rest: the filter's slowly, the receiver's from fix to fix."""
+    standing = START_NS - np.arange(1, 400, dtype=np.int64) * 5_000_000_000
+    unit = truth(world, gnss_sigma_m=1.5)
+    found = unit.estimates(standing)
+    assert found is not None
+    filtered = np.array([place.velocity_enu_mps for place in found])
+    received = np.array([place.velocity_enu_mps for t in standing if (place := unit.place(int(t)))])
+    assert filtered.std(axis=0) == pytest.approx([0.05] * 3, rel=0.15)
+    assert received.std(axis=0) == pytest.approx([0.1] * 3, rel=0.15)
+
+
 def test_receiver_errs_by_its_sigma_and_slowly(world):
     unit = truth(world, gnss_sigma_m=2.0)
     errors = np.array([unit._receiver_error(START_NS + k * 30_000_000_000) for k in range(400)])

@@ -6,7 +6,7 @@ import struct
 import numpy as np
 import pytest
 
-from drivers.xsens_mtig.mtdata import Layout, LegacyCodec
+from drivers.xsens_mtig.mtdata import Layout, LegacyCodec, Mode
 from drivers.xsens_mtig.mtdata2 import (
     Kind,
     decode_items,
@@ -21,7 +21,7 @@ from simulators.trajectory import Follow, plan_drive
 from simulators.truth import Ride
 from simulators.vehicle import FakeVehicle, parse_device, parse_devices
 from simulators.world import Plan, make_world
-from simulators.xsens_mtig import FakeMtiG
+from simulators.xsens_mtig import FakeMtiG, MtigSetup
 from tests.drivers.mtig import MS, ZERO_NS, legacy, mtdata2
 from tests.drivers.virtual_time import SECOND_NS
 
@@ -362,6 +362,35 @@ def test_vehicle_has_a_unit_where_its_options_say(tmp_path):
         assert unit.source.place(0) is None
     with pytest.raises(ValueError, match=r"baud: .*100000 is none of"):
         parse_device("imu=xsens_mtig:baud=100000")
+
+
+@pytest.mark.parametrize("personality", ["mtdata2", "legacy"])
+def test_places_of_the_filter_move_from_sample_to_sample_not_from_fix_to_fix(personality):
+    plan = Plan()
+    plan.line((-50, -50), (50, -50), (50, 50), (-50, 50), (-50, -50))
+    ride = Ride(make_world("hall", plan, [], plan_drive(SE2(), [Follow([(30, 0)])])), ZERO_NS, 0.0)
+    unit = FakeMtiG(InertialTruth(ride, "imu", gnss_sigma_m=0.0), MtigSetup(personality, baud=None))
+    unit.settings.output = [(Kind.LAT_LON | 0x3, 100), (Kind.VELOCITY | 0x3, 100), (Kind.GNSS_PVT, 4)]
+    mode, settings = Mode.POSITION | Mode.VELOCITY, 0x1 | 2 << 8  # fixed 16.32
+    unit.settings.write(Mid.OUTPUT_MODE, struct.pack(">H", mode))
+    unit.settings.write(Mid.OUTPUT_SETTINGS, struct.pack(">I", settings))
+    longitudes_deg, speeds_mps = [], []
+    for message in Host(unit).wait(6.0):
+        if message.mid == Mid.MTDATA:
+            data = LegacyCodec(Layout(mode, settings)).decode(message.data)
+            longitude_deg, speed_mps = data.position[1], math.hypot(*data.velocity_mps)
+        else:
+            items = {item.id & 0xFFF0: item.value for item in decode_items(message.data)}
+            if Kind.LAT_LON not in items:
+                continue
+            longitude_deg, speed_mps = items[Kind.LAT_LON][1], math.hypot(*items[Kind.VELOCITY])
+        if longitude_deg:
+            longitudes_deg.append(longitude_deg)
+            speeds_mps.append(speed_mps)
+    steps_m = np.diff(longitudes_deg[200:500]) * 55_500.0
+    assert len(steps_m) > 250
+    assert steps_m == pytest.approx(np.array(speeds_mps[200:500])[1:] * 0.01, abs=1e-3)
+    assert steps_m.min() > 0.003
 
 
 def test_periods_of_the_legacy_unit_are_those_of_its_registers():
