@@ -19,17 +19,20 @@ from drivers.transport import Transport
 log = logging.getLogger(__name__)
 
 Sink = Callable[[Frame], None]
-ChunkKind = Literal["connected", "received", "sent"]
+ChunkKind = Literal["connected", "received", "waited", "sent"]
 
 
 @dataclass(frozen=True, slots=True)
 class RawChunk:
-    """One thing that happened on a wire: all that a session needs to live through it once more.
+    """One thing that happened on a wire: all that a session needs to do the same once more.
 
     connected    a new connection, hence a new session; no bytes
     received     bytes as they came
+    waited       nothing came within READ_TIMEOUT_S; no bytes
     sent         bytes that the session had in its outbox after the tick of at_ns; its shutdown request is
                  left out
+
+    After each of the first three the session is ticked, with the chunk's own at_ns.
     """
 
     at_ns: int  # host monotonic
@@ -60,7 +63,11 @@ class Session(Protocol):
         ...
 
     def tick(self, now_ns: int) -> None:
-        """Let timers run: resend, probe, give up. Raises TransportError on silence, DeviceError."""
+        """Let timers run: resend, probe, give up. Raises TransportError on silence, DeviceError.
+
+        It is called after the connection is made, after each receive_data and after each read that timed
+        out; now_ns is the host time at which that happened.
+        """
         ...
 
     def shutdown_request(self) -> bytes:
@@ -148,29 +155,30 @@ def _pump(
 ) -> None:
     before = Counter(health.counters)
     gate = ClockGate()
+    now_ns = time.monotonic_ns()
     if tee is not None:
-        tee(RawChunk(time.monotonic_ns(), "connected"))
+        tee(RawChunk(now_ns, "connected"))
     try:
         while not stop.is_set():
-            now_ns = time.monotonic_ns()
             session.tick(now_ns)
             if session.outbox:
                 if tee is not None:
                     tee(RawChunk(now_ns, "sent", bytes(session.outbox)))
                 transport.write(bytes(session.outbox))
                 session.outbox.clear()
-            if data := transport.read(READ_TIMEOUT_S):
-                arrived_ns = time.monotonic_ns()
-                if tee is not None:
-                    tee(RawChunk(arrived_ns, "received", data))
+            data = transport.read(READ_TIMEOUT_S)
+            now_ns = time.monotonic_ns()
+            if tee is not None:
+                tee(RawChunk(now_ns, "received" if data else "waited", data))
+            if data:
                 health.bytes_read += len(data)
-                for frame in session.receive_data(data, arrived_ns):
+                for frame in session.receive_data(data, now_ns):
                     if health.state != "streaming":
                         health.state = "streaming"
                         log.info("%s: streaming%s", health.name, _identity_text(session.identity))
                     health.frames += not isinstance(frame, GnssFix)  # rates are those of what is mapped
-                    health.last_frame_ns = arrived_ns
-                    if gate.lets_through(session.clock_sigma_ns, arrived_ns):
+                    health.last_frame_ns = now_ns
+                    if gate.lets_through(session.clock_sigma_ns, now_ns):
                         sink(frame)
                     else:
                         kind = "fixes" if isinstance(frame, GnssFix) else "frames"

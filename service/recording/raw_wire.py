@@ -17,43 +17,94 @@ from service.recording.mcap_reader import Recording
 log = logging.getLogger(__name__)
 
 
-def raw_chunks(recording: Recording, sensor: str) -> Iterator[RawChunk]:
-    """What happened on the sensor's wire, at the host's monotonic times of then. Raises InputError."""
-    topic = f"/{sensor}/raw"
-    if not any((t.name, t.type) == (topic, BYTES) for t in recording.topics):
-        raise InputError(
-            f"{recording.paths[0]}: no {topic}; it is recorded where the config says recording: {{raw: true}}"
-        )
+def raw_topics(recording: Recording) -> dict[str, str]:
+    """Sensor -> its topic of raw bytes, as far as there are any."""
+    found = {}
+    for topic in recording.topics:
+        parts = topic.name.split("/")
+        if len(parts) == 3 and parts[2] == "raw" and topic.type == BYTES and topic.count:
+            found[parts[1]] = topic.name
+    return found
+
+
+def utc_offset_ns(recording: Recording) -> int:
+    """Unix time minus the host's monotonic clock of then. Raises InputError."""
     try:
-        offset_ns = int(recording.metadata["clock"]["utc_offset_ns"])
+        return int(recording.metadata["clock"]["utc_offset_ns"])
     except (KeyError, ValueError) as error:
         raise InputError(f"{recording.paths[0]}: no clock.utc_offset_ns among its metadata") from error
+
+
+def raw_chunks(recording: Recording, sensor: str) -> Iterator[RawChunk]:
+    """What happened on the sensor's wire, at the host's monotonic times of then. Raises InputError."""
+    topic = raw_topics(recording).get(sensor)
+    if topic is None:
+        raise InputError(
+            f"{recording.paths[0]}: no /{sensor}/raw; it is recorded where the config says "
+            "recording: {raw: true}"
+        )
+    offset_ns = utc_offset_ns(recording)
     for message in recording.messages([topic]):
         yield decode_raw(message.payload, message.log_ns, offset_ns)
 
 
 def frames_from_wire(chunks: Iterable[RawChunk], new_session: Callable[[], Session]) -> Iterator[Frame]:
-    """Let sessions live through it again, one a connection; the frames they make, in order.
-
-    new_session is what the registry's `session_maker` makes for the sensor's config. They are the frames of
-    then as long as the session says what it said then, for its ticks come when it spoke. Chunks before the
-    first connection are passed over: a session cannot begin in mid-stream. Where a session gives up, the
-    rest of its connection is passed over, as the link did, and so are the frames that it held back.
-    """
-    session: Session | None = None
-    gate = ClockGate()
+    """The frames that a driver makes of a recorded wire, in order. new_session as in WireReplay."""
+    wire = WireReplay(new_session)
     for chunk in chunks:
+        yield from wire.take(chunk)
+
+
+class WireReplay:
+    """Sessions of one sensor's driver on its recorded wire, one a connection, ticked as the link ticked them.
+
+    The frames are those of then, to the bit, where the driver is the same and no chunk is missing. Where a
+    session raises, the rest of its connection is passed over, as the link closed it, and so are the frames
+    that it held back. Chunks before the first connection are passed over: a session cannot begin in
+    mid-stream.
+
+    new_session           what the registry's `session_maker` makes for the sensor's config
+    frames                how many frames were given out
+    chunks_without_start  chunks that were passed over for want of a connection before them
+    requests_not_repeated times the driver of then sent and that of today does not, or the other way round;
+                          its frames may then differ
+    """
+
+    def __init__(self, new_session: Callable[[], Session]) -> None:
+        self._new_session = new_session
+        self._session: Session | None = None
+        self._connected = False
+        self._gate = ClockGate()
+        self.frames = 0
+        self.chunks_without_start = 0
+        self.requests_not_repeated = 0
+
+    def take(self, chunk: RawChunk) -> list[Frame]:
+        """What the driver makes of it, in order."""
         if chunk.kind == "connected":
-            session, gate = new_session(), ClockGate()
-        elif session is not None:
-            try:
-                if chunk.kind == "received":
-                    for frame in session.receive_data(chunk.data, chunk.at_ns):
-                        if gate.lets_through(session.clock_sigma_ns, chunk.at_ns):
-                            yield frame
-                else:
-                    session.tick(chunk.at_ns)
-                    session.outbox.clear()
-            except DriverError as error:
-                log.info("the session ends at %d ns: %s", chunk.at_ns, error)
-                session = None
+            self._session, self._gate, self._connected = self._new_session(), ClockGate(), True
+        session = self._session
+        if session is None:
+            self.chunks_without_start += not self._connected
+            return []
+        if chunk.kind != "connected":  # some sessions have something to say before their first tick
+            self.requests_not_repeated += bool(session.outbox) is not (chunk.kind == "sent")
+            session.outbox.clear()
+        frames: list[Frame] = []
+        try:
+            if chunk.kind == "received":
+                frames = self._received(session, chunk)
+            if chunk.kind != "sent":
+                session.tick(chunk.at_ns)
+        except DriverError as error:
+            log.info("the session ends at %d ns: %s", chunk.at_ns, error)
+            self._session = None
+        self.frames += len(frames)
+        return frames
+
+    def _received(self, session: Session, chunk: RawChunk) -> list[Frame]:
+        return [
+            frame
+            for frame in session.receive_data(chunk.data, chunk.at_ns)
+            if self._gate.lets_through(session.clock_sigma_ns, chunk.at_ns)
+        ]

@@ -93,13 +93,23 @@ def test_outbox_is_written_frames_reach_the_sink_and_the_end_is_polite():
     assert wire.closed
     assert len(frames) == health.frames == 2
     assert [(chunk.kind, chunk.data) for chunk in teed] == [
-        ("connected", b""), ("sent", b"hello"), ("received", b"a"), ("received", b"b"),
+        ("connected", b""), ("sent", b"hello"), ("received", b"a"), ("waited", b""), ("received", b"b"),
+        ("waited", b""),
     ]  # fmt: skip
     assert [chunk.at_ns for chunk in teed] == sorted(chunk.at_ns for chunk in teed)
     assert health.bytes_read == 2
     assert health.state == "streaming"
     assert (health.status, health.identity, health.clock_offset_ns) == ("streaming", {"firmware": "1"}, 7)
     assert health.last_frame_ns > 0
+
+
+def test_a_session_is_ticked_at_the_very_time_of_what_happened_before():
+    stop, teed, ticked_ns = threading.Event(), [], []
+    session = EchoSession()
+    tick = session.tick
+    session.tick = lambda now_ns: (ticked_ns.append(now_ns), tick(now_ns))
+    run([StoppableTransport([b"a", b"", b"b"], stop)], [session], stop, teed.append)
+    assert ticked_ns == [chunk.at_ns for chunk in teed if chunk.kind != "sent"][:-1]  # then it was stopped
 
 
 @pytest.mark.parametrize("error", [TransportError("cut"), ProtocolError("noise"), DeviceError("refused")])
@@ -113,7 +123,7 @@ def test_every_kind_of_driver_error_is_followed_by_a_new_connection_with_a_new_s
     assert health.connects == 2
     assert health.counters["chunks"] == 3  # summed over both sessions
     assert [chunk.kind for chunk in teed] == [
-        "connected", "sent", "received", "received", "connected", "sent", "received",
+        "connected", "sent", "received", "received", "connected", "sent", "received", "waited",
     ]  # fmt: skip
     assert str(error) in health.last_error
 

@@ -11,6 +11,9 @@ from drivers.link import (
     LAST_RETRY_S,
     PROVEN_AFTER_S,
     READ_TIMEOUT_S,
+    ChunkKind,
+    ClockGate,
+    RawChunk,
     Session,
 )
 from simulators.faults import Faulty
@@ -24,6 +27,8 @@ class VirtualLink:
     """One device with faults and the sessions that talk to it, one after the other.
 
     frames     scans and samples; fixes, which come in between and late, are left out
+    passed_on  what drivers.link would hand on: fixes too, nothing before the device's clock is known
+    chunks     what happened on the wire, as drivers.link tees it
     errors     what ended sessions, with the time; what drivers.link does not catch is raised
     sent       with the time, what the device sent, as the session read it
     """
@@ -32,11 +37,14 @@ class VirtualLink:
         self.device = device
         self.now_ns = now_ns
         self.frames: list[Frame] = []
+        self.passed_on: list[Frame] = []
+        self.chunks: list[RawChunk] = []
         self.errors: list[tuple[int, Exception]] = []
         self.sent: list[tuple[int, bytes]] = []
         self.connects = 0
         self._new_session = new_session
         self._session: Session | None = None
+        self._gate = ClockGate()
         self._counters: Counter[str] = Counter()  # of sessions that have ended
         self._retry_s = FIRST_RETRY_S
         self._connect_at_ns = self._connected_ns = now_ns
@@ -71,8 +79,7 @@ class VirtualLink:
             return
         if not self.device.plugged(self.now_ns):
             raise TransportError("unplugged")
-        self._session.tick(self.now_ns)
-        self._say()
+        self._tick("waited", self.now_ns)
         while (due_ns := self.device.next_due_ns(self.now_ns)) is not None and due_ns <= until_ns:
             self.now_ns = max(self.now_ns, due_ns)
             if not self.device.plugged(self.now_ns):
@@ -86,8 +93,10 @@ class VirtualLink:
             return
         self.connects += 1
         self._connected_ns = self.now_ns
-        self._session = self._new_session()
-        self._deliver(self.device.connected(self.now_ns))
+        self._session, self._gate = self._new_session(), ClockGate()
+        greeting = self.device.connected(self.now_ns)
+        self._tick("connected", self.now_ns)
+        self._deliver(greeting)
 
     def _hang_up(self, error: Exception) -> None:
         self.errors.append((self.now_ns, error))
@@ -101,18 +110,22 @@ class VirtualLink:
         self._retry_s = min(2.0 * self._retry_s, LAST_RETRY_S)
         self._connect_at_ns = self.now_ns + round(wait_s * SECOND_NS)
 
-    def _say(self) -> None:
-        assert self._session is not None
-        while self._session.outbox:
-            said = bytes(self._session.outbox)
-            self._session.outbox.clear()
+    def _tick(self, kind: ChunkKind, now_ns: int, data: bytes = b"") -> None:
+        """Have the session take what happened on the wire, and the device what the session then sends."""
+        session = self._session
+        assert session is not None
+        self.chunks.append(RawChunk(now_ns, kind, data))
+        if data:
+            frames = session.receive_data(data, now_ns)
+            self.frames += [frame for frame in frames if not isinstance(frame, GnssFix)]
+            self.passed_on += [f for f in frames if self._gate.lets_through(session.clock_sigma_ns, now_ns)]
+        session.tick(now_ns)
+        if said := bytes(session.outbox):
+            session.outbox.clear()
+            self.chunks.append(RawChunk(now_ns, "sent", said))
             self._deliver(self.device.receive_data(said, self.now_ns))
 
     def _deliver(self, data: bytes) -> None:
-        assert self._session is not None
         if data:
             self.sent.append((self.now_ns, data))
-            frames = self._session.receive_data(data, self.now_ns + DELAY_NS)
-            self.frames += [frame for frame in frames if not isinstance(frame, GnssFix)]
-            self._session.tick(self.now_ns + DELAY_NS)
-            self._say()
+            self._tick("received", self.now_ns + DELAY_NS, data)

@@ -8,23 +8,31 @@ import pytest
 
 from drivers import link
 from drivers.errors import ProtocolError, TransportError
-from drivers.frames import OdometrySample
+from drivers.frames import Frame, OdometrySample
 from drivers.link import LinkHealth, RawChunk, run_link
 from drivers.transport import ScriptedTransport
-from service.encoding import BYTES, Message, decode_raw, encode_raw
+from service.encoding import BYTES, Message, decode_raw, encode_frame, encode_raw
 from service.errors import InputError
 from service.recording.mcap_reader import Recording
 from service.recording.mcap_recorder import McapRecorder
 from service.recording.mcap_source import open_session
-from service.recording.raw_wire import frames_from_wire, raw_chunks
+from service.recording.raw_wire import WireReplay, frames_from_wire, raw_chunks
+from tests.drivers.faulty_devices import BENCHES, linked
 from tests.service.recording.sessions import T0_NS, drive
 
 OFFSET_NS = 1_700_000_000_123_456_789
 CLOCK = {"clock": {"utc_offset_ns": str(OFFSET_NS)}}
+LIVED_THROUGH = [
+    *((name, "kind: garbage, at_s: 5, for_s: 1, share: 0.1") for name in BENCHES),
+    *((name, "kind: half_messages, at_s: 5, for_s: 1, share: 0.2") for name in BENCHES),
+    ("lux", "kind: silence, at_s: 5, for_s: 1.5"),
+    ("utm30lx usb", "kind: cut, at_s: 5, for_s: 0.5"),
+    ("mtig mtdata2", "kind: restart, at_s: 4, for_s: 0.5, link_drops: false"),
+]
 
 
 class AskingSession:
-    """Asks at each tick after an answer, and stamps a sample half-way between question and answer.
+    """Asks at the first tick after an answer, and stamps a sample half-way between question and answer.
 
     b"garbage" is a ProtocolError. Samples count on from one session to the next.
     """
@@ -110,12 +118,43 @@ def test_what_came_before_the_first_connection_is_passed_over():
     chunks = [
         RawChunk(1, "received", b"\x01"),
         RawChunk(2, "sent", b"how far?"),
-        RawChunk(3, "connected"),
+        RawChunk(4, "connected"),
         RawChunk(4, "sent", b"how far?"),
         RawChunk(6, "received", b"\x02"),
     ]
-    (frame,) = frames_from_wire(chunks, lambda: AskingSession([0]))
+    wire = WireReplay(lambda: AskingSession([0]))
+    (frame,) = [frame for chunk in chunks for frame in wire.take(chunk)]
     assert (frame.stamp_ns, frame.arrived_ns) == (5, 6)
+    assert (wire.frames, wire.chunks_without_start, wire.requests_not_repeated) == (1, 2, 0)
+
+
+def on_wire(frame: Frame) -> tuple[int, str, bytes]:
+    message = encode_frame(frame, OFFSET_NS)
+    return message.log_ns, message.channel, message.payload
+
+
+@pytest.mark.parametrize(("name", "fault"), LIVED_THROUGH)
+def test_a_driver_makes_the_very_frames_of_a_wire_with_faults(name: str, fault: str):
+    link = linked(name, fault)
+    link.run(9.0)
+    assert len(link.passed_on) > 3.0 * BENCHES[name].rate_hz
+    wire = WireReplay(BENCHES[name].sessions(lambda: link.now_ns))
+    again = [frame for chunk in link.chunks for frame in wire.take(chunk)]
+    assert list(map(on_wire, again)) == list(map(on_wire, link.passed_on))
+    assert (wire.chunks_without_start, wire.requests_not_repeated) == (0, 0)
+
+
+def test_a_driver_that_sends_otherwise_than_then_is_noticed():
+    """Once it is silent where it asked, once it asks where it was silent."""
+    chunks = [
+        RawChunk(4, "connected"),
+        RawChunk(6, "received", b"\x02"),
+        RawChunk(6, "sent", b"how far?"),
+        RawChunk(7, "sent", b"and now?"),
+    ]
+    wire = WireReplay(lambda: AskingSession([0]))
+    assert len([frame for chunk in chunks for frame in wire.take(chunk)]) == 1
+    assert wire.requests_not_repeated == 2
 
 
 def test_a_session_that_gives_up_in_a_tick_is_replaced_at_the_next_connection():
@@ -127,9 +166,10 @@ def test_a_session_that_gives_up_in_a_tick_is_replaced_at_the_next_connection():
 
     chunks = [
         RawChunk(10, "connected"),
-        RawChunk(13, "sent", b"?"),
+        RawChunk(10, "sent", b"?"),
+        RawChunk(13, "waited"),
         RawChunk(14, "received", b"\x01"),
-        RawChunk(20, "connected"),
+        RawChunk(21, "connected"),
         RawChunk(21, "sent", b"?"),
         RawChunk(23, "received", b"\x02"),
     ]
@@ -140,6 +180,7 @@ def test_a_session_that_gives_up_in_a_tick_is_replaced_at_the_next_connection():
     "chunk",
     [
         RawChunk(1, "connected"),
+        RawChunk(1, "waited"),
         RawChunk(123_456_789_012_345, "received", bytes(range(256)) * 40),
         RawChunk(2, "sent", b"\x02sRN"),
     ],
@@ -153,7 +194,9 @@ def test_a_chunk_survives_to_the_nanosecond(chunk: RawChunk):
 
 def test_bytes_of_another_program_are_no_chunk(tmp_path: Path):
     payload = encode_raw("front", RawChunk(1, "sent", b"x"), 0).payload.replace(b"sent", b"what")
-    with pytest.raises(InputError, match="raw bytes labelled 'what'; expected connected, received, sent"):
+    with pytest.raises(
+        InputError, match="raw bytes labelled 'what'; expected connected, received, waited, sent"
+    ):
         decode_raw(payload, 1, 0)
 
 

@@ -1,0 +1,142 @@
+"""A recording's raw bytes through today's drivers: what `corridor replay --from-raw` maps.
+
+The drivers run with the config that the recording holds, or with another one. Their frames are written to a
+session of their own, in the order in which their bytes came; the events of the recording stand between them.
+"""
+
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from drivers.registry import SENSOR_KINDS
+from service.config import ServiceConfig, load_config, parse_config, tf_static
+from service.encoding import LogClock, Message, decode_raw, encode_frame
+from service.errors import InputError, StorageError
+from service.recording.mcap_file import McapFile
+from service.recording.mcap_reader import Recording
+from service.recording.raw_wire import WireReplay, raw_topics, utc_offset_ns
+from service.version import VERSION
+
+log = logging.getLogger(__name__)
+
+FROM_RAW = "from_raw"  # metadata of a session whose frames were made anew
+
+
+@dataclass(frozen=True, slots=True)
+class Remade:
+    """What a driver made of one sensor's wire; the fields are those of WireReplay."""
+
+    frames: int
+    chunks_without_start: int
+    requests_not_repeated: int
+
+
+def remake_frames(
+    paths: Sequence[Path],
+    config: Path | None,
+    out: Path,
+    progress: Callable[[float], None] = lambda share: None,
+) -> dict[str, Remade]:
+    """Run the raw bytes of a recording through the drivers and write their frames as the session `out`.
+
+    config   sensors and their settings; None: those that the recording holds
+
+    What came out of each sensor. Raises InputError where there are no raw bytes, no config, or no frame comes
+    of them, ConfigError, and StorageError where `out` cannot be written.
+    """
+    recording = Recording(paths)
+    if not (topics := raw_topics(recording)):
+        raise InputError(
+            f"{paths[0]}: no raw bytes to run through the drivers (no topic /<sensor>/raw); they are there "
+            "where its config says recording: {raw: true}; replay it without --from-raw"
+        )
+    service = _config(recording, config)
+    names = [name for name in service.sensors if name in topics]
+    for name in service.sensors.keys() - topics.keys():
+        log.warning("%s: no /%s/raw, so %s is left out", paths[0], name, name)
+    for name in topics.keys() - service.sensors.keys():
+        log.warning("%s: passed over /%s/raw: the config has no sensor %s", paths[0], name, name)
+    wires = {
+        name: WireReplay(SENSOR_KINDS[service.sensors[name].type].session_maker(service.sensors[name]))
+        for name in names
+    }
+    _write(recording, service, wires, {topics[name].removeprefix("/"): name for name in names}, out, progress)
+    remade = {
+        name: Remade(wire.frames, wire.chunks_without_start, wire.requests_not_repeated)
+        for name, wire in wires.items()
+    }
+    _tell(paths[0], remade)
+    return remade
+
+
+def _config(recording: Recording, config: Path | None) -> ServiceConfig:
+    if config is not None:
+        return load_config(config)
+    text = recording.metadata.get("config", {}).get("yaml")
+    if text is None:
+        raise InputError(f"{recording.paths[0]}: holds no config of its sensors; give one by --config")
+    return parse_config(text, "recorded config")
+
+
+def _write(
+    recording: Recording,
+    service: ServiceConfig,
+    wires: Mapping[str, WireReplay],
+    sensors: Mapping[str, str],
+    out: Path,
+    progress: Callable[[float], None],
+) -> None:
+    """sensors: channel of raw bytes -> sensor."""
+    first_ns, span_ns = recording.first_log_ns, max(recording.last_log_ns - recording.first_log_ns, 1)
+    file = None
+    try:
+        file = McapFile(out, first_ns)
+        for name, values in recording.metadata.items():
+            file.write_metadata(name, values)
+        file.write_metadata(FROM_RAW, {"corridor": VERSION})
+        file.write(tf_static(service.sensors, first_ns))
+        for done_ns, message in _messages(recording, wires, sensors):
+            file.write(message)
+            progress((done_ns - first_ns) / span_ns)
+        file.finish()
+    except OSError as error:
+        if file is not None:
+            file.abandon()
+        raise StorageError(f"cannot write {out}: {error.strerror}") from error
+
+
+def _messages(
+    recording: Recording, wires: Mapping[str, WireReplay], sensors: Mapping[str, str]
+) -> Iterator[tuple[int, Message]]:
+    """Frames made anew and recorded events, each with the log time up to which the recording was read."""
+    offset_ns, clock = utc_offset_ns(recording), LogClock()
+    for message in recording.messages([*(f"/{channel}" for channel in sensors), "/events"]):
+        if message.channel not in sensors:
+            yield message.log_ns, message
+            continue
+        chunk = decode_raw(message.payload, message.log_ns, offset_ns)
+        for frame in wires[sensors[message.channel]].take(chunk):
+            log_ns = clock.next_ns(frame.arrived_ns + offset_ns)
+            yield message.log_ns, encode_frame(frame, offset_ns, log_ns)
+
+
+def _tell(path: Path, remade: Mapping[str, Remade]) -> None:
+    """Raises InputError where not one frame was made."""
+    if not any(made.frames for made in remade.values()):
+        cut = [name for name, made in remade.items() if made.chunks_without_start]
+        why = (
+            f"{' and '.join(cut)} were recorded in mid-stream; give all files of the session from its start"
+            if cut
+            else f"the drivers make nothing of the bytes of {' and '.join(remade) or 'no sensor'}"
+        )
+        raise InputError(f"{path}: no frame comes of its raw bytes: {why}")
+    for name, made in remade.items():
+        log.info("%s: %s", name, asdict(made))
+        if made.requests_not_repeated:
+            log.warning(
+                "%s: today's driver sends where that of the recording did not, or the other way round, "
+                "%d times; its frames may differ from the recorded ones",
+                name,
+                made.requests_not_repeated,
+            )
