@@ -66,7 +66,7 @@ class Simulators:
         self.endpoints = endpoints
         self.left_out: dict[str, int] = {}  # measurements not sent, by device; known at the end
 
-    def trouble(self) -> str:
+    def fault(self) -> str:
         """Why the demo cannot go on, "" while they run."""
         code = self._process.poll()
         return "" if code is None else f"the simulators ended with exit code {code}"
@@ -82,7 +82,7 @@ def demo(options: DemoOptions) -> dict[str, Any]:
     truth = options.out / "truth.txt"
     with simulators(options, truth) as fakes:
         config = demo_config(fakes.endpoints, options, _zenoh_port())
-        summary = run(config, options.seconds, options.out / "map", _tell_where_to_look, fakes.trouble)
+        summary = run(config, options.seconds, options.out / "map", _tell_where_to_look, fakes.fault)
     return {
         "seconds": round(summary.seconds, 1),
         "scans": summary.scans,

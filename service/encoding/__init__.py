@@ -11,7 +11,6 @@ import numpy as np
 
 from drivers.frames import NO_INTENSITY, GnssFix, ImuSample, LaserScan
 from drivers.link import RawChunk
-from service.encoding.controls import TAKE_IN, decode_control
 from service.encoding.frames import decode_frame, encode_frame, frame_id
 from service.encoding.outputs import (
     ERROR,
@@ -38,6 +37,7 @@ from service.encoding.outputs import (
     encode_tile,
 )
 from service.encoding.raw import decode_raw, encode_raw
+from service.encoding.steps import APPLY_RESULT, decode_step
 from service.encoding.wire import (
     BASE_FRAME,
     BYTES,
@@ -63,6 +63,7 @@ from service.geometry.se2 import SE2
 from service.outputs import Grid, MapperOutput
 
 __all__ = [
+    "APPLY_RESULT",
     "BASE_FRAME",
     "BYTES",
     "DIAGNOSTICS",
@@ -77,7 +78,6 @@ __all__ = [
     "OK",
     "STALE",
     "STRING",
-    "TAKE_IN",
     "TF",
     "WARNING",
     "LogClock",
@@ -85,7 +85,6 @@ __all__ = [
     "Pose",
     "Status",
     "Transform",
-    "decode_control",
     "decode_diagnostics",
     "decode_event",
     "decode_frame",
@@ -93,6 +92,7 @@ __all__ = [
     "decode_mountings",
     "decode_pose",
     "decode_raw",
+    "decode_step",
     "decode_transforms",
     "decode_upside_down",
     "encode_diagnostics",

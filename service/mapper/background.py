@@ -21,8 +21,8 @@ class BackEnd(Protocol):
     def work(self, batch: Any) -> Any: ...
 
 
-class Pending(Protocol):
-    """A piece of work that was handed out."""
+class Job(Protocol):
+    """One batch that was handed to a worker."""
 
     @property
     def ready(self) -> bool:
@@ -37,7 +37,7 @@ class Pending(Protocol):
 class Worker(Protocol):
     """Gives one back end its batches, in order."""
 
-    def submit(self, batch: Any) -> Pending:
+    def submit(self, batch: Any) -> Job:
         """Never waits and raises nothing."""
         ...
 
@@ -50,7 +50,7 @@ NewWorker = Callable[[BackEnd], Worker]
 
 
 class Done:
-    """Pending of what is done."""
+    """A Job that is done."""
 
     ready = True
 
@@ -97,7 +97,7 @@ class Errand:
 
     def __init__(self, worker: Worker) -> None:
         self._worker = worker
-        self._out: deque[Pending] = deque()
+        self._out: deque[Job] = deque()
         self.trouble = ""
 
     @property

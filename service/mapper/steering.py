@@ -164,7 +164,7 @@ class SteeredMapper:
         return self._mapper.graph.ready
 
     @property
-    def graph_trouble(self) -> str:
+    def graph_fault(self) -> str:
         """Why the graph does no work any more, "" while all is well."""
         return self._mapper.graph.trouble
 

@@ -23,9 +23,9 @@ from service.encoding import (
     ODOMETRY,
     STRING,
     Message,
-    decode_control,
     decode_frame,
     decode_pose,
+    decode_step,
     frame_id,
     read,
 )
@@ -151,7 +151,7 @@ class Session:
 
     def _control(self, event: Message) -> list[Step]:
         try:
-            control = decode_control(event.payload, event.log_ns)
+            control = decode_step(event.payload, event.log_ns)
         except InputError:
             self.counters[f"/{event.channel} unusable"] += 1
             return []

@@ -67,7 +67,7 @@ class BackEndProcess:
         self._answered = 0
         self._unwanted = 0  # up to here nobody waits for an answer any more
         self.pid: int | None = None  # of the process; None where there is none, or it is another's child
-        self.trouble = ""  # why it does nothing any more, "" while all is well
+        self.fault = ""  # why it does nothing any more, "" while all is well
 
     @property
     def channel(self) -> Channel | None:
@@ -78,10 +78,10 @@ class BackEndProcess:
     def is_at_work(self) -> bool:
         """Whether answers are still to come."""
         self._receive(0.0)
-        return self._answered < self._submitted and not self.trouble
+        return self._answered < self._submitted and not self.fault
 
     def new_worker(self, back_end: BackEnd) -> "ProcessWorker":
-        if self._channel is None and self._listener is None and not self.trouble:
+        if self._channel is None and self._listener is None and not self.fault:
             self._begin()
         self._unwanted = self._submitted
         self._answers.clear()
@@ -96,7 +96,7 @@ class BackEndProcess:
         if self.pid is not None:
             _kill(self.pid)
             self.pid = None
-        self.trouble = self.trouble or "the back end has been stopped"
+        self.fault = self.fault or "the back end has been stopped"
 
     def copy(self, path: Path) -> None:
         """Before a fork of this process: have the back end fork, too; its copy will come to `path`."""
@@ -106,7 +106,7 @@ class BackEndProcess:
         self._listener.bind(str(path))
         self._listener.listen(1)
         self._send(_Copy(str(path), self._answered))
-        if self.trouble:
+        if self.fault:
             self._close_listener()
 
     def forked(self, is_copy: bool) -> None:
@@ -128,9 +128,9 @@ class BackEndProcess:
 
     def is_ready(self, number: int) -> bool:
         """Whether `result` answers at once, be it with an error."""
-        if number > self._answered and not self.trouble:
+        if number > self._answered and not self.fault:
             self._receive(0.0)
-        return number <= self._answered or bool(self.trouble)
+        return number <= self._answered or bool(self.fault)
 
     def result(self, number: int) -> Any:
         """Raises WorkLostError."""
@@ -140,7 +140,7 @@ class BackEndProcess:
         self._left_s = max(self._left_s - (time.monotonic() - began_s), 0.0)
         if number in self._answers:
             return self._answers.pop(number)
-        raise WorkLostError(self.trouble or f"the back end did not finish within {self.patience_s:g} s")
+        raise WorkLostError(self.fault or f"the back end did not finish within {self.patience_s:g} s")
 
     def _begin(self) -> None:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -194,13 +194,13 @@ class BackEndProcess:
     def _died(self, error: ChannelClosedError) -> None:
         self._give_up(f"the back end's process died ({error})")
 
-    def _give_up(self, trouble: str) -> None:
+    def _give_up(self, fault: str) -> None:
         if self._channel is not None:
             self._channel.close()
             self._channel = None
-        if not self.trouble:
-            self.trouble = trouble
-            log.error("%s; mapping goes on without closing loops", trouble)
+        if not self.fault:
+            self.fault = fault
+            log.error("%s; mapping goes on without closing loops", fault)
 
 
 class ProcessWorker:
@@ -209,14 +209,14 @@ class ProcessWorker:
     def __init__(self, process: BackEndProcess) -> None:
         self._process = process
 
-    def submit(self, batch: Any) -> "ProcessPending":
-        return ProcessPending(self._process, self._process.submit(batch))
+    def submit(self, batch: Any) -> "ProcessJob":
+        return ProcessJob(self._process, self._process.submit(batch))
 
     def close(self) -> None: ...
 
 
-class ProcessPending:
-    """Pending of what the process does."""
+class ProcessJob:
+    """A Job of the process."""
 
     def __init__(self, process: BackEndProcess, number: int) -> None:
         self._process = process

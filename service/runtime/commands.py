@@ -9,7 +9,7 @@ from typing import Annotated, Any, Protocol
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.encoding import Message
-from service.encoding.controls import decode_control
+from service.encoding.steps import decode_step
 from service.mapper.steering import Steering, Wish
 from service.mapstore.tiles import TileStore
 from service.publishing.commands import CommandError, Outcome, Request, Verb
@@ -77,17 +77,17 @@ class Commands:
 
     def verbs(self) -> dict[str, Verb]:
         return {
-            "pause": self._verb("pause", partial(self._steer, "pause")),
-            "resume": self._verb("resume", partial(self._steer, "resume")),
+            "pause": self._verb("pause", partial(self._request_session, "pause")),
+            "resume": self._verb("resume", partial(self._request_session, "resume")),
             "reset_map": self._verb("reset_map", self._reset_map),
             "save_map": self._verb("save_map", self._save_map),
             "start_recording": self._verb("start_recording", self._start_recording),
             "stop_recording": self._verb("stop_recording", self._stop_recording),
             "mark": self._verb("mark", self._mark, MarkRequest),
-            "add_landmark_pair": self._wish("add_landmark_pair", PairRequest),
-            "remove_landmark_pair": self._wish("remove_landmark_pair", PairNumberRequest),
-            "optimize": self._wish("optimize"),
-            "undo": self._wish("undo"),
+            "add_landmark_pair": self._graph_verb("add_landmark_pair", PairRequest),
+            "remove_landmark_pair": self._graph_verb("remove_landmark_pair", PairNumberRequest),
+            "optimize": self._graph_verb("optimize"),
+            "undo": self._graph_verb("undo"),
         }
 
     def close(self) -> None:
@@ -107,15 +107,15 @@ class Commands:
 
         return Verb(request, start)
 
-    def _wish(self, name: str, request: type[Request] = Request) -> Verb:
+    def _graph_verb(self, name: str, request: type[Request] = Request) -> Verb:
         """A verb for the graph of the profile that maps."""
         return self._verb(name, partial(self._ask_graph, name), request)
 
     def _ask_graph(self, name: str, event: Message, outcome: Outcome) -> None:
         """Recorded even if it is refused: a replay refuses it at the same place."""
         self._put(event)
-        wish = decode_control(event.payload, event.log_ns)
-        assert isinstance(wish, Wish)
+        request = decode_step(event.payload, event.log_ns)
+        assert isinstance(request, Wish)
 
         def answered(answer: Answer) -> None:
             if answer.error:
@@ -123,19 +123,19 @@ class Commands:
             else:
                 outcome.done(**answer.result)
 
-        self._intake.wish(name, wish.payload, event.log_ns, answered)
+        self._intake.request_graph(name, request.payload, event.log_ns, answered)
 
-    def _steer(self, steering: Steering, event: Message, outcome: Outcome) -> None:
+    def _request_session(self, action: Steering, event: Message, outcome: Outcome) -> None:
         self._put(event)
-        self._intake.steer(steering, event.log_ns, lambda answer: outcome.done(changed=answer.result))
+        self._intake.request_session(action, event.log_ns, lambda answer: outcome.done(changed=answer.result))
 
     def _reset_map(self, event: Message, outcome: Outcome) -> None:
         """Answered when the map before is on disk."""
         self._put(event)
 
-        def saved(before: Path | None, present: SavedMap | None, trouble: str) -> None:
-            if trouble:
-                outcome.failed(f"the map is reset, but the one before is not saved yet: {trouble}")
+        def saved(before: Path | None, present: SavedMap | None, fault: str) -> None:
+            if fault:
+                outcome.failed(f"the map is reset, but the one before is not saved yet: {fault}")
             else:
                 outcome.done(folder=str(self._storage.folder), folder_before=_text(before))
 
@@ -145,20 +145,20 @@ class Commands:
             before = self._storage.folder_of(number) if self._tiles.number != number else None
             self._storage.ask_to_save(partial(saved, before))
 
-        self._intake.steer("reset_map", event.log_ns, answered)
+        self._intake.request_session("reset_map", event.log_ns, answered)
 
     def _save_map(self, event: Message, outcome: Outcome) -> None:
         self._put(event)
 
-        def saved(present: SavedMap | None, trouble: str) -> None:
-            if trouble:
-                outcome.failed(trouble)
+        def saved(present: SavedMap | None, fault: str) -> None:
+            if fault:
+                outcome.failed(fault)
             elif present is None:
                 outcome.failed("there is no map yet; it begins with the first scan that is mapped")
             else:
                 outcome.done(folder=str(present.folder), version=present.number, map_version=present.version)
 
-        self._intake.tiles(event.log_ns, lambda answer: self._storage.ask_to_save(saved))
+        self._intake.request_tiles(event.log_ns, lambda answer: self._storage.ask_to_save(saved))
 
     def _start_recording(self, event: Message, outcome: Outcome) -> None:
         self._recorder.begin_session(event, partial(self._recording_changed, outcome))

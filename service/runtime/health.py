@@ -167,8 +167,8 @@ class HealthReport:
         if self._intake.paused:
             values["state"] = "paused"
             return Status("mapping", WARNING, "paused by a command; scans are recorded, not mapped", values)
-        if outputs.graph_trouble:
-            values["graph_trouble"] = outputs.graph_trouble
+        if outputs.graph_fault:
+            values["graph_fault"] = outputs.graph_fault
         if last is None:
             lasers = " or ".join(outputs.lasers)
             words = f"no scan of {lasers} mapped yet" if lasers else "no laser is mapped"
@@ -184,8 +184,8 @@ class HealthReport:
         if overload := outputs.overload():
             values["state"] = "overloaded"
             return Status("mapping", max(level, WARNING), overload, values)
-        if level == OK and outputs.graph_trouble:
-            level, words = WARNING, f"no loops are closed: {outputs.graph_trouble}"
+        if level == OK and outputs.graph_fault:
+            level, words = WARNING, f"no loops are closed: {outputs.graph_fault}"
         return Status("mapping", level, words, values)
 
     def _gnss(self, now_ns: int) -> list[Status]:

@@ -15,7 +15,7 @@ from service.encoding import LogClock, Message, encode_event, encode_frame
 from service.mapper.steering import Steering
 from service.runtime.host_time import HostTime
 from service.runtime.mapper_link import MapperLink
-from service.runtime.mapper_messages import Answer, FrameItem, SteerItem, TilesItem, WishItem
+from service.runtime.mapper_messages import Answer, FrameItem, GraphItem, SessionItem, TilesItem
 
 Answered = Callable[[Answer], None]
 
@@ -59,7 +59,7 @@ class Intake:
     def mark(self, event: Mapping[str, Any], then: Callable[[Message], None]) -> str:
         """Put an event among the frames; `then` takes it, encoded, before any later frame is recorded.
 
-        Why that was not done, "" if it was. `then` waits for nothing and may call steer, wish and tiles.
+        Why that was not done, "" if it was. `then` waits for nothing and may call the three requests below.
         """
         with self._lock:
             if self._is_closed:
@@ -67,17 +67,17 @@ class Intake:
             then(self._event(event))
             return ""
 
-    def steer(self, steering: Steering, log_ns: int, answered: Answered) -> None:
+    def request_session(self, action: Steering, log_ns: int, answered: Answered) -> None:
         """Within `then` of a mark: pause, resume or reset the mapper at its place."""
-        if steering != "reset_map":
-            self.paused = steering == "pause"
-        self._link.submit(SteerItem(self._link.next_number(), log_ns, steering), answered)
+        if action != "reset_map":
+            self.paused = action == "pause"
+        self._link.submit(SessionItem(self._link.next_number(), log_ns, action), answered)
 
-    def wish(self, name: str, payload: Mapping[str, Any], log_ns: int, answered: Answered) -> None:
+    def request_graph(self, name: str, payload: Mapping[str, Any], log_ns: int, answered: Answered) -> None:
         """Within `then` of a mark: ask the graph for something."""
-        self._link.submit(WishItem(self._link.next_number(), log_ns, name, payload), answered)
+        self._link.submit(GraphItem(self._link.next_number(), log_ns, name, payload), answered)
 
-    def tiles(self, log_ns: int, answered: Answered) -> None:
+    def request_tiles(self, log_ns: int, answered: Answered) -> None:
         """Within `then` of a mark: have all tiles up to it handed over."""
         self._link.submit(TilesItem(self._link.next_number(), log_ns), answered)
 

@@ -38,10 +38,10 @@ from service.runtime.mapper_messages import (
     PassedOver,
     Progress,
     Ready,
+    ResultApplied,
     Setup,
     Status,
     Tiles,
-    TookIn,
     Unusable,
 )
 
@@ -55,7 +55,7 @@ MOST_DEATHS = 4  # without an item done in between: then the service ends with a
 STANDBY_S = 5.0  # that a stand-by which has just been made may take to come here
 END_S = 2.0
 
-Heard = Mapped | PassedOver | TookIn | Unusable | Tiles | Status
+Heard = Mapped | PassedOver | ResultApplied | Unusable | Tiles | Status
 
 
 class MapperListener(Protocol):
@@ -99,7 +99,7 @@ class MapperLink:
         self._unidentified: list[Channel] = []  # connected, and have not said who they are
         self._standby: tuple[Channel, Hello] | None = None
         self._done_number = 0
-        self._took_in: dict[int, int] = {}
+        self._applied: dict[int, int] = {}
         self._passed_over: set[int] = set()
         self._refused: set[int] = set()
         self._heard_s = 0.0
@@ -263,7 +263,7 @@ class MapperLink:
         with self._lock:
             while self._kept and self._kept[0].number <= number:
                 self._kept.popleft()
-        self._took_in = {n: count for n, count in self._took_in.items() if n > number}
+        self._applied = {n: count for n, count in self._applied.items() if n > number}
         self._passed_over = {n for n in self._passed_over if n > number}
 
     def _hear(self, active: Channel) -> None:
@@ -291,8 +291,8 @@ class MapperLink:
             return
         if isinstance(message, Status):
             self._taken_number = message.number
-        elif isinstance(message, TookIn):
-            self._took_in[message.number] = self._took_in.get(message.number, 0) + 1
+        elif isinstance(message, ResultApplied):
+            self._applied[message.number] = self._applied.get(message.number, 0) + 1
         elif isinstance(message, Mapped | PassedOver | Unusable | Answer):
             self._done_number = self._taken_number = message.number
             if isinstance(message, PassedOver):
@@ -380,7 +380,7 @@ class MapperLink:
             hello.number,
             self._number,
         )
-        decisions = Decisions(self._took_in, frozenset(self._passed_over), frozenset(self._refused))
+        decisions = Decisions(self._applied, frozenset(self._passed_over), frozenset(self._refused))
         self._listener.taken_over(how)
         with self._lock:
             self._active, self._pid, self._heard_s = channel, hello.pid, time.monotonic()

@@ -1,8 +1,8 @@
 """What ingest and the mapper's process say to each other; see docs/decisions/0012-two-processes.md.
 
 Everything that ingest hands to the mapper has a number, one more than the last, and is taken in that order.
-Numbers, and what the mapper decided by the clock (`TookIn`, `PassedOver`), are all that a stand-by needs to
-go the same way again.
+Numbers, and what the mapper decided by the clock (`ResultApplied`, `PassedOver`), are all that a stand-by
+needs to go the same way again.
 """
 
 from collections.abc import Mapping
@@ -27,16 +27,16 @@ class FrameItem(NamedTuple):
     payload: bytes
 
 
-class SteerItem(NamedTuple):
-    """Pause, resume or reset the mapper."""
+class SessionItem(NamedTuple):
+    """A request to the mapping session: pause, resume, reset."""
 
     number: int
     log_ns: int
-    steering: Steering
+    action: Steering
 
 
-class WishItem(NamedTuple):
-    """What a person asks the graph for."""
+class GraphItem(NamedTuple):
+    """A request to the graph."""
 
     number: int
     log_ns: int
@@ -51,13 +51,13 @@ class TilesItem(NamedTuple):
     log_ns: int
 
 
-Item = FrameItem | SteerItem | WishItem | TilesItem
+Item = FrameItem | SessionItem | GraphItem | TilesItem
 
 
 class Decisions(NamedTuple):
     """What the mapper that died had decided by the clock, by the number of the item it stood before."""
 
-    took_in: Mapping[int, int]  # pieces of the graph's work that it brought in
+    applied: Mapping[int, int]  # how many results of the graph's back end it applied
     passed_over: frozenset[int]
     refused: frozenset[int]  # frames that a mapper died of
 
@@ -131,12 +131,12 @@ class PassedOver(NamedTuple):
     age_ns: int
 
 
-class TookIn(NamedTuple):
-    """A piece of the graph's work was brought in before the item of this number, or is lost."""
+class ResultApplied(NamedTuple):
+    """A result of the graph's back end was applied before the item of this number, or is lost."""
 
     number: int
     log_ns: int
-    trouble: str
+    fault: str
 
 
 class Unusable(NamedTuple):
@@ -148,7 +148,7 @@ class Unusable(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """To a SteerItem (whether that changed anything), a WishItem, a TilesItem."""
+    """To a SessionItem (whether that changed anything), a GraphItem, a TilesItem."""
 
     number: int
     result: Any
@@ -179,6 +179,6 @@ class Status:
 
     number: int  # the last item that it has taken
     counters: Mapping[str, int] = field(default_factory=dict)
-    graph_trouble: str = ""
+    graph_fault: str = ""
     geo_reference: GeoReference | None = None  # where the map lies on the earth
     cpu_s: float = 0.0  # of the process since its start

@@ -106,9 +106,9 @@ class MapperProcess:
         if self._channel not in wait_for(ends, timeout_s):
             return
         for message in self._channel.receive():
-            self._take_in(message)
+            self._take_message(message)
 
-    def _take_in(self, message: Any) -> None:
+    def _take_message(self, message: Any) -> None:
         if isinstance(message, Finish):
             self._is_finishing = True
         elif isinstance(message, MakeStandby):
@@ -167,7 +167,7 @@ class MapperProcess:
         self._copy()  # it may be needed before everything has come again
         self._copy_due_s = 0.0  # and once more when it has
         for message in items:
-            self._take_in(message)
+            self._take_message(message)
 
 
 def connect(folder: Path) -> Channel:

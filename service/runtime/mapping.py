@@ -15,15 +15,15 @@ from service.runtime.mapper_messages import (
     Decisions,
     FrameItem,
     Go,
+    GraphItem,
     Item,
     Mapped,
     PassedOver,
+    ResultApplied,
+    SessionItem,
     Status,
-    SteerItem,
     Tiles,
-    TookIn,
     Unusable,
-    WishItem,
 )
 
 TILE_INTERVAL_NS = 200_000_000
@@ -44,8 +44,8 @@ class MappingLoop:
     """Owns the mapper and takes items in the order of their numbers; what comes of them goes to `send`.
 
     It maps what the recording holds, so a replay of the file gives the same poses. Two things are decided by
-    the clock: when finished work of the graph comes in, and which scans are too old to be mapped. Both are
-    told, and the recording holds them.
+    the clock: when a result of the graph's back end is applied, and which scans are too old to be mapped.
+    Both are told, and the recording holds them.
     """
 
     def __init__(
@@ -76,15 +76,15 @@ class MappingLoop:
 
     def take(self, item: Item) -> None:
         """Raises MapperError."""
-        self._take_in_before(item)
+        self._apply_results_before(item)
         if isinstance(item, FrameItem):
             self._take_frame(item)
-        elif isinstance(item, SteerItem):
-            if item.steering == "reset_map":
+        elif isinstance(item, SessionItem):
+            if item.action == "reset_map":
                 self.hand_over_tiles()  # they are of the map before
-            self._tell(item.number, Answer(item.number, self.mapper.steer(item.steering)))
-        elif isinstance(item, WishItem):
-            self._tell(item.number, self._wish(item))
+            self._tell(item.number, Answer(item.number, self.mapper.steer(item.action)))
+        elif isinstance(item, GraphItem):
+            self._tell(item.number, self._request(item))
         else:
             self.hand_over_tiles()
             self._tell(item.number, Answer(item.number, None))
@@ -112,7 +112,7 @@ class MappingLoop:
             Status(
                 number=self.number,
                 counters=dict(self.mapper.counters),
-                graph_trouble=self.mapper.graph_trouble,
+                graph_fault=self.mapper.graph_fault,
                 geo_reference=self.mapper.geo_reference,
                 cpu_s=time.process_time(),
             )
@@ -128,12 +128,12 @@ class MappingLoop:
         self.hand_over_tiles()
         self.tell_status()
 
-    def _take_in_before(self, item: Item) -> None:
-        for _ in range(self._decided.took_in.get(item.number, 0)):
+    def _apply_results_before(self, item: Item) -> None:
+        for _ in range(self._decided.applied.get(item.number, 0)):
             self.mapper.take_in()
         if item.number > self._done_number and self.mapper.work_ready:
             self.mapper.take_in()
-            self._send(TookIn(item.number, item.log_ns, self.mapper.graph_trouble))
+            self._send(ResultApplied(item.number, item.log_ns, self.mapper.graph_fault))
 
     def _take_frame(self, item: FrameItem) -> None:
         if item.number in self._decided.refused:
@@ -195,7 +195,7 @@ class MappingLoop:
                 raise MapperError(item.number, words)
         return output
 
-    def _wish(self, item: WishItem) -> Answer:
+    def _request(self, item: GraphItem) -> Answer:
         try:
             return Answer(item.number, self.mapper.wish(item.name, item.payload))
         except WishError as error:

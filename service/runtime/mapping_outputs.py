@@ -7,12 +7,20 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from service.encoding import TAKE_IN, Message, encode_event
+from service.encoding import APPLY_RESULT, Message, encode_event
 from service.geometry.geo_reference import GeoReference
 from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
 from service.runtime.mapper_link import Heard
-from service.runtime.mapper_messages import FrameItem, Mapped, PassedOver, Status, Tiles, TookIn, Unusable
+from service.runtime.mapper_messages import (
+    FrameItem,
+    Mapped,
+    PassedOver,
+    ResultApplied,
+    Status,
+    Tiles,
+    Unusable,
+)
 from service.runtime.metrics import LatencyHistogram
 
 OVERLOAD_NS = 1_000_000_000  # so long after a scan that was passed over the service counts as overloaded
@@ -46,7 +54,7 @@ class MappingOutputs:
         self._overloaded_since_ns: int | None = None
         self._oldest_age_ns = 0  # of the scans passed over since then
         self.counters: Mapping[str, int] = {}  # the mapper's own: scans, scans_dropped_late ...
-        self.graph_trouble = ""  # why no loop is closed any more, "" while all is well
+        self.graph_fault = ""  # why no loop is closed any more, "" while all is well
         self.last: Mapped | None = None
         self.last_ns = 0  # when that came, host monotonic
         self.geo_reference: GeoReference | None = None
@@ -68,7 +76,7 @@ class MappingOutputs:
                 self._take_tiles(message)
             case Status():
                 self._take_status(message)
-            case TookIn():
+            case ResultApplied():
                 self._graph_worked(message)
             case PassedOver():
                 self._left_out(message)
@@ -123,7 +131,7 @@ class MappingOutputs:
             self._put(stamped, mapped.arrived_ns if k == 0 else None)
 
     def _take_status(self, status: Status) -> None:
-        self.counters, self.graph_trouble = status.counters, status.graph_trouble
+        self.counters, self.graph_fault = status.counters, status.graph_fault
         self.cpu_s = self._cpu_before_s + status.cpu_s
         if status.geo_reference != self.geo_reference:
             self.geo_reference = status.geo_reference
@@ -134,9 +142,9 @@ class MappingOutputs:
         self._tiles.update(tiles)
         self._put_tiles(tiles, message.stamp_ns)
 
-    def _graph_worked(self, message: TookIn) -> None:
-        trouble = message.trouble
-        event = {"event": "graph_lost", "reason": trouble} if trouble else {"event": TAKE_IN}
+    def _graph_worked(self, message: ResultApplied) -> None:
+        fault = message.fault
+        event = {"event": "graph_lost", "reason": fault} if fault else {"event": APPLY_RESULT}
         self._put_before(message.log_ns, event)
 
     def _left_out(self, message: PassedOver) -> None:

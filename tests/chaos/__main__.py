@@ -31,16 +31,16 @@ def main() -> int:
     began_s = time.monotonic()
     print(f"{'device':17} {'fault':15} {'times':>5} {'harmed':>6} {'links':>5} {'frames':>6} {'gap s':>6}")
     for row in campaign(options.seconds, options.seed, options.only or list(BENCHES)):
-        failed += bool(row.trouble)
+        failed += bool(row.defect)
         print(
             f"{row.device:17} {row.faults:15} {row.times:5} {row.harmed:6} {row.connects:5} {row.frames:6} "
-            f"{row.longest_gap_s:6.2f}  {row.trouble or 'ok'}",
+            f"{row.longest_gap_s:6.2f}  {row.defect or 'ok'}",
             flush=True,
         )
     if options.machine_seconds:
-        trouble, rmse_m = run_machine(options.machine_seconds, options.seed)
-        failed += bool(trouble)
-        print(f"whole machine, {options.machine_seconds:g} s of all kinds: {trouble or 'ok'}, {rmse_m} m off")
+        defect, rmse_m = run_machine(options.machine_seconds, options.seed)
+        failed += bool(defect)
+        print(f"whole machine, {options.machine_seconds:g} s of all kinds: {defect or 'ok'}, {rmse_m} m off")
     print(f"{failed} did not come back; {time.monotonic() - began_s:.0f} s, seed {options.seed}")
     return int(failed > 0)
 

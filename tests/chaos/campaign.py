@@ -70,7 +70,7 @@ def kinds_for(bench: Bench) -> list[str]:
 
 @dataclass(frozen=True)
 class Row:
-    """What became of one device. `trouble` is "" where it came back as it was."""
+    """What became of one device. `defect` is "" where it came back as it was."""
 
     device: str
     faults: str
@@ -79,19 +79,19 @@ class Row:
     connects: int
     frames: int
     longest_gap_s: float
-    trouble: str
+    defect: str
 
 
 def run_one(name: str, what: str, lines: list[str], seconds: float, seed: int) -> Row:
     """That many seconds of faults, then calm; is all as it was before?"""
     link = linked(name, *lines, seed=seed)
-    trouble = ""
+    defect = ""
     try:
         before = link.run(CALM_BEFORE_S)
         link.run(seconds - CALM_BEFORE_S + CALM_AFTER_S)
-        trouble = _compare(BENCHES[name], link, before, link.run(WATCH_S))
+        defect = _compare(BENCHES[name], link, before, link.run(WATCH_S))
     except Exception as error:  # a driver may raise what drivers.link catches, which ended there, and no more
-        trouble = f"{type(error).__name__}: {error}"
+        defect = f"{type(error).__name__}: {error}"
     counters = link.device.counters
     return Row(
         name,
@@ -101,7 +101,7 @@ def run_one(name: str, what: str, lines: list[str], seconds: float, seed: int) -
         link.connects,
         len(link.frames),
         _longest_gap_s(link),
-        trouble,
+        defect,
     )
 
 

@@ -11,7 +11,7 @@ from service import encoding
 from service.encoding import LogClock, Status, encode_frame
 from service.errors import InputError
 from service.geometry.se2 import SE2
-from service.mapper.steering import Control
+from service.mapper.steering import Control, TakeIn
 from service.outputs import Grid, MapperOutput, TileUpdate
 from tests.service.test_encoding import STORE, T0_NS, serialized
 
@@ -148,22 +148,28 @@ def test_diagnostics_and_events_survive():
 
 
 @pytest.mark.parametrize("what", ["pause", "resume", "reset_map"])
-def test_a_wish_to_the_mapper_is_read_from_its_event(what):
+def test_a_request_to_the_mapper_is_read_from_its_event(what):
     event = encoding.encode_event(f'{{"event": "{what}", "id": "7"}}', T0_NS, T0_NS)
-    assert encoding.decode_control(event.payload, T0_NS + 3) == Control(what, T0_NS + 3)
+    assert encoding.decode_step(event.payload, T0_NS + 3) == Control(what, T0_NS + 3)
+
+
+@pytest.mark.parametrize("name", ["apply_result", "take_in"])
+def test_a_result_applied_is_read_by_its_name_and_by_that_of_older_recordings(name):
+    event = encoding.encode_event(f'{{"event": "{name}"}}', T0_NS, T0_NS)
+    assert encoding.decode_step(event.payload, T0_NS + 3) == TakeIn(T0_NS + 3)
 
 
 @pytest.mark.parametrize(
     "text", ['{"event": "mark", "text": "pause"}', '["pause"]', '{"event": ["pause"]}', "1"]
 )
-def test_other_events_are_no_wishes(text):
-    assert encoding.decode_control(encoding.encode_event(text, 1, 1).payload, 1) is None
+def test_other_events_are_no_requests(text):
+    assert encoding.decode_step(encoding.encode_event(text, 1, 1).payload, 1) is None
 
 
 @pytest.mark.parametrize("text", ["pause", "", "[" * 100_000])
 def test_an_event_that_is_no_json_is_bad_input(text):
     with pytest.raises(InputError, match="an event that is no JSON"):
-        encoding.decode_control(encoding.encode_event(text, 1, 1).payload, 1)
+        encoding.decode_step(encoding.encode_event(text, 1, 1).payload, 1)
 
 
 def test_type_hashes_are_those_of_ros_2_jazzy():

@@ -11,7 +11,7 @@ def faults(text: str) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("value", "complaint"),
+    ("value", "diagnostic"),
     [
         ("no", 'YAML takes no for false; write false, or quote it: "no"'),
         ("On", 'YAML takes On for true; write true, or quote it: "On"'),
@@ -33,11 +33,11 @@ def faults(text: str) -> list[str]:
         ),
     ],
 )
-def test_surprises_of_yaml_are_faults_with_advice(value: str, complaint: str):
-    if complaint == value:
+def test_surprises_of_yaml_are_faults_with_advice(value: str, diagnostic: str):
+    if diagnostic == value:
         assert load(f"a: {value}").value == {"a": float(value)}
     else:
-        assert faults(f"a: {value}") == [f"f.yaml:1:4: a: {complaint}"]
+        assert faults(f"a: {value}") == [f"f.yaml:1:4: a: {diagnostic}"]
 
 
 def test_what_is_quoted_is_text():

@@ -41,7 +41,7 @@ def streaming(kind: SensorKind, config: Any, seen: Probe) -> list[Finding]:
         found.append(slow)
     for part in seen.status.split("; ")[1:]:
         if any(word in part for word in kind.advice.worries):
-            found.append(fault(config.name, f"the device reports: {part}", "no complaint", _page(config)))
+            found.append(fault(config.name, f"the device reports: {part}", "no fault", _page(config)))
     if losses := seen.losses:
         counted = ", ".join(f"{name} {count}" for name, count in losses.items())
         found.append(

@@ -1,4 +1,4 @@
-"""What every client script shares: the facts it is given, how it complains, how it says what it saw."""
+"""What every client script shares: the facts it is given, how it reports a fault, how it says what it saw."""
 
 import json
 import sys

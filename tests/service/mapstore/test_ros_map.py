@@ -60,7 +60,7 @@ def test_comments_in_a_pgm_are_skipped(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("content", "complaint"),
+    ("content", "diagnostic"),
     [
         (b"P2\n1 1\n255\n0", "not with the header of a binary PGM"),
         (b"P5\n1", "not with the header of a binary PGM"),
@@ -68,9 +68,9 @@ def test_comments_in_a_pgm_are_skipped(tmp_path):
         (b"P5\n1 1\n65535\nab", "up to 65535"),
     ],
 )
-def test_a_broken_pgm_is_refused_by_name(tmp_path, content, complaint):
+def test_a_broken_pgm_is_refused_by_name(tmp_path, content, diagnostic):
     (tmp_path / "a.pgm").write_bytes(content)
-    with pytest.raises(InputError, match=complaint) as caught:
+    with pytest.raises(InputError, match=diagnostic) as caught:
         read_pgm(tmp_path / "a.pgm")
     assert str(tmp_path / "a.pgm") in str(caught.value)
 

@@ -163,7 +163,7 @@ def test_maps_are_handed_out_whole_one_after_another():
     assert store.take()[0] == []
 
 
-def test_a_map_too_large_for_a_picture_is_no_trouble_to_the_next():
+def test_a_map_too_large_for_a_picture_is_no_fault_to_the_next():
     store = TileStore()
     store.update([tile(0, 0, 1), tile(100_000, 100_000, 2)])
     with pytest.raises(StorageError, match="one picture holds at most"):

@@ -228,17 +228,17 @@ def test_near_is_for_relations_only(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "complaint"),
+    ("text", "diagnostic"),
     [
         ("1.0 2.0 3.0\n", r"t\.relations:1: 3 columns; expected 8: stamp1 stamp2"),
         ("1.0 2.0 0 0 0 0 0 0\n1.0 x 0 0 0 0 0 0\n", r"t\.relations:2: 'x' is no time"),
         ("# nothing\n", "no relation in it"),
     ],
 )
-def test_a_bad_relations_file_is_refused_by_line(tmp_path, text, complaint):
+def test_a_bad_relations_file_is_refused_by_line(tmp_path, text, diagnostic):
     estimate = tum(tmp_path / "e.tum", [0, S], [SE2(), SE2(1.0)])
     (tmp_path / "t.relations").write_text(text)
-    with pytest.raises(InputError, match=complaint):
+    with pytest.raises(InputError, match=diagnostic):
         score(estimate, tmp_path / "t.relations")
 
 

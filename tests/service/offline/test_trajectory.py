@@ -49,7 +49,7 @@ GOOD = "1.0 0 0 0 0 0 0 1\n# comment\n\n2.0 1 0 0 0 0 0 1\n"
 
 
 @pytest.mark.parametrize(
-    ("line", "complaint"),
+    ("line", "diagnostic"),
     [
         ("3.0 1 2 3", r"a\.tum:5: 4 columns; expected 8: stamp tx ty"),
         ("3.0 1 2 x 0 0 0 1", r"a\.tum:5: could not convert string to float: 'x'"),
@@ -59,10 +59,10 @@ GOOD = "1.0 0 0 0 0 0 0 1\n# comment\n\n2.0 1 0 0 0 0 0 1\n"
         ("t 1 2 0 0 0 0 1", r"a\.tum:5: 't' is no time"),
     ],
 )
-def test_a_bad_line_is_named(tmp_path, line, complaint):
+def test_a_bad_line_is_named(tmp_path, line, diagnostic):
     path = tmp_path / "a.tum"
     path.write_text(GOOD + line + "\n")
-    with pytest.raises(InputError, match=complaint):
+    with pytest.raises(InputError, match=diagnostic):
         read_tum(path)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from service.mapper.background import WorkLostError
 from service.runtime import back_end
-from service.runtime.back_end import BackEndProcess, ProcessPending, ProcessWorker
+from service.runtime.back_end import BackEndProcess, ProcessJob, ProcessWorker
 
 
 class Adder:
@@ -109,7 +109,7 @@ def test_the_copy_of_a_back_end_knows_all_up_to_the_copy_and_nothing_after(
     process._listener, copy._channel = None, None
     assert on_the_way.result()[0] == 11
     assert worker.submit(100).result()[0] == 111
-    assert ProcessPending(copy, 2).result()[0] == 11
+    assert ProcessJob(copy, 2).result()[0] == 11
     total, pid = ProcessWorker(copy).submit(1000).result()
     assert (total, pid != process.pid) == (1011, True)
     copy.stop()

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from service.encoding import STRING, LogClock, Message, decode_event
-from service.encoding.controls import decode_control
+from service.encoding.steps import decode_step
 from service.mapper.steering import SteeredMapper, Wish
 from service.mapstore.config import MapConfig
 from service.mapstore.files import load_map
@@ -155,7 +155,7 @@ def test_wishes_to_the_graph_stand_in_the_recording_and_are_answered_by_it(machi
         {"event": "undo"},
         {"event": "remove_landmark_pair", "pair": 1},
     ]
-    steps = [decode_control(m.payload, m.log_ns) for m in Recording([session]).messages(["/events"])]
+    steps = [decode_step(m.payload, m.log_ns) for m in Recording([session]).messages(["/events"])]
     assert [(step.name, step.payload) for step in steps if isinstance(step, Wish)] == [
         ("add_landmark_pair", pair),
         ("optimize", {}),

@@ -22,7 +22,7 @@ def streaming(frames: int = 100, last_frame_ns: int = 10 * S) -> LinkHealth:
 def report(link: LinkHealth, **parts: Any) -> HealthReport:
     """A report on parts that only have what it looks at."""
     outputs = SimpleNamespace(
-        graph_trouble="",
+        graph_fault="",
         counters={"scans": 90, "scans_dropped_late": 2, "samples_dropped_late": 1},
         states=Counter(ok=90),
         unusable=Counter(),
@@ -182,7 +182,7 @@ def test_commands_are_counted():
 def test_a_graph_that_does_no_work_is_a_warning():
     made = report(streaming())
     made._outputs.last = Mapped(1, 1, 1, "ok", "", 0.9, 1, ())
-    made._outputs.graph_trouble = "the process died"
+    made._outputs.graph_fault = "the process died"
     told = status(made, "mapping")
     assert (told.level, told.message) == (WARNING, "no loops are closed: the process died")
 

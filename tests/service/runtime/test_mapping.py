@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
-from service.encoding import LogClock, Message, decode_control, decode_event, decode_frame, decode_pose
+from service.encoding import LogClock, Message, decode_event, decode_frame, decode_pose, decode_step
 from service.geometry.se2 import SE2
 from service.mapper.components import FinishedGraph, GraphUpdate
 from service.mapper.graph.no_graph import NoGraph
@@ -17,7 +17,16 @@ from service.mapstore.tiles import TileStore
 from service.outputs import UNKNOWN, MapperOutput, TileUpdate
 from service.runtime.host_time import HostTime
 from service.runtime.intake import Intake
-from service.runtime.mapper_messages import Answer, Decisions, Go, Mapped, PassedOver, Status, Tiles, TookIn
+from service.runtime.mapper_messages import (
+    Answer,
+    Decisions,
+    Go,
+    Mapped,
+    PassedOver,
+    ResultApplied,
+    Status,
+    Tiles,
+)
 from service.runtime.mapping import MOST_AGE_NS, MapperError, MappingLoop
 from service.runtime.mapping_outputs import MappingOutputs
 from tests.service.runtime.inline_link import InlineLink
@@ -44,7 +53,7 @@ class FakeMapper:
         self.graph = graph or NoGraph()
 
     def take_in(self) -> None:
-        self.eaten.append("take_in")  # type: ignore[arg-type]
+        self.eaten.append("apply_result")  # type: ignore[arg-type]
         self.graph.take_in()
 
     def finish(self) -> FinishedGraph:
@@ -108,15 +117,15 @@ class Run:
             self.intake.put(frame)
         return self
 
-    def steer(self, steering: str) -> list[Answer]:
+    def request(self, action: str) -> list[Answer]:
         """What the mapper answers to a command that is recorded as it is carried out."""
         answers: list[Answer] = []
 
         def carry_out(event: Message) -> None:
             self._put(event)
-            self.intake.steer(steering, event.log_ns, answers.append)  # type: ignore[arg-type]
+            self.intake.request_session(action, event.log_ns, answers.append)  # type: ignore[arg-type]
 
-        assert self.intake.mark({"event": steering}, carry_out) == ""
+        assert self.intake.mark({"event": action}, carry_out) == ""
         return answers
 
     def channels(self) -> list[str]:
@@ -236,7 +245,7 @@ def test_a_scan_that_has_waited_too_long_is_passed_over_and_the_recording_says_s
     assert [m.channel for m in run.recorded].count("front/scan") == 3
     (event,) = [m for m in run.recorded if m.channel == "events"]
     assert event.log_ns - OFFSET_NS == 59  # right before its scan
-    assert decode_control(event.payload, event.log_ns) == LeftOut("front", "old", event.log_ns)
+    assert decode_step(event.payload, event.log_ns) == LeftOut("front", "old", event.log_ns)
     assert run.outputs.passed_over == {"front": 1}
     assert "1 scans of the last second were passed over, having waited up to 50 ms" in run.outputs.overload()
     run.link.now_ns += 10**9 + 1
@@ -251,7 +260,7 @@ def test_a_scan_may_be_two_periods_old_where_that_is_more():
 
 def test_in_a_pause_no_scan_is_too_old():
     run = Run(FakeMapper())
-    run.steer("pause")
+    run.request("pause")
     run.put(scan(40, 60, [1.0, 2.0]), waits_ns=10**9)
     assert run.outputs.overload() == ""
 
@@ -259,9 +268,9 @@ def test_in_a_pause_no_scan_is_too_old():
 def test_a_command_is_carried_out_between_the_frames_it_came_between():
     mapper = FakeMapper()
     run = Run(mapper).put(scan(10, 10, [1.0, 2.0]))
-    assert [answer.result for answer in run.steer("pause")] == [True]
+    assert [answer.result for answer in run.request("pause")] == [True]
     run.put(scan(20, 20, [1.0, 2.0]))
-    assert [answer.result for answer in run.steer("resume")] == [True]
+    assert [answer.result for answer in run.request("resume")] == [True]
     run.put(scan(40, 40, [1.0, 2.0]))
     assert run.channels() == ["front/scan", "pose", "events", "front/scan", "events", "front/scan", "pose"]
     events = [decode_event(m.payload) for m in run.recorded if m.channel == "events"]
@@ -275,7 +284,7 @@ def test_a_command_is_carried_out_between_the_frames_it_came_between():
 
 def test_a_reset_empties_the_map_for_all_and_versions_go_on():
     run = Run(FakeMapper()).put(scan(10, 10, [1.0, 2.0]), scan(20, 20, [1.0, 2.0]))
-    run.steer("reset_map")
+    run.request("reset_map")
     (before,) = run.tiles.since(0)
     run.outputs.map_reset()
     (emptied,) = run.tiles.since(0)
@@ -315,9 +324,9 @@ def test_finished_work_is_taken_in_between_two_frames_and_the_recording_says_whe
     mapper = FakeMapper(graph=GraphAtWork())
     run = Run(mapper).put(*FRAMES)
     run.link.finish()
-    assert mapper.eaten[0] == "take_in"
+    assert mapper.eaten[0] == "apply_result"
     (event,) = [m for m in run.recorded if m.channel == "events"]
-    assert decode_control(event.payload, event.log_ns) == TakeIn(event.log_ns)
+    assert decode_step(event.payload, event.log_ns) == TakeIn(event.log_ns)
     assert event.log_ns - OFFSET_NS == 29  # right before the sample of 30
     assert mapper.finished
 
@@ -326,9 +335,9 @@ def test_lost_work_is_not_recorded_as_taken_in():
     run = Run(FakeMapper(graph=GraphAtWork("the process died"))).put(*FRAMES)
     run.link.finish()
     (event,) = [m for m in run.recorded if m.channel == "events"]
-    assert decode_control(event.payload, event.log_ns) is None
+    assert decode_step(event.payload, event.log_ns) is None
     assert "the process died" in decode_event(event.payload)
-    assert run.outputs.graph_trouble == "the process died"
+    assert run.outputs.graph_fault == "the process died"
 
 
 class TestStandBy:
@@ -356,9 +365,9 @@ class TestStandBy:
     def test_what_was_decided_by_the_clock_is_not_decided_anew(self):
         decided = Decisions({3: 1}, frozenset([2]), frozenset([4]))
         mapper, said = self.follow(Go(4, decided), GraphAtWork())
-        assert [getattr(e, "sensor", e) for e in mapper.eaten] == ["base", "take_in", "front"]
+        assert [getattr(e, "sensor", e) for e in mapper.eaten] == ["base", "apply_result", "front"]
         assert mapper.skipped == 1
-        assert not any(isinstance(s, PassedOver | TookIn | Mapped) for s in said)
+        assert not any(isinstance(s, PassedOver | ResultApplied | Mapped) for s in said)
 
     def test_tiles_are_handed_over_when_it_is_where_the_other_was(self):
         _, said = self.follow(Go(3, Decisions({}, frozenset(), frozenset())))

@@ -48,7 +48,7 @@ def driven(drive: Drive, kind: type, lie: Callable[..., Frame] | None) -> Run:
     return run(mapping_config(), replace(drive, frames=frames))
 
 
-def complaints(done: Run) -> set[str]:
+def diagnostics(done: Run) -> set[str]:
     return {output.reason.split(" contradict")[0] for output in done.outputs if "contradict" in output.reason}
 
 
@@ -77,7 +77,7 @@ def test_a_sensor_that_lies_is_left_out_and_named(
     honest: Drive, kind: type, lie: Callable[..., Frame] | None, blamed: set[str]
 ) -> None:
     done = driven(honest, kind, lie)
-    assert complaints(done) == blamed
+    assert diagnostics(done) == blamed
     assert "lost" not in {output.state for output in done.outputs}
     assert done.position_rmse_m < 0.03
     assert np.degrees(done.heading_rmse_rad) < 0.2

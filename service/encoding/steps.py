@@ -1,4 +1,4 @@
-"""What is done to the mapper between two frames, as it stands among the events of a recording."""
+"""Steps between two frames, from recorded events: requests, results applied, frames left out."""
 
 import json
 from typing import Literal, get_args
@@ -8,11 +8,12 @@ from service.errors import InputError
 from service.mapper.steering import WISHES, Control, LeftOut, Steering, Step, TakeIn, Wish
 
 STEERINGS: tuple[Steering, ...] = get_args(Steering)
-TAKE_IN = "take_in"
+APPLY_RESULT = "apply_result"
+_APPLY_RESULTS = (APPLY_RESULT, "take_in")  # the latter in recordings made before 2026-11-22
 LEFT_OUT: dict[str, Literal["old", "fatal"]] = {"scan_passed_over": "old", "frame_refused": "fatal"}
 
 
-def decode_control(payload: bytes, log_ns: int) -> Step | None:
+def decode_step(payload: bytes, log_ns: int) -> Step | None:
     """The step in a message of channel "events"; None where it tells of something else.
 
     Raises InputError on bytes that are no such message.
@@ -25,7 +26,7 @@ def decode_control(payload: bytes, log_ns: int) -> Step | None:
     what = event.get("event") if isinstance(event, dict) else None
     if what in STEERINGS:
         return Control(what, log_ns)
-    if what == TAKE_IN:
+    if what in _APPLY_RESULTS:
         return TakeIn(log_ns)
     if isinstance(what, str) and what in LEFT_OUT and isinstance(event.get("sensor"), str):
         return LeftOut(event["sensor"], LEFT_OUT[what], log_ns)
