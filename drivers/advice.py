@@ -1,4 +1,4 @@
-"""What `corridor doctor` may be told of a type of sensor beyond its config, its wire and its session.
+"""What `corridor doctor` knows of a type of sensor beyond its config, its wire and its session.
 
 It stands beside the sensor (drivers/<sensor>/advice.py) and every part of it may be left out: a sensor
 without advice is looked at all the same, by its session alone.
@@ -21,14 +21,14 @@ class Advice:
     """The callables take the sensor's own config model.
 
     rate_hz         frames a second that the config asks for, None where nobody knows
-    recognise       who speaks in these bytes, in words; "" where it is not this type of sensor. Never raises
-                    for any bytes up to 16 KiB
+    recognise       which device sends these bytes, in words; "" where it is not this type of sensor. Raises
+                    nothing for any bytes up to 16 KiB
     bauds           rates that this sensor may be set to, worth listening at; empty where a rate means nothing
     other_settings  tried in turn where nobody answers; each is a start-up dialogue of the driver's own
-    doubt           why this is not the device the config means, from its identity; "" where nothing speaks so
-    worries         words in a status beside "streaming" that somebody has to act on
+    doubt           why this is not the device the config means, from its identity; "" where it may be
+    worries         words in a status beside "streaming" that call for action
     start_up_s      how long the first frame may take where nothing is wrong
-    silence         what to do about a device that says nothing
+    silence         what to do about a device that sends nothing
     """
 
     rate_hz: Callable[[Any], float | None] = lambda config: None

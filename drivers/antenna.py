@@ -1,4 +1,4 @@
-"""What the GNSS antenna of a sensor is called."""
+"""Name of the frame of a sensor's GNSS antenna."""
 
 
 def antenna_of(sensor: str) -> str:

@@ -1,4 +1,4 @@
-"""Runs what a driver says to a device step by step: requests, answers, time-outs, pauses. No I/O, no clock.
+"""Runs the dialogue of a driver with its device: requests, answers, time-outs, pauses. No I/O, no clock.
 
 A dialogue is a generator. It yields the next request or a `Pause`, and is sent the answer to the request, or
 None where no answer came within the request's time-out or where the pause is over. So the order of a start-up

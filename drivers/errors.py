@@ -1,4 +1,4 @@
-"""What can go wrong between us and a device. One base, three kinds, one reaction each.
+"""Errors of drivers. One base, three kinds, one reaction each.
 
     DriverError
      |- TransportError   the bytes stopped: refused, reset, silent       -> reconnect

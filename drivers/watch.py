@@ -1,16 +1,16 @@
-"""What every session watches for: a device that says nothing of use, or nothing but nonsense."""
+"""What every session watches for: a device that sends nothing usable, or only malformed messages."""
 
 from collections import Counter
 
 from drivers.errors import ProtocolError
 
-LOOK_NS = 200_000_000  # silence counts only while we look: a stalled host is not a silent device
+LOOK_NS = 200_000_000  # of the time between two looks no more counts as silence: the host may have stalled
 
 
 class SilenceWatch:
-    """How long a device has been silent, as far as anybody looked.
+    """How long a device has sent no usable frame, counted over the time that it was watched.
 
-    Call `look` at every tick, and `heard` for each frame that leaves: what is dropped is no sign of life.
+    Call `look` at every tick, and `heard` for each frame that is handed on; dropped frames do not count.
     """
 
     def __init__(self) -> None:
@@ -31,10 +31,10 @@ class SilenceWatch:
 
 
 class MalformedRun:
-    """Counts malformed messages as `<what>_malformed`, and ends a session where nothing else comes.
+    """Counts malformed messages as `<what>_malformed`, and ends a session where only such come.
 
     what     plural, as in the counters: scans
-    limit    so many in a row are borne
+    limit    this many in a row are tolerated
     """
 
     def __init__(self, counters: Counter[str], what: str, limit: int) -> None:
@@ -44,7 +44,7 @@ class MalformedRun:
         self._in_a_row = 0
 
     def bad(self, error: ProtocolError) -> None:
-        """Take in one. Raises ProtocolError where they are too many in a row."""
+        """Count one. Raises ProtocolError where there are more than `limit` in a row."""
         self._counters[f"{self._what}_malformed"] += 1
         self._in_a_row += 1
         if self._in_a_row > self._limit:

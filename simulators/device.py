@@ -129,7 +129,7 @@ class LayeredSweepSource(Protocol):
 
 
 class WheelSource(Protocol):
-    """What wheel encoders feel: true travel with slip and scale error on it, before quantisation."""
+    """What wheel encoders measure: true travel with slip and scale error on it, before quantisation."""
 
     def wheel_travel_m(self, now_ns: int) -> tuple[float, float]:
         """Way rolled by the left and the right wheel since the world began, m; backwards counts down."""

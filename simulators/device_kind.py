@@ -1,4 +1,4 @@
-"""What `corridor simulate` has to know of a type of device to pretend one."""
+"""What `corridor simulate` knows of a type of fake device."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,8 +1,8 @@
-"""Faults on the wire: a fake device that is another one with troubles. No I/O.
+"""Faults on the wire: a fake device that adds faults to another one. No I/O.
 
-What ails the link              cut, delay, burst
-what ails the bytes it sends    garbage, bit_flips, half_messages, wrong_checksum, duplicate, drop
-what ails the device            silence, restart, slow_start, clock_jump
+of the link              cut, delay, burst
+of the bytes it sends    garbage, bit_flips, half_messages, wrong_checksum, duplicate, drop
+of the device            silence, restart, slow_start, clock_jump
 
 A message is what the device returns in one piece. Several faults may act at a time; on a message they act in
 the order of the file. What the host sends is never harmed, only lost while there is nobody to hear it.

@@ -1,7 +1,7 @@
 """A pretended UTM-30LX (USB) or UTM-30LX-EW (Ethernet): the other end of drivers.hokuyo_utm30lx. No I/O.
 
 It answers what third-party clients ask at their start-up (urg_library, hokuyo_node, MRPT, hokuyolx) in the
-order and form they need, and has the habits of the real ones: silence while booting, 0M until the motor
+order and form they need, and reproduces the behaviour of real ones: silence while booting, 0M until the motor
 turns evenly, a USB unit that streams on for a client that died, a clock of milliseconds that drifts and
 wraps.
 """
@@ -54,7 +54,7 @@ IN_TIME_ADJUST = ("VV", "II", "TM", "%ST", "RB")
 
 @dataclass(frozen=True, slots=True)
 class Utm30lxSetup:
-    """What this one was like when it left the factory, and what ails it."""
+    """Model, firmware, stored settings and faults of this unit."""
 
     wire: Literal["usb", "ethernet"] = "usb"
     serial_number: str = "00903971"

@@ -1,7 +1,7 @@
 """A pretended IBEO LUX: the other end of drivers.ibeo_lux. No I/O.
 
-It measures from power-up, whether somebody listens or not, answers every command but Reset, and has the
-habits of the real one: label bits set at random where the labelling did not run, two of the four layers
+It measures from power-up, with a client or without, answers every command but Reset, and reproduces the
+behaviour of real ones: label bits set at random where the labelling did not run, two of the four layers
 missing at the rims of the field, silence for odd angles, refusal of what its firmware does not know, a clock
 that counts from power-up until it is set and drifts. The points a scan agree with a real one: 742 from 50 to
 -50 deg, where an LD-MRS announced 740 (SICKAG/sick_scan_xd, tools/test_server/config/test_server_ldmrs.yaml).
@@ -68,7 +68,7 @@ DEFAULTS = {
 
 @dataclass(frozen=True, slots=True)
 class LuxSetup:
-    """What this one was like when it left the factory, and what ails it."""
+    """Firmware, stored parameters and faults of this unit."""
 
     measuring: bool = True  # by itself after power-up
     boot_ns: int = 0  # the port is open but nothing answers

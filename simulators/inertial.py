@@ -1,7 +1,7 @@
-"""What an inertial unit with a GNSS receiver feels on the riding vehicle: the truth with the sensors' errors.
+"""What an inertial unit with a GNSS receiver measures on the vehicle: the truth with the sensors' errors.
 
 The vehicle rides in a plane: it turns about the vertical, gravity is along it. The world lies on the earth at
-a datum. As with the other truths, everything is a function of moment and seed, never of when somebody asks.
+a datum. As with the other truths, everything is a function of moment and seed, not of the order of calls.
 """
 
 import math

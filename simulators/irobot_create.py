@@ -27,7 +27,6 @@ from drivers.irobot_create.protocol import (
 from simulators.device import CATCH_UP_NS, TURNS_SKIPPED, WheelSource, turns_to_skip
 
 SLEEP_AFTER_NS = 300_000_000_000
-TEXT_EVERY_NS = 120_000_000_000
 BANNER_AFTER_NS = 500_000_000
 SPEED_SPAN_NS = 50_000_000  # over which the wheels' own speed is taken where nobody drives by wire
 CREATE2_DEGREES = 0.324056  # what firmware before 3.4.1 reports for one true degree in packet 20

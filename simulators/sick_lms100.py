@@ -1,9 +1,9 @@
 """A pretended SICK LMS100: the other end of drivers.sick_lms100. No I/O.
 
 It answers what third-party clients ask at their start-up (libLMS1xx, Clearpath's LMS1xx, MRPT, sick_scan_xd)
-in the order and form they need, and has the habits of the real one: a port open before anything answers, one
-dialect and silence in the other, a login gate, half a minute lost to a new scan rate, an error flag on the
-first scans, a motor that turns a little slower than it says, a clock that drifts and wraps.
+in the order and form they need, and reproduces the behaviour of real ones: a port open before anything
+answers, one dialect and silence in the other, a login gate, half a minute lost to a new scan rate, an error
+flag on the first scans, a motor that turns a little slower than it says, a clock that drifts and wraps.
 """
 
 from collections import Counter, deque
@@ -65,7 +65,7 @@ PLAIN_SETTINGS = (
 
 @dataclass(frozen=True, slots=True)
 class Lms100Setup:
-    """What this one was like when it left the factory, and what ails it."""
+    """Firmware, stored settings and faults of this unit."""
 
     dialect: Dialect = Dialect.ASCII
     scan: ScanConfig = field(default_factory=lambda: ScanConfig(5000, 5000))

@@ -1,4 +1,4 @@
-"""What the vehicle's sensors feel in a world: the truth with each sensor's own errors on it.
+"""What the vehicle's sensors measure in a world: the truth with each sensor's own errors.
 
 Everything is a function of time and seed. Noise is drawn from a counter-based generator keyed by seed and
 sensor and placed by the moment measured, so it does not matter when or how often somebody asks.

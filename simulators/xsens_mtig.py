@@ -86,18 +86,18 @@ class _Clock:
 class FakeMtiG:
     """One unit on one line. It has been on, and measuring as its settings say, since the world began.
 
-    deaf_to_config  it hears no GoToConfig until it is reset, as one by USB was seen to do
+    ignores_go_to_config  it hears no GoToConfig until it is reset, as one by USB was seen to do
     settings        its flash: tests look and write here
     """
 
     source: InertialSource
     setup: MtigSetup = MtigSetup()
-    deaf_to_config: bool = False
+    ignores_go_to_config: bool = False
     state: Literal["off", "booting", "config", "measurement"] = "measurement"
     counters: Counter[str] = field(default_factory=Counter)
     received: deque[int] = field(default_factory=lambda: deque(maxlen=1000))  # message ids
     settings: DeviceSettings = field(init=False)
-    _ear: MessageDecoder = field(default_factory=MessageDecoder)
+    _decoder: MessageDecoder = field(default_factory=MessageDecoder)
     _line: deque[tuple[int, bytes]] = field(default_factory=deque)  # (last byte has left, message)
     _line_free_ns: int = 0
     _clock: _Clock | None = None  # None: nobody has looked at it yet
@@ -125,11 +125,11 @@ class FakeMtiG:
         self._begin(now_ns)
         self._line.clear()
         self._line_free_ns = now_ns
-        self._ear = MessageDecoder()
+        self._decoder = MessageDecoder()
         self.settings.power_up()
         self._clock = _Clock(now_ns, self._rate)
         self._start_ticks = self._count = 0
-        self.state, self.deaf_to_config = "off", False
+        self.state, self.ignores_go_to_config = "off", False
         self._wake_at_ns = now_ns + self.setup.boot_ns
         self._boot_ends_ns = self._place = None
         self._batch = None
@@ -169,7 +169,7 @@ class FakeMtiG:
     def receive_data(self, data: bytes, now_ns: int) -> bytes:
         self._begin(now_ns)
         self._measure(now_ns)
-        for message in self._ear.receive_data(data):
+        for message in self._decoder.receive_data(data):
             self.received.append(message.mid)
             if self.state != "off":
                 self._obey(message, now_ns)
@@ -354,7 +354,7 @@ class FakeMtiG:
             if self.state == "booting":
                 self.state, self._boot_ends_ns = "config", None
             return
-        if mid == Mid.GO_TO_CONFIG and self.deaf_to_config:
+        if mid == Mid.GO_TO_CONFIG and self.ignores_go_to_config:
             return
         try:
             if self.state != "config" and mid not in ANY_STATE:

@@ -1,4 +1,4 @@
-"""What the doctor should know of the UTM-30LX: how it speaks, what it calls itself, why it may be silent."""
+"""What `corridor doctor` knows of the UTM-30LX: its protocol, its product name, causes of silence."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,4 @@
-"""What is said to the device from the first byte to the stream. No I/O, no clock.
+"""Start-up dialogue of a UTM-30LX: from the first byte to the stream. No I/O, no clock.
 
 The device may be booting (silent, or 0M), streaming for a client that died (on USB it goes on), left in
 time-adjust mode, asleep, in SCIP 1 or abnormal. Hence: end all that first, then ask who it is. Sources:
@@ -67,14 +67,14 @@ Dialogue = Generator[Ask | Pause, Answer | None, T]
 
 
 class UtmDialogue:
-    """One connection's talk: `run` is the generator, the attributes are what it found out."""
+    """Dialogue of one connection: `run` is the generator, the attributes are what it found out."""
 
     def __init__(self, config: HokuyoUtm30lxConfig) -> None:
         self._config = config
         self.counters: Counter[str] = Counter()
         self.identity: dict[str, str] = {}
         self.phase = "connecting"
-        self.fault = ""  # what the device says of itself, "" where all is well
+        self.fault = ""  # fault that the device reports, "" for none
         self.geometry: Geometry | None = None
         self.request: ScanRequest | None = None  # of the stream that was asked for
         self.time_samples: list[TimeSample] = []

@@ -58,7 +58,7 @@ class HokuyoUtm30lxSession:
         self._last_ms: int | None = None
         self._last_stamp_ns: int | None = None
         self._verifying = ""
-        self.outbox = bytearray(b"\n")  # ends whatever a dead client left half said
+        self.outbox = bytearray(b"\n")  # ends a command that an earlier client left incomplete
         self.counters: Counter[str] = self._dialogue.counters
         self._malformed = MalformedRun(self.counters, "scans", MALFORMED_LIMIT)
         self.identity: dict[str, str] = self._dialogue.identity
@@ -101,7 +101,7 @@ class HokuyoUtm30lxSession:
         self._set_status()
 
     def shutdown_request(self) -> bytes:
-        return b"QT\n" if self._runner.begun else b""  # else a USB unit streams on for nobody
+        return b"QT\n" if self._runner.begun else b""  # without it a USB unit goes on streaming
 
     def _begin_stream(self) -> None:
         dialogue = self._dialogue

@@ -1,4 +1,4 @@
-"""What the doctor should know of the LUX: who else speaks its protocol, and what in a status is grave."""
+"""What `corridor doctor` knows of the LUX: other devices of its protocol, and faults in a status."""
 
 from drivers.advice import Advice
 from drivers.errors import ProtocolError

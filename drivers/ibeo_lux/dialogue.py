@@ -1,7 +1,4 @@
-"""What is said to a LUX from the first byte to the stream, and while it streams. No I/O, no clock of its own.
-
-A dialogue is a generator: it yields what to ask or how long to pause, and is sent the reply, or None when
-none came in time. So the order of a start-up reads from top to bottom.
+"""Start-up dialogue of a LUX, and its polling while it streams. No I/O, no clock of its own.
 
 Only what differs from the config is changed, with the scanner stopped, and read back; a change lasts until
 the device loses power, its flash is not written. The start angle must stay above the end angle at all times,
@@ -49,7 +46,6 @@ UNANSWERED_LIMIT = 3  # then status is not asked for again
 OUTPUT_SCANS, OUTPUT_OBJECTS, OUTPUT_ERRORS = 0x0001, 0x0004, 0x0010  # a bit set switches off
 OUTPUT_WANTED = 0xFFEE  # scans, errors and warnings, nothing else
 RESOLUTIONS = {"focused": 0, "constant": 1}
-ESSENTIAL = (Parameter.SCAN_FREQUENCY, Parameter.START_ANGLE, Parameter.END_ANGLE)
 
 T = TypeVar("T")
 
@@ -74,7 +70,7 @@ class Setting:
 
 
 class IbeoLuxDialogue:
-    """Both halves of one connection's talk: `run` is the generator, the attributes are what it found out."""
+    """Dialogue of one connection: `run` is the generator, the attributes are what it found out."""
 
     def __init__(self, config: IbeoLuxConfig, unix_ns: Callable[[], int]) -> None:
         self._config = config
@@ -227,7 +223,7 @@ class IbeoLuxDialogue:
             yield from self._ask(Command.SET_NTP_FRACTION, write_ntp_part(now & 0xFFFF_FFFF))
             if now >> 32 == seconds:
                 return
-        self.counters["clock_not_set"] += 1  # no fault: stamps are mapped by arrival, whatever it shows
+        self.counters["clock_not_set"] += 1  # no fault: stamps are mapped by arrivals
 
     def _start(self) -> Dialogue[None]:
         status = self.device_status
@@ -266,7 +262,7 @@ class IbeoLuxDialogue:
         )
 
     def _watch(self) -> Dialogue[None]:
-        """Ask now and then how the device feels; ends where it no longer answers."""
+        """Poll the status every WATCH_PERIOD_S; ends where the device no longer answers."""
         silent = 0
         while silent < UNANSWERED_LIMIT:
             yield Pause(WATCH_PERIOD_S)

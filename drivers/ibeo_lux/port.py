@@ -1,4 +1,4 @@
-"""Opens the LUX's wire, and tells its sessions the time of day to set its clock to."""
+"""The wire to the device: TCP. Its sessions get the time of day, to set the device's clock."""
 
 import time
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Messages of the IBEO LUX and its twin, the SICK LD-MRS: bytes <-> type and payload. No I/O, no clock.
+"""Messages of the IBEO LUX, which is the SICK LD-MRS too: bytes <-> type and payload. No I/O, no clock.
 
 A message is a header of 24 bytes, big endian, and a payload, little endian. There is no checksum: what guards
 the stream is the magic word, a plausible type and a bounded size. A size spoilt on the way shows by the next
@@ -55,7 +55,7 @@ FOREIGN_SCANS: dict[int, str] = {
 class Message:
     data_type: int
     payload: bytes
-    device_id: int = 7  # whatever the sender likes; nobody may care
+    device_id: int = 7  # of the sender's choice; receivers must not depend on it
     ntp: int = 0  # of sending, 32.32 bit seconds since 1900; 0 where the sender does not say
     previous_bytes: int = 0  # used in files only
 

@@ -1,4 +1,4 @@
-"""What the doctor should know of the robot: its rates and how its stream looks.
+"""What `corridor doctor` knows of the robot: its rates and the form of its stream.
 
 Its other baud rates are only listened at. Bytes sent at the wrong rate are other bytes to the robot, and some
 of those are commands that make it drive.

@@ -37,7 +37,7 @@ log = logging.getLogger(__name__)
 STREAM_IDS = (PacketId.LEFT_ENCODER, PacketId.RIGHT_ENCODER, *HEALTH_IDS)
 MODE_SETTLED_NS = 200_000_000  # by then packet 35 shows what 128 did
 KEEP_ALIVE_NS = 60_000_000_000
-UNSTICKING_STARTS = 4  # a robot that waits for the rest of a command eats the first ones as its data
+UNSTICKING_STARTS = 4  # a robot that waits for the rest of a command takes the first ones for its data
 REACH_MARGIN = 3.0  # over the fastest the wheels turn by themselves, for a vehicle may roll along faster
 REACH_SLACK_NS = 80_000_000  # stamps may be so late: USB adapters hold frames back
 

@@ -1,4 +1,4 @@
-"""What the robot says of itself, in words and counts."""
+"""State of the robot by its sensor packets, in words and counts."""
 
 from collections import Counter
 from collections.abc import Mapping

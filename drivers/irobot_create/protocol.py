@@ -400,7 +400,7 @@ class Command:
 
 
 class CommandDecoder:
-    """The robot's ear: consumes exactly the data bytes of each opcode and waits for those still missing.
+    """The robot's side: consumes exactly the data bytes of each opcode and waits for those still missing.
 
     Bytes that are no opcode are ignored, as the robot does. Songs and lists hold at most 255 entries.
     """

@@ -1,4 +1,4 @@
-"""What the doctor should know of the LMS1xx: its other dialect and port, and who else speaks CoLa."""
+"""What `corridor doctor` knows of the LMS1xx: its other dialect and port, and other devices that use CoLa."""
 
 from collections.abc import Mapping
 

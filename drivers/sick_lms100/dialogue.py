@@ -1,4 +1,4 @@
-"""What is said to an LMS1xx from the first byte to the stream, and while it streams. No I/O, no clock.
+"""Start-up dialogue of an LMS1xx, and its polling while it streams. No I/O, no clock.
 
 Boot: the port is open before anything answers, the first write after power-up is refused with error 4, and
 a new scan rate or angle step costs some 30 s without data. Hence: ask until answered, change only what
@@ -76,7 +76,7 @@ Dialogue = Generator[Ask | Pause, Telegram | None, T]
 
 
 class Lms100Dialogue:
-    """Both halves of one connection's talk: `run` is the generator, the attributes are what it found out."""
+    """Dialogue of one connection: `run` is the generator, the attributes are what it found out."""
 
     def __init__(self, config: Lms100Config) -> None:
         self._config = config
@@ -86,7 +86,7 @@ class Lms100Dialogue:
         self.phase = "connecting"
         self.subscribed = False
         self.scans_seen = 0  # kept by the session
-        self.fault = ""  # what the device says of itself, "" where all is well
+        self.fault = ""  # faults that the device reports, "" for none
 
     def run(self) -> Dialogue[None]:
         """Raises TransportError where nobody answers, DeviceError where the device refuses."""
@@ -299,7 +299,7 @@ class Lms100Dialogue:
         raise DeviceError(f"sEN LMDscandata refused: {_refusal(answer)}")
 
     def _watch(self) -> Dialogue[None]:
-        """Ask now and then how the device feels; ends where it answers neither question."""
+        """Poll state and contamination every WATCH_PERIOD_S; ends where the device answers neither."""
         silent: Counter[str] = Counter()
         while min(silent["STlms"], silent["LCMstate"]) < UNANSWERED_LIMIT:
             faults = []

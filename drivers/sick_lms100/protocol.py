@@ -184,7 +184,7 @@ class Decoder:
     def _whole_binary_telegram_behind(self) -> int:
         """Where one starts behind a header whose own telegram is not whole yet; -1: nowhere.
 
-        A damaged length would otherwise swallow the good telegrams that follow it.
+        Without this a damaged length would discard the good telegrams that follow it.
         """
         buffer = self._buffer
         start = buffer.find(HEADER, 4)

@@ -1,4 +1,4 @@
-"""What the doctor should know of Xsens units: their framing, their baud rates, and their usual silences."""
+"""What `corridor doctor` knows of Xsens units: their framing, their baud rates, causes of silence."""
 
 from collections.abc import Mapping
 
@@ -45,7 +45,7 @@ ADVICE = Advice(
     other_settings=other_settings,
     doubt=doubt,
     worries=("self-test failed", "error 0x", "warning ", "instead of", "does not send", "filter not settled"),
-    start_up_s=12.0,  # two rounds of all baud rates; a deaf unit is reset in less
+    start_up_s=12.0,  # two rounds of all baud rates; a unit that ignores GoToConfig is reset in less
     silence="is it powered (USB does, some serial cables do not), is this its port? "
     "ModemManager holds new serial ports for some seconds",
 )

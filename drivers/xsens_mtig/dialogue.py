@@ -1,10 +1,9 @@
-"""What is said to the device from the first byte to the stream. No I/O, no clock.
+"""Start-up dialogue of an MTi-G: from the first byte to the stream. No I/O, no clock.
 
-The order: into config state, who are you, what do you send, write what differs, read back,
-into measurement state.
+The order: into config state, read identity and output, write what differs, read back, into measurement state.
 
-A device that streams acknowledges GoToConfig behind some data, and was seen not to hear it at all until it
-was reset. What it stores it stores at once and for good, so nothing is written that stands there already.
+A device that streams acknowledges GoToConfig behind some data, and was seen to ignore it until it was reset.
+What is written it keeps over power cuts, so only what differs is written.
 Sources: MT0101P, chapters 4 and 5; markvilar/xsensmti-py (MTi-G-700 by USB, deaf to GoToConfig);
 ethz-asl/ethzasl_xsens_driver issues 55, 66 (answers of an MTi-G).
 """
@@ -34,12 +33,12 @@ from drivers.xsens_mtig.protocol import (
 )
 from drivers.xsens_mtig.wanted import LegacyOutput, OutputItems, wanted_items, wanted_layout
 
-KNOCK_S = 0.2  # between two GoToConfig
-SEARCH_KNOCKS = 75  # 15 s: three rounds of all baud rates
-DEAF_KNOCKS = 10  # of a device that is heard; then it is reset
+GO_TO_CONFIG_S = 0.2  # between two GoToConfig
+SEARCH_ATTEMPTS = 75  # 15 s: three rounds of all baud rates
+IGNORED_ATTEMPTS = 10  # of a device that sends data; then it is reset
 RESETS = 2
-WAKE_KNOCKS = 50  # of 100 ms after a reset; real ones took 1.7 s
-WAKE_KNOCK_S = 0.1
+WAKE_ATTEMPTS = 50  # of 100 ms after a reset; real ones took 1.7 s
+WAKE_ATTEMPT_S = 0.1
 ANSWER_S = 0.5
 WRITE_S = 2.0  # into its flash
 ATTEMPTS = 3
@@ -60,7 +59,7 @@ Dialogue = Generator[Ask, Message | None, T]
 
 
 class MtigDialogue:
-    """Both halves of one connection's talk: `run` is the generator, the attributes are what it found out."""
+    """Dialogue of one connection: `run` is the generator, the attributes are what it found out."""
 
     def __init__(self, config: XsensMtigConfig) -> None:
         self._config = config
@@ -96,12 +95,12 @@ class MtigDialogue:
 
     def _enter_config(self) -> Dialogue[None]:
         self.phase = "waiting for an answer"
-        knocks_heard = resets = 0
-        for _ in range(SEARCH_KNOCKS):
-            if (yield Ask(Mid.GO_TO_CONFIG, b"", KNOCK_S)) is not None:
+        ignored = resets = 0
+        for _ in range(SEARCH_ATTEMPTS):
+            if (yield Ask(Mid.GO_TO_CONFIG, b"", GO_TO_CONFIG_S)) is not None:
                 return
-            knocks_heard += self.heard
-            if knocks_heard < DEAF_KNOCKS:
+            ignored += self.heard
+            if ignored < IGNORED_ATTEMPTS:
                 continue
             if resets == RESETS:
                 raise TransportError(
@@ -109,7 +108,7 @@ class MtigDialogue:
                     "(our TX) broken, or another program on this port?"
                 )
             resets += 1
-            knocks_heard = 0
+            ignored = 0
             if (yield from self._reset()):
                 return
         raise TransportError(self._explain_silence())
@@ -120,15 +119,15 @@ class MtigDialogue:
         self.counters["resets_sent"] += 1
         self.awaits_wake_up = True
         yield Ask(Mid.RESET, b"", ANSWER_S)
-        for _ in range(WAKE_KNOCKS):
-            if (yield Ask(Mid.GO_TO_CONFIG, b"", WAKE_KNOCK_S)) is not None:
+        for _ in range(WAKE_ATTEMPTS):
+            if (yield Ask(Mid.GO_TO_CONFIG, b"", WAKE_ATTEMPT_S)) is not None:
                 self.awaits_wake_up = False
                 return True
         self.awaits_wake_up = False
         return False
 
     def _explain_silence(self) -> str:
-        seconds = SEARCH_KNOCKS * KNOCK_S
+        seconds = SEARCH_ATTEMPTS * GO_TO_CONFIG_S
         if self.heard:
             return f"messages came, but no answer to GoToConfig in {seconds:.0f} s; is our TX line broken?"
         if self._config.over_usb:

@@ -81,7 +81,7 @@ class XsensMtigSession:
         self._set_status(now_ns)
 
     def shutdown_request(self) -> bytes:
-        return encode(Mid.GO_TO_CONFIG)  # units left streaming over USB were seen deaf to the next client
+        return encode(Mid.GO_TO_CONFIG)  # units left streaming over USB were seen to ignore the next client
 
     def _take_all(self, messages: list[Message], arrived_ns: int, old: bool = False) -> list[Frame]:
         """old: they came a while before arrived_ns, so they are no use as samples."""
@@ -122,7 +122,7 @@ class XsensMtigSession:
             self.counters["messages_ignored"] += 1
 
     def _wake_up(self, now_ns: int) -> None:
-        """It has just come up; if it hears within half a second that we are there, it waits for us."""
+        """The unit has just started; it stays in config state if WakeUp is acknowledged within 0.5 s."""
         self.outbox += encode(Mid.WAKE_UP_ACK)
         self.counters["wake_ups"] += 1
         if self._dialogue.awaits_wake_up:
@@ -176,7 +176,7 @@ class XsensMtigSession:
 
 
 def _answers(message: Message, asked: Ask) -> bool:
-    """An Error message answers every request but those that a unit may not hear at all."""
+    """An Error message answers every request but those that a unit may ignore."""
     if message.mid == Mid.ERROR:
         return asked.mid not in (Mid.GO_TO_CONFIG, Mid.RESET)
     return message.mid == (asked.mid + 1) & 0xFF

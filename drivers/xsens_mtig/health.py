@@ -1,4 +1,4 @@
-"""What the device says of itself, in words: status bits, GNSS, errors, warnings."""
+"""State of the device in words: status bits, GNSS, errors, warnings."""
 
 from collections import Counter
 

@@ -12,7 +12,7 @@ from drivers.xsens_mtig.protocol import LIKELY_BAUDS, MessageDecoder
 VENDOR = 0x2639
 # drivers/usb/serial/xsens_mt.c of Linux: MTi-10, 20, 30, 100, 200, 300, MTi-G-700 (and 710).
 PRODUCTS = (0x0001, 0x0002, 0x0003, 0x0011, 0x0012, 0x0013, 0x0017)
-DWELL_S = 0.6  # at each rate; the session knocks three times in it
+DWELL_S = 0.6  # at each rate; the session sends GoToConfig three times in it
 
 
 class BaudPort(Transport, Protocol):
@@ -23,7 +23,7 @@ class BaudPort(Transport, Protocol):
 
 class ProbingPort:
     """Goes from one rate to the next until a whole message comes, and stays there. What is written goes out
-    at the rate of the moment, so whoever wants to be answered says it again and again.
+    at the rate of the moment, so a request has to be repeated until it is answered.
     """
 
     def __init__(

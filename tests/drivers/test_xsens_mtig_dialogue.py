@@ -126,7 +126,7 @@ def test_legacy_output_that_is_no_use_says_so(mode: int, settings: int, complain
 
 
 def test_deaf_device_is_reset_and_found_again():
-    device = FakeMtiG(Swing(), deaf_to_config=True)
+    device = FakeMtiG(Swing(), ignores_go_to_config=True)
     t = talk(device).run(6.0)
     assert t.session.counters["resets_sent"] == 1
     assert "it does not hear GoToConfig; resetting it" in t.statuses
