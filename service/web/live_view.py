@@ -170,7 +170,7 @@ class LiveView:
         match sensor, kind:
             case "", "pose":
                 return self._pose(message)
-            case "", "health":
+            case "", "diagnostics":
                 return self._health(message)
             case "", "tf_static":
                 return self._mountings(message)

@@ -106,7 +106,7 @@ class WebServer:
         self._changed = threading.Condition()  # of _address and _trouble
         self._loop: asyncio.AbstractEventLoop | None = None
         self._ending: asyncio.Event | None = None
-        self._thread = threading.Thread(target=self._run, name="web", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="web-serve", daemon=True)
 
     @property
     def address(self) -> str:

@@ -88,7 +88,7 @@ class Scene:
             encode_tf_static(MOUNTINGS, stamp_ns, stamp_ns),
             encode_pose(self.output(seconds), stamp_ns + 8_000_000),
             *scans,
-            encode_diagnostics("health", statuses(state, reason), stamp_ns, stamp_ns),
+            encode_diagnostics("diagnostics", statuses(state, reason), stamp_ns, stamp_ns),
         ]
 
     def output(self, seconds: float) -> MapperOutput:

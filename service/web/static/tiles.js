@@ -105,7 +105,7 @@ export class TileMap {
     if (!this.cell_m) return 0;
     const level = Math.min(Math.max(0, Math.ceil(-Math.log2(pixels * this.cell_m))), LEVELS - 1);
     const cell_m = this.cell_m * 2 ** level, block_m = BLOCK * cell_m;
-    context.imageSmoothingEnabled = pixels * cell_m < 2;
+    context.imageSmoothingEnabled = false; // a cell is a pixel or more: a wall keeps its full darkness
     const overlap_m = 0.5 / pixels; // closes the seam between two blocks that are turned
     const first = [Math.floor(seen.x_min_m / block_m), Math.floor(seen.y_min_m / block_m)];
     const last = [Math.floor(seen.x_max_m / block_m), Math.floor(seen.y_max_m / block_m)];

@@ -73,7 +73,7 @@ def test_a_scan_of_a_laser_that_hangs_upside_down_is_turned_back(view):
 
 def test_health_says_since_when_it_is_so_whatever_its_words(view):
     def told(seconds, state, reason):
-        view.put(encode_diagnostics("health", statuses(state, reason), stamp(seconds), stamp(seconds)))
+        view.put(encode_diagnostics("diagnostics", statuses(state, reason), stamp(seconds), stamp(seconds)))
         (health,) = texts(view.due(), "health")
         return next(s["since_s"] for s in health["statuses"] if s["name"] == "mapping")
 

@@ -1,0 +1,139 @@
+"""Chromium without a window, on a page that a test feeds; skips with the command that provides it."""
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from selenium import webdriver
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.remote.webelement import WebElement
+from selenium.webdriver.support.ui import WebDriverWait
+
+from tests.browser.scene import Scene
+from tests.service.web.conftest import TIMEOUT_S, TOKEN, desk, serve, store  # noqa: F401 - fixtures
+
+ROOT = Path(__file__).parents[2]
+AXE = Path(os.environ.get("CORRIDOR_AXE", ROOT / "build/node_modules/axe-core/axe.min.js"))
+DESKTOP, PHONE = (1280, 800), (390, 844)
+
+
+class Page:
+    """The page in a browser, and what one does with it."""
+
+    def __init__(self, driver: webdriver.Chrome) -> None:
+        self.driver = driver
+
+    def open(self, address: str, token: str = "") -> None:
+        self.driver.get(address + (f"#token={token}" if token else ""))
+        self.wait_for("return window.corridor !== undefined && corridor.report().isOpen")
+
+    def run(self, script: str, *arguments: Any) -> Any:
+        return self.driver.execute_script(script, *arguments)
+
+    def wait_for(self, script: str, *arguments: Any) -> Any:
+        """Until the script returns something true; that."""
+        return WebDriverWait(self.driver, TIMEOUT_S).until(
+            lambda driver: driver.execute_script(script, *arguments), f"never true: {script}"
+        )
+
+    def report(self) -> dict[str, Any]:
+        return dict(self.run("return corridor.report()"))
+
+    def element(self, name: str) -> WebElement:
+        return self.driver.find_element("id", name)
+
+    def text(self, name: str) -> str:
+        return str(self.run("return document.getElementById(arguments[0]).textContent", name))
+
+    def wait_for_text(self, name: str, text: str) -> None:
+        self.wait_for(
+            "return document.getElementById(arguments[0]).textContent.includes(arguments[1])", name, text
+        )
+
+    def choose(self, area: str) -> None:
+        self.element(f"tab-{area}").click()
+
+    def look_at(self, x_m: float, y_m: float, pixels_per_m: float) -> None:
+        """Bring a point of the map to the middle, and wait until it is drawn."""
+        self.run(
+            "const v = corridor.view; v.follow(false); v.camera.centreOn(arguments[0], arguments[1]);"
+            "v.camera.scale = arguments[2]; window.frameBefore = v.frames; v.invalidate()",
+            x_m, y_m, pixels_per_m,
+        )  # fmt: skip
+        self.wait_for("return corridor.view.frames > window.frameBefore")
+
+    def pixel(self, x_m: float, y_m: float) -> list[int]:
+        """Red, green, blue where a point of the map is drawn."""
+        return list(
+            self.run(
+                "const v = corridor.view, [x, y] = v.camera.toScreen(arguments[0], arguments[1]);"
+                "return [...v.context.getImageData(x * v.dpr, y * v.dpr, 1, 1).data].slice(0, 3)",
+                x_m,
+                y_m,
+            )
+        )
+
+    def faults(self) -> list[str]:
+        """What the browser complained of."""
+        return [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
+
+    def resize(self, size: tuple[int, int], is_dark: bool = False) -> None:
+        metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": size[0] < 600}
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if is_dark else "light"}
+        self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[webdriver.Chrome]:
+    browser, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
+    if browser is None or chromedriver is None:
+        pytest.skip("no Chromium with its driver here; sudo apt install chromium chromium-driver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = browser
+    for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=Service(chromedriver))
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture
+def page(chromium: webdriver.Chrome) -> Iterator[Page]:
+    """Of desktop size, light; a browser that remembers nothing."""
+    opened = Page(chromium)
+    opened.resize(DESKTOP)
+    yield opened
+    opened.run("try { sessionStorage.clear(); localStorage.clear(); } catch { /* no page was opened */ }")
+    chromium.get("about:blank")
+    chromium.get_log("browser")
+
+
+@pytest.fixture
+def scene(store: Any) -> Scene:  # noqa: F811
+    made = Scene(store=store)
+    made.map_all()
+    return made
+
+
+@pytest.fixture
+def live(serve: Callable[..., Any], scene: Scene, page: Page) -> Any:  # noqa: F811
+    """A service at the scene's second 1, open in the browser with the token."""
+    server = serve()
+    for message in scene.messages(1.0):
+        server.put(message)
+    page.open(server.address, TOKEN)
+    page.wait_for("const r = corridor.report(); return r.tiles > 0 && r.pose && r.health && r.mayControl")
+    return server
+
+
+@pytest.fixture
+def axe() -> str:
+    """axe-core's source, which judges a page's accessibility."""
+    if not AXE.is_file():
+        pytest.skip("no axe-core here; npm install --prefix build axe-core@4")
+    return AXE.read_text(encoding="utf-8")

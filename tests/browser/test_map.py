@@ -1,0 +1,187 @@
+import math
+
+import numpy as np
+import pytest
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.keys import Keys
+
+from service.encoding import decode_pose, encode_pose
+from service.outputs import TileUpdate
+from tests.browser.scene import CELL_M, EDGE, MOUNTINGS, stamp
+
+WALL, FREE, GROUND = [11, 18, 32], [255, 255, 255], [228, 232, 238]  # of the light theme
+
+
+def hide_all_but_the_map(page):
+    page.run("Object.assign(corridor.view.layers, {path: 0, scans: 0, vehicle: 0, grid: 0})")
+
+
+def test_the_map_appears_and_grows(page, scene, live):
+    assert page.report()["tiles"] == len(scene.tiles())
+    hide_all_but_the_map(page)
+    page.look_at(0.0, 0.0, 40.0)
+    wall_x_m = scene.half_x_m - CELL_M / 2
+    page.look_at(wall_x_m, 1.0, 400.0)
+    assert page.pixel(wall_x_m, 1.0) == WALL
+    assert page.pixel(wall_x_m - CELL_M, 1.0) == FREE
+    assert page.pixel(wall_x_m + CELL_M, 1.0) == GROUND
+    cells = np.full((EDGE, EDGE), 100, np.int8)
+    scene.store.update([TileUpdate(0, 20, 0, scene.store.version + 1, CELL_M, cells)])
+    page.wait_for("return corridor.report().tiles === arguments[0]", len(scene.tiles()) + 1)
+    assert page.faults() == []
+
+
+def test_every_cell_has_the_value_that_the_store_has(page, scene, live):
+    random = np.random.default_rng(7)
+    cells = random.integers(-1, 101, (64, 64), dtype=np.int8)
+    changed = TileUpdate(0, -2, -1, scene.store.version + 1, CELL_M, cells)
+    scene.store.update([changed])
+    page.wait_for("return corridor.view.tiles.valueAt(-6.375, -3.175) === arguments[0]", int(cells[0, 0]))
+    points = [[-6.4 + (c + 0.5) * CELL_M, -3.2 + (r + 0.5) * CELL_M] for r in range(64) for c in range(64)]
+    shown = page.run("return arguments[0].map(([x, y]) => corridor.view.tiles.valueAt(x, y))", points)
+    assert shown == cells.ravel().tolist()
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 0.7])
+@pytest.mark.parametrize("pixels_per_m", [4000.0, 100.0, 12.0, 1.5])
+def test_a_wall_is_seen_at_every_zoom_and_turn(page, scene, live, pixels_per_m, turn_rad):
+    hide_all_but_the_map(page)
+    page.run("corridor.view.camera.rotation_rad = arguments[0]", turn_rad)
+    wall_x_m = scene.half_x_m - CELL_M / 2
+    page.look_at(wall_x_m, 0.5 * CELL_M, pixels_per_m)
+    around = [page.pixel(wall_x_m + dx / pixels_per_m, 0.5 * CELL_M) for dx in (-1, 0, 1)]
+    darkest = min(sum(pixel) for pixel in around)
+    assert darkest < sum(WALL) + 20
+    page.run("corridor.view.camera.rotation_rad = 0")
+
+
+def test_pose_and_its_words_agree_with_the_message(page, scene, live):
+    message = encode_pose(scene.output(3.0), stamp(3.0))
+    live.put(message)
+    page.wait_for("return corridor.report().pose.stamp_ns === arguments[0]", str(stamp(3.0)))
+    expected, shown = decode_pose(message.payload), page.report()["pose"]
+    assert (shown["x_m"], shown["y_m"], shown["theta_rad"]) == (
+        expected.pose.x_m,
+        expected.pose.y_m,
+        expected.pose.theta_rad,
+    )
+    np.testing.assert_allclose(shown["covariance"], expected.covariance.ravel(), atol=1e-15)
+    page.wait_for_text("information", f"{expected.pose.x_m:.3f} m")
+    heading_deg = math.degrees(expected.pose.theta_rad)
+    assert f"{heading_deg:.1f}" in page.text("information")
+    turned = expected.pose.theta_rad
+    c, s = math.cos(turned), math.sin(turned)
+    in_map = np.array([[c, -s], [s, c]]) @ expected.covariance[:2, :2] @ np.array([[c, s], [-s, c]])
+    assert f"{100 * math.sqrt(in_map[0, 0]):.1f} cm" in page.text("information")
+
+
+def test_the_vehicle_moves_on_the_map_and_is_followed(page, scene, live):
+    for tenth in range(11, 31):
+        live.put(encode_pose(scene.output(tenth / 10), stamp(tenth / 10)))
+        page.wait_for("return corridor.report().pose.stamp_ns === arguments[0]", str(stamp(tenth / 10)))
+    report, there = page.report(), scene.pose(3.0)
+    assert report["follows"]
+    assert report["pathPoints"] > 15
+    camera = page.run("const {x_m, y_m} = corridor.view.camera; return [x_m, y_m]")
+    assert camera == [there.x_m, there.y_m]
+
+
+def test_scans_of_all_lasers_lie_on_the_walls(page, scene, live):
+    page.wait_for("const s = corridor.report().scanPoints; return s.front > 0 && s.rear > 0")
+    for name in MOUNTINGS:
+        points = page.run("return [...corridor.view.scans.get(arguments[0]).points]", name)
+        assert len(points) == 2 * scene.scan(name, 1.0).range_m.size
+        away_m = [
+            min(abs(abs(x) - scene.half_x_m), abs(abs(y) - scene.half_y_m))
+            for x, y in zip(points[::2], points[1::2], strict=True)
+        ]
+        assert max(away_m) < 0.01
+    colours = [page.run("return corridor.view.colourOf(arguments[0])", name) for name in MOUNTINGS]
+    assert len(set(colours)) == 2
+
+
+def test_a_scan_of_a_moving_vehicle_is_laid_out_beam_by_beam(page, scene, live):
+    """1 m/s forward: the last of 361 beams, each 1 ms after the other, is 0.36 m further on."""
+    page.run(
+        "const v = corridor.view, stamp_s = v.track.last.stamp_s, ranges = new Uint16Array(361).fill(200);"
+        "const scan = {sensor: 'front', stamp_s, first_angle_rad: 0, angle_step_rad: 0, beam_interval_s: 1e-3};"
+        "v.track.last.twist = [1, 0, 0];"
+        "v.scans.set('front', {scan: {...scan, ranges}, arrived_ms: performance.now()}); v.invalidate();"
+    )
+    moved = page.wait_for(
+        "const p = corridor.view.scans.get('front').points;"
+        "return p ? Math.hypot(p.at(-2) - p[0], p.at(-1) - p[1]) : null"
+    )
+    assert moved == pytest.approx(0.36, abs=1e-6)
+
+
+def test_keys_move_zoom_and_turn_the_map(page, live):
+    canvas = page.element("map")
+    page.look_at(0.0, 0.0, 40.0)
+    canvas.send_keys(Keys.ARROW_RIGHT)
+    assert page.run("return corridor.view.camera.x_m") == pytest.approx(1.5)
+    canvas.send_keys(Keys.ARROW_UP)
+    assert page.run("return corridor.view.camera.y_m") == pytest.approx(1.5)
+    canvas.send_keys("+")
+    assert page.run("return corridor.view.camera.scale") == pytest.approx(50.0)
+    canvas.send_keys("[")
+    assert page.run("return corridor.view.camera.rotation_rad") == pytest.approx(math.pi / 12)
+    canvas.send_keys("n")
+    assert page.run("return corridor.view.camera.rotation_rad") == pytest.approx(0.0)
+    assert page.element("follow").get_attribute("aria-pressed") == "false"
+    canvas.send_keys("f")
+    assert page.element("follow").get_attribute("aria-pressed") == "true"
+
+
+def test_the_mouse_drags_the_map_and_the_wheel_zooms_about_the_pointer(page, live):
+    page.look_at(0.0, 0.0, 40.0)
+    canvas = page.element("map")
+    ActionChains(page.driver).drag_and_drop_by_offset(canvas, -80, 40).perform()
+    assert page.run("const c = corridor.view.camera; return [c.x_m, c.y_m]") == pytest.approx([2.0, 1.0])
+    box = canvas.rect
+    under = page.run("return corridor.view.camera.toMap(100, 300)")
+    page.run(
+        "document.getElementById('map').dispatchEvent(new WheelEvent('wheel',"
+        "{deltaY: -300, clientX: arguments[0], clientY: arguments[1], cancelable: true}))",
+        box["x"] + 100,
+        box["y"] + 300,
+    )
+    assert page.run("return corridor.view.camera.scale") > 50.0
+    assert page.run("return corridor.view.camera.toMap(100, 300)") == pytest.approx(under, abs=0.02)
+
+
+def test_a_distance_is_measured_by_two_clicks(page, live):
+    page.look_at(0.0, 0.0, 40.0)
+    page.element("measure").click()
+    canvas = page.element("map")
+    for dx, dy in ((0, 0), (120, 160)):
+        ActionChains(page.driver).move_to_element_with_offset(canvas, dx, dy).click().perform()
+    page.wait_for_text("hint", "5.00 m")
+    assert "x 3.00 m, y -4.00 m" in page.text("hint")
+    canvas.send_keys(Keys.ESCAPE)
+    page.wait_for("return document.getElementById('hint').hidden")
+
+
+def test_the_scale_bar_is_as_long_as_it_says(page, live):
+    page.look_at(0.0, 0.0, 37.0)
+    words = page.text("scale-text")
+    pixels = page.run("return parseFloat(document.getElementById('scale-bar').style.width)")
+    assert words == "2 m"
+    assert pixels == pytest.approx(2 * 37.0)
+
+
+def test_all_shows_all_of_the_map(page, scene, live):
+    page.element("fit").click()
+    seen, bounds = page.run("return corridor.view.camera.seen"), page.report()["bounds"]
+    assert all(seen[low] < bounds[low] for low in ("x_min_m", "y_min_m"))
+    assert all(seen[high] > bounds[high] for high in ("x_max_m", "y_max_m"))
+
+
+def test_a_reset_clears_map_and_path(page, scene, live):
+    scene.store.begin_anew()
+    page.wait_for("const r = corridor.report(); return r.tiles === 0 && r.pathPoints === 0")
+    page.wait_for("return !document.getElementById('empty').hidden")
+
+
+def test_what_is_not_of_now_is_not_shown_as_such(page, live):
+    page.wait_for("return !corridor.view.isLive")  # no pose for 1.5 s

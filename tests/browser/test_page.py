@@ -1,0 +1,196 @@
+import json
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import pytest
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.keys import Keys
+
+from tests.browser.conftest import DESKTOP, PHONE
+from tests.browser.scene import event
+from tests.service.web.conftest import TOKEN
+
+
+def asked(desk):
+    return [(verb, json.loads(payload)) for verb, payload in desk.asked]
+
+
+def test_the_state_and_its_reason_stand_on_top(page, scene, live):
+    assert page.text("state") == "ok"
+    reason = "front: 40 % of the beams disagree with the map"
+    live.put(scene.messages(2.0, "degraded", reason)[-1])
+    page.wait_for_text("state", "degraded")
+    assert page.text("reason") == reason
+    assert page.element("state").get_attribute("data-level") == "warn"
+    live.put(scene.messages(9.0, "degraded", reason)[-1])
+    page.wait_for_text("information", "for 0:07 min")
+
+
+def test_each_sensor_has_its_row_and_a_fault_its_words(page, live):
+    rows = page.text("information")
+    assert "no route to 192.168.0.10" in rows
+    assert "1 of 2 well" in rows
+    cells = page.run(
+        "return [...document.querySelectorAll('#information tbody tr')][0].innerText.split(/\\s+/)"
+    )
+    assert cells == ["front", "50.0", "0.02", "5.0", "0", "12.3"]
+
+
+def test_events_are_listed_newest_first(page, live):
+    live.put(event('{"event": "mark", "text": "<b>here</b>"}', 2.0))
+    live.put(event('{"event": "pause"}', 3.0))
+    page.wait_for_text("information", "mapping paused")
+    items = page.run("return [...document.querySelectorAll('.events li span')].map((e) => e.textContent)")
+    assert items == ["mapping paused", "mark, <b>here</b>"]  # as text, never as markup
+
+
+def test_the_token_leaves_the_address_bar(page, live):
+    assert page.report()["mayControl"]
+    assert TOKEN not in page.driver.current_url
+    assert "#" not in page.driver.current_url
+
+
+def test_commands_are_given_with_the_token(page, live, desk):
+    page.choose("control")
+    page.run(
+        "corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: ['mark', 'save_map', 'reset_map']})"
+    )
+    page.element("do-save_map").click()
+    page.wait_for_text("notices", "Save map: done.")
+    page.element("mark-text").send_keys("a door", Keys.ENTER)
+    page.wait_for_text("notices", "Set mark: done.")
+    assert asked(desk) == [("save_map", {}), ("mark", {"text": "a door"})]
+
+
+def test_a_reset_asks_first(page, live, desk):
+    page.choose("control")
+    page.run("corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: ['reset_map']})")
+    page.element("do-reset_map").click()
+    page.driver.find_element("css selector", "#confirm button[value=no]").click()
+    page.wait_for("return !document.getElementById('confirm').open")
+    page.element("do-reset_map").click()
+    page.element("confirm-yes").click()
+    page.wait_for_text("notices", "Reset map: done.")
+    assert asked(desk) == [("reset_map", {})]
+
+
+def test_without_the_token_one_only_looks(page, serve, scene, desk):
+    server = serve()
+    for message in scene.messages(1.0):
+        server.put(message)
+    page.open(server.address)
+    page.choose("control")
+    page.wait_for("return !document.getElementById('do-mark').hidden")
+    assert not page.element("do-mark").is_enabled()
+    assert "You may look" in page.text("access-words")
+    page.run("return corridor.connection.command('mark', {text: 'x'})")
+    assert desk.asked == []
+    page.element("token").send_keys("wrong", Keys.ENTER)
+    page.wait_for_text("notices", "not the token")
+    page.element("token").send_keys(TOKEN, Keys.ENTER)
+    page.wait_for_text("access-words", "Unlocked")
+    assert page.element("do-mark").is_enabled()
+
+
+class ForeignPage(BaseHTTPRequestHandler):
+    """A page of somebody else: no policy keeps its scripts from speaking to whom they like."""
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.end_headers()
+        self.wfile.write(b"<!doctype html><title>elsewhere</title>")
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing."""
+
+
+def test_a_page_of_elsewhere_cannot_open_the_socket(page, live):
+    with ThreadingHTTPServer(("127.0.0.1", 0), ForeignPage) as elsewhere:
+        serving = threading.Thread(target=elsewhere.serve_forever)
+        serving.start()
+        try:
+            page.driver.get(f"http://127.0.0.1:{elsewhere.server_port}/")
+            ended = page.driver.execute_async_script(
+                "const done = arguments[1], socket = new WebSocket(arguments[0]);"
+                "socket.onopen = () => done('open'); socket.onerror = () => done('refused');",
+                live.address.replace("http", "ws") + "ws",
+            )
+        finally:
+            elsewhere.shutdown()
+            serving.join()
+    assert ended == "refused"
+    assert int(live.health().values["refused"]) == 1
+
+
+def test_it_comes_back_after_the_service_was_started_again(page, serve, scene, live):
+    port = live.address.rstrip("/").rpartition(":")[2]
+    before = page.report()["runId"]
+    live.close()
+    page.wait_for_text("state", "no connection")
+    scene.store.begin_anew()
+    again = serve(listen=f"127.0.0.1:{port}")
+    page.wait_for("const r = corridor.report(); return r.isOpen && r.runId !== arguments[0]", before)
+    page.wait_for("const r = corridor.report(); return r.tiles === 0 && r.pathPoints === 0 && r.mayControl")
+    again.put(scene.messages(5.0)[1])
+    page.wait_for("const p = corridor.report().pose; return p && p.stamp_ns === '1700000005000000000'")
+
+
+def test_the_pose_is_set_by_dragging(page, live, desk):
+    page.choose("control")
+    page.run("corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: ['set_pose']})")
+    page.look_at(1.0, 2.0, 40.0)
+    page.element("do-set_pose").click()
+    canvas = page.element("map")
+    ActionChains(page.driver).drag_and_drop_by_offset(canvas, 0, -60).perform()
+    page.wait_for("return document.getElementById('confirm').open")
+    page.element("confirm-yes").click()
+    page.wait_for_text("notices", "done.")
+    ((verb, request),) = asked(desk)
+    assert verb == "set_pose"
+    assert request == pytest.approx({"x_m": 1.0, "y_m": 2.0, "theta_rad": 1.5707963}, abs=0.03)
+
+
+def test_tabs_are_worked_with_the_arrow_keys(page, live):
+    page.element("tab-information").send_keys(Keys.ARROW_RIGHT)
+    assert page.element("control").is_displayed()
+    assert not page.element("information").is_displayed()
+    assert page.driver.switch_to.active_element.get_attribute("id") == "tab-control"
+
+
+def test_everything_can_be_reached_with_the_keyboard(page, live):
+    page.run("document.activeElement.blur(); window.scrollTo(0, 0)")
+    reached = []
+    for _ in range(30):
+        ActionChains(page.driver).send_keys(Keys.TAB).perform()
+        reached.append(page.driver.switch_to.active_element.get_attribute("id"))
+    assert {"theme", "map", "follow", "measure", "tab-information", "information"} <= set(reached)
+
+
+def test_nothing_is_wider_than_a_phone(page, live):
+    page.resize(PHONE)
+    for area in ("map", "information", "control"):
+        page.choose(area)
+        assert page.run("return document.documentElement.scrollWidth") <= PHONE[0]
+        wide = "[...document.querySelectorAll('.card')].filter((c) => c.scrollWidth > c.clientWidth + 1)"
+        assert page.run(f"return {wide}.map((c) => c.innerText)") == []
+
+
+@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
+@pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
+def test_axe_finds_nothing_serious(page, live, axe, size, is_dark):
+    page.resize(size, is_dark)
+    page.run(axe)
+    for area in ("information", "control"):
+        page.choose(area)
+        result = page.driver.execute_async_script(
+            "axe.run().then((found) => arguments[0](found), (error) => arguments[0]({error: String(error)}))"
+        )
+        assert "error" not in result
+        serious = [
+            (fault["id"], [node["html"] for node in fault["nodes"]])
+            for fault in result["violations"]
+            if fault["impact"] in ("serious", "critical")
+        ]
+        assert serious == []
+        assert len(result["passes"]) > 10
+    page.resize(DESKTOP)
