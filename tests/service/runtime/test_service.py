@@ -11,13 +11,15 @@ from pathlib import Path
 import pytest
 
 from service.config import ServiceConfig, parse_config
-from service.encoding import decode_event
+from service.encoding import ERROR, OK, Message, Status, decode_diagnostics, decode_event
 from service.errors import CorridorError, OutputLostError, StorageError
 from service.recording.mcap_reader import Recording
 from service.runtime import service as service_module
 from service.runtime.mapper_link import MOST_DEATHS, MapperLink
 from service.runtime.notify import Notifier
 from service.runtime.service import Service
+from service.sinks.registry import SinkKind
+from service.sinks.sink import Sink, SinkContext
 from tests.service.runtime.mappers import FATAL_RANGE_M
 from tests.service.runtime.test_mapping import scan
 
@@ -234,3 +236,51 @@ def test_a_step_of_the_wall_clock_is_reported_and_not_applied(
     assert recording.metadata["clock"]["wall_clock_step_ns"] == "3600000000000"
     events = [decode_event(m.payload) for m in recording.messages(["/events"])]
     assert '{"event": "clock_step", "step_ns": 3600000000000}' in events
+
+
+class BrokenSink(Sink):
+    """Takes no message, and its thread dies at once."""
+
+    name = "broken"
+
+    def start(self) -> None:
+        threading.Thread(target=lambda: [][0], name="broken-writer").start()
+
+    def put(self, message: Message, arrived_ns: int | None = None) -> None:
+        raise OSError("no paper")
+
+    def health(self) -> Status:
+        return Status(self.name, OK, "ok", {})
+
+    def close(self) -> None:
+        raise OSError("the printer hangs")
+
+
+def open_broken_sink(section: object, context: SinkContext) -> BrokenSink:
+    return BrokenSink()
+
+
+def test_a_sink_that_is_broken_in_every_way_costs_neither_mapping_nor_another_sink(
+    open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch
+):
+    broken = SinkKind("recording", "none:none", f"{__name__}:open_broken_sink")
+    monkeypatch.setattr(service_module, "SINKS", (broken, *service_module.SINKS))
+    service = open_service()
+    service.start()
+    arrived_ns = time.monotonic_ns() + 3600 * 10**9  # never too old, however slow this machine is
+    for k in range(20):
+        service.frame_sink(scan(k + 1, arrived_ns + k, [2.0] * 60))
+    tick_until(service, lambda: service._outputs.states.total() == 20)
+    service.tick()
+    summary = service.stop()
+    assert service.failure == ""
+    recording = Recording(summary.sessions)
+    assert len(list(recording.messages(["/pose"]))) == 20
+    *_, last = recording.messages(["/diagnostics"])
+    rows = {row.name: row for row in decode_diagnostics(last.payload)}
+    assert rows["broken"].level == ERROR
+    assert int(rows["broken"].values["refused"]) > 20
+    assert {name: rows[name].level for name in ("zenoh", "recording", "map")} == {
+        "zenoh": OK, "recording": OK, "map": OK,
+    }  # fmt: skip
+    assert summary.map_folder is not None
