@@ -24,7 +24,7 @@ from service.errors import ConfigError
 from service.geometry.se2 import SE2
 from service.located_yaml import Document, Fault, load
 from service.located_yaml import Path as KeyPath
-from service.mapper.profiles import MappingConfig, mapping_model
+from service.mapper.profiles import MappingConfig, begins_in_stored, mapping_model
 from service.sinks.registry import SINKS
 
 NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")  # a chunk of a Zenoh key and a ROS 2 name at once
@@ -169,6 +169,7 @@ class _Reader:
         }
         if isinstance(mapping := values["mapping"], MappingConfig):
             self._refuse_what_is_no_laser(mapping.lasers or (), root.get("sensors"))
+            self._refuse_nowhere_to_begin(mapping, _section(root, "map"))
         return values
 
     def _name(self, parent: KeyPath, name: object, key: str) -> object:
@@ -243,6 +244,18 @@ class _Reader:
                         ("sensors", name, keys[0]),
                         f"{where} is taken by {owner}; two sensors cannot share a wire",
                     )
+
+    def _refuse_nowhere_to_begin(self, mapping: MappingConfig, section: object) -> None:
+        is_given = isinstance(section, dict) and section.get("load") is not None
+        if mapping.mode == "localization" and not is_given:
+            self._fault(
+                ("mapping", "mode"), "localization is in a stored map; name its folder in map: {load: ...}"
+            )
+        if is_given and not begins_in_stored(mapping):
+            self._fault(
+                ("mapping", "profile"),
+                f"{mapping.profile} cannot begin in a stored map; use corridor, or leave map.load out",
+            )
 
     def _refuse_what_is_no_laser(self, names: tuple[str, ...], sensors: object) -> None:
         kinds = {

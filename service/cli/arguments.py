@@ -83,6 +83,8 @@ def _add_offline(commands: Any) -> None:
         metavar="max|N",
         help="N times real time, or as fast as it goes (default: max)",
     )
+    replay.add_argument("--map", type=Path, metavar="MAP", help="begin in this stored map")
+    replay.add_argument("--localize", action="store_true", help="only localise in it: it stays as it is")
     replay.add_argument(
         "--jobs",
         type=_positive_int,

@@ -14,6 +14,7 @@ from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapper.background import InlineWorker, NewWorker
 from service.mapper.patch_store import MemoryPatches, NewPatchStore
+from service.mapper.saved_graph import SavedGraph
 from service.outputs import State, TileUpdate
 
 
@@ -76,6 +77,10 @@ class MappedScan:
     elapsed_s: float = 0.0  # since the scan before
 
 
+# Of a session in a stored map: nobody knows where it lies in it; one look says where; another one, too.
+Placed = Literal["unknown", "unproven", "proven"]
+
+
 @dataclass(frozen=True, slots=True)
 class Correction:
     """Where a scan lies by the graph. Scans between two of them are bent along, see corrections.py."""
@@ -110,15 +115,21 @@ class GraphUpdate:
     counts   counter -> how much it rose (or fell): loop_closures ...
     rendered_map    the shown map from now on; None: it stays
     since    what to draw into it besides: scans that the rendered map does not hold
-    joined   number of a piece of the map that was found in the rest; 0: none
+    joined   number of a piece of the map that was found in the rest; None: none
+    placed   how sure the place of the session in its stored map is; None: no news
+    alike    m, in the map: places that a piece that is looked for fits equally well
+    saved    what a later session needs to go on, where a checkpoint was asked for
     geo      where the map lies on the earth; None: that is not known, or not news
     """
 
     counts: Mapping[str, int]
     rendered_map: RenderedMap | None = None
     since: Sequence[ScanToRender] = ()
-    joined: int = 0
+    joined: int | None = None
     geo: GeoReference | None = None
+    placed: Placed | None = None
+    alike: Sequence[tuple[float, float]] = ()
+    saved: SavedGraph | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -289,6 +300,8 @@ class BuildContext:
     renderer: MapRenderer | None = None  # of the shown map; the graph is told, and only it
     new_worker: NewWorker = InlineWorker  # where back ends work
     new_patch_store: NewPatchStore = MemoryPatches  # where patches of a map wait that are far away
+    stored: SavedGraph | None = None  # of the map that the session begins in
+    is_localizing: bool = False  # that map stays as it is
 
 
 @dataclass(frozen=True, slots=True)
@@ -299,6 +312,7 @@ class ComponentKind:
     reads     the class of the local map that this stage reads, None where it reads none
     rehearse  runs what a short drive does not reach, so that it is compiled; None where there is nothing such
     rehearse_core   runs alone what takes longest to compile, so that another process can drive meanwhile
+    begins_in_stored   of a graph: it can go on from BuildContext.stored, and gives what to store
     """
 
     name: str
@@ -308,6 +322,7 @@ class ComponentKind:
     reads: type | None = None
     rehearse: Callable[[], Any] | None = None
     rehearse_core: Callable[[], Any] | None = None
+    begins_in_stored: bool = False
 
 
 class NoSettings(BaseModel):

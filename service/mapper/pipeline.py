@@ -1,6 +1,7 @@
 """The mapper: one frame in, at most one MapperOutput out. Read this file first."""
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Generic
 
@@ -15,14 +16,17 @@ from service.mapper.components import (
     GraphUpdate,
     MappedScan,
     Match,
+    Placed,
     Points,
     ReadableMap,
     Stopwatch,
 )
 from service.mapper.mounting_check import MountingCheck
+from service.mapper.saved_graph import SavedGraph
 from service.mapper.scan_check import ScanCheck
 from service.outputs import MapperOutput, State, TileUpdate
 
+UNPROVEN = "found in the stored map by what is seen from one spot; drive on some metres to prove it"
 MOST_BEHIND_NS = 250_000_000  # that a sweep may have begun before the newest pose: a slow laser beside a fast
 WELL_NS = 500_000_000  # so long a scan that lay on the map vouches for the place
 
@@ -35,15 +39,29 @@ class NoStopwatch:
 class Mapper(Generic[ReadableMap]):
     """Single-threaded, reads no clock, knows no method by name. Same frames in, same outputs out."""
 
-    def __init__(self, stages: Components[ReadableMap], stopwatch: Stopwatch | None = None) -> None:
+    def __init__(
+        self,
+        stages: Components[ReadableMap],
+        stopwatch: Stopwatch | None = None,
+        placed: Placed = "proven",
+        is_localizing: bool = False,
+        geo_reference: GeoReference | None = None,
+    ) -> None:
+        """placed: "unknown" where the session begins in a stored map, in which the vehicle is to be found.
+
+        is_localizing: the shown map stays as it is. geo_reference: of the stored map.
+        """
         self._stages = stages
+        self._placed, self._is_localizing = placed, is_localizing
+        self._alike: Sequence[tuple[float, float]] = ()  # places that what is seen fits equally well
+        self.saved: SavedGraph | None = None  # of the newest checkpoint that was asked for
         self._stopwatch = stopwatch if stopwatch is not None else NoStopwatch()
         self._last_ns: int | None = None  # moment of the newest pose
         self._lasers: dict[str, LaserWatch] = {}
         self._travelled_m = 0.0  # as predicted, from scan to scan
         self._state: tuple[State, str] = ("ok", "")  # and its reason, of the newest scan that was mapped
         self._pose_map_odom = SE2()
-        self.geo_reference: GeoReference | None = None  # None: where the map lies on the earth is not known
+        self.geo_reference = geo_reference  # None: where the map lies on the earth is not known
         self.counters: Counter[str] = Counter()  # scans, scans_dropped_late, samples_dropped_late ...
 
     def process(self, frame: Frame) -> MapperOutput | None:
@@ -118,7 +136,12 @@ class Mapper(Generic[ReadableMap]):
         self.counters.update(update.counts)
         if update.geo is not None:
             self.geo_reference = update.geo
-        if update.joined:
+        self._alike = update.alike
+        if update.saved is not None:
+            self.saved = update.saved
+        if update.placed is not None:
+            self._placed = update.placed
+        if update.joined is not None:
             self._stages.local_map.join(update.joined)
         if update.rendered_map is not None:
             self._stages.free_space.replace_by(update.rendered_map, update.since)
@@ -152,11 +175,22 @@ class Mapper(Generic[ReadableMap]):
         pose_map_odom = self._pose_map_odom = s.graph.add(
             MappedScan(at_ns, kept, match, change, covariance, predicted.elapsed_s)
         )
-        if match.state != "lost":  # nothing is drawn from a place that nobody knows
+        if self._placed == "unknown":
+            match = replace(match, state="lost", reason=self._unplaced(match.reason))
+        elif self._placed == "unproven" and match.state == "ok":
+            match = replace(match, state="degraded", reason=UNPROVEN)
+        if match.state != "lost" and not self._is_localizing:  # nothing is drawn where nobody knows the place
             s.free_space.insert(kept, pose_map_odom @ match.motion.pose_odom_base)
         watch.lap("insert")
         self._state = match.state, match.reason
         return self._output(at_ns, match.motion, match.state, match.reason, match.inlier_ratio)
+
+    def _unplaced(self, reason: str) -> str:
+        """Why a session in a stored map is lost still."""
+        if self._alike:
+            places = " and ".join(f"({x_m:.1f}, {y_m:.1f}) m" for x_m, y_m in self._alike)
+            return f"what is seen fits the stored map at {places} alike; drive on, or set the pose"
+        return reason or "the vehicle is looked for in the stored map; drive on, or set the pose"
 
     def _compared(
         self, scan: LaserScan, at_ns: int, laser: "LaserWatch", points: Points, predicted: Prediction

@@ -9,7 +9,7 @@ import difflib
 import math
 from collections.abc import Callable, Iterable, Mapping
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from typing import Any, Literal
@@ -19,11 +19,22 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, create_model,
 from pydantic.fields import FieldInfo
 
 from drivers.frames import NO_INTENSITY, ImuSample, LaserScan, OdometrySample
+from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapper.background import ElsewhereWorker, InlineWorker, NewWorker
-from service.mapper.components import SLOTS, BuildContext, ComponentKind, Components, Method, Slot, Stopwatch
+from service.mapper.components import (
+    SLOTS,
+    BuildContext,
+    ComponentKind,
+    Components,
+    Method,
+    RenderedMap,
+    Slot,
+    Stopwatch,
+)
 from service.mapper.patch_store import MemoryPatches, NewPatchStore
 from service.mapper.pipeline import Mapper
+from service.mapper.saved_graph import SavedGraph
 
 
 def _imported(name: str) -> Method:
@@ -68,6 +79,15 @@ def chosen_stages(profile: str, stages: Mapping[Slot, str]) -> dict[Slot, Compon
     return chosen
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class BeginIn:
+    """A stored map that a session begins in."""
+
+    graph: SavedGraph
+    shown: RenderedMap
+    geo: GeoReference | None = None  # where it lies on the earth
+
+
 class MappingConfig(BaseModel):
     """Which method maps, with which parameters, and how fine the shown map is.
 
@@ -78,7 +98,7 @@ class MappingConfig(BaseModel):
 
     profile: str = "corridor"
     cell_m: float = Field(default=0.05, ge=0.01, le=0.5)
-    mode: Literal["mapping"] = "mapping"
+    mode: Literal["mapping", "localization"] = "mapping"
     lasers: tuple[str, ...] | None = None  # whose scans are mapped; None: all that do not say map: false
     outline_m: tuple[tuple[float, float], ...] = ()  # corners of the vehicle, base frame; returns within go
     stages: dict[Slot, str] = {}
@@ -111,6 +131,11 @@ class MappingConfig(BaseModel):
         if lasers is not None and (not lasers or len(set(lasers)) != len(lasers)):
             raise ValueError("name each laser that is mapped once; leave lasers out to map all of them")
         return lasers
+
+
+def begins_in_stored(config: MappingConfig) -> bool:
+    """Whether a session of this config can begin in a stored map."""
+    return chosen_stages(config.profile, config.stages)["graph"].begins_in_stored
 
 
 def mapping_model(section: Mapping[str, Any]) -> type[MappingConfig]:
@@ -147,16 +172,25 @@ def build_mapper(
     stopwatch: Stopwatch | None = None,
     new_worker: NewWorker = InlineWorker,
     new_patch_store: NewPatchStore = MemoryPatches,
+    begin_in: BeginIn | None = None,
 ) -> Mapper[Any]:
     """A mapper that has seen nothing yet.
 
     mountings    pose_base_sensor of each laser, by its name
     new_worker   where the graph's back end does its work
     new_patch_store   where a map in patches keeps those that are far away
+    begin_in     the stored map that the vehicle is to be found in; None: a new map
+
+    Raises ValueError, in words, where the profile's graph cannot begin in a stored map.
     """
     if config.settings is None:
         config = mapping_config(config.model_dump(exclude={"settings"}))
     chosen = chosen_stages(config.profile, config.stages)
+
+    if begin_in is not None and not begins_in_stored(config):
+        raise ValueError(
+            f"the profile {config.profile} cannot begin in a stored map; the profile corridor can"
+        )
 
     def build(box: Slot, around: BuildContext) -> Any:
         return chosen[box].build(getattr(config.settings, box, None), around)
@@ -167,11 +201,21 @@ def build_mapper(
         config.outline_m,
         new_worker=new_worker,
         new_patch_store=new_patch_store,
+        stored=None if begin_in is None else begin_in.graph,
+        is_localizing=config.mode == "localization",
     )
     free_space = build("free_space", around)
     around = replace(around, renderer=free_space.renderer)
     built = {box: build(box, around) for box in SLOTS if box != "free_space"}
-    return Mapper(Components(free_space=free_space, **built), stopwatch)
+    if begin_in is not None:
+        free_space.replace_by(begin_in.shown, ())
+    return Mapper(
+        Components(free_space=free_space, **built),
+        stopwatch,
+        "proven" if begin_in is None else "unknown",
+        around.is_localizing,
+        None if begin_in is None else begin_in.geo,
+    )
 
 
 def _with_defaults(config: type[BaseModel], defaults: Mapping[str, Any]) -> type[BaseModel]:

@@ -11,4 +11,5 @@ class MapConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     directory: Folder
+    load: Folder | None = None  # a stored map that the session begins in; None: a new map
     checkpoint_s: float = Field(default=30.0, ge=1.0, le=3600.0)

@@ -3,8 +3,8 @@
     map.yaml, map.pgm, map.png -> current/...     what other programs read
     geo.json -> current/geo.json                  where GNSS anchors the map
     current -> v000012                            switched by one rename, from the old map to the new
-    v000012/   tiles.npz, map.yaml, map.pgm, map.png, geo.json if there is one, and manifest.json: SHA-256 of
-               these and of itself
+    v000012/   tiles.npz, map.yaml, map.pgm, map.png, geo.json if there is one, graph.npz and points_*.npz
+               where mapping can go on, and manifest.json: SHA-256 of these and of itself
 
 A version is written beside the others under a name that nobody reads, synced to the disk, then renamed. So a
 kill or a power cut at any moment leaves the last good one.
@@ -28,7 +28,9 @@ import numpy as np
 
 from service.errors import InputError, StorageError
 from service.geometry.geo_reference import GeoReference
+from service.mapper.saved_graph import SavedGraph
 from service.mapstore.geo_file import GEO_FILE, read_geo, write_geo
+from service.mapstore.graph_files import GRAPH_FILE, read_graph, write_graph
 from service.mapstore.picture import picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
@@ -37,7 +39,8 @@ from service.version import VERSION
 
 log = logging.getLogger(__name__)
 
-FORMAT = 1
+FORMAT = 2
+READ_FORMATS = (1, 2)  # 1 has no graph: it can be shown and exported, and mapping cannot go on in it
 KEEP_VERSIONS = 3
 FOR_OTHERS = ("map.yaml", "map.pgm", "map.png")
 _CONTENT = (*FOR_OTHERS, "tiles.npz")
@@ -55,6 +58,7 @@ class StoredMap:
     tiles: list[TileUpdate]
     problems: list[str]
     geo: GeoReference | None = None  # where it lies on the earth; None: that is not known
+    graph: SavedGraph | None = None  # with which mapping goes on; None: it cannot
 
 
 def save_map(
@@ -63,11 +67,12 @@ def save_map(
     saved_ns: int,
     about: Mapping[str, str] | None = None,
     geo: GeoReference | None = None,
+    graph: SavedGraph | None = None,
 ) -> int | None:
     """Store `tiles` as the next version of the map in `folder`; its number, or None where there are no tiles.
 
-    saved_ns is Unix time; `about` (vehicle, profile ...) and `geo` are kept with the map, and KEEP_VERSIONS
-    versions of it.
+    saved_ns is Unix time; `about` (vehicle, profile ...), `geo` and `graph` are kept with the map, and
+    KEEP_VERSIONS versions of it.
     Raises StorageError: no room, no rights, another writer; the version before stays what it was.
     """
     if not any(tile.level == 0 for tile in tiles):
@@ -75,7 +80,7 @@ def save_map(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with _only_writer(folder):
-            return _save(folder, tiles, saved_ns, dict(about or {}), geo)
+            return _save(folder, tiles, saved_ns, dict(about or {}), geo, graph)
     except OSError as error:
         raise StorageError(
             f"cannot save the map to {folder}: {error}; the version before is untouched"
@@ -110,6 +115,7 @@ def _save(
     saved_ns: int,
     about: dict[str, str],
     geo: GeoReference | None,
+    graph: SavedGraph | None,
 ) -> int:
     for leftover in folder.glob(_UNFINISHED + "*"):
         _remove(leftover)
@@ -119,6 +125,10 @@ def _save(
     try:
         new.mkdir()
         _write_content(new, tiles, saved_ns, about, geo)
+        names = [*_CONTENT, *([GEO_FILE] if geo is not None else [])]
+        if graph is not None:
+            names += write_graph(new, graph, folder / _name(number - 1))
+        _write_manifest(new, names, saved_ns, about)
         _sync(new)
         new.rename(folder / _name(number))
     except OSError:
@@ -140,7 +150,6 @@ def _write_content(
     about: dict[str, str],
     geo: GeoReference | None,
 ) -> None:
-    names = _CONTENT if geo is None else (*_CONTENT, GEO_FILE)
     if geo is not None:
         write_geo(new / GEO_FILE, geo)
     with (new / "tiles.npz").open("wb") as file:
@@ -153,6 +162,9 @@ def _write_content(
     picture = picture_of_tiles(tiles)
     write_ros_map(new / "map.pgm", new / "map.yaml", picture)
     write_png(new / "map.png", picture)
+
+
+def _write_manifest(new: Path, names: Sequence[str], saved_ns: int, about: dict[str, str]) -> None:
     manifest = {
         "format": FORMAT,
         "corridor": VERSION,
@@ -193,7 +205,10 @@ def _load(version: Path, problems: list[str]) -> StoredMap:
         )
     ]
     geo = read_geo(version / GEO_FILE) if GEO_FILE in manifest["files"] else None
-    return StoredMap(_number(version.name), manifest["about"], manifest["saved_ns"], tiles, problems, geo)
+    graph = read_graph(version) if GRAPH_FILE in manifest["files"] else None
+    return StoredMap(
+        _number(version.name), manifest["about"], manifest["saved_ns"], tiles, problems, geo, graph
+    )
 
 
 def _checked_manifest(version: Path) -> dict[str, Any]:
@@ -207,10 +222,10 @@ def _checked_manifest(version: Path) -> dict[str, Any]:
         raise InputError(f"{path}: damaged: {error!r}") from error
     if digest != _digest(manifest):
         raise InputError(f"{path}: damaged: its own checksum does not fit")
-    if manifest["format"] != FORMAT:
+    if manifest["format"] not in READ_FORMATS:
         raise InputError(
             f"{path}: format {manifest['format']} of corridor {manifest['corridor']}; "
-            f"this is corridor {VERSION}, which reads format {FORMAT}"
+            f"this is corridor {VERSION}, which reads the formats up to {FORMAT}"
         )
     checked: dict[str, Any] = manifest
     return checked

@@ -3,6 +3,7 @@
 import json
 import logging
 import re
+import shutil
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
@@ -27,8 +28,12 @@ from service.interruption import children_do_not_hear
 from service.kernel_warm_up import warm_up as warm_up_kernels
 from service.mapper.components import WishError
 from service.mapper.corrections import corrected
+from service.mapper.pipeline import Mapper
 from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
+from service.mapper.saved_graph import SavedGraph
 from service.mapper.steering import TAKE_IN_AFTER_SCANS, Control, LeftOut, SteeredMapper, TakeIn, Wish
+from service.mapstore.begin_in import begin_in
+from service.mapstore.files import is_map_folder, save_map
 from service.mapstore.geo_file import GEO_FILE, write_geo
 from service.mapstore.patch_files import PatchFiles
 from service.mapstore.picture import picture_of_tiles
@@ -53,6 +58,8 @@ class ReplayOptions:
     config: Path | None = None
     profile: str | None = None
     rate: float = 0.0  # times real time; 0: as fast as it goes
+    map: Path | None = None  # a stored map to begin in
+    localize: bool = False  # ... which stays as it is
 
 
 class StageTimes:
@@ -85,6 +92,7 @@ class Replay:
     summary: dict[str, Any]
     notes: list[str] = field(default_factory=list)
     geo: GeoReference | None = None  # where its map lies on the earth; None: that is not known
+    graph: SavedGraph | None = None  # with which a later session goes on; None: it cannot
 
 
 def group_sessions(paths: Sequence[Path]) -> list[list[Path]]:
@@ -143,12 +151,19 @@ def replay(
     for note in session.notes:
         log.info("%s", note)
     mapping, poses_base_sensor, lasers, as_live = _setup(session, options)
+    stored = None if options.map is None else begin_in(options.map, mapping.cell_m)
     log.info("mapping the scans of %s", ", ".join(lasers))
     warm_up_encoding()
     warm_up_kernels(mapping)
     stages, scan_ns, scan_cpu_ns, states = StageTimes(), [], [], Counter[str]()
+    begins = [stored]  # a reset begins a new map, but for a vehicle that is only localised
+
+    def new_mapper() -> Mapper[Any]:
+        begin = begins[0] if mapping.mode == "localization" else begins.pop() if begins else None
+        return build_mapper(mapping, poses_base_sensor, stages, new_patch_store=PatchFiles, begin_in=begin)
+
     mapper = SteeredMapper(
-        lambda: build_mapper(mapping, poses_base_sensor, stages, new_patch_store=PatchFiles),
+        new_mapper,
         lasers,
         take_in_after=None if as_live else TAKE_IN_AFTER_SCANS,
     )
@@ -157,16 +172,18 @@ def replay(
     poses: list[SE2] = []  # of the outputs of maps that are finished
     g2o = ""
     geo: GeoReference | None = None
+    graph: SavedGraph | None = None
 
     def finish_map() -> None:
         """Of a map without a scan there is nothing to show: then that before it stands."""
-        nonlocal tiles, g2o, geo
+        nonlocal tiles, g2o, geo, graph
         new = outputs[len(poses) :]
         if not new:
             return
         finished = mapper.finish()
         poses.extend(corrected(new, finished.corrections))
         tiles, g2o, geo = mapper.changed_tiles(), finished.g2o, mapper.geo_reference
+        graph = finished.update.saved
 
     recording = session.recording
     span_ns = max(recording.last_log_ns - recording.first_log_ns, 1)
@@ -240,11 +257,14 @@ def replay(
         },
         "geo_reference": None if geo is None else geo.as_dict(),
     }
-    return Replay(outputs, poses, tiles, g2o, summary, session.notes, geo)
+    if mapping.mode == "localization":
+        graph = None  # the map stays the one it was
+    return Replay(outputs, poses, tiles, g2o, summary, session.notes, geo, graph)
 
 
 def write_replay(done: Replay, out: Path) -> None:
-    """trajectory.tum, trajectory_live.tum, map.pgm + map.yaml, map.png, graph.g2o, geo.json, summary.json.
+    """trajectory.tum, trajectory_live.tum, map.pgm + map.yaml, map.png, graph.g2o, geo.json, summary.json,
+    and map/, the map as it is stored: `--map` and map.load begin in it.
 
     There is no graph.g2o where the profile has no graph. Where fixes do not anchor the map there is no
     geo.json, and none of an earlier replay stays; where they do, map.png has a world file beside it, as far
@@ -269,9 +289,19 @@ def write_replay(done: Replay, out: Path) -> None:
             write_geo(out / GEO_FILE, done.geo)
             if abs(done.geo.origin.latitude_deg) < UTM_MOST_LATITUDE_DEG:
                 write_world_file(out / "map.png", picture, done.geo)
+        _store_map(done, out / "map")
         (out / "summary.json").write_text(json.dumps(done.summary, indent=1) + "\n", encoding="ascii")
     except OSError as error:
         raise StorageError(f"cannot write to {out}: {error}") from error
+
+
+def _store_map(done: Replay, folder: Path) -> None:
+    """In the place of one of an earlier replay; none where a session could not go on in it."""
+    if is_map_folder(folder):
+        shutil.rmtree(folder)
+    if done.graph is not None and len(done.graph):
+        about = {"profile": str(done.summary["profile"])}
+        save_map(folder, done.tiles, done.outputs[-1].stamp_ns, about, done.geo, done.graph)
 
 
 class _Pace:
@@ -322,7 +352,11 @@ def _setup(
     configured = mountings(config.sensors) if config is not None else {}
     poses = {name: configured.get(name, pose) for name, pose in session.mountings.items()}
     poses |= session.antennas | {name: pose for name, pose in configured.items() if name not in poses}
-    as_live = recorded is not None and mapping == recorded.mapping
+    as_live = recorded is not None and mapping == recorded.mapping and options.map is None
+    if options.localize:
+        mapping = mapping.model_copy(update={"mode": "localization"})
+    if mapping.mode == "localization" and options.map is None:
+        raise ConfigError(["mapping.mode is localization: give the map to localise in by --map"])
     return mapping, poses, _lasers(session, config), as_live
 
 

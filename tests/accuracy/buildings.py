@@ -70,7 +70,7 @@ def ring(seeds: Sequence[int]) -> Section:
 
 def big_mall(seeds: Sequence[int]) -> Section:
     world: Callable[[], World] = FAST_MALL
-    seconds = _seconds_for(world(), MALL_WAY_M)
+    seconds = seconds_for(world(), MALL_WAY_M)
     errors = errors_of(Trip(world, LMS100_25HZ, seconds), seeds)
     return Section(
         "A mall of 12 000 m2 at 3 m/s",
@@ -86,7 +86,7 @@ def big_mall(seeds: Sequence[int]) -> Section:
     )
 
 
-def _seconds_for(world: World, way_m: float) -> float:
+def seconds_for(world: World, way_m: float) -> float:
     """How long the drive takes to come so far."""
     low_s, high_s = 0.0, 2.0 * world.drive.duration_s * max(1.0, way_m / world.drive.length_m)
     while high_s - low_s > 0.1:

@@ -16,6 +16,7 @@ from tests.accuracy import (
     lasers,
     outages,
     recorded,
+    relocalisation,
     trials,
 )
 from tests.accuracy.page import PAGE, write_page
@@ -35,6 +36,7 @@ SCENARIOS: dict[str, Callable[[Sequence[int]], Section]] = {
     "parked": trials.parked,
     "lasers": lasers.lasers,
     "outages": outages.outages,
+    "relocalisation": relocalisation.relocalisation,
     "scans": cost.scans,
     "replay": cost.recording,
     "growing_map": cost.growing_map,

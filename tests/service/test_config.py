@@ -164,7 +164,7 @@ def test_an_antenna_lies_where_mounting_axes_and_lever_arm_put_it():
         ),
         (
             GOOD + "mapping: {mode: localization}\n",
-            "c.yaml:9:11: mapping.mode: should be 'mapping' (got \"localization\")",
+            "c.yaml:9:11: mapping.mode: localization is in a stored map; name its folder in map: {load",
         ),
         (
             GOOD + "mapping: {lasers: [frnt]}\n",

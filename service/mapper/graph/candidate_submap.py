@@ -25,21 +25,35 @@ LEAST_SCORE = 0.5  # mean likelihood of the points that a search must reach: hal
 TRACED_EVERY = 3  # key frames of a place: neighbours see the same free space
 
 
-def cloud_of(keyframes: KeyframeList, members: Iterable[int], reference: int) -> PointCloud:
-    """Key frames as odometry lays them, in the frame of `reference`."""
+def cloud_of(
+    keyframes: KeyframeList, members: Iterable[int], reference: int, poses: Floats | None = None
+) -> PointCloud:
+    """Key frames as odometry lays them, in the frame of `reference`; or as `poses`, (N, 3) of all, does."""
+    poses = keyframes.odom if poses is None else poses
     clouds = []
     for k in members:
         kept = keyframes.thinned[k]
         near = (kept.xy_base * kept.xy_base).sum(axis=1) < REACH_M * REACH_M
         seen = PointCloud(kept.xy_base[near].astype(np.float64), kept.normals[near].astype(np.float64))
-        clouds.append(seen.transformed(se2.between(keyframes.odom[reference], keyframes.odom[k])))
+        clouds.append(seen.transformed(se2.between(poses[reference], poses[k])))
     return joined(clouds)
 
 
 class CandidateSubmap:
-    """Key frames around one, `reference`, in whose frame all lies, put together by odometry."""
+    """Key frames around one, `reference`, in whose frame all lies, put together by odometry.
 
-    def __init__(self, keyframes: KeyframeList, members: Iterable[int], reference: int) -> None:
+    poses   (N, 3) of all key frames, where these put them together instead: those of the graph do where the
+            members are of several passes
+    """
+
+    def __init__(
+        self,
+        keyframes: KeyframeList,
+        members: Iterable[int],
+        reference: int,
+        poses: Floats | None = None,
+    ) -> None:
+        poses = keyframes.odom if poses is None else poses
         self.reference = reference
         self.members = list(members)
         cells = (occupancy.TILE_CELLS,) * 2
@@ -47,10 +61,10 @@ class CandidateSubmap:
             TilePool((Layer(cells, np.int8), Layer(cells, np.uint16), Layer((), np.uint8)), POOL_TILES)
         )
         self._pyramid: MaxPyramid | None = None
-        self._clouds = [cloud_of(keyframes, [k], reference) for k in self.members]
+        self._clouds = [cloud_of(keyframes, [k], reference, poses) for k in self.members]
         self._sensors = [
             se2.points_from(
-                se2.between(keyframes.odom[reference], keyframes.odom[k]),
+                se2.between(poses[reference], poses[k]),
                 np.array(keyframes.thinned[k].sensor_xy_m),
             )
             for k in self.members

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.geometry.se2 import SE2
+from service.mapper.saved_graph import SavedGraph
 
 Floats = npt.NDArray[np.float64]
 NO_POINTS, NO_NORMALS = np.empty((0, 2), np.float32), np.empty((0, 3), np.float32)
@@ -38,16 +39,44 @@ class ThinnedScan:
     sensor_xy_m: tuple[float, float]
 
 
-class KeyframeList:
-    """All key frames so far, one behind the other. Arrays grow by doubling; rows are key frames."""
+SESSION_APART_M = 100.0  # path length that counts between the last key frame of a session and the next one
 
-    def __init__(self) -> None:
-        self.count = 0
+
+class KeyframeList:
+    """All key frames so far, one behind the other. Arrays grow by doubling; rows are key frames.
+
+    Those of a stored map stand first, the pieces they belong to numbered from -1 down.
+    """
+
+    def __init__(self, stored: SavedGraph | None = None) -> None:
+        self.count = self.stored = 0
         self._poses = np.zeros((64, 6))
         self._numbers = np.zeros((64, 6))
         self._covariance = np.zeros((64, 3, 3))
         self.stamps_ns: list[int] = []
         self.thinned: list[ThinnedScan] = []
+        if stored is not None:
+            self._restore(stored)
+
+    def _restore(self, stored: SavedGraph) -> None:
+        self.count = self.stored = len(stored)
+        _, piece = np.unique(stored.piece, return_inverse=True)
+        self._poses = np.column_stack((stored.odom, stored.map))
+        self._numbers = np.column_stack(
+            (stored.way_m, stored.score, stored.is_lost, stored.point_count > 0, -1 - piece, stored.gap_s)
+        ).astype(np.float64)
+        self._covariance = stored.covariance.copy()
+        self.stamps_ns = stored.stamp_ns.tolist()
+        ends = np.cumsum(stored.point_count)[:-1]
+        self.thinned = [
+            ThinnedScan(xy, normals, (float(sensor[0]), float(sensor[1])))
+            for xy, normals, sensor in zip(
+                np.split(stored.xy_base, ends),
+                np.split(stored.normals, ends),
+                stored.sensor_xy_m,
+                strict=True,
+            )
+        ]
 
     @property
     def odom(self) -> Floats:
@@ -111,7 +140,9 @@ class KeyframeList:
         pose = frame.pose_odom_base
         self._poses[k] = pose.x_m, pose.y_m, pose.theta_rad, *pose_map
         way_m = 0.0
-        if k:
+        if k and k == self.stored:
+            way_m = self._numbers[k - 1, 0] + SESSION_APART_M
+        elif k:
             before = self._poses[k - 1]
             way_m = self._numbers[k - 1, 0] + float(np.hypot(pose.x_m - before[0], pose.y_m - before[1]))
         self._numbers[k] = way_m, frame.score, frame.is_lost, True, frame.piece, frame.gap_s
@@ -119,6 +150,14 @@ class KeyframeList:
         self.stamps_ns.append(frame.stamp_ns)
         self.thinned.append(thinned)
         self.count += 1
+
+    def drop(self, first: int, last: int) -> None:
+        """Take out the key frames first..last - 1; those behind move up."""
+        for name in ("_poses", "_numbers", "_covariance"):
+            array = getattr(self, name)
+            setattr(self, name, np.concatenate((array[:first], array[last : self.count])))
+        del self.stamps_ns[first:last], self.thinned[first:last]
+        self.count -= last - first
 
     def forget(self, k: int) -> None:
         """Keep of a key frame no more than where it is."""

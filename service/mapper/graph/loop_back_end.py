@@ -1,27 +1,35 @@
 """Back end of the default profile: finds loops among key frames, accepts few of them, and bends the way."""
 
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from service.geometry import poses as se2
-from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.kernels.loops import path_lengths, thin_points
 from service.kernels.normals import estimate_normals
 from service.mapper.components import Correction, MapRenderer, RenderedMap, ScanToRender
 from service.mapper.graph.anchoring import Anchoring
 from service.mapper.graph.candidate_submap import LEAST_SCORE, CandidateSubmap, cloud_of
-from service.mapper.graph.fix_track import PlacedFix
 from service.mapper.graph.keyframe_list import Floats, KeyFrame, KeyframeList, ThinnedScan
+from service.mapper.graph.loop_batches import Batch, Result
 from service.mapper.graph.loops import Loop, agree, as_edges, disagreement, loop_of
 from service.mapper.graph.loops_config import LoopsConfig
+from service.mapper.graph.map_of_before import (
+    Placement,
+    anchor_loop,
+    moved_loops,
+    poses_on_held,
+    saved_graph,
+    stored_loops,
+)
 from service.mapper.graph.piece_search import PieceSearch
 from service.mapper.graph.point_clouds import Fit, PointCloud
 from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, solve, to_g2o
+from service.mapper.saved_graph import SavedGraph
 
 STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: of a step between key frames, at best
 LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])  # of a step that only a prediction vouches for; m^2, rad^2
@@ -44,65 +52,62 @@ CONTRADICTION_CHI2 = 30.0  # of three degrees of freedom, 1 in 700 000: a loop b
 LOOP_M = 1.0  # what going over a loop counts in the length of a path
 NEWS_CHI2 = 4.0  # of a loop: two sigmas
 SUBMAPS_KEPT = 16
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Batch:
-    """Key frames and fixes since the last batch, and what else is wanted."""
-
-    frames: Sequence[KeyFrame]
-    wish: str = ""  # "optimize", "undo"
-    is_last: bool = False
-    fixes: Sequence[PlacedFix] = ()  # of key frames in this batch and before
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Result:
-    """newest: the newest key frame, if anything moved; all: every one, after the last batch.
-
-    geo, fixes   where the map lies on the earth, None: that is not known; and fixes by what became of them
-    """
-
-    loops: int  # that are accepted now
-    disabled: int  # that are not any more
-    joined: int = 0  # number of the piece that was found in the rest; 0: none
-    newest: Correction | None = None
-    rendered_map: RenderedMap | None = None
-    all: Sequence[Correction] = ()
-    g2o: str = ""
-    geo: GeoReference | None = None
-    fixes: Mapping[str, int] = field(default_factory=dict)
+PROOF_NEAR_M = 2.0  # from a key frame of the stored map: from there on what it saw must be seen again
+MOST_SESSION = 600  # key frames, 180 m of way: of a vehicle that is only localised half are dropped then
 
 
 class LoopBackEnd:
-    """BackEnd. Empty when it is handed over; key frames, loops and poses gather here."""
+    """BackEnd. Key frames, loops and poses gather here, behind those of a stored map if there is one.
 
-    def __init__(self, config: LoopsConfig, renderer: MapRenderer | None) -> None:
+    is_localizing   the stored map stays as it is: its key frames are held, what is new is forgotten
+    """
+
+    def __init__(
+        self,
+        config: LoopsConfig,
+        renderer: MapRenderer | None,
+        stored: SavedGraph | None = None,
+        is_localizing: bool = False,
+    ) -> None:
         self._config = config
-        self._renderer = renderer
-        self._keyframes = KeyframeList()
-        self._loops: list[Loop] = []
+        self._renderer = None if is_localizing else renderer
+        self._keyframes = KeyframeList(stored)
+        self._held = self._keyframes.stored if is_localizing else 0
+        self._loops: list[Loop] = [] if stored is None else stored_loops(stored)
         self._accepted: list[list[Loop]] = []  # as they came to be accepted; for who takes one back
         self._candidates: list[Loop] = []
         self._disabled: list[Loop] = []
         self._submaps: OrderedDict[int, CandidateSubmap] = OrderedDict()
-        self._searched_m = 0.0
-        self._joined = {0}  # numbers of the pieces whose place in the map is known
+        self._searched_m = float(self._keyframes.way_m[-1]) if stored is not None else 0.0
+        # Numbers of the pieces whose place in the map is known.
+        self._joined = {0} if stored is None else set(self._keyframes.piece.tolist())
         self._pieces = PieceSearch(config, self._keyframes)
+        self._placement = Placement(stored is not None)
         self._looked_back = 0  # key frames whose context were asked for passes too many
         self._anchoring = Anchoring()
 
     def work(self, batch: Batch) -> Result:
         result = self._work(batch)
         anchoring = self._anchoring
-        return replace(result, geo=anchoring.reference, fixes=dict(anchoring.counts))
+        result = replace(
+            result,
+            geo=anchoring.reference,
+            fixes=dict(anchoring.counts),
+            placed=self._placement.state,
+            alike=self._pieces.alike,
+        )
+        if batch.is_last or batch.wish == "checkpoint":
+            result = replace(result, saved=saved_graph(self._keyframes, self._loops, self._joined))
+        return result
 
     def _work(self, batch: Batch) -> Result:
         for frame in batch.frames:
             self._append(frame)
         self._anchoring.add(batch.fixes)
-        joined = self._look_for_piece() if self._is_detached() else 0
-        moved = bool(joined) or self._look_for_loops()
+        if batch.wish == "set_pose":
+            self._pieces.expect_at(np.array(batch.pose))
+        joined = self._look_for_piece() if self._is_detached() else None
+        moved = joined is not None or self._look_for_loops()
         if self._anchoring.is_due:
             moved |= self._find_anchors()
         if batch.wish == "undo" and self._accepted:
@@ -114,6 +119,7 @@ class LoopBackEnd:
         if batch.is_last:
             return self._finish()
         self._forget()
+        self._forget_session()
         if not moved:
             return Result(len(self._loops), len(self._disabled))
         self._solve()
@@ -132,13 +138,14 @@ class LoopBackEnd:
         """(N,) key frames that others can be laid on: matched, with points, in a place that is known."""
         return self._keyframes.is_usable & np.isin(self._keyframes.piece, list(self._joined))
 
-    def _look_for_piece(self) -> int:
-        """Number of the newest piece, if its place was found now; else 0."""
-        loops = self._pieces.find(np.flatnonzero(self._usable()), self._submap_about)
+    def _look_for_piece(self) -> int | None:
+        """Number of the newest piece, if its place was found now; else None."""
+        loops = self._pieces.find(np.flatnonzero(self._usable()))
         if loops is None:
-            return 0
+            return None
         piece = int(self._keyframes.piece[-1])
         self._joined.add(piece)
+        self._placement.found(float(self._keyframes.way_m[-1]))
         self._loops += loops
         self._accepted.append([*loops])
         return piece
@@ -147,7 +154,7 @@ class LoopBackEnd:
         keyframes = self._keyframes
         pose = frame.pose_odom_base
         odom = np.array([pose.x_m, pose.y_m, pose.theta_rad])
-        if keyframes.count:
+        if keyframes.count > keyframes.stored:
             odom = se2.compose(keyframes.map[-1], se2.between(keyframes.odom[-1], odom))
         xy = frame.xy_base.astype(np.float64)
         normals, kept = np.empty((len(xy), 3)), np.empty(len(xy), np.bool_)
@@ -165,12 +172,39 @@ class LoopBackEnd:
         if not keyframes.count or keyframes.way_m[-1] - self._searched_m < config.search_every_m:
             return False
         self._searched_m = float(keyframes.way_m[-1])
+        self._prove()
         for found in self._search(keyframes.count - 1):
             self._candidates.append(found)
             self._accept(found)
         oldest_m = self._searched_m - 2.0 * WITHIN_M
         self._candidates = [loop for loop in self._candidates if keyframes.way_m[loop.to] >= oldest_m]
         return self._has_news(self._loops[-20:])
+
+    def _prove(self) -> None:
+        """Look again whether the session lies where it was found in the stored map."""
+        keyframes, last = self._keyframes, self._keyframes.count - 1
+        if self._placement.state != "unproven":
+            return
+        stored = np.flatnonzero(self._usable()[: keyframes.stored])
+        away_m = np.hypot(*(keyframes.map[stored, :2] - keyframes.map[last, :2]).T)
+        if not len(stored) or away_m.min() > PROOF_NEAR_M:
+            return
+        submap = self._submap_about(int(stored[np.argmin(away_m)]))
+        cloud = cloud_of(keyframes, [last], last)
+        expected = se2.between(keyframes.map[submap.reference], keyframes.map[last])
+        fit = submap.align(cloud, expected)
+        off = fit.pose - expected
+        is_near = float(np.hypot(off[0], off[1])) < WINDOW_M
+        agrees = self._is_good(fit) and is_near and submap.against(cloud, fit.pose) < MOST_AGAINST
+        if self._placement.seen(float(keyframes.way_m[last]), agrees):
+            self._take_back(int(keyframes.piece[last]))
+
+    def _take_back(self, piece: int) -> None:
+        """A piece does not lie where it was found."""
+        self._joined.discard(piece)
+        of_piece = self._keyframes.piece == piece
+        self._loops = [loop for loop in self._loops if not (of_piece[loop.of] or of_piece[loop.to])]
+        self._candidates, self._accepted = [], []
 
     def _has_news(self, loops: Sequence[Loop]) -> bool:
         """Whether one of these, from lately, would move the map by more than it is itself unsure of."""
@@ -232,6 +266,8 @@ class LoopBackEnd:
         if window is None:
             apart &= way < way[reference]
         near = np.flatnonzero(apart & usable & (away_m <= reach_m + 1.0))
+        if self._held:
+            near = near[near < self._held]
         cloud: PointCloud | None = None
         found = []
         for k in self._worth_asking(near, away_m, reach_m):
@@ -372,6 +408,13 @@ class LoopBackEnd:
         if self._keyframes.count < 2:
             return
         for _ in range(3):
+            if self._held:
+                self._keyframes.map[self._held :] = poses_on_held(
+                    self._keyframes, self._odometry(), self._loops, self._held
+                )
+                if not self._lay_aside():
+                    return
+                continue
             poses = solve(self._graph()).poses
             self._keyframes.map[:] = poses[: self._keyframes.count]
             if self._anchoring.reference is not None:
@@ -389,20 +432,21 @@ class LoopBackEnd:
 
     def _finish(self) -> Result:
         keyframes = self._keyframes
-        if not keyframes.count:
-            return Result(0, 0)
+        if keyframes.count == keyframes.stored:
+            return Result(len(self._loops), len(self._disabled))
         if self._anchoring.has_news:
             self._find_anchors()
         if self._loops or self._anchoring.reference:
             self._solve()
-        self._search_again()
+        if not self._held:
+            self._search_again()
         if self._loops:
             self._solve()
         self._submaps.clear()
         text = to_g2o(self._graph())
-        corrections = [self._correction(k) for k in range(keyframes.count)]
+        corrections = [self._correction(k) for k in range(keyframes.stored, keyframes.count)]
         return Result(
-            len(self._loops), len(self._disabled), 0, corrections[-1], self._render(), corrections, text
+            len(self._loops), len(self._disabled), None, corrections[-1], self._render(), corrections, text
         )
 
     def _search_again(self) -> None:
@@ -411,7 +455,8 @@ class LoopBackEnd:
         done = {(round(way[loop.to] / 3.0), round(way[loop.of] / 3.0)) for loop in self._loops}
         self._candidates = list(self._loops)
         new = []
-        for at_m in np.arange(config.place_m, way[-1], config.search_every_m):
+        first_m = config.place_m + float(way[self._keyframes.stored])
+        for at_m in np.arange(first_m, way[-1], config.search_every_m):
             for loop in self._search(int(np.searchsorted(way, at_m)), FINISH_WINDOW):
                 spot = (round(way[loop.to] / 3.0), round(way[loop.of] / 3.0))
                 if spot not in done and loop.of < loop.to:
@@ -433,6 +478,20 @@ class LoopBackEnd:
             for kept, pose, is_known in zip(self._keyframes.thinned, poses, known.tolist(), strict=True)
             if is_known
         )
+
+    def _forget_session(self) -> None:
+        """Of a vehicle that is only localised no more of the way is kept than loops are found over."""
+        keyframes, held = self._keyframes, self._held
+        last = held + (keyframes.count - held) // 2
+        if not held or keyframes.count - held < MOST_SESSION or self._is_detached():
+            return
+        keyframes.drop(held, last)
+        self._loops = [*moved_loops(self._loops, held, last), anchor_loop(keyframes, held)]
+        self._candidates = moved_loops(self._candidates, held, last)
+        self._disabled, self._accepted = [], []
+        self._looked_back = held
+        for k in [k for k in self._submaps if k >= held]:
+            del self._submaps[k]
 
     def _correction(self, k: int) -> Correction:
         keyframes = self._keyframes

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.antenna import antenna_of
 from drivers.frames import GnssFix
@@ -22,10 +23,22 @@ from service.mapper.components import (
 )
 from service.mapper.graph.fix_track import FixTrack
 from service.mapper.graph.keyframe_list import KeyFrame
-from service.mapper.graph.loop_back_end import Batch, LoopBackEnd, Result
+from service.mapper.graph.loop_back_end import LoopBackEnd
+from service.mapper.graph.loop_batches import Batch, Result
 from service.mapper.graph.loops_config import LoopsConfig
+from service.mapper.saved_graph import SavedGraph
 
 DETACHED_INTERVAL_NS = 500_000_000  # of key frames of a piece that is looked for, also while standing
+
+
+class SaidPose(BaseModel):
+    """What set_pose takes: pose_map_base as a person sees it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    x_m: float = Field(allow_inf_nan=False)
+    y_m: float = Field(allow_inf_nan=False)
+    theta_rad: float = Field(allow_inf_nan=False)
 
 
 class LoopClosing:
@@ -37,22 +50,31 @@ class LoopClosing:
         renderer: MapRenderer | None,
         new_worker: NewWorker,
         mountings: Mapping[str, SE2] | None = None,
+        stored: SavedGraph | None = None,
+        is_localizing: bool = False,
     ) -> None:
-        """mountings: pose_base_sensor; a receiver's antenna is at "<sensor>/antenna", else at its sensor."""
+        """mountings: pose_base_sensor; a receiver's antenna is at "<sensor>/antenna", else at its sensor.
+
+        stored, is_localizing   as of BuildContext
+        """
         self._config = config
         self._mountings = mountings or {}
         self._fixes = FixTrack()
-        self._keyframes = 0
+        self._keyframes = 0 if stored is None else len(stored)
+        self._is_placed = stored is None
+        self._is_localizing = is_localizing
+        self._is_looking = not self._is_placed  # the newest scan lies in a piece that is looked for
         self._fix_counts: Mapping[str, int] = {}  # as the back end had them last
-        self._errand = Errand(new_worker(LoopBackEnd(config, renderer)))
+        self._errand = Errand(new_worker(LoopBackEnd(config, renderer, stored, is_localizing)))
         self._fresh: list[KeyFrame] = []  # not yet sent
         self._sent: deque[list[KeyFrame]] = deque()  # with each piece of work that is out
         self._last: SE2 | None = None  # of the newest key frame
         self._last_ns = 0
-        self._gap_s = 0.0  # longest time without a scan since then
+        self._gap_s = 0.0 if stored is None else math.inf  # longest time without a scan since then
         self._way_m = 0.0  # of those not yet sent
         self._pose_map_odom = SE2()
-        self._loops = self._disabled = 0
+        self._loops = 0 if stored is None else len(stored.loop_ends)
+        self._disabled = 0
 
     @property
     def waiting(self) -> int:
@@ -69,7 +91,8 @@ class LoopClosing:
     def add(self, scan: MappedScan) -> SE2:
         pose = scan.match.motion.pose_odom_base
         self._gap_s = max(self._gap_s, scan.elapsed_s)
-        is_detached = scan.match.state == "lost" and scan.change.piece > 0
+        is_detached = not self._is_placed or (scan.match.state == "lost" and scan.change.piece > 0)
+        self._is_looking = is_detached
         is_due = self._is_keyframe(pose) or (
             is_detached and scan.stamp_ns - self._last_ns >= DETACHED_INTERVAL_NS
         )
@@ -87,7 +110,7 @@ class LoopClosing:
         return self._pose_map_odom
 
     def add_fix(self, fix: GnssFix) -> str:
-        if self.trouble:
+        if self.trouble or self._is_localizing:
             return "fixes_passed_over"
         sensor = self._mountings.get(fix.sensor, SE2())
         antenna = self._mountings.get(antenna_of(fix.sensor), sensor)
@@ -106,8 +129,10 @@ class LoopClosing:
         return self._update(result)
 
     def wish(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
-        if name not in ("optimize", "undo"):
-            raise WishError(f"{name}: the graph of this profile knows optimize and undo")
+        if name not in ("optimize", "undo", "checkpoint", "set_pose"):
+            raise WishError(f"{name}: the graph of this profile knows optimize, undo and set_pose")
+        if name == "set_pose":
+            return self._set_pose(payload)
         if payload:
             raise WishError(f"{name} takes nothing besides; it was given {', '.join(payload)}")
         if self.trouble:
@@ -116,6 +141,19 @@ class LoopClosing:
             raise WishError("undo: no loop is closed")
         self._submit(name)
         return {"loop_closures": self._loops}
+
+    def _set_pose(self, payload: Mapping[str, Any]) -> Mapping[str, Any]:
+        try:
+            said = SaidPose.model_validate(payload)
+        except ValidationError as error:
+            fault = error.errors()[0]
+            raise WishError(f"set_pose: {'.'.join(map(str, fault['loc']))}: {fault['msg']}") from None
+        if not self._is_looking:
+            raise WishError(
+                "set_pose: the pose is known and the map confirms it; it can be set where it is lost"
+            )
+        self._submit("set_pose", pose=(said.x_m, said.y_m, said.theta_rad))
+        return {"looked_for_at": [said.x_m, said.y_m, said.theta_rad]}
 
     def finish(self) -> FinishedGraph:
         counts: dict[str, int] = {}
@@ -134,13 +172,14 @@ class LoopClosing:
         self._sent.clear()
         update = self._update(result)
         _add(counts, update.counts)
-        return FinishedGraph(result.all, result.g2o, GraphUpdate(counts, update.rendered_map, geo=update.geo))
+        update = GraphUpdate(counts, update.rendered_map, geo=update.geo, saved=update.saved)
+        return FinishedGraph(result.all, result.g2o, update)
 
     def close(self) -> None:
         self._errand.close()
 
-    def _submit(self, wish: str = "", is_last: bool = False) -> None:
-        self._errand.submit(Batch(self._fresh, wish, is_last, self._fixes.take()))
+    def _submit(self, wish: str = "", is_last: bool = False, pose: tuple[float, ...] = ()) -> None:
+        self._errand.submit(Batch(self._fresh, wish, pose, is_last, self._fixes.take()))
         self._sent.append(self._fresh)
         self._fresh, self._way_m = [], 0.0
 
@@ -153,6 +192,7 @@ class LoopClosing:
         _add(counts, self._fixes.take_counts())
         _add(counts, {name: n - self._fix_counts.get(name, 0) for name, n in result.fixes.items()})
         self._fix_counts = result.fixes
+        self._is_placed = result.placed != "unknown"
         if result.newest is not None:
             self._pose_map_odom = _pose_map_odom(result.newest)
         since = [frame for batch in self._sent for frame in batch] + self._fresh
@@ -160,7 +200,16 @@ class LoopClosing:
             ScanToRender(frame.xy_base, frame.sensor_xy_m, self._pose_map_odom @ frame.pose_odom_base)
             for frame in (since if result.rendered_map is not None else ())
         ]
-        return GraphUpdate(counts, result.rendered_map, drawn, result.joined, result.geo)
+        return GraphUpdate(
+            counts,
+            result.rendered_map,
+            drawn,
+            result.joined,
+            result.geo,
+            result.placed,
+            result.alike,
+            result.saved,
+        )
 
     def _is_keyframe(self, pose: SE2) -> bool:
         last = self._last

@@ -4,7 +4,8 @@ import numpy as np
 
 from service.geometry.se2 import SE2
 from service.mapper.graph.keyframe_list import KeyFrame
-from service.mapper.graph.loop_back_end import Batch, LoopBackEnd, Result
+from service.mapper.graph.loop_back_end import LoopBackEnd
+from service.mapper.graph.loop_batches import Batch, Result
 from service.mapper.graph.loops_config import LoopsConfig
 
 STEP_M = 0.3

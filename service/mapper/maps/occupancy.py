@@ -142,6 +142,28 @@ class OccupancyRenderer:
         return canvas.rendered_map()
 
 
+def rendered_of(tiles: Sequence[TileUpdate]) -> RenderedMap:
+    """Stored tiles of the finest level as a map that a session goes on in: the least evidence that shows so.
+
+    Raises ValueError where they are not of this size.
+    """
+    fine = [tile for tile in tiles if tile.level == 0]
+    if any(tile.cells.shape != (TILE_CELLS, TILE_CELLS) for tile in fine):
+        raise ValueError(f"tiles of {fine[0].cells.shape} cells; this map has {TILE_CELLS} x {TILE_CELLS}")
+    most = EVIDENCE.most
+    steps = np.arange(-most, most + 1)
+    per_cent = np.floor(100.0 / (1.0 + np.exp(-STEP_LOG_ODDS * steps)) + 0.5).astype(np.int64)
+    evidence_of = np.zeros(101, np.int8)
+    for step, shown in sorted(zip(steps.tolist(), per_cent.tolist(), strict=True), key=lambda s: -abs(s[0])):
+        if step:
+            evidence_of[shown] = step
+    cells = np.array([tile.cells for tile in fine], np.int8).reshape(-1, TILE_CELLS, TILE_CELLS)
+    evidence = np.where(cells < 0, 0, evidence_of[np.maximum(cells, 0)]).astype(np.int8)
+    row = np.array([tile.iy for tile in fine], np.int64)
+    column = np.array([tile.ix for tile in fine], np.int64)
+    return RenderedMap(row, column, evidence)
+
+
 class OccupancyTiles:
     """FreeSpaceMap by log-odds."""
 

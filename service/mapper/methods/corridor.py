@@ -30,8 +30,11 @@ SURFEL_SUBMAPS = ComponentKind(
 LOOP_CLOSING = ComponentKind(
     "loop_closing",
     LoopsConfig,
-    lambda config, around: LoopClosing(config, around.renderer, around.new_worker, around.mountings),
+    lambda config, around: LoopClosing(
+        config, around.renderer, around.new_worker, around.mountings, around.stored, around.is_localizing
+    ),
     rehearse=rehearse,
+    begins_in_stored=True,
 )
 
 METHOD = Method(

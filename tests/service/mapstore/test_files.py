@@ -85,10 +85,10 @@ def test_a_folder_with_nothing_whole_in_it_is_refused_with_all_reasons(tmp_path)
 def test_a_later_format_is_refused_by_name(tmp_path):
     save_map(tmp_path, TILES, 1)
     path = tmp_path / "v000001" / "manifest.json"
-    manifest = json.loads(path.read_text()) | {"format": 2, "corridor": "9.0.0"}
+    manifest = json.loads(path.read_text()) | {"format": files.FORMAT + 1, "corridor": "9.0.0"}
     del manifest["sha256"]
     path.write_text(json.dumps(manifest | {"sha256": files._digest(manifest)}))
-    with pytest.raises(InputError, match=r"format 2 of corridor 9.0.0"):
+    with pytest.raises(InputError, match=rf"format {files.FORMAT + 1} of corridor 9.0.0"):
         load_map(tmp_path)
 
 

@@ -11,7 +11,8 @@ from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
 from service.mapper.graph.fix_track import FixTrack
 from service.mapper.graph.keyframe_list import KeyFrame
-from service.mapper.graph.loop_back_end import Batch, LoopBackEnd, Result
+from service.mapper.graph.loop_back_end import LoopBackEnd
+from service.mapper.graph.loop_batches import Batch, Result
 from service.mapper.graph.loops_config import LoopsConfig
 from service.offline.score import align, compose
 from simulators.gnss import GnssModel, Receiver

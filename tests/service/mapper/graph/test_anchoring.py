@@ -10,7 +10,8 @@ import pytest
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
 from service.mapper.graph import anchoring
-from service.mapper.graph.loop_back_end import Batch, LoopBackEnd, Result
+from service.mapper.graph.loop_back_end import LoopBackEnd
+from service.mapper.graph.loop_batches import Batch, Result
 from simulators.gnss import GnssModel, Reflection
 from tests.service.mapper.graph.outdoors import (
     NO_SEARCH,

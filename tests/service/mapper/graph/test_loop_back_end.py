@@ -9,7 +9,8 @@ import pytest
 from service.geometry.se2 import SE2
 from service.mapper.components import Correction
 from service.mapper.graph.keyframe_list import KeyFrame
-from service.mapper.graph.loop_back_end import Batch, LoopBackEnd, Result
+from service.mapper.graph.loop_back_end import LoopBackEnd
+from service.mapper.graph.loop_batches import Batch, Result
 from service.mapper.graph.loops import Loop
 from service.mapper.graph.loops_config import LoopsConfig
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles

@@ -1,0 +1,106 @@
+"""What a graph needs to go on in a later session: its key frames, and the loops between them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+POINT_STEP_M = 0.001  # of the stored coordinates: a tenth of what a range errs by
+NORMAL_STEP = 1e-4  # of the stored normals and their weight
+
+
+class SavedGraphError(ValueError):
+    """Arrays that are no graph; says which one, and what was expected."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SavedGraph:
+    """Key frames of one or more sessions in one map frame, and the loops that hold them together.
+
+    The frames of the N key frames are numbered by the way driven. A `session` is one run of the mapper: odom
+    poses of two sessions have nothing to do with each other. `piece` tells apart stretches of the way between
+    which odometry says nothing; each was found in the rest.
+    """
+
+    stamp_ns: npt.NDArray[np.int64]  # (N,)
+    odom: Floats  # (N, 3) pose_odom_base: m, m, rad
+    map: Floats  # (N, 3) pose_map_base
+    way_m: Floats  # (N,) travelled up to each
+    covariance: Floats  # (N, 3, 3) of the pose against the local map, base axes
+    score: Floats  # (N,) inlier ratio on the local map
+    gap_s: Floats  # (N,) longest time without a scan since the key frame before
+    piece: npt.NDArray[np.int64]  # (N,)
+    is_lost: npt.NDArray[np.bool_]  # (N,) the odom pose is a prediction
+    sensor_xy_m: Floats  # (N, 2) base frame
+    point_count: npt.NDArray[np.int64]  # (N,) points kept of each
+    xy_base: npt.NDArray[np.float32]  # (M, 2) m, those of the first key frame first
+    normals: npt.NDArray[np.float32]  # (M, 3) towards the sensor, and its weight
+    loop_ends: npt.NDArray[np.int64]  # (L, 2) key frames
+    loop_measured: Floats  # (L, 3) the second seen from the first
+    loop_covariance: Floats  # (L, 3, 3) in the axes of the second
+    loop_score: Floats  # (L,) inlier ratio
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+    def checked(self) -> "SavedGraph":
+        """Itself. Raises SavedGraphError where its arrays do not fit each other or hold what is no number."""
+        n, m, loops = len(self.stamp_ns), int(self.point_count.sum()), len(self.loop_ends)
+        expected = {
+            **dict.fromkeys(("way_m", "score", "gap_s", "piece", "is_lost", "point_count"), (n,)),
+            **dict.fromkeys(("odom", "map"), (n, 3)),
+            "covariance": (n, 3, 3),
+            "sensor_xy_m": (n, 2),
+            "xy_base": (m, 2),
+            "normals": (m, 3),
+            "loop_ends": (loops, 2),
+            "loop_measured": (loops, 3),
+            "loop_covariance": (loops, 3, 3),
+            "loop_score": (loops,),
+        }
+        for name, shape in expected.items():
+            array = getattr(self, name)
+            if array.shape != shape:
+                raise SavedGraphError(f"{name} has the shape {array.shape}, expected {shape}")
+            if name != "gap_s" and array.dtype.kind == "f" and not np.isfinite(array).all():
+                raise SavedGraphError(f"{name} holds what is no number")
+        if loops and (self.loop_ends.min() < 0 or self.loop_ends.max() >= n):
+            raise SavedGraphError(f"loop_ends names key frames that are not among the {n} here")
+        if (self.point_count < 0).any():
+            raise SavedGraphError("point_count is negative")
+        return self
+
+
+def small_arrays(graph: SavedGraph) -> dict[str, npt.NDArray[Any]]:
+    """All but the points, by name."""
+    return {f.name: getattr(graph, f.name) for f in fields(graph) if f.name not in ("xy_base", "normals")}
+
+
+def packed_points(graph: SavedGraph, first: int, last: int) -> dict[str, npt.NDArray[Any]]:
+    """Points of the key frames first..last - 1, in whole steps: a third of the room, to be compressed."""
+    ends = np.concatenate(([0], np.cumsum(graph.point_count)))
+    part = slice(ends[first], ends[last])
+    return {
+        "xy": np.rint(graph.xy_base[part] / POINT_STEP_M).astype(np.int32),
+        "normals": np.rint(graph.normals[part] / NORMAL_STEP).astype(np.int32),
+    }
+
+
+def from_arrays(
+    small: Mapping[str, npt.NDArray[Any]], points: Sequence[Mapping[str, npt.NDArray[Any]]]
+) -> SavedGraph:
+    """What small_arrays and packed_points gave. Raises SavedGraphError."""
+    try:
+        xy = [np.asarray(part["xy"]) for part in points] or [np.zeros((0, 2), np.int32)]
+        normals = [np.asarray(part["normals"]) for part in points] or [np.zeros((0, 3), np.int32)]
+        graph = SavedGraph(
+            xy_base=(np.concatenate(xy) * POINT_STEP_M).astype(np.float32),
+            normals=(np.concatenate(normals) * NORMAL_STEP).astype(np.float32),
+            **{f.name: small[f.name] for f in fields(SavedGraph) if f.name not in ("xy_base", "normals")},
+        )
+    except (KeyError, ValueError, TypeError) as error:
+        raise SavedGraphError(f"arrays that are no graph: {error}") from error
+    return graph.checked()

@@ -1,0 +1,199 @@
+"""A session that begins in the map of another: found, followed, and nothing of the stored map touched."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.frames import Frame, LaserScan
+from service.geometry.se2 import SE2
+from service.mapper.components import WishError
+from service.mapper.maps.occupancy import rendered_of
+from service.mapper.pipeline import UNPROVEN, Mapper
+from service.mapper.profiles import BeginIn, build_mapper, mapping_config
+from service.mapper.saved_graph import SavedGraph, SavedGraphError, from_arrays, packed_points, small_arrays
+from service.outputs import MapperOutput
+from simulators.worlds import WORLDS
+from tests.simulated import FORWARD, LMS100_50HZ, Drive, Wheels, drive, run
+
+MAPPED_S, LATER_S, SECONDS = 30.0, 12.0, 10.0
+LASER = replace(LMS100_50HZ, rate_hz=25.0)
+
+
+@pytest.fixture(scope="module")
+def first() -> tuple[Drive, BeginIn]:
+    """Half a lap of the office, and its map."""
+    made = drive(WORLDS["office"](), LASER, MAPPED_S, 3, Wheels())
+    mapper = run(mapping_config(), made).mapper
+    graph = mapper.finish().update.saved
+    assert graph is not None
+    return made, BeginIn(graph, rendered_of(mapper.changed_tiles()))
+
+
+@pytest.fixture(scope="module")
+def second() -> Drive:
+    """The same way from LATER_S on, with another noise."""
+    return drive(WORLDS["office"](), LASER, SECONDS, 4, Wheels(), stand_s=-LATER_S)
+
+
+def outputs_of(mapper: Mapper, frames: list[Frame]) -> Iterator[MapperOutput]:
+    for frame in frames:
+        output = mapper.process(frame)
+        while mapper.graph.waiting:
+            mapper.take_in()
+        if output is not None:
+            yield output
+
+
+def new_mapper(begin: BeginIn, mode: str = "localization") -> Mapper:
+    return build_mapper(mapping_config({"mode": mode}), {"front": FORWARD}, begin_in=begin)
+
+
+def off_m(first: Drive, second: Drive, output: MapperOutput) -> float:
+    true = first.world_first.inverse() @ second.world_first @ second.truth[output.stamp_ns]
+    away = true.inverse() @ output.pose_map_base
+    return math.hypot(away.x_m, away.y_m)
+
+
+def test_a_vehicle_is_found_where_it_is_and_followed(first, second):
+    drove, begin = first
+    outputs = list(outputs_of(new_mapper(begin), second.frames))
+    assert outputs[0].state == "lost"
+    placed = [output for output in outputs if output.state != "lost"]
+    assert 1e-9 * (placed[0].stamp_ns - outputs[0].stamp_ns) < 1.0
+    assert placed[0].reason == UNPROVEN  # seen from one spot: rooms look alike
+    assert placed[-1].state == "ok"
+    assert max(off_m(drove, second, output) for output in placed) < 0.05
+
+
+def test_who_is_only_localised_leaves_the_stored_map_as_it_is(first, second):
+    _, begin = first
+    before = {name: array.copy() for name, array in small_arrays(begin.graph).items()}
+    mapper = new_mapper(begin)
+    shown = mapper.changed_tiles()
+    list(outputs_of(mapper, second.frames))
+    saved = mapper.finish().update.saved
+    assert mapper.changed_tiles() == []
+    assert len(shown) > 0
+    for name, array in small_arrays(begin.graph).items():
+        np.testing.assert_array_equal(array, before[name], err_msg=name)
+    assert saved is not None
+    np.testing.assert_array_equal(saved.map[: len(begin.graph)], begin.graph.map)
+
+
+def test_mapping_goes_on_in_the_stored_map(first, second):
+    _, begin = first
+    mapper = new_mapper(begin, "mapping")
+    outputs = list(outputs_of(mapper, second.frames))
+    finished = mapper.finish()
+    saved = finished.update.saved
+    assert saved is not None
+    assert len(saved) > len(begin.graph)
+    assert len(saved.loop_ends) > len(begin.graph.loop_ends)
+    assert len(np.unique(saved.piece)) == len(np.unique(begin.graph.piece)) + 1  # odometry joins them nowhere
+    assert finished.corrections[0].stamp_ns >= outputs[0].stamp_ns  # none of the session before
+
+
+def test_a_session_may_begin_in_what_a_second_session_left(first, second):
+    drove, begin = first
+    mapper = new_mapper(begin, "mapping")
+    list(outputs_of(mapper, second.frames))
+    saved = mapper.finish().update.saved
+    assert saved is not None
+    again = BeginIn(saved, begin.shown)
+    outputs = list(outputs_of(new_mapper(again), second.frames))
+    assert outputs[-1].state == "ok"
+    assert off_m(drove, second, outputs[-1]) < 0.05
+
+
+def test_what_is_nowhere_in_the_stored_map_stays_lost(first):
+    _, begin = first
+    elsewhere = drive(WORLDS["library"](), LASER, 4.0, 1, Wheels())
+    outputs = list(outputs_of(new_mapper(begin), elsewhere.frames))
+    assert {output.state for output in outputs} == {"lost"}
+    assert "stored map" in outputs[-1].reason
+
+
+def test_a_person_may_say_where_the_vehicle_is(first, second):
+    drove, begin = first
+    mapper = new_mapper(begin)
+    frames = second.frames
+    true = drove.world_first.inverse() @ second.world_first
+    mapper.graph.wish("set_pose", {"x_m": true.x_m + 0.5, "y_m": true.y_m, "theta_rad": true.theta_rad})
+    few = [frame for frame in frames if frame.stamp_ns < 200_000_000]
+    last = list(outputs_of(mapper, few))[-1]
+    assert last.state == "degraded"
+    assert off_m(drove, second, last) < 0.05
+
+
+def test_a_pose_that_is_known_is_not_set(first, second):
+    mapper = new_mapper(first[1])
+    list(outputs_of(mapper, second.frames))
+    with pytest.raises(WishError, match="the map confirms it"):
+        mapper.graph.wish("set_pose", {"x_m": 0.0, "y_m": 0.0, "theta_rad": 0.0})
+
+
+def test_a_pose_that_is_no_pose_is_refused_by_its_key(first):
+    with pytest.raises(WishError, match="theta_rad"):
+        new_mapper(first[1]).graph.wish("set_pose", {"x_m": 0.0, "y_m": 0.0, "theta_rad": math.inf})
+
+
+def test_who_is_only_localised_keeps_no_more_than_a_stretch_of_the_way(first, second, monkeypatch):
+    monkeypatch.setattr("service.mapper.graph.loop_back_end.MOST_SESSION", 16)
+    drove, begin = first
+    mapper = new_mapper(begin)
+    outputs = list(outputs_of(mapper, second.frames))
+    saved = mapper.finish().update.saved
+    assert saved is not None
+    assert len(saved) <= len(begin.graph) + 16
+    assert outputs[-1].state == "ok"
+    assert off_m(drove, second, outputs[-1]) < 0.05
+
+
+def test_a_profile_that_cannot_says_so(first):
+    config = mapping_config({"profile": "contour_lm"})
+    with pytest.raises(ValueError, match="contour_lm cannot begin in a stored map"):
+        build_mapper(config, {"front": SE2()}, begin_in=first[1])
+
+
+def test_a_graph_comes_back_from_its_arrays_to_a_millimetre(first):
+    graph = first[1].graph
+    half = len(graph) // 2
+    points = [packed_points(graph, 0, half), packed_points(graph, half, len(graph))]
+    back = from_arrays(small_arrays(graph), points)
+    np.testing.assert_allclose(back.xy_base, graph.xy_base, atol=0.00051)
+    np.testing.assert_allclose(back.normals, graph.normals, atol=0.00006)
+    np.testing.assert_array_equal(back.map, graph.map)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("way_m", "way_m has the shape"), ("loop_ends", "key frames that are not among"), ("map", "no number")],
+)
+def test_arrays_that_are_no_graph_are_refused_by_name(first, name, words):
+    graph: SavedGraph = first[1].graph
+    wrong = {
+        "way_m": graph.way_m[:-1],
+        "loop_ends": np.full((1, 2), len(graph)),
+        "map": np.full_like(graph.map, np.nan),
+    }
+    loops = 1 if name == "loop_ends" else len(graph.loop_ends)
+    changed = replace(
+        graph,
+        loop_measured=np.zeros((loops, 3)),
+        loop_covariance=np.tile(np.eye(3), (loops, 1, 1)),
+        loop_score=np.ones(loops),
+        **{name: wrong[name]},
+    )
+    with pytest.raises(SavedGraphError, match=words):
+        changed.checked()
+
+
+def test_frames_without_scans_change_nothing(first, second):
+    mapper = new_mapper(first[1])
+    assert list(outputs_of(mapper, [f for f in second.frames if not isinstance(f, LaserScan)])) == []
+    saved = mapper.finish().update.saved
+    assert saved is not None
+    assert len(saved) == len(first[1].graph)

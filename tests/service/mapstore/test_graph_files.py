@@ -1,0 +1,102 @@
+import json
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.errors import InputError
+from service.mapper.saved_graph import SavedGraph
+from service.mapstore import files, graph_files
+from service.mapstore.begin_in import begin_in
+from service.mapstore.files import load_map, save_map
+from tests.service.mapstore.tile_makers import tile
+
+TILES = [tile(0, 0, 3), tile(-1, 2, 4)]
+
+
+def graph_of(count: int) -> SavedGraph:
+    random = np.random.default_rng(1)
+    points = np.full(count, 3)
+    return SavedGraph(
+        stamp_ns=np.arange(count, dtype=np.int64),
+        odom=random.normal(size=(count, 3)),
+        map=random.normal(size=(count, 3)),
+        way_m=0.3 * np.arange(count),
+        covariance=np.tile(np.eye(3), (count, 1, 1)),
+        score=np.ones(count),
+        gap_s=np.full(count, np.inf),
+        piece=np.zeros(count, np.int64),
+        is_lost=np.zeros(count, np.bool_),
+        sensor_xy_m=np.zeros((count, 2)),
+        point_count=points,
+        xy_base=np.round(random.normal(size=(3 * count, 2)), 3).astype(np.float32),
+        normals=np.round(random.normal(size=(3 * count, 3)), 4).astype(np.float32),
+        loop_ends=np.array([[0, count - 1]]),
+        loop_measured=np.zeros((1, 3)),
+        loop_covariance=np.eye(3)[None],
+        loop_score=np.ones(1),
+    )
+
+
+def point_files(folder) -> list[str]:
+    return sorted(path.name for path in (folder / "current").glob("points_*"))
+
+
+def test_a_graph_comes_back_with_its_map(tmp_path):
+    graph = graph_of(5)
+    save_map(tmp_path, TILES, 1, graph=graph)
+    back = load_map(tmp_path).graph
+    assert back is not None
+    np.testing.assert_array_equal(back.map, graph.map)
+    np.testing.assert_allclose(back.xy_base, graph.xy_base, atol=1e-6)
+
+
+def test_full_files_of_points_are_taken_over_and_not_written_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(graph_files, "FRAMES_A_FILE", 4)
+    graph = graph_of(10)
+    less = replace(
+        graph_of(6), xy_base=graph.xy_base[:18], normals=graph.normals[:18], loop_ends=np.array([[0, 5]])
+    )
+    save_map(tmp_path, TILES, 1, graph=less)
+    before = point_files(tmp_path)
+    save_map(tmp_path, TILES, 2, graph=graph)
+    after = point_files(tmp_path)
+    assert len(before) == 2
+    assert len(after) == 3
+    assert after[0] == before[0]
+    assert os.stat(tmp_path / "v000001" / before[0]).st_ino == os.stat(tmp_path / "v000002" / after[0]).st_ino
+    assert after[1] != before[1]
+
+
+@pytest.mark.parametrize("name", ["graph.npz", "points"])
+def test_damage_is_named_and_the_version_before_is_read(tmp_path, name):
+    save_map(tmp_path, TILES, 1, graph=graph_of(5))
+    save_map(tmp_path, TILES, 2, graph=graph_of(6))
+    damaged = next(path for path in (tmp_path / "current").iterdir() if path.name.startswith(name))
+    content = bytearray(damaged.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    damaged.write_bytes(content)
+    stored = load_map(tmp_path)
+    assert stored.number == 1
+    assert damaged.name in stored.problems[0]
+    assert stored.graph is not None
+    assert len(stored.graph) == 5
+
+
+def test_a_map_of_the_first_format_is_shown_and_not_gone_on_in(tmp_path):
+    save_map(tmp_path, TILES, 1)
+    path = tmp_path / "v000001" / "manifest.json"
+    manifest = json.loads(path.read_text()) | {"format": 1}
+    del manifest["sha256"]
+    path.write_text(json.dumps(manifest | {"sha256": files._digest(manifest)}))
+    assert load_map(tmp_path).graph is None
+    with pytest.raises(InputError, match="mapping cannot go on in it"):
+        begin_in(tmp_path, 0.05)
+
+
+def test_cells_of_another_size_are_refused(tmp_path):
+    save_map(tmp_path, TILES, 1, graph=graph_of(3))
+    size_m = TILES[0].cell_m
+    with pytest.raises(InputError, match=f"cells are of {size_m:g} m, the config has mapping.cell_m 0.2"):
+        begin_in(tmp_path, 0.2)
