@@ -10,7 +10,7 @@ import math
 import re
 import typing
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +69,12 @@ class ServiceConfig:
     mapping: MappingConfig
     sinks: Mapping[str, Any]  # section -> its config model, see service.sinks.registry
     text: str
+
+
+def without_page(config: ServiceConfig) -> ServiceConfig:
+    """The same, with the operator's page switched off."""
+    off = config.sinks["web"].model_copy(update={"enabled": False})
+    return replace(config, sinks={**config.sinks, "web": off})
 
 
 def mountings(sensors: Mapping[str, Any]) -> dict[str, SE2]:

@@ -29,11 +29,13 @@ from service.recording.mcap_reader import Recording
 from service.runtime.run import run
 from service.runtime.service import Service
 from service.runtime.summary import Summary
+from service.web.access import token_from_file
 
 log = logging.getLogger(__name__)
 
 VEHICLE = "demo"
 ZENOH_PORT = 7447
+WEB_PORT = 8080
 STAND_S = 4.0  # the vehicle waits so long; the drivers log in meanwhile, and the map begins where it stands
 END_TIMEOUT_S = 30.0  # the simulators tell at their end what they left out
 READY_TIMEOUT_S = 120.0  # the simulators compile their ray caster first
@@ -56,6 +58,16 @@ class DemoOptions:
     seed: int
     out: Path
     faults: Path | None = None
+    web: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """The operator's page: where it will be, and what gives the right to command."""
+
+    listen: str
+    token_file: Path
+    token: str
 
 
 class Simulators:
@@ -78,10 +90,13 @@ def demo(options: DemoOptions) -> dict[str, Any]:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"--out {options.out}: {error}") from error
+    page = _page(options) if options.web else None
+    if page is not None:
+        print(f"The map, live: http://{page.listen}/#token={page.token}", file=sys.stderr, flush=True)
     warm_up(_mapping(options))  # before the vehicle drives: the map shall begin where it stands
     truth = options.out / "truth.txt"
     with simulators(options, truth) as fakes:
-        config = demo_config(fakes.endpoints, options, _zenoh_port())
+        config = demo_config(fakes.endpoints, options, _zenoh_port(), page)
         summary = run(config, options.seconds, options.out / "map", _tell_where_to_look, fakes.fault)
     return {
         "seconds": round(summary.seconds, 1),
@@ -146,8 +161,13 @@ def simulators(options: DemoOptions, truth: Path) -> Iterator[Simulators]:
                 fakes.left_out = _left_out(last_words)
 
 
-def demo_config(endpoints: Sequence[dict[str, str]], options: DemoOptions, zenoh_port: int) -> ServiceConfig:
-    """The config a user would write for these devices; it goes into the recording like any other."""
+def demo_config(
+    endpoints: Sequence[dict[str, str]], options: DemoOptions, zenoh_port: int, page: Page | None = None
+) -> ServiceConfig:
+    """The config a user would write for these devices; it goes into the recording like any other.
+
+    page    None: no operator's page is served
+    """
     sensors: dict[str, Any] = {}
     for endpoint in endpoints:
         sensor: dict[str, Any] = {"type": endpoint["device"]}
@@ -169,6 +189,9 @@ def demo_config(endpoints: Sequence[dict[str, str]], options: DemoOptions, zenoh
             "publishing": {"listen": [f"tcp/127.0.0.1:{zenoh_port}"]},
             "recording": {"directory": out, "keep_free_gb": 0.2},
             "map": {"directory": out},
+            "web": {"enabled": False}
+            if page is None
+            else {"listen": page.listen, "token_file": str(page.token_file)},
         },
         sort_keys=False,
     )
@@ -252,14 +275,28 @@ def _void(left_out: dict[str, int]) -> str | None:
 
 def _zenoh_port() -> int:
     """The usual port, or any free one where a service runs here already."""
+    if _is_free(ZENOH_PORT):
+        return ZENOH_PORT
+    log.warning("port %d is taken; Zenoh listens at another one", ZENOH_PORT)
+    return 0
+
+
+def _page(options: DemoOptions) -> Page:
+    """At the usual port, or at a free one. Raises StorageError where the token cannot be kept."""
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = WEB_PORT if _is_free(WEB_PORT) else probe.getsockname()[1]
+    token_file = options.out / "web.token"
+    return Page(f"127.0.0.1:{port}", token_file, token_from_file(token_file))
+
+
+def _is_free(port: int) -> bool:
     with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(("127.0.0.1", ZENOH_PORT))
-            return ZENOH_PORT
+            probe.bind(("127.0.0.1", port))
         except OSError:
-            log.warning("port %d is taken; Zenoh listens at another one", ZENOH_PORT)
-            return 0
+            return False
+        return True
 
 
 def _tell_where_to_look(service: Service) -> None:

@@ -42,6 +42,7 @@ def _add_live(commands: Any) -> None:
         commands, "run", "the live service: drivers, mapping, Zenoh, recording, until SIGTERM or Ctrl-C"
     )
     _add_config(run)
+    _add_no_web(run)
 
     demo = _add(commands, "demo", "fake devices and the service on this machine, until Ctrl-C")
     demo.add_argument("--seconds", type=_positive, metavar="S", help="end after S seconds")
@@ -54,6 +55,7 @@ def _add_live(commands: Any) -> None:
     demo.add_argument(
         "--out", type=Path, default=Path("out"), metavar="DIR", help="sessions and map go here (default: out)"
     )
+    _add_no_web(demo)
 
     simulate = commands.add_parser(
         "simulate", help="only the fake devices; takes what `python -m simulators` takes", add_help=False
@@ -163,6 +165,10 @@ def _add_config(parser: argparse.ArgumentParser) -> None:
     given.add_argument(
         "--config", type=Path, dest="config_option", metavar="CONFIG.yaml", help=argparse.SUPPRESS
     )
+
+
+def _add_no_web(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--no-web", action="store_true", help="serve no operator's page")
 
 
 def _positive(text: str) -> float:

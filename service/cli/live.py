@@ -22,13 +22,14 @@ def no_collections() -> Iterator[None]:
 
 def run(parsed: argparse.Namespace) -> int:
     with no_collections():
-        from service.config import load_config
+        from service.config import load_config, without_page
 
     config = load_config(config_path(parsed))  # its faults first: all else takes seconds
     ensure_cache_dir()
     with no_collections():
         from service.runtime.run import run as run_service
-
+    if parsed.no_web:
+        config = without_page(config)
     summary = run_service(config)
     if parsed.json:
         print_result(summary.as_dict(), as_json=True)
@@ -42,7 +43,13 @@ def demo(parsed: argparse.Namespace) -> int:
         from service.demo import demo as run_demo
 
     options = DemoOptions(
-        parsed.seconds, parsed.world, parsed.profile, parsed.seed, parsed.out, parsed.faults
+        parsed.seconds,
+        parsed.world,
+        parsed.profile,
+        parsed.seed,
+        parsed.out,
+        parsed.faults,
+        web=not parsed.no_web,
     )
     print_result(run_demo(options), parsed.json)
     return 0

@@ -113,6 +113,11 @@ class CommandDispatcher:
         self._known: OrderedDict[str, _Known] = OrderedDict()  # by id, oldest first
         self._counts: Counter[str] = Counter()
 
+    @property
+    def verbs(self) -> list[str]:
+        """Commands that there are."""
+        return list(self._verbs)
+
     def counts(self) -> Counter[str]:
         """Commands begun, by verb, and "refused"."""
         with self._lock:

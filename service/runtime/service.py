@@ -92,6 +92,7 @@ class Service:
             tiles=self._tiles,
             links=links,
             command=self._command,
+            verbs=lambda: self._dispatcher.verbs,
             emit=self._sinks.put,
             unix_ns=self._unix_ns,
             is_paused=lambda: self._intake.paused,

@@ -31,6 +31,7 @@ class SinkContext:
     tiles: TileStore  # the newest version of every tile of the map
     links: Mapping[str, LinkHealth]  # sensor name -> state of its link
     command: Callable[[str, bytes], Answer]  # verb and JSON -> answer; waits, in bounded time
+    verbs: Callable[[], Sequence[str]]  # the commands that there are
     emit: Callable[[Message], None]  # hands a message to all sinks, the caller included
     unix_ns: Callable[[], int]  # the service's Unix time: host monotonic clock plus the offset of the start
     is_paused: Callable[[], bool]  # whether a command has paused the mapping

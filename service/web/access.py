@@ -37,6 +37,13 @@ def new_token() -> str:
     return secrets.token_urlsafe(TOKEN_BYTES)
 
 
+def state_folder() -> Path:
+    """What systemd names in STATE_DIRECTORY, else corridor/ in the user's folder of state (XDG)."""
+    if given := os.environ.get("STATE_DIRECTORY", "").partition(":")[0]:
+        return Path(given)
+    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "corridor"
+
+
 def token_from_file(path: Path) -> str:
     """The token kept there, made at the first call, readable for its owner alone.
 

@@ -38,7 +38,7 @@ class WebConfig(BaseModel):
     listen: Annotated[str, AfterValidator(_check_listen)] = "127.0.0.1:8080"
     # Names, besides IP addresses, localhost and this machine's own name, by which browsers may open the page.
     hosts: tuple[Annotated[str, AfterValidator(_check_host_name)], ...] = ()
-    token_file: Path | None = None  # None: web.token in map.directory
+    token_file: Path | None = None  # None: corridor/web.token in the state folder, see access.state_folder
     tls_certificate: Path | None = None  # PEM, the whole chain; None: plain HTTP
     tls_key: Path | None = None  # PEM
     most_browsers: int = Field(default=32, ge=1, le=1000)  # at the same time

@@ -15,6 +15,7 @@ import numpy as np
 from drivers.frames import LaserScan
 from service.encoding import (
     BASE_FRAME,
+    TAKE_IN,
     Message,
     Status,
     decode_diagnostics,
@@ -33,6 +34,8 @@ SCAN_PERIOD_NS = 200_000_000  # of one laser; five pictures a second look alive 
 LATENCY_PERIOD_NS = 1_000_000_000
 KEPT_LATENCIES = 300  # five minutes
 MOST_EVENTS = 100
+FRAMES = ("scan", "imu", "odom", "fix")  # what a sensor gives
+UNTOLD = (TAKE_IN, "scan_passed_over", "frame_refused")  # events that are counted in health, many a second
 PATH_STEP_M = 0.05
 MOST_PATH_POINTS = 20_000  # 1 km at 5 cm; then every second point goes
 
@@ -124,7 +127,10 @@ class LiveView:
             except InputError:  # a fault of ours: the service made them
                 self.unreadable += 1
         for event in came.events:
-            text = to_json("event", stamp_s=event.stamp_ns / 1e9, text=decode_event(event.payload))
+            words = decode_event(event.payload)
+            if any(f'"{name}"' in words for name in UNTOLD):
+                continue
+            text = to_json("event", stamp_s=event.stamp_ns / 1e9, text=words)
             self._events.append(text)
             shown.append(Shown("", text))
         if came.latencies_ns:
@@ -163,9 +169,7 @@ class LiveView:
 
     def _show(self, channel: str, message: Message) -> list[Shown]:
         sensor, _, kind = channel.rpartition("/")
-        if sensor in ("map", "map/tile"):
-            return []  # the page takes tiles
-        if sensor:
+        if sensor and kind in FRAMES:
             self._arrival_ms[sensor] = (message.log_ns - message.stamp_ns) / 1e6
         match sensor, kind:
             case "", "pose":

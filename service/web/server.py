@@ -65,8 +65,7 @@ class About:
 
     vehicle: str
     profile: str
-    cell_m: float
-    verbs: Sequence[str]  # commands that the service knows
+    verbs: Callable[[], Sequence[str]]  # commands that the service knows
 
 
 class WebServer:
@@ -100,6 +99,7 @@ class WebServer:
         self._browsers: set[Browser] = set()
         self._workers = ThreadPoolExecutor(COMMAND_THREADS, thread_name_prefix="web-command")
         self._map_number = tiles.number
+        self._verbs = list(about.verbs())
         self._dropped = self._refused = 0
         self._trouble = "not started"
         self._address = ""
@@ -261,8 +261,7 @@ class WebServer:
             version=VERSION,
             vehicle=self._about.vehicle,
             profile=self._about.profile,
-            cell_m=self._about.cell_m,
-            verbs=list(self._about.verbs),
+            verbs=self._verbs,
             now_s=time.time(),
         )
 
@@ -279,6 +278,10 @@ class WebServer:
 
     def _due(self) -> list[Shown]:
         shown = self._view.due()
+        verbs = list(self._about.verbs())
+        if verbs != self._verbs:
+            self._verbs = verbs
+            shown.append(Shown("verbs", to_json("verbs", verbs=verbs)))
         if self._tiles.number != self._map_number:
             self._map_number = self._tiles.number
             shown.append(self._view.map_reset())

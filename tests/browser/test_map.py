@@ -104,7 +104,8 @@ def test_a_scan_of_a_moving_vehicle_is_laid_out_beam_by_beam(page, scene, live):
     """1 m/s forward: the last of 361 beams, each 1 ms after the other, is 0.36 m further on."""
     page.run(
         "const v = corridor.view, stamp_s = v.track.last.stamp_s, ranges = new Uint16Array(361).fill(200);"
-        "const scan = {sensor: 'front', stamp_s, first_angle_rad: 0, angle_step_rad: 0, beam_interval_s: 1e-3};"
+        "const scan = {sensor: 'front', stamp_s, first_angle_rad: 0, angle_step_rad: 0,"
+        "beam_interval_s: 1e-3};"
         "v.track.last.twist = [1, 0, 0];"
         "v.scans.set('front', {scan: {...scan, ranges}, arrived_ms: performance.now()}); v.invalidate();"
     )

@@ -179,7 +179,7 @@ def test_an_antenna_lies_where_mounting_axes_and_lever_arm_put_it():
             GOOD + "mapping: {lasers: []}\n",
             "c.yaml:9:11: mapping.lasers: name each laser that is mapped once",
         ),
-        (GOOD + "web: {listen: 127.0.0.1:8080}\n", "c.yaml:9:1: web: unknown key; known here: vehicle, "),
+        (GOOD + "page: {listen: 127.0.0.1:8080}\n", "c.yaml:9:1: page: unknown key; known here: vehicle, "),
         ("- a\n", "c.yaml:1:1: a config is a mapping with the keys vehicle, sensors, "),
         ("", "c.yaml:1:1: a config is a mapping with the keys vehicle, sensors, "),
     ],
@@ -263,7 +263,7 @@ def test_a_file_that_is_not_there_or_is_no_text_is_a_config_error(tmp_path: Path
 
 def test_the_complete_example_is_right_and_shows_every_section():
     config = load_config(ROOT / "config" / "vehicle.yaml")
-    for section in ("vehicle", "sensors", "mapping", "publishing", "recording", "map"):
+    for section in ("vehicle", "sensors", "mapping", "publishing", "recording", "map", "web"):
         assert f"\n{section}:" in config.text
     for model in config.sinks.values():
         for key in type(model).model_fields:

@@ -1,4 +1,6 @@
+import contextlib
 import math
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -8,7 +10,7 @@ import pytest
 
 from service import demo
 from service.config import mapped_lasers
-from service.demo import DemoOptions, Simulators, demo_config, interpolate, pose_error
+from service.demo import WEB_PORT, DemoOptions, Simulators, _page, demo_config, interpolate, pose_error
 from service.encoding import encode_pose
 from service.errors import ConfigError, CorridorError, UsageError
 from service.geometry.se2 import SE2
@@ -43,6 +45,21 @@ def test_the_config_is_what_a_user_would_write_for_these_devices(tmp_path: Path)
     assert mapped_lasers(config) == ("front", "rear", "lux")
     assert config.sinks["recording"].directory == tmp_path
     assert config.sinks["publishing"].listen == ("tcp/127.0.0.1:7447",)
+
+
+def test_the_page_is_at_the_usual_port_or_at_a_free_one_and_off_where_it_is_not_wanted(tmp_path: Path):
+    with socket.socket() as taken:
+        taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        with contextlib.suppress(OSError):  # else somebody else has it
+            taken.bind(("127.0.0.1", WEB_PORT))
+            taken.listen()
+        page = _page(options(tmp_path))
+    assert page.listen.startswith("127.0.0.1:")
+    assert page.listen != f"127.0.0.1:{WEB_PORT}"
+    assert page.token_file.read_text().strip() == page.token
+    web = demo_config(ENDPOINTS, options(tmp_path), 7447, page).sinks["web"]
+    assert (web.enabled, web.listen, web.token_file) == (True, page.listen, page.token_file)
+    assert not demo_config(ENDPOINTS, options(tmp_path), 7447).sinks["web"].enabled
 
 
 def test_a_profile_that_there_is_not_is_a_config_error(tmp_path: Path):

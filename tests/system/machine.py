@@ -121,6 +121,7 @@ class LiveService:
             "publishing": {"listen": [self.endpoint]},
             "recording": {"directory": str(self.sessions), "keep_free_gb": 0.1, "raw": raw},
             "map": {"directory": str(self.maps)},
+            "web": {"listen": "127.0.0.1:0", "token_file": str(folder / "web.token")},
         }
         self.config.write_text(yaml.safe_dump(settings, sort_keys=False))
 

@@ -39,7 +39,7 @@ export class Control {
     this.update();
   }
 
-  putHello({ verbs }) {
+  putVerbs({ verbs }) {
     this.verbs = verbs;
     this.update();
   }
@@ -63,7 +63,7 @@ export class Control {
     const may = this.connection.mayControl;
     setText(this.accessWords, may
       ? "Unlocked: this page may give commands."
-      : "You may look. To give commands, enter the token of the service: `corridor demo` prints it; `corridor run` keeps it in the file web.token beside the maps.");
+      : "You may look. To give commands, enter the token of the service: `corridor demo` prints it, `corridor run` says at its start in which file it is.");
     this.tokenForm.hidden = may;
     const useless = { pause: this.isPaused, resume: !this.isPaused, start_recording: this.isRecording,
       stop_recording: !this.isRecording, mark: !this.isRecording };

@@ -67,7 +67,6 @@ export class Information {
     let words = text;
     try {
       const { event, ...rest } = JSON.parse(text);
-      if (event === "apply_result" || event === "scan_passed_over") return; // several a second, counted elsewhere
       words = [EVENT_WORDS[event] ?? event, ...Object.values(rest)].join(", ");
     } catch {
       // no JSON: then it is words already

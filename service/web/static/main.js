@@ -26,8 +26,9 @@ const connection = new Connection({
     setText(byId("vehicle"), hello.vehicle);
     document.title = `${hello.vehicle} \u00b7 corridor`;
     information.eventList.replaceChildren(); // all of them come again
-    control.putHello(hello);
+    control.putVerbs(hello);
   },
+  verbs: (message) => control.putVerbs(message),
   access: (access) => control.putAccess(access),
   refused: ({ error }) => console.error(error),
   tiles: (message) => { view.putTiles(message); byId("empty").hidden = view.tiles.tiles.size > 0; },

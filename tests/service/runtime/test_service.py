@@ -40,6 +40,7 @@ sensors: {{front: {{type: sick_lms100, host: 127.0.0.1, port: {silent_laser}}}}}
 publishing: {{listen: ["tcp/127.0.0.1:0"]}}
 recording: {{directory: {tmp_path}/sessions, keep_free_gb: 0.0}}
 map: {{directory: {tmp_path}/maps}}
+web: {{enabled: false}}
 """,
         "test",
     )

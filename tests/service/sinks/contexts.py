@@ -18,6 +18,7 @@ def sink_context(**parts: Any) -> SinkContext:
         "tiles": TileStore(),
         "links": {},
         "command": lambda verb, payload: Answer(True, b"{}"),
+        "verbs": lambda: ["mark"],
         "emit": lambda message: None,
         "unix_ns": time.time_ns,
         "is_paused": lambda: False,

@@ -53,7 +53,7 @@ def serve(store: TileStore, desk: Desk) -> Iterator[Callable[..., WebServer]]:
 
     def start(wait: bool = True, retry_s: float = 0.05, **settings: Any) -> WebServer:
         config = WebConfig(**{"listen": "127.0.0.1:0", **settings})
-        about = About("veh1", "corridor", 0.05, ["mark", "wait"])
+        about = About("veh1", "corridor", lambda: ["mark", "wait"])
         opened.append(WebServer(config, about, store, desk.answer, TOKEN, retry_s=retry_s))
         opened[-1].start()
         assert not wait or opened[-1].wait_served(TIMEOUT_S)

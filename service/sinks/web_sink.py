@@ -1,0 +1,70 @@
+"""The operator's page, as a sink; up as soon as it is constructed, so that a start can be watched too."""
+
+import logging
+
+from service.encoding import WARNING, Message, Status
+from service.errors import StorageError
+from service.publishing.commands import Answer, refusal
+from service.sinks.sink import Sink, SinkContext
+from service.web.access import new_token, state_folder, token_from_file
+from service.web.config import WebConfig
+from service.web.server import About, WebServer
+
+log = logging.getLogger(__name__)
+
+
+def open_sink(config: WebConfig, context: SinkContext) -> "WebSink | None":
+    return WebSink(config, context) if config.enabled else None
+
+
+class WebSink(Sink):
+    """Takes commands from `start` on. A port or token that cannot be had is said in health; mapping goes on."""
+
+    name = "web"
+
+    def __init__(self, config: WebConfig, context: SinkContext) -> None:
+        self._command = context.command
+        self._is_started = False
+        self._token_fault = ""
+        self._server = WebServer(
+            config,
+            About(context.vehicle, context.profile, lambda: context.verbs() if self._is_started else ()),
+            context.tiles,
+            self._answer,
+            self._token(config),
+        )
+        self._server.start()
+
+    def start(self) -> None:
+        self._is_started = True
+
+    def put(self, message: Message, arrived_ns: int | None = None) -> None:
+        self._server.put(message, arrived_ns)
+
+    def health(self) -> Status:
+        status = self._server.health()
+        if self._token_fault and status.level < WARNING:
+            return status._replace(level=WARNING, message=f"commands are refused: {self._token_fault}")
+        return status
+
+    def place(self) -> str:
+        return self._server.address
+
+    def close(self) -> None:
+        self._server.close()
+
+    def _token(self, config: WebConfig) -> str:
+        path = config.token_file or state_folder() / "web.token"
+        try:
+            token = token_from_file(path)
+        except StorageError as error:
+            self._token_fault = str(error)
+            log.error("web: commands are refused: %s", error)
+            return new_token()  # which nobody is told
+        log.info("web: the token that commands need is in %s", path)
+        return token
+
+    def _answer(self, verb: str, payload: bytes) -> Answer:
+        if not self._is_started:
+            return refusal("the service is still starting; ask again when it maps")
+        return self._command(verb, payload)
