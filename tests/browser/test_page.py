@@ -33,7 +33,15 @@ def test_each_sensor_has_its_row_and_a_fault_its_words(page, live):
     cells = page.run(
         "return [...document.querySelectorAll('#information tbody tr')][0].innerText.split(/\\s+/)"
     )
-    assert cells == ["front", "50.0", "0.02", "5.0", "0", "12.3"]
+    assert cells == ["front", "50.0", "0.02", "5.0", "0", "12.3", "ms"]
+
+
+def test_a_clock_that_counts_from_long_ago_is_said_in_days(page, live):
+    said = page.driver.execute_async_script(
+        "const offsets = ['', '12.34', '-40000', '7.2e6', '-4.0e8'], done = arguments[0];"
+        "import('./format.js').then((format) => done(offsets.map(format.offset)))"
+    )
+    assert said == ["\u2013", "12.3 ms", "-40.0 s", "7200.0 s", "-5 d"]
 
 
 def test_events_are_listed_newest_first(page, live):

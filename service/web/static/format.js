@@ -23,6 +23,15 @@ export const duration = (s) => {
   return h > 0 ? `${h}:${two(min)}:${two(whole % 60)} h` : `${min}:${two(whole % 60)} min`;
 };
 
+/** An offset between two clocks, given in ms as text: most devices count from when they were switched on. */
+export const offset = (text) => {
+  if (text === undefined || text === "") return "\u2013";
+  const ms = Number(text), size = Math.abs(ms);
+  if (size < 1e4) return `${ms.toFixed(1)} ms`;
+  if (size < 1e7) return `${(ms / 1e3).toFixed(1)} s`;
+  return size < 3.6e8 ? `${(ms / 3.6e6).toFixed(1)} h` : `${Math.round(ms / 8.64e7)} d`;
+};
+
 export const clockTime = (unix_s) => new Date(1000 * unix_s).toLocaleTimeString([], { hour12: false });
 
 export const bytes = (count) => {

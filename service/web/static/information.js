@@ -2,13 +2,13 @@
 
 import { card, element, Facts, setText } from "./dom.js";
 import { deviationsInMap, wrapAngle } from "./geometry.js";
-import { clockTime, degrees, duration, figure, fixed } from "./format.js";
+import { clockTime, degrees, duration, figure, fixed, offset } from "./format.js";
 import { LatencyPlot } from "./plot.js";
 
 export const LEVELS = ["ok", "warn", "error", "error"]; // of diagnostic_msgs/DiagnosticStatus
 const COLUMNS = [["Sensor", ""], ["Hz", "frames a second"], ["Age s", "since the newest frame"],
   ["Delay ms", "from the measurement to its arrival"], ["Dropped", "scans not mapped: they had waited too long"],
-  ["Offset ms", "of the device's clock against the host's"]];
+  ["Clock", "how far the host's clock is ahead of the device's"]];
 const EVENT_WORDS = { start: "service started", stop: "service stops", mark: "mark", pause: "mapping paused",
   resume: "mapping resumed", reset_map: "map reset", save_map: "map saved", sensor: "sensor" };
 const MOST_EVENTS = 60;
@@ -19,6 +19,8 @@ export class Information {
     this.mapping = card("Mapping");
     this.words = element("p", { className: "note" });
     this.pose = new Facts();
+    const inOrder = ["x", "y", "Heading", "Speed", "Agreement with the map", "Scans mapped a second"];
+    this.pose.set(Object.fromEntries(inOrder.map((name) => [name, "\u2013"])));
     this.mapping.node.append(this.words, this.pose.node);
     this.sensors = card("Sensors");
     this.rows = element("tbody");
@@ -81,7 +83,7 @@ export class Information {
     setText(this.mapping.aside, `for ${duration(now_s - mapping.since_s)}`);
     setText(this.words, mapping.message === "ok" ? "Everything is well." : mapping.message);
     this.pose.set({
-      "Agreement with the map": figure(values.match_share && 100 * values.match_share, 0, " %"),
+      "Agreement with the map": figure(values.inlier_ratio && 100 * values.inlier_ratio, 0, " %"),
       "Scans mapped a second": figure(values.scan_rate_hz, 1),
       "Scans not mapped": values.scans_dropped ?? "\u2013",
       "Processor a scan, median": figure(values.scan_cpu_ms_p50, 1, " ms"),
@@ -100,7 +102,7 @@ export class Information {
       row.swatch.style.background = this.colourOf(name) ?? "transparent";
       const { values } = status;
       const figures = [figure(values.rate_hz, 1), figure(values.age_s, 2), fixed(health.latency_ms[name], 1),
-        values.dropped ?? "\u2013", figure(values.clock_offset_ms === "" ? "" : values.clock_offset_ms, 1)];
+        values.dropped ?? "\u2013", offset(values.clock_offset_ms)];
       figures.forEach((text, i) => setText(row.cells[i], text));
       row.words.hidden = status.level === 0;
       setText(row.words.firstChild, `${status.message}, for ${duration(health.stamp_s - status.since_s)}`);

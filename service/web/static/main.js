@@ -15,7 +15,7 @@ const POSE_WORDS_MS = 200; // figures that change faster cannot be read
 
 const view = new MapView(byId("map"));
 const information = new Information(byId("information"), (sensor) => view.colourOf(sensor));
-let tool = null, runId = "", isOpen = false, poseShown_ms = 0, health = null;
+let tool = null, runId = "", isOpen = false, poseTimer = null, health = null;
 
 const connection = new Connection({
   open: () => { isOpen = true; showState(); },
@@ -37,9 +37,11 @@ const connection = new Connection({
   mountings: ({ pose_base_sensor }) => { view.mountings = pose_base_sensor; },
   pose: (pose) => {
     view.putPose(pose);
-    if (performance.now() - poseShown_ms < POSE_WORDS_MS) return;
-    poseShown_ms = performance.now();
-    information.putPose(pose);
+    if (poseTimer !== null) return; // the newest is said when its time has come
+    poseTimer = setTimeout(() => {
+      poseTimer = null;
+      if (view.track.last) information.putPose(view.track.last);
+    }, POSE_WORDS_MS);
   },
   health: (message) => {
     health = message;
