@@ -14,8 +14,8 @@ import numpy as np
 
 from drivers.frames import LaserScan
 from service.encoding import (
+    APPLY_RESULT,
     BASE_FRAME,
-    TAKE_IN,
     Message,
     Status,
     decode_diagnostics,
@@ -35,7 +35,11 @@ LATENCY_PERIOD_NS = 1_000_000_000
 KEPT_LATENCIES = 300  # five minutes
 MOST_EVENTS = 100
 FRAMES = ("scan", "imu", "odom", "fix")  # what a sensor gives
-UNTOLD = (TAKE_IN, "scan_passed_over", "frame_refused")  # events that are counted in health, many a second
+UNTOLD = (
+    APPLY_RESULT,
+    "scan_passed_over",
+    "frame_refused",
+)  # events that are counted in health, many a second
 PATH_STEP_M = 0.05
 MOST_PATH_POINTS = 20_000  # 1 km at 5 cm; then every second point goes
 

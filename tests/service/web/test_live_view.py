@@ -170,3 +170,11 @@ def test_a_turn_of_the_mounting_is_told(view):
     view.put(encode_tf_static({"front": SE2(0.2, 0.1, 0.5)}, 1, 1))
     (told,) = texts(view.due(), "mountings")
     assert told["pose_base_sensor"]["front"] == pytest.approx([0.2, 0.1, 0.5])
+
+
+def test_events_that_come_many_a_second_are_left_out(view):
+    view.put(event('{"event": "apply_result"}', 0.0))
+    view.put(event('{"event": "scan_passed_over", "sensor": "front"}', 0.0))
+    view.put(event('{"event": "mark", "text": "a door"}', 0.0))
+    (told,) = texts(view.due(), "event")
+    assert "a door" in told["text"]
