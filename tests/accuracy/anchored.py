@@ -108,7 +108,7 @@ def anchored(seeds: Sequence[int]) -> Section:
     for name, result in measured(seeds).items():
         rows += [
             Row("", f"{name}: ATE after the finish", result.ate_m, "m"),
-            Row("", f"{name}: loop closures", result.loops, "", digits=0),
+            Row("", f"{name}: loop closures", result.loops, "loops", digits=0),
         ]
         if result.place_m:
             rows += [
@@ -116,7 +116,7 @@ def anchored(seeds: Sequence[int]) -> Section:
                 Row("", f"{name}: place on the earth, worst", result.worst_m, "m", at_most=4.0, digits=2),
                 Row("", f"{name}: yaw against east", result.yaw_deg, "deg", at_most=1.0, digits=2),
                 Row("", f"{name}: sigma of the map's origin", result.sigma_m, "m", digits=2),
-                Row("", f"{name}: fixes not believed", result.not_believed, "", digits=0),
+                Row("", f"{name}: fixes not believed", result.not_believed, "fixes", digits=0),
             ]
     return Section(
         "Outdoors with GNSS",

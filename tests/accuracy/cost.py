@@ -66,7 +66,7 @@ def recording(seeds: Sequence[int]) -> Section:
         "Replay of Freiburg 079",
         "1061 s of driving, the finish included, by wall clock.",
         [
-            Row("", "times real time", factors, "", at_least=100.0, digits=0),
+            Row("", "times real time", factors, "times", at_least=100.0, digits=0),
             Row("", "peak memory", peaks, "MB", at_most=350.0, digits=0),
         ],
     )
@@ -96,7 +96,7 @@ def growing_map(seeds: Sequence[int]) -> Section:
         f"{LOOPS} loops around one block of the mall, {LOOPS * world.drive.length_m / 1000.0:.1f} km at "
         f"{LOOP_RATE_HZ:.0f} scans a second. Shortened: a loop of the whole mall is 1.2 km.",
         [
-            Row("", "a scan, loops 91 to 100 / loops 2 to 11", [late / early], "", at_most=1.05),
+            Row("", "a scan, loops 91 to 100 / loops 2 to 11", [late / early], "times", at_most=1.05),
             Row("", "a scan, loops 2 to 11", [early], "ms"),
             Row("", "memory, loop 100 - loop 10", [memory_mb[last] - memory_mb[10]], "MB", digits=1),
         ],

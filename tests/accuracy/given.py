@@ -75,8 +75,8 @@ def _world(name: str, bound_m: float | None, out: Path) -> list[Row]:
         ),
         Row("", f"{name}: ATE live", [live.ate_aligned_m.rms], "m", digits=4),
         Row("", f"{name}: closure", [finished.closure_m], "m", digits=4),
-        Row("", f"{name}: NEES, mean", [nees], "", digits=2),
-        Row("", f"{name}: scans `ok` and {WRONG_M} m off", [float(lies)], "", at_most=0.0, digits=0),
+        Row("", f"{name}: NEES, mean", [nees], "of 3", digits=2),
+        Row("", f"{name}: scans `ok` and {WRONG_M} m off", [float(lies)], "scans", at_most=0.0, digits=0),
         Row("", f"{name}: scans lost", [100.0 * states.count("lost") / len(states)], "%", digits=1),
     ]
 

@@ -122,7 +122,7 @@ def lasers(seeds: Sequence[int]) -> Section:
                     world_name,
                     f"{what}: `ok` and 0.3 m off",
                     [float(o.wrong_ok) for o in done],
-                    "",
+                    "scans",
                     at_most=0,
                 ),
                 Row(world_name, f"{what}: a scan, p50", [o.scan_ms for o in done], "ms"),

@@ -80,7 +80,9 @@ def outages(seeds: Sequence[int]) -> Section:
                 Row(where, "`ok` and wrong", outcome.wrong_ok, "scans", at_most=0.0, by_worst=True, digits=0),
                 Row(where, "found again after", outcome.found_s, "s", at_most=2.0, by_worst=True),
                 Row(where, "off at the end", outcome.end_mm, "mm", at_most=50.0, by_worst=True, digits=1),
-                Row(where, "ghost cells added", outcome.ghosts, "", at_most=20.0, by_worst=True, digits=0),
+                Row(
+                    where, "ghost cells added", outcome.ghosts, "cells", at_most=20.0, by_worst=True, digits=0
+                ),
             ]
     return Section(
         "Outages",

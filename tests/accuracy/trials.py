@@ -37,7 +37,7 @@ def motion(seeds: Sequence[int]) -> Section:
             Row("", f"{name}: scans lost", errors.lost_percent, "%", at_most=0.0, by_worst=True, digits=1),
         ]
         if name == "crowd":
-            rows.append(Row("", "crowd: ghost cells", ghosts, "", at_most=0.0, by_worst=True, digits=0))
+            rows.append(Row("", "crowd: ghost cells", ghosts, "cells", at_most=0.0, by_worst=True, digits=0))
     return Section(
         "Turns, stops and a crowd",
         "spins: turns at 3 rad/s on the spot in four rooms of the office. stop_and_go: a stand every 2 m. "
@@ -86,7 +86,9 @@ def bare_corridor(seeds: Sequence[int]) -> Section:
             ratios.append(done.end_error[0] / wheels_m)
             told.append(100.0 * _told_share(done))
         rows += [
-            Row("", f"{what}: error at the end / that of the odometry", ratios, "", at_most=1.0, digits=2),
+            Row(
+                "", f"{what}: error at the end / that of the odometry", ratios, "times", at_most=1.0, digits=2
+            ),
             Row("", f"{what}: error at the end", ends, "mm", digits=0),
             Row("", f"{what}: of the odometry alone", alone, "mm", digits=0),
             Row("", f"{what}: scans that name the free direction", told, "%", at_least=95.0, digits=1),
@@ -157,7 +159,11 @@ def _against(what: str, errors_mm: list[float], clean_mm: list[float]) -> list[R
     bound = None if errors_mm is clean_mm else 2.0
     return [
         Row("", f"{what}: as is, RMS", errors_mm, "mm", digits=1),
-        *([] if bound is None else [Row("", f"{what}: against clean", ratios, "", at_most=bound, digits=2)]),
+        *(
+            []
+            if bound is None
+            else [Row("", f"{what}: against clean", ratios, "times", at_most=bound, digits=2)]
+        ),
     ]
 
 

@@ -175,13 +175,13 @@ def niches(seeds: int) -> Section:
 
     traditional = mouths(config_of(contours=JOINED, traditional=True))
     rows = [
-        Row("A46 A10", "traditional contour map, likelihood in the mouths", traditional, ""),
-        Row("A46", "the profile, share of that", share(config_of(), traditional), "", at_most=0.5),
+        Row("A46 A10", "traditional contour map, likelihood in the mouths", traditional, "of 1"),
+        Row("A46", "the profile, share of that", share(config_of(), traditional), "of 1", at_most=0.5),
         Row(
             "A46",
             "the profile's blur on the contours of the traditional map, share",
             share(config_of(contours=JOINED), traditional),
-            "",
+            "of 1",
         ),
     ]
     for cell_m in (0.01, 0.025, 0.05):
@@ -189,7 +189,7 @@ def niches(seeds: int) -> Section:
         for along, across in ((10.0, 1.5), (1.5, 10.0)):
             config = config_of(cell_m, along_cells=along, across_cells=across)
             what = f"cells of {100 * cell_m:g} cm, {along:g} along, {across:g} across: share, seed 1"
-            rows.append(Row("A19", what, [in_the_mouths(learn(niche_drive(1), config, 5)) / base], ""))
+            rows.append(Row("A19", what, [in_the_mouths(learn(niche_drive(1), config, 5)) / base], "of 1"))
     maps = {
         "traditional": learn(niche_drive(1), config_of(contours=JOINED, traditional=True), 5),
         "profile": learn(niche_drive(1), config_of(), 5),
@@ -240,11 +240,11 @@ def people(
         left = [float(read(one, xy[track])[:, 0].mean()) for one, track in zip(made, tracks, strict=True)]
         what = f"{update}: tracks {'with' if fades else 'without'} decrease"
         rows.append(
-            Row(ids, what, left, "", at_most=0.1) if fades else Row(ids, what, left, "", at_least=0.9)
+            Row(ids, what, left, "of 1", at_most=0.1) if fades else Row(ids, what, left, "of 1", at_least=0.9)
         )
         kept = [wall_mean(one, wall) for one, wall in zip(made, walls, strict=True)]
         if fades:
-            rows.append(Row(ids, f"{update}: walls with decrease", kept, "", at_least=0.95))
+            rows.append(Row(ids, f"{update}: walls with decrease", kept, "of 1", at_least=0.95))
     corners = world.segments.reshape(-1, 2)
     (x0, y0), (x1, y1) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
     window = (x0 - 0.2, x1 + 0.2, y0 - 0.2, y1 + 0.2)
@@ -332,10 +332,12 @@ def ring(seeds: int) -> Section:
         [
             Row("A47", "closure with deskewing", closure, "m"),
             Row("A47", "closure without", closure_raw, "m"),
-            Row("A47", "median with by median without", [share_of(closure, closure_raw)], "", at_most=0.5),
+            Row(
+                "A47", "median with by median without", [share_of(closure, closure_raw)], "times", at_most=0.5
+            ),
             Row("A47", "error before the last corner, with", drift, "m"),
             Row("A47", "error before the last corner, without", drift_raw, "m"),
-            Row("A47", "median with by median without", [share_of(drift, drift_raw)], "", at_most=0.5),
+            Row("A47", "median with by median without", [share_of(drift, drift_raw)], "times", at_most=0.5),
             Row("A47", "position, RMS, with", [r.position_rmse_m for r in deskewed], "m"),
             Row("A47", "position, RMS, without", [r.position_rmse_m for r in raw], "m"),
             Row("A5", "closure with the printed time between beams, seed 1", [literal.end_error[0]], "m"),

@@ -105,7 +105,7 @@ def accuracy(
                 for other, ours in zip(runs[matcher], runs["icp_then_search"], strict=True)
             ]
             name = f"{MATCHERS[matcher]}: so many times as far off"
-            rows.append(Row(ids, name, ratios, "", at_least=10.0, digits=1))
+            rows.append(Row(ids, name, ratios, "times", at_least=10.0, digits=1))
     return Section(title, text, rows)
 
 
@@ -211,7 +211,7 @@ def large(seeds: int) -> Section:
         ratios = [r["median_ms"] / base["median_ms"] for r, base in zip(of, found[100], strict=True)]
         rows += [
             Row("C30", f"{size} m: median time a scan", [r["median_ms"] for r in of], "ms", digits=2),
-            Row("C30", f"{size} m: that by the one of 100 m", ratios, "", at_most=1.10),
+            Row("C30", f"{size} m: that by the one of 100 m", ratios, "times", at_most=1.10),
             Row("C30 C31", f"{size} m: longest scan", [r["longest_ms"] for r in of], "ms", digits=1),
             Row(
                 "C30",
@@ -229,7 +229,7 @@ def large(seeds: int) -> Section:
             "C30",
             "bytes per square centimetre of a patch on disk",
             [r["bytes_per_cm2"] for r in found[300]],
-            "",
+            "bytes",
             at_most=1.05,
         )
     )

@@ -73,12 +73,12 @@ def _against_plain(weighed: list[Run], plain: list[Run], maps: list[Laid], maps_
         "structure by their check points. Books up to 15 cm behind their cases' fronts and what is seen "
         "behind glass count as far from the structure.",
         [
-            Row("B28", "share of the map's mass farther than 5 cm from the structure", far, ""),
-            Row("B28", "the same of the plain map", far_plain, ""),
-            Row("B28", "ratio of the two", _ratios(far, far_plain), "", at_most=0.6),
+            Row("B28", "share of the map's mass farther than 5 cm from the structure", far, "of 1"),
+            Row("B28", "the same of the plain map", far_plain, "of 1"),
+            Row("B28", "ratio of the two", _ratios(far, far_plain), "times", at_most=0.6),
             Row("B29", "closure", closure, "m", at_most=0.15, by_worst=True),
             Row("B29", "closure of the plain map", closure_plain, "m"),
-            Row("B29", "ratio of the two", _ratios(closure, closure_plain), "", at_most=0.5),
+            Row("B29", "ratio of the two", _ratios(closure, closure_plain), "times", at_most=0.5),
             Row("B29", "position, RMS over the lap", [r.position_rmse_m for r in weighed], "m"),
             Row("B29", "position of the plain map", [r.position_rmse_m for r in plain], "m"),
         ],
@@ -99,7 +99,7 @@ def _check_points(maps: list[Laid]) -> Section:
         "12 cm of the wall, weighed by their likelihood squared. Then translation and rotation are fitted. "
         "Sides of bookcases are books, not fronts, which is most of points 9 to 16. The table shows seed 1.",
         [
-            Row("B30", "corners found of 18", found, "", at_least=18, digits=0),
+            Row("B30", "corners found of 18", found, "corners", at_least=18, digits=0),
             Row("B30", "median residual", median, "cm", at_most=2.85, digits=2),
             Row("B30", "RMS residual", rms, "cm", at_most=6.5, digits=2),
         ],

@@ -13,14 +13,18 @@ FOLDER = Path(__file__).parents[2] / "docs" / "papers"
 class Row:
     """One figure over all seeds. A bound is met by the median, or by the worst where `by_worst`."""
 
-    ids: str  # of the checklist, "A47 A5"
+    ids: str  # of the checklist, "A47 A5", or the world; "" where there is nothing to tell
     what: str
     values: Sequence[float]  # one a seed
-    unit: str
+    unit: str  # of a count what is counted, of a ratio "times", of a share "of 1"
     at_most: float | None = None
     at_least: float | None = None
     by_worst: bool = False
     digits: int = 3
+
+    def __post_init__(self) -> None:
+        if not self.unit:
+            raise ValueError(f"{self.what}: a figure without its unit")
 
     @property
     def median(self) -> float:
@@ -69,9 +73,7 @@ def below_title(section: Section) -> list[str]:
     """Text, tables and pictures, line by line."""
     lines = [section.text, ""]
     if section.rows:
-        lines += ["| | figure | median | worst | bound | met |", "|---|---|---|---|---|---|"]
-        lines += [_line(row) for row in section.rows]
-        lines.append("")
+        lines += [*_table(section.rows), ""]
     for table in section.tables:
         lines += [table.strip(), ""]
     for file, caption in section.pictures:
@@ -79,13 +81,20 @@ def below_title(section: Section) -> list[str]:
     return lines
 
 
-def _line(row: Row) -> str:
-    bound = "" if row.at_most is None else f"≤ {row.at_most:g}"
+def _table(rows: Sequence[Row]) -> list[str]:
+    """Without the column of cases where no row names one."""
+    cells = [("case", "figure", "median", "worst", "bound", "met"), *map(_cells, rows)]
+    first = 0 if any(row.ids for row in rows) else 1
+    lines = [f"| {' | '.join(row[first:])} |" for row in cells]
+    return [lines[0], "|" + "---|" * (6 - first), *lines[1:]]
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    bound = "" if row.at_most is None else f"≤ {row.at_most:g} {row.unit}"
     if row.at_least is not None:
-        bound = f"≥ {row.at_least:g}"
+        bound = f"≥ {row.at_least:g} {row.unit}"
     if bound and row.by_worst:
         bound += " every seed"
     met = {None: "", True: "yes", False: "**no**"}[row.met]
-    unit = f" {row.unit}" if row.unit else ""
-    figures = f"{row.median:.{row.digits}f}{unit} | {row.worst:.{row.digits}f}{unit}"
-    return f"| {row.ids} | {row.what} | {figures} | {bound} | {met} |"
+    median, worst = (f"{value:.{row.digits}f} {row.unit}" for value in (row.median, row.worst))
+    return row.ids, row.what, median, worst, bound, met

@@ -104,7 +104,7 @@ def against_single(drives: Sequence[Drive], submaps: Sequence[Mapped]) -> Sectio
         "drew wrong it is laid on again.",
         [
             Row("D18", "mall, one map: worst check point", worst(single), "m"),
-            Row("D18", "so many times that of the sub-maps", ratios, "", at_least=3.0, digits=1),
+            Row("D18", "so many times that of the sub-maps", ratios, "times", at_least=3.0, digits=1),
             Row("", "mall, one map: CPU a scan", [one.scan_ms for one in single], "ms", digits=1),
         ],
         pictures=[save(figure, "submap-graph-mall.png", caption)],

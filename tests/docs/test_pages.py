@@ -1,0 +1,52 @@
+"""What holds for every page of the manual."""
+
+import re
+from itertools import pairwise
+
+import pytest
+
+from tests.docs.blocks import BLOCKS, PAGES, ROOT, without_blocks
+
+LANGUAGES = {"", "sh", "python", "yaml", "ini"}
+
+
+def test_every_block_is_in_a_language_that_a_test_runs():
+    assert {block.language for block in BLOCKS} <= LANGUAGES
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+def test_code_stands_in_fences_where_tests_find_it(page):
+    """Four spaces make code in Markdown, too, but say nothing of the language."""
+    lines = without_blocks(page)
+    for before, line in pairwise(lines):
+        is_code = not before.strip() and re.match(r" {4}(corridor|make|sudo|pip|python3?|cp|git) ", line)
+        assert not is_code, f"{page}: {line}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+def test_links_lead_somewhere(page):
+    text = "\n".join(without_blocks(page))
+    for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", text):
+        if not target.startswith(("http://", "https://", "mailto:")):
+            assert (page.parent / target).exists(), f"{page}: {target}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+def test_no_table_has_an_empty_first_column(page):
+    lines = without_blocks(page)
+    for above, rule in pairwise(lines):
+        if re.fullmatch(r"\|(\s*:?-+:?\s*\|)+", rule.strip()):
+            assert above.split("|")[1].strip(), f"{page}: the first column of {above!r} has no heading"
+
+
+def test_every_page_is_reached_from_the_readme():
+    pages = {page.resolve(): page for page in PAGES}
+    reached, ahead = set(), [(ROOT / "README.md").resolve()]
+    while ahead:
+        page = ahead.pop()
+        if page in reached or page not in pages:
+            continue
+        reached.add(page)
+        for target in re.findall(r"\]\(([^)#\s]+\.md)", page.read_text(encoding="utf-8")):
+            ahead.append((page.parent / target).resolve())
+    assert not pages.keys() - reached
