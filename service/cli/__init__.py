@@ -24,6 +24,7 @@ _COMMANDS = {
     "score": ("service.cli.sessions", "score"),
     "check": ("service.cli.upkeep", "check"),
     "doctor": ("service.cli.upkeep", "doctor"),
+    "install-unit": ("service.cli.upkeep", "install_unit"),
     "warmup": ("service.cli.upkeep", "warmup"),
 }
 

@@ -150,6 +150,13 @@ def _add_upkeep(commands: Any) -> None:
     recover = _add(commands, "recover", "a session whose writer died, to a valid MCAP")
     recover.add_argument("file", type=Path, metavar="FILE.mcap.active")
 
+    install = _add(commands, "install-unit", "systemd unit, sysusers, tmpfiles, udev rules, example config")
+    install.add_argument(
+        "--root", type=Path, default=Path("/"), metavar="DIR", help="of the system to set up (default: /)"
+    )
+    install.add_argument("--program", metavar="PATH", help="that the unit starts (default: this command)")
+    install.add_argument("--force", action="store_true", help="replace files that were changed there")
+
     _add(commands, "warmup", "compile the kernels and keep them in the cache")
 
 

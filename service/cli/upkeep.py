@@ -1,4 +1,4 @@
-"""check, doctor, warmup: what one does before a drive."""
+"""check, doctor, install-unit, warmup: what one does before a drive."""
 
 import argparse
 import logging
@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from service.cli.console import print_result, progress
+from service.cli.console import print_report, print_result, progress
 from service.errors import ConfigError
 from service.kernel_cache import ensure_cache_dir
 
@@ -65,6 +65,13 @@ def doctor(parsed: argparse.Namespace) -> int:
 def _width() -> int:
     """Of the terminal; elsewhere what reads well in a log."""
     return shutil.get_terminal_size((110, 24)).columns if sys.stdout.isatty() else 110
+
+
+def install_unit(parsed: argparse.Namespace) -> int:
+    from service.offline.install_unit import install_unit as install
+
+    print_report(install(parsed.root, parsed.force, parsed.program), parsed.json)
+    return 0
 
 
 def warmup(parsed: argparse.Namespace) -> int:

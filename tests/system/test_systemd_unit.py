@@ -39,6 +39,9 @@ def test_the_unit_is_well_closed(rendered: Path):
 
 def test_the_unit_says_what_the_service_relies_on():
     text = UNIT.read_text()
+    assert (
+        "\nExecStartPre=" not in text
+    )  # its exit status would not be held against RestartPreventExitStatus=
     for line in ("Type=notify", "KillMode=mixed", "RestartPreventExitStatus=78", "MemoryDenyWriteExecute=no"):
         assert re.search(f"^{line}$", text, re.MULTILINE), line
     assert "NUMBA_CACHE_DIR=/var/cache/corridor/numba" in text

@@ -88,7 +88,7 @@ def look_at_unit(machine: Machine) -> Finding:
         return note(
             "unit",
             f"{UNIT} is not installed: nothing starts the service with the machine",
-            "docs/operations.md says how to install and enable it",
+            "sudo corridor install-unit writes it and says how to enable it",
         )
     wants = machine.path("/etc/systemd/system").glob("*.wants/corridor@*.service")
     enabled = sorted({path.name for path in wants})

@@ -1,0 +1,10 @@
+"""Files that travel with the program: config/ and systemd/ of the tree, also in the wheel.
+
+In the tree the two folders are links to those at its root; the wheel holds their files.
+"""
+
+from pathlib import Path
+
+FOLDER = Path(__file__).parent
+CONFIG = FOLDER / "config"  # vehicle.yaml, sensors/<type>.yaml, profiles/<profile>.yaml
+SYSTEMD = FOLDER / "systemd"
