@@ -34,6 +34,8 @@ def modules_of(tree: ast.Module) -> list[str]:
             modules += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module is not None:
             modules.append(node.module)
+        elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "optional":
+            modules.append(ast.literal_eval(node.args[0]))  # of an extra, see service.offline
     return modules
 
 
