@@ -8,17 +8,17 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-WANTS_RECORDINGS = (
-    "tests/drivers/test_sick_lms100_protocol.py::test_every_recorded_telegram_is_decoded_and_encoded_back"
-)
+WANTS_RECORDINGS = "def test_it(shared):\n    raise AssertionError('there are recordings')\n"
 
 
 @pytest.mark.parametrize(("needs_shared", "exit_code"), [("", 0), ("1", 1)])
 def test_want_of_real_recordings_is_a_skip_here_and_a_failure_where_they_are_needed(
     needs_shared: str, exit_code: int, tmp_path: Path
 ):
+    (tmp_path / "test_it.py").write_text(WANTS_RECORDINGS)
+    options = ["-q", "-rs", "-p", "tests.conftest", "-c", os.devnull, f"--rootdir={tmp_path}"]
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider", WANTS_RECORDINGS],
+        [sys.executable, "-m", "pytest", *options, str(tmp_path / "test_it.py")],
         cwd=ROOT,
         env=os.environ | {"CORRIDOR_SHARED": str(tmp_path), "CORRIDOR_NEEDS_SHARED": needs_shared},
         capture_output=True,
@@ -26,5 +26,5 @@ def test_want_of_real_recordings_is_a_skip_here_and_a_failure_where_they_are_nee
         timeout=100,
         check=False,
     )
-    assert done.returncode == exit_code, done.stdout
+    assert done.returncode == exit_code, done.stdout + done.stderr
     assert f"no real recordings at {tmp_path}; set CORRIDOR_SHARED" in done.stdout
