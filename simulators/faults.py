@@ -66,7 +66,7 @@ class _Schedule:
         self.begin_ns = self._first_ns + round((self._done * fault.every_s + late_s) * 1e9)
 
 
-class _Trouble:
+class _Scheduled:
     """A fault of one device, where it stands in its schedule, and the chance that belongs to it."""
 
     def __init__(self, fault: RepeatedFault, zero_ns: int, seed: int, number: int) -> None:
@@ -88,8 +88,8 @@ class Faulty:
     def __init__(self, device: FakeDevice, faults: Sequence[Fault], seed: int, zero_ns: int) -> None:
         self.device = device
         self.counters: Counter[str] = Counter()
-        self._troubles = [
-            _Trouble(fault, zero_ns, seed, number)
+        self._scheduled = [
+            _Scheduled(fault, zero_ns, seed, number)
             for number, fault in enumerate(faults)
             if isinstance(fault, RepeatedFault)
         ]
@@ -123,7 +123,7 @@ class Faulty:
     def next_due_ns(self, now_ns: int) -> int | None:
         self._advance(now_ns)
         times = [self.device.next_due_ns(now_ns), self._held[0][0] if self._held else None]
-        times += [self._next_change_ns(trouble) for trouble in self._troubles]
+        times += [self._next_change_ns(scheduled) for scheduled in self._scheduled]
         return min((due_ns for due_ns in times if due_ns is not None), default=None)
 
     def due(self, now_ns: int) -> bytes:
@@ -135,36 +135,38 @@ class Faulty:
 
     def plugged(self, now_ns: int) -> bool:
         self._advance(now_ns)
-        return not any(trouble.active and _unplugs(trouble.fault) for trouble in self._troubles)
+        return not any(scheduled.active and _unplugs(scheduled.fault) for scheduled in self._scheduled)
 
     def next_plug_ns(self, now_ns: int) -> int | None:
         self._advance(now_ns)
-        times = [self._next_change_ns(trouble) for trouble in self._troubles if _unplugs(trouble.fault)]
+        times = [
+            self._next_change_ns(scheduled) for scheduled in self._scheduled if _unplugs(scheduled.fault)
+        ]
         return min((at_ns for at_ns in times if at_ns is not None), default=None)
 
-    def _next_change_ns(self, trouble: _Trouble) -> int | None:
-        return trouble.when.end_ns if trouble.active else trouble.when.begin_ns
+    def _next_change_ns(self, scheduled: _Scheduled) -> int | None:
+        return scheduled.when.end_ns if scheduled.active else scheduled.when.begin_ns
 
     def _advance(self, now_ns: int) -> None:
         """Begin and end what has its time, in the order of time."""
         while True:
             changes = [
                 (at_ns, number)
-                for number, trouble in enumerate(self._troubles)
-                if (at_ns := self._next_change_ns(trouble)) is not None and at_ns <= now_ns
+                for number, scheduled in enumerate(self._scheduled)
+                if (at_ns := self._next_change_ns(scheduled)) is not None and at_ns <= now_ns
             ]
             if not changes:
                 return
             at_ns, number = min(changes)
-            trouble = self._troubles[number]
-            if trouble.active:
-                self._end(trouble, at_ns)
+            scheduled = self._scheduled[number]
+            if scheduled.active:
+                self._end(scheduled, at_ns)
             else:
-                self._begin(trouble, at_ns)
+                self._begin(scheduled, at_ns)
 
-    def _begin(self, trouble: _Trouble, at_ns: int) -> None:
-        fault = trouble.fault
-        trouble.active = True
+    def _begin(self, scheduled: _Scheduled, at_ns: int) -> None:
+        fault = scheduled.fault
+        scheduled.active = True
         self.counters[fault.kind] += 1
         log.info("%s: %s%s", fault.device, fault.kind, f" for {fault.lasts_s:g} s" if fault.lasts_s else "")
         if isinstance(fault, ClockJump):
@@ -173,10 +175,10 @@ class Faulty:
         elif isinstance(fault, Restart):
             self._held.clear()
 
-    def _end(self, trouble: _Trouble, at_ns: int) -> None:
-        trouble.active = False
-        trouble.when.go_on()
-        if isinstance(trouble.fault, Restart):
+    def _end(self, scheduled: _Scheduled, at_ns: int) -> None:
+        scheduled.active = False
+        scheduled.when.go_on()
+        if isinstance(scheduled.fault, Restart):
             assert isinstance(self.device, Restartable)
             self.device.restart(at_ns)
             self._note_start(at_ns)
@@ -188,34 +190,34 @@ class Faulty:
 
     def _is_dead(self, now_ns: int) -> bool:
         """Whether it neither hears nor speaks."""
-        off = any(trouble.active and isinstance(trouble.fault, Restart) for trouble in self._troubles)
+        off = any(scheduled.active and isinstance(scheduled.fault, Restart) for scheduled in self._scheduled)
         return off or now_ns < self._deaf_until_ns
 
     def _accept(self, message: bytes, now_ns: int) -> None:
         """Take a message of the device; what becomes of it stands in _held."""
         if not message:
             return
-        active = [trouble for trouble in self._troubles if trouble.active]
-        if self._is_dead(now_ns) or any(isinstance(trouble.fault, Silence) for trouble in active):
+        active = [scheduled for scheduled in self._scheduled if scheduled.active]
+        if self._is_dead(now_ns) or any(isinstance(scheduled.fault, Silence) for scheduled in active):
             self.counters["messages_unsaid"] += 1
             return
         messages = [message]
-        for trouble in active:
-            messages = [harmed for whole in messages for harmed in self._harm(whole, trouble)]
+        for scheduled in active:
+            messages = [harmed for whole in messages for harmed in self._harm(whole, scheduled)]
         leaves_ns = self._leaves_ns(now_ns, active)
         self._held += [(leaves_ns, harmed) for harmed in messages if harmed]
 
-    def _leaves_ns(self, now_ns: int, active: Sequence[_Trouble]) -> int:
+    def _leaves_ns(self, now_ns: int, active: Sequence[_Scheduled]) -> int:
         leaves_ns = now_ns
-        for trouble in active:
-            if isinstance(trouble.fault, Delay):
-                leaves_ns += round(trouble.chance.uniform(0.0, trouble.fault.up_to_ms) * 1e6)
-        for trouble in active:
-            if isinstance(trouble.fault, Burst):
-                begin_ns, end_ns = trouble.when.begin_ns, trouble.when.end_ns
+        for scheduled in active:
+            if isinstance(scheduled.fault, Delay):
+                leaves_ns += round(scheduled.chance.uniform(0.0, scheduled.fault.up_to_ms) * 1e6)
+        for scheduled in active:
+            if isinstance(scheduled.fault, Burst):
+                begin_ns, end_ns = scheduled.when.begin_ns, scheduled.when.end_ns
                 assert begin_ns is not None
                 assert end_ns is not None
-                hold_ns = round(trouble.fault.hold_ms * 1e6)
+                hold_ns = round(scheduled.fault.hold_ms * 1e6)
                 gate_ns = begin_ns + math.ceil((leaves_ns - begin_ns) / hold_ns) * hold_ns
                 leaves_ns = max(leaves_ns, min(gate_ns, end_ns))
         if leaves_ns > now_ns:
@@ -228,8 +230,8 @@ class Faulty:
             leaving += self._held.popleft()[1]
         return bytes(leaving)
 
-    def _harm(self, message: bytes, trouble: _Trouble) -> list[bytes]:
-        fault, chance = trouble.fault, trouble.chance
+    def _harm(self, message: bytes, scheduled: _Scheduled) -> list[bytes]:
+        fault, chance = scheduled.fault, scheduled.chance
         if isinstance(fault, BitFlips):
             harmed = [_flip_bits(message, fault.rate, chance)]
         elif not isinstance(fault, MessageFault) or chance.random() >= fault.share:

@@ -76,15 +76,15 @@ class Utm30lxSetup:
 
 
 class FakeUtm30lx:
-    """One device with room for one client. While it runs set `abnormal`, `laser_broken`, `trouble` (a status
-    from 21 to 97 its stream shall stop with) or `stalled` (the same scan again and again)."""
+    """One device with room for one client. While it runs set `abnormal`, `laser_broken`, `fault_status` (from
+    21 to 97: its stream stops with it) or `stalled` (the same scan again and again)."""
 
     def __init__(self, source: SweepSource, setup: Utm30lxSetup | None = None, seed: int = 0) -> None:
         setup = setup or Utm30lxSetup()
         self.setup = setup
         self.abnormal = False
         self.laser_broken = False
-        self.trouble = ""
+        self.fault_status = ""
         self.stalled = False
         self.counters: Counter[str] = Counter()
         self._optics = Optics(source, setup.front_step, setup.no_return_mm, setup.further_echo_share, seed)
@@ -163,7 +163,7 @@ class FakeUtm30lx:
             return None
         times = [self._leaves_ns(turn, request) for request, _, turn in self._single]
         if self._stream is not None:
-            if bool(self.trouble) != bool(self._stopped_with):
+            if bool(self.fault_status) != bool(self._stopped_with):
                 return now_ns
             if not self._stopped_with:
                 times.append(self._leaves_ns(self._next_turn, self._stream))
@@ -185,9 +185,9 @@ class FakeUtm30lx:
     def _stream_on(self, now_ns: int) -> bytes:
         request = self._stream
         assert request is not None
-        if self.trouble and not self._stopped_with:
-            return self._stop_for_trouble()
-        if self._stopped_with and not self.trouble:
+        if self.fault_status and not self._stopped_with:
+            return self._stop_for_fault()
+        if self._stopped_with and not self.fault_status:
             self._stopped_with = ""
             self._next_turn = self._turn_after(now_ns)
             return encode_reply(self._stream_echo, RESUMED)
@@ -210,12 +210,12 @@ class FakeUtm30lx:
                 self._stop()
         return message
 
-    def _stop_for_trouble(self) -> bytes:
-        self._stopped_with = self.trouble
-        message = encode_reply(self._stream_echo, self.trouble)
-        if self.trouble >= "50":
+    def _stop_for_fault(self) -> bytes:
+        self._stopped_with = self.fault_status
+        message = encode_reply(self._stream_echo, self.fault_status)
+        if self.fault_status >= "50":
             self._stop()
-            self.abnormal, self.trouble = True, ""
+            self.abnormal, self.fault_status = True, ""
         return message
 
     def _stop(self) -> None:

@@ -32,7 +32,7 @@ ADVICE = Advice(
     rate_hz=rate_hz,
     recognise=recognise,
     doubt=doubt,
-    worries=("stopped", "trouble", "Trouble", "error", "Error", "nstable"),
+    worries=("stopped", "fault", "Trouble", "error", "Error", "nstable"),
     start_up_s=15.0,
     silence="just switched on it needs some seconds; does it have 12 V and 1 A, does its lamp blink? another "
     "program may hold it: ModemManager opens every /dev/ttyACM*, an Ethernet unit takes one client alone",

@@ -32,7 +32,7 @@ from drivers.watch import MalformedRun, SilenceWatch
 FIRST_SCAN_TIMEOUT_S = 10.0  # the motor may have to come to speed
 MALFORMED_LIMIT = 40  # scans in a row
 SENDING_NS = 300_000  # from the last beam to arrival, a guess until TM1 says better
-VERIFYING, TROUBLE = range(21, 50), range(50, 98)  # statuses in a stream
+VERIFYING, HARDWARE_FAULTS = range(21, 50), range(50, 98)  # statuses in a stream
 # C-42-03320B, table 4; 0 was seen too.
 ERROR_CODES = {
     1: "beams_no_return",
@@ -140,7 +140,7 @@ class HokuyoUtm30lxSession:
             self.counters["scans_of_old_stream"] += 1
             return None
         if reply.status != SCAN_FOLLOWS and not reply.body:
-            self._note_trouble(reply.status)
+            self._note_status(reply.status)
             return None
         try:
             if reply.status != SCAN_FOLLOWS:
@@ -153,7 +153,7 @@ class HokuyoUtm30lxSession:
         self.counters["scans_received"] += 1
         return self._frame(scan, request, arrived_ns)
 
-    def _note_trouble(self, status: str) -> None:
+    def _note_status(self, status: str) -> None:
         """Statuses without a scan: the device looks after itself, gives up, or refuses to go on."""
         number = int(status) if status.isdigit() else 0
         if status == RESUMED:
@@ -161,10 +161,8 @@ class HokuyoUtm30lxSession:
         elif number in VERIFYING:
             self.counters["stops_to_verify_an_error"] += 1
             self._verifying = f"stopped to verify an error (status {status})"
-        elif number in TROUBLE:
-            raise DeviceError(
-                f"hardware trouble (status {status}); cut its power once, else have it repaired"
-            )
+        elif number in HARDWARE_FAULTS:
+            raise DeviceError(f"hardware fault (status {status}); cut its power once, else have it repaired")
         elif status == ABNORMAL:
             raise DeviceError(f"the stream ended: {status_text(status)}; it is rebooted at the next try")
         elif status in GENERAL_STATUS:

@@ -145,7 +145,7 @@ def _utm30lx(shared: Path) -> Recorded:
         lambda session: len(session._decoder._buffer),
         MAX_REPLY_BYTES,
         ("scans_received", "scans_of_old_stream"),
-        raises=(ProtocolError, DeviceError, TransportError),  # a status says trouble, or the stream's end
+        raises=(ProtocolError, DeviceError, TransportError),  # a status tells a fault, or the stream's end
     )
 
 

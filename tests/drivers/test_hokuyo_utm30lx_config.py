@@ -28,7 +28,7 @@ def test_the_registry_knows_the_sensor_by_its_type():
 
 
 @pytest.mark.parametrize(
-    ("changes", "complaint"),
+    ("changes", "diagnostic"),
     [
         ({"device": None}, "either device"),
         ({"device": "/dev/ttyACM0", "host": "192.168.0.10"}, "not both"),
@@ -42,8 +42,8 @@ def test_the_registry_knows_the_sensor_by_its_type():
         ({"baud": 115200}, "baud"),
     ],
 )
-def test_settings_no_device_can_follow_are_refused(changes, complaint):
-    with pytest.raises(ValidationError, match=complaint):
+def test_settings_no_device_can_follow_are_refused(changes, diagnostic):
+    with pytest.raises(ValidationError, match=diagnostic):
         config(**changes)
 
 

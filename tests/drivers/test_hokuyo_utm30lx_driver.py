@@ -252,19 +252,19 @@ def test_an_unsteady_motor_is_reported_in_the_end():
         talk(replace(USB, warm_up_ns=3_600_000_000_000)).run(120.0)
 
 
-def test_hardware_trouble_in_the_stream_is_a_device_error():
+def test_hardware_fault_in_the_stream_is_a_device_error():
     t = talk().run(4.0)
-    t.device.trouble = "54"
+    t.device.fault_status = "54"
     with pytest.raises(DeviceError, match="status 54"):
         t.run(1.0)
 
 
 def test_a_device_that_stops_to_verify_an_error_is_waited_for():
     t = talk().run(4.0)
-    t.device.trouble = "21"
+    t.device.fault_status = "21"
     t.run(1.0)
     assert t.session.status == "streaming; stopped to verify an error (status 21)"
-    before, t.device.trouble = len(t.frames), ""
+    before, t.device.fault_status = len(t.frames), ""
     t.run(1.0)
     assert t.session.status == "streaming"
     assert len(t.frames) > before + 30

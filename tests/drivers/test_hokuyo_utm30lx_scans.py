@@ -98,7 +98,7 @@ STAMP = data_line(encode_number(77, 4))
 
 
 @pytest.mark.parametrize(
-    ("body", "complaint"),
+    ("body", "diagnostic"),
     [
         (b"", "stamp"),
         (b"000\n" + data_line(b"000111"), "stamp"),
@@ -113,8 +113,8 @@ STAMP = data_line(encode_number(77, 4))
         (STAMP + data_line(b"000 11"), "six-bit"),
     ],
 )
-def test_damaged_scans_are_refused_with_a_reason(body, complaint):
-    with pytest.raises(ProtocolError, match=complaint):
+def test_damaged_scans_are_refused_with_a_reason(body, diagnostic):
+    with pytest.raises(ProtocolError, match=diagnostic):
         read_scan(Reply("MD0000000101000", "99", body))
     assert read_scan(Reply("MD0000000101000", "99", STAMP + data_line(b"000111")))
 

@@ -31,7 +31,7 @@ def test_measured_values_override_the_models():
 
 
 @pytest.mark.parametrize(
-    ("settings", "complaint"),
+    ("settings", "diagnostic"),
     [
         ({"baud": 9600}, "too slow for a frame every 15 ms"),
         ({"baud": 115_201}, "none of the robot's rates"),
@@ -46,8 +46,8 @@ def test_measured_values_override_the_models():
         ({"poll_interval_ms": 15}, "greater than or equal to 50"),
     ],
 )
-def test_impossible_settings_are_refused(settings: dict[str, Any], complaint: str):
-    with pytest.raises(ValidationError, match=complaint):
+def test_impossible_settings_are_refused(settings: dict[str, Any], diagnostic: str):
+    with pytest.raises(ValidationError, match=diagnostic):
         config(**settings)
 
 

@@ -58,7 +58,7 @@ def test_one_of_several_is_chosen_by_its_serial_number():
 
 
 @pytest.mark.parametrize(
-    ("changes", "complaint"),
+    ("changes", "diagnostic"),
     [
         ({"plugged": False}, "USB 2639: no such device is plugged in$"),
         ({"product": 0x0101}, "no such device"),
@@ -67,8 +67,8 @@ def test_one_of_several_is_chosen_by_its_serial_number():
         ({"bulk": False}, "no interface with bulk endpoints"),
     ],
 )
-def test_what_hinders_is_told_in_words(changes: dict[str, object], complaint: str):
-    with pytest.raises(TransportError, match=complaint):
+def test_what_hinders_is_told_in_words(changes: dict[str, object], diagnostic: str):
+    with pytest.raises(TransportError, match=diagnostic):
         open_usb(FakeBus(unit(**changes)))
 
 

@@ -24,7 +24,7 @@ def test_example_is_complete_and_shows_the_defaults():
 
 
 @pytest.mark.parametrize(
-    ("changes", "complaint"),
+    ("changes", "diagnostic"),
     [
         ({"baud": 100_000}, "baud 100000 is none of the device's rates"),
         ({"baud": 115_200, "store_baud": 460_800}, "unheard at baud 115200; write baud: auto"),
@@ -37,8 +37,8 @@ def test_example_is_complete_and_shows_the_defaults():
         ({"buad": 115_200}, "buad"),
     ],
 )
-def test_what_cannot_be_is_refused_at_the_start(changes: dict[str, object], complaint: str):
-    with pytest.raises(ValidationError, match=complaint):
+def test_what_cannot_be_is_refused_at_the_start(changes: dict[str, object], diagnostic: str):
+    with pytest.raises(ValidationError, match=diagnostic):
         config(**changes)
 
 

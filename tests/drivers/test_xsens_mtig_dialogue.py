@@ -109,7 +109,7 @@ def test_factory_output_holds_no_samples_and_says_so():
 
 
 @pytest.mark.parametrize(
-    ("mode", "settings", "complaint"),
+    ("mode", "settings", "diagnostic"),
     [
         (0x4000, 0x1, "lacks rate of turn"),
         (0x0002, 0x0, "lacks rate of turn, acceleration, or a sample counter"),
@@ -117,11 +117,11 @@ def test_factory_output_holds_no_samples_and_says_so():
         (0x0102, 0x1, r"holds data \(0x0100\) of unknown length"),
     ],
 )
-def test_legacy_output_that_is_no_use_says_so(mode: int, settings: int, complaint: str):
+def test_legacy_output_that_is_no_use_says_so(mode: int, settings: int, diagnostic: str):
     device = legacy()
     device.settings.write(Mid.OUTPUT_MODE, struct.pack(">H", mode))
     device.settings.write(Mid.OUTPUT_SETTINGS, struct.pack(">I", settings))
-    with pytest.raises(DeviceError, match=complaint):
+    with pytest.raises(DeviceError, match=diagnostic):
         talk(device, configure=False).run(2.0)
 
 
@@ -208,15 +208,15 @@ class Mute:
 
 
 @pytest.mark.parametrize(
-    ("changes", "complaint"),
+    ("changes", "diagnostic"),
     [
         ({}, "no answer in 15 s at any baud rate; is it powered"),
         ({"baud": 115_200}, "at 115200 baud.*baud: auto looks for another rate"),
         ({"device": "usb"}, "over USB; unplug it"),
     ],
 )
-def test_silence_is_given_up_in_words(changes: dict[str, object], complaint: str):
-    with pytest.raises(TransportError, match=complaint):
+def test_silence_is_given_up_in_words(changes: dict[str, object], diagnostic: str):
+    with pytest.raises(TransportError, match=diagnostic):
         talk(Mute(), **changes).run(20.0)
 
 

@@ -185,7 +185,7 @@ def test_any_data_are_items_or_refused(data: bytes):
 
 
 @pytest.mark.parametrize(
-    ("data", "complaint"),
+    ("data", "diagnostic"),
     [
         ("1020", "item at byte 0 of 2"),
         ("10200200", "item at byte 0 of 4"),
@@ -195,8 +195,8 @@ def test_any_data_are_items_or_refused(data: bytes):
         ("70105D" + "00" * 93, "93 bytes of GNSS_PVT, expected 94"),
     ],
 )
-def test_items_of_a_wrong_size_are_refused(data: str, complaint: str):
-    with pytest.raises(ProtocolError, match=complaint):
+def test_items_of_a_wrong_size_are_refused(data: str, diagnostic: str):
+    with pytest.raises(ProtocolError, match=diagnostic):
         decode_items(bytes.fromhex(data))
 
 

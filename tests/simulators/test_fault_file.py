@@ -90,7 +90,7 @@ def test_every_kind_there_is_can_be_written():
 
 
 @pytest.mark.parametrize(
-    ("line", "where", "complaint"),
+    ("line", "where", "diagnostic"),
     [
         ("{device: frnt, kind: cut}", "2:6: faults.0.device", "no device 'frnt'; did you mean \"front\"?"),
         ("{device: x, kind: cut}", "2:6: faults.0.device", "no device 'x'; known here: front, base, hub"),
@@ -115,10 +115,10 @@ def test_every_kind_there_is_can_be_written():
         ("cut", "2:5: faults.0", "a fault is a mapping"),
     ],
 )  # fmt: skip
-def test_a_fault_that_cannot_be_is_refused_with_place_and_advice(line: str, where: str, complaint: str):
+def test_a_fault_that_cannot_be_is_refused_with_place_and_advice(line: str, where: str, diagnostic: str):
     refusal = one(line)
     assert refusal.startswith(f"faults.yaml:{where}: ")
-    assert complaint in refusal
+    assert diagnostic in refusal
 
 
 @pytest.mark.parametrize("text", ["", "- {device: front, kind: cut}", "faults: 3", "fault: []"])

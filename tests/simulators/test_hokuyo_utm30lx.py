@@ -398,15 +398,15 @@ def test_usb_streams_on_for_nobody_and_ethernet_stops():
             assert scan.stamp_ms == pytest.approx((out[0][0] - START_NS) / MS - 19, abs=1)
 
 
-def test_trouble_stops_the_stream_with_its_status_and_98_goes_on():
+def test_a_hardware_fault_stops_the_stream_with_its_status_and_98_goes_on():
     bench = Bench()
     bench.say("MD0000108001000")
     bench.let(100.0)
-    bench.device.trouble = "21"
+    bench.device.fault_status = "21"
     assert [status(message) for _, message in bench.let(200.0)] == ["21"]
-    bench.device.trouble = ""
+    bench.device.fault_status = ""
     assert [status(message) for _, message in bench.let(60.0)][:2] == ["98", "99"]
-    bench.device.trouble = "50"
+    bench.device.fault_status = "50"
     assert [status(message) for _, message in bench.let(200.0)] == ["50"]
     assert bench.device.abnormal
 

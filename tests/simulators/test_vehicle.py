@@ -35,7 +35,7 @@ def test_without_a_word_there_are_a_laser_and_a_base():
 
 
 @pytest.mark.parametrize(
-    ("text", "complaint"),
+    ("text", "diagnostic"),
     [
         ("sick_lms100", "expected NAME=TYPE"),
         ("front=sick", "TYPE one of sick_lms100, hokuyo_utm30lx, irobot_create"),
@@ -45,8 +45,8 @@ def test_without_a_word_there_are_a_laser_and_a_base():
         ("front=sick_lms100:port=1,port=2", "'port=2' is not a new key=value"),
     ],
 )
-def test_wrong_device_is_refused_with_what_is_wrong(text: str, complaint: str):
-    with pytest.raises(ValueError, match=complaint):
+def test_wrong_device_is_refused_with_what_is_wrong(text: str, diagnostic: str):
+    with pytest.raises(ValueError, match=diagnostic):
         parse_device(text)
 
 
