@@ -10,7 +10,7 @@ from service.version import VERSION
 
 EPILOG = """exit codes: 0 done, 1 failed, 64 wrong usage, 65 bad input file, 74 I/O error, 78 bad config.
 Results go to stdout, progress and logs to stderr."""
-FORMATS = ("pgm", "png", "tum", "csv", "geojson", "kml")
+FORMATS = ("pgm", "png", "geotiff", "svg", "dxf", "geojson", "kml", "tum", "csv", "g2o", "ply", "pcd")
 
 
 class Parser(argparse.ArgumentParser):
