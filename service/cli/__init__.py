@@ -22,6 +22,7 @@ _COMMANDS = {
     "recover": ("service.cli.sessions", "recover"),
     "export": ("service.cli.sessions", "export"),
     "score": ("service.cli.sessions", "score"),
+    "calibrate": ("service.cli.calibration", "calibrate"),
     "check": ("service.cli.upkeep", "check"),
     "doctor": ("service.cli.upkeep", "doctor"),
     "install-unit": ("service.cli.upkeep", "install_unit"),

@@ -116,6 +116,23 @@ def _add_offline(commands: Any) -> None:
     export.add_argument("--format", choices=FORMATS, required=True)
     export.add_argument("--out", type=Path, required=True, metavar="PATH")
 
+    calibrate = _add(
+        commands, "calibrate", "mountings, wheel scale, time offsets and latencies of a recorded drive"
+    )
+    calibrate.add_argument("files", type=Path, nargs="+", metavar="SESSION.mcap")
+    calibrate.add_argument(
+        "--config", type=Path, metavar="CONFIG.yaml", help="the config to mend (default: the recorded one)"
+    )
+    calibrate.add_argument(
+        "--out",
+        type=Path,
+        metavar="CALIBRATED.yaml",
+        help="write the mended config, or the patch without one",
+    )
+    calibrate.add_argument(
+        "--reference", metavar="LASER", help="whose clock and place the others' are compared with"
+    )
+
     score = _add(commands, "score", "a trajectory against the truth: ATE, RPE, closure, relations")
     score.add_argument("estimate", type=Path, metavar="EST.tum")
     score.add_argument(
