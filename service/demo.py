@@ -21,8 +21,9 @@ from pydantic import ValidationError
 
 from service.config import ServiceConfig, parse_config
 from service.encoding import decode_pose
-from service.errors import ConfigError, CorridorError, UsageError
+from service.errors import ConfigError, CorridorError, StorageError, UsageError
 from service.geometry.se2 import SE2
+from service.kernel_warm_up import KernelProgress
 from service.mapper.profiles import MappingConfig, mapping_config
 from service.offline.warmup import warm_up
 from service.recording.mcap_reader import Recording
@@ -33,7 +34,7 @@ from service.web.access import token_from_file
 
 log = logging.getLogger(__name__)
 
-VEHICLE = "demo"
+VEHICLE = "veh1"  # as in the samples of README and docs
 ZENOH_PORT = 7447
 WEB_PORT = 8080
 STAND_S = 4.0  # the vehicle waits so long; the drivers log in meanwhile, and the map begins where it stands
@@ -59,6 +60,8 @@ class DemoOptions:
     out: Path
     faults: Path | None = None
     web: bool = True
+    port: int | None = None  # of Zenoh; None: the usual one, or any that is free
+    web_port: int | None = None  # of the operator's page; likewise
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,19 +87,23 @@ class Simulators:
         return "" if code is None else f"the simulators ended with exit code {code}"
 
 
-def demo(options: DemoOptions) -> dict[str, Any]:
-    """Run the demo; its summary as INTERFACE has it. Raises CorridorError and its kin."""
+def demo(options: DemoOptions, kernels: KernelProgress | None = None) -> dict[str, Any]:
+    """Run the demo; its summary as INTERFACE has it. Raises CorridorError and its kin.
+
+    kernels   told of each kernel that is compiled; left out, the log says how far it is
+    """
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"--out {options.out}: {error}") from error
+    zenoh_port = free_port(options.port, ZENOH_PORT, "--port")
     page = _page(options) if options.web else None
     if page is not None:
         print(f"The map, live: http://{page.listen}/#token={page.token}", file=sys.stderr, flush=True)
-    warm_up(_mapping(options))  # before the vehicle drives: the map shall begin where it stands
+    warm_up(_mapping(options), kernels)  # before the vehicle drives: the map shall begin where it stands
     truth = options.out / "truth.txt"
     with simulators(options, truth) as fakes:
-        config = demo_config(fakes.endpoints, options, _zenoh_port(), page)
+        config = demo_config(fakes.endpoints, options, zenoh_port, page)
         summary = run(config, options.seconds, options.out / "map", _tell_where_to_look, fakes.fault)
     return {
         "seconds": round(summary.seconds, 1),
@@ -273,18 +280,28 @@ def _void(left_out: dict[str, int]) -> str | None:
     return f"the fake devices had no processor to send {missing}; latency and error say nothing"
 
 
-def _zenoh_port() -> int:
-    """The usual port, or any free one where a service runs here already."""
-    if _is_free(ZENOH_PORT):
-        return ZENOH_PORT
-    log.warning("port %d is taken; Zenoh listens at another one", ZENOH_PORT)
-    return 0
+def free_port(wanted: int | None, usual: int, option: str) -> int:
+    """The port of 127.0.0.1 that is wanted; where none is, the usual one, or a free one where that is taken.
+
+    Raises StorageError where the port that is wanted is taken.
+    """
+    if wanted is None and not _is_free(usual):
+        log.warning("port %d is taken; another one is used, %s chooses which", usual, option)
+        with socket.create_server(("127.0.0.1", 0)) as probe:
+            port: int = probe.getsockname()[1]
+            return port
+    port = usual if wanted is None else wanted
+    if not _is_free(port):
+        raise StorageError(
+            f"port {port} of 127.0.0.1 is taken, perhaps by another corridor; stop that, or give another "
+            f"one by {option}"
+        )
+    return port
 
 
 def _page(options: DemoOptions) -> Page:
-    """At the usual port, or at a free one. Raises StorageError where the token cannot be kept."""
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        port = WEB_PORT if _is_free(WEB_PORT) else probe.getsockname()[1]
+    """Raises StorageError where its port is taken or the token cannot be kept."""
+    port = free_port(options.web_port, WEB_PORT, "--web-port")
     token_file = options.out / "web.token"
     return Page(f"127.0.0.1:{port}", token_file, token_from_file(token_file))
 

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 from typing import Any, NoReturn
 
+from service.cli.choices import PROFILES, WORLDS, one_of
 from service.errors import UsageError
 from service.version import VERSION
 
@@ -46,8 +47,25 @@ def _add_live(commands: Any) -> None:
 
     demo = _add(commands, "demo", "fake devices and the service on this machine, until Ctrl-C")
     demo.add_argument("--seconds", type=_positive, metavar="S", help="end after S seconds")
-    demo.add_argument("--world", help="the world to drive in (default: office)")
-    demo.add_argument("--profile", help="mapping profile (default: corridor)")
+    demo.add_argument(
+        "--world",
+        type=one_of("world", WORLDS),
+        metavar="W",
+        help=f"the world to drive in (default: office): {', '.join(WORLDS)}",
+    )
+    _add_profile(demo, "mapping profile (default: corridor)")
+    demo.add_argument(
+        "--port",
+        type=_port,
+        metavar="N",
+        help="TCP port of 127.0.0.1 at which Zenoh listens (default: 7447, any free one where that is taken)",
+    )
+    demo.add_argument(
+        "--web-port",
+        type=_port,
+        metavar="N",
+        help="TCP port of 127.0.0.1 for the operator's page (default: 8080, or any free one)",
+    )
     demo.add_argument("--seed", type=int, default=1, help="of the world and its noise (default: 1)")
     demo.add_argument(
         "--faults", type=Path, metavar="FILE", help="what goes wrong with the devices, and when"
@@ -68,7 +86,7 @@ def _add_offline(commands: Any) -> None:
         commands, "replay", "recordings through the same mapper; same input, same output, bit for bit"
     )
     replay.add_argument("files", type=Path, nargs="+", metavar="FILE.mcap")
-    replay.add_argument("--profile", help="map with this profile instead of the recorded one")
+    _add_profile(replay, "map with this profile instead of the recorded one")
     replay.add_argument(
         "--config", type=Path, metavar="CONFIG.yaml", help="map with this config instead of the recorded one"
     )
@@ -183,6 +201,15 @@ def _add(commands: Any, name: str, help_text: str) -> argparse.ArgumentParser:
     return added
 
 
+def _add_profile(parser: argparse.ArgumentParser, help_text: str) -> None:
+    parser.add_argument(
+        "--profile",
+        type=one_of("profile", PROFILES),
+        metavar="P",
+        help=f"{help_text}: {', '.join(PROFILES)}",
+    )
+
+
 def _add_config(parser: argparse.ArgumentParser) -> None:
     given = parser.add_mutually_exclusive_group(required=True)
     given.add_argument("config", type=Path, nargs="?", metavar="CONFIG.yaml")
@@ -206,6 +233,13 @@ def _positive_int(text: str) -> int:
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value
+
+
+def _port(text: str) -> int:
+    value = int(text)
+    if not 1 <= value <= 65535:
+        raise argparse.ArgumentTypeError(f"{text} is no port; 1 to 65535")
     return value
 
 

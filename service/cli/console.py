@@ -3,8 +3,9 @@
 import json
 import math
 import sys
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from typing import Any, TextIO
@@ -40,35 +41,59 @@ def _lines(result: dict[str, Any], prefix: str) -> Iterator[str]:
 
 
 class Progress:
-    """How far a long work has come, 0 to 1: a bar on a terminal, a line each tenth elsewhere."""
+    """How far a long work has come, phase by phase: a bar on a terminal, a line each tenth elsewhere.
+
+    Threads may tell at the same time. A phase of which nobody knows how far it is, is only named.
+    """
 
     def __init__(self, what: str, stream: TextIO | None = None) -> None:
-        self._what = what
+        self._phase = what
         self._stream = stream if stream is not None else sys.stderr
         self._terminal = self._stream.isatty()
-        self._drawn_s = 0.0
-        self._plain_step = 0
+        self._lock = threading.Lock()
+        self._is_line_open = False
+        self._drawn_s = -math.inf
+        self._plain_steps: dict[str, int] = {}  # told so far, by phase
 
-    def __call__(self, share: float) -> None:
-        share = min(max(share, 0.0), 1.0)
-        if self._terminal:
-            now_s = time.monotonic()
-            if now_s - self._drawn_s >= REDRAW_S or share == 1.0:
-                self._drawn_s = now_s
-                filled = round(share * BAR_WIDTH)
-                bar = "#" * filled + "." * (BAR_WIDTH - filled)
-                self._stream.write(f"\r{self._what} [{bar}] {share:4.0%}")
-                self._stream.flush()
-        elif (step := math.floor(share * PLAIN_STEPS + 1e-9)) > self._plain_step:
-            self._plain_step = step
-            self._stream.write(f"{self._what}: {step / PLAIN_STEPS:.0%}\n")
-            self._stream.flush()
+    def __call__(self, share: float | None, phase: str = "") -> None:
+        """share    of the phase, 0 to 1; None: not known
+        phase    left out: that of before
+        """
+        with self._lock:
+            if begins := phase not in ("", self._phase):
+                self._begin(phase)
+            if share is None:
+                if begins:
+                    self._write(f"{self._phase} ..." if self._terminal else f"{self._phase} ...\n")
+            elif self._terminal:
+                self._draw(min(max(share, 0.0), 1.0))
+            elif (step := math.floor(min(share, 1.0) * PLAIN_STEPS + 1e-9)) > self._plain_steps.get(phase, 0):
+                self._plain_steps[phase] = step
+                self._write(f"{self._phase}: {step / PLAIN_STEPS:.0%}\n")
 
     def end(self) -> None:
         """Leave the bar's line."""
-        if self._terminal and self._drawn_s > 0.0:
-            self._stream.write("\n")
-            self._stream.flush()
+        with self._lock:
+            if self._terminal and self._is_line_open:
+                self._write("\n")
+
+    def _begin(self, phase: str) -> None:
+        if self._terminal and self._is_line_open:
+            self._write("\n")
+        self._phase, self._drawn_s = phase, -math.inf
+
+    def _draw(self, share: float) -> None:
+        now_s = time.monotonic()
+        if now_s - self._drawn_s < REDRAW_S and share < 1.0:
+            return
+        self._drawn_s = now_s
+        filled = round(share * BAR_WIDTH)
+        self._write(f"\r{self._phase} [{'#' * filled}{'.' * (BAR_WIDTH - filled)}] {share:4.0%}")
+
+    def _write(self, text: str) -> None:
+        self._is_line_open = not text.endswith("\n")
+        self._stream.write(text)
+        self._stream.flush()
 
 
 @contextmanager
@@ -79,3 +104,18 @@ def progress(what: str) -> Iterator[Progress]:
         yield shown
     finally:
         shown.end()
+
+
+def print_table(rows: Sequence[Sequence[str]]) -> None:
+    """Columns under their heads, the first row; words to the left, figures to the right."""
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    for row in rows:
+        cells = [
+            cell.ljust(width) if column == 0 or not _is_figure(rows[-1][column]) else cell.rjust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        print("  ".join(cells).rstrip())
+
+
+def _is_figure(cell: str) -> bool:
+    return cell[:1].isdigit() or cell == "-"

@@ -5,7 +5,7 @@ import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from service.cli.console import print_result
+from service.cli.console import print_result, progress
 from service.cli.upkeep import config_path
 from service.kernel_cache import ensure_cache_dir
 
@@ -41,6 +41,7 @@ def demo(parsed: argparse.Namespace) -> int:
     with no_collections():
         from service.demo import DemoOptions
         from service.demo import demo as run_demo
+        from service.kernel_warm_up import KernelProgress
 
     options = DemoOptions(
         parsed.seconds,
@@ -50,6 +51,10 @@ def demo(parsed: argparse.Namespace) -> int:
         parsed.out,
         parsed.faults,
         web=not parsed.no_web,
+        port=parsed.port,
+        web_port=parsed.web_port,
     )
-    print_result(run_demo(options), parsed.json)
+    with progress("compiling kernels") as shown:
+        kernels = KernelProgress(lambda kernels: shown(kernels.share))
+        print_result(run_demo(options, kernels), parsed.json)
     return 0

@@ -79,7 +79,7 @@ def warmup(parsed: argparse.Namespace) -> int:
     from service.kernel_warm_up import KernelProgress
     from service.offline.warmup import warm_up
 
-    with progress("kernels") as shown:
+    with progress("compiling kernels") as shown:
         told = warm_up(progress=KernelProgress(lambda kernels: shown(kernels.share)))
     print_result(told, parsed.json)
     return 0

@@ -9,9 +9,11 @@ from pathlib import Path
 import pytest
 
 from service import log_format
-from service.cli import arguments, console, main
+from service.cli import arguments, choices, console, main
 from service.errors import ConfigError, CorridorError, InputError, StorageError, UsageError
+from service.mapper.profiles import METHODS
 from service.version import VERSION
+from simulators.worlds import WORLDS
 
 GOOD = """\
 vehicle: v
@@ -56,6 +58,9 @@ def test_the_version_is_the_one_that_stands_in_one_place(capsys: pytest.CaptureF
         ["replay", "a.mcap", "--jobs", "0"],
         ["export", "x", "--format", "jpeg", "--out", "y"],
         ["simulate", "--world", "nowhere at all"],
+        ["demo", "--world", "ofice"],
+        ["demo", "--port", "0"],
+        ["replay", "a.mcap", "--profile", "corridr"],
     ],
 )
 def test_wrong_usage_exits_with_64(wrong: list[str]):
@@ -63,6 +68,22 @@ def test_wrong_usage_exits_with_64(wrong: list[str]):
     assert done.returncode == UsageError.exit_code
     assert done.stdout == ""
     assert "usage: corridor" in done.stderr
+
+
+def test_a_name_that_is_nearly_right_is_offered_and_all_are_named(capsys: pytest.CaptureFixture[str]):
+    assert code_of(["demo", "--world", "ofice"]) == UsageError.exit_code
+    said = capsys.readouterr().err
+    assert "no world 'ofice'; did you mean office? there are corridor100, crowd, " in said
+    assert code_of(["replay", "a.mcap", "--profile", "icp"]) == UsageError.exit_code
+    assert "no profile 'icp'; there are corridor, contour_lm, " in capsys.readouterr().err
+
+
+def test_the_names_that_help_lists_are_those_there_are(capsys: pytest.CaptureFixture[str]):
+    assert tuple(sorted(WORLDS)) == choices.WORLDS
+    assert sorted(choices.PROFILES) == sorted(METHODS)
+    assert code_of(["demo", "--help"]) == 0
+    words = capsys.readouterr().out.replace(",", " ").split()
+    assert {*WORLDS, *METHODS} <= set(words)
 
 
 def test_help_loads_nothing_that_takes_its_time():
@@ -180,6 +201,29 @@ def test_progress_is_a_bar_on_a_terminal_and_lines_elsewhere():
     assert terminal.getvalue().startswith("\rreplay [..")
     assert terminal.getvalue().endswith("] 100%\n")
     assert pipe.getvalue().splitlines() == [f"replay: {tenth}0%" for tenth in range(1, 11)]
+
+
+def test_each_phase_of_a_work_has_a_line_of_its_own():
+    terminal, pipe = Terminal(), io.StringIO()
+    for stream in (terminal, pipe):
+        shown = console.Progress("mapping", stream)
+        for share, phase in ((0.5, "compiling kernels"), (0.4, "mapping"), (1.0, "mapping")):
+            shown(share, phase)
+        shown(None, "closing loops")
+        shown(None, "closing loops")
+        shown.end()
+    bars = [line.rpartition("\r")[2] for line in terminal.getvalue().split("\n")]
+    assert bars[0] == "compiling kernels [###############...............]  50%"
+    assert bars[1] == f"mapping [{'#' * 30}] 100%"
+    assert bars[2:] == ["closing loops ...", ""]
+    assert pipe.getvalue().splitlines() == [
+        *("compiling kernels: 50%", "mapping: 40%", "mapping: 100%", "closing loops ..."),
+    ]
+
+
+def test_a_table_has_words_to_the_left_and_figures_to_the_right(capsys: pytest.CaptureFixture[str]):
+    console.print_table([["result in", "scans"], ["out/a", "7"], ["b", "1234"]])
+    assert capsys.readouterr().out == "result in  scans\nout/a          7\nb           1234\n"
 
 
 def test_results_are_words_or_one_json_object(capsys: pytest.CaptureFixture[str]):
