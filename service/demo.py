@@ -8,8 +8,8 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ log = logging.getLogger(__name__)
 VEHICLE = "veh1"  # as in the samples of README and docs
 ZENOH_PORT = 7447
 WEB_PORT = 8080
+DEFAULT_WORLD = "office"
 STAND_S = 4.0  # the vehicle waits so long; the drivers log in meanwhile, and the map begins where it stands
 END_TIMEOUT_S = 30.0  # the simulators tell at their end what they left out
 READY_TIMEOUT_S = 120.0  # the simulators compile their ray caster first
@@ -87,10 +88,13 @@ class Simulators:
         return "" if code is None else f"the simulators ended with exit code {code}"
 
 
-def demo(options: DemoOptions, kernels: KernelProgress | None = None) -> dict[str, Any]:
+def demo(
+    options: DemoOptions,
+    compiling: Callable[[], AbstractContextManager[KernelProgress | None]] = nullcontext,
+) -> dict[str, Any]:
     """Run the demo; its summary as INTERFACE has it. Raises CorridorError and its kin.
 
-    kernels   told of each kernel that is compiled; left out, the log says how far it is
+    compiling   opened while kernels are compiled, and told of each; left out, the log says how far it is
     """
     try:
         options.out.mkdir(parents=True, exist_ok=True)
@@ -100,7 +104,10 @@ def demo(options: DemoOptions, kernels: KernelProgress | None = None) -> dict[st
     page = _page(options) if options.web else None
     if page is not None:
         print(f"The map, live: http://{page.listen}/#token={page.token}", file=sys.stderr, flush=True)
-    warm_up(_mapping(options), kernels)  # before the vehicle drives: the map shall begin where it stands
+    mapping = _mapping(options)
+    with compiling() as kernels:  # before the vehicle drives: the map shall begin where it stands
+        warm_up(mapping, kernels)
+    log.info("starting the fake devices in the world %s", options.world or DEFAULT_WORLD)
     truth = options.out / "truth.txt"
     with simulators(options, truth) as fakes:
         config = demo_config(fakes.endpoints, options, zenoh_port, page)
@@ -138,8 +145,7 @@ def simulators(options: DemoOptions, truth: Path) -> Iterator[Simulators]:
     for name, (kind, mounting) in DEVICES.items():
         where = ",".join(f"{key}={value}" for key, value in mounting.items())
         command += ["--device", f"{name}={kind}:{where}" if where else f"{name}={kind}"]
-    if options.world is not None:
-        command += ["--world", options.world]
+    command += ["--world", options.world or DEFAULT_WORLD]
     if options.faults is not None:
         command += ["--faults", str(options.faults)]
     # A session of its own: Ctrl-C is for the service, which wants its devices until it has stopped.

@@ -5,14 +5,18 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
+
+if TYPE_CHECKING:  # it imports numba
+    from service.kernel_warm_up import KernelProgress
 
 BAR_WIDTH = 30
 REDRAW_S = 0.1
 PLAIN_STEPS = 10  # off a terminal a line each tenth
+SILENCE_S = 5.0  # the longest
 
 
 def print_result(result: dict[str, Any], as_json: bool) -> None:
@@ -46,13 +50,21 @@ class Progress:
     Threads may tell at the same time. A phase of which nobody knows how far it is, is only named.
     """
 
-    def __init__(self, what: str, stream: TextIO | None = None) -> None:
+    def __init__(
+        self,
+        what: str,
+        stream: TextIO | None = None,
+        monotonic_s: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._phase = what
         self._stream = stream if stream is not None else sys.stderr
+        self._monotonic_s = monotonic_s
         self._terminal = self._stream.isatty()
         self._lock = threading.Lock()
-        self._is_line_open = False
-        self._drawn_s = -math.inf
+        self._is_line_open = self._has_begun = False
+        self._share: float | None = None
+        self._phase_began_s = monotonic_s()
+        self._written_s = -math.inf
         self._plain_steps: dict[str, int] = {}  # told so far, by phase
 
     def __call__(self, share: float | None, phase: str = "") -> None:
@@ -60,50 +72,81 @@ class Progress:
         phase    left out: that of before
         """
         with self._lock:
-            if begins := phase not in ("", self._phase):
-                self._begin(phase)
-            if share is None:
-                if begins:
-                    self._write(f"{self._phase} ..." if self._terminal else f"{self._phase} ...\n")
-            elif self._terminal:
-                self._draw(min(max(share, 0.0), 1.0))
-            elif (step := math.floor(min(share, 1.0) * PLAIN_STEPS + 1e-9)) > self._plain_steps.get(phase, 0):
+            if is_new := phase not in ("", self._phase):
+                self._leave_line()
+                self._phase, self._phase_began_s, self._written_s = phase, self._monotonic_s(), -math.inf
+            self._has_begun = True
+            self._share = None if share is None else min(max(share, 0.0), 1.0)
+            if self._terminal:
+                if is_new or self._share == 1.0 or self._quiet_s() >= REDRAW_S:
+                    self._write(f"\r{self._line()}")
+            elif self._share is None:
+                if is_new:
+                    self._write(f"{self._phase} ...\n")
+            elif (step := math.floor(self._share * PLAIN_STEPS + 1e-9)) > self._plain_steps.get(phase, 0):
                 self._plain_steps[phase] = step
                 self._write(f"{self._phase}: {step / PLAIN_STEPS:.0%}\n")
+
+    def still_at_work(self) -> None:
+        """Show since when the phase lasts, where nothing was written for SILENCE_S."""
+        with self._lock:
+            if self._has_begun and self._quiet_s() >= SILENCE_S:
+                line = f"{self._line()}, {self._monotonic_s() - self._phase_began_s:.0f} s"
+                self._write(f"\r{line}" if self._terminal else f"{line}\n")
 
     def end(self) -> None:
         """Leave the bar's line."""
         with self._lock:
-            if self._terminal and self._is_line_open:
-                self._write("\n")
+            self._leave_line()
 
-    def _begin(self, phase: str) -> None:
-        if self._terminal and self._is_line_open:
+    def _line(self) -> str:
+        if self._share is None:
+            return f"{self._phase} ..."
+        if not self._terminal:
+            return f"{self._phase}: {self._share:.0%}"
+        filled = round(self._share * BAR_WIDTH)
+        return f"{self._phase} [{'#' * filled}{'.' * (BAR_WIDTH - filled)}] {self._share:4.0%}"
+
+    def _quiet_s(self) -> float:
+        return self._monotonic_s() - self._written_s
+
+    def _leave_line(self) -> None:
+        if self._is_line_open:
             self._write("\n")
-        self._phase, self._drawn_s = phase, -math.inf
-
-    def _draw(self, share: float) -> None:
-        now_s = time.monotonic()
-        if now_s - self._drawn_s < REDRAW_S and share < 1.0:
-            return
-        self._drawn_s = now_s
-        filled = round(share * BAR_WIDTH)
-        self._write(f"\r{self._phase} [{'#' * filled}{'.' * (BAR_WIDTH - filled)}] {share:4.0%}")
 
     def _write(self, text: str) -> None:
-        self._is_line_open = not text.endswith("\n")
+        self._is_line_open, self._written_s = not text.endswith("\n"), self._monotonic_s()
         self._stream.write(text)
         self._stream.flush()
 
 
 @contextmanager
 def progress(what: str) -> Iterator[Progress]:
-    """A Progress that leaves its line however the work ends."""
+    """A Progress that is never silent for long, and leaves its line however the work ends."""
     shown = Progress(what)
+    ended = threading.Event()
+
+    def remind() -> None:
+        while not ended.wait(SILENCE_S):
+            shown.still_at_work()
+
+    reminder = threading.Thread(target=remind, name="progress", daemon=True)
+    reminder.start()
     try:
         yield shown
     finally:
+        ended.set()
+        reminder.join()
         shown.end()
+
+
+@contextmanager
+def kernel_progress() -> Iterator["KernelProgress"]:
+    """Shows how many kernels are compiled, if any must be."""
+    from service.kernel_warm_up import KernelProgress
+
+    with progress("compiling kernels") as shown:
+        yield KernelProgress(lambda kernels: shown(kernels.share))
 
 
 def print_table(rows: Sequence[Sequence[str]]) -> None:

@@ -5,7 +5,7 @@ import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from service.cli.console import print_result, progress
+from service.cli.console import kernel_progress, print_result
 from service.cli.upkeep import config_path
 from service.kernel_cache import ensure_cache_dir
 
@@ -41,7 +41,6 @@ def demo(parsed: argparse.Namespace) -> int:
     with no_collections():
         from service.demo import DemoOptions
         from service.demo import demo as run_demo
-        from service.kernel_warm_up import KernelProgress
 
     options = DemoOptions(
         parsed.seconds,
@@ -54,7 +53,5 @@ def demo(parsed: argparse.Namespace) -> int:
         port=parsed.port,
         web_port=parsed.web_port,
     )
-    with progress("compiling kernels") as shown:
-        kernels = KernelProgress(lambda kernels: shown(kernels.share))
-        print_result(run_demo(options, kernels), parsed.json)
+    print_result(run_demo(options, kernel_progress), parsed.json)
     return 0

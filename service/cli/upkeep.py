@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from service.cli.console import print_report, print_result, progress
+from service.cli.console import kernel_progress, print_report, print_result
 from service.errors import ConfigError
 from service.kernel_cache import ensure_cache_dir
 
@@ -76,10 +76,9 @@ def install_unit(parsed: argparse.Namespace) -> int:
 
 def warmup(parsed: argparse.Namespace) -> int:
     ensure_cache_dir()
-    from service.kernel_warm_up import KernelProgress
     from service.offline.warmup import warm_up
 
-    with progress("compiling kernels") as shown:
-        told = warm_up(progress=KernelProgress(lambda kernels: shown(kernels.share)))
+    with kernel_progress() as kernels:
+        told = warm_up(progress=kernels)
     print_result(told, parsed.json)
     return 0

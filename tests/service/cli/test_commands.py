@@ -221,6 +221,24 @@ def test_each_phase_of_a_work_has_a_line_of_its_own():
     ]
 
 
+@pytest.mark.parametrize(
+    ("stream", "expected"),
+    [
+        (Terminal(), "\rclosing loops ...\rclosing loops ..., 5 s\rclosing loops ..., 10 s\n"),
+        (io.StringIO(), "closing loops ...\nclosing loops ..., 5 s\nclosing loops ..., 10 s\n"),
+    ],
+)
+def test_a_long_phase_says_since_when_it_lasts(stream: io.StringIO, expected: str):
+    clock_s = [0.0]
+    shown = console.Progress("mapping", stream, lambda: clock_s[0])
+    shown.still_at_work()  # nothing has begun
+    shown(None, "closing loops")
+    for clock_s[0] in (4.0, 5.0, 9.0, 10.0):
+        shown.still_at_work()
+    shown.end()
+    assert stream.getvalue() == expected
+
+
 def test_a_table_has_words_to_the_left_and_figures_to_the_right(capsys: pytest.CaptureFixture[str]):
     console.print_table([["result in", "scans"], ["out/a", "7"], ["b", "1234"]])
     assert capsys.readouterr().out == "result in  scans\nout/a          7\nb           1234\n"
