@@ -25,6 +25,7 @@ _COMMANDS = {
     "calibrate": ("service.cli.calibration", "calibrate"),
     "check": ("service.cli.upkeep", "check"),
     "doctor": ("service.cli.upkeep", "doctor"),
+    "init": ("service.cli.upkeep", "init"),
     "install-unit": ("service.cli.upkeep", "install_unit"),
     "warmup": ("service.cli.upkeep", "warmup"),
 }

@@ -185,6 +185,29 @@ def _add_upkeep(commands: Any) -> None:
     recover = _add(commands, "recover", "a session whose writer died, to a valid MCAP")
     recover.add_argument("file", type=Path, metavar="FILE.mcap.active")
 
+    init = _add(commands, "init", "write a commented config for the devices that answer")
+    init.add_argument(
+        "wires",
+        nargs="*",
+        metavar="[TYPE=]WIRE",
+        help="a host (192.168.0.1, host:2112), a device file (/dev/ttyUSB0) or usb, each also with the type "
+        "of its sensor in front; without any: the serial ports of this machine",
+    )
+    init.add_argument(
+        "--out", type=Path, default=Path("vehicle.yaml"), metavar="FILE", help="default: vehicle.yaml"
+    )
+    init.add_argument("--vehicle", default="veh1", metavar="NAME", help="default: veh1")
+    init.add_argument(
+        "--data",
+        type=Path,
+        default=Path("/var/lib/corridor"),
+        metavar="DIR",
+        help="sessions and maps go below it (default: /var/lib/corridor)",
+    )
+    init.add_argument(
+        "--seconds", type=_positive, default=8.0, metavar="S", help="for each type's answer (default: 8)"
+    )
+
     install = _add(commands, "install-unit", "systemd unit, sysusers, tmpfiles, udev rules, example config")
     install.add_argument(
         "--root", type=Path, default=Path("/"), metavar="DIR", help="of the system to set up (default: /)"

@@ -1,4 +1,4 @@
-"""check, doctor, install-unit, warmup: what one does before a drive."""
+"""check, doctor, init, install-unit, warmup: what one does before a drive."""
 
 import argparse
 import logging
@@ -65,6 +65,18 @@ def doctor(parsed: argparse.Namespace) -> int:
 def _width() -> int:
     """Of the terminal; elsewhere what reads well in a log."""
     return shutil.get_terminal_size((110, 24)).columns if sys.stdout.isatty() else 110
+
+
+def init(parsed: argparse.Namespace) -> int:
+    from service.offline.discovery import parse_wire, serial_ports
+    from service.offline.new_config import write_new_config
+
+    logging.getLogger("drivers").setLevel(logging.ERROR)  # the report says it in its own words
+    wires = [parse_wire(wire) for wire in parsed.wires] or serial_ports()
+    print(f"asking {', '.join(map(str, wires)) or 'nobody'} ...", file=sys.stderr)
+    written = write_new_config(wires, parsed.out, parsed.vehicle, parsed.data, parsed.seconds)
+    print_report(written, parsed.json)
+    return 0
 
 
 def install_unit(parsed: argparse.Namespace) -> int:

@@ -1,0 +1,149 @@
+"""Which of our devices is at a host or a port: asked as the live driver asks, until it has said who it is.
+
+Nothing is sent to a host or a port that nobody named, but for the serial ports of this machine. On a serial
+port it first listens, then asks in an order that cannot start a robot: bytes of another protocol are commands
+to it only after it was told to begin, which its own driver alone does.
+"""
+
+import threading
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from drivers.registry import SENSOR_KINDS
+from drivers.transport import SerialTransport
+from service.errors import UsageError
+from service.offline.doctor.devices import told_identity
+from service.offline.doctor.probe import listen, probe
+from service.offline.doctor.protocol_identification import describe, recognise_sensor
+
+ASK_S = 8.0  # for the first answer of one type of device; a LUX may be silent for seconds
+LISTEN_S = 0.6
+LISTEN_BAUD = 115_200
+BY_HOST: tuple[tuple[str, Mapping[str, Any]], ...] = (
+    ("sick_lms100", {}),
+    ("hokuyo_utm30lx", {}),
+    ("ibeo_lux", {}),
+)
+BY_PORT: tuple[tuple[str, Mapping[str, Any]], ...] = (  # a robot before the unit whose bytes it might take
+    ("hokuyo_utm30lx", {}),
+    ("irobot_create", {}),
+    ("xsens_mtig", {"baud": LISTEN_BAUD}),
+)
+PORT_NAMES = ("corridor/*", "serial/by-id/*", "ttyACM*", "ttyUSB*")  # the names that stay come first
+
+
+@dataclass(frozen=True, slots=True)
+class Wire:
+    """Where to ask: a host, with a port or with that of each type; or a device file. type "": any."""
+
+    host: str = ""
+    port: int | None = None
+    device: str = ""
+    type: str = ""
+
+    def __str__(self) -> str:
+        return self.device or (self.host if self.port is None else f"{self.host}:{self.port}")
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What one wire holds. type "": no device of ours, `words` say what there is instead."""
+
+    wire: Wire
+    type: str = ""
+    settings: Mapping[str, Any] | None = None  # host and port, or device and what else differs
+    identity: Mapping[str, str] | None = None
+    words: str = ""
+
+
+def parse_wire(text: str) -> Wire:
+    """`192.168.0.1`, `host:2112`, `/dev/ttyUSB0`, `usb`, each also as `TYPE=...`. Raises UsageError."""
+    kind, separator, where = text.rpartition("=")
+    if separator and kind not in SENSOR_KINDS:
+        raise UsageError(f"{text}: {kind} is no type of sensor; known: {', '.join(SENSOR_KINDS)}")
+    if where.startswith(("/", ".")) or where == "usb" or "://" in where:
+        return Wire(device=where, type=kind)
+    host, colon, port = where.rpartition(":")
+    if colon and ":" not in host:
+        if not port.isdigit() or not 1 <= int(port) <= 65535:
+            raise UsageError(f"{text}: {port} is no port; write host:2111, say")
+        return Wire(host=host, port=int(port), type=kind)
+    if not where:
+        raise UsageError(f"{text!r}: name a host or a device file, such as 192.168.0.1 or /dev/ttyUSB0")
+    return Wire(host=where, type=kind)
+
+
+def serial_ports(dev: Path = Path("/dev")) -> list[Wire]:
+    """Of this machine, each once, by the name that stays longest."""
+    seen: dict[Path, Wire] = {}
+    for pattern in PORT_NAMES:
+        for path in sorted(dev.glob(pattern)):
+            seen.setdefault(path.resolve(), Wire(device=str(path)))
+    return list(seen.values())
+
+
+def discover(wires: Sequence[Wire], ask_s: float = ASK_S) -> list[Found]:
+    """Ask them all side by side; what each holds, in their order.
+
+    ask_s   how long each type of device has for its first answer
+    """
+    stop = threading.Event()
+    with ThreadPoolExecutor(max_workers=max(len(wires), 1), thread_name_prefix="discovery") as workers:
+        try:
+            return list(workers.map(partial(_ask, ask_s=ask_s, stop=stop), wires))
+        finally:
+            stop.set()  # Ctrl-C: let the devices go in good order
+
+
+def _ask(wire: Wire, ask_s: float, stop: threading.Event) -> Found:
+    candidates = BY_PORT if wire.device else BY_HOST
+    if wire.type:
+        candidates = ((wire.type, {}),)
+    elif wire.device.startswith(("/", ".")) and (heard := _heard(wire.device, stop)):
+        candidates = tuple(c for c in candidates if recognise_sensor(heard, c[0])) or candidates
+    words: list[str] = []
+    for kind, settings in candidates:
+        found = _ask_for(wire, kind, settings, ask_s, stop)
+        if found.type:
+            return found
+        words.append(found.words)
+    return Found(wire, words="; ".join(dict.fromkeys(words)))
+
+
+def _heard(device: str, stop: threading.Event) -> bytes:
+    """What comes by itself; b"" where the port cannot be opened, which is said when it is asked."""
+    return listen(partial(SerialTransport, device, LISTEN_BAUD), LISTEN_S, stop)
+
+
+def _ask_for(
+    wire: Wire, kind_name: str, settings: Mapping[str, Any], ask_s: float, stop: threading.Event
+) -> Found:
+    kind = SENSOR_KINDS[kind_name]
+    where: dict[str, Any] = {"device": wire.device} if wire.device else {"host": wire.host}
+    if wire.port is not None:
+        where["port"] = wire.port
+    try:
+        config = kind.config.model_validate({"name": str(wire), **where, **settings})
+    except ValidationError as error:
+        return Found(wire, words=f"no {kind_name}: {error.errors()[0]['msg'].removeprefix('Value error, ')}")
+    seen = probe(
+        partial(kind.open_transport, config),
+        kind.session_maker(config),
+        ask_s,
+        0.0,
+        stop,
+        until_answered=True,
+    )
+    identity = told_identity(kind, config, seen)
+    if seen.frames or (identity and not kind.advice.doubt(config, identity)):
+        port = {"port": config.port} if not wire.device and hasattr(config, "port") else {}
+        return Found(wire, kind_name, {**where, **port, **settings}, seen.identity)
+    if seen.first_bytes:
+        return Found(wire, words=f"no {kind_name}, but {describe(bytes(seen.first_bytes))}")
+    return Found(wire, words=str(seen.error) if seen.error is not None else f"no {kind_name} answers")

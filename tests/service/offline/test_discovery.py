@@ -1,0 +1,49 @@
+from pathlib import Path
+
+import pytest
+
+from service.errors import UsageError
+from service.offline.discovery import Wire, parse_wire, serial_ports
+
+
+@pytest.mark.parametrize(
+    ("text", "wire"),
+    [
+        ("192.168.0.1", Wire(host="192.168.0.1")),
+        ("lms-front:2112", Wire(host="lms-front", port=2112)),
+        ("::1", Wire(host="::1")),
+        ("/dev/ttyUSB0", Wire(device="/dev/ttyUSB0")),
+        ("usb", Wire(device="usb")),
+        ("socket://10.0.0.7:4000", Wire(device="socket://10.0.0.7:4000")),
+        ("xsens_mtig=/dev/ttyUSB0", Wire(device="/dev/ttyUSB0", type="xsens_mtig")),
+        ("ibeo_lux=10.0.0.7:12003", Wire(host="10.0.0.7", port=12003, type="ibeo_lux")),
+    ],
+)
+def test_hosts_ports_and_types_are_read(text: str, wire: Wire):
+    assert parse_wire(text) == wire
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("sick=10.0.0.1", "sick is no type of sensor; known: sick_lms100"),
+        ("a:port", "port is no port"),
+        ("a:70000", "70000 is no port"),
+        ("", "name a host or a device file"),
+    ],
+)
+def test_what_is_no_wire_is_wrong_usage(text: str, words: str):
+    with pytest.raises(UsageError, match=words):
+        parse_wire(text)
+
+
+def test_each_serial_port_is_asked_once_by_the_name_that_stays(tmp_path: Path):
+    for name in ("ttyUSB0", "ttyUSB1", "ttyACM0", "ttyS0"):
+        (tmp_path / name).write_text("")
+    (tmp_path / "corridor").mkdir()
+    (tmp_path / "corridor" / "xsens").symlink_to(tmp_path / "ttyUSB0")
+    (tmp_path / "serial" / "by-id").mkdir(parents=True)
+    for name, target in (("usb-Xsens", "ttyUSB0"), ("usb-Hokuyo", "ttyACM0")):
+        (tmp_path / "serial" / "by-id" / name).symlink_to(tmp_path / target)
+    names = ("corridor/xsens", "serial/by-id/usb-Hokuyo", "ttyUSB1")
+    assert serial_ports(tmp_path) == [Wire(device=str(tmp_path / name)) for name in names]
