@@ -117,7 +117,7 @@ class Sinks:
     def thread_died(self, thread_name: str, error: BaseException) -> bool:
         """Note that a thread is gone; False where it belongs to no sink."""
         for sink in self._sinks:
-            if thread_name.startswith(f"{sink.name}-"):
+            if thread_name == sink.name or thread_name.startswith(f"{sink.name}-"):
                 self._fail(sink.name, f"thread {thread_name} died: {type(error).__name__}: {error}")
                 return True
         return False

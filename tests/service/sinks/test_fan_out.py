@@ -147,6 +147,8 @@ def test_a_thread_of_a_sink_that_dies_is_the_sink_s_fault_and_another_thread_is_
     rows = {row.name: row for row in sinks.health()}
     assert (rows["list"].level, rows["list"].message) == (ERROR, "thread list-writer died: ValueError: x")
     assert rows["other"].level == OK
+    assert sinks.thread_died("other", ValueError("x"))
+    assert [row.level for row in sinks.health()] == [ERROR, ERROR]
 
 
 def test_what_is_lost_at_the_end_is_told_and_the_others_end_as_they_should(caplog: pytest.LogCaptureFixture):
