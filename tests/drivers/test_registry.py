@@ -10,7 +10,7 @@ def test_a_type_brings_its_own_modules_and_no_other_s():
     code = """
 import sys
 from drivers.registry import SENSOR_KINDS
-assert "ibeo_lux" in SENSOR_KINDS and len(SENSOR_KINDS) == 5
+assert "ibeo_lux" in SENSOR_KINDS and len(SENSOR_KINDS) >= 5
 SENSOR_KINDS["sick_lms100"]
 print(*(name for name in SENSOR_KINDS if f"drivers.{name}" in sys.modules))
 """
