@@ -20,18 +20,20 @@ help: ## this list
 
 venv: $(STAMP) ## set up .venv; nothing to do when nothing changed
 
-# pip is silent while it downloads and unpacks: meanwhile the size of the venv is told each 5 s.
+# pip is silent while it unpacks: each 5 s its last step and the size of the venv are told.
 $(STAMP): pyproject.toml
 	@test -n "$(PYTHON)" || { echo "corridor needs Python 3.11, 3.12 or 3.13 with venv; none found. On Debian: apt install python3-venv"; exit 1; }
 	@echo "1/3 $(VENV): a Python environment by $(PYTHON), some seconds"
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); \
 		echo "$(PYTHON) has no venv module. On Debian and Ubuntu: apt install python3-venv"; exit 1; }
 	@echo "2/3 packages: some $(VENV_MB) MB on disk, a quarter of it to download; one to five minutes"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]' & pip=$$!; \
+	@$(BIN)/python -m pip install --progress-bar off --disable-pip-version-check --editable '.[dev]' \
+		> $(VENV)/pip.log 2>&1 & pip=$$!; \
 	trap 'kill $$pip' INT TERM; seconds=0; \
 	while kill -0 $$pip 2>/dev/null; do sleep 1; seconds=$$((seconds + 1)); \
-		test $$((seconds % 5)) -ne 0 || echo "    $$(du -sm $(VENV) | cut -f1) of some $(VENV_MB) MB, $$seconds s"; done; \
-	wait $$pip || { echo "pip failed; why stands above"; exit 1; }
+		test $$((seconds % 5)) -ne 0 || echo "    $$seconds s, $$(du -sm $(VENV) | cut -f1) MB:" \
+			"$$(grep -E 'Collecting|Downloading|Installing' $(VENV)/pip.log | tail -n 1 | cut -c 1-70)"; done; \
+	wait $$pip || { tail -n 30 $(VENV)/pip.log; echo "pip failed; all of its words: $(VENV)/pip.log"; exit 1; }
 	@echo "3/3 kernels: compiled once for this processor, half a minute to two minutes"
 	@$(BIN)/corridor warmup # so that the first start and the first test find every kernel compiled
 	@touch $(STAMP)
