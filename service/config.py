@@ -70,6 +70,12 @@ class ServiceConfig:
     sinks: Mapping[str, Any]  # section -> its config model, see service.sinks.registry
     text: str
 
+    @property
+    def begin_in(self) -> Path | None:
+        """Folder of the stored map that the session begins in; None: a new map."""
+        folder: Path | None = self.sinks["map"].load
+        return folder
+
 
 def without_page(config: ServiceConfig) -> ServiceConfig:
     """The same, with the operator's page switched off."""

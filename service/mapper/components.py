@@ -14,7 +14,7 @@ from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapper.background import InlineWorker, NewWorker
 from service.mapper.patch_store import MemoryPatches, NewPatchStore
-from service.mapper.saved_graph import SavedGraph
+from service.mapper.saved_graph import KeepGraph, KeptGraph, SavedGraph
 from service.outputs import State, TileUpdate
 
 
@@ -129,7 +129,7 @@ class GraphUpdate:
     geo: GeoReference | None = None
     placed: Placed | None = None
     alike: Sequence[tuple[float, float]] = ()
-    saved: SavedGraph | None = None
+    saved: SavedGraph | KeptGraph | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -302,6 +302,7 @@ class BuildContext:
     new_patch_store: NewPatchStore = MemoryPatches  # where patches of a map wait that are far away
     stored: SavedGraph | None = None  # of the map that the session begins in
     is_localizing: bool = False  # that map stays as it is
+    keep_graph: KeepGraph | None = None  # puts the graph away where a checkpoint is asked for; can be pickled
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from service.mapper.components import (
     Stopwatch,
 )
 from service.mapper.mounting_check import MountingCheck
-from service.mapper.saved_graph import SavedGraph
+from service.mapper.saved_graph import KeptGraph, SavedGraph
 from service.mapper.scan_check import ScanCheck
 from service.outputs import MapperOutput, State, TileUpdate
 
@@ -54,7 +54,7 @@ class Mapper(Generic[ReadableMap]):
         self._stages = stages
         self._placed, self._is_localizing = placed, is_localizing
         self._alike: Sequence[tuple[float, float]] = ()  # places that what is seen fits equally well
-        self.saved: SavedGraph | None = None  # of the newest checkpoint that was asked for
+        self.saved: SavedGraph | KeptGraph | None = None  # of the newest checkpoint that was asked for
         self._stopwatch = stopwatch if stopwatch is not None else NoStopwatch()
         self._last_ns: int | None = None  # moment of the newest pose
         self._lasers: dict[str, LaserWatch] = {}

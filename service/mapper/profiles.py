@@ -34,7 +34,7 @@ from service.mapper.components import (
 )
 from service.mapper.patch_store import MemoryPatches, NewPatchStore
 from service.mapper.pipeline import Mapper
-from service.mapper.saved_graph import SavedGraph
+from service.mapper.saved_graph import KeepGraph, SavedGraph
 
 
 def _imported(name: str) -> Method:
@@ -173,6 +173,7 @@ def build_mapper(
     new_worker: NewWorker = InlineWorker,
     new_patch_store: NewPatchStore = MemoryPatches,
     begin_in: BeginIn | None = None,
+    keep_graph: KeepGraph | None = None,
 ) -> Mapper[Any]:
     """A mapper that has seen nothing yet.
 
@@ -180,6 +181,7 @@ def build_mapper(
     new_worker   where the graph's back end does its work
     new_patch_store   where a map in patches keeps those that are far away
     begin_in     the stored map that the vehicle is to be found in; None: a new map
+    keep_graph   as of BuildContext
 
     Raises ValueError, in words, where the profile's graph cannot begin in a stored map.
     """
@@ -203,6 +205,7 @@ def build_mapper(
         new_patch_store=new_patch_store,
         stored=None if begin_in is None else begin_in.graph,
         is_localizing=config.mode == "localization",
+        keep_graph=keep_graph,
     )
     free_space = build("free_space", around)
     around = replace(around, renderer=free_space.renderer)

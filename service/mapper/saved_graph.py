@@ -1,8 +1,8 @@
 """What a graph needs to go on in a later session: its key frames, and the loops between them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +10,16 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 POINT_STEP_M = 0.001  # of the stored coordinates: a tenth of what a range errs by
 NORMAL_STEP = 1e-4  # of the stored normals and their weight
+
+
+class KeptGraph(NamedTuple):
+    """What became of a graph that was put away by who maps, so that it need not be handed on itself."""
+
+    folder: str  # that holds it; "" where it holds nothing
+    fault: str  # why it is not there, "" while all is well
+
+
+KeepGraph = Callable[["SavedGraph"], KeptGraph]
 
 
 class SavedGraphError(ValueError):

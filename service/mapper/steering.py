@@ -9,6 +9,7 @@ from drivers.frames import Frame, LaserScan
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapper.components import FinishedGraph, Graph
+from service.mapper.saved_graph import KeptGraph, SavedGraph
 from service.outputs import MapperOutput, TileUpdate
 
 TAKE_IN_AFTER_SCANS = 25  # half a second at 50 Hz: what a loop takes live on a busy machine
@@ -55,7 +56,7 @@ class LeftOut:
 Step = Control | TakeIn | Wish | LeftOut  # what stands among the frames
 
 # What the verbs are called that go to the graph; a profile's graph says which of them it knows.
-WISHES = ("add_landmark_pair", "remove_landmark_pair", "optimize", "undo")
+WISHES = ("add_landmark_pair", "remove_landmark_pair", "optimize", "undo", "set_pose", "checkpoint")
 
 
 class FrameMapper(Protocol):
@@ -63,6 +64,7 @@ class FrameMapper(Protocol):
 
     counters: Counter[str]
     geo_reference: GeoReference | None
+    saved: SavedGraph | KeptGraph | None
 
     def process(self, frame: Frame) -> MapperOutput | None: ...
     def skip(self, scan: LaserScan) -> None: ...
@@ -157,6 +159,11 @@ class SteeredMapper:
     def geo_reference(self) -> GeoReference | None:
         """Where the present map lies on the earth; None: that is not known (yet)."""
         return self._mapper.geo_reference
+
+    @property
+    def saved(self) -> SavedGraph | KeptGraph | None:
+        """Of the newest checkpoint of the present map that was asked for; None: there was none."""
+        return self._mapper.saved
 
     @property
     def work_ready(self) -> bool:

@@ -30,7 +30,7 @@ from service.errors import InputError, StorageError
 from service.geometry.geo_reference import GeoReference
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.geo_file import GEO_FILE, read_geo, write_geo
-from service.mapstore.graph_files import GRAPH_FILE, read_graph, write_graph
+from service.mapstore.graph_files import GRAPH_FILE, link_graph, read_graph, write_graph
 from service.mapstore.picture import picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
@@ -67,12 +67,12 @@ def save_map(
     saved_ns: int,
     about: Mapping[str, str] | None = None,
     geo: GeoReference | None = None,
-    graph: SavedGraph | None = None,
+    graph: SavedGraph | Path | None = None,
 ) -> int | None:
     """Store `tiles` as the next version of the map in `folder`; its number, or None where there are no tiles.
 
     saved_ns is Unix time; `about` (vehicle, profile ...), `geo` and `graph` are kept with the map, and
-    KEEP_VERSIONS versions of it.
+    KEEP_VERSIONS versions of it. A graph may be the folder in which GraphFolder wrote it.
     Raises StorageError: no room, no rights, another writer; the version before stays what it was.
     """
     if not any(tile.level == 0 for tile in tiles):
@@ -115,7 +115,7 @@ def _save(
     saved_ns: int,
     about: dict[str, str],
     geo: GeoReference | None,
-    graph: SavedGraph | None,
+    graph: SavedGraph | Path | None,
 ) -> int:
     for leftover in folder.glob(_UNFINISHED + "*"):
         _remove(leftover)
@@ -126,7 +126,9 @@ def _save(
         new.mkdir()
         _write_content(new, tiles, saved_ns, about, geo)
         names = [*_CONTENT, *([GEO_FILE] if geo is not None else [])]
-        if graph is not None:
+        if isinstance(graph, Path):
+            names += link_graph(graph, new)
+        elif graph is not None:
             names += write_graph(new, graph, folder / _name(number - 1))
         _write_manifest(new, names, saved_ns, about)
         _sync(new)

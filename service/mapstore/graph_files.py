@@ -6,6 +6,7 @@ one before by a link: a checkpoint writes what is new.
 
 import hashlib
 import os
+import shutil
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 
 from service.errors import InputError
 from service.mapper.saved_graph import (
+    KeptGraph,
     SavedGraph,
     SavedGraphError,
     from_arrays,
@@ -26,14 +28,27 @@ FRAMES_A_FILE = 256
 _savez: Any = np.savez_compressed  # numpy's type says of **kwds that each is a flag
 
 
-def write_graph(folder: Path, graph: SavedGraph, before: Path | None) -> list[str]:
-    """Names of the files written; `before` is the folder of the version before. Raises OSError."""
-    names = []
+def write_graph(
+    folder: Path, graph: SavedGraph, before: Path | None, known: dict[bytes, str] | None = None
+) -> list[str]:
+    """Names of the files written; `before` is the folder of the version before. Raises OSError.
+
+    known   in and out: names of files by what identifies their key frames, for who writes one graph often
+    """
+    names: list[str] = []
+    known = {} if known is None else known
     for first in range(0, len(graph), FRAMES_A_FILE):
+        frames = slice(first, first + FRAMES_A_FILE)
+        key = graph.stamp_ns[frames].tobytes() + graph.point_count[frames].tobytes()
+        if before is not None and (name := known.get(key)) and (before / name).exists():
+            os.link(before / name, folder / name)
+            names.append(name)
+            continue
         points = packed_points(graph, first, min(first + FRAMES_A_FILE, len(graph)))
         digest = hashlib.sha256(b"".join(array.tobytes() for array in points.values())).hexdigest()
         name = f"points_{first // FRAMES_A_FILE:05d}_{digest[:12]}.npz"
         names.append(name)
+        known[key] = name
         old = None if before is None else before / name
         if old is not None and old.exists():
             os.link(old, folder / name)
@@ -44,6 +59,47 @@ def write_graph(folder: Path, graph: SavedGraph, before: Path | None) -> list[st
         arrays = small_arrays(graph) | {"points": np.array(names, np.str_)}
         _savez(file, **arrays)
     return [GRAPH_FILE, *names]
+
+
+class GraphFolder:
+    """KeepGraph: writes the graph to a numbered folder below `folder`, each beside the one before.
+
+    What is full and has not changed is neither packed nor written again; a graph without key frames is not
+    written at all. Can be pickled.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._number = 0
+        self._before: Path | None = None
+        self._known: dict[bytes, str] = {}  # what identifies the points of full files -> their names
+
+    def __call__(self, graph: SavedGraph) -> KeptGraph:
+        if not len(graph):
+            return KeptGraph("", "")
+        self._number += 1
+        new = self._folder / f"{self._number:06d}-{os.getpid()}"  # a process forked here counts on from here
+        part = new.with_name(f".part-{os.getpid()}")
+        try:
+            shutil.rmtree(part, ignore_errors=True)
+            part.mkdir(parents=True)
+            write_graph(part, graph, self._before, self._known)
+            part.rename(new)
+            for old in self._folder.glob("[0-9]*"):
+                if old not in (self._before, new):
+                    shutil.rmtree(old, ignore_errors=True)
+        except OSError as error:
+            return KeptGraph("", f"the graph cannot be kept in {new}: {error}")
+        self._before = new
+        return KeptGraph(str(new), "")
+
+
+def link_graph(kept: Path, folder: Path) -> list[str]:
+    """Put what GraphFolder wrote into the folder of a version; the names. Raises OSError."""
+    names = [path.name for path in sorted(kept.iterdir())]
+    for name in names:
+        os.link(kept / name, folder / name)
+    return names
 
 
 def read_graph(folder: Path) -> SavedGraph:

@@ -6,6 +6,7 @@ Tiles come from the mapping thread; everything else reads. An update never waits
 import threading
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +28,7 @@ class NumberedMap:
     number: int  # from 1
     tiles: list[TileUpdate]  # oldest change first
     geo: GeoReference | None = None  # where it lies on the earth; None: that is not known
+    graph: Path | None = None  # folder of what a later session goes on with; None: there is nothing
 
     @property
     def version(self) -> int:
@@ -49,6 +51,7 @@ class TileStore:
         self._began_version = 0  # tiles up to this one are of maps before, emptied
         self._ended: list[NumberedMap] = []
         self._geo: GeoReference | None = None  # of the present map
+        self._graph: Path | None = None  # of the present map
 
     @property
     def number(self) -> int:
@@ -85,6 +88,11 @@ class TileStore:
         with self._lock:
             self._geo = geo
 
+    def keep_graph(self, folder: Path | None) -> None:
+        """Say where the graph of the present map lies as it was last put away."""
+        with self._lock:
+            self._graph = folder
+
     def since(self, version: int) -> list[TileUpdate]:
         """Every tile newer than `version`, oldest change first; 0 gives the whole map.
 
@@ -103,9 +111,9 @@ class TileStore:
             ended = _by_version(self._newer(self._began_version))
             if not ended:
                 return []
-            self._ended.append(NumberedMap(self._number, ended, self._geo))
+            self._ended.append(NumberedMap(self._number, ended, self._geo, self._graph))
             self._number += 1
-            self._geo = None
+            self._geo = self._graph = None
             emptied = [
                 replace(tile, version=self._version + k, cells=_unknown(tile))
                 for k, tile in enumerate(ended, start=1)
@@ -120,7 +128,8 @@ class TileStore:
         """Maps ended since the last call, oldest first, and the present one, all at one moment."""
         with self._lock:
             ended, self._ended = self._ended, []
-            return ended, NumberedMap(self._number, _by_version(self._newer(self._began_version)), self._geo)
+            present = _by_version(self._newer(self._began_version))
+            return ended, NumberedMap(self._number, present, self._geo, self._graph)
 
     def grid(self) -> Grid | None:
         """The finest level as one picture, None while it is empty; renders only what changed meanwhile.

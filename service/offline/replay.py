@@ -183,7 +183,8 @@ def replay(
         finished = mapper.finish()
         poses.extend(corrected(new, finished.corrections))
         tiles, g2o, geo = mapper.changed_tiles(), finished.g2o, mapper.geo_reference
-        graph = finished.update.saved
+        saved = finished.update.saved
+        graph = saved if isinstance(saved, SavedGraph) else None
 
     recording = session.recording
     span_ns = max(recording.last_log_ns - recording.first_log_ns, 1)

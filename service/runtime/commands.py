@@ -43,6 +43,14 @@ class PairNumberRequest(Request):
     pair: Annotated[int, Field(ge=0)]
 
 
+class PoseRequest(Request):
+    """Where a person sees the base in the map."""
+
+    x_m: Annotated[float, Field(allow_inf_nan=False)]
+    y_m: Annotated[float, Field(allow_inf_nan=False)]
+    theta_rad: Annotated[float, Field(allow_inf_nan=False)]
+
+
 class CarryOut(Protocol):
     """Runs between two frames: waits for nothing and raises nothing."""
 
@@ -86,6 +94,8 @@ class Commands:
             "mark": self._verb("mark", self._mark, MarkRequest),
             "add_landmark_pair": self._graph_verb("add_landmark_pair", PairRequest),
             "remove_landmark_pair": self._graph_verb("remove_landmark_pair", PairNumberRequest),
+            "set_pose": self._graph_verb("set_pose", PoseRequest),
+            "checkpoint": self._graph_verb("checkpoint"),
             "optimize": self._graph_verb("optimize"),
             "undo": self._graph_verb("undo"),
         }

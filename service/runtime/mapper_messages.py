@@ -87,6 +87,8 @@ class Setup:
     upside_down: frozenset[str]  # sensors that are mounted so
     graph_patience_s: float  # how long it may wait for the graph, all waits taken together
     log_level: int
+    begin_in: str = ""  # folder of the stored map to begin in; "": a new map
+    graph_folder: str = ""  # where the graph is put away at each checkpoint; "": nowhere
 
 
 class Hello(NamedTuple):
@@ -95,6 +97,13 @@ class Hello(NamedTuple):
     pid: int
     number: int  # the last item that it has taken
     is_standby: bool
+
+
+class GraphKept(NamedTuple):
+    """The graph of the present map was put away, or why not."""
+
+    folder: str
+    fault: str
 
 
 class Progress(NamedTuple):

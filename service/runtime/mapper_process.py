@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 from collections import deque
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,8 @@ from service.mapper.patch_store import PatchStore
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import build_mapper, mapping_config
 from service.mapper.steering import SteeredMapper
+from service.mapstore.begin_in import begin_in
+from service.mapstore.graph_files import GraphFolder
 from service.mapstore.patch_files import PatchFiles
 from service.runtime.back_end import BackEndProcess
 from service.runtime.channel import Channel, ChannelClosedError, wait_for
@@ -62,12 +65,19 @@ class MapperProcess:
         self._can_copy = True
         config = mapping_config(dict(setup.mapping))
 
+        begins = [begin_in(Path(setup.begin_in), config.cell_m) if setup.begin_in else None]
+        maps = count(1)
+
         def new_mapper() -> Mapper[Any]:
+            """After a reset: a new map, but for a vehicle that is only localised."""
+            begin = begins[0] if config.mode == "localization" else begins.pop() if begins else None
             return build_mapper(
                 config,
                 setup.mountings,
                 new_worker=self._back_end.new_worker,
                 new_patch_store=self._new_patch_store,
+                begin_in=begin,
+                keep_graph=self._keep_graph(f"map{next(maps)}"),
             )
 
         self._loop = MappingLoop(
@@ -127,6 +137,9 @@ class MapperProcess:
     def _new_patch_store(self) -> PatchStore:
         self._can_copy = False  # two processes would write to one file
         return PatchFiles()
+
+    def _keep_graph(self, name: str) -> GraphFolder | None:
+        return GraphFolder(Path(self._setup.graph_folder) / name) if self._setup.graph_folder else None
 
     def _is_copy_due(self) -> bool:
         if not self._can_copy or self._loop.number == self._copied_number or not self._loop.is_up_to_date:

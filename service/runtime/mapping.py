@@ -8,6 +8,7 @@ from typing import Any
 from drivers.frames import Frame, LaserScan
 from service.encoding import decode_frame, encode_odom, encode_pose, encode_tf
 from service.mapper.components import WishError
+from service.mapper.saved_graph import KeptGraph
 from service.mapper.steering import SteeredMapper
 from service.outputs import MapperOutput
 from service.runtime.mapper_messages import (
@@ -16,6 +17,7 @@ from service.runtime.mapper_messages import (
     FrameItem,
     Go,
     GraphItem,
+    GraphKept,
     Item,
     Mapped,
     PassedOver,
@@ -60,6 +62,7 @@ class MappingLoop:
         self._upside_down = frozenset(upside_down)
         self._monotonic_ns = monotonic_ns
         self._tiles_due_ns = self._status_due_ns = 0
+        self._told_graph: Any = None  # the newest checkpoint that ingest knows of
         self._map_stamp_ns = 0  # Unix time of the newest scan in the map
         self._done_number = 0  # up to here nothing is decided anew, and nothing is told twice
         self._decided = Decisions({}, frozenset(), frozenset())
@@ -107,6 +110,12 @@ class MappingLoop:
         if changed := self.mapper.changed_tiles():
             self._send(Tiles(changed, self._map_stamp_ns))
 
+    def _tell_graph(self) -> None:
+        kept = self.mapper.saved
+        if kept is not self._told_graph and isinstance(kept, KeptGraph):
+            self._told_graph = kept
+            self._send(GraphKept(*kept))
+
     def tell_status(self) -> None:
         self._send(
             Status(
@@ -125,6 +134,7 @@ class MappingLoop:
         """
         self.tell_status()
         self.mapper.finish()
+        self._tell_graph()
         self.hand_over_tiles()
         self.tell_status()
 
@@ -134,6 +144,7 @@ class MappingLoop:
         if item.number > self._done_number and self.mapper.work_ready:
             self.mapper.take_in()
             self._send(ResultApplied(item.number, item.log_ns, self.mapper.graph_fault))
+            self._tell_graph()
 
     def _take_frame(self, item: FrameItem) -> None:
         if item.number in self._decided.refused:

@@ -1,10 +1,12 @@
 """What comes back from the mapper's process: handed to the sinks, kept as tiles, and counted."""
 
 import json
+import logging
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from service.encoding import APPLY_RESULT, Message, encode_event
@@ -14,6 +16,7 @@ from service.outputs import TileUpdate
 from service.runtime.mapper_link import Heard
 from service.runtime.mapper_messages import (
     FrameItem,
+    GraphKept,
     Mapped,
     PassedOver,
     ResultApplied,
@@ -22,6 +25,8 @@ from service.runtime.mapper_messages import (
     Unusable,
 )
 from service.runtime.metrics import LatencyHistogram
+
+log = logging.getLogger(__name__)
 
 OVERLOAD_NS = 1_000_000_000  # so long after a scan that was passed over the service counts as overloaded
 
@@ -80,6 +85,8 @@ class MappingOutputs:
                 self._graph_worked(message)
             case PassedOver():
                 self._left_out(message)
+            case GraphKept():
+                self._graph_kept(message)
             case Unusable():
                 self.unusable[message.sensor] += 1
                 self.unusable_scans += message.is_mapped_scan
@@ -146,6 +153,12 @@ class MappingOutputs:
         fault = message.fault
         event = {"event": "graph_lost", "reason": fault} if fault else {"event": APPLY_RESULT}
         self._put_before(message.log_ns, event)
+
+    def _graph_kept(self, kept: GraphKept) -> None:
+        if kept.fault:
+            log.error("%s", kept.fault)
+        elif kept.folder:
+            self._tiles.keep_graph(Path(kept.folder))
 
     def _left_out(self, message: PassedOver) -> None:
         now_ns = self._monotonic_ns()

@@ -22,6 +22,8 @@ from service.config import ServiceConfig, mapped_lasers, mounted_upside_down, mo
 from service.encoding import encode_event
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import CorridorError, OutputLostError
+from service.mapper.profiles import begins_in_stored
+from service.mapstore.begin_in import begin_in
 from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
 from service.publishing.commands import Answer, CommandDispatcher
@@ -82,6 +84,8 @@ class Service:
         context = SinkContext(
             vehicle=config.vehicle,
             profile=config.mapping.profile,
+            stores_graph=begins_in_stored(config.mapping),
+            is_localizing=config.mapping.mode == "localization",
             start_unix_ns=self._unix_ns(),
             map_folder=map_folder,
             metadata={
@@ -162,9 +166,12 @@ class Service:
     def start(self, cancelled: Callable[[], bool] = lambda: False) -> bool:
         """Bring everything up, the mapper first and drivers last; False if `cancelled` said so on the way.
 
-        Raises StorageError where a sink cannot begin, CorridorError where the mapper does not start.
+        Raises InputError where the stored map to begin in cannot be read, StorageError where a sink cannot
+        begin, CorridorError where the mapper does not start.
         """
         threading.excepthook = self._thread_died
+        if self._config.begin_in is not None:
+            begin_in(self._config.begin_in, self._config.mapping.cell_m)  # refused here, before anything runs
         if not self._start_mapper(cancelled):
             return False
         self._event("start")
@@ -255,6 +262,8 @@ class Service:
             mountings=mountings(config.sensors),
             lasers=mapped_lasers(config),
             upside_down=mounted_upside_down(config.sensors),
+            begin_in=str(config.begin_in or ""),
+            graph_folder=str(self._sinks.map_storage().graph_folder),
             graph_patience_s=GRAPH_FINISH_S,
             log_level=logging.getLogger().getEffectiveLevel(),
         )

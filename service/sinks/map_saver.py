@@ -4,6 +4,8 @@ It reads the TileStore from a thread of its own: neither a slow disk nor a large
 """
 
 import logging
+import os
+import shutil
 import threading
 import time
 from collections import deque
@@ -31,14 +33,20 @@ class MapSaver(Sink):
     """Saves the map while it grows; a MapStorage.
 
     The first map goes to the folder that the context names, else to <vehicle>_<UTC start> in the directory of
-    the config; those after a reset go beside it, to <folder>_2, <folder>_3 ...
+    the config; those after a reset go beside it, to <folder>_2, <folder>_3 ... A session that begins in a
+    stored map adds versions to it, and one that is only localised saves nothing.
     """
 
     name = "map"
 
     def __init__(self, config: MapConfig, context: SinkContext) -> None:
         started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime(context.start_unix_ns / 1e9))
-        self._folder = context.map_folder or config.directory / f"{context.vehicle}_{started}"
+        new = config.directory / f"{context.vehicle}_{started}"
+        self._folder = context.map_folder or config.load or new
+        self.graph_folder = self._folder.with_name(f".{self._folder.name}.graph-{os.getpid()}")
+        self._command = context.command
+        self._asks_for_graph = context.stores_graph and not context.is_localizing
+        self._is_localizing = context.is_localizing
         self._tiles = context.tiles
         self._unix_ns = context.unix_ns
         self._emit = context.emit
@@ -110,6 +118,8 @@ class MapSaver(Sink):
         except StorageError as error:
             self._report(error)
             raise
+        finally:
+            shutil.rmtree(self.graph_folder, ignore_errors=True)
         if self._given_up:
             raise StorageError(self._given_up)
 
@@ -121,6 +131,8 @@ class MapSaver(Sink):
 
         Raises StorageError; what could not be saved is tried again the next time.
         """
+        if self._is_localizing:
+            return None
         ended, present = self._tiles.take()
         self._unsaved += ended
         while len(self._unsaved) > MOST_UNSAVED:
@@ -144,18 +156,24 @@ class MapSaver(Sink):
             and newest[0] == numbered.number
             and newest[1].version == numbered.version
             and newest[1].geo == numbered.geo
+            and newest[1].graph == numbered.graph
         ):
             return
         folder = self.folder_of(numbered.number)
-        number = save_map(folder, numbered.tiles, self._unix_ns(), self._about, numbered.geo)
+        number = save_map(folder, numbered.tiles, self._unix_ns(), self._about, numbered.geo, numbered.graph)
         if number is not None:
-            self._newest = (numbered.number, SavedMap(folder, number, numbered.version, numbered.geo))
+            saved = SavedMap(folder, number, numbered.version, numbered.geo, numbered.graph)
+            self._newest = (numbered.number, saved)
 
     def _run(self) -> None:
-        save_at_s = time.monotonic() + self._checkpoint_s
+        ask_at_s = time.monotonic() + 0.5 * self._checkpoint_s
+        save_at_s = ask_at_s + 0.5 * self._checkpoint_s
         while self._wait():
             self._answer()
             self._emit_map()
+            if self._asks_for_graph and time.monotonic() >= ask_at_s:
+                ask_at_s = time.monotonic() + self._checkpoint_s
+                self._command("checkpoint", b"{}")  # the graph comes to the TileStore when it is written
             if time.monotonic() >= save_at_s:
                 save_at_s = time.monotonic() + self._checkpoint_s
                 self._try_to_save()
@@ -184,7 +202,7 @@ class MapSaver(Sink):
         """Until somebody asks or it is time to look; False when there is nothing more to do."""
         with self._wake:
             if not self._asked and not self._stopping:
-                self._wake.wait(min(EMIT_INTERVAL_S, self._checkpoint_s))
+                self._wake.wait(min(EMIT_INTERVAL_S, 0.5 * self._checkpoint_s))
             return not self._stopping
 
     def _answer(self) -> None:

@@ -25,6 +25,8 @@ class SinkContext:
 
     vehicle: str
     profile: str  # of the mapper
+    stores_graph: bool  # whether a later session can go on in the map
+    is_localizing: bool  # whether the map is a stored one that stays as it is
     start_unix_ns: int  # Unix time at which the service was constructed
     map_folder: Path | None  # where this run's map is to be stored, if the caller asked for a folder
     metadata: Mapping[str, Mapping[str, str]]  # name -> key -> text: version, config as YAML, clock
@@ -131,6 +133,7 @@ class SavedMap:
     number: int  # of the version in its folder
     version: int  # of its newest tile
     geo: GeoReference | None = None  # where it lies on the earth
+    graph: Path | None = None  # where what a session goes on with was taken from
 
 
 SavedHeard = Callable[[SavedMap | None, str], None]  # the present map, None while it is empty; or the fault
@@ -142,5 +145,11 @@ class MapStorage(Protocol):
 
     @property
     def folder(self) -> Path: ...
+
+    @property
+    def graph_folder(self) -> Path:
+        """Where the mapper puts away what a later session goes on with; on the disk of the maps."""
+        ...
+
     def folder_of(self, number: int) -> Path: ...
     def ask_to_save(self, saved: SavedHeard) -> None: ...

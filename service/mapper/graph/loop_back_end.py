@@ -29,7 +29,7 @@ from service.mapper.graph.map_of_before import (
 from service.mapper.graph.piece_search import PieceSearch
 from service.mapper.graph.point_clouds import Fit, PointCloud
 from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, solve, to_g2o
-from service.mapper.saved_graph import SavedGraph
+from service.mapper.saved_graph import KeepGraph, SavedGraph
 
 STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: of a step between key frames, at best
 LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])  # of a step that only a prediction vouches for; m^2, rad^2
@@ -68,7 +68,9 @@ class LoopBackEnd:
         renderer: MapRenderer | None,
         stored: SavedGraph | None = None,
         is_localizing: bool = False,
+        keep_graph: KeepGraph | None = None,
     ) -> None:
+        self._keep_graph = keep_graph
         self._config = config
         self._renderer = None if is_localizing else renderer
         self._keyframes = KeyframeList(stored)
@@ -97,7 +99,8 @@ class LoopBackEnd:
             alike=self._pieces.alike,
         )
         if batch.is_last or batch.wish == "checkpoint":
-            result = replace(result, saved=saved_graph(self._keyframes, self._loops, self._joined))
+            saved = saved_graph(self._keyframes, self._loops, self._joined)
+            result = replace(result, saved=self._keep_graph(saved) if self._keep_graph else saved)
         return result
 
     def _work(self, batch: Batch) -> Result:
@@ -124,6 +127,15 @@ class LoopBackEnd:
             return Result(len(self._loops), len(self._disabled))
         self._solve()
         return Result(len(self._loops), len(self._disabled), joined, self._correction(-1), self._render())
+
+    @property
+    def loops(self) -> Sequence[Loop]:
+        """Those that are accepted."""
+        return self._loops
+
+    def begin_session_at(self, k: int) -> None:
+        """Take the key frames from k on for those of this session, though they are stored, too."""
+        self._keyframes.stored = k
 
     def _is_detached(self) -> bool:
         """Whether the newest key frame lies in a piece of which nobody knows where it lies."""

@@ -7,7 +7,7 @@ from service.geometry.geo_reference import GeoReference
 from service.mapper.components import Correction, Placed, RenderedMap
 from service.mapper.graph.fix_track import PlacedFix
 from service.mapper.graph.keyframe_list import KeyFrame
-from service.mapper.saved_graph import SavedGraph
+from service.mapper.saved_graph import KeptGraph, SavedGraph
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +37,6 @@ class Result:
     g2o: str = ""
     geo: GeoReference | None = None
     fixes: Mapping[str, int] = field(default_factory=dict)
-    saved: SavedGraph | None = None  # where a checkpoint was asked for, and at the end
+    saved: SavedGraph | KeptGraph | None = None  # where a checkpoint was asked for, and at the end
     placed: Placed = "proven"  # in the stored map
     alike: Sequence[tuple[float, float]] = ()  # m, of the map: places that a piece fits equally well

@@ -26,7 +26,7 @@ from service.mapper.graph.keyframe_list import KeyFrame
 from service.mapper.graph.loop_back_end import LoopBackEnd
 from service.mapper.graph.loop_batches import Batch, Result
 from service.mapper.graph.loops_config import LoopsConfig
-from service.mapper.saved_graph import SavedGraph
+from service.mapper.saved_graph import KeepGraph, SavedGraph
 
 DETACHED_INTERVAL_NS = 500_000_000  # of key frames of a piece that is looked for, also while standing
 
@@ -52,10 +52,11 @@ class LoopClosing:
         mountings: Mapping[str, SE2] | None = None,
         stored: SavedGraph | None = None,
         is_localizing: bool = False,
+        keep_graph: KeepGraph | None = None,
     ) -> None:
         """mountings: pose_base_sensor; a receiver's antenna is at "<sensor>/antenna", else at its sensor.
 
-        stored, is_localizing   as of BuildContext
+        stored, is_localizing, keep_graph   as of BuildContext
         """
         self._config = config
         self._mountings = mountings or {}
@@ -65,7 +66,7 @@ class LoopClosing:
         self._is_localizing = is_localizing
         self._is_looking = not self._is_placed  # the newest scan lies in a piece that is looked for
         self._fix_counts: Mapping[str, int] = {}  # as the back end had them last
-        self._errand = Errand(new_worker(LoopBackEnd(config, renderer, stored, is_localizing)))
+        self._errand = Errand(new_worker(LoopBackEnd(config, renderer, stored, is_localizing, keep_graph)))
         self._fresh: list[KeyFrame] = []  # not yet sent
         self._sent: deque[list[KeyFrame]] = deque()  # with each piece of work that is out
         self._last: SE2 | None = None  # of the newest key frame

@@ -78,28 +78,11 @@ class PieceSearch:
         if not len(own) or not len(known):
             return None
         reference = int(own[-1])
-        cloud = cloud_of(keyframes, own.tolist(), reference)
-        found: list[tuple[float, Floats, Loop | None]] = []
-        for guess in self._field_of(known).candidates(cloud):
-            submap = self._around(known, guess)
-            near = se2.between(keyframes.map[submap.reference], guess)
-            pose = submap.search(cloud, near, *REFINE_REACH, LEAST_SCORE)
-            if pose is None:
-                continue
-            fit, loop = self._loop_at(submap, cloud, pose, reference)
-            found.append((fit.share, se2.compose(keyframes.map[submap.reference], fit.pose), loop))
-        share, at, loop = max(found, key=lambda f: f[0]) if found else (0.0, np.zeros(3), None)
-        if loop is None or not self._could_be_at(at, piece, reference):
+        best = self.best_of(self.places_of(own.tolist(), reference, known))
+        if best is None or not self._could_be_at(best[0], piece, reference):
             self._hypothesis = None
             return None
-        for other, other_at, _ in found:
-            away = se2.between(at, other_at)
-            if other > share - CLEARLY_BETTER and (
-                np.hypot(away[0], away[1]) > SAME_PLACE_M or abs(away[2]) > SAME_PLACE_RAD
-            ):
-                self._hypothesis = None  # two places that look alike
-                self.alike = [(float(at[0]), float(at[1])), (float(other_at[0]), float(other_at[1]))]
-                return None
+        at, loop = best
         inverse = se2.between(keyframes.odom[reference], np.zeros(3))
         new = Hypothesis(se2.compose(at, inverse), loop, float(keyframes.way_m[reference]))
         if self._is_new_session(piece):
@@ -143,7 +126,41 @@ class PieceSearch:
         for long; until it has moved on the place counts as unproven.
         """
         first = self._keyframes.stored
-        return first > 0 and int(self._keyframes.piece[first]) == piece
+        return 0 < first < self._keyframes.count and int(self._keyframes.piece[first]) == piece
+
+    def places_of(
+        self, own: list[int], reference: int, known: npt.NDArray[np.int64]
+    ) -> list[tuple[float, Floats, Loop | None]]:
+        """Where in the known map the key frames `own` may lie: inlier ratio there, pose (3,) of `reference`
+        in the map, and the loop that says so; None where too little fits.
+        """
+        keyframes = self._keyframes
+        cloud = cloud_of(keyframes, own, reference)
+        found: list[tuple[float, Floats, Loop | None]] = []
+        for guess in self._field_of(known).candidates(cloud):
+            submap = self._around(known, guess)
+            near = se2.between(keyframes.map[submap.reference], guess)
+            pose = submap.search(cloud, near, *REFINE_REACH, LEAST_SCORE)
+            if pose is None:
+                continue
+            fit, loop = self._loop_at(submap, cloud, pose, reference)
+            found.append((fit.share, se2.compose(keyframes.map[submap.reference], fit.pose), loop))
+        return found
+
+    def best_of(self, found: list[tuple[float, Floats, Loop | None]]) -> tuple[Floats, Loop] | None:
+        """The place that fits clearly better than every other; None where there is none."""
+        self.alike = []
+        share, at, loop = max(found, key=lambda f: f[0]) if found else (0.0, np.zeros(3), None)
+        if loop is None:
+            return None
+        for other, other_at, _ in found:
+            away = se2.between(at, other_at)
+            if other > share - CLEARLY_BETTER and (
+                np.hypot(away[0], away[1]) > SAME_PLACE_M or abs(away[2]) > SAME_PLACE_RAD
+            ):
+                self.alike = [(float(at[0]), float(at[1])), (float(other_at[0]), float(other_at[1]))]
+                return None
+        return at, loop
 
     def _find_expected(self, piece: int, known: npt.NDArray[np.int64]) -> tuple[Loop, ...] | None:
         """Place the newest piece where a person has said, if it fits there; gives up after some tries."""

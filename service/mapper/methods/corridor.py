@@ -31,7 +31,13 @@ LOOP_CLOSING = ComponentKind(
     "loop_closing",
     LoopsConfig,
     lambda config, around: LoopClosing(
-        config, around.renderer, around.new_worker, around.mountings, around.stored, around.is_localizing
+        config,
+        around.renderer,
+        around.new_worker,
+        around.mountings,
+        around.stored,
+        around.is_localizing,
+        around.keep_graph,
     ),
     rehearse=rehearse,
     begins_in_stored=True,

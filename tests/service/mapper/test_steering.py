@@ -33,6 +33,8 @@ class FakeGraph(NoGraph):
 class FakeMapper:
     """Puts every scan a metre ahead of the last; notes what it was given."""
 
+    saved = None
+
     def __init__(self) -> None:
         self.counters: Counter[str] = Counter()
         self.processed: list[Frame] = []

@@ -41,6 +41,8 @@ class FakeMapper:
     finished = False
     geo_reference = None
 
+    saved = None
+
     def __init__(
         self, fault: Exception | None = None, x_m: float | None = None, graph: NoGraph | None = None
     ) -> None:

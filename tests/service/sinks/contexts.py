@@ -12,6 +12,8 @@ def sink_context(**parts: Any) -> SinkContext:
     defaults: dict[str, Any] = {
         "vehicle": "veh1",
         "profile": "corridor",
+        "stores_graph": False,
+        "is_localizing": False,
         "start_unix_ns": 1_700_000_000_000_000_000,
         "map_folder": None,
         "metadata": {},
