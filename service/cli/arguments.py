@@ -106,6 +106,11 @@ def _add_offline(commands: Any) -> None:
     replay.add_argument("--map", type=Path, metavar="MAP", help="begin in this stored map")
     replay.add_argument("--localize", action="store_true", help="only localise in it: it stays as it is")
     replay.add_argument(
+        "--from-raw",
+        action="store_true",
+        help="run the recorded bytes (/<sensor>/raw) through the drivers again and map what comes out",
+    )
+    replay.add_argument(
         "--jobs",
         type=_positive_int,
         default=1,

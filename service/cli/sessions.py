@@ -11,7 +11,9 @@ def replay(parsed: argparse.Namespace) -> int:
     from service.offline.replay import ReplayOptions, group_sessions, replay_all
 
     sessions = group_sessions(parsed.files)
-    options = ReplayOptions(parsed.config, parsed.profile, parsed.rate, parsed.map, parsed.localize)
+    options = ReplayOptions(
+        parsed.config, parsed.profile, parsed.rate, parsed.map, parsed.localize, parsed.from_raw
+    )
     with progress("replay") as shown:
         summaries = replay_all(sessions, options, parsed.out, parsed.jobs, shown)
     if len(summaries) == 1:

@@ -8,9 +8,10 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from multiprocessing import get_context
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,7 @@ from service.mapstore.picture import picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
 from service.offline.geo_export import write_world_file
+from service.offline.raw_replay import FROM_RAW, remake_frames
 from service.offline.trajectory import write_tum
 from service.outputs import MapperOutput, TileUpdate
 from service.recording.mcap_source import Session, open_session
@@ -48,6 +50,7 @@ from service.version import VERSION
 log = logging.getLogger(__name__)
 
 STATES = ("ok", "degraded", "lost")
+REMAKING_SHARE = 0.3  # of the time that a replay from raw bytes takes, for its progress
 _SESSION_FILE = re.compile(r"(.+_\d{8}T\d{6}Z)_\d{4}\.mcap")
 
 
@@ -60,6 +63,7 @@ class ReplayOptions:
     rate: float = 0.0  # times real time; 0: as fast as it goes
     map: Path | None = None  # a stored map to begin in
     localize: bool = False  # ... which stays as it is
+    from_raw: bool = False  # map what the drivers make of the recorded bytes, not the recorded frames
 
 
 class StageTimes:
@@ -146,7 +150,9 @@ def replay_all(
 def replay(
     paths: Sequence[Path], options: ReplayOptions, progress: Callable[[float], None] = lambda share: None
 ) -> Replay:
-    """Map one recording. Raises InputError, and ConfigError where the config cannot be used."""
+    """Map one recording. Raises InputError, ConfigError where the config cannot be used, and StorageError."""
+    if options.from_raw:
+        return _replay_from_raw(paths, options, progress)
     session = open_session(paths)
     for note in session.notes:
         log.info("%s", note)
@@ -263,6 +269,21 @@ def replay(
     return Replay(outputs, poses, tiles, g2o, summary, session.notes, geo, graph)
 
 
+def _replay_from_raw(
+    paths: Sequence[Path], options: ReplayOptions, progress: Callable[[float], None]
+) -> Replay:
+    with TemporaryDirectory(prefix="corridor-") as folder:
+        made = Path(folder) / paths[0].name
+        remade = remake_frames(paths, options.config, made, lambda share: progress(REMAKING_SHARE * share))
+        done = replay(
+            [made],
+            replace(options, from_raw=False),
+            lambda share: progress(REMAKING_SHARE + (1.0 - REMAKING_SHARE) * share),
+        )
+    done.summary[FROM_RAW] = {name: asdict(counts) for name, counts in remade.items()}
+    return done
+
+
 def write_replay(done: Replay, out: Path) -> None:
     """trajectory.tum, trajectory_live.tum, map.pgm + map.yaml, map.png, graph.g2o, geo.json, summary.json,
     and map/, the map as it is stored: `--map` and map.load begin in it.
@@ -353,7 +374,12 @@ def _setup(
     configured = mountings(config.sensors) if config is not None else {}
     poses = {name: configured.get(name, pose) for name, pose in session.mountings.items()}
     poses |= session.antennas | {name: pose for name, pose in configured.items() if name not in poses}
-    as_live = recorded is not None and mapping == recorded.mapping and options.map is None
+    as_live = (
+        recorded is not None
+        and mapping == recorded.mapping
+        and options.map is None
+        and FROM_RAW not in session.metadata
+    )
     if options.localize:
         mapping = mapping.model_copy(update={"mode": "localization"})
     if mapping.mode == "localization" and options.map is None:

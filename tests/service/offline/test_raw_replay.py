@@ -10,11 +10,13 @@ import pytest
 from drivers.frames import LaserScan
 from drivers.link import RawChunk
 from drivers.registry import SENSOR_KINDS
+from service.cli import main
 from service.config import parse_config
-from service.encoding import LogClock, encode_event, encode_frame, encode_raw
+from service.encoding import LogClock, encode_event, encode_frame, encode_pose, encode_raw
 from service.errors import ConfigError, InputError
 from service.geometry.se2 import SE2
-from service.offline.raw_replay import remake_frames
+from service.offline.raw_replay import FROM_RAW, remake_frames
+from service.offline.replay import ReplayOptions, replay
 from service.recording.mcap_reader import Recording
 from service.recording.mcap_recorder import McapRecorder
 from service.recording.mcap_source import open_session
@@ -104,6 +106,29 @@ def test_the_drivers_make_the_recorded_frames_again_bit_for_bit(
     assert all(m.requests_not_repeated == m.chunks_without_start == 0 for m in made.values())
 
 
+def test_what_is_mapped_is_what_was_mapped(links: dict[str, VirtualLink], tmp_path: Path):
+    session = record(tmp_path, links, events=((3.0, "pause"), (3.5, "resume")))
+    recorded, again = (replay([session], ReplayOptions(from_raw=from_raw)) for from_raw in (False, True))
+    assert [encode_pose(output, 0).payload for output in again.outputs] == [
+        encode_pose(output, 0).payload for output in recorded.outputs
+    ]
+    assert len(again.outputs) > 100
+    assert again.summary["scans_paused"] == recorded.summary["scans_paused"] > 20
+    assert again.summary[FROM_RAW]["front"]["frames"] > 200
+    assert FROM_RAW not in recorded.summary
+
+
+def test_the_recorded_frames_themselves_are_not_needed(links: dict[str, VirtualLink], tmp_path: Path):
+    """As where a driver could make nothing of the bytes then."""
+    mute = {name: VirtualLink(lambda: None, link.device, 0) for name, link in links.items()}
+    for name, link in links.items():
+        mute[name].chunks = link.chunks
+    session = record(tmp_path, mute)
+    with pytest.raises(InputError, match="LaserScan"):
+        open_session([session])
+    assert len(replay([session], ReplayOptions(from_raw=True)).outputs) > 100
+
+
 def test_another_config_sets_the_drivers_otherwise(links: dict[str, VirtualLink], tmp_path: Path):
     session, remade, config = record(tmp_path, links), tmp_path / "remade.mcap", tmp_path / "later.yaml"
     config.write_text(CONFIG.replace("host: a", "host: a, latency_ms: 5"))
@@ -131,6 +156,17 @@ def test_a_recording_without_raw_bytes_is_refused_in_words(links: dict[str, Virt
     with pytest.raises(InputError, match=r"no raw bytes to run .* recording: \{raw: true\}") as refused:
         remake_frames([session], None, tmp_path / "remade.mcap")
     assert refused.value.exit_code == 65
+
+
+def test_the_command_refuses_a_recording_without_raw_bytes_with_65(
+    links: dict[str, VirtualLink], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    session = record(tmp_path, links, raw=False)
+    assert main(["replay", str(session), "--from-raw"]) == 65
+    said = capsys.readouterr().err
+    assert "no raw bytes to run through the drivers" in said
+    assert "recording: {raw: true}" in said
+    assert "Traceback" not in said
 
 
 def test_a_recording_that_begins_in_mid_stream_is_refused(links: dict[str, VirtualLink], tmp_path: Path):
