@@ -29,6 +29,7 @@ import numpy as np
 from service.errors import InputError, StorageError
 from service.geometry.geo_reference import GeoReference
 from service.mapper.saved_graph import SavedGraph
+from service.mapstore.annotated import PALETTE, annotated
 from service.mapstore.geo_file import GEO_FILE, read_geo, write_geo
 from service.mapstore.graph_files import GRAPH_FILE, link_graph, read_graph, write_graph
 from service.mapstore.picture import picture_of_tiles
@@ -163,7 +164,7 @@ def _write_content(
         )
     picture = picture_of_tiles(tiles)
     write_ros_map(new / "map.pgm", new / "map.yaml", picture)
-    write_png(new / "map.png", picture)
+    write_png(new / "map.png", annotated(picture), PALETTE)
 
 
 def _write_manifest(new: Path, names: Sequence[str], saved_ns: int, about: dict[str, str]) -> None:

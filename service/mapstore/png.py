@@ -1,7 +1,11 @@
-"""8-bit grey PNG, written band by band. Source: W3C PNG specification, second edition, sections 5 and 11."""
+"""8-bit PNG, grey or with some colours, written band by band.
+
+Source: W3C PNG specification, second edition, sections 5 and 11.
+"""
 
 import struct
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import BinaryIO
 
@@ -10,17 +14,24 @@ import numpy as np
 from service.mapstore.picture import Picture
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_GREY_8_BIT = struct.pack(
-    ">BBBBB", 8, 0, 0, 0, 0
-)  # depth, colour type, compression, filter method, interlace
+_GREY, _PALETTE = 0, 3  # colour types
 _LEVEL = 4  # a map is mostly one grey; higher levels take thrice the time for a few per cent
 
 
-def write_png(path: Path, picture: Picture) -> None:
-    """Raises OSError."""
+def write_png(
+    path: Path, picture: Picture, colours: Mapping[int, tuple[int, int, int]] | None = None
+) -> None:
+    """Write pixels as greys, but for values that `colours` gives red, green and blue.
+
+    Raises OSError.
+    """
     with path.open("wb") as file:
         file.write(_SIGNATURE)
-        _write_chunk(file, b"IHDR", struct.pack(">II", picture.width, picture.height) + _GREY_8_BIT)
+        kind = _GREY if colours is None else _PALETTE
+        head = struct.pack(">II", picture.width, picture.height)
+        _write_chunk(file, b"IHDR", head + struct.pack(">BBBBB", 8, kind, 0, 0, 0))
+        if colours is not None:
+            _write_chunk(file, b"PLTE", b"".join(bytes(colours.get(k, (k, k, k))) for k in range(256)))
         deflate = zlib.compressobj(_LEVEL)
         for band in picture.bands():
             rows = np.zeros(

@@ -33,6 +33,7 @@ from service.mapper.pipeline import Mapper
 from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
 from service.mapper.saved_graph import SavedGraph
 from service.mapper.steering import TAKE_IN_AFTER_SCANS, Control, LeftOut, SteeredMapper, TakeIn, Wish
+from service.mapstore.annotated import PALETTE, annotated
 from service.mapstore.begin_in import begin_in
 from service.mapstore.files import is_map_folder, save_map
 from service.mapstore.geo_file import GEO_FILE, write_geo
@@ -292,6 +293,7 @@ def write_replay(done: Replay, out: Path) -> None:
     geo.json, and none of an earlier replay stays; where they do, map.png has a world file beside it, as far
     as UTM reaches. Raises StorageError.
 
+    map.png is for people: cropped, with the way, the origin and a scale bar.
     Poses are written as a subscriber or an export of the live session has them, to the last digit.
     """
     try:
@@ -304,13 +306,14 @@ def write_replay(done: Replay, out: Path) -> None:
             (out / "graph.g2o").write_text(done.g2o, encoding="ascii")
         picture = picture_of_tiles(done.tiles)
         write_ros_map(out / "map.pgm", out / "map.yaml", picture)
-        write_png(out / "map.png", picture)
+        shown = annotated(picture, done.poses_map_base)
+        write_png(out / "map.png", shown, PALETTE)
         for name in (GEO_FILE, "map.pgw", "map.prj"):
             (out / name).unlink(missing_ok=True)
         if done.geo is not None:
             write_geo(out / GEO_FILE, done.geo)
             if abs(done.geo.origin.latitude_deg) < UTM_MOST_LATITUDE_DEG:
-                write_world_file(out / "map.png", picture, done.geo)
+                write_world_file(out / "map.png", shown, done.geo)
         _store_map(done, out / "map")
         (out / "summary.json").write_text(json.dumps(done.summary, indent=1) + "\n", encoding="ascii")
     except OSError as error:

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.mapper.profiles import METHODS
+from service.mapstore.ros_map import read_pgm
 from service.offline.score import RelationsScore, score
 from tests.papers.report import FOLDER, Row, Section
 
@@ -91,8 +92,7 @@ def _outcome(profile: str, name: str, recording: Path) -> Outcome:
             scored = score(Path(folder) / "trajectory.tum", recording.with_name(RELATIONS[name]))
             assert isinstance(scored, RelationsScore)
             relations = scored
-        grey = matplotlib.image.imread(Path(folder) / "map.png")
-        return Outcome(json.loads(done.stdout), relations, _shrunk((grey * 255).astype(np.uint8)))
+        return Outcome(json.loads(done.stdout), relations, _shrunk(read_pgm(Path(folder) / "map.pgm")))
 
 
 def _shrunk(grey: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
