@@ -88,6 +88,9 @@ class Service:
             is_localizing=config.mapping.mode == "localization",
             start_unix_ns=self._unix_ns(),
             map_folder=map_folder,
+            folders={
+                key: model.directory for key, model in config.sinks.items() if hasattr(model, "directory")
+            },
             metadata={
                 "corridor": {"version": VERSION, "vehicle": config.vehicle},
                 "config": {"yaml": config.text},

@@ -29,6 +29,7 @@ class SinkContext:
     is_localizing: bool  # whether the map is a stored one that stays as it is
     start_unix_ns: int  # Unix time at which the service was constructed
     map_folder: Path | None  # where this run's map is to be stored, if the caller asked for a folder
+    folders: Mapping[str, Path]  # section of the config -> its directory, of those that have one
     metadata: Mapping[str, Mapping[str, str]]  # name -> key -> text: version, config as YAML, clock
     tiles: TileStore  # the newest version of every tile of the map
     links: Mapping[str, LinkHealth]  # sensor name -> state of its link

@@ -1,6 +1,8 @@
 """The operator's page, as a sink; up as soon as it is constructed, so that a start can be watched too."""
 
 import logging
+from collections.abc import Mapping
+from pathlib import Path
 
 from service.encoding import WARNING, Message, Status
 from service.errors import StorageError
@@ -8,6 +10,7 @@ from service.publishing.commands import Answer, refusal
 from service.sinks.sink import Sink, SinkContext
 from service.web.access import new_token, state_folder, token_from_file
 from service.web.config import WebConfig
+from service.web.resources import Kind
 from service.web.server import About, WebServer
 
 log = logging.getLogger(__name__)
@@ -32,6 +35,7 @@ class WebSink(Sink):
             context.tiles,
             self._answer,
             self._token(config),
+            _folders(context),
         )
         self._server.start()
 
@@ -68,3 +72,11 @@ class WebSink(Sink):
         if not self._is_started:
             return refusal("the service is still starting; ask again when it maps")
         return self._command(verb, payload)
+
+
+def _folders(context: SinkContext) -> Mapping[Kind, Path] | None:
+    """None where the service stores no sessions or no maps."""
+    try:
+        return {"session": context.folders["recording"], "map": context.folders["map"]}
+    except KeyError:
+        return None

@@ -1,15 +1,22 @@
 """One browser's websocket: what it gets, and what it may ask."""
 
 import asyncio
-import json
 import logging
 from collections.abc import Awaitable, Callable
+from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from service.web.access import is_token
 from service.web.mailbox import Mailbox
-from service.web.protocol import AskedError, CommandAsked, TokenShown, read_asked, to_json
+from service.web.protocol import (
+    AskedError,
+    CommandAsked,
+    ResourceAsked,
+    TokenShown,
+    read_asked,
+    to_json,
+)
 from service.web.tile_feed import TileFeed
 
 log = logging.getLogger(__name__)
@@ -22,7 +29,7 @@ MOST_COMMANDS = 4  # of one browser, being carried out
 MOST_ASKED_PER_S = 20.0
 ASKED_BURST = 40.0
 
-CarryOut = Callable[[str, bytes], Awaitable[bytes]]  # verb, JSON -> JSON
+CarryOut = Callable[[CommandAsked | ResourceAsked], Awaitable[dict[str, Any]]]  # -> the answer's body
 
 
 class Browser:
@@ -105,7 +112,7 @@ class Browser:
                 case TokenShown(token=token):
                     if not await self._look_at(token):
                         return
-                case CommandAsked():
+                case CommandAsked() | ResourceAsked():
                     self._begin(asked)
 
     def _is_allowed_one_more(self) -> bool:
@@ -128,8 +135,9 @@ class Browser:
         await self.let_go(WSCloseCode.POLICY_VIOLATION, "too many wrong tokens")
         return False
 
-    def _begin(self, asked: CommandAsked) -> None:
-        if not self.may_control:
+    def _begin(self, asked: CommandAsked | ResourceAsked) -> None:
+        is_looking = isinstance(asked, ResourceAsked) and asked.action == "list"
+        if not self.may_control and not is_looking:
             self._answer(asked.n, {"ok": False, "error": "this needs the token; you may only look"})
         elif len(self._commands) >= MOST_COMMANDS:
             words = f"{MOST_COMMANDS} commands of this page are being carried out; wait for one to end"
@@ -139,9 +147,8 @@ class Browser:
             self._commands.add(task)
             task.add_done_callback(self._commands.discard)
 
-    async def _command(self, asked: CommandAsked) -> None:
-        body = await self._carry_out(asked.verb, json.dumps(asked.request).encode())
-        self._answer(asked.n, json.loads(body))
+    async def _command(self, asked: CommandAsked | ResourceAsked) -> None:
+        self._answer(asked.n, await self._carry_out(asked))
 
-    def _answer(self, n: int, body: dict[str, object]) -> None:
+    def _answer(self, n: int, body: dict[str, Any]) -> None:
         self.mailbox.note(to_json("answer", n=n, body=body))

@@ -9,6 +9,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -105,6 +106,7 @@ class LiveView:
         self._events: deque[str] = deque(maxlen=MOST_EVENTS)
         self._kept: dict[str, Payload] = {}  # by key, for a browser that comes late
         self._path = DrivenPath()
+        self.map_folders: list[Path] = []  # to which the service writes its map now
         self.unreadable = 0  # messages that did not decode
 
     def put(self, message: Message, origin_ns: int | None = None) -> None:
@@ -200,6 +202,9 @@ class LiveView:
 
     def _health(self, message: Message) -> list[Shown]:
         statuses, stamp_s = decode_diagnostics(message.payload), message.stamp_ns / 1e9
+        self.map_folders = [
+            Path(s.values["folder"]) for s in statuses if s.name == "map" and "folder" in s.values
+        ]
         since = {status.name: self._status_since(status, stamp_s) for status in statuses}
         return [self._keep("health", health_json(statuses, since, self._arrival_ms, stamp_s))]
 

@@ -53,7 +53,23 @@ class CommandAsked(BaseModel):
     request: dict[str, Any] = {}
 
 
-Asked = TokenShown | CommandAsked
+class ResourceAsked(BaseModel):
+    """Something about stored sessions and maps, see resources.py; only to list them needs no token.
+
+    to    rename: the new name; download: the format; undo: the number that delete gave
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    type: Literal["resource"]
+    n: Annotated[int, Field(ge=0, lt=2**53)]
+    action: Literal["list", "rename", "delete", "undo", "download"]
+    kind: Literal["session", "map"] = "session"
+    name: Annotated[str, Field(max_length=255)] = ""
+    to: Annotated[str, Field(max_length=255)] = ""
+
+
+Asked = TokenShown | CommandAsked | ResourceAsked
 _ASKED: TypeAdapter[Asked] = TypeAdapter(Annotated[Asked, Field(discriminator="type")])
 
 

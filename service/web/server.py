@@ -9,6 +9,7 @@ A page that cannot be served is said in health and tried again; mapping goes on 
 import asyncio
 import contextlib
 import hashlib
+import json
 import logging
 import ssl
 import threading
@@ -18,7 +19,8 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from importlib import resources
+from importlib.resources import files as package_files
+from pathlib import Path
 from typing import Any, Protocol
 
 from aiohttp import WSCloseCode, web
@@ -29,7 +31,9 @@ from service.web.access import HEADERS, host_fault, origin_fault, own_names
 from service.web.browser import Browser
 from service.web.config import WebConfig, split_listen
 from service.web.live_view import LiveView, Shown
-from service.web.protocol import LARGEST_ASKED, to_json
+from service.web.protocol import LARGEST_ASKED, CommandAsked, ResourceAsked, to_json
+from service.web.resources import Kind, Resources
+from service.web.shelf import Shelf
 from service.web.tile_feed import MapSource, TileFeed
 
 log = logging.getLogger(__name__)
@@ -74,6 +78,7 @@ class WebServer:
     tiles     the store of the map
     answer    carries out a command: verb, JSON -> JSON; may wait, in bounded time
     token     who shows it may give commands
+    folders   where sessions and maps are stored; None: the page shows none
     """
 
     def __init__(
@@ -83,6 +88,7 @@ class WebServer:
         tiles: MapSource,
         answer: Callable[[str, bytes], CommandAnswer],
         token: str,
+        folders: Mapping[Kind, Path] | None = None,
         retry_s: float = RETRY_S,
     ) -> None:
         self._config = config
@@ -96,6 +102,7 @@ class WebServer:
         self._view = LiveView(time.monotonic_ns)
         self._run_id = uuid.uuid4().hex  # another one: the service was started again
         self._files = _static_files()
+        self._shelf = Shelf(self._resources(folders) if folders else None)
         self._browsers: set[Browser] = set()
         self._workers = ThreadPoolExecutor(COMMAND_THREADS, thread_name_prefix="web-command")
         self._map_number = tiles.number
@@ -146,6 +153,9 @@ class WebServer:
                 log.error("web: still serving after %.0f s; the page is left behind", CLOSE_TIMEOUT_S)
         self._workers.shutdown(wait=False, cancel_futures=True)
 
+    def _resources(self, folders: Mapping[Kind, Path]) -> Resources:
+        return Resources(folders, lambda: self._view.map_folders, folders["session"] / ".exports")
+
     def _run(self) -> None:
         asyncio.run(self._serve())
 
@@ -155,6 +165,7 @@ class WebServer:
         runner = web.AppRunner(self._app(), access_log=None, handle_signals=False, shutdown_timeout=1.0)
         await runner.setup()
         showing = asyncio.create_task(self._show())
+        self._shelf.purge(self._workers)
         try:
             while not await self._listen(runner):
                 if await self._ends_within(self._retry_s):
@@ -203,27 +214,24 @@ class WebServer:
 
     def _app(self) -> web.Application:
         app = web.Application(middlewares=[self._guard], client_max_size=LARGEST_ASKED)
+        app.on_response_prepare.append(_add_headers)
         app.router.add_get("/", partial(self._file, "index.html"))
         for name in self._files:
             app.router.add_get(f"/{name}", partial(self._file, name))
         app.router.add_get("/ws", self._websocket)
+        app.router.add_get("/download/{ticket}/{name}", self._shelf.hand_out)
         return app
 
     @web.middleware
     async def _guard(self, request: web.Request, handler: Any) -> web.StreamResponse:
-        """Host and Origin first, for every request; strict headers on every response."""
+        """Host and Origin first, for every request."""
         fault = host_fault(request.host, self._names) or origin_fault(
             request.headers.get("Origin"), request.host, self._scheme
         )
         if fault:
             self._refused += 1
-            return web.Response(status=403, text=f"{fault}\n", headers=HEADERS)
-        try:
-            response: web.StreamResponse = await handler(request)
-        except web.HTTPException as error:
-            return web.Response(status=error.status, text=f"{error.reason}\n", headers=HEADERS)
-        if not response.prepared:
-            response.headers.update(HEADERS)
+            return web.Response(status=403, text=f"{fault}\n")
+        response: web.StreamResponse = await handler(request)
         return response
 
     async def _file(self, name: str, request: web.Request) -> web.Response:
@@ -287,10 +295,19 @@ class WebServer:
             shown.append(self._view.map_reset())
         return shown
 
-    async def _carry_out(self, verb: str, request: bytes) -> bytes:
+    async def _carry_out(self, asked: CommandAsked | ResourceAsked) -> dict[str, Any]:
+        if isinstance(asked, ResourceAsked):
+            return await self._shelf.carry_out(asked, self._workers)
         loop = asyncio.get_running_loop()
-        answer = await loop.run_in_executor(self._workers, self._answer, verb, request)
-        return answer.body
+        request = json.dumps(asked.request).encode()
+        answer = await loop.run_in_executor(self._workers, self._answer, asked.verb, request)
+        body: dict[str, Any] = json.loads(answer.body)
+        return body
+
+
+async def _add_headers(request: web.Request, response: web.StreamResponse) -> None:
+    """To every response, refusals and downloads too."""
+    response.headers.update(HEADERS)
 
 
 def _post(browser: Browser, shown: Shown) -> None:
@@ -303,7 +320,7 @@ def _post(browser: Browser, shown: Shown) -> None:
 def _static_files() -> Mapping[str, tuple[bytes, str, str]]:
     """By name: content, type, tag. Read once; nothing else of the disk can be asked for."""
     files = {}
-    for file in resources.files("service.web").joinpath("static").iterdir():
+    for file in package_files("service.web").joinpath("static").iterdir():
         kind = file.name.rpartition(".")[2]
         if kind in _TYPES:
             content = file.read_bytes()

@@ -74,7 +74,7 @@ def test_a_reset_asks_first(page, live, desk):
     page.choose("control")
     page.run("corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: ['reset_map']})")
     page.element("do-reset_map").click()
-    page.driver.find_element("css selector", "#confirm button[value=no]").click()
+    page.element("confirm-no").click()
     page.wait_for("return !document.getElementById('confirm').open")
     page.element("do-reset_map").click()
     page.element("confirm-yes").click()
@@ -158,6 +158,25 @@ def test_the_pose_is_set_by_dragging(page, live, desk):
     assert request == pytest.approx({"x_m": 1.0, "y_m": 2.0, "theta_rad": 1.5707963}, abs=0.03)
 
 
+def test_a_session_is_renamed_deleted_and_taken_back(page, serve, tmp_path):
+    (tmp_path / "a.mcap").write_bytes(b"a session")
+    page.open(serve(folders={"session": tmp_path, "map": tmp_path}).address, TOKEN)
+    page.wait_for("return corridor.report().mayControl")
+    page.choose("resources")
+    page.wait_for_text("resources", "a.mcap")
+    assert page.run("return document.querySelector('.stored a, .stored img')") is None
+    page.driver.find_element("css selector", '[aria-label="Rename\u2026 a.mcap"]').click()
+    page.element("confirm-input").send_keys("lap", Keys.ENTER)
+    page.wait_for_text("resources", "lap.mcap")
+    page.driver.find_element("css selector", '[aria-label="Delete\u2026 lap.mcap"]').click()
+    page.element("confirm-yes").click()
+    page.wait_for_text("notices", "lap.mcap is deleted.")
+    assert not (tmp_path / "lap.mcap").exists()
+    page.driver.find_element("xpath", "//div[@id='notices']//button[text()='Undo']").click()
+    page.wait_for_text("notices", "lap.mcap is back.")
+    assert (tmp_path / "lap.mcap").read_bytes() == b"a session"
+
+
 def test_tabs_are_worked_with_the_arrow_keys(page, live):
     page.element("tab-information").send_keys(Keys.ARROW_RIGHT)
     assert page.element("control").is_displayed()
@@ -176,7 +195,7 @@ def test_everything_can_be_reached_with_the_keyboard(page, live):
 
 def test_nothing_is_wider_than_a_phone(page, live):
     page.resize(PHONE)
-    for area in ("map", "information", "control"):
+    for area in ("map", "information", "control", "resources"):
         page.choose(area)
         assert page.run("return document.documentElement.scrollWidth") <= PHONE[0]
         wide = "[...document.querySelectorAll('.card')].filter((c) => c.scrollWidth > c.clientWidth + 1)"
@@ -188,7 +207,7 @@ def test_nothing_is_wider_than_a_phone(page, live):
 def test_axe_finds_nothing_serious(page, live, axe, size, is_dark):
     page.resize(size, is_dark)
     page.run(axe)
-    for area in ("information", "control"):
+    for area in ("information", "control", "resources"):
         page.choose(area)
         result = page.driver.execute_async_script(
             "axe.run().then((found) => arguments[0](found), (error) => arguments[0]({error: String(error)}))"

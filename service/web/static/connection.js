@@ -69,11 +69,20 @@ export class Connection {
 
   /** Ask for a command; resolves to its answer, {ok, error?, ...}. */
   command(verb, request = {}) {
+    return this.#ask({ type: "command", verb, request });
+  }
+
+  /** Ask about stored sessions and maps; resolves to {ok, error?, ...}. */
+  resource(asked) {
+    return this.#ask({ type: "resource", ...asked });
+  }
+
+  #ask(message) {
     this.number += 1;
     const n = this.number;
     return new Promise((settle) => {
       this.waiting.set(n, settle);
-      if (!this.#send({ type: "command", n, verb, request })) {
+      if (!this.#send({ ...message, n })) {
         this.waiting.delete(n);
         settle({ ok: false, error: "there is no connection to the vehicle" });
       }

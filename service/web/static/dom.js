@@ -52,23 +52,35 @@ export class Facts {
 
 const NOTICE_MS = 8000;
 
-/** Say something at the edge of the page. level: "ok", "error" or "none". */
-export const notice = (text, level = "none") => {
+/** Say something at the edge of the page. level: "ok", "error" or "none"; offer: {text, act} of a button. */
+export const notice = (text, level = "none", offer = null) => {
   const close = element("button", { type: "button", className: "quiet", "aria-label": "Close notice" }, "\u00d7");
   const node = element("div", { className: "notice", "data-level": level }, element("span", {}, text), close);
+  if (offer) {
+    const button = element("button", { type: "button" }, offer.text);
+    button.addEventListener("click", () => { node.remove(); offer.act(); });
+    close.before(button);
+  }
   close.addEventListener("click", () => node.remove());
   byId("notices").append(node);
-  if (level !== "error") setTimeout(() => node.remove(), NOTICE_MS);
+  if (level !== "error") setTimeout(() => node.remove(), offer ? 4 * NOTICE_MS : NOTICE_MS);
   while (byId("notices").children.length > 4) byId("notices").firstChild.remove();
 };
 
-/** Ask before something that cannot be taken back; resolves to true or false. */
-export const confirmed = (title, text, yes) => new Promise((settle) => {
+/** Ask before something happens; resolves to true or false, or, where a text is to be changed, to the new one. */
+export const confirmed = (title, text, yes, given = null) => new Promise((settle) => {
   const dialog = byId("confirm");
   setText(byId("confirm-title"), title);
   setText(byId("confirm-text"), text);
   setText(byId("confirm-yes"), yes);
+  const input = byId("confirm-input");
+  input.hidden = given === null;
+  input.value = given ?? "";
   dialog.returnValue = "no";
-  dialog.addEventListener("close", () => settle(dialog.returnValue === "yes"), { once: true });
+  dialog.addEventListener("close", () => {
+    const isYes = dialog.returnValue === "yes";
+    settle(given === null ? isYes : isYes && input.value.trim());
+  }, { once: true });
   dialog.showModal();
+  if (given !== null) input.select();
 });

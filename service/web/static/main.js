@@ -7,6 +7,7 @@ import { fixed } from "./format.js";
 import { Gestures } from "./gestures.js";
 import { Information, LEVELS } from "./information.js";
 import { MapView, scaleBar } from "./map_view.js";
+import { Resources } from "./resources.js";
 import { chooseTab, setUpTabs } from "./tabs.js";
 import { setUpTheme } from "./theme.js";
 import { MeasureTool, PoseTool } from "./tools.js";
@@ -29,7 +30,10 @@ const connection = new Connection({
     control.putVerbs(hello);
   },
   verbs: (message) => control.putVerbs(message),
-  access: (access) => control.putAccess(access),
+  access: (access) => {
+    control.putAccess(access);
+    if (!byId("resources").hidden) resources.refresh();
+  },
   refused: ({ error }) => console.error(error),
   tiles: (message) => { view.putTiles(message); byId("empty").hidden = view.tiles.tiles.size > 0; },
   path: (message) => view.putPath(message),
@@ -58,6 +62,8 @@ const control = new Control(byId("control"), connection, (done) => setTool(new P
   setTool(null);
   done(pose);
 })));
+const resources = new Resources(byId("resources"), connection);
+byId("tab-resources").addEventListener("click", () => resources.refresh());
 const gestures = new Gestures(byId("map"), view, () => tool, () => showFollow());
 
 /** The one thing that everybody should see at once: is it well, and if not, why. */
@@ -139,6 +145,7 @@ byId("map").addEventListener("keydown", (event) => {
 });
 document.addEventListener("keydown", (event) => { if (event.key === "Escape" && tool) setTool(null); });
 
+byId("confirm-no").addEventListener("click", () => byId("confirm").close("no"));
 setUpTabs();
 setUpTheme(() => { view.readColours(); information.plot.draw(); });
 showLayers();

@@ -26,7 +26,7 @@ export const setUpTabs = () => {
     if (!step) return;
     const shown = tabs(), next = shown[(shown.indexOf(document.activeElement) + step + shown.length) % shown.length];
     next.focus();
-    chooseTab(next.id.slice("tab-".length));
+    next.click();
     event.preventDefault();
   });
   const fitToScreen = () => {

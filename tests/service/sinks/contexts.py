@@ -16,6 +16,7 @@ def sink_context(**parts: Any) -> SinkContext:
         "is_localizing": False,
         "start_unix_ns": 1_700_000_000_000_000_000,
         "map_folder": None,
+        "folders": {},
         "metadata": {},
         "tiles": TileStore(),
         "links": {},

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import aiohttp
@@ -51,10 +52,12 @@ def serve(store: TileStore, desk: Desk) -> Iterator[Callable[..., WebServer]]:
     """Starts a page; by default at any free port of this machine."""
     opened: list[WebServer] = []
 
-    def start(wait: bool = True, retry_s: float = 0.05, **settings: Any) -> WebServer:
+    def start(
+        wait: bool = True, retry_s: float = 0.05, folders: dict[Any, Path] | None = None, **settings: Any
+    ) -> WebServer:
         config = WebConfig(**{"listen": "127.0.0.1:0", **settings})
         about = About("veh1", "corridor", lambda: ["mark", "wait"])
-        opened.append(WebServer(config, about, store, desk.answer, TOKEN, retry_s=retry_s))
+        opened.append(WebServer(config, about, store, desk.answer, TOKEN, folders, retry_s))
         opened[-1].start()
         assert not wait or opened[-1].wait_served(TIMEOUT_S)
         return opened[-1]

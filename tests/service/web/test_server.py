@@ -244,6 +244,38 @@ def test_a_command_that_takes_long_holds_up_neither_poses_nor_others(serve, desk
     talk(server, ask)
 
 
+def test_stored_things_are_listed_for_all_and_handed_out_once_for_the_token(serve, tmp_path):
+    (tmp_path / "a.mcap").write_bytes(b"a session")
+
+    async def ask(client):
+        async with client.socket() as socket:
+            await client.ask(socket, type="resource", n=1, action="list")
+            listed = (await client.next(socket, "answer"))["body"]
+            assert [entry["name"] for entry in listed["session"]] == ["a.mcap"]
+            for n, action in enumerate(("download", "delete", "rename", "undo"), start=2):
+                await client.ask(socket, type="resource", n=n, action=action, name="a.mcap", to="mcap")
+                assert "token" in (await client.next(socket, "answer"))["body"]["error"]
+            await client.ask(socket, type="token", token=TOKEN)
+            await client.ask(socket, type="resource", n=9, action="download", name="a.mcap", to="mcap")
+            url = (await client.next(socket, "answer"))["body"]["url"]
+            for status in (200, 404):  # a ticket is good for once
+                async with client.session.get(client.address.rstrip("/") + url) as response:
+                    assert response.status == status
+                    content = await response.read()
+                    if status == 200:
+                        assert content == b"a session"
+                        assert response.headers["Content-Disposition"] == 'attachment; filename="a.mcap"'
+                        assert response.headers["X-Content-Type-Options"] == "nosniff"
+            await client.ask(socket, type="resource", n=10, action="delete", name="a.mcap")
+            number = (await client.next(socket, "answer"))["body"]["undo"]
+            assert not (tmp_path / "a.mcap").exists()
+            await client.ask(socket, type="resource", n=11, action="undo", to=number)
+            assert (await client.next(socket, "answer"))["body"] == {"ok": True, "name": "a.mcap"}
+            assert (tmp_path / "a.mcap").exists()
+
+    talk(serve(folders={"session": tmp_path, "map": tmp_path}), ask)
+
+
 def test_only_so_many_browsers_look_at_once(serve):
     async def look(client):
         async with client.socket() as first, client.socket() as second:

@@ -1,0 +1,214 @@
+"""Stored sessions and maps: list, rename, delete, take back, export. Blocks; knows nothing of the network.
+
+What is deleted goes to `.deleted/` beside it, from where `undo` brings it back; `purge` erases it for good.
+"""
+
+import os
+import re
+import secrets
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+Kind = Literal["session", "map"]
+
+FORMATS: Mapping[Kind, tuple[str, ...]] = {  # the first is what is stored; the others are exports of it
+    "session": ("mcap", "tum", "csv", "png", "pgm", "geojson", "kml"),
+    "map": ("zip", "png", "pgm", "geojson"),
+}
+MOST_LISTED = 500  # of a kind, newest first
+EXPORT_TIMEOUT_S = 300.0
+DELETED = ".deleted"
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
+
+
+class ResourceError(Exception):
+    """Why something is not done, in words for who asked."""
+
+
+@dataclass(frozen=True, slots=True)
+class Download:
+    """A file to be handed out; `scratch` is removed afterwards."""
+
+    path: Path
+    name: str
+    scratch: Path | None = None
+
+    def clean_up(self) -> None:
+        if self.scratch is not None:
+            shutil.rmtree(self.scratch, ignore_errors=True)
+
+
+class Resources:
+    """Thread-safe.
+
+    folders    where each kind lies
+    in_use     paths that the service itself writes to now
+    scratch    folder for exports on their way; made when it is needed
+    """
+
+    def __init__(
+        self, folders: Mapping[Kind, Path], in_use: Callable[[], Collection[Path]], scratch: Path
+    ) -> None:
+        self._folders = folders
+        self._in_use = in_use
+        self._scratch = scratch
+        self._lock = threading.Lock()
+        self._exporting = threading.Lock()  # one at a time: the vehicle has other work
+        self._deleted: dict[str, tuple[Kind, str]] = {}
+
+    def listing(self) -> dict[str, Any]:
+        """By kind, newest first: name, bytes, time of the last change (Unix, s), whether it is in use."""
+        in_use = {path.resolve() for path in self._in_use()}
+        found: dict[str, Any] = {"formats": {kind: list(formats) for kind, formats in FORMATS.items()}}
+        for kind in self._folders:
+            entries = [self._entry(path, in_use) for path in self._paths(kind)]
+            entries.sort(key=lambda entry: (-entry["changed_s"], entry["name"]))
+            found[kind] = entries[:MOST_LISTED]
+        return found
+
+    def rename(self, kind: Kind, name: str, to: str) -> str:
+        """The new name; a session keeps its .mcap. Raises ResourceError."""
+        with self._lock:
+            path = self._own(kind, name)
+            if kind == "session" and not to.endswith(".mcap"):
+                to += ".mcap"
+            if _NAME.fullmatch(to) is None:
+                raise ResourceError(
+                    f"{to!r} is no name for a {kind}: write letters, digits, _ . and -, at most 100, "
+                    "a letter or digit first"
+                )
+            target = path.with_name(to)
+            if target.exists():
+                raise ResourceError(f"there is a {to} already")
+            self._move(path, target)
+            return to
+
+    def delete(self, kind: Kind, name: str) -> str:
+        """Put it aside; the number that `undo` takes. Raises ResourceError."""
+        with self._lock:
+            path = self._own(kind, name)
+            number = secrets.token_hex(8)
+            aside = path.parent / DELETED / number
+            try:
+                aside.mkdir(parents=True)
+            except OSError as error:
+                raise ResourceError(f"{name} cannot be deleted: {error}") from error
+            self._move(path, aside / name)
+            self._deleted[number] = (kind, name)
+            return number
+
+    def undo(self, number: str) -> str:
+        """Bring back what was deleted; its name. Raises ResourceError."""
+        with self._lock:
+            if number not in self._deleted:
+                raise ResourceError("that was brought back already, or deleted before the service started")
+            kind, name = self._deleted[number]
+            target = self._folders[kind] / name
+            if target.exists():
+                raise ResourceError(f"there is another {name} by now; rename it first")
+            aside = self._folders[kind] / DELETED / number
+            self._move(aside / name, target)
+            del self._deleted[number]
+            shutil.rmtree(aside, ignore_errors=True)
+            return name
+
+    def purge(self) -> None:
+        """Erase what was deleted before this run, and exports that a killed run left."""
+        for folder in set(self._folders.values()):
+            shutil.rmtree(folder / DELETED, ignore_errors=True)
+        shutil.rmtree(self._scratch, ignore_errors=True)
+
+    def download(self, kind: Kind, name: str, to: str) -> Download:
+        """As it is stored, or exported by a process of its own. Raises ResourceError."""
+        path = self._own(kind, name, is_changed=False)
+        if to not in FORMATS[kind]:
+            raise ResourceError(f"{to!r}: a {kind} is had as {', '.join(FORMATS[kind])}")
+        if to == "mcap":
+            return Download(path, name)
+        if not self._exporting.acquire(blocking=False):
+            raise ResourceError("another export is being made; ask again when it is done")
+        try:
+            return self._export(path, to)
+        finally:
+            self._exporting.release()
+
+    def _export(self, path: Path, to: str) -> Download:
+        scratch = self._scratch / secrets.token_hex(8)
+        stem = path.name.removesuffix(".mcap")
+        try:
+            made = scratch / stem
+            made.mkdir(parents=True)
+            if to == "zip":
+                shutil.copytree(path, made, dirs_exist_ok=True, symlinks=False)
+            else:
+                _run_export(path, to, made / f"{stem}.{to}")
+            files = list(made.iterdir())
+            if len(files) == 1 and files[0].is_file():
+                return Download(files[0], files[0].name, scratch)
+            archive = shutil.make_archive(str(scratch / stem), "zip", scratch, stem)
+            return Download(Path(archive), f"{stem}.zip", scratch)
+        except OSError as error:
+            shutil.rmtree(scratch, ignore_errors=True)
+            raise ResourceError(f"{path.name} cannot be exported: {error}") from error
+        except ResourceError:
+            shutil.rmtree(scratch, ignore_errors=True)
+            raise
+
+    def _paths(self, kind: Kind) -> list[Path]:
+        folder = self._folders[kind]
+        if not folder.is_dir():
+            return []
+        if kind == "session":
+            return [path for path in folder.glob("*.mcap*") if path.suffix in (".mcap", ".active")]
+        return [path.parent for path in folder.glob("*/map.yaml") if path.parent.name != DELETED]
+
+    def _entry(self, path: Path, in_use: Collection[Path]) -> dict[str, Any]:
+        try:
+            files = [path] if path.is_file() else [p for p in path.rglob("*") if not p.is_symlink()]
+            size = sum(file.stat().st_size for file in files if file.is_file())
+            changed_s = path.stat().st_mtime
+        except OSError:  # gone meanwhile
+            size, changed_s = 0, 0.0
+        return {
+            "name": path.name,
+            "bytes": size,
+            "changed_s": changed_s,
+            "in_use": path.suffix == ".active" or path.resolve() in in_use,
+        }
+
+    def _own(self, kind: Kind, name: str, is_changed: bool = True) -> Path:
+        """Only what the listing has: a name can lead nowhere else. Raises ResourceError."""
+        for path in self._paths(kind):
+            if path.name == name:
+                if path.suffix == ".active":
+                    raise ResourceError(f"{name} is being recorded; stop the recording first")
+                if is_changed and path.resolve() in {used.resolve() for used in self._in_use()}:
+                    raise ResourceError(f"{name} is in use by the service")
+                return path
+        raise ResourceError(f"there is no {kind} {name!r}")
+
+    def _move(self, path: Path, target: Path) -> None:
+        try:
+            os.rename(path, target)
+        except OSError as error:
+            raise ResourceError(f"{path.name} cannot be moved to {target}: {error}") from error
+
+
+def _run_export(source: Path, to: str, out: Path) -> None:
+    """`corridor export`, in a process of its own that gives way: no export holds up a reader of a device."""
+    command = [sys.executable, "-m", "service", "export", str(source), "--format", to, "--out", str(out)]
+    if nice := shutil.which("nice"):
+        command = [nice, "-n", "10", *command]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=EXPORT_TIMEOUT_S, check=False)
+    except subprocess.TimeoutExpired as error:
+        raise ResourceError(f"the export took longer than {EXPORT_TIMEOUT_S:.0f} s and was ended") from error
+    if done.returncode != 0:
+        said = done.stderr.strip().splitlines()
+        raise ResourceError(said[-1] if said else f"the export ended with exit code {done.returncode}")

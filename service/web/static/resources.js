@@ -1,0 +1,98 @@
+// The area Resources: stored maps and sessions; to have, to name, to delete and to take back.
+
+import { card, confirmed, element, notice, setText } from "./dom.js";
+import { bytes } from "./format.js";
+
+const KINDS = { map: "Maps", session: "Sessions" };
+const SHOWN = 30; // of a kind; the rest on demand
+
+export class Resources {
+  constructor(root, connection) {
+    this.connection = connection;
+    this.formats = {};
+    this.lists = {};
+    const refresh = element("button", { type: "button", onclick: () => this.refresh() }, "Refresh");
+    root.append(element("div", { className: "row" }, refresh,
+      element("span", { className: "note" }, "Deleted things can be taken back until the service starts again.")));
+    for (const [kind, title] of Object.entries(KINDS)) {
+      const { node, aside } = card(title);
+      const list = element("ul", { className: "stored" });
+      node.append(list);
+      root.append(node);
+      this.lists[kind] = { list, aside };
+    }
+  }
+
+  async refresh() {
+    const answer = await this.connection.resource({ action: "list" });
+    if (!answer.ok) {
+      notice(`Resources: ${answer.error}.`, "error");
+      return;
+    }
+    this.formats = answer.formats;
+    for (const kind of Object.keys(KINDS)) this.#show(kind, answer[kind]);
+  }
+
+  #show(kind, entries) {
+    const { list, aside } = this.lists[kind];
+    const size = entries.reduce((sum, entry) => sum + entry.bytes, 0);
+    setText(aside, `${entries.length}, ${bytes(size)}`);
+    list.replaceChildren(...entries.slice(0, SHOWN).map((entry) => this.#entry(kind, entry)));
+    if (entries.length === 0) list.append(element("li", { className: "note" }, "None stored."));
+    if (entries.length > SHOWN) {
+      const all = element("button", { type: "button" }, `Show all ${entries.length}`);
+      all.addEventListener("click", () => list.replaceChildren(...entries.map((entry) => this.#entry(kind, entry))));
+      list.append(element("li", {}, all));
+    }
+  }
+
+  #entry(kind, entry) {
+    const may = this.connection.mayControl;
+    const when = new Date(1000 * entry.changed_s).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
+    const format = element("select", { "aria-label": `Format of ${entry.name}` },
+      ...this.formats[kind].map((name) => element("option", { value: name }, name)));
+    const act = (text, label, onclick, isOff, className = "") => element("button",
+      { type: "button", className, onclick, disabled: isOff, "aria-label": `${text} ${label}` }, text);
+    const isBeingWritten = entry.name.endsWith(".active");
+    return element("li", {},
+      element("p", { className: "stored-name" }, entry.name),
+      element("p", { className: "note" }, `${bytes(entry.bytes)}, ${when}${entry.in_use ? ", in use" : ""}`),
+      element("div", { className: "row" }, format,
+        act("Download", entry.name, () => this.#download(kind, entry.name, format.value), !may || isBeingWritten),
+        act("Rename\u2026", entry.name, () => this.#rename(kind, entry.name), !may || entry.in_use),
+        act("Delete\u2026", entry.name, () => this.#delete(kind, entry.name), !may || entry.in_use, "danger")));
+  }
+
+  async #download(kind, name, to) {
+    notice(`${name} is being made ready as ${to}.`);
+    const answer = await this.connection.resource({ action: "download", kind, name, to });
+    if (!answer.ok) {
+      notice(`${name}: ${answer.error}.`, "error");
+      return;
+    }
+    element("a", { href: answer.url, download: "" }).click();
+  }
+
+  async #rename(kind, name) {
+    const to = await confirmed(`Rename ${name}`, "The new name: letters, digits, _ . and -", "Rename", name);
+    if (!to || to === name) return;
+    const answer = await this.connection.resource({ action: "rename", kind, name, to });
+    notice(answer.ok ? `${name} is called ${answer.name} now.` : `${name}: ${answer.error}.`, answer.ok ? "ok" : "error");
+    this.refresh();
+  }
+
+  async #delete(kind, name) {
+    const isSure = await confirmed(`Delete ${name}?`, "It can be taken back until the service starts again; then it is erased.", "Delete");
+    if (!isSure) return;
+    const answer = await this.connection.resource({ action: "delete", kind, name });
+    if (answer.ok) notice(`${name} is deleted.`, "none", { text: "Undo", act: () => this.#undo(answer.undo) });
+    else notice(`${name}: ${answer.error}.`, "error");
+    this.refresh();
+  }
+
+  async #undo(to) {
+    const answer = await this.connection.resource({ action: "undo", to });
+    notice(answer.ok ? `${answer.name} is back.` : `Undo: ${answer.error}.`, answer.ok ? "ok" : "error");
+    this.refresh();
+  }
+}
