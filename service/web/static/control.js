@@ -4,7 +4,7 @@ import { card, confirmed, element, notice, setText } from "./dom.js";
 import { degrees, fixed } from "./format.js";
 
 export class Control {
-  /** point(tool or null): take over the map's clicks. */
+  /** startPoseTool(done): have a pose drawn on the map; done({x_m, y_m, theta_rad}), map frame. */
   constructor(root, connection, startPoseTool) {
     this.connection = connection;
     this.startPoseTool = startPoseTool;
@@ -109,10 +109,8 @@ export class Control {
 
   #setPose() {
     this.startPoseTool(async ({ x_m, y_m, theta_rad }) => {
-      const request = { x_m, y_m, ...(theta_rad === null ? {} : { theta_rad }) };
-      const heading = theta_rad === null ? "heading unknown" : `heading ${degrees(theta_rad)}`;
-      const isSure = await confirmed("Set the pose?", `x ${fixed(x_m, 2, " m")}, y ${fixed(y_m, 2, " m")}, ${heading}.`, "Set pose");
-      if (isSure) this.ask("set_pose", request);
+      const words = `x ${fixed(x_m, 2, " m")}, y ${fixed(y_m, 2, " m")}, heading ${degrees(theta_rad)}.`;
+      if (await confirmed("Set the pose?", words, "Set pose")) this.ask("set_pose", { x_m, y_m, theta_rad });
     });
   }
 }

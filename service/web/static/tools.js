@@ -2,6 +2,8 @@
 
 import { degrees, metres } from "./format.js";
 
+const SHORTEST_DRAG_PIXELS = 12;
+
 const drawLine = (context, from, to, colour) => {
   context.strokeStyle = colour;
   context.fillStyle = colour;
@@ -71,11 +73,11 @@ export class PoseTool {
   up() {
     if (!this.from) return;
     const dx = this.to[0] - this.from[0], dy = this.to[1] - this.from[1];
-    const theta_rad = Math.hypot(dx, dy) * this.view.camera.scale < 8 ? null : Math.atan2(dy, dx);
-    const pose = { x_m: this.from[0], y_m: this.from[1], theta_rad };
+    const pose = { x_m: this.from[0], y_m: this.from[1], theta_rad: Math.atan2(dy, dx) };
+    const isDrag = Math.hypot(dx, dy) * this.view.camera.scale >= SHORTEST_DRAG_PIXELS;
     this.from = this.to = null;
     this.view.invalidate();
-    this.done(pose);
+    if (isDrag) this.done(pose); // a click says nothing about the heading
   }
 
   draw(context, camera, colours) {

@@ -1,0 +1,173 @@
+"""What the page costs and how fast it is, in Chromium on this machine: `python -m tests.browser.measure`.
+
+A figure here depends on the machine and on what else it does, so it is printed and judged by people.
+"""
+
+import json
+import shutil
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from selenium import webdriver
+from selenium.webdriver.chrome.service import Service
+
+from drivers.frames import LaserScan
+from service.encoding import encode_frame
+from service.mapstore.tiles import TileStore
+from service.publishing.commands import Answer
+from service.web.config import WebConfig
+from service.web.server import About, WebServer
+from tests.browser.conftest import DESKTOP, Page
+from tests.browser.scene import Scene, stamp
+
+LASERS = (("front", 541, 50.0), ("rear", 1081, 40.0), ("lux", 440, 25.0))
+STEADY_S = 10.0
+PAN_S = 5.0
+
+
+@contextmanager
+def chromium() -> Iterator[Page]:
+    options = webdriver.ChromeOptions()
+    options.binary_location = shutil.which("chromium") or "chromium"
+    for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"):
+        options.add_argument(argument)
+    driver = webdriver.Chrome(
+        options=options, service=Service(shutil.which("chromedriver") or "chromedriver")
+    )
+    try:
+        page = Page(driver)
+        page.resize(DESKTOP)
+        yield page
+    finally:
+        driver.quit()
+
+
+@contextmanager
+def driving(server: WebServer, scene: Scene) -> Iterator[None]:
+    """As much as a vehicle with three lasers puts out, a quarter of the tiles around it changing."""
+    ended = threading.Event()
+    scans: dict[str, LaserScan] = {name: scene.scan("front", 0.0, beams) for name, beams, _ in LASERS}
+    tiles = scene.tiles()
+    random = np.random.default_rng(1)
+
+    def drive() -> None:
+        began_s, due_s = time.monotonic(), dict.fromkeys(scans, 0.0)
+        tick = 0
+        while not ended.wait(0.005):
+            seconds = time.monotonic() - began_s
+            for name, _, rate_hz in LASERS:
+                if seconds >= due_s[name]:
+                    due_s[name] += 1.0 / rate_hz
+                    held = scans[name]
+                    frame = LaserScan(
+                        name, stamp(seconds), stamp(seconds), held.beam_interval_ns, held.scan_period_ns,
+                        held.first_angle_rad, held.angle_step_rad, held.range_min_m, held.range_max_m,
+                        held.range_m, held.intensity,
+                    )  # fmt: skip
+                    server.put(encode_frame(frame))
+                    server.put(scene.messages(seconds)[1], time.monotonic_ns())
+            if (tick := tick + 1) % 40 == 0:
+                server.put(scene.messages(seconds)[-1])
+                changed = []
+                for tile in random.choice(len(tiles), 6, replace=False):
+                    cells = tiles[tile].cells.copy()
+                    cells[random.integers(0, 64, 40), random.integers(0, 64, 40)] = random.integers(
+                        0, 101, 40
+                    )
+                    version = scene.store.version + len(changed) + 1
+                    changed.append(type(tiles[0])(0, tiles[tile].ix, tiles[tile].iy, version, 0.05, cells))
+                scene.store.update(changed)
+
+    thread = threading.Thread(target=drive)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def new_server(store: TileStore) -> WebServer:
+    about = About("veh1", "corridor", lambda: [])
+    server = WebServer(
+        WebConfig(listen="127.0.0.1:0"), about, store, lambda verb, payload: Answer(True, b"{}"), "t"
+    )
+    server.start()
+    assert server.wait_served(10.0)
+    return server
+
+
+def measure_large_map(page: Page) -> dict[str, float]:
+    """A room of 12 000 m2, its cells in noise so that nothing compresses away unduly."""
+    scene = Scene(half_x_m=75.0, half_y_m=40.0)
+    random = np.random.default_rng(1)
+    for tile in scene.tiles():
+        cells = tile.cells.copy()
+        known = cells >= 0
+        cells[known] = np.where(random.random(known.sum()) < 0.1, 100, random.integers(0, 12, known.sum()))
+        scene.store.update([type(tile)(0, tile.ix, tile.iy, tile.version, tile.cell_m, cells)])
+    server = new_server(scene.store)
+    began_s = time.monotonic()
+    page.driver.get(server.address)
+    page.wait_for(
+        "return window.corridor && corridor.report().tiles >= arguments[0]", len(scene.store.since(0))
+    )
+    opened_s = time.monotonic() - began_s
+    page.run("corridor.view.fit()")
+    result = page.driver.execute_async_script(
+        "const done = arguments[1], v = corridor.view, began = performance.now();"
+        "let frames = 0; v.drawn_ms.length = 0;"
+        "const median = (values) => values.toSorted((a, b) => a - b)[values.length >> 1];"
+        "const step = (now) => { frames += 1; v.camera.panBy(8 * Math.cos(now / 300), 8 * Math.sin(now / 300));"
+        "v.camera.scale = 12 + 8 * Math.sin(now / 900); v.invalidate();"
+        "if (now < began + 1000 * arguments[0]) requestAnimationFrame(step);"
+        "else done([1000 * frames / (now - began), median(v.drawn_ms)]); };"
+        "requestAnimationFrame(step);",
+        PAN_S,
+    )
+    bytes_received = page.report()["bytes"]
+    server.close()
+    return {
+        "square_metres": 4 * scene.half_x_m * scene.half_y_m,
+        "opened_s": round(opened_s, 2),
+        "megabytes": round(bytes_received / 1e6, 2),
+        "frames_per_s_panning": round(result[0], 1),
+        "draw_ms_p50": round(result[1], 2),
+    }
+
+
+def measure_steady(page: Page) -> dict[str, float]:
+    scene = Scene()
+    scene.map_all()
+    server = new_server(scene.store)
+    with driving(server, scene):
+        page.driver.get(server.address)
+        page.wait_for("return window.corridor && corridor.report().pose !== null")
+        time.sleep(2.0)
+        before, before_cpu_s = page.report()["bytes"], time.process_time()
+        time.sleep(STEADY_S)
+        kilobits = (page.report()["bytes"] - before) * 8e-3 / STEADY_S
+        cpu = 100 * (time.process_time() - before_cpu_s) / STEADY_S
+        page.driver.get("about:blank")
+        time.sleep(2.0)
+        before_cpu_s = time.process_time()
+        time.sleep(STEADY_S)
+        idle = 100 * (time.process_time() - before_cpu_s) / STEADY_S
+    server.close()
+    return {
+        "kilobits_per_s": round(kilobits),
+        "cpu_percent_with_one": round(cpu, 1),
+        "cpu_percent_with_none": round(idle, 1),
+    }
+
+
+def main() -> None:
+    with chromium() as page:
+        print(json.dumps({"large_map": measure_large_map(page), "steady": measure_steady(page)}, indent=1))
+
+
+if __name__ == "__main__":
+    main()
