@@ -156,6 +156,15 @@ def _add_offline(commands: Any) -> None:
         "--reference", metavar="LASER", help="whose clock and place the others' are compared with"
     )
 
+    view = _add(commands, "view", "a stored map or a replay's result on the operator's page, until Ctrl-C")
+    view.add_argument("source", type=Path, metavar="RESULT|MAP", help="the folder of either")
+    view.add_argument(
+        "--listen",
+        default="127.0.0.1:8080",
+        metavar="HOST:PORT",
+        help="where the page is served (default: 127.0.0.1:8080; port 0: any free one)",
+    )
+
     score = _add(commands, "score", "a trajectory against the truth: ATE, RPE, closure, relations")
     score.add_argument("estimate", type=Path, metavar="EST.tum")
     score.add_argument(

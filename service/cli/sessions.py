@@ -1,8 +1,11 @@
-"""replay, import, recover, export, score: work on files."""
+"""replay, import, recover, export, view, score: work on files."""
 
 import argparse
+import sys
+import threading
 
 from service.cli.console import print_report, print_result, progress
+from service.errors import UsageError
 from service.kernel_cache import ensure_cache_dir
 
 
@@ -48,6 +51,26 @@ def export(parsed: argparse.Namespace) -> int:
 
     export_file(parsed.input, parsed.format, parsed.out)
     print_result({"input": str(parsed.input), "format": parsed.format, "out": str(parsed.out)}, parsed.json)
+    return 0
+
+
+def view(parsed: argparse.Namespace) -> int:
+    from service.offline.view import open_view
+    from service.web.config import split_listen
+
+    try:
+        split_listen(parsed.listen)
+    except ValueError as error:
+        raise UsageError(f"--listen {parsed.listen}: {error}") from error
+    server = open_view(parsed.source, parsed.listen)
+    try:
+        print_result({"source": str(parsed.source), "address": server.address}, parsed.json)
+        sys.stdout.flush()
+        threading.Event().wait()  # until a signal
+    except KeyboardInterrupt:
+        return 0
+    finally:
+        server.close()
     return 0
 
 

@@ -29,7 +29,7 @@ from service.encoding import (
 from service.errors import InputError
 from service.geometry.se2 import SE2
 from service.web.mailbox import Payload
-from service.web.protocol import encode_path, encode_scan, health_json, pose_json, to_json
+from service.web.protocol import FloatArray, encode_path, encode_scan, health_json, pose_json, to_json
 
 SCAN_PERIOD_NS = 200_000_000  # of one laser; five pictures a second look alive and take 20 kB
 LATENCY_PERIOD_NS = 1_000_000_000
@@ -152,6 +152,11 @@ class LiveView:
             *(Shown("", text) for text in self._events),
             *(Shown(key, payload) for key, payload in self._kept.items()),
         ]
+
+    def put_path(self, points_map: FloatArray) -> None:
+        """Take a way that was driven before; (N, 2), m, map frame. Before the first `due`."""
+        for x_m, y_m in points_map.tolist():
+            self._path.add(x_m, y_m)
 
     def map_reset(self) -> Shown:
         """The map begins anew, and with it the path."""

@@ -31,7 +31,7 @@ from service.web.access import HEADERS, host_fault, origin_fault, own_names
 from service.web.browser import Browser
 from service.web.config import WebConfig, split_listen
 from service.web.live_view import LiveView, Shown
-from service.web.protocol import LARGEST_ASKED, CommandAsked, ResourceAsked, to_json
+from service.web.protocol import LARGEST_ASKED, CommandAsked, FloatArray, ResourceAsked, to_json
 from service.web.resources import Kind, Resources
 from service.web.shelf import Shelf
 from service.web.tile_feed import MapSource, TileFeed
@@ -131,6 +131,10 @@ class WebServer:
     def put(self, message: Message, origin_ns: int | None = None) -> None:
         """Take a message in; never waits. origin_ns: of a pose, when its scan's last byte was read."""
         self._view.put(message, origin_ns)
+
+    def put_path(self, points_map: FloatArray) -> None:
+        """Show a way that was driven before; (N, 2), m, map frame. Before `start`."""
+        self._view.put_path(points_map)
 
     def health(self) -> Status:
         values = {

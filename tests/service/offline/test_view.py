@@ -1,0 +1,111 @@
+import json
+import struct
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from service.errors import InputError, StorageError
+from service.geometry.se2 import SE2
+from service.mapstore.files import save_map
+from service.mapstore.picture import picture_of_grid
+from service.mapstore.ros_map import write_ros_map
+from service.offline.trajectory import write_tum
+from service.offline.view import open_view, tiles_of_grid
+from service.outputs import FREE, OCCUPIED, UNKNOWN, Grid, TileUpdate
+from tests.service.web.conftest import TIMEOUT_S, talk
+
+TILES, PATH = 1, 3
+ANY_PORT = "127.0.0.1:0"
+
+
+@pytest.fixture
+def show():
+    """Opens a view that is always closed again."""
+    opened = []
+
+    def open_one(source, listen=ANY_PORT):
+        opened.append(open_view(source, listen))
+        return opened[-1]
+
+    yield open_one
+    for server in opened:
+        server.close()
+
+
+def grid(x_min_m: float, y_min_m: float) -> Grid:
+    cells = np.full((70, 130), FREE, np.int8)
+    cells[0, :], cells[:, 0] = OCCUPIED, UNKNOWN
+    return Grid(0, 0.05, x_min_m, y_min_m, cells)
+
+
+def test_a_stored_map_is_shown_as_it_was_saved_and_takes_no_command(show, tmp_path):
+    tiles = [TileUpdate(0, ix, -1, ix + 1, 0.05, np.full((64, 64), 40 + ix, np.int8)) for ix in range(3)]
+    save_map(tmp_path / "office", tiles, 1)
+
+    async def look(client):
+        async with client.socket() as socket:
+            assert (await client.next(socket, "hello"))["vehicle"] == "office"
+            assert struct.unpack_from("<I", await client.next(socket, TILES), 8) == (3,)
+            (mapping,) = (await client.next(socket, "health"))["statuses"]
+            assert mapping["values"]["state"] == "stored"
+
+    talk(show(tmp_path / "office"), look)
+
+
+def test_the_result_of_a_replay_is_shown_with_its_path(show, tmp_path):
+    write_ros_map(tmp_path / "map.pgm", tmp_path / "map.yaml", picture_of_grid(grid(0.0, 0.0)))
+    write_tum(tmp_path / "trajectory.tum", [(k * 10**9 + 1, SE2(float(k), 0.5, 0.0)) for k in range(4)])
+
+    async def look(client):
+        async with client.socket() as socket:
+            path = await client.next(socket, PATH)
+            assert np.frombuffer(path, "<f4", offset=8).reshape(-1, 2).tolist() == [
+                [0.0, 0.5],
+                [1.0, 0.5],
+                [2.0, 0.5],
+                [3.0, 0.5],
+            ]
+            assert struct.unpack_from("<I", await client.next(socket, TILES), 8) == (6,)
+
+    talk(show(tmp_path), look)
+
+
+@pytest.mark.parametrize("origin", [(0.0, 0.0), (-3.2, 6.4), (-1.35, -7.05), (12.349, 0.02)])
+def test_every_cell_of_a_grid_lies_in_a_tile_where_it_lay(origin):
+    shown = grid(*origin)
+    found = {}
+    for tile in tiles_of_grid(shown):
+        for row, column in np.argwhere(tile.cells != UNKNOWN).tolist():
+            found[tile.ix * 64 + column, tile.iy * 64 + row] = tile.cells[row, column]
+    column, row = round(origin[0] / 0.05), round(origin[1] / 0.05)
+    expected = {
+        (column + int(c), row + int(r)): shown.cells[r, c] for r, c in np.argwhere(shown.cells != UNKNOWN)
+    }
+    assert found == expected
+
+
+def test_a_folder_without_a_map_is_refused(tmp_path):
+    with pytest.raises(InputError, match="no map in it"):
+        open_view(tmp_path, ANY_PORT)
+
+
+def test_a_port_that_is_taken_is_said(show, tmp_path, monkeypatch):
+    monkeypatch.setattr("service.offline.view.SERVED_WITHIN_S", 0.5)
+    save_map(tmp_path / "m", [TileUpdate(0, 0, 0, 1, 0.05, np.zeros((64, 64), np.int8))], 1)
+    first = show(tmp_path / "m")
+    taken = first.address.removeprefix("http://").rstrip("/")
+    with pytest.raises(StorageError, match="--listen"):
+        open_view(tmp_path / "m", taken)
+
+
+def test_the_command_says_where_it_shows_until_it_is_interrupted(tmp_path):
+    save_map(tmp_path / "m", [TileUpdate(0, 0, 0, 1, 0.05, np.zeros((64, 64), np.int8))], 1)
+    command = [sys.executable, "-m", "service", "view", "--json", str(tmp_path / "m"), "--listen", ANY_PORT]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        said = json.loads(process.stdout.readline())
+        assert said["address"].startswith("http://127.0.0.1:")
+        process.send_signal(2)
+        assert process.wait(TIMEOUT_S) == 0
