@@ -27,8 +27,9 @@ export const card = (title, ...children) => {
 
 /** A list of facts, filled by set({name: text}); a name whose text is null goes. */
 export class Facts {
-  constructor() {
-    this.node = element("dl", { className: "facts" });
+  /** className: "wrapped" for long texts, which may take several lines. */
+  constructor(className = "") {
+    this.node = element("dl", { className: `facts ${className}` });
     this.rows = new Map();
   }
 

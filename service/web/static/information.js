@@ -28,7 +28,7 @@ export class Information {
     this.sensors.node.append(element("table", {}, element("thead", {}, element("tr", {}, ...heads)), this.rows));
     this.sensorRows = new Map();
     this.recording = card("Recording and disk");
-    this.recordingFacts = new Facts();
+    this.recordingFacts = new Facts("wrapped");
     this.recording.node.append(this.recordingFacts.node);
     this.latency = card("From a scan to its pose");
     this.plot = new LatencyPlot();

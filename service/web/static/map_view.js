@@ -117,9 +117,16 @@ export class MapView {
     return index < 0 ? null : this.colours.lasers[index % LASER_COLOURS];
   }
 
+  /** Bring the whole map and the vehicle into view. */
   fit() {
-    const bounds = this.tiles.bounds;
+    const bounds = this.tiles.bounds, pose = this.track.last;
     if (!bounds) return;
+    if (pose) {
+      bounds.x_min_m = Math.min(bounds.x_min_m, pose.x_m);
+      bounds.x_max_m = Math.max(bounds.x_max_m, pose.x_m);
+      bounds.y_min_m = Math.min(bounds.y_min_m, pose.y_m);
+      bounds.y_max_m = Math.max(bounds.y_max_m, pose.y_m);
+    }
     this.follows = false;
     this.isFitted = true;
     this.camera.fit(bounds);

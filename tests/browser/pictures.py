@@ -1,0 +1,152 @@
+"""Makes the pictures of docs/operator.md, of a simulated office: `python -m tests.browser.pictures`."""
+
+import math
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from drivers.frames import LaserScan
+from service.encoding import Message, Status, encode_diagnostics, encode_frame, encode_pose, encode_tf_static
+from service.geometry.se2 import SE2
+from service.mapper.profiles import build_mapper, mapping_config
+from service.mapstore.files import save_map
+from service.mapstore.tiles import TileStore
+from service.outputs import MapperOutput
+from service.publishing.commands import Answer
+from service.web.config import WebConfig
+from service.web.server import About, WebServer
+from simulators.truth import LMS100, UTM30LX, Ride
+from simulators.worlds import build_world
+from tests.browser.conftest import DESKTOP, PHONE, ROOT, Page
+from tests.browser.measure import chromium
+from tests.browser.scene import event, statuses
+from tests.simulated import Laser, Wheels, odometry, scans
+
+IMAGES = ROOT / "docs" / "images"
+DRIVEN_S, SHOWN_S = 62.0, 2.0
+UNIX_NS = 1_795_000_000_000_000_000  # of the drive's begin
+MOUNTINGS = {"front": SE2(0.2, 0.0, 0.0), "rear": SE2(-0.2, 0.0, math.pi)}
+LASERS = (
+    Laser(LMS100, 541, 25.0, -135.0, 0.5, MOUNTINGS["front"], "front"),
+    Laser(UTM30LX, 1081, 10.0, -135.0, 0.25, MOUNTINGS["rear"], "rear"),
+)
+VERBS = ["pause", "resume", "save_map", "reset_map", "start_recording", "stop_recording", "mark", "set_pose"]
+
+
+def map_office(store: TileStore) -> tuple[list[MapperOutput], list[LaserScan]]:
+    ride = Ride(build_world("office"), 0, 0.5)
+    frames = [scan for laser in LASERS for scan in scans(ride, laser, DRIVEN_S, [1])[0]]
+    frames += odometry(ride, Wheels(), DRIVEN_S, 1)
+    mapper = build_mapper(mapping_config({}), MOUNTINGS)
+    outputs = []
+    for frame in sorted(frames, key=lambda frame: frame.arrived_ns):
+        if (output := mapper.process(frame)) is not None:
+            outputs.append(output)
+    store.update(mapper.changed_tiles())
+    return outputs, [frame for frame in frames if isinstance(frame, LaserScan)]
+
+
+def health(stamp_ns: int) -> Message:
+    sensor = {"state": "streaming", "dropped": "0"}
+    rows = [
+        Status(
+            f"sensor/{name}", 0, "ok", {**sensor, "rate_hz": rate, "age_s": age, "clock_offset_ms": offset}
+        )
+        for name, rate, age, offset in (
+            ("front", "25.0", "0.02", "4012.2"),
+            ("rear", "10.0", "0.06", "81.4"),
+            ("base", "66.7", "0.01", ""),
+        )
+    ]
+    rest = [status for status in statuses() if not status.name.startswith("sensor/")]
+    return encode_diagnostics("diagnostics", [*rows, *rest], stamp_ns, stamp_ns)
+
+
+@contextmanager
+def driving(server: WebServer, outputs: list[MapperOutput], seen: list[LaserScan]) -> Iterator[None]:
+    """The last two seconds, again and again, at their own pace."""
+    end_ns = outputs[-1].stamp_ns
+    messages = [(o.stamp_ns, encode_pose(o, o.stamp_ns + UNIX_NS + 8_000_000)) for o in outputs]
+    messages += [(s.stamp_ns, encode_frame(s)) for s in seen]
+    last = sorted((m for m in messages if m[0] > end_ns - SHOWN_S * 1e9), key=lambda m: m[0])
+    ended = threading.Event()
+
+    def drive() -> None:
+        random = np.random.default_rng(1)
+        server.put(encode_tf_static(MOUNTINGS, UNIX_NS, UNIX_NS))
+        server.put(event('{"event": "start"}', 0.0))
+        server.put(event('{"event": "mark", "text": "door to the store room is open"}', 41.0))
+        while not ended.is_set():
+            server.put(health(end_ns + UNIX_NS))
+            began_s = time.monotonic()
+            for stamp_ns, message in last:
+                due_s = began_s + (stamp_ns - last[0][0]) / 1e9
+                if ended.wait(max(0.0, due_s - time.monotonic())):
+                    return
+                late_ns = int(random.gamma(4.0, 0.7e6))
+                server.put(message, time.monotonic_ns() - late_ns if message.channel == "pose" else None)
+
+    thread = threading.Thread(target=drive)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def take(page: Page, name: str, area: str, size: tuple[int, int], is_dark: bool) -> None:
+    page.resize(size, is_dark)
+    page.choose(area)
+    before = page.run("return corridor.view.frames")
+    page.wait_for("return corridor.view.frames > arguments[0] + 10 && corridor.view.isLive", before)
+    page.driver.save_screenshot(str(IMAGES / f"operator-{name}.png"))
+
+
+def main() -> None:
+    store = TileStore()
+    outputs, seen = map_office(store)
+    with tempfile.TemporaryDirectory() as kept, chromium() as page:
+        folders = {"session": Path(kept) / "sessions", "map": Path(kept) / "maps"}
+        for folder in folders.values():
+            folder.mkdir()
+        save_map(folders["map"] / "office_ground_floor", store.since(0), UNIX_NS)
+        for number in (1, 2):
+            (folders["session"] / f"veh1_20261118T061320Z_000{number}.mcap").write_bytes(
+                b"\0" * 7_340_032 * number
+            )
+        about = About("veh1", "corridor", lambda: VERBS)
+        server = WebServer(
+            WebConfig(listen="127.0.0.1:0"),
+            about,
+            store,
+            lambda verb, payload: Answer(True, b"{}"),
+            "t",
+            folders,
+        )
+        poses = [output.pose_map_base for output in outputs]
+        server.put_path(np.array([(pose.x_m, pose.y_m) for pose in poses], np.float32))
+        server.start()
+        assert server.wait_served(10.0)
+        with driving(server, outputs, seen):
+            page.open(server.address, "t")
+            page.wait_for(
+                "const r = corridor.report(); return r.mayControl && r.health && r.sensors.length === 2"
+            )
+            time.sleep(6.0)  # some points for the plot
+            take(page, "desktop-light", "information", DESKTOP, False)
+            page.element("fit").click()
+            take(page, "desktop-dark", "control", DESKTOP, True)
+            take(page, "resources", "resources", DESKTOP, False)
+            take(page, "phone-map", "map", PHONE, False)
+            take(page, "phone-information", "information", PHONE, True)
+        server.close()
+
+
+if __name__ == "__main__":
+    main()
