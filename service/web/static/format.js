@@ -27,7 +27,7 @@ export const duration = (s) => {
 export const offset = (text) => {
   if (text === undefined || text === "") return "\u2013";
   const ms = Number(text), size = Math.abs(ms);
-  if (size < 1e4) return `${ms.toFixed(1)} ms`;
+  if (size < 1e3) return `${ms.toFixed(1)} ms`;
   if (size < 1e7) return `${(ms / 1e3).toFixed(1)} s`;
   return size < 3.6e8 ? `${(ms / 3.6e6).toFixed(1)} h` : `${Math.round(ms / 8.64e7)} d`;
 };
