@@ -110,6 +110,7 @@ def test_a_session_is_ticked_at_the_very_time_of_what_happened_before():
     session.tick = lambda now_ns: (ticked_ns.append(now_ns), tick(now_ns))
     run([StoppableTransport([b"a", b"", b"b"], stop)], [session], stop, teed.append)
     assert ticked_ns == [chunk.at_ns for chunk in teed if chunk.kind != "sent"][:-1]  # then it was stopped
+    assert len(set(ticked_ns)) == len(ticked_ns) == 4
 
 
 @pytest.mark.parametrize("error", [TransportError("cut"), ProtocolError("noise"), DeviceError("refused")])
