@@ -91,10 +91,12 @@ class Simulators:
 def demo(
     options: DemoOptions,
     compiling: Callable[[], AbstractContextManager[KernelProgress | None]] = nullcontext,
+    watch: Callable[[Service], None] = lambda service: None,
 ) -> dict[str, Any]:
     """Run the demo; its summary as INTERFACE has it. Raises CorridorError and its kin.
 
     compiling   opened while kernels are compiled, and told of each; left out, the log says how far it is
+    watch       called several times a second while the service starts and runs
     """
     try:
         options.out.mkdir(parents=True, exist_ok=True)
@@ -111,7 +113,7 @@ def demo(
     truth = options.out / "truth.txt"
     with simulators(options, truth) as fakes:
         config = demo_config(fakes.endpoints, options, zenoh_port, page)
-        summary = run(config, options.seconds, options.out / "map", _tell_where_to_look, fakes.fault)
+        summary = run(config, options.seconds, options.out / "map", _tell_where_to_look, fakes.fault, watch)
     return {
         "seconds": round(summary.seconds, 1),
         "scans": summary.scans,

@@ -104,8 +104,7 @@ class Progress:
             return f"{self._phase} ..."
         if not self._terminal:
             return f"{self._phase}: {self._share:.0%}"
-        filled = round(self._share * BAR_WIDTH)
-        return f"{self._phase} [{'#' * filled}{'.' * (BAR_WIDTH - filled)}] {self._share:4.0%}"
+        return f"{self._phase} {bar(self._share)}"
 
     def _quiet_s(self) -> float:
         return self._monotonic_s() - self._written_s
@@ -118,6 +117,12 @@ class Progress:
         self._is_line_open, self._written_s = not text.endswith("\n"), self._monotonic_s()
         self._stream.write(text)
         self._stream.flush()
+
+
+def bar(share: float) -> str:
+    """Share of a work, 0 to 1, as `[####......]  40%`."""
+    filled = round(share * BAR_WIDTH)
+    return f"[{'#' * filled}{'.' * (BAR_WIDTH - filled)}] {share:4.0%}"
 
 
 @contextmanager

@@ -2,10 +2,12 @@
 
 import argparse
 import gc
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 
 from service.cli.console import kernel_progress, print_result
+from service.cli.status_line import status_line
 from service.cli.upkeep import config_path
 from service.kernel_cache import ensure_cache_dir
 
@@ -30,10 +32,19 @@ def run(parsed: argparse.Namespace) -> int:
         from service.runtime.run import run as run_service
     if parsed.no_web:
         config = without_page(config)
-    summary = run_service(config)
+    with status_line() as line:
+        summary = run_service(config, watch=line)
     if parsed.json:
         print_result(summary.as_dict(), as_json=True)
+    else:
+        print(what_was_written(summary.sessions, summary.map_folder))
     return 0
+
+
+def what_was_written(sessions: Sequence[Path], map_folder: Path | None) -> str:
+    """Where a run left its recordings and its map."""
+    lines = [f"recording: {path}" for path in sessions] or ["recording: none"]
+    return "\n".join([*lines, f"map: {map_folder}" if map_folder else "map: none, no scan was mapped"])
 
 
 def demo(parsed: argparse.Namespace) -> int:
@@ -53,5 +64,7 @@ def demo(parsed: argparse.Namespace) -> int:
         port=parsed.port,
         web_port=parsed.web_port,
     )
-    print_result(run_demo(options, kernel_progress), parsed.json)
+    with status_line() as line:
+        told = run_demo(options, kernel_progress, line)
+    print_result(told, parsed.json)
     return 0

@@ -67,6 +67,21 @@ class TileStore:
     def count(self) -> int:
         return len(self._tiles)
 
+    @property
+    def finest_count(self) -> int:
+        """Tiles of the present map at its finest level."""
+        return len(self._finest())
+
+    @property
+    def extent_m(self) -> tuple[float, float]:
+        """Width (x) and height (y) that the tiles of the present map cover, m; zeros while it is empty."""
+        tiles = self._finest()
+        if not tiles:
+            return 0.0, 0.0
+        edge_m = tiles[0].cells.shape[0] * tiles[0].cell_m
+        columns, rows = [tile.ix for tile in tiles], [tile.iy for tile in tiles]
+        return (max(columns) - min(columns) + 1) * edge_m, (max(rows) - min(rows) + 1) * edge_m
+
     def update(self, tiles: Iterable[TileUpdate]) -> int:
         """Take tiles in; one that is not newer than what is held is left out. Returns how many were taken."""
         taken = 0
@@ -145,6 +160,10 @@ class TileStore:
                     self._blank = None
             self._canvas.render(stale.values())
             return self._canvas.grid()
+
+    def _finest(self) -> list[TileUpdate]:
+        with self._lock:
+            return [tile for tile in self._newer(self._began_version) if tile.level == 0]
 
     def _newer(self, version: int) -> list[TileUpdate]:
         return [tile for tile in self._tiles.values() if tile.version > version]

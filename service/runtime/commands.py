@@ -184,6 +184,9 @@ class Commands:
             outcome.done(changed=change.changed, files=[str(path) for path in change.files])
 
     def _mark(self, event: Message, outcome: Outcome) -> None:
+        if why := self._recorder.why_not_recording:
+            outcome.failed(f"the mark would be lost: {why}")
+            return
         self._put(event)
         outcome.done(log_ns=event.log_ns)
 

@@ -30,6 +30,11 @@ class SensorHealth:
         self._first: tuple[int, int] | None = None  # frames and time of the newest, when first looked at
 
     @property
+    def rate_hz(self) -> float:
+        """Frames a second between the last two statuses."""
+        return self._frames.rate_hz
+
+    @property
     def mean_rate_hz(self) -> float:
         """Frames a second from the first status on to the newest frame; gaps count."""
         if self._first is None or self._link.last_frame_ns <= self._first[1]:
@@ -90,6 +95,7 @@ class HealthReport:
         self._dispatcher = dispatcher
         self._scan_rate = RateMeter()
         self._states = dict.fromkeys(links, "connecting")
+        self._mapping_state_told = "waiting"
         self._gnss_health = GnssHealth()
         self.statuses: list[Status] = []
         self.clock_step_ns = self._now_ns = 0
@@ -104,6 +110,19 @@ class HealthReport:
     @property
     def mean_rates_hz(self) -> dict[str, float]:
         return {name: round(sensor.mean_rate_hz, 2) for name, sensor in self._sensors.items()}
+
+    @property
+    def rates_hz(self) -> dict[str, float]:
+        """Frames a second by the last two updates."""
+        return {name: sensor.rate_hz for name, sensor in self._sensors.items()}
+
+    @property
+    def mapping_state(self) -> tuple[str, str]:
+        """State at the last update and why: ok, degraded, lost, stale, overloaded, paused; waiting before the
+        first scan is mapped.
+        """
+        told = next((status for status in self.statuses if status.name == "mapping"), None)
+        return ("waiting", "") if told is None else (told.values.get("state", "waiting"), told.message)
 
     @property
     def line(self) -> str:
@@ -148,6 +167,14 @@ class HealthReport:
         changes = [(name, state) for name, state in states.items() if state != self._states[name]]
         self._states = states
         return changes
+
+    def take_mapping_change(self) -> tuple[str, str] | None:
+        """`mapping_state` where the state is another one than at the last call; None where it is the same."""
+        state, reason = self.mapping_state
+        if state == self._mapping_state_told:
+            return None
+        self._mapping_state_told = state
+        return state, reason
 
     def _mapping(self) -> Status:
         outputs, last = self._outputs, self._outputs.last

@@ -110,6 +110,7 @@ class MapperLink:
         self._finished = threading.Event()
         self._ready = threading.Event()
         self._closed = threading.Event()
+        self.kernels_share = 0.0
         self.kernels = ""  # how far the compiling of kernels is, in words; "" before the first
         self.restarts = 0
         self.turns = 0  # rises as long as `run` turns, with or without items
@@ -287,7 +288,7 @@ class MapperLink:
             self._finished.set()
             return
         if isinstance(message, Progress):
-            self.kernels = message.words
+            self.kernels, self.kernels_share = message.words, message.share
             return
         if isinstance(message, Status):
             self._taken_number = message.number

@@ -107,9 +107,10 @@ class GraphKept(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """Kernels are being compiled."""
+    """Kernels are being compiled; share of them that is, 0 to 1."""
 
     words: str
+    share: float
 
 
 class Ready(NamedTuple):

@@ -200,7 +200,7 @@ def _progress(channel: Channel) -> KernelProgress:
 
     def tell(progress: KernelProgress) -> None:
         if threading.get_ident() == own:
-            channel.send(Progress(str(progress)))
+            channel.send(Progress(str(progress), progress.share))
 
     return KernelProgress(tell)
 

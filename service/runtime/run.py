@@ -24,10 +24,12 @@ def run(
     map_folder: Path | None = None,
     on_ready: Callable[[Service], None] = lambda service: None,
     give_up: Callable[[], str] = lambda: "",
+    watch: Callable[[Service], None] = lambda service: None,
 ) -> Summary:
     """Run the service until SIGTERM, SIGINT or SIGHUP, or for `seconds` from READY on. Main thread only.
 
-    `give_up` is asked several times a second and may say why to stop as a failure. Whatever ends the run, the
+    `give_up` is asked several times a second and may say why to stop as a failure; `watch` is called as
+    often, during the start too. Whatever ends the run, the
     recording is finished and the map saved first. Raises CorridorError where a part failed, StorageError
     where Zenoh cannot listen or the disk refuses, CalledOffError where a signal came before READY.
     """
@@ -36,11 +38,17 @@ def run(
         service = Service(config, notifier, map_folder, on_failure=signals.wake)
         reason = failure = called_off = ""
         try:
-            if service.start(cancelled=lambda: bool(signals.received)):
+
+            def is_cancelled() -> bool:
+                watch(service)
+                return bool(signals.received)
+
+            if service.start(is_cancelled):
                 on_ready(service)
                 deadline_s = None if seconds is None else time.monotonic() + seconds
                 while not (failure := service.failure or give_up()):
                     service.tick()
+                    watch(service)
                     left_s = TICK_S if deadline_s is None else deadline_s - time.monotonic()
                     if left_s <= 0.0:
                         reason = f"{seconds:g} s are over"

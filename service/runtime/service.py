@@ -28,6 +28,7 @@ from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
 from service.publishing.commands import Answer, CommandDispatcher
 from service.runtime.commands import Commands
+from service.runtime.glance import Glance, glance
 from service.runtime.health import HealthReport
 from service.runtime.host_time import HostTime
 from service.runtime.intake import Intake
@@ -166,6 +167,18 @@ class Service:
         """By name of the sink, where its output is found: Zenoh's endpoints, the map's folder ..."""
         return self._sinks.places()
 
+    @property
+    def glance(self) -> Glance | None:
+        """How it goes, for a terminal; None before it is ready."""
+        if not self._ready_ns:
+            return None
+        return glance(self._report, self._outputs.last, self._latency, self._tiles)
+
+    @property
+    def kernels_compiled(self) -> float:
+        """Share of the kernels that the mapper's process had to compile and has compiled; 0: none so far."""
+        return self._link.kernels_share
+
     def start(self, cancelled: Callable[[], bool] = lambda: False) -> bool:
         """Bring everything up, the mapper first and drivers last; False if `cancelled` said so on the way.
 
@@ -252,9 +265,7 @@ class Service:
                 self._notifier.need_more_time(WARM_UP_MORE_S)
             if time.monotonic() - told_s >= WARM_UP_TELL_S:
                 told_s = time.monotonic()
-                words = self._link.kernels or f"loading kernels since {told_s - began_s:.0f} s"
-                self._notifier.status(words)
-                log.info("%s; later starts find them", words)
+                self._notifier.status(self._link.kernels or f"loading kernels, {told_s - began_s:.0f} s")
         log.info("mapper ready after %.1f s", time.monotonic() - began_s)
         return True
 
@@ -301,6 +312,11 @@ class Service:
         self._sinks.put(self._report.message(self.host_time.unix_ns(now_ns)))
         for name, state in self._report.take_state_changes():
             self._event("sensor", sensor=name, state=state)
+        if (change := self._report.take_mapping_change()) is not None:
+            state, reason = change
+            words = state if reason == state else f"{state}: {reason}"
+            log.log(logging.INFO if state == "ok" else logging.WARNING, "mapping is %s", words)
+            self._event("mapping", state=state, reason=reason)
         if self._report.clock_step_ns != step_before_ns:
             self._event("clock_step", step_ns=self._report.clock_step_ns)
             self._sinks.put_metadata("clock", self._clock_metadata(self._report.clock_step_ns))

@@ -61,6 +61,15 @@ class McapSink(Sink):
     def end_session(self, heard: SessionHeard) -> None:
         self._recorder.end_session(heard)
 
+    @property
+    def why_not_recording(self) -> str:
+        health = self._recorder.health
+        if _LEVELS[health.state] == OK:
+            return ""
+        if health.state == "stopped":
+            return "no session is being recorded; start_recording begins one"
+        return f"nothing is recorded: {health.last_error}"
+
     def health(self) -> Status:
         recorder = self._recorder.health
         level = _LEVELS[recorder.state]

@@ -120,7 +120,11 @@ class Sink(Protocol):
 
 @runtime_checkable
 class SessionRecorder(Protocol):
-    """A sink that records sessions: what start_recording and stop_recording need."""
+    """A sink that records sessions: what start_recording, stop_recording and mark need."""
+
+    @property
+    def why_not_recording(self) -> str:
+        """Why what is put now is not kept; "" while it is."""
 
     def begin_session(self, first: Message, heard: SessionHeard) -> None: ...
     def end_session(self, heard: SessionHeard) -> None: ...

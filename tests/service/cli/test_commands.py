@@ -10,6 +10,7 @@ import pytest
 
 from service import log_format
 from service.cli import arguments, choices, console, main
+from service.cli.live import what_was_written
 from service.errors import ConfigError, CorridorError, InputError, StorageError, UsageError
 from service.mapper.profiles import METHODS
 from service.version import VERSION
@@ -250,6 +251,14 @@ def test_results_are_words_or_one_json_object(capsys: pytest.CaptureFixture[str]
     assert capsys.readouterr().out == "scans: 3\nscan_ms.p50: 0.123457\nmap: None\n"
     console.print_result(result, as_json=True)
     assert json.loads(capsys.readouterr().out) == result
+
+
+def test_a_run_ends_by_naming_recording_and_map():
+    sessions = [Path("s/a_0001.mcap"), Path("s/a_0002.mcap")]
+    assert what_was_written(sessions, Path("m/a")) == (
+        "recording: s/a_0001.mcap\nrecording: s/a_0002.mcap\nmap: m/a"
+    )
+    assert what_was_written([], None) == "recording: none\nmap: none, no scan was mapped"
 
 
 def test_the_journal_is_told_the_severity(monkeypatch: pytest.MonkeyPatch):

@@ -30,6 +30,15 @@ def test_a_newer_tile_replaces_and_an_older_one_does_not():
     assert store.since(7) == []
 
 
+def test_the_size_of_the_map_is_that_of_its_finest_level_without_maps_before():
+    store = TileStore()
+    assert (store.finest_count, store.extent_m) == (0, (0.0, 0.0))
+    store.update([tile(-1, 0, 1), tile(2, 0, 2), tile(9, 9, 3, level=1)])
+    assert (store.finest_count, store.extent_m) == (2, (4 * EDGE * CELL_M, EDGE * CELL_M))
+    store.begin_anew()
+    assert (store.finest_count, store.extent_m) == (0, (0.0, 0.0))
+
+
 def slow_grid(tiles):
     """The same picture cell by cell: (column, row), counted from the map's origin -> value."""
     return {

@@ -117,6 +117,20 @@ def test_the_known_verbs(machine: Machine):
     }
 
 
+def test_a_mark_is_refused_while_nothing_is_recorded(machine: Machine):
+    machine.scan()
+    assert machine.ask("mark", text="kept")["ok"]
+    machine.ask("stop_recording")
+    assert machine.ask("mark", text="lost") == {
+        "ok": False,
+        "error": "the mark would be lost: no session is being recorded; start_recording begins one",
+    }
+    machine.ask("start_recording")
+    assert machine.ask("mark", text="kept too")["ok"]
+    marks = [e["text"] for session in machine.stop() for e in events(session) if e["event"] == "mark"]
+    assert marks == ["kept", "kept too"]
+
+
 def test_a_pause_and_a_mark_stand_in_the_recording_where_they_came(machine: Machine):
     machine.scan()
     assert machine.ask("pause", id="a") == {"ok": True, "id": "a", "changed": True}

@@ -152,6 +152,20 @@ def test_a_change_of_state_is_told_once():
     assert made.take_state_changes() == []
 
 
+def test_a_change_of_the_mapping_is_told_once_with_its_reason():
+    made = report(streaming())
+    made.update(11 * S, 0)
+    assert made.mapping_state == ("waiting", "no scan of front mapped yet")
+    assert made.take_mapping_change() is None
+    for state, reason, told in (("ok", "", "ok"), ("lost", "few beams agree", "few beams agree")):
+        made._outputs.last = Mapped(1, 1, 1, state, reason, 0.8, 1, ())
+        made.update(11 * S, 0)
+        assert made.take_mapping_change() == (state, told)
+        assert made.take_mapping_change() is None
+    made.update(13 * S, 0)
+    assert made.take_mapping_change() == ("stale", "no pose for 2.0 s: no scan of front")
+
+
 def test_the_message_holds_all_of_it():
     made = report(streaming())
     made.update(11 * S, 0)
