@@ -12,7 +12,7 @@ from service import demo
 from service.config import mapped_lasers
 from service.demo import WEB_PORT, DemoOptions, Simulators, _page, demo_config, interpolate, pose_error
 from service.encoding import encode_pose
-from service.errors import ConfigError, CorridorError, UsageError
+from service.errors import ConfigError, CorridorError, StorageError, UsageError
 from service.geometry.se2 import SE2
 from service.outputs import MapperOutput
 from service.recording.mcap_recorder import McapRecorder
@@ -60,6 +60,25 @@ def test_the_page_is_at_the_usual_port_or_at_a_free_one_and_off_where_it_is_not_
     web = demo_config(ENDPOINTS, options(tmp_path), 7447, page).sinks["web"]
     assert (web.enabled, web.listen, web.token_file) == (True, page.listen, page.token_file)
     assert not demo_config(ENDPOINTS, options(tmp_path), 7447).sinks["web"].enabled
+
+
+def test_the_vehicle_is_that_of_the_samples_in_readme_and_docs(tmp_path: Path):
+    vehicle = demo_config(ENDPOINTS, options(tmp_path), 7447).vehicle
+    readme = (Path(__file__).parents[2] / "README.md").read_text()
+    assert f"corridor/v1/{vehicle}/pose" in readme
+
+
+def test_a_taken_port_is_said_where_it_was_asked_for(caplog: pytest.LogCaptureFixture):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        with pytest.raises(StorageError, match=f"port {port} of 127.0.0.1 is taken, perhaps"):
+            demo.free_port(port, 7447, "--port")
+        other_port = demo.free_port(None, port, "--port")
+        assert other_port != port
+        assert f"port {port} is taken; another one is used, --port chooses which" in caplog.text
+    assert demo.free_port(port, 7447, "--port") == port
 
 
 def test_a_profile_that_there_is_not_is_a_config_error(tmp_path: Path):

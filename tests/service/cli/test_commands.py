@@ -11,7 +11,14 @@ import pytest
 from service import log_format
 from service.cli import arguments, choices, console, main
 from service.cli.live import what_was_written
-from service.errors import ConfigError, CorridorError, InputError, StorageError, UsageError
+from service.errors import (
+    ConfigError,
+    CorridorError,
+    InputError,
+    OutputLostError,
+    StorageError,
+    UsageError,
+)
 from service.mapper.profiles import METHODS
 from service.version import VERSION
 from simulators.worlds import WORLDS
@@ -153,6 +160,7 @@ def test_run_refuses_a_bad_config_before_anything_starts(tmp_path: Path, capsys:
     ("error", "code"),
     [
         (CorridorError("x"), 1),
+        (OutputLostError("the map could not be saved"), 1),
         (InputError("x"), 65),
         (StorageError("x"), 74),
         (OSError(28, "No space left on device"), 74),

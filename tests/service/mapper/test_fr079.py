@@ -85,15 +85,15 @@ def test_the_front_end_alone_keeps_the_building_together(shared: Path, outputs: 
     relations = np.loadtxt(shared / "datasets" / "fr079" / "official.relations")
     errors = relation_errors(outputs, relations)
     assert len(errors) == 1685
-    assert errors[:, 0].mean() < 0.07
-    assert np.degrees(errors[:, 1].mean()) < 1.0
-    assert errors[:, 0].max() < 0.6
+    assert errors[:, 0].mean() < 0.055  # 0.0501, of which the finish takes 0.0045
+    assert np.degrees(errors[:, 1].mean()) < 0.92  # 0.858
+    assert errors[:, 0].max() < 0.4  # 0.27
 
 
 def test_it_is_never_lost(outputs: list[MapperOutput]) -> None:
     assert len(outputs) == 4791
     assert sum(o.state == "lost" for o in outputs) == 0
-    assert sum(o.state == "degraded" for o in outputs) < 10
+    assert sum(o.state == "degraded" for o in outputs) < 3
 
 
 def test_orthogonal_weights_hold_a_stretch_of_slow_scans_together(shared: Path) -> None:

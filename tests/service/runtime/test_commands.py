@@ -112,8 +112,8 @@ def test_the_known_verbs(machine: Machine):
     assert told == {
         "ok": False,
         "error": "there is no command 'load_map'; known: add_landmark_pair, checkpoint, mark, optimize, "
-        "pause, remove_landmark_pair, reset_map, resume, save_map, set_pose, start_recording, stop_recording, "
-        "undo",
+        "pause, remove_landmark_pair, reset_map, resume, save_map, set_pose, start_recording, "
+        "stop_recording, undo",
     }
 
 
