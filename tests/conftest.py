@@ -24,7 +24,7 @@ hypothesis.settings.load_profile("corridor")
 NEEDS_SHARED = (
     "CORRIDOR_NEEDS_SHARED"  # set, what wants for the recordings below fails instead of being skipped
 )
-RUNS_THE_PROGRAM = ("tests/system", "tests/chaos", "tests/service/cli")
+RUNS_THE_PROGRAM = ("tests/system", "tests/chaos", "tests/browser", "tests/docs", "tests/service/cli")
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
