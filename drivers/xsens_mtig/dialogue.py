@@ -115,7 +115,7 @@ class MtigDialogue:
 
     def _reset(self) -> Dialogue[bool]:
         """True where it is in config state afterwards."""
-        self.phase = "it does not hear GoToConfig; resetting it"
+        self.phase = "GoToConfig is not answered; resetting the unit"
         self.counters["resets_sent"] += 1
         self.awaits_wake_up = True
         yield Ask(Mid.RESET, b"", ANSWER_S)

@@ -129,7 +129,7 @@ def test_deaf_device_is_reset_and_found_again():
     device = FakeMtiG(Swing(), ignores_go_to_config=True)
     t = talk(device).run(6.0)
     assert t.session.counters["resets_sent"] == 1
-    assert "it does not hear GoToConfig; resetting it" in t.statuses
+    assert "GoToConfig is not answered; resetting the unit" in t.statuses
     assert samples(t.frames)
     assert t.session.counters["wake_ups"] == 1
     assert t.session.counters["device_restarts"] == 0
