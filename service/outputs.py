@@ -11,11 +11,8 @@ from service.geometry.se2 import SE2
 
 State = Literal["ok", "degraded", "lost"]
 
-UNKNOWN, FREE, OCCUPIED = (
-    -1,
-    0,
-    100,
-)  # occupancy of a cell as nav_msgs/OccupancyGrid has it; between: per cent
+# Occupancy of a cell as nav_msgs/OccupancyGrid has it; between FREE and OCCUPIED: per cent.
+UNKNOWN, FREE, OCCUPIED = -1, 0, 100
 
 
 @dataclass(frozen=True, slots=True, eq=False)

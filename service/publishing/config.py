@@ -27,6 +27,5 @@ class PublishingConfig(BaseModel):
 
     listen: tuple[Endpoint, ...] = ("tcp/127.0.0.1:7447",)  # port 0: any free one
     connect: tuple[Endpoint, ...] = ()  # further routers, a site's say; tried for ever, never waited for
-    shared_memory: bool = (
-        False  # on, it takes 16 MiB of /dev/shm a process and saves 0.1 ms on large messages
-    )
+    # On, it takes 16 MiB of /dev/shm a process and saves 0.1 ms on large messages.
+    shared_memory: bool = False

@@ -37,9 +37,8 @@ STATES = ("tf_static", "health")  # newest counts; cached for late joiners
 PICTURES = ("map", "map/meta")  # made here, when somebody listens or asks
 ANSWERED = ("pose", *STATES)  # the last one sent is the answer to a get
 TILES = "map/tile"
-_FRESH = frozenset(
-    ("scan", "imu", "odom", "pose", "tf", "fix")
-)  # late is worthless: first in line, no batching
+# Last part of the channels whose late messages are worthless: sent first, without batching.
+_FRESH = frozenset(("scan", "imu", "odom", "pose", "tf", "fix"))
 
 
 class MapSource(Protocol):

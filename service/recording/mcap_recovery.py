@@ -46,10 +46,8 @@ STOP_TIMEOUT_S = 5.0
 
 _FRAME = struct.Struct("<BQ")  # opcode, length of what follows
 _CHUNK_FIXED = struct.Struct("<QQQII")  # first and last log time, size, crc, length of the compression's name
-_CHUNK_NAMES = (
-    b"\x04\x00\x00\x00zstd",
-    b"\x03\x00\x00\x00lz4",
-)  # as they stand in a chunk, with their length
+# Names of compressions as they stand in a chunk, with their length.
+_CHUNK_NAMES = (b"\x04\x00\x00\x00zstd", b"\x03\x00\x00\x00lz4")
 _NAME_OFFSET = _FRAME.size + _CHUNK_FIXED.size - 4
 _SMALLEST_MESSAGE_BYTES = 22
 
