@@ -106,6 +106,25 @@ def load_map(folder: Path) -> StoredMap:
     raise InputError(f"{folder}: no stored map that can be read{damage}")
 
 
+def check_versions(folder: Path) -> tuple[list[int], list[str]]:
+    """Numbers of the versions that are whole, and what is damaged of the others, each by its file.
+
+    Raises InputError where `folder` holds no map.
+    """
+    whole: list[int] = []
+    problems: list[str] = []
+    for number in sorted(_versions(folder)):
+        try:
+            _load(folder / _name(number), [])
+        except InputError as error:
+            problems.append(str(error))
+        else:
+            whole.append(number)
+    if not whole and not problems:
+        raise InputError(f"{folder}: no stored map")
+    return whole, problems
+
+
 def is_map_folder(folder: Path) -> bool:
     return folder.is_dir() and bool(_versions(folder))
 

@@ -380,7 +380,7 @@ def _setup(
     as_live = (
         recorded is not None
         and mapping == recorded.mapping
-        and options.map is None
+        and (recorded.begin_in is None) == (options.map is None)
         and FROM_RAW not in session.metadata
     )
     if options.localize:

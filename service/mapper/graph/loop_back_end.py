@@ -26,6 +26,7 @@ from service.mapper.graph.map_of_before import (
     saved_graph,
     stored_loops,
 )
+from service.mapper.graph.passes import worth_asking
 from service.mapper.graph.piece_search import PieceSearch
 from service.mapper.graph.point_clouds import Fit, PointCloud
 from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, solve, to_g2o
@@ -43,7 +44,6 @@ WINDOW_M, WINDOW_RAD = 0.5, 0.06  # half a window where nothing has drifted: wha
 DRIFTS = (3.5, 4.0)  # so many times the drift of place and heading lies within it besides
 MOST_WINDOW_M, MOST_WINDOW_RAD = 12.0, 1.6  # bounds the time of a search
 FINISH_WINDOW = (1.5, 0.2)  # m, rad: what may be left of the drift when all loops hold
-PASSES = 4  # of a place are asked in one search, the nearest ones
 LEAST_SHARE = 0.45  # of the points on the map, in medians of the drive: half of a place may have changed
 MOST_AGAINST = 0.12  # of the points in free space of the place: doors that were closed, things that moved
 WITHIN_M = 30.0  # way within which loops that say the same lie
@@ -84,6 +84,7 @@ class LoopBackEnd:
         # Numbers of the pieces whose place in the map is known.
         self._joined = {0} if stored is None else set(self._keyframes.piece.tolist())
         self._pieces = PieceSearch(config, self._keyframes)
+        self._is_merging = False  # what is stored was put together, and no loop holds it yet
         self._placement = Placement(stored is not None)
         self._looked_back = 0  # key frames whose context were asked for passes too many
         self._anchoring = Anchoring()
@@ -135,7 +136,7 @@ class LoopBackEnd:
 
     def begin_session_at(self, k: int) -> None:
         """Take the key frames from k on for those of this session, though they are stored, too."""
-        self._keyframes.stored = k
+        self._keyframes.stored, self._is_merging = k, True
 
     def _is_detached(self) -> bool:
         """Whether the newest key frame lies in a piece of which nobody knows where it lies."""
@@ -282,7 +283,7 @@ class LoopBackEnd:
             near = near[near < self._held]
         cloud: PointCloud | None = None
         found = []
-        for k in self._worth_asking(near, away_m, reach_m):
+        for k in worth_asking(way, near, away_m, reach_m, config.place_m):
             submap = self._submap_about(k)
             if cloud is None:
                 cloud = cloud_of(keyframes, members, reference)
@@ -312,28 +313,6 @@ class LoopBackEnd:
         step_m = np.diff(way) + DOUBTFUL_M * self._doubtful_steps() + LOST_M * self._lost_steps()
         path_lengths(np.append(step_m, 0.0), of, to, LOOP_M, k, length_m)
         return length_m
-
-    def _nearest_of_passes(self, near: npt.NDArray[np.int64], away_m: Floats) -> list[int]:
-        """The nearest key frame of each stretch of the way, nearest stretch first."""
-        if not len(near):
-            return []
-        breaks = np.flatnonzero(np.diff(self._keyframes.way_m[near]) > self._config.place_m) + 1
-        best = [int(run[np.argmin(away_m[run])]) for run in np.split(near, breaks)]
-        return sorted(best, key=lambda k: (away_m[k], k))
-
-    def _worth_asking(self, near: npt.NDArray[np.int64], away_m: Floats, reach_m: Floats) -> list[int]:
-        """The nearest key frame of each pass; where the window is wider than a place, others beside it."""
-        config, way = self._config, self._keyframes.way_m
-        asked = self._nearest_of_passes(near, away_m)[:PASSES]
-        for k in list(asked):
-            aside = 1
-            while aside * config.place_m <= reach_m[k]:
-                for at_m in (way[k] - aside * config.place_m, way[k] + aside * config.place_m):
-                    other = int(near[np.argmin(np.abs(way[near] - at_m))])
-                    if abs(way[other] - at_m) < 0.5 * config.place_m and other not in asked:
-                        asked.append(other)
-                aside += 1
-        return asked
 
     def _submap_about(self, k: int) -> CandidateSubmap:
         """One about key frame k; a place that is kept already and lies near will do."""
@@ -448,7 +427,7 @@ class LoopBackEnd:
             return Result(len(self._loops), len(self._disabled))
         if self._anchoring.has_news:
             self._find_anchors()
-        if self._loops or self._anchoring.reference:
+        if (self._loops or self._anchoring.reference) and not self._is_merging:
             self._solve()
         if not self._held:
             self._search_again()
