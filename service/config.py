@@ -60,21 +60,22 @@ _UNITS: dict[str, tuple[str, float, str]] = {  # suffix -> dimension, size, word
 MAX_FILE_BYTES = 1_000_000  # a config of thirty sensors has 10 kB; /dev/zero has no end
 
 
-@dataclass(frozen=True, slots=True)
-class ServiceConfig:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReplayConfig:
+    """What of a config a replay needs: where sensors sit, and how their scans are mapped."""
+
+    sensors: Mapping[str, Any]  # name -> the config model of its type, see drivers.registry
+    mapping: MappingConfig
+    begin_in: Path | None  # folder of the stored map that the session begins in; None: a new map
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServiceConfig(ReplayConfig):
     """Everything the service is told. `text` is the YAML itself, which goes into every recording."""
 
     vehicle: str
-    sensors: Mapping[str, Any]  # name -> the config model of its type, see drivers.registry
-    mapping: MappingConfig
     sinks: Mapping[str, Any]  # section -> its config model, see service.sinks.registry
     text: str
-
-    @property
-    def begin_in(self) -> Path | None:
-        """Folder of the stored map that the session begins in; None: a new map."""
-        folder: Path | None = self.sinks["map"].load
-        return folder
 
 
 def without_page(config: ServiceConfig) -> ServiceConfig:
@@ -119,7 +120,7 @@ def laser_names(sensors: Mapping[str, Any]) -> list[str]:
     return [name for name, sensor in sensors.items() if SENSOR_KINDS[sensor.type].laser]
 
 
-def mapped_lasers(config: ServiceConfig) -> tuple[str, ...]:
+def mapped_lasers(config: ReplayConfig) -> tuple[str, ...]:
     """Whose scans are mapped: as `mapping.lasers` says, else every laser's that does not say `map: false`."""
     if config.mapping.lasers is not None:
         return config.mapping.lasers
@@ -131,26 +132,47 @@ _KEYS = ("vehicle", "sensors", "mapping", *(kind.section for kind in SINKS))
 
 def load_config(path: Path) -> ServiceConfig:
     """Read a config file. Raises ConfigError with every fault, also where the file cannot be read."""
+    return parse_config(_read(path), str(path))
+
+
+def load_replay_config(path: Path) -> ReplayConfig:
+    """Read of a config file what a replay needs: `sensors` without their wires, and `mapping`. Both may be
+    left out; the other sections are not looked at. Raises ConfigError as load_config does.
+    """
+    return parse_replay_config(_read(path), str(path))
+
+
+def _read(path: Path) -> str:
     try:
         with path.open("rb") as file:
             content = file.read(MAX_FILE_BYTES + 1)
         if len(content) > MAX_FILE_BYTES:
             raise ConfigError([f"{path}: larger than {MAX_FILE_BYTES} bytes; that is no config"])
-        text = content.decode("utf-8")
+        return content.decode("utf-8")
     except (OSError, ValueError) as error:  # ValueError: no UTF-8, or a NUL in the path
         raise ConfigError([f"{path}: cannot be read: {error}"]) from error
-    return parse_config(text, str(path))
 
 
 def parse_config(text: str, file: str) -> ServiceConfig:
     """As load_config, for text already at hand; `file` names it in the faults."""
     document = load(text)
-    reader = _Reader(document)
-    values = reader.read()
+    values = _Reader(document).read()
+    _raise_faults(document, file)
+    return ServiceConfig(**values, text=text)
+
+
+def parse_replay_config(text: str, file: str) -> ReplayConfig:
+    """As load_replay_config, for text already at hand."""
+    document = load(text)
+    values = _Reader(document).read_for_replay()
+    _raise_faults(document, file)
+    return ReplayConfig(**values)
+
+
+def _raise_faults(document: Document, file: str) -> None:
     if document.faults:
         faults = sorted(document.faults, key=lambda fault: (fault.position.line, fault.position.column))
         raise ConfigError(list(dict.fromkeys(fault.text(file) for fault in faults)))
-    return ServiceConfig(**values, text=text)
 
 
 class _Reader:
@@ -160,29 +182,55 @@ class _Reader:
         self._document = document
 
     def read(self) -> dict[str, Any]:
-        root = self._document.value
-        if root is None and self._document.faults:
+        """Every section."""
+        if (root := self._root()) is None:
             return {}
-        if not isinstance(root, dict):
-            self._fault((), f"a config is a mapping with the keys {', '.join(_KEYS)}")
-            return {}
-        for key in root.keys() - set(_KEYS):
-            self._fault((key,), _unknown_key(key, root[key], _KEYS))
-        values: dict[str, Any] = {
-            "vehicle": self._name((), root.get("vehicle"), "vehicle"),
-            "sensors": self._sensors(root.get("sensors")),
-        }
-        section = _section(root, "mapping")
-        model = mapping_model(section) if isinstance(section, dict) else MappingConfig
-        values["mapping"] = self._model(model, section, ("mapping",))
-        values["sinks"] = {
+        sensors = self._sensors(root.get("sensors"))
+        self._refuse_shared_wires(sensors)
+        name = self._name((), root.get("vehicle"), "vehicle")
+        sinks = {
             kind.section: self._model(kind.load_model(), _section(root, kind.section), (kind.section,))
             for kind in SINKS
         }
-        if isinstance(mapping := values["mapping"], MappingConfig):
-            self._refuse_what_is_no_laser(mapping.lasers or (), root.get("sensors"))
+        mapping = self._mapping(root)
+        if isinstance(mapping, MappingConfig):
             self._refuse_nowhere_to_begin(mapping, _section(root, "map"))
-        return values
+        begin_in = getattr(sinks["map"], "load", None)
+        read = {"vehicle": name, "sensors": sensors, "mapping": mapping, "sinks": sinks}
+        return {**read, "begin_in": begin_in}
+
+    def read_for_replay(self) -> dict[str, Any]:
+        """Sensors and mapping, each as far as it is there; a wire that is not given stays unused."""
+        if (root := self._root()) is None:
+            return {}
+        sensors = root.get("sensors")
+        if isinstance(sensors, dict):
+            sensors = {name: _with_a_wire(settings) for name, settings in sensors.items()}
+        read = self._sensors(sensors) if sensors is not None else {}
+        stored = _section(root, "map")
+        load = stored.get("load") if isinstance(stored, dict) else None
+        begin_in = Path(load) if isinstance(load, str) else None
+        return {"sensors": read, "mapping": self._mapping(root), "begin_in": begin_in}
+
+    def _root(self) -> dict[str, Any] | None:
+        """None where there is nothing to look at; why is said then."""
+        root = self._document.value
+        if root is None and self._document.faults:
+            return None
+        if not isinstance(root, dict):
+            self._fault((), f"a config is a mapping with the keys {', '.join(_KEYS)}")
+            return None
+        for key in root.keys() - set(_KEYS):
+            self._fault((key,), _unknown_key(key, root[key], _KEYS))
+        return root
+
+    def _mapping(self, root: dict[str, Any]) -> BaseModel | None:
+        section = _section(root, "mapping")
+        model = mapping_model(section) if isinstance(section, dict) else MappingConfig
+        mapping = self._model(model, section, ("mapping",))
+        if isinstance(mapping, MappingConfig):
+            self._refuse_what_is_no_laser(mapping.lasers or (), root.get("sensors"))
+        return mapping
 
     def _name(self, parent: KeyPath, name: object, key: str) -> object:
         if name is None:
@@ -210,7 +258,6 @@ class _Reader:
                 self._fault((*path, name), fault)
             if (sensor := self._sensor(name, settings, (*path, name))) is not None:
                 read[name] = sensor
-        self._refuse_shared_wires(read)
         return read
 
     def _sensor(self, name: str, settings: object, path: KeyPath) -> BaseModel | None:
@@ -333,6 +380,17 @@ class _Reader:
         if any(fault.path == path for fault in self._document.faults):
             return  # what is not even YAML is said once
         self._document.faults.append(Fault(self._document.position(path), path, message))
+
+
+def _with_a_wire(settings: object) -> object:
+    """A sensor's settings for a replay, which opens no wire."""
+    if not isinstance(settings, dict) or {"host", "device"} & settings.keys():
+        return settings
+    kind = settings.get("type")
+    if not isinstance(kind, str) or kind not in SENSOR_KINDS:
+        return settings
+    key = "host" if "host" in SENSOR_KINDS[kind].config.model_fields else "device"
+    return {**settings, key: "recorded"}
 
 
 def _kinds_meant(settings: Mapping[str, Any]) -> list[str]:

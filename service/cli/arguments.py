@@ -89,13 +89,17 @@ def _add_offline(commands: Any) -> None:
     replay.add_argument("files", type=Path, nargs="+", metavar="FILE.mcap")
     _add_profile(replay, "map with this profile instead of the recorded one")
     replay.add_argument(
-        "--config", type=Path, metavar="CONFIG.yaml", help="map with this config instead of the recorded one"
+        "--config",
+        type=Path,
+        metavar="CONFIG.yaml",
+        help="map with its sensors and mapping instead of the recorded ones; the other sections are not read",
     )
     replay.add_argument(
         "--out",
         type=Path,
         metavar="DIR",
-        help="trajectories, map and summary go here (several files: a folder each)",
+        help="trajectories, map and summary go here (several files: a folder each); "
+        "default: out/replay_<name>",
     )
     replay.add_argument(
         "--rate",

@@ -3,28 +3,59 @@
 import argparse
 import sys
 import threading
+from collections.abc import Sequence
+from typing import Any
 
-from service.cli.console import print_report, print_result, progress
+from service.cli.console import print_report, print_result, print_table, progress
 from service.errors import UsageError
 from service.kernel_cache import ensure_cache_dir
 
 
 def replay(parsed: argparse.Namespace) -> int:
     ensure_cache_dir()
-    from service.offline.replay import ReplayOptions, group_sessions, replay_all
+    from service.offline.replay import ReplayOptions, group_sessions, replay_all, result_folders
 
     sessions = group_sessions(parsed.files)
+    folders = result_folders(sessions, parsed.out)
+    if parsed.out is None:
+        print(f"results go to {' and '.join(map(str, folders))}; --out names another folder", file=sys.stderr)
     options = ReplayOptions(
         parsed.config, parsed.profile, parsed.rate, parsed.map, parsed.localize, parsed.from_raw
     )
-    with progress("replay") as shown:
-        summaries = replay_all(sessions, options, parsed.out, parsed.jobs, shown)
-    if len(summaries) == 1:
-        print_result(summaries[0], parsed.json)
+    with progress("mapping") as shown:
+        summaries = replay_all(sessions, options, folders, parsed.jobs, shown)
+    told = [summary | {"out": str(out)} for summary, out in zip(summaries, folders, strict=True)]
+    if not parsed.json:
+        print_table(_table(told))
+    elif len(told) == 1:
+        print_result(told[0], as_json=True)
     else:
-        named = {str(session[0]): summary for session, summary in zip(sessions, summaries, strict=True)}
-        print_result(named, parsed.json)
+        print_result(
+            {str(session[0]): one for session, one in zip(sessions, told, strict=True)}, as_json=True
+        )
     return 0
+
+
+def _table(summaries: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """What one wants to know at once; all of it stands in summary.json of each folder."""
+    rows = [
+        ["result in", "duration_s", "x real time", "scans", "dropped", "lost", "scan_ms p50", "p99", "loops"]
+    ]
+    for told in summaries:
+        rows.append(
+            [
+                str(told["out"]),
+                f"{told['duration_s']:.1f}",
+                f"{told['realtime_factor']:.1f}",
+                str(told["scans"]),
+                str(told["scans_dropped"]),
+                str(told["state"]["lost"]),
+                f"{told['scan_ms']['p50']:.2f}",
+                f"{told['scan_ms']['p99']:.2f}",
+                str(told["loop_closures"]),
+            ]
+        )
+    return rows
 
 
 def import_log(parsed: argparse.Namespace) -> int:

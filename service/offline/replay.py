@@ -1,5 +1,6 @@
 """Recordings through the same mapper as the live service: same input, same output, bit for bit."""
 
+import itertools
 import json
 import logging
 import re
@@ -18,7 +19,14 @@ import numpy as np
 from pydantic import ValidationError
 
 from drivers.frames import LaserScan
-from service.config import ServiceConfig, laser_names, load_config, mapped_lasers, mountings, parse_config
+from service.config import (
+    ReplayConfig,
+    laser_names,
+    load_replay_config,
+    mapped_lasers,
+    mountings,
+    parse_replay_config,
+)
 from service.encoding import LASER_SCAN, pose_on_wire
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import ConfigError, InputError, StorageError
@@ -26,6 +34,7 @@ from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import UTM_MOST_LATITUDE_DEG
 from service.geometry.se2 import SE2
 from service.interruption import children_do_not_hear
+from service.kernel_warm_up import KernelProgress
 from service.kernel_warm_up import warm_up as warm_up_kernels
 from service.mapper.components import WishError
 from service.mapper.corrections import corrected
@@ -50,8 +59,10 @@ from service.version import VERSION
 
 log = logging.getLogger(__name__)
 
+Progress = Callable[[float | None, str], None]  # share of a phase, None where nobody knows it; the phase
+REMAKING, MAPPING, CLOSING = "decoding", "mapping", "closing loops"  # phases
+DEFAULT_OUT = Path("out")
 STATES = ("ok", "degraded", "lost")
-REMAKING_SHARE = 0.3  # of the time that a replay from raw bytes takes, for its progress
 _SESSION_FILE = re.compile(r"(.+_\d{8}T\d{6}Z)_\d{4}\.mcap")
 
 
@@ -118,19 +129,34 @@ def group_sessions(paths: Sequence[Path]) -> list[list[Path]]:
     return [sorted(parts) for parts in sessions.values()]
 
 
+def result_folders(sessions: Sequence[Sequence[Path]], out: Path | None) -> list[Path]:
+    """Where the result of each session goes, no two to the same: one to `out` itself, several to folders
+    below it, named after them; without `out` each to out/replay_<name>.
+    """
+    if out is not None and len(sessions) == 1:
+        return [out]
+    folders: list[Path] = []
+    for session in sessions:
+        part_of = _SESSION_FILE.fullmatch(session[0].name)
+        name = part_of[1] if part_of else session[0].stem
+        folder = out / name if out is not None else DEFAULT_OUT / f"replay_{name}"
+        like = (folder.with_name(f"{folder.name}_{number}") for number in itertools.count(2))
+        folders.append(folder if folder not in folders else next(one for one in like if one not in folders))
+    return folders
+
+
 def replay_all(
     sessions: Sequence[Sequence[Path]],
     options: ReplayOptions,
-    out: Path | None,
+    folders: Sequence[Path],
     jobs: int,
-    progress: Callable[[float], None],
+    progress: Progress,
 ) -> list[dict[str, Any]]:
-    """Replay each session and write what `write_replay` says; their summaries, in the order given.
+    """Replay each session and write what `write_replay` says to its folder; their summaries, in order.
 
-    With `jobs` above 1 so many at a time, each in a process of its own. One session goes to `out` itself,
-    several to folders below it. Raises InputError, ConfigError, StorageError of the first that fails.
+    With `jobs` above 1 so many at a time, each in a process of its own. Raises InputError, ConfigError,
+    StorageError of the first that fails.
     """
-    folders = [_folder(out, session, len(sessions)) for session in sessions]
     if jobs == 1 or len(sessions) == 1:
         return [
             _replay_to(session, options, folder, _part_of(progress, k, len(sessions)))
@@ -144,12 +170,12 @@ def replay_all(
                 for session, folder in zip(sessions, folders, strict=True)
             ]
         for done, _ in enumerate(as_completed(futures), start=1):
-            progress(done / len(sessions))
+            progress(done / len(sessions), MAPPING)
         return [future.result() for future in futures]
 
 
 def replay(
-    paths: Sequence[Path], options: ReplayOptions, progress: Callable[[float], None] = lambda share: None
+    paths: Sequence[Path], options: ReplayOptions, progress: Progress = lambda share, phase: None
 ) -> Replay:
     """Map one recording. Raises InputError, ConfigError where the config cannot be used, and StorageError."""
     if options.from_raw:
@@ -161,7 +187,7 @@ def replay(
     stored = None if options.map is None else begin_in(options.map, mapping.cell_m)
     log.info("mapping the scans of %s", ", ".join(lasers))
     warm_up_encoding()
-    warm_up_kernels(mapping)
+    warm_up_kernels(mapping, progress=KernelProgress(lambda k: progress(k.share, "compiling kernels")))
     stages, scan_ns, scan_cpu_ns, states = StageTimes(), [], [], Counter[str]()
     begins = [stored]  # a reset begins a new map, but for a vehicle that is only localised
 
@@ -187,6 +213,7 @@ def replay(
         new = outputs[len(poses) :]
         if not new:
             return
+        progress(None, CLOSING)
         finished = mapper.finish()
         poses.extend(corrected(new, finished.corrections))
         tiles, g2o, geo = mapper.changed_tiles(), finished.g2o, mapper.geo_reference
@@ -227,13 +254,13 @@ def replay(
             scan_ns.append(time.perf_counter_ns() - before_ns)
             states[output.state] += 1
             outputs.append(output)
-            progress((step.arrived_ns - recording.first_log_ns) / span_ns)
+            progress((step.arrived_ns - recording.first_log_ns) / span_ns, MAPPING)
+    progress(1.0, MAPPING)
     finish_map()
     mapper.close()
     wall_s = time.monotonic() - began_s
     if not outputs:
         raise InputError(f"{paths[0]}: not one scan could be mapped ({dict(session.counters)})")
-    progress(1.0)
     for topic, devices in session.shared_topics.items():
         log.warning("%s has messages of several frame_ids: %s", topic, _in_words(devices))
     duration_s = (outputs[-1].stamp_ns - outputs[0].stamp_ns) / 1e9
@@ -270,17 +297,11 @@ def replay(
     return Replay(outputs, poses, tiles, g2o, summary, session.notes, geo, graph)
 
 
-def _replay_from_raw(
-    paths: Sequence[Path], options: ReplayOptions, progress: Callable[[float], None]
-) -> Replay:
+def _replay_from_raw(paths: Sequence[Path], options: ReplayOptions, progress: Progress) -> Replay:
     with TemporaryDirectory(prefix="corridor-") as folder:
         made = Path(folder) / paths[0].name
-        remade = remake_frames(paths, options.config, made, lambda share: progress(REMAKING_SHARE * share))
-        done = replay(
-            [made],
-            replace(options, from_raw=False),
-            lambda share: progress(REMAKING_SHARE + (1.0 - REMAKING_SHARE) * share),
-        )
+        remade = remake_frames(paths, options.config, made, lambda share: progress(share, REMAKING))
+        done = replay([made], replace(options, from_raw=False), progress)
     done.summary[FROM_RAW] = {name: asdict(counts) for name, counts in remade.items()}
     return done
 
@@ -360,17 +381,18 @@ def _setup(
 
     By --config, else by the recording's own config, else defaults.
     """
-    config = recorded = None
+    config: ReplayConfig | None = None
+    recorded: ReplayConfig | None = None
     if (text := session.metadata.get("config", {}).get("yaml")) is not None:
         try:
-            config = recorded = parse_config(text, "recorded config")
+            config = recorded = parse_replay_config(text, "recorded config")
         except ConfigError as error:
             if options.config is None:
                 raise ConfigError(
                     [*error.faults, "the recorded config is of another version; give one by --config"]
                 ) from error
     if options.config is not None:
-        config = load_config(options.config)
+        config = load_replay_config(options.config)
     mapping = config.mapping if config is not None else mapping_config()
     if options.profile is not None and options.profile != mapping.profile:
         mapping = _with_profile(options.profile, mapping)
@@ -390,7 +412,7 @@ def _setup(
     return mapping, poses, _lasers(session, config), as_live
 
 
-def _lasers(session: Session, config: ServiceConfig | None) -> Sequence[str]:
+def _lasers(session: Session, config: ReplayConfig | None) -> Sequence[str]:
     """Whose scans are mapped: as the config says. Where that knows none of them, those of every laser whose
     mounting is known; where none is, of the one with most scans.
     """
@@ -420,24 +442,21 @@ def _with_profile(profile: str, mapping: MappingConfig) -> MappingConfig:
 def _replay_to(
     session: Sequence[Path],
     options: ReplayOptions,
-    out: Path | None,
-    progress: Callable[[float], None] = lambda share: None,
+    out: Path,
+    progress: Progress = lambda share, phase: None,
 ) -> dict[str, Any]:
     done = replay(session, options, progress)
-    if out is not None:
-        write_replay(done, out)
+    write_replay(done, out)
     return done.summary
 
 
-def _part_of(progress: Callable[[float], None], part: int, parts: int) -> Callable[[float], None]:
-    return lambda share: progress((part + share) / parts)
+def _part_of(progress: Progress, part: int, parts: int) -> Progress:
+    """Mapping counts over all sessions; the other phases come anew with each."""
 
+    def tell(share: float | None, phase: str) -> None:
+        progress((part + share) / parts if share is not None and phase == MAPPING else share, phase)
 
-def _folder(out: Path | None, session: Sequence[Path], sessions: int) -> Path | None:
-    if out is None or sessions == 1:
-        return out
-    part_of = _SESSION_FILE.fullmatch(session[0].name)
-    return out / (part_of[1] if part_of else session[0].stem)
+    return tell
 
 
 def _dropped(session: Session, mapper: SteeredMapper) -> int:

@@ -10,10 +10,12 @@ from drivers.sick_lms100.config import Lms100Config
 from service.config import (
     laser_names,
     load_config,
+    load_replay_config,
     mapped_lasers,
     mounted_upside_down,
     mountings,
     parse_config,
+    parse_replay_config,
     tf_static,
 )
 from service.encoding import decode_transforms
@@ -268,6 +270,27 @@ def test_the_complete_example_is_right_and_shows_every_section():
     for model in config.sinks.values():
         for key in type(model).model_fields:
             assert f"  {key}:" in config.text
+
+
+def test_a_replay_needs_no_more_than_sensors_and_mapping(tmp_path: Path):
+    config = tmp_path / "c.yaml"
+    config.write_text(
+        "sensors:\n  front: {type: sick_lms100, mounting: {x_m: 0.2}}\n  base: {type: irobot_create}\n"
+        "  rear: {type: hokuyo_utm30lx, map: false}\n"
+    )
+    read = load_replay_config(config)
+    assert (mapped_lasers(read), mountings(read.sensors)["front"].x_m) == (("front",), 0.2)
+    config.write_text("mapping: {profile: imle}\nrecording: {rotate_mb: x}\nmap: {directory: {}}\n")
+    assert load_replay_config(config).mapping.profile == "imle"
+    assert load_replay_config(config).begin_in is None
+    config.write_text("map: {load: maps/office}\n")
+    assert load_replay_config(config).begin_in == Path("maps/office")
+    with pytest.raises(ConfigError, match=r"c\.yaml:1:2: recroding: unknown key"):
+        parse_replay_config("{recroding: {}}", "c.yaml")
+    with pytest.raises(ConfigError, match=r"sensors\.front\.mounting\.x: unknown key"):
+        parse_replay_config("sensors: {front: {type: ibeo_lux, mounting: {x: 1}}}", "c.yaml")
+    with pytest.raises(ConfigError, match=r"mapping\.lasers\.0: base gives no scans"):
+        parse_replay_config("{sensors: {base: {type: irobot_create}}, mapping: {lasers: [base]}}", "c")
 
 
 def test_what_the_complete_example_leaves_out_is_right_too():

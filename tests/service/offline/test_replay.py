@@ -20,6 +20,7 @@ from service.offline.replay import (
     group_sessions,
     replay,
     replay_all,
+    result_folders,
     write_replay,
 )
 from service.offline.trajectory import read_tum
@@ -179,6 +180,7 @@ def test_a_replay_writes_what_other_programs_read(record_drive: RecordDrive, tmp
         "map.pgm",
         "map.yaml",
         "map.png",
+        "map",
         "summary.json",
     }
     trajectory = read_tum(tmp_path / "out" / "trajectory.tum")
@@ -232,18 +234,33 @@ def test_a_reset_at_the_very_end_leaves_the_map_before_to_be_shown(record_drive:
     write_replay(done, tmp_path / "out")
 
 
+def test_each_result_has_a_folder_of_its_own():
+    a, b, c = Path("a/v_20261121T101500Z_0001.mcap"), Path("b/v_20261121T101500Z_0001.mcap"), Path("c/x.mcap")
+    assert result_folders([[a]], Path("o")) == [Path("o")]
+    assert result_folders([[c]], None) == [Path("out/replay_x")]
+    assert result_folders([[a], [c]], Path("o")) == [Path("o/v_20261121T101500Z"), Path("o/x")]
+    assert result_folders([[a], [b], [b]], None) == [
+        Path("out/replay_v_20261121T101500Z"),
+        Path("out/replay_v_20261121T101500Z_2"),
+        Path("out/replay_v_20261121T101500Z_3"),
+    ]
+
+
 def test_the_same_recording_gives_the_same_bytes_alone_and_among_others(
     record_drive: RecordDrive, tmp_path: Path
 ):
     sessions = [[record_drive("a")], [record_drive("b", scans=30)]]
-    shares: list[float] = []
-    one_by_one = replay_all(sessions, ReplayOptions(), tmp_path / "1", 1, shares.append)
-    at_once = replay_all(sessions, ReplayOptions(), tmp_path / "2", 2, lambda share: None)
+    told: list[tuple[float | None, str]] = []
+    folders, others = (result_folders(sessions, tmp_path / name) for name in "12")
+    one_by_one = replay_all(sessions, ReplayOptions(), folders, 1, lambda *how_far: told.append(how_far))
+    at_once = replay_all(sessions, ReplayOptions(), others, 2, lambda share, phase: None)
     assert [s["scans"] for s in one_by_one] == [s["scans"] for s in at_once] == [40, 30]
+    shares = [share for share, phase in told if phase == "mapping" and share is not None]
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
+    assert told[-1] == (None, "closing loops")
     written = [path.relative_to(tmp_path / "1") for path in (tmp_path / "1").rglob("*.*") if path.is_file()]
-    assert len(written) == 14
+    assert len([path for path in written if len(path.parts) == 2]) == 14  # beside the stored maps
     for path in written:
         if path.name != "summary.json":
             assert (tmp_path / "1" / path).read_bytes() == (tmp_path / "2" / path).read_bytes()
