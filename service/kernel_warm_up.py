@@ -23,7 +23,7 @@ from numba.core.registry import cpu_target
 
 from service.interruption import children_do_not_hear, end_with_parent
 from service.kernel_cache import forget_kernels
-from service.mapper.profiles import MappingConfig, mapping_config, rehearsals
+from service.mapper.profiles import MappingConfig, mapping_config, warm_up_steps
 
 log = logging.getLogger(__name__)
 
@@ -90,7 +90,7 @@ def warm_up(
     Half a second where the cache holds them. Call ensure_cache_dir first. A cache that cannot be read is
     emptied, with a warning, and filled anew.
 
-    back_end_elsewhere   leave out what the graph's back end needs, see `rehearsals`
+    back_end_elsewhere   leave out what the graph's back end needs, see `warm_up_steps`
     progress             told of each kernel that is compiled; left out, the log says how far it is
     """
     progress = progress or KernelProgress(_Tell())
@@ -105,7 +105,7 @@ def warm_up(
 
 
 def _warm_up(config: MappingConfig | None, back_end_elsewhere: bool, progress: KernelProgress) -> None:
-    pieces = _Pieces(rehearsals(config, back_end_elsewhere))
+    pieces = _Pieces(warm_up_steps(config, back_end_elsewhere))
     helpers = [
         _Helper((config, back_end_elsewhere), pieces, progress)
         for _ in range(len(os.sched_getaffinity(0)) - 1)
@@ -276,7 +276,7 @@ def _help(theirs: Connection, what: tuple[dict[str, Any] | None, bool]) -> None:
     end_with_parent()
     section, back_end_elsewhere = what
     _start_compiler()
-    work = rehearsals(None if section is None else mapping_config(section), back_end_elsewhere)
+    work = warm_up_steps(None if section is None else mapping_config(section), back_end_elsewhere)
     try:
         with _listening(lambda: None, theirs.send):
             while True:

@@ -5,9 +5,17 @@ from typing import Literal, get_args
 
 from service.encoding.outputs import decode_event
 from service.errors import InputError
-from service.mapper.steering import WISHES, Control, LeftOut, Steering, Step, TakeIn, Wish
+from service.mapper.mapping_session import (
+    GRAPH_REQUESTS,
+    ApplyResult,
+    GraphRequest,
+    LeftOut,
+    SessionAction,
+    SessionRequest,
+    Step,
+)
 
-STEERINGS: tuple[Steering, ...] = get_args(Steering)
+SESSION_ACTIONS: tuple[SessionAction, ...] = get_args(SessionAction)
 APPLY_RESULT = "apply_result"
 _APPLY_RESULTS = (APPLY_RESULT, "take_in")  # the latter in recordings made before 2026-11-22
 LEFT_OUT: dict[str, Literal["old", "fatal"]] = {"scan_passed_over": "old", "frame_refused": "fatal"}
@@ -24,12 +32,12 @@ def decode_step(payload: bytes, log_ns: int) -> Step | None:
     except (ValueError, RecursionError) as error:
         raise InputError(f"an event that is no JSON: {text[:80]!r}") from error
     what = event.get("event") if isinstance(event, dict) else None
-    if what in STEERINGS:
-        return Control(what, log_ns)
+    if what in SESSION_ACTIONS:
+        return SessionRequest(what, log_ns)
     if what in _APPLY_RESULTS:
-        return TakeIn(log_ns)
+        return ApplyResult(log_ns)
     if isinstance(what, str) and what in LEFT_OUT and isinstance(event.get("sensor"), str):
         return LeftOut(event["sensor"], LEFT_OUT[what], log_ns)
-    if what in WISHES:
-        return Wish(what, {key: event[key] for key in event if key not in ("event", "id")}, log_ns)
+    if what in GRAPH_REQUESTS:
+        return GraphRequest(what, {key: event[key] for key in event if key not in ("event", "id")}, log_ns)
     return None

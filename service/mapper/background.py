@@ -2,7 +2,7 @@
 
 The mapper has no threads and reads no clock. Who builds it says where the work is done: at once and in place
 (replay, tests), or in a process of its own (live). A back end gets its batches one at a time and in order, so
-what it answers depends on the batches alone; and the mapper takes an answer in between two frames, at a place
+what it answers depends on the batches alone; and the mapper applies a result between two frames, at a place
 that the recording holds.
 """
 
@@ -74,7 +74,7 @@ class InlineWorker:
 
 
 class ElsewhereWorker:
-    """For a mapper that rehearses: what is handed in is never done, and never waited for."""
+    """For a mapper that warms up: what is handed in is never done, and never waited for."""
 
     ready = False
 
@@ -89,37 +89,37 @@ class ElsewhereWorker:
     def close(self) -> None: ...
 
 
-class Errand:
-    """What a graph has out with its back end, oldest first. The other half of Graph.waiting and Graph.ready.
+class BackgroundJobs:
+    """Jobs that a graph has out with its back end, oldest first; gives Graph.waiting and Graph.ready.
 
-    trouble   why there will be no more results, "" while all is well; from then on submit does nothing
+    fault   why there will be no more results, "" while all is well; from then on submit does nothing
     """
 
     def __init__(self, worker: Worker) -> None:
         self._worker = worker
         self._out: deque[Job] = deque()
-        self.trouble = ""
+        self.fault = ""
 
     @property
     def waiting(self) -> int:
-        """Pieces of work that are out."""
+        """Jobs whose results are not taken yet."""
         return len(self._out)
 
     @property
     def ready(self) -> bool:
-        """Whether the oldest of them can be taken in without waiting."""
+        """Whether the result of the oldest can be taken without waiting."""
         return bool(self._out) and self._out[0].ready
 
     def submit(self, batch: Any) -> None:
-        if not self.trouble:
+        if not self.fault:
             self._out.append(self._worker.submit(batch))
 
     def take(self) -> Any:
-        """Result of the oldest piece of work; waits for it. Raises WorkLostError, then all are given up."""
+        """Result of the oldest job; waits for it. Raises WorkLostError, then all are given up."""
         try:
             return self._out.popleft().result()
         except WorkLostError as error:
-            self.trouble = str(error)
+            self.fault = str(error)
             self._out.clear()
             raise
 

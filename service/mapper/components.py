@@ -138,7 +138,7 @@ class FinishedGraph:
 
     corrections   by rising stamps; empty: map and odom are one frame for the whole session
     g2o           the graph as g2o text; "": there is none
-    update        as that of take_in
+    update        as that of apply_result
     """
 
     corrections: Sequence[Correction] = ()
@@ -213,14 +213,14 @@ class Matcher(Protocol[ReadableMap_contra]):
     def match(self, points: Points, predicted: Prediction, local_map: ReadableMap_contra) -> Match: ...
 
 
-class WishError(Exception):
+class GraphRequestError(Exception):
     """Why a graph will not do what it is asked, in words for who asked."""
 
 
 class Graph(Protocol):
     """Says where odom lies in the map. Whatever takes longer than a fraction of a scan is done elsewhere.
 
-    Work goes out in `add` and `wish`, and comes back in `take_in`, which alone changes pose_map_odom.
+    Work goes out in `add` and `request`, and comes back in `apply_result`, which alone changes pose_map_odom.
     """
 
     @property
@@ -230,11 +230,11 @@ class Graph(Protocol):
 
     @property
     def ready(self) -> bool:
-        """Whether take_in would not wait. Only what runs live may ask: a clock has a say in the answer."""
+        """Whether apply_result would not wait. Only what runs live may ask: the answer depends on a clock."""
         ...
 
     @property
-    def trouble(self) -> str:
+    def fault(self) -> str:
         """Why no work is done any more, "" while all is well. Mapping goes on without it."""
         ...
 
@@ -246,14 +246,14 @@ class Graph(Protocol):
         """Take a fix of a GNSS receiver; the name of the counter that it falls under. Does not wait."""
         ...
 
-    def take_in(self) -> GraphUpdate:
+    def apply_result(self) -> GraphUpdate:
         """Bring in the oldest piece of work, waiting for it; nothing changes where none is out."""
         ...
 
-    def wish(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Do what a person asks for, such as "optimize"; answers at once, what follows comes by take_in.
+    def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Do what a person asks for, such as "optimize"; answers at once, what follows comes by apply_result.
 
-        payload and answer are JSON objects. Raises WishError.
+        payload and answer are JSON objects. Raises GraphRequestError.
         """
         ...
 
@@ -311,8 +311,8 @@ class ComponentKind:
 
     makes     the class that build gives, where another stage reads it (local maps); else None
     reads     the class of the local map that this stage reads, None where it reads none
-    rehearse  runs what a short drive does not reach, so that it is compiled; None where there is nothing such
-    rehearse_core   runs alone what takes longest to compile, so that another process can drive meanwhile
+    warm_up   runs what a short drive does not reach, so that it is compiled; None where there is nothing such
+    warm_up_core   runs alone what takes longest to compile, so that another process can drive meanwhile
     begins_in_stored   of a graph: it can go on from BuildContext.stored, and gives what to store
     """
 
@@ -321,8 +321,8 @@ class ComponentKind:
     build: Callable[[Any, BuildContext], Any]
     makes: type | None = None
     reads: type | None = None
-    rehearse: Callable[[], Any] | None = None
-    rehearse_core: Callable[[], Any] | None = None
+    warm_up: Callable[[], Any] | None = None
+    warm_up_core: Callable[[], Any] | None = None
     begins_in_stored: bool = False
 
 

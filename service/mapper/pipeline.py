@@ -119,12 +119,12 @@ class Mapper(Generic[ReadableMap]):
 
     @property
     def graph(self) -> Graph:
-        """To be asked and told; what comes back goes through take_in and finish of the mapper."""
+        """To be asked and told; what comes back goes through apply_result and finish of the mapper."""
         return self._stages.graph
 
-    def take_in(self) -> None:
+    def apply_result(self) -> None:
         """Bring in the oldest piece of work of the graph, between two frames; waits for it."""
-        self._bring_in(self._stages.graph.take_in())
+        self._bring_in(self._stages.graph.apply_result())
 
     def finish(self) -> FinishedGraph:
         """The graph's last word, after the last frame; the shown map is corrected, too."""

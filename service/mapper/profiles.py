@@ -253,7 +253,7 @@ def _choose(name: str, known: Iterable[str]) -> str:
     return f"known here: {', '.join(known)}"
 
 
-def rehearsals(
+def warm_up_steps(
     config: MappingConfig | None = None, back_end_elsewhere: bool = False
 ) -> list[Callable[[], Any]]:
     """What compiles the kernels that a config needs (None: those of every profile), or loads them from the
@@ -272,8 +272,8 @@ def rehearsals(
         for box, kind in chosen_stages(c.profile, c.stages).items()
         if not (back_end_elsewhere and box == "graph")
     }
-    first = [kind.rehearse_core for kind in kinds.values() if kind.rehearse_core is not None]
-    last = [kind.rehearse for kind in kinds.values() if kind.rehearse is not None]
+    first = [kind.warm_up_core for kind in kinds.values() if kind.warm_up_core is not None]
+    last = [kind.warm_up for kind in kinds.values() if kind.warm_up is not None]
     worker = ElsewhereWorker if back_end_elsewhere else InlineWorker
     return [*first, *(partial(_drive, c, worker) for c in configs), *last]
 

@@ -36,12 +36,19 @@ from service.geometry.se2 import SE2
 from service.interruption import children_do_not_hear
 from service.kernel_warm_up import KernelProgress
 from service.kernel_warm_up import warm_up as warm_up_kernels
-from service.mapper.components import WishError
+from service.mapper.components import GraphRequestError
 from service.mapper.corrections import corrected
+from service.mapper.mapping_session import (
+    APPLY_AFTER_SCANS,
+    ApplyResult,
+    GraphRequest,
+    LeftOut,
+    MappingSession,
+    SessionRequest,
+)
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
 from service.mapper.saved_graph import SavedGraph
-from service.mapper.steering import TAKE_IN_AFTER_SCANS, Control, LeftOut, SteeredMapper, TakeIn, Wish
 from service.mapstore.annotated import PALETTE, annotated
 from service.mapstore.begin_in import begin_in
 from service.mapstore.files import is_map_folder, save_map
@@ -195,10 +202,10 @@ def replay(
         begin = begins[0] if mapping.mode == "localization" else begins.pop() if begins else None
         return build_mapper(mapping, poses_base_sensor, stages, new_patch_store=PatchFiles, begin_in=begin)
 
-    mapper = SteeredMapper(
+    mapper = MappingSession(
         new_mapper,
         lasers,
-        take_in_after=None if as_live else TAKE_IN_AFTER_SCANS,
+        apply_after=None if as_live else APPLY_AFTER_SCANS,
     )
     tiles: list[TileUpdate] = []
     outputs: list[MapperOutput] = []
@@ -227,21 +234,21 @@ def replay(
     began_s = time.monotonic()
     for step in session.steps():
         pace.wait_for(step.arrived_ns)
-        if isinstance(step, Control):
-            if step.steering == "reset_map":
+        if isinstance(step, SessionRequest):
+            if step.action == "reset_map":
                 finish_map()
-            mapper.steer(step.steering)
+            mapper.carry_out(step.action)
             continue
-        if isinstance(step, TakeIn):
+        if isinstance(step, ApplyResult):
             if as_live:
-                mapper.take_in()
+                mapper.apply_result()
             continue
         if isinstance(step, LeftOut):
             if as_live:
                 left_out[step.sensor] = step
             continue
-        if isinstance(step, Wish):
-            _wish(mapper, step)
+        if isinstance(step, GraphRequest):
+            _request(mapper, step)
             continue
         if (reason := left_out.pop(step.sensor, None)) is not None:
             if reason.reason == "old" and isinstance(step, LaserScan):
@@ -367,10 +374,10 @@ class _Pace:
             time.sleep(ahead_s)
 
 
-def _wish(mapper: SteeredMapper, wish: Wish) -> None:
+def _request(mapper: MappingSession, request: GraphRequest) -> None:
     try:
-        mapper.wish(wish.name, wish.payload)
-    except WishError as error:
+        mapper.request(request.name, request.payload)
+    except GraphRequestError as error:
         log.info("%s", error)
 
 
@@ -459,7 +466,7 @@ def _part_of(progress: Progress, part: int, parts: int) -> Progress:
     return tell
 
 
-def _dropped(session: Session, mapper: SteeredMapper) -> int:
+def _dropped(session: Session, mapper: MappingSession) -> int:
     """Scans of the mapped lasers that were read and not mapped: out of order, or without anything to map."""
     late = sum(count for name, count in mapper.counters.items() if name.startswith("scans_dropped"))
     scans = [

@@ -10,7 +10,7 @@ import numpy as np
 from drivers.frames import Frame, GnssFix, ImuSample, LaserScan, OdometrySample
 from service.errors import InputError
 from service.geometry.se2 import SE2
-from service.mapper.steering import Step
+from service.mapper.mapping_session import Step
 from service.offline.session_file import refuse_to_overwrite, write_session
 from service.recording.bag_reader import Bag
 from service.recording.mcap_reader import Recording

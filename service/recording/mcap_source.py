@@ -31,7 +31,7 @@ from service.encoding import (
 )
 from service.errors import InputError
 from service.geometry.se2 import SE2
-from service.mapper.steering import Step
+from service.mapper.mapping_session import Step
 from service.recording.mcap_reader import Recording, Topic
 from service.recording.mountings import Mounting, MountingError, StaticTree, planar_mounting
 
@@ -66,7 +66,7 @@ class Session:
     metadata       config, calibration, clocks as written by the recorder; empty in foreign recordings
     upside_down    sensors that are mounted so; what they say is turned back
     unmounted      lasers taken as sitting at the base's origin, for nothing says where they sit
-    events         topics whose events may steer the mapper: ours has one, others have none
+    events         topics whose events may be requests to the mapping session: ours has one, others have none
     notes          what was chosen and what was passed over, one line each, for people
     counters       filled while reading: frames by topic, messages without usable content, and those refused
                    because of a frame_id that is not expected
@@ -109,11 +109,11 @@ class Session:
         }
 
     def frames(self) -> Iterator[Frame]:
-        """What `steps` gives, without the wishes in between."""
+        """What `steps` gives, without the requests in between."""
         return (step for step in self.steps() if not isinstance(step, Step))
 
     def steps(self) -> Iterator[Frame | Step]:
-        """Frames and wishes by rising log time, in our sessions the order in which the mapper had them.
+        """Frames and requests by rising log time, in our sessions the order in which the mapper had them.
 
         Where a foreign recording gives a scan and a sample one log time, the sample goes first: a scan that
         is mapped before the odometry of its own moment has to guess the last piece of its way.
@@ -125,7 +125,7 @@ class Session:
         for message in self._in_order():
             topic = f"/{message.channel}"
             if topic in self.events:
-                yield from self._control(message)
+                yield from self._step(message)
                 continue
             try:
                 device = frame_id(message.payload)
@@ -149,13 +149,13 @@ class Session:
         for _, of_one_time in groupby(messages, key=lambda message: message.log_ns):
             yield from sorted(of_one_time, key=lambda message: message.type == LASER_SCAN)
 
-    def _control(self, event: Message) -> list[Step]:
+    def _step(self, event: Message) -> list[Step]:
         try:
-            control = decode_step(event.payload, event.log_ns)
+            step = decode_step(event.payload, event.log_ns)
         except InputError:
             self.counters[f"/{event.channel} unusable"] += 1
             return []
-        return [] if control is None else [control]
+        return [] if step is None else [step]
 
 
 def open_session(paths: Sequence[Path]) -> Session:

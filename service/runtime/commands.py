@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.encoding import Message
 from service.encoding.steps import decode_step
-from service.mapper.steering import Steering, Wish
+from service.mapper.mapping_session import GraphRequest, SessionAction
 from service.mapstore.tiles import TileStore
 from service.publishing.commands import CommandError, Outcome, Request, Verb
 from service.recording.mcap_recorder import SessionChange
@@ -125,7 +125,7 @@ class Commands:
         """Recorded even if it is refused: a replay refuses it at the same place."""
         self._put(event)
         request = decode_step(event.payload, event.log_ns)
-        assert isinstance(request, Wish)
+        assert isinstance(request, GraphRequest)
 
         def answered(answer: Answer) -> None:
             if answer.error:
@@ -135,7 +135,7 @@ class Commands:
 
         self._intake.request_graph(name, request.payload, event.log_ns, answered)
 
-    def _request_session(self, action: Steering, event: Message, outcome: Outcome) -> None:
+    def _request_session(self, action: SessionAction, event: Message, outcome: Outcome) -> None:
         self._put(event)
         self._intake.request_session(action, event.log_ns, lambda answer: outcome.done(changed=answer.result))
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from drivers.frames import Frame
 from service.encoding import LogClock, Message, encode_event, encode_frame
-from service.mapper.steering import Steering
+from service.mapper.mapping_session import SessionAction
 from service.runtime.host_time import HostTime
 from service.runtime.mapper_link import MapperLink
 from service.runtime.mapper_messages import Answer, FrameItem, GraphItem, SessionItem, TilesItem
@@ -67,7 +67,7 @@ class Intake:
             then(self._event(event))
             return ""
 
-    def request_session(self, action: Steering, log_ns: int, answered: Answered) -> None:
+    def request_session(self, action: SessionAction, log_ns: int, answered: Answered) -> None:
         """Within `then` of a mark: pause, resume or reset the mapper at its place."""
         if action != "reset_map":
             self.paused = action == "pause"

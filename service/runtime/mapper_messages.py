@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from service.encoding import Message
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
-from service.mapper.steering import Steering
+from service.mapper.mapping_session import SessionAction
 from service.outputs import State, TileUpdate
 
 
@@ -32,7 +32,7 @@ class SessionItem(NamedTuple):
 
     number: int
     log_ns: int
-    action: Steering
+    action: SessionAction
 
 
 class GraphItem(NamedTuple):

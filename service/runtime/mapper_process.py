@@ -23,10 +23,10 @@ from service.encoding import warm_up as warm_up_encoding
 from service.kernel_warm_up import KernelProgress
 from service.kernel_warm_up import warm_up as warm_up_kernels
 from service.log_format import set_up_logging
+from service.mapper.mapping_session import MappingSession
 from service.mapper.patch_store import PatchStore
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import build_mapper, mapping_config
-from service.mapper.steering import SteeredMapper
 from service.mapstore.begin_in import begin_in
 from service.mapstore.graph_files import GraphFolder
 from service.mapstore.patch_files import PatchFiles
@@ -81,7 +81,7 @@ class MapperProcess:
             )
 
         self._loop = MappingLoop(
-            SteeredMapper(new_mapper, setup.lasers, take_in_after=None), self._send, setup.upside_down
+            MappingSession(new_mapper, setup.lasers, apply_after=None), self._send, setup.upside_down
         )
         self._items: deque[Item] = deque()
         self._is_finishing = False

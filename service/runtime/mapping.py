@@ -7,9 +7,9 @@ from typing import Any
 
 from drivers.frames import Frame, LaserScan
 from service.encoding import decode_frame, encode_odom, encode_pose, encode_tf
-from service.mapper.components import WishError
+from service.mapper.components import GraphRequestError
+from service.mapper.mapping_session import MappingSession
 from service.mapper.saved_graph import KeptGraph
-from service.mapper.steering import SteeredMapper
 from service.outputs import MapperOutput
 from service.runtime.mapper_messages import (
     Answer,
@@ -52,7 +52,7 @@ class MappingLoop:
 
     def __init__(
         self,
-        mapper: SteeredMapper,
+        mapper: MappingSession,
         send: Callable[[Any], None],
         upside_down: Collection[str] = (),
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
@@ -85,7 +85,7 @@ class MappingLoop:
         elif isinstance(item, SessionItem):
             if item.action == "reset_map":
                 self.hand_over_tiles()  # they are of the map before
-            self._tell(item.number, Answer(item.number, self.mapper.steer(item.action)))
+            self._tell(item.number, Answer(item.number, self.mapper.carry_out(item.action)))
         elif isinstance(item, GraphItem):
             self._tell(item.number, self._request(item))
         else:
@@ -140,9 +140,9 @@ class MappingLoop:
 
     def _apply_results_before(self, item: Item) -> None:
         for _ in range(self._decided.applied.get(item.number, 0)):
-            self.mapper.take_in()
+            self.mapper.apply_result()
         if item.number > self._done_number and self.mapper.work_ready:
-            self.mapper.take_in()
+            self.mapper.apply_result()
             self._send(ResultApplied(item.number, item.log_ns, self.mapper.graph_fault))
             self._tell_graph()
 
@@ -208,8 +208,8 @@ class MappingLoop:
 
     def _request(self, item: GraphItem) -> Answer:
         try:
-            return Answer(item.number, self.mapper.wish(item.name, item.payload))
-        except WishError as error:
+            return Answer(item.number, self.mapper.request(item.name, item.payload))
+        except GraphRequestError as error:
             return Answer(item.number, None, str(error))
 
     def _tell(self, number: int, message: Any) -> None:

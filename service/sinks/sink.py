@@ -46,7 +46,7 @@ class Sink(Protocol):
 
     `put`, `put_tiles`, `put_metadata` and `health` come from any thread, before `start` too, and never wait:
     what cannot go out at once waits in a queue of bounded size; what the queue cannot take is dropped and
-    counted. Work is done in threads of the sink, whose names begin with `<name>-`: when one of them dies, the
+    counted. Work is done in threads of the sink, named `<name>` or `<name>-...`: when one of them dies, the
     fan-out says so in health, and mapping and the other sinks go on.
     """
 

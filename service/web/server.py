@@ -108,9 +108,9 @@ class WebServer:
         self._map_number = tiles.number
         self._verbs = list(about.verbs())
         self._dropped = self._refused = 0
-        self._trouble = "not started"
+        self._fault = "not started"
         self._address = ""
-        self._changed = threading.Condition()  # of _address and _trouble
+        self._changed = threading.Condition()  # of _address and _fault
         self._loop: asyncio.AbstractEventLoop | None = None
         self._ending: asyncio.Event | None = None
         self._thread = threading.Thread(target=self._run, name="web-serve", daemon=True)
@@ -143,7 +143,7 @@ class WebServer:
             "dropped": str(self._dropped + sum(b.mailbox.dropped for b in list(self._browsers))),
             "refused": str(self._refused),
         }
-        return Status("web", ERROR if self._trouble else OK, self._trouble or "ok", values)
+        return Status("web", ERROR if self._fault else OK, self._fault or "ok", values)
 
     def close(self) -> None:
         """Let the browsers go, and the port. A second call does nothing."""
@@ -189,7 +189,7 @@ class WebServer:
             await site.start()
         except (OSError, ssl.SSLError) as error:
             words = f"the page cannot be served at {self._config.listen}: {error}"
-            if words != self._trouble:
+            if words != self._fault:
                 log.error("web: %s; tried again each %.0f s, mapping goes on", words, self._retry_s)
             self._say("", words)
             return False
@@ -204,9 +204,9 @@ class WebServer:
             await asyncio.wait_for(self._ending.wait(), timeout_s)
         return self._ending.is_set()
 
-    def _say(self, address: str, trouble: str) -> None:
+    def _say(self, address: str, fault: str) -> None:
         with self._changed:
-            self._address, self._trouble = address, trouble
+            self._address, self._fault = address, fault
             self._changed.notify_all()
 
     def _tls(self) -> ssl.SSLContext | None:

@@ -114,7 +114,7 @@ def look(begin: BeginIn, first: SE2, made: Drive, outcome: Outcome) -> None:
         began_s = time.thread_time()
         output = mapper.process(frame)
         while mapper.graph.waiting:
-            mapper.take_in()
+            mapper.apply_result()
         if not isinstance(frame, LaserScan) or output is None:
             continue
         longest_s = max(longest_s, time.thread_time() - began_s)

@@ -268,7 +268,7 @@ class Stubborn(FakeMtiG):
         return super()._act(message, now_ns)
 
 
-def test_what_the_device_makes_of_our_wishes_is_told():
+def test_what_the_device_makes_of_our_requests_is_told():
     t = talk(Stubborn(Swing())).run(2.0)
     assert t.session.status.startswith(
         "streaming; it does not send E010; 4020 at 100 instead of 200 Hz; 8020 at 100 instead of 200 Hz"

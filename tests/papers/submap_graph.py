@@ -130,7 +130,7 @@ def run(what: Drive, local_map: dict[str, float], graph: bool = True) -> Mapped:
         if output is not None:
             outputs.append(output)
             while mapper.graph.waiting:
-                mapper.take_in()
+                mapper.apply_result()
     poses = corrected(outputs, mapper.finish().corrections)
     took_s = time.thread_time() - began_s
     at = np.linspace(0, len(outputs) - 1, CHECK_POINTS).astype(int)

@@ -11,7 +11,7 @@ from service import encoding
 from service.encoding import LogClock, Status, encode_frame
 from service.errors import InputError
 from service.geometry.se2 import SE2
-from service.mapper.steering import Control, TakeIn
+from service.mapper.mapping_session import ApplyResult, SessionRequest
 from service.outputs import Grid, MapperOutput, TileUpdate
 from tests.service.test_encoding import STORE, T0_NS, serialized
 
@@ -150,13 +150,13 @@ def test_diagnostics_and_events_survive():
 @pytest.mark.parametrize("what", ["pause", "resume", "reset_map"])
 def test_a_request_to_the_mapper_is_read_from_its_event(what):
     event = encoding.encode_event(f'{{"event": "{what}", "id": "7"}}', T0_NS, T0_NS)
-    assert encoding.decode_step(event.payload, T0_NS + 3) == Control(what, T0_NS + 3)
+    assert encoding.decode_step(event.payload, T0_NS + 3) == SessionRequest(what, T0_NS + 3)
 
 
 @pytest.mark.parametrize("name", ["apply_result", "take_in"])
 def test_a_result_applied_is_read_by_its_name_and_by_that_of_older_recordings(name):
     event = encoding.encode_event(f'{{"event": "{name}"}}', T0_NS, T0_NS)
-    assert encoding.decode_step(event.payload, T0_NS + 3) == TakeIn(T0_NS + 3)
+    assert encoding.decode_step(event.payload, T0_NS + 3) == ApplyResult(T0_NS + 3)
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,7 @@ def test_what_the_helper_took_is_loaded_here_or_compiled_if_it_died(
 
     monkeypatch.setattr(kernel_warm_up._Pieces, "claim", claim_and_tell)
     monkeypatch.setattr(
-        kernel_warm_up, "rehearsals", lambda *_: [first, lambda: done.append(1), lambda: done.append(2)]
+        kernel_warm_up, "warm_up_steps", lambda *_: [first, lambda: done.append(1), lambda: done.append(2)]
     )
     monkeypatch.setattr(kernel_warm_up, "_help", help_)
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
@@ -75,7 +75,7 @@ def test_what_the_helper_took_is_loaded_here_or_compiled_if_it_died(
 
 def test_nobody_helps_where_all_is_in_the_cache(monkeypatch: pytest.MonkeyPatch):
     done: list[int] = []
-    monkeypatch.setattr(kernel_warm_up, "rehearsals", lambda *_: [lambda: done.append(0)] * 2)
+    monkeypatch.setattr(kernel_warm_up, "warm_up_steps", lambda *_: [lambda: done.append(0)] * 2)
     monkeypatch.setattr(kernel_warm_up, "get_context", lambda method: pytest.fail("a process was begun"))
     warm_up()
     assert done == [0, 0]
@@ -85,7 +85,7 @@ def test_what_does_not_compile_is_raised(monkeypatch: pytest.MonkeyPatch):
     def broken() -> None:
         raise TypeError("cannot lower")
 
-    monkeypatch.setattr(kernel_warm_up, "rehearsals", lambda *_: [broken])
+    monkeypatch.setattr(kernel_warm_up, "warm_up_steps", lambda *_: [broken])
     with pytest.raises(TypeError, match="cannot lower"):
         warm_up()
 
@@ -103,7 +103,7 @@ def test_a_cache_that_was_cut_short_is_emptied_and_filled_anew(
             pickle.loads(damaged.read_bytes())
         done.append(1)
 
-    monkeypatch.setattr(kernel_warm_up, "rehearsals", lambda *_: [load])
+    monkeypatch.setattr(kernel_warm_up, "warm_up_steps", lambda *_: [load])
     warm_up()
     assert done == [1]
     assert not damaged.exists()
@@ -115,7 +115,7 @@ def test_what_cannot_be_read_from_an_empty_cache_is_raised(monkeypatch: pytest.M
         raise EOFError
 
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(kernel_warm_up, "rehearsals", lambda *_: [broken])
+    monkeypatch.setattr(kernel_warm_up, "warm_up_steps", lambda *_: [broken])
     with pytest.raises(EOFError):
         warm_up()
 
@@ -123,7 +123,7 @@ def test_what_cannot_be_read_from_an_empty_cache_is_raised(monkeypatch: pytest.M
 def test_what_is_compiled_here_and_by_the_helper_is_told(monkeypatch: pytest.MonkeyPatch):
     told: list[str] = []
     monkeypatch.setattr(kernel_warm_up, "KERNEL_PACKAGE", "")
-    monkeypatch.setattr(kernel_warm_up, "rehearsals", lambda *_: [compile_something, lambda: None])
+    monkeypatch.setattr(kernel_warm_up, "warm_up_steps", lambda *_: [compile_something, lambda: None])
     monkeypatch.setattr(kernel_warm_up, "_help", tells)
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
     progress = KernelProgress(lambda p: told.append(str(p).partition(" of")[0]))

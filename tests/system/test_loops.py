@@ -16,8 +16,8 @@ from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
 from service.config import parse_config
 from service.encoding import LogClock, Message, decode_event, encode_pose, encode_tf_static
 from service.geometry.se2 import SE2
+from service.mapper.mapping_session import MappingSession
 from service.mapper.profiles import build_mapper
-from service.mapper.steering import SteeredMapper
 from service.mapstore.tiles import TileStore
 from service.offline.replay import Replay, ReplayOptions, replay
 from service.recording.mcap_reader import Recording
@@ -75,7 +75,7 @@ class Live:
         self.poses: list[bytes] = []
         self._kill_at = kill_at
         mapping = parse_config(CONFIG, "config").mapping
-        mapper = SteeredMapper(
+        mapper = MappingSession(
             lambda: build_mapper(mapping, MOUNTINGS, new_worker=self.process.new_worker), ["front"], None
         )
         log_clock = LogClock()

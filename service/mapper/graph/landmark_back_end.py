@@ -88,7 +88,7 @@ class Result:
     pose_map_odom   of the newest
     links           pairs of sub-maps that hang together by automatic landmarks
     residual_m      by number of the pair: how far its two points lie apart now
-    trouble         why nothing was solved; "" else
+    fault         why nothing was solved; "" else
     """
 
     submaps: int
@@ -100,7 +100,7 @@ class Result:
     residual_m: dict[int, float]
     rms_m: float
     rendered_map: RenderedMap | None
-    trouble: str
+    fault: str
     g2o: str = ""
 
 
@@ -150,7 +150,7 @@ class LandmarkBackEnd:
         self.realignment = SubmapRealignment(self.config.least_on_surfels)
 
     def work(self, batch: Batch) -> Result:
-        trouble = ""
+        fault = ""
         try:
             if batch.what == "submap" and batch.closed is not None:
                 if self._add(batch.closed):
@@ -162,8 +162,8 @@ class LandmarkBackEnd:
                 self._change_pairs(batch)
                 self._solve()
         except GraphError as error:
-            trouble = str(error)
-        return self._result(trouble, is_last=batch.what == "finish")
+            fault = str(error)
+        return self._result(fault, is_last=batch.what == "finish")
 
     def _add(self, closed: ClosedSubmap) -> bool:
         """Take in a sub-map; whether landmarks were found in others."""
@@ -339,10 +339,10 @@ class LandmarkBackEnd:
                 poses.append(_bent(map_nodes, odom_nodes, node, min(node + 1, len(odom_nodes) - 1), pose))
         return np.array(stamps, np.int64), np.array(poses).reshape(-1, 3)
 
-    def _result(self, trouble: str, is_last: bool) -> Result:
+    def _result(self, fault: str, is_last: bool) -> Result:
         if not self.submaps:
             none = np.empty(0, np.int64), np.empty((0, 3))
-            return Result(0, *none, SE2(), 0, 0, {}, 0.0, None, trouble)
+            return Result(0, *none, SE2(), 0, 0, {}, 0.0, None, fault)
         stamps, poses = self._key_poses()
         map_odom = se2.compose(poses[-1], se2.between(self.submaps[-1].end_odom, np.zeros(3)))
         nodes = np.array(self.poses)
@@ -364,7 +364,7 @@ class LandmarkBackEnd:
             residuals,
             float(np.sqrt(seen.mean())) * self.config.match.landmark_sigma_m if len(seen) else 0.0,
             rendered_map,
-            trouble,
+            fault,
             to_g2o(self._graph()) if is_last and len(self.drawn) > 1 else "",
         )
 

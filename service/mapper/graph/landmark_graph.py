@@ -7,15 +7,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.frames import GnssFix
 from service.geometry.se2 import SE2
-from service.mapper.background import Errand, NewWorker, WorkLostError
+from service.mapper.background import BackgroundJobs, NewWorker, WorkLostError
 from service.mapper.components import (
     Correction,
     FinishedGraph,
+    GraphRequestError,
     GraphUpdate,
     MappedScan,
     MapRenderer,
     ScanToRender,
-    WishError,
 )
 from service.mapper.graph.landmark_back_end import Batch, LandmarkBackEnd, LandmarkGraphConfig, Pair, Result
 from service.mapper.maps.counted_submaps import CountedChange
@@ -55,7 +55,7 @@ class LandmarkGraph:
         renderer: MapRenderer | None,
         new_worker: NewWorker,
     ) -> None:
-        self._errand = Errand(new_worker(LandmarkBackEnd(config, renderer)))
+        self._jobs = BackgroundJobs(new_worker(LandmarkBackEnd(config, renderer)))
         self._pose_map_odom = SE2()
         self._key_odom: dict[int, SE2] = {}  # by stamp of each key scan: as the mapper gave it
         self._since: list[tuple[int, MappedScan]] = []  # key scans that no closed sub-map holds
@@ -66,15 +66,15 @@ class LandmarkGraph:
 
     @property
     def waiting(self) -> int:
-        return self._errand.waiting
+        return self._jobs.waiting
 
     @property
     def ready(self) -> bool:
-        return self._errand.ready
+        return self._jobs.ready
 
     @property
-    def trouble(self) -> str:
-        return self._errand.trouble
+    def fault(self) -> str:
+        return self._jobs.fault
 
     def add(self, scan: MappedScan) -> SE2:
         change = scan.change
@@ -83,43 +83,43 @@ class LandmarkGraph:
             self._since.append((self._submaps, scan))
         if isinstance(change, CountedChange) and change.closed is not None:
             self._submaps += 1
-            self._errand.submit(Batch("submap", closed=change.closed))
+            self._jobs.submit(Batch("submap", closed=change.closed))
         return self._pose_map_odom
 
     def add_fix(self, fix: GnssFix) -> str:
         return "fixes_passed_over"
 
-    def take_in(self) -> GraphUpdate:
-        if not self._errand.waiting:
+    def apply_result(self) -> GraphUpdate:
+        if not self._jobs.waiting:
             return GraphUpdate({})
         try:
-            result: Result = self._errand.take()
+            result: Result = self._jobs.take()
         except WorkLostError:
             return GraphUpdate({})
         return self._bring_in(result)
 
-    def wish(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
+    def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
         """add_landmark_pair, remove_landmark_pair, optimize, undo. The answer lists what is known by now."""
-        if self._errand.trouble:
-            raise WishError(f"{name}: the graph has stopped: {self._errand.trouble}")
+        if self._jobs.fault:
+            raise GraphRequestError(f"{name}: the graph has stopped: {self._jobs.fault}")
         answer: dict[str, Any] = {}
         if name == "add_landmark_pair":
             pair = self._new_pair(name, payload)
             self._pairs.append(pair)
-            self._errand.submit(Batch("add", pair=pair))
+            self._jobs.submit(Batch("add", pair=pair))
             answer["pair"] = pair.number
         elif name == "remove_landmark_pair":
             number = _read(PairNumber, name, payload).pair
             self._drop(name, "remove", number)
         elif name == "undo":
             if not self._pairs:
-                raise WishError("undo: there is no landmark pair to take back")
+                raise GraphRequestError("undo: there is no landmark pair to take back")
             answer["pair"] = self._pairs[-1].number
             self._drop(name, "undo", self._pairs[-1].number)
         elif name == "optimize":
-            self._errand.submit(Batch("optimize"))
+            self._jobs.submit(Batch("optimize"))
         else:
-            raise WishError(
+            raise GraphRequestError(
                 f"{name}: this graph knows add_landmark_pair, remove_landmark_pair, optimize, undo"
             )
         return answer | self._known()
@@ -127,10 +127,10 @@ class LandmarkGraph:
     def finish(self) -> FinishedGraph:
         counts: dict[str, int] = {}
         update = GraphUpdate({})
-        if not self._errand.trouble:
-            self._errand.submit(Batch("finish"))
-        while self._errand.waiting:
-            update = self.take_in()
+        if not self._jobs.fault:
+            self._jobs.submit(Batch("finish"))
+        while self._jobs.waiting:
+            update = self.apply_result()
             for name, count in update.counts.items():
                 counts[name] = counts.get(name, 0) + count
         result = self._last
@@ -143,7 +143,7 @@ class LandmarkGraph:
         return FinishedGraph(corrections, result.g2o, GraphUpdate(counts, update.rendered_map, update.since))
 
     def close(self) -> None:
-        self._errand.close()
+        self._jobs.close()
 
     def _bring_in(self, result: Result) -> GraphUpdate:
         before, self._last = self._last, result
@@ -166,11 +166,13 @@ class LandmarkGraph:
         request = _read(PairRequest, name, payload)
         points = (request.first, request.second)
         if points[0].submap == points[1].submap:
-            raise WishError(f"{name}: both points are of sub-map {points[0].submap}; name two sub-maps")
+            raise GraphRequestError(
+                f"{name}: both points are of sub-map {points[0].submap}; name two sub-maps"
+            )
         known = self._last.submaps if self._last is not None else 0
         for point in points:
             if point.submap >= known:
-                raise WishError(
+                raise GraphRequestError(
                     f"{name}: there is no sub-map {point.submap} in the graph yet; it holds {known}, "
                     "numbered from 0 by the way driven"
                 )
@@ -184,9 +186,9 @@ class LandmarkGraph:
         pair = next((pair for pair in self._pairs if pair.number == number), None)
         if pair is None:
             known = ", ".join(str(pair.number) for pair in self._pairs) or "none"
-            raise WishError(f"{name}: there is no landmark pair {number}; there are: {known}")
+            raise GraphRequestError(f"{name}: there is no landmark pair {number}; there are: {known}")
         self._pairs.remove(pair)
-        self._errand.submit(Batch(what, pair=pair))
+        self._jobs.submit(Batch(what, pair=pair))
 
     def _known(self) -> dict[str, Any]:
         last = self._last
@@ -200,8 +202,8 @@ class LandmarkGraph:
                 for pair in self._pairs
                 if last is not None and pair.number in last.residual_m
             ],
-            "trouble": last.trouble if last is not None else "",
-            "waiting": self._errand.waiting,
+            "fault": last.fault if last is not None else "",
+            "waiting": self._jobs.waiting,
         }
 
 
@@ -211,4 +213,4 @@ def _read(model: Any, name: str, payload: Mapping[str, Any]) -> Any:
     except ValidationError as error:
         fault = error.errors()[0]
         place = ".".join(map(str, fault["loc"])) or "the request"
-        raise WishError(f"{name}: {place}: {fault['msg']}") from None
+        raise GraphRequestError(f"{name}: {place}: {fault['msg']}") from None

@@ -7,7 +7,7 @@ import numpy as np
 
 from service.mapper.graph.pose_graph import Floats, PoseGraph, SolverConfig
 
-HELD_SIGMA = 1e-5  # m and rad, of a pose that is held: rounding, not a wish
+HELD_SIGMA = 1e-5  # m and rad, of a pose that is held: covers rounding
 ASIDE_M = 4.0  # where the helper of a pose stands that sees a point too near for a bearing
 LEAST_RANGE_M = 1.0  # a point nearer than this is seen by the helper
 

@@ -99,7 +99,7 @@ class LoopBackEnd:
             placed=self._placement.state,
             alike=self._pieces.alike,
         )
-        if batch.is_last or batch.wish == "checkpoint":
+        if batch.is_last or batch.request == "checkpoint":
             saved = saved_graph(self._keyframes, self._loops, self._joined)
             result = replace(result, saved=self._keep_graph(saved) if self._keep_graph else saved)
         return result
@@ -108,17 +108,17 @@ class LoopBackEnd:
         for frame in batch.frames:
             self._append(frame)
         self._anchoring.add(batch.fixes)
-        if batch.wish == "set_pose":
+        if batch.request == "set_pose":
             self._pieces.expect_at(np.array(batch.pose))
         joined = self._look_for_piece() if self._is_detached() else None
         moved = joined is not None or self._look_for_loops()
         if self._anchoring.is_due:
             moved |= self._find_anchors()
-        if batch.wish == "undo" and self._accepted:
+        if batch.request == "undo" and self._accepted:
             gone = self._accepted.pop()
             self._loops = [loop for loop in self._loops if loop not in gone]
             moved = True
-        if batch.wish == "optimize" and (self._loops or self._anchoring.reference):
+        if batch.request == "optimize" and (self._loops or self._anchoring.reference):
             moved = True
         if batch.is_last:
             return self._finish()

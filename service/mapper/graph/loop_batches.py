@@ -15,7 +15,7 @@ class Batch:
     """Key frames and fixes since the last batch, and what else is wanted."""
 
     frames: Sequence[KeyFrame]
-    wish: str = ""  # "optimize", "undo", "checkpoint", "set_pose"
+    request: str = ""  # "optimize", "undo", "checkpoint", "set_pose"
     pose: Sequence[float] = ()  # (x m, y m, theta rad) in the map, of set_pose
     is_last: bool = False
     fixes: Sequence[PlacedFix] = ()  # of key frames in this batch and before

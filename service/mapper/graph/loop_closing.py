@@ -11,15 +11,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from drivers.antenna import antenna_of
 from drivers.frames import GnssFix
 from service.geometry.se2 import SE2, wrap_angle
-from service.mapper.background import Errand, NewWorker, WorkLostError
+from service.mapper.background import BackgroundJobs, NewWorker, WorkLostError
 from service.mapper.components import (
     Correction,
     FinishedGraph,
+    GraphRequestError,
     GraphUpdate,
     MappedScan,
     MapRenderer,
     ScanToRender,
-    WishError,
 )
 from service.mapper.graph.fix_track import FixTrack
 from service.mapper.graph.keyframe_list import KeyFrame
@@ -66,7 +66,9 @@ class LoopClosing:
         self._is_localizing = is_localizing
         self._is_looking = not self._is_placed  # the newest scan lies in a piece that is looked for
         self._fix_counts: Mapping[str, int] = {}  # as the back end had them last
-        self._errand = Errand(new_worker(LoopBackEnd(config, renderer, stored, is_localizing, keep_graph)))
+        self._jobs = BackgroundJobs(
+            new_worker(LoopBackEnd(config, renderer, stored, is_localizing, keep_graph))
+        )
         self._fresh: list[KeyFrame] = []  # not yet sent
         self._sent: deque[list[KeyFrame]] = deque()  # with each piece of work that is out
         self._last: SE2 | None = None  # of the newest key frame
@@ -79,15 +81,15 @@ class LoopClosing:
 
     @property
     def waiting(self) -> int:
-        return self._errand.waiting
+        return self._jobs.waiting
 
     @property
     def ready(self) -> bool:
-        return self._errand.ready
+        return self._jobs.ready
 
     @property
-    def trouble(self) -> str:
-        return self._errand.trouble
+    def fault(self) -> str:
+        return self._jobs.fault
 
     def add(self, scan: MappedScan) -> SE2:
         pose = scan.match.motion.pose_odom_base
@@ -97,7 +99,7 @@ class LoopClosing:
         is_due = self._is_keyframe(pose) or (
             is_detached and scan.stamp_ns - self._last_ns >= DETACHED_INTERVAL_NS
         )
-        is_keyframe = len(scan.points.xy_base) and is_due and not self.trouble
+        is_keyframe = len(scan.points.xy_base) and is_due and not self.fault
         if is_keyframe:
             if self._last is not None:
                 self._way_m += math.hypot(pose.x_m - self._last.x_m, pose.y_m - self._last.y_m)
@@ -111,17 +113,17 @@ class LoopClosing:
         return self._pose_map_odom
 
     def add_fix(self, fix: GnssFix) -> str:
-        if self.trouble or self._is_localizing:
+        if self.fault or self._is_localizing:
             return "fixes_passed_over"
         sensor = self._mountings.get(fix.sensor, SE2())
         antenna = self._mountings.get(antenna_of(fix.sensor), sensor)
         return self._fixes.add_fix(fix, (antenna.x_m, antenna.y_m))
 
-    def take_in(self) -> GraphUpdate:
+    def apply_result(self) -> GraphUpdate:
         if not self.waiting:
             return GraphUpdate({})
         try:
-            result: Result = self._errand.take()
+            result: Result = self._jobs.take()
         except WorkLostError:
             self._sent.clear()
             self._fresh.clear()
@@ -129,17 +131,17 @@ class LoopClosing:
         self._sent.popleft()
         return self._update(result)
 
-    def wish(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
+    def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
         if name not in ("optimize", "undo", "checkpoint", "set_pose"):
-            raise WishError(f"{name}: the graph of this profile knows optimize, undo and set_pose")
+            raise GraphRequestError(f"{name}: the graph of this profile knows optimize, undo and set_pose")
         if name == "set_pose":
             return self._set_pose(payload)
         if payload:
-            raise WishError(f"{name} takes nothing besides; it was given {', '.join(payload)}")
-        if self.trouble:
-            raise WishError(f"{name}: no loops are closed any more: {self.trouble}")
+            raise GraphRequestError(f"{name} takes nothing besides; it was given {', '.join(payload)}")
+        if self.fault:
+            raise GraphRequestError(f"{name}: no loops are closed any more: {self.fault}")
         if name == "undo" and not self._loops:
-            raise WishError("undo: no loop is closed")
+            raise GraphRequestError("undo: no loop is closed")
         self._submit(name)
         return {"loop_closures": self._loops}
 
@@ -148,9 +150,9 @@ class LoopClosing:
             said = SaidPose.model_validate(payload)
         except ValidationError as error:
             fault = error.errors()[0]
-            raise WishError(f"set_pose: {'.'.join(map(str, fault['loc']))}: {fault['msg']}") from None
+            raise GraphRequestError(f"set_pose: {'.'.join(map(str, fault['loc']))}: {fault['msg']}") from None
         if not self._is_looking:
-            raise WishError(
+            raise GraphRequestError(
                 "set_pose: the pose is known and the map confirms it; it can be set where it is lost"
             )
         self._submit("set_pose", pose=(said.x_m, said.y_m, said.theta_rad))
@@ -160,13 +162,13 @@ class LoopClosing:
         counts: dict[str, int] = {}
         update = GraphUpdate({})
         while self.waiting:
-            update = self.take_in()
+            update = self.apply_result()
             _add(counts, update.counts)
-        if self.trouble:
+        if self.fault:
             return FinishedGraph(update=GraphUpdate(counts))
         self._submit(is_last=True)
         try:
-            result: Result = self._errand.take()
+            result: Result = self._jobs.take()
         except WorkLostError:
             counts["graph_work_lost"] = 1
             return FinishedGraph(update=GraphUpdate(counts))
@@ -177,10 +179,10 @@ class LoopClosing:
         return FinishedGraph(result.all, result.g2o, update)
 
     def close(self) -> None:
-        self._errand.close()
+        self._jobs.close()
 
-    def _submit(self, wish: str = "", is_last: bool = False, pose: tuple[float, ...] = ()) -> None:
-        self._errand.submit(Batch(self._fresh, wish, pose, is_last, self._fixes.take()))
+    def _submit(self, request: str = "", is_last: bool = False, pose: tuple[float, ...] = ()) -> None:
+        self._jobs.submit(Batch(self._fresh, request, pose, is_last, self._fixes.take()))
         self._sent.append(self._fresh)
         self._fresh, self._way_m = [], 0.0
 

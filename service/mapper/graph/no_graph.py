@@ -5,13 +5,13 @@ from typing import Any
 
 from drivers.frames import GnssFix
 from service.geometry.se2 import SE2
-from service.mapper.components import FinishedGraph, GraphUpdate, MappedScan, WishError
+from service.mapper.components import FinishedGraph, GraphRequestError, GraphUpdate, MappedScan
 
 
 class NoGraph:
     waiting = 0
     ready = False
-    trouble = ""
+    fault = ""
 
     def add(self, scan: MappedScan) -> SE2:
         return SE2()
@@ -19,11 +19,11 @@ class NoGraph:
     def add_fix(self, fix: GnssFix) -> str:
         return "fixes_passed_over"
 
-    def take_in(self) -> GraphUpdate:
+    def apply_result(self) -> GraphUpdate:
         return GraphUpdate({})
 
-    def wish(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
-        raise WishError(f"{name}: this profile has no graph; submap_graph and corridor have one")
+    def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
+        raise GraphRequestError(f"{name}: this profile has no graph; submap_graph and corridor have one")
 
     def finish(self) -> FinishedGraph:
         return FinishedGraph()

@@ -3,7 +3,7 @@
 from service.mapper.components import ComponentKind, Method
 from service.mapper.maps.contour_map import ContourMap, ContourMapConfig
 from service.mapper.matchers.contour_lm import ContourLm, ContourLmConfig
-from service.mapper.matchers.search_rehearsal import rehearse_search
+from service.mapper.matchers.search_warm_up import warm_up_search
 from service.mapper.methods.shared import (
     DESKEW_BY_TWIST,
     ESTIMATOR,
@@ -17,7 +17,7 @@ CONTOUR_LM = ComponentKind(
     ContourLmConfig,
     lambda config, _: ContourLm(config),
     reads=ContourMap,
-    rehearse=rehearse_search,
+    warm_up=warm_up_search,
 )
 CONTOUR_MAP = ComponentKind(
     "contour_map", ContourMapConfig, lambda config, _: ContourMap(config), makes=ContourMap

@@ -3,10 +3,10 @@
 from service.mapper.components import ComponentKind, Method
 from service.mapper.graph.loop_closing import LoopClosing
 from service.mapper.graph.loops_config import LoopsConfig
-from service.mapper.graph.rehearsal import rehearse
+from service.mapper.graph.warm_up import warm_up
 from service.mapper.maps.submaps import SubmapsConfig, SurfelSubmaps
-from service.mapper.matchers.rehearsal import rehearse_match
-from service.mapper.matchers.search_rehearsal import rehearse_search
+from service.mapper.matchers.match_warm_up import warm_up_match
+from service.mapper.matchers.search_warm_up import warm_up_search
 from service.mapper.matchers.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
 from service.mapper.methods.shared import (
     DESKEW_BY_TWIST,
@@ -21,8 +21,8 @@ SURFEL_GAUSS_NEWTON = ComponentKind(
     SurfelMatcherConfig,
     lambda config, _: SurfelGaussNewton(config),
     reads=SurfelSubmaps,
-    rehearse=rehearse_search,
-    rehearse_core=rehearse_match,
+    warm_up=warm_up_search,
+    warm_up_core=warm_up_match,
 )
 SURFEL_SUBMAPS = ComponentKind(
     "surfel_submaps", SubmapsConfig, lambda config, _: SurfelSubmaps(config), makes=SurfelSubmaps
@@ -39,7 +39,7 @@ LOOP_CLOSING = ComponentKind(
         around.is_localizing,
         around.keep_graph,
     ),
-    rehearse=rehearse,
+    warm_up=warm_up,
     begins_in_stored=True,
 )
 

@@ -5,7 +5,7 @@ from service.mapper.maps.patch_map import PatchMap, PatchMapConfig
 from service.mapper.matchers.icp_then_search import IcpThenSearch, IcpThenSearchConfig
 from service.mapper.matchers.monte_carlo import MonteCarloConfig, MonteCarloSearch
 from service.mapper.matchers.scan_icp import IcpScanToScan, IcpScanToScanConfig
-from service.mapper.matchers.search_rehearsal import rehearse_byte_search
+from service.mapper.matchers.search_warm_up import warm_up_byte_search
 from service.mapper.methods.shared import (
     DESKEW_BY_TWIST,
     ESTIMATOR,
@@ -25,7 +25,7 @@ ICP_THEN_SEARCH = ComponentKind(
     IcpThenSearchConfig,
     lambda config, _: IcpThenSearch(config),
     reads=PatchMap,
-    rehearse=rehearse_byte_search,
+    warm_up=warm_up_byte_search,
 )
 ICP_SCAN_TO_SCAN = ComponentKind(
     "icp_scan_to_scan", IcpScanToScanConfig, lambda config, _: IcpScanToScan(config), reads=PatchMap

@@ -4,7 +4,7 @@ from service.fusion.inertial_motion import InertialMotion, InertialMotionConfig
 from service.mapper.components import ComponentKind, Method
 from service.mapper.maps.orthogonal_map import OrthogonalMap, OrthogonalMapConfig
 from service.mapper.matchers.brute_search import BruteSearch, BruteSearchConfig
-from service.mapper.matchers.search_rehearsal import rehearse_byte_search
+from service.mapper.matchers.search_warm_up import warm_up_byte_search
 from service.mapper.methods.shared import DESKEW_BY_TWIST, KEEP_ALL, NO_GRAPH, OCCUPANCY_TILES
 
 INERTIAL_MOTION = ComponentKind(
@@ -15,7 +15,7 @@ BRUTE_SEARCH = ComponentKind(
     BruteSearchConfig,
     lambda config, _: BruteSearch(config),
     reads=OrthogonalMap,
-    rehearse=rehearse_byte_search,
+    warm_up=warm_up_byte_search,
 )
 ORTHOGONAL_MAP = ComponentKind(
     "orthogonal_map", OrthogonalMapConfig, lambda config, _: OrthogonalMap(config), makes=OrthogonalMap

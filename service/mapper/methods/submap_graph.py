@@ -3,10 +3,10 @@
 from service.mapper.components import ComponentKind, Method
 from service.mapper.graph.landmark_back_end import LandmarkGraphConfig
 from service.mapper.graph.landmark_graph import LandmarkGraph
-from service.mapper.graph.landmark_rehearsal import rehearse
+from service.mapper.graph.landmark_warm_up import warm_up
 from service.mapper.maps.counted_submaps import CountedSubmaps, CountedSubmapsConfig
 from service.mapper.matchers.particle_filter import ParticleFilter, ParticleFilterConfig
-from service.mapper.matchers.search_rehearsal import rehearse_search
+from service.mapper.matchers.search_warm_up import warm_up_search
 from service.mapper.methods.shared import (
     DESKEW_BY_TWIST,
     ESTIMATOR,
@@ -22,14 +22,14 @@ PARTICLE_FILTER = ComponentKind(
     ParticleFilterConfig,
     lambda config, _: ParticleFilter(config),
     reads=CountedSubmaps,
-    rehearse=rehearse_search,
+    warm_up=warm_up_search,
 )
 LANDMARK_GRAPH = ComponentKind(
     "landmark_graph",
     LandmarkGraphConfig,
     lambda config, around: LandmarkGraph(config, around.renderer, around.new_worker),
     reads=CountedSubmaps,
-    rehearse=rehearse,
+    warm_up=warm_up,
 )
 
 METHOD = Method(

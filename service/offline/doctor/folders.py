@@ -23,11 +23,11 @@ def _folder(machine: Machine, who: str, key: str, folder: Path) -> Finding:
     there = nearest_parent(path)
     if not there.is_dir():
         return fault(who, f"{folder} lies under {there}, which is a file", "a folder", f"change {key}")
-    if trouble := cannot_write(there):
+    if reason := cannot_write(there):
         unit = " (or start the service by its unit, which makes /var/lib/corridor)"
         return fault(
             who,
-            f"user {machine.user} cannot write {folder}: {trouble}",
+            f"user {machine.user} cannot write {folder}: {reason}",
             "a folder to write to",
             f"sudo install -d -o {machine.user} {folder}{unit}, or change {key}",
         )

@@ -1,6 +1,6 @@
 import pytest
 
-from service.mapper.background import Done, Errand, InlineWorker, WorkLostError
+from service.mapper.background import BackgroundJobs, Done, InlineWorker, WorkLostError
 
 
 class Echo:
@@ -22,23 +22,23 @@ class LosesTheSecond(InlineWorker):
 
 
 def test_what_goes_out_comes_back_in_order():
-    errand = Errand(InlineWorker(Echo()))
-    assert not errand.ready
+    jobs = BackgroundJobs(InlineWorker(Echo()))
+    assert not jobs.ready
     for k in range(3):
-        errand.submit(k)
-    assert (errand.waiting, errand.ready) == (3, True)
-    assert [errand.take() for _ in range(3)] == [0, 1, 2]
-    assert errand.waiting == 0
+        jobs.submit(k)
+    assert (jobs.waiting, jobs.ready) == (3, True)
+    assert [jobs.take() for _ in range(3)] == [0, 1, 2]
+    assert jobs.waiting == 0
 
 
 def test_after_a_loss_nothing_goes_out_any_more():
     worker = LosesTheSecond(Echo())
-    errand = Errand(worker)
+    jobs = BackgroundJobs(worker)
     for k in range(3):
-        errand.submit(k)
-    assert errand.take() == 0
+        jobs.submit(k)
+    assert jobs.take() == 0
     with pytest.raises(WorkLostError):
-        errand.take()
-    assert (errand.trouble, errand.waiting) == ("the process died", 0)
-    errand.submit(4)
+        jobs.take()
+    assert (jobs.fault, jobs.waiting) == ("the process died", 0)
+    jobs.submit(4)
     assert worker.submitted == 3

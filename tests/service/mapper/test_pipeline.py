@@ -33,7 +33,7 @@ class TalkingGraph(NoGraph):
     def add_fix(self, fix):
         return "fixes_taken"
 
-    def take_in(self):
+    def apply_result(self):
         return GraphUpdate({}, geo=self.reference)
 
 
@@ -45,7 +45,7 @@ def test_where_the_map_lies_on_the_earth_stays_with_the_mapper_and_goes_out_with
     assert before.geo_reference is None
     mapper.process(GnssFix("imu", 1, 2, 0, 60.1, 24.5, 51.0, (1.0,) * 9))
     assert mapper.counters["fixes_taken"] == 1
-    mapper.take_in()
+    mapper.apply_result()
     after = next(output for frame in frames if (output := mapper.process(frame)) is not None)
     assert after.geo_reference is mapper.geo_reference is TalkingGraph.reference
 

@@ -9,7 +9,7 @@ import pytest
 
 from drivers.frames import Frame, LaserScan
 from service.geometry.se2 import SE2
-from service.mapper.components import WishError
+from service.mapper.components import GraphRequestError
 from service.mapper.maps.occupancy import rendered_of
 from service.mapper.pipeline import UNPROVEN, Mapper
 from service.mapper.profiles import BeginIn, build_mapper, mapping_config
@@ -42,7 +42,7 @@ def outputs_of(mapper: Mapper, frames: list[Frame]) -> Iterator[MapperOutput]:
     for frame in frames:
         output = mapper.process(frame)
         while mapper.graph.waiting:
-            mapper.take_in()
+            mapper.apply_result()
         if output is not None:
             yield output
 
@@ -121,7 +121,7 @@ def test_a_person_may_say_where_the_vehicle_is(first, second):
     mapper = new_mapper(begin)
     frames = second.frames
     true = drove.world_first.inverse() @ second.world_first
-    mapper.graph.wish("set_pose", {"x_m": true.x_m + 0.5, "y_m": true.y_m, "theta_rad": true.theta_rad})
+    mapper.graph.request("set_pose", {"x_m": true.x_m + 0.5, "y_m": true.y_m, "theta_rad": true.theta_rad})
     few = [frame for frame in frames if frame.stamp_ns < 200_000_000]
     last = list(outputs_of(mapper, few))[-1]
     assert last.state == "degraded"
@@ -131,13 +131,13 @@ def test_a_person_may_say_where_the_vehicle_is(first, second):
 def test_a_pose_that_is_known_is_not_set(first, second):
     mapper = new_mapper(first[1])
     list(outputs_of(mapper, second.frames))
-    with pytest.raises(WishError, match="the map confirms it"):
-        mapper.graph.wish("set_pose", {"x_m": 0.0, "y_m": 0.0, "theta_rad": 0.0})
+    with pytest.raises(GraphRequestError, match="the map confirms it"):
+        mapper.graph.request("set_pose", {"x_m": 0.0, "y_m": 0.0, "theta_rad": 0.0})
 
 
 def test_a_pose_that_is_no_pose_is_refused_by_its_key(first):
-    with pytest.raises(WishError, match="theta_rad"):
-        new_mapper(first[1]).graph.wish("set_pose", {"x_m": 0.0, "y_m": 0.0, "theta_rad": math.inf})
+    with pytest.raises(GraphRequestError, match="theta_rad"):
+        new_mapper(first[1]).graph.request("set_pose", {"x_m": 0.0, "y_m": 0.0, "theta_rad": math.inf})
 
 
 def test_who_is_only_localised_keeps_no_more_than_a_stretch_of_the_way(first, second, monkeypatch):

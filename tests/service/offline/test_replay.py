@@ -73,7 +73,7 @@ def record_drive(tmp_path: Path) -> RecordDrive:
         config: str | None = CONFIG % 0.0,
         late: bool = False,
         start_ns: int = T0_NS,
-        wishes: Mapping[int, str] = MappingProxyType({}),
+        requests: Mapping[int, str] = MappingProxyType({}),
         rear_scans: int = 0,
         one_topic: bool = False,
     ) -> Path:
@@ -81,9 +81,9 @@ def record_drive(tmp_path: Path) -> RecordDrive:
         recorder = McapRecorder(tmp_path / "in", name, keep_free_bytes=0, metadata=metadata)
         recorder.start()
         recorder.put(encode_tf_static({"front": SE2()}, start_ns, start_ns))
-        for k, wish in wishes.items():
+        for k, request in requests.items():
             log_ns = start_ns + k * 20_000_000 + 1
-            recorder.put(encode_event(json.dumps({"event": wish}), log_ns, log_ns))
+            recorder.put(encode_event(json.dumps({"event": request}), log_ns, log_ns))
         for k in range(scans):
             stamp_ns, x_m = start_ns + k * 20_000_000, 0.01 * k
             sample = OdometrySample(
@@ -212,9 +212,9 @@ def test_the_summary_counts_what_happened(record_drive: RecordDrive):
     assert 50 < summary["peak_rss_mb"] < 2000
 
 
-def test_recorded_wishes_are_fulfilled_where_they_stand(record_drive: RecordDrive):
-    """Wish k comes before scan k was read; scan k is at k centimetres."""
-    done = replay([record_drive(wishes={10: "pause", 20: "resume", 30: "reset_map"})], ReplayOptions())
+def test_recorded_requests_are_fulfilled_where_they_stand(record_drive: RecordDrive):
+    """Request k comes before scan k was read; scan k is at k centimetres."""
+    done = replay([record_drive(requests={10: "pause", 20: "resume", 30: "reset_map"})], ReplayOptions())
     mapped = [(o.stamp_ns - T0_NS) // 20_000_000 for o in done.outputs]
     assert mapped == [*range(10), *range(20, 40)]
     assert (done.summary["scans"], done.summary["scans_paused"], done.summary["map_resets"]) == (30, 10, 1)
@@ -228,7 +228,7 @@ def test_recorded_wishes_are_fulfilled_where_they_stand(record_drive: RecordDriv
 
 def test_a_reset_at_the_very_end_leaves_the_map_before_to_be_shown(record_drive: RecordDrive, tmp_path: Path):
     plain = replay([record_drive("a")], ReplayOptions())
-    done = replay([record_drive("b", wishes={40: "reset_map"})], ReplayOptions())
+    done = replay([record_drive("b", requests={40: "reset_map"})], ReplayOptions())
     assert len(done.outputs) == 40
     assert done.summary["map_tiles"] == plain.summary["map_tiles"] > 0
     write_replay(done, tmp_path / "out")

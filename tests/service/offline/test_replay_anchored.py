@@ -13,9 +13,9 @@ import pytest
 from drivers.frames import Frame, GnssFix
 from service.config import mountings, parse_config
 from service.encoding import decode_frame, encode_frame, encode_tf_static
+from service.mapper.mapping_session import MappingSession
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import build_mapper
-from service.mapper.steering import SteeredMapper
 from service.mapstore.geo_file import read_geo
 from service.offline.export import export
 from service.offline.replay import ReplayOptions, replay, write_replay
@@ -107,14 +107,14 @@ def test_a_replay_says_where_the_map_lies_and_export_uses_it(
     assert max(off_m) < 2.0
 
 
-def mapped(frames: Sequence[Frame]) -> tuple[SteeredMapper, list[MapperOutput]]:
+def mapped(frames: Sequence[Frame]) -> tuple[MappingSession, list[MapperOutput]]:
     """Live: the mapper as the service builds it, with what is decoded from the very bytes."""
     config = parse_config(CONFIG, "c")
 
     def new_mapper() -> Mapper:
         return build_mapper(config.mapping, mountings(config.sensors))
 
-    mapper, outputs = SteeredMapper(new_mapper, ["front"]), []
+    mapper, outputs = MappingSession(new_mapper, ["front"]), []
     for frame in frames:
         message = encode_frame(frame)
         eaten = decode_frame(message.type, message.payload, frame.sensor, message.log_ns)

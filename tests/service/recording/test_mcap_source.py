@@ -13,7 +13,7 @@ from service import encoding
 from service.encoding import Message, decode_frame, encode_frame, encode_pose
 from service.errors import InputError
 from service.geometry.se2 import SE2
-from service.mapper.steering import Control
+from service.mapper.mapping_session import SessionRequest
 from service.outputs import MapperOutput
 from service.recording.mcap_source import open_session
 from tests.service.recording.sessions import MOUNTINGS, T0_NS, drive, scan_message, write_file
@@ -54,7 +54,7 @@ def test_mountings_of_our_session_are_those_of_the_live_mapper_to_the_last_bit(t
         assert open_session([path]).mountings == encoding.decode_mountings(mountings.payload)
 
 
-def test_wishes_come_at_their_place_among_the_frames(tmp_path):
+def test_requests_come_at_their_place_among_the_frames(tmp_path):
     scans = [scan_message(k) for k in range(4)]
     between_ns = scans[1].log_ns + 1
     events = [
@@ -66,16 +66,17 @@ def test_wishes_come_at_their_place_among_the_frames(tmp_path):
     write_file(tmp_path / "s.mcap", [encoding.encode_tf_static(MOUNTINGS, T0_NS, T0_NS), *scans, *events])
     session = open_session([tmp_path / "s.mcap"])
     steps = list(session.steps())
-    assert [type(step) for step in steps] == [LaserScan, LaserScan, Control, LaserScan, LaserScan, Control]
-    assert [step for step in steps if isinstance(step, Control)] == [
-        Control("pause", between_ns),
-        Control("resume", scans[3].log_ns + 1),
+    half = [LaserScan, LaserScan, SessionRequest]
+    assert [type(step) for step in steps] == half * 2
+    assert [step for step in steps if isinstance(step, SessionRequest)] == [
+        SessionRequest("pause", between_ns),
+        SessionRequest("resume", scans[3].log_ns + 1),
     ]
     assert session.counters == {"/front/scan": 4, "/events unusable": 1}
     assert len(list(session.frames())) == 4
 
 
-def test_events_of_other_programs_steer_nothing(foreign):
+def test_events_of_other_programs_are_no_requests(foreign):
     foreign.add_message("/laser", scan_message(0))
     foreign.add_message("/events", encoding.encode_event('{"event": "reset_map"}', T0_NS, T0_NS))
     session = open_session(foreign.close())

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from service.mapper.steering import SteeredMapper
+from service.mapper.mapping_session import MappingSession
 from service.runtime.mapper_messages import Answer, Item
 from service.runtime.mapping import MappingLoop
 from service.runtime.mapping_outputs import MappingOutputs
@@ -14,7 +14,7 @@ Answered = Callable[[Answer], None]
 class InlineLink:
     """As much of MapperLink as an Intake and a HealthReport use. `now_ns` is the mapper's clock."""
 
-    def __init__(self, mapper: SteeredMapper, outputs: MappingOutputs, is_deaf: bool = False) -> None:
+    def __init__(self, mapper: MappingSession, outputs: MappingOutputs, is_deaf: bool = False) -> None:
         self.now_ns = 0
         self.said: list[Any] = []
         self.items: list[Item] = []

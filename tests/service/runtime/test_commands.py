@@ -11,7 +11,7 @@ import pytest
 
 from service.encoding import STRING, LogClock, Message, decode_event
 from service.encoding.steps import decode_step
-from service.mapper.steering import SteeredMapper, Wish
+from service.mapper.mapping_session import GraphRequest, MappingSession
 from service.mapstore.config import MapConfig
 from service.mapstore.files import load_map
 from service.mapstore.tiles import TileStore
@@ -55,7 +55,7 @@ class Machine:
             lambda tiles, stamp_ns: None,
             lambda: log_clock.next_ns(host_time.unix_ns(time.monotonic_ns())),
         )
-        self.link = InlineLink(SteeredMapper(FakeMapper, ["front"], None), self.outputs, is_deaf)
+        self.link = InlineLink(MappingSession(FakeMapper, ["front"], None), self.outputs, is_deaf)
         self.intake = Intake(self.link, host_time, self._put)  # type: ignore[arg-type]
         self.commands = Commands(self.intake, self.outputs, self.tiles, self._put, self.recorder, self.saver)
         self.dispatcher = CommandDispatcher(self.commands.verbs(), answer_timeout_s=20.0)
@@ -154,7 +154,7 @@ def test_a_pause_and_a_mark_stand_in_the_recording_where_they_came(machine: Mach
 
 
 # D13
-def test_wishes_to_the_graph_stand_in_the_recording_and_are_answered_by_it(machine: Machine):
+def test_requests_to_the_graph_stand_in_the_recording_and_are_answered_by_it(machine: Machine):
     pair = {"first": {"submap": 0, "x_m": 1.0, "y_m": 2.0}, "second": {"submap": 3, "x_m": 1.5, "y_m": 2.0}}
     machine.scan()
     told = machine.ask("add_landmark_pair", **pair)
@@ -171,7 +171,7 @@ def test_wishes_to_the_graph_stand_in_the_recording_and_are_answered_by_it(machi
         {"event": "remove_landmark_pair", "pair": 1},
     ]
     steps = [decode_step(m.payload, m.log_ns) for m in Recording([session]).messages(["/events"])]
-    assert [(step.name, step.payload) for step in steps if isinstance(step, Wish)] == [
+    assert [(step.name, step.payload) for step in steps if isinstance(step, GraphRequest)] == [
         ("add_landmark_pair", pair),
         ("optimize", {}),
         ("undo", {}),

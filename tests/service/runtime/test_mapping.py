@@ -12,7 +12,7 @@ from service.encoding import LogClock, Message, decode_event, decode_frame, deco
 from service.geometry.se2 import SE2
 from service.mapper.components import FinishedGraph, GraphUpdate
 from service.mapper.graph.no_graph import NoGraph
-from service.mapper.steering import LeftOut, SteeredMapper, TakeIn
+from service.mapper.mapping_session import ApplyResult, LeftOut, MappingSession
 from service.mapstore.tiles import TileStore
 from service.outputs import UNKNOWN, MapperOutput, TileUpdate
 from service.runtime.host_time import HostTime
@@ -54,9 +54,9 @@ class FakeMapper:
         self._x_m = x_m
         self.graph = graph or NoGraph()
 
-    def take_in(self) -> None:
+    def apply_result(self) -> None:
         self.eaten.append("apply_result")  # type: ignore[arg-type]
-        self.graph.take_in()
+        self.graph.apply_result()
 
     def finish(self) -> FinishedGraph:
         self.finished = True
@@ -109,8 +109,8 @@ class Run:
             lambda: log_clock.next_ns(OFFSET_NS + 10**9),
             lambda: self.link.now_ns,
         )
-        steered = SteeredMapper(lambda: next(fresh, None) or FakeMapper(), ["front"], take_in_after=None)
-        self.link = InlineLink(steered, self.outputs)
+        session = MappingSession(lambda: next(fresh, None) or FakeMapper(), ["front"], apply_after=None)
+        self.link = InlineLink(session, self.outputs)
         self.intake = Intake(self.link, HostTime(OFFSET_NS), self._put)  # type: ignore[arg-type]
 
     def put(self, *frames: Frame, waits_ns: int = 0) -> "Run":
@@ -205,7 +205,7 @@ def test_the_last_tiles_are_there_at_the_end():
 def test_before_the_graph_takes_its_time_at_the_end_ingest_hears_that_no_item_waits():
     mapper = FakeMapper()
     said: list[object] = []
-    loop = MappingLoop(SteeredMapper(lambda: mapper, ["front"], None), said.append, (), lambda: 0)
+    loop = MappingLoop(MappingSession(lambda: mapper, ["front"], None), said.append, (), lambda: 0)
     for item in Run(FakeMapper()).put(*FRAMES).link.items:
         loop.take(item)
     finish = mapper.finish
@@ -317,23 +317,23 @@ class GraphAtWork(NoGraph):
         self.ready = True
         self._lost = lost
 
-    def take_in(self) -> GraphUpdate:
-        self.ready, self.trouble = False, self._lost
+    def apply_result(self) -> GraphUpdate:
+        self.ready, self.fault = False, self._lost
         return GraphUpdate({})
 
 
-def test_finished_work_is_taken_in_between_two_frames_and_the_recording_says_where():
+def test_a_result_of_the_graph_is_applied_between_two_frames_and_the_recording_says_where():
     mapper = FakeMapper(graph=GraphAtWork())
     run = Run(mapper).put(*FRAMES)
     run.link.finish()
     assert mapper.eaten[0] == "apply_result"
     (event,) = [m for m in run.recorded if m.channel == "events"]
-    assert decode_step(event.payload, event.log_ns) == TakeIn(event.log_ns)
+    assert decode_step(event.payload, event.log_ns) == ApplyResult(event.log_ns)
     assert event.log_ns - OFFSET_NS == 29  # right before the sample of 30
     assert mapper.finished
 
 
-def test_lost_work_is_not_recorded_as_taken_in():
+def test_lost_work_is_not_recorded_as_applied():
     run = Run(FakeMapper(graph=GraphAtWork("the process died"))).put(*FRAMES)
     run.link.finish()
     (event,) = [m for m in run.recorded if m.channel == "events"]
@@ -349,7 +349,7 @@ class TestStandBy:
         """It takes the items of FRAMES and one scan more, each of which has waited for a second."""
         first = Run(FakeMapper()).put(*FRAMES, scan(70, 90, [1.0, 2.0]))
         mapper, said = FakeMapper(graph=graph), []
-        loop = MappingLoop(SteeredMapper(lambda: mapper, ["front"], None), said.append, (), lambda: 10**9)
+        loop = MappingLoop(MappingSession(lambda: mapper, ["front"], None), said.append, (), lambda: 10**9)
         loop.go_on(go)
         for item in first.link.items:
             assert loop.is_up_to_date == (loop.number >= go.done_number)

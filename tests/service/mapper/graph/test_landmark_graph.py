@@ -10,10 +10,10 @@ from service.fusion.motion import Motion
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
 from service.mapper.background import InlineWorker
-from service.mapper.components import MappedScan, Match, WishError
+from service.mapper.components import GraphRequestError, MappedScan, Match
 from service.mapper.graph.landmark_back_end import Batch, LandmarkBackEnd, LandmarkGraphConfig
 from service.mapper.graph.landmark_graph import LandmarkGraph
-from service.mapper.graph.landmark_rehearsal import rehearse
+from service.mapper.graph.landmark_warm_up import warm_up
 from service.mapper.graph.submap_match import draw_walls, find
 from service.mapper.graph.submap_realignment import SubmapRealignment
 from service.mapper.maps.counted_submaps import ClosedSubmap, CountedChange, CountedSubmapsConfig, KeyScan
@@ -109,8 +109,8 @@ def test_scans_are_laid_on_walls_and_what_is_carried_stays_where_it_was_laid() -
     np.testing.assert_allclose(blind.realign(first).track, first.track, atol=1e-12)
 
 
-def test_the_rehearsal_ties_a_sub_map() -> None:
-    assert rehearse().links == 1
+def test_the_warm_up_ties_a_sub_map() -> None:
+    assert warm_up().links == 1
 
 
 # D3, D12
@@ -121,7 +121,7 @@ def test_landmarks_take_out_what_the_ways_disagree_in(trip) -> None:
     assert [result.submaps for result in results] == [1, 2, 3, 4]
     assert results[1].links == 0  # neighbours in time share scans
     assert results[3].links >= 2
-    assert results[3].trouble == ""
+    assert results[3].fault == ""
     drawn = np.concatenate([one.track for one in closed])
     assert furthest_m(drawn, truth) > 0.12
     assert furthest_m(results[3].poses, truth) < 0.07
@@ -154,7 +154,7 @@ def graph_of(closed: list[ClosedSubmap]) -> LandmarkGraph:
                 else CountedChange(is_keyframe=True)
             )
             graph.add(MappedScan(scan.stamp_ns, points, Match(motion, points, 1.0), change, np.eye(3)))
-        graph.take_in()
+        graph.apply_result()
     return graph
 
 
@@ -162,10 +162,10 @@ def graph_of(closed: list[ClosedSubmap]) -> LandmarkGraph:
 def test_pairs_that_a_person_names_tie_sub_maps_and_can_be_taken_back(trip) -> None:
     closed, truth = trip
     graph = graph_of(closed)
-    before = graph.wish("optimize", {})
+    before = graph.request("optimize", {})
     assert before["submaps"] == 4
     assert before["pairs"] == []
-    graph.take_in()
+    graph.apply_result()
     drawn = np.concatenate([one.track for one in closed])
     free = furthest_m(drawn, truth)
     marks = np.array([[4.0, 1.5], [4.0, -1.5]])
@@ -176,19 +176,19 @@ def test_pairs_that_a_person_names_tie_sub_maps_and_can_be_taken_back(trip) -> N
             name: {"submap": k, "x_m": float(ends[k][0]), "y_m": float(ends[k][1])}
             for name, k in (("first", 0), ("second", 3))
         }
-        number = graph.wish("add_landmark_pair", ask)["pair"]
-        graph.take_in()
+        number = graph.request("add_landmark_pair", ask)["pair"]
+        graph.apply_result()
     assert number == 1
-    answer = graph.wish("optimize", {})
-    graph.take_in()
+    answer = graph.request("optimize", {})
+    graph.apply_result()
     assert [pair["pair"] for pair in answer["pairs"]] == [0, 1]
     assert max(pair["apart_m"] for pair in answer["pairs"]) < 0.05
     tied = corrected(graph)
     assert furthest_m(tied, truth) < 0.6 * free
-    assert graph.wish("undo", {})["pair"] == 1
-    assert [pair["pair"] for pair in graph.wish("remove_landmark_pair", {"pair": 0})["pairs"]] == []
+    assert graph.request("undo", {})["pair"] == 1
+    assert [pair["pair"] for pair in graph.request("remove_landmark_pair", {"pair": 0})["pairs"]] == []
     while graph.waiting:
-        graph.take_in()
+        graph.apply_result()
     bare = corrected(graph)
     np.testing.assert_allclose(furthest_m(bare, truth), free, atol=0.01)
 
@@ -212,8 +212,8 @@ def test_pairs_that_a_person_names_tie_sub_maps_and_can_be_taken_back(trip) -> N
         ("fly", {}, "this graph knows add_landmark_pair"),
     ],
 )
-def test_a_wish_that_cannot_be_granted_is_answered_in_words(trip, name, payload, words) -> None:
+def test_a_request_that_cannot_be_granted_is_answered_in_words(trip, name, payload, words) -> None:
     graph = graph_of(trip[0])
-    with pytest.raises(WishError, match=words):
-        graph.wish(name, payload)
+    with pytest.raises(GraphRequestError, match=words):
+        graph.request(name, payload)
     assert not graph.waiting

@@ -12,28 +12,28 @@ from service.mapper.components import FinishedGraph, Graph
 from service.mapper.saved_graph import KeptGraph, SavedGraph
 from service.outputs import MapperOutput, TileUpdate
 
-TAKE_IN_AFTER_SCANS = 25  # half a second at 50 Hz: what a loop takes live on a busy machine
+APPLY_AFTER_SCANS = 25  # half a second at 50 Hz: what a loop takes live on a busy machine
 
-Steering = Literal["pause", "resume", "reset_map"]
+SessionAction = Literal["pause", "resume", "reset_map"]
 
 
 @dataclass(frozen=True, slots=True)
-class Control:
-    """A wish with its place among the frames: it holds for those after it."""
+class SessionRequest:
+    """A request to the session with its place among the frames: it holds for those after it."""
 
-    steering: Steering
+    action: SessionAction
     arrived_ns: int  # as that of a frame
 
 
 @dataclass(frozen=True, slots=True)
-class TakeIn:
-    """Live, a piece of the graph's work was taken in at this place among the frames."""
+class ApplyResult:
+    """Live, a result of the graph's back end was applied at this place among the frames."""
 
     arrived_ns: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Wish:
+class GraphRequest:
     """What a person asked the graph for, at this place among the frames: "optimize" ..."""
 
     name: str
@@ -53,10 +53,10 @@ class LeftOut:
     arrived_ns: int
 
 
-Step = Control | TakeIn | Wish | LeftOut  # what stands among the frames
+Step = SessionRequest | ApplyResult | GraphRequest | LeftOut  # what stands among the frames
 
 # What the verbs are called that go to the graph; a profile's graph says which of them it knows.
-WISHES = ("add_landmark_pair", "remove_landmark_pair", "optimize", "undo", "set_pose", "checkpoint")
+GRAPH_REQUESTS = ("add_landmark_pair", "remove_landmark_pair", "optimize", "undo", "set_pose", "checkpoint")
 
 
 class FrameMapper(Protocol):
@@ -69,15 +69,15 @@ class FrameMapper(Protocol):
     def process(self, frame: Frame) -> MapperOutput | None: ...
     def skip(self, scan: LaserScan) -> None: ...
     def changed_tiles(self) -> list[TileUpdate]: ...
-    def take_in(self) -> None: ...
+    def apply_result(self) -> None: ...
     def finish(self) -> FinishedGraph: ...
 
     @property
     def graph(self) -> Graph: ...
 
 
-class SteeredMapper:
-    """Frames and wishes in, outputs out. Same order in, same outputs out.
+class MappingSession:
+    """Frames and requests in, outputs out. Same order in, same outputs out.
 
     Scans of lasers that are not among `lasers` are counted and pass.
 
@@ -85,19 +85,20 @@ class SteeredMapper:
     the way driven meanwhile. A reset puts a fresh mapper in the place of the old: map and `pose_map_base`
     begin anew, while `pose_odom_base` goes on where it was, because odom never jumps.
 
-    take_in_after   finished work of the graph comes in when so many scans were mapped since it went out, and
-                    is waited for then: the same in every replay. None: whoever steers says when, by take_in;
-                    live that is when it is ready, and in a replay of that where the recording says so.
+    apply_after   a result of the graph's back end is applied when so many scans were mapped since its job
+                  went out, and is waited for then: the same in every replay. None: the caller says when, by
+                  apply_result; live that is when it is ready, and in a replay of that where the recording
+                  says so.
     """
 
     def __init__(
         self,
         new_mapper: Callable[[], FrameMapper],
         lasers: Collection[str],
-        take_in_after: int | None = TAKE_IN_AFTER_SCANS,
+        apply_after: int | None = APPLY_AFTER_SCANS,
     ) -> None:
         self.lasers = frozenset(lasers)
-        self._take_in_after = take_in_after
+        self._apply_after = apply_after
         self._ages: deque[int] = deque()  # scans mapped when each piece of work went out
         self._new_mapper = new_mapper
         self._mapper = new_mapper()
@@ -123,8 +124,8 @@ class SteeredMapper:
         output = self._mapper.process(frame)
         if output is None:
             return None
-        if self._take_in_after is not None:
-            self._take_in_old(self._take_in_after)
+        if self._apply_after is not None:
+            self._apply_old(self._apply_after)
         output = self._in_one_odom(output)
         self._last_odom = (output.stamp_ns, output.pose_odom_base)
         return output
@@ -138,9 +139,9 @@ class SteeredMapper:
         self.counters["scans_passed_over"] += 1
         self._mapper.skip(scan)
 
-    def steer(self, steering: Steering) -> bool:
+    def carry_out(self, action: SessionAction) -> bool:
         """Whether that changed anything: a pause in a pause does not."""
-        if steering == "reset_map":
+        if action == "reset_map":
             self._mapper.graph.close()
             self._ages.clear()
             self._mapper = self._new_mapper()
@@ -148,7 +149,7 @@ class SteeredMapper:
             self._began = self._last_odom
             self.counters["map_resets"] += 1
             return True
-        paused, self.paused = self.paused, steering == "pause"
+        paused, self.paused = self.paused, action == "pause"
         return self.paused != paused
 
     def changed_tiles(self) -> list[TileUpdate]:
@@ -167,21 +168,21 @@ class SteeredMapper:
 
     @property
     def work_ready(self) -> bool:
-        """Whether take_in would bring something in without waiting. Only what runs live may ask."""
+        """Whether apply_result would apply something without waiting. Only what runs live may ask."""
         return self._mapper.graph.ready
 
     @property
     def graph_fault(self) -> str:
         """Why the graph does no work any more, "" while all is well."""
-        return self._mapper.graph.trouble
+        return self._mapper.graph.fault
 
-    def take_in(self) -> None:
-        """Bring in the graph's oldest piece of work, between two frames; waits for it."""
-        self._mapper.take_in()
+    def apply_result(self) -> None:
+        """Apply the oldest result of the graph's back end, between two frames; waits for it."""
+        self._mapper.apply_result()
 
-    def wish(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
-        """As Graph.wish. Raises WishError."""
-        return self._mapper.graph.wish(name, payload)
+    def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
+        """As Graph.request. Raises GraphRequestError."""
+        return self._mapper.graph.request(name, payload)
 
     def finish(self) -> FinishedGraph:
         """Graph.finish, in the odom of all outputs. Before a reset or at the end; then no frame more."""
@@ -196,11 +197,11 @@ class SteeredMapper:
         """Nothing more is wanted of the graph's back end."""
         self._mapper.graph.close()
 
-    def _take_in_old(self, after: int) -> None:
+    def _apply_old(self, after: int) -> None:
         scans = self.counters["scans"]
         while self._ages and scans - self._ages[0] >= after:
             self._ages.popleft()
-            self._mapper.take_in()
+            self._mapper.apply_result()
         out = self._mapper.graph.waiting - len(self._ages)
         self._ages.extend([scans] * max(out, 0))
 

@@ -3,14 +3,14 @@
 import numpy as np
 
 from service.mapper.graph.landmark_back_end import Batch, LandmarkBackEnd, LandmarkGraphConfig, Result
-from service.mapper.graph.rehearsal import STEP_M, seen_from
 from service.mapper.graph.submap_match import SubmapMatchConfig
+from service.mapper.graph.warm_up import STEP_M, seen_from
 from service.mapper.maps.counted_submaps import ClosedSubmap, CountedSubmapsConfig, KeyScan
 
 SCANS = 4  # a sub-map
 
 
-def rehearse() -> Result:
+def warm_up() -> Result:
     """Three sub-maps along a room: the third is laid on the first."""
     match = SubmapMatchConfig(
         least_common=10, common_part=0.1, least_inlier_ratio=0.1, landmark_probability=0.6

@@ -12,7 +12,7 @@ from service.kernels.surfels import TILE_CELLS, SurfelGrid
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 
 
-def rehearse_match() -> None:
+def warm_up_match() -> None:
     """The match of a scan with all that it calls: a third of all compiling."""
     xy = np.zeros((1, 2))
     prior = Prior(np.zeros(3), np.zeros(3), np.eye(3), np.eye(3))

@@ -12,7 +12,7 @@ STEP_M = 0.3
 BEAMS = 181
 
 
-def rehearse() -> Result:
+def warm_up() -> Result:
     """There and back through a room: the way back closes loops with the way there."""
     config = LoopsConfig(apart_m=0.5, place_m=1.0, search_every_m=0.5, consensus_span_m=0.2)
     back_end = LoopBackEnd(config, None)

@@ -10,8 +10,8 @@ from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
 from service.mapper.components import Correction, FinishedGraph
 from service.mapper.graph.no_graph import NoGraph
+from service.mapper.mapping_session import MappingSession
 from service.mapper.profiles import build_mapper, mapping_config
-from service.mapper.steering import SteeredMapper
 from service.outputs import MapperOutput, TileUpdate
 from tests.service.offline.test_replay import room_scan
 
@@ -20,7 +20,7 @@ class FakeGraph(NoGraph):
     """Hands out no work but what a test says."""
 
     def __init__(self) -> None:
-        self.taken_in_at: list[int] = []
+        self.applied_at: list[int] = []
         self.closed = False
 
     def finish(self) -> FinishedGraph:
@@ -41,9 +41,9 @@ class FakeMapper:
         self.skipped: list[Frame] = []
         self.graph = FakeGraph()
 
-    def take_in(self) -> None:
+    def apply_result(self) -> None:
         self.graph.waiting -= 1
-        self.graph.taken_in_at.append(self.counters["scans"])
+        self.graph.applied_at.append(self.counters["scans"])
 
     def finish(self) -> FinishedGraph:
         return self.graph.finish()
@@ -69,12 +69,12 @@ def made() -> list[FakeMapper]:
 
 
 @pytest.fixture
-def mapper(made: list[FakeMapper]) -> SteeredMapper:
+def mapper(made: list[FakeMapper]) -> MappingSession:
     def new() -> FakeMapper:
         made.append(FakeMapper())
         return made[-1]
 
-    return SteeredMapper(new, ["front"])
+    return MappingSession(new, ["front"])
 
 
 def scan(stamp_ns: int) -> LaserScan:
@@ -87,75 +87,75 @@ def sample(stamp_ns: int, x_m: float = 0.0) -> OdometrySample:
     return OdometrySample("base", stamp_ns, stamp_ns, x_m, 0.0, 0.0, (0.0, 0.0, 0.0), (0.0,) * 9)
 
 
-def test_in_a_pause_samples_go_on_and_scans_are_let_pass(mapper: SteeredMapper, made: list[FakeMapper]):
+def test_in_a_pause_samples_go_on_and_scans_are_let_pass(mapper: MappingSession, made: list[FakeMapper]):
     first, in_pause, moved, later = scan(1), scan(2), sample(3), scan(4)
     assert mapper.process(first) is not None
-    assert mapper.steer("pause")
+    assert mapper.carry_out("pause")
     assert mapper.process(in_pause) is None
     assert mapper.process(moved) is None
-    assert mapper.steer("resume")
+    assert mapper.carry_out("resume")
     assert mapper.process(later) is not None
     assert made[0].processed == [first, moved, later]
     assert made[0].skipped == [in_pause]
     assert mapper.counters == {"scans": 2, "scans_paused": 1}
 
 
-def test_a_laser_that_is_not_to_be_mapped_passes(mapper: SteeredMapper, made: list[FakeMapper]):
+def test_a_laser_that_is_not_to_be_mapped_passes(mapper: MappingSession, made: list[FakeMapper]):
     """What another laser sees comes between, newer and older than what is mapped; in a pause too."""
     rear = replace(scan(3), sensor="rear")
     assert [mapper.process(s) is None for s in (scan(1), rear, scan(2))] == [False, True, False]
-    mapper.steer("pause")
+    mapper.carry_out("pause")
     assert mapper.process(rear) is None
     assert made[0].skipped == []
     assert mapper.counters == {"scans": 2, "scans_not_mapped": 2}
 
 
 def test_without_a_laser_nothing_is_mapped(made: list[FakeMapper]):
-    mapper = SteeredMapper(FakeMapper, [])
+    mapper = MappingSession(FakeMapper, [])
     assert mapper.process(scan(1)) is None
     assert mapper.counters == {"scans_not_mapped": 1}
 
 
-def test_a_wish_that_is_fulfilled_already_changes_nothing(mapper: SteeredMapper):
-    assert [mapper.steer(s) for s in ("resume", "pause", "pause", "resume")] == [False, True, False, True]
+def test_a_request_that_is_fulfilled_already_changes_nothing(mapper: MappingSession):
+    assert [mapper.carry_out(s) for s in ("resume", "pause", "pause", "resume")] == [False, True, False, True]
 
 
 def test_a_reset_gives_a_fresh_mapper_counters_go_on_and_a_pause_lasts(
-    mapper: SteeredMapper, made: list[FakeMapper]
+    mapper: MappingSession, made: list[FakeMapper]
 ):
     mapper.process(scan(1))
-    mapper.steer("pause")
-    assert mapper.steer("reset_map")
+    mapper.carry_out("pause")
+    assert mapper.carry_out("reset_map")
     assert mapper.paused
-    mapper.steer("resume")
+    mapper.carry_out("resume")
     mapper.process(scan(2))
     assert [len(m.processed) for m in made] == [1, 1]
     assert mapper.counters == {"scans": 2, "map_resets": 1}
 
 
-def test_after_a_reset_the_map_begins_at_the_base_while_odom_goes_on(mapper: SteeredMapper):
+def test_after_a_reset_the_map_begins_at_the_base_while_odom_goes_on(mapper: MappingSession):
     before = [mapper.process(scan(k)) for k in range(1, 4)]
-    mapper.steer("reset_map")
+    mapper.carry_out("reset_map")
     after = [mapper.process(scan(k)) for k in range(4, 6)]
     assert [o.pose_odom_base.x_m for o in [*before, *after] if o] == [0.0, 1.0, 2.0, 2.0, 3.0]
     assert [o.pose_map_base.x_m for o in [*before, *after] if o] == [0.0, 1.0, 2.0, 0.0, 1.0]
-    mapper.steer("reset_map")
-    mapper.steer("reset_map")
+    mapper.carry_out("reset_map")
+    mapper.carry_out("reset_map")
     again = mapper.process(scan(6))
     assert again is not None
     assert (again.pose_odom_base.x_m, again.pose_map_base.x_m) == (3.0, 0.0)
 
 
-def test_a_scan_from_before_the_reset_is_late(mapper: SteeredMapper, made: list[FakeMapper]):
+def test_a_scan_from_before_the_reset_is_late(mapper: MappingSession, made: list[FakeMapper]):
     mapper.process(scan(5))
-    mapper.steer("reset_map")
+    mapper.carry_out("reset_map")
     assert mapper.process(scan(5)) is None
     assert made[1].processed == []
     assert mapper.counters["scans_dropped_late"] == 1
 
 
 def drive(
-    mapper: SteeredMapper, steps: range, x_m: Callable[[float], float], wheels: bool = True
+    mapper: MappingSession, steps: range, x_m: Callable[[float], float], wheels: bool = True
 ) -> list[MapperOutput]:
     """Scans of the room each 20 ms, seen from x_m of the time in s, with wheels in between."""
     outputs = []
@@ -168,8 +168,8 @@ def drive(
     return outputs
 
 
-def real_mapper() -> SteeredMapper:
-    return SteeredMapper(lambda: build_mapper(mapping_config(), {"front": SE2()}), ["front"])
+def real_mapper() -> MappingSession:
+    return MappingSession(lambda: build_mapper(mapping_config(), {"front": SE2()}), ["front"])
 
 
 def test_the_way_driven_in_a_pause_is_known_after_it():
@@ -180,9 +180,9 @@ def test_the_way_driven_in_a_pause_is_known_after_it():
 
     mapper = real_mapper()
     drive(mapper, range(50), x_m)
-    mapper.steer("pause")
+    mapper.carry_out("pause")
     assert drive(mapper, range(50, 5000), x_m) == []
-    mapper.steer("resume")
+    mapper.carry_out("resume")
     after = drive(mapper, range(5000, 5050), x_m)
     assert {output.state for output in after} == {"ok"}
     assert after[0].pose_map_base.x_m == pytest.approx(2.0 - x_m(0.02), abs=0.02)
@@ -192,9 +192,9 @@ def test_the_way_driven_in_a_pause_is_known_after_it():
 def test_without_wheels_the_base_is_taken_to_stand_in_a_pause():
     mapper = real_mapper()
     before = drive(mapper, range(50), lambda at_s: 0.5 * at_s, wheels=False)
-    mapper.steer("pause")
+    mapper.carry_out("pause")
     drive(mapper, range(50, 300), lambda at_s: 0.5, wheels=False)
-    mapper.steer("resume")
+    mapper.carry_out("resume")
     after = drive(mapper, range(300, 301), lambda at_s: 0.5, wheels=False)
     assert after[0].state == "ok"
     assert after[0].pose_map_base.x_m == pytest.approx(before[-1].pose_map_base.x_m, abs=0.02)
@@ -202,49 +202,49 @@ def test_without_wheels_the_base_is_taken_to_stand_in_a_pause():
 
 def test_a_pause_before_the_first_scan_does_not_fix_where_the_map_begins():
     mapper = real_mapper()
-    mapper.steer("pause")
+    mapper.carry_out("pause")
     drive(mapper, range(20), lambda at_s: 0.5 * at_s)
-    mapper.steer("resume")
+    mapper.carry_out("resume")
     after = drive(mapper, range(20, 30), lambda at_s: 0.5 * at_s)
     assert after[0].pose_map_base == SE2()
     assert all(b.pose_map_base.x_m > a.pose_map_base.x_m for a, b in pairwise(after))
 
 
 def test_work_comes_in_a_fixed_number_of_scans_after_it_went_out(made: list[FakeMapper]):
-    mapper = SteeredMapper(lambda: made.append(FakeMapper()) or made[-1], ["front"], take_in_after=3)
+    mapper = MappingSession(lambda: made.append(FakeMapper()) or made[-1], ["front"], apply_after=3)
     graph = made[0].graph
     for k in range(1, 10):
         graph.waiting += k in (2, 4)
         mapper.process(scan(k))
-    assert graph.taken_in_at == [5, 7]
+    assert graph.applied_at == [5, 7]
 
 
 def test_work_comes_in_when_told_where_no_number_is_given(made: list[FakeMapper]):
-    mapper = SteeredMapper(lambda: made.append(FakeMapper()) or made[-1], ["front"], take_in_after=None)
+    mapper = MappingSession(lambda: made.append(FakeMapper()) or made[-1], ["front"], apply_after=None)
     made[0].graph.waiting = 1
     for k in range(1, 100):
         mapper.process(scan(k))
-    assert made[0].graph.taken_in_at == []
-    mapper.take_in()
-    assert made[0].graph.taken_in_at == [99]
+    assert made[0].graph.applied_at == []
+    mapper.apply_result()
+    assert made[0].graph.applied_at == [99]
 
 
 def test_a_reset_ends_the_old_graph_and_what_it_had_out(made: list[FakeMapper]):
-    mapper = SteeredMapper(lambda: made.append(FakeMapper()) or made[-1], ["front"], take_in_after=3)
+    mapper = MappingSession(lambda: made.append(FakeMapper()) or made[-1], ["front"], apply_after=3)
     made[0].graph.waiting = 1
     mapper.process(scan(1))
-    mapper.steer("reset_map")
+    mapper.carry_out("reset_map")
     assert made[0].graph.closed
     for k in range(2, 10):
         mapper.process(scan(k))
-    assert made[1].graph.taken_in_at == []
+    assert made[1].graph.applied_at == []
 
 
 def test_corrections_after_a_reset_are_in_the_odom_of_all_outputs(
-    mapper: SteeredMapper, made: list[FakeMapper]
+    mapper: MappingSession, made: list[FakeMapper]
 ):
     mapper.process(scan(1))
     mapper.process(scan(2))  # at 1 m
-    mapper.steer("reset_map")
+    mapper.carry_out("reset_map")
     (correction,) = mapper.finish().corrections
     assert correction == Correction(7, SE2(2.0, 0.0, 0.0), SE2(1.0, 0.1, 0.0))

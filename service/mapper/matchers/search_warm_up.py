@@ -9,12 +9,12 @@ from service.mapper.maps.tiles import Layer, TileMap, TilePool
 from service.mapper.matchers.recovery import search_around
 
 
-def rehearse_search() -> None:
+def warm_up_search() -> None:
     """On a map of floats."""
     _search(np.float32)
 
 
-def rehearse_byte_search() -> None:
+def warm_up_byte_search() -> None:
     """On a map of bytes."""
     _search(np.uint8)
 
