@@ -20,6 +20,7 @@ from service.geometry.se2 import SE2
 from service.offline.calibration.fit import Fit, fit_gyro, fit_lasers, fit_wheels
 from service.offline.calibration.patch import Changes, patched, wheel_settings
 from service.offline.calibration.tracks import Floats, LaserMapping, LaserTrack, gyro_track, wheel_track
+from service.offline.replay import group_sessions
 from service.recording.mcap_source import Session, open_session
 
 # What a drive has to tell for a value to be used, one sigma
@@ -61,9 +62,15 @@ class SensorCalibration:
     sensor: str
     kind: Literal["laser", "wheels", "gyro"]
     values: tuple[Value, ...]
-    latency_p50_ms: float
-    latency_p99_ms: float
+    latency_p50_ms: float | None  # None: it could not be calibrated
+    latency_p99_ms: float | None
     notes: tuple[str, ...] = ()
+
+    @property
+    def latency(self) -> str:
+        if self.latency_p50_ms is None or self.latency_p99_ms is None:
+            return ""
+        return f", from stamp to last byte p50 {self.latency_p50_ms:.1f} ms, p99 {self.latency_p99_ms:.1f} ms"
 
 
 @dataclass(slots=True)
@@ -80,10 +87,7 @@ class Calibration:
     def __str__(self) -> str:
         lines = [f"{self.session}: {self.seconds:.0f} s; times are against {self.reference}"]
         for one in self.sensors:
-            latency = (
-                f"from stamp to last byte p50 {one.latency_p50_ms:.1f} ms, p99 {one.latency_p99_ms:.1f} ms"
-            )
-            lines.append(f"{one.sensor} ({one.kind}), {latency}")
+            lines.append(f"{one.sensor} ({one.kind}){one.latency}")
             lines += [f"  {value}" for value in one.values] + [f"  {note}" for note in one.notes]
         return "\n".join([*lines, "", self.patch or "nothing to change"]).rstrip()
 
@@ -100,9 +104,14 @@ def calibrate(
     reference     the laser the others are compared with; None: the one with most scans
 
     Raises InputError where the recording has no laser, none that maps alone, or nothing to compare it with;
-    UsageError for a reference that is no laser of the recording; ConfigError.
+    UsageError for several drives and for a reference that is no laser of the recording; ConfigError.
     """
-    session = open_session(paths)
+    drives = group_sessions(paths)
+    if len(drives) > 1:
+        raise UsageError(
+            f"{' and '.join(str(drive[0]) for drive in drives)} are {len(drives)} drives; calibrate by one"
+        )
+    session = open_session(drives[0])
     recorded = _recorded_config(session)
     config = load_config(config_path) if config_path is not None else recorded
     before = recorded or config  # stamps and counts were made by this one
@@ -294,7 +303,7 @@ def _add(
 
 
 def _note(done: Calibration, name: str, note: str) -> None:
-    done.sensors.append(SensorCalibration(name, "laser", (), math.nan, math.nan, (note,)))
+    done.sensors.append(SensorCalibration(name, "laser", (), None, None, (note,)))
 
 
 def _sensor(config: ServiceConfig | None, name: str) -> Any:

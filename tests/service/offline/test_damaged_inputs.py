@@ -25,6 +25,8 @@ def mutated(data: bytes, dice: random.Random) -> bytes:
     """The same with some bytes changed, or a piece cut out, doubled, swapped or put in."""
     content = bytearray(data)
     for _ in range(dice.randint(1, 4)):
+        if not content:
+            break
         at, size = dice.randrange(len(content)), dice.randint(1, 64)
         match dice.randrange(6):
             case 0:

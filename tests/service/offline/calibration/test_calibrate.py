@@ -112,6 +112,26 @@ def test_a_laser_with_a_handful_of_scans_is_named(frames, tmp_path, capsys):
     assert "rear: 20 scans; expected 100 or more to calibrate by" in capsys.readouterr().err
 
 
+def test_a_laser_that_cannot_be_calibrated_is_said_beside_the_others(frames, tmp_path, capsys):
+    path = tmp_path / "short.mcap"
+    rear = [frame for frame in frames if frame.sensor == "rear"]
+    gone = {id(frame) for frame in rear[20:]}
+    half = [frame for frame in frames[: len(frames) // 2] if id(frame) not in gone]
+    write_session(path, half, {}, {}, log_times=True)
+    assert main(["calibrate", str(path), "--json"]) == 0
+    by_name = {one["sensor"]: one for one in json.loads(capsys.readouterr().out)["sensors"]}
+    assert by_name["rear"]["latency_p50_ms"] is None
+    assert by_name["rear"]["notes"] == ["rear: 20 scans; expected 100 or more to calibrate by"]
+    assert by_name["front"]["values"]
+
+
+def test_two_drives_are_not_taken_for_one(session, tmp_path, capsys):
+    other = tmp_path / "other.mcap"
+    other.write_bytes(session.read_bytes())
+    assert main(["calibrate", str(session), str(other)]) == UsageError.exit_code
+    assert "are 2 drives; calibrate by one" in capsys.readouterr().err
+
+
 def test_the_session_is_not_overwritten(session, capsys):
     before = session.read_bytes()
     assert main(["calibrate", str(session), "--out", str(session)]) == UsageError.exit_code
