@@ -291,7 +291,8 @@ def test_only_so_many_browsers_look_at_once(serve):
     talk(serve(most_browsers=2), look)
 
 
-def test_a_browser_that_never_reads_slows_nothing_and_is_let_go(serve, store, monkeypatch):
+def test_a_browser_that_never_reads_slows_nothing_and_is_let_go(serve, store, monkeypatch, caplog):
+    caplog.set_level("INFO")
     monkeypatch.setattr(browser, "SEND_TIMEOUT_S", 1.0)
     monkeypatch.setattr(browser, "TILE_PERIOD_S", 0.0)
     server = serve()
@@ -325,6 +326,7 @@ def test_a_browser_that_never_reads_slows_nothing_and_is_let_go(serve, store, mo
 
         with repeating(put):
             talk(server, look)
+    assert "has not read for 1 s" in caplog.text
     assert int(server.health().values["dropped"]) > 0
     assert sorted(took_ns)[len(took_ns) // 2] < 500_000  # five messages; it only queues
 
