@@ -195,9 +195,7 @@ def _add_maps(commands: Any) -> None:
         ("verify", "read every version against its checksums"),
     ):
         _add(works, name, what).add_argument("map", type=Path, metavar="MAP")
-    merge = _add(
-        works, "merge", "several maps to one, in the frame of the first"
-    )
+    merge = _add(works, "merge", "several maps to one, in the frame of the first")
     merge.add_argument("maps", type=Path, nargs="+", metavar="MAP")
     merge.add_argument("--out", type=Path, required=True, metavar="C", help="folder of the new map")
     merge.add_argument(
