@@ -198,7 +198,8 @@ def test_nothing_is_wider_than_a_phone(page, live):
     for area in ("map", "information", "control", "resources"):
         page.choose(area)
         assert page.run("return document.documentElement.scrollWidth") <= PHONE[0]
-        wide = "[...document.querySelectorAll('.card')].filter((c) => c.scrollWidth > c.clientWidth + 1)"
+        cards = "[...document.querySelectorAll('.card, .card table')]"
+        wide = f"{cards}.filter((c) => c.scrollWidth > c.clientWidth)"
         assert page.run(f"return {wide}.map((c) => c.innerText)") == []
 
 
