@@ -58,9 +58,22 @@ def relocalisation(seeds: Sequence[int]) -> Section:
         for how, one in (("standing", stand), ("moving", move)):
             count = len(one.right)
             rows += [
-                Row(name, f"{how}: right, of {count}", [float(sum(one.right))], "", at_least=0.98 * count),
-                Row(name, f"{how}: wrong", [float(sum(one.wrong))], "", at_most=0.0, digits=0),
-                Row(name, f"{how}: `ok` and wrong", [float(sum(one.wrong_ok))], "", at_most=0.0, digits=0),
+                Row(
+                    name,
+                    f"{how}: right, of {count}",
+                    [float(sum(one.right))],
+                    "places",
+                    at_least=0.98 * count,
+                ),
+                Row(name, f"{how}: wrong", [float(sum(one.wrong))], "places", at_most=0.0, digits=0),
+                Row(
+                    name,
+                    f"{how}: `ok` and wrong",
+                    [float(sum(one.wrong_ok))],
+                    "places",
+                    at_most=0.0,
+                    digits=0,
+                ),
                 Row(name, f"{how}: off where right", one.off_mm or [math.nan], "mm", digits=1),
                 Row(name, f"{how}: found after", [s for s in one.found_s if s == s] or [math.nan], "s"),
                 Row(name, f"{how}: longest search, processor", one.cpu_s, "s", at_most=1.0, by_worst=True),

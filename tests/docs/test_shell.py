@@ -13,6 +13,8 @@ from service.cli.arguments import new_parser
 from simulators.run import _parse as parse_simulate
 from tests.docs.blocks import ROOT, written_in
 from tests.service.offline.test_carmen import flaser, odom
+from tests.service.offline.test_rosbag import drive as ros_drive
+from tests.service.offline.test_rosbag import noetic, write_ros1
 from tests.service.recording.sessions import drive, write_file
 
 SHELL = written_in("sh")
@@ -59,7 +61,8 @@ def drives(tmp_path, monkeypatch):
     messages = drive(60)
     for name in ("session.mcap", "later.mcap", "any_ros2_recording.mcap", "veh1_20261121T101500Z_0001.mcap"):
         write_file(tmp_path / name, messages)
-    for name in ("drive.mcap.active", "veh1_20261121T101500Z_0003.mcap.active"):
+    write_ros1(tmp_path / "drive.bag", ros_drive(noetic()))
+    for name in ("cut_off.mcap.active", "veh1_20261121T101500Z_0003.mcap.active"):
         write_file(tmp_path / name.removesuffix(".active"), messages, finish=False)
     log = "".join(
         odom(f"{k}.1", 0.1 * k, 0, 0) + flaser(f"{k}.2", (0.1 * k, 0, 0), ranges=[3.0] * 180)
@@ -79,7 +82,7 @@ ON_FILES = ("replay", "import", "recover", "export", "score")
 RUN = [block for block in SHELL if any(f"corridor {name} " in block.text for name in ON_FILES)]
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/recording.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/recording.md", "docs/importing.md"])
 def test_commands_on_files_are_run(page, drives, capsys):
     """In the order of the page, each on what the one before has left."""
     ran = []
