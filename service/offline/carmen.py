@@ -11,6 +11,7 @@ odometry unless asked for.
 
 import gzip
 import math
+import re
 import zlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -40,11 +41,7 @@ LASERS = {
     "LASER_READING": "front",
     "L": "front",
 }
-PLACE_PARAMS = frozenset(
-    f"robot_{laser}laser_{name}"
-    for laser in ("front", "rear")
-    for name in ("offset", "side_offset", "angular_offset")
-)
+PLACE_PARAM = re.compile(r"robot_(front|rear)laser_(|side_|angular_)offset")  # a mounting
 FARTHEST_M = 1e6  # from where a log began; farther away nobody drove
 MOST_STAMP_S = 2**31  # ROS messages count seconds in int32
 CORRECTED_MARKS = {"NEFF": "GMapping's NEFF lines", "SM_UPDATE": "GMapping's SM_UPDATE lines"}
@@ -222,7 +219,7 @@ def _take(log: _Log, fields: list[str], report: ImportReport) -> int:
             log.odometry.append(odometry)
             return odometry.stamp_ns
         case "PARAM":
-            if fields[1] in PLACE_PARAMS:
+            if PLACE_PARAM.fullmatch(fields[1]):
                 _finite(fields[2])
             log.params[fields[1]] = fields[2]
             return 0
