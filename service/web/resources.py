@@ -18,9 +18,10 @@ from typing import Any, Literal
 Kind = Literal["session", "map"]
 
 FORMATS: Mapping[Kind, tuple[str, ...]] = {  # the first is what is stored; the others are exports of it
-    "session": ("mcap", "tum", "csv", "png", "pgm", "geojson", "kml"),
-    "map": ("zip", "png", "pgm", "geojson"),
+    "session": ("mcap", "tum", "csv", "png", "pgm", "geotiff", "svg", "dxf", "ply", "pcd", "geojson", "kml"),
+    "map": ("zip", "png", "pgm", "geotiff", "svg", "dxf", "ply", "pcd", "geojson"),
 }
+SUFFIXES = {"geotiff": "tif"}  # of formats that are called otherwise than their files
 MOST_LISTED = 500  # of a kind, newest first
 EXPORT_TIMEOUT_S = 300.0
 DELETED = ".deleted"
@@ -147,7 +148,7 @@ class Resources:
             if to == "zip":
                 shutil.copytree(path, made, dirs_exist_ok=True, symlinks=False)
             else:
-                _run_export(path, to, made / f"{stem}.{to}")
+                _run_export(path, to, made / f"{stem}.{SUFFIXES.get(to, to)}")
             files = list(made.iterdir())
             if len(files) == 1 and files[0].is_file():
                 return Download(files[0], files[0].name, scratch)

@@ -1,10 +1,12 @@
 import os
 import zipfile
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from service.mapstore.files import save_map
+from service.offline.export import Format
 from service.outputs import TileUpdate
 from service.web.resources import DELETED, FORMATS, ResourceError, Resources
 
@@ -152,6 +154,20 @@ def test_a_map_is_handed_out_whole_and_its_exports_as_files_or_zip(resources, fo
         assert download.name == "office.zip"
         download.clean_up()
     assert list((tmp_path / "scratch").iterdir()) == []
+
+
+def test_every_format_is_one_of_the_exports():
+    for stored, *exports in FORMATS.values():
+        assert stored in ("mcap", "zip")
+        assert set(exports) < set(get_args(Format))
+
+
+@pytest.mark.parametrize(("to", "name"), [("svg", "office.svg"), ("ply", "office.ply")])
+def test_an_export_of_one_file_is_that_file(resources, to, name):
+    download = resources.download("map", "office", to)
+    assert (download.name, download.path.name) == (name, name)
+    assert download.path.stat().st_size > 50
+    download.clean_up()
 
 
 def test_an_export_that_fails_says_why_and_leaves_nothing(resources, tmp_path):
