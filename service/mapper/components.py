@@ -275,7 +275,7 @@ class Stopwatch(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Components(Generic[ReadableMap]):
-    """What stands in the boxes of one mapper."""
+    """What fills the slots of one mapper."""
 
     motion_model: MotionModel
     deskew: Callable[[LaserScan, Motion, int], Points]  # to the moment of the motion, ns
@@ -307,7 +307,7 @@ class BuildContext:
 
 @dataclass(frozen=True, slots=True)
 class ComponentKind:
-    """Something that can stand in a box: its name in a config, its settings, and how it is made.
+    """Something that can fill a slot: its name in a config, its settings, and how it is made.
 
     makes     the class that build gives, where another stage reads it (local maps); else None
     reads     the class of the local map that this stage reads, None where it reads none
@@ -334,10 +334,10 @@ class NoSettings(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """A page that says which stages stand in the boxes, and with which settings where those are its own.
+    """A page that says which components fill the slots, and with which settings where those are its own.
 
-    settings   by box: keys whose values differ from the stage's defaults
-    others     by box: further stages that a config may choose
+    settings   by slot: keys whose values differ from the stage's defaults
+    others     by slot: further stages that a config may choose
     """
 
     name: str

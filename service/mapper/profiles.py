@@ -1,7 +1,7 @@
 """Profile name -> its stages and their settings. The only module that knows methods by name.
 
 Another profile is another module in methods/, called like the profile, and a name in METHODS. It is imported,
-with all that it stands on, when the profile is chosen. A config may put a stage of one method into a box of
+with all that it stands on, when the profile is chosen. A config may put a stage of one method into a slot of
 another's: `stages: {matcher: surfel_gauss_newton}`; what that stage cannot read is refused.
 """
 
@@ -48,33 +48,33 @@ METHODS: dict[str, Callable[[], Method]] = {
 }
 
 
-def stage_kinds(box: Slot, profiles: Iterable[str] | None = None) -> dict[str, ComponentKind]:
-    """What can stand in a box, by name: of these profiles, or of all."""
+def stage_kinds(slot: Slot, profiles: Iterable[str] | None = None) -> dict[str, ComponentKind]:
+    """What can fill a slot, by name: of these profiles, or of all."""
     methods = [METHODS[name]() for name in (METHODS if profiles is None else profiles)]
-    kinds = [kind for method in methods for kind in (method.stages[box], *method.others.get(box, ()))]
+    kinds = [kind for method in methods for kind in (method.stages[slot], *method.others.get(slot, ()))]
     return {kind.name: kind for kind in kinds}
 
 
 def chosen_stages(profile: str, stages: Mapping[Slot, str]) -> dict[Slot, ComponentKind]:
-    """What stands in each box: the profile's own, or what `stages` names instead.
+    """The component of each slot: the profile's own, or what `stages` names instead.
 
     Raises ValueError, in words, for a stage that is not there or that cannot read the local map chosen.
     """
     chosen = dict(METHODS[profile]().stages)
-    for box, name in stages.items():
-        kinds = stage_kinds(box, [profile])
-        if name not in kinds and name not in (kinds := stage_kinds(box)):
-            raise ValueError(f"{name} is no {box}; {_choose(name, kinds)}")
-        chosen[box] = kinds[name]
+    for slot, name in stages.items():
+        kinds = stage_kinds(slot, [profile])
+        if name not in kinds and name not in (kinds := stage_kinds(slot)):
+            raise ValueError(f"{name} is no {slot}; {_choose(name, kinds)}")
+        chosen[slot] = kinds[name]
     local_map = chosen["local_map"]
-    for box, kind in chosen.items():
+    for slot, kind in chosen.items():
         if _fits(kind, local_map):
             continue
         maps = [other.name for other in stage_kinds("local_map").values() if _fits(kind, other)]
-        readers = [other.name for other in stage_kinds(box).values() if _fits(other, local_map)]
+        readers = [other.name for other in stage_kinds(slot).values() if _fits(other, local_map)]
         raise ValueError(
-            f"the {box} {kind.name} cannot read the local_map {local_map.name}; it reads {', '.join(maps)}. "
-            f"What reads {local_map.name} as {box}: {', '.join(readers) or 'nothing'}"
+            f"the {slot} {kind.name} cannot read the local_map {local_map.name}; it reads {', '.join(maps)}. "
+            f"What reads {local_map.name} as {slot}: {', '.join(readers) or 'nothing'}"
         )
     return chosen
 
@@ -102,7 +102,7 @@ class MappingConfig(BaseModel):
     lasers: tuple[str, ...] | None = None  # whose scans are mapped; None: all that do not say map: false
     outline_m: tuple[tuple[float, float], ...] = ()  # corners of the vehicle, base frame; returns within go
     stages: dict[Slot, str] = {}
-    settings: Any = None  # by box: the settings of the stage in it; None: the profile's
+    settings: Any = None  # by slot: the settings of the stage in it; None: the profile's
 
     @field_validator("profile")
     @classmethod
@@ -150,12 +150,12 @@ def mapping_model(section: Mapping[str, Any]) -> type[MappingConfig]:
         return MappingConfig
     method = METHODS[profile]()
     fields: dict[str, Any] = {}
-    for box, kind in chosen.items():
+    for slot, kind in chosen.items():
         if not kind.config.model_fields:
             continue
-        own = method.settings.get(box, {}) if kind is method.stages[box] else {}
+        own = method.settings.get(slot, {}) if kind is method.stages[slot] else {}
         model = _with_defaults(kind.config, own)
-        fields[box] = (model, model())
+        fields[slot] = (model, model())
     settings = create_model("Settings", __config__=ConfigDict(frozen=True, extra="forbid"), **fields)
     return create_model("MappingConfig", __base__=MappingConfig, settings=(settings, settings()))
 
@@ -194,8 +194,8 @@ def build_mapper(
             f"the profile {config.profile} cannot begin in a stored map; the profile corridor can"
         )
 
-    def build(box: Slot, around: BuildContext) -> Any:
-        return chosen[box].build(getattr(config.settings, box, None), around)
+    def build(slot: Slot, around: BuildContext) -> Any:
+        return chosen[slot].build(getattr(config.settings, slot, None), around)
 
     around = BuildContext(
         config.cell_m,
@@ -209,7 +209,7 @@ def build_mapper(
     )
     free_space = build("free_space", around)
     around = replace(around, renderer=free_space.renderer)
-    built = {box: build(box, around) for box in SLOTS if box != "free_space"}
+    built = {slot: build(slot, around) for slot in SLOTS if slot != "free_space"}
     if begin_in is not None:
         free_space.replace_by(begin_in.shown, ())
     return Mapper(
@@ -269,8 +269,8 @@ def warm_up_steps(
     kinds = {
         kind.name: kind
         for c in configs
-        for box, kind in chosen_stages(c.profile, c.stages).items()
-        if not (back_end_elsewhere and box == "graph")
+        for slot, kind in chosen_stages(c.profile, c.stages).items()
+        if not (back_end_elsewhere and slot == "graph")
     }
     first = [kind.warm_up_core for kind in kinds.values() if kind.warm_up_core is not None]
     last = [kind.warm_up for kind in kinds.values() if kind.warm_up is not None]

@@ -1,4 +1,4 @@
-"""Components that stand in the boxes of more than one profile."""
+"""Components of more than one profile."""
 
 from service.fusion.estimator import Estimator, EstimatorConfig
 from service.mapper.components import ComponentKind, NoSettings
