@@ -19,6 +19,7 @@ OUTAGE_NS = 5_000_000_000
 SETTLED_NS = 2_000_000_000  # by then the vehicle must know again where it is
 WRONG_M, SIGMAS = 0.3, 3.0
 FOUND_M = 0.05
+LEAST_COVARIANCE = np.diag([1e-8, 1e-8, 1e-10])  # the first scan of a map knows its pose without error
 Fault = Callable[[Drive, int], Drive]
 
 
@@ -35,7 +36,7 @@ class Outcome:
         off_m = np.hypot(*done.errors[:, :2].T)
         normed = np.array(
             [
-                np.sqrt(error @ np.linalg.solve(output.covariance, error))
+                np.sqrt(error @ np.linalg.solve(output.covariance + LEAST_COVARIANCE, error))
                 for error, output in zip(done.errors, done.outputs, strict=True)
             ]
         )
