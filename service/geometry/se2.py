@@ -34,6 +34,13 @@ class SE2:
             wrap_angle(-self.theta_rad),
         )
 
+    def is_step_from(self, last: "SE2", distance_m: float, turn_rad: float) -> bool:
+        """Whether it lies that far from another pose, or is turned by that much."""
+        return (
+            math.hypot(self.x_m - last.x_m, self.y_m - last.y_m) >= distance_m
+            or abs(wrap_angle(self.theta_rad - last.theta_rad)) >= turn_rad
+        )
+
     @staticmethod
     def exp(forward_m: float, left_m: float, turn_rad: float) -> "SE2":
         """The pose reached by moving with a constant twist; the arguments are twist times duration.

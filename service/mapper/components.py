@@ -70,7 +70,7 @@ class MappedScan:
     """A scan in the local map, as a graph gets it: every one that was mapped, key frame or not."""
 
     stamp_ns: int
-    points: Points  # that were kept, deskewed with the matched twist
+    points: Points  # deskewed with the matched twist
     match: Match
     change: MapChange
     covariance: npt.NDArray[np.float64]  # (3, 3) of the pose against the local map, base axes
@@ -281,12 +281,11 @@ class Components(Generic[ReadableMap]):
     deskew: Callable[[LaserScan, Motion, int], Points]  # to the moment of the motion, ns
     matcher: Matcher[ReadableMap]
     local_map: ReadableMap
-    keep_static: Callable[[Points, Match], Points]
     graph: Graph
     free_space: FreeSpaceMap
 
 
-Slot = Literal["motion_model", "deskew", "matcher", "local_map", "keep_static", "graph", "free_space"]
+Slot = Literal["motion_model", "deskew", "matcher", "local_map", "graph", "free_space"]
 SLOTS: tuple[Slot, ...] = get_args(Slot)  # the fields of Components
 
 

@@ -166,21 +166,20 @@ class Mapper(Generic[ReadableMap]):
         laser.well_ns = at_ns if match.state != "lost" else None
         if match.state == "ok" and (fault := s.motion_model.fault):
             match = replace(match, state="degraded", reason=fault)
-        kept = s.keep_static(match.points, match)
-        change = s.local_map.insert(kept, match)
+        change = s.local_map.insert(match.points, match)
         self.counters["keyframes"] += change.is_keyframe
         if change.is_keyframe:
             s.motion_model.settle(change.error_left)
         covariance = predicted.local_covariance if match.measured is None else match.measured.covariance
         pose_map_odom = self._pose_map_odom = s.graph.add(
-            MappedScan(at_ns, kept, match, change, covariance, predicted.elapsed_s)
+            MappedScan(at_ns, match.points, match, change, covariance, predicted.elapsed_s)
         )
         if self._placed == "unknown":
             match = replace(match, state="lost", reason=self._unplaced(match.reason))
         elif self._placed == "unproven" and match.state == "ok":
             match = replace(match, state="degraded", reason=UNPROVEN)
         if match.state != "lost" and not self._is_localizing:  # nothing is drawn where nobody knows the place
-            s.free_space.insert(kept, pose_map_odom @ match.motion.pose_odom_base)
+            s.free_space.insert(match.points, pose_map_odom @ match.motion.pose_odom_base)
         watch.lap("insert")
         self._state = match.state, match.reason
         return self._output(at_ns, match.motion, match.state, match.reason, match.inlier_ratio)

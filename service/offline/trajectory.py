@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.errors import InputError
+from service.geometry.poses import wrap
 from service.geometry.se2 import SE2
 
 NS_PER_S = 1_000_000_000
@@ -34,15 +35,10 @@ class Trajectory:
         span_ns = self.stamp_ns[right] - self.stamp_ns[left]
         share = ((stamp_ns - self.stamp_ns[left]) / span_ns)[:, None]
         step = self.pose[right] - self.pose[left]
-        step[:, 2] = wrap_angles(step[:, 2])
+        step[:, 2] = wrap(step[:, 2])
         pose = self.pose[left] + share * step
-        pose[:, 2] = wrap_angles(pose[:, 2])
+        pose[:, 2] = wrap(pose[:, 2])
         return pose
-
-
-def wrap_angles(theta_rad: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """The same directions in (-pi, pi]."""
-    return -((-theta_rad + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def tum_line(stamp_ns: int, pose: SE2) -> str:

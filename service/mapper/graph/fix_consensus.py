@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from service.geometry import poses as se2
-from service.mapper.graph.pose_graph import Edges, Floats, Ints, PoseGraph, SolverConfig, solve
+from service.mapper.graph.pose_graph import Edges, Floats, Ints, PoseGraph, SolverConfig
+from service.mapper.graph.pose_graph_solver import solve
 
 GATE_CHI2 = 9.21  # of 2 degrees of freedom, 1 in 100: a fix that is farther off than it says is not accepted
 HEADING_SIGMA_RAD = 100.0  # of a fix: it says nothing of the heading

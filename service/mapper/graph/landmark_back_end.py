@@ -17,7 +17,8 @@ from service.geometry import poses as se2
 from service.geometry.se2 import SE2
 from service.mapper.components import MapRenderer, RenderedMap, ScanToRender
 from service.mapper.graph.point_clouds import PointCloud, SurfelSet
-from service.mapper.graph.pose_graph import Edges, GraphError, PoseGraph, Sightings, Solution, solve, to_g2o
+from service.mapper.graph.pose_graph import Edges, GraphError, PoseGraph, Sightings, to_g2o
+from service.mapper.graph.pose_graph_solver import Solution, solve
 from service.mapper.graph.submap_match import (
     Floats,
     Found,

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.frames import GnssFix
 from service.geometry.se2 import SE2
-from service.mapper.background import BackgroundJobs, NewWorker, WorkLostError
+from service.mapper.background import NewWorker
 from service.mapper.components import (
     Correction,
     FinishedGraph,
@@ -17,6 +17,7 @@ from service.mapper.components import (
     MapRenderer,
     ScanToRender,
 )
+from service.mapper.graph.background_graph import BackgroundGraph
 from service.mapper.graph.landmark_back_end import Batch, LandmarkBackEnd, LandmarkGraphConfig, Pair, Result
 from service.mapper.maps.counted_submaps import CountedChange
 
@@ -46,7 +47,7 @@ class PairNumber(BaseModel):
     pair: int = Field(ge=0)
 
 
-class LandmarkGraph:
+class LandmarkGraph(BackgroundGraph[Result]):
     """Graph."""
 
     def __init__(
@@ -55,26 +56,13 @@ class LandmarkGraph:
         renderer: MapRenderer | None,
         new_worker: NewWorker,
     ) -> None:
-        self._jobs = BackgroundJobs(new_worker(LandmarkBackEnd(config, renderer)))
-        self._pose_map_odom = SE2()
+        super().__init__(LandmarkBackEnd(config, renderer), new_worker)
         self._key_odom: dict[int, SE2] = {}  # by stamp of each key scan: as the mapper gave it
         self._since: list[tuple[int, MappedScan]] = []  # key scans that no closed sub-map holds
         self._submaps = 0  # closed so far
         self._next_pair = 0
         self._pairs: list[Pair] = []
         self._last: Result | None = None
-
-    @property
-    def waiting(self) -> int:
-        return self._jobs.waiting
-
-    @property
-    def ready(self) -> bool:
-        return self._jobs.ready
-
-    @property
-    def fault(self) -> str:
-        return self._jobs.fault
 
     def add(self, scan: MappedScan) -> SE2:
         change = scan.change
@@ -88,15 +76,6 @@ class LandmarkGraph:
 
     def add_fix(self, fix: GnssFix) -> str:
         return "fixes_passed_over"
-
-    def apply_result(self) -> GraphUpdate:
-        if not self._jobs.waiting:
-            return GraphUpdate({})
-        try:
-            result: Result = self._jobs.take()
-        except WorkLostError:
-            return GraphUpdate({})
-        return self._bring_in(result)
 
     def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
         """add_landmark_pair, remove_landmark_pair, optimize, undo. The answer lists what is known by now."""
@@ -126,13 +105,9 @@ class LandmarkGraph:
 
     def finish(self) -> FinishedGraph:
         counts: dict[str, int] = {}
-        update = GraphUpdate({})
-        if not self._jobs.fault:
+        if not self.fault:
             self._jobs.submit(Batch("finish"))
-        while self._jobs.waiting:
-            update = self.apply_result()
-            for name, count in update.counts.items():
-                counts[name] = counts.get(name, 0) + count
+        update = self._apply_all(counts)
         result = self._last
         if result is None or not len(result.stamps):
             return FinishedGraph(update=GraphUpdate(counts, update.rendered_map, update.since))
@@ -141,9 +116,6 @@ class LandmarkGraph:
             for stamp_ns, pose in zip(result.stamps.tolist(), result.poses.tolist(), strict=True)
         ]
         return FinishedGraph(corrections, result.g2o, GraphUpdate(counts, update.rendered_map, update.since))
-
-    def close(self) -> None:
-        self._jobs.close()
 
     def _bring_in(self, result: Result) -> GraphUpdate:
         before, self._last = self._last, result

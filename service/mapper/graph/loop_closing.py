@@ -10,8 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.antenna import antenna_of
 from drivers.frames import GnssFix
-from service.geometry.se2 import SE2, wrap_angle
-from service.mapper.background import BackgroundJobs, NewWorker, WorkLostError
+from service.geometry.se2 import SE2
+from service.mapper.background import NewWorker
 from service.mapper.components import (
     Correction,
     FinishedGraph,
@@ -21,6 +21,7 @@ from service.mapper.components import (
     MapRenderer,
     ScanToRender,
 )
+from service.mapper.graph.background_graph import BackgroundGraph, add_counts
 from service.mapper.graph.fix_track import FixTrack
 from service.mapper.graph.keyframe_list import KeyFrame
 from service.mapper.graph.loop_back_end import LoopBackEnd
@@ -41,7 +42,7 @@ class SaidPose(BaseModel):
     theta_rad: float = Field(allow_inf_nan=False)
 
 
-class LoopClosing:
+class LoopClosing(BackgroundGraph[Result]):
     """Graph."""
 
     def __init__(
@@ -58,6 +59,7 @@ class LoopClosing:
 
         stored, is_localizing, keep_graph   as of BuildContext
         """
+        super().__init__(LoopBackEnd(config, renderer, stored, is_localizing, keep_graph), new_worker)
         self._config = config
         self._mountings = mountings or {}
         self._fixes = FixTrack()
@@ -66,30 +68,15 @@ class LoopClosing:
         self._is_localizing = is_localizing
         self._is_looking = not self._is_placed  # the newest scan lies in a piece that is looked for
         self._fix_counts: Mapping[str, int] = {}  # as the back end had them last
-        self._jobs = BackgroundJobs(
-            new_worker(LoopBackEnd(config, renderer, stored, is_localizing, keep_graph))
-        )
         self._fresh: list[KeyFrame] = []  # not yet sent
         self._sent: deque[list[KeyFrame]] = deque()  # with each piece of work that is out
         self._last: SE2 | None = None  # of the newest key frame
         self._last_ns = 0
         self._gap_s = 0.0 if stored is None else math.inf  # longest time without a scan since then
         self._way_m = 0.0  # of those not yet sent
-        self._pose_map_odom = SE2()
+        self._last_result: Result | None = None
         self._loops = 0 if stored is None else len(stored.loop_ends)
         self._disabled = 0
-
-    @property
-    def waiting(self) -> int:
-        return self._jobs.waiting
-
-    @property
-    def ready(self) -> bool:
-        return self._jobs.ready
-
-    @property
-    def fault(self) -> str:
-        return self._jobs.fault
 
     def add(self, scan: MappedScan) -> SE2:
         pose = scan.match.motion.pose_odom_base
@@ -119,27 +106,15 @@ class LoopClosing:
         antenna = self._mountings.get(antenna_of(fix.sensor), sensor)
         return self._fixes.add_fix(fix, (antenna.x_m, antenna.y_m))
 
-    def apply_result(self) -> GraphUpdate:
-        if not self.waiting:
-            return GraphUpdate({})
-        try:
-            result: Result = self._jobs.take()
-        except WorkLostError:
-            self._sent.clear()
-            self._fresh.clear()
-            return GraphUpdate({"graph_work_lost": 1})
-        self._sent.popleft()
-        return self._update(result)
-
     def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
         if name not in ("optimize", "undo", "checkpoint", "set_pose"):
             raise GraphRequestError(f"{name}: the graph of this profile knows optimize, undo and set_pose")
+        if self.fault:
+            raise GraphRequestError(f"{name}: no loops are closed any more: {self.fault}")
         if name == "set_pose":
             return self._set_pose(payload)
         if payload:
             raise GraphRequestError(f"{name} takes nothing besides; it was given {', '.join(payload)}")
-        if self.fault:
-            raise GraphRequestError(f"{name}: no loops are closed any more: {self.fault}")
         if name == "undo" and not self._loops:
             raise GraphRequestError("undo: no loop is closed")
         self._submit(name)
@@ -160,40 +135,36 @@ class LoopClosing:
 
     def finish(self) -> FinishedGraph:
         counts: dict[str, int] = {}
-        update = GraphUpdate({})
-        while self.waiting:
-            update = self.apply_result()
-            _add(counts, update.counts)
+        self._apply_all(counts)
         if self.fault:
             return FinishedGraph(update=GraphUpdate(counts))
         self._submit(is_last=True)
-        try:
-            result: Result = self._jobs.take()
-        except WorkLostError:
-            counts["graph_work_lost"] = 1
+        update = self._apply_all(counts)
+        last = self._last_result
+        if self.fault or last is None:
             return FinishedGraph(update=GraphUpdate(counts))
-        self._sent.clear()
-        update = self._update(result)
-        _add(counts, update.counts)
         update = GraphUpdate(counts, update.rendered_map, geo=update.geo, saved=update.saved)
-        return FinishedGraph(result.all, result.g2o, update)
-
-    def close(self) -> None:
-        self._jobs.close()
+        return FinishedGraph(last.all, last.g2o, update)
 
     def _submit(self, request: str = "", is_last: bool = False, pose: tuple[float, ...] = ()) -> None:
         self._jobs.submit(Batch(self._fresh, request, pose, is_last, self._fixes.take()))
         self._sent.append(self._fresh)
         self._fresh, self._way_m = [], 0.0
 
-    def _update(self, result: Result) -> GraphUpdate:
+    def _give_up(self) -> None:
+        self._sent.clear()
+        self._fresh.clear()
+
+    def _bring_in(self, result: Result) -> GraphUpdate:
+        self._sent.popleft()
+        self._last_result = result
         counts = {
             "loop_closures": result.loops - self._loops,
             "loops_disabled": result.disabled - self._disabled,
         }
         self._loops, self._disabled = result.loops, result.disabled
-        _add(counts, self._fixes.take_counts())
-        _add(counts, {name: n - self._fix_counts.get(name, 0) for name, n in result.fixes.items()})
+        add_counts(counts, self._fixes.take_counts())
+        add_counts(counts, {name: n - self._fix_counts.get(name, 0) for name, n in result.fixes.items()})
         self._fix_counts = result.fixes
         self._is_placed = result.placed != "unknown"
         if result.newest is not None:
@@ -215,12 +186,10 @@ class LoopClosing:
         )
 
     def _is_keyframe(self, pose: SE2) -> bool:
-        last = self._last
-        if last is None:
-            return True
-        moved_m = math.hypot(pose.x_m - last.x_m, pose.y_m - last.y_m)
-        turned_rad = abs(wrap_angle(pose.theta_rad - last.theta_rad))
-        return moved_m >= self._config.keyframe_distance_m or turned_rad >= self._config.keyframe_turn_rad
+        config = self._config
+        return self._last is None or pose.is_step_from(
+            self._last, config.keyframe_distance_m, config.keyframe_turn_rad
+        )
 
 
 def _key_frame(scan: MappedScan, gap_s: float) -> KeyFrame:
@@ -242,8 +211,3 @@ def _key_frame(scan: MappedScan, gap_s: float) -> KeyFrame:
 
 def _pose_map_odom(newest: Correction) -> SE2:
     return newest.pose_map_base @ newest.pose_odom_base.inverse()
-
-
-def _add(counts: dict[str, int], more: Mapping[str, int]) -> None:
-    for name, count in more.items():
-        counts[name] = counts.get(name, 0) + count

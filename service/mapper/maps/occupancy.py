@@ -1,6 +1,5 @@
 """What is shown and driven on: occupancy in tiles of 64 cells a side, in the map frame."""
 
-import math
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.geometry.grid import TileRange, tiles_of
-from service.geometry.se2 import SE2, wrap_angle
+from service.geometry.se2 import SE2
 from service.kernels.occupancy import (
     TILE_BITS,
     TILE_CELLS,
@@ -223,7 +222,6 @@ class OccupancyTiles:
         last, last_ns = self._last
         config = self._config
         return (
-            math.hypot(pose.x_m - last.x_m, pose.y_m - last.y_m) >= config.insert_distance_m
-            or abs(wrap_angle(pose.theta_rad - last.theta_rad)) >= config.insert_turn_rad
+            pose.is_step_from(last, config.insert_distance_m, config.insert_turn_rad)
             or (stamp_ns - last_ns) * 1e-9 >= config.insert_interval_s
         )

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.geometry.grid import tiles_of
-from service.geometry.se2 import SE2, wrap_angle
+from service.geometry.se2 import SE2
 from service.kernels.likelihood import SPLAT_REACH_CELLS, splat_likelihood
 from service.kernels.normals import estimate_normals
 from service.kernels.static_score import (
@@ -263,9 +263,7 @@ class SurfelSubmaps:
         last = self._last_of.get(points.scan.sensor)
         if last is None or submap.scan_count < FIRST_SCANS:
             return True
-        moved_m = math.hypot(pose.x_m - last.x_m, pose.y_m - last.y_m)
-        turned_rad = abs(wrap_angle(pose.theta_rad - last.theta_rad))
-        return moved_m >= self._config.keyframe_distance_m or turned_rad >= self._config.keyframe_turn_rad
+        return pose.is_step_from(last, self._config.keyframe_distance_m, self._config.keyframe_turn_rad)
 
     def _advance(self, points: Points, pose: SE2) -> None:
         last = self._last_keyframe

@@ -7,7 +7,6 @@ from service.mapper.matchers.search_warm_up import warm_up_search
 from service.mapper.methods.shared import (
     DESKEW_BY_TWIST,
     ESTIMATOR,
-    KEEP_ALL,
     NO_GRAPH,
     OCCUPANCY_TILES,
 )
@@ -30,7 +29,6 @@ METHOD = Method(
         "deskew": DESKEW_BY_TWIST,
         "matcher": CONTOUR_LM,
         "local_map": CONTOUR_MAP,
-        "keep_static": KEEP_ALL,
         "graph": NO_GRAPH,
         "free_space": OCCUPANCY_TILES,
     },

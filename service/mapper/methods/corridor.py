@@ -11,7 +11,6 @@ from service.mapper.matchers.surfel_gauss_newton import SurfelGaussNewton, Surfe
 from service.mapper.methods.shared import (
     DESKEW_BY_TWIST,
     ESTIMATOR,
-    KEEP_ALL,
     NO_GRAPH,
     OCCUPANCY_TILES,
 )
@@ -50,7 +49,6 @@ METHOD = Method(
         "deskew": DESKEW_BY_TWIST,
         "matcher": SURFEL_GAUSS_NEWTON,
         "local_map": SURFEL_SUBMAPS,
-        "keep_static": KEEP_ALL,
         "graph": LOOP_CLOSING,
         "free_space": OCCUPANCY_TILES,
     },

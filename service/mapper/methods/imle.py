@@ -9,7 +9,6 @@ from service.mapper.matchers.search_warm_up import warm_up_byte_search
 from service.mapper.methods.shared import (
     DESKEW_BY_TWIST,
     ESTIMATOR,
-    KEEP_ALL,
     NO_GRAPH,
     OCCUPANCY_TILES,
 )
@@ -41,7 +40,6 @@ METHOD = Method(
         "deskew": DESKEW_BY_TWIST,
         "matcher": ICP_THEN_SEARCH,
         "local_map": PATCH_MAP,
-        "keep_static": KEEP_ALL,
         "graph": NO_GRAPH,
         "free_space": OCCUPANCY_TILES,
     },

@@ -5,7 +5,7 @@ from service.mapper.components import ComponentKind, Method
 from service.mapper.maps.orthogonal_map import OrthogonalMap, OrthogonalMapConfig
 from service.mapper.matchers.brute_search import BruteSearch, BruteSearchConfig
 from service.mapper.matchers.search_warm_up import warm_up_byte_search
-from service.mapper.methods.shared import DESKEW_BY_TWIST, KEEP_ALL, NO_GRAPH, OCCUPANCY_TILES
+from service.mapper.methods.shared import DESKEW_BY_TWIST, NO_GRAPH, OCCUPANCY_TILES
 
 INERTIAL_MOTION = ComponentKind(
     "inertial_motion", InertialMotionConfig, lambda config, _: InertialMotion(config)
@@ -28,7 +28,6 @@ METHOD = Method(
         "deskew": DESKEW_BY_TWIST,
         "matcher": BRUTE_SEARCH,
         "local_map": ORTHOGONAL_MAP,
-        "keep_static": KEEP_ALL,
         "graph": NO_GRAPH,
         "free_space": OCCUPANCY_TILES,
     },

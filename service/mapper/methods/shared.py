@@ -3,7 +3,6 @@
 from service.fusion.estimator import Estimator, EstimatorConfig
 from service.mapper.components import ComponentKind, NoSettings
 from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist
-from service.mapper.filters.keep_all import keep_all
 from service.mapper.graph.no_graph import NoGraph
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 
@@ -13,7 +12,6 @@ DESKEW_BY_TWIST = ComponentKind(
     BeamsConfig,
     lambda config, around: DeskewByTwist(config, around.mountings, around.outline_m),
 )
-KEEP_ALL = ComponentKind("keep_all", NoSettings, lambda _, __: keep_all)
 NO_GRAPH = ComponentKind("no_graph", NoSettings, lambda _, __: NoGraph())
 OCCUPANCY_TILES = ComponentKind(
     "occupancy_tiles", OccupancyConfig, lambda config, around: OccupancyTiles(config, around.cell_m)

@@ -10,7 +10,6 @@ from service.mapper.matchers.search_warm_up import warm_up_search
 from service.mapper.methods.shared import (
     DESKEW_BY_TWIST,
     ESTIMATOR,
-    KEEP_ALL,
     OCCUPANCY_TILES,
 )
 
@@ -39,7 +38,6 @@ METHOD = Method(
         "deskew": DESKEW_BY_TWIST,
         "matcher": PARTICLE_FILTER,
         "local_map": COUNTED_SUBMAPS,
-        "keep_static": KEEP_ALL,
         "graph": LANDMARK_GRAPH,
         "free_space": OCCUPANCY_TILES,
     },

@@ -4,7 +4,8 @@ import numpy as np
 
 from service.geometry import poses as se2
 from service.mapper.graph.fix_consensus import FixedWay, align, find_consensus, fix_edges
-from service.mapper.graph.pose_graph import Edges, PoseGraph, solve
+from service.mapper.graph.pose_graph import Edges, PoseGraph
+from service.mapper.graph.pose_graph_solver import solve
 
 RNG = np.random.default_rng(3)
 POSE_ODOM_ENU = np.array([12.0, -7.0, 0.9])

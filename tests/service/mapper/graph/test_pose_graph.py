@@ -13,9 +13,9 @@ from service.mapper.graph.pose_graph import (
     Sightings,
     edge_chi2,
     sighting_chi2,
-    solve,
     to_g2o,
 )
+from service.mapper.graph.pose_graph_solver import solve
 
 SIGMA = np.array([0.05, 0.03, 0.02])
 

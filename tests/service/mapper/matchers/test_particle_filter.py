@@ -7,7 +7,6 @@ from drivers.frames import LaserScan, OdometrySample
 from service.fusion.estimator import Estimator, EstimatorConfig
 from service.mapper.components import Components
 from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist
-from service.mapper.filters.keep_all import keep_all
 from service.mapper.graph.no_graph import NoGraph
 from service.mapper.maps.counted_submaps import CountedSubmaps, CountedSubmapsConfig
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
@@ -24,7 +23,6 @@ def mapper(seed: int = 1, particles: int = 8) -> Mapper[CountedSubmaps]:
             deskew=DeskewByTwist(BeamsConfig(), {"front": MOUNTING}),
             matcher=ParticleFilter(ParticleFilterConfig(seed=seed)),
             local_map=CountedSubmaps(CountedSubmapsConfig(particles=particles, length_m=2.0)),
-            keep_static=keep_all,
             graph=NoGraph(),
             free_space=OccupancyTiles(OccupancyConfig(), 0.05),
         )

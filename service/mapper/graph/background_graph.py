@@ -1,0 +1,62 @@
+"""What the graphs that work beside the mapping have in common."""
+
+from collections.abc import Mapping
+from typing import Any, Generic, TypeVar
+
+from service.geometry.se2 import SE2
+from service.mapper.background import BackEnd, BackgroundJobs, NewWorker, WorkLostError
+from service.mapper.components import GraphUpdate
+
+ResultT = TypeVar("ResultT")
+
+
+class BackgroundGraph(Generic[ResultT]):
+    """The half of Graph that deals with the back end: batches out, results in, oldest first."""
+
+    def __init__(self, back_end: BackEnd, new_worker: NewWorker) -> None:
+        self._jobs = BackgroundJobs(new_worker(back_end))
+        self._pose_map_odom = SE2()
+
+    @property
+    def waiting(self) -> int:
+        return self._jobs.waiting
+
+    @property
+    def ready(self) -> bool:
+        return self._jobs.ready
+
+    @property
+    def fault(self) -> str:
+        return self._jobs.fault
+
+    def apply_result(self) -> GraphUpdate:
+        if not self.waiting:
+            return GraphUpdate({})
+        try:
+            result: ResultT = self._jobs.take()
+        except WorkLostError:
+            self._give_up()
+            return GraphUpdate({"graph_work_lost": 1})
+        return self._bring_in(result)
+
+    def close(self) -> None:
+        self._jobs.close()
+
+    def _apply_all(self, counts: dict[str, int]) -> GraphUpdate:
+        """Apply everything that is out, waiting for it, and count what it changed; the last update."""
+        update = GraphUpdate({})
+        while self.waiting:
+            update = self.apply_result()
+            add_counts(counts, update.counts)
+        return update
+
+    def _bring_in(self, result: ResultT) -> GraphUpdate:
+        raise NotImplementedError
+
+    def _give_up(self) -> None:
+        """No result will come any more."""
+
+
+def add_counts(counts: dict[str, int], more: Mapping[str, Any]) -> None:
+    for name, count in more.items():
+        counts[name] = counts.get(name, 0) + count
