@@ -3,20 +3,22 @@
 import logging
 from pathlib import Path
 
-from service.errors import InputError
+from service.errors import ConfigError, InputError
 from service.mapper.maps.occupancy import rendered_of
-from service.mapper.profiles import BeginIn
+from service.mapper.profiles import BeginIn, MappingConfig, begins_in_stored
 from service.mapstore.files import load_map
 
 log = logging.getLogger(__name__)
 
 
-def begin_in(folder: Path, cell_m: float) -> BeginIn:
-    """The current version of the map in `folder`, for a session whose shown map has cells of cell_m.
+def begin_in(folder: Path, config: MappingConfig) -> BeginIn:
+    """The current version of the map in `folder`, for a session of this config.
 
     Raises InputError where there is no map, where it is a picture only, or where its cells are of another
-    size.
+    size; ConfigError where the profile cannot begin in a stored map.
     """
+    if not begins_in_stored(config):
+        raise ConfigError([f"the profile {config.profile} cannot begin in a stored map; use corridor"])
     stored = load_map(folder)
     for problem in stored.problems:
         log.warning("%s", problem)
@@ -26,9 +28,11 @@ def begin_in(folder: Path, cell_m: float) -> BeginIn:
             "Replay its recording with --out: that writes a map that can be gone on in"
         )
     sizes = {tile.cell_m for tile in stored.tiles if tile.level == 0}
-    if sizes != {cell_m}:
+    if sizes != {config.cell_m}:
         found = ", ".join(f"{size:g}" for size in sorted(sizes))
-        raise InputError(f"{folder}: its cells are of {found} m, the config has mapping.cell_m {cell_m:g}")
+        raise InputError(
+            f"{folder}: its cells are of {found} m, the config has mapping.cell_m {config.cell_m:g}"
+        )
     try:
         return BeginIn(stored.graph, rendered_of(stored.tiles), stored.geo)
     except ValueError as error:

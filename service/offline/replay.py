@@ -191,7 +191,7 @@ def replay(
     for note in session.notes:
         log.info("%s", note)
     mapping, poses_base_sensor, lasers, as_live = _setup(session, options)
-    stored = None if options.map is None else begin_in(options.map, mapping.cell_m)
+    stored = None if options.map is None else begin_in(options.map, mapping)
     log.info("mapping the scans of %s", ", ".join(lasers))
     warm_up_encoding()
     warm_up_kernels(mapping, progress=KernelProgress(lambda k: progress(k.share, "compiling kernels")))

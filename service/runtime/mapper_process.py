@@ -65,7 +65,7 @@ class MapperProcess:
         self._can_copy = True
         config = mapping_config(dict(setup.mapping))
 
-        begins = [begin_in(Path(setup.begin_in), config.cell_m) if setup.begin_in else None]
+        begins = [begin_in(Path(setup.begin_in), config) if setup.begin_in else None]
         maps = count(1)
 
         def new_mapper() -> Mapper[Any]:

@@ -187,7 +187,7 @@ class Service:
         """
         threading.excepthook = self._thread_died
         if self._config.begin_in is not None:
-            begin_in(self._config.begin_in, self._config.mapping.cell_m)  # refused here, before anything runs
+            begin_in(self._config.begin_in, self._config.mapping)  # refused here, before anything runs
         if not self._start_mapper(cancelled):
             return False
         self._event("start")

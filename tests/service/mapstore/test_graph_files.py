@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.errors import InputError
+from service.errors import ConfigError, InputError
+from service.mapper.profiles import mapping_config
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore import files, graph_files
 from service.mapstore.begin_in import begin_in
@@ -92,11 +93,17 @@ def test_a_map_of_the_first_format_is_shown_and_not_gone_on_in(tmp_path):
     path.write_text(json.dumps(manifest | {"sha256": files._digest(manifest)}))
     assert load_map(tmp_path).graph is None
     with pytest.raises(InputError, match="mapping cannot go on in it"):
-        begin_in(tmp_path, 0.05)
+        begin_in(tmp_path, mapping_config())
 
 
 def test_cells_of_another_size_are_refused(tmp_path):
     save_map(tmp_path, TILES, 1, graph=graph_of(3))
     size_m = TILES[0].cell_m
     with pytest.raises(InputError, match=f"cells are of {size_m:g} m, the config has mapping.cell_m 0.2"):
-        begin_in(tmp_path, 0.2)
+        begin_in(tmp_path, mapping_config({"cell_m": 0.2}))
+
+
+def test_a_profile_that_cannot_go_on_in_a_map_is_refused(tmp_path):
+    save_map(tmp_path, TILES, 1, graph=graph_of(3))
+    with pytest.raises(ConfigError, match="imle cannot begin in a stored map"):
+        begin_in(tmp_path, mapping_config({"profile": "imle"}))
