@@ -18,7 +18,12 @@ from service.mapper.graph.keyframe_list import Floats, KeyFrame, KeyframeList, T
 from service.mapper.graph.loop_batches import Batch, Result
 from service.mapper.graph.loops import Loop, agree, as_edges, disagreement, loop_of
 from service.mapper.graph.loops_config import LoopsConfig
-from service.mapper.graph.map_of_before import (
+from service.mapper.graph.passes import worth_asking
+from service.mapper.graph.piece_search import PieceSearch
+from service.mapper.graph.point_clouds import Fit, PointCloud
+from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, to_g2o
+from service.mapper.graph.pose_graph_solver import solve
+from service.mapper.graph.stored_graph import (
     Placement,
     anchor_loop,
     moved_loops,
@@ -26,11 +31,6 @@ from service.mapper.graph.map_of_before import (
     saved_graph,
     stored_loops,
 )
-from service.mapper.graph.passes import worth_asking
-from service.mapper.graph.piece_search import PieceSearch
-from service.mapper.graph.point_clouds import Fit, PointCloud
-from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, to_g2o
-from service.mapper.graph.pose_graph_solver import solve
 from service.mapper.saved_graph import KeepGraph, SavedGraph
 
 STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: of a step between key frames, at best

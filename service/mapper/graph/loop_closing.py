@@ -32,7 +32,7 @@ from service.mapper.saved_graph import KeepGraph, SavedGraph
 DETACHED_INTERVAL_NS = 500_000_000  # of key frames of a piece that is looked for, also while standing
 
 
-class SaidPose(BaseModel):
+class PoseRequest(BaseModel):
     """What set_pose takes: pose_map_base as a person sees it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -122,7 +122,7 @@ class LoopClosing(BackgroundGraph[Result]):
 
     def _set_pose(self, payload: Mapping[str, Any]) -> Mapping[str, Any]:
         try:
-            said = SaidPose.model_validate(payload)
+            asked = PoseRequest.model_validate(payload)
         except ValidationError as error:
             fault = error.errors()[0]
             raise GraphRequestError(f"set_pose: {'.'.join(map(str, fault['loc']))}: {fault['msg']}") from None
@@ -130,8 +130,8 @@ class LoopClosing(BackgroundGraph[Result]):
             raise GraphRequestError(
                 "set_pose: the pose is known and the map confirms it; it can be set where it is lost"
             )
-        self._submit("set_pose", pose=(said.x_m, said.y_m, said.theta_rad))
-        return {"looked_for_at": [said.x_m, said.y_m, said.theta_rad]}
+        self._submit("set_pose", pose=(asked.x_m, asked.y_m, asked.theta_rad))
+        return {"looked_for_at": [asked.x_m, asked.y_m, asked.theta_rad]}
 
     def finish(self) -> FinishedGraph:
         counts: dict[str, int] = {}
