@@ -99,6 +99,7 @@ class MapperLink:
         self._unidentified: list[Channel] = []  # connected, and have not said who they are
         self._standby: tuple[Channel, Hello] | None = None
         self._done_number = 0
+        self._forgotten_number = 0  # items up to here are not kept any more
         self._applied: dict[int, int] = {}
         self._passed_over: set[int] = set()
         self._refused: set[int] = set()
@@ -255,12 +256,18 @@ class MapperLink:
             with self._lock:
                 self._active, self._pid = channel, hello.pid
             return
+        if hello.of_pid != self._pid or hello.number < self._forgotten_number:
+            # A copy of a mapper that is lost by now, which may have decided what it never told; or one that a
+            # newer copy has overtaken, for which items that it would need are forgotten.
+            channel.close()  # it ends by that
+            return
         if self._standby is not None:
-            self._standby[0].close()  # it ends by that
+            self._standby[0].close()
         self._standby = (channel, hello)
         self._forget_up_to(hello.number)
 
     def _forget_up_to(self, number: int) -> None:
+        self._forgotten_number = number
         with self._lock:
             while self._kept and self._kept[0].number <= number:
                 self._kept.popleft()

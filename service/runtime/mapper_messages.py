@@ -97,6 +97,7 @@ class Hello(NamedTuple):
     pid: int
     number: int  # the last item that it has taken
     is_standby: bool
+    of_pid: int = 0  # of a stand-by: the mapper that it is a copy of
 
 
 class GraphKept(NamedTuple):

@@ -156,20 +156,21 @@ class MapperProcess:
         self._copy_due_s = time.monotonic() + COPY_INTERVAL_S
         self._copies += 1
         self._back_end.copy(self._folder / f"back-end-{os.getpid()}-{self._copies}.sock")
+        mapper_pid = os.getpid()
         is_copy = os.fork() == 0
         self._back_end.forked(is_copy)
         if is_copy:
-            self._stand_by()
+            self._stand_by(mapper_pid)
         return is_copy
 
-    def _stand_by(self) -> None:
-        """In the copy: wait until it is needed. What the parent had not taken yet will come again."""
+    def _stand_by(self, mapper_pid: int) -> None:
+        """In the copy of a mapper: wait until it is needed. What that had not taken yet will come again."""
         self._channel.close()
         self._items.clear()
         self._is_finishing = False
         try:
             self._channel = connect(self._folder)
-            self._channel.send(Hello(os.getpid(), self._loop.number, is_standby=True))
+            self._channel.send(Hello(os.getpid(), self._loop.number, is_standby=True, of_pid=mapper_pid))
             while not (messages := self._channel.receive_within(3600.0)):
                 pass
         except ChannelClosedError:

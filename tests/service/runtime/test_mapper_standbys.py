@@ -1,0 +1,131 @@
+"""Which stand-by goes on, where several come late or out of order: mappers that are only their messages."""
+
+import logging
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pytest
+
+from service.geometry.se2 import SE2
+from service.runtime.channel import Channel, ChannelClosedError
+from service.runtime.mapper_link import MapperLink
+from service.runtime.mapper_messages import Go, Hello, Item, MakeStandby, Ready, Setup, TilesItem
+from tests.service.runtime.test_mapper_link import Heard
+
+TIMEOUT_S = 10.0
+FIRST, SECOND, LATE, THIRD = -2, -3, -4, -5  # process ids that nobody has and nobody kills
+
+
+class Acted:
+    """A mapper or a stand-by, played by the test."""
+
+    opened: ClassVar[list[Channel]] = []  # closed with the link
+
+    def __init__(self, path: Path) -> None:
+        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        connection.connect(str(path / "mapper.sock"))
+        self.channel = Channel(connection)
+        self.opened.append(self.channel)
+        self.heard: list[Any] = []
+
+    def say(self, message: Any) -> "Acted":
+        self.channel.send(message)
+        return self
+
+    def until(self, count: int) -> list[Any]:
+        """The first so many messages to it."""
+        while len(self.heard) < count:
+            received = self.channel.receive_within(TIMEOUT_S)
+            assert received, f"{len(self.heard)} messages in {TIMEOUT_S} s, expected {count}"
+            self.heard += received
+        return self.heard
+
+    def numbers(self) -> list[int]:
+        return [message.number for message in self.heard if isinstance(message, Item)]
+
+
+@pytest.fixture
+def link() -> Iterator[MapperLink]:
+    setup = Setup({}, {"front": SE2()}, ("front",), frozenset(), 20.0, logging.WARNING)
+    link = MapperLink(setup, Heard())
+    thread = threading.Thread(target=link.run)
+    thread.start()
+    yield link
+    link.close()
+    thread.join(TIMEOUT_S)
+    link.clean_up()
+    while Acted.opened:
+        Acted.opened.pop().close()
+
+
+def folder_of(link: MapperLink) -> Path:
+    return Path(link._folder.name)
+
+
+def submit(link: MapperLink, count: int) -> None:
+    for _ in range(count):
+        number = link.next_number()
+        link.submit(TilesItem(number, number))
+
+
+def first_mapper(link: MapperLink) -> Acted:
+    mapper = Acted(folder_of(link)).say(Hello(FIRST, 0, is_standby=False))
+    mapper.until(1)  # the set-up
+    mapper.say(Ready(has_standby=True))
+    assert link.wait_ready(TIMEOUT_S)
+    return mapper
+
+
+def standby(link: MapperLink, pid: int, number: int, of_pid: int) -> Acted:
+    return Acted(folder_of(link)).say(Hello(pid, number, is_standby=True, of_pid=of_pid))
+
+
+def until_standby(link: MapperLink, pid: int) -> None:
+    pause, deadline_s = threading.Event(), time.monotonic() + TIMEOUT_S
+    while link.standby_pid != pid:
+        assert time.monotonic() < deadline_s, f"stand-by is {link.standby_pid}, expected {pid}"
+        pause.wait(0.01)
+
+
+def is_sent_away(acted: Acted) -> bool:
+    try:
+        acted.channel.receive_within(TIMEOUT_S)
+    except ChannelClosedError:
+        return True
+    return False
+
+
+def test_a_copy_of_a_lost_mapper_that_comes_late_is_sent_away(link: MapperLink):
+    """Else items that the present mapper's own copy needs would be forgotten for it."""
+    mapper = first_mapper(link)
+    submit(link, 5)
+    mapper.until(6)
+    second = standby(link, SECOND, 2, of_pid=FIRST)
+    until_standby(link, SECOND)
+    mapper.channel.close()
+    second.until(4)
+    assert isinstance(second.heard[0], Go)
+    assert second.numbers() == [3, 4, 5]
+    assert is_sent_away(standby(link, LATE, 5, of_pid=FIRST))
+    third = standby(link, THIRD, 2, of_pid=SECOND)
+    until_standby(link, THIRD)
+    second.channel.close()
+    third.until(4)
+    assert third.numbers() == [3, 4, 5]
+
+
+def test_a_copy_that_a_newer_one_has_overtaken_is_sent_away(link: MapperLink):
+    mapper = first_mapper(link)
+    submit(link, 5)
+    mapper.until(6)
+    newer = standby(link, SECOND, 4, of_pid=FIRST)
+    until_standby(link, SECOND)
+    newer.channel.close()
+    mapper.until(7)
+    assert isinstance(mapper.heard[-1], MakeStandby)  # it is heard that the newer one is gone
+    assert is_sent_away(standby(link, LATE, 2, of_pid=FIRST))
+    assert link.standby_pid == 0
