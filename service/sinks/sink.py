@@ -59,12 +59,12 @@ class Sink(Protocol):
 
         arrived_ns   for a pose: when its scan's last byte was read, host monotonic clock; else None
         """
-        raise NotImplementedError
+        ...
 
     @abstractmethod
     def health(self) -> Status:
         """Its row in health, with the counters of what it sent and dropped."""
-        raise NotImplementedError
+        ...
 
     @abstractmethod
     def close(self) -> None:
@@ -72,7 +72,7 @@ class Sink(Protocol):
 
         Called once, after `flush`, also where `start` was never called or failed.
         """
-        raise NotImplementedError
+        ...
 
     def start(self) -> None:
         """Begin: the mapper is ready, the drivers are not started yet. Raises StorageError.

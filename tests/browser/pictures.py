@@ -25,6 +25,7 @@ from simulators.worlds import build_world
 from tests.browser.conftest import DESKTOP, PHONE, ROOT, Page
 from tests.browser.measure import chromium
 from tests.browser.scene import event, statuses
+from tests.in_background import in_background
 from tests.simulated import Laser, Wheels, odometry, scans
 
 IMAGES = ROOT / "docs" / "images"
@@ -74,9 +75,8 @@ def driving(server: WebServer, outputs: list[MapperOutput], seen: list[LaserScan
     messages = [(o.stamp_ns, encode_pose(o, o.stamp_ns + UNIX_NS + 8_000_000)) for o in outputs]
     messages += [(s.stamp_ns, encode_frame(s)) for s in seen]
     last = sorted((m for m in messages if m[0] > end_ns - SHOWN_S * 1e9), key=lambda m: m[0])
-    ended = threading.Event()
 
-    def drive() -> None:
+    def drive(ended: threading.Event) -> None:
         random = np.random.default_rng(1)
         server.put(encode_tf_static(MOUNTINGS, UNIX_NS, UNIX_NS))
         server.put(event('{"event": "start"}', 0.0))
@@ -91,13 +91,8 @@ def driving(server: WebServer, outputs: list[MapperOutput], seen: list[LaserScan
                 late_ns = int(random.gamma(4.0, 0.7e6))
                 server.put(message, time.monotonic_ns() - late_ns if message.channel == "pose" else None)
 
-    thread = threading.Thread(target=drive)
-    thread.start()
-    try:
+    with in_background(drive):
         yield
-    finally:
-        ended.set()
-        thread.join()
 
 
 def take(page: Page, name: str, area: str, size: tuple[int, int], is_dark: bool) -> None:
@@ -138,7 +133,7 @@ def main() -> None:
             page.wait_for(
                 "const r = corridor.report(); return r.mayControl && r.health && r.sensors.length === 2"
             )
-            time.sleep(6.0)  # some points for the plot
+            page.wait_for("return corridor.report().plotPoints > 5")
             take(page, "desktop-light", "information", DESKTOP, False)
             page.element("fit").click()
             take(page, "desktop-dark", "control", DESKTOP, True)

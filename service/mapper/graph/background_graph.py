@@ -1,5 +1,6 @@
 """What the graphs that work beside the mapping have in common."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, Generic, TypeVar
 
@@ -10,7 +11,7 @@ from service.mapper.components import GraphUpdate
 ResultT = TypeVar("ResultT")
 
 
-class BackgroundGraph(Generic[ResultT]):
+class BackgroundGraph(ABC, Generic[ResultT]):
     """The half of Graph that deals with the back end: batches out, results in, oldest first."""
 
     def __init__(self, back_end: BackEnd, new_worker: NewWorker) -> None:
@@ -50,8 +51,9 @@ class BackgroundGraph(Generic[ResultT]):
             add_counts(counts, update.counts)
         return update
 
+    @abstractmethod
     def _bring_in(self, result: ResultT) -> GraphUpdate:
-        raise NotImplementedError
+        """What a result of the back end changes."""
 
     def _give_up(self) -> None:
         """No result will come any more."""

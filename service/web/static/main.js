@@ -159,7 +159,7 @@ window.corridor = {
   report: () => ({
     runId, isOpen, mayControl: connection.mayControl, tiles: view.tiles.tiles.size, bounds: view.tiles.bounds,
     pose: view.track.last, pathPoints: view.path.length / 2, sensors: view.sensors, health, follows: view.follows,
-    bytes: connection.bytes, frames: view.frames, drawn_ms: [...view.drawn_ms],
+    plotPoints: information.plot.points.length, bytes: connection.bytes, frames: view.frames, drawn_ms: [...view.drawn_ms],
     scanPoints: Object.fromEntries([...view.scans].map(([sensor, held]) => [sensor, held.points?.length / 2])),
   }),
 };

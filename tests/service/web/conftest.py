@@ -16,6 +16,7 @@ from service.mapstore.tiles import TileStore
 from service.publishing.commands import Answer
 from service.web.config import WebConfig
 from service.web.server import About, WebServer
+from tests.in_background import in_background
 
 TOKEN = "the token of the test"
 TIMEOUT_S = 20.0
@@ -125,16 +126,10 @@ def talk(server: WebServer, conversation: Callable[[Client], Awaitable[None]]) -
 @contextmanager
 def repeating(action: Callable[[], None], period_s: float = 0.01) -> Iterator[None]:
     """Does it again and again in a thread of its own."""
-    ended = threading.Event()
 
-    def repeat() -> None:
+    def repeat(ended: threading.Event) -> None:
         while not ended.wait(period_s):
             action()
 
-    thread = threading.Thread(target=repeat)
-    thread.start()
-    try:
+    with in_background(repeat):
         yield
-    finally:
-        ended.set()
-        thread.join(TIMEOUT_S)
