@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.frames import Frame, LaserScan
+from service.geometry import poses as se2
 from service.geometry.se2 import SE2
 from service.mapper.components import GraphRequestError
 from service.mapper.maps.occupancy import rendered_of
@@ -197,3 +198,32 @@ def test_frames_without_scans_change_nothing(first, second):
     saved = mapper.finish().update.saved
     assert saved is not None
     assert len(saved) == len(first[1].graph)
+
+
+def test_a_place_that_the_map_contradicts_is_taken_back_and_found_anew(first, second):
+    """The first find is off by 3 m, as if another place had looked the same: nothing may be `ok` there."""
+    drove, begin = first
+    mapper = new_mapper(begin)
+    pieces = mapper.graph._jobs._worker._back_end._pieces
+    best_of, wrongly = pieces.best_of, []
+
+    def find_wrongly(found):
+        best = best_of(found)
+        if best is None or wrongly:
+            return best
+        at, loop = best
+        wrongly.append(at)
+        shift = np.array([3.0, 0.0, 0.0])
+        return se2.compose(at, shift), replace(loop, measured=se2.compose(loop.measured, shift))
+
+    pieces.best_of = find_wrongly
+    outputs = list(outputs_of(mapper, second.frames))
+    states = [output.state for output in outputs]
+    off = [off_m(drove, second, output) for output in outputs]
+    placed = next(k for k, state in enumerate(states) if state != "lost")
+    assert off[placed] > 2.0
+    assert states[placed] == "degraded"  # one look is no proof
+    assert not any(state == "ok" and away > 0.3 for state, away in zip(states, off, strict=True))
+    assert "lost" in states[placed:]  # it was taken back
+    assert states[-1] != "lost"
+    assert off[-1] < 0.05
