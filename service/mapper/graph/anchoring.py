@@ -29,7 +29,7 @@ KERNEL_WIDTH = 3.0  # Cauchy, in sigmas
 
 
 class Anchoring:
-    """Gathers fixes beside the key frames of a keyframes.
+    """Gathers fixes beside the key frames.
 
     counts       of fixes, by what became of them
     reference    where the map lies on the earth; None: not known

@@ -41,7 +41,7 @@ class Hypothesis:
 
 
 class PieceSearch:
-    """Looks for the newest piece of a keyframes of key frames; remembers the last find."""
+    """Looks for the newest piece among the key frames; remembers the last find."""
 
     def __init__(self, config: LoopsConfig, keyframes: KeyframeList) -> None:
         self._config = config
@@ -51,6 +51,7 @@ class PieceSearch:
         self._expected_odom: Floats | None = None  # the same: odom of the newest piece in the map
         self._tries = 0
         self._field: MapField | None = None
+        self._is_session_placed = True  # False: of this session nothing is placed in the stored map
         self.alike: list[tuple[float, float]] = []  # m: the places that the newest piece fits equally well
 
     def expect_at(self, pose_map_base: Floats) -> None:
@@ -68,6 +69,8 @@ class PieceSearch:
         config, keyframes = self._config, self._keyframes
         self.alike = []
         piece = int(keyframes.piece[-1])
+        is_in_stored = 0 < keyframes.stored < keyframes.count
+        self._is_session_placed = not is_in_stored or bool((known >= keyframes.stored).any())
         if (expected := self._find_expected(piece, known)) is not None:
             return expected
         own = np.flatnonzero((keyframes.piece == piece) & keyframes.is_usable)
@@ -85,7 +88,7 @@ class PieceSearch:
         at, loop = best
         inverse = se2.between(keyframes.odom[reference], np.zeros(3))
         new = Hypothesis(se2.compose(at, inverse), loop, float(keyframes.way_m[reference]))
-        if self._is_new_session(piece):
+        if not self._is_session_placed:  # one find says where, for the vehicle may stand; it is proven later
             self._place(piece, new.pose_map_odom)
             return (loop,)
         old = self._hypothesis
@@ -120,13 +123,6 @@ class PieceSearch:
         mine = keyframes.piece == piece
         keyframes.map[mine] = se2.compose(pose_map_odom, keyframes.odom[mine])
         self._hypothesis = self._expected = self._field = None
-
-    def _is_new_session(self, piece: int) -> bool:
-        """Whether the piece begins a session in a stored map: one find says where, for the vehicle may stand
-        for long; until it has moved on the place counts as unproven.
-        """
-        first = self._keyframes.stored
-        return 0 < first < self._keyframes.count and int(self._keyframes.piece[first]) == piece
 
     def places_of(
         self, own: list[int], reference: int, known: npt.NDArray[np.int64]
@@ -193,7 +189,7 @@ class PieceSearch:
         """How the points lie on a sub-map from a pose near enough; and the loop, if they fit."""
         fit = submap.align(cloud, pose)
         against = submap.against(cloud, fit.pose)
-        if self._is_new_session(int(self._keyframes.piece[reference])):
+        if not self._is_session_placed:
             fits = fit.share >= SESSION_SHARE and fit.share >= SESSION_AGREEMENT * (fit.share + against)
         else:
             usual = float(np.median(self._keyframes.score))
@@ -205,10 +201,13 @@ class PieceSearch:
     def _could_be_at(self, at: Floats, piece: int, reference: int) -> bool:
         """Whether a key frame of a piece may lie at a pose (3,) of the map.
 
-        Where scans went missing before the piece the vehicle may have been carried anywhere; where they did
-        not it can be no farther from where dead reckoning puts it than that errs.
+        Where scans went missing before the piece the vehicle may have been carried anywhere, and where
+        nothing of the session is placed dead reckoning says nothing; else it can be no farther from where
+        that puts it than it errs.
         """
         keyframes = self._keyframes
+        if not self._is_session_placed:
+            return True
         first = int(np.flatnonzero(keyframes.piece == piece)[0])
         if keyframes.gap_s[first] > CARRIED_S:
             return True

@@ -9,11 +9,11 @@ from service.geometry import poses as se2
 from service.mapper.components import Placed
 from service.mapper.graph.keyframe_list import Floats, KeyframeList
 from service.mapper.graph.loops import Loop, as_edges
+from service.mapper.graph.piece_search import LEAST_APART_M
 from service.mapper.graph.pose_graph import Edges, PoseGraph
 from service.mapper.graph.pose_graph_solver import solve
 from service.mapper.saved_graph import SavedGraph
 
-LEAST_APART_M = 4.0  # of way between two looks that say where a session lies
 MOST_CONTRADICTIONS = 2  # looks in a row
 ANCHOR_COVARIANCE = np.diag([0.02**2, 0.02**2, 0.005**2])  # of the first key frame left, as loops held it
 

@@ -227,3 +227,21 @@ def test_a_place_that_the_map_contradicts_is_taken_back_and_found_anew(first, se
     assert "lost" in states[placed:]  # it was taken back
     assert states[-1] != "lost"
     assert off[-1] < 0.05
+
+
+def test_who_is_switched_on_where_the_map_knows_nothing_is_found_later(first, second):
+    """The first scans are of another building; what is seen then fits nothing of them, and is a new piece."""
+    drove, begin = first
+    elsewhere = drive(WORLDS["library"](), LASER, 2.0, 1, Wheels())
+    later_ns = 2_500_000_000
+    frames = [frame for frame in elsewhere.frames if isinstance(frame, LaserScan)]
+    frames += [
+        replace(frame, stamp_ns=frame.stamp_ns + later_ns, arrived_ns=frame.arrived_ns + later_ns)
+        for frame in second.frames
+    ]
+    outputs = list(outputs_of(new_mapper(begin), frames))
+    last = outputs[-1]
+    true = drove.world_first.inverse() @ second.world_first @ second.truth[last.stamp_ns - later_ns]
+    away = true.inverse() @ last.pose_map_base
+    assert last.state == "ok"
+    assert math.hypot(away.x_m, away.y_m) < 0.05
