@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from service.geometry.poses import Floats
 
 A_M = 6_378_137.0  # WGS 84: half the major axis
 F = 1.0 / 298.257223563  # flattening

@@ -3,10 +3,11 @@
 import numpy as np
 import numpy.typing as npt
 
-Poses = npt.NDArray[np.float64]  # (..., 3)
+Floats = npt.NDArray[np.float64]
+Poses = Floats  # (..., 3)
 
 
-def wrap(theta_rad: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def wrap(theta_rad: Floats) -> Floats:
     """The same directions in (-pi, pi]."""
     return -((-theta_rad + np.pi) % (2.0 * np.pi) - np.pi)
 
@@ -28,7 +29,7 @@ def between(a: Poses, b: Poses) -> Poses:
     return _rows(c * dx + s * dy, -s * dx + c * dy, wrap(b[..., 2] - a[..., 2]))
 
 
-def adjoint(pose: Poses) -> npt.NDArray[np.float64]:
+def adjoint(pose: Poses) -> Floats:
     """(..., 3, 3) what takes a small error at the far end of each pose, in the axes there, to its near end.
 
     A covariance (3, 3) at the far end is adjoint @ covariance @ adjoint^T at the near one.
@@ -39,7 +40,7 @@ def adjoint(pose: Poses) -> npt.NDArray[np.float64]:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def points_from(pose: Poses, xy: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def points_from(pose: Poses, xy: Floats) -> Floats:
     """Points given in the frames of the poses, in the frame the poses are given in; (..., 3), (..., 2)."""
     c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     return _rows(
@@ -47,14 +48,14 @@ def points_from(pose: Poses, xy: npt.NDArray[np.float64]) -> npt.NDArray[np.floa
     )
 
 
-def points_seen(pose: Poses, xy: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def points_seen(pose: Poses, xy: Floats) -> Floats:
     """Points in the frames of the poses; inverse of points_from."""
     c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     dx, dy = xy[..., 0] - pose[..., 0], xy[..., 1] - pose[..., 1]
     return _rows(c * dx + s * dy, -s * dx + c * dy)
 
 
-def log(pose: Poses) -> npt.NDArray[np.float64]:
+def log(pose: Poses) -> Floats:
     """Twist times duration that leads to each pose; SE2.log, row by row."""
     half = pose[..., 2] / 2.0
     small = np.abs(half) < 1e-4
@@ -66,7 +67,7 @@ def log(pose: Poses) -> npt.NDArray[np.float64]:
     )
 
 
-def _rows(*columns: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _rows(*columns: Floats) -> Floats:
     """np.stack(columns, axis=-1) of columns of one shape, in a tenth of the time where there are few rows."""
     rows = np.empty((*np.shape(columns[0]), len(columns)))
     for k, column in enumerate(columns):

@@ -1,8 +1,8 @@
 """Profile name -> its stages and their settings. The only module that knows methods by name.
 
-Another profile is another module in methods/, called like the profile, and a name in METHODS. It is imported,
-with all that it stands on, when the profile is chosen. A config may put a stage of one method into a slot of
-another's: `stages: {matcher: surfel_gauss_newton}`; what that stage cannot read is refused.
+Another profile is another folder in methods/, named like it, with method.py, and a name in METHODS. It
+is imported, with all that it stands on, when the profile is chosen. A config may put a stage of one method
+into a slot of another's: `stages: {matcher: surfel_gauss_newton}`; what that stage cannot read is refused.
 """
 
 import difflib
@@ -38,7 +38,7 @@ from service.mapper.saved_graph import KeepGraph, SavedGraph
 
 
 def _imported(name: str) -> Method:
-    method: Method = import_module(f"service.mapper.methods.{name}").METHOD
+    method: Method = import_module(f"service.mapper.methods.{name}.method").METHOD
     return method
 
 

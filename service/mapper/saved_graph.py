@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from service.geometry.poses import Floats
+
 POINT_STEP_M = 0.001  # of the stored coordinates: a tenth of what a range errs by
 NORMAL_STEP = 1e-4  # of the stored normals and their weight
 

@@ -12,6 +12,7 @@ from tests.papers.report import Section
 from tests.simulated import LMS100_50HZ, Drive, run
 
 # what is switched off, and by which keys, or by which constant; None: sweeps are declared instants
+DYNAMIC_FILTER = "service.mapper.methods.corridor.dynamic_filter"
 PARTS: tuple[tuple[str, dict[str, dict[str, Any]] | None], ...] = (
     ("nothing", {}),
     ("deskew", None),
@@ -22,9 +23,9 @@ PARTS: tuple[tuple[str, dict[str, dict[str, Any]] | None], ...] = (
     ),
     ("surfels finer than 10 cm: 5 cm", {"local_map": {"cell_m": 0.05}}),
     ("telling what moves", {"local_map": {"dynamic_filter": {"enough_s": 0.0}}}),
-    ("weight by how long a thing stands", {"service.mapper.maps.dynamic_filter": {"LEAST_WEIGHT": 1.0}}),
+    ("weight by how long a thing stands", {DYNAMIC_FILTER: {"LEAST_WEIGHT": 1.0}}),
     ("looking through things", {"local_map": {"dynamic_filter": {"behind_m": 1e3}}}),
-    ("refusing what comes into free space", {"service.mapper.maps.dynamic_filter": {"FREE_S": 0.0}}),
+    ("refusing what comes into free space", {DYNAMIC_FILTER: {"FREE_S": 0.0}}),
     ("long sub-maps: 5 m", {"local_map": {"spacing_m": 5.0}}),
 )
 

@@ -13,7 +13,7 @@ from service.geometry.se2 import SE2
 from service.kernels.contours import extract_contours
 from service.kernels.surfels import TILE_CELLS
 from service.mapper.filters.deskew import BeamsConfig
-from service.mapper.maps.contour_map import ContourMap, ContourMapConfig
+from service.mapper.methods.contour_lm.contour_map import ContourMap, ContourMapConfig
 from service.mapper.profiles import mapping_config
 from simulators.trajectory import Follow, Pause, plan_drive
 from simulators.world import Plan, Walk, World, make_world, walk

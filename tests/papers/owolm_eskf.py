@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.mapper.filters.deskew import BeamsConfig
-from service.mapper.maps.orthogonal_map import OrthogonalMap, OrthogonalMapConfig
+from service.mapper.methods.owolm_eskf.orthogonal_map import OrthogonalMap, OrthogonalMapConfig
 from service.mapper.profiles import mapping_config
 from simulators.worlds.library import library, library_check_points, library_structure
 from tests.papers.owolm_pictures import draw_maps, draw_overlay, draw_segments

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 
 from drivers.frames import LaserScan
 from service.geometry.se2 import SE2
-from service.mapper.maps.patch_map import moved
+from service.mapper.methods.imle.patch_map import moved
 from tests.papers.report import FOLDER
 
 Array = npt.NDArray[np.float64]

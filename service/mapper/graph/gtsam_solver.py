@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 
-from service.mapper.graph.pose_graph import Floats, PoseGraph, SolverConfig
+from service.geometry.poses import Floats
+from service.mapper.graph.pose_graph import PoseGraph, SolverConfig
 
 HELD_SIGMA = 1e-5  # m and rad, of a pose that is held: covers rounding
 ASIDE_M = 4.0  # where the helper of a pose stands that sees a point too near for a bearing

@@ -9,11 +9,11 @@ import numpy.typing as npt
 
 from service.geometry import poses as se2
 from service.geometry.grid import tiles_of
+from service.geometry.poses import Floats
 from service.kernels import surfels
 from service.kernels.loops import align_surfels
 from service.kernels.match import MatchSettings
 from service.kernels.surfels import SurfelGrid, insert_surfels
-from service.mapper.graph.keyframe_list import Floats
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 
 CELL_M = 0.10

@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from service.errors import CorridorError
 from service.geometry import poses as se2
+from service.geometry.poses import Floats
 
-Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from service.geometry.poses import Floats
 from service.mapper.graph.pose_graph import (
-    Floats,
     GraphError,
     PoseGraph,
     SolverConfig,

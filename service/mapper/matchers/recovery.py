@@ -3,13 +3,11 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from service.geometry.poses import Floats
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.likelihood_search import LikelihoodLayer, SearchWindow
 from service.mapper.matchers.window_search import search_bounded
-
-Floats = npt.NDArray[np.float64]
 
 BEAMS = 150  # about so many are asked
 STEP_RAD = 0.02  # a cell of 10 cm at 5 m

@@ -16,10 +16,11 @@ import numpy as np
 from drivers.frames import ImuSample, LaserScan, OdometrySample
 from service.config import ServiceConfig, load_config, parse_config
 from service.errors import ConfigError, InputError, UsageError
+from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.offline.calibration.fit import Fit, fit_gyro, fit_lasers, fit_wheels
 from service.offline.calibration.patch import Changes, patched, wheel_settings
-from service.offline.calibration.tracks import Floats, LaserMapping, LaserTrack, gyro_track, wheel_track
+from service.offline.calibration.tracks import LaserMapping, LaserTrack, gyro_track, wheel_track
 from service.offline.replay import group_sessions
 from service.recording.mcap_source import Session, open_session
 

@@ -16,7 +16,8 @@ import numpy.typing as npt
 from numpy.linalg import LinAlgError
 
 from service.errors import InputError
-from service.offline.calibration.tracks import Floats, GyroTrack, LaserTrack, WheelTrack
+from service.geometry.poses import Floats
+from service.offline.calibration.tracks import GyroTrack, LaserTrack, WheelTrack
 
 KNOT_NS = 400_000_000  # a step; shorter ones are spoilt by the smoothing that a mapper's motion model does
 LEAST_KNOTS = 40  # 16 s

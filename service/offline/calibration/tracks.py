@@ -10,12 +10,12 @@ import numpy.typing as npt
 
 from drivers.frames import ImuSample, LaserScan, OdometrySample
 from service.errors import InputError
+from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.mapper.corrections import corrected
 from service.mapper.profiles import build_mapper, mapping_config
 from service.outputs import MapperOutput
 
-Floats = npt.NDArray[np.float64]
 Stamps = npt.NDArray[np.int64]
 
 MOST_LOST = 0.05  # of a laser's scans that may fit nowhere; with more its way is not to be trusted

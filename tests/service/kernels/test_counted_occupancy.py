@@ -12,7 +12,7 @@ from service.kernels.counted_occupancy import (
 )
 from service.kernels.surfels import TILE_BITS, TILE_MASK
 from service.kernels.tiles import NO_TILE, find_tile
-from service.mapper.maps.counted_submaps import CountedMap, CountedSubmapsConfig
+from service.mapper.methods.submap_graph.counted_submaps import CountedMap, CountedSubmapsConfig
 
 CONFIG = CountedSubmapsConfig(cell_m=0.1, free_range_m=5.0, pass_stride=1)
 WEIGHTS = CONFIG.weights

@@ -142,7 +142,7 @@ def test_a_pose_that_is_no_pose_is_refused_by_its_key(first):
 
 
 def test_who_is_only_localised_keeps_no_more_than_a_stretch_of_the_way(first, second, monkeypatch):
-    monkeypatch.setattr("service.mapper.graph.loop_back_end.MOST_SESSION", 16)
+    monkeypatch.setattr("service.mapper.methods.corridor.graph.loop_back_end.MOST_SESSION", 16)
     drove, begin = first
     mapper = new_mapper(begin)
     outputs = list(outputs_of(mapper, second.frames))

@@ -1,0 +1,38 @@
+"""Scans matched to a learned map of blurred contours, the speed of the laser found on the way; paper 000."""
+
+from service.mapper.components import ComponentKind, Method
+from service.mapper.matchers.search_warm_up import warm_up_search
+from service.mapper.methods.contour_lm.contour_map import ContourMap, ContourMapConfig
+from service.mapper.methods.contour_lm.contour_matcher import ContourLm, ContourLmConfig
+from service.mapper.methods.shared import (
+    DESKEW_BY_TWIST,
+    ESTIMATOR,
+    NO_GRAPH,
+    OCCUPANCY_TILES,
+)
+
+CONTOUR_LM = ComponentKind(
+    "contour_lm",
+    ContourLmConfig,
+    lambda config, _: ContourLm(config),
+    reads=ContourMap,
+    warm_up=warm_up_search,
+)
+CONTOUR_MAP = ComponentKind(
+    "contour_map", ContourMapConfig, lambda config, _: ContourMap(config), makes=ContourMap
+)
+
+METHOD = Method(
+    "contour_lm",
+    stages={
+        "motion_model": ESTIMATOR,
+        "deskew": DESKEW_BY_TWIST,
+        "matcher": CONTOUR_LM,
+        "local_map": CONTOUR_MAP,
+        "graph": NO_GRAPH,
+        "free_space": OCCUPANCY_TILES,
+    },
+    settings={
+        "deskew": {"nearest_m": 0.5, "farthest_m": 20.0},
+    },
+)

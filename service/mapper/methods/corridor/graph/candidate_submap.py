@@ -1,0 +1,130 @@
+"""A stretch of the way as something to be found again: surfels, free space, and a field to search in."""
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from service.geometry import poses as se2
+from service.geometry.poses import Floats
+from service.kernels import occupancy
+from service.kernels.branch_and_bound import MaxPyramid, padding_cells, pool_levels, search_branch_and_bound
+from service.kernels.likelihood_search import SearchWindow
+from service.kernels.loops import share_in_free_space, splat_field
+from service.kernels.occupancy import OccupancyGrid, trace_scan
+from service.mapper.graph.point_clouds import CELL_M, POOL_TILES, Fit, PointCloud, SurfelSet, cover, joined
+from service.mapper.maps.occupancy import EVIDENCE
+from service.mapper.maps.tiles import Layer, TileMap, TilePool
+from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
+
+FIELD_SIGMA_M = 0.12
+LEVELS = 7
+REACH_M = 15.0  # points beyond are not asked: they are few, and a small turn moves them far
+FREE = -20  # two misses and no hit
+SEARCH_POINTS = 200
+LEAST_SCORE = 0.5  # mean likelihood of the points that a search must reach: half of them lie on walls
+TRACED_EVERY = 3  # key frames of a place: neighbours see the same free space
+
+
+def cloud_of(
+    keyframes: KeyframeList, members: Iterable[int], reference: int, poses: Floats | None = None
+) -> PointCloud:
+    """Key frames as odometry lays them, in the frame of `reference`; or as `poses`, (N, 3) of all, does."""
+    poses = keyframes.odom if poses is None else poses
+    clouds = []
+    for k in members:
+        kept = keyframes.thinned[k]
+        near = (kept.xy_base * kept.xy_base).sum(axis=1) < REACH_M * REACH_M
+        seen = PointCloud(kept.xy_base[near].astype(np.float64), kept.normals[near].astype(np.float64))
+        clouds.append(seen.transformed(se2.between(poses[reference], poses[k])))
+    return joined(clouds)
+
+
+class CandidateSubmap:
+    """Key frames around one, `reference`, in whose frame all lies, put together by odometry.
+
+    poses   (N, 3) of all key frames, where these put them together instead: those of the graph do where the
+            members are of several passes
+    """
+
+    def __init__(
+        self,
+        keyframes: KeyframeList,
+        members: Iterable[int],
+        reference: int,
+        poses: Floats | None = None,
+    ) -> None:
+        poses = keyframes.odom if poses is None else poses
+        self.reference = reference
+        self.members = list(members)
+        cells = (occupancy.TILE_CELLS,) * 2
+        self._space = TileMap(
+            TilePool((Layer(cells, np.int8), Layer(cells, np.uint16), Layer((), np.uint8)), POOL_TILES)
+        )
+        self._pyramid: MaxPyramid | None = None
+        self._clouds = [cloud_of(keyframes, [k], reference, poses) for k in self.members]
+        self._sensors = [
+            se2.points_from(
+                se2.between(poses[reference], poses[k]),
+                np.array(keyframes.thinned[k].sensor_xy_m),
+            )
+            for k in self.members
+        ]
+        whole = joined(self._clouds)
+        self._xy = whole.xy
+        self._surfels = SurfelSet(whole)
+        self._knows_space = False
+
+    def search(
+        self,
+        cloud: PointCloud,
+        pose: Floats,
+        reach_m: float,
+        reach_rad: float,
+        least: float,
+        step_rad: float = CELL_M / 10.0,
+    ) -> Floats | None:
+        """Where the cloud lies best within a window about a pose; None where nowhere well enough."""
+        if not len(cloud.xy) or not len(self._xy):
+            return None
+        thin = np.ascontiguousarray(cloud.xy[:: max(1, len(cloud.xy) // SEARCH_POINTS)])
+        half = math.ceil(reach_m / CELL_M)
+        window = SearchWindow(pose, half, half, math.ceil(reach_rad / step_rad), step_rad)
+        weights = np.ones(len(thin), np.float32)
+        found = search_branch_and_bound(thin, weights, self.pyramid(), window, least)
+        return found.pose if found.score >= least else None
+
+    def align(self, cloud: PointCloud, pose: Floats) -> Fit:
+        """The cloud laid on the surfels, from a pose near enough."""
+        return self._surfels.align(cloud, pose)
+
+    def against(self, cloud: PointCloud, pose: Floats) -> float:
+        """Share of the points that would lie in free space of the place, 0..1."""
+        if not self._knows_space:
+            self._trace()
+        return float(share_in_free_space(cloud.xy, pose, self._free(), FREE))
+
+    def pyramid(self) -> MaxPyramid:
+        if self._pyramid is None:
+            pad = padding_cells(LEVELS)
+            low = np.floor(self._xy.min(axis=0) / CELL_M).astype(np.int64) - 2 - pad
+            high = np.floor(self._xy.max(axis=0) / CELL_M).astype(np.int64) + 3
+            levels = np.zeros((LEVELS, high[1] - low[1], high[0] - low[0]), np.float32)
+            splat_field(self._xy, int(low[1]), int(low[0]), CELL_M, FIELD_SIGMA_M, levels[0])
+            pool_levels(levels, 0.0)
+            self._pyramid = MaxPyramid(levels, int(low[1]), int(low[0]), 0.0, 0.0, 1.0, CELL_M)
+        return self._pyramid
+
+    def _trace(self) -> None:
+        self._knows_space = True
+        cover(self._space, occupancy.TILE_BITS, np.concatenate((self._xy, self._sensors)))
+        for number in range(0, len(self._clouds), TRACED_EVERY):
+            cloud, sensor = self._clouds[number], self._sensors[number]
+            if len(cloud.xy):
+                trace_scan(
+                    cloud.xy, sensor, np.zeros(3), self._free(), EVIDENCE, REACH_M, np.uint16(number + 1)
+                )
+
+    def _free(self) -> OccupancyGrid:
+        evidence, touched, changed = self._space.pool.arrays
+        return OccupancyGrid(self._space.index(), evidence, touched, changed, CELL_M)  # type: ignore[arg-type]

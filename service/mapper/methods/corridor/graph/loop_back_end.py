@@ -1,0 +1,493 @@
+"""Back end of the default profile: finds loops among key frames, accepts few of them, and bends the way."""
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry import poses as se2
+from service.geometry.poses import Floats
+from service.geometry.se2 import SE2
+from service.kernels.loops import path_lengths, thin_points
+from service.kernels.normals import estimate_normals
+from service.mapper.components import Correction, MapRenderer, RenderedMap, ScanToRender
+from service.mapper.graph.point_clouds import Fit, PointCloud
+from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, to_g2o
+from service.mapper.graph.pose_graph_solver import solve
+from service.mapper.methods.corridor.graph.anchoring import Anchoring
+from service.mapper.methods.corridor.graph.candidate_submap import LEAST_SCORE, CandidateSubmap, cloud_of
+from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
+from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
+from service.mapper.methods.corridor.graph.loops import Loop, agree, as_edges, disagreement, loop_of
+from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
+from service.mapper.methods.corridor.graph.passes import worth_asking
+from service.mapper.methods.corridor.graph.piece_search import PieceSearch
+from service.mapper.methods.corridor.graph.stored_graph import (
+    Placement,
+    anchor_loop,
+    moved_loops,
+    poses_on_held,
+    saved_graph,
+    stored_loops,
+)
+from service.mapper.saved_graph import KeepGraph, SavedGraph
+
+STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: of a step between key frames, at best
+LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])  # of a step that only a prediction vouches for; m^2, rad^2
+DOUBTFUL_COVARIANCE = np.diag([0.09, 0.09, 0.09])  # ... added where an end hardly lies on the map
+UNKNOWN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # ... into a piece that nobody knows the place of
+GAP_SHARE = 0.1  # of a way without scans: what odometry may have erred by
+SAME_SPOT_M, SAME_VIEW_RAD = 0.5, 0.5  # key frames so near see the same
+DOUBTFUL_SHARE = 0.6  # of the drive's median share on the map: with less the match may be wrong
+LOST_M, DOUBTFUL_M = 60.0, 30.0  # way that such a step counts for, where loops are looked for
+WINDOW_M, WINDOW_RAD = 0.5, 0.06  # half a window where nothing has drifted: what a bad match errs by
+DRIFTS = (3.5, 4.0)  # so many times the drift of place and heading lies within it besides
+MOST_WINDOW_M, MOST_WINDOW_RAD = 12.0, 1.6  # bounds the time of a search
+FINISH_WINDOW = (1.5, 0.2)  # m, rad: what may be left of the drift when all loops hold
+LEAST_SHARE = 0.45  # of the points on the map, in medians of the drive: half of a place may have changed
+MOST_AGAINST = 0.12  # of the points in free space of the place: doors that were closed, things that moved
+WITHIN_M = 30.0  # way within which loops that say the same lie
+AGREE_M, AGREE_RAD = 0.15, 0.03  # two loops say the same, besides the drift between them
+CONTRADICTION_CHI2 = 30.0  # of three degrees of freedom, 1 in 700 000: a loop beyond it is disabled
+LOOP_M = 1.0  # what going over a loop counts in the length of a path
+NEWS_CHI2 = 4.0  # of a loop: two sigmas
+SUBMAPS_KEPT = 16
+PROOF_NEAR_M = 2.0  # from a key frame of the stored map: from there on what it saw must be seen again
+MOST_SESSION = 600  # key frames, 180 m of way: of a vehicle that is only localised half are dropped then
+
+
+class LoopBackEnd:
+    """BackEnd. Key frames, loops and poses gather here, behind those of a stored map if there is one.
+
+    is_localizing   the stored map stays as it is: its key frames are held, what is new is forgotten
+    """
+
+    def __init__(
+        self,
+        config: LoopsConfig,
+        renderer: MapRenderer | None,
+        stored: SavedGraph | None = None,
+        is_localizing: bool = False,
+        keep_graph: KeepGraph | None = None,
+    ) -> None:
+        self._keep_graph = keep_graph
+        self._config = config
+        self._renderer = None if is_localizing else renderer
+        self._keyframes = KeyframeList(stored)
+        self._held = self._keyframes.stored if is_localizing else 0
+        self._loops: list[Loop] = [] if stored is None else stored_loops(stored)
+        self._accepted: list[list[Loop]] = []  # as they came to be accepted; for who takes one back
+        self._candidates: list[Loop] = []
+        self._disabled: list[Loop] = []
+        self._submaps: OrderedDict[int, CandidateSubmap] = OrderedDict()
+        self._searched_m = float(self._keyframes.way_m[-1]) if stored is not None else 0.0
+        # Numbers of the pieces whose place in the map is known.
+        self._joined = {0} if stored is None else set(self._keyframes.piece.tolist())
+        self._pieces = PieceSearch(config, self._keyframes)
+        self._is_merging = False  # what is stored was put together, and no loop holds it yet
+        self._placement = Placement(stored is not None)
+        self._looked_back = 0  # key frames whose context were asked for passes too many
+        self._anchoring = Anchoring()
+
+    def work(self, batch: Batch) -> Result:
+        result = self._work(batch)
+        anchoring = self._anchoring
+        result = replace(
+            result,
+            geo=anchoring.reference,
+            fixes=dict(anchoring.counts),
+            placed=self._placement.state,
+            alike=self._pieces.alike,
+        )
+        if batch.is_last or batch.request == "checkpoint":
+            saved = saved_graph(self._keyframes, self._loops, self._joined)
+            result = replace(result, saved=self._keep_graph(saved) if self._keep_graph else saved)
+        return result
+
+    def _work(self, batch: Batch) -> Result:
+        for frame in batch.frames:
+            self._append(frame)
+        self._anchoring.add(batch.fixes)
+        if batch.request == "set_pose":
+            self._pieces.expect_at(np.array(batch.pose))
+        joined = self._look_for_piece() if self._is_detached() else None
+        moved = joined is not None or self._look_for_loops()
+        if self._anchoring.is_due:
+            moved |= self._find_anchors()
+        if batch.request == "undo" and self._accepted:
+            gone = self._accepted.pop()
+            self._loops = [loop for loop in self._loops if loop not in gone]
+            moved = True
+        if batch.request == "optimize" and (self._loops or self._anchoring.reference):
+            moved = True
+        if batch.is_last:
+            return self._finish()
+        self._forget()
+        self._forget_session()
+        if not moved:
+            return Result(len(self._loops), len(self._disabled))
+        self._solve()
+        return Result(len(self._loops), len(self._disabled), joined, self._correction(-1), self._render())
+
+    @property
+    def loops(self) -> Sequence[Loop]:
+        """Those that are accepted."""
+        return self._loops
+
+    def begin_session_at(self, k: int) -> None:
+        """Take the key frames from k on for those of this session, though they are stored, too."""
+        self._keyframes.stored, self._is_merging = k, True
+
+    def _is_detached(self) -> bool:
+        """Whether the newest key frame lies in a piece of which nobody knows where it lies."""
+        return bool(self._keyframes.count) and int(self._keyframes.piece[-1]) not in self._joined
+
+    def _find_anchors(self) -> bool:
+        """Whether fixes are worth a solution now."""
+        is_known = ~self._keyframes.is_lost & np.isin(self._keyframes.piece, list(self._joined))
+        return self._anchoring.find(self._keyframes, self._odometry().covariance, is_known)
+
+    def _usable(self) -> npt.NDArray[np.bool_]:
+        """(N,) key frames that others can be laid on: matched, with points, in a place that is known."""
+        return self._keyframes.is_usable & np.isin(self._keyframes.piece, list(self._joined))
+
+    def _look_for_piece(self) -> int | None:
+        """Number of the newest piece, if its place was found now; else None."""
+        loops = self._pieces.find(np.flatnonzero(self._usable()))
+        if loops is None:
+            return None
+        piece = int(self._keyframes.piece[-1])
+        self._joined.add(piece)
+        self._placement.found(float(self._keyframes.way_m[-1]))
+        self._loops += loops
+        self._accepted.append([*loops])
+        return piece
+
+    def _append(self, frame: KeyFrame) -> None:
+        keyframes = self._keyframes
+        pose = frame.pose_odom_base
+        odom = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+        if keyframes.count > keyframes.stored:
+            odom = se2.compose(keyframes.map[-1], se2.between(keyframes.odom[-1], odom))
+        xy = frame.xy_base.astype(np.float64)
+        normals, kept = np.empty((len(xy), 3)), np.empty(len(xy), np.bool_)
+        estimate_normals(
+            xy, np.array(frame.sensor_xy_m), frame.angle_step_rad, frame.range_sigma_m, 1.0, normals
+        )
+        thin_points(xy, self._config.thin_m, kept)
+        keyframes.append(
+            frame, odom, ThinnedScan(frame.xy_base[kept], normals[kept].astype(np.float32), frame.sensor_xy_m)
+        )
+
+    def _look_for_loops(self) -> bool:
+        """Search if it is time; whether what came to be accepted is worth a solution now."""
+        config, keyframes = self._config, self._keyframes
+        if not keyframes.count or keyframes.way_m[-1] - self._searched_m < config.search_every_m:
+            return False
+        self._searched_m = float(keyframes.way_m[-1])
+        self._prove()
+        for found in self._search(keyframes.count - 1):
+            self._candidates.append(found)
+            self._accept(found)
+        oldest_m = self._searched_m - 2.0 * WITHIN_M
+        self._candidates = [loop for loop in self._candidates if keyframes.way_m[loop.to] >= oldest_m]
+        return self._has_news(self._loops[-20:])
+
+    def _prove(self) -> None:
+        """Look again whether the session lies where it was found in the stored map."""
+        keyframes, last = self._keyframes, self._keyframes.count - 1
+        if self._placement.state != "unproven":
+            return
+        stored = np.flatnonzero(self._usable()[: keyframes.stored])
+        away_m = np.hypot(*(keyframes.map[stored, :2] - keyframes.map[last, :2]).T)
+        if not len(stored) or away_m.min() > PROOF_NEAR_M:
+            return
+        submap = self._submap_about(int(stored[np.argmin(away_m)]))
+        cloud = cloud_of(keyframes, [last], last)
+        expected = se2.between(keyframes.map[submap.reference], keyframes.map[last])
+        fit = submap.align(cloud, expected)
+        off = fit.pose - expected
+        is_near = float(np.hypot(off[0], off[1])) < WINDOW_M
+        agrees = self._is_good(fit) and is_near and submap.against(cloud, fit.pose) < MOST_AGAINST
+        if self._placement.seen(float(keyframes.way_m[last]), agrees):
+            self._take_back(int(keyframes.piece[last]))
+
+    def _take_back(self, piece: int) -> None:
+        """A piece does not lie where it was found."""
+        self._joined.discard(piece)
+        of_piece = self._keyframes.piece == piece
+        self._loops = [loop for loop in self._loops if not (of_piece[loop.of] or of_piece[loop.to])]
+        self._candidates, self._accepted = [], []
+
+    def _has_news(self, loops: Sequence[Loop]) -> bool:
+        """Whether one of these, from lately, would move the map by more than it is itself unsure of."""
+        keyframes = self._keyframes
+        chi2 = edge_chi2(as_edges(loops), keyframes.map)
+        for loop, c in zip(loops, chi2.tolist(), strict=True):
+            off_m, off_rad = disagreement(keyframes, loop)
+            if keyframes.way_m[loop.to] <= self._searched_m - WITHIN_M:
+                continue
+            if (off_m > self._config.solve_at_m and c > NEWS_CHI2) or off_rad > self._config.solve_at_rad:
+                return True
+        return False
+
+    def _forget(self) -> None:
+        """Drop the points of the oldest pass where enough newer ones keep theirs: time must not fill memory.
+
+        Only where loops hold the pass in its place: a drifted one would drive out another part of the map.
+        """
+        config, keyframes = self._config, self._keyframes
+        if not self._loops:
+            return
+        way = keyframes.way_m
+        looped_m = np.sort([way[loop.to] for loop in self._loops])
+        until = int(np.searchsorted(way, way[-1] - WITHIN_M))
+        for k in range(self._looked_back, until):
+            right = int(np.searchsorted(looped_m, way[k] - config.place_m))
+            if right == len(looped_m) or looped_m[right] > way[k] + config.place_m:
+                continue
+            away = se2.between(keyframes.map[k], keyframes.map[:k])
+            near = np.flatnonzero(
+                (np.hypot(away[:, 0], away[:, 1]) <= SAME_SPOT_M)
+                & (np.abs(away[:, 2]) <= SAME_VIEW_RAD)
+                & (way[:k] < way[k] - config.apart_m)
+                & keyframes.has_points[:k]
+            )
+            passes = np.split(near, np.flatnonzero(np.diff(way[near]) > config.apart_m) + 1)
+            for oldest in passes[: max(len(passes) + 1 - config.keep_passes, 0)]:
+                for old in oldest.tolist():
+                    keyframes.forget(old)
+        self._looked_back = max(until, self._looked_back)
+
+    def _search(self, last: int, window: tuple[float, float] | None = None) -> list[Loop]:
+        """Loops that end in the query whose last key frame is `last`. window: m, rad; None: by path."""
+        config, keyframes = self._config, self._keyframes
+        way = keyframes.way_m
+        first = int(np.searchsorted(way, way[last] - config.place_m))
+        usable = self._usable()
+        members = [k for k in range(first, last + 1) if usable[k]]
+        if len(members) < 3:
+            return []
+        reference = members[len(members) // 2]
+        length_m = self._lengths_from(reference)
+        if window is None:
+            reach_m = np.minimum(WINDOW_M + DRIFTS[0] * config.drift * length_m, MOST_WINDOW_M)
+        else:
+            reach_m = np.full(keyframes.count, window[0])
+        away_m = np.hypot(*(keyframes.map[:, :2] - keyframes.map[reference, :2]).T)
+        apart = np.abs(way - way[reference]) >= config.apart_m + config.place_m
+        if window is None:
+            apart &= way < way[reference]
+        near = np.flatnonzero(apart & usable & (away_m <= reach_m + 1.0))
+        if self._held:
+            near = near[near < self._held]
+        cloud: PointCloud | None = None
+        found = []
+        for k in worth_asking(way, near, away_m, reach_m, config.place_m):
+            submap = self._submap_about(k)
+            if cloud is None:
+                cloud = cloud_of(keyframes, members, reference)
+            guess = se2.between(keyframes.map[submap.reference], keyframes.map[reference])
+            reach_rad = (
+                min(WINDOW_RAD + DRIFTS[1] * config.drift_radpm * length_m[k], MOST_WINDOW_RAD)
+                if window is None
+                else window[1]
+            )
+            pose = submap.search(cloud, guess, float(reach_m[k]), float(reach_rad), LEAST_SCORE)
+            if pose is None:
+                continue
+            fit = submap.align(cloud, pose)
+            if self._is_good(fit) and submap.against(cloud, fit.pose) < MOST_AGAINST:
+                found.append(loop_of(submap.reference, reference, fit.pose, fit.information, fit.share))
+        return found
+
+    def _is_good(self, fit: Fit) -> bool:
+        usual = float(np.median(self._keyframes.score))
+        return fit.share >= LEAST_SHARE * usual
+
+    def _lengths_from(self, k: int) -> Floats:
+        way = self._keyframes.way_m
+        length_m = np.empty(len(way))
+        of = np.array([loop.of for loop in self._loops], np.int64)
+        to = np.array([loop.to for loop in self._loops], np.int64)
+        step_m = np.diff(way) + DOUBTFUL_M * self._doubtful_steps() + LOST_M * self._lost_steps()
+        path_lengths(np.append(step_m, 0.0), of, to, LOOP_M, k, length_m)
+        return length_m
+
+    def _submap_about(self, k: int) -> CandidateSubmap:
+        """One about key frame k; a place that is kept already and lies near will do."""
+        way, config = self._keyframes.way_m, self._config
+        for reference in self._submaps:
+            if abs(way[reference] - way[k]) <= self._config.search_every_m:
+                self._submaps.move_to_end(reference)
+                return self._submaps[reference]
+        first = int(np.searchsorted(way, way[k] - config.place_m))
+        last = int(np.searchsorted(way, way[k] + config.place_m, side="right"))
+        usable = self._usable()
+        members = [m for m in range(first, last) if usable[m]]
+        self._submaps[k] = CandidateSubmap(self._keyframes, members, k)
+        if len(self._submaps) > SUBMAPS_KEPT:
+            self._submaps.popitem(last=False)
+        return self._submaps[k]
+
+    def _accept(self, found: Loop) -> None:
+        """Believe all candidates that say the same as this one, if they are not of one spot."""
+        config, way = self._config, self._keyframes.way_m
+        base, growth = (AGREE_M, AGREE_RAD), (config.drift, config.drift_radpm)
+        group = [
+            loop
+            for loop in self._candidates
+            if abs(way[loop.to] - way[found.to]) <= WITHIN_M
+            and abs(way[loop.of] - way[found.of]) <= 2.0 * WITHIN_M
+            and agree(self._keyframes, found, loop, base, growth)
+        ]
+        ends_m = [float(way[loop.to]) for loop in group]
+        if max(ends_m) - min(ends_m) < config.consensus_span_m:
+            return
+        new = [loop for loop in group if loop not in self._loops and loop not in self._disabled]
+        if new:
+            self._loops += new
+            self._accepted.append(new)
+
+    def _lost_steps(self) -> npt.NDArray[np.bool_]:
+        """(N - 1,) steps between key frames of which one was not matched."""
+        lost = self._keyframes.is_lost
+        return lost[1:] | lost[:-1]
+
+    def _doubtful_steps(self) -> npt.NDArray[np.bool_]:
+        """(N - 1,) steps to or from a key frame of which far less than usual lies on the map."""
+        score = self._keyframes.score
+        doubtful: npt.NDArray[np.bool_] = score < DOUBTFUL_SHARE * np.median(score)
+        return doubtful[1:] | doubtful[:-1]
+
+    def _odometry(self) -> Edges:
+        keyframes = self._keyframes
+        covariance = keyframes.covariance[1:] + STEP_FLOOR
+        covariance = np.where(self._lost_steps()[:, None, None], LOST_COVARIANCE, covariance)
+        covariance = covariance + self._doubtful_steps()[:, None, None] * DOUBTFUL_COVARIANCE
+        gap_m = np.maximum(np.diff(keyframes.way_m) - 2.0 * self._config.keyframe_distance_m, 0.0)
+        covariance = covariance + (GAP_SHARE * gap_m[:, None, None]) ** 2 * np.eye(3)
+        of = np.arange(keyframes.count - 1, dtype=np.int64)
+        # Into another piece nobody knows the way; back in one, the newest key frame of it goes before.
+        last_of: dict[int, int] = {}
+        for k, piece in enumerate(keyframes.piece.tolist()):
+            if k and piece != keyframes.piece[k - 1]:
+                if piece in last_of:
+                    of[k - 1] = last_of[piece]
+                else:
+                    covariance[k - 1] = UNKNOWN_COVARIANCE
+            last_of[piece] = k
+        to = np.arange(1, keyframes.count, dtype=np.int64)
+        return Edges(
+            of,
+            to,
+            se2.between(keyframes.odom[of], keyframes.odom[to]),
+            covariance,
+            np.zeros(keyframes.count - 1),
+        )
+
+    def _graph(self) -> PoseGraph:
+        """Key frames; behind them, where fixes anchor the map, the frame of east and north."""
+        edges = self._odometry().and_also(as_edges(self._loops))
+        if self._anchoring.reference is None:
+            return PoseGraph(self._keyframes.map.copy(), edges)
+        poses = np.vstack((self._keyframes.map, self._anchoring.pose_map_enu))
+        return PoseGraph(poses, edges.and_also(self._anchoring.edges(self._keyframes)))
+
+    def _solve(self) -> None:
+        """Poses that agree best; loops that the rest contradicts are disabled."""
+        if self._keyframes.count < 2:
+            return
+        for _ in range(3):
+            if self._held:
+                self._keyframes.map[self._held :] = poses_on_held(
+                    self._keyframes, self._odometry(), self._loops, self._held
+                )
+                if not self._lay_aside():
+                    return
+                continue
+            poses = solve(self._graph()).poses
+            self._keyframes.map[:] = poses[: self._keyframes.count]
+            if self._anchoring.reference is not None:
+                self._anchoring.solved(poses[-1])
+            if not self._lay_aside():
+                return
+
+    def _lay_aside(self) -> bool:
+        """Whether a loop had to go."""
+        chi2 = edge_chi2(as_edges(self._loops), self._keyframes.map)
+        go = [loop for loop, c in zip(self._loops, chi2, strict=True) if c > CONTRADICTION_CHI2]
+        self._loops = [loop for loop in self._loops if loop not in go]
+        self._disabled += go
+        return bool(go)
+
+    def _finish(self) -> Result:
+        keyframes = self._keyframes
+        if keyframes.count == keyframes.stored:
+            return Result(len(self._loops), len(self._disabled))
+        if self._anchoring.has_news:
+            self._find_anchors()
+        if (self._loops or self._anchoring.reference) and not self._is_merging:
+            self._solve()
+        if not self._held:
+            self._search_again()
+        if self._loops:
+            self._solve()
+        self._submaps.clear()
+        text = to_g2o(self._graph())
+        corrections = [self._correction(k) for k in range(keyframes.stored, keyframes.count)]
+        return Result(
+            len(self._loops), len(self._disabled), None, corrections[-1], self._render(), corrections, text
+        )
+
+    def _search_again(self) -> None:
+        """Every stretch against the passes that lie near it now: revisits that were missed on the way."""
+        config, way = self._config, self._keyframes.way_m
+        done = {(round(way[loop.to] / 3.0), round(way[loop.of] / 3.0)) for loop in self._loops}
+        self._candidates = list(self._loops)
+        new = []
+        first_m = config.place_m + float(way[self._keyframes.stored])
+        for at_m in np.arange(first_m, way[-1], config.search_every_m):
+            for loop in self._search(int(np.searchsorted(way, at_m)), FINISH_WINDOW):
+                spot = (round(way[loop.to] / 3.0), round(way[loop.of] / 3.0))
+                if spot not in done and loop.of < loop.to:
+                    done.add(spot)
+                    new.append(loop)
+        for loop in new:
+            self._candidates.append(loop)
+        for loop in new:
+            if loop not in self._loops:
+                self._accept(loop)
+
+    def _render(self) -> RenderedMap | None:
+        if self._renderer is None:
+            return None
+        poses = self._keyframes.map.tolist()
+        known = np.isin(self._keyframes.piece, list(self._joined)) & ~self._keyframes.is_lost
+        return self._renderer.render(
+            ScanToRender(kept.xy_base, kept.sensor_xy_m, SE2(*pose))
+            for kept, pose, is_known in zip(self._keyframes.thinned, poses, known.tolist(), strict=True)
+            if is_known
+        )
+
+    def _forget_session(self) -> None:
+        """Of a vehicle that is only localised no more of the way is kept than loops are found over."""
+        keyframes, held = self._keyframes, self._held
+        last = held + (keyframes.count - held) // 2
+        if not held or keyframes.count - held < MOST_SESSION or self._is_detached():
+            return
+        keyframes.drop(held, last)
+        self._loops = [*moved_loops(self._loops, held, last), anchor_loop(keyframes, held)]
+        self._candidates = moved_loops(self._candidates, held, last)
+        self._disabled, self._accepted = [], []
+        self._looked_back = held
+        for k in [k for k in self._submaps if k >= held]:
+            del self._submaps[k]
+
+    def _correction(self, k: int) -> Correction:
+        keyframes = self._keyframes
+        return Correction(
+            keyframes.stamps_ns[k], SE2(*keyframes.odom[k].tolist()), SE2(*keyframes.map[k].tolist())
+        )

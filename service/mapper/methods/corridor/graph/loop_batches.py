@@ -1,0 +1,42 @@
+"""What goes to the back end of the default profile's graph, and what comes back. All can be pickled."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from service.geometry.geo_reference import GeoReference
+from service.mapper.components import Correction, Placed, RenderedMap
+from service.mapper.methods.corridor.graph.fix_track import PlacedFix
+from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
+from service.mapper.saved_graph import KeptGraph, SavedGraph
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Batch:
+    """Key frames and fixes since the last batch, and what else is wanted."""
+
+    frames: Sequence[KeyFrame]
+    request: str = ""  # "optimize", "undo", "checkpoint", "set_pose"
+    pose: Sequence[float] = ()  # (x m, y m, theta rad) in the map, of set_pose
+    is_last: bool = False
+    fixes: Sequence[PlacedFix] = ()  # of key frames in this batch and before
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """newest: the newest key frame, if anything moved; all: every one, after the last batch.
+
+    geo, fixes   where the map lies on the earth, None: that is not known; and fixes by what became of them
+    """
+
+    loops: int  # that are accepted now
+    disabled: int  # that are not any more
+    joined: int | None = None  # number of the piece that was found in the rest; None: none
+    newest: Correction | None = None
+    rendered_map: RenderedMap | None = None
+    all: Sequence[Correction] = ()
+    g2o: str = ""
+    geo: GeoReference | None = None
+    fixes: Mapping[str, int] = field(default_factory=dict)
+    saved: SavedGraph | KeptGraph | None = None  # where a checkpoint was asked for, and at the end
+    placed: Placed = "proven"  # in the stored map
+    alike: Sequence[tuple[float, float]] = ()  # m, of the map: places that a piece fits equally well

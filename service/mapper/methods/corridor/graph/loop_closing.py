@@ -1,0 +1,213 @@
+"""Graph of the default profile: sends key frames to where loops are found, and brings corrections in."""
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from drivers.antenna import antenna_of
+from drivers.frames import GnssFix
+from service.geometry.se2 import SE2
+from service.mapper.background import NewWorker
+from service.mapper.components import (
+    Correction,
+    FinishedGraph,
+    GraphRequestError,
+    GraphUpdate,
+    MappedScan,
+    MapRenderer,
+    ScanToRender,
+)
+from service.mapper.graph.background_graph import BackgroundGraph, add_counts
+from service.mapper.methods.corridor.graph.fix_track import FixTrack
+from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
+from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
+from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
+from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
+from service.mapper.saved_graph import KeepGraph, SavedGraph
+
+DETACHED_INTERVAL_NS = 500_000_000  # of key frames of a piece that is looked for, also while standing
+
+
+class PoseRequest(BaseModel):
+    """What set_pose takes: pose_map_base as a person sees it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    x_m: float = Field(allow_inf_nan=False)
+    y_m: float = Field(allow_inf_nan=False)
+    theta_rad: float = Field(allow_inf_nan=False)
+
+
+class LoopClosing(BackgroundGraph[Result]):
+    """Graph."""
+
+    def __init__(
+        self,
+        config: LoopsConfig,
+        renderer: MapRenderer | None,
+        new_worker: NewWorker,
+        mountings: Mapping[str, SE2] | None = None,
+        stored: SavedGraph | None = None,
+        is_localizing: bool = False,
+        keep_graph: KeepGraph | None = None,
+    ) -> None:
+        """mountings: pose_base_sensor; a receiver's antenna is at "<sensor>/antenna", else at its sensor.
+
+        stored, is_localizing, keep_graph   as of BuildContext
+        """
+        super().__init__(LoopBackEnd(config, renderer, stored, is_localizing, keep_graph), new_worker)
+        self._config = config
+        self._mountings = mountings or {}
+        self._fixes = FixTrack()
+        self._keyframes = 0 if stored is None else len(stored)
+        self._is_placed = stored is None
+        self._is_localizing = is_localizing
+        self._is_looking = not self._is_placed  # the newest scan lies in a piece that is looked for
+        self._fix_counts: Mapping[str, int] = {}  # as the back end had them last
+        self._fresh: list[KeyFrame] = []  # not yet sent
+        self._sent: deque[list[KeyFrame]] = deque()  # with each piece of work that is out
+        self._last: SE2 | None = None  # of the newest key frame
+        self._last_ns = 0
+        self._gap_s = 0.0 if stored is None else math.inf  # longest time without a scan since then
+        self._way_m = 0.0  # of those not yet sent
+        self._last_result: Result | None = None
+        self._loops = 0 if stored is None else len(stored.loop_ends)
+        self._disabled = 0
+
+    def add(self, scan: MappedScan) -> SE2:
+        pose = scan.match.motion.pose_odom_base
+        self._gap_s = max(self._gap_s, scan.elapsed_s)
+        is_detached = not self._is_placed or (scan.match.state == "lost" and scan.change.piece > 0)
+        self._is_looking = is_detached
+        is_due = self._is_keyframe(pose) or (
+            is_detached and scan.stamp_ns - self._last_ns >= DETACHED_INTERVAL_NS
+        )
+        is_keyframe = len(scan.points.xy_base) and is_due and not self.fault
+        if is_keyframe:
+            if self._last is not None:
+                self._way_m += math.hypot(pose.x_m - self._last.x_m, pose.y_m - self._last.y_m)
+            self._last, self._last_ns = pose, scan.stamp_ns
+            self._fresh.append(_key_frame(scan, self._gap_s))
+            self._keyframes += 1
+            self._gap_s = 0.0
+        self._fixes.add_scan(scan.stamp_ns, pose, self._keyframes - 1)
+        if is_keyframe and (self._way_m >= self._config.search_every_m or (is_detached and not self.waiting)):
+            self._submit()
+        return self._pose_map_odom
+
+    def add_fix(self, fix: GnssFix) -> str:
+        if self.fault or self._is_localizing:
+            return "fixes_passed_over"
+        sensor = self._mountings.get(fix.sensor, SE2())
+        antenna = self._mountings.get(antenna_of(fix.sensor), sensor)
+        return self._fixes.add_fix(fix, (antenna.x_m, antenna.y_m))
+
+    def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
+        if name not in ("optimize", "undo", "checkpoint", "set_pose"):
+            raise GraphRequestError(f"{name}: the graph of this profile knows optimize, undo and set_pose")
+        if self.fault:
+            raise GraphRequestError(f"{name}: no loops are closed any more: {self.fault}")
+        if name == "set_pose":
+            return self._set_pose(payload)
+        if payload:
+            raise GraphRequestError(f"{name} takes nothing besides; it was given {', '.join(payload)}")
+        if name == "undo" and not self._loops:
+            raise GraphRequestError("undo: no loop is closed")
+        self._submit(name)
+        return {"loop_closures": self._loops}
+
+    def _set_pose(self, payload: Mapping[str, Any]) -> Mapping[str, Any]:
+        try:
+            asked = PoseRequest.model_validate(payload)
+        except ValidationError as error:
+            fault = error.errors()[0]
+            raise GraphRequestError(f"set_pose: {'.'.join(map(str, fault['loc']))}: {fault['msg']}") from None
+        if not self._is_looking:
+            raise GraphRequestError(
+                "set_pose: the pose is known and the map confirms it; it can be set where it is lost"
+            )
+        self._submit("set_pose", pose=(asked.x_m, asked.y_m, asked.theta_rad))
+        return {"looked_for_at": [asked.x_m, asked.y_m, asked.theta_rad]}
+
+    def finish(self) -> FinishedGraph:
+        counts: dict[str, int] = {}
+        self._apply_all(counts)
+        if self.fault:
+            return FinishedGraph(update=GraphUpdate(counts))
+        self._submit(is_last=True)
+        update = self._apply_all(counts)
+        last = self._last_result
+        if self.fault or last is None:
+            return FinishedGraph(update=GraphUpdate(counts))
+        update = GraphUpdate(counts, update.rendered_map, geo=update.geo, saved=update.saved)
+        return FinishedGraph(last.all, last.g2o, update)
+
+    def _submit(self, request: str = "", is_last: bool = False, pose: tuple[float, ...] = ()) -> None:
+        self._jobs.submit(Batch(self._fresh, request, pose, is_last, self._fixes.take()))
+        self._sent.append(self._fresh)
+        self._fresh, self._way_m = [], 0.0
+
+    def _give_up(self) -> None:
+        self._sent.clear()
+        self._fresh.clear()
+
+    def _bring_in(self, result: Result) -> GraphUpdate:
+        self._sent.popleft()
+        self._last_result = result
+        counts = {
+            "loop_closures": result.loops - self._loops,
+            "loops_disabled": result.disabled - self._disabled,
+        }
+        self._loops, self._disabled = result.loops, result.disabled
+        add_counts(counts, self._fixes.take_counts())
+        add_counts(counts, {name: n - self._fix_counts.get(name, 0) for name, n in result.fixes.items()})
+        self._fix_counts = result.fixes
+        self._is_placed = result.placed != "unknown"
+        if result.newest is not None:
+            self._pose_map_odom = _pose_map_odom(result.newest)
+        since = [frame for batch in self._sent for frame in batch] + self._fresh
+        drawn = [
+            ScanToRender(frame.xy_base, frame.sensor_xy_m, self._pose_map_odom @ frame.pose_odom_base)
+            for frame in (since if result.rendered_map is not None else ())
+        ]
+        return GraphUpdate(
+            counts,
+            result.rendered_map,
+            drawn,
+            result.joined,
+            result.geo,
+            result.placed,
+            result.alike,
+            result.saved,
+        )
+
+    def _is_keyframe(self, pose: SE2) -> bool:
+        config = self._config
+        return self._last is None or pose.is_step_from(
+            self._last, config.keyframe_distance_m, config.keyframe_turn_rad
+        )
+
+
+def _key_frame(scan: MappedScan, gap_s: float) -> KeyFrame:
+    points, match = scan.points, scan.match
+    return KeyFrame(
+        scan.stamp_ns,
+        match.motion.pose_odom_base,
+        scan.covariance,
+        scan.change.piece,
+        match.inlier_ratio,
+        match.measured is None and scan.change.piece == 0 and match.state == "lost",
+        points.xy_base.astype(np.float32),
+        (points.sensor_base.x_m, points.sensor_base.y_m),
+        abs(points.scan.angle_step_rad),
+        points.range_sigma_m,
+        gap_s,
+    )
+
+
+def _pose_map_odom(newest: Correction) -> SE2:
+    return newest.pose_map_base @ newest.pose_odom_base.inverse()

@@ -1,0 +1,40 @@
+"""Which key frames of earlier passes a loop is looked for at."""
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry.poses import Floats
+
+PASSES = 4  # of a place are asked in one search, the nearest ones
+
+
+def worth_asking(
+    way_m: Floats, near: npt.NDArray[np.int64], away_m: Floats, reach_m: Floats, place_m: float
+) -> list[int]:
+    """The nearest key frame of each pass; where the window is wider than a sub-map, others beside it.
+
+    way_m, away_m, reach_m   (N,) of all key frames: way up to each, distance, half a window about each
+    near                     (K,) those that a loop may lead to, by rising number
+    place_m                  half the way that a sub-map holds
+    """
+    asked = nearest_of_passes(way_m, near, away_m, place_m)[:PASSES]
+    for k in list(asked):
+        aside = 1
+        while aside * place_m <= reach_m[k]:
+            for at_m in (way_m[k] - aside * place_m, way_m[k] + aside * place_m):
+                other = int(near[np.argmin(np.abs(way_m[near] - at_m))])
+                if abs(way_m[other] - at_m) < 0.5 * place_m and other not in asked:
+                    asked.append(other)
+            aside += 1
+    return asked
+
+
+def nearest_of_passes(
+    way_m: Floats, near: npt.NDArray[np.int64], away_m: Floats, place_m: float
+) -> list[int]:
+    """The nearest key frame of each stretch of the way, nearest stretch first; as worth_asking takes them."""
+    if not len(near):
+        return []
+    breaks = np.flatnonzero(np.diff(way_m[near]) > place_m) + 1
+    best = [int(run[np.argmin(away_m[run])]) for run in np.split(near, breaks)]
+    return sorted(best, key=lambda k: (away_m[k], k))

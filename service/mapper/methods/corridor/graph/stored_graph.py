@@ -1,0 +1,132 @@
+"""A stored map under a new session: what is saved of a graph, and the session's poses on what is held."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from service.geometry import poses as se2
+from service.geometry.poses import Floats
+from service.mapper.components import Placed
+from service.mapper.graph.pose_graph import Edges, PoseGraph
+from service.mapper.graph.pose_graph_solver import solve
+from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
+from service.mapper.methods.corridor.graph.loops import Loop, as_edges
+from service.mapper.methods.corridor.graph.piece_search import LEAST_APART_M
+from service.mapper.saved_graph import SavedGraph
+
+MOST_CONTRADICTIONS = 2  # looks in a row
+ANCHOR_COVARIANCE = np.diag([0.02**2, 0.02**2, 0.005**2])  # of the first key frame left, as loops held it
+
+
+def stored_loops(stored: SavedGraph) -> list[Loop]:
+    return [
+        Loop(int(of), int(to), measured, covariance, float(score))
+        for (of, to), measured, covariance, score in zip(
+            stored.loop_ends, stored.loop_measured, stored.loop_covariance, stored.loop_score, strict=True
+        )
+    ]
+
+
+def saved_graph(keyframes: KeyframeList, loops: Sequence[Loop], joined: Collection[int]) -> SavedGraph:
+    """The key frames whose place in the map is known, and the loops between them."""
+    is_known = np.isin(keyframes.piece, list(joined))
+    kept = np.flatnonzero(is_known)
+    number = np.cumsum(is_known) - 1
+    between = [loop for loop in loops if is_known[loop.of] and is_known[loop.to]]
+    edges = as_edges(between)
+    thinned = [keyframes.thinned[k] for k in kept.tolist()]
+    return SavedGraph(
+        stamp_ns=np.array(keyframes.stamps_ns, np.int64)[kept],
+        odom=keyframes.odom[kept],
+        map=keyframes.map[kept],
+        way_m=keyframes.way_m[kept],
+        covariance=keyframes.covariance[kept],
+        score=keyframes.score[kept],
+        gap_s=keyframes.gap_s[kept],
+        piece=keyframes.piece[kept],
+        is_lost=keyframes.is_lost[kept],
+        sensor_xy_m=np.array([one.sensor_xy_m for one in thinned], np.float64).reshape(-1, 2),
+        point_count=np.array([len(one.xy_base) for one in thinned], np.int64),
+        xy_base=np.concatenate([np.zeros((0, 2), np.float32), *(one.xy_base for one in thinned)]),
+        normals=np.concatenate([np.zeros((0, 3), np.float32), *(one.normals for one in thinned)]),
+        loop_ends=np.column_stack((number[edges.of], number[edges.to])).astype(np.int64),
+        loop_measured=edges.measured,
+        loop_covariance=edges.covariance,
+        loop_score=np.array([loop.share for loop in between]),
+    )
+
+
+def poses_on_held(keyframes: KeyframeList, odometry: Edges, loops: Sequence[Loop], held: int) -> Floats:
+    """(N - held, 3) poses of the key frames from `held` on, where those before stay as they are.
+
+    One pose stands for all that is held: a loop to a held key frame measures against that one's place.
+    """
+    own = (odometry.of >= held) & (odometry.to >= held)
+    seen = as_edges([loop for loop in loops if loop.to >= held])
+    is_held = seen.of < held
+    measured = seen.measured.copy()
+    measured[is_held] = se2.compose(keyframes.map[seen.of[is_held]], seen.measured[is_held])
+    edges = Edges(
+        odometry.of[own] - held + 1,
+        odometry.to[own] - held + 1,
+        odometry.measured[own],
+        odometry.covariance[own],
+        odometry.kernel_width[own],
+    ).and_also(
+        Edges(
+            np.where(is_held, 0, seen.of - held + 1),
+            seen.to - held + 1,
+            measured,
+            seen.covariance,
+            seen.kernel_width,
+        )
+    )
+    poses = np.vstack((np.zeros(3), keyframes.map[held:]))
+    return solve(PoseGraph(poses, edges)).poses[1:]
+
+
+def moved_loops(loops: Sequence[Loop], first: int, last: int) -> list[Loop]:
+    """Loops when the key frames first..last - 1 are gone: those that ended there are gone, too."""
+    away = last - first
+    return [
+        replace(loop, of=loop.of - away * (loop.of >= last), to=loop.to - away * (loop.to >= last))
+        for loop in loops
+        if not first <= loop.of < last and not first <= loop.to < last
+    ]
+
+
+def anchor_loop(keyframes: KeyframeList, k: int) -> Loop:
+    """What key frame k knew by those that are gone: where it is in the map."""
+    return Loop(0, k, se2.between(keyframes.map[0], keyframes.map[k]), ANCHOR_COVARIANCE, 1.0)
+
+
+class Placement:
+    """How sure it is where a session lies in the stored map that it began in.
+
+    A place is found by what is seen from one spot, and rooms look alike: it is proven by what is seen from
+    LEAST_APART_M on, and taken back where that contradicts it.
+    """
+
+    def __init__(self, is_in_stored: bool) -> None:
+        self.state: Placed = "unknown" if is_in_stored else "proven"
+        self._found_m = 0.0  # way at which it was found
+        self._contradictions = 0
+
+    def found(self, way_m: float) -> None:
+        if self.state == "unknown":
+            self.state, self._found_m, self._contradictions = "unproven", way_m, 0
+
+    def seen(self, way_m: float, agrees: bool) -> bool:
+        """What is seen after so much way on known ground lies where the map says, or not; whether the place
+        must be taken back.
+        """
+        if self.state != "unproven":
+            return False
+        if agrees and way_m - self._found_m >= LEAST_APART_M:
+            self.state = "proven"
+        self._contradictions = 0 if agrees else self._contradictions + 1
+        if self._contradictions < MOST_CONTRADICTIONS:
+            return False
+        self.state = "unknown"
+        return True

@@ -1,0 +1,292 @@
+"""What scans are matched to: two overlapping sub-maps of surfels, of which the older one is read."""
+
+import math
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.geometry.grid import tiles_of
+from service.geometry.se2 import SE2
+from service.kernels.likelihood import SPLAT_REACH_CELLS, splat_likelihood
+from service.kernels.normals import estimate_normals
+from service.kernels.static_score import (
+    Sightings,
+    count_hits,
+    count_in_free,
+    remove_by_ray_cast,
+    weigh_static_score,
+)
+from service.kernels.surfels import TILE_BITS, TILE_CELLS, SurfelGrid, insert_surfels
+from service.kernels.tiles import NO_TILE
+from service.mapper.components import MapChange, Match, Points
+from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
+from service.mapper.methods.corridor.dynamic_filter import DynamicFilterConfig, ticks_in
+
+FIRST_SCANS = 25  # all of the first ones of a map are taken, even standing: half a second of a 50 Hz laser
+COUNT_LIMIT = 1000.0  # points that a surfel stands for at most, so that it forgets what was moved
+FIELD_SIGMA_M = 0.15  # spread of a point in the coarse field: wide enough that a start one cell off slides in
+FIELD_ENOUGH = 0.95  # likelihood of a cell from which on more points add nothing
+POOL_TILES = 16_384  # 750 MB of address space; a sub-map in a large hall touches a few hundred tiles
+GRAZING_WEIGHT = 5.0  # of a point whose beam runs along the wall, where one head-on has 1
+NEW_PIECE_ERROR = 0.01  # of the pose's error against the map is left against a piece that begins at the pose
+MOST_MISSES = 3  # then another piece is begun
+MOST_NUMBER = 65_535  # of a key frame, then from 1 again
+
+
+class SubmapsConfig(BaseModel):
+    """How sub-maps are cut and filled."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    FIXED: ClassVar = ("first_scans", "count_limit", "field_sigma_m", "field_enough")  # in older configs
+    RENAMED: ClassVar = {"permanence": "dynamic_filter"}
+
+    dynamic_filter: DynamicFilterConfig = DynamicFilterConfig()
+    cell_m: float = Field(default=0.10, ge=0.02, le=0.5)
+    spacing_m: float = Field(default=20.0, gt=0.0)  # a new sub-map each time so far was travelled
+    keyframe_distance_m: float = Field(default=0.05, gt=0.0)
+    keyframe_turn_rad: float = Field(default=0.05, gt=0.0)
+    memory_m: float = Field(default=0.3, gt=0.0)
+
+
+class Submap:
+    """One sub-map of surfels, in the odom frame."""
+
+    def __init__(self, number: int, pool: TilePool, config: SubmapsConfig) -> None:
+        self.number = number
+        self.scan_count = 0
+        self._last_ns: int | None = None  # of its newest key frame
+        self._config = config
+        self._dynamic_filter = config.dynamic_filter.settings()
+        self._tiles = TileMap(pool)
+
+    def grid(self) -> SurfelGrid:
+        surfels, field, _score, _touched = self._tiles.pool.arrays
+        return SurfelGrid(self._tiles.index(), surfels, field, self._config.cell_m)  # type: ignore[arg-type]
+
+    def weighed(
+        self, points: Points, normals: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """The normals of a scan as to be matched from a pose (3,): what stands for long weighs more."""
+        if self._dynamic_filter.enough == 0:
+            return normals
+        weighed = normals.copy()
+        weigh_static_score(
+            points.xy_base, pose, self.grid(), self._sightings(), self._dynamic_filter, weighed
+        )
+        return weighed
+
+    def in_free(
+        self,
+        xy_base: npt.NDArray[np.float64],
+        normals: npt.NDArray[np.float64],
+        pose: npt.NDArray[np.float64],
+    ) -> int:
+        """How many points of a scan at a pose (3,) lie where nothing stands."""
+        return int(count_in_free(xy_base, normals, pose, self.grid(), self._sightings()))
+
+    def insert(self, points: Points, normals: npt.NDArray[np.float64], pose: SE2) -> None:
+        config = self._config
+        reach_m = reach_of(points.xy_base)
+        self._tiles.cover(
+            tiles_of(
+                (pose.x_m - reach_m, pose.y_m - reach_m),
+                (pose.x_m + reach_m, pose.y_m + reach_m),
+                config.cell_m,
+                TILE_BITS,
+                margin_cells=SPLAT_REACH_CELLS,
+            )
+        )
+        grid = self.grid()
+        pose_vector = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+        if self._dynamic_filter.enough > 0:
+            normals = self._sight(points, normals, pose_vector, grid)
+        insert_surfels(points.xy_base, normals, pose_vector, grid, COUNT_LIMIT)
+        splat_likelihood(points.xy_base, pose_vector, grid, FIELD_SIGMA_M, FIELD_ENOUGH)
+        self.scan_count += 1
+
+    def _sight(
+        self,
+        points: Points,
+        normals: npt.NDArray[np.float64],
+        pose: npt.NDArray[np.float64],
+        grid: SurfelGrid,
+    ) -> npt.NDArray[np.float64]:
+        """Note what a key frame sees and what it sees through; its normals, without points of what moves."""
+        number = np.uint16(self.scan_count % MOST_NUMBER + 1)
+        ticks = np.int64(self._ticks_since(points.scan.stamp_ns))
+        static = normals.copy()
+        settings, sightings = self._dynamic_filter, self._sightings()
+        count_hits(points.xy_base, static, pose, grid, sightings, settings, number, ticks)
+        sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
+        remove_by_ray_cast(points.xy_base, sensor, pose, grid, sightings, settings, number, ticks)
+        return static
+
+    def _ticks_since(self, stamp_ns: int) -> int:
+        """From the key frame before to one of this stamp; 1 at least."""
+        last_ns = stamp_ns if self._last_ns is None else self._last_ns
+        self._last_ns = stamp_ns
+        return min(max(1, ticks_in((stamp_ns - last_ns) * 1e-9)), self._dynamic_filter.enough)
+
+    def _sightings(self) -> Sightings:
+        _surfels, _field, score, touched = self._tiles.pool.arrays
+        return Sightings(score, touched)  # type: ignore[arg-type]
+
+    def release(self) -> None:
+        """Hand the tiles back, with nothing sighted in them: who takes one clears its surfels alone."""
+        slots = self._tiles.slots[self._tiles.slots != NO_TILE]
+        for sighted in self._sightings():
+            sighted[slots] = 0
+        self._tiles.release()
+
+
+class SurfelSubmaps:
+    """The chain. Key frames go into two sub-maps; when the younger has grown spacing_m long, it takes over.
+
+    Where a scan is lost, a detached piece is begun at the pose that the prediction gives. The next scans are
+    tried on the old map first: if they fit, the piece is dropped. Until then they are matched to the piece,
+    and the state stays lost, for nobody knows where it lies. Scans that fit neither begin another one. The
+    graph looks for the piece in all of the map; once it has joined it, the piece is what scans are matched
+    to.
+    """
+
+    def __init__(self, config: SubmapsConfig) -> None:
+        self._config = config
+        self._pool = TilePool(
+            (
+                Layer((TILE_CELLS, TILE_CELLS, 2, 5), np.float32),
+                Layer((TILE_CELLS, TILE_CELLS), np.float32),
+                *(Layer((TILE_CELLS, TILE_CELLS), dtype) for dtype in (np.int8, np.uint16)),  # Sightings
+            ),
+            POOL_TILES,
+        )
+        self._next_number = 0
+        self._pair: list[Submap] = []
+        self._detached: Submap | None = None
+        self._piece = self._joined_piece = 0  # number of the newest piece; of that which scans are matched to
+        self._misses = 0  # scans in a row that fitted neither the map nor the piece
+        self._moved_m = 0.0  # from the key frame before
+        self._travelled_m = 0.0  # since the younger of the pair was begun
+        self._last_keyframe: SE2 | None = None
+        self._last_of: dict[str, SE2] = {}  # by laser: each sees another part of what is around
+
+    @property
+    def matched_to(self) -> Submap | None:
+        """The sub-map that scans are matched to; None before the first scan."""
+        return self._pair[0] if self._pair else None
+
+    @property
+    def detached(self) -> Submap | None:
+        """The piece that is not joined to the map; None where there is none."""
+        return self._detached
+
+    def join(self, piece: int) -> None:
+        """The graph has found where a detached piece lies: go on with it, if it is the newest."""
+        if self._detached is None or piece != self._piece:
+            return
+        for submap in self._pair:
+            submap.release()
+        self._pair, self._detached = [self._detached], None
+        self._joined_piece = self._piece
+        self._travelled_m = 0.0
+
+    @property
+    def tile_count(self) -> int:
+        return self._pool.used_count
+
+    def normals_of(self, points: Points) -> npt.NDArray[np.float64]:
+        """(N, 3) of each point: normal towards the sensor, and its weight; as estimate_normals gives it."""
+        normals = np.empty((len(points.xy_base), 3))
+        sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
+        estimate_normals(
+            points.xy_base,
+            sensor,
+            abs(points.scan.angle_step_rad),
+            points.range_sigma_m,
+            GRAZING_WEIGHT,
+            normals,
+        )
+        return normals
+
+    def insert(self, points: Points, match: Match) -> MapChange:
+        if not len(points.xy_base):
+            return MapChange()
+        pose = match.motion.pose_odom_base
+        if match.state == "lost" and self._pair:
+            return self._insert_detached(points, match)
+        closed = None
+        if self._detached is not None:
+            self._detached.release()
+            self._detached = None
+            self._begin_keyframes()
+        if self._pair and not self._is_keyframe(points, pose, self._pair[0]):
+            return MapChange(closed, piece=self._joined_piece)
+        self._advance(points, pose)
+        if not self._pair or self._travelled_m >= self._config.spacing_m:
+            retired = self._begin_submap()
+            closed = closed if retired is None else retired
+        self._insert_keyframe(self._pair, points, pose)
+        return MapChange(closed, is_keyframe=True, error_left=self._error_left(), piece=self._joined_piece)
+
+    def _insert_detached(self, points: Points, match: Match) -> MapChange:
+        """Put a lost scan into the piece, if it was matched to it, or begins one."""
+        pose = match.motion.pose_odom_base
+        self._misses = 0 if match.measured is not None else self._misses + 1
+        if self._detached is None or self._misses >= MOST_MISSES:
+            if self._detached is not None:
+                self._detached.release()
+            self._detached = self._new_submap()
+            self._begin_keyframes()
+            self._misses = 0
+            self._piece += 1
+            self._advance(points, pose)
+            self._insert_keyframe([self._detached], points, pose)
+            return MapChange(is_keyframe=True, error_left=NEW_PIECE_ERROR, piece=self._piece)
+        elif match.measured is None:
+            return MapChange(piece=self._piece)
+        if not self._is_keyframe(points, pose, self._detached):
+            return MapChange(piece=self._piece)
+        self._advance(points, pose)
+        self._insert_keyframe([self._detached], points, pose)
+        return MapChange(is_keyframe=True, error_left=self._error_left(), piece=self._piece)
+
+    def _error_left(self) -> float:
+        return math.exp(-self._moved_m / self._config.memory_m)
+
+    def _begin_keyframes(self) -> None:
+        self._last_keyframe = None
+        self._last_of.clear()
+
+    def _is_keyframe(self, points: Points, pose: SE2, submap: Submap) -> bool:
+        """Whether a sub-map wants a scan from here: it is new, or this laser is farther on than it was."""
+        last = self._last_of.get(points.scan.sensor)
+        if last is None or submap.scan_count < FIRST_SCANS:
+            return True
+        return pose.is_step_from(last, self._config.keyframe_distance_m, self._config.keyframe_turn_rad)
+
+    def _advance(self, points: Points, pose: SE2) -> None:
+        last = self._last_keyframe
+        self._last_of[points.scan.sensor] = pose
+        self._moved_m = math.hypot(pose.x_m - last.x_m, pose.y_m - last.y_m) if last is not None else 0.0
+        self._travelled_m += self._moved_m
+        self._last_keyframe = pose
+
+    def _insert_keyframe(self, submaps: list[Submap], points: Points, pose: SE2) -> None:
+        normals = self.normals_of(points)
+        for submap in submaps:
+            submap.insert(points, normals, pose)
+
+    def _new_submap(self) -> Submap:
+        self._next_number += 1
+        return Submap(self._next_number - 1, self._pool, self._config)
+
+    def _begin_submap(self) -> int | None:
+        """Start a sub-map; of three the oldest is closed. Returns its number."""
+        self._pair.append(self._new_submap())
+        self._travelled_m = 0.0
+        if len(self._pair) <= 2:
+            return None
+        oldest = self._pair.pop(0)
+        oldest.release()
+        return oldest.number

@@ -1,0 +1,282 @@
+"""The matcher of the default profile: Gauss-Newton on surfels, with a coarse map to fall back on."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+
+from service.fusion.motion import Measurement, Motion, Prediction
+from service.geometry.se2 import SE2
+from service.kernels.deskew import Returns
+from service.kernels.likelihood_search import LikelihoodLayer
+from service.kernels.match import MatchResult, MatchSettings, Prior, match_scan
+from service.mapper.components import Match, Points
+from service.mapper.judgement import (
+    GAP_S,
+    JUMP_CHI2,
+    Evidence,
+    JudgementConfig,
+    begun,
+    chi2_between,
+    held,
+    is_loose,
+    judge,
+    sigmas_of,
+    too_few,
+)
+from service.mapper.matchers.recovery import FIRST, GAIN, REST_S, agree, reach_of, search_around
+from service.mapper.methods.corridor.range_bias import RangeBias
+from service.mapper.methods.corridor.submaps import Submap, SurfelSubmaps
+from service.outputs import State
+
+Matrix = npt.NDArray[np.float64]
+
+INLIER_M = 0.10  # a point this near to its surfel lies on the map
+LEAST_NORMAL_COSINE = 0.6  # between a point and a surfel of the same wall
+ITERATIONS, DESKEW_ROUNDS = 15, 8
+SETTLED_M, SETTLED_RAD = 5e-4, 1e-4
+COARSE_SIGMA, COARSE_BEAMS, COARSE_ITERATIONS = 0.3, 180, 15  # sigma of 1 - likelihood
+SAME_WALL_M = 0.05  # scans within one key frame's distance are matched to the same noise of the map
+MOST_REPEATS = 100.0
+USUAL_SCANS = 50  # over which the usual inlier ratio is taken
+DOUBT_RATIO = 0.9  # of the usual inlier ratio: with less, other starts are tried
+
+
+class SurfelMatcherConfig(JudgementConfig):
+    """How a scan is laid on the sub-map, and when the result is believed."""
+
+    wall_sigma_m: float = Field(default=0.004, gt=0.0)  # how even walls are
+    cauchy_m: float = Field(default=0.10, gt=0.0)  # a point so far off counts half
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Attempt:
+    """A scan that is to be laid on a map, and where the prediction puts it there."""
+
+    points: Points
+    normals: Matrix  # (N, 3) from estimate_normals
+    predicted: Prediction
+    prior: Prior
+    usual_ratio: float  # inlier ratio of this laser's scans of late
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Laid:
+    """Where it ended on one sub-map."""
+
+    result: MatchResult
+    xy_base: Matrix  # (N, 2) m, deskewed with the twist found
+    submap: Submap
+    state: State
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Gap:
+    """Where a detached piece of the map began, and how well that was known in the map before."""
+
+    pose: SE2
+    covariance: Matrix  # (3, 3) base axes
+
+
+class SurfelGaussNewton:
+    """Matcher[SurfelSubmaps]."""
+
+    def __init__(self, config: SurfelMatcherConfig) -> None:
+        self._config = config
+        self._settings = MatchSettings(
+            range_sigma_m=0.01,
+            wall_sigma_m=config.wall_sigma_m,
+            repeats=1.0,
+            cauchy_m=config.cauchy_m,
+            least_normal_cosine=LEAST_NORMAL_COSINE,
+            iterations=ITERATIONS,
+            deskew_rounds=DESKEW_ROUNDS,
+            inlier_m=INLIER_M,
+            coarse_sigma=COARSE_SIGMA,
+            coarse_beams=COARSE_BEAMS,
+            coarse_iterations=COARSE_ITERATIONS,
+            settled_m=SETTLED_M,
+            settled_rad=SETTLED_RAD,
+        )
+        self._bias = RangeBias()
+        self._usual_ratios: dict[str, float] = {}  # by laser: each sees other things
+        self._rest_until_ns = 0  # no wide search before
+        self._gap: _Gap | None = None
+        self._began: _Gap | None = None  # the gap of a piece that would begin with this scan
+        self._detached: Submap | None = None  # the piece that `gap` belongs to
+        self._hypothesis: SE2 | None = None  # odom of the piece in that of the map, where a find put it
+
+    def bias_m(self, sensor: str) -> Matrix:
+        """(NODES,) by how much ranges of a laser are too long; see RangeBias."""
+        return self._bias.curve_m(sensor)
+
+    def match(self, points: Points, predicted: Prediction, local_map: SurfelSubmaps) -> Match:
+        points = self._bias.without(points)
+        if reason := too_few(points):
+            return held(points, predicted, reason)
+        submap = local_map.matched_to
+        if submap is None:
+            return begun(points, predicted)
+        if local_map.detached is None:
+            self._gap = None
+            self._detached = None
+        elif local_map.detached is not self._detached:  # a piece that begins where the prediction puts it
+            self._detached = local_map.detached
+            self._gap, self._hypothesis = self._began, None
+        usual = self._usual_ratios.get(points.scan.sensor, 1.0)
+        prior = _prior_of(predicted, self._gap)
+        attempt = _Attempt(points, local_map.normals_of(points), predicted, prior, usual)
+        laid = self._searched(self._lay(attempt, attempt.prior.pose, submap), attempt)
+        if laid.state != "lost" and self._is_found(laid, attempt):
+            self._usual_ratios[points.scan.sensor] = usual + (laid.result.share - usual) / USUAL_SCANS
+            self._learn_bias(laid, attempt)
+            return self._as_match(laid, attempt, laid.state, laid.reason)
+        self._began = _Gap(predicted.pose_odom_base, attempt.prior.covariance)
+        if local_map.detached is None:
+            return held(points, predicted, laid.reason, laid.result.share)
+        attempt = replace(attempt, prior=_prior_of(predicted, None))
+        detached = self._lay(attempt, attempt.prior.pose, local_map.detached)
+        if detached.state == "lost":
+            return held(points, predicted, laid.reason, laid.result.share)
+        return self._as_match(
+            detached, attempt, "lost", f"{laid.reason}; what is seen now is mapped apart until it is found"
+        )
+
+    def _is_found(self, laid: _Laid, attempt: _Attempt) -> bool:
+        """Whether a scan that was mapped apart is believed to lie on the map again.
+
+        One find far from the prediction is a hypothesis, since rooms look alike; the next one must say the
+        same. A find that the way so far rules out is none: where else it may be the graph looks.
+        """
+        if self._gap is None:
+            return True
+        if _chi2(laid.result.pose, attempt.prior) > JUMP_CHI2:
+            return False
+        if not is_loose(sigmas_of(attempt.prior.covariance)):
+            return True
+        found, predicted = SE2(*laid.result.pose.tolist()), attempt.predicted.pose_odom_base
+        last, self._hypothesis = self._hypothesis, found @ predicted.inverse()
+        return last is not None and agree(last @ predicted, found)
+
+    def _as_match(self, laid: _Laid, attempt: _Attempt, state: State, reason: str) -> Match:
+        result = laid.result
+        x_m, y_m, theta_rad = result.pose.tolist()
+        forward, left, turn = result.twist.tolist()
+        pose = SE2(x_m, y_m, theta_rad)
+        gap = None
+        if state != "lost" and self._gap is not None:
+            gap = attempt.prior.covariance - attempt.predicted.local_covariance
+        measured = Measurement(pose, result.covariance, result.information, result.prior_weight, gap)
+        motion = Motion(pose, (forward, left, turn), result.covariance)
+        deskewed = replace(attempt.points, xy_base=laid.xy_base)
+        return Match(motion, deskewed, result.share, state, reason, laid.submap.number, measured)
+
+    def _learn_bias(self, laid: _Laid, attempt: _Attempt) -> None:
+        if self._gap is not None or laid.result.share < DOUBT_RATIO * attempt.usual_ratio:
+            return
+        if not self._bias.is_due(attempt.points.scan.sensor, attempt.predicted.travel_m):
+            return
+        self._bias.learn(
+            replace(attempt.points, xy_base=laid.xy_base),
+            attempt.normals,
+            laid.result.pose,
+            laid.submap,
+            self._settings._replace(range_sigma_m=attempt.points.range_sigma_m),
+        )
+
+    def _lay(self, attempt: _Attempt, start: Matrix, submap: Submap) -> _Laid:
+        """The match on a sub-map, begun at `start`, a pose as in the prior, and what to think of it."""
+        points = attempt.points
+        xy_base = points.xy_base.copy()
+        apart_m = max(attempt.predicted.travel_m, SAME_WALL_M / MOST_REPEATS)
+        result: MatchResult = match_scan(
+            Returns(points.xy_raw, points.beam_time_s, points.beam),
+            submap.weighed(points, attempt.normals, start),
+            attempt.prior,
+            start,
+            submap.grid(),
+            self._settings._replace(
+                range_sigma_m=points.range_sigma_m, repeats=max(1.0, SAME_WALL_M / apart_m)
+            ),
+            DOUBT_RATIO * attempt.usual_ratio,
+            xy_base,
+        )
+        return _Laid(result, xy_base, submap, *self._judge(result, xy_base, attempt, submap))
+
+    def _judge(
+        self, result: MatchResult, xy_base: Matrix, attempt: _Attempt, submap: Submap
+    ) -> tuple[State, str]:
+        prior = sigmas_of(attempt.prior.covariance)
+        is_far = _chi2(result.pose, attempt.prior) > JUMP_CHI2 or (
+            is_loose(prior) and (self._gap is not None or attempt.predicted.elapsed_s > GAP_S)
+        )
+        in_free = 0
+        if is_far or result.share < DOUBT_RATIO * attempt.usual_ratio:
+            in_free = submap.in_free(xy_base, attempt.normals, result.pose)
+        evidence = Evidence(
+            used=result.used,
+            on_map=result.share * result.used,
+            in_free=in_free,
+            sigma=sigmas_of(result.covariance),
+            prior=prior,
+            is_measured=attempt.predicted.is_measured,
+            is_far=is_far,
+            weakest=(result.weakest_sigma_m, result.weakest_direction_rad),
+        )
+        return judge(evidence, self._config)
+
+    def _searched(self, laid: _Laid, attempt: _Attempt) -> _Laid:
+        """The best pose of a window around the prediction, if clearly more of the scan lies on the map there.
+
+        A poor recovery is worse than none: a prediction that goes on is found again, a jump is not.
+        """
+        prior = sigmas_of(attempt.prior.covariance)
+        share = laid.result.share
+        if laid.state != "lost" and (not is_loose(prior) or share >= DOUBT_RATIO * attempt.usual_ratio):
+            return laid
+        reach_m, reach_rad = reach_of(prior)
+        if laid.state == "lost":
+            if attempt.points.scan.stamp_ns < self._rest_until_ns:
+                return laid
+            self._rest_until_ns = attempt.points.scan.stamp_ns + round(REST_S * 1e9)
+            reach_m, reach_rad = max(reach_m, FIRST[0]), max(reach_rad, FIRST[1])
+        grid = laid.submap.grid()
+        layer = LikelihoodLayer(grid.tiles, grid.field, 0.0, 0.0, 1.0, grid.cell_m)
+        start = search_around(
+            attempt.points.xy_base, attempt.predicted.pose_odom_base, (reach_m, reach_rad), layer
+        )
+        if start is None:
+            return laid
+        found = self._lay(attempt, np.array([start.x_m, start.y_m, start.theta_rad]), laid.submap)
+        return found if found.state != "lost" and found.result.share >= share + GAIN else laid
+
+
+def _chi2(pose: Matrix, prior: Prior) -> float:
+    """How far a pose (3,) is from the prediction, in squared sigmas."""
+    return chi2_between(SE2(*prior.pose.tolist()), SE2(*pose.tolist()), prior.covariance)
+
+
+def _prior_of(predicted: Prediction, gap: _Gap | None) -> Prior:
+    """The prediction as the kernel wants it; gap: of a piece that it is carried through, against the map."""
+    pose = predicted.pose_odom_base
+    covariance = predicted.local_covariance
+    if gap is not None:
+        step = gap.pose.inverse() @ pose
+        c, s = math.cos(step.theta_rad), math.sin(step.theta_rad)
+        carry = np.array(
+            [
+                [c, s, s * step.x_m - c * step.y_m],
+                [-s, c, c * step.x_m + s * step.y_m],
+                [0.0, 0.0, 1.0],
+            ]
+        )
+        covariance = covariance + carry @ gap.covariance @ carry.T
+    return Prior(
+        np.array([pose.x_m, pose.y_m, pose.theta_rad]),
+        np.array(predicted.twist_base),
+        covariance,
+        predicted.twist_gain,
+    )

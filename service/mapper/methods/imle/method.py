@@ -1,0 +1,48 @@
+"""Paper 003: ICP narrows the window, exhaustive search on a likelihood map in patches finds the pose."""
+
+from service.mapper.components import ComponentKind, Method
+from service.mapper.matchers.search_warm_up import warm_up_byte_search
+from service.mapper.methods.imle.icp_then_search import IcpThenSearch, IcpThenSearchConfig
+from service.mapper.methods.imle.monte_carlo import MonteCarloConfig, MonteCarloSearch
+from service.mapper.methods.imle.patch_map import PatchMap, PatchMapConfig
+from service.mapper.methods.imle.scan_icp import IcpScanToScan, IcpScanToScanConfig
+from service.mapper.methods.shared import (
+    DESKEW_BY_TWIST,
+    ESTIMATOR,
+    NO_GRAPH,
+    OCCUPANCY_TILES,
+)
+
+PATCH_MAP = ComponentKind(
+    "patch_map",
+    PatchMapConfig,
+    lambda config, around: PatchMap(config, around.new_patch_store),
+    makes=PatchMap,
+)
+ICP_THEN_SEARCH = ComponentKind(
+    "icp_then_search",
+    IcpThenSearchConfig,
+    lambda config, _: IcpThenSearch(config),
+    reads=PatchMap,
+    warm_up=warm_up_byte_search,
+)
+ICP_SCAN_TO_SCAN = ComponentKind(
+    "icp_scan_to_scan", IcpScanToScanConfig, lambda config, _: IcpScanToScan(config), reads=PatchMap
+)
+MONTE_CARLO = ComponentKind(
+    "monte_carlo", MonteCarloConfig, lambda config, _: MonteCarloSearch(config), reads=PatchMap
+)
+
+METHOD = Method(
+    "imle",
+    stages={
+        "motion_model": ESTIMATOR,
+        "deskew": DESKEW_BY_TWIST,
+        "matcher": ICP_THEN_SEARCH,
+        "local_map": PATCH_MAP,
+        "graph": NO_GRAPH,
+        "free_space": OCCUPANCY_TILES,
+    },
+    settings={"deskew": {"farthest_m": 20.0}},
+    others={"matcher": (ICP_SCAN_TO_SCAN, MONTE_CARLO)},
+)

@@ -1,0 +1,132 @@
+"""Brute search down a pyramid of likelihood maps, then uphill between the cells of the finest."""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+
+from service.fusion.motion import Measurement, Prediction
+from service.geometry.se2 import SE2
+from service.kernels.coarse_align import AlignSettings, coarse_align, coarse_normal_equations
+from service.kernels.likelihood import read_field
+from service.kernels.likelihood_search import LikelihoodLayer, SearchWindow, search_exhaustive
+from service.mapper.components import Match, Points
+from service.mapper.judgement import JudgementConfig
+from service.mapper.matchers.judged import JudgedMatching, Laid
+from service.mapper.matchers.recovery import search_around, step_of
+from service.mapper.methods.owolm_eskf.orthogonal_map import OrthogonalMap
+
+Array = npt.NDArray[np.float64]
+
+RECOVERY_CELL_M = 0.1  # a lost scan is searched for on the first level whose cells are so wide
+
+
+class BruteSearchConfig(JudgementConfig):
+    """How far around the prediction is searched, and when the result is believed."""
+
+    least_window_m: float = Field(default=0.2, gt=0.0)  # the window is window_sigmas of the prediction,
+    most_window_m: float = Field(default=1.0, gt=0.0)  # but no less and no more than this to each side
+    least_window_rad: float = Field(default=0.035, gt=0.0)
+    most_window_rad: float = Field(default=0.35, gt=0.0)
+    window_sigmas: float = Field(default=3.0, gt=0.0)
+    beams: int = Field(default=360, ge=20)  # used in the search, evenly chosen
+    refine_iterations: int = Field(default=15, ge=0, le=100)  # 0: the best cell is the answer
+    residual_sigma: float = Field(default=0.3, gt=0.0)  # of 1 - likelihood
+    covariance_scale: float = Field(default=30.0, gt=0.0)
+    floor_position_m: float = Field(default=0.01, gt=0.0)
+    floor_heading_rad: float = Field(default=0.001, gt=0.0)
+
+
+class BruteSearch:
+    """Matcher[OrthogonalMap]. Says what the scan alone says; the motion model makes a mean of both."""
+
+    def __init__(self, config: BruteSearchConfig) -> None:
+        self._config = config
+        self._matching = JudgedMatching(config)
+
+    def match(self, points: Points, predicted: Prediction, local_map: OrthogonalMap) -> Match:
+        return self._matching.match(points, predicted, local_map, self)
+
+    def align(
+        self, points: Points, predicted: Prediction, local_map: OrthogonalMap, is_found: bool = False
+    ) -> Laid:
+        config = self._config
+        count = len(points.xy_base)
+        window_m, window_rad = self._window(predicted)
+        begin = local_map.pose_axes_odom @ predicted.pose_odom_base
+        pose = np.array([begin.x_m, begin.y_m, begin.theta_rad])
+        every = points.xy_base[:: max(1, count // config.beams)]
+        pose, steps = self._search(every, pose, local_map, window_m, window_rad)
+        field = local_map.field()
+        if config.refine_iterations:
+            trusted = np.diag(1.0 / np.square(steps))
+            settings = AlignSettings(config.residual_sigma, config.beams, config.refine_iterations)
+            coarse_align(points.xy_base, pose.copy(), trusted, field, settings, pose)
+        values = np.empty((count, 3))
+        read_field(points.xy_base, 1, pose, *field, values)
+        covariance = self._covariance(
+            points.xy_base, values, pose, np.array([window_m, window_m, window_rad])
+        )
+        x_m, y_m, theta_rad = pose.tolist()
+        matched = local_map.pose_axes_odom.inverse() @ SE2(x_m, y_m, theta_rad)
+        information = np.asarray(np.linalg.inv(covariance), np.float64)
+        return Laid(Measurement(matched, covariance, information, is_joined=False), points)
+
+    def search(
+        self, points: Points, local_map: OrthogonalMap, pose: SE2, reach: tuple[float, float]
+    ) -> SE2 | None:
+        layers = local_map.search_layers()
+        layer = next((layer for layer in layers if layer.cell_m >= RECOVERY_CELL_M), layers[-1])
+        found = search_around(points.xy_base, local_map.pose_axes_odom @ pose, reach, layer, step_of(reach))
+        return None if found is None else local_map.pose_axes_odom.inverse() @ found
+
+    def _search(
+        self, xy_base: Array, pose: Array, local_map: OrthogonalMap, window_m: float, window_rad: float
+    ) -> tuple[Array, Array]:
+        """Best cell of the finest level, and the step between candidates there (m, m, rad).
+
+        A level is passed over while its cells are wider than the window. The window of the next is a cell
+        of the one before and its step of heading, to each side.
+        """
+        weights = np.ones(len(xy_base), np.float32)
+        reach_m = max(float(np.percentile(np.hypot(xy_base[:, 0], xy_base[:, 1]), 80.0)), 1.0)
+        layers: list[LikelihoodLayer] = local_map.search_layers()
+        while len(layers) > 1 and layers[-1].cell_m > window_m:
+            layers.pop()
+        step_rad = window_rad
+        for layer in reversed(layers):
+            step_rad = min(layer.cell_m / reach_m, window_rad)
+            window = SearchWindow(
+                pose,
+                math.ceil(window_m / layer.cell_m),
+                math.ceil(window_m / layer.cell_m),
+                math.ceil(window_rad / step_rad),
+                step_rad,
+            )
+            pose = search_exhaustive(xy_base, weights, layer, window)[0].pose
+            window_m, window_rad = layer.cell_m, step_rad
+        return pose, np.array([window_m, window_m, step_rad])
+
+    def _window(self, predicted: Prediction) -> tuple[float, float]:
+        config = self._config
+        variances = np.diag(predicted.local_covariance)
+        position_m = config.window_sigmas * math.sqrt(float(variances[:2].max()))
+        heading_rad = config.window_sigmas * math.sqrt(float(variances[2]))
+        return (
+            min(max(position_m, config.least_window_m), config.most_window_m),
+            min(max(heading_rad, config.least_window_rad), config.most_window_rad),
+        )
+
+    def _covariance(self, xy_base: Array, values: Array, pose: Array, window: Array) -> Array:
+        """(3, 3) of x, y, theta in base axes: from the slope of the map, no more than the window."""
+        information = np.empty((3, 3))
+        slope = np.empty(3)
+        sigma = self._config.residual_sigma
+        coarse_normal_equations(xy_base, values, 1, pose, sigma, information, slope)
+        information = information / self._config.covariance_scale + np.diag(1.0 / np.square(window))
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        base_from_map = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        floor = np.square([self._config.floor_position_m] * 2 + [self._config.floor_heading_rad])
+        covariance: Array = base_from_map @ np.linalg.inv(information) @ base_from_map.T + np.diag(floor)
+        return covariance

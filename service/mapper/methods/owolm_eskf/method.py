@@ -1,0 +1,35 @@
+"""Paper 002: an IMU predicts, brute search on an orthogonally weighted likelihood map corrects it."""
+
+from service.mapper.components import ComponentKind, Method
+from service.mapper.matchers.search_warm_up import warm_up_byte_search
+from service.mapper.methods.owolm_eskf.brute_search import BruteSearch, BruteSearchConfig
+from service.mapper.methods.owolm_eskf.inertial_motion import InertialMotion, InertialMotionConfig
+from service.mapper.methods.owolm_eskf.orthogonal_map import OrthogonalMap, OrthogonalMapConfig
+from service.mapper.methods.shared import DESKEW_BY_TWIST, NO_GRAPH, OCCUPANCY_TILES
+
+INERTIAL_MOTION = ComponentKind(
+    "inertial_motion", InertialMotionConfig, lambda config, _: InertialMotion(config)
+)
+BRUTE_SEARCH = ComponentKind(
+    "brute_search",
+    BruteSearchConfig,
+    lambda config, _: BruteSearch(config),
+    reads=OrthogonalMap,
+    warm_up=warm_up_byte_search,
+)
+ORTHOGONAL_MAP = ComponentKind(
+    "orthogonal_map", OrthogonalMapConfig, lambda config, _: OrthogonalMap(config), makes=OrthogonalMap
+)
+
+METHOD = Method(
+    "owolm_eskf",
+    stages={
+        "motion_model": INERTIAL_MOTION,
+        "deskew": DESKEW_BY_TWIST,
+        "matcher": BRUTE_SEARCH,
+        "local_map": ORTHOGONAL_MAP,
+        "graph": NO_GRAPH,
+        "free_space": OCCUPANCY_TILES,
+    },
+    settings={},
+)

@@ -1,0 +1,397 @@
+"""The graph of track points and virtual landmarks: what is done with each closed sub-map, and on request.
+
+Paper 004: a track point every few metres, odometry terms between them, and landmark terms to points that two
+sub-maps share. Landmarks come from laying sub-maps on each other, or from a person who names pairs of points.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.geometry import poses as se2
+from service.geometry.poses import Floats
+from service.geometry.se2 import SE2
+from service.mapper.components import MapRenderer, RenderedMap, ScanToRender
+from service.mapper.graph.point_clouds import PointCloud, SurfelSet
+from service.mapper.graph.pose_graph import Edges, GraphError, PoseGraph, Sightings, to_g2o
+from service.mapper.graph.pose_graph_solver import Solution, solve
+from service.mapper.methods.submap_graph.counted_submaps import ClosedSubmap
+from service.mapper.methods.submap_graph.submap_match import (
+    Found,
+    SubmapMatchConfig,
+    WallPoints,
+    about_origin,
+    draw_walls,
+    find,
+    is_seen,
+)
+from service.mapper.methods.submap_graph.submap_realignment import SubmapRealignment, align_cloud, cloud_of
+
+SURFEL_POINTS = 2000  # of a sub-map, laid on the surfels of another
+
+
+class LandmarkGraphConfig(BaseModel):
+    """Which sub-maps are laid on each other, and how far odometry is trusted between track points."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    RENAMED: ClassVar = {"redraw_m": "render_again_m"}
+
+    match: SubmapMatchConfig = SubmapMatchConfig()
+    least_on_surfels: float = Field(
+        default=0.4, ge=0.0, le=1.0
+    )  # share of points, when a scan or a sub-map is laid anew
+    node_spacing_m: float = Field(default=2.0, gt=0.0)  # between track points
+    drift_m_per_sqrt_m: float = Field(default=0.005, gt=0.0)
+    drift_rad_per_sqrt_m: float = Field(default=0.001, gt=0.0)
+    neighbour_m: float = Field(
+        default=6.0, gt=0.0
+    )  # sub-maps whose ways come this near are laid on each other
+    most_neighbours: int = Field(default=3, ge=1)
+    search_m: float = Field(default=0.5, gt=0.0)  # to each side of where the graph says the neighbour is
+    search_per_m: float = Field(default=0.01, ge=0.0)  # more for each metre driven between the two
+    most_search_m: float = Field(default=3.0, gt=0.0)
+    search_rad: float = Field(default=0.08, gt=0.0)
+    kernel_width: float = Field(default=1.0, ge=0.0)  # Cauchy, in sigmas, of automatic landmarks
+    pair_sigma_m: float = Field(default=0.02, gt=0.0)  # of a point that a person names
+    render_again_m: float = Field(
+        default=0.03, ge=0.0
+    )  # the shown map is drawn anew if a track point moved this far
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two points of the map, as it was shown, that are one: each seen by a sub-map."""
+
+    number: int
+    submaps: tuple[int, int]
+    xy_map: tuple[tuple[float, float], tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Batch:
+    """What is to be done. `pair` goes with "add" and "remove"."""
+
+    what: Literal["submap", "add", "remove", "undo", "optimize", "finish"]
+    closed: ClosedSubmap | None = None
+    pair: Pair | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """What became of a batch.
+
+    stamps, poses   (K,) int64 and (K, 3): every key scan so far, in the map frame
+    pose_map_odom   of the newest
+    links           pairs of sub-maps that hang together by automatic landmarks
+    residual_m      by number of the pair: how far its two points lie apart now
+    fault         why nothing was solved; "" else
+    """
+
+    submaps: int
+    stamps: npt.NDArray[np.int64]
+    poses: Floats
+    pose_map_odom: SE2
+    links: int
+    landmarks: int
+    residual_m: dict[int, float]
+    rms_m: float
+    rendered_map: RenderedMap | None
+    fault: str
+    g2o: str = ""
+
+
+@dataclass(slots=True, eq=False)
+class _Submap:
+    closed: ClosedSubmap  # laid anew
+    end_odom: Floats  # (3,) of its last scan, as the particle drew it
+    walls: WallPoints
+    begin_m: float  # way driven before it
+    nodes: list[int] = field(default_factory=list)  # of the graph, own ones
+    behind: list[int] = field(default_factory=list)  # for each own scan the last node up to it
+
+    @property
+    def own(self) -> slice:
+        return slice(self.closed.carried, None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Landmark:
+    """A point that two sub-maps share: where it is in the drawing of each, and how sure."""
+
+    submaps: tuple[int, int]
+    xy: tuple[Floats, Floats]
+    covariance: tuple[Floats, Floats]  # in the axes of the drawings
+    kernel_width: float
+    pair: int | None = None
+
+
+@dataclass(slots=True, eq=False)
+class LandmarkBackEnd:
+    """BackEnd. Track points stand in two frames: `drawn` in odom, as scans were laid anew; `poses` in map."""
+
+    config: LandmarkGraphConfig
+    renderer: MapRenderer | None
+    submaps: list[_Submap] = field(default_factory=list)
+    drawn: list[Floats] = field(default_factory=list)
+    poses: list[Floats] = field(default_factory=list)
+    way_m: list[float] = field(default_factory=list)
+    landmarks: list[_Landmark] = field(default_factory=list)
+    pairs: list[Pair] = field(default_factory=list)
+    tried: set[tuple[int, int]] = field(default_factory=set)
+    rendered: Floats | None = None  # poses of the nodes when the shown map was last drawn
+    solution: Solution | None = None
+    realignment: SubmapRealignment = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.realignment = SubmapRealignment(self.config.least_on_surfels)
+
+    def work(self, batch: Batch) -> Result:
+        fault = ""
+        try:
+            if batch.what == "submap" and batch.closed is not None:
+                if self._add(batch.closed):
+                    self._solve()
+            elif batch.what == "finish":
+                if self._tie_again():
+                    self._solve()
+            else:
+                self._change_pairs(batch)
+                self._solve()
+        except GraphError as error:
+            fault = str(error)
+        return self._result(fault, is_last=batch.what == "finish")
+
+    def _add(self, closed: ClosedSubmap) -> bool:
+        """Take in a sub-map; whether landmarks were found in others."""
+        begin_m = self.way_m[-1] if self.way_m else 0.0
+        laid = self.realignment.realign(closed)
+        submap = _Submap(laid, closed.track[-1], draw_walls(laid, self.config.match), begin_m)
+        self.submaps.append(submap)
+        for pose in laid.track[submap.own]:
+            away_m = math.dist(pose[:2], self.drawn[-1][:2]) if self.drawn else 0.0
+            if not self.drawn:
+                self._add_node(submap, pose, pose, 0.0)
+            elif away_m >= self.config.node_spacing_m or not submap.nodes:
+                moved = se2.compose(self.poses[-1], se2.between(self.drawn[-1], pose))
+                self._add_node(submap, pose, moved, self.way_m[-1] + away_m)
+            submap.behind.append(len(self.drawn) - 1)
+        return self._tie(len(self.submaps) - 1, widely=True)
+
+    def _add_node(self, submap: _Submap, drawn: Floats, pose: Floats, way_m: float) -> None:
+        submap.nodes.append(len(self.drawn))
+        self.drawn.append(drawn)
+        self.poses.append(pose)
+        self.way_m.append(way_m)
+
+    def _tie_again(self) -> bool:
+        """Lay sub-maps on each other that lie close by now, and were not tied yet."""
+        ties = [self._tie(k, widely=False) for k in range(len(self.submaps))]
+        return any(ties)
+
+    def _tie(self, new: int, widely: bool) -> bool:
+        """Find landmarks of a sub-map in those before it, the nearest first."""
+        config = self.config
+        tied = False
+        for away_m, old in self._neighbours(new)[: config.most_neighbours]:
+            if away_m > config.neighbour_m or (old, new) in self.tried:
+                continue
+            reach_m = config.search_m
+            if widely:
+                driven_m = self.submaps[new].begin_m - self.submaps[old].begin_m
+                reach_m = min(reach_m + config.search_per_m * driven_m, config.most_search_m)
+            found = find(
+                self.submaps[new].walls,
+                self.submaps[old].walls,
+                self._guess(new, old),
+                (reach_m, config.search_rad),
+                config.match,
+            )
+            found = found and self._on_surfels(new, old, found)
+            if found is None:
+                continue
+            self.tried.add((old, new))
+            tied = True
+            self._keep(new, old, found.pose, found.covariance, found.landmarks)
+        return tied
+
+    def _on_surfels(self, new: int, old: int, found: Found) -> Found | None:
+        """The same, laid point to line; None where too little of what both have seen lies on walls."""
+        config = self.config
+        cloud, other = self._cloud(new), self.submaps[old].walls
+        common = is_seen(other, se2.points_from(found.pose, cloud.xy))
+        shared = PointCloud(cloud.xy[common], cloud.normals[common])
+        fit, shift = align_cloud(shared, SurfelSet(self._cloud(old)), found.pose, SURFEL_POINTS)
+        if fit.share < config.least_on_surfels:
+            return None
+        covariance = config.match.match_covariance_scale * np.linalg.inv(fit.information + 1e-2 * np.eye(3))
+        at_origin = about_origin(np.asarray(covariance, np.float64), fit.pose, shift)
+        return replace(found, pose=shift, covariance=at_origin, share=fit.share)
+
+    def _cloud(self, number: int) -> PointCloud:
+        closed = self.submaps[number].closed
+        return cloud_of(closed.scans, closed.track)
+
+    def _keep(self, new: int, old: int, shift: Floats, covariance: Floats, landmarks: Floats) -> None:
+        own = self.config.match.landmark_sigma_m**2 * np.eye(2)
+        for xy in landmarks:
+            there = se2.points_from(shift, xy)
+            lever = np.array([[1.0, 0.0, -(there[1] - shift[1])], [0.0, 1.0, there[0] - shift[0]]])
+            seen = self.config.match.match_sigma_m**2 * np.eye(2) + len(landmarks) * (
+                lever @ covariance @ lever.T
+            )  # K points share the error of one match
+            self.landmarks.append(_Landmark((new, old), (xy, there), (own, seen), self.config.kernel_width))
+
+    def _neighbours(self, new: int) -> list[tuple[float, int]]:
+        poses = np.array(self.poses)
+        mine = poses[self.submaps[new].nodes, :2]
+        found = []
+        for old in range(new - 1):  # the one before shares scans: it says nothing that odometry does not
+            theirs = poses[self.submaps[old].nodes, :2]
+            apart = np.hypot(*(mine[:, None] - theirs[None]).transpose(2, 0, 1))
+            found.append((round(float(apart.min()), 6), old))
+        return sorted(found)
+
+    def _guess(self, new: int, old: int) -> Floats:
+        """Pose of the drawing of `new` in that of `old`, by the graph, where the two come nearest."""
+        poses = np.array(self.poses)
+        mine, theirs = self.submaps[new].nodes, self.submaps[old].nodes
+        apart = np.hypot(*(poses[mine, None, :2] - poses[None, theirs, :2]).transpose(2, 0, 1))
+        a, b = np.unravel_index(int(np.argmin(apart)), apart.shape)
+        new_node, old_node = mine[int(a)], theirs[int(b)]
+        between = se2.between(poses[old_node], poses[new_node])
+        there = se2.compose(self.drawn[old_node], between)
+        origin = np.zeros(3)
+        return se2.compose(there, se2.between(self.drawn[new_node], origin))
+
+    def _change_pairs(self, batch: Batch) -> None:
+        if batch.what == "add" and batch.pair is not None:
+            self.pairs.append(batch.pair)
+            first, second = (
+                self._in_drawing(submap, np.array(xy))
+                for submap, xy in zip(batch.pair.submaps, batch.pair.xy_map, strict=True)
+            )
+            sure = self.config.pair_sigma_m**2 * np.eye(2)
+            self.landmarks.append(
+                _Landmark(batch.pair.submaps, (first, second), (sure, sure), 0.0, batch.pair.number)
+            )
+        elif batch.what in ("remove", "undo") and batch.pair is not None:
+            number = batch.pair.number
+            self.pairs = [pair for pair in self.pairs if pair.number != number]
+            self.landmarks = [mark for mark in self.landmarks if mark.pair != number]
+
+    def _in_drawing(self, submap: int, xy_map: Floats) -> Floats:
+        """A point of the map, in the frame that a sub-map was drawn in, by its nearest track point."""
+        nodes = self.submaps[submap].nodes
+        node = min(nodes, key=lambda k: math.dist(self.poses[k][:2], xy_map))
+        return se2.points_from(self.drawn[node], se2.points_seen(self.poses[node], xy_map))
+
+    def _graph(self) -> PoseGraph:
+        drawn, poses = np.array(self.drawn), np.array(self.poses)
+        count = len(drawn)
+        measured = se2.between(drawn[:-1], drawn[1:])
+        way_m = np.maximum(np.diff(self.way_m), 0.1)
+        covariance = np.zeros((count - 1, 3, 3))
+        covariance[:, 0, 0] = covariance[:, 1, 1] = self.config.drift_m_per_sqrt_m**2 * way_m
+        covariance[:, 2, 2] = self.config.drift_rad_per_sqrt_m**2 * way_m
+        edges = Edges(np.arange(count - 1), np.arange(1, count), measured, covariance, np.zeros(count - 1))
+        of, landmark, seen, covariances, widths, guess = [], [], [], [], [], []
+        for k, mark in enumerate(self.landmarks):
+            for side in (0, 1):
+                nodes = self.submaps[mark.submaps[side]].nodes
+                node = min(nodes, key=lambda n: math.dist(drawn[n][:2], mark.xy[side]))
+                xy = se2.points_seen(drawn[node], mark.xy[side])
+                c, s = math.cos(drawn[node][2]), math.sin(drawn[node][2])
+                turn = np.array([[c, s], [-s, c]])
+                of.append(node)
+                landmark.append(k)
+                seen.append(xy)
+                covariances.append(turn @ mark.covariance[side] @ turn.T)
+                widths.append(mark.kernel_width if side else 0.0)
+                if side:
+                    guess.append(se2.points_from(poses[node], xy))
+        sightings = Sightings(
+            np.array(of, np.int64),
+            np.array(landmark, np.int64),
+            np.array(seen).reshape(-1, 2),
+            np.array(covariances).reshape(-1, 2, 2),
+            np.array(widths, np.float64),
+        )
+        return PoseGraph(poses, edges, np.array(guess).reshape(-1, 2), sightings)
+
+    def _solve(self) -> None:
+        if len(self.drawn) < 2:
+            return
+        self.solution = solve(self._graph())
+        self.poses = list(self.solution.poses)
+
+    def _key_poses(self) -> tuple[npt.NDArray[np.int64], Floats]:
+        """Stamps and map poses of all key scans: bent along between the track points on both sides."""
+        stamps, poses = [], []
+        map_nodes, odom_nodes = np.array(self.poses), np.array(self.drawn)
+        for submap in self.submaps:
+            own = submap.closed.scans[submap.own], submap.closed.track[submap.own]
+            for scan, pose, node in zip(*own, submap.behind, strict=True):
+                stamps.append(scan.stamp_ns)
+                poses.append(_bent(map_nodes, odom_nodes, node, min(node + 1, len(odom_nodes) - 1), pose))
+        return np.array(stamps, np.int64), np.array(poses).reshape(-1, 3)
+
+    def _result(self, fault: str, is_last: bool) -> Result:
+        if not self.submaps:
+            none = np.empty(0, np.int64), np.empty((0, 3))
+            return Result(0, *none, SE2(), 0, 0, {}, 0.0, None, fault)
+        stamps, poses = self._key_poses()
+        map_odom = se2.compose(poses[-1], se2.between(self.submaps[-1].end_odom, np.zeros(3)))
+        nodes = np.array(self.poses)
+        before = np.array(self.drawn) if self.rendered is None else self.rendered
+        moved_m = float(np.hypot(*(nodes[: len(before)] - before[: len(nodes)]).T[:2]).max())
+        rendered_map = None
+        if self.renderer is not None and moved_m > (0.0 if is_last else self.config.render_again_m):
+            self.rendered = nodes
+            rendered_map = self.renderer.render(self._drawn(poses))
+        residuals = {pair.number: self._apart_m(pair.number) for pair in self.pairs}
+        seen = self.solution.sighting_chi2 if self.solution is not None else np.zeros(0)
+        return Result(
+            len(self.submaps),
+            stamps,
+            poses,
+            SE2(*map_odom.tolist()),
+            len(self.tried),
+            len(self.landmarks),
+            residuals,
+            float(np.sqrt(seen.mean())) * self.config.match.landmark_sigma_m if len(seen) else 0.0,
+            rendered_map,
+            fault,
+            to_g2o(self._graph()) if is_last and len(self.drawn) > 1 else "",
+        )
+
+    def _drawn(self, poses: Floats) -> Sequence[ScanToRender]:
+        scans = [scan for submap in self.submaps for scan in submap.closed.scans[submap.own]]
+        return [
+            ScanToRender(scan.xy_base, scan.sensor_xy_m, SE2(*pose.tolist()))
+            for scan, pose in zip(scans, poses, strict=True)
+        ]
+
+    def _apart_m(self, number: int) -> float:
+        mark = next(mark for mark in self.landmarks if mark.pair == number)
+        ends = []
+        for side in (0, 1):
+            nodes = self.submaps[mark.submaps[side]].nodes
+            node = min(nodes, key=lambda n: math.dist(self.drawn[n][:2], mark.xy[side]))
+            ends.append(se2.points_from(self.poses[node], se2.points_seen(self.drawn[node], mark.xy[side])))
+        return math.dist(*ends)
+
+
+def _bent(map_nodes: Floats, odom_nodes: Floats, a: int, b: int, pose: Floats) -> Floats:
+    """A pose between two track points, moved by what both were moved, weighed by the way to each."""
+    ends = [se2.compose(map_nodes[k], se2.between(odom_nodes[k], pose)) for k in (a, b)]
+    to_a, to_b = (math.dist(odom_nodes[k, :2], pose[:2]) for k in (a, b))
+    share = to_a / (to_a + to_b) if to_a + to_b > 0.0 else 0.0
+    apart = ends[1] - ends[0]
+    apart[2] = se2.wrap(apart[2])
+    bent: Floats = ends[0] + share * apart
+    return bent

@@ -1,0 +1,45 @@
+"""Paper 004: particle-filtered sub-maps of counts, virtual landmarks between them, a graph that ties them."""
+
+from service.mapper.components import ComponentKind, Method
+from service.mapper.matchers.search_warm_up import warm_up_search
+from service.mapper.methods.shared import (
+    DESKEW_BY_TWIST,
+    ESTIMATOR,
+    OCCUPANCY_TILES,
+)
+from service.mapper.methods.submap_graph.counted_submaps import CountedSubmaps, CountedSubmapsConfig
+from service.mapper.methods.submap_graph.landmark_back_end import LandmarkGraphConfig
+from service.mapper.methods.submap_graph.landmark_graph import LandmarkGraph
+from service.mapper.methods.submap_graph.landmark_warm_up import warm_up
+from service.mapper.methods.submap_graph.particle_filter import ParticleFilter, ParticleFilterConfig
+
+COUNTED_SUBMAPS = ComponentKind(
+    "counted_submaps", CountedSubmapsConfig, lambda config, _: CountedSubmaps(config), makes=CountedSubmaps
+)
+PARTICLE_FILTER = ComponentKind(
+    "particle_filter",
+    ParticleFilterConfig,
+    lambda config, _: ParticleFilter(config),
+    reads=CountedSubmaps,
+    warm_up=warm_up_search,
+)
+LANDMARK_GRAPH = ComponentKind(
+    "landmark_graph",
+    LandmarkGraphConfig,
+    lambda config, around: LandmarkGraph(config, around.renderer, around.new_worker),
+    reads=CountedSubmaps,
+    warm_up=warm_up,
+)
+
+METHOD = Method(
+    "submap_graph",
+    stages={
+        "motion_model": ESTIMATOR,
+        "deskew": DESKEW_BY_TWIST,
+        "matcher": PARTICLE_FILTER,
+        "local_map": COUNTED_SUBMAPS,
+        "graph": LANDMARK_GRAPH,
+        "free_space": OCCUPANCY_TILES,
+    },
+    settings={},
+)

@@ -1,0 +1,192 @@
+"""A Rao-Blackwellised particle filter: every particle is laid on the map that it drew itself.
+
+Sample, weigh, resample, as paper 004 section 1.2; the maps are drawn by CountedSubmaps. A step of a particle
+is drawn from the motion model and then laid on its map: without odometry the sample alone would miss it.
+"""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+
+from service.fusion.motion import Measurement, Prediction
+from service.geometry import poses as se2
+from service.geometry.se2 import SE2, wrap_angle
+from service.kernels.coarse_align import AlignSettings, coarse_align
+from service.kernels.counted_occupancy import weigh_scan
+from service.kernels.likelihood import read_field
+from service.kernels.likelihood_search import LikelihoodLayer, SearchWindow, search_exhaustive
+from service.kernels.particles import normalise_weights, resample
+from service.kernels.pose_information import rotate_information
+from service.mapper.components import Match, Points
+from service.mapper.judgement import JudgementConfig
+from service.mapper.matchers.judged import JudgedMatching, Laid
+from service.mapper.matchers.recovery import search_around, step_of
+from service.mapper.methods.submap_graph.counted_submaps import CountedSubmaps, Particle
+
+SEARCH_STEP_RAD = 0.02  # turns a point at 5 m by two cells
+
+
+class ParticleFilterConfig(JudgementConfig):
+    """How particles are drawn, laid on their maps and weighed."""
+
+    seed: int = Field(default=1, ge=0)
+    align_sigma: float = Field(default=0.5, gt=0.0)  # of 1 - likelihood, against the motion model
+    align_beams: int = Field(default=180, ge=10)
+    align_iterations: int = Field(default=8, ge=0, le=100)
+    likelihood_floor: float = Field(default=0.05, gt=0.0, lt=1.0)
+    likelihood_gain: float = Field(default=0.1, gt=0.0, le=1.0)  # beams are not independent
+    doubt_ratio: float = Field(default=0.85, ge=0.0, le=1.0)  # of the usual likelihood: less is searched for
+    usual_scans: int = Field(default=20, ge=1)  # over which the usual likelihood is taken
+    search_m: float = Field(default=0.5, gt=0.0)  # to each side
+    search_rad: float = Field(default=0.35, gt=0.0)
+    resample_below: float = Field(default=0.5, ge=0.0, le=1.0)  # of the particles still worth something
+    floor_position_m: float = Field(default=0.006, gt=0.0)
+    floor_heading_rad: float = Field(default=0.0015, gt=0.0)
+
+
+class ParticleFilter:
+    """Matcher[CountedSubmaps]. Random numbers come from a counter-based generator with a seed."""
+
+    def __init__(self, config: ParticleFilterConfig) -> None:
+        self._config = config
+        self._matching = JudgedMatching(config)
+        self._random = np.random.Generator(np.random.Philox(key=config.seed))
+        self._align = AlignSettings(config.align_sigma, config.align_beams, config.align_iterations)
+        self._floor = np.diag(
+            [config.floor_position_m**2, config.floor_position_m**2, config.floor_heading_rad**2]
+        )
+        self._last = SE2()  # where the motion model had the base at the scan before
+        self._usual = 1.0  # likelihood of the best particle
+
+    def match(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> Match:
+        """A lost scan neither weighs the particles nor leaves them where it drew them."""
+        log_weights = local_map.log_weights.copy()
+        match = self._matching.match(points, predicted, local_map, self)
+        if match.measured is None:
+            local_map.gather(predicted.pose_odom_base)
+            local_map.log_weights[:] = log_weights
+            normalise_weights(local_map.log_weights, local_map.weights)
+        else:
+            self._resample(local_map)
+        self._last = match.motion.pose_odom_base
+        return match
+
+    def align(
+        self, points: Points, predicted: Prediction, local_map: CountedSubmaps, is_found: bool = False
+    ) -> Laid:
+        """Prediction and scan together: the particles are drawn from the one and weighed by the other."""
+        if is_found:
+            local_map.gather(predicted.pose_odom_base)
+            local_map.log_weights[:] = 0.0
+            self._sample(SE2(), predicted.local_covariance, local_map)
+        else:
+            way = self._last.inverse() @ predicted.pose_odom_base
+            self._sample(way, predicted.local_covariance, local_map)
+        self._lay_or_search(points, predicted, local_map)
+        normalise_weights(local_map.log_weights, local_map.weights)
+        return Laid(self._mean(local_map), points)
+
+    def search(
+        self, points: Points, local_map: CountedSubmaps, pose: SE2, reach: tuple[float, float]
+    ) -> SE2 | None:
+        tiles, field, cell_m = local_map.best.map.likelihood()
+        return search_around(
+            points.xy_base, pose, reach, LikelihoodLayer(tiles, field, 0.0, 0.0, 1.0, cell_m), step_of(reach)
+        )
+
+    def _resample(self, local_map: CountedSubmaps) -> None:
+        count = len(local_map.particles)
+        if 1.0 / float(np.square(local_map.weights).sum()) >= self._config.resample_below * count:
+            return
+        chosen = np.empty(count, np.int64)
+        resample(local_map.weights, float(self._random.random()), chosen)
+        local_map.take_over(chosen)
+
+    def _sample(self, way: SE2, covariance: npt.NDArray[np.float64], local_map: CountedSubmaps) -> None:
+        """Move each particle by a way and an error of it, drawn anew."""
+        step = np.array([way.x_m, way.y_m, way.theta_rad])
+        errors = self._random.standard_normal((len(local_map.particles), 3)) @ _root(covariance).T
+        for particle, error in zip(local_map.particles, errors, strict=True):
+            particle.pose = se2.compose(se2.compose(particle.pose, step), error)
+
+    def _lay_or_search(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> None:
+        """Lay each particle on its map.
+
+        Where that is much less than usual, wheels may have said what is not so: then the best particle's map
+        is searched around, all particles are moved alike, and laid from there.
+        """
+        config = self._config
+        weights = local_map.log_weights.copy()
+        likelihood, best = self._lay(points, predicted, local_map)
+        if likelihood < config.doubt_ratio * self._usual:
+            laid = local_map.log_weights.copy(), [particle.pose for particle in local_map.particles]
+            moved = self._search(points, local_map.particles[best])
+            for particle in local_map.particles:
+                particle.pose = se2.compose(particle.pose, moved)
+            local_map.log_weights[:] = weights
+            found, _ = self._lay(points, predicted, local_map)
+            if found > likelihood:
+                likelihood = found
+            else:
+                local_map.log_weights[:] = laid[0]
+                for particle, pose in zip(local_map.particles, laid[1], strict=True):
+                    particle.pose = pose
+        self._usual += (likelihood - self._usual) / config.usual_scans
+
+    def _search(self, points: Points, particle: Particle) -> npt.NDArray[np.float64]:
+        """How far (3,) from where a particle is its map fits best, in its own axes."""
+        config = self._config
+        xy_base = points.xy_base[:: max(1, len(points.xy_base) // config.align_beams)]
+        tiles, field, cell_m = particle.map.likelihood()
+        half = math.ceil(config.search_m / cell_m)
+        window = SearchWindow(
+            particle.pose, half, half, math.ceil(config.search_rad / SEARCH_STEP_RAD), SEARCH_STEP_RAD
+        )
+        layer = LikelihoodLayer(tiles, field, 0.0, 0.0, 1.0, cell_m)
+        found, _ = search_exhaustive(xy_base, np.ones(len(xy_base), np.float32), layer, window)
+        return se2.between(particle.pose, found.pose)
+
+    def _lay(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> tuple[float, int]:
+        """Lay each particle on its map and weigh it; the mean likelihood of the best, and which it is."""
+        config = self._config
+        information = np.linalg.inv(predicted.local_covariance + 1e-12 * np.eye(3))
+        turned = np.empty((3, 3))
+        stride = max(1, len(points.xy_base) // config.align_beams)
+        values = np.zeros((len(points.xy_base), 3))
+        means = np.empty(len(local_map.particles))
+        for k, particle in enumerate(local_map.particles):
+            field = particle.map.likelihood()
+            start, particle.pose = particle.pose, particle.pose.copy()
+            rotate_information(information, float(start[2]), turned)
+            coarse_align(points.xy_base, start, turned, field, self._align, particle.pose)
+            particle.pose[2] = wrap_angle(float(particle.pose[2]))
+            read_field(points.xy_base, stride, particle.pose, field.tiles, field.field, field.cell_m, values)
+            log_likelihood, means[k] = weigh_scan(values, stride, config.likelihood_floor)
+            local_map.log_weights[k] += config.likelihood_gain * log_likelihood
+        best = int(np.argmax(means))
+        return float(means[best]), best
+
+    def _mean(self, local_map: CountedSubmaps) -> Measurement:
+        poses = np.array([particle.pose for particle in local_map.particles])
+        weights = local_map.weights
+        best = poses[int(np.argmax(weights))]
+        apart = poses - best
+        apart[:, 2] = se2.wrap(apart[:, 2])
+        offset = weights @ apart
+        x_m, y_m, theta_rad = (best + offset).tolist()
+        pose = SE2(x_m, y_m, wrap_angle(theta_rad))
+        spread = np.einsum("k,ki,kj->ij", weights, apart - offset, apart - offset)
+        turn = np.eye(3)
+        c, s = math.cos(theta_rad), math.sin(theta_rad)
+        turn[:2, :2] = [[c, s], [-s, c]]
+        covariance = turn @ spread @ turn.T + self._floor
+        return Measurement(pose, covariance, np.linalg.inv(covariance))
+
+
+def _root(covariance: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """A square root of a covariance, also of one that is singular."""
+    values, axes = np.linalg.eigh(covariance)
+    root: npt.NDArray[np.float64] = axes * np.sqrt(np.maximum(values, 0.0))
+    return root

@@ -1,0 +1,228 @@
+"""Loops in a ring of corridors: found, accepted only in company, taken back when the rest says otherwise."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.geometry.se2 import SE2
+from service.mapper.components import Correction
+from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
+from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
+from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
+from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
+from service.mapper.methods.corridor.graph.loops import Loop
+from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
+from tests.service.mapper.methods.corridor.graph.rings import LENGTH_M, STEP_M, WIDTH_M, key_frames
+
+BATCH = 7
+
+
+@pytest.fixture(scope="module")
+def ring() -> tuple[list[KeyFrame], list[SE2]]:
+    return key_frames(1.4)
+
+
+def fed(
+    frames: list[KeyFrame], config: LoopsConfig | None = None, renders: bool = True
+) -> tuple[LoopBackEnd, list[Result]]:
+    renderer = OccupancyTiles(OccupancyConfig(), 0.05).renderer if renders else None
+    back_end = LoopBackEnd(config or LoopsConfig(), renderer)
+    return back_end, [back_end.work(Batch(frames[k : k + BATCH])) for k in range(0, len(frames), BATCH)]
+
+
+def errors_m(corrections: list[Correction], truth: list[SE2]) -> np.ndarray:
+    away = [true.inverse() @ c.pose_map_base for true, c in zip(truth, corrections, strict=True)]
+    return np.array([np.hypot(e.x_m, e.y_m) for e in away])
+
+
+def seam_m(corrections: list[Correction], truth: list[SE2]) -> np.ndarray:
+    """How far the second round lies off the first, seen from there."""
+    off = []
+    round_frames = round(2.0 * (LENGTH_M + WIDTH_M) / STEP_M)
+    for k in range(20, len(truth) - round_frames - 5, 5):
+        a, b = k, k + round_frames
+        here = corrections[a].pose_map_base.inverse() @ corrections[b].pose_map_base
+        away = (truth[a].inverse() @ truth[b]).inverse() @ here
+        off.append(np.hypot(away.x_m, away.y_m))
+    return np.array(off)
+
+
+def test_a_ring_is_closed_and_the_way_bent_back(ring: tuple[list[KeyFrame], list[SE2]]):
+    frames, truth = ring
+    back_end, results = fed(frames)
+    drifted = [Correction(f.stamp_ns, f.pose_odom_base, f.pose_odom_base) for f in frames]
+    assert seam_m(drifted, truth).min() > 0.5
+    assert results[len(frames) // (2 * BATCH)].loops == 0
+    corrected_live = next(r for r in results if r.newest is not None)
+    assert corrected_live.loops >= 3
+    assert corrected_live.rendered_map is not None
+    finished = back_end.work(Batch([], is_last=True))
+    assert seam_m(list(finished.all), truth).max() < 0.02
+    assert np.median(errors_m(list(finished.all), truth)) < 0.3 * np.median(errors_m(drifted, truth))
+    assert finished.disabled == 0
+    assert finished.g2o.count("VERTEX_SE2") == len(frames)
+    assert finished.g2o.count("EDGE_SE2") >= len(frames) - 1 + finished.loops
+
+
+def test_memory_grows_with_the_area_and_not_with_the_way():
+    frames, truth = key_frames(4.2)
+    back_end, _ = fed(frames, LoopsConfig(keep_passes=2), renders=False)
+    has_points = back_end._keyframes.has_points
+    a_round = round(2.0 * (LENGTH_M + WIDTH_M) / STEP_M)
+    assert has_points[-2 * a_round :].all()
+    assert not has_points[20 : a_round - 20].any()
+    assert has_points.sum() < 3.6 * a_round
+    finished = back_end.work(Batch([], is_last=True))
+    assert seam_m(list(finished.all), truth).max() < 0.02
+    everything, _ = fed(frames, LoopsConfig(keep_passes=100), renders=False)
+    assert everything._keyframes.has_points.all()
+
+
+def test_the_same_batches_give_the_same_result_and_a_pickled_back_end_too(
+    ring: tuple[list[KeyFrame], list[SE2]],
+):
+    frames = ring[0]
+    ends = []
+    for copied in (False, True):
+        back_end = LoopBackEnd(LoopsConfig(), None)
+        back_end = pickle.loads(pickle.dumps(back_end)) if copied else back_end
+        for k in range(0, len(frames), BATCH):
+            back_end.work(Batch(frames[k : k + BATCH]))
+        ends.append(back_end.work(Batch([], is_last=True)))
+    assert ends[0].all == ends[1].all
+    assert ends[0].g2o == ends[1].g2o
+
+
+def test_without_company_no_loop_is_believed(ring: tuple[list[KeyFrame], list[SE2]]):
+    back_end, results = fed(ring[0], LoopsConfig(consensus_span_m=1000.0))
+    assert {result.loops for result in results} == {0}
+    assert back_end.work(Batch([], is_last=True)).loops == 0
+
+
+def test_what_was_never_seen_twice_stays_as_odometry_has_it(ring: tuple[list[KeyFrame], list[SE2]]):
+    frames = ring[0][:100]
+    back_end, results = fed(frames)
+    assert all(result.newest is None for result in results)
+    finished = back_end.work(Batch([], is_last=True))
+    for correction in finished.all:
+        away = correction.pose_odom_base.inverse() @ correction.pose_map_base
+        assert abs(away.x_m) + abs(away.y_m) + abs(away.theta_rad) < 1e-9
+
+
+def test_a_false_loop_that_the_rest_contradicts_is_laid_aside(ring: tuple[list[KeyFrame], list[SE2]]):
+    frames, truth = ring
+    back_end, _ = fed(frames)
+    false = Loop(10, 80, np.array([0.0, 0.3, 0.0]), np.diag([1e-4, 1e-4, 1e-5]), 0.9)
+    back_end._loops.append(false)
+    finished = back_end.work(Batch([], is_last=True))
+    assert finished.disabled >= 1
+    assert false in back_end._disabled
+    assert seam_m(list(finished.all), truth).max() < 0.02
+
+
+def test_who_undoes_the_last_loops_gets_the_way_before_them(ring: tuple[list[KeyFrame], list[SE2]]):
+    back_end, results = fed(ring[0])
+    before = results[-1].loops
+    groups = len(back_end._accepted)
+    for _ in range(groups):
+        result = back_end.work(Batch([], "undo"))
+    assert before > result.loops == 0
+    assert result.newest is not None
+    assert result.newest.pose_map_base.x_m == pytest.approx(result.newest.pose_odom_base.x_m, abs=1e-3)
+
+
+def test_lost_key_frames_are_neither_looked_for_nor_trusted(ring: tuple[list[KeyFrame], list[SE2]]):
+    lost = [replace(frame, is_lost=True) for frame in ring[0]]
+    _, results = fed(lost)
+    assert {result.loops for result in results} == {0}
+
+
+@pytest.mark.parametrize("says_so", [True, False])
+def test_behind_a_doubtful_match_loops_are_looked_for_farther_away(
+    ring: tuple[list[KeyFrame], list[SE2]], says_so: bool
+):
+    """A match half-way was 20 degrees off, as after wheels that froze in a turn."""
+    frames, truth = ring
+    kink = len(frames) // 2
+    before = frames[kink - 1].pose_odom_base
+    turned = [
+        replace(frame, pose_odom_base=before @ SE2(0.0, 0.0, 0.35) @ before.inverse() @ frame.pose_odom_base)
+        for frame in frames[kink:]
+    ]
+    if says_so:
+        turned[0] = replace(turned[0], score=0.5 * turned[0].score)
+    back_end, _ = fed([*frames[:kink], *turned])
+    finished = back_end.work(Batch([], is_last=True))
+    assert bool(seam_m(list(finished.all), truth).max() < 0.05) is says_so
+
+
+def moved(frame: KeyFrame, by: SE2, piece: int, later_ns: int) -> KeyFrame:
+    """The same key frame, in the odom of a piece that began elsewhere."""
+    return replace(
+        frame, stamp_ns=frame.stamp_ns + later_ns, pose_odom_base=by @ frame.pose_odom_base, piece=piece
+    )
+
+
+ELSEWHERE = SE2(30.0, -20.0, 1.0)
+SIDE = round(LENGTH_M / STEP_M)  # key frames along the first side
+
+
+def piece_after(known: list[KeyFrame], frames: list[KeyFrame]) -> list[KeyFrame]:
+    """The frames as a piece whose odom says that it lies elsewhere."""
+    later_ns = known[-1].stamp_ns + 10**8
+    return [moved(frame, ELSEWHERE, 1, later_ns) for frame in frames]
+
+
+def test_a_piece_that_is_found_twice_four_metres_apart_is_joined(
+    ring: tuple[list[KeyFrame], list[SE2]],
+):
+    known = ring[0][:SIDE]
+    again = piece_after(known, known[5:-5])
+    back_end = LoopBackEnd(LoopsConfig(), None)
+    back_end.work(Batch(known))
+    joined_at = []
+    for k in range(0, len(again), 4):
+        result = back_end.work(Batch(again[k : k + 4]))
+        if result.joined:
+            joined_at.append(k)
+            assert result.joined == 1
+            assert result.newest is not None
+    assert len(joined_at) == 1  # and not again
+    assert (joined_at[0] + 4) * STEP_M >= 4.0
+    finished = back_end.work(Batch([], is_last=True))
+    for first, second in zip(finished.all[5:], finished.all[SIDE:], strict=False):
+        away = first.pose_map_base.inverse() @ second.pose_map_base
+        assert np.hypot(away.x_m, away.y_m) < 0.05
+        assert abs(away.theta_rad) < 0.01
+
+
+def test_a_piece_seen_from_one_place_only_is_not_joined(ring: tuple[list[KeyFrame], list[SE2]]):
+    """Standing, a room looks like any other of its kind."""
+    known = ring[0][:SIDE]
+    back_end = LoopBackEnd(LoopsConfig(), None)
+    back_end.work(Batch(known))
+    for k, frame in enumerate(piece_after(known, known[10:11] * 15)):
+        assert not back_end.work(Batch([replace(frame, stamp_ns=frame.stamp_ns + k)])).joined
+
+
+def test_a_piece_that_is_not_joined_is_neither_laid_on_nor_rendered(
+    ring: tuple[list[KeyFrame], list[SE2]],
+):
+    known = ring[0][:SIDE]
+    back_end = LoopBackEnd(LoopsConfig(), OccupancyTiles(OccupancyConfig(), 0.05).renderer)
+    back_end.work(Batch(known))
+    alone = back_end._render()
+    back_end.work(Batch(piece_after(known, known[10:11] * 3)))
+    assert back_end._keyframes.count == SIDE + 3
+    assert back_end._usable().tolist() == [True] * SIDE + [False] * 3
+    rendered = back_end._render()
+    assert alone is not None
+    assert rendered is not None
+    np.testing.assert_array_equal(rendered.evidence, alone.evidence)
+    back_end._joined.add(1)
+    assert back_end._usable().all()
+    both = back_end._render()
+    assert both is not None
+    assert both.evidence.shape != alone.evidence.shape or (both.evidence != alone.evidence).any()

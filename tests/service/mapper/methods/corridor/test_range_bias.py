@@ -1,0 +1,62 @@
+"""A laser whose ranges err by a few centimetres, as those of phase-measuring scanners do in waves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.frames import LaserScan
+from service.mapper.methods.corridor import range_bias
+from service.mapper.methods.corridor.range_bias import NODE_M, NODES, RangeBias
+from service.mapper.profiles import mapping_config
+from simulators.worlds import WORLDS
+from tests.service.mapper.maps.points import square
+from tests.simulated import LMS100_50HZ, Drive, Imu, Wheels, drives, run
+
+RANGE_M = NODE_M * np.arange(NODES)
+
+
+def wave_m(range_m: np.ndarray) -> np.ndarray:
+    return 0.03 * np.sin(np.pi * (range_m - 1.35) / 3.25) ** 2
+
+
+@pytest.fixture(scope="module")
+def honest() -> Drive:
+    """Two sides of the ring."""
+    return drives(WORLDS["ring"](), replace(LMS100_50HZ, rate_hz=12.5), 45.0, [1], Wheels(), Imu())[0]
+
+
+def test_ranges_that_err_in_waves_are_learnt_and_taken_out(honest: Drive) -> None:
+    biased = [
+        replace(frame, range_m=(frame.range_m + wave_m(frame.range_m)).astype(np.float32))
+        if isinstance(frame, LaserScan)
+        else frame
+        for frame in honest.frames
+    ]
+    done = run(mapping_config(), replace(honest, frames=biased))
+    assert done.position_rmse_m < 0.03
+    curve_m = done.mapper._stages.matcher.bias_m("front")
+    known = (RANGE_M >= 1.0) & (RANGE_M <= 4.0)
+    off_m = (curve_m - wave_m(RANGE_M))[known]
+    assert np.std(off_m) < 0.004  # a constant does not show
+    false = np.hypot(*done.errors[:, :2].T) > 0.3
+    assert not any(output.state == "ok" for output, is_off in zip(done.outputs, false, strict=True) if is_off)
+
+
+def test_nothing_much_is_learnt_of_ranges_without_bias(honest: Drive) -> None:
+    done = run(mapping_config(), honest)
+    assert done.position_rmse_m < 0.03
+    curve_m = done.mapper._stages.matcher.bias_m("front")
+    assert np.abs(curve_m[(RANGE_M >= 0.75) & (RANGE_M <= 2.0)]).max() < 0.008
+
+
+def test_the_prior_is_made_once_a_laser_not_with_every_scan(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It takes half as long as all the rest of a scan."""
+    made = []
+    learnt = range_bias._Learnt
+    monkeypatch.setattr(range_bias, "_Learnt", lambda: made.append(learnt()) or made[-1])
+    bias, points = RangeBias(), square()
+    for sensor in ("front", "rear", "front", "front"):
+        same = bias.without(replace(points, scan=replace(points.scan, sensor=sensor)))
+        np.testing.assert_array_equal(same.xy_base, points.xy_base)
+    assert len(made) == 2
