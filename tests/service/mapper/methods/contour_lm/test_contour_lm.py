@@ -9,7 +9,7 @@ import yaml
 from service.mapper.profiles import build_mapper, mapping_config
 from tests.service.mapper.drives import MOUNTING, ROOM, Drive, drive, round_the_room
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[5]
 CONFIG = mapping_config({"profile": "contour_lm"})
 
 

@@ -15,7 +15,7 @@ from service.mapper.profiles import build_mapper, mapping_config
 from service.outputs import MapperOutput
 from tests.service.mapper.drives import MOUNTING, ROOM, Drive, drive, round_the_room
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[5]
 
 
 @pytest.fixture(scope="module")
