@@ -202,6 +202,10 @@ class FreeSpaceMap(Protocol):
         """Tiles that changed since the last call, each with a new version."""
         ...
 
+    def tiles(self) -> list[TileUpdate]:
+        """All tiles as they are now, for who only looks on: changed_tiles gives what it would have given."""
+        ...
+
 
 ReadableMap = TypeVar("ReadableMap", bound=LocalMap)
 ReadableMap_contra = TypeVar("ReadableMap_contra", bound=LocalMap, contravariant=True)

@@ -117,6 +117,10 @@ class Mapper(Generic[ReadableMap]):
         """Tiles of the shown map that changed since the last call."""
         return self._stages.free_space.changed_tiles()
 
+    def tiles(self) -> list[TileUpdate]:
+        """All tiles of the shown map as they are now, for who only looks on."""
+        return self._stages.free_space.tiles()
+
     @property
     def graph(self) -> Graph:
         """To be asked and told; what comes back goes through apply_result and finish of the mapper."""

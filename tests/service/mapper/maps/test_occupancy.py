@@ -55,6 +55,20 @@ def test_only_what_changed_is_handed_out_with_rising_versions() -> None:
     assert not second.cells.flags.writeable
 
 
+def test_who_only_looks_on_changes_nothing_of_what_is_handed_out() -> None:
+    watched, alone = new_map(), new_map()
+    for k in range(6):
+        for shown in (watched, alone):
+            shown.insert(square(2.01, k * SECOND_NS), SE2(0.3 * k, 0.0, 0.0))
+        seen = watched.tiles()
+    handed_out = alone.changed_tiles()
+    for tiles in (seen, watched.changed_tiles(), watched.tiles()):
+        assert [(t.ix, t.iy, t.cells.tolist()) for t in tiles] == [
+            (t.ix, t.iy, t.cells.tolist()) for t in handed_out
+        ]
+    assert alone.changed_tiles() == []
+
+
 def test_handed_out_cells_never_change_afterwards() -> None:
     shown = new_map()
     shown.insert(points_of(np.array([[1.0, 0.01]])), SE2())
