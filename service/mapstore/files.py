@@ -7,7 +7,8 @@
                where mapping can go on, and manifest.json: SHA-256 of these and of itself
 
 A version is written beside the others under a name that nobody reads, synced to the disk, then renamed. So a
-kill or a power cut at any moment leaves the last good one.
+kill or a power cut at any moment leaves the last good one. The newest few are kept, and each that an edit by
+hand made or began with.
 """
 
 import fcntl
@@ -18,7 +19,7 @@ import os
 import re
 import shutil
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +31,7 @@ from service.errors import InputError, StorageError
 from service.geometry.geo_reference import GeoReference
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.annotated import PALETTE, annotated
+from service.mapstore.edits import Edit, Version, edit_from_json, edit_to_json, kept_for_ever
 from service.mapstore.geo_file import GEO_FILE, read_geo, write_geo
 from service.mapstore.graph_files import GRAPH_FILE, link_graph, read_graph, write_graph
 from service.mapstore.picture import picture_of_tiles
@@ -40,8 +42,9 @@ from service.version import VERSION
 
 log = logging.getLogger(__name__)
 
-FORMAT = 2
-READ_FORMATS = (1, 2)  # 1 has no graph: it can be shown and exported, and mapping cannot go on in it
+FORMAT = 3
+# 1 has no graph: it can be shown and exported, and mapping cannot go on in it. 2 has nothing made by hand.
+READ_FORMATS = (1, 2, 3)
 KEEP_VERSIONS = 3
 FOR_OTHERS = ("map.yaml", "map.pgm", "map.png")
 _CONTENT = (*FOR_OTHERS, "tiles.npz")
@@ -60,6 +63,7 @@ class StoredMap:
     problems: list[str]
     geo: GeoReference | None = None  # where it lies on the earth; None: that is not known
     graph: SavedGraph | None = None  # with which mapping goes on; None: it cannot
+    edit: Edit | None = None  # that made this version; None: a session, a replay or a merge did
 
 
 def save_map(
@@ -69,30 +73,80 @@ def save_map(
     about: Mapping[str, str] | None = None,
     geo: GeoReference | None = None,
     graph: SavedGraph | Path | None = None,
+    edit: Edit | None = None,
 ) -> int | None:
     """Store `tiles` as the next version of the map in `folder`; its number, or None where there are no tiles.
 
     saved_ns is Unix time; `about` (vehicle, profile ...), `geo` and `graph` are kept with the map, and
-    KEEP_VERSIONS versions of it. A graph may be the folder in which GraphFolder wrote it.
+    KEEP_VERSIONS versions of it. A graph may be the folder in which GraphFolder wrote it. `edit` says that
+    the version was made by hand.
     Raises StorageError: no room, no rights, another writer; the version before stays what it was.
     """
     if not any(tile.level == 0 for tile in tiles):
         return None
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with _only_writer(folder):
-            return _save(folder, tiles, saved_ns, dict(about or {}), geo, graph)
-    except OSError as error:
-        raise StorageError(
-            f"cannot save the map to {folder}: {error}; the version before is untouched"
-        ) from error
+
+    def write(new: Path) -> list[str]:
+        _write_content(new, tiles, saved_ns, dict(about or {}), geo)
+        names = [*_CONTENT, *([GEO_FILE] if geo is not None else [])]
+        if isinstance(graph, Path):
+            names += link_graph(graph, new)
+        elif graph is not None:
+            names += write_graph(new, graph, folder / _name(max(_versions(folder), default=0)))
+        return names
+
+    return _publish(folder, write, saved_ns, dict(about or {}), edit)
 
 
-def load_map(folder: Path) -> StoredMap:
-    """Read the current version, or the newest one that is whole, with the damage in `problems`.
+def restore_version(folder: Path, number: int, saved_ns: int, edit: Edit) -> int:
+    """Make what version `number` holds the next version, too; its number. saved_ns: Unix time.
+
+    Raises InputError where that version is not there or damaged, StorageError as save_map.
+    """
+    stored = load_map(folder, number)
+    old = folder / _name(number)
+    names = list(_checked_manifest(old)["files"])
+
+    def write(new: Path) -> list[str]:
+        for name in names:
+            os.link(old / name, new / name)
+        return names
+
+    return _publish(folder, write, saved_ns, stored.about, edit)
+
+
+def versions_of(folder: Path) -> tuple[list[Version], int, list[str]]:
+    """The versions by rising number, the number of the current one, and what is damaged of the others.
+
+    Raises InputError where `folder` holds no map that can be read.
+    """
+    versions: list[Version] = []
+    problems: list[str] = []
+    for number in sorted(_versions(folder)):
+        try:
+            manifest = _checked_manifest(folder / _name(number))
+        except InputError as error:
+            problems.append(str(error))
+        else:
+            edit = _edit_of(folder / _name(number), manifest)
+            versions.append(Version(number, manifest["saved_ns"], manifest["about"], edit))
+    if not versions:
+        raise InputError("\n  ".join([f"{folder}: no stored map that can be read", *problems]))
+    at = _number(_by_preference(folder)[0])
+    return versions, at if at in {v.number for v in versions} else versions[-1].number, problems
+
+
+def load_map(folder: Path, number: int | None = None) -> StoredMap:
+    """Read version `number`; None: the current one, or the newest that is whole, with the damage in
+    `problems`.
 
     Raises InputError where there is none.
     """
+    if number is not None:
+        if number not in (there := sorted(_versions(folder))):
+            raise InputError(
+                f"{folder}: no version {number}; there are {', '.join(map(str, there)) or 'none'}"
+            )
+        return _load(folder / _name(number), [])
     problems: list[str] = []
     for name in _by_preference(folder):
         try:
@@ -129,40 +183,68 @@ def is_map_folder(folder: Path) -> bool:
     return folder.is_dir() and bool(_versions(folder))
 
 
-def _save(
+def _publish(
     folder: Path,
-    tiles: Sequence[TileUpdate],
+    write: Callable[[Path], list[str]],
     saved_ns: int,
     about: dict[str, str],
-    geo: GeoReference | None,
-    graph: SavedGraph | Path | None,
+    edit: Edit | None,
+) -> int:
+    """Make a version of what `write` puts into a new folder, and names; its number. Raises StorageError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with _only_writer(folder):
+            return _publish_alone(folder, write, saved_ns, about, edit)
+    except OSError as error:
+        raise StorageError(
+            f"cannot save the map to {folder}: {error}; the version before is untouched"
+        ) from error
+
+
+def _publish_alone(
+    folder: Path,
+    write: Callable[[Path], list[str]],
+    saved_ns: int,
+    about: dict[str, str],
+    edit: Edit | None,
 ) -> int:
     for leftover in folder.glob(_UNFINISHED + "*"):
         _remove(leftover)
-    _point_for_others(folder, FOR_OTHERS if geo is None else (*FOR_OTHERS, GEO_FILE))
+    _point_for_others(folder, FOR_OTHERS)
     number = max(_versions(folder), default=0) + 1
     new = folder / f"{_UNFINISHED}{number}"
     try:
         new.mkdir()
-        _write_content(new, tiles, saved_ns, about, geo)
-        names = [*_CONTENT, *([GEO_FILE] if geo is not None else [])]
-        if isinstance(graph, Path):
-            names += link_graph(graph, new)
-        elif graph is not None:
-            names += write_graph(new, graph, folder / _name(number - 1))
-        _write_manifest(new, names, saved_ns, about)
+        names = write(new)
+        has_geo = GEO_FILE in names
+        if has_geo:
+            _point_for_others(folder, [GEO_FILE])
+        _write_manifest(new, names, saved_ns, about, edit)
         _sync(new)
         new.rename(folder / _name(number))
-    except OSError:
+    except (OSError, StorageError):
         shutil.rmtree(new, ignore_errors=True)
         raise
     _sync(folder)
     _point(folder / "current", _name(number))
-    if geo is None and (folder / GEO_FILE).is_symlink():
+    if not has_geo and (folder / GEO_FILE).is_symlink():
         (folder / GEO_FILE).unlink()
-    for old in sorted(_versions(folder))[:-KEEP_VERSIONS]:
+    for old in _too_old(folder):
         shutil.rmtree(folder / _name(old), ignore_errors=True)  # again with the next save
     return number
+
+
+def _too_old(folder: Path) -> list[int]:
+    """Numbers of the versions that go: neither among the newest, nor made or begun with by an edit.
+
+    One whose manifest cannot be read stays: nobody knows what it was.
+    """
+    old = sorted(_versions(folder))[:-KEEP_VERSIONS]
+    if not old:
+        return []
+    known, _, _ = versions_of(folder)
+    kept = kept_for_ever(known)
+    return [version.number for version in known if version.number in old and version.number not in kept]
 
 
 def _write_content(
@@ -186,12 +268,15 @@ def _write_content(
     write_png(new / "map.png", annotated(picture), PALETTE)
 
 
-def _write_manifest(new: Path, names: Sequence[str], saved_ns: int, about: dict[str, str]) -> None:
+def _write_manifest(
+    new: Path, names: Sequence[str], saved_ns: int, about: dict[str, str], edit: Edit | None
+) -> None:
     manifest = {
         "format": FORMAT,
         "corridor": VERSION,
         "saved_ns": saved_ns,
         "about": about,
+        "edit": None if edit is None else edit_to_json(edit),
         "files": {
             name: {"bytes": (new / name).stat().st_size, "sha256": _sha256(new / name)} for name in names
         },
@@ -229,8 +314,22 @@ def _load(version: Path, problems: list[str]) -> StoredMap:
     geo = read_geo(version / GEO_FILE) if GEO_FILE in manifest["files"] else None
     graph = read_graph(version) if GRAPH_FILE in manifest["files"] else None
     return StoredMap(
-        _number(version.name), manifest["about"], manifest["saved_ns"], tiles, problems, geo, graph
+        _number(version.name),
+        manifest["about"],
+        manifest["saved_ns"],
+        tiles,
+        problems,
+        geo,
+        graph,
+        _edit_of(version, manifest),
     )
+
+
+def _edit_of(version: Path, manifest: Mapping[str, Any]) -> Edit | None:
+    try:
+        return edit_from_json(manifest.get("edit"))
+    except (KeyError, TypeError) as error:
+        raise InputError(f"{version / 'manifest.json'}: its edit is damaged: {error!r}") from error
 
 
 def _checked_manifest(version: Path) -> dict[str, Any]:

@@ -1,0 +1,117 @@
+"""Versions that a person made: kept, listed, taken back one by one."""
+
+import json
+
+import pytest
+
+from service.errors import InputError, StorageError
+from service.mapstore.edits import Edit, undone_by
+from service.mapstore.files import load_map, restore_version, save_map, versions_of
+from tests.service.mapstore.test_graph_files import graph_of
+from tests.service.mapstore.tile_makers import same, tile
+
+
+def edited(folder, value: int, before: int) -> None:
+    edit = Edit("ada", "erase", "erased 4 m2", before)
+    save_map(folder, [tile(0, 0, value, value=value)], value, {"vehicle": "veh1"}, edit=edit)
+
+
+def undo(folder) -> int:
+    versions, current, _ = versions_of(folder)
+    _, back_to = undone_by(versions, current)
+    return restore_version(folder, back_to, 99, Edit("ada", "undo", "", current, back_to))
+
+
+def shown(folder) -> int:
+    return int(load_map(folder).tiles[0].cells[0, 0])
+
+
+def test_an_edit_is_kept_with_who_and_what(tmp_path):
+    save_map(tmp_path, [tile(0, 0, 1)], 7, {"vehicle": "veh1"})
+    edited(tmp_path, 2, 1)
+    versions, current, problems = versions_of(tmp_path)
+    assert (current, problems) == (2, [])
+    assert [version.edit for version in versions] == [None, Edit("ada", "erase", "erased 4 m2", 1)]
+    assert [version.saved_ns for version in versions] == [7, 2]
+    assert load_map(tmp_path).edit == versions[1].edit
+
+
+def test_versions_that_an_edit_made_or_began_with_are_never_thrown_away(tmp_path):
+    for k in (1, 2):
+        save_map(tmp_path, [tile(0, 0, k, value=k)], k)
+    edited(tmp_path, 3, 2)
+    for k in range(4, 12):
+        save_map(tmp_path, [tile(0, 0, k, value=k)], k)
+    versions, current, _ = versions_of(tmp_path)
+    assert [version.number for version in versions] == [2, 3, 9, 10, 11]
+    assert current == 11
+
+
+def test_an_undo_goes_back_edit_by_edit_and_is_itself_a_version(tmp_path):
+    save_map(tmp_path, [tile(0, 0, 1, value=1)], 1)
+    edited(tmp_path, 2, 1)
+    edited(tmp_path, 3, 2)
+    assert undo(tmp_path) == 4
+    assert shown(tmp_path) == 2
+    assert undo(tmp_path) == 5
+    assert shown(tmp_path) == 1
+    with pytest.raises(InputError, match="holds no edit that could be taken back"):
+        undo(tmp_path)
+    edited(tmp_path, 6, 5)
+    assert undo(tmp_path) == 7
+    assert shown(tmp_path) == 1
+    versions, _, _ = versions_of(tmp_path)
+    assert [version.number for version in versions] == [1, 2, 3, 4, 5, 6, 7]
+    assert versions[3].edit == Edit("ada", "undo", "", 3, 2)
+
+
+def test_what_is_restored_is_all_of_the_version(tmp_path):
+    tiles = [tile(0, 0, 3), tile(-1, 2, 4)]
+    save_map(tmp_path, tiles, 1, {"vehicle": "veh1"}, graph=graph_of(5))
+    edited(tmp_path, 2, 1)
+    undo(tmp_path)
+    stored = load_map(tmp_path)
+    assert stored.about == {"vehicle": "veh1"}
+    assert all(same(a, b) for a, b in zip(stored.tiles, tiles, strict=True))
+    assert stored.graph is not None
+    assert len(stored.graph) == 5
+
+
+def test_a_damaged_version_is_not_restored(tmp_path):
+    save_map(tmp_path, [tile(0, 0, 1)], 1)
+    edited(tmp_path, 2, 1)
+    (tmp_path / "v000001" / "tiles.npz").write_bytes(b"")
+    with pytest.raises(InputError, match=r"v000001/tiles\.npz: 0 bytes that are not the"):
+        undo(tmp_path)
+    assert versions_of(tmp_path)[1] == 2
+    with pytest.raises(InputError, match="no version 9; there are 1, 2"):
+        restore_version(tmp_path, 9, 1, Edit("ada", "undo", "", 2, 9))
+
+
+def test_a_version_whose_manifest_nobody_can_read_is_named_and_stays(tmp_path):
+    for k in (1, 2):
+        save_map(tmp_path, [tile(0, 0, k)], k)
+    (tmp_path / "v000001" / "manifest.json").write_text("{}")
+    for k in range(3, 7):
+        save_map(tmp_path, [tile(0, 0, k)], k)
+    versions, _, problems = versions_of(tmp_path)
+    assert [version.number for version in versions] == [4, 5, 6]
+    assert len(problems) == 1
+    assert "v000001/manifest.json" in problems[0]
+
+
+def test_a_changed_edit_is_seen(tmp_path):
+    save_map(tmp_path, [tile(0, 0, 1)], 1)
+    edited(tmp_path, 2, 1)
+    path = tmp_path / "v000002" / "manifest.json"
+    manifest = json.loads(path.read_text())
+    manifest["edit"]["who"] = "eve"
+    path.write_text(json.dumps(manifest))
+    assert "its own checksum" in versions_of(tmp_path)[2][0]
+
+
+def test_a_folder_of_somebody_else_is_left_as_it_is_found(tmp_path):
+    (tmp_path / "map.pgm").write_bytes(b"mine")
+    with pytest.raises(StorageError, match="file of somebody else"):
+        save_map(tmp_path, [tile(0, 0, 1)], 1)
+    assert not list(tmp_path.glob(".unfinished-*"))
