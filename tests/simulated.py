@@ -17,7 +17,7 @@ from service.geometry.se2 import SE2
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import MappingConfig, build_mapper
 from service.outputs import MapperOutput
-from simulators.trajectory import THETA, Spin, plan_drive
+from simulators.trajectory import THETA, Spin, X, Y, plan_drive
 from simulators.truth import LMS100, UTM30LX, LaserModel, LaserTruth, Ride, noise_of
 from simulators.world import World
 
@@ -25,6 +25,7 @@ ODOMETRY_NS = 15_000_000
 IMU_NS = 5_000_000
 ORIGIN = SE2()
 FORWARD = SE2(0.2, 0.0, 0.0)
+MOST_PHASE_M = 0.1  # no cell of a profile is wider
 
 
 @dataclass(frozen=True)
@@ -133,6 +134,22 @@ def begun_at(world: World, heading_rad: float) -> World:
     return replace(
         world, drive=replace(world.drive, nodes=np.vstack([turn.nodes[:-1], nodes]), repeats=False)
     )
+
+
+def phase_m(seed: int) -> tuple[float, float]:
+    """In x and y, 0 to MOST_PHASE_M: the same for a seed in every world."""
+    x_m, y_m = noise_of(seed, "phase", 0).uniform(0.0, MOST_PHASE_M, 2)
+    return float(x_m), float(y_m)
+
+
+def begun_beside(world: World, x_m: float, y_m: float) -> World:
+    """The same drive, moved by this: the map's cells are those of the first scan, so this is where in its
+    cells a wall lies.
+    """
+    nodes = world.drive.nodes.copy()
+    nodes[:, X] += x_m
+    nodes[:, Y] += y_m
+    return replace(world, drive=replace(world.drive, nodes=nodes))
 
 
 def drives(

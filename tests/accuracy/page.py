@@ -3,13 +3,12 @@
 Sections that no scenario writes stay, behind the others.
 """
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from tests.papers.report import Section, below_title
+from tests.papers import report
+from tests.papers.report import Section
 
-TITLE = "## "
 PAGE = Path(__file__).parents[2] / "docs" / "performance.md"
 HEAD = """# Performance of the profile `corridor`
 
@@ -22,19 +21,4 @@ fits best (Sturm et al. 2012); "as is" means without that motion, from the first
 
 def write_page(made: Mapping[str, Section], order: Sequence[str], ran: str) -> None:
     """Replace the sections of the scenarios that were made; `ran` says when and on what. Raises OSError."""
-    sections = _read(PAGE.read_text(encoding="utf-8")) if PAGE.exists() else {}
-    for name, section in made.items():
-        lines = [f"{TITLE}{section.title}", "", f"Scenario `{name}`; {ran}. ", "", *below_title(section)]
-        sections[name] = "\n".join(line.rstrip() for line in lines).rstrip() + "\n"
-    own = [name for name in sections if name.startswith(TITLE)]
-    text = "\n".join([HEAD, *(sections[name] for name in [*order, *own] if name in sections)])
-    PAGE.write_text(text, encoding="utf-8")
-
-
-def _read(text: str) -> dict[str, str]:
-    """The sections of the page as it is, by scenario; by title where no scenario wrote them."""
-    sections = {}
-    for part in re.split(rf"^(?={TITLE})", text, flags=re.MULTILINE)[1:]:
-        named = re.search(r"^Scenario `(\w+)`", part, flags=re.MULTILINE)
-        sections[named[1] if named else part.splitlines()[0]] = part.rstrip() + "\n"
-    return sections
+    report.write_page(PAGE, HEAD, {name: (section, ran) for name, section in made.items()}, order)

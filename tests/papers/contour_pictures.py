@@ -11,17 +11,21 @@ Array = npt.NDArray[np.float64]
 Window = tuple[float, float, float, float]
 
 
-def draw_niches(maps: dict[str, Array], xy_m: Array, cell_m: float, window: Window) -> tuple[str, str]:
+def draw_niches(
+    maps: dict[str, Array], xy_m: Array, cell_m: float, window: Window, seed: int
+) -> tuple[str, str]:
     """A46 A10: likelihoods of the same cells (N, 2) in each map; the window is x0, x1, y0, y1 in m."""
-    caption = "Likelihood in a corridor with niches, dark is 1, m, seed 1 (A46, A10)"
+    caption = f"Likelihood in a corridor with niches, dark is 1, m, seed {seed} (A46, A10)"
     return _stacked("contour-niches.png", maps, xy_m, cell_m, window, caption)
 
 
 def draw_track(
-    name: str, maps: dict[str, Array], xy_m: Array, cell_m: float, window: Window, ids: str
+    name: str, maps: dict[str, Array], xy_m: Array, cell_m: float, window: Window, ids: str, seed: int
 ) -> tuple[str, str]:
     """A48 A49: the printed update with and without decrease."""
-    return _stacked(name, maps, xy_m, cell_m, window, f"The printed update, dark is 1, m, seed 1 ({ids})")
+    return _stacked(
+        name, maps, xy_m, cell_m, window, f"The printed update, dark is 1, m, seed {seed} ({ids})"
+    )
 
 
 def _stacked(

@@ -1,8 +1,9 @@
 """Paper 002 on the simulated library: orthogonal weights against the plain map, closure, check points."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from service.mapper.methods.owolm_eskf.orthogonal_map import OrthogonalMap, Orth
 from service.mapper.profiles import mapping_config
 from simulators.worlds.library import library, library_check_points, library_structure
 from tests.papers.owolm_pictures import draw_maps, draw_overlay, draw_segments
-from tests.papers.report import Row, Section
+from tests.papers.report import Row, Section, told
 from tests.papers.true_poses import true_scans
 from tests.simulated import UTM30LX_40HZ, Drive, Imu, Run, drive, drives, run
 
@@ -46,20 +47,20 @@ class Laid:
         return far_share(self.xy, self.likelihood)
 
 
-def sections(seeds: int) -> Iterable[Section]:
-    rides = drives(library(), UTM30LX_40HZ, LAP_S, list(range(1, seeds + 1)), imu=Imu())  # B1 B2
-    weighed = [_mapped(ride) for ride in rides]
-    plain = [_mapped(ride, PLAIN) for ride in rides]
-    maps = [_aligned(ran) for ran in weighed]
-    maps_plain = [_aligned(ran) for ran in plain]
-    yield _against_plain(weighed, plain, maps, maps_plain)
-    yield _check_points(maps)
-    yield _limits(rides[0])
-    yield _begun_at_an_angle()
+@cache
+def _rides(seeds: Sequence[int]) -> list[Drive]:
+    return drives(library(), UTM30LX_40HZ, LAP_S, seeds, imu=Imu())  # B1 B2
 
 
-def _against_plain(weighed: list[Run], plain: list[Run], maps: list[Laid], maps_plain: list[Laid]) -> Section:
+@cache
+def _weighed(seeds: Sequence[int]) -> list[Run]:
+    return [_mapped(ride) for ride in _rides(seeds)]
+
+
+def _against_plain(seeds: Sequence[int]) -> Section:
     """B28 B29."""
+    weighed, plain = _weighed(seeds), [_mapped(ride, PLAIN) for ride in _rides(seeds)]
+    maps, maps_plain = ([_aligned(ran) for ran in runs] for runs in (weighed, plain))
     far, far_plain = ([laid.far_share for laid in some] for some in (maps, maps_plain))
     closure, closure_plain = ([r.end_error[0] for r in runs] for runs in (weighed, plain))
     shown = {
@@ -82,12 +83,13 @@ def _against_plain(weighed: list[Run], plain: list[Run], maps: list[Laid], maps_
             Row("B29", "position, RMS over the lap", [r.position_rmse_m for r in weighed], "m"),
             Row("B29", "position of the plain map", [r.position_rmse_m for r in plain], "m"),
         ],
-        pictures=[draw_maps(shown, 0.05, SHOWN_M)],
+        pictures=[draw_maps(shown, 0.05, SHOWN_M, seeds[0])],
     )
 
 
-def _check_points(maps: list[Laid]) -> Section:
+def _check_points(seeds: Sequence[int]) -> Section:
     """B30 B34."""
+    maps = [_aligned(ran) for ran in _weighed(seeds)]
     centimetres = [100.0 * laid.residuals_m for laid in maps]
     found = [int(np.isfinite(d).sum()) for d in centimetres]
     median = [float(np.nanmedian(d)) for d in centimetres]
@@ -97,20 +99,21 @@ def _check_points(maps: list[Laid]) -> Section:
         "Corners of the hall, the offices, bookcases and the cabinet, read from the map beside their true "
         "places: x and y are means of the cells along the two walls, 10 to 60 cm from the corner and within "
         "12 cm of the wall, weighed by their likelihood squared. Then translation and rotation are fitted. "
-        "Sides of bookcases are books, not fronts, which is most of points 9 to 16. The table shows seed 1.",
+        "Sides of bookcases are books, not fronts, which is most of points 9 to 16. The table shows seed "
+        f"{seeds[0]}.",
         [
             Row("B30", "corners found of 18", found, "corners", at_least=18, digits=0),
             Row("B30", "median residual", median, "cm", at_most=2.85, digits=2),
             Row("B30", "RMS residual", rms, "cm", at_most=6.5, digits=2),
         ],
         [_table(maps[0].residuals)],
-        [draw_overlay(maps[0].xy, maps[0].likelihood, library_structure(), library_check_points())],
+        [draw_overlay(maps[0].xy, maps[0].likelihood, library_structure(), library_check_points(), seeds[0])],
     )
 
 
-def _limits(ride: Drive) -> Section:
+def _limits(seeds: Sequence[int]) -> Section:
     """B21: what the limits of segments do to the map, at true poses; B23."""
-    scans = list(true_scans(ride, BeamsConfig(), every=4))
+    scans = list(true_scans(_rides(seeds)[0], BeamsConfig(), every=4))
 
     def share(**local_map: Any) -> float:
         config = OrthogonalMapConfig.model_validate({"levels": 1, "insert_inlier_ratio": 0.0, **local_map})
@@ -136,17 +139,18 @@ def _limits(ride: Drive) -> Section:
     picture = draw_segments(xy_m, local_map.segments(xy_m, local_map.gaps(points)))
     return Section(
         "Limits of segments",
-        "The map of seed 1 at true poses (B21): what an error of the poses adds is left out.",
+        "The map at true poses (B21): what an error of the poses adds is left out.",
         tables=["\n".join(lines)],
         pictures=[picture],
+        ran_on=told(seeds[:1]),
     )
 
 
-def _begun_at_an_angle() -> Section:
+def _begun_at_an_angle(seeds: Sequence[int]) -> Section:
     """B18 B3: the same library, begun at an angle to its walls."""
     rows = []
     for heading_deg in TURNED_DEG:
-        ran = _mapped(drive(library(heading_deg), UTM30LX_40HZ, LAP_S, 1, imu=Imu()))
+        ran = _mapped(drive(library(heading_deg), UTM30LX_40HZ, LAP_S, seeds[0], imu=Imu()))
         found_deg = math.degrees(_map_of(ran).pose_axes_odom.theta_rad)
         away_deg = abs((found_deg - heading_deg + 45.0) % 90.0 - 45.0)
         rows += [
@@ -154,7 +158,12 @@ def _begun_at_an_angle() -> Section:
             Row("B18", f"begun at {heading_deg:.0f}°: closure", [ran.end_error[0]], "m", at_most=0.15),
             Row("B18", f"begun at {heading_deg:.0f}°: position, RMS", [ran.position_rmse_m], "m"),
         ]
-    return Section("Begun at an angle", "One lap, seed 1. The map turns its axes along the walls.", rows)
+    return Section(
+        "Begun at an angle",
+        "One lap. The map turns its axes along the walls.",
+        rows,
+        ran_on=told(seeds[:1]),
+    )
 
 
 def _mapped(ride: Drive, local_map: Mapping[str, Any] | None = None) -> Run:
@@ -217,3 +226,11 @@ def _table(residuals: Array) -> str:
     for k, (x, y) in enumerate(100.0 * residuals, start=1):
         lines.append(f"| {k} | {x:.1f} | {y:.1f} | {math.hypot(x, y):.1f} |")
     return "\n".join(lines)
+
+
+SCENARIOS = {
+    "library": _against_plain,
+    "check_points": _check_points,
+    "limits": _limits,
+    "angles": _begun_at_an_angle,
+}

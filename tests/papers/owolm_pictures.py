@@ -30,18 +30,20 @@ def draw_segments(xy_m: Array, segment: npt.NDArray[np.int32]) -> tuple[str, str
 
 
 def draw_maps(
-    maps: dict[str, tuple[Array, Array]], cell_m: float, window: tuple[float, float, float, float]
+    maps: dict[str, tuple[Array, Array]], cell_m: float, window: tuple[float, float, float, float], seed: int
 ) -> tuple[str, str]:
     """B28: the same part of each map; x0, x1, y0, y1 in m."""
     figure, axes = plt.subplots(1, len(maps), figsize=(7.2, 3.6), dpi=90, sharey=True)
     for panel, (name, (xy_m, likelihood)) in zip(axes, maps.items(), strict=True):
         draw_likelihood(panel, xy_m, likelihood, cell_m, window)
         panel.set_title(name, fontsize=8)
-    caption = "Bookcases, and the glass cabinet below them, in both maps, m, seed 1 (B28)"
+    caption = f"Bookcases, and the glass cabinet below them, in both maps, m, seed {seed} (B28)"
     return save(figure, "owolm-maps.png", caption)
 
 
-def draw_overlay(xy_m: Array, likelihood: Array, structure: Array, points: Array) -> tuple[str, str]:
+def draw_overlay(
+    xy_m: Array, likelihood: Array, structure: Array, points: Array, seed: int
+) -> tuple[str, str]:
     """B34: the map, the surveyed walls, crosses and numbers at the check points."""
     figure, panel = plt.subplots(figsize=(7.2, 4.9), dpi=90)
     panel.plot(*xy_m[likelihood > LIKELY].T, ",", color="red")
@@ -52,5 +54,7 @@ def draw_overlay(xy_m: Array, likelihood: Array, structure: Array, points: Array
         panel.annotate(str(number), (x, y), (4, 4), textcoords="offset points", fontsize=8)
     panel.set_aspect("equal")
     panel.tick_params(labelsize=7)
-    caption = "The map (red) fitted to the true building (blue), and the 18 check points, m, seed 1 (B34)"
+    caption = (
+        f"The map (red) fitted to the true building (blue), and the 18 check points, m, seed {seed} (B34)"
+    )
     return save(figure, "owolm-overlay.png", caption)

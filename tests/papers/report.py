@@ -1,11 +1,13 @@
 """What an experiment shows, and how it is written down."""
 
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+TITLE = "## "
 FOLDER = Path(__file__).parents[2] / "docs" / "papers"
 
 
@@ -21,6 +23,7 @@ class Row:
     at_least: float | None = None
     by_worst: bool = False
     digits: int = 3
+    cause: str = ""  # why the bound is missed, in a sentence: told where it is
 
     def __post_init__(self) -> None:
         if not self.unit:
@@ -52,21 +55,38 @@ class Section:
     rows: Sequence[Row] = ()
     tables: Sequence[str] = ()
     pictures: Sequence[tuple[str, str]] = field(default=())  # file name and caption
+    ran_on: str = ""  # "" where it is every seed
 
 
-def per_seed(seeds: int, measure: Callable[[int], float]) -> list[float]:
-    return [measure(seed) for seed in range(1, seeds + 1)]
+def told(seeds: Sequence[int]) -> str:
+    return f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"
 
 
-def write(name: str, heading: str, sections: Sequence[Section]) -> str:
-    """The page of one paper; also its text, for the terminal. Raises OSError."""
-    lines = [f"# {heading}", "", "Made by `make papers`.", ""]
-    for section in sections:
-        lines += [f"## {section.title}", "", *below_title(section)]
-    text = "\n".join(lines).rstrip() + "\n"
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    (FOLDER / f"{name}.md").write_text(text, encoding="utf-8")
+Scenario = Callable[[Sequence[int]], Section]  # from the seeds
+
+
+def write_page(path: Path, head: str, made: Mapping[str, tuple[Section, str]], order: Sequence[str]) -> str:
+    """Replace the sections of the scenarios that were made, each with what it ran on; the others stay, and
+    those that no scenario wrote stay behind them. Returns the page's text. Raises OSError.
+    """
+    sections = _read(path.read_text(encoding="utf-8")) if path.exists() else {}
+    for name, (section, ran) in made.items():
+        lines = [f"{TITLE}{section.title}", "", f"Scenario `{name}`; {ran}.", "", *below_title(section)]
+        sections[name] = "\n".join(line.rstrip() for line in lines).rstrip() + "\n"
+    own = [name for name in sections if name.startswith(TITLE)]
+    text = "\n".join([head, *(sections[name] for name in [*order, *own] if name in sections)])
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
     return text
+
+
+def _read(text: str) -> dict[str, str]:
+    """The sections of a page as it is, by scenario; by title where no scenario wrote them."""
+    sections = {}
+    for part in re.split(rf"^(?={TITLE})", text, flags=re.MULTILINE)[1:]:
+        named = re.search(r"^Scenario `(\w+)`", part, flags=re.MULTILINE)
+        sections[named[1] if named else part.splitlines()[0]] = part.rstrip() + "\n"
+    return sections
 
 
 def below_title(section: Section) -> list[str]:
@@ -95,6 +115,6 @@ def _cells(row: Row) -> tuple[str, ...]:
         bound = f"≥ {row.at_least:g} {row.unit}"
     if bound and row.by_worst:
         bound += " every seed"
-    met = {None: "", True: "yes", False: "**no**"}[row.met]
+    met = {None: "", True: "yes", False: f"**no**: {row.cause}" if row.cause else "**no**"}[row.met]
     median, worst = (f"{value:.{row.digits}f} {row.unit}" for value in (row.median, row.worst))
     return row.ids, row.what, median, worst, bound, met

@@ -1,8 +1,9 @@
 """Paper 004: one precision in worlds of 300, 2000 and 12 000 m2; a single map beside. It has no figures."""
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from simulators.worlds.floor import floor
 from simulators.worlds.mall import mall
 from simulators.worlds.office import office
 from tests.papers.pictures import draw_scale, end_points, plt, save
-from tests.papers.report import Row, Section
+from tests.papers.report import Row, Section, told
 from tests.simulated import FORWARD, LMS100_50HZ, Drive, Laser, Wheels, drive
 
 CHECK_POINTS = 20
@@ -24,7 +25,7 @@ CART = Laser(LMS100_50HZ.model, 541, 5.0, -135.0, 0.5)  # every tenth sweep
 
 
 @dataclass(frozen=True)
-class CandidateSubmap:
+class Place:
     name: str
     area_m2: int
     world: Callable[[], World]
@@ -34,9 +35,9 @@ class CandidateSubmap:
 
 
 PLACES = (
-    CandidateSubmap("office", 300, office, 60.0, 5),
-    CandidateSubmap("floor", 2000, floor, 260.0, 2),
-    CandidateSubmap("mall", 12_000, mall, 1250.0, 1, particles=3),
+    Place("office", 300, office, 60.0, 5),
+    Place("floor", 2000, floor, 260.0, 2),
+    Place("mall", 12_000, mall, 1250.0, 1, particles=3),
 )
 
 
@@ -50,17 +51,22 @@ class Mapped:
     poses: dict[int, SE2]  # by stamp, in the map
 
 
-def sections(seeds: int) -> Iterable[Section]:
+Outcomes = tuple[list[Drive], list[Mapped]]
+
+
+@cache
+def mapped(place: Place, seeds: Sequence[int]) -> Outcomes:
+    driven = [
+        drive(place.world(), CART, place.seconds, seed, Wheels(scale=1.01, turn_scale=1.01)) for seed in seeds
+    ]
+    return driven, [run(what, {"particles": place.particles}) for what in driven]
+
+
+def precision(seeds: Sequence[int]) -> Section:
+    """D19."""
     rows: list[Row] = []
-    largest: tuple[list[Drive], list[Mapped]] = ([], [])
     for place in PLACES:
-        count = min(seeds, place.seeds)
-        drives = [
-            drive(place.world(), CART, place.seconds, seed, Wheels(scale=1.01, turn_scale=1.01))
-            for seed in range(1, count + 1)
-        ]
-        found = [run(what, {"particles": place.particles}) for what in drives]
-        largest = drives, found
+        found = mapped(place, seeds[: place.seeds])[1]
         what = f"{place.name}, {place.area_m2} m2"
         rows += [
             Row(
@@ -69,7 +75,7 @@ def sections(seeds: int) -> Iterable[Section]:
             Row("D19", f"{what}: worst distance between two", distances(found), "m", 0.10, by_worst=True),
             Row("", f"{what}: CPU a scan", [one.scan_ms for one in found], "ms", digits=1),
         ]
-    yield Section(
+    return Section(
         "One precision from 300 to 12 000 m2",
         "A cart with an LMS100 at 5 sweeps a second, wheels 1 % off, 10 particles; in the mall 3. "
         f"{CHECK_POINTS} key poses spread over the drive are compared with the truth after a rigid fit, "
@@ -77,20 +83,20 @@ def sections(seeds: int) -> Iterable[Section]:
         "take minutes.",
         rows,
     )
-    yield against_single(*largest)
 
 
-def against_single(drives: Sequence[Drive], submaps: Sequence[Mapped]) -> Section:
+def against_single(seeds: Sequence[int]) -> Section:
     """D18, D20: the mall as one map that is never closed and never corrected, beside the sub-maps."""
+    drives, submaps = mapped(PLACES[-1], seeds[: PLACES[-1].seeds])
     single = [run(what, {"particles": PLACES[-1].particles, "length_m": 1e6}, graph=False) for what in drives]
     ratios = [one.worst_m / ours.worst_m for one, ours in zip(single, submaps, strict=True)]
     figure, panels = plt.subplots(1, 2, figsize=(7.2, 3.4), dpi=80)
-    for panel, title, mapped in zip(panels, ("one map", "sub-maps"), (single[0], submaps[0]), strict=True):
+    for panel, title, one in zip(panels, ("one map", "sub-maps"), (single[0], submaps[0]), strict=True):
         scans = [frame for frame in drives[0].frames if isinstance(frame, LaserScan)]
         points = [
-            end_points(scan, mapped.poses[scan.stamp_ns] @ FORWARD)
+            end_points(scan, one.poses[scan.stamp_ns] @ FORWARD)
             for scan in scans[::5]
-            if scan.stamp_ns in mapped.poses
+            if scan.stamp_ns in one.poses
         ]
         panel.plot(*np.concatenate(points)[::3].T, "k,", alpha=0.15)
         panel.set_title(title, fontsize=8)
@@ -108,6 +114,7 @@ def against_single(drives: Sequence[Drive], submaps: Sequence[Mapped]) -> Sectio
             Row("", "mall, one map: CPU a scan", [one.scan_ms for one in single], "ms", digits=1),
         ],
         pictures=[save(figure, "submap-graph-mall.png", caption)],
+        ran_on=told(seeds[: PLACES[-1].seeds]),
     )
 
 
@@ -160,3 +167,6 @@ def fitted(xy: np.ndarray, truth: np.ndarray) -> np.ndarray:
     c, s = np.cos(turn), np.sin(turn)
     laid: np.ndarray = a @ np.array([[c, s], [-s, c]]) + truth.mean(axis=0)
     return laid
+
+
+SCENARIOS = {"precision": precision, "one_map": against_single}

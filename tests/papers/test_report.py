@@ -1,0 +1,40 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.papers.report import Row, Section, below_title, told, write_page
+
+MISSED = Row("A1", "error", [7.0], "mm", at_most=5.0, cause="the wall is glass")
+
+
+def test_a_missed_bound_says_why_and_one_that_is_met_does_not():
+    lines = below_title(Section("Cold", "", [MISSED, Row("A1", "error", [4.0], "mm", 5.0, cause="none")]))
+    assert lines[4].endswith("| **no**: the wall is glass |")
+    assert lines[5].endswith("| yes |")
+
+
+def test_a_section_says_what_it_ran_on_and_the_others_stay(tmp_path):
+    page = tmp_path / "new" / "paper.md"
+    both = {"b": (Section("Second", "Old."), told([3])), "a": (Section("First", "Stays."), told([11, 12]))}
+    write_page(page, "# Paper\n", both, ["a", "b"])
+    write_page(page, "# Paper\n", {"b": (Section("Second", "New."), "recordings")}, ["a", "b"])
+    assert page.read_text() == (
+        "# Paper\n\n## First\n\nScenario `a`; seeds 11 to 12.\n\nStays.\n"
+        "\n## Second\n\nScenario `b`; recordings.\n\nNew.\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told_so"),
+    [
+        (["--seeds", "0"], "--seeds 0 --first-seed 11: there must be one seed at least"),
+        (["--only", "imle", "--scenario", "lobby"], "--scenario lobby: known here are room,"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_before_anything_is(arguments, told_so):
+    command = [sys.executable, "-m", "tests.papers", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).parents[2], timeout=60)
+    assert done.returncode == 2
+    assert told_so in done.stderr
