@@ -99,8 +99,25 @@ def mark_unseen(level, protect_count, cells):
 
 @njit(cache=True, nogil=True)
 def kept_rising(highest, settings):
-    """Share of its likelihood that a cell keeps where it is brought nearer to a scan. Source: eq. 14."""
+    """Share of its old likelihood that a cell keeps while it rises. Source: paper 000, eq. 14: 1 - w_u."""
     return (1.0 - settings.rate * (1.0 + settings.control * highest)) ** settings.scans
+
+
+@njit(cache=True, nogil=True)
+def kept_falling(highest, settings):
+    """Share of its old likelihood that a cell keeps while it falls. Source: paper 000, eq. 16: 1 - w_d."""
+    return (1.0 - settings.rate / (1.0 + settings.control * highest)) ** settings.scans
+
+
+@njit(cache=True, nogil=True)
+def averaged(likelihood, highest, value, settings):
+    """Likelihood of a cell beside a hit one, brought nearer to what the scan gives it.
+
+    Noise hits a wall now in this cell, now in the one beside it: with the rise rate the one beside would fall
+    16 times as fast as where nothing is seen (tau = 3), so upwards at w_u, downwards at w_d.
+    """
+    kept = kept_rising(highest, settings) if value > likelihood else kept_falling(highest, settings)
+    return kept * likelihood + (1.0 - kept) * value
 
 
 @njit(cache=True, nogil=True)
@@ -117,7 +134,7 @@ def increase(likelihood, highest, value, settings):
 @njit(cache=True, nogil=True)
 def decrease(likelihood, highest, settings):
     """Likelihood of a cell that nothing was seen in. Source: paper 000, eqs. 15 and 16."""
-    return (1.0 - settings.rate / (1.0 + settings.control * highest)) ** settings.scans * likelihood
+    return kept_falling(highest, settings) * likelihood
 
 
 @njit(cache=True, nogil=True)
@@ -196,7 +213,7 @@ def learn_scan(level, settings, cells):
     cells      ScanCells         from blur_scan and mark_passed or mark_unseen, all rows present
     A cell that was never seen takes the scan's own likelihood, as the whole map does at the first scan.
     Others are increased where hit, decreased where passed, and where only blurred interpolated between those
-    (as printed) or brought nearer to the scan's own likelihood.
+    (as printed) or brought nearer to the scan's own likelihood, upwards and downwards at their own rates.
     Source: paper 000, section 2.4, eqs. 13 to 18.
     """
     for k in range(cells.rows[0]):
@@ -224,8 +241,7 @@ def learn_scan(level, settings, cells):
         if settings.is_printed:
             new = interpolated(level, k, old, value, settings, cells)
         else:
-            kept = kept_rising(np.float64(level.highest[slot, r, q]), settings)
-            new = kept * old + (1.0 - kept) * value
+            new = averaged(old, np.float64(level.highest[slot, r, q]), value, settings)
         store(level, slot, r, q, new, settings.scans if settings.counts_blur else 0)
 
 

@@ -138,12 +138,27 @@ def test_a_full_cell_fades_to_a_tenth_in_920_scans() -> None:  # A48
     assert at(level.likelihood, level, 0, 0) == pytest.approx(0.1, abs=0.002)
 
 
-def test_averaging_settles_at_what_the_scans_say() -> None:
+def test_averaging_rises_and_falls_at_the_rates_of_the_paper_and_settles_at_what_scans_say() -> None:
     level = empty_level()
     see(level, HIT, 1.0, AVERAGED)
-    for _ in range(500):
+    see(level, BLURRED, 0.4, AVERAGED)
+    fallen = 1.0 - 0.01 / (1.0 + 3.0) * (1.0 - 0.4)  # eq. 16
+    assert at(level.likelihood, level, 0, 0) == pytest.approx(fallen, rel=1e-6)
+    for _ in range(4000):
         see(level, BLURRED, 0.4, AVERAGED)
     assert at(level.likelihood, level, 0, 0) == pytest.approx(0.4, abs=1e-3)
+    see(level, BLURRED, 0.9, AVERAGED)
+    risen = 0.4 + 0.01 * (1.0 + 3.0) * (0.9 - 0.4)  # eq. 14
+    assert at(level.likelihood, level, 0, 0) == pytest.approx(risen, abs=1e-3)
+
+
+def test_a_wall_on_the_border_of_two_cells_stays() -> None:  # A48 A49
+    """Noise hits now one of them, now the other; the likelier one is what a match finds."""
+    noise = np.random.default_rng(4)
+    level = empty_level()
+    for hit in noise.random(2000) < 0.5:
+        see(level, HIT if hit else BLURRED, 0.95 if hit else 0.6, AVERAGED)
+    assert at(level.likelihood, level, 0, 0) > 0.97
 
 
 @pytest.mark.parametrize("bounded", [True, False])
