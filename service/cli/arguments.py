@@ -122,6 +122,13 @@ def _add_offline(commands: Any) -> None:
         metavar="N",
         help="so many files at the same time (default: 1)",
     )
+    replay.add_argument(
+        "--web",
+        action="store_true",
+        help="show the map on the operator's page as it grows, until Ctrl-C; the result is the same",
+    )
+    replay.add_argument("--paused", action="store_true", help="with --web: begin when the page says so")
+    _add_listen(replay)
 
     import_ = commands.add_parser("import", help="a foreign log to a session")
     kinds = import_.add_subparsers(dest="kind", metavar="KIND", required=True)
@@ -163,12 +170,7 @@ def _add_offline(commands: Any) -> None:
 
     view = _add(commands, "view", "a stored map or a replay's result on the operator's page, until Ctrl-C")
     view.add_argument("source", type=Path, metavar="RESULT|MAP", help="the folder of either")
-    view.add_argument(
-        "--listen",
-        default="127.0.0.1:8080",
-        metavar="HOST:PORT",
-        help="where the page is served (default: 127.0.0.1:8080; port 0: any free one)",
-    )
+    _add_listen(view)
 
     score = _add(commands, "score", "a trajectory against the truth: ATE, RPE, closure, relations")
     score.add_argument("estimate", type=Path, metavar="EST.tum")
@@ -279,6 +281,15 @@ def _add_config(parser: argparse.ArgumentParser) -> None:
     given.add_argument("config", type=Path, nargs="?", metavar="CONFIG.yaml")
     given.add_argument(
         "--config", type=Path, dest="config_option", metavar="CONFIG.yaml", help=argparse.SUPPRESS
+    )
+
+
+def _add_listen(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--listen",
+        default="127.0.0.1:8080",
+        metavar="HOST:PORT",
+        help="where the page is served (default: 127.0.0.1:8080; port 0: any free one)",
     )
 
 

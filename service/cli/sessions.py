@@ -3,12 +3,18 @@
 import argparse
 import sys
 import threading
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from service.cli.console import print_report, print_result, print_table, progress
 from service.errors import UsageError
+from service.interruption import leave_signals_alone
 from service.kernel_cache import ensure_cache_dir
+
+if TYPE_CHECKING:
+    from service.offline.replay_page import ReplayPage
 
 
 def replay(parsed: argparse.Namespace) -> int:
@@ -22,18 +28,55 @@ def replay(parsed: argparse.Namespace) -> int:
     options = ReplayOptions(
         parsed.config, parsed.profile, parsed.rate, parsed.map, parsed.localize, parsed.from_raw
     )
-    with progress("mapping") as shown:
-        summaries = replay_all(sessions, options, folders, parsed.jobs, shown)
-    told = [summary | {"out": str(out)} for summary, out in zip(summaries, folders, strict=True)]
-    if not parsed.json:
-        print_table(_table(told))
-    elif len(told) == 1:
-        print_result(told[0], as_json=True)
-    else:
-        print_result(
-            {str(session[0]): one for session, one in zip(sessions, told, strict=True)}, as_json=True
-        )
+    with _page_of(parsed, sessions) as page:
+        with progress("mapping") as shown:
+            summaries = replay_all(sessions, options, folders, parsed.jobs, shown, page)
+        told = [summary | {"out": str(out)} for summary, out in zip(summaries, folders, strict=True)]
+        if not parsed.json:
+            print_table(_table(told))
+        elif len(told) == 1:
+            print_result(told[0], as_json=True)
+        else:
+            print_result(
+                {str(session[0]): one for session, one in zip(sessions, told, strict=True)}, as_json=True
+            )
+        if page is not None:
+            sys.stdout.flush()
+            leave_signals_alone()  # all is written: from here on Ctrl-C is how one leaves
+            with suppress(KeyboardInterrupt):
+                print(f"{page.address} stays until Ctrl-C", file=sys.stderr, flush=True)
+                threading.Event().wait()
     return 0
+
+
+@contextmanager
+def _page_of(parsed: argparse.Namespace, sessions: Sequence[Sequence[Path]]) -> Iterator["ReplayPage | None"]:
+    """The page that shows the replay, None where none is asked for."""
+    if not parsed.web:
+        if parsed.paused:
+            raise UsageError("--paused: the page is where it is begun; give --web, too")
+        yield None
+        return
+    from service.offline.replay_page import ReplayPage
+
+    if parsed.jobs > 1 and len(sessions) > 1:
+        raise UsageError("--web shows one recording after the other; leave --jobs out")
+    _check_listen(parsed.listen)
+    page = ReplayPage(parsed.listen, sessions[0][0].stem, parsed.rate, parsed.paused)
+    try:
+        print(f"The map, live: {page.address}", file=sys.stderr, flush=True)
+        yield page
+    finally:
+        page.close()
+
+
+def _check_listen(listen: str) -> None:
+    from service.web.config import split_listen
+
+    try:
+        split_listen(listen)
+    except ValueError as error:
+        raise UsageError(f"--listen {listen}: {error}") from error
 
 
 def _table(summaries: Sequence[dict[str, Any]]) -> list[list[str]]:
@@ -87,12 +130,8 @@ def export(parsed: argparse.Namespace) -> int:
 
 def view(parsed: argparse.Namespace) -> int:
     from service.offline.view import open_view
-    from service.web.config import split_listen
 
-    try:
-        split_listen(parsed.listen)
-    except ValueError as error:
-        raise UsageError(f"--listen {parsed.listen}: {error}") from error
+    _check_listen(parsed.listen)
     server = open_view(parsed.source, parsed.listen)
     try:
         print_result({"source": str(parsed.source), "address": server.address}, parsed.json)

@@ -58,6 +58,7 @@ from service.mapstore.picture import picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
 from service.offline.geo_export import write_world_file
+from service.offline.pace import Unwatched, Watch
 from service.offline.raw_replay import FROM_RAW, remake_frames
 from service.offline.trajectory import write_tum
 from service.outputs import MapperOutput, TileUpdate
@@ -158,15 +159,16 @@ def replay_all(
     folders: Sequence[Path],
     jobs: int,
     progress: Progress,
+    watch: Watch | None = None,
 ) -> list[dict[str, Any]]:
     """Replay each session and write what `write_replay` says to its folder; their summaries, in order.
 
-    With `jobs` above 1 so many at a time, each in a process of its own. Raises InputError, ConfigError,
-    StorageError of the first that fails.
+    With `jobs` above 1 so many at a time, each in a process of its own; then nobody can watch. Raises
+    InputError, ConfigError, StorageError of the first that fails.
     """
     if jobs == 1 or len(sessions) == 1:
         return [
-            _replay_to(session, options, folder, _part_of(progress, k, len(sessions)))
+            _replay_to(session, options, folder, _part_of(progress, k, len(sessions)), watch)
             for k, (session, folder) in enumerate(zip(sessions, folders, strict=True))
         ]
     # spawn: a forked child would inherit locks of numba's and of threads that it does not have
@@ -182,11 +184,15 @@ def replay_all(
 
 
 def replay(
-    paths: Sequence[Path], options: ReplayOptions, progress: Progress = lambda share, phase: None
+    paths: Sequence[Path],
+    options: ReplayOptions,
+    progress: Progress = lambda share, phase: None,
+    watch: Watch | None = None,
 ) -> Replay:
     """Map one recording. Raises InputError, ConfigError where the config cannot be used, and StorageError."""
+    watch = watch or Unwatched(options.rate)
     if options.from_raw:
-        return _replay_from_raw(paths, options, progress)
+        return _replay_from_raw(paths, options, progress, watch)
     session = open_session(paths)
     for note in session.notes:
         log.info("%s", note)
@@ -221,19 +227,21 @@ def replay(
         if not new:
             return
         progress(None, CLOSING)
+        watch.closing()
         finished = mapper.finish()
         poses.extend(corrected(new, finished.corrections))
         tiles, g2o, geo = mapper.changed_tiles(), finished.g2o, mapper.geo_reference
         saved = finished.update.saved
         graph = saved if isinstance(saved, SavedGraph) else None
+        watch.finished(tiles, poses[-len(new) :])
 
+    watch.begin(session, mapper, poses_base_sensor)
     recording = session.recording
     span_ns = max(recording.last_log_ns - recording.first_log_ns, 1)
     left_out: dict[str, LeftOut] = {}  # what live came to the next frame of a sensor
-    pace = _Pace(options.rate)
     began_s = time.monotonic()
     for step in session.steps():
-        pace.wait_for(step.arrived_ns)
+        watch.wait_for(step.arrived_ns)
         if isinstance(step, SessionRequest):
             if step.action == "reset_map":
                 finish_map()
@@ -256,11 +264,12 @@ def replay(
             continue
         before_ns, before_cpu_ns = time.perf_counter_ns(), time.thread_time_ns()
         output = mapper.process(step)
-        if output is not None:
+        if output is not None and isinstance(step, LaserScan):
             scan_cpu_ns.append(time.thread_time_ns() - before_cpu_ns)
             scan_ns.append(time.perf_counter_ns() - before_ns)
             states[output.state] += 1
             outputs.append(output)
+            watch.mapped(step, output)
             progress((step.arrived_ns - recording.first_log_ns) / span_ns, MAPPING)
     progress(1.0, MAPPING)
     finish_map()
@@ -304,11 +313,13 @@ def replay(
     return Replay(outputs, poses, tiles, g2o, summary, session.notes, geo, graph)
 
 
-def _replay_from_raw(paths: Sequence[Path], options: ReplayOptions, progress: Progress) -> Replay:
+def _replay_from_raw(
+    paths: Sequence[Path], options: ReplayOptions, progress: Progress, watch: Watch
+) -> Replay:
     with TemporaryDirectory(prefix="corridor-") as folder:
         made = Path(folder) / paths[0].name
         remade = remake_frames(paths, options.config, made, lambda share: progress(share, REMAKING))
-        done = replay([made], replace(options, from_raw=False), progress)
+        done = replay([made], replace(options, from_raw=False), progress, watch)
     done.summary[FROM_RAW] = {name: asdict(counts) for name, counts in remade.items()}
     return done
 
@@ -355,23 +366,6 @@ def _store_map(done: Replay, folder: Path) -> None:
     if done.graph is not None and len(done.graph):
         about = {"profile": str(done.summary["profile"])}
         save_map(folder, done.tiles, done.outputs[-1].stamp_ns, about, done.geo, done.graph)
-
-
-class _Pace:
-    """Keeps log time and the clock in step, `rate` seconds of log time a second."""
-
-    def __init__(self, rate: float) -> None:
-        self._rate = rate
-        self._start: tuple[float, int] | None = None
-
-    def wait_for(self, log_ns: int) -> None:
-        if self._rate == 0.0:
-            return
-        if self._start is None:
-            self._start = (time.monotonic(), log_ns)
-        due_s = self._start[0] + (log_ns - self._start[1]) / 1e9 / self._rate
-        if (ahead_s := due_s - time.monotonic()) > 0.0:
-            time.sleep(ahead_s)
 
 
 def _request(mapper: MappingSession, request: GraphRequest) -> None:
@@ -451,8 +445,9 @@ def _replay_to(
     options: ReplayOptions,
     out: Path,
     progress: Progress = lambda share, phase: None,
+    watch: Watch | None = None,
 ) -> dict[str, Any]:
-    done = replay(session, options, progress)
+    done = replay(session, options, progress, watch)
     write_replay(done, out)
     return done.summary
 

@@ -42,12 +42,17 @@ def open_view(source: Path, listen: str) -> WebServer:
     now_ns = time.time_ns()
     state = Status("mapping", OK, words, {"state": "stored"})
     server.put(encode_diagnostics("diagnostics", [state], now_ns, now_ns))
+    start_serving(server)
+    return server
+
+
+def start_serving(server: WebServer) -> None:
+    """Raises StorageError where the page cannot be served; the server is closed then."""
     server.start()
     if not server.wait_served(SERVED_WITHIN_S):
         words = server.health().message
         server.close()
         raise StorageError(f"{words}; give another address with --listen, 127.0.0.1:0 takes any free port")
-    return server
 
 
 def tiles_of_grid(grid: Grid) -> list[TileUpdate]:

@@ -41,6 +41,7 @@ UNTOLD = (
     "scan_passed_over",
     "frame_refused",
 )  # events that are counted in health, many a second
+MOST_WAYS = 200  # that wait to be shown
 PATH_STEP_M = 0.05
 MOST_PATH_POINTS = 20_000  # 1 km at 5 cm; then every second point goes
 
@@ -85,6 +86,8 @@ class _Streams:
     newest: dict[str, Message] = field(default_factory=dict)
     events: deque[Message] = field(default_factory=lambda: deque(maxlen=MOST_EVENTS))
     latencies_ns: deque[int] = field(default_factory=lambda: deque(maxlen=1000))
+    path: FloatArray | None = None  # in place of the path so far
+    way: deque[FloatArray] = field(default_factory=lambda: deque(maxlen=MOST_WAYS))  # behind it
 
 
 class LiveView:
@@ -126,7 +129,7 @@ class LiveView:
         """What every browser should get now."""
         now_ns = self._monotonic_ns()
         came = self._take(now_ns)
-        shown: list[Shown] = []
+        shown = self._show_way(came)
         for channel, message in came.newest.items():
             try:
                 shown += self._show(channel, message)
@@ -154,9 +157,15 @@ class LiveView:
         ]
 
     def put_path(self, points_map: FloatArray) -> None:
-        """Take a way that was driven before; (N, 2), m, map frame. Before the first `due`."""
-        for x_m, y_m in points_map.tolist():
-            self._path.add(x_m, y_m)
+        """Take a way in place of the path so far; (N, 2), m, map frame. From any thread."""
+        with self._lock:
+            self._came.path = points_map
+            self._came.way.clear()
+
+    def put_way(self, points_map: FloatArray) -> None:
+        """Take a piece of way behind the path so far; (N, 2), m, map frame. From any thread."""
+        with self._lock:
+            self._came.way.append(points_map)
 
     def map_reset(self) -> Shown:
         """The map begins anew, and with it the path."""
@@ -177,6 +186,19 @@ class LiveView:
                 if channel.endswith("/scan"):
                     self._scan_due_ns[channel] = now_ns + SCAN_PERIOD_NS
         return came
+
+    def _show_way(self, came: _Streams) -> list[Shown]:
+        shown = []
+        if came.path is not None:
+            self._path.clear()
+            for x_m, y_m in came.path.tolist():
+                self._path.add(x_m, y_m)
+            shown.append(Shown("path", self._path.payload()))
+        for way in came.way:
+            for x_m, y_m in way.tolist():
+                self._path.add(x_m, y_m)
+            shown.append(Shown("", encode_path(way, goes_on=True)))
+        return shown
 
     def _show(self, channel: str, message: Message) -> list[Shown]:
         sensor, _, kind = channel.rpartition("/")

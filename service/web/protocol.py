@@ -6,7 +6,8 @@ To the browser, text is JSON with a "type"; binary begins with a kind:
             count x (i32 ix, i32 iy) and count x tile_cells^2 x i8 (-1 unknown, 0..100 per cent occupied)
     SCAN    u8 2, u8 name_bytes, u16 beams, f64 stamp_s (Unix), f32 first_angle_rad, f32 angle_step_rad,
             f32 beam_interval_s, the name in UTF-8, then beams x u16 in RANGE_STEP_M, 0 = no return
-    PATH    u8 3, u8 0, u16 0, u32 count, count x (f32 x_m, f32 y_m), map frame
+    PATH    u8 3, u8 how, u16 0, u32 count, count x (f32 x_m, f32 y_m), map frame;
+            how 0: in place of the path so far, 1: behind it
 
 All little-endian. From the browser only text comes: see `Asked`.
 """
@@ -157,9 +158,9 @@ def encode_scan(scan: LaserScan) -> bytes:
     return header + name + ranges.tobytes()
 
 
-def encode_path(points_map: FloatArray) -> bytes:
-    """points_map: (N, 2), m."""
-    return struct.pack("<BBHI", PATH, 0, 0, len(points_map)) + points_map.astype("<f4").tobytes()
+def encode_path(points_map: FloatArray, goes_on: bool = False) -> bytes:
+    """points_map: (N, 2), m. goes_on: they lie behind the path so far."""
+    return struct.pack("<BBHI", PATH, goes_on, 0, len(points_map)) + points_map.astype("<f4").tobytes()
 
 
 def _finite(value: Any) -> Any:

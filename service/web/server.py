@@ -133,8 +133,12 @@ class WebServer:
         self._view.put(message, origin_ns)
 
     def put_path(self, points_map: FloatArray) -> None:
-        """Show a way that was driven before; (N, 2), m, map frame. Before `start`."""
+        """Show this way in place of what was driven; (N, 2), m, map frame."""
         self._view.put_path(points_map)
+
+    def put_way(self, points_map: FloatArray) -> None:
+        """Show that this was driven, too: a way between two poses of which not all are put; (N, 2), m."""
+        self._view.put_way(points_map)
 
     def health(self) -> Status:
         values = {

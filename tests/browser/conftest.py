@@ -53,6 +53,10 @@ class Page:
             "return document.getElementById(arguments[0]).textContent.includes(arguments[1])", name, text
         )
 
+    def wait_for_answers(self) -> None:
+        """Until every command of the page is answered."""
+        self.wait_for("return corridor.connection.waiting.size === 0")
+
     def choose(self, area: str) -> None:
         self.element(f"tab-{area}").click()
 

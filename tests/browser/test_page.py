@@ -2,12 +2,14 @@ import json
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
+import numpy as np
 import pytest
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 
+from service.encoding import Status, encode_diagnostics
 from tests.browser.conftest import DESKTOP, PHONE
-from tests.browser.scene import event
+from tests.browser.scene import event, stamp
 from tests.service.web.conftest import TOKEN
 
 
@@ -222,3 +224,52 @@ def test_axe_finds_nothing_serious(page, live, axe, size, is_dark):
         assert serious == []
         assert len(result["passes"]) > 10
     page.resize(DESKTOP)
+
+
+def replaying(scene, seconds, **values):
+    """Health of a replay of 100 s."""
+    told = {"state": "replaying", "position_s": f"{seconds:.2f}", "duration_s": "100.00", "rate": "4",
+            "speed": "3.9", **values}  # fmt: skip
+    return encode_diagnostics("diagnostics", [Status("replay", 0, "", told)], stamp(seconds), stamp(seconds))
+
+
+def test_a_replay_is_steered_from_its_strip(page, scene, live, desk):
+    assert not page.element("replay").is_displayed()
+    live.put(replaying(scene, 20.0))
+    page.wait_for_text("replay-time", "0:20 min of 1:40 min")
+    assert page.element("replay").is_displayed()
+    assert "3.9 times real time" in page.text("replay-note")
+    assert page.run("return document.getElementById('replay-rate').selectedOptions[0].text") == "4 times"
+    page.element("replay-toggle").click()
+    page.element("replay-step").click()
+    page.run(
+        "const r = document.getElementById('replay-rate'); r.value = '0';"
+        "r.dispatchEvent(new Event('change'))",
+    )
+    page.run(
+        "const s = document.getElementById('replay-position'); s.value = '50';"
+        "s.dispatchEvent(new Event('input')); s.dispatchEvent(new Event('change'))"
+    )
+    live.put(replaying(scene, 50.0, state="paused"))
+    page.wait_for_text("replay-time", "0:50 min of 1:40 min")
+    page.wait_for_text("replay-toggle", "Go on")
+    page.element("replay-toggle").click()
+    page.wait_for_answers()
+    assert asked(desk) == [
+        ("replay_pause", {}),
+        ("replay_go_to", {"position_s": 21}),
+        ("replay_rate", {"rate": 0}),
+        ("replay_go_to", {"position_s": 50}),
+        ("replay_resume", {}),
+    ]
+    live.put(replaying(scene, 100.0, state="finished"))
+    page.wait_for_text("replay-note", "finished")
+    assert not page.element("replay-toggle").is_enabled()
+
+
+def test_the_path_goes_on_where_a_replay_leaves_poses_out(page, scene, live):
+    before = page.report()["pathPoints"]
+    live.put_way(np.array([[1.0, 1.0], [2.0, 1.0], [3.0, 1.0]], np.float32))
+    page.wait_for("return corridor.report().pathPoints === arguments[0]", before + 3)
+    live.put_path(np.array([[5.0, 1.0], [6.0, 1.0]], np.float32))
+    page.wait_for("return corridor.report().pathPoints === 2")

@@ -75,9 +75,11 @@ export class Control {
     this.mark.disabled = !may || !this.isRecording;
   }
 
-  async ask(verb, request = {}) {
+  /** quietly: what was done can be seen elsewhere; only a refusal is said. */
+  async ask(verb, request = {}, { quietly = false } = {}) {
     const answer = await this.connection.command(verb, request);
-    const label = this.buttons.get(verb)?.textContent.replace("\u2026", "") ?? verb;
+    const label = this.buttons.get(verb)?.textContent.replace("\u2026", "") ?? (quietly ? "Replay" : verb);
+    if (answer.ok && quietly) return answer;
     if (answer.ok) notice(`${label}: done${words(answer)}.`, "ok");
     else notice(`${label}: ${answer.error}.`, "error");
     return answer;

@@ -58,6 +58,9 @@ export class Information {
     this.#sensors(health);
     this.#recording(byName.get("recording"), byName.get("map"), health.stamp_s);
     this.#parts(health.statuses);
+    // A replay and a stored map have no devices.
+    const isLive = !byName.has("replay") && byName.get("mapping")?.values.state !== "stored";
+    for (const { node } of [this.sensors, this.recording, this.latency, this.events]) node.hidden = !isLive;
   }
 
   putLatency({ point }) {
@@ -84,9 +87,10 @@ export class Information {
     setText(this.words, mapping.message === "ok" ? "Everything is well." : mapping.message);
     this.pose.set({
       "Agreement with the map": figure(values.inlier_ratio && 100 * values.inlier_ratio, 0, " %"),
-      "Scans mapped a second": figure(values.scan_rate_hz, 1),
-      "Scans not mapped": values.scans_dropped ?? "\u2013",
-      "Processor a scan, median": figure(values.scan_cpu_ms_p50, 1, " ms"),
+      "Scans mapped": values.scans ?? null, // of a replay, which has no rate of its own
+      "Scans mapped a second": values.scans ? null : figure(values.scan_rate_hz, 1),
+      "Scans not mapped": values.scans ? null : values.scans_dropped ?? "\u2013",
+      "Processor a scan, median": values.scans ? null : figure(values.scan_cpu_ms_p50, 1, " ms"),
       "Loops closed": values.loop_closures ?? null,
     });
   }

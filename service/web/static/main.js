@@ -7,6 +7,7 @@ import { fixed } from "./format.js";
 import { Gestures } from "./gestures.js";
 import { Information, LEVELS } from "./information.js";
 import { MapView, scaleBar } from "./map_view.js";
+import { setUpReplay } from "./replay.js";
 import { Resources } from "./resources.js";
 import { chooseTab, setUpTabs } from "./tabs.js";
 import { setUpTheme } from "./theme.js";
@@ -20,7 +21,7 @@ let tool = null, runId = "", isOpen = false, poseTimer = null, health = null;
 
 const connection = new Connection({
   open: () => { isOpen = true; showState(); },
-  closed: () => { isOpen = false; showState(); control.update(); },
+  closed: () => { isOpen = false; showState(); control.update(); replay.update(); },
   hello: (hello) => {
     if (hello.run_id !== runId) view.clear();
     runId = hello.run_id;
@@ -32,6 +33,7 @@ const connection = new Connection({
   verbs: (message) => control.putVerbs(message),
   access: (access) => {
     control.putAccess(access);
+    replay.update();
     if (!byId("resources").hidden) resources.refresh();
   },
   refused: ({ error }) => console.error(error),
@@ -51,6 +53,7 @@ const connection = new Connection({
     health = message;
     information.putHealth(message);
     control.putHealth(message);
+    replay.putHealth(message);
     showState();
   },
   latency: (message) => information.putLatency(message),
@@ -62,6 +65,7 @@ const control = new Control(byId("control"), connection, (done) => setTool(new P
   setTool(null);
   done(pose);
 })));
+const replay = setUpReplay(connection, (verb, request) => control.ask(verb, request, { quietly: true }));
 const resources = new Resources(byId("resources"), connection);
 byId("tab-resources").addEventListener("click", () => resources.refresh());
 const gestures = new Gestures(byId("map"), view, () => tool, () => showFollow());

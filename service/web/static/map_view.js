@@ -83,8 +83,8 @@ export class MapView {
     this.invalidate();
   }
 
-  putPath({ points }) {
-    this.path = Array.from(points);
+  putPath({ points, goesOn = false }) {
+    this.path = goesOn ? this.path.concat(Array.from(points)) : Array.from(points);
     this.invalidate();
   }
 

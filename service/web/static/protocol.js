@@ -36,6 +36,7 @@ const decodeScan = (view) => {
 
 const decodePath = (view) => ({
   type: "path",
+  goesOn: view.getUint8(1) === 1, // it lies behind the path so far
   points: new Float32Array(view.buffer, 8, 2 * view.getUint32(4, true)),
 });
 

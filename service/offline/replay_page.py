@@ -1,0 +1,269 @@
+"""The operator's page of a replay: the map as it grows, and controls for the pace.
+
+It looks on: it draws nothing from the mapper that would be missing elsewhere, so what a replay writes is the
+same with and without it. Pictures are made in the thread that maps, ten a second at most.
+"""
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from drivers.frames import LaserScan
+from service.encoding import (
+    ERROR,
+    OK,
+    WARNING,
+    Status,
+    encode_diagnostics,
+    encode_frame,
+    encode_pose,
+    encode_tf_static,
+)
+from service.geometry.se2 import SE2
+from service.mapper.mapping_session import MappingSession
+from service.mapstore.tiles import TileStore
+from service.offline.pace import Pace
+from service.offline.view import start_serving
+from service.outputs import UNKNOWN, MapperOutput, TileUpdate
+from service.publishing.commands import Answer, refusal
+from service.recording.mcap_source import Session
+from service.web.access import new_token
+from service.web.config import WebConfig
+from service.web.server import About, WebServer
+
+PICTURE_S = 0.1  # pose and scans
+STATUS_S = 0.5
+TILES_S = 0.5
+LEAST_REST = 20.0  # looking at all tiles may take a share of 1 / LEAST_REST of the time
+VERBS = ("replay_pause", "replay_resume", "replay_rate", "replay_go_to")
+_LEVELS = {"ok": OK, "degraded": WARNING, "lost": ERROR}
+
+
+class NothingAsked(BaseModel):
+    """Of replay_pause and replay_resume."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class RateAsked(BaseModel):
+    """Seconds of the recording a second; 0: as fast as it goes."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    rate: Annotated[float, Field(ge=0.0, le=10_000.0)]
+
+
+class GoToAsked(BaseModel):
+    """Seconds since the beginning of the recording."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    position_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+
+
+class ReplayPage:
+    """A Watch that serves the page from its construction until `close`.
+
+    listen      as web.listen in a config
+    name        what the page says that it shows
+    rate        as of Pace
+
+    Raises StorageError where the page cannot be served.
+    """
+
+    def __init__(self, listen: str, name: str, rate: float, is_paused: bool = False) -> None:
+        self._pace = Pace(rate, is_paused)
+        self._store = TileStore()
+        self._shown: dict[tuple[int, int], TileUpdate] = {}  # as the store has them
+        self._session: Session | None = None
+        self._mapper: MappingSession | None = None
+        self._log_ns = 0  # of the step that is taken
+        self._output: MapperOutput | None = None  # the newest
+        self._scans: dict[str, LaserScan] = {}  # the newest of each laser
+        self._way: list[tuple[float, float]] = []  # driven since the last picture
+        self._phase = "starting"  # replaying, closing loops, finished
+        self._picture_due_s = self._status_due_s = self._tiles_due_s = 0.0
+        self._speed_from: tuple[float, int] | None = None  # moment and log time of the last status
+        self._token = new_token()
+        about = About(name, "", lambda: VERBS)
+        self._server = WebServer(WebConfig(listen=listen), about, self._store, self._answer, self._token)
+        start_serving(self._server)
+
+    @property
+    def address(self) -> str:
+        """With the token, which the controls need."""
+        return f"{self._server.address}#token={self._token}"
+
+    def close(self) -> None:
+        self._server.close()
+
+    def begin(self, session: Session, mapper: MappingSession, poses_base_sensor: Mapping[str, SE2]) -> None:
+        self._session, self._mapper = session, mapper
+        self._begin_map()
+        self._log_ns = session.recording.first_log_ns
+        self._phase = "replaying"
+        self._server.put(encode_tf_static(poses_base_sensor, self._log_ns, self._log_ns))
+        self._tell_status()
+
+    def wait_for(self, log_ns: int) -> None:
+        self._log_ns = log_ns
+        self._pace.wait_for(log_ns, self._show_all)
+
+    def mapped(self, scan: LaserScan, output: MapperOutput) -> None:
+        if self._phase == "finished":
+            self._begin_map()
+            self._phase = "replaying"
+        self._output, self._scans[scan.sensor] = output, scan
+        pose = output.pose_map_base
+        self._way.append((pose.x_m, pose.y_m))
+        now_s = time.monotonic()
+        if now_s < self._picture_due_s:
+            return
+        self._show_picture(now_s)
+        if now_s >= self._status_due_s:
+            self._tell_status()
+        if now_s >= self._tiles_due_s:
+            self._show_tiles()
+
+    def closing(self) -> None:
+        self._show_all()
+        self._phase = "closing loops"
+        self._tell_status()
+
+    def finished(self, tiles: Sequence[TileUpdate], poses_map_base: Sequence[SE2]) -> None:
+        self._take_tiles(tiles)
+        self._server.put_path(np.array([(p.x_m, p.y_m) for p in poses_map_base], np.float32).reshape(-1, 2))
+        self._way.clear()
+        self._phase = "finished"
+        self._tell_status()
+
+    def _begin_map(self) -> None:
+        self._take_tiles([])
+        self._server.put_path(np.empty((0, 2), np.float32))
+        self._way.clear()
+        self._scans.clear()
+        self._output = None
+
+    def _show_all(self) -> None:
+        """Before it stands still: all that there is up to here."""
+        self._show_picture(time.monotonic())
+        self._show_tiles()
+        self._tell_status()
+
+    def _show_picture(self, now_s: float) -> None:
+        self._picture_due_s = now_s + PICTURE_S
+        if self._output is None:
+            return
+        self._server.put_way(np.array(self._way, np.float32).reshape(-1, 2))
+        self._way.clear()
+        for scan in self._scans.values():
+            self._server.put(encode_frame(scan, log_ns=self._log_ns))
+        self._server.put(encode_pose(self._output, self._log_ns))
+
+    def _show_tiles(self) -> None:
+        if self._mapper is None or self._output is None:
+            return
+        began_s = time.monotonic()
+        self._take_tiles(self._mapper.tiles())
+        now_s = time.monotonic()
+        self._tiles_due_s = now_s + max(TILES_S, LEAST_REST * (now_s - began_s))
+
+    def _take_tiles(self, tiles: Sequence[TileUpdate]) -> None:
+        """Hand on what differs from what is shown; a tile that is not there any more becomes unknown."""
+        present = {(tile.ix, tile.iy): tile for tile in tiles}
+        changed = [tile for key, tile in present.items() if not _is_same(self._shown.get(key), tile)]
+        changed += [
+            replace(tile, cells=np.full_like(tile.cells, UNKNOWN))
+            for key, tile in self._shown.items()
+            if key not in present
+        ]
+        first = self._store.version + 1
+        self._store.update(replace(tile, version=version) for version, tile in enumerate(changed, first))
+        self._shown = present
+
+    def _tell_status(self) -> None:
+        assert self._session is not None
+        self._status_due_s = time.monotonic() + STATUS_S
+        rows = [self._mapping_status(), self._replay_status(self._session)]
+        self._server.put(encode_diagnostics("diagnostics", rows, self._log_ns, self._log_ns))
+
+    def _mapping_status(self) -> Status:
+        counters = {} if self._mapper is None else self._mapper.counters
+        values = {
+            "state": "waiting",
+            "scans": str(counters.get("scans", 0)),
+            "loop_closures": str(counters.get("loop_closures", 0)),
+        }
+        if self._output is None:
+            return Status("mapping", WARNING, "no scan is mapped yet", values)
+        state = self._output.state
+        values |= {"state": state, "inlier_ratio": f"{self._output.inlier_ratio:.3f}"}
+        if self._phase == "finished":
+            words = f"finished: {values['scans']} scans mapped, {values['loop_closures']} loops closed"
+            return Status("mapping", OK, words, values | {"state": "finished"})
+        return Status("mapping", _LEVELS[state], self._output.reason or state, values)
+
+    def _replay_status(self, session: Session) -> Status:
+        recording, pace = session.recording, self._pace
+        state = self._phase
+        if state == "replaying" and pace.is_paused:
+            state = "paused"
+        values = {
+            "state": state,
+            "recording": Path(recording.paths[0]).name,
+            "position_s": f"{self._position_s():.2f}",
+            "duration_s": f"{(recording.last_log_ns - recording.first_log_ns) / 1e9:.2f}",
+            "rate": f"{pace.rate:g}",
+            "speed": f"{self._speed():.1f}",
+        }
+        return Status("replay", OK, state, values)
+
+    def _speed(self) -> float:
+        """Seconds of the recording a second, since the last status."""
+        now = time.monotonic(), self._log_ns
+        before, self._speed_from = self._speed_from or now, now
+        return (now[1] - before[1]) / 1e9 / max(now[0] - before[0], 1e-3)
+
+    def _position_s(self) -> float:
+        first_ns = self._log_ns if self._session is None else self._session.recording.first_log_ns
+        return max(self._log_ns - first_ns, 0) / 1e9
+
+    def _answer(self, verb: str, payload: bytes) -> Answer:
+        """From a thread of the page."""
+        if verb not in VERBS:
+            return refusal(f"this is a replay; it knows {', '.join(VERBS)}")
+        if self._session is None or self._phase in ("closing loops", "finished"):
+            return refusal(f"the replay is {self._phase}")
+        try:
+            return self._carry_out(verb, payload, self._session.recording.first_log_ns)
+        except ValidationError as error:
+            fault = error.errors(include_url=False, include_input=False)[0]
+            return refusal(f"{verb}: {'.'.join(map(str, fault['loc']))}: {fault['msg']}")
+
+    def _carry_out(self, verb: str, payload: bytes, first_ns: int) -> Answer:
+        match verb:
+            case "replay_rate":
+                self._pace.set_rate(RateAsked.model_validate_json(payload, strict=True).rate)
+            case "replay_go_to":
+                asked = GoToAsked.model_validate_json(payload, strict=True)
+                if asked.position_s < (now_s := self._position_s()):
+                    return refusal(
+                        f"the replay is at {now_s:.1f} s and goes forward only; replay the recording again "
+                        "to see what was before"
+                    )
+                self._pace.go_to(first_ns + round(asked.position_s * 1e9))
+            case _:
+                NothingAsked.model_validate_json(payload, strict=True)
+                act: Callable[[], Any] = self._pace.pause if verb == "replay_pause" else self._pace.resume
+                act()
+        return Answer(True, json.dumps({"ok": True, "position_s": round(self._position_s(), 3)}).encode())
+
+
+def _is_same(shown: TileUpdate | None, tile: TileUpdate) -> bool:
+    return shown is not None and np.array_equal(shown.cells, tile.cells)
