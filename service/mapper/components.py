@@ -97,6 +97,8 @@ class RenderedMap:
     tile_row: npt.NDArray[np.int64]  # (T,)
     tile_column: npt.NDArray[np.int64]  # (T,)
     evidence: npt.NDArray[np.int8]  # (T, W, W) of the free-space map that drew it
+    wall_cells: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    # (K, 2) row and column of the cells in which a person has drawn a wall: no beam clears them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,6 +108,25 @@ class ScanToRender:
     xy_base: npt.NDArray[np.float32]  # (N, 2) m
     sensor_xy_m: tuple[float, float]  # in the base frame
     pose_map_base: SE2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AreaToErase:
+    """An area, m in the map, in which a person has taken away what was drawn up to here."""
+
+    corners_map: npt.NDArray[np.float64]  # (C, 2)
+    is_free: bool  # it is known to be free then; else it is unknown
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WallToRender:
+    """A wall that a person has drawn, which stands whatever beams say."""
+
+    corners_map: npt.NDArray[np.float64]  # (C, 2) m in the map, a line through these
+    erased_map: Sequence[npt.NDArray[np.float64]] = ()  # (C, 2) each: areas in which it is erased again
+
+
+ToRender = ScanToRender | AreaToErase | WallToRender
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,7 +202,9 @@ class KnownMap(LocalMap, Protocol):
 class MapRenderer(Protocol):
     """Draws the shown map from scratch, elsewhere: can be pickled."""
 
-    def render(self, scans: Iterable[ScanToRender]) -> RenderedMap: ...
+    def render(self, drawn: Iterable[ToRender]) -> RenderedMap:
+        """One after the other; walls stand over all."""
+        ...
 
 
 class FreeSpaceMap(Protocol):

@@ -1,13 +1,14 @@
 """What a graph needs to go on in a later session: its key frames, and the loops between them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from service.geometry.poses import Floats
+from service.mapper.by_hand import ByHand
 
 POINT_STEP_M = 0.001  # of the stored coordinates: a tenth of what a range errs by
 NORMAL_STEP = 1e-4  # of the stored normals and their weight
@@ -53,6 +54,7 @@ class SavedGraph:
     loop_measured: Floats  # (L, 3) the second seen from the first
     loop_covariance: Floats  # (L, 3, 3) in the axes of the second
     loop_score: Floats  # (L,) inlier ratio
+    by_hand: ByHand = field(default_factory=ByHand)
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
@@ -82,12 +84,18 @@ class SavedGraph:
             raise SavedGraphError(f"loop_ends names key frames that are not among the {n} here")
         if (self.point_count < 0).any():
             raise SavedGraphError("point_count is negative")
+        if problem := self.by_hand.problem(n):
+            raise SavedGraphError(problem)
         return self
+
+
+_ELSEWHERE = ("xy_base", "normals", "by_hand")  # fields that are no small arrays
+_SMALL = [f.name for f in fields(SavedGraph) if f.name not in _ELSEWHERE]
 
 
 def small_arrays(graph: SavedGraph) -> dict[str, npt.NDArray[Any]]:
     """All but the points, by name."""
-    return {f.name: getattr(graph, f.name) for f in fields(graph) if f.name not in ("xy_base", "normals")}
+    return {name: getattr(graph, name) for name in _SMALL} | graph.by_hand.arrays()
 
 
 def packed_points(graph: SavedGraph, first: int, last: int) -> dict[str, npt.NDArray[Any]]:
@@ -110,7 +118,8 @@ def from_arrays(
         graph = SavedGraph(
             xy_base=(np.concatenate(xy) * POINT_STEP_M).astype(np.float32),
             normals=(np.concatenate(normals) * NORMAL_STEP).astype(np.float32),
-            **{f.name: small[f.name] for f in fields(SavedGraph) if f.name not in ("xy_base", "normals")},
+            by_hand=ByHand.from_arrays(small),
+            **{name: small[name] for name in _SMALL},
         )
     except (KeyError, ValueError, TypeError) as error:
         raise SavedGraphError(f"arrays that are no graph: {error}") from error

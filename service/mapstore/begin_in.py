@@ -4,6 +4,7 @@ import logging
 from pathlib import Path
 
 from service.errors import ConfigError, InputError
+from service.mapper.drawn_by_hand import walls_of
 from service.mapper.maps.occupancy import rendered_of
 from service.mapper.profiles import BeginIn, MappingConfig, begins_in_stored
 from service.mapstore.files import load_map
@@ -34,6 +35,7 @@ def begin_in(folder: Path, config: MappingConfig) -> BeginIn:
             f"{folder}: its cells are of {found} m, the config has mapping.cell_m {config.cell_m:g}"
         )
     try:
-        return BeginIn(stored.graph, rendered_of(stored.tiles), stored.geo)
+        walls = walls_of(stored.graph.by_hand, stored.graph.map)
+        return BeginIn(stored.graph, rendered_of(stored.tiles, walls), stored.geo)
     except ValueError as error:
         raise InputError(f"{folder}: {error}") from error

@@ -10,17 +10,27 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.geometry.grid import TileRange, tiles_of
+from service.geometry.polygons import Cells, cells_along, cells_inside, centres_of, is_inside
 from service.geometry.se2 import SE2
 from service.kernels.occupancy import (
     TILE_BITS,
     TILE_CELLS,
+    TILE_MASK,
     Evidence,
     OccupancyGrid,
     to_per_cent,
     trace_scan,
     write_tiles,
 )
-from service.mapper.components import Points, RenderedMap, ScanToRender
+from service.kernels.tiles import NO_TILE
+from service.mapper.components import (
+    AreaToErase,
+    Points,
+    RenderedMap,
+    ScanToRender,
+    ToRender,
+    WallToRender,
+)
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
 from service.outputs import UNKNOWN, TileUpdate
 
@@ -49,6 +59,8 @@ EVIDENCE = Evidence(
     -round(MOST_LOG_ODDS / STEP_LOG_ODDS),
     round(MOST_LOG_ODDS / STEP_LOG_ODDS),
 )
+SHOWN_LEAST, SHOWN_MOST = 3, 97  # per cent: what the most evidence of both signs shows
+NO_CELLS: Cells = np.zeros((0, 2), np.int64)
 DRAWN_AT_ONCE = 2  # scans of before a correction, with each new one
 
 
@@ -70,6 +82,7 @@ class Canvas:
             capacity,
         )
         self.tiles = TileMap(self.pool)
+        self._walls: _CellsByTile = []  # drawn by a person
         self._scan_number = 0
 
     def draw(self, xy_base: npt.NDArray[np.float64], sensor_xy_m: tuple[float, float], pose: SE2) -> None:
@@ -97,16 +110,57 @@ class Canvas:
             np.uint16(self._scan_number),
         )
 
-    def draw_again(self, scans: Iterable[ScanToRender]) -> None:
-        for scan in scans:
-            self.draw(scan.xy_base.astype(np.float64), scan.sensor_xy_m, scan.pose_map_base)
+    def draw_again(self, drawn: Iterable[ToRender]) -> None:
+        for one in drawn:
+            match one:
+                case ScanToRender():
+                    self.draw(one.xy_base.astype(np.float64), one.sensor_xy_m, one.pose_map_base)
+                case AreaToErase():
+                    inside = cells_inside(one.corners_map, self._cell_m)
+                    self._fill(_by_tile(inside), self._evidence.least if one.is_free else 0)
+                case WallToRender():
+                    self.set_walls(np.concatenate((self.wall_cells, cells_of_wall(one, self._cell_m))))
+
+    @property
+    def wall_cells(self) -> Cells:
+        """Where walls stand that a person has drawn."""
+        return np.concatenate((NO_CELLS, *(cells for _, _, cells in self._walls)))
+
+    def set_walls(self, cells: Cells) -> None:
+        """Let walls stand in these cells and no others, whatever beams say from now on."""
+        self._walls = _by_tile(cells)
+
+    def stand_walls(self) -> None:
+        """Put walls up that beams have weakened since."""
+        self._fill(self._walls, self._evidence.most)
+
+    def _fill(self, cells_by_tile: "_CellsByTile", value: int) -> None:
+        for row, column, cells in cells_by_tile:
+            self.tiles.cover(TileRange(row, column, row, column))
+            slot = self._slot_of(row, column)
+            evidence, _, changed = self.pool.arrays
+            at = slot, cells[:, 0] & TILE_MASK, cells[:, 1] & TILE_MASK
+            if (evidence[at] != value).any():
+                evidence[at] = value
+                changed[slot] = 1
+
+    def _slot_of(self, row: int, column: int) -> int:
+        place = (row - int(self.tiles.origin[0]), column - int(self.tiles.origin[1]))
+        if (slot := int(self.tiles.slots[place])) != NO_TILE:
+            return slot
+        slot, used_before = self.tiles.take(row, column)
+        if used_before:
+            for layer in self.pool.arrays[:2]:
+                layer[slot] = 0
+        return slot
 
     def rendered_map(self) -> RenderedMap:
         """A copy of all there is."""
         tiles = np.array(self.tiles.tiles(), np.int64).reshape(-1, 3)
         # Contiguous, as they come out of another process: else the kernel that lays them is compiled twice.
         row, column = np.ascontiguousarray(tiles[:, 0]), np.ascontiguousarray(tiles[:, 1])
-        return RenderedMap(row, column, self.pool.arrays[0][tiles[:, 2]])  # type: ignore[arg-type]
+        evidence = self.pool.arrays[0][tiles[:, 2]]
+        return RenderedMap(row, column, evidence, self.wall_cells)  # type: ignore[arg-type]
 
     def replace_by(self, rendered_map: RenderedMap) -> None:
         if len(rendered_map.tile_row):
@@ -119,10 +173,29 @@ class Canvas:
                 )
             )
         write_tiles(rendered_map.tile_row, rendered_map.tile_column, rendered_map.evidence, self.grid())
+        self.set_walls(rendered_map.wall_cells)
+        self.stand_walls()
 
     def grid(self) -> OccupancyGrid:
         evidence, touched, changed = self.pool.arrays
         return OccupancyGrid(self.tiles.index(), evidence, touched, changed, self._cell_m)  # type: ignore[arg-type]
+
+
+_CellsByTile = list[tuple[int, int, Cells]]  # row and column of the tile, and cells in it
+
+
+def cells_of_wall(wall: WallToRender, cell_m: float) -> Cells:
+    """(K, 2) row and column."""
+    cells = cells_along(wall.corners_map, cell_m)
+    for corners in wall.erased_map:
+        cells = cells[~is_inside(centres_of(cells, cell_m), corners)]
+    return cells
+
+
+def _by_tile(cells: Cells) -> _CellsByTile:
+    cells = np.unique(cells, axis=0)
+    tiles, tile_of = np.unique(cells >> TILE_BITS, axis=0, return_inverse=True)
+    return [(row, column, cells[tile_of.ravel() == k]) for k, (row, column) in enumerate(tiles.tolist())]
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,15 +208,17 @@ class OccupancyRenderer:
     def canvas(self) -> Canvas:
         return Canvas(EVIDENCE, self.free_range_m, self.cell_m)
 
-    def render(self, scans: Iterable[ScanToRender]) -> RenderedMap:
+    def render(self, drawn: Iterable[ToRender]) -> RenderedMap:
         canvas = self.canvas()
-        canvas.draw_again(scans)
+        canvas.draw_again(drawn)
+        canvas.stand_walls()
         return canvas.rendered_map()
 
 
-def rendered_of(tiles: Sequence[TileUpdate]) -> RenderedMap:
+def rendered_of(tiles: Sequence[TileUpdate], walls: Iterable[WallToRender] = ()) -> RenderedMap:
     """Stored tiles of the finest level as a map that a session goes on in: the least evidence that shows so.
 
+    walls   that a person has drawn
     Raises ValueError where they are not of this size.
     """
     fine = [tile for tile in tiles if tile.level == 0]
@@ -160,7 +235,8 @@ def rendered_of(tiles: Sequence[TileUpdate]) -> RenderedMap:
     evidence = np.where(cells < 0, 0, evidence_of[np.maximum(cells, 0)]).astype(np.int8)
     row = np.array([tile.iy for tile in fine], np.int64)
     column = np.array([tile.ix for tile in fine], np.int64)
-    return RenderedMap(row, column, evidence)
+    along = [cells_of_wall(wall, fine[0].cell_m) for wall in walls] if fine else []
+    return RenderedMap(row, column, evidence, np.concatenate((NO_CELLS, *along)))
 
 
 class OccupancyTiles:
@@ -200,6 +276,7 @@ class OccupancyTiles:
         self._to_draw = deque(since)
 
     def changed_tiles(self) -> list[TileUpdate]:
+        self._canvas.stand_walls()
         evidence, _touched, changed = self._canvas.pool.arrays
         updates = []
         for row, column, slot in self._canvas.tiles.tiles():
@@ -221,6 +298,7 @@ class OccupancyTiles:
 
         Versions say nothing: they count the tiles given.
         """
+        self._canvas.stand_walls()
         evidence, _touched, _changed = self._canvas.pool.arrays
         tiles: list[TileUpdate] = []
         for row, column, slot in self._canvas.tiles.tiles():

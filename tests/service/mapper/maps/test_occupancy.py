@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
-from service.mapper.components import ScanToRender
-from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
+from service.mapper.components import AreaToErase, ScanToRender, WallToRender
+from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles, rendered_of
 from service.outputs import TileUpdate
 from tests.service.mapper.maps.points import points_of, square
 
@@ -157,3 +157,56 @@ def test_a_rendered_map_is_of_the_same_types_whether_it_was_drawn_here_or_in_ano
     there = pickle.loads(pickle.dumps(here))
     for name in ("tile_row", "tile_column", "evidence"):
         assert numba.typeof(getattr(here, name)) == numba.typeof(getattr(there, name))
+
+
+ROOM = ScanToRender(square(2.01).xy_base.astype(np.float32), (0.0, 0.0), SE2())
+GLASS = np.array([(1.0, -0.5), (1.0, 0.5)])
+CORNER = np.array([(0.4, 0.4), (2.5, 0.4), (2.5, 2.5), (0.4, 2.5)])
+
+
+def test_no_beam_clears_a_wall_that_a_person_drew() -> None:
+    shown = new_map()
+    shown.replace_by(shown.renderer.render([WallToRender(GLASS), ROOM, ROOM]), ())
+    assert cell(shown.changed_tiles(), 1.0, 0.0) > 90
+    for k in range(20):
+        shown.insert(square(2.01, stamp_ns=(k + 1) * SECOND_NS), SE2())
+        shown.changed_tiles()
+        assert all(cell(shown.tiles(), 1.0, y_m) > 90 for y_m in (-0.4, 0.0, 0.4))
+    assert cell(shown.tiles(), 0.8, 0.0) < 10
+    assert cell(shown.tiles(), 1.0, 0.0) > 90
+
+
+def test_a_wall_stands_where_nothing_was_ever_seen() -> None:
+    shown = new_map()
+    far = GLASS + 100.0
+    shown.replace_by(shown.renderer.render([ROOM, WallToRender(far)]), ())
+    assert cell(shown.changed_tiles(), 101.0, 100.0) > 90
+
+
+@pytest.mark.parametrize(("is_free", "expected"), [(True, 3), (False, -1)])
+def test_what_was_erased_is_gone_and_what_comes_later_is_drawn(is_free: bool, expected: int) -> None:
+    shown = new_map()
+    erased = [ROOM, ROOM, AreaToErase(CORNER, is_free)]
+    shown.replace_by(shown.renderer.render(erased), ())
+    tiles = shown.changed_tiles()
+    assert cell(tiles, 2.01, 1.0) == cell(tiles, 1.0, 1.0) == expected
+    assert cell(tiles, 2.01, -1.0) > 90
+    shown.replace_by(shown.renderer.render([*erased, ROOM, ROOM, ROOM, ROOM, ROOM, ROOM]), ())
+    assert cell(shown.changed_tiles(), 2.01, 1.0) > 70
+
+
+def test_walls_are_there_again_when_a_stored_map_is_gone_on_in() -> None:
+    shown = new_map()
+    shown.replace_by(shown.renderer.render([ROOM, WallToRender(GLASS)]), ())
+    later = new_map()
+    later.replace_by(rendered_of(shown.changed_tiles(), [WallToRender(GLASS)]), ())
+    for k in range(20):
+        later.insert(square(2.01, stamp_ns=(k + 1) * SECOND_NS), SE2())
+    assert cell(later.changed_tiles(), 1.0, 0.0) > 90
+
+
+def test_a_map_without_walls_has_none_after_it_is_replaced() -> None:
+    shown = new_map()
+    shown.replace_by(shown.renderer.render([ROOM, WallToRender(GLASS)]), ())
+    shown.replace_by(shown.renderer.render([ROOM, ROOM, ROOM]), ())
+    assert cell(shown.changed_tiles(), 1.0, 0.0) < 20

@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
+from service.mapper.by_hand import ByHand
 from service.mapper.saved_graph import SavedGraph
 
 NO_POINTS, NO_NORMALS = np.empty((0, 2), np.float32), np.empty((0, 3), np.float32)
@@ -55,6 +56,7 @@ class KeyframeList:
         self._covariance = np.zeros((64, 3, 3))
         self.stamps_ns: list[int] = []
         self.thinned: list[ThinnedScan] = []
+        self.by_hand = ByHand() if stored is None else stored.by_hand
         if stored is not None:
             self._restore(stored)
 

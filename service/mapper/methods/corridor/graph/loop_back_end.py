@@ -12,7 +12,7 @@ from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.kernels.loops import path_lengths, thin_points
 from service.kernels.normals import estimate_normals
-from service.mapper.components import Correction, MapRenderer, RenderedMap, ScanToRender
+from service.mapper.components import Correction, MapRenderer, RenderedMap
 from service.mapper.graph.point_clouds import Fit, PointCloud
 from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, to_g2o
 from service.mapper.graph.pose_graph_solver import solve
@@ -27,10 +27,12 @@ from service.mapper.methods.corridor.graph.piece_search import PieceSearch
 from service.mapper.methods.corridor.graph.stored_graph import (
     Placement,
     anchor_loop,
+    landmarks_of_pairs,
     moved_loops,
     poses_on_held,
     saved_graph,
     stored_loops,
+    to_render,
 )
 from service.mapper.saved_graph import KeepGraph, SavedGraph
 
@@ -120,7 +122,7 @@ class LoopBackEnd:
             gone = self._accepted.pop()
             self._loops = [loop for loop in self._loops if loop not in gone]
             moved = True
-        if batch.request == "optimize" and (self._loops or self._anchoring.reference):
+        if batch.request == "optimize" and (self._loops or self._anchoring.reference or self._has_pairs):
             moved = True
         if batch.is_last:
             return self._finish()
@@ -129,7 +131,11 @@ class LoopBackEnd:
         if not moved:
             return Result(len(self._loops), len(self._disabled))
         self._solve()
-        return Result(len(self._loops), len(self._disabled), joined, self._correction(-1), self._render())
+        return Result(len(self._loops), len(self._disabled), joined, self._correction(-1), self.render())
+
+    @property
+    def _has_pairs(self) -> bool:
+        return len(self._keyframes.by_hand.pair_ends) > 0
 
     @property
     def loops(self) -> Sequence[Loop]:
@@ -391,10 +397,11 @@ class LoopBackEnd:
     def _graph(self) -> PoseGraph:
         """Key frames; behind them, where fixes anchor the map, the frame of east and north."""
         edges = self._odometry().and_also(as_edges(self._loops))
+        pairs = landmarks_of_pairs(self._keyframes)
         if self._anchoring.reference is None:
-            return PoseGraph(self._keyframes.map.copy(), edges)
+            return PoseGraph(self._keyframes.map.copy(), edges, *pairs)
         poses = np.vstack((self._keyframes.map, self._anchoring.pose_map_enu))
-        return PoseGraph(poses, edges.and_also(self._anchoring.edges(self._keyframes)))
+        return PoseGraph(poses, edges.and_also(self._anchoring.edges(self._keyframes)), *pairs)
 
     def _solve(self) -> None:
         """Poses that agree best; loops that the rest contradicts are disabled."""
@@ -439,7 +446,7 @@ class LoopBackEnd:
         text = to_g2o(self._graph())
         corrections = [self._correction(k) for k in range(keyframes.stored, keyframes.count)]
         return Result(
-            len(self._loops), len(self._disabled), None, corrections[-1], self._render(), corrections, text
+            len(self._loops), len(self._disabled), None, corrections[-1], self.render(), corrections, text
         )
 
     def _search_again(self) -> None:
@@ -461,16 +468,11 @@ class LoopBackEnd:
             if loop not in self._loops:
                 self._accept(loop)
 
-    def _render(self) -> RenderedMap | None:
+    def render(self) -> RenderedMap | None:
+        """The shown map, drawn anew; None where this was made to draw none."""
         if self._renderer is None:
             return None
-        poses = self._keyframes.map.tolist()
-        known = np.isin(self._keyframes.piece, list(self._joined)) & ~self._keyframes.is_lost
-        return self._renderer.render(
-            ScanToRender(kept.xy_base, kept.sensor_xy_m, SE2(*pose))
-            for kept, pose, is_known in zip(self._keyframes.thinned, poses, known.tolist(), strict=True)
-            if is_known
-        )
+        return self._renderer.render(to_render(self._keyframes, self._joined))
 
     def _forget_session(self) -> None:
         """Of a vehicle that is only localised no more of the way is kept than loops are found over."""

@@ -97,6 +97,7 @@ def together(first: SavedGraph, second: SavedGraph) -> SavedGraph:
         way_m=np.concatenate((first.way_m, way_m)),
         piece=np.concatenate((first.piece, piece)),
         loop_ends=np.concatenate((first.loop_ends, second.loop_ends + len(first))),
+        by_hand=first.by_hand.and_also(second.by_hand, len(first)),
     )
 
 

@@ -1,14 +1,16 @@
 """A stored map under a new session: what is saved of a graph, and the session's poses on what is held."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
-from service.mapper.components import Placed
-from service.mapper.graph.pose_graph import Edges, PoseGraph
+from service.geometry.se2 import SE2
+from service.mapper.components import Placed, ScanToRender, ToRender
+from service.mapper.drawn_by_hand import among_scans
+from service.mapper.graph.pose_graph import Edges, PoseGraph, Sightings
 from service.mapper.graph.pose_graph_solver import solve
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
 from service.mapper.methods.corridor.graph.loops import Loop, as_edges
@@ -16,6 +18,7 @@ from service.mapper.methods.corridor.graph.piece_search import LEAST_APART_M
 from service.mapper.saved_graph import SavedGraph
 
 MOST_CONTRADICTIONS = 2  # looks in a row
+PAIR_COVARIANCE = np.diag([0.02**2, 0.02**2])  # m^2, of each of two points that a person says are one
 ANCHOR_COVARIANCE = np.diag([0.02**2, 0.02**2, 0.005**2])  # of the first key frame left, as loops held it
 
 
@@ -54,7 +57,41 @@ def saved_graph(keyframes: KeyframeList, loops: Sequence[Loop], joined: Collecti
         loop_measured=edges.measured,
         loop_covariance=edges.covariance,
         loop_score=np.array([loop.share for loop in between]),
+        by_hand=keyframes.by_hand,  # of the stored key frames, which stand first
     )
+
+
+def to_render(keyframes: KeyframeList, joined: Collection[int]) -> Iterator[ToRender]:
+    """The scans whose place in the map is known, and what a person drew."""
+    known = np.flatnonzero(np.isin(keyframes.piece, list(joined)) & ~keyframes.is_lost)
+    scans = (
+        (
+            k,
+            ScanToRender(
+                keyframes.thinned[k].xy_base,
+                keyframes.thinned[k].sensor_xy_m,
+                SE2(*keyframes.map[k].tolist()),
+            ),
+        )
+        for k in known.tolist()
+    )
+    return among_scans(scans, keyframes.by_hand, keyframes.map)
+
+
+def landmarks_of_pairs(keyframes: KeyframeList) -> tuple[Floats, Sightings]:
+    """(P, 2) m in the map, where a person says that two points are one; and the points as they were seen."""
+    ends, xy = keyframes.by_hand.pair_ends, keyframes.by_hand.pair_xy
+    count = len(ends)
+    if not count:
+        return np.empty((0, 2)), Sightings.none()
+    sightings = Sightings(
+        ends.ravel(),
+        np.repeat(np.arange(count), 2),
+        xy.reshape(-1, 2),
+        np.tile(PAIR_COVARIANCE, (2 * count, 1, 1)),
+        np.zeros(2 * count),
+    )
+    return se2.points_from(keyframes.map[ends], xy).mean(axis=1), sightings
 
 
 def poses_on_held(keyframes: KeyframeList, odometry: Edges, loops: Sequence[Loop], held: int) -> Floats:

@@ -1,0 +1,146 @@
+"""What a person drew into a map, and which points of it a person says are one place."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry import poses as se2
+from service.geometry.poses import Floats
+
+Ints = npt.NDArray[np.int64]
+
+WALL, ERASED, ERASED_TO_FREE = 0, 1, 2
+PREFIX = "by_hand_"  # of the names in a file
+
+
+class Drawing(NamedTuple):
+    """One wall, or one area that was erased."""
+
+    kind: int  # WALL, ERASED, ERASED_TO_FREE
+    until: int  # of an area: it takes away what the key frames before this one drew
+    corners_map: Floats  # (C, 2) m
+
+
+def _no_ints() -> Ints:
+    return np.zeros(0, np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ByHand:
+    """D drawings with C corners in all, and P pairs of points that are one place.
+
+    Each point is held in the frame of the key frame that was nearest to it, or that saw it: when the graph
+    bends the map, what was drawn goes with what is around it.
+    """
+
+    kind: Ints = field(default_factory=_no_ints)  # (D,)
+    until: Ints = field(default_factory=_no_ints)  # (D,)
+    corner_of: Ints = field(default_factory=_no_ints)  # (C,) number of the drawing, rising
+    corner_keyframe: Ints = field(default_factory=_no_ints)  # (C,)
+    corner_xy: Floats = field(default_factory=lambda: np.zeros((0, 2)))  # (C, 2) m
+    pair_ends: Ints = field(default_factory=lambda: np.zeros((0, 2), np.int64))  # (P, 2) key frames
+    pair_xy: Floats = field(default_factory=lambda: np.zeros((0, 2, 2)))  # (P, 2, 2) m, in each one's frame
+
+    def problem(self, keyframes: int) -> str:
+        """What does not fit a graph of so many key frames; "" where all does."""
+        drawings, corners, pairs = len(self.kind), len(self.corner_of), len(self.pair_ends)
+        shapes = {
+            "until": (drawings,),
+            "corner_keyframe": (corners,),
+            "corner_xy": (corners, 2),
+            "pair_ends": (pairs, 2),
+            "pair_xy": (pairs, 2, 2),
+        }
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape:
+                return f"{PREFIX}{name} has the shape {getattr(self, name).shape}, expected {shape}"
+        for name, most in (
+            ("corner_of", drawings),
+            ("corner_keyframe", keyframes),
+            ("pair_ends", keyframes),
+            ("until", keyframes + 1),
+        ):
+            index = getattr(self, name)
+            if len(index) and (index.min() < 0 or index.max() >= most):
+                return f"{PREFIX}{name} names what is not among the {most} here"
+        if not (np.isfinite(self.corner_xy).all() and np.isfinite(self.pair_xy).all()):
+            return f"{PREFIX}corner_xy or {PREFIX}pair_xy holds what is no number"
+        return ""
+
+    def drawings(self, map_poses: Floats) -> list[Drawing]:
+        """Where they lie with the key frames at (N, 3)."""
+        xy = se2.points_from(map_poses[self.corner_keyframe], self.corner_xy)
+        return [
+            Drawing(kind, until, xy[self.corner_of == k])
+            for k, (kind, until) in enumerate(zip(self.kind.tolist(), self.until.tolist(), strict=True))
+        ]
+
+    def and_drawn(self, drawing: Drawing, map_poses: Floats) -> "ByHand":
+        corners = drawing.corners_map
+        keyframe = np.array([_nearest(map_poses, xy) for xy in corners], np.int64)
+        return replace(
+            self,
+            kind=np.append(self.kind, drawing.kind),
+            until=np.append(self.until, drawing.until),
+            corner_of=np.append(self.corner_of, np.full(len(corners), len(self.kind))),
+            corner_keyframe=np.append(self.corner_keyframe, keyframe),
+            corner_xy=np.vstack((self.corner_xy, se2.points_seen(map_poses[keyframe], corners))),
+        )
+
+    def and_paired(self, ends: tuple[int, int], xy: Floats) -> "ByHand":
+        """With the point xy[0] (2,), seen from key frame ends[0], and xy[1], seen from ends[1], one place."""
+        return replace(
+            self,
+            pair_ends=np.vstack((self.pair_ends, np.array(ends, np.int64))),
+            pair_xy=np.concatenate((self.pair_xy, xy[None])),
+        )
+
+    def without_pairs(self, gone: Sequence[int]) -> "ByHand":
+        kept = np.setdiff1d(np.arange(len(self.pair_ends)), gone)
+        return replace(self, pair_ends=self.pair_ends[kept], pair_xy=self.pair_xy[kept])
+
+    def without_keyframes(self, is_kept: npt.NDArray[np.bool_], map_poses: Floats) -> "ByHand":
+        """When only some of the key frames are left: drawings are held by the nearest of them, and pairs that
+        lost an end are gone.
+        """
+        number = np.cumsum(is_kept) - 1
+        left = map_poses[is_kept]
+        before = np.concatenate(([0], np.cumsum(is_kept)))
+        remade = replace(
+            ByHand(),
+            pair_ends=number[self.pair_ends],
+            pair_xy=self.pair_xy,
+        ).without_pairs(np.flatnonzero(~is_kept[self.pair_ends].all(axis=1)).tolist())
+        for drawing in self.drawings(map_poses):
+            remade = remade.and_drawn(drawing._replace(until=int(before[drawing.until])), left)
+        return remade
+
+    def and_also(self, other: "ByHand", keyframes: int) -> "ByHand":
+        """This of the first `keyframes` key frames, and that of those behind them."""
+        moved = replace(
+            other,
+            until=other.until + keyframes,
+            corner_of=other.corner_of + len(self.kind),
+            corner_keyframe=other.corner_keyframe + keyframes,
+            pair_ends=other.pair_ends + keyframes,
+        )
+        return ByHand(
+            *(np.concatenate((getattr(self, f.name), getattr(moved, f.name))) for f in fields(self))
+        )
+
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        return {PREFIX + f.name: getattr(self, f.name) for f in fields(self)}
+
+    @staticmethod
+    def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> "ByHand":
+        """What `arrays` gave; a file of format 2 holds nothing made by hand. Raises KeyError."""
+        if not any(name.startswith(PREFIX) for name in arrays):
+            return ByHand()
+        return ByHand(**{f.name: arrays[PREFIX + f.name] for f in fields(ByHand)})
+
+
+def _nearest(map_poses: Floats, xy: Floats) -> int:
+    return int(np.argmin(np.hypot(map_poses[:, 0] - xy[0], map_poses[:, 1] - xy[1])))

@@ -1,0 +1,37 @@
+"""What a person drew into a map, in the order in which it is rendered among the scans."""
+
+from collections.abc import Iterable, Iterator
+
+from service.geometry.poses import Floats
+from service.mapper.by_hand import ERASED_TO_FREE, WALL, ByHand, Drawing
+from service.mapper.components import AreaToErase, ScanToRender, ToRender, WallToRender
+
+
+def walls_of(by_hand: ByHand, map_poses: Floats) -> list[WallToRender]:
+    """The walls, with the key frames at (N, 3), without what was erased of each later."""
+    drawings = by_hand.drawings(map_poses)
+    return [
+        WallToRender(drawing.corners_map, [later.corners_map for later in drawings[k:] if later.kind != WALL])
+        for k, drawing in enumerate(drawings)
+        if drawing.kind == WALL
+    ]
+
+
+def among_scans(
+    scans: Iterable[tuple[int, ScanToRender]], by_hand: ByHand, map_poses: Floats
+) -> Iterator[ToRender]:
+    """Scans with the numbers of their key frames, rising; each area behind those that it was erased from, and
+    the walls at last. map_poses: (N, 3) of the key frames.
+    """
+    areas = [drawing for drawing in by_hand.drawings(map_poses) if drawing.kind != WALL]
+    areas.sort(key=lambda drawing: drawing.until)
+    for k, scan in scans:
+        while areas and areas[0].until <= k:
+            yield _area(areas.pop(0))
+        yield scan
+    yield from map(_area, areas)
+    yield from walls_of(by_hand, map_poses)
+
+
+def _area(drawing: Drawing) -> AreaToErase:
+    return AreaToErase(drawing.corners_map, drawing.kind == ERASED_TO_FREE)

@@ -1,0 +1,102 @@
+"""What a person drew goes with what is around it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.geometry import poses as se2
+from service.mapper.by_hand import ERASED, WALL, ByHand, Drawing
+from service.mapper.components import AreaToErase, ScanToRender, WallToRender
+from service.mapper.drawn_by_hand import among_scans, walls_of
+from service.mapper.maps.occupancy import cells_of_wall
+from service.mapper.saved_graph import SavedGraphError, from_arrays, packed_points, small_arrays
+from tests.service.mapstore.test_graph_files import graph_of
+
+POSES = np.array([(0.0, 0.0, 0.0), (5.0, 0.0, 1.0), (10.0, 0.0, -2.0), (15.0, 0.0, 0.5)])
+LINE = np.array([(9.0, 2.0), (11.0, 2.0)])
+AREA = np.array([(4.0, 1.0), (6.0, 1.0), (6.0, 2.0)])
+
+
+@pytest.fixture
+def drawn() -> ByHand:
+    by_hand = ByHand().and_drawn(Drawing(WALL, 4, LINE), POSES).and_drawn(Drawing(ERASED, 4, AREA), POSES)
+    return by_hand.and_paired((0, 2), np.array([(1.0, 0.0), (-9.0, 0.0)]))
+
+
+def test_drawings_stay_where_they_were_drawn_and_go_with_the_nearest_key_frame(drawn):
+    wall, area = drawn.drawings(POSES)
+    np.testing.assert_allclose(wall.corners_map, LINE, atol=1e-12)
+    np.testing.assert_allclose(area.corners_map, AREA, atol=1e-12)
+    bent = POSES.copy()
+    bent[2] = se2.compose(np.array((1.0, 1.0, 0.0)), POSES[2])
+    wall, area = drawn.drawings(bent)
+    np.testing.assert_allclose(wall.corners_map, LINE + 1.0, atol=1e-12)
+    np.testing.assert_allclose(area.corners_map, AREA, atol=1e-12)
+
+
+def test_without_the_key_frame_that_held_it_a_drawing_is_held_by_the_next(drawn):
+    left = np.array([True, True, False, True])
+    cut = drawn.without_keyframes(left, POSES)
+    wall, area = cut.drawings(POSES[left])
+    np.testing.assert_allclose(wall.corners_map, LINE, atol=1e-12)
+    np.testing.assert_allclose(area.corners_map, AREA, atol=1e-12)
+    assert area.until == 3
+    assert len(cut.pair_ends) == 0
+    assert drawn.without_keyframes(np.array([True, False, True, True]), POSES).pair_ends.tolist() == [[0, 1]]
+
+
+def test_of_two_maps_both_keep_what_was_drawn(drawn):
+    away = np.array((100.0, 0.0, 0.0))
+    both = drawn.and_also(drawn, 4)
+    drawings = both.drawings(np.vstack((POSES, POSES + away)))
+    np.testing.assert_allclose(drawings[2].corners_map, LINE + away[:2], atol=1e-12)
+    assert [d.until for d in drawings] == [4, 4, 8, 8]
+    assert both.pair_ends.tolist() == [[0, 2], [4, 6]]
+    assert both.problem(8) == ""
+
+
+def test_areas_come_behind_the_scans_they_were_erased_from_and_walls_at_last(drawn):
+    drawn = replace(drawn, until=np.array([4, 2]))
+    scans = [(k, ScanToRender(np.zeros((0, 2), np.float32), (0.0, 0.0), None)) for k in (0, 1, 3)]
+    kinds = [type(one) for one in among_scans(scans, drawn, POSES)]
+    assert kinds == [ScanToRender, ScanToRender, AreaToErase, ScanToRender, WallToRender]
+
+
+def test_a_wall_is_gone_where_an_area_was_erased_after_it_and_only_then(drawn):
+    (wall,) = walls_of(drawn.and_drawn(Drawing(WALL, 4, LINE), POSES), POSES)[1:]
+    assert len(cells_of_wall(wall, 0.1)) > 20
+    over = np.array([(8.0, 1.0), (10.0, 1.0), (10.0, 3.0), (8.0, 3.0)])
+    (wall,) = walls_of(drawn.and_drawn(Drawing(ERASED, 4, over), POSES), POSES)
+    columns = cells_of_wall(wall, 0.1)[:, 1]
+    assert (columns.min(), columns.max()) == (100, 110)
+
+
+def test_it_is_stored_with_the_graph(drawn):
+    graph = replace(graph_of(4), by_hand=drawn)
+    back = from_arrays(small_arrays(graph), [packed_points(graph, 0, 4)]).by_hand
+    for name, array in drawn.arrays().items():
+        np.testing.assert_array_equal(back.arrays()[name], array, err_msg=name)
+
+
+def test_a_graph_of_before_holds_nothing_by_hand():
+    graph = graph_of(4)
+    old = {name: array for name, array in small_arrays(graph).items() if not name.startswith("by_hand_")}
+    assert len(from_arrays(old, [packed_points(graph, 0, 4)]).by_hand.kind) == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("corner_keyframe", np.full(5, 4)),
+        ("corner_of", np.full(5, 2)),
+        ("until", np.array([4, 5])),
+        ("pair_ends", np.array([[0, -1]])),
+        ("pair_xy", np.full((1, 2, 2), np.nan)),
+        ("corner_xy", np.zeros((4, 2))),
+    ],
+)
+def test_what_does_not_fit_the_graph_is_refused_by_name(drawn, name, wrong):
+    graph = replace(graph_of(4), by_hand=replace(drawn, **{name: wrong}))
+    with pytest.raises(SavedGraphError, match=f"by_hand_{name}"):
+        graph.checked()
