@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from service.cli.choices import PROFILES, WORLDS, one_of
+from service.cli.map_arguments import add_maps
 from service.errors import UsageError
 from service.version import VERSION
 
@@ -34,7 +35,7 @@ def new_parser() -> Parser:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     _add_live(commands)
     _add_offline(commands)
-    _add_maps(commands)
+    add_maps(commands, _add)
     _add_upkeep(commands)
     return parser
 
@@ -185,28 +186,6 @@ def _add_offline(commands: Any) -> None:
     )
     score.add_argument(
         "--pairs", choices=("all", "near"), default="all", help="near: only pairs within 0.12 s of a scan"
-    )
-
-
-def _add_maps(commands: Any) -> None:
-    works = commands.add_parser("map", help="work on stored maps").add_subparsers(
-        dest="work", metavar="WORK", required=True
-    )
-    for name, what in (
-        ("info", "what a stored map holds"),
-        ("verify", "read every version against its checksums"),
-    ):
-        _add(works, name, what).add_argument("map", type=Path, metavar="MAP")
-    merge = _add(works, "merge", "several maps to one, in the frame of the first")
-    merge.add_argument("maps", type=Path, nargs="+", metavar="MAP")
-    merge.add_argument("--out", type=Path, required=True, metavar="C", help="folder of the new map")
-    merge.add_argument(
-        "--pair",
-        type=float,
-        nargs=6,
-        metavar=("X1", "Y1", "DEG1", "X2", "Y2", "DEG2"),
-        help="one spot in the first map and the same in the second, to 2 m and 10 deg, where too little "
-        "overlaps to be found",
     )
 
 

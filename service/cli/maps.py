@@ -1,12 +1,16 @@
-"""map info, verify, merge: work on stored maps."""
+"""map info, verify, log, merge, edit: work on stored maps."""
 
 import argparse
+import getpass
+import time
+from typing import Any
 
-from service.cli.console import print_result
+from service.cli.console import print_result, print_table
 from service.errors import UsageError
 
 
 def map_command(parsed: argparse.Namespace) -> int:
+    from service.offline.map_log import log_table, map_log
     from service.offline.map_work import map_info, map_merge, map_verify
 
     match parsed.work:
@@ -14,6 +18,15 @@ def map_command(parsed: argparse.Namespace) -> int:
             print_result(map_info(parsed.map), parsed.json)
         case "verify":
             print_result(map_verify(parsed.map), parsed.json)
+        case "log":
+            log = map_log(parsed.map)
+            if parsed.json:
+                print_result(log, as_json=True)
+            else:
+                print_table(log_table(log))
+                print_problems(log)
+        case "edit":
+            print_result(_edit(parsed), parsed.json)
         case _:
             if len(parsed.maps) < 2:
                 raise UsageError("map merge: name two maps or more")
@@ -21,3 +34,45 @@ def map_command(parsed: argparse.Namespace) -> int:
                 raise UsageError("map merge: --pair is of two maps")
             print_result(map_merge(parsed.maps, parsed.out, parsed.pair), parsed.json)
     return 0
+
+
+def print_problems(told: dict[str, Any]) -> None:
+    for problem in told["problems"]:
+        print(f"damaged: {problem}")
+
+
+_ONLY_WITH = {"free": "erase", "bridge": "cut", "keyframes": "add_pair", "to": "undo"}
+
+
+def _edit(parsed: argparse.Namespace) -> dict[str, Any]:
+    from service.offline import map_edit
+
+    for option, change in _ONLY_WITH.items():
+        if _is_given(parsed, option) and not _is_given(parsed, change):
+            raise UsageError(f"map edit: --{option} goes with --{change.replace('_', '-')}")
+    who, now_ns = parsed.who or _user(), time.time_ns()
+    if parsed.undo:
+        return map_edit.undo(parsed.map, parsed.to, who, now_ns)
+    changes = {
+        "erase": lambda: map_edit.erase(parsed.erase, parsed.free),
+        "wall": lambda: map_edit.wall(parsed.wall),
+        "cut": lambda: map_edit.cut(parsed.cut, parsed.bridge),
+        "add_pair": lambda: map_edit.add_pair(parsed.add_pair, parsed.keyframes),
+        "remove_pair": lambda: map_edit.remove_pair(parsed.remove_pair),
+        "refuse_loop": lambda: map_edit.refuse_loops(parsed.refuse_loop),
+        "optimize": map_edit.optimize,
+    }
+    what = next(name for name in changes if _is_given(parsed, name))
+    return map_edit.edit_map(parsed.map, what.replace("_", "-"), changes[what](), who, now_ns)
+
+
+def _is_given(parsed: argparse.Namespace, option: str) -> bool:
+    given = getattr(parsed, option)
+    return given is not None and given is not False  # 0 is given
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):  # a user without a name, as in a container
+        return "unknown"

@@ -16,6 +16,7 @@ from service.encoding import ERROR, OK, Message, Status, encode_grid
 from service.errors import StorageError
 from service.mapstore.config import MapConfig
 from service.mapstore.files import save_map
+from service.mapstore.in_use import InUse
 from service.mapstore.tiles import NumberedMap
 from service.sinks.sink import SavedHeard, SavedMap, Sink, SinkContext
 
@@ -44,6 +45,9 @@ class MapSaver(Sink):
         new = config.directory / f"{context.vehicle}_{started}"
         self._folder = context.map_folder or config.load or new
         self.graph_folder = self._folder.with_name(f".{self._folder.name}.graph-{os.getpid()}")
+        is_going_on = self._folder == config.load and not context.is_localizing
+        self._goes_on_in = self._folder if is_going_on else None
+        self._in_use: InUse | None = None
         self._command = context.command
         self._asks_for_graph = context.stores_graph and not context.is_localizing
         self._is_localizing = context.is_localizing
@@ -88,6 +92,9 @@ class MapSaver(Sink):
             self._wake.notify()
 
     def start(self) -> None:
+        """Raises StorageError where another session goes on in the same map, or somebody edits it."""
+        if self._goes_on_in is not None:
+            self._in_use = InUse(self._goes_on_in, f"a session of {self._about['vehicle']}")
         self._thread.start()
 
     def put(self, message: Message, arrived_ns: int | None = None) -> None:
@@ -120,11 +127,19 @@ class MapSaver(Sink):
             raise
         finally:
             shutil.rmtree(self.graph_folder, ignore_errors=True)
+            self._leave()
         if self._given_up:
             raise StorageError(self._given_up)
 
     def close(self) -> None:
         self._stop()
+        self._leave()
+
+    def _leave(self) -> None:
+        """Others may change the map from now on."""
+        if self._in_use is not None:
+            self._in_use.release()
+            self._in_use = None
 
     def save(self) -> SavedMap | None:
         """Store what is not yet: maps that a reset ended, then the present one, which is returned.

@@ -10,12 +10,14 @@ import pytest
 from drivers.frames import Frame, LaserScan
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
-from service.mapper.components import GraphRequestError
-from service.mapper.maps.occupancy import rendered_of
+from service.mapper.by_hand import ERASED, WALL
+from service.mapper.components import GraphRequestError, WallToRender
+from service.mapper.maps.occupancy import cells_of_wall, rendered_of
+from service.mapper.methods.corridor.graph.editing import with_area_erased, with_wall
 from service.mapper.pipeline import UNPROVEN, Mapper
 from service.mapper.profiles import BeginIn, build_mapper, mapping_config
 from service.mapper.saved_graph import SavedGraph, SavedGraphError, from_arrays, packed_points, small_arrays
-from service.outputs import MapperOutput
+from service.outputs import MapperOutput, TileUpdate
 from simulators.worlds import WORLDS
 from tests.simulated import FORWARD, LMS100_50HZ, Drive, Wheels, drive, run
 
@@ -95,6 +97,33 @@ def test_mapping_goes_on_in_the_stored_map(first, second):
     assert len(saved.loop_ends) > len(begin.graph.loop_ends)
     assert len(np.unique(saved.piece)) == len(np.unique(begin.graph.piece)) + 1  # odometry joins them nowhere
     assert finished.corrections[0].stamp_ns >= outputs[0].stamp_ns  # none of the session before
+
+
+def test_what_a_person_drew_holds_against_the_beams_of_a_session_that_goes_on(first, second):
+    """A wall across the way that the second session drives, and points that were erased elsewhere."""
+    drove, begin = first
+    at = SE2(*begin.graph.map[len(begin.graph) // 2].tolist())
+    line = np.array([(pose.x_m, pose.y_m) for pose in (at @ SE2(0.0, -0.4), at @ SE2(0.0, 0.4))])
+    area = begin.graph.map[5, :2] + np.array([(-1.5, -1.5), (1.5, -1.5), (1.5, 1.5), (-1.5, 1.5)])
+    graph, gone = with_area_erased(with_wall(begin.graph, line), area, is_free=False)
+    assert gone > 0
+    shown = replace(begin.shown, wall_cells=cells_of_wall(WallToRender(line), 0.05))
+    mapper = new_mapper(BeginIn(graph, shown), "mapping")
+    outputs = list(outputs_of(mapper, second.frames))
+    assert outputs[-1].state == "ok"
+    assert off_m(drove, second, outputs[-1]) < 0.05
+    assert shown_at(mapper.tiles(), at) == 97
+    saved = mapper.finish().update.saved
+    assert shown_at(mapper.tiles(), at) == 97
+    assert saved is not None
+    assert saved.by_hand.kind.tolist() == [WALL, ERASED]
+    assert saved.by_hand.until.tolist() == [0, len(graph)]
+
+
+def shown_at(tiles: list[TileUpdate], pose: SE2) -> int:
+    row, column = int(np.floor(pose.y_m / 0.05)), int(np.floor(pose.x_m / 0.05))
+    tile = next(t for t in tiles if (t.iy, t.ix) == (row // 64, column // 64))
+    return int(tile.cells[row % 64, column % 64])
 
 
 def test_a_session_may_begin_in_what_a_second_session_left(first, second):

@@ -12,8 +12,9 @@ from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
 from service.mapstore.config import MapConfig
-from service.mapstore.files import load_map
+from service.mapstore.files import load_map, save_map
 from service.mapstore.tiles import TileStore
+from service.offline.map_edit import edit_map, erase
 from service.outputs import TileUpdate
 from service.sinks.map_saver import MOST_UNSAVED, MapSaver
 from service.sinks.sink import SavedMap
@@ -205,3 +206,30 @@ def test_where_the_map_lies_is_saved_with_it_and_anew_when_that_alone_changed(tm
         kept.saver.flush()
         assert load_map(tmp_path / "map").geo == geo
         assert load_map(tmp_path / "map").number == min(number, 2 + (number == 4))
+
+
+def test_a_map_that_a_session_goes_on_in_is_not_edited_meanwhile(tmp_path: Path):
+    save_map(tmp_path / "office", [tile(1)], 1)
+    config = MapConfig.model_construct(directory=tmp_path, load=tmp_path / "office", checkpoint_s=30.0)
+    saver = MapSaver(config, sink_context())
+    saver.start()
+    change = erase([0.0, 0.0, 0.1, 0.0, 0.1, 0.1], is_free=False)
+    try:
+        with pytest.raises(StorageError, match="a session of veh1 uses this map"):
+            edit_map(tmp_path / "office", "erase", change, "ada", 2)
+        with pytest.raises(StorageError, match="a session of veh1 uses this map"):
+            MapSaver(config, sink_context()).start()
+        MapSaver(config, sink_context(is_localizing=True)).close()
+    finally:
+        saver.flush()
+    assert edit_map(tmp_path / "office", "erase", change, "ada", 2)["version"] == 2
+
+
+def test_who_is_only_localised_leaves_no_trace_in_the_map(tmp_path: Path):
+    save_map(tmp_path / "office", [tile(1)], 1)
+    before = sorted(path.name for path in (tmp_path / "office").iterdir())
+    config = MapConfig.model_construct(directory=tmp_path, load=tmp_path / "office", checkpoint_s=30.0)
+    saver = MapSaver(config, sink_context(is_localizing=True))
+    saver.start()
+    saver.flush()
+    assert sorted(path.name for path in (tmp_path / "office").iterdir()) == before

@@ -1,0 +1,60 @@
+"""Tiles of a stored map in which a person has erased an area or drawn a wall; all other cells stay."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from service.geometry.polygons import Cells, cells_along, cells_inside
+from service.geometry.poses import Floats
+from service.outputs import UNKNOWN, TileUpdate
+
+
+def with_area(tiles: Sequence[TileUpdate], corners_map: Floats, value: int) -> tuple[list[TileUpdate], int]:
+    """With `value` within a polygon (C, 2) m, in the tiles that there are; and how many cells of the finest
+    level changed. Each tile that changed gets a new version.
+    """
+    return _filled(tiles, {cell_m: cells_inside(corners_map, cell_m) for cell_m in _sizes(tiles)}, value)
+
+
+def with_line(tiles: Sequence[TileUpdate], corners_map: Floats, value: int) -> tuple[list[TileUpdate], int]:
+    """With `value` along a line through (C, 2) m, also where no tile was; else as with_area."""
+    cells = {cell_m: cells_along(corners_map, cell_m) for cell_m in _sizes(tiles)}
+    return _filled(_covering(tiles, cells), cells, value)
+
+
+def _sizes(tiles: Sequence[TileUpdate]) -> set[float]:
+    return {tile.cell_m for tile in tiles}
+
+
+def _filled(
+    tiles: Sequence[TileUpdate], cells_by_size: dict[float, Cells], value: int
+) -> tuple[list[TileUpdate], int]:
+    version = max(tile.version for tile in tiles)
+    filled, count = [], 0
+    for tile in tiles:
+        edge, cells = len(tile.cells), cells_by_size[tile.cell_m]
+        row, column = (cells[(cells // edge == (tile.iy, tile.ix)).all(axis=1)] % edge).T
+        changed = tile.cells[row, column] != value
+        if not changed.any():
+            filled.append(tile)
+            continue
+        drawn = tile.cells.copy()
+        drawn[row, column] = value
+        drawn.setflags(write=False)
+        version += 1
+        filled.append(replace(tile, version=version, cells=drawn))
+        count += int(changed.sum()) if tile.level == 0 else 0
+    return filled, count
+
+
+def _covering(tiles: Sequence[TileUpdate], cells_by_size: dict[float, Cells]) -> list[TileUpdate]:
+    """These tiles, and unknown ones where cells have none."""
+    there = {(tile.level, tile.ix, tile.iy) for tile in tiles}
+    more = []
+    for level, cell_m, edge in sorted({(tile.level, tile.cell_m, len(tile.cells)) for tile in tiles}):
+        unknown = np.broadcast_to(np.int8(UNKNOWN), (edge, edge))
+        for iy, ix in np.unique(cells_by_size[cell_m] // edge, axis=0).tolist():
+            if (level, ix, iy) not in there:
+                more.append(TileUpdate(level, ix, iy, 0, cell_m, unknown))
+    return [*tiles, *more]

@@ -1,0 +1,45 @@
+"""A session that goes on in a stored map, and who changes it by hand, keep each other out."""
+
+import fcntl
+from pathlib import Path
+from typing import IO
+
+from service.errors import StorageError
+
+
+class InUse:
+    """Holds a stored map from its making to `release`, or to the end of the process, however it ends.
+
+    Raises StorageError where another one holds it; `who` says what for.
+    """
+
+    def __init__(self, folder: Path, who: str) -> None:
+        self._file: IO[str] | None = None
+        try:
+            file = (folder / ".in_use").open("a+", encoding="utf-8")
+        except OSError as error:
+            raise StorageError(f"{folder}: {error}") from error
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            other = file.read().strip() or "another process"
+            file.close()
+            raise StorageError(
+                f"{folder}: {other} uses this map and would write over the change; stop it first"
+            ) from None
+        file.truncate(0)
+        file.write(who)
+        file.flush()
+        self._file = file
+
+    def release(self) -> None:
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def __enter__(self) -> "InUse":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
