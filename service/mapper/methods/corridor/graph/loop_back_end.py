@@ -14,7 +14,7 @@ from service.kernels.loops import path_lengths, thin_points
 from service.kernels.normals import estimate_normals
 from service.mapper.components import Correction, MapRenderer, RenderedMap
 from service.mapper.graph.point_clouds import Fit, PointCloud
-from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, to_g2o
+from service.mapper.graph.pose_graph import PoseGraph, edge_chi2, to_g2o
 from service.mapper.graph.pose_graph_solver import solve
 from service.mapper.methods.corridor.graph.anchoring import Anchoring
 from service.mapper.methods.corridor.graph.candidate_submap import LEAST_SCORE, CandidateSubmap, cloud_of
@@ -22,6 +22,7 @@ from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame, Keyfra
 from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
 from service.mapper.methods.corridor.graph.loops import Loop, agree, as_edges, disagreement, loop_of
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
+from service.mapper.methods.corridor.graph.odometry_edges import doubtful_steps, lost_steps, odometry_edges
 from service.mapper.methods.corridor.graph.passes import worth_asking
 from service.mapper.methods.corridor.graph.piece_search import PieceSearch
 from service.mapper.methods.corridor.graph.stored_graph import (
@@ -36,13 +37,7 @@ from service.mapper.methods.corridor.graph.stored_graph import (
 )
 from service.mapper.saved_graph import KeepGraph, SavedGraph
 
-STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: of a step between key frames, at best
-LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])  # of a step that only a prediction vouches for; m^2, rad^2
-DOUBTFUL_COVARIANCE = np.diag([0.09, 0.09, 0.09])  # ... added where an end hardly lies on the map
-UNKNOWN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # ... into a piece that nobody knows the place of
-GAP_SHARE = 0.1  # of a way without scans: what odometry may have erred by
 SAME_SPOT_M, SAME_VIEW_RAD = 0.5, 0.5  # key frames so near see the same
-DOUBTFUL_SHARE = 0.6  # of the drive's median share on the map: with less the match may be wrong
 LOST_M, DOUBTFUL_M = 60.0, 30.0  # way that such a step counts for, where loops are looked for
 WINDOW_M, WINDOW_RAD = 0.5, 0.06  # half a window where nothing has drifted: what a bad match errs by
 DRIFTS = (3.5, 4.0)  # so many times the drift of place and heading lies within it besides
@@ -153,7 +148,11 @@ class LoopBackEnd:
     def _find_anchors(self) -> bool:
         """Whether fixes are worth a solution now."""
         is_known = ~self._keyframes.is_lost & np.isin(self._keyframes.piece, list(self._joined))
-        return self._anchoring.find(self._keyframes, self._odometry().covariance, is_known)
+        return self._anchoring.find(
+            self._keyframes,
+            odometry_edges(self._keyframes, self._config.keyframe_distance_m).covariance,
+            is_known,
+        )
 
     def _usable(self) -> npt.NDArray[np.bool_]:
         """(N,) key frames that others can be laid on: matched, with points, in a place that is known."""
@@ -318,7 +317,9 @@ class LoopBackEnd:
         length_m = np.empty(len(way))
         of = np.array([loop.of for loop in self._loops], np.int64)
         to = np.array([loop.to for loop in self._loops], np.int64)
-        step_m = np.diff(way) + DOUBTFUL_M * self._doubtful_steps() + LOST_M * self._lost_steps()
+        step_m = (
+            np.diff(way) + DOUBTFUL_M * doubtful_steps(self._keyframes) + LOST_M * lost_steps(self._keyframes)
+        )
         path_lengths(np.append(step_m, 0.0), of, to, LOOP_M, k, length_m)
         return length_m
 
@@ -357,46 +358,11 @@ class LoopBackEnd:
             self._loops += new
             self._accepted.append(new)
 
-    def _lost_steps(self) -> npt.NDArray[np.bool_]:
-        """(N - 1,) steps between key frames of which one was not matched."""
-        lost = self._keyframes.is_lost
-        return lost[1:] | lost[:-1]
-
-    def _doubtful_steps(self) -> npt.NDArray[np.bool_]:
-        """(N - 1,) steps to or from a key frame of which far less than usual lies on the map."""
-        score = self._keyframes.score
-        doubtful: npt.NDArray[np.bool_] = score < DOUBTFUL_SHARE * np.median(score)
-        return doubtful[1:] | doubtful[:-1]
-
-    def _odometry(self) -> Edges:
-        keyframes = self._keyframes
-        covariance = keyframes.covariance[1:] + STEP_FLOOR
-        covariance = np.where(self._lost_steps()[:, None, None], LOST_COVARIANCE, covariance)
-        covariance = covariance + self._doubtful_steps()[:, None, None] * DOUBTFUL_COVARIANCE
-        gap_m = np.maximum(np.diff(keyframes.way_m) - 2.0 * self._config.keyframe_distance_m, 0.0)
-        covariance = covariance + (GAP_SHARE * gap_m[:, None, None]) ** 2 * np.eye(3)
-        of = np.arange(keyframes.count - 1, dtype=np.int64)
-        # Into another piece nobody knows the way; back in one, the newest key frame of it goes before.
-        last_of: dict[int, int] = {}
-        for k, piece in enumerate(keyframes.piece.tolist()):
-            if k and piece != keyframes.piece[k - 1]:
-                if piece in last_of:
-                    of[k - 1] = last_of[piece]
-                else:
-                    covariance[k - 1] = UNKNOWN_COVARIANCE
-            last_of[piece] = k
-        to = np.arange(1, keyframes.count, dtype=np.int64)
-        return Edges(
-            of,
-            to,
-            se2.between(keyframes.odom[of], keyframes.odom[to]),
-            covariance,
-            np.zeros(keyframes.count - 1),
-        )
-
     def _graph(self) -> PoseGraph:
         """Key frames; behind them, where fixes anchor the map, the frame of east and north."""
-        edges = self._odometry().and_also(as_edges(self._loops))
+        edges = odometry_edges(self._keyframes, self._config.keyframe_distance_m).and_also(
+            as_edges(self._loops)
+        )
         pairs = landmarks_of_pairs(self._keyframes)
         if self._anchoring.reference is None:
             return PoseGraph(self._keyframes.map.copy(), edges, *pairs)
@@ -410,7 +376,10 @@ class LoopBackEnd:
         for _ in range(3):
             if self._held:
                 self._keyframes.map[self._held :] = poses_on_held(
-                    self._keyframes, self._odometry(), self._loops, self._held
+                    self._keyframes,
+                    odometry_edges(self._keyframes, self._config.keyframe_distance_m),
+                    self._loops,
+                    self._held,
                 )
                 if not self._lay_aside():
                     return

@@ -1,0 +1,51 @@
+"""What odometry says between key frames, and how far it is to be believed."""
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry import poses as se2
+from service.mapper.graph.pose_graph import Edges
+from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
+
+STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: of a step between key frames, at best
+LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])  # of a step that only a prediction vouches for; m^2, rad^2
+DOUBTFUL_COVARIANCE = np.diag([0.09, 0.09, 0.09])  # ... added where an end hardly lies on the map
+UNKNOWN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # ... into a piece that nobody knows the place of
+GAP_SHARE = 0.1  # of a way without scans: what odometry may have erred by
+DOUBTFUL_SHARE = 0.6  # of the drive's median share on the map: with less the match may be wrong
+
+
+def lost_steps(keyframes: KeyframeList) -> npt.NDArray[np.bool_]:
+    """(N - 1,) steps between key frames of which one was not matched."""
+    lost = keyframes.is_lost
+    return lost[1:] | lost[:-1]
+
+
+def doubtful_steps(keyframes: KeyframeList) -> npt.NDArray[np.bool_]:
+    """(N - 1,) steps to or from a key frame of which far less than usual lies on the map."""
+    score = keyframes.score
+    doubtful: npt.NDArray[np.bool_] = score < DOUBTFUL_SHARE * np.median(score)
+    return doubtful[1:] | doubtful[:-1]
+
+
+def odometry_edges(keyframes: KeyframeList, step_m: float) -> Edges:
+    """From each key frame to the next. step_m: the way after which a key frame is due."""
+    covariance = keyframes.covariance[1:] + STEP_FLOOR
+    covariance = np.where(lost_steps(keyframes)[:, None, None], LOST_COVARIANCE, covariance)
+    covariance = covariance + doubtful_steps(keyframes)[:, None, None] * DOUBTFUL_COVARIANCE
+    gap_m = np.maximum(np.diff(keyframes.way_m) - 2.0 * step_m, 0.0)
+    covariance = covariance + (GAP_SHARE * gap_m[:, None, None]) ** 2 * np.eye(3)
+    of = np.arange(keyframes.count - 1, dtype=np.int64)
+    # Into another piece nobody knows the way; back in one, the newest key frame of it goes before.
+    last_of: dict[int, int] = {}
+    for k, piece in enumerate(keyframes.piece.tolist()):
+        if k and piece != keyframes.piece[k - 1]:
+            if piece in last_of:
+                of[k - 1] = last_of[piece]
+            else:
+                covariance[k - 1] = UNKNOWN_COVARIANCE
+        last_of[piece] = k
+    to = np.arange(1, keyframes.count, dtype=np.int64)
+    return Edges(
+        of, to, se2.between(keyframes.odom[of], keyframes.odom[to]), covariance, np.zeros(keyframes.count - 1)
+    )
