@@ -213,16 +213,16 @@ def test_a_piece_that_is_not_joined_is_neither_laid_on_nor_rendered(
     known = ring[0][:SIDE]
     back_end = LoopBackEnd(LoopsConfig(), OccupancyTiles(OccupancyConfig(), 0.05).renderer)
     back_end.work(Batch(known))
-    alone = back_end._render()
+    alone = back_end.render()
     back_end.work(Batch(piece_after(known, known[10:11] * 3)))
     assert back_end._keyframes.count == SIDE + 3
     assert back_end._usable().tolist() == [True] * SIDE + [False] * 3
-    rendered = back_end._render()
+    rendered = back_end.render()
     assert alone is not None
     assert rendered is not None
     np.testing.assert_array_equal(rendered.evidence, alone.evidence)
     back_end._joined.add(1)
     assert back_end._usable().all()
-    both = back_end._render()
+    both = back_end.render()
     assert both is not None
     assert both.evidence.shape != alone.evidence.shape or (both.evidence != alone.evidence).any()
