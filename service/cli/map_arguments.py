@@ -5,6 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from service.cli.map_names import map_and_version
+
 Add = Callable[[Any, str, str], argparse.ArgumentParser]
 
 
@@ -18,6 +20,8 @@ def add_maps(commands: Any, add: Add) -> None:
         ("log", "the versions of a stored map: when, who, what"),
     ):
         add(works, name, what).add_argument("map", type=Path, metavar="MAP")
+    loops = add(works, "loops", "the loops of a stored map, accepted and refused, with place and evidence")
+    loops.add_argument("map", type=map_and_version, metavar="MAP[@VERSION]")
     merge = add(works, "merge", "several maps to one, in the frame of the first")
     merge.add_argument("maps", type=Path, nargs="+", metavar="MAP")
     merge.add_argument("--out", type=Path, required=True, metavar="C", help="folder of the new map")

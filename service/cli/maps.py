@@ -1,4 +1,4 @@
-"""map info, verify, log, merge, edit: work on stored maps."""
+"""map info, verify, log, loops, merge, edit: work on stored maps."""
 
 import argparse
 import getpass
@@ -11,6 +11,7 @@ from service.errors import UsageError
 
 def map_command(parsed: argparse.Namespace) -> int:
     from service.offline.map_log import log_table, map_log
+    from service.offline.map_loops import loops_table, map_loops
     from service.offline.map_work import map_info, map_merge, map_verify
 
     match parsed.work:
@@ -25,6 +26,15 @@ def map_command(parsed: argparse.Namespace) -> int:
             else:
                 print_table(log_table(log))
                 print_problems(log)
+        case "loops":
+            loops = map_loops(*parsed.map)
+            if parsed.json:
+                print_result(loops, as_json=True)
+            else:
+                print_table(loops_table(loops))
+                for pair in loops["pairs"]:
+                    print("pair {pair} at ({x_m}, {y_m}) m: {apart_mm} mm apart".format(**pair))
+                print_problems(loops)
         case "edit":
             print_result(_edit(parsed), parsed.json)
         case _:

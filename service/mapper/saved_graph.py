@@ -9,8 +9,10 @@ import numpy.typing as npt
 
 from service.geometry.poses import Floats
 from service.mapper.by_hand import ByHand
+from service.mapper.refused_loops import RefusedLoops
 
 POINT_STEP_M = 0.001  # of the stored coordinates: a tenth of what a range errs by
+MAY_BE_NO_NUMBER = ("gap_s", "loop_against")
 NORMAL_STEP = 1e-4  # of the stored normals and their weight
 
 
@@ -54,6 +56,9 @@ class SavedGraph:
     loop_measured: Floats  # (L, 3) the second seen from the first
     loop_covariance: Floats  # (L, 3, 3) in the axes of the second
     loop_score: Floats  # (L,) inlier ratio
+    loop_points: npt.NDArray[np.int64]  # (L,) asked; 0: not known
+    loop_against: Floats  # (L,) share of them in free space; NaN: not known
+    refused: RefusedLoops = field(default_factory=RefusedLoops)
     by_hand: ByHand = field(default_factory=ByHand)
 
     def __len__(self) -> int:
@@ -72,30 +77,30 @@ class SavedGraph:
             "loop_ends": (loops, 2),
             "loop_measured": (loops, 3),
             "loop_covariance": (loops, 3, 3),
-            "loop_score": (loops,),
+            **dict.fromkeys(("loop_score", "loop_points", "loop_against"), (loops,)),
         }
         for name, shape in expected.items():
             array = getattr(self, name)
             if array.shape != shape:
                 raise SavedGraphError(f"{name} has the shape {array.shape}, expected {shape}")
-            if name != "gap_s" and array.dtype.kind == "f" and not np.isfinite(array).all():
+            if name not in MAY_BE_NO_NUMBER and array.dtype.kind == "f" and not np.isfinite(array).all():
                 raise SavedGraphError(f"{name} holds what is no number")
         if loops and (self.loop_ends.min() < 0 or self.loop_ends.max() >= n):
             raise SavedGraphError(f"loop_ends names key frames that are not among the {n} here")
         if (self.point_count < 0).any():
             raise SavedGraphError("point_count is negative")
-        if problem := self.by_hand.problem(n):
+        if problem := self.by_hand.problem(n) or self.refused.problem(n):
             raise SavedGraphError(problem)
         return self
 
 
-_ELSEWHERE = ("xy_base", "normals", "by_hand")  # fields that are no small arrays
+_ELSEWHERE = ("xy_base", "normals", "by_hand", "refused")  # fields that are no small arrays
 _SMALL = [f.name for f in fields(SavedGraph) if f.name not in _ELSEWHERE]
 
 
 def small_arrays(graph: SavedGraph) -> dict[str, npt.NDArray[Any]]:
     """All but the points, by name."""
-    return {name: getattr(graph, name) for name in _SMALL} | graph.by_hand.arrays()
+    return {name: getattr(graph, name) for name in _SMALL} | graph.by_hand.arrays() | graph.refused.arrays()
 
 
 def packed_points(graph: SavedGraph, first: int, last: int) -> dict[str, npt.NDArray[Any]]:
@@ -112,6 +117,7 @@ def from_arrays(
     small: Mapping[str, npt.NDArray[Any]], points: Sequence[Mapping[str, npt.NDArray[Any]]]
 ) -> SavedGraph:
     """What small_arrays and packed_points gave. Raises SavedGraphError."""
+    small = _unknown_before_format_3(small) | dict(small)
     try:
         xy = [np.asarray(part["xy"]) for part in points] or [np.zeros((0, 2), np.int32)]
         normals = [np.asarray(part["normals"]) for part in points] or [np.zeros((0, 3), np.int32)]
@@ -119,8 +125,15 @@ def from_arrays(
             xy_base=(np.concatenate(xy) * POINT_STEP_M).astype(np.float32),
             normals=(np.concatenate(normals) * NORMAL_STEP).astype(np.float32),
             by_hand=ByHand.from_arrays(small),
+            refused=RefusedLoops.from_arrays(small),
             **{name: small[name] for name in _SMALL},
         )
     except (KeyError, ValueError, TypeError) as error:
         raise SavedGraphError(f"arrays that are no graph: {error}") from error
     return graph.checked()
+
+
+def _unknown_before_format_3(small: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
+    """What a file of format 2 does not say of its loops."""
+    loops = len(small.get("loop_score", ()))
+    return {"loop_points": np.zeros(loops, np.int64), "loop_against": np.full(loops, np.nan)}

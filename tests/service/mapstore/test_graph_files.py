@@ -37,6 +37,8 @@ def graph_of(count: int) -> SavedGraph:
         loop_measured=np.zeros((1, 3)),
         loop_covariance=np.eye(3)[None],
         loop_score=np.ones(1),
+        loop_points=np.full(1, 400),
+        loop_against=np.zeros(1),
     )
 
 

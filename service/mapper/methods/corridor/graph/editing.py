@@ -15,6 +15,7 @@ from service.mapper.components import MapRenderer, RenderedMap
 from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
 from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
+from service.mapper.refused_loops import BY_HAND, RefusedLoops
 from service.mapper.saved_graph import SavedGraph
 
 SEEN_WITHIN_M = 0.3  # of a point that a person points at, what saw it has a point
@@ -86,6 +87,9 @@ def without_time(graph: SavedGraph, from_ns: int, to_ns: int, is_bridged: bool) 
         loop_measured=graph.loop_measured[loops_kept],
         loop_covariance=graph.loop_covariance[loops_kept],
         loop_score=graph.loop_score[loops_kept],
+        loop_points=graph.loop_points[loops_kept],
+        loop_against=graph.loop_against[loops_kept],
+        refused=graph.refused.renumbered(number, is_kept),
         by_hand=graph.by_hand.without_keyframes(is_kept, graph.map),
     )
     _refuse_if_apart(groups(graph)[is_kept], less, "--bridge lets odometry hold them over what is cut")
@@ -138,6 +142,9 @@ def without_loops(graph: SavedGraph, numbers: Sequence[int]) -> SavedGraph:
         loop_measured=graph.loop_measured[kept],
         loop_covariance=graph.loop_covariance[kept],
         loop_score=graph.loop_score[kept],
+        loop_points=graph.loop_points[kept],
+        loop_against=graph.loop_against[kept],
+        refused=graph.refused.and_also(_refused(graph, numbers)),
     )
     _refuse_if_apart(groups(graph), less, "--add-pair holds them together, or cut one of them away first")
     return less
@@ -175,6 +182,18 @@ def groups(graph: SavedGraph) -> npt.NDArray[np.int64]:
         low, high = sorted((root(a), root(b)))
         parent[high] = low
     return np.array([root(k) for k in range(len(graph))], np.int64)
+
+
+def _refused(graph: SavedGraph, numbers: Sequence[int]) -> RefusedLoops:
+    which = np.unique(np.array(numbers, np.int64))
+    return RefusedLoops(
+        graph.loop_ends[which],
+        graph.loop_measured[which],
+        graph.loop_score[which],
+        graph.loop_points[which],
+        graph.loop_against[which],
+        np.full(len(which), BY_HAND),
+    )
 
 
 def _pieces_cut(piece: npt.NDArray[np.int64], is_kept: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:

@@ -1,5 +1,6 @@
 """Back end of the default profile: finds loops among key frames, accepts few of them, and bends the way."""
 
+import math
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,6 +26,7 @@ from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
 from service.mapper.methods.corridor.graph.odometry_edges import doubtful_steps, lost_steps, odometry_edges
 from service.mapper.methods.corridor.graph.passes import worth_asking
 from service.mapper.methods.corridor.graph.piece_search import PieceSearch
+from service.mapper.methods.corridor.graph.refusals import Refusals
 from service.mapper.methods.corridor.graph.stored_graph import (
     Placement,
     anchor_loop,
@@ -35,6 +37,7 @@ from service.mapper.methods.corridor.graph.stored_graph import (
     stored_loops,
     to_render,
 )
+from service.mapper.refused_loops import ALONE, BY_HAND, CONTRADICTED, IN_FREE_SPACE, TOO_FEW_POINTS
 from service.mapper.saved_graph import KeepGraph, SavedGraph
 
 SAME_SPOT_M, SAME_VIEW_RAD = 0.5, 0.5  # key frames so near see the same
@@ -78,6 +81,7 @@ class LoopBackEnd:
         self._accepted: list[list[Loop]] = []  # as they came to be accepted; for who takes one back
         self._candidates: list[Loop] = []
         self._disabled: list[Loop] = []
+        self._refusals = Refusals(None if stored is None else stored.refused)
         self._submaps: OrderedDict[int, CandidateSubmap] = OrderedDict()
         self._searched_m = float(self._keyframes.way_m[-1]) if stored is not None else 0.0
         # Numbers of the pieces whose place in the map is known.
@@ -99,7 +103,7 @@ class LoopBackEnd:
             alike=self._pieces.alike,
         )
         if batch.is_last or batch.request == "checkpoint":
-            saved = saved_graph(self._keyframes, self._loops, self._joined)
+            saved = saved_graph(self._keyframes, self._loops, self._joined, self._refusals)
             result = replace(result, saved=self._keep_graph(saved) if self._keep_graph else saved)
         return result
 
@@ -116,6 +120,7 @@ class LoopBackEnd:
         if batch.request == "undo" and self._accepted:
             gone = self._accepted.pop()
             self._loops = [loop for loop in self._loops if loop not in gone]
+            self._refusals.add(gone, BY_HAND)
             moved = True
         if batch.request == "optimize" and (self._loops or self._anchoring.reference or self._has_pairs):
             moved = True
@@ -195,6 +200,7 @@ class LoopBackEnd:
         self._prove()
         for found in self._search(keyframes.count - 1):
             self._candidates.append(found)
+            self._refusals.add([found], ALONE)
             self._accept(found)
         oldest_m = self._searched_m - 2.0 * WITHIN_M
         self._candidates = [loop for loop in self._candidates if keyframes.way_m[loop.to] >= oldest_m]
@@ -304,8 +310,15 @@ class LoopBackEnd:
             if pose is None:
                 continue
             fit = submap.align(cloud, pose)
-            if self._is_good(fit) and submap.against(cloud, fit.pose) < MOST_AGAINST:
-                found.append(loop_of(submap.reference, reference, fit.pose, fit.information, fit.share))
+            is_good = self._is_good(fit)
+            against = submap.against(cloud, fit.pose) if is_good else math.nan
+            loop = loop_of(
+                submap.reference, reference, fit.pose, fit.information, fit.share, len(cloud.xy), against
+            )
+            if against < MOST_AGAINST:
+                found.append(loop)
+            else:
+                self._refusals.add([loop], IN_FREE_SPACE if is_good else TOO_FEW_POINTS)
         return found
 
     def _is_good(self, fit: Fit) -> bool:
@@ -397,6 +410,7 @@ class LoopBackEnd:
         go = [loop for loop, c in zip(self._loops, chi2, strict=True) if c > CONTRADICTION_CHI2]
         self._loops = [loop for loop in self._loops if loop not in go]
         self._disabled += go
+        self._refusals.add(go, CONTRADICTED)
         return bool(go)
 
     def _finish(self) -> Result:
@@ -431,8 +445,8 @@ class LoopBackEnd:
                 if spot not in done and loop.of < loop.to:
                     done.add(spot)
                     new.append(loop)
-        for loop in new:
-            self._candidates.append(loop)
+        self._candidates += new
+        self._refusals.add(new, ALONE)
         for loop in new:
             if loop not in self._loops:
                 self._accept(loop)
@@ -453,6 +467,7 @@ class LoopBackEnd:
         self._loops = [*moved_loops(self._loops, held, last), anchor_loop(keyframes, held)]
         self._candidates = moved_loops(self._candidates, held, last)
         self._disabled, self._accepted = [], []
+        self._refusals.clear()
         self._looked_back = held
         for k in [k for k in self._submaps if k >= held]:
             del self._submaps[k]

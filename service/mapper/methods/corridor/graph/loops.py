@@ -26,14 +26,24 @@ class Loop:
     measured: Floats  # (3,)
     covariance: Floats  # (3, 3) in the axes of `to`
     share: float  # of the points that lie on the surfels of the earlier pass
+    points: int = 0  # so many were asked; 0: not known
+    against: float = math.nan  # share of them in free space of the earlier pass; NaN: not asked
 
 
-def loop_of(of: int, to: int, pose: Floats, information: Floats, share: float) -> Loop:
+def loop_of(
+    of: int,
+    to: int,
+    pose: Floats,
+    information: Floats,
+    share: float,
+    points: int = 0,
+    against: float = math.nan,
+) -> Loop:
     """information: (3, 3) in the axes of `of`. A direction that the walls do not fix stays open."""
     covariance = np.linalg.inv(information + OPEN_INFORMATION)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    return Loop(of, to, pose, turn @ covariance @ turn.T + FLOOR, share)
+    return Loop(of, to, pose, turn @ covariance @ turn.T + FLOOR, share, points, against)
 
 
 def as_edges(loops: Sequence[Loop]) -> Edges:

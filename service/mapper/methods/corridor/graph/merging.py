@@ -88,7 +88,7 @@ def together(first: SavedGraph, second: SavedGraph) -> SavedGraph:
 
     names = (
         "stamp_ns odom map covariance score gap_s is_lost sensor_xy_m point_count xy_base normals "
-        "loop_measured loop_covariance loop_score"
+        "loop_measured loop_covariance loop_score loop_points loop_against"
     )
     way_m = second.way_m - second.way_m[0] + first.way_m[-1] + SESSION_APART_M
     piece = second.piece - second.piece.min() + first.piece.max() + 1
@@ -97,6 +97,7 @@ def together(first: SavedGraph, second: SavedGraph) -> SavedGraph:
         way_m=np.concatenate((first.way_m, way_m)),
         piece=np.concatenate((first.piece, piece)),
         loop_ends=np.concatenate((first.loop_ends, second.loop_ends + len(first))),
+        refused=first.refused.and_also(replace(second.refused, ends=second.refused.ends + len(first))),
         by_hand=first.by_hand.and_also(second.by_hand, len(first)),
     )
 

@@ -197,7 +197,9 @@ class PieceSearch:
             fits = fit.share >= PIECE_SHARE * usual and against < PIECE_AGAINST
         if not fits:
             return fit, None
-        return fit, loop_of(submap.reference, reference, fit.pose, fit.information, fit.share)
+        return fit, loop_of(
+            submap.reference, reference, fit.pose, fit.information, fit.share, len(cloud.xy), against
+        )
 
     def _could_be_at(self, at: Floats, piece: int, reference: int) -> bool:
         """Whether a key frame of a piece may lie at a pose (3,) of the map.

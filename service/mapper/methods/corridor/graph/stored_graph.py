@@ -15,6 +15,7 @@ from service.mapper.graph.pose_graph_solver import solve
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
 from service.mapper.methods.corridor.graph.loops import Loop, as_edges
 from service.mapper.methods.corridor.graph.piece_search import LEAST_APART_M
+from service.mapper.methods.corridor.graph.refusals import Refusals
 from service.mapper.saved_graph import SavedGraph
 
 MOST_CONTRADICTIONS = 2  # looks in a row
@@ -24,14 +25,22 @@ ANCHOR_COVARIANCE = np.diag([0.02**2, 0.02**2, 0.005**2])  # of the first key fr
 
 def stored_loops(stored: SavedGraph) -> list[Loop]:
     return [
-        Loop(int(of), int(to), measured, covariance, float(score))
-        for (of, to), measured, covariance, score in zip(
-            stored.loop_ends, stored.loop_measured, stored.loop_covariance, stored.loop_score, strict=True
+        Loop(int(of), int(to), measured, covariance, float(score), int(points), float(against))
+        for (of, to), measured, covariance, score, points, against in zip(
+            stored.loop_ends,
+            stored.loop_measured,
+            stored.loop_covariance,
+            stored.loop_score,
+            stored.loop_points,
+            stored.loop_against,
+            strict=True,
         )
     ]
 
 
-def saved_graph(keyframes: KeyframeList, loops: Sequence[Loop], joined: Collection[int]) -> SavedGraph:
+def saved_graph(
+    keyframes: KeyframeList, loops: Sequence[Loop], joined: Collection[int], refusals: Refusals
+) -> SavedGraph:
     """The key frames whose place in the map is known, and the loops between them."""
     is_known = np.isin(keyframes.piece, list(joined))
     kept = np.flatnonzero(is_known)
@@ -57,6 +66,9 @@ def saved_graph(keyframes: KeyframeList, loops: Sequence[Loop], joined: Collecti
         loop_measured=edges.measured,
         loop_covariance=edges.covariance,
         loop_score=np.array([loop.share for loop in between]),
+        loop_points=np.array([loop.points for loop in between], np.int64),
+        loop_against=np.array([loop.against for loop in between], np.float64),
+        refused=refusals.arrays(loops).renumbered(number, is_known),
         by_hand=keyframes.by_hand,  # of the stored key frames, which stand first
     )
 

@@ -1,0 +1,70 @@
+"""Loops that were measured and are not believed, as they are stored, and why."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry.poses import Floats
+
+Ints = npt.NDArray[np.int64]
+
+TOO_FEW_POINTS, IN_FREE_SPACE, ALONE, CONTRADICTED, BY_HAND = range(5)
+WORDS = (
+    "too few of its points lie on the map",
+    "too many of its points lie where the map knows that nothing stands",
+    "no other loop near it says the same",
+    "the rest of the graph contradicts it",
+    "taken back by hand",
+)
+PREFIX = "refused_"  # of the names in a file
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RefusedLoops:
+    """R loops; arrays as those of the accepted ones."""
+
+    ends: Ints = field(default_factory=lambda: np.zeros((0, 2), np.int64))  # (R, 2) key frames
+    measured: Floats = field(default_factory=lambda: np.zeros((0, 3)))  # (R, 3) second seen from first
+    score: Floats = field(default_factory=lambda: np.zeros(0))  # (R,) inlier ratio
+    points: Ints = field(default_factory=lambda: np.zeros(0, np.int64))  # (R,) asked
+    against: Floats = field(default_factory=lambda: np.zeros(0))  # (R,) share in free space; NaN: not asked
+    reason: Ints = field(default_factory=lambda: np.zeros(0, np.int64))  # (R,) which of WORDS
+
+    def problem(self, keyframes: int) -> str:
+        """What does not fit a graph of so many key frames; "" where all does."""
+        count = len(self.ends)
+        for f in fields(self):
+            shape = {"ends": (count, 2), "measured": (count, 3)}.get(f.name, (count,))
+            if getattr(self, f.name).shape != shape:
+                return f"{PREFIX}{f.name} has the shape {getattr(self, f.name).shape}, expected {shape}"
+        if count and (self.ends.min() < 0 or self.ends.max() >= keyframes):
+            return f"{PREFIX}ends names key frames that are not among the {keyframes} here"
+        if count and (self.reason.min() < 0 or self.reason.max() >= len(WORDS)):
+            return f"{PREFIX}reason names what is none of the {len(WORDS)} reasons"
+        return ""
+
+    def chosen(self, which: Ints) -> "RefusedLoops":
+        return RefusedLoops(*(getattr(self, f.name)[which] for f in fields(self)))
+
+    def and_also(self, other: "RefusedLoops") -> "RefusedLoops":
+        return RefusedLoops(
+            *(np.concatenate((getattr(self, f.name), getattr(other, f.name))) for f in fields(self))
+        )
+
+    def renumbered(self, number: Ints, is_kept: npt.NDArray[np.bool_]) -> "RefusedLoops":
+        """Those between key frames that are kept, by the new numbers (N,) of these."""
+        left = self.chosen(np.flatnonzero(is_kept[self.ends].all(axis=1)))
+        return RefusedLoops(number[left.ends], *(getattr(left, f.name) for f in fields(left)[1:]))
+
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        return {PREFIX + f.name: getattr(self, f.name) for f in fields(self)}
+
+    @staticmethod
+    def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> "RefusedLoops":
+        """What `arrays` gave; a file of format 2 knows of none. Raises KeyError."""
+        if not any(name.startswith(PREFIX) for name in arrays):
+            return RefusedLoops()
+        return RefusedLoops(**{f.name: arrays[PREFIX + f.name] for f in fields(RefusedLoops)})

@@ -1,0 +1,121 @@
+"""`corridor map loops`: which loops hold a stored map together, which were not believed, and why."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from service.errors import InputError
+from service.geometry import poses as se2
+from service.geometry.poses import Floats
+from service.mapper.refused_loops import WORDS
+from service.mapper.saved_graph import SavedGraph
+from service.mapstore.files import load_map
+
+
+def map_loops(folder: Path, version: int | None = None) -> dict[str, Any]:
+    """The loops of a version (None: the current one), for JSON: accepted ones first, as `map edit
+    --refuse-loop` numbers them.
+
+    Raises InputError where no map can be read, or where it holds no graph.
+    """
+    stored = load_map(folder, version)
+    graph = stored.graph
+    if graph is None:
+        raise InputError(f"{folder}: this map holds what was shown, not what it was made of: it has no loops")
+    refused = graph.refused
+    accepted = _told(
+        graph, graph.loop_ends, graph.loop_measured, graph.loop_score, graph.loop_points, graph.loop_against
+    )
+    not_believed = _told(
+        graph, refused.ends, refused.measured, refused.score, refused.points, refused.against
+    )
+    return {
+        "map": str(folder),
+        "version": stored.number,
+        "accepted": [{"loop": k, **told} for k, told in enumerate(accepted)],
+        "refused": [
+            {"why": WORDS[reason], **told}
+            for reason, told in zip(refused.reason.tolist(), not_believed, strict=True)
+        ],
+        "pairs": _pairs(graph),
+        "problems": stored.problems,
+    }
+
+
+def loops_table(loops: dict[str, Any]) -> list[list[str]]:
+    """Rows of words, heads first."""
+    heads = [
+        "loop",
+        "at x m",
+        "y m",
+        "from s",
+        "back at s",
+        "points",
+        "on map",
+        "in free",
+        "off mm",
+        "off deg",
+    ]
+    rows = [[*heads, "why not"]]
+    for loop in loops["accepted"]:
+        rows.append([str(loop["loop"]), *_cells(loop), ""])
+    for loop in loops["refused"]:
+        rows.append(["refused", *_cells(loop), loop["why"]])
+    return rows
+
+
+def _cells(loop: dict[str, Any]) -> list[str]:
+    def share(value: float | None) -> str:
+        return "-" if value is None else f"{100.0 * value:.0f} %"
+
+    return [
+        f"{loop['x_m']:.1f}",
+        f"{loop['y_m']:.1f}",
+        f"{loop['from_s']:.1f}",
+        f"{loop['back_at_s']:.1f}",
+        str(loop["points"] or "-"),
+        share(loop["on_map"]),
+        share(loop["in_free"]),
+        f"{loop['off_mm']:.0f}",
+        f"{loop['off_deg']:.2f}",
+    ]
+
+
+def _told(
+    graph: SavedGraph, ends: np.ndarray, measured: Floats, on_map: Floats, points: np.ndarray, in_free: Floats
+) -> list[dict[str, Any]]:
+    off = se2.between(measured, se2.between(graph.map[ends[:, 0]], graph.map[ends[:, 1]]))
+    seconds = (graph.stamp_ns - graph.stamp_ns.min()) / 1e9
+    return [
+        {
+            "keyframes": [int(of), int(to)],
+            "x_m": round(float(graph.map[to, 0]), 2),
+            "y_m": round(float(graph.map[to, 1]), 2),
+            "from_s": round(float(seconds[of]), 2),
+            "back_at_s": round(float(seconds[to]), 2),
+            "points": int(points[k]),
+            "on_map": round(float(on_map[k]), 3),
+            "in_free": None if np.isnan(in_free[k]) else round(float(in_free[k]), 3),
+            "off_mm": round(1e3 * float(np.hypot(off[k, 0], off[k, 1])), 1),
+            "off_deg": round(abs(float(np.degrees(off[k, 2]))), 3),
+        }
+        for k, (of, to) in enumerate(ends.tolist())
+    ]
+
+
+def _pairs(graph: SavedGraph) -> list[dict[str, Any]]:
+    """What a person says is one place, and how far apart it lies still."""
+    ends, seen = graph.by_hand.pair_ends, graph.by_hand.pair_xy
+    xy = se2.points_from(graph.map[ends], seen)
+    apart_m = np.hypot(*(xy[:, 0] - xy[:, 1]).T)
+    return [
+        {
+            "pair": k,
+            "keyframes": ends[k].tolist(),
+            "x_m": round(float(xy[k, 0, 0]), 2),
+            "y_m": round(float(xy[k, 0, 1]), 2),
+            "apart_mm": round(1e3 * float(apart_m[k]), 1),
+        }
+        for k in range(len(ends))
+    ]
