@@ -1,5 +1,6 @@
 """What leaves the mapper."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -40,6 +41,29 @@ class Grid:
     x_min_m: float
     y_min_m: float
     cells: npt.NDArray[np.int8]  # (H, W), -1 unknown, 0..100 per cent occupied; read-only
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GraphPicture:
+    """The pose graph as lines, for people to look at; map frame, m, float32. Thinned where it is long.
+
+    stamp_ns   of the newest key frame
+    ways       stretches of key frames, (N, 2) each; from one to the next only loops lead
+    accepted   (L, 2, 2) both ends of each loop that holds the graph together
+    refused    (R, 2, 2) of each that was found and is not believed: the rest contradicts it, or no other
+               says the same (yet)
+    borders    outlines of sub-maps, (K, 2) each; none where the method has no sub-maps
+    """
+
+    stamp_ns: int
+    ways: Sequence[npt.NDArray[np.float32]]
+    accepted: npt.NDArray[np.float32]
+    refused: npt.NDArray[np.float32]
+    borders: Sequence[npt.NDArray[np.float32]] = ()
+
+
+_NO_ENDS = np.empty((0, 2, 2), np.float32)
+NO_GRAPH = GraphPicture(0, (), _NO_ENDS, _NO_ENDS)  # of a map that has just begun
 
 
 @dataclass(frozen=True, slots=True, eq=False)

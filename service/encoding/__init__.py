@@ -12,6 +12,7 @@ import numpy as np
 from drivers.frames import NO_INTENSITY, GnssFix, ImuSample, LaserScan
 from drivers.link import RawChunk
 from service.encoding.frames import decode_frame, encode_frame, frame_id
+from service.encoding.graph import GRAPH, decode_graph, encode_graph
 from service.encoding.outputs import (
     ERROR,
     OK,
@@ -45,6 +46,7 @@ from service.encoding.wire import (
     IMU,
     LASER_SCAN,
     MAP_FRAME,
+    MARKERS,
     NAV_SAT_FIX,
     OCCUPANCY_GRID,
     ODOM_FRAME,
@@ -60,7 +62,7 @@ from service.encoding.wire import (
     type_hash,
 )
 from service.geometry.se2 import SE2
-from service.outputs import Grid, MapperOutput
+from service.outputs import GraphPicture, Grid, MapperOutput
 
 __all__ = [
     "APPLY_RESULT",
@@ -68,9 +70,11 @@ __all__ = [
     "BYTES",
     "DIAGNOSTICS",
     "ERROR",
+    "GRAPH",
     "IMU",
     "LASER_SCAN",
     "MAP_FRAME",
+    "MARKERS",
     "NAV_SAT_FIX",
     "OCCUPANCY_GRID",
     "ODOMETRY",
@@ -88,6 +92,7 @@ __all__ = [
     "decode_diagnostics",
     "decode_event",
     "decode_frame",
+    "decode_graph",
     "decode_grid",
     "decode_mountings",
     "decode_pose",
@@ -98,6 +103,7 @@ __all__ = [
     "encode_diagnostics",
     "encode_event",
     "encode_frame",
+    "encode_graph",
     "encode_grid",
     "encode_odom",
     "encode_pose",
@@ -115,6 +121,7 @@ __all__ = [
 ]
 
 _OUTPUT = MapperOutput(1, SE2(), SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 1.0)
+_LINE = np.zeros((2, 2), np.float32)
 _ONE_OF_EACH: tuple[Callable[[], Message], ...] = (
     lambda: encode_frame(
         LaserScan("s", 1, 1, 1, 1, 0.0, 0.1, 0.0, 1.0, np.ones(2, np.float32), NO_INTENSITY)
@@ -124,6 +131,7 @@ _ONE_OF_EACH: tuple[Callable[[], Message], ...] = (
     lambda: encode_pose(_OUTPUT, 1),
     lambda: encode_tf(_OUTPUT, 1),
     lambda: encode_grid(Grid(0, 0.05, 0.0, 0.0, np.zeros((1, 1), np.int8)), 1, 1),
+    lambda: encode_graph(GraphPicture(1, [_LINE], _LINE[None], _LINE[None]), 1),
     lambda: encode_diagnostics("health", [Status("s", 0, "", {"k": "v"})], 1, 1),
     lambda: encode_event("", 1, 1),
     lambda: encode_raw("s", RawChunk(1, "received"), 0),

@@ -11,6 +11,31 @@ import numpy as np
 import numpy.typing as npt
 from rosbags.interfaces import Nodetype
 
+from service.encoding.ros_markers import (
+    DEFINITIONS as MARKER_DEFINITIONS,
+)
+from service.encoding.ros_markers import (
+    builtin_interfaces__msg__Duration as builtin_interfaces__msg__Duration,
+)
+from service.encoding.ros_markers import (
+    sensor_msgs__msg__CompressedImage as sensor_msgs__msg__CompressedImage,
+)
+from service.encoding.ros_markers import (
+    std_msgs__msg__ColorRGBA as std_msgs__msg__ColorRGBA,
+)
+from service.encoding.ros_markers import (
+    visualization_msgs__msg__Marker as visualization_msgs__msg__Marker,
+)
+from service.encoding.ros_markers import (
+    visualization_msgs__msg__MarkerArray as visualization_msgs__msg__MarkerArray,
+)
+from service.encoding.ros_markers import (
+    visualization_msgs__msg__MeshFile as visualization_msgs__msg__MeshFile,
+)
+from service.encoding.ros_markers import (
+    visualization_msgs__msg__UVCoordinate as visualization_msgs__msg__UVCoordinate,
+)
+
 # ROS names of the classes have two underscores between package and message, as in rosbags.
 
 
@@ -400,6 +425,7 @@ _DEFINITIONS = {
         std_msgs/MultiArrayLayout layout
         uint8[] data
     """,
+    **MARKER_DEFINITIONS,
 }
 
 

@@ -15,7 +15,7 @@ from service.geometry.se2 import SE2
 from service.mapper.background import InlineWorker, NewWorker
 from service.mapper.patch_store import MemoryPatches, NewPatchStore
 from service.mapper.saved_graph import KeepGraph, KeptGraph, SavedGraph
-from service.outputs import State, TileUpdate
+from service.outputs import GraphPicture, State, TileUpdate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,6 +141,7 @@ class GraphUpdate:
     alike    m, in the map: places that a piece that is looked for fits equally well
     saved    what a later session needs to go on, where a checkpoint was asked for
     geo      where the map lies on the earth; None: that is not known, or not news
+    picture  the graph, for people to look at; None: that of before stands
     """
 
     counts: Mapping[str, int]
@@ -151,6 +152,7 @@ class GraphUpdate:
     placed: Placed | None = None
     alike: Sequence[tuple[float, float]] = ()
     saved: SavedGraph | KeptGraph | None = None
+    picture: GraphPicture | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

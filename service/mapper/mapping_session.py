@@ -10,7 +10,7 @@ from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapper.components import FinishedGraph, Graph
 from service.mapper.saved_graph import KeptGraph, SavedGraph
-from service.outputs import MapperOutput, TileUpdate
+from service.outputs import GraphPicture, MapperOutput, TileUpdate
 
 APPLY_AFTER_SCANS = 25  # half a second at 50 Hz: what a loop takes live on a busy machine
 
@@ -65,6 +65,7 @@ class FrameMapper(Protocol):
     counters: Counter[str]
     geo_reference: GeoReference | None
     saved: SavedGraph | KeptGraph | None
+    graph_picture: GraphPicture | None
 
     def process(self, frame: Frame) -> MapperOutput | None: ...
     def skip(self, scan: LaserScan) -> None: ...
@@ -170,6 +171,11 @@ class MappingSession:
     def saved(self) -> SavedGraph | KeptGraph | None:
         """Of the newest checkpoint of the present map that was asked for; None: there was none."""
         return self._mapper.saved
+
+    @property
+    def graph_picture(self) -> GraphPicture | None:
+        """The graph of the present map, for people to look at; None where there is none (yet)."""
+        return self._mapper.graph_picture
 
     @property
     def work_ready(self) -> bool:

@@ -24,7 +24,7 @@ from service.mapper.components import (
 from service.mapper.mounting_check import MountingCheck
 from service.mapper.saved_graph import KeptGraph, SavedGraph
 from service.mapper.scan_check import ScanCheck
-from service.outputs import MapperOutput, State, TileUpdate
+from service.outputs import GraphPicture, MapperOutput, State, TileUpdate
 
 UNPROVEN = "found in the stored map by what is seen from one spot; drive on some metres to prove it"
 MOST_BEHIND_NS = 250_000_000  # that a sweep may have begun before the newest pose: a slow laser beside a fast
@@ -55,6 +55,7 @@ class Mapper(Generic[ReadableMap]):
         self._placed, self._is_localizing = placed, is_localizing
         self._alike: Sequence[tuple[float, float]] = ()  # places that what is seen fits equally well
         self.saved: SavedGraph | KeptGraph | None = None  # of the newest checkpoint that was asked for
+        self.graph_picture: GraphPicture | None = None  # the newest, for people to look at
         self._stopwatch = stopwatch if stopwatch is not None else NoStopwatch()
         self._last_ns: int | None = None  # moment of the newest pose
         self._lasers: dict[str, LaserWatch] = {}
@@ -143,6 +144,8 @@ class Mapper(Generic[ReadableMap]):
         self._alike = update.alike
         if update.saved is not None:
             self.saved = update.saved
+        if update.picture is not None:
+            self.graph_picture = update.picture
         if update.placed is not None:
             self._placed = update.placed
         if update.joined is not None:

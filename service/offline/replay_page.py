@@ -22,6 +22,7 @@ from service.encoding import (
     Status,
     encode_diagnostics,
     encode_frame,
+    encode_graph,
     encode_pose,
     encode_tf_static,
 )
@@ -30,7 +31,7 @@ from service.mapper.mapping_session import MappingSession
 from service.mapstore.tiles import TileStore
 from service.offline.pace import Pace
 from service.offline.view import start_serving
-from service.outputs import UNKNOWN, MapperOutput, TileUpdate
+from service.outputs import NO_GRAPH, UNKNOWN, GraphPicture, MapperOutput, TileUpdate
 from service.publishing.commands import Answer, refusal
 from service.recording.mcap_source import Session
 from service.web.access import new_token
@@ -86,6 +87,7 @@ class ReplayPage:
         self._log_ns = 0  # of the step that is taken
         self._output: MapperOutput | None = None  # the newest
         self._scans: dict[str, LaserScan] = {}  # the newest of each laser
+        self._graph: GraphPicture | None = None  # the newest that is shown
         self._way: list[tuple[float, float]] = []  # driven since the last picture
         self._phase = "starting"  # replaying, closing loops, finished
         self._picture_due_s = self._status_due_s = self._tiles_due_s = 0.0
@@ -138,6 +140,7 @@ class ReplayPage:
 
     def finished(self, tiles: Sequence[TileUpdate], poses_map_base: Sequence[SE2]) -> None:
         self._take_tiles(tiles)
+        self._show_graph()
         self._server.put_path(np.array([(p.x_m, p.y_m) for p in poses_map_base], np.float32).reshape(-1, 2))
         self._way.clear()
         self._phase = "finished"
@@ -147,6 +150,7 @@ class ReplayPage:
         self._take_tiles([])
         self._server.put_path(np.empty((0, 2), np.float32))
         self._way.clear()
+        self._server.put(encode_graph(NO_GRAPH, self._log_ns))
         self._scans.clear()
         self._output = None
 
@@ -171,8 +175,15 @@ class ReplayPage:
             return
         began_s = time.monotonic()
         self._take_tiles(self._mapper.tiles())
+        self._show_graph()
         now_s = time.monotonic()
         self._tiles_due_s = now_s + max(TILES_S, LEAST_REST * (now_s - began_s))
+
+    def _show_graph(self) -> None:
+        picture = self._mapper.graph_picture if self._mapper is not None else None
+        if picture is not None and picture is not self._graph:
+            self._graph = picture
+            self._server.put(encode_graph(picture, self._log_ns))
 
     def _take_tiles(self, tiles: Sequence[TileUpdate]) -> None:
         """Hand on what differs from what is shown; a tile that is not there any more becomes unknown."""

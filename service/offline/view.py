@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from service.encoding import OK, Status, encode_diagnostics
+from service.encoding import OK, Status, encode_diagnostics, encode_graph
 from service.errors import InputError, StorageError
+from service.mapper.graph.graph_picture import draw, draw_saved
 from service.mapstore.files import is_map_folder, load_map
 from service.mapstore.ros_map import read_ros_map
 from service.mapstore.tiles import TileStore
 from service.offline.trajectory import read_tum
-from service.outputs import UNKNOWN, Grid, TileUpdate
+from service.outputs import NO_GRAPH, UNKNOWN, GraphPicture, Grid, TileUpdate
 from service.publishing.commands import Answer, refusal
 from service.web.access import new_token
 from service.web.config import WebConfig
@@ -32,7 +33,7 @@ def open_view(source: Path, listen: str) -> WebServer:
 
     Raises InputError where there is no map in it, StorageError where the page cannot be served.
     """
-    tiles, path_map = _tiles(source), _path(source)
+    (tiles, graph), path_map = _map(source), _path(source)
     store = TileStore()
     store.update(tiles)
     about = About(source.resolve().name, "stored", list)
@@ -42,6 +43,7 @@ def open_view(source: Path, listen: str) -> WebServer:
     now_ns = time.time_ns()
     state = Status("mapping", OK, words, {"state": "stored"})
     server.put(encode_diagnostics("diagnostics", [state], now_ns, now_ns))
+    server.put(encode_graph(graph, now_ns))
     start_serving(server)
     return server
 
@@ -72,13 +74,36 @@ def tiles_of_grid(grid: Grid) -> list[TileUpdate]:
     ]
 
 
-def _tiles(source: Path) -> Sequence[TileUpdate]:
+def _map(source: Path) -> tuple[Sequence[TileUpdate], GraphPicture]:
     for folder in (source, source / "map"):  # a replay stores its map in a folder of its own, where it can
         if is_map_folder(folder):
-            return load_map(folder).tiles
+            stored = load_map(folder)
+            return stored.tiles, NO_GRAPH if stored.graph is None else draw_saved(stored.graph)
     if not (source / "map.yaml").is_file():
         raise InputError(f"{source}: no map in it; give the folder of a stored map or of a replay's result")
-    return tiles_of_grid(read_ros_map(source / "map.yaml"))
+    return tiles_of_grid(read_ros_map(source / "map.yaml")), _graph_of_g2o(source / "graph.g2o")
+
+
+def _graph_of_g2o(path: Path) -> GraphPicture:
+    """Poses along the way, and the edges that do not lead from one to the next: loops."""
+    if not path.is_file():
+        return NO_GRAPH
+    places: dict[int, tuple[float, float]] = {}
+    edges: list[tuple[int, int]] = []
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        try:
+            match line.split():
+                case ["VERTEX_SE2", k, x_m, y_m, *_]:
+                    places[int(k)] = float(x_m), float(y_m)
+                case ["EDGE_SE2", of, to, *_] if abs(int(of) - int(to)) != 1:
+                    edges.append((int(of), int(to)))
+        except ValueError as error:
+            raise InputError(f"{path}:{number}: {line[:60]!r} is no line of a g2o file") from error
+    row = {k: row for row, k in enumerate(sorted(places))}
+    ends = [(row[of], row[to]) for of, to in edges if of in row and to in row]
+    xy_map = np.array([places[k] for k in row]).reshape(-1, 2)
+    none = np.empty((0, 2), np.int64)
+    return draw(0, xy_map, np.zeros(len(row), np.int64), np.array(ends, np.int64).reshape(-1, 2), none)
 
 
 def _path(source: Path) -> npt.NDArray[np.float32]:

@@ -33,7 +33,7 @@ TILE_PERIOD_S = 0.2  # a tile is sent at most so often: the newest counts, not e
 PICTURE_PERIOD_S = 1.0
 CLOSE_TIMEOUT_S = 5.0
 
-STATES = ("tf_static", "health")  # newest counts; cached for late joiners
+STATES = ("tf_static", "health", "graph")  # newest counts; cached for late joiners
 PICTURES = ("map", "map/meta")  # made here, when somebody listens or asks
 ANSWERED = ("pose", *STATES)  # the last one sent is the answer to a get
 TILES = "map/tile"

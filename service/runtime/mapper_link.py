@@ -31,6 +31,7 @@ from service.runtime.mapper_messages import (
     Finished,
     FrameItem,
     Go,
+    GraphDrawn,
     Hello,
     Item,
     MakeStandby,
@@ -55,7 +56,7 @@ MOST_DEATHS = 4  # without an item done in between: then the service ends with a
 STANDBY_S = 5.0  # that a stand-by which has just been made may take to come here
 END_S = 2.0
 
-Heard = Mapped | PassedOver | ResultApplied | Unusable | Tiles | Status
+Heard = Mapped | PassedOver | ResultApplied | Unusable | Tiles | Status | GraphDrawn
 
 
 class MapperListener(Protocol):

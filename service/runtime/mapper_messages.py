@@ -13,7 +13,7 @@ from service.encoding import Message
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapper.mapping_session import SessionAction
-from service.outputs import State, TileUpdate
+from service.outputs import GraphPicture, State, TileUpdate
 
 
 class FrameItem(NamedTuple):
@@ -105,6 +105,12 @@ class GraphKept(NamedTuple):
 
     folder: str
     fault: str
+
+
+class GraphDrawn(NamedTuple):
+    """The graph of the present map, for people to look at."""
+
+    picture: GraphPicture
 
 
 class Progress(NamedTuple):

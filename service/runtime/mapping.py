@@ -10,12 +10,13 @@ from service.encoding import decode_frame, encode_odom, encode_pose, encode_tf
 from service.mapper.components import GraphRequestError
 from service.mapper.mapping_session import MappingSession
 from service.mapper.saved_graph import KeptGraph
-from service.outputs import MapperOutput
+from service.outputs import NO_GRAPH, GraphPicture, MapperOutput
 from service.runtime.mapper_messages import (
     Answer,
     Decisions,
     FrameItem,
     Go,
+    GraphDrawn,
     GraphItem,
     GraphKept,
     Item,
@@ -63,6 +64,7 @@ class MappingLoop:
         self._monotonic_ns = monotonic_ns
         self._tiles_due_ns = self._status_due_ns = 0
         self._told_graph: Any = None  # the newest checkpoint that ingest knows of
+        self._shown_graph: GraphPicture | None = None  # the newest that ingest has
         self._map_stamp_ns = 0  # Unix time of the newest scan in the map
         self._done_number = 0  # up to here nothing is decided anew, and nothing is told twice
         self._decided = Decisions({}, frozenset(), frozenset())
@@ -101,6 +103,7 @@ class MappingLoop:
             self.hand_over_tiles()
         if now_ns >= self._status_due_ns:
             self._status_due_ns = now_ns + STATUS_INTERVAL_NS
+            self._show_graph()
             self.tell_status()
 
     def hand_over_tiles(self) -> None:
@@ -115,6 +118,12 @@ class MappingLoop:
         if kept is not self._told_graph and isinstance(kept, KeptGraph):
             self._told_graph = kept
             self._send(GraphKept(*kept))
+
+    def _show_graph(self) -> None:
+        picture = self.mapper.graph_picture
+        if picture is not self._shown_graph and self.is_up_to_date:
+            self._shown_graph = picture
+            self._send(GraphDrawn(picture if picture is not None else NO_GRAPH))
 
     def tell_status(self) -> None:
         self._send(
@@ -135,6 +144,7 @@ class MappingLoop:
         self.tell_status()
         self.mapper.finish()
         self._tell_graph()
+        self._show_graph()
         self.hand_over_tiles()
         self.tell_status()
 

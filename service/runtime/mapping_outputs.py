@@ -9,13 +9,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from service.encoding import APPLY_RESULT, Message, encode_event
+from service.encoding import APPLY_RESULT, Message, encode_event, encode_graph
 from service.geometry.geo_reference import GeoReference
 from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
 from service.runtime.mapper_link import Heard
 from service.runtime.mapper_messages import (
     FrameItem,
+    GraphDrawn,
     GraphKept,
     Mapped,
     PassedOver,
@@ -87,6 +88,8 @@ class MappingOutputs:
                 self._left_out(message)
             case GraphKept():
                 self._graph_kept(message)
+            case GraphDrawn():
+                self._put(encode_graph(message.picture, self._log_ns()), None)
             case Unusable():
                 self.unusable[message.sensor] += 1
                 self.unusable_scans += message.is_mapped_scan

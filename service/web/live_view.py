@@ -17,11 +17,13 @@ from drivers.frames import LaserScan
 from service.encoding import (
     APPLY_RESULT,
     BASE_FRAME,
+    GRAPH,
     Message,
     Status,
     decode_diagnostics,
     decode_event,
     decode_frame,
+    decode_graph,
     decode_pose,
     decode_transforms,
     decode_upside_down,
@@ -29,9 +31,18 @@ from service.encoding import (
 from service.errors import InputError
 from service.geometry.se2 import SE2
 from service.web.mailbox import Payload
-from service.web.protocol import FloatArray, encode_path, encode_scan, health_json, pose_json, to_json
+from service.web.protocol import (
+    FloatArray,
+    encode_graph,
+    encode_path,
+    encode_scan,
+    health_json,
+    pose_json,
+    to_json,
+)
 
 SCAN_PERIOD_NS = 200_000_000  # of one laser; five pictures a second look alive and take 20 kB
+GRAPH_PERIOD_NS = 2_000_000_000  # at most 25 kB
 LATENCY_PERIOD_NS = 1_000_000_000
 KEPT_LATENCIES = 300  # five minutes
 MOST_EVENTS = 100
@@ -103,7 +114,7 @@ class LiveView:
         self._arrival_ms: dict[str, float] = {}  # by sensor, of its newest frame
         self._upside_down: frozenset[str] = frozenset()
         self._since: dict[str, tuple[tuple[int, str], float]] = {}  # status -> how it is, and since when
-        self._scan_due_ns: dict[str, int] = {}
+        self._due_ns: dict[str, int] = {}  # by channel that is shown seldom
         self._latency_due_ns = 0
         self._latencies: deque[tuple[float, float, float, int]] = deque(maxlen=KEPT_LATENCIES)
         self._events: deque[str] = deque(maxlen=MOST_EVENTS)
@@ -173,10 +184,10 @@ class LiveView:
         return Shown("path", self._path.payload())
 
     def _take(self, now_ns: int) -> _Streams:
-        """What came; scans whose laser was shown just now, and latencies that are not due, stay."""
+        """What came. Scans whose laser was shown just now, a graph likewise, and latencies too new stay."""
         with self._lock:
             came, self._came = self._came, _Streams()
-            for channel in [c for c in came.newest if self._scan_due_ns.get(c, 0) > now_ns]:
+            for channel in [c for c in came.newest if self._due_ns.get(c, 0) > now_ns]:
                 self._came.newest[channel] = came.newest.pop(channel)
             if now_ns < self._latency_due_ns:
                 self._came.latencies_ns, came.latencies_ns = came.latencies_ns, self._came.latencies_ns
@@ -184,7 +195,9 @@ class LiveView:
                 self._latency_due_ns = now_ns + LATENCY_PERIOD_NS
             for channel in came.newest:
                 if channel.endswith("/scan"):
-                    self._scan_due_ns[channel] = now_ns + SCAN_PERIOD_NS
+                    self._due_ns[channel] = now_ns + SCAN_PERIOD_NS
+                elif channel == GRAPH:
+                    self._due_ns[channel] = now_ns + GRAPH_PERIOD_NS
         return came
 
     def _show_way(self, came: _Streams) -> list[Shown]:
@@ -209,6 +222,8 @@ class LiveView:
                 return self._pose(message)
             case "", "diagnostics":
                 return self._health(message)
+            case "", "graph":
+                return self._graph(message)
             case "", "tf_static":
                 return self._mountings(message)
             case _, "scan":
@@ -243,6 +258,9 @@ class LiveView:
             self._since[status.name] = (how, stamp_s)
             return stamp_s
         return before[1]
+
+    def _graph(self, message: Message) -> list[Shown]:
+        return [self._keep("graph", encode_graph(decode_graph(message.payload)))]
 
     def _mountings(self, message: Message) -> list[Shown]:
         self._upside_down = decode_upside_down(message.payload)

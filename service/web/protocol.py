@@ -8,6 +8,9 @@ To the browser, text is JSON with a "type"; binary begins with a kind:
             f32 beam_interval_s, the name in UTF-8, then beams x u16 in RANGE_STEP_M, 0 = no return
     PATH    u8 3, u8 how, u16 0, u32 count, count x (f32 x_m, f32 y_m), map frame;
             how 0: in place of the path so far, 1: behind it
+    GRAPH   u8 4, u8 0, u16 0, then zlib of u32 ways, u32 borders, u32 accepted, u32 refused; a u32 count of
+            points for each way and each border; the points of ways and borders, then both ends of each
+            accepted and of each refused loop, as (f32 x_m, f32 y_m), map frame
 
 All little-endian. From the browser only text comes: see `Asked`.
 """
@@ -24,9 +27,9 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from drivers.frames import LaserScan
 from service.encoding import Pose, Status
-from service.outputs import TileUpdate
+from service.outputs import GraphPicture, TileUpdate
 
-TILES, SCAN, PATH = 1, 2, 3
+TILES, SCAN, PATH, GRAPH = 1, 2, 3, 4
 RANGE_STEP_M = 0.005  # a tenth of a cell; 16 bits reach 327 m
 LARGEST_ASKED = 65_536  # bytes of one message from a browser
 DEFLATE_LEVEL = 1  # tiles are mostly of one value; higher levels cost more than they save
@@ -161,6 +164,15 @@ def encode_scan(scan: LaserScan) -> bytes:
 def encode_path(points_map: FloatArray, goes_on: bool = False) -> bytes:
     """points_map: (N, 2), m. goes_on: they lie behind the path so far."""
     return struct.pack("<BBHI", PATH, goes_on, 0, len(points_map)) + points_map.astype("<f4").tobytes()
+
+
+def encode_graph(picture: GraphPicture) -> bytes:
+    lines = [*picture.ways, *picture.borders]
+    counts = [len(picture.ways), len(picture.borders), len(picture.accepted), len(picture.refused)]
+    counts += [len(line) for line in lines]
+    parts = [*lines, picture.accepted, picture.refused]
+    body = np.array(counts, "<u4").tobytes() + b"".join(part.astype("<f4").tobytes() for part in parts)
+    return struct.pack("<BBH", GRAPH, 0, 0) + zlib.compress(body, DEFLATE_LEVEL)
 
 
 def _finite(value: Any) -> Any:

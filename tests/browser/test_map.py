@@ -5,8 +5,8 @@ import pytest
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 
-from service.encoding import decode_pose, encode_pose
-from service.outputs import TileUpdate
+from service.encoding import decode_pose, encode_graph, encode_pose
+from service.outputs import NO_GRAPH, GraphPicture, TileUpdate
 from tests.browser.scene import CELL_M, EDGE, MOUNTINGS, stamp
 
 WALL, FREE, GROUND = [11, 18, 32], [255, 255, 255], [228, 232, 238]  # of the light theme
@@ -18,6 +18,7 @@ def hide_all_but_the_map(page):
 
 def test_the_map_appears_and_grows(page, scene, live):
     assert page.report()["tiles"] == len(scene.tiles())
+    assert page.report()["follows"]
     hide_all_but_the_map(page)
     page.look_at(0.0, 0.0, 40.0)
     wall_x_m = scene.half_x_m - CELL_M / 2
@@ -186,3 +187,33 @@ def test_a_reset_clears_map_and_path(page, scene, live):
 
 def test_what_is_not_of_now_is_not_shown_as_such(page, live):
     page.wait_for("return !corridor.view.isLive")  # no pose for 1.5 s
+
+
+def test_the_graph_is_a_layer_with_its_parts_explained(page, scene, live):
+    line = np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.0]], np.float32)
+    accepted = np.array([[[-2.0, 1.0], [2.0, 1.0]]], np.float32)
+    refused = np.array([[[-2.0, 2.0], [2.0, 2.0]], [[-2.0, 3.0], [2.0, 3.0]]], np.float32)
+    border = np.array([[-3.0, -3.0], [3.0, -3.0], [3.0, 3.5], [-3.0, 3.5]], np.float32)
+    live.put(encode_graph(GraphPicture(stamp(1.0), [line], accepted, refused, [border]), stamp(1.0)))
+    page.wait_for("return corridor.report().graph.keyFrames === 3")
+    assert page.report()["graph"] == {"keyFrames": 3, "accepted": 1, "refused": 2, "borders": 1}
+    words = page.run("return [...document.querySelectorAll('.graph-part')].map((e) => e.textContent)")
+    assert words == ["Key frames: 3", "Loops that hold: 1", "Loops not believed: 2", "Sub-maps: 1"]
+    hide_all_but_the_map(page)
+    page.look_at(0.0, 1.0, 400.0)
+    assert page.pixel(0.0, 1.0) == FREE  # it is off at first
+    page.driver.find_element("css selector", ".layers summary").click()
+    page.element("layer-graph").click()
+    page.look_at(0.0, 1.0, 400.0)
+    assert page.pixel(0.0, 1.0) == [21, 128, 61]
+    page.look_at(0.0, 0.0, 400.0)
+    assert page.pixel(0.0, 0.0) == [29, 78, 216]
+    page.look_at(3.0, -1.0, 400.0)
+    ink = page.run(
+        "const v = corridor.view, [x] = v.camera.toScreen(3, -1), h = v.canvas.height;"
+        "const d = v.context.getImageData(Math.floor(x * v.dpr), 0, 1, h).data;"
+        "return [...Array(h).keys()].filter((i) => d[4 * i] < 200).length / h"
+    )
+    assert 0.4 < ink < 0.9  # dashes
+    live.put(encode_graph(NO_GRAPH, stamp(2.0)))
+    page.wait_for("return corridor.report().graph.keyFrames === 0")

@@ -73,6 +73,7 @@ def _check_recording(session: Path, truth: Path) -> None:
         "/tf",
         "/tf_static",
         "/map",
+        "/graph",
         "/diagnostics",
     } <= counts.keys()
     events = [decode_event(m.payload) for m in recording.messages(["/events"])]

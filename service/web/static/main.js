@@ -38,8 +38,9 @@ const connection = new Connection({
   },
   refused: ({ error }) => console.error(error),
   tiles: (message) => { view.putTiles(message); byId("empty").hidden = view.tiles.tiles.size > 0; },
+  graph: (message) => { view.putGraph(message); explainLayers(); },
   path: (message) => view.putPath(message),
-  scan: (message) => { view.putScan(message); showLayers(); },
+  scan: (message) => { if (view.putScan(message)) explainLayers(); },
   mountings: ({ pose_base_sensor }) => { view.mountings = pose_base_sensor; },
   pose: (pose) => {
     view.putPose(pose);
@@ -96,23 +97,30 @@ function showFollow() {
   byId("follow").setAttribute("aria-pressed", String(view.follows));
 }
 
-const LAYERS = { map: "Map", path: "Path", scans: "Scans", vehicle: "Vehicle with its 95 % ellipse", grid: "Grid" };
+const LAYERS = { map: "Map", path: "Path", graph: "Pose graph", scans: "Scans", vehicle: "Vehicle with its 95 % ellipse", grid: "Grid" };
 
-function showLayers() {
-  const known = byId("layers").querySelectorAll(".laser").length;
-  if (known === view.sensors.length && known > 0) return;
-  byId("layers").replaceChildren(byId("layers").querySelector("legend"));
+const GRAPH_PARTS = { keyFrames: "Key frames", accepted: "Loops that hold", refused: "Loops not believed", borders: "Sub-maps" };
+
+/** A switch for each layer; what its colours mean stands below it. */
+function setUpLayers() {
   for (const [layer, words] of Object.entries(LAYERS)) {
     const box = element("input", { type: "checkbox", checked: view.layers[layer], id: `layer-${layer}` });
     box.addEventListener("change", () => { view.layers[layer] = box.checked; view.invalidate(); });
-    byId("layers").append(element("label", {}, box, words));
-    if (layer !== "scans") continue;
-    for (const sensor of view.sensors) {
-      const swatch = element("span", { className: "swatch" });
-      swatch.style.background = view.colourOf(sensor);
-      byId("layers").append(element("label", { className: "laser" }, swatch, sensor));
-    }
+    byId("layers").append(element("label", {}, box, words), element("div", { className: "parts", id: `parts-${layer}` }));
   }
+}
+
+function explained(words, colour, className) {
+  const swatch = element("span", { className: "swatch" });
+  swatch.style.background = colour;
+  return element("span", { className }, swatch, words);
+}
+
+function explainLayers() {
+  const { counts } = view.graph, { graph } = view.colours;
+  const parts = Object.entries(GRAPH_PARTS).filter(([part]) => counts[part] > 0);
+  byId("parts-graph").replaceChildren(...parts.map(([part, words]) => explained(`${words}: ${counts[part]}`, graph[part], "graph-part")));
+  byId("parts-scans").replaceChildren(...view.sensors.map((sensor) => explained(sensor, view.colourOf(sensor), "laser")));
 }
 
 view.onDrawn = () => {
@@ -151,8 +159,8 @@ document.addEventListener("keydown", (event) => { if (event.key === "Escape" && 
 
 byId("confirm-no").addEventListener("click", () => byId("confirm").close("no"));
 setUpTabs();
-setUpTheme(() => { view.readColours(); information.plot.draw(); });
-showLayers();
+setUpLayers();
+setUpTheme(() => { view.readColours(); explainLayers(); information.plot.draw(); });
 showState();
 connection.open();
 setInterval(() => view.invalidate(), 1000); // what is stale shall look so
@@ -163,7 +171,7 @@ window.corridor = {
   report: () => ({
     runId, isOpen, mayControl: connection.mayControl, tiles: view.tiles.tiles.size, bounds: view.tiles.bounds,
     pose: view.track.last, pathPoints: view.path.length / 2, sensors: view.sensors, health, follows: view.follows,
-    plotPoints: information.plot.points.length, bytes: connection.bytes, frames: view.frames, drawn_ms: [...view.drawn_ms],
+    graph: view.graph.counts, plotPoints: information.plot.points.length, bytes: connection.bytes, frames: view.frames, drawn_ms: [...view.drawn_ms],
     scanPoints: Object.fromEntries([...view.scans].map(([sensor, held]) => [sensor, held.points?.length / 2])),
   }),
 };

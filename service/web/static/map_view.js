@@ -2,6 +2,7 @@
 
 import { Camera } from "./camera.js";
 import { compose, ellipse, PoseTrack } from "./geometry.js";
+import { GraphLayer } from "./graph_layer.js";
 import { metres } from "./format.js";
 import { RANGE_STEP_M } from "./protocol.js";
 import { TileMap } from "./tiles.js";
@@ -31,7 +32,8 @@ export class MapView {
     this.scans = new Map(); // sensor -> {scan, arrived_ms}
     this.sensors = []; // lasers in the order in which they were first seen: gives each its colour
     this.mountings = {};
-    this.layers = { map: true, path: true, scans: true, vehicle: true, grid: true };
+    this.layers = { map: true, path: true, graph: false, scans: true, vehicle: true, grid: true };
+    this.graph = new GraphLayer();
     this.overlays = []; // functions(context, camera) of the tools
     this.follows = true;
     this.isFitted = false; // until then the first tiles are brought into view
@@ -51,6 +53,8 @@ export class MapView {
       ground: colour("--map-ground"), grid: colour("--map-grid"), path: colour("--map-path"),
       vehicle: colour("--map-vehicle"), measure: colour("--map-measure"), text: colour("--text"),
       paper: colour("--ground"), stale: colour("--none"),
+      graph: { keyFrames: colour("--graph-key-frames"), accepted: colour("--graph-accepted"),
+        refused: colour("--graph-refused"), borders: colour("--graph-border") },
       lasers: Array.from({ length: LASER_COLOURS }, (_, i) => colour(`--laser-${i}`)),
     };
     this.tiles.setColours({
@@ -72,6 +76,7 @@ export class MapView {
     this.tiles.clear();
     this.track.clear();
     this.scans.clear();
+    this.graph.clear();
     this.path = [];
     this.isFitted = false;
     this.invalidate();
@@ -79,12 +84,17 @@ export class MapView {
 
   putTiles({ edge, cell_m, tiles }) {
     for (const { ix, iy, cells } of tiles) this.tiles.put(ix, iy, edge, cell_m, cells);
-    if (!this.isFitted && this.track.last === null && this.tiles.bounds) this.fit();
+    if (!this.isFitted && this.track.last === null) this.#showAll(); // to be followed all the same when it comes
     this.invalidate();
   }
 
   putPath({ points, goesOn = false }) {
     this.path = goesOn ? this.path.concat(Array.from(points)) : Array.from(points);
+    this.invalidate();
+  }
+
+  putGraph(graph) {
+    this.graph.put(graph);
     this.invalidate();
   }
 
@@ -102,13 +112,16 @@ export class MapView {
     this.invalidate();
   }
 
+  /** Whether it is of a laser that was not seen before. */
   putScan(scan) {
-    if (!this.sensors.includes(scan.sensor)) {
+    const isNew = !this.sensors.includes(scan.sensor);
+    if (isNew) {
       this.sensors.push(scan.sensor);
       this.sensors.sort();
     }
     this.scans.set(scan.sensor, { scan, arrived_ms: performance.now() });
     this.invalidate();
+    return isNew;
   }
 
   /** Of a laser that was seen; null of any other sensor. */
@@ -119,18 +132,22 @@ export class MapView {
 
   /** Bring the whole map and the vehicle into view. */
   fit() {
+    if (this.#showAll()) this.follows = false;
+  }
+
+  #showAll() {
     const bounds = this.tiles.bounds, pose = this.track.last;
-    if (!bounds) return;
+    if (!bounds) return false;
     if (pose) {
       bounds.x_min_m = Math.min(bounds.x_min_m, pose.x_m);
       bounds.x_max_m = Math.max(bounds.x_max_m, pose.x_m);
       bounds.y_min_m = Math.min(bounds.y_min_m, pose.y_m);
       bounds.y_max_m = Math.max(bounds.y_max_m, pose.y_m);
     }
-    this.follows = false;
     this.isFitted = true;
     this.camera.fit(bounds);
     this.invalidate();
+    return true;
   }
 
   follow(isOn) {
@@ -166,6 +183,7 @@ export class MapView {
     if (layers.grid) this.#drawGrid();
     if (layers.map) this.tiles.draw(context, camera.seen, camera.scale * dpr);
     if (layers.path) this.#drawPath();
+    if (layers.graph) this.graph.draw(context, camera.scale, colours.graph);
     if (layers.scans) this.#drawScans();
     if (layers.vehicle) this.#drawVehicle();
     context.setTransform(dpr, 0, 0, dpr, 0, 0);

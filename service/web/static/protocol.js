@@ -1,6 +1,6 @@
 // The binary messages of service/web/protocol.py, which describes them.
 
-const TILES = 1, SCAN = 2, PATH = 3;
+const TILES = 1, SCAN = 2, PATH = 3, GRAPH = 4;
 export const RANGE_STEP_M = 0.005;
 
 const inflate = async (bytes) => {
@@ -40,6 +40,24 @@ const decodePath = (view) => ({
   points: new Float32Array(view.buffer, 8, 2 * view.getUint32(4, true)),
 });
 
+/** Every list of points is flat: [x_m, y_m, x_m, y_m ...]. */
+const decodeGraph = async (view) => {
+  const body = await inflate(new Uint8Array(view.buffer, 4));
+  const [ways, borders, accepted, refused] = new Uint32Array(body, 0, 4);
+  const counts = new Uint32Array(body, 16, ways + borders);
+  let at = 16 + 4 * (ways + borders);
+  const points = (count) => {
+    const taken = new Float32Array(body, at, 2 * count);
+    at += 8 * count;
+    return taken;
+  };
+  const lines = Array.from(counts, points);
+  return {
+    type: "graph", ways: lines.slice(0, ways), borders: lines.slice(ways),
+    accepted: points(2 * accepted), refused: points(2 * refused),
+  };
+};
+
 /** A message of the service as an object with a type; tiles take a moment to inflate. */
 export const decode = (data) => {
   if (typeof data === "string") return JSON.parse(data);
@@ -48,6 +66,7 @@ export const decode = (data) => {
     case TILES: return decodeTiles(view);
     case SCAN: return decodeScan(view);
     case PATH: return decodePath(view);
-    default: throw new Error(`message of kind ${view.getUint8(0)}; expected 1 to 3`);
+    case GRAPH: return decodeGraph(view);
+    default: throw new Error(`message of kind ${view.getUint8(0)}; expected 1 to 4`);
   }
 };

@@ -34,6 +34,7 @@ class FakeMapper:
     """Puts every scan a metre ahead of the last; notes what it was given."""
 
     saved = None
+    graph_picture = None
 
     def __init__(self) -> None:
         self.counters: Counter[str] = Counter()

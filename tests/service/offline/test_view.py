@@ -2,6 +2,7 @@ import json
 import struct
 import subprocess
 import sys
+import zlib
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from service.offline.view import open_view, tiles_of_grid
 from service.outputs import FREE, OCCUPIED, UNKNOWN, Grid, TileUpdate
 from tests.service.web.conftest import TIMEOUT_S, talk
 
-TILES, PATH = 1, 3
+TILES, PATH, GRAPH = 1, 3, 4
 ANY_PORT = "127.0.0.1:0"
 
 
@@ -70,6 +71,27 @@ def test_the_result_of_a_replay_is_shown_with_its_path(show, tmp_path):
             assert struct.unpack_from("<I", await client.next(socket, TILES), 8) == (6,)
 
     talk(show(tmp_path), look)
+
+
+def test_the_graph_of_a_g2o_file_is_shown_with_its_loops(show, tmp_path):
+    write_ros_map(tmp_path / "map.pgm", tmp_path / "map.yaml", picture_of_grid(grid(0.0, 0.0)))
+    lines = [f"VERTEX_SE2 {k} {k} 0.5 0" for k in range(4)] + ["FIX 0"]
+    lines += [f"EDGE_SE2 {k} {k + 1} 1 0 0 1 0 0 1 0 1" for k in range(3)] + [
+        "EDGE_SE2 0 3 3 0 0 1 0 0 1 0 1"
+    ]
+    (tmp_path / "graph.g2o").write_text("\n".join(lines) + "\n")
+
+    async def look(client):
+        async with client.socket() as socket:
+            body = zlib.decompress((await client.next(socket, GRAPH))[4:])
+            assert struct.unpack_from("<5I", body) == (1, 0, 1, 0, 4)
+            points = np.frombuffer(body, "<f4", offset=20).reshape(-1, 2).tolist()
+            assert points == [[0.0, 0.5], [1.0, 0.5], [2.0, 0.5], [3.0, 0.5], [0.0, 0.5], [3.0, 0.5]]
+
+    talk(show(tmp_path), look)
+    (tmp_path / "graph.g2o").write_text("VERTEX_SE2 0 here 0 0\n")
+    with pytest.raises(InputError, match=r"graph\.g2o:1: .*no line of a g2o"):
+        open_view(tmp_path, ANY_PORT)
 
 
 @pytest.mark.parametrize("origin", [(0.0, 0.0), (-3.2, 6.4), (-1.35, -7.05), (12.349, 0.02)])

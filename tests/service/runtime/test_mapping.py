@@ -8,13 +8,21 @@ import numpy as np
 import pytest
 
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
-from service.encoding import LogClock, Message, decode_event, decode_frame, decode_pose, decode_step
+from service.encoding import (
+    LogClock,
+    Message,
+    decode_event,
+    decode_frame,
+    decode_graph,
+    decode_pose,
+    decode_step,
+)
 from service.geometry.se2 import SE2
 from service.mapper.components import FinishedGraph, GraphUpdate
 from service.mapper.graph.no_graph import NoGraph
 from service.mapper.mapping_session import ApplyResult, LeftOut, MappingSession
 from service.mapstore.tiles import TileStore
-from service.outputs import UNKNOWN, MapperOutput, TileUpdate
+from service.outputs import UNKNOWN, GraphPicture, MapperOutput, TileUpdate
 from service.runtime.host_time import HostTime
 from service.runtime.intake import Intake
 from service.runtime.mapper_messages import (
@@ -77,6 +85,8 @@ class FakeMapper:
 
     def skip(self, scan: LaserScan) -> None:
         self.skipped += 1
+
+    graph_picture: GraphPicture | None = None
 
     def changed_tiles(self) -> list[TileUpdate]:
         version, self._changed = self._changed, 0
@@ -200,6 +210,35 @@ def test_the_last_tiles_are_there_at_the_end():
     run.link.finish()
     assert run.tiles.version == 2
     assert run.handed_over[-1] == (2, 40)
+
+
+def test_the_graph_is_shown_when_it_was_drawn_anew_and_taken_away_by_a_reset():
+    mapper, said, now_ns = FakeMapper(), [], [0]
+    fresh = iter([mapper])
+    session = MappingSession(lambda: next(fresh, None) or FakeMapper(), ["front"], None)
+    loop = MappingLoop(session, said.append, (), lambda: now_ns[0])
+    run = Run(FakeMapper())
+
+    def shown() -> list[Message]:
+        now_ns[0] += 10**9
+        said.clear()
+        loop.keep_up(is_idle=True)
+        run.put_out.clear()
+        for message in said:
+            run.outputs.heard(message)
+        return [message for message in run.recorded if message.channel == "graph"]
+
+    assert shown() == []
+    ends = np.ones((3, 2, 2), np.float32)
+    mapper.graph_picture = GraphPicture(40, [np.ones((5, 2), np.float32)], ends, ends[:1])
+    (message,) = shown()
+    picture = decode_graph(message.payload)
+    assert (message.stamp_ns, len(picture.accepted), len(picture.refused)) == (40, 3, 1)
+    assert shown() == []
+    session.carry_out("reset_map")
+    (message,) = shown()
+    assert not decode_graph(message.payload).ways
+    assert shown() == []
 
 
 def test_before_the_graph_takes_its_time_at_the_end_ingest_hears_that_no_item_waits():

@@ -1,12 +1,21 @@
 import json
 import math
 import struct
+import zlib
 
 import numpy as np
 import pytest
 
-from service.encoding import Message, encode_diagnostics, encode_frame, encode_pose, encode_tf_static
+from service.encoding import (
+    Message,
+    encode_diagnostics,
+    encode_frame,
+    encode_graph,
+    encode_pose,
+    encode_tf_static,
+)
 from service.geometry.se2 import SE2
+from service.outputs import GraphPicture
 from service.web.live_view import LATENCY_PERIOD_NS, SCAN_PERIOD_NS, DrivenPath, LiveView
 from tests.browser.scene import MOUNTINGS, Scene, event, stamp, statuses
 
@@ -48,6 +57,32 @@ def test_the_newest_of_each_is_shown_once(view):
     assert pose["stamp_ns"] == str(stamp(0.1))
     assert (pose["x_m"], pose["y_m"]) == (scene.pose(0.1).x_m, scene.pose(0.1).y_m)
     assert view.due() == []
+
+
+def test_a_graph_is_shown_every_two_seconds_at_most_and_kept_for_who_comes_late(view, clock):
+    line = np.ones((2, 2), np.float32)
+    counts = []
+    for tenth in range(45):
+        clock.ns = tenth * 100_000_000
+        picture = GraphPicture(tenth + 1, [line], np.ones((tenth, 2, 2), np.float32), line[None][:0])
+        view.put(encode_graph(picture, tenth + 1))
+        for shown in view.due():
+            assert (shown.key, shown.payload[0]) == ("graph", 4)
+            counts.append(struct.unpack_from("<4I", zlib.decompress(shown.payload[4:]))[2])
+    assert counts == [0, 20, 40]
+    assert [s.payload[0] for s in view.snapshot() if s.key == "graph"] == [4]
+
+
+def test_a_way_that_was_put_goes_behind_the_path_and_a_path_in_its_place(view):
+    view.put_way(np.array([[0.0, 0.0], [1.0, 0.0]], np.float32))
+    (more,) = view.due()
+    assert (more.key, more.payload[:2]) == ("", bytes([3, 1]))
+    view.put_way(np.array([[2.0, 0.0]], np.float32))
+    view.put_path(np.array([[5.0, 5.0], [6.0, 5.0], [7.0, 5.0]], np.float32))
+    (path,) = view.due()
+    assert (path.key, path.payload[:2]) == ("path", bytes([3, 0]))
+    kept = next(s.payload for s in view.snapshot() if s.key == "path")
+    assert np.frombuffer(kept, "<f4", offset=8).reshape(-1, 2)[:, 0].tolist() == [5.0, 6.0, 7.0]
 
 
 def test_a_laser_is_shown_five_times_a_second_with_its_newest_scan(view, clock):

@@ -17,6 +17,7 @@ from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.mapper.components import MapRenderer, RenderedMap, ScanToRender
+from service.mapper.graph.graph_picture import draw
 from service.mapper.graph.point_clouds import PointCloud, SurfelSet
 from service.mapper.graph.pose_graph import Edges, GraphError, PoseGraph, Sightings, to_g2o
 from service.mapper.graph.pose_graph_solver import Solution, solve
@@ -31,6 +32,7 @@ from service.mapper.methods.submap_graph.submap_match import (
     is_seen,
 )
 from service.mapper.methods.submap_graph.submap_realignment import SubmapRealignment, align_cloud, cloud_of
+from service.outputs import GraphPicture
 
 SURFEL_POINTS = 2000  # of a sub-map, laid on the surfels of another
 
@@ -103,6 +105,7 @@ class Result:
     rendered_map: RenderedMap | None
     fault: str
     g2o: str = ""
+    picture: GraphPicture | None = None
 
 
 @dataclass(slots=True, eq=False)
@@ -111,6 +114,7 @@ class _Submap:
     end_odom: Floats  # (3,) of its last scan, as the particle drew it
     walls: WallPoints
     begin_m: float  # way driven before it
+    border: Floats  # (4, 2) corners around its walls, as it was drawn
     nodes: list[int] = field(default_factory=list)  # of the graph, own ones
     behind: list[int] = field(default_factory=list)  # for each own scan the last node up to it
 
@@ -170,7 +174,8 @@ class LandmarkBackEnd:
         """Take in a sub-map; whether landmarks were found in others."""
         begin_m = self.way_m[-1] if self.way_m else 0.0
         laid = self.realignment.realign(closed)
-        submap = _Submap(laid, closed.track[-1], draw_walls(laid, self.config.match), begin_m)
+        walls = draw_walls(laid, self.config.match)
+        submap = _Submap(laid, closed.track[-1], walls, begin_m, _corners(laid))
         self.submaps.append(submap)
         for pose in laid.track[submap.own]:
             away_m = math.dist(pose[:2], self.drawn[-1][:2]) if self.drawn else 0.0
@@ -367,7 +372,21 @@ class LandmarkBackEnd:
             rendered_map,
             fault,
             to_g2o(self._graph()) if is_last and len(self.drawn) > 1 else "",
+            self._picture(int(stamps[-1])),
         )
+
+    def _picture(self, stamp_ns: int) -> GraphPicture:
+        """Track points; sub-maps that hang together; their borders."""
+        nodes = np.array(self.poses)
+        middle = [submap.nodes[len(submap.nodes) // 2] for submap in self.submaps]
+        borders = [
+            se2.points_from(nodes[k], se2.points_seen(self.drawn[k], submap.border))
+            for k, submap in zip(middle, self.submaps, strict=True)
+        ]
+        ties = sorted(self.tried | {pair.submaps for pair in self.pairs})
+        links = np.array([(middle[old], middle[new]) for old, new in ties], np.int64).reshape(-1, 2)
+        none = np.empty((0, 2), np.int64)
+        return draw(stamp_ns, nodes[:, :2], np.zeros(len(nodes), np.int64), links, none, borders)
 
     def _drawn(self, poses: Floats) -> Sequence[ScanToRender]:
         scans = [scan for submap in self.submaps for scan in submap.closed.scans[submap.own]]
@@ -384,6 +403,17 @@ class LandmarkBackEnd:
             node = min(nodes, key=lambda n: math.dist(self.drawn[n][:2], mark.xy[side]))
             ends.append(se2.points_from(self.poses[node], se2.points_seen(self.drawn[node], mark.xy[side])))
         return math.dist(*ends)
+
+
+def _corners(closed: ClosedSubmap) -> Floats:
+    """(4, 2) of the rectangle around what a sub-map has seen, along the axes of its drawing."""
+    seen = [
+        se2.points_from(pose, scan.xy_base.astype(np.float64))
+        for scan, pose in zip(closed.scans, closed.track, strict=True)
+    ]
+    xy = np.concatenate([closed.track[:, :2], *seen])
+    (x0, y0), (x1, y1) = xy.min(axis=0), xy.max(axis=0)
+    return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
 
 
 def _bent(map_nodes: Floats, odom_nodes: Floats, a: int, b: int, pose: Floats) -> Floats:

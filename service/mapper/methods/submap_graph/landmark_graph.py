@@ -1,6 +1,7 @@
 """The graph of the profile submap_graph: closed sub-maps go to the back end, corrections come in."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -116,12 +117,12 @@ class LandmarkGraph(BackgroundGraph[Result]):
         update = self._apply_all(counts)
         result = self._last
         if result is None or not len(result.stamps):
-            return FinishedGraph(update=GraphUpdate(counts, update.rendered_map, update.since))
+            return FinishedGraph(update=replace(update, counts=counts))
         corrections = [
             Correction(stamp_ns, self._key_odom[stamp_ns], SE2(*pose))
             for stamp_ns, pose in zip(result.stamps.tolist(), result.poses.tolist(), strict=True)
         ]
-        return FinishedGraph(corrections, result.g2o, GraphUpdate(counts, update.rendered_map, update.since))
+        return FinishedGraph(corrections, result.g2o, replace(update, counts=counts))
 
     def _bring_in(self, result: Result) -> GraphUpdate:
         before, self._last = self._last, result
@@ -138,7 +139,9 @@ class LandmarkGraph(BackgroundGraph[Result]):
                 for _number, scan in self._since
             ]
         links = before.links if before is not None else 0
-        return GraphUpdate({"loop_closures": result.links - links}, result.rendered_map, since)
+        return GraphUpdate(
+            {"loop_closures": result.links - links}, result.rendered_map, since, picture=result.picture
+        )
 
     def _new_pair(self, name: str, payload: Mapping[str, Any]) -> Pair:
         request = _read(PairRequest, name, payload)

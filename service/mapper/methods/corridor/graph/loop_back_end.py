@@ -19,6 +19,7 @@ from service.mapper.graph.pose_graph import PoseGraph, edge_chi2, to_g2o
 from service.mapper.graph.pose_graph_solver import solve
 from service.mapper.methods.corridor.graph.anchoring import Anchoring
 from service.mapper.methods.corridor.graph.candidate_submap import LEAST_SCORE, CandidateSubmap, cloud_of
+from service.mapper.methods.corridor.graph.drawing import Drawing
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
 from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
 from service.mapper.methods.corridor.graph.loops import Loop, agree, as_edges, disagreement, loop_of
@@ -91,16 +92,20 @@ class LoopBackEnd:
         self._placement = Placement(stored is not None)
         self._looked_back = 0  # key frames whose context were asked for passes too many
         self._anchoring = Anchoring()
+        self._drawing = Drawing()
 
     def work(self, batch: Batch) -> Result:
         result = self._work(batch)
-        anchoring = self._anchoring
+        anchoring, found = self._anchoring, [*self._disabled, *self._candidates]
         result = replace(
             result,
             geo=anchoring.reference,
             fixes=dict(anchoring.counts),
             placed=self._placement.state,
             alike=self._pieces.alike,
+            picture=self._drawing.picture(
+                self._keyframes, self._joined, self._loops, found, batch.is_last or bool(batch.request)
+            ),
         )
         if batch.is_last or batch.request == "checkpoint":
             saved = saved_graph(self._keyframes, self._loops, self._joined, self._refusals)

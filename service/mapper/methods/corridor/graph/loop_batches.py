@@ -8,6 +8,7 @@ from service.mapper.components import Correction, Placed, RenderedMap
 from service.mapper.methods.corridor.graph.fix_track import PlacedFix
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
 from service.mapper.saved_graph import KeptGraph, SavedGraph
+from service.outputs import GraphPicture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,3 +41,4 @@ class Result:
     saved: SavedGraph | KeptGraph | None = None  # where a checkpoint was asked for, and at the end
     placed: Placed = "proven"  # in the stored map
     alike: Sequence[tuple[float, float]] = ()  # m, of the map: places that a piece fits equally well
+    picture: GraphPicture | None = None  # where one was due

@@ -143,7 +143,9 @@ class LoopClosing(BackgroundGraph[Result]):
         last = self._last_result
         if self.fault or last is None:
             return FinishedGraph(update=GraphUpdate(counts))
-        update = GraphUpdate(counts, update.rendered_map, geo=update.geo, saved=update.saved)
+        update = GraphUpdate(
+            counts, update.rendered_map, geo=update.geo, saved=update.saved, picture=update.picture
+        )
         return FinishedGraph(last.all, last.g2o, update)
 
     def _submit(self, request: str = "", is_last: bool = False, pose: tuple[float, ...] = ()) -> None:
@@ -183,6 +185,7 @@ class LoopClosing(BackgroundGraph[Result]):
             result.placed,
             result.alike,
             result.saved,
+            result.picture,
         )
 
     def _is_keyframe(self, pose: SE2) -> bool:

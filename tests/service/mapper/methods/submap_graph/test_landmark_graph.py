@@ -131,6 +131,15 @@ def test_landmarks_take_out_what_the_ways_disagree_in(trip) -> None:
     assert furthest_m(drawn, truth) > 0.12
     assert furthest_m(results[3].poses, truth) < 0.07
     assert any(result.rendered_map is not None for result in results)
+    picture = results[3].picture
+    assert len(picture.borders) == 4
+    assert len(picture.accepted) == results[3].links
+    for border, one in zip(picture.borders, closed, strict=True):  # around the way that was driven in it
+        own = results[3].poses[
+            np.isin(results[3].stamps, [scan.stamp_ns for scan in one.scans[one.carried :]])
+        ]
+        assert (own[:, :2] > border.min(axis=0) - 0.3).all()
+        assert (own[:, :2] < border.max(axis=0) + 0.3).all()
     last = back_end.work(Batch("finish"))
     assert last.g2o.count("EDGE_SE2_XY") == 2 * last.landmarks
     again = LandmarkBackEnd(CONFIG, None)

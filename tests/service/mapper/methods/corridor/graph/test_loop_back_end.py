@@ -66,6 +66,29 @@ def test_a_ring_is_closed_and_the_way_bent_back(ring: tuple[list[KeyFrame], list
     assert finished.g2o.count("EDGE_SE2") >= len(frames) - 1 + finished.loops
 
 
+def test_the_graph_is_drawn_seldom_and_shows_what_holds_and_what_does_not(
+    ring: tuple[list[KeyFrame], list[SE2]],
+):
+    frames, _ = ring
+    back_end, results = fed(frames, renders=False)
+    pictures = [result.picture for result in results if result.picture is not None]
+    stamps = np.array([picture.stamp_ns for picture in pictures])
+    assert (np.diff(stamps) >= 2_000_000_000).all()
+    back_end._disabled.append(false := Loop(10, 80, np.zeros(3), np.eye(3), 0.9))
+    last = back_end.work(Batch([], is_last=True)).picture
+    assert last is not None
+    keyframes = back_end._keyframes
+    (way,) = last.ways
+    np.testing.assert_array_equal(way, keyframes.map[:, :2].astype(np.float32))
+    assert len(last.accepted) == len(back_end.loops) > 3
+    loop = back_end.loops[0]
+    np.testing.assert_array_equal(last.accepted[0], keyframes.map[[loop.of, loop.to], :2].astype(np.float32))
+    refused = keyframes.map[[false.of, false.to], :2].astype(np.float32).tolist()
+    assert refused in last.refused.tolist()
+    believed = [ends.tolist() for ends in last.accepted]
+    assert not any(ends.tolist() in believed for ends in last.refused)
+
+
 def test_memory_grows_with_the_area_and_not_with_the_way():
     frames, truth = key_frames(4.2)
     back_end, _ = fed(frames, LoopsConfig(keep_passes=2), renders=False)

@@ -1,0 +1,100 @@
+"""The pose graph as markers: lines that RViz, Foxglove and the operator's page draw alike."""
+
+from collections.abc import Iterator, Sequence
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+
+from service.encoding import ros_messages as ros
+from service.encoding import wire
+from service.encoding.wire import Message
+from service.geometry.se2 import SE2
+from service.outputs import GraphPicture
+
+GRAPH = "graph"  # the channel
+WAYS, LOOPS, REFUSED, BORDERS = (
+    "key_frames",
+    "loops",
+    "refused_loops",
+    "sub_maps",
+)  # namespaces of the markers
+_LOOK = {  # width in m, colour
+    WAYS: (0.03, (0.16, 0.36, 0.85, 1.0)),
+    LOOPS: (0.04, (0.10, 0.60, 0.25, 1.0)),
+    REFUSED: (0.02, (0.80, 0.15, 0.15, 0.8)),
+    BORDERS: (0.02, (0.55, 0.35, 0.75, 0.8)),
+}
+
+Lines = npt.NDArray[np.float32]
+Marker = ros.visualization_msgs__msg__Marker
+
+
+def encode_graph(picture: GraphPicture, log_ns: int) -> Message:
+    """All of it in one message, as channel "graph"; its first marker takes away what was drawn before."""
+    stamp_ns = picture.stamp_ns or log_ns  # of an empty one
+    markers = [_marker(stamp_ns, "", 0, Marker.ARROW, Marker.DELETEALL, np.empty((0, 2), np.float32))]
+    for name, strips in ((WAYS, picture.ways), (BORDERS, [_closed(border) for border in picture.borders])):
+        markers += [
+            _marker(stamp_ns, name, number, Marker.LINE_STRIP, Marker.ADD, strip)
+            for number, strip in enumerate(strips)
+            if len(strip) > 1
+        ]
+    for name, ends in ((LOOPS, picture.accepted), (REFUSED, picture.refused)):
+        if len(ends):
+            markers.append(_marker(stamp_ns, name, 0, Marker.LINE_LIST, Marker.ADD, ends.reshape(-1, 2)))
+    content = ros.visualization_msgs__msg__MarkerArray(markers)
+    return wire.to_message(GRAPH, wire.MARKERS, stamp_ns, log_ns, content)
+
+
+def decode_graph(payload: bytes) -> GraphPicture:
+    """What `encode_graph` made. Raises InputError where the bytes are no MarkerArray."""
+    array = cast(ros.visualization_msgs__msg__MarkerArray, wire.read(wire.MARKERS, payload))
+    return GraphPicture(
+        stamp_ns=max((wire.stamp_ns_of(marker.header.stamp) for marker in array.markers), default=0),
+        ways=list(_lines(array.markers, WAYS)),
+        accepted=_ends(array.markers, LOOPS),
+        refused=_ends(array.markers, REFUSED),
+        borders=[border[:-1] for border in _lines(array.markers, BORDERS)],
+    )
+
+
+def _marker(stamp_ns: int, name: str, number: int, kind: int, action: int, xy: Lines) -> Marker:
+    width_m, colour = _LOOK.get(name, (0.0, (0.0, 0.0, 0.0, 0.0)))
+    header = wire.header_ros(stamp_ns, wire.MAP_FRAME)
+    nothing = np.empty(0, np.uint8)
+    return Marker(
+        header=header,
+        ns=name,
+        id=number,
+        type=kind,
+        action=action,
+        pose=wire.planar_pose_ros(SE2()),
+        scale=ros.geometry_msgs__msg__Vector3(width_m, 0.0, 0.0),
+        color=ros.std_msgs__msg__ColorRGBA(*colour),
+        lifetime=ros.builtin_interfaces__msg__Duration(0, 0),  # stays
+        frame_locked=False,
+        points=[ros.geometry_msgs__msg__Point(x_m, y_m, 0.0) for x_m, y_m in xy.tolist()],
+        colors=[],
+        texture_resource="",
+        texture=ros.sensor_msgs__msg__CompressedImage(header, "", nothing),
+        uv_coordinates=[],
+        text="",
+        mesh_resource="",
+        mesh_file=ros.visualization_msgs__msg__MeshFile("", nothing),
+        mesh_use_embedded_materials=False,
+    )
+
+
+def _closed(border: Lines) -> Lines:
+    return np.concatenate((border, border[:1]))
+
+
+def _lines(markers: Sequence[Marker], name: str) -> Iterator[Lines]:
+    for marker in markers:
+        if marker.ns == name:
+            yield np.array([(point.x, point.y) for point in marker.points], np.float32).reshape(-1, 2)
+
+
+def _ends(markers: Sequence[Marker], name: str) -> Lines:
+    return np.concatenate([np.empty((0, 2), np.float32), *_lines(markers, name)]).reshape(-1, 2, 2)

@@ -1,0 +1,77 @@
+"""A pose graph as a picture of bounded size, drawn seldom: what leaves the mapper for people to look at."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry.poses import Floats
+from service.mapper.saved_graph import SavedGraph
+from service.outputs import GraphPicture
+
+MOST_KEYFRAMES = 1000  # in a picture; then every second, third ... is left out
+MOST_LOOPS = 500  # of each kind
+MOST_BORDERS = 200
+PERIOD_NS = 2_000_000_000  # of the drive, from one picture to the next
+SESSION_APART_M = 100.0  # way that counts between two sessions; see KeyframeList
+
+Ints = npt.NDArray[np.int64]
+
+
+def draw(
+    stamp_ns: int,
+    xy_map: Floats,
+    stretch: Ints,
+    accepted: Ints,
+    refused: Ints,
+    borders: Sequence[Floats] = (),
+) -> GraphPicture:
+    """Draw N key frames and what is known between them.
+
+    xy_map     (N, 2) m, along the way
+    stretch    (N,) number of the stretch that each belongs to; negative: nobody knows where it lies
+    accepted   (L, 2) key frames at the ends of loops that hold
+    refused    (R, 2) of loops that do not
+    borders    outlines of sub-maps, (K, 2) m each, map frame
+    """
+    xy = xy_map.astype(np.float32)
+    every = -(-len(xy) // MOST_KEYFRAMES)
+    ways = []
+    for number in np.unique(stretch[stretch >= 0]).tolist():
+        members = np.flatnonzero(stretch == number)
+        kept = members[::every] if every else members
+        ways.append(xy[kept if kept[-1] == members[-1] else np.append(kept, members[-1])])
+    known = stretch >= 0
+    return GraphPicture(
+        stamp_ns,
+        ways,
+        _ends(xy, accepted, known),
+        _ends(xy, refused, known),
+        [border.astype(np.float32) for border in borders[-MOST_BORDERS:]],
+    )
+
+
+def stretches(way_m: Floats, piece: Ints, is_known: npt.NDArray[np.bool_]) -> Ints:
+    """(N,) numbers of stretches: a new one begins with another piece, another session, and after a gap."""
+    if not len(way_m):
+        return np.empty(0, np.int64)
+    begins = (
+        (np.diff(piece) != 0) | (np.diff(way_m) >= SESSION_APART_M) | (np.diff(is_known.astype(int)) != 0)
+    )
+    numbers = np.concatenate(([0], np.cumsum(begins))).astype(np.int64)
+    return np.where(is_known, numbers, -1)
+
+
+def draw_saved(graph: SavedGraph) -> GraphPicture:
+    """What was stored: its key frames and the loops that hold; those refused were not stored."""
+    stretch = stretches(graph.way_m, graph.piece, ~graph.is_lost)
+    stamp_ns = int(graph.stamp_ns[-1]) if len(graph) else 0
+    return draw(stamp_ns, graph.map[:, :2], stretch, graph.loop_ends, np.empty((0, 2), np.int64))
+
+
+def _ends(xy: npt.NDArray[np.float32], ends: Ints, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
+    ends = ends.reshape(-1, 2)
+    ends = ends[known[ends].all(axis=1)]
+    if len(ends) > MOST_LOOPS:
+        ends = ends[np.linspace(0, len(ends) - 1, MOST_LOOPS).round().astype(np.int64)]
+    return xy[ends]
