@@ -22,6 +22,10 @@ def add_maps(commands: Any, add: Add) -> None:
         add(works, name, what).add_argument("map", type=Path, metavar="MAP")
     loops = add(works, "loops", "the loops of a stored map, accepted and refused, with place and evidence")
     loops.add_argument("map", type=map_and_version, metavar="MAP[@VERSION]")
+    diff = add(works, "diff", "what changed between two versions of a map, or two maps in one frame")
+    for name in ("before", "after"):
+        diff.add_argument(name, type=map_and_version, metavar=f"{name.upper()}[@VERSION]")
+    diff.add_argument("--out", type=Path, metavar="FILE.png", help="a picture of it")
     merge = add(works, "merge", "several maps to one, in the frame of the first")
     merge.add_argument("maps", type=Path, nargs="+", metavar="MAP")
     merge.add_argument("--out", type=Path, required=True, metavar="C", help="folder of the new map")

@@ -1,4 +1,4 @@
-"""map info, verify, log, loops, merge, edit: work on stored maps."""
+"""map info, verify, log, loops, diff, merge, edit: work on stored maps."""
 
 import argparse
 import getpass
@@ -10,6 +10,7 @@ from service.errors import UsageError
 
 
 def map_command(parsed: argparse.Namespace) -> int:
+    from service.offline.map_diff import diff_table, map_diff
     from service.offline.map_log import log_table, map_log
     from service.offline.map_loops import loops_table, map_loops
     from service.offline.map_work import map_info, map_merge, map_verify
@@ -35,6 +36,12 @@ def map_command(parsed: argparse.Namespace) -> int:
                 for pair in loops["pairs"]:
                     print("pair {pair} at ({x_m}, {y_m}) m: {apart_mm} mm apart".format(**pair))
                 print_problems(loops)
+        case "diff":
+            told = map_diff(parsed.before, parsed.after, parsed.out)
+            if not parsed.json:
+                rows, told = diff_table(told)
+                print_table(rows)
+            print_result(told, parsed.json)
         case "edit":
             print_result(_edit(parsed), parsed.json)
         case _:

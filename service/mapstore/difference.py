@@ -1,0 +1,112 @@
+"""What differs between the tiles of two maps in one frame: counted, and as a picture."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from service.errors import InputError
+from service.mapstore.picture import (
+    BLACK_OCCUPIED,
+    FREE_THRESH,
+    GREY_UNKNOWN,
+    OCCUPIED_THRESH,
+    WHITE_FREE,
+    Picture,
+    Pixels,
+)
+from service.outputs import UNKNOWN, TileUpdate
+
+Cells = npt.NDArray[np.int8]
+
+WALL_NEW, WALL_GONE, AREA_NEW, AREA_GONE = 20, 21, 22, 23
+COLOURS = {
+    WALL_NEW: (0, 140, 40),
+    WALL_GONE: (210, 30, 30),
+    AREA_NEW: (200, 240, 205),
+    AREA_GONE: (250, 210, 205),
+}
+_UNKNOWN, _FREE, _OCCUPIED, _UNSURE = range(4)
+_KIND = np.full(256, _UNKNOWN, np.uint8)  # by occupancy in per cent, as a byte
+_KIND[:101] = _UNSURE
+_KIND[: int(FREE_THRESH * 100) + 1] = _FREE
+_KIND[int(OCCUPIED_THRESH * 100) : 101] = _OCCUPIED
+_GREY = np.array([GREY_UNKNOWN, WHITE_FREE, BLACK_OCCUPIED, GREY_UNKNOWN], np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class CellCounts:
+    """Cells of the finest level that are not in both maps what they are in one."""
+
+    area_new: int  # unknown before, known now
+    area_gone: int
+    walls_new: int  # occupied now, and not before
+    walls_gone: int
+    changed: int  # free, occupied, unsure or unknown in one and something else in the other
+
+
+class Difference:
+    """Of the finest tiles of two maps, the second as changed against the first.
+
+    Raises InputError where their tiles or cells are of different size.
+    """
+
+    def __init__(self, before: Sequence[TileUpdate], after: Sequence[TileUpdate]) -> None:
+        self._before, self._after = (
+            {(tile.ix, tile.iy): tile.cells for tile in tiles if tile.level == 0} for tiles in (before, after)
+        )
+        sizes = {(len(tile.cells), tile.cell_m) for tile in (*before, *after) if tile.level == 0}
+        if len(sizes) > 1:
+            told = " and ".join(f"{edge} x {edge} cells of {cell_m:g} m" for edge, cell_m in sorted(sizes))
+            raise InputError(f"the maps have tiles of {told}; they cannot be compared cell by cell")
+        ((self._edge, self.cell_m),) = sizes
+
+    def counts(self) -> CellCounts:
+        total = np.zeros(5, np.int64)
+        for key in self._before.keys() | self._after.keys():
+            old, new = self._kinds(key)
+            total += [
+                np.count_nonzero(which)
+                for which in (
+                    (old == _UNKNOWN) & (new != _UNKNOWN),
+                    (old != _UNKNOWN) & (new == _UNKNOWN),
+                    (old != _OCCUPIED) & (new == _OCCUPIED),
+                    (old == _OCCUPIED) & (new != _OCCUPIED),
+                    old != new,
+                )
+            ]
+        return CellCounts(*total.tolist())
+
+    def picture(self) -> Picture:
+        """The second map in grey, and what differs in COLOURS."""
+        keys = self._before.keys() | self._after.keys()
+        columns, rows = [ix for ix, _ in keys], [iy for _, iy in keys]
+        low_x, high_x, low_y, high_y = min(columns), max(columns), min(rows), max(rows)
+        edge = self._edge
+        width, height = (high_x - low_x + 1) * edge, (high_y - low_y + 1) * edge
+
+        def bands() -> Iterator[Pixels]:
+            for iy in range(high_y, low_y - 1, -1):
+                band = np.full((edge, width), GREY_UNKNOWN, np.uint8)
+                for ix in range(low_x, high_x + 1):
+                    if (ix, iy) in keys:
+                        at = (ix - low_x) * edge
+                        band[:, at : at + edge] = self._pixels((ix, iy))[::-1]
+                yield band
+
+        tile_m = edge * self.cell_m
+        return Picture(width, height, self.cell_m, low_x * tile_m, low_y * tile_m, bands)
+
+    def _pixels(self, key: tuple[int, int]) -> Pixels:
+        old, new = self._kinds(key)
+        pixels: Pixels = _GREY[new]
+        pixels[(old == _UNKNOWN) & (new != _UNKNOWN)] = AREA_NEW
+        pixels[(old != _UNKNOWN) & (new == _UNKNOWN)] = AREA_GONE
+        pixels[(old != _OCCUPIED) & (new == _OCCUPIED)] = WALL_NEW
+        pixels[(old == _OCCUPIED) & (new != _OCCUPIED)] = WALL_GONE
+        return pixels
+
+    def _kinds(self, key: tuple[int, int]) -> tuple[Pixels, Pixels]:
+        nothing = np.full((self._edge, self._edge), UNKNOWN, np.int8)
+        return tuple(_KIND[side.get(key, nothing).view(np.uint8)] for side in (self._before, self._after))  # type: ignore[return-value]

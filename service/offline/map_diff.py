@@ -1,0 +1,111 @@
+"""`corridor map diff`: what changed between two versions of a map, or between two maps in one frame."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from service.errors import InputError, StorageError
+from service.geometry import poses as se2
+from service.mapper.saved_graph import SavedGraph
+from service.mapstore.annotated import PALETTE, annotated
+from service.mapstore.difference import COLOURS, Difference
+from service.mapstore.files import StoredMap, load_map
+from service.mapstore.png import write_png
+
+MOVED_M, MOVED_RAD = 0.001, 0.0002  # a key frame that went so far has moved
+_ROWS = {  # what is counted both ways
+    "area, m2": ("area_new_m2", "area_gone_m2"),
+    "cells of walls": ("wall_cells_new", "wall_cells_gone"),
+    "key frames": ("keyframes_new", "keyframes_gone"),
+    "loops": ("loops_new", "loops_gone"),
+    "points": ("points_new", "points_gone"),
+}
+Named = tuple[Path, int | None]  # folder, version
+
+
+def map_diff(first: Named, second: Named, out: Path | None) -> dict[str, Any]:
+    """What the second has and the first has not, and the other way round; for JSON.
+
+    out   file of a PNG that shows it; None: none is written
+
+    Raises InputError where a map cannot be read or the two cannot be compared, StorageError where `out`
+    cannot be written.
+    """
+    before, after = load_map(*first), load_map(*second)
+    difference = Difference(before.tiles, after.tiles)
+    counts = difference.counts()
+    cell_m2 = difference.cell_m**2
+    told: dict[str, Any] = {
+        "before": _name(first, before),
+        "after": _name(second, after),
+        "area_new_m2": round(counts.area_new * cell_m2, 2),
+        "area_gone_m2": round(counts.area_gone * cell_m2, 2),
+        "wall_cells_new": counts.walls_new,
+        "wall_cells_gone": counts.walls_gone,
+        "cells_changed": counts.changed,
+    }
+    if before.graph is not None and after.graph is not None:
+        told |= _graph_told(before.graph, after.graph)
+    if out is not None:
+        if out.suffix != ".png":
+            raise InputError(f"{out}: the picture is a PNG; name a file that ends in .png")
+        try:
+            write_png(out, annotated(difference.picture()), {**PALETTE, **COLOURS})
+        except OSError as error:
+            raise StorageError(f"{out}: {error.strerror}") from error
+        told["picture"] = str(out)
+    return {**told, "problems": [*before.problems, *after.problems]}
+
+
+def diff_table(told: dict[str, Any]) -> tuple[list[list[str]], dict[str, Any]]:
+    """Rows of words, heads first: what is counted both ways beside each other; and the rest."""
+    rows = [["", "new", "gone"]]
+    rows += [[what, str(told[new]), str(told[gone])] for what, (new, gone) in _ROWS.items() if new in told]
+    in_table = {key for keys in _ROWS.values() for key in keys}
+    return rows, {key: value for key, value in told.items() if key not in in_table}
+
+
+def _name(named: Named, stored: StoredMap) -> str:
+    return f"{named[0]}@{stored.number}"
+
+
+def _graph_told(before: SavedGraph, after: SavedGraph) -> dict[str, Any]:
+    _, in_before, in_after = np.intersect1d(before.stamp_ns, after.stamp_ns, return_indices=True)
+    off = se2.between(before.map[in_before], after.map[in_after])
+    off_m, off_rad = np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
+    moved = (off_m > MOVED_M) | (off_rad > MOVED_RAD)
+    fewer, more = _points_changed(before.point_count[in_before], after.point_count[in_after])
+    loops_before, loops_after = _loops(before), _loops(after)
+    only_before = np.delete(np.arange(len(before)), in_before)
+    only_after = np.delete(np.arange(len(after)), in_after)
+    told: dict[str, Any] = {
+        "keyframes_new": len(only_after),
+        "keyframes_gone": len(only_before),
+        "loops_new": len(loops_after - loops_before),
+        "loops_gone": len(loops_before - loops_after),
+        "points_new": more + int(after.point_count[only_after].sum()),
+        "points_gone": fewer + int(before.point_count[only_before].sum()),
+        "keyframes_moved": int(moved.sum()),
+    }
+    if moved.any():
+        most = int(np.argmax(off_m))
+        told["moved"] = {
+            "median_mm": round(1e3 * float(np.median(off_m[moved])), 1),
+            "max_mm": round(1e3 * float(off_m[most]), 1),
+            "max_deg": round(float(np.degrees(off_rad.max())), 3),
+            "max_at_x_m": round(float(after.map[in_after[most], 0]), 2),
+            "max_at_y_m": round(float(after.map[in_after[most], 1]), 2),
+        }
+    return told
+
+
+def _points_changed(before: npt.NDArray[np.int64], after: npt.NDArray[np.int64]) -> tuple[int, int]:
+    change = after - before
+    return int(-change[change < 0].sum()), int(change[change > 0].sum())
+
+
+def _loops(graph: SavedGraph) -> set[tuple[int, int]]:
+    """Each loop by the stamps of its two key frames."""
+    return {(int(of), int(to)) for of, to in graph.stamp_ns[graph.loop_ends]}
