@@ -1,6 +1,5 @@
 """What `corridor map` does with stored maps: tell, check, merge."""
 
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,10 +8,12 @@ import numpy as np
 
 from service.errors import InputError
 from service.geometry import poses as se2
+from service.mapper.by_hand import WALL
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapper.methods.corridor.graph.merging import Merged, MergeError, merge_graphs
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import StoredMap, check_versions, load_map, save_map
+from service.offline.map_log import utc
 from service.outputs import UNKNOWN
 
 
@@ -24,7 +25,8 @@ def map_info(folder: Path) -> dict[str, Any]:
     told: dict[str, Any] = {
         "map": str(folder),
         "version": stored.number,
-        "saved": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(stored.saved_ns / 1e9)),
+        "saved": utc(stored.saved_ns),
+        "edit": None if stored.edit is None else f"{stored.edit.who}: {stored.edit.words}",
         **stored.about,
         "cell_m": fine[0].cell_m,
         "seen_m2": round(cells * fine[0].cell_m ** 2, 1),
@@ -38,8 +40,32 @@ def map_info(folder: Path) -> dict[str, Any]:
             "keyframes": len(graph),
             "loops": len(graph.loop_ends),
             "sessions_and_pieces": len(np.unique(graph.piece)),
+            "refused_loops": len(graph.refused.ends),
+            "pairs": len(graph.by_hand.pair_ends),
+            "walls": int((graph.by_hand.kind == WALL).sum()),
+            "areas_erased": int((graph.by_hand.kind != WALL).sum()),
+            "stretches": stretches(graph),
             "way_m": round(float(np.hypot(*np.diff(graph.map[:, :2], axis=0).T).sum()), 1),
         }
+    return told
+
+
+def stretches(graph: SavedGraph) -> list[dict[str, Any]]:
+    """From when to when each session or piece lasts, also in seconds after the first key frame of the map."""
+    first_ns = int(graph.stamp_ns.min())
+    told = []
+    for piece in dict.fromkeys(graph.piece.tolist()):  # in the order driven
+        stamps = graph.stamp_ns[graph.piece == piece]
+        begin_ns, end_ns = int(stamps.min()), int(stamps.max())
+        told.append(
+            {
+                "from": utc(begin_ns),
+                "to": utc(end_ns),
+                "from_s": round((begin_ns - first_ns) / 1e9, 2),
+                "to_s": round((end_ns - first_ns) / 1e9, 2),
+                "keyframes": len(stamps),
+            }
+        )
     return told
 
 

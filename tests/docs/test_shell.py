@@ -1,21 +1,27 @@
 """Shell blocks: each line is a command that there is, called as it can be called; those on files are run."""
 
 import gzip
+import json
 import re
 import shlex
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from service.cli import main
 from service.cli.arguments import new_parser
+from service.encoding import encode_frame, encode_tf_static
 from simulators.run import _parse as parse_simulate
+from simulators.worlds import WORLDS
 from tests.docs.blocks import ROOT, written_in
 from tests.service.offline.test_carmen import flaser, odom
 from tests.service.offline.test_rosbag import drive as ros_drive
 from tests.service.offline.test_rosbag import noetic, write_ros1
-from tests.service.recording.sessions import drive, write_file
+from tests.service.recording.sessions import T0_NS, drive, write_file
+from tests.simulated import FORWARD, LMS100_50HZ, Wheels
+from tests.simulated import drive as simulated_drive
 
 SHELL = written_in("sh")
 OF_THE_SYSTEM = {  # not ours, known to every reader; bash says whether the line can be one
@@ -93,6 +99,24 @@ def test_commands_on_files_are_run(page, drives, capsys):
                 assert main(words[1:]) == 0, f"{words}: {capsys.readouterr().err}"
                 ran.append(words[1])
     assert ran
+
+
+def test_a_stored_map_is_edited_as_the_manual_says(tmp_path, monkeypatch, capsys):
+    """From the recording of a drive in an office to a map that was changed, compared and put back."""
+    monkeypatch.chdir(tmp_path)
+    driven = simulated_drive(WORLDS["office"](), replace(LMS100_50HZ, rate_hz=25.0), 15.0, 3, Wheels())
+    messages = [encode_frame(frame, T0_NS) for frame in driven.frames]
+    write_file(tmp_path / "session.mcap", [encode_tf_static({"front": FORWARD}, T0_NS, T0_NS), *messages])
+    ran = []
+    for block in (block for block in SHELL if block.page == "docs/maps.md"):
+        for words in commands_of(block.text):
+            assert main(words[1:]) == 0, f"{words}: {capsys.readouterr().err}"
+            ran.append(words[1])
+    assert ran.count("map") >= 10
+    assert main(["map", "diff", "first/map@1", "first/map", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (told["cells_changed"], told["keyframes_gone"]) == (0, 0)
+    assert (tmp_path / "diff.png").stat().st_size > 0
 
 
 def test_the_drives_are_those_of_the_manual(drives: Path):

@@ -1,6 +1,10 @@
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from service.errors import InputError
+from service.mapper.by_hand import WALL, ByHand, Drawing
 from service.mapstore.files import save_map
 from service.offline.map_work import map_info, map_merge, map_verify
 from tests.service.mapstore.test_graph_files import graph_of
@@ -15,7 +19,22 @@ def test_a_map_tells_what_it_holds(tmp_path):
     assert told["saved"] == "2023-11-14T22:13:20Z"
     assert (told["vehicle"], told["keyframes"], told["loops"], told["version"]) == ("veh1", 5, 1, 1)
     assert told["can_be_gone_on_in"] is True
+    assert (told["edit"], told["refused_loops"], told["walls"], told["areas_erased"]) == (None, 0, 0, 0)
     assert told["disk_mb"] > 0.0
+
+
+def test_a_map_tells_from_when_to_when_it_was_driven(tmp_path):
+    graph = graph_of(6)
+    at_s = np.array([10.0, 11.0, 12.5, 100.0, 101.0, 102.0])
+    graph = replace(graph, stamp_ns=(at_s * 1e9).astype(np.int64), piece=np.array([3, 3, 3, 1, 1, 1]))
+    graph = replace(graph, by_hand=ByHand().and_drawn(Drawing(WALL, 0, np.eye(2)), graph.map))
+    save_map(tmp_path, TILES, 1, graph=graph)
+    told = map_info(tmp_path)
+    assert told["walls"] == 1
+    first, second = told["stretches"]
+    assert (first["from"], first["to"]) == ("1970-01-01T00:00:10Z", "1970-01-01T00:00:12Z")
+    assert (first["from_s"], first["to_s"], first["keyframes"]) == (0.0, 2.5, 3)
+    assert (second["from_s"], second["to_s"]) == (90.0, 92.0)
 
 
 def test_a_map_without_a_graph_says_so(tmp_path):
