@@ -15,9 +15,8 @@ ACTIVE_SUFFIX = ".active"
 PROFILE = "ros2"
 LIBRARY = f"corridor {VERSION}"
 CHUNK_BYTES = 1 << 20
-LATCHED = frozenset(
-    {"tf_static", "map", "graph"}
-)  # transient local in ROS: the last one is there for late joiners
+# Transient local in ROS: the last one is there for late joiners.
+LATCHED = frozenset({"tf_static", "map", "graph"})
 
 _QOS = """- history: 1
   depth: {depth}

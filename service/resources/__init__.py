@@ -6,5 +6,6 @@ In the tree the two folders are links to those at its root; the wheel holds thei
 from pathlib import Path
 
 FOLDER = Path(__file__).parent
-CONFIG = FOLDER / "config"  # vehicle.yaml, sensors/<type>.yaml, profiles/<profile>.yaml
+# vehicle.yaml, sensors/<type>.yaml, profiles/<profile>.yaml, layouts/foxglove.json
+CONFIG = FOLDER / "config"
 SYSTEMD = FOLDER / "systemd"

@@ -45,6 +45,9 @@ SINKS = (
     SinkKind("recording", "service.recording.config:RecordingConfig", "service.sinks.mcap_sink:open_sink"),
     SinkKind("map", "service.mapstore.config:MapConfig", "service.sinks.map_saver:open_sink"),
     SinkKind("web", "service.web.config:WebConfig", "service.sinks.web_sink:open_sink"),
+    SinkKind(
+        "foxglove", "service.sinks.foxglove_config:FoxgloveConfig", "service.sinks.foxglove_sink:open_sink"
+    ),
 )
 
 

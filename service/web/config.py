@@ -18,7 +18,8 @@ def split_listen(listen: str) -> tuple[str, int]:
     return found["v6"] or found["host"], int(found["port"])
 
 
-def _check_listen(listen: str) -> str:
+def check_listen(listen: str) -> str:
+    """`listen` itself; for a config model. Raises ValueError."""
     split_listen(listen)
     return listen
 
@@ -35,7 +36,7 @@ class WebConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     enabled: bool = True
-    listen: Annotated[str, AfterValidator(_check_listen)] = "127.0.0.1:8080"
+    listen: Annotated[str, AfterValidator(check_listen)] = "127.0.0.1:8080"
     # Names, besides IP addresses, localhost and this machine's own name, by which browsers may open the page.
     hosts: tuple[Annotated[str, AfterValidator(_check_host_name)], ...] = ()
     token_file: Path | None = None  # None: corridor/web.token in the state folder, see access.state_folder

@@ -4,6 +4,7 @@ On a machine with little time to spare a fake device leaves turns out, and the q
 counted, and no more than that may be missing. Where the machine is in time, streams are without a hole.
 """
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,10 @@ import numpy as np
 import pytest
 
 from drivers.frames import Frame
-from service.encoding import decode_diagnostics, decode_frame, encode_pose
+from service.encoding import decode_diagnostics, decode_frame, encode_pose, read
 from service.offline.replay import ReplayOptions, replay
 from service.recording.mcap_reader import Recording
+from service.resources import CONFIG
 from simulators.sick_lms100 import Lms100Setup
 from tests.demo_run import LOOK_S, DemoRun, run_demo
 
@@ -64,6 +66,28 @@ def test_what_five_devices_send_is_recorded_and_maps_alike_again(demo_run: DemoR
     assert [encode_pose(output, 0).payload for output in replayed.outputs] == recorded
     assert len(recorded) == summary["scans"]
     assert replayed.summary["scans_not_mapped"] == 0
+
+
+def test_the_layout_for_foxglove_shows_what_the_recording_holds(demo_run: DemoRun):
+    """Each of its topics is there, each of its fields, and each laser is shown."""
+    recording = Recording(sorted(Path(demo_run.summary["session"]).parent.glob("*.mcap")))
+    recorded = {topic.name: topic.type for topic in recording.topics}
+    panels = json.loads((CONFIG / "layouts" / "foxglove.json").read_text())["configById"]
+    scene = panels["3D!corridor-map"]["topics"]
+    fields = [series["value"] for series in panels["Plot!corridor-speed"]["paths"]]
+    fields.append(panels["RawMessages!corridor-events"]["topicPath"])
+    wanted = {*scene, panels["DiagnosticSummary!corridor-health"]["topicToRender"]}
+    assert wanted | {field.partition(".")[0] for field in fields} <= recorded.keys()
+    assert {topic for topic in recorded if topic.endswith("/scan")} <= scene.keys()
+    for field in fields:
+        topic, *names = field.split(".")
+        message = next(iter(recording.messages([topic])))
+        value = read(recorded[topic], message.payload)
+        for name in names:
+            value = getattr(value, name)
+        assert isinstance(value, float | str), field
+    frames = {message.channel for message in recording.messages(["/graph"])}
+    assert frames == {"graph"}
 
 
 @pytest.mark.soak

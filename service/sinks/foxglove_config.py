@@ -1,0 +1,16 @@
+"""What the Foxglove output is told."""
+
+from typing import Annotated
+
+from pydantic import AfterValidator, BaseModel, ConfigDict
+
+from service.web.config import check_listen
+
+
+class FoxgloveConfig(BaseModel):
+    """A websocket for Foxglove and Lichtblick. It has no password: whoever reaches it sees everything."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    enabled: bool = False  # needs the extra `viewer`
+    listen: Annotated[str, AfterValidator(check_listen)] = "127.0.0.1:8765"

@@ -1,0 +1,229 @@
+"""Against a client that is not the SDK's: foxglove.sdk.v1 over aiohttp, messages read by rosbags."""
+
+import asyncio
+import json
+import re
+import socket
+import struct
+import sys
+from collections.abc import Awaitable, Callable, Iterator
+from typing import Any
+
+import aiohttp
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from service.encoding import ERROR, OK, encode_graph, encode_tf_static
+from service.errors import StorageError
+from service.geometry.se2 import SE2
+from service.mapstore.tiles import TileStore
+from service.outputs import NO_GRAPH, GraphPicture, TileUpdate
+from service.resources import CONFIG
+from service.sinks.foxglove_config import FoxgloveConfig
+from service.sinks.foxglove_sink import MOST_WAITING, FoxgloveSink, open_sink
+from service.sinks.sink import SinkContext
+from tests.browser.scene import Scene, event, stamp
+from tests.service.sinks.contexts import sink_context
+
+layouts = pytest.importorskip("foxglove.layouts", reason="pip install 'corridor[viewer]'")
+
+TIMEOUT_S = 20.0
+JAZZY = get_typestore(Stores.ROS2_JAZZY)
+LAYOUT = json.loads((CONFIG / "layouts" / "foxglove.json").read_text())
+
+
+@pytest.fixture
+def open_one() -> Iterator[Callable[..., FoxgloveSink]]:
+    opened: list[FoxgloveSink] = []
+
+    def start(listen: str = "127.0.0.1:0", **context: Any) -> FoxgloveSink:
+        sink = FoxgloveSink(FoxgloveConfig(enabled=True, listen=listen), sink_context(**context), 0.05)
+        opened.append(sink)
+        return sink
+
+    yield start
+    for sink in opened:
+        sink.close()
+
+
+class Viewer:
+    """Subscribes to topics, and reads what comes of them."""
+
+    def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
+        self._socket = socket
+        self.channels: dict[str, dict[str, Any]] = {}  # by topic
+        self._came: list[tuple[str, int, Any]] = []  # topic, log time, message
+
+    async def wait_for_topics(self, *topics: str) -> None:
+        while not {*topics} <= self.channels.keys():
+            await self._receive()
+
+    async def subscribe(self, *topics: str) -> None:
+        await self.wait_for_topics(*topics)
+        wanted = [{"id": 100 + self.channels[t]["id"], "channelId": self.channels[t]["id"]} for t in topics]
+        await self._socket.send_str(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+
+    async def next(self, topic: str) -> tuple[int, Any]:
+        while True:
+            for k, (came, log_ns, message) in enumerate(self._came):
+                if came == topic:
+                    del self._came[k]
+                    return log_ns, message
+            await self._receive()
+
+    async def _receive(self) -> None:
+        message = await self._socket.receive(TIMEOUT_S)
+        if message.type is aiohttp.WSMsgType.TEXT:
+            told = json.loads(message.data)
+            if told["op"] == "advertise":
+                self.channels |= {channel["topic"]: channel for channel in told["channels"]}
+            return
+        assert message.type is aiohttp.WSMsgType.BINARY, message
+        opcode, subscription, log_ns = struct.unpack_from("<BIQ", message.data)
+        assert opcode == 1
+        channel = next(c for c in self.channels.values() if c["id"] == subscription - 100)
+        content = JAZZY.deserialize_cdr(message.data[13:], channel["schemaName"])
+        self._came.append((channel["topic"], log_ns, content))
+
+
+def talk(sink: FoxgloveSink, conversation: Callable[[Viewer], Awaitable[None]]) -> None:
+    async def hold() -> None:
+        async with asyncio.timeout(TIMEOUT_S), aiohttp.ClientSession() as session:
+            while not (address := sink.place()):
+                await asyncio.sleep(0.01)
+            async with session.ws_connect(address, protocols=["foxglove.sdk.v1"], max_msg_size=0) as socket:
+                await conversation(Viewer(socket))
+
+    asyncio.run(hold())
+
+
+def test_a_viewer_gets_what_a_recording_would_hold(open_one: Callable[..., FoxgloveSink]) -> None:
+    scene, sink = Scene(), open_one()
+    for message in scene.messages(1.0):
+        sink.put(message)
+    sink.put(event("{}", 1.0))
+
+    async def look(viewer: Viewer) -> None:
+        await viewer.wait_for_topics("/pose", "/front/scan", "/diagnostics", "/tf_static", "/events")
+        pose = viewer.channels["/pose"]
+        assert (pose["encoding"], pose["schemaEncoding"]) == ("cdr", "ros2msg")
+        assert pose["schemaName"] == "nav_msgs/msg/Odometry"
+        assert pose["schema"] == JAZZY.generate_msgdef("nav_msgs/msg/Odometry", ros_version=2)[0]
+        await viewer.subscribe("/pose", "/tf_static")
+        _, transforms = await viewer.next("/tf_static")  # put long before, and kept
+        assert {edge.child_frame_id for edge in transforms.transforms} == {"front", "rear"}
+        message = scene.messages(2.0)[1]
+        sink.put(message)
+        log_ns, odometry = await viewer.next("/pose")
+        assert log_ns == message.log_ns
+        assert odometry.pose.pose.position.x == scene.pose(2.0).x_m
+        assert (sink.health().level, sink.health().values["subscriptions"]) == (OK, "2")
+
+    talk(sink, look)
+
+
+def test_the_map_is_there_for_who_comes_late_and_again_when_it_changes(
+    open_one: Callable[..., FoxgloveSink],
+) -> None:
+    store = TileStore()
+    sink = open_one(tiles=store)
+    store.update([TileUpdate(0, 0, 0, 1, 0.05, np.full((64, 64), 7, np.int8))])
+
+    async def look(viewer: Viewer) -> None:
+        await viewer.subscribe("/map")
+        _, grid = await viewer.next("/map")
+        assert (grid.info.width, set(grid.data.tolist())) == (64, {7})
+        store.update([TileUpdate(0, 1, 0, 2, 0.05, np.full((64, 64), 9, np.int8))])
+        _, grid = await viewer.next("/map")
+        assert (grid.info.width, set(grid.data.tolist())) == (128, {7, 9})
+
+    talk(sink, look)
+
+
+def test_the_newest_graph_is_kept(open_one: Callable[..., FoxgloveSink]) -> None:
+    sink, line = open_one(), np.ones((3, 2), np.float32)
+    sink.put(encode_graph(NO_GRAPH, stamp(1.0)))
+    sink.put(encode_graph(GraphPicture(stamp(2.0), [line], line[:2][None], line[:2][None]), stamp(2.0)))
+
+    async def look(viewer: Viewer) -> None:
+        await viewer.subscribe("/graph")
+        _, array = await viewer.next("/graph")
+        while len(array.markers) == 1:  # the first may be of the moment of the subscription
+            _, array = await viewer.next("/graph")
+        assert [marker.ns for marker in array.markers] == ["", "key_frames", "loops", "refused_loops"]
+
+    talk(sink, look)
+
+
+def test_nothing_waits_while_the_port_is_taken_and_it_is_had_when_it_is_free(
+    open_one: Callable[..., FoxgloveSink],
+) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        sink = open_one(f"127.0.0.1:{port}")
+        while "cannot be served" not in sink.health().message:
+            pass
+        assert sink.health().level == ERROR
+        sink.put(encode_tf_static({"front": SE2()}, 1, 1))
+        for k in range(MOST_WAITING + 500):
+            sink.put(event("{}", k * 1e-3))
+
+    async def look(viewer: Viewer) -> None:
+        await viewer.subscribe("/tf_static")
+        assert (await viewer.next("/tf_static"))[1].transforms
+
+    talk(sink, look)
+    assert sink.health().level == OK
+
+
+def test_it_ends_also_where_it_never_had_its_port(open_one: Callable[..., FoxgloveSink]) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        sink = open_one(f"127.0.0.1:{other.getsockname()[1]}")
+        sink.close()
+        assert not sink._thread.is_alive()
+
+
+def test_without_the_package_the_config_is_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    context: SinkContext = sink_context()
+    assert open_sink(FoxgloveConfig(), context) is None
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+    with pytest.raises(StorageError, match=re.escape("pip install 'corridor[viewer]'")):
+        open_sink(FoxgloveConfig(enabled=True), context)
+
+
+def keys(model: Any) -> set[str]:
+    return set(model()._to_dict())
+
+
+def test_the_layout_is_made_of_panels_and_settings_that_the_sdk_knows() -> None:
+    of_panel = {
+        "3D": keys(layouts.ThreeDeeConfig),
+        "DiagnosticSummary": keys(layouts.DiagnosticsSummaryConfig),
+        "Plot": keys(layouts.PlotConfig),
+        "RawMessages": keys(layouts.RawMessagesConfig),
+    }
+    for name, config in LAYOUT["configById"].items():
+        assert config.keys() <= of_panel[name.partition("!")[0]], name
+    scene = LAYOUT["configById"]["3D!corridor-map"]
+    assert scene["cameraState"].keys() <= keys(layouts.ThreeDeeCameraState)
+    of_topic = {
+        "/map": keys(layouts.BaseRendererRosOccupancyGridTopicSettings),
+        "/graph": keys(layouts.BaseRendererRosMarkerTopicSettings),
+        "/pose": keys(layouts.BaseRendererPoseTopicSettings),
+    }
+    for topic, settings in scene["topics"].items():
+        known = of_topic.get(topic, keys(layouts.BaseRendererLaserScanTopicSettings))
+        assert settings.keys() <= known, topic
+    for series in LAYOUT["configById"]["Plot!corridor-speed"]["paths"]:
+        assert series.keys() <= keys(layouts.PlotSeries)
+    assert sorted(shown(LAYOUT["layout"])) == sorted(LAYOUT["configById"])
+
+
+def shown(part: Any) -> list[str]:
+    """Panels of a split, and of the splits in it."""
+    return [part] if isinstance(part, str) else [*shown(part["first"]), *shown(part["second"])]
