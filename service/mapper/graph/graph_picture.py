@@ -63,10 +63,10 @@ def stretches(way_m: Floats, piece: Ints, is_known: npt.NDArray[np.bool_]) -> In
 
 
 def draw_saved(graph: SavedGraph) -> GraphPicture:
-    """What was stored: its key frames and the loops that hold; those refused were not stored."""
+    """What was stored: its key frames, the loops that hold and those that were refused."""
     stretch = stretches(graph.way_m, graph.piece, ~graph.is_lost)
     stamp_ns = int(graph.stamp_ns[-1]) if len(graph) else 0
-    return draw(stamp_ns, graph.map[:, :2], stretch, graph.loop_ends, np.empty((0, 2), np.int64))
+    return draw(stamp_ns, graph.map[:, :2], stretch, graph.loop_ends, graph.refused.ends)
 
 
 def _ends(xy: npt.NDArray[np.float32], ends: Ints, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:

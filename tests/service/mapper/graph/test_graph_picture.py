@@ -1,6 +1,7 @@
 import numpy as np
 
 from service.mapper.graph.graph_picture import MOST_KEYFRAMES, MOST_LOOPS, draw, draw_saved, stretches
+from service.mapper.refused_loops import RefusedLoops
 from service.mapper.saved_graph import SavedGraph
 
 NONE = np.empty((0, 2), np.int64)
@@ -48,9 +49,12 @@ def test_a_stored_graph_shows_its_key_frames_and_its_loops() -> None:
         sensor_xy_m=np.zeros((n, 2)), point_count=np.zeros(n, np.int64),
         xy_base=np.zeros((0, 2), np.float32), normals=np.zeros((0, 3), np.float32),
         loop_ends=np.array([(0, 2)]), loop_measured=np.zeros((1, 3)), loop_covariance=np.zeros((1, 3, 3)),
-        loop_score=np.ones(1),
+        loop_score=np.ones(1), loop_points=np.zeros(1, np.int64), loop_against=np.zeros(1),
+        refused=RefusedLoops(np.array([(1, 2), (0, 3)]), np.zeros((2, 3)), np.zeros(2), np.zeros(2, np.int64),
+                             np.zeros(2), np.zeros(2, np.int64)),
     )  # fmt: skip
     picture = draw_saved(graph.checked())
     assert [way.tolist() for way in picture.ways] == [[[0, 1], [3, 4], [6, 7]]]
     assert picture.accepted.tolist() == [[[0, 1], [6, 7]]]
-    assert (picture.stamp_ns, len(picture.refused), len(picture.borders)) == (8, 0, 0)
+    assert picture.refused.tolist() == [[[3, 4], [6, 7]]]
+    assert (picture.stamp_ns, len(picture.borders)) == (8, 0)

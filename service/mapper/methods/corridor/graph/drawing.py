@@ -3,11 +3,11 @@
 from collections.abc import Collection, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from service.mapper.graph.graph_picture import PERIOD_NS, draw, stretches
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
 from service.mapper.methods.corridor.graph.loops import Loop
+from service.mapper.methods.corridor.graph.refusals import Refusals
 from service.outputs import GraphPicture
 
 
@@ -22,13 +22,13 @@ class Drawing:
         keyframes: KeyframeList,
         joined: Collection[int],
         accepted: Sequence[Loop],
-        found: Sequence[Loop],
+        refusals: Refusals,
         at_once: bool,
     ) -> GraphPicture | None:
         """None while the last one is fresh.
 
         joined    numbers of the pieces whose place is known
-        found     loops of which those that are not accepted are shown as refused
+        at_once   however fresh the last one is
         """
         if not keyframes.count:
             return None
@@ -37,15 +37,10 @@ class Drawing:
             return None
         self._due_ns = stamp_ns + PERIOD_NS
         is_known = np.isin(keyframes.piece, list(joined)) & ~keyframes.is_lost
-        holding = {id(loop) for loop in accepted}
         return draw(
             stamp_ns,
             keyframes.map[:, :2],
             stretches(keyframes.way_m, keyframes.piece, is_known),
-            _ends(accepted),
-            _ends([loop for loop in found if id(loop) not in holding]),
+            np.array([(loop.of, loop.to) for loop in accepted], np.int64).reshape(-1, 2),
+            refusals.arrays(accepted).ends,
         )
-
-
-def _ends(loops: Sequence[Loop]) -> npt.NDArray[np.int64]:
-    return np.array([(loop.of, loop.to) for loop in loops], np.int64).reshape(-1, 2)

@@ -96,7 +96,7 @@ class LoopBackEnd:
 
     def work(self, batch: Batch) -> Result:
         result = self._work(batch)
-        anchoring, found = self._anchoring, [*self._disabled, *self._candidates]
+        anchoring, is_asked = self._anchoring, batch.is_last or bool(batch.request)
         result = replace(
             result,
             geo=anchoring.reference,
@@ -104,7 +104,7 @@ class LoopBackEnd:
             placed=self._placement.state,
             alike=self._pieces.alike,
             picture=self._drawing.picture(
-                self._keyframes, self._joined, self._loops, found, batch.is_last or bool(batch.request)
+                self._keyframes, self._joined, self._loops, self._refusals, is_asked
             ),
         )
         if batch.is_last or batch.request == "checkpoint":

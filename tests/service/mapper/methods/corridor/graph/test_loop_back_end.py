@@ -14,6 +14,7 @@ from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
 from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
 from service.mapper.methods.corridor.graph.loops import Loop
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
+from service.mapper.refused_loops import CONTRADICTED
 from tests.service.mapper.methods.corridor.graph.rings import LENGTH_M, STEP_M, WIDTH_M, key_frames
 
 BATCH = 7
@@ -74,7 +75,8 @@ def test_the_graph_is_drawn_seldom_and_shows_what_holds_and_what_does_not(
     pictures = [result.picture for result in results if result.picture is not None]
     stamps = np.array([picture.stamp_ns for picture in pictures])
     assert (np.diff(stamps) >= 2_000_000_000).all()
-    back_end._disabled.append(false := Loop(10, 80, np.zeros(3), np.eye(3), 0.9))
+    false = Loop(10, 80, np.zeros(3), np.eye(3), 0.9)
+    back_end._refusals.add([false], CONTRADICTED)
     last = back_end.work(Batch([], is_last=True)).picture
     assert last is not None
     keyframes = back_end._keyframes
