@@ -139,6 +139,7 @@ class GraphUpdate:
     joined   number of a piece of the map that was found in the rest; None: none
     placed   how sure the place of the session in its stored map is; None: no news
     alike    m, in the map: places that a piece that is looked for fits equally well
+    pose_refused   m, m, rad: where a person said the vehicle is, and what is seen does not fit; None: nothing
     saved    what a later session needs to go on, where a checkpoint was asked for
     geo      where the map lies on the earth; None: that is not known, or not news
     picture  the graph, for people to look at; None: that of before stands
@@ -151,6 +152,7 @@ class GraphUpdate:
     geo: GeoReference | None = None
     placed: Placed | None = None
     alike: Sequence[tuple[float, float]] = ()
+    pose_refused: tuple[float, float, float] | None = None
     saved: SavedGraph | KeptGraph | None = None
     picture: GraphPicture | None = None
 

@@ -65,6 +65,7 @@ class FrameMapper(Protocol):
     counters: Counter[str]
     geo_reference: GeoReference | None
     saved: SavedGraph | KeptGraph | None
+    pose_refused: tuple[float, float, float] | None
     graph_picture: GraphPicture | None
 
     def process(self, frame: Frame) -> MapperOutput | None: ...
@@ -176,6 +177,11 @@ class MappingSession:
     def graph_picture(self) -> GraphPicture | None:
         """The graph of the present map, for people to look at; None where there is none (yet)."""
         return self._mapper.graph_picture
+
+    @property
+    def pose_refused(self) -> tuple[float, float, float] | None:
+        """m, m, rad: where a person said that the vehicle is, and it is not; None: nothing."""
+        return self._mapper.pose_refused
 
     @property
     def work_ready(self) -> bool:

@@ -53,6 +53,7 @@ class Mapper(Generic[ReadableMap]):
         """
         self._stages = stages
         self._placed, self._is_localizing = placed, is_localizing
+        self.pose_refused: tuple[float, float, float] | None = None  # set by a person; nothing seen fits it
         self._alike: Sequence[tuple[float, float]] = ()  # places that what is seen fits equally well
         self.saved: SavedGraph | KeptGraph | None = None  # of the newest checkpoint that was asked for
         self.graph_picture: GraphPicture | None = None  # the newest, for people to look at
@@ -141,7 +142,7 @@ class Mapper(Generic[ReadableMap]):
         self.counters.update(update.counts)
         if update.geo is not None:
             self.geo_reference = update.geo
-        self._alike = update.alike
+        self._alike, self.pose_refused = update.alike, update.pose_refused
         if update.saved is not None:
             self.saved = update.saved
         if update.picture is not None:
@@ -185,6 +186,10 @@ class Mapper(Generic[ReadableMap]):
             match = replace(match, state="lost", reason=self._unplaced(match.reason))
         elif self._placed == "unproven" and match.state == "ok":
             match = replace(match, state="degraded", reason=UNPROVEN)
+        if match.state == "lost" and self.pose_refused is not None:
+            x_m, y_m, _ = self.pose_refused
+            said = f"the pose set at ({x_m:.1f}, {y_m:.1f}) m is given up: what is seen does not fit there; "
+            match = replace(match, reason=said + match.reason)
         if match.state != "lost" and not self._is_localizing:  # nothing is drawn where nobody knows the place
             s.free_space.insert(match.points, pose_map_odom @ match.motion.pose_odom_base)
         watch.lap("insert")

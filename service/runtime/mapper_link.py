@@ -37,6 +37,7 @@ from service.runtime.mapper_messages import (
     MakeStandby,
     Mapped,
     PassedOver,
+    PoseRefused,
     Progress,
     Ready,
     ResultApplied,
@@ -56,7 +57,7 @@ MOST_DEATHS = 4  # without an item done in between: then the service ends with a
 STANDBY_S = 5.0  # that a stand-by which has just been made may take to come here
 END_S = 2.0
 
-Heard = Mapped | PassedOver | ResultApplied | Unusable | Tiles | Status | GraphDrawn
+Heard = Mapped | PassedOver | ResultApplied | Unusable | Tiles | Status | GraphDrawn | PoseRefused
 
 
 class MapperListener(Protocol):

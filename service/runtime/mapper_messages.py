@@ -156,6 +156,15 @@ class ResultApplied(NamedTuple):
     fault: str
 
 
+class PoseRefused(NamedTuple):
+    """Where a person said that the vehicle is in the map, and what is seen does not fit: it is given up."""
+
+    log_ns: int
+    x_m: float
+    y_m: float
+    theta_rad: float
+
+
 class Unusable(NamedTuple):
     """A frame that holds nothing to map."""
 

@@ -22,6 +22,7 @@ from service.runtime.mapper_messages import (
     Item,
     Mapped,
     PassedOver,
+    PoseRefused,
     ResultApplied,
     SessionItem,
     Status,
@@ -65,6 +66,7 @@ class MappingLoop:
         self._tiles_due_ns = self._status_due_ns = 0
         self._told_graph: Any = None  # the newest checkpoint that ingest knows of
         self._shown_graph: GraphPicture | None = None  # the newest that ingest has
+        self._told_refused: tuple[float, float, float] | None = None
         self._map_stamp_ns = 0  # Unix time of the newest scan in the map
         self._done_number = 0  # up to here nothing is decided anew, and nothing is told twice
         self._decided = Decisions({}, frozenset(), frozenset())
@@ -155,6 +157,11 @@ class MappingLoop:
             self.mapper.apply_result()
             self._send(ResultApplied(item.number, item.log_ns, self.mapper.graph_fault))
             self._tell_graph()
+        refused = self.mapper.pose_refused
+        if refused != self._told_refused:
+            self._told_refused = refused
+            if refused is not None:
+                self._tell(item.number, PoseRefused(item.log_ns, *refused))
 
     def _take_frame(self, item: FrameItem) -> None:
         if item.number in self._decided.refused:

@@ -20,6 +20,7 @@ from service.runtime.mapper_messages import (
     GraphKept,
     Mapped,
     PassedOver,
+    PoseRefused,
     ResultApplied,
     Status,
     Tiles,
@@ -86,6 +87,8 @@ class MappingOutputs:
                 self._graph_worked(message)
             case PassedOver():
                 self._left_out(message)
+            case PoseRefused():
+                self._pose_refused(message)
             case GraphKept():
                 self._graph_kept(message)
             case GraphDrawn():
@@ -157,6 +160,17 @@ class MappingOutputs:
         event = {"event": "graph_lost", "reason": fault} if fault else {"event": APPLY_RESULT}
         self._put_before(message.log_ns, event)
 
+    def _pose_refused(self, refused: PoseRefused) -> None:
+        at = {"x_m": refused.x_m, "y_m": refused.y_m, "theta_rad": refused.theta_rad}
+        log.warning(
+            "set_pose: the pose (%.2f, %.2f) m, %.2f rad is given up: what is seen does not fit there; "
+            "set another one, or drive on",
+            refused.x_m,
+            refused.y_m,
+            refused.theta_rad,
+        )
+        self._put_before(refused.log_ns, {"event": "set_pose_given_up", **at})
+
     def _graph_kept(self, kept: GraphKept) -> None:
         if kept.fault:
             log.error("%s", kept.fault)
@@ -172,6 +186,6 @@ class MappingOutputs:
         self.passed_over[message.sensor] += 1
         self._put_before(message.log_ns, {"event": "scan_passed_over", "sensor": message.sensor})
 
-    def _put_before(self, log_ns: int, event: Mapping[str, str]) -> None:
+    def _put_before(self, log_ns: int, event: Mapping[str, Any]) -> None:
         """An event among the frames, right before the one of this log time."""
         self._put(encode_event(json.dumps(dict(event)), log_ns - 1, log_ns - 1), None)

@@ -35,6 +35,7 @@ class FakeMapper:
 
     saved = None
     graph_picture = None
+    pose_refused = None
 
     def __init__(self) -> None:
         self.counters: Counter[str] = Counter()

@@ -158,6 +158,35 @@ def test_a_person_may_say_where_the_vehicle_is(first, second):
     assert off_m(drove, second, last) < 0.05
 
 
+def test_a_pose_that_does_not_fit_is_given_up_and_that_is_told(first):
+    """The vehicle stands in another building."""
+    elsewhere = drive(WORLDS["library"](), LASER, 8.0, 1, Wheels())
+    mapper = new_mapper(first[1])
+    mapper.graph.request("set_pose", {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5})
+    reasons = [output.reason for output in outputs_of(mapper, elsewhere.frames)]
+    assert not reasons[0].startswith("the pose set")
+    assert reasons[-1].startswith(
+        "the pose set at (1.0, 2.0) m is given up: what is seen does not fit there; "
+    )
+    assert mapper.counters["set_pose_given_up"] == 1
+    assert mapper.pose_refused == (1.0, 2.0, 0.5)
+    mapper.graph.request("set_pose", {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5})
+    mapper.apply_result()
+    assert mapper.pose_refused is None
+
+
+def test_who_is_found_elsewhere_than_said_is_told_so(first, second):
+    drove, begin = first
+    mapper = new_mapper(begin)
+    true = drove.world_first.inverse() @ second.world_first
+    away = (true.x_m - 8.0, true.y_m + 3.0, 2.0)
+    mapper.graph.request("set_pose", dict(zip(("x_m", "y_m", "theta_rad"), away, strict=True)))
+    last = list(outputs_of(mapper, second.frames))[-1]
+    assert off_m(drove, second, last) < 0.05
+    assert last.reason == ""
+    assert mapper.counters["set_pose_given_up"] == 1
+
+
 def test_a_pose_that_is_known_is_not_set(first, second):
     mapper = new_mapper(first[1])
     list(outputs_of(mapper, second.frames))

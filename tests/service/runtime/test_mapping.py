@@ -1,5 +1,6 @@
 """Frames and commands in, recorded messages, poses and tiles out; the mapper answers in place."""
 
+import json
 import math
 from collections import Counter
 from dataclasses import replace
@@ -87,6 +88,7 @@ class FakeMapper:
         self.skipped += 1
 
     graph_picture: GraphPicture | None = None
+    pose_refused: tuple[float, float, float] | None = None
 
     def changed_tiles(self) -> list[TileUpdate]:
         version, self._changed = self._changed, 0
@@ -203,6 +205,23 @@ def test_each_scan_gives_pose_odom_and_tf_with_the_moment_it_was_read():
     poses = [decode_pose(message.payload).pose.x_m for message in run.recorded if message.channel == "pose"]
     assert poses == [1.0, 2.0]
     assert run.outputs.states == {"ok": 2}
+
+
+def test_a_pose_that_is_given_up_is_an_event_once_and_none_when_there_is_news(caplog):
+    mapper = FakeMapper()
+    run = Run(mapper)
+    at = (1.0, 2.0, 0.5)
+    for refused, frame in zip((None, at, at, None, at), scans_in_turn(5), strict=True):
+        mapper.pose_refused = refused
+        run.put(frame)
+    events = [json.loads(decode_event(m.payload)) for m in run.recorded if m.channel == "events"]
+    told = {"event": "set_pose_given_up", "x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5}
+    assert events == [told, told]
+    assert "(1.00, 2.00) m, 0.50 rad is given up" in caplog.text
+
+
+def scans_in_turn(count: int) -> list[LaserScan]:
+    return [scan(10 + 30 * k, 20 + 30 * k, [1.0, 2.0]) for k in range(count)]
 
 
 def test_the_last_tiles_are_there_at_the_end():

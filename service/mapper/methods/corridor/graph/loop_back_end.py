@@ -103,6 +103,7 @@ class LoopBackEnd:
             fixes=dict(anchoring.counts),
             placed=self._placement.state,
             alike=self._pieces.alike,
+            pose_refused=self._pieces.pose_refused,
             picture=self._drawing.picture(
                 self._keyframes, self._joined, self._loops, self._refusals, is_asked
             ),

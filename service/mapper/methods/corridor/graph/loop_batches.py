@@ -41,4 +41,5 @@ class Result:
     saved: SavedGraph | KeptGraph | None = None  # where a checkpoint was asked for, and at the end
     placed: Placed = "proven"  # in the stored map
     alike: Sequence[tuple[float, float]] = ()  # m, of the map: places that a piece fits equally well
+    pose_refused: tuple[float, float, float] | None = None  # m, m, rad: was said, and does not fit there
     picture: GraphPicture | None = None  # where one was due

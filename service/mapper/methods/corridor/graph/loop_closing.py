@@ -75,6 +75,7 @@ class LoopClosing(BackgroundGraph[Result]):
         self._gap_s = 0.0 if stored is None else math.inf  # longest time without a scan since then
         self._way_m = 0.0  # of those not yet sent
         self._last_result: Result | None = None
+        self._pose_refused: tuple[float, float, float] | None = None
         self._loops = 0 if stored is None else len(stored.loop_ends)
         self._disabled = 0
 
@@ -168,6 +169,9 @@ class LoopClosing(BackgroundGraph[Result]):
         add_counts(counts, self._fixes.take_counts())
         add_counts(counts, {name: n - self._fix_counts.get(name, 0) for name, n in result.fixes.items()})
         self._fix_counts = result.fixes
+        if result.pose_refused not in (None, self._pose_refused):
+            counts["set_pose_given_up"] = 1
+        self._pose_refused = result.pose_refused
         self._is_placed = result.placed != "unknown"
         if result.newest is not None:
             self._pose_map_odom = _pose_map_odom(result.newest)
@@ -184,6 +188,7 @@ class LoopClosing(BackgroundGraph[Result]):
             result.geo,
             result.placed,
             result.alike,
+            result.pose_refused,
             result.saved,
             result.picture,
         )

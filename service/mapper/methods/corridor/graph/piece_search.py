@@ -51,6 +51,8 @@ class PieceSearch:
         self._expected: Floats | None = None  # (3,) where a person says that the newest key frame is
         self._expected_odom: Floats | None = None  # the same: odom of the newest piece in the map
         self._tries = 0
+        self.pose_refused: tuple[float, float, float] | None = None  # was said, and the piece is not there
+        self._refused_piece = 0
         self._field: MapField | None = None
         self._is_session_placed = True  # False: of this session nothing is placed in the stored map
         self.alike: list[tuple[float, float]] = []  # m: the places that the newest piece fits equally well
@@ -58,6 +60,7 @@ class PieceSearch:
     def expect_at(self, pose_map_base: Floats) -> None:
         """A person says where the vehicle is now, (3,) m, m, rad: looked at before all other places."""
         self._expected, self._expected_odom, self._tries = pose_map_base, None, EXPECTED_TRIES
+        self.pose_refused = None
 
     def find(self, known: npt.NDArray[np.int64]) -> tuple[Loop, ...] | None:
         """Move the newest piece to where it lies, and give the loops that say so; None: nothing is sure.
@@ -70,6 +73,8 @@ class PieceSearch:
         config, keyframes = self._config, self._keyframes
         self.alike = []
         piece = int(keyframes.piece[-1])
+        if piece != self._refused_piece:
+            self.pose_refused = None
         is_in_stored = 0 < keyframes.stored < keyframes.count
         self._is_session_placed = not is_in_stored or bool((known >= keyframes.stored).any())
         if (expected := self._find_expected(piece, known)) is not None:
@@ -119,8 +124,10 @@ class PieceSearch:
             self._field = MapField(self._keyframes, known)
         return self._field
 
-    def _place(self, piece: int, pose_map_odom: Floats) -> None:
+    def _place(self, piece: int, pose_map_odom: Floats, is_as_said: bool = False) -> None:
         keyframes = self._keyframes
+        if self._expected is not None and not is_as_said:
+            self._give_up_expected(piece)
         mine = keyframes.piece == piece
         keyframes.map[mine] = se2.compose(pose_map_odom, keyframes.odom[mine])
         self._hypothesis = self._expected = self._field = None
@@ -178,11 +185,17 @@ class PieceSearch:
         self._tries -= 1
         if loop is None:
             if self._tries == 0:
-                self._expected = None
+                self._give_up_expected(piece)
             return None
         found = se2.compose(keyframes.map[submap.reference], loop.measured)
-        self._place(piece, se2.compose(found, se2.between(keyframes.odom[reference], np.zeros(3))))
+        pose_map_odom = se2.compose(found, se2.between(keyframes.odom[reference], np.zeros(3)))
+        self._place(piece, pose_map_odom, is_as_said=True)
         return (loop,)
+
+    def _give_up_expected(self, piece: int) -> None:
+        assert self._expected is not None
+        x_m, y_m, theta_rad = self._expected.tolist()
+        self._expected, self._refused_piece, self.pose_refused = None, piece, (x_m, y_m, theta_rad)
 
     def _loop_at(
         self, submap: CandidateSubmap, cloud: PointCloud, pose: Floats, reference: int
