@@ -171,6 +171,12 @@ def decode_pose(payload: bytes) -> Pose:
     )
 
 
+def decode_initial_pose(payload: bytes) -> tuple[str, SE2]:
+    """Frame and pose of a geometry_msgs/PoseWithCovarianceStamped message. Raises InputError."""
+    m = cast(ros.geometry_msgs__msg__PoseWithCovarianceStamped, wire.read(wire.INITIAL_POSE, payload))
+    return m.header.frame_id, wire.planar_pose(m.pose.pose)
+
+
 def decode_grid(payload: bytes) -> Grid:
     """A nav_msgs/OccupancyGrid message whose rows lie along the map's x axis; its version, not being in the
     message, is 0. Raises InputError.

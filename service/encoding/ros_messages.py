@@ -120,6 +120,13 @@ class geometry_msgs__msg__PoseWithCovariance:  # noqa: N801
 
 
 @dataclass
+class geometry_msgs__msg__PoseWithCovarianceStamped:  # noqa: N801
+    header: std_msgs__msg__Header
+    pose: geometry_msgs__msg__PoseWithCovariance
+    __msgtype__: ClassVar[str] = "geometry_msgs/msg/PoseWithCovarianceStamped"
+
+
+@dataclass
 class geometry_msgs__msg__Twist:  # noqa: N801
     linear: geometry_msgs__msg__Vector3
     angular: geometry_msgs__msg__Vector3
@@ -324,6 +331,10 @@ _DEFINITIONS = {
     "geometry_msgs/msg/PoseWithCovariance": """
         geometry_msgs/Pose pose
         float64[36] covariance
+    """,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": """
+        std_msgs/Header header
+        geometry_msgs/PoseWithCovariance pose
     """,
     "geometry_msgs/msg/Twist": """
         geometry_msgs/Vector3 linear

@@ -22,6 +22,7 @@ from service.publishing.attachment import Attachment, make_gid
 from service.publishing.command_queryable import CommandQueryable
 from service.publishing.commands import Answer
 from service.publishing.config import PublishingConfig
+from service.publishing.initial_pose import InitialPoseSubscriber
 from service.publishing.keys import alive_key, tile_channel, vehicle_key
 from service.publishing.send_queues import BulkQueue, Sending, StreamQueue
 from service.publishing.session import listened_at, open_session
@@ -79,6 +80,7 @@ class ZenohPublisher:
         self._stream = StreamQueue(STREAM_CAPACITY)
         self._bulk = BulkQueue(TILE_PERIOD_S, picture_period_s)
         self._commands: CommandQueryable | None = None
+        self._initial_pose: InitialPoseSubscriber | None = None
         self._closed = False
         self._session = open_session(config)
         try:
@@ -131,8 +133,17 @@ class ZenohPublisher:
         self._alive = components
 
     def answer_commands(self, answer: Callable[[str, bytes], Answer]) -> None:
-        """Answer cmd/<verb> from now on; `answer` takes verb and payload and may wait, in bounded time."""
+        """Answer cmd/<verb>, and take poses on initialpose, from now on.
+
+        `answer` takes verb and payload and may wait, in bounded time.
+        """
         self._commands = CommandQueryable(self._session, self._vehicle, answer)
+        self._initial_pose = InitialPoseSubscriber(self._session, self._vehicle, answer)
+
+    @property
+    def pose_refused(self) -> str:
+        """Why the newest pose on initialpose was not taken, "" if it was."""
+        return self._initial_pose.refused if self._initial_pose is not None else ""
 
     def sent(self) -> Counter[str]:
         """Puts so far, by channel; tiles under map/tile."""
@@ -166,6 +177,8 @@ class ZenohPublisher:
         try:
             if self._commands is not None:
                 self._commands.close()
+            if self._initial_pose is not None:
+                self._initial_pose.close()
             for queryable in self._queryables:
                 queryable.undeclare()  # type: ignore[no-untyped-call]
             self._session.close()  # type: ignore[no-untyped-call]

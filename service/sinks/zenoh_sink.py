@@ -55,6 +55,8 @@ class ZenohSink(Sink):
             for name, counter in counters.items()
             for channel, count in sorted(counter.items())
         }
+        if refused := self._publisher.pose_refused:
+            values["initialpose_refused"] = refused
         values["endpoints"] = " ".join(self._publisher.endpoints)
         dropped, failed = counters["dropped"].total(), counters["failed"].total()
         if dropped or failed:

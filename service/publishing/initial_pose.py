@@ -1,0 +1,75 @@
+"""Where a person says that the vehicle is, as RViz says it: a pose on Zenoh, handed on as set_pose."""
+
+import json
+import logging
+import math
+import threading
+from collections.abc import Callable
+
+import zenoh
+
+from service.encoding import MAP_FRAME, decode_initial_pose
+from service.errors import InputError
+from service.publishing.commands import Answer
+from service.publishing.keys import vehicle_key
+
+log = logging.getLogger(__name__)
+
+CHANNEL = "initialpose"
+CLOSE_TIMEOUT_S = 10.0
+
+
+class InitialPoseSubscriber:
+    """Open when constructed. `answer` takes verb and payload; it may wait, in bounded time.
+
+    Of poses that come faster than they are answered the newest counts.
+    """
+
+    def __init__(self, session: zenoh.Session, vehicle: str, answer: Callable[[str, bytes], Answer]) -> None:
+        self._answer = answer
+        self._changed = threading.Condition()  # of the two below
+        self._waiting: bytes | None = None
+        self._closed = False
+        self.refused = ""  # why the newest one was not taken, "" if it was
+        self._thread = threading.Thread(target=self._run, name="zenoh-initialpose", daemon=True)
+        self._thread.start()
+        self._subscriber = session.declare_subscriber(vehicle_key(vehicle, CHANNEL), self._take)
+
+    def close(self) -> None:
+        """Take no more, and let what was taken be answered."""
+        self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join(CLOSE_TIMEOUT_S)
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        """Zenoh's thread: hand the pose on."""
+        with self._changed:
+            self._waiting = sample.payload.to_bytes()
+            self._changed.notify()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting is not None or self._closed)
+                payload, self._waiting = self._waiting, None
+            if payload is None:
+                return
+            self.refused = self._set_pose(payload)
+            if self.refused:
+                log.warning("%s", self.refused)
+
+    def _set_pose(self, payload: bytes) -> str:
+        """Why it was not taken, "" if it was."""
+        try:
+            frame, pose = decode_initial_pose(payload)
+        except InputError as error:
+            return f"{CHANNEL}: {error}"
+        if frame.lstrip("/") != MAP_FRAME:
+            return f"{CHANNEL}: a pose in the frame {frame!r}; expected {MAP_FRAME!r}"
+        if not all(map(math.isfinite, (pose.x_m, pose.y_m, pose.theta_rad))):
+            return f"{CHANNEL}: ({pose.x_m}, {pose.y_m}) m, {pose.theta_rad} rad is no pose"
+        request = {"x_m": pose.x_m, "y_m": pose.y_m, "theta_rad": pose.theta_rad}
+        answer = self._answer("set_pose", json.dumps(request).encode())
+        return "" if answer.ok else f"{CHANNEL}: {json.loads(answer.body)['error']}"

@@ -1,0 +1,103 @@
+"""Poses on initialpose become set_pose; what is no pose is refused and told."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+import zenoh
+
+from service.encoding import ros_messages as ros
+from service.encoding import wire
+from service.geometry.se2 import SE2
+from service.publishing.zenoh_publisher import ZenohPublisher
+from tests.service.publishing.test_command_queryable import Asked
+
+KEY = "corridor/v1/veh1/initialpose"
+
+
+def payload_of(pose: SE2, frame: str = "map") -> bytes:
+    content = ros.geometry_msgs__msg__PoseWithCovarianceStamped(
+        wire.header_ros(5, frame),
+        ros.geometry_msgs__msg__PoseWithCovariance(wire.planar_pose_ros(pose), np.zeros(36)),
+    )
+    return wire.to_message("initialpose", wire.INITIAL_POSE, 5, 5, content).payload
+
+
+def behind(client: zenoh.Session) -> None:
+    """When what was put before has arrived: an answer comes over the same connection."""
+    list(client.get("corridor/v1/veh1/pose"))
+
+
+@pytest.fixture
+def asked() -> Asked:
+    return Asked()
+
+
+@pytest.fixture
+def served(publisher: ZenohPublisher, asked: Asked):
+    publisher.answer_commands(asked)
+    yield publisher
+    asked.go.set()
+
+
+@pytest.mark.parametrize("frame", ["map", "/map"])
+def test_a_pose_becomes_set_pose(served: ZenohPublisher, client: zenoh.Session, asked: Asked, frame: str):
+    client.put(KEY, payload_of(SE2(1.25, -2.5, 3.0), frame))
+    assert asked.entered.acquire(timeout=20.0)
+    verb, payload = asked.heard[0]
+    assert verb == "set_pose"
+    assert json.loads(payload) == pytest.approx({"x_m": 1.25, "y_m": -2.5, "theta_rad": 3.0}, abs=1e-9)
+    served.close()
+    assert served.pose_refused == ""
+
+
+@pytest.mark.parametrize(
+    ("payload", "words"),
+    [
+        (payload_of(SE2(1.0, 2.0, 0.0), "odom"), "initialpose: a pose in the frame 'odom'; expected 'map'"),
+        (payload_of(SE2(math.nan, 2.0, 0.0)), "initialpose: (nan, 2.0) m, 0.0 rad is no pose"),
+        (b"\x00\x01", "initialpose: 2 bytes are not a geometry_msgs/msg/PoseWithCovarianceStamped"),
+    ],
+)
+def test_what_is_no_pose_of_the_map_is_refused_and_told(
+    served: ZenohPublisher, client: zenoh.Session, asked: Asked, payload: bytes, words: str, caplog
+):
+    client.put(KEY, payload)
+    behind(client)
+    served.close()
+    assert served.pose_refused.startswith(words)
+    assert words in caplog.text
+    assert asked.heard == []
+
+
+def test_of_poses_that_come_while_one_is_answered_the_newest_counts(
+    served: ZenohPublisher, client: zenoh.Session, asked: Asked
+):
+    asked.go.clear()
+    client.put(KEY, payload_of(SE2(1.0, 0.0, 0.0)))
+    assert asked.entered.acquire(timeout=20.0)
+    for x_m in (2.0, 3.0, 4.0):
+        client.put(KEY, payload_of(SE2(x_m, 0.0, 0.0)))
+    behind(client)
+    asked.go.set()
+    served.close()
+    asked_x = [json.loads(payload)["x_m"] for _, payload in asked.heard]
+    assert asked_x[0] == 1.0
+    assert asked_x[-1] == 4.0
+    assert len(asked_x) == 2
+
+
+def test_a_refusal_of_the_command_is_told_in_its_words(
+    publisher: ZenohPublisher, client: zenoh.Session, asked: Asked
+):
+    def refused(verb: str, payload: bytes):
+        asked(verb, payload)
+        return asked("refuse", b"")
+
+    publisher.answer_commands(refused)
+    client.put(KEY, payload_of(SE2()))
+    assert asked.entered.acquire(timeout=20.0)
+    assert asked.entered.acquire(timeout=20.0)
+    publisher.close()
+    assert publisher.pose_refused == "initialpose: no"
