@@ -11,9 +11,11 @@ WALKING = Limits(speed_mps=1.0, lateral_mps2=0.8)
 OUTER, INNER = (8.0, 8.0, 42.0, 32.0), (10.4, 10.4, 39.6, 29.6)  # sides of the corridor, m
 
 
-def floor(limits: Limits = WALKING) -> World:
-    """2000 m2; a lap of 115 m round the ring, and a passage through the core."""
-    rng = np.random.default_rng(SEED)
+def floor(limits: Limits = WALKING, layout: int = SEED) -> World:
+    """2000 m2; a lap of 115 m round the ring, and a passage through the core. Doors and furniture stand as
+    the number of the layout says.
+    """
+    rng = np.random.default_rng(layout)
     plan = Plan()
     plan.line((0.0, 0.0), (50.0, 0.0), (50.0, 40.0), (0.0, 40.0), (0.0, 0.0))
     left, low, right, high = OUTER
