@@ -2,9 +2,12 @@
 
 Sample, weigh, resample, as paper 004 section 1.2; the maps are drawn by CountedSubmaps. A step of a particle
 is drawn from the motion model and then laid on its map: without odometry the sample alone would miss it.
+What it is weighed by is then not p / q of eq. 2, for nobody knows the q of a sample that was moved;
+`draw: around_scan` has a q and that weight.
 """
 
 import math
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +16,7 @@ from pydantic import Field
 from service.fusion.motion import Measurement, Prediction
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2, wrap_angle
-from service.kernels.coarse_align import AlignSettings, coarse_align
+from service.kernels.coarse_align import AlignSettings, coarse_align, coarse_normal_equations
 from service.kernels.counted_occupancy import weigh_scan
 from service.kernels.likelihood import read_field
 from service.kernels.likelihood_search import LikelihoodLayer, SearchWindow, search_exhaustive
@@ -25,6 +28,7 @@ from service.mapper.matchers.judged import JudgedMatching, Laid
 from service.mapper.matchers.recovery import search_around, step_of
 from service.mapper.methods.submap_graph.counted_submaps import CountedSubmaps, Particle
 
+Array = npt.NDArray[np.float64]
 SEARCH_STEP_RAD = 0.02  # turns a point at 5 m by two cells
 
 
@@ -32,6 +36,9 @@ class ParticleFilterConfig(JudgementConfig):
     """How particles are drawn, laid on their maps and weighed."""
 
     seed: int = Field(default=1, ge=0)
+    # laid: from the motion model, then laid on the map, weighed by the likelihood of the scan
+    # around_scan: around where it lies best, weighed by p / q (eq. 2)
+    draw: Literal["laid", "around_scan"] = "laid"
     align_sigma: float = Field(default=0.5, gt=0.0)  # of 1 - likelihood, against the motion model
     align_beams: int = Field(default=180, ge=10)
     align_iterations: int = Field(default=8, ge=0, le=100)
@@ -58,6 +65,7 @@ class ParticleFilter:
             [config.floor_position_m**2, config.floor_position_m**2, config.floor_heading_rad**2]
         )
         self._last = SE2()  # where the motion model had the base at the scan before
+        self._deviates: Array = np.zeros((0, 3))  # of the scan being laid, a row a particle
         self._usual = 1.0  # likelihood of the best particle
 
     def match(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> Match:
@@ -80,10 +88,10 @@ class ParticleFilter:
         if is_found:
             local_map.gather(predicted.pose_odom_base)
             local_map.log_weights[:] = 0.0
-            self._sample(SE2(), predicted.local_covariance, local_map)
+            way = SE2()
         else:
             way = self._last.inverse() @ predicted.pose_odom_base
-            self._sample(way, predicted.local_covariance, local_map)
+        self._move(way, predicted.local_covariance, local_map)
         self._lay_or_search(points, predicted, local_map)
         normalise_weights(local_map.log_weights, local_map.weights)
         return Laid(self._mean(local_map), points)
@@ -104,11 +112,12 @@ class ParticleFilter:
         resample(local_map.weights, float(self._random.random()), chosen)
         local_map.take_over(chosen)
 
-    def _sample(self, way: SE2, covariance: npt.NDArray[np.float64], local_map: CountedSubmaps) -> None:
-        """Move each particle by a way and an error of it, drawn anew."""
+    def _move(self, way: SE2, covariance: Array, local_map: CountedSubmaps) -> None:
+        """Move each particle by a way and an error of it, drawn anew; the latter where it is drawn from."""
         step = np.array([way.x_m, way.y_m, way.theta_rad])
-        errors = self._random.standard_normal((len(local_map.particles), 3)) @ _root(covariance).T
-        for particle, error in zip(local_map.particles, errors, strict=True):
+        self._deviates = self._random.standard_normal((len(local_map.particles), 3))
+        root = _root(covariance) if self._config.draw == "laid" else np.zeros((3, 3))
+        for particle, error in zip(local_map.particles, self._deviates @ root.T, strict=True):
             particle.pose = se2.compose(se2.compose(particle.pose, step), error)
 
     def _lay_or_search(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> None:
@@ -135,7 +144,7 @@ class ParticleFilter:
                     particle.pose = pose
         self._usual += (likelihood - self._usual) / config.usual_scans
 
-    def _search(self, points: Points, particle: Particle) -> npt.NDArray[np.float64]:
+    def _search(self, points: Points, particle: Particle) -> Array:
         """How far (3,) from where a particle is its map fits best, in its own axes."""
         config = self._config
         xy_base = points.xy_base[:: max(1, len(points.xy_base) // config.align_beams)]
@@ -150,23 +159,48 @@ class ParticleFilter:
 
     def _lay(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> tuple[float, int]:
         """Lay each particle on its map and weigh it; the mean likelihood of the best, and which it is."""
-        config = self._config
-        information = np.linalg.inv(predicted.local_covariance + 1e-12 * np.eye(3))
-        turned = np.empty((3, 3))
-        stride = max(1, len(points.xy_base) // config.align_beams)
-        values = np.zeros((len(points.xy_base), 3))
+        information = np.asarray(np.linalg.inv(predicted.local_covariance + 1e-12 * np.eye(3)), np.float64)
         means = np.empty(len(local_map.particles))
         for k, particle in enumerate(local_map.particles):
-            field = particle.map.likelihood()
-            start, particle.pose = particle.pose, particle.pose.copy()
-            rotate_information(information, float(start[2]), turned)
-            coarse_align(points.xy_base, start, turned, field, self._align, particle.pose)
-            particle.pose[2] = wrap_angle(float(particle.pose[2]))
-            read_field(points.xy_base, stride, particle.pose, field.tiles, field.field, field.cell_m, values)
-            log_likelihood, means[k] = weigh_scan(values, stride, config.likelihood_floor)
-            local_map.log_weights[k] += config.likelihood_gain * log_likelihood
+            log_weight, means[k] = self._lay_one(points, particle, information, self._deviates[k])
+            local_map.log_weights[k] += log_weight
         best = int(np.argmax(means))
         return float(means[best]), best
+
+    def _lay_one(
+        self, points: Points, particle: Particle, information: Array, deviates: Array
+    ) -> tuple[float, float]:
+        """Lay a particle on its map, or draw it around where it lies.
+
+        information   (3, 3) of the motion, base axes
+        Returns the logarithm of what its weight is multiplied by, but for what all share, and the mean
+        likelihood. Source of p / q: Grisetti, Stachniss, Burgard 2007, section III.
+        """
+        config, field = self._config, particle.map.likelihood()
+        stride = max(1, len(points.xy_base) // config.align_beams)
+        values = np.zeros((len(points.xy_base), 3))
+        start, pose, prior = particle.pose, particle.pose.copy(), np.empty((3, 3))
+        rotate_information(information, float(start[2]), prior)
+        coarse_align(points.xy_base, start, prior, field, self._align, pose)
+        pose[2] = wrap_angle(float(pose[2]))
+        read_field(points.xy_base, stride, pose, field.tiles, field.field, field.cell_m, values)
+        log_p_over_q = 0.0
+        if config.draw == "around_scan":
+            hessian, gradient = np.empty((3, 3)), np.empty(3)
+            coarse_normal_equations(
+                points.xy_base, values, stride, pose, config.align_sigma, hessian, gradient
+            )
+            drawn_from = np.linalg.inv(hessian + prior)
+            pose += np.linalg.cholesky(drawn_from) @ deviates
+            pose[2] = wrap_angle(float(pose[2]))
+            off = pose - start
+            off[2] = wrap_angle(float(off[2]))
+            log_p_over_q = 0.5 * float(deviates @ deviates - off @ prior @ off)
+            log_p_over_q += 0.5 * float(np.linalg.slogdet(drawn_from)[1])
+            read_field(points.xy_base, stride, pose, field.tiles, field.field, field.cell_m, values)
+        particle.pose = pose
+        log_likelihood, mean = weigh_scan(values, stride, config.likelihood_floor)
+        return config.likelihood_gain * log_likelihood + log_p_over_q, float(mean)
 
     def _mean(self, local_map: CountedSubmaps) -> Measurement:
         poses = np.array([particle.pose for particle in local_map.particles])
@@ -185,8 +219,8 @@ class ParticleFilter:
         return Measurement(pose, covariance, np.linalg.inv(covariance))
 
 
-def _root(covariance: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _root(covariance: Array) -> Array:
     """A square root of a covariance, also of one that is singular."""
     values, axes = np.linalg.eigh(covariance)
-    root: npt.NDArray[np.float64] = axes * np.sqrt(np.maximum(values, 0.0))
+    root: Array = axes * np.sqrt(np.maximum(values, 0.0))
     return root

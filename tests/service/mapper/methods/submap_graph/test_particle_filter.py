@@ -1,10 +1,13 @@
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
 
 from drivers.frames import LaserScan, OdometrySample
 from service.fusion.estimator import Estimator, EstimatorConfig
+from service.fusion.motion import Prediction
+from service.geometry.se2 import SE2
 from service.mapper.components import Components
 from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist
 from service.mapper.graph.no_graph import NoGraph
@@ -14,14 +17,17 @@ from service.mapper.methods.submap_graph.particle_filter import ParticleFilter, 
 from service.mapper.pipeline import Mapper
 from service.outputs import MapperOutput
 from tests.service.mapper.drives import MOUNTING, ROOM, Drive, drive, round_the_room
+from tests.service.mapper.maps.points import square
 
 
-def mapper(seed: int = 1, particles: int = 8) -> Mapper[CountedSubmaps]:
+def mapper(
+    seed: int = 1, particles: int = 8, draw: Literal["laid", "around_scan"] = "laid"
+) -> Mapper[CountedSubmaps]:
     return Mapper(
         Components(
             motion_model=Estimator(EstimatorConfig()),
             deskew=DeskewByTwist(BeamsConfig(), {"front": MOUNTING}),
-            matcher=ParticleFilter(ParticleFilterConfig(seed=seed)),
+            matcher=ParticleFilter(ParticleFilterConfig(seed=seed, draw=draw)),
             local_map=CountedSubmaps(CountedSubmapsConfig(particles=particles, length_m=2.0)),
             graph=NoGraph(),
             free_space=OccupancyTiles(OccupancyConfig(), 0.05),
@@ -54,6 +60,33 @@ def test_the_seed_decides_and_nothing_else(short_drive: Drive) -> None:
     )
     assert first == again
     assert first != other
+
+
+# D2
+def test_where_a_map_says_nothing_particles_are_drawn_from_motion_and_weigh_alike() -> None:
+    matcher = ParticleFilter(ParticleFilterConfig(draw="around_scan"))
+    submaps = CountedSubmaps(CountedSubmapsConfig(particles=200))
+    covariance = np.array([[0.04, 0.01, 0.0], [0.01, 0.02, 0.002], [0.0, 0.002, 0.01]])
+    for particle in submaps.particles:
+        particle.pose[2] = 0.7
+    still = Prediction(SE2(), (0.0, 0.0, 0.0), covariance, covariance, np.zeros((3, 3)), 0.1, 0.0, True)
+    matcher._move(SE2(0.1, 0.0, 0.0), covariance, submaps)
+    matcher._lay(square(), still, submaps)
+    weights = submaps.log_weights
+    np.testing.assert_allclose(weights, weights[0], atol=1e-6)
+    poses = np.array([particle.pose for particle in submaps.particles])
+    c, s = np.cos(0.7), np.sin(0.7)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(np.cov(poses.T), turn @ covariance @ turn.T, atol=0.015)
+    np.testing.assert_allclose(poses.mean(axis=0), [0.1 * c, 0.1 * s, 0.7], atol=0.05)
+
+
+# D2
+def test_drawn_around_the_scan_a_room_is_followed_as_well(short_drive: Drive) -> None:
+    outputs = outputs_of(mapper(draw="around_scan"), short_drive)
+    away = [short_drive.truth[o.stamp_ns].inverse() @ o.pose_map_base for o in outputs]
+    assert max(np.hypot(e.x_m, e.y_m) for e in away) < 0.05
+    assert {o.state for o in outputs} == {"ok"}
 
 
 # D1
