@@ -244,6 +244,8 @@ def test_arrays_that_are_no_graph_are_refused_by_name(first, name, words):
         loop_measured=np.zeros((loops, 3)),
         loop_covariance=np.tile(np.eye(3), (loops, 1, 1)),
         loop_score=np.ones(loops),
+        loop_points=np.ones(loops, np.int64),
+        loop_against=np.zeros(loops),
         **{name: wrong[name]},
     )
     with pytest.raises(SavedGraphError, match=words):
