@@ -26,6 +26,15 @@ class SessionRequest:
 
 
 @dataclass(frozen=True, slots=True)
+class LoadMap:
+    """At this place among the frames the session begins anew, in a stored map."""
+
+    folder: str
+    version: int
+    arrived_ns: int
+
+
+@dataclass(frozen=True, slots=True)
 class ApplyResult:
     """Live, a result of the graph's back end was applied at this place among the frames."""
 
@@ -53,7 +62,7 @@ class LeftOut:
     arrived_ns: int
 
 
-Step = SessionRequest | ApplyResult | GraphRequest | LeftOut  # what stands among the frames
+Step = SessionRequest | LoadMap | ApplyResult | GraphRequest | LeftOut  # what stands among the frames
 
 # What the verbs are called that go to the graph; a profile's graph says which of them it knows.
 GRAPH_REQUESTS = ("add_landmark_pair", "remove_landmark_pair", "optimize", "undo", "set_pose", "checkpoint")

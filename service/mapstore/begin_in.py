@@ -7,20 +7,34 @@ from service.errors import ConfigError, InputError
 from service.mapper.drawn_by_hand import walls_of
 from service.mapper.maps.occupancy import rendered_of
 from service.mapper.profiles import BeginIn, MappingConfig, begins_in_stored
-from service.mapstore.files import load_map
+from service.mapstore.files import StoredMap, load_map
 
 log = logging.getLogger(__name__)
 
 
-def begin_in(folder: Path, config: MappingConfig) -> BeginIn:
-    """The current version of the map in `folder`, for a session of this config.
+def begin_in(folder: Path, config: MappingConfig, version: int | None = None) -> BeginIn:
+    """A version of the map in `folder` (None: the current one), for a session of this config.
+
+    Raises as stored_for.
+    """
+    stored = stored_for(folder, config, version)
+    assert stored.graph is not None
+    try:
+        walls = walls_of(stored.graph.by_hand, stored.graph.map)
+        return BeginIn(stored.graph, rendered_of(stored.tiles, walls), stored.geo)
+    except ValueError as error:
+        raise InputError(f"{folder}: {error}") from error
+
+
+def stored_for(folder: Path, config: MappingConfig, version: int | None = None) -> StoredMap:
+    """A version of the map in `folder` (None: the current one), if a session of this config can begin in it.
 
     Raises InputError where there is no map, where it is a picture only, or where its cells are of another
     size; ConfigError where the profile cannot begin in a stored map.
     """
     if not begins_in_stored(config):
         raise ConfigError([f"the profile {config.profile} cannot begin in a stored map; use corridor"])
-    stored = load_map(folder)
+    stored = load_map(folder, version)
     for problem in stored.problems:
         log.warning("%s", problem)
     if stored.graph is None:
@@ -34,8 +48,4 @@ def begin_in(folder: Path, config: MappingConfig) -> BeginIn:
         raise InputError(
             f"{folder}: its cells are of {found} m, the config has mapping.cell_m {config.cell_m:g}"
         )
-    try:
-        walls = walls_of(stored.graph.by_hand, stored.graph.map)
-        return BeginIn(stored.graph, rendered_of(stored.tiles, walls), stored.geo)
-    except ValueError as error:
-        raise InputError(f"{folder}: {error}") from error
+    return stored

@@ -4,6 +4,7 @@ What the points files hold never changes once their key frames are full, so a ve
 one before by a link: a checkpoint writes what is new.
 """
 
+import errno
 import hashlib
 import os
 import shutil
@@ -98,7 +99,12 @@ def link_graph(kept: Path, folder: Path) -> list[str]:
     """Put what GraphFolder wrote into the folder of a version; the names. Raises OSError."""
     names = [path.name for path in sorted(kept.iterdir())]
     for name in names:
-        os.link(kept / name, folder / name)
+        try:
+            os.link(kept / name, folder / name)
+        except OSError as error:
+            if error.errno != errno.EXDEV:
+                raise
+            shutil.copyfile(kept / name, folder / name)  # a map that was loaded lies on another disk
     return names
 
 

@@ -43,6 +43,7 @@ from service.mapper.mapping_session import (
     ApplyResult,
     GraphRequest,
     LeftOut,
+    LoadMap,
     MappingSession,
     SessionRequest,
 )
@@ -246,6 +247,11 @@ def replay(
             if step.action == "reset_map":
                 finish_map()
             mapper.carry_out(step.action)
+            continue
+        if isinstance(step, LoadMap):
+            finish_map()
+            begins[:] = [begin_in(Path(step.folder), mapping, step.version)]
+            mapper.carry_out("reset_map")
             continue
         if isinstance(step, ApplyResult):
             if as_live:

@@ -10,7 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.encoding import Message
 from service.encoding.steps import decode_step
-from service.mapper.mapping_session import GraphRequest, SessionAction
+from service.errors import StorageError
+from service.mapper.mapping_session import GraphRequest, LoadMap, SessionAction
 from service.mapstore.tiles import TileStore
 from service.publishing.commands import CommandError, Outcome, Request, Verb
 from service.recording.mcap_recorder import SessionChange
@@ -51,6 +52,18 @@ class PoseRequest(Request):
     theta_rad: Annotated[float, Field(allow_inf_nan=False)]
 
 
+class MapRequest(Request):
+    """A stored map: a name below map.directory or a whole path; version: left out, the current one."""
+
+    map: Annotated[str, Field(min_length=1, max_length=4096)]
+    version: Annotated[int, Field(ge=1)] | None = None
+
+
+FindMap = Callable[
+    [str, int | None], tuple[Path, int]
+]  # name, version -> folder, version that can be begun in
+
+
 class CarryOut(Protocol):
     """Runs between two frames: waits for nothing and raises nothing."""
 
@@ -62,7 +75,8 @@ class Commands:
 
     put        takes a message for all sinks, and only queues it
     recorder   for start_recording and stop_recording
-    storage    for save_map and reset_map
+    storage    for save_map, load_map and reset_map
+    find_map   of load_map; raises CommandError where no session can begin there
     """
 
     def __init__(
@@ -73,6 +87,7 @@ class Commands:
         put: Callable[[Message], Any],
         recorder: SessionRecorder,
         storage: MapStorage,
+        find_map: FindMap,
     ) -> None:
         self._intake = intake
         self._outputs = outputs
@@ -80,6 +95,7 @@ class Commands:
         self._put = put
         self._recorder = recorder
         self._storage = storage
+        self._find_map = find_map
         self._lock = threading.Lock()
         self._open: list[Outcome] = []
 
@@ -89,6 +105,7 @@ class Commands:
             "resume": self._verb("resume", partial(self._request_session, "resume")),
             "reset_map": self._verb("reset_map", self._reset_map),
             "save_map": self._verb("save_map", self._save_map),
+            "load_map": self._load_verb(),
             "start_recording": self._verb("start_recording", self._start_recording),
             "stop_recording": self._verb("stop_recording", self._stop_recording),
             "mark": self._verb("mark", self._mark, MarkRequest),
@@ -156,6 +173,46 @@ class Commands:
             self._storage.ask_to_save(partial(saved, before))
 
         self._intake.request_session("reset_map", event.log_ns, answered)
+
+    def _load_verb(self) -> Verb:
+        """What is recorded is the folder and the version that are begun in, whatever they were called."""
+        inner = self._verb("load_map", self._load_map, MapRequest)
+
+        def start(request: MapRequest, outcome: Outcome) -> None:
+            folder, version = self._find_map(request.map, request.version)
+            try:
+                self._storage.hold(folder)
+            except StorageError as error:
+                raise CommandError(str(error)) from error
+            inner.start(request.model_copy(update={"map": str(folder), "version": version}), outcome)
+
+        return Verb(MapRequest, start)
+
+    def _load_map(self, event: Message, outcome: Outcome) -> None:
+        """Answered when the mapper has begun in it and the map before is on disk."""
+        self._put(event)
+        step = decode_step(event.payload, event.log_ns)
+        assert isinstance(step, LoadMap)
+        folder = Path(step.folder)
+
+        def saved(before: Path | None, present: SavedMap | None, fault: str) -> None:
+            if fault:
+                outcome.failed(f"the map is loaded, but the one before is not saved yet: {fault}")
+            else:
+                outcome.done(folder=step.folder, version=step.version, folder_before=_text(before))
+
+        def answered(answer: Answer) -> None:
+            if answer.error:
+                outcome.failed(f"the map before stays: {answer.error}")
+                return
+            number = self._tiles.number
+            before = self._storage.folder_of(number)
+            self._outputs.map_reset()
+            has_before = self._tiles.number != number
+            self._storage.begun_in(folder)
+            self._storage.ask_to_save(partial(saved, before if has_before else None))
+
+        self._intake.request_map(step.folder, step.version, event.log_ns, answered)
 
     def _save_map(self, event: Message, outcome: Outcome) -> None:
         self._put(event)

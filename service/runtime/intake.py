@@ -15,7 +15,7 @@ from service.encoding import LogClock, Message, encode_event, encode_frame
 from service.mapper.mapping_session import SessionAction
 from service.runtime.host_time import HostTime
 from service.runtime.mapper_link import MapperLink
-from service.runtime.mapper_messages import Answer, FrameItem, GraphItem, SessionItem, TilesItem
+from service.runtime.mapper_messages import Answer, FrameItem, GraphItem, LoadItem, SessionItem, TilesItem
 
 Answered = Callable[[Answer], None]
 
@@ -72,6 +72,10 @@ class Intake:
         if action != "reset_map":
             self.paused = action == "pause"
         self._link.submit(SessionItem(self._link.next_number(), log_ns, action), answered)
+
+    def request_map(self, folder: str, version: int, log_ns: int, answered: Answered) -> None:
+        """Within `then` of a mark: have the mapper begin anew in a stored map at its place."""
+        self._link.submit(LoadItem(self._link.next_number(), log_ns, folder, version), answered)
 
     def request_graph(self, name: str, payload: Mapping[str, Any], log_ns: int, answered: Answered) -> None:
         """Within `then` of a mark: ask the graph for something."""

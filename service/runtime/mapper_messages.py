@@ -35,6 +35,15 @@ class SessionItem(NamedTuple):
     action: SessionAction
 
 
+class LoadItem(NamedTuple):
+    """Begin anew in a version of a stored map."""
+
+    number: int
+    log_ns: int
+    folder: str
+    version: int
+
+
 class GraphItem(NamedTuple):
     """A request to the graph."""
 
@@ -51,7 +60,7 @@ class TilesItem(NamedTuple):
     log_ns: int
 
 
-Item = FrameItem | SessionItem | GraphItem | TilesItem
+Item = FrameItem | SessionItem | LoadItem | GraphItem | TilesItem
 
 
 class Decisions(NamedTuple):

@@ -80,8 +80,14 @@ class MapperProcess:
                 keep_graph=self._keep_graph(f"map{next(maps)}"),
             )
 
+        def prepare_map(folder: str, version: int) -> None:
+            begins[:] = [begin_in(Path(folder), config, version)]
+
         self._loop = MappingLoop(
-            MappingSession(new_mapper, setup.lasers, apply_after=None), self._send, setup.upside_down
+            MappingSession(new_mapper, setup.lasers, apply_after=None),
+            self._send,
+            setup.upside_down,
+            prepare_map=prepare_map,
         )
         self._items: deque[Item] = deque()
         self._is_finishing = False

@@ -7,6 +7,7 @@ from typing import Any
 
 from drivers.frames import Frame, LaserScan
 from service.encoding import decode_frame, encode_odom, encode_pose, encode_tf
+from service.errors import CorridorError, InputError
 from service.mapper.components import GraphRequestError
 from service.mapper.mapping_session import MappingSession
 from service.mapper.saved_graph import KeptGraph
@@ -20,6 +21,7 @@ from service.runtime.mapper_messages import (
     GraphItem,
     GraphKept,
     Item,
+    LoadItem,
     Mapped,
     PassedOver,
     PoseRefused,
@@ -36,6 +38,13 @@ STATUS_INTERVAL_NS = 200_000_000
 MOST_AGE_NS = 50_000_000  # of a scan when its mapping begins, or two of its periods if that is more
 
 
+PrepareMap = Callable[[str, int], None]  # folder and version: the next new mapper begins there
+
+
+def no_stored_maps(folder: str, version: int) -> None:
+    raise InputError(f"{folder}, version {version}: this mapper begins in no stored map")
+
+
 class MapperError(Exception):
     """The mapper cannot be trusted any more: it failed, or gave what is no pose."""
 
@@ -50,6 +59,8 @@ class MappingLoop:
     It maps what the recording holds, so a replay of the file gives the same poses. Two things are decided by
     the clock: when a result of the graph's back end is applied, and which scans are too old to be mapped.
     Both are told, and the recording holds them.
+
+    prepare_map   makes a stored map that in which the session's next mapper begins. Raises CorridorError
     """
 
     def __init__(
@@ -58,8 +69,10 @@ class MappingLoop:
         send: Callable[[Any], None],
         upside_down: Collection[str] = (),
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
+        prepare_map: PrepareMap = no_stored_maps,
     ) -> None:
         self.mapper = mapper
+        self._prepare_map = prepare_map
         self._send = send
         self._upside_down = frozenset(upside_down)
         self._monotonic_ns = monotonic_ns
@@ -90,6 +103,9 @@ class MappingLoop:
             if item.action == "reset_map":
                 self.hand_over_tiles()  # they are of the map before
             self._tell(item.number, Answer(item.number, self.mapper.carry_out(item.action)))
+        elif isinstance(item, LoadItem):
+            self.hand_over_tiles()  # they are of the map before
+            self._tell(item.number, self._begin_in(item))
         elif isinstance(item, GraphItem):
             self._tell(item.number, self._request(item))
         else:
@@ -222,6 +238,14 @@ class MappingLoop:
                 words = f"{kind} of {frame.sensor} stamped {frame.stamp_ns} gave the pose {pose}"
                 raise MapperError(item.number, words)
         return output
+
+    def _begin_in(self, item: LoadItem) -> Answer:
+        """The map before stays where the stored one cannot be read."""
+        try:
+            self._prepare_map(item.folder, item.version)
+        except CorridorError as error:
+            return Answer(item.number, None, str(error))
+        return Answer(item.number, self.mapper.carry_out("reset_map"))
 
     def _request(self, item: GraphItem) -> Answer:
         try:

@@ -23,10 +23,10 @@ from service.encoding import encode_event
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import CorridorError, OutputLostError
 from service.mapper.profiles import begins_in_stored
-from service.mapstore.begin_in import begin_in
+from service.mapstore.begin_in import begin_in, stored_for
 from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
-from service.publishing.commands import Answer, CommandDispatcher
+from service.publishing.commands import Answer, CommandDispatcher, CommandError
 from service.runtime.commands import Commands
 from service.runtime.glance import Glance, glance
 from service.runtime.health import HealthReport
@@ -123,6 +123,7 @@ class Service:
             self._sinks.put,
             self._sinks.session_recorder(),
             self._sinks.map_storage(),
+            self._find_map,
         )
         self._dispatcher = CommandDispatcher(self._commands.verbs())
         self._report = HealthReport(
@@ -324,6 +325,17 @@ class Service:
 
     def _command(self, verb: str, payload: bytes) -> Answer:
         return self._dispatcher.answer(verb, payload)
+
+    def _find_map(self, name: str, version: int | None) -> tuple[Path, int]:
+        """Folder and version of a stored map that a session of this config can begin in.
+
+        Raises CommandError.
+        """
+        folder = (self._config.sinks["map"].directory / name).resolve()  # an absolute name is itself
+        try:
+            return folder, stored_for(folder, self._config.mapping, version).number
+        except CorridorError as error:
+            raise CommandError(str(error)) from error
 
     def _put_tiles(self, tiles: list[TileUpdate], stamp_ns: int) -> None:
         self._sinks.put_tiles(tiles, stamp_ns, self._unix_ns())

@@ -47,7 +47,8 @@ class MapSaver(Sink):
         self.graph_folder = self._folder.with_name(f".{self._folder.name}.graph-{os.getpid()}")
         is_going_on = self._folder == config.load and not context.is_localizing
         self._goes_on_in = self._folder if is_going_on else None
-        self._in_use: InUse | None = None
+        self._in_use: dict[Path, InUse] = {}  # stored maps that this session goes on in
+        self._begun_in: dict[int, Path] = {}  # numbers of maps of this run -> the stored one each began in
         self._command = context.command
         self._asks_for_graph = context.stores_graph and not context.is_localizing
         self._is_localizing = context.is_localizing
@@ -83,7 +84,17 @@ class MapSaver(Sink):
         return newest[1].version if newest is not None and newest[0] == self._tiles.number else 0
 
     def folder_of(self, number: int) -> Path:
-        return self._folder if number == 1 else self._folder.with_name(f"{self._folder.name}_{number}")
+        new = self._folder if number == 1 else self._folder.with_name(f"{self._folder.name}_{number}")
+        return self._begun_in.get(number, new)
+
+    def hold(self, folder: Path) -> None:
+        """Keep others from changing a stored map that is about to be begun in. Raises StorageError."""
+        if not self._is_localizing and folder not in self._in_use:
+            self._in_use[folder] = InUse(folder, f"a session of {self._about['vehicle']}")
+
+    def begun_in(self, folder: Path) -> None:
+        """The present map is that of this folder from now on; call it when the one before has ended."""
+        self._begun_in[self._tiles.number] = folder
 
     def ask_to_save(self, saved: SavedHeard) -> None:
         """Have what is not yet on disk saved soon, by the sink's thread, in which `saved` hears of it."""
@@ -94,7 +105,7 @@ class MapSaver(Sink):
     def start(self) -> None:
         """Raises StorageError where another session goes on in the same map, or somebody edits it."""
         if self._goes_on_in is not None:
-            self._in_use = InUse(self._goes_on_in, f"a session of {self._about['vehicle']}")
+            self.hold(self._goes_on_in)
         self._thread.start()
 
     def put(self, message: Message, arrived_ns: int | None = None) -> None:
@@ -137,9 +148,9 @@ class MapSaver(Sink):
 
     def _leave(self) -> None:
         """Others may change the map from now on."""
-        if self._in_use is not None:
-            self._in_use.release()
-            self._in_use = None
+        for in_use in self._in_use.values():
+            in_use.release()
+        self._in_use.clear()
 
     def save(self) -> SavedMap | None:
         """Store what is not yet: maps that a reset ended, then the present one, which is returned.

@@ -5,7 +5,7 @@ from typing import Any
 
 from service.mapper.mapping_session import MappingSession
 from service.runtime.mapper_messages import Answer, Item
-from service.runtime.mapping import MappingLoop
+from service.runtime.mapping import MappingLoop, PrepareMap, no_stored_maps
 from service.runtime.mapping_outputs import MappingOutputs
 
 Answered = Callable[[Answer], None]
@@ -14,14 +14,20 @@ Answered = Callable[[Answer], None]
 class InlineLink:
     """As much of MapperLink as an Intake and a HealthReport use. `now_ns` is the mapper's clock."""
 
-    def __init__(self, mapper: MappingSession, outputs: MappingOutputs, is_deaf: bool = False) -> None:
+    def __init__(
+        self,
+        mapper: MappingSession,
+        outputs: MappingOutputs,
+        is_deaf: bool = False,
+        prepare_map: PrepareMap = no_stored_maps,
+    ) -> None:
         self.now_ns = 0
         self.said: list[Any] = []
         self.items: list[Item] = []
         self._outputs = outputs
         self._is_deaf = is_deaf
         self._answered: Answered | None = None
-        self.loop = MappingLoop(mapper, self._hear, (), lambda: self.now_ns)
+        self.loop = MappingLoop(mapper, self._hear, (), lambda: self.now_ns, prepare_map)
 
     @property
     def waiting(self) -> int:

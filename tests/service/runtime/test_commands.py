@@ -9,13 +9,15 @@ from typing import Any
 
 import pytest
 
-from service.encoding import STRING, LogClock, Message, decode_event
+from service.encoding import STRING, LogClock, Message, decode_event, encode_event
 from service.encoding.steps import decode_step
-from service.mapper.mapping_session import GraphRequest, MappingSession
+from service.errors import InputError, StorageError
+from service.mapper.mapping_session import GraphRequest, LoadMap, MappingSession
 from service.mapstore.config import MapConfig
-from service.mapstore.files import load_map
+from service.mapstore.files import load_map, save_map
+from service.mapstore.in_use import InUse
 from service.mapstore.tiles import TileStore
-from service.publishing.commands import CommandDispatcher
+from service.publishing.commands import CommandDispatcher, CommandError
 from service.recording.config import RecordingConfig
 from service.recording.mcap_reader import Recording
 from service.recording.mcap_recorder import McapRecorder
@@ -28,6 +30,7 @@ from service.sinks.mcap_sink import McapSink
 from tests.service.runtime.inline_link import InlineLink
 from tests.service.runtime.test_mapping import OFFSET_NS, FakeMapper, scan
 from tests.service.sinks.contexts import sink_context
+from tests.service.sinks.test_map_saver import tile
 
 
 class Machine:
@@ -55,9 +58,15 @@ class Machine:
             lambda tiles, stamp_ns: None,
             lambda: log_clock.next_ns(host_time.unix_ns(time.monotonic_ns())),
         )
-        self.link = InlineLink(MappingSession(FakeMapper, ["front"], None), self.outputs, is_deaf)
+        self.prepared: list[tuple[str, int]] = []  # stored maps that mappers began in
+        self.mapper_fault = ""  # why the mapper cannot read a stored map
+        session = MappingSession(FakeMapper, ["front"], None)
+        self.link = InlineLink(session, self.outputs, is_deaf, self._prepare)
+        self._folder = folder
         self.intake = Intake(self.link, host_time, self._put)  # type: ignore[arg-type]
-        self.commands = Commands(self.intake, self.outputs, self.tiles, self._put, self.recorder, self.saver)
+        self.commands = Commands(
+            self.intake, self.outputs, self.tiles, self._put, self.recorder, self.saver, self._find
+        )
         self.dispatcher = CommandDispatcher(self.commands.verbs(), answer_timeout_s=20.0)
         self._scans = 0
 
@@ -80,6 +89,17 @@ class Machine:
         self.saver.flush()
         self.recorder.close()
         return self.recorder.written()
+
+    def _prepare(self, folder: str, version: int) -> None:
+        if self.mapper_fault:
+            raise InputError(self.mapper_fault)
+        self.prepared.append((folder, version))
+
+    def _find(self, name: str, version: int | None) -> tuple[Path, int]:
+        try:
+            return self._folder / name, load_map(self._folder / name, version).number
+        except InputError as error:
+            raise CommandError(str(error)) from error
 
     def _put(self, message: Message, arrived_ns: int | None = None) -> None:
         self.recorder.put(message, arrived_ns)
@@ -108,10 +128,10 @@ def channels(path: Path) -> list[str]:
 
 
 def test_the_known_verbs(machine: Machine):
-    told = machine.ask("load_map")
+    told = machine.ask("fly")
     assert told == {
         "ok": False,
-        "error": "there is no command 'load_map'; known: add_landmark_pair, checkpoint, mark, optimize, "
+        "error": "there is no command 'fly'; known: add_landmark_pair, checkpoint, load_map, mark, optimize, "
         "pause, remove_landmark_pair, reset_map, resume, save_map, set_pose, start_recording, "
         "stop_recording, undo",
     }
@@ -198,6 +218,52 @@ def test_a_map_that_cannot_be_saved_is_told(machine: Machine, tmp_path: Path):
     told = machine.ask("reset_map")
     assert told["error"].startswith("the map is reset, but the one before is not saved yet: cannot save")
     (tmp_path / "map").unlink()
+
+
+def test_a_stored_map_is_loaded_and_the_one_before_is_saved(machine: Machine, tmp_path: Path):
+    save_map(tmp_path / "office", [tile(1)], 1)
+    save_map(tmp_path / "office", [tile(2)], 2)
+    machine.scan(2)
+    told = machine.ask("load_map", map="office", version=1)
+    assert told == {
+        "ok": True,
+        "folder": str(tmp_path / "office"),
+        "version": 1,
+        "folder_before": str(tmp_path / "map"),
+    }
+    assert machine.prepared == [(str(tmp_path / "office"), 1)]
+    assert load_map(tmp_path / "map").number == 1
+    machine.scan()
+    saved = machine.ask("save_map")
+    assert (saved["folder"], saved["version"]) == (str(tmp_path / "office"), 3)
+    machine.ask("reset_map")
+    assert machine.saver.folder == tmp_path / "map_3"
+    path = machine.stop()[0]
+    (event,) = [event for event in events(path) if event["event"] == "load_map"]
+    assert (event["map"], event["version"]) == (str(tmp_path / "office"), 1)
+    step = decode_step(encode_event(json.dumps(event), 7, 7).payload, 7)
+    assert step == LoadMap(str(tmp_path / "office"), 1, 7)
+
+
+def test_a_map_that_cannot_be_begun_in_is_refused_and_the_present_one_stays(machine: Machine, tmp_path: Path):
+    machine.scan(2)
+    assert "no stored map" in machine.ask("load_map", map="nowhere")["error"]
+    save_map(tmp_path / "office", [tile(1)], 1)
+    assert "no version 7; there are 1" in machine.ask("load_map", map="office", version=7)["error"]
+    machine.mapper_fault = "v000001/graph.npz: damaged"
+    told = machine.ask("load_map", map="office")
+    assert told["error"] == "the map before stays: v000001/graph.npz: damaged"
+    assert machine.saver.folder == tmp_path / "map"
+    assert machine.tiles.number == 1
+
+
+def test_a_map_that_another_session_goes_on_in_is_not_loaded(machine: Machine, tmp_path: Path):
+    save_map(tmp_path / "office", [tile(1)], 1)
+    with InUse(tmp_path / "office", "a session of veh2"):
+        assert "a session of veh2 uses this map" in machine.ask("load_map", map="office")["error"]
+    assert machine.ask("load_map", map="office")["ok"] is True
+    with pytest.raises(StorageError, match="a session of veh1"):
+        InUse(tmp_path / "office", "another")
 
 
 def test_reset_map_answers_when_the_map_before_is_on_disk(machine: Machine, tmp_path: Path):
