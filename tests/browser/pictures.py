@@ -4,20 +4,36 @@ import math
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from threading import Thread
+from typing import NamedTuple
 
 import numpy as np
 
-from drivers.frames import LaserScan
-from service.encoding import Message, Status, encode_diagnostics, encode_frame, encode_pose, encode_tf_static
+from drivers.frames import Frame, LaserScan
+from service.encoding import (
+    LogClock,
+    Message,
+    Status,
+    encode_diagnostics,
+    encode_frame,
+    encode_graph,
+    encode_pose,
+    encode_tf_static,
+)
 from service.geometry.se2 import SE2
 from service.mapper.profiles import build_mapper, mapping_config
 from service.mapstore.files import save_map
 from service.mapstore.tiles import TileStore
-from service.outputs import MapperOutput
+from service.offline.replay import ReplayOptions
+from service.offline.replay import replay as replay_session
+from service.offline.replay_page import ReplayPage
+from service.outputs import GraphPicture, MapperOutput
 from service.publishing.commands import Answer
+from service.recording.mcap_recorder import McapRecorder
 from service.web.config import WebConfig
 from service.web.server import About, WebServer
 from simulators.truth import LMS100, UTM30LX, Ride
@@ -39,17 +55,68 @@ LASERS = (
 VERBS = ["pause", "resume", "save_map", "reset_map", "start_recording", "stop_recording", "mark", "set_pose"]
 
 
-def map_office(store: TileStore) -> tuple[list[MapperOutput], list[LaserScan]]:
+class Office(NamedTuple):
+    """A drive through it."""
+
+    frames: list[Frame]  # as they arrived
+    outputs: list[MapperOutput]
+    graph: GraphPicture
+
+    @property
+    def seen(self) -> list[LaserScan]:
+        return [frame for frame in self.frames if isinstance(frame, LaserScan)]
+
+
+def map_office(store: TileStore) -> Office:
     ride = Ride(build_world("office"), 0, 0.5)
     frames = [scan for laser in LASERS for scan in scans(ride, laser, DRIVEN_S, [1])[0]]
     frames += odometry(ride, Wheels(), DRIVEN_S, 1)
     mapper = build_mapper(mapping_config({}), MOUNTINGS)
     outputs = []
-    for frame in sorted(frames, key=lambda frame: frame.arrived_ns):
+    frames.sort(key=lambda frame: frame.arrived_ns)
+    for frame in frames:
         if (output := mapper.process(frame)) is not None:
             outputs.append(output)
+    mapper.finish()
     store.update(mapper.changed_tiles())
-    return outputs, [frame for frame in frames if isinstance(frame, LaserScan)]
+    assert mapper.graph_picture is not None
+    return Office(frames, outputs, mapper.graph_picture)
+
+
+def record(frames: Sequence[Frame], folder: Path) -> Path:
+    """A session, to be replayed."""
+    recorder = McapRecorder(folder, "veh1", keep_free_bytes=0)
+    recorder.start()
+    recorder.put(encode_tf_static(MOUNTINGS, UNIX_NS, UNIX_NS))
+    clock = LogClock()
+    for frame in frames:
+        moved = replace(frame, stamp_ns=frame.stamp_ns + UNIX_NS, arrived_ns=frame.arrived_ns + UNIX_NS)
+        recorder.put(encode_frame(moved, log_ns=clock.next_ns(moved.arrived_ns)))
+    (session,) = recorder.finish()
+    return session
+
+
+def take_replay(page: Page, frames: Sequence[Frame], folder: Path) -> None:
+    """Half of the drive replayed, and halted there."""
+    shown = ReplayPage("127.0.0.1:0", "veh1", 0.0, is_paused=True)
+    session = record(frames, folder)
+    working = Thread(target=lambda: replay_session([session], ReplayOptions(), watch=shown))
+    working.start()
+    try:
+        page.driver.get(shown.address)
+        page.wait_for("return window.corridor && corridor.report().mayControl && corridor.report().health")
+        page.run("corridor.connection.command('replay_go_to', {position_s: arguments[0]})", 0.55 * DRIVEN_S)
+        page.wait_for_text("replay-time", "0:34 min")
+        page.wait_for_text("replay-note", "paused")
+        page.wait_for("return corridor.report().tiles > 0 && corridor.report().pose")
+        page.resize(DESKTOP)
+        page.element("fit").click()
+        page.wait_for("return corridor.view.frames > arguments[0]", page.run("return corridor.view.frames"))
+        page.driver.save_screenshot(str(IMAGES / "operator-replay.png"))
+    finally:
+        page.run("return corridor.connection.command('replay_resume')")
+        working.join()
+        shown.close()
 
 
 def health(stamp_ns: int) -> Message:
@@ -105,7 +172,7 @@ def take(page: Page, name: str, area: str, size: tuple[int, int], is_dark: bool)
 
 def main() -> None:
     store = TileStore()
-    outputs, seen = map_office(store)
+    office = map_office(store)
     with tempfile.TemporaryDirectory() as kept, chromium() as page:
         folders = {"session": Path(kept) / "sessions", "map": Path(kept) / "maps"}
         for folder in folders.values():
@@ -124,11 +191,12 @@ def main() -> None:
             "t",
             folders,
         )
-        poses = [output.pose_map_base for output in outputs]
+        poses = [output.pose_map_base for output in office.outputs]
         server.put_path(np.array([(pose.x_m, pose.y_m) for pose in poses], np.float32))
         server.start()
         assert server.wait_served(10.0)
-        with driving(server, outputs, seen):
+        server.put(encode_graph(office.graph, UNIX_NS))
+        with driving(server, office.outputs, office.seen):
             page.open(server.address, "t")
             page.wait_for(
                 "const r = corridor.report(); return r.mayControl && r.health && r.sensors.length === 2"
@@ -137,10 +205,18 @@ def main() -> None:
             take(page, "desktop-light", "information", DESKTOP, False)
             page.element("fit").click()
             take(page, "desktop-dark", "control", DESKTOP, True)
+            for layer in ("graph", "path"):
+                page.run(f"document.getElementById('layer-{layer}').click()")
+            page.run("document.querySelector('.layers').open = true")
+            take(page, "graph", "information", DESKTOP, False)
+            page.run("document.querySelector('.layers').open = false")
+            for layer in ("graph", "path"):
+                page.run(f"document.getElementById('layer-{layer}').click()")
             take(page, "resources", "resources", DESKTOP, False)
             take(page, "phone-map", "map", PHONE, False)
             take(page, "phone-information", "information", PHONE, True)
         server.close()
+        take_replay(page, office.frames, Path(kept) / "recorded")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 
 from service.encoding import decode_pose, encode_graph, encode_pose
-from service.outputs import NO_GRAPH, GraphPicture, TileUpdate
+from service.outputs import NO_GRAPH, OCCUPIED, GraphPicture, TileUpdate
 from tests.browser.scene import CELL_M, EDGE, MOUNTINGS, stamp
 
 WALL, FREE, GROUND = [11, 18, 32], [255, 255, 255], [228, 232, 238]  # of the light theme
@@ -217,3 +217,30 @@ def test_the_graph_is_a_layer_with_its_parts_explained(page, scene, live):
     assert 0.4 < ink < 0.9  # dashes
     live.put(encode_graph(NO_GRAPH, stamp(2.0)))
     page.wait_for("return corridor.report().graph.keyFrames === 0")
+
+
+def test_what_changed_since_a_moment_is_a_layer(page, scene, live):
+    hide_all_but_the_map(page)
+    page.driver.find_element("css selector", ".layers summary").click()
+    page.element("layer-change").click()
+    page.wait_for("return document.querySelectorAll('.change-part').length === 2")
+    wall_x_m = scene.half_x_m - CELL_M / 2
+    cells = next(t for t in scene.tiles() if (t.ix, t.iy) == (2, 0)).cells.copy()
+    column = round(scene.half_x_m / CELL_M) - 1 - 2 * EDGE
+    assert cells[20, column] == OCCUPIED
+    cells[20, column], cells[30, column - 10] = 0, 100
+    scene.store.update([TileUpdate(0, 2, 0, scene.store.version + 1, CELL_M, cells)])
+    page.wait_for("const c = corridor.report().change; return c.appeared === 1 && c.gone === 1")
+    words = page.run("return [...document.querySelectorAll('.change-part')].map((e) => e.textContent)")
+    assert words[0].endswith(": 1 cells")
+    assert words[1] == "Free since then: 1 cells"
+    gone_y_m, new_x_m, new_y_m = 20.5 * CELL_M, wall_x_m - 10 * CELL_M, 30.5 * CELL_M
+    page.run("document.querySelector('.layers').open = false")
+    page.look_at(wall_x_m, gone_y_m, 200.0)
+    assert page.pixel(wall_x_m, gone_y_m) == [3, 105, 161]
+    assert page.pixel(new_x_m, new_y_m) == [190, 24, 93]
+    assert page.pixel(wall_x_m, gone_y_m + CELL_M) == WALL
+    page.look_at(new_x_m, new_y_m, 4.0)  # a cell is a fifth of a pixel
+    assert page.pixel(new_x_m, new_y_m) == [190, 24, 93]
+    page.run("document.getElementById('change-now').click()")
+    assert page.report()["change"] == {"appeared": 0, "gone": 0}

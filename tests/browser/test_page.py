@@ -253,6 +253,8 @@ def test_a_replay_is_steered_from_its_strip(page, scene, live, desk):
     live.put(replaying(scene, 50.0, state="paused"))
     page.wait_for_text("replay-time", "0:50 min of 1:40 min")
     page.wait_for_text("replay-toggle", "Go on")
+    page.run("corridor.view.poseArrived_ms = -1e9")  # long ago
+    assert page.run("return corridor.view.isLive")
     page.element("replay-toggle").click()
     page.wait_for_answers()
     assert asked(desk) == [
@@ -265,6 +267,7 @@ def test_a_replay_is_steered_from_its_strip(page, scene, live, desk):
     live.put(replaying(scene, 100.0, state="finished"))
     page.wait_for_text("replay-note", "finished")
     assert not page.element("replay-toggle").is_enabled()
+    assert not page.run("return corridor.view.isLive")
 
 
 def test_the_path_goes_on_where_a_replay_leaves_poses_out(page, scene, live):

@@ -3,7 +3,7 @@
 import { Connection } from "./connection.js";
 import { Control } from "./control.js";
 import { byId, element, setText } from "./dom.js";
-import { fixed } from "./format.js";
+import { clockTime, fixed } from "./format.js";
 import { Gestures } from "./gestures.js";
 import { Information, LEVELS } from "./information.js";
 import { MapView, scaleBar } from "./map_view.js";
@@ -23,7 +23,7 @@ const connection = new Connection({
   open: () => { isOpen = true; showState(); },
   closed: () => { isOpen = false; showState(); control.update(); replay.update(); },
   hello: (hello) => {
-    if (hello.run_id !== runId) view.clear();
+    if (hello.run_id !== runId) { view.clear(); explainLayers(); }
     runId = hello.run_id;
     setText(byId("vehicle"), hello.vehicle);
     document.title = `${hello.vehicle} \u00b7 corridor`;
@@ -37,7 +37,7 @@ const connection = new Connection({
     if (!byId("resources").hidden) resources.refresh();
   },
   refused: ({ error }) => console.error(error),
-  tiles: (message) => { view.putTiles(message); byId("empty").hidden = view.tiles.tiles.size > 0; },
+  tiles: (message) => { view.putTiles(message); explainChange(); byId("empty").hidden = view.tiles.tiles.size > 0; },
   graph: (message) => { view.putGraph(message); explainLayers(); },
   path: (message) => view.putPath(message),
   scan: (message) => { if (view.putScan(message)) explainLayers(); },
@@ -55,6 +55,7 @@ const connection = new Connection({
     information.putHealth(message);
     control.putHealth(message);
     replay.putHealth(message);
+    view.isHeld = replay.state === "paused";
     showState();
   },
   latency: (message) => information.putLatency(message),
@@ -97,7 +98,7 @@ function showFollow() {
   byId("follow").setAttribute("aria-pressed", String(view.follows));
 }
 
-const LAYERS = { map: "Map", path: "Path", graph: "Pose graph", scans: "Scans", vehicle: "Vehicle with its 95 % ellipse", grid: "Grid" };
+const LAYERS = { map: "Map", path: "Path", graph: "Pose graph", change: "Change", scans: "Scans", vehicle: "Vehicle with its 95 % ellipse", grid: "Grid" };
 
 const GRAPH_PARTS = { keyFrames: "Key frames", accepted: "Loops that hold", refused: "Loops not believed", borders: "Sub-maps" };
 
@@ -105,9 +106,21 @@ const GRAPH_PARTS = { keyFrames: "Key frames", accepted: "Loops that hold", refu
 function setUpLayers() {
   for (const [layer, words] of Object.entries(LAYERS)) {
     const box = element("input", { type: "checkbox", checked: view.layers[layer], id: `layer-${layer}` });
-    box.addEventListener("change", () => { view.layers[layer] = box.checked; view.invalidate(); });
+    box.addEventListener("change", () => {
+      view.layers[layer] = box.checked;
+      if (layer === "change") compareFromNow();
+      view.invalidate();
+    });
     byId("layers").append(element("label", {}, box, words), element("div", { className: "parts", id: `parts-${layer}` }));
   }
+}
+
+/** The change that is shown begins when it is asked for. */
+function compareFromNow() {
+  if (view.layers.change) view.change.start(view.tiles);
+  else view.change.clear();
+  explainLayers();
+  view.invalidate();
 }
 
 function explained(words, colour, className) {
@@ -120,7 +133,21 @@ function explainLayers() {
   const { counts } = view.graph, { graph } = view.colours;
   const parts = Object.entries(GRAPH_PARTS).filter(([part]) => counts[part] > 0);
   byId("parts-graph").replaceChildren(...parts.map(([part, words]) => explained(`${words}: ${counts[part]}`, graph[part], "graph-part")));
+  explainChange();
   byId("parts-scans").replaceChildren(...view.sensors.map((sensor) => explained(sensor, view.colourOf(sensor), "laser")));
+}
+
+function explainChange() {
+  const { since, counts } = view.change, { change } = view.colours;
+  byId("layer-change").checked = view.layers.change;
+  if (!since) {
+    byId("parts-change").replaceChildren();
+    return;
+  }
+  const button = byId("change-now") ?? element("button", { type: "button", id: "change-now", onclick: compareFromNow }, "From now");
+  byId("parts-change").replaceChildren(
+    explained(`Occupied since ${clockTime(since / 1000)}: ${counts.appeared} cells`, change.appeared, "change-part"),
+    explained(`Free since then: ${counts.gone} cells`, change.gone, "change-part"), button);
 }
 
 view.onDrawn = () => {
@@ -160,7 +187,12 @@ document.addEventListener("keydown", (event) => { if (event.key === "Escape" && 
 byId("confirm-no").addEventListener("click", () => byId("confirm").close("no"));
 setUpTabs();
 setUpLayers();
-setUpTheme(() => { view.readColours(); explainLayers(); information.plot.draw(); });
+setUpTheme(() => {
+  view.readColours();
+  explainLayers();
+  information.plot.draw();
+  if (health) information.putHealth(health); // colours of the lasers
+});
 showState();
 connection.open();
 setInterval(() => view.invalidate(), 1000); // what is stale shall look so
@@ -171,7 +203,7 @@ window.corridor = {
   report: () => ({
     runId, isOpen, mayControl: connection.mayControl, tiles: view.tiles.tiles.size, bounds: view.tiles.bounds,
     pose: view.track.last, pathPoints: view.path.length / 2, sensors: view.sensors, health, follows: view.follows,
-    graph: view.graph.counts, plotPoints: information.plot.points.length, bytes: connection.bytes, frames: view.frames, drawn_ms: [...view.drawn_ms],
+    graph: view.graph.counts, change: view.change.counts, plotPoints: information.plot.points.length, bytes: connection.bytes, frames: view.frames, drawn_ms: [...view.drawn_ms],
     scanPoints: Object.fromEntries([...view.scans].map(([sensor, held]) => [sensor, held.points?.length / 2])),
   }),
 };

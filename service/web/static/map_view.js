@@ -3,6 +3,7 @@
 import { Camera } from "./camera.js";
 import { compose, ellipse, PoseTrack } from "./geometry.js";
 import { GraphLayer } from "./graph_layer.js";
+import { ChangeLayer } from "./change_layer.js";
 import { metres } from "./format.js";
 import { RANGE_STEP_M } from "./protocol.js";
 import { TileMap } from "./tiles.js";
@@ -32,10 +33,12 @@ export class MapView {
     this.scans = new Map(); // sensor -> {scan, arrived_ms}
     this.sensors = []; // lasers in the order in which they were first seen: gives each its colour
     this.mountings = {};
-    this.layers = { map: true, path: true, graph: false, scans: true, vehicle: true, grid: true };
+    this.layers = { map: true, path: true, graph: false, change: false, scans: true, vehicle: true, grid: true };
     this.graph = new GraphLayer();
+    this.change = new ChangeLayer();
     this.overlays = []; // functions(context, camera) of the tools
     this.follows = true;
+    this.isHeld = false; // a replay that is paused: what came last is of now, however long ago that was
     this.isFitted = false; // until then the first tiles are brought into view
     this.poseArrived_ms = -Infinity;
     this.frames = 0;
@@ -53,6 +56,7 @@ export class MapView {
       ground: colour("--map-ground"), grid: colour("--map-grid"), path: colour("--map-path"),
       vehicle: colour("--map-vehicle"), measure: colour("--map-measure"), text: colour("--text"),
       paper: colour("--ground"), stale: colour("--none"),
+      change: { appeared: colour("--change-appeared"), gone: colour("--change-gone") },
       graph: { keyFrames: colour("--graph-key-frames"), accepted: colour("--graph-accepted"),
         refused: colour("--graph-refused"), borders: colour("--graph-border") },
       lasers: Array.from({ length: LASER_COLOURS }, (_, i) => colour(`--laser-${i}`)),
@@ -77,13 +81,18 @@ export class MapView {
     this.track.clear();
     this.scans.clear();
     this.graph.clear();
+    this.change.clear();
+    this.layers.change = false;
     this.path = [];
     this.isFitted = false;
     this.invalidate();
   }
 
   putTiles({ edge, cell_m, tiles }) {
-    for (const { ix, iy, cells } of tiles) this.tiles.put(ix, iy, edge, cell_m, cells);
+    for (const { ix, iy, cells } of tiles) {
+      this.tiles.put(ix, iy, edge, cell_m, cells);
+      this.change.put(ix, iy, edge, cell_m, cells);
+    }
     if (!this.isFitted && this.track.last === null) this.#showAll(); // to be followed all the same when it comes
     this.invalidate();
   }
@@ -159,7 +168,7 @@ export class MapView {
 
   /** Whether the newest pose is of now. */
   get isLive() {
-    return performance.now() - this.poseArrived_ms < STALE_MS;
+    return this.isHeld || performance.now() - this.poseArrived_ms < STALE_MS;
   }
 
   #resize() {
@@ -182,6 +191,7 @@ export class MapView {
     camera.applyTo(context, dpr);
     if (layers.grid) this.#drawGrid();
     if (layers.map) this.tiles.draw(context, camera.seen, camera.scale * dpr);
+    if (layers.change) this.change.draw(context, camera.seen, camera.scale, colours.change);
     if (layers.path) this.#drawPath();
     if (layers.graph) this.graph.draw(context, camera.scale, colours.graph);
     if (layers.scans) this.#drawScans();
@@ -231,7 +241,7 @@ export class MapView {
     const now_ms = performance.now();
     const size_m = Math.max(3 / camera.scale, 0.02);
     for (const [sensor, held] of this.scans) {
-      if (now_ms - held.arrived_ms > STALE_MS) continue;
+      if (now_ms - held.arrived_ms > STALE_MS && !this.isHeld) continue;
       if (!held.isFinal) this.#placeScan(held);
       if (!held.points) continue;
       context.fillStyle = this.colourOf(sensor);

@@ -32,8 +32,8 @@ export class Replay {
   putHealth({ statuses }) {
     const values = statuses.find((status) => status.name === "replay")?.values;
     this.root.hidden = !values;
+    this.state = values?.state ?? "";
     if (!values) return;
-    this.state = values.state;
     this.position_s = Number(values.position_s);
     this.duration_s = Number(values.duration_s);
     this.slider.max = values.duration_s;

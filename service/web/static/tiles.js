@@ -3,7 +3,8 @@
 
 const BLOCK = 256; // cells along a block
 const LEVELS = 8;
-const UNKNOWN = -1, OCCUPIED = 65; // from here on a cell counts as a wall, as in ROS map_server
+const UNKNOWN = -1;
+export const OCCUPIED = 65; // from here on a cell counts as a wall, as in ROS map_server
 
 class Block {
   constructor(column, row) {
@@ -90,6 +91,22 @@ export class TileMap {
     }
     const edge_m = this.edge * this.cell_m;
     return { x_min_m: x0 * edge_m, y_min_m: y0 * edge_m, x_max_m: x1 * edge_m, y_max_m: y1 * edge_m };
+  }
+
+  /** callback(key, cells) of each known tile: "ix,iy" and a copy of its cells, row 0 lowest. */
+  forEachTile(callback) {
+    const { edge } = this;
+    for (const tile of this.tiles) {
+      const [x, y] = tile.split(",").map((index) => Number(index) * edge);
+      const block = this.#block(0, Math.floor(x / BLOCK), Math.floor(y / BLOCK));
+      const left = x - block.column * BLOCK, low = y - block.row * BLOCK;
+      const cells = new Int8Array(edge * edge);
+      for (let row = 0; row < edge; row += 1) {
+        const from = (low + row) * BLOCK + left;
+        cells.set(block.cells.subarray(from, from + edge), row * edge);
+      }
+      callback(tile, cells);
+    }
   }
 
   /** Value of the cell at a map point: -1 unknown, 0..100 per cent occupied. */
