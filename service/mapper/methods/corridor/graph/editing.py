@@ -92,7 +92,8 @@ def without_time(graph: SavedGraph, from_ns: int, to_ns: int, is_bridged: bool) 
         refused=graph.refused.renumbered(number, is_kept),
         by_hand=graph.by_hand.without_keyframes(is_kept, graph.map),
     )
-    _refuse_if_apart(groups(graph)[is_kept], less, "--bridge lets odometry hold them over what is cut")
+    bridge = "--bridge lets odometry hold them over what is cut"
+    _refuse_if_apart(groups(graph)[is_kept], less, bridge, int(graph.stamp_ns.min()))
     return less
 
 
@@ -210,23 +211,29 @@ def _pieces_cut(piece: npt.NDArray[np.int64], is_kept: npt.NDArray[np.bool_]) ->
     return cut
 
 
-def _refuse_if_apart(before: npt.NDArray[np.int64], graph: SavedGraph, instead: str) -> None:
-    """Raises EditError where key frames that hung together, (N,) by their groups before, do no more."""
+def _refuse_if_apart(
+    before: npt.NDArray[np.int64], graph: SavedGraph, instead: str, first_ns: int | None = None
+) -> None:
+    """Raises EditError where key frames that hung together, (N,) by their groups before, do no more.
+
+    first_ns   from which times are told; None: that of the first key frame
+    """
+    first_ns = int(graph.stamp_ns.min()) if first_ns is None else first_ns
     after = groups(graph)
     for group in np.unique(before):
         parts = np.unique(after[before == group])
         if len(parts) > 1:
-            named = "; ".join(_named(graph, np.flatnonzero(after == part)) for part in parts)
+            named = "; ".join(_named(graph, np.flatnonzero(after == part), first_ns) for part in parts)
             raise EditError(
                 f"{len(parts)} parts of the map would hang together by nothing: {named}. {instead}"
             )
 
 
-def _named(graph: SavedGraph, own: npt.NDArray[np.int64]) -> str:
+def _named(graph: SavedGraph, own: npt.NDArray[np.int64], first_ns: int) -> str:
     (left, low), (right, high) = graph.map[own, :2].min(axis=0), graph.map[own, :2].max(axis=0)
     return (
         f"{len(own)} key frames between ({left:.1f}, {low:.1f}) and ({right:.1f}, {high:.1f}) m "
-        f"from stamp {int(graph.stamp_ns[own[0]]) / 1e9:.3f} s on"
+        f"from {(int(graph.stamp_ns[own[0]]) - first_ns) / 1e9:.2f} s on"
     )
 
 
