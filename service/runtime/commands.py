@@ -1,5 +1,6 @@
 """What each command does. All of them go through the intake: their place among the frames is exact."""
 
+import json
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -8,7 +9,7 @@ from typing import Annotated, Any, Protocol
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.encoding import Message
+from service.encoding import Message, decode_event
 from service.encoding.steps import decode_step
 from service.errors import StorageError
 from service.mapper.mapping_session import GraphRequest, LoadMap, SessionAction
@@ -50,6 +51,12 @@ class PoseRequest(Request):
     x_m: Annotated[float, Field(allow_inf_nan=False)]
     y_m: Annotated[float, Field(allow_inf_nan=False)]
     theta_rad: Annotated[float, Field(allow_inf_nan=False)]
+
+
+class SaveRequest(Request):
+    """name: of a folder in map.directory, in which the map is stored besides."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}$")] | None = None
 
 
 class MapRequest(Request):
@@ -104,7 +111,7 @@ class Commands:
             "pause": self._verb("pause", partial(self._request_session, "pause")),
             "resume": self._verb("resume", partial(self._request_session, "resume")),
             "reset_map": self._verb("reset_map", self._reset_map),
-            "save_map": self._verb("save_map", self._save_map),
+            "save_map": self._verb("save_map", self._save_map, SaveRequest),
             "load_map": self._load_verb(),
             "start_recording": self._verb("start_recording", self._start_recording),
             "stop_recording": self._verb("stop_recording", self._stop_recording),
@@ -225,7 +232,8 @@ class Commands:
             else:
                 outcome.done(folder=str(present.folder), version=present.number, map_version=present.version)
 
-        self._intake.request_tiles(event.log_ns, lambda answer: self._storage.ask_to_save(saved))
+        name = str(json.loads(decode_event(event.payload)).get("name", ""))
+        self._intake.request_tiles(event.log_ns, lambda answer: self._storage.ask_to_save(saved, name))
 
     def _start_recording(self, event: Message, outcome: Outcome) -> None:
         self._recorder.begin_session(event, partial(self._recording_changed, outcome))

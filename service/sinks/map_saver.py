@@ -49,6 +49,8 @@ class MapSaver(Sink):
         self._goes_on_in = self._folder if is_going_on else None
         self._in_use: dict[Path, InUse] = {}  # stored maps that this session goes on in
         self._begun_in: dict[int, Path] = {}  # numbers of maps of this run -> the stored one each began in
+        self._directory = config.directory
+        self._present: NumberedMap | None = None  # as it was at the last save
         self._command = context.command
         self._asks_for_graph = context.stores_graph and not context.is_localizing
         self._is_localizing = context.is_localizing
@@ -60,7 +62,7 @@ class MapSaver(Sink):
         self._emitted_version = 0
         self._unsaved: list[NumberedMap] = []  # ended by a reset
         self._wake = threading.Condition()  # of the two that follow
-        self._asked: deque[SavedHeard] = deque()
+        self._asked: deque[tuple[SavedHeard, str]] = deque()
         self._stopping = False
         self._newest: tuple[int, SavedMap] | None = None  # map number
         self._thread = threading.Thread(target=self._run, name="map-saver", daemon=True)
@@ -96,10 +98,13 @@ class MapSaver(Sink):
         """The present map is that of this folder from now on; call it when the one before has ended."""
         self._begun_in[self._tiles.number] = folder
 
-    def ask_to_save(self, saved: SavedHeard) -> None:
-        """Have what is not yet on disk saved soon, by the sink's thread, in which `saved` hears of it."""
+    def ask_to_save(self, saved: SavedHeard, name: str = "") -> None:
+        """Have what is not yet on disk saved soon, by the sink's thread, in which `saved` hears of it.
+
+        name   of a folder in the directory of the config: the present map becomes its next version, too
+        """
         with self._wake:
-            self._asked.append(saved)
+            self._asked.append((saved, name))
             self._wake.notify()
 
     def start(self) -> None:
@@ -161,6 +166,7 @@ class MapSaver(Sink):
             return None
         ended, present = self._tiles.take()
         self._unsaved += ended
+        self._present = present
         while len(self._unsaved) > MOST_UNSAVED:
             lost = self._unsaved.pop(0)
             self._given_up = (
@@ -237,8 +243,27 @@ class MapSaver(Sink):
         if not asked:
             return
         saved = self._try_to_save()
-        for answer in asked:
-            answer(saved, self.fault)
+        for answer, name in asked:
+            if not name or self.fault:
+                answer(saved, self.fault)
+                continue
+            try:
+                answer(self._save_as(name), "")
+            except StorageError as error:
+                answer(None, str(error))
+
+    def _save_as(self, name: str) -> SavedMap | None:
+        """The present map as the next version of a map of that name. Raises StorageError."""
+        folder, present = self._directory / name, self._present
+        if present is None or not present.tiles:
+            return None
+        if folder == self.folder:
+            return self.newest
+        folder.mkdir(parents=True, exist_ok=True)
+        with InUse(folder, f"a session of {self._about['vehicle']}"):
+            number = save_map(folder, present.tiles, self._unix_ns(), self._about, present.geo, present.graph)
+        assert number is not None
+        return SavedMap(folder, number, present.version, present.geo, present.graph)
 
     def _try_to_save(self) -> SavedMap | None:
         try:

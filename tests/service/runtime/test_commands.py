@@ -220,6 +220,22 @@ def test_a_map_that_cannot_be_saved_is_told(machine: Machine, tmp_path: Path):
     (tmp_path / "map").unlink()
 
 
+def test_a_map_is_saved_under_a_name_besides(machine: Machine, tmp_path: Path):
+    assert "there is no map yet" in machine.ask("save_map", name="office")["error"]
+    machine.scan(2)
+    told = machine.ask("save_map", name="office")
+    assert (told["folder"], told["version"]) == (str(tmp_path / "office"), 1)
+    assert load_map(tmp_path / "office").tiles[0].version == load_map(tmp_path / "map").tiles[0].version
+    machine.scan()
+    assert machine.ask("save_map", name="office")["version"] == 2
+    assert machine.ask("save_map")["folder"] == str(tmp_path / "map")
+    with InUse(tmp_path / "office", "corridor map edit"):
+        assert "corridor map edit uses this map" in machine.ask("save_map", name="office")["error"]
+    for wrong in ("../office", ".hidden", "a/b", ""):
+        assert "name" in machine.ask("save_map", name=wrong)["error"]
+    assert machine.ask("load_map", map="office")["version"] == 2
+
+
 def test_a_stored_map_is_loaded_and_the_one_before_is_saved(machine: Machine, tmp_path: Path):
     save_map(tmp_path / "office", [tile(1)], 1)
     save_map(tmp_path / "office", [tile(2)], 2)
