@@ -66,7 +66,8 @@ def error_row(
     name: str,
     at_most: float | None = None,
     settings: dict[str, Any] | None = None,
+    cause: str = "",
 ) -> list[Row]:
     """One row, or none without the recording."""
     found = scored(profile, name, settings)
-    return [] if found is None else [Row(ids, f"{what}{name}", [found.error_m], "m", at_most=at_most)]
+    return [] if found is None else [Row(ids, f"{what}{name}", [found.error_m], "m", at_most, cause=cause)]
