@@ -41,6 +41,7 @@ class TileStore:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
+        self._graph_kept = threading.Condition(self._lock)
         self._tiles: dict[TileKey, TileUpdate] = {}
         self._version = 0
         self._stale: dict[TileKey, TileUpdate] = {}  # level 0, not yet rendered
@@ -105,8 +106,19 @@ class TileStore:
 
     def keep_graph(self, folder: Path | None) -> None:
         """Say where the graph of the present map lies as it was last put away."""
-        with self._lock:
+        with self._graph_kept:
             self._graph = folder
+            self._graph_kept.notify_all()
+
+    @property
+    def graph(self) -> Path | None:
+        """Where the graph of the present map was put away last; None: nowhere yet."""
+        return self._graph
+
+    def wait_for_graph(self, other_than: Path | None, timeout_s: float) -> bool:
+        """Until the graph is put away anew; whether that came in time."""
+        with self._graph_kept:
+            return self._graph_kept.wait_for(lambda: self._graph not in (None, other_than), timeout_s)
 
     def since(self, version: int) -> list[TileUpdate]:
         """Every tile newer than `version`, oldest change first; 0 gives the whole map.

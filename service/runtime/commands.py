@@ -233,7 +233,9 @@ class Commands:
                 outcome.done(folder=str(present.folder), version=present.number, map_version=present.version)
 
         name = str(json.loads(decode_event(event.payload)).get("name", ""))
-        self._intake.request_tiles(event.log_ns, lambda answer: self._storage.ask_to_save(saved, name))
+        self._intake.request_tiles(
+            event.log_ns, lambda answer: self._storage.ask_to_save(saved, name, with_graph=True)
+        )
 
     def _start_recording(self, event: Message, outcome: Outcome) -> None:
         self._recorder.begin_session(event, partial(self._recording_changed, outcome))

@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 from service.encoding import ERROR, OK, Message, Status, encode_grid
 from service.errors import StorageError
@@ -23,11 +24,18 @@ from service.sinks.sink import SavedHeard, SavedMap, Sink, SinkContext
 log = logging.getLogger(__name__)
 
 EMIT_INTERVAL_S = 10.0  # a whole map a second would outgrow the scans
+GRAPH_S = 5.0  # that the graph may take to be put away when somebody asks for the map
 MOST_UNSAVED = 8  # maps that a reset ended and the disk has not taken yet
 
 
 def open_sink(config: MapConfig, context: SinkContext) -> "MapSaver":
     return MapSaver(config, context)
+
+
+class _Asked(NamedTuple):
+    saved: SavedHeard
+    name: str
+    with_graph: bool
 
 
 class MapSaver(Sink):
@@ -62,7 +70,7 @@ class MapSaver(Sink):
         self._emitted_version = 0
         self._unsaved: list[NumberedMap] = []  # ended by a reset
         self._wake = threading.Condition()  # of the two that follow
-        self._asked: deque[tuple[SavedHeard, str]] = deque()
+        self._asked: deque[_Asked] = deque()
         self._stopping = False
         self._newest: tuple[int, SavedMap] | None = None  # map number
         self._thread = threading.Thread(target=self._run, name="map-saver", daemon=True)
@@ -98,13 +106,14 @@ class MapSaver(Sink):
         """The present map is that of this folder from now on; call it when the one before has ended."""
         self._begun_in[self._tiles.number] = folder
 
-    def ask_to_save(self, saved: SavedHeard, name: str = "") -> None:
+    def ask_to_save(self, saved: SavedHeard, name: str = "", with_graph: bool = False) -> None:
         """Have what is not yet on disk saved soon, by the sink's thread, in which `saved` hears of it.
 
         name   of a folder in the directory of the config: the present map becomes its next version, too
+        with_graph   the graph is put away before, as it is now; within GRAPH_S, else as it was last
         """
         with self._wake:
-            self._asked.append((saved, name))
+            self._asked.append(_Asked(saved, name, with_graph))
             self._wake.notify()
 
     def start(self) -> None:
@@ -242,15 +251,25 @@ class MapSaver(Sink):
             asked, self._asked = self._asked, deque()
         if not asked:
             return
+        if self._asks_for_graph and any(one.with_graph for one in asked):
+            self._put_graph_away()
         saved = self._try_to_save()
-        for answer, name in asked:
-            if not name or self.fault:
-                answer(saved, self.fault)
+        for one in asked:
+            if not one.name or self.fault:
+                one.saved(saved, self.fault)
                 continue
             try:
-                answer(self._save_as(name), "")
+                one.saved(self._save_as(one.name), "")
             except StorageError as error:
-                answer(None, str(error))
+                one.saved(None, str(error))
+
+    def _put_graph_away(self) -> None:
+        before = self._tiles.graph
+        if self._command("checkpoint", b"{}").ok and not self._tiles.wait_for_graph(before, GRAPH_S):
+            log.warning(
+                "%s: the graph was not put away within %.0f s; the map is saved with the one before",
+                *(self.folder, GRAPH_S),
+            )
 
     def _save_as(self, name: str) -> SavedMap | None:
         """The present map as the next version of a map of that name. Raises StorageError."""

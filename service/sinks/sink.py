@@ -165,6 +165,9 @@ class MapStorage(Protocol):
         """The present map is that of this folder from now on; call it when the one before has ended."""
         ...
 
-    def ask_to_save(self, saved: SavedHeard, name: str = "") -> None:
-        """Have the present map saved soon, under a name of its own besides if one is given."""
+    def ask_to_save(self, saved: SavedHeard, name: str = "", with_graph: bool = False) -> None:
+        """Have the present map saved soon, under a name of its own besides if one is given.
+
+        with_graph   what a session goes on with is put away before, as it is now
+        """
         ...

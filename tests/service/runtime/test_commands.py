@@ -248,6 +248,7 @@ def test_a_stored_map_is_loaded_and_the_one_before_is_saved(machine: Machine, tm
         "folder_before": str(tmp_path / "map"),
     }
     assert machine.prepared == [(str(tmp_path / "office"), 1)]
+    assert machine.link.loop.mapper.counters["map_resets"] == 1
     assert load_map(tmp_path / "map").number == 1
     machine.scan()
     saved = machine.ask("save_map")

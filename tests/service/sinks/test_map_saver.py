@@ -1,3 +1,4 @@
+import queue
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,11 +14,14 @@ from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
 from service.mapstore.config import MapConfig
 from service.mapstore.files import load_map, save_map
+from service.mapstore.graph_files import GraphFolder
 from service.mapstore.tiles import TileStore
 from service.offline.map_edit import edit_map, erase
 from service.outputs import TileUpdate
+from service.publishing.commands import Answer
 from service.sinks.map_saver import MOST_UNSAVED, MapSaver
 from service.sinks.sink import SavedMap
+from tests.service.mapstore.test_graph_files import graph_of
 from tests.service.sinks.contexts import sink_context
 
 GEO = GeoReference(LocalFrame(60.161, 24.546, 51.7), SE2(3.0, -4.0, 0.0), 0.8, 0.01, 41)
@@ -223,6 +227,36 @@ def test_a_map_that_a_session_goes_on_in_is_not_edited_meanwhile(tmp_path: Path)
     finally:
         saver.flush()
     assert edit_map(tmp_path / "office", "erase", change, "ada", 2)["version"] == 2
+
+
+def test_a_map_that_somebody_asks_for_is_saved_with_the_graph_of_now(tmp_path: Path):
+    """The mapper puts it away a moment after it was asked to."""
+    tiles = TileStore()
+    kept = GraphFolder(tmp_path / "graphs")
+    asked: list[str] = []
+
+    def command(verb: str, payload: bytes) -> Answer:
+        asked.append(verb)
+        folder = Path(kept(graph_of(4 + len(asked))).folder)
+        threading.Timer(0.05, tiles.keep_graph, [folder]).start()
+        return Answer(True, b"{}")
+
+    config = MapConfig.model_construct(directory=tmp_path, load=None, checkpoint_s=3600.0)
+    saver = MapSaver(config, sink_context(tiles=tiles, stores_graph=True, command=command))
+    tiles.update([tile(3)])
+    saver.start()
+    try:
+        for count, name in ((5, ""), (6, "office")):
+            heard: queue.Queue[SavedMap | None] = queue.Queue()
+            saver.ask_to_save(lambda saved, fault: heard.put(saved), name, with_graph=True)  # noqa: B023
+            saved = heard.get(timeout=20.0)
+            assert saved is not None
+            graph = load_map(saved.folder).graph
+            assert graph is not None
+            assert len(graph) == count
+        assert asked == ["checkpoint", "checkpoint"]
+    finally:
+        saver.flush()
 
 
 def test_who_is_only_localised_leaves_no_trace_in_the_map(tmp_path: Path):
