@@ -132,7 +132,7 @@ def every_scan(seeds: Sequence[int]) -> Section:
         "The corridor at 25 scans a second",
         "The same, all scans of the scanner instead of one a second, with wheels 1 % off and an IMU; and two "
         "recordings of such a corridor from another simulator (ATE, after the rigid motion that fits best). "
-        "All scans are matched; one each 0.5 m is drawn. Where all are drawn, each lies a centimetre ahead "
+        "All scans are matched; one each 0.25 m is drawn. Where all are drawn, each lies a centimetre ahead "
         "of the one before, whose far points hold it back.",
         rows,
     )
