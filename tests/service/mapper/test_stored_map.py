@@ -120,6 +120,17 @@ def test_what_a_person_drew_holds_against_the_beams_of_a_session_that_goes_on(fi
     assert saved.by_hand.until.tolist() == [0, len(graph)]
 
 
+def test_nobody_is_found_by_what_was_erased(first, second):
+    _, begin = first
+    everywhere = 100.0 * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+    graph, gone = with_area_erased(begin.graph, everywhere, is_free=True)
+    assert gone == len(begin.graph.xy_base)
+    mapper = new_mapper(BeginIn(graph.checked(), begin.shown))
+    few = [frame for frame in second.frames if frame.stamp_ns < 3_000_000_000]
+    assert {output.state for output in outputs_of(mapper, few)} == {"lost"}
+    assert mapper.finish().update.saved is not None
+
+
 def shown_at(tiles: list[TileUpdate], pose: SE2) -> int:
     row, column = int(np.floor(pose.y_m / 0.05)), int(np.floor(pose.x_m / 0.05))
     tile = next(t for t in tiles if (t.iy, t.ix) == (row // 64, column // 64))
