@@ -7,10 +7,12 @@ import json
 import shutil
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 from selenium import webdriver
@@ -42,6 +44,36 @@ async def look(address):
 
 async def all_of_them():
     await asyncio.gather(*(look(sys.argv[1]) for _ in range(int(sys.argv[2]))))
+
+asyncio.run(all_of_them())
+"""
+DEMO_S = 20.0
+COUNT = """
+import asyncio, json, sys, time, aiohttp
+
+SETTLE_S = 5.0  # the whole map comes first
+
+async def look(session, address):
+    '''Kilobits a second, from SETTLE_S after the first pose to the end of the service.'''
+    while True:
+        try:
+            socket = await session.ws_connect(address + "ws", max_msg_size=0)
+            break
+        except aiohttp.ClientError:
+            await asyncio.sleep(0.1)
+    began_s, total, last_s = None, 0, 0.0
+    async for message in socket:
+        now_s = time.monotonic()
+        if began_s is None:
+            began_s = now_s + SETTLE_S if '"type":"pose"' in str(message.data)[:20] else None
+        elif now_s >= began_s:
+            total, last_s = total + len(message.data), now_s
+    return total * 8e-3 / (last_s - began_s)
+
+async def all_of_them():
+    async with aiohttp.ClientSession() as session:
+        looks = (look(session, sys.argv[1]) for _ in range(int(sys.argv[2])))
+        print(json.dumps(await asyncio.gather(*looks)))
 
 asyncio.run(all_of_them())
 """
@@ -178,6 +210,41 @@ def measure_steady(page: Page) -> dict[str, float]:
     }
 
 
+def measure_mapping() -> dict[str, Any]:
+    """`corridor demo` with nobody looking, and with several who look: latency of a scan to its pose, ms."""
+    alone, _ = demo(0)
+    watched, kilobits = demo(BROWSERS)
+    return {
+        "latency_ms_with_none": alone["latency_ms"],
+        f"latency_ms_with_{BROWSERS}": watched["latency_ms"],
+        "scan_cpu_ms_with_none": alone["scan_cpu_ms"],
+        f"scan_cpu_ms_with_{BROWSERS}": watched["scan_cpu_ms"],
+        "cpu_percent_with_none": alone["cpu_percent"],
+        f"cpu_percent_with_{BROWSERS}": watched["cpu_percent"],
+        "kilobits_per_s": round(max(kilobits)),
+        "void": alone["void"] or watched["void"],  # why these figures say nothing, if they do
+    }
+
+
+def demo(browsers: int) -> tuple[dict[str, Any], list[float]]:
+    """Its summary, and what each of the programs that looked at its page got, kbit/s."""
+    with tempfile.TemporaryDirectory() as out, subprocess.Popen(
+        [sys.executable, "-m", "service", "demo", "--seconds", str(DEMO_S), "--json", "--out", out],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        assert process.stdout is not None
+        assert process.stderr is not None
+        said = [process.stderr.readline()]
+        address = said[0].rpartition(" ")[2].partition("#")[0]
+        looking = [sys.executable, "-c", COUNT, address, str(browsers)]
+        with subprocess.Popen(looking, stdout=subprocess.PIPE, text=True) as lookers:
+            assert lookers.stdout is not None
+            said += process.stderr.readlines()  # until it ends
+            summary = process.stdout.read()
+            assert summary, "".join(said)
+            return json.loads(summary), json.loads(lookers.stdout.read())
+
+
 def cpu_percent() -> float:
     """Of a core, all threads of this process: those that drive and those that serve."""
     time.sleep(SETTLE_S)  # a browser that has just come asks for the whole map: that is not the steady state
@@ -188,7 +255,8 @@ def cpu_percent() -> float:
 
 def main() -> None:
     with chromium() as page:
-        print(json.dumps({"large_map": measure_large_map(page), "steady": measure_steady(page)}, indent=1))
+        told = {"large_map": measure_large_map(page), "steady": measure_steady(page)}
+    print(json.dumps(told | {"mapping": measure_mapping()}, indent=1))
 
 
 if __name__ == "__main__":
