@@ -172,6 +172,12 @@ def _add_offline(commands: Any) -> None:
     view = _add(commands, "view", "a stored map or a replay's result on the operator's page, until Ctrl-C")
     view.add_argument("source", type=Path, metavar="RESULT|MAP", help="the folder of either")
     _add_listen(view)
+    view.add_argument(
+        "--rerun", action="store_true", help="in rerun's viewer instead (pip install 'corridor[rerun]')"
+    )
+    view.add_argument(
+        "--save", type=Path, metavar="FILE.rrd", help="with --rerun: write a recording for it, open nothing"
+    )
 
     score = _add(commands, "score", "a trajectory against the truth: ATE, RPE, closure, relations")
     score.add_argument("estimate", type=Path, metavar="EST.tum")

@@ -129,6 +129,15 @@ def export(parsed: argparse.Namespace) -> int:
 
 
 def view(parsed: argparse.Namespace) -> int:
+    if parsed.rerun:
+        from service.offline.rerun_view import show_in_rerun
+
+        show_in_rerun(parsed.source, parsed.save)
+        where = "the viewer of rerun" if parsed.save is None else str(parsed.save)
+        print_result({"source": str(parsed.source), "shown_in": where}, parsed.json)
+        return 0
+    if parsed.save is not None:
+        raise UsageError("--save: a recording is written for rerun; give --rerun, too")
     from service.offline.view import open_view
 
     _check_listen(parsed.listen)

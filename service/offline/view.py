@@ -33,7 +33,7 @@ def open_view(source: Path, listen: str) -> WebServer:
 
     Raises InputError where there is no map in it, StorageError where the page cannot be served.
     """
-    (tiles, graph), path_map = _map(source), _path(source)
+    (tiles, graph), path_map = read_stored(source), _path(source)
     store = TileStore()
     store.update(tiles)
     about = About(source.resolve().name, "stored", list)
@@ -74,7 +74,8 @@ def tiles_of_grid(grid: Grid) -> list[TileUpdate]:
     ]
 
 
-def _map(source: Path) -> tuple[Sequence[TileUpdate], GraphPicture]:
+def read_stored(source: Path) -> tuple[Sequence[TileUpdate], GraphPicture]:
+    """Map and graph of what open_view takes. Raises InputError where there is no map in it."""
     for folder in (source, source / "map"):  # a replay stores its map in a folder of its own, where it can
         if is_map_folder(folder):
             stored = load_map(folder)
