@@ -14,8 +14,9 @@ def add_maps(commands: Any, add: Add) -> None:
     works = commands.add_parser("map", help="work on stored maps").add_subparsers(
         dest="work", metavar="WORK", required=True
     )
+    info = add(works, "info", "what a stored map holds")
+    info.add_argument("map", type=map_and_version, metavar="MAP[@VERSION]")
     for name, what in (
-        ("info", "what a stored map holds"),
         ("verify", "read every version against its checksums"),
         ("log", "the versions of a stored map: when, who, what"),
     ):

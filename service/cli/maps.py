@@ -5,7 +5,7 @@ import getpass
 import time
 from typing import Any
 
-from service.cli.console import print_result, print_table
+from service.cli.console import print_result, print_table, progress
 from service.errors import UsageError
 
 
@@ -17,7 +17,7 @@ def map_command(parsed: argparse.Namespace) -> int:
 
     match parsed.work:
         case "info":
-            print_result(map_info(parsed.map), parsed.json)
+            print_result(map_info(*parsed.map), parsed.json)
         case "verify":
             print_result(map_verify(parsed.map), parsed.json)
         case "log":
@@ -49,7 +49,10 @@ def map_command(parsed: argparse.Namespace) -> int:
                 raise UsageError("map merge: name two maps or more")
             if parsed.pair is not None and len(parsed.maps) != 2:
                 raise UsageError("map merge: --pair is of two maps")
-            print_result(map_merge(parsed.maps, parsed.out, parsed.pair), parsed.json)
+            with progress("map merge") as shown:
+                shown(None, "finding where they overlap, and solving")
+                merged = map_merge(parsed.maps, parsed.out, parsed.pair)
+            print_result(merged, parsed.json)
     return 0
 
 
@@ -80,7 +83,9 @@ def _edit(parsed: argparse.Namespace) -> dict[str, Any]:
         "optimize": map_edit.optimize,
     }
     what = next(name for name in changes if _is_given(parsed, name))
-    return map_edit.edit_map(parsed.map, what.replace("_", "-"), changes[what](), who, now_ns)
+    with progress("map edit") as shown:
+        shown(None, "changing the map")
+        return map_edit.edit_map(parsed.map, what.replace("_", "-"), changes[what](), who, now_ns)
 
 
 def _is_given(parsed: argparse.Namespace, option: str) -> bool:

@@ -179,6 +179,10 @@ def check_versions(folder: Path) -> tuple[list[int], list[str]]:
     return whole, problems
 
 
+def version_folder(folder: Path, number: int) -> Path:
+    return folder / _name(number)
+
+
 def is_map_folder(folder: Path) -> bool:
     return folder.is_dir() and bool(_versions(folder))
 

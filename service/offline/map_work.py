@@ -12,16 +12,19 @@ from service.mapper.by_hand import WALL
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapper.methods.corridor.graph.merging import Merged, MergeError, merge_graphs
 from service.mapper.saved_graph import SavedGraph
-from service.mapstore.files import StoredMap, check_versions, load_map, save_map
+from service.mapstore.files import StoredMap, check_versions, load_map, save_map, version_folder
 from service.offline.map_log import utc
 from service.outputs import UNKNOWN
 
 
-def map_info(folder: Path) -> dict[str, Any]:
-    """What a stored map is, for JSON. Raises InputError where none can be read."""
-    stored = load_map(folder)
+def map_info(folder: Path, version: int | None = None) -> dict[str, Any]:
+    """What a version of a stored map is (None: the current one), for JSON. Raises InputError where it cannot
+    be read.
+    """
+    stored = load_map(folder, version)
     fine = [tile for tile in stored.tiles if tile.level == 0]
     cells = sum(int((tile.cells != UNKNOWN).sum()) for tile in fine)
+    files = version_folder(folder, stored.number).iterdir()
     told: dict[str, Any] = {
         "map": str(folder),
         "version": stored.number,
@@ -30,7 +33,9 @@ def map_info(folder: Path) -> dict[str, Any]:
         **stored.about,
         "cell_m": fine[0].cell_m,
         "seen_m2": round(cells * fine[0].cell_m ** 2, 1),
-        "disk_mb": round(sum(path.stat().st_size for path in (folder / "current").iterdir()) / 1e6, 2),
+        "disk_mb": round(sum(path.stat().st_size for path in files) / 1e6, 2),
+            sum(path.stat().st_size for path in version_folder(folder, stored.number).iterdir()) / 1e6, 2
+        ),
         "geo_reference": None if stored.geo is None else stored.geo.as_dict(),
         "can_be_gone_on_in": stored.graph is not None,
         "problems": stored.problems,

@@ -92,8 +92,9 @@ def test_what_was_erased_stays_gone_when_the_map_is_drawn_anew(ring):
     assert cell(load_map(ring).tiles, 2.0, -1.0) > 65 or cell(load_map(ring).tiles, 2.0, -1.04) > 65
 
 
-def test_a_wall_is_on_the_map_for_other_programs_and_for_sessions(ring):
+def test_a_wall_is_on_the_map_for_other_programs_and_for_sessions(ring, capsys):
     edit(ring, "--wall", 6.0, -0.5, 6.0, 0.5)
+    assert "changing the map ..." in capsys.readouterr().err
     stored = load_map(ring)
     assert cell(stored.tiles, 6.0, 0.0) == 97
     edit(ring, "--optimize")

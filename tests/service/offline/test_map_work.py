@@ -1,8 +1,10 @@
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from service.cli import main
 from service.errors import InputError
 from service.mapper.by_hand import WALL, ByHand, Drawing
 from service.mapstore.files import save_map
@@ -35,6 +37,15 @@ def test_a_map_tells_from_when_to_when_it_was_driven(tmp_path):
     assert (first["from"], first["to"]) == ("1970-01-01T00:00:10Z", "1970-01-01T00:00:12Z")
     assert (first["from_s"], first["to_s"], first["keyframes"]) == (0.0, 2.5, 3)
     assert (second["from_s"], second["to_s"]) == (90.0, 92.0)
+
+
+def test_an_older_version_tells_what_it_held(tmp_path, capsys):
+    save_map(tmp_path, TILES, 1, graph=graph_of(5))
+    save_map(tmp_path, TILES, 2, graph=graph_of(60))
+    assert map_info(tmp_path, 1)["keyframes"] == 5
+    assert map_info(tmp_path)["disk_mb"] > map_info(tmp_path, 1)["disk_mb"]
+    assert main(["map", "info", f"{tmp_path}@1", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["version"] == 1
 
 
 def test_a_map_without_a_graph_says_so(tmp_path):
