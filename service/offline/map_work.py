@@ -34,8 +34,6 @@ def map_info(folder: Path, version: int | None = None) -> dict[str, Any]:
         "cell_m": fine[0].cell_m,
         "seen_m2": round(cells * fine[0].cell_m ** 2, 1),
         "disk_mb": round(sum(path.stat().st_size for path in files) / 1e6, 2),
-            sum(path.stat().st_size for path in version_folder(folder, stored.number).iterdir()) / 1e6, 2
-        ),
         "geo_reference": None if stored.geo is None else stored.geo.as_dict(),
         "can_be_gone_on_in": stored.graph is not None,
         "problems": stored.problems,
