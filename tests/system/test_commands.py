@@ -111,7 +111,7 @@ def _check_the_commands_stand_in_the_recording(session: Path) -> None:
     assert "paused" in states
     aside = ("start", "sensor", "mapping", "apply_result", "scan_passed_over")
     names = [event["event"] for event in events if event["event"] not in aside]
-    assert names == ["mark", "pause", "resume", "save_map", "reset_map", "stop_recording"]
+    assert names == ["mark", "pause", "resume", "save_map", "checkpoint", "reset_map", "stop_recording"]
     assert {"event": "mark", "id": "1", "text": "begin"} in events
 
 
@@ -170,7 +170,7 @@ def _check_a_session_of_its_own(session: Path) -> None:
     assert counts["/front/scan"] >= 25  # of 50 poses heard since, some are of scans read before it began
     assert counts["/tf_static"] == 1
     assert "sick_lms100" in recording.metadata["config"]["yaml"]
-    assert next(iter(recording.messages())).channel in ("tf_static", "map")
+    assert next(iter(recording.messages())).channel in ("tf_static", "map", "graph")
     replayed = replay([session], ReplayOptions())
     events = [decode_event(m.payload) for m in recording.messages(["/events"])]
     too_old = sum("scan_passed_over" in event for event in events)
