@@ -34,7 +34,7 @@ class PatchMapConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     cell_m: float = Field(default=0.01, gt=0.0)
-    insert_distance_m: float = Field(default=0.25, ge=0.0)  # a scan is drawn after so much way,
+    insert_distance_m: float = Field(default=0.2, ge=0.0)  # a scan is drawn after so much way,
     insert_turn_rad: float = Field(default=0.1, ge=0.0)  # ... or turn
     coarse_cells: int = Field(default=5, ge=2)  # a cell of the coarse layer is so many of the fine one wide
     patch_cells: int = Field(default=1000, ge=20)  # fine cells along the edge of a patch
