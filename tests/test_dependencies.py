@@ -10,6 +10,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("service", "drivers", "simulators")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+NAMES = {"rerun": "rerun-sdk"}  # of distributions that need not be installed here
 FOR_DEVELOPMENT = "dev"  # the extra that the packages themselves may not need
 
 
@@ -22,7 +23,7 @@ def imported() -> dict[str, str]:
             for module in modules_of(ast.parse(path.read_text(encoding="utf-8"))):
                 top = module.partition(".")[0]
                 if top not in sys.stdlib_module_names and top not in PACKAGES:
-                    name = distributions.get(top, [top])[0]
+                    name = distributions.get(top, [NAMES.get(top, top)])[0]
                     found.setdefault(plain(name), str(path.relative_to(ROOT)))
     return found
 
