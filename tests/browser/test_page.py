@@ -7,7 +7,8 @@ import pytest
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 
-from service.encoding import Status, encode_diagnostics
+from service.encoding import Status, encode_diagnostics, encode_graph
+from service.outputs import GraphPicture
 from tests.browser.conftest import DESKTOP, PHONE
 from tests.browser.scene import event, stamp
 from tests.service.web.conftest import TOKEN
@@ -212,18 +213,40 @@ def test_axe_finds_nothing_serious(page, live, axe, size, is_dark):
     page.run(axe)
     for area in ("information", "control", "resources"):
         page.choose(area)
-        result = page.driver.execute_async_script(
-            "axe.run().then((found) => arguments[0](found), (error) => arguments[0]({error: String(error)}))"
-        )
-        assert "error" not in result
-        serious = [
-            (fault["id"], [node["html"] for node in fault["nodes"]])
-            for fault in result["violations"]
-            if fault["impact"] in ("serious", "critical")
-        ]
-        assert serious == []
-        assert len(result["passes"]) > 10
+        assert serious_faults(page) == []
     page.resize(DESKTOP)
+
+
+@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
+@pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
+def test_axe_finds_nothing_serious_in_a_replay_with_its_layers_open(page, scene, live, axe, size, is_dark):
+    page.resize(size, is_dark)
+    line = np.array([[0.0, 0.0], [2.0, 0.0]], np.float32)
+    live.put(encode_graph(GraphPicture(stamp(1.0), [line], line[None], line[None]), stamp(1.0)))
+    live.put(replaying(scene, 20.0))
+    page.wait_for_text("replay-time", "0:20 min")
+    page.choose("map" if size == PHONE else "information")
+    page.run("document.querySelector('.layers').open = true")
+    page.run("document.getElementById('layer-change').click()")
+    page.wait_for("return document.querySelectorAll('.graph-part, .change-part').length === 5")
+    assert page.run("return document.documentElement.scrollWidth") <= size[0]
+    page.run(axe)
+    assert serious_faults(page) == []
+    page.resize(DESKTOP)
+
+
+def serious_faults(page):
+    """What axe calls serious or critical, of what is shown."""
+    result = page.driver.execute_async_script(
+        "axe.run().then((found) => arguments[0](found), (error) => arguments[0]({error: String(error)}))"
+    )
+    assert "error" not in result
+    assert len(result["passes"]) > 10
+    return [
+        (fault["id"], [node["html"] for node in fault["nodes"]])
+        for fault in result["violations"]
+        if fault["impact"] in ("serious", "critical")
+    ]
 
 
 def replaying(scene, seconds, **values):
