@@ -6,6 +6,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,13 @@ import pytest
 from drivers.frames import NO_INTENSITY, LaserScan
 from service.encoding import encode_frame
 from service.geometry.se2 import SE2
+from service.mapper.profiles import build_mapper, mapping_config
+from service.mapper.saved_graph import SavedGraph
+from service.mapstore.files import save_map
+from service.outputs import TileUpdate
 from service.runtime import mapper_link
 from service.runtime.mapper_link import MapperLink, MapperLostError
-from service.runtime.mapper_messages import Answer, FrameItem, Mapped, Setup, Tiles, TilesItem
+from service.runtime.mapper_messages import Answer, FrameItem, LoadItem, Mapped, Setup, Tiles, TilesItem
 from tests.service.runtime.mappers import FATAL_RANGE_M
 
 PERIOD_NS = 20_000_000
@@ -71,6 +76,13 @@ class Drive:
             number = self.link.next_number()
             arrived_ns = time.monotonic_ns() + 3600 * 10**9  # never too old, however slow this machine is
             self.link.submit(FrameItem(number, stamp_ns, arrived_ns, "front", message.type, message.payload))
+
+    def load(self, folder: Path, version: int) -> list[Answer]:
+        """Where the answer will be."""
+        answers: list[Answer] = []
+        number = self.link.next_number()
+        self.link.submit(LoadItem(number, number, str(folder), version), answers.append)
+        return answers
 
     def until(self, what: Callable[[], bool]) -> None:
         pause, deadline_s = threading.Event(), time.monotonic() + TIMEOUT_S
@@ -159,6 +171,34 @@ def test_tiles_after_a_takeover_hold_the_whole_map(drive: Drive):
     drive.link.submit(TilesItem(drive.link.next_number(), 1), answers.append)
     drive.until(lambda: bool(answers))
     assert any(isinstance(m, Tiles) for m in drive.heard.messages[before:])
+
+
+def test_a_mapper_begins_in_a_stored_map_on_the_way_and_so_does_its_stand_by(drive: Drive, tmp_path: Path):
+    save_map(tmp_path, *stored_room())
+    drive.start().scan(10)
+    refused, taken = drive.load(tmp_path, 9), drive.load(tmp_path, 1)
+    drive.scan(10)
+    drive.until_mapped()
+    assert f"{tmp_path}: no version 9; there are 1" in refused[0].error
+    assert (taken[0].result, taken[0].error) == (True, "")
+    os.kill(drive.link.pid, signal.SIGKILL)
+    drive.scan(5)
+    drive.until_mapped()
+    assert len(drive.heard.takeovers) == 1
+    states = [m.state for m in drive.heard.messages if isinstance(m, Mapped)]
+    assert set(states[:10]) == {"ok"}
+    assert set(states[10:]) == {"lost"}  # in the map that was loaded: the room looks the same turned round
+    assert len(states) == 25
+
+
+def stored_room() -> tuple[list[TileUpdate], int, dict[str, str], None, SavedGraph]:
+    """What save_map takes: the same room."""
+    mapper = build_mapper(mapping_config(), {"front": SE2()})
+    for k in range(1, 80):
+        mapper.process(_room(10**9 + k * PERIOD_NS, 0.01 * k, fatal=False))
+    graph = mapper.finish().update.saved
+    assert isinstance(graph, SavedGraph)
+    return mapper.changed_tiles(), 1, {}, None, graph
 
 
 def test_a_frame_that_the_mapper_dies_of_is_left_out(drive: Drive, strange: Callable[[str], None]):
