@@ -26,6 +26,7 @@ const connection = new Connection({
     if (hello.run_id !== runId) { view.clear(); explainLayers(); }
     runId = hello.run_id;
     setText(byId("vehicle"), hello.vehicle);
+    byId("vehicle").title = hello.vehicle; // it may be cut off
     document.title = `${hello.vehicle} \u00b7 corridor`;
     information.eventList.replaceChildren(); // all of them come again
     control.putVerbs(hello);
