@@ -296,15 +296,15 @@ def recorded(seeds: Sequence[int]) -> Section:  # recordings: seeds change nothi
 def lone_points(seeds: Sequence[int]) -> Section:  # recordings: seeds change nothing
     """A15."""
     rows = []
-    for name in ("aces", "csail", "fr079", "tshape_s2", "fgi_s1"):
+    for name in ("aces", "csail", "tshape_s2", "fgi_s1"):
         rows += error_row("A15", "without lone points: ", "contour_lm", name)
         lone = {"local_map": {"contours": {"lone_points": True}}}
         rows += error_row("A15", "with lone points: ", "contour_lm", name, settings=lone)
     return Section(
         "Points that no contour takes",
-        "Left out of the map, as by default, or drawn as blobs (`lone_points: true`). aces, csail, fr079 are "
-        "real buildings, mean error of their relations (derived ones, of aces and csail, are good to 5 to "
-        "10 cm); the others are of another simulator, ATE after the rigid motion that fits best.",
+        "Left out of the map, as by default, or drawn as blobs (`lone_points: true`). aces and csail are "
+        "real buildings, mean error of their relations, which are good to 5 to 10 cm; the others are of "
+        "another simulator, ATE after the rigid motion that fits best.",
         rows,
         ran_on="recordings",
     )
