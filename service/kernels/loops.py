@@ -77,12 +77,13 @@ def align_surfels(xy, normals, grid, settings, pose, information):
     shared = np.empty((3, 3))
     damping = np.empty((3, 3))
     found = np.empty((xy.shape[0], 6))
+    evidence = np.empty((xy.shape[0], 7))
     used = 0
     inliers = 0
     for k in range(settings.iterations + 1):
         find_surfels(xy, normals, pose, grid, settings.least_normal_cosine, found)
-        used, inliers = surfel_normal_equations(xy, normals, found, pose, settings, H, shared, g)
-        scan_information(H, shared, damping, information)
+        used, inliers = surfel_normal_equations(xy, normals, found, pose, settings, H, shared, g, evidence)
+        scan_information(H, shared, evidence, settings.chance_chi2, damping, information)
         copy_matrix(information, system)
         weakest = 1e-3 * (H[0, 0] + H[1, 1])
         for i in range(3):

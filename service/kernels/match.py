@@ -10,7 +10,7 @@ from numba import njit
 from service.kernels.coarse_align import AlignSettings, coarse_align
 from service.kernels.deskew import deskew_points
 from service.kernels.likelihood import LikelihoodField
-from service.kernels.linear3 import cholesky_3x3, copy_matrix, copy_vector, diagonalise_3x3, solve_3x3
+from service.kernels.linear3 import copy_matrix, copy_vector, diagonalise_3x3, solve_3x3
 from service.kernels.pose_information import (
     add_prior,
     invert_3x3,
@@ -21,6 +21,7 @@ from service.kernels.pose_information import (
 from service.kernels.surfels import find_surfels_again, nothing_around
 
 UNKNOWN_COUNT = 1.0  # points that a surfel would stand for that is not there
+CLUSTER_BEAMS = 16  # neighbours whose normals share most of their points
 STUDENT = 5.0  # degrees of freedom of the prediction's error: now and then it is far larger than usual
 
 
@@ -39,6 +40,7 @@ class MatchSettings(NamedTuple):
     range_sigma_m: float
     wall_sigma_m: float
     repeats: float
+    chance_chi2: float
     cauchy_m: float
     least_normal_cosine: float
     iterations: int
@@ -106,7 +108,7 @@ def surfel_cost(xy_base, normals, found, pose, unmatched_m, settings):
 
 
 @njit(cache=True, nogil=True)
-def surfel_normal_equations(xy_base, normals, found, pose, settings, H, shared, g):
+def surfel_normal_equations(xy_base, normals, found, pose, settings, H, shared, g, evidence):
     """Gauss-Newton system of the distances, along the surfels' normals, between points and their surfels.
 
     xy_base       (N, 2) float64    m, base frame
@@ -117,6 +119,8 @@ def surfel_normal_equations(xy_base, normals, found, pose, settings, H, shared, 
     H, g          (3, 3), (3,) float64   out: Hessian, and gradient of half the cost, over x, y, theta
     shared        (3, 3) float64    out: the same Hessian from the product of the surfel's normal and the
                                     scan's own: noise of either alone then adds nothing; [14]
+    evidence      (N, 7) float64    out: weight of each point, 0 where it has no surfel; its row of the
+                                    Jacobian by the surfel's normal, and what that by the scan's differs
     Returns (points asked, points within settings.inlier_m).
     Source: point-to-line ICP, Censi 2008; Cauchy weight 1 / (1 + e^2 / c^2).
     """
@@ -130,6 +134,7 @@ def surfel_normal_equations(xy_base, normals, found, pose, settings, H, shared, 
     sxx = sxy = syy = sxt = syt = stt = 0.0
     for i in range(xy_base.shape[0]):
         weight = normals[i, 2]
+        evidence[i, 0] = 0.0
         if weight == 0.0:
             continue
         used += 1
@@ -163,6 +168,13 @@ def surfel_normal_equations(xy_base, normals, found, pose, settings, H, shared, 
         sxt += 0.5 * weight * (nx * ot + ox * jt)
         syt += 0.5 * weight * (ny * ot + oy * jt)
         stt += weight * jt * ot
+        evidence[i, 0] = weight
+        evidence[i, 1] = nx
+        evidence[i, 2] = ny
+        evidence[i, 3] = jt
+        evidence[i, 4] = ox - nx
+        evidence[i, 5] = oy - ny
+        evidence[i, 6] = ot - jt
     g[0] = gx
     g[1] = gy
     g[2] = gt
@@ -182,36 +194,67 @@ def fill_symmetric(A, xx, xy, yy, xt, yt, tt):
 
 
 @njit(cache=True, nogil=True)
-def scan_information(H, shared, damping, information):
+def chance_variance(evidence, along):
+    """Variance, by chance alone, of what `shared` says along a direction; [22].
+
+    The scan's normals stand in for the surfels' (an instrument, in the words of errors in variables): what
+    differs between the two is noise of the scan's own. Neighbours take theirs from the same points, so they
+    are counted CLUSTER_BEAMS at a time.
+
+    evidence   (N, 7) float64   from surfel_normal_equations
+    along      (3,)   float64   over x, y, theta
+    Source: Liang, Zeger, Longitudinal data analysis using generalized linear models, 1986.
+    """
+    variance = 0.0
+    total = 0.0
+    for i in range(evidence.shape[0]):
+        if i % CLUSTER_BEAMS == 0:
+            variance += total * total
+            total = 0.0
+        if evidence[i, 0] > 0.0:
+            j = along[0] * evidence[i, 1] + along[1] * evidence[i, 2] + along[2] * evidence[i, 3]
+            differs = along[0] * evidence[i, 4] + along[1] * evidence[i, 5] + along[2] * evidence[i, 6]
+            total += evidence[i, 0] * j * differs
+    return variance + total * total
+
+
+@njit(cache=True, nogil=True)
+def scan_information(H, shared, evidence, chance_chi2, damping, information):
     """What a scan says of the pose, and how much of its gradient to follow; [15].
 
     The gradient g has the covariance H, but follows the pose only as `shared` does. So
     damping = shared H^-1 is what of the gradient is no noise, and the information is shared H^-1 shared
     (Godambe 1960). Where both normals agree all three are one; along a bare corridor they vanish. By chance
     `shared` may be negative there, or above H: in the axes in which both are diagonal it is held to 0..H.
+    Held so, it is no longer zero in the mean, and many scans add up: chance is taken off it, [22].
 
     H, shared              (3, 3) float64   from surfel_normal_equations
+    evidence               (N, 7) float64   from there
+    chance_chi2            float            squared sigmas of chance that are no information; 0: all is
     damping, information   (3, 3) float64   out
     """
-    L = np.zeros((3, 3))
+    L = np.empty((3, 3))
+    inverse = np.empty((3, 3))
     whitened = np.empty((3, 3))
+    scaled = np.empty((3, 3))
     axes = np.empty((3, 3))
-    trace = H[0, 0] + H[1, 1]
-    for i in range(3):
-        for j in range(3):
-            axes[i, j] = H[i, j]
-        axes[i, i] += 1e-9 * trace + 1e-6
+    unit = np.ones(3)
     information[:, :] = 0.0
     damping[:, :] = 0.0
-    if not cholesky_3x3(axes, L):
+    trace = H[0, 0] + H[1, 1]
+    if trace <= 0.0 or H[2, 2] <= 0.0:
         return
-    inverse = np.zeros((3, 3))  # of L
-    for j in range(3):
-        for i in range(j, 3):
-            total = 1.0 if i == j else 0.0
-            for k in range(j, i):
-                total -= L[i, k] * inverse[k, j]
-            inverse[i, j] = total / L[i, i]
+    # The axes of H, with theta in a unit in which it is known like the position: an open direction is one.
+    unit[2] = math.sqrt(0.5 * trace / H[2, 2])
+    for i in range(3):
+        for j in range(3):
+            scaled[i, j] = unit[i] * H[i, j] * unit[j]
+    diagonalise_3x3(scaled, axes)
+    for m in range(3):
+        root = math.sqrt(max(scaled[m, m], 1e-9 * trace + 1e-6))
+        for i in range(3):
+            L[i, m] = axes[i, m] * root / unit[i]
+            inverse[m, i] = axes[i, m] * unit[i] / root
     for i in range(3):
         for j in range(3):
             total = 0.0
@@ -219,6 +262,15 @@ def scan_information(H, shared, damping, information):
                 for m in range(3):
                     total += inverse[i, k] * shared[k, m] * inverse[j, m]
             whitened[i, j] = total
+    if chance_chi2 > 0.0:
+        for m in range(3):
+            said = whitened[m, m]
+            kept = 0.0
+            if said > 0.0:
+                kept = max(1.0 - chance_chi2 * chance_variance(evidence, inverse[m]) / (said * said), 0.0)
+            for i in range(3):
+                whitened[i, m] *= math.sqrt(kept)
+                whitened[m, i] *= math.sqrt(kept)
     diagonalise_3x3(whitened, axes)
     out = np.zeros((3, 3))
     back = np.zeros((3, 3))
@@ -319,6 +371,7 @@ def fine_align(
     system = np.empty((3, 3))
     count = xy_base.shape[0]
     found = np.empty((count, 6))
+    evidence = np.empty((count, 7))
     asked = np.empty(3)
     moves = count > 0 and returns.beam_time_s[count - 1] > 0.0
     cost = 0.0
@@ -331,8 +384,10 @@ def fine_align(
             deskew_points(returns.xy_raw, returns.beam_time_s, twist, xy_base)
         copy_vector(pose, asked)
         find_surfels_again(xy_base, normals, pose, grid, settings.least_normal_cosine, around, found)
-        used, inliers = surfel_normal_equations(xy_base, normals, found, pose, settings, H, shared, g)
-        scan_information(H, shared, damping, information)
+        used, inliers = surfel_normal_equations(
+            xy_base, normals, found, pose, settings, H, shared, g, evidence
+        )
+        scan_information(H, shared, evidence, settings.chance_chi2, damping, information)
         weight = prior_weight_at(pose, prior.pose, prior_information)
         for i in range(3):
             total[i] = 0.0

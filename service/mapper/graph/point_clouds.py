@@ -23,6 +23,7 @@ SETTINGS = MatchSettings(
     range_sigma_m=0.012,
     wall_sigma_m=0.006,
     repeats=1.0,
+    chance_chi2=0.0,
     cauchy_m=0.10,
     least_normal_cosine=0.6,
     iterations=15,

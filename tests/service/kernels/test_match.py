@@ -27,6 +27,7 @@ SETTINGS = MatchSettings(
     range_sigma_m=SIGMA_M,
     wall_sigma_m=0.004,
     repeats=1.0,
+    chance_chi2=0.0,
     cauchy_m=0.1,
     least_normal_cosine=0.6,
     iterations=15,
@@ -39,6 +40,7 @@ SETTINGS = MatchSettings(
     settled_rad=1e-7,
 )
 STEP_RAD = math.radians(0.5)
+NO_EVIDENCE = np.zeros((0, 7))
 
 
 def room_scan(pose: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
@@ -95,7 +97,9 @@ def test_the_surfel_gradient_is_the_slope_of_its_cost() -> None:
         return surfel_cost(xy, normals, found, at, 0.15, SETTINGS)
 
     expected = slopes(cost, pose)
-    surfel_normal_equations(xy, normals, found, pose, SETTINGS, matrix, shared, gradient)
+    surfel_normal_equations(
+        xy, normals, found, pose, SETTINGS, matrix, shared, gradient, np.empty((len(xy), 7))
+    )
     np.testing.assert_allclose(gradient, expected, rtol=1e-5)
     assert np.abs(expected).min() > 1.0
 
@@ -106,7 +110,9 @@ def test_the_hessian_is_that_of_weighted_least_squares() -> None:
     found = np.empty((len(xy), 6))
     find_surfels(xy, normals, pose, grid, 0.6, found)
     matrix, shared, gradient = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
-    used, inliers = surfel_normal_equations(xy, normals, found, pose, SETTINGS, matrix, shared, gradient)
+    used, inliers = surfel_normal_equations(
+        xy, normals, found, pose, SETTINGS, matrix, shared, gradient, np.empty((len(xy), 7))
+    )
     c, s = math.cos(pose[2]), math.sin(pose[2])
     turn = np.array([[c, -s], [s, c]])
     expected, of_both = np.zeros((3, 3)), np.zeros((3, 3))
@@ -145,14 +151,16 @@ def test_where_both_normals_agree_the_scan_says_what_its_hessian_does() -> None:
     root = np.random.default_rng(2).normal(size=(3, 3))
     hessian = 1e4 * (root @ root.T + np.eye(3))
     damping, information = np.empty((3, 3)), np.empty((3, 3))
-    scan_information(hessian, hessian, damping, information)
+    scan_information(hessian, hessian, NO_EVIDENCE, 0.0, damping, information)
     np.testing.assert_allclose(damping, np.eye(3), atol=1e-6)
     np.testing.assert_allclose(information, hessian, rtol=1e-5)
-    scan_information(hessian, 0.5 * hessian, damping, information)
+    scan_information(hessian, 0.5 * hessian, NO_EVIDENCE, 0.0, damping, information)
     np.testing.assert_allclose(information, 0.25 * hessian, rtol=1e-5)
-    scan_information(hessian, -0.5 * hessian, damping, information)  # chance alone makes it negative
+    scan_information(
+        hessian, -0.5 * hessian, NO_EVIDENCE, 0.0, damping, information
+    )  # chance alone makes it negative
     np.testing.assert_allclose(information, 0.0, atol=1e-3)
-    scan_information(hessian, 1.5 * hessian, damping, information)
+    scan_information(hessian, 1.5 * hessian, NO_EVIDENCE, 0.0, damping, information)
     np.testing.assert_allclose(information, hessian, rtol=1e-5)
 
 
@@ -285,16 +293,34 @@ def corridor_grid(end_m: float, rng: np.random.Generator, scans: int = 25) -> Su
     return grid
 
 
-def information_in(end_m: float, seed: int) -> tuple[np.ndarray, np.ndarray, float]:
+def information_in(end_m: float, seed: int, chance_chi2: float = 0.0) -> tuple[np.ndarray, np.ndarray, float]:
     """Hessian, and what is believed of it, at the true pose; mean square of the normals' x of the scan."""
     rng = np.random.default_rng(seed)
     grid, xy = corridor_grid(end_m, rng, scans=5), corridor(end_m, rng)
     normals, found = normals_of(xy), np.empty((len(xy), 6))
     find_surfels(xy, normals, np.zeros(3), grid, 0.6, found)
     hessian, shared, gradient, damping, information = (np.empty((3, 3)) for _ in range(5))
-    surfel_normal_equations(xy, normals, found, np.zeros(3), SETTINGS, hessian, shared, gradient[0])
-    scan_information(hessian, shared, damping, information)
+    evidence = np.empty((len(xy), 7))
+    surfel_normal_equations(xy, normals, found, np.zeros(3), SETTINGS, hessian, shared, gradient[0], evidence)
+    scan_information(hessian, shared, evidence, chance_chi2, damping, information)
     return hessian, information, float(np.mean(normals[:, 0] ** 2))
+
+
+def test_what_chance_says_along_a_bare_corridor_does_not_add_up() -> None:
+    """Held to 0 or more, noise of zero mean says something; of fifty scans in a metre that is a lot."""
+    seeds = range(20)
+    all_of_it = np.array([information_in(99.0, seed)[1] for seed in seeds])
+    less_chance = np.array([information_in(99.0, seed, 2.0 * math.log(50.0))[1] for seed in seeds])
+    assert less_chance[:, 0, 0].mean() < 0.2 * all_of_it[:, 0, 0].mean()
+    assert less_chance[:, 1, 1].min() > 0.99 * all_of_it[:, 1, 1].min()
+    assert less_chance[:, 2, 2].min() > 0.99 * all_of_it[:, 2, 2].min()
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_what_an_end_in_view_says_is_not_chance(seed: int) -> None:
+    all_of_it = information_in(5.0, seed)[1]
+    less_chance = information_in(5.0, seed, 2.0 * math.log(50.0))[1]
+    np.testing.assert_allclose(np.diag(less_chance), np.diag(all_of_it), rtol=0.02)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -39,13 +39,16 @@ ITERATIONS, DESKEW_ROUNDS = 15, 8
 SETTLED_M, SETTLED_RAD = 5e-4, 1e-4
 COARSE_SIGMA, COARSE_BEAMS, COARSE_ITERATIONS = 0.3, 180, 15  # sigma of 1 - likelihood
 SAME_WALL_M = 0.05  # scans within one key frame's distance are matched to the same noise of the map
+CHANCE_M = 1.0  # of travel: what its scans say by chance along an open direction adds up
+MOST_CHANCES = 50.0  # scans that count in it
+SURE_M = 0.02  # a prediction by honest odometry is known as well as that
 MOST_REPEATS = 100.0
 USUAL_SCANS = 50  # over which the usual inlier ratio is taken
 DOUBT_RATIO = 0.9  # of the usual inlier ratio: with less, other starts are tried
 
 
 class SurfelMatcherConfig(JudgementConfig):
-    """How a scan is laid on the sub-map, and when the result is believed."""
+    """How a scan is laid on the sub-map, and when the result is accepted."""
 
     wall_sigma_m: float = Field(default=0.004, gt=0.0)  # how even walls are
     cauchy_m: float = Field(default=0.10, gt=0.0)  # a point so far off counts half
@@ -90,6 +93,7 @@ class SurfelGaussNewton:
             range_sigma_m=0.01,
             wall_sigma_m=config.wall_sigma_m,
             repeats=1.0,
+            chance_chi2=0.0,
             cauchy_m=config.cauchy_m,
             least_normal_cosine=LEAST_NORMAL_COSINE,
             iterations=ITERATIONS,
@@ -146,7 +150,7 @@ class SurfelGaussNewton:
         )
 
     def _is_found(self, laid: _Laid, attempt: _Attempt) -> bool:
-        """Whether a scan that was mapped apart is believed to lie on the map again.
+        """Whether a scan that was mapped apart is accepted as lying on the map again.
 
         One find far from the prediction is a hypothesis, since rooms look alike; the next one must say the
         same. A find that the way so far rules out is none: where else it may be the graph looks.
@@ -191,7 +195,6 @@ class SurfelGaussNewton:
         """The match on a sub-map, begun at `start`, a pose as in the prior, and what to think of it."""
         points = attempt.points
         xy_base = points.xy_base.copy()
-        apart_m = max(attempt.predicted.travel_m, SAME_WALL_M / MOST_REPEATS)
         result: MatchResult = match_scan(
             Returns(points.xy_raw, points.beam_time_s, points.beam),
             submap.weighed(points, attempt.normals, start),
@@ -199,7 +202,9 @@ class SurfelGaussNewton:
             start,
             submap.grid(),
             self._settings._replace(
-                range_sigma_m=points.range_sigma_m, repeats=max(1.0, SAME_WALL_M / apart_m)
+                range_sigma_m=points.range_sigma_m,
+                repeats=max(1.0, SAME_WALL_M / _apart_m(attempt.predicted)),
+                chance_chi2=_chance_chi2(attempt.predicted),
             ),
             DOUBT_RATIO * attempt.usual_ratio,
             xy_base,
@@ -252,6 +257,22 @@ class SurfelGaussNewton:
             return laid
         found = self._lay(attempt, np.array([start.x_m, start.y_m, start.theta_rad]), laid.submap)
         return found if found.state != "lost" and found.result.share >= share + GAIN else laid
+
+
+def _apart_m(predicted: Prediction) -> float:
+    """Travel since the scan before, m; standing, scans count as the hundredth part of SAME_WALL_M apart."""
+    return max(predicted.travel_m, SAME_WALL_M / MOST_REPEATS)
+
+
+def _chance_chi2(predicted: Prediction) -> float:
+    """Squared sigmas of chance that are taken off what a scan says; [22].
+
+    Chance misleads where the prediction knows better. Without odometry, or where odometry was found wrong,
+    the scan is asked for the little that it says.
+    """
+    if not predicted.is_measured or max(sigmas_of(predicted.local_covariance)[:2]) > SURE_M:
+        return 0.0
+    return 2.0 * math.log(min(max(CHANCE_M / _apart_m(predicted), 1.0), MOST_CHANCES))
 
 
 def _chi2(pose: Matrix, prior: Prior) -> float:
