@@ -157,12 +157,12 @@ class Estimator:
             of = "in way" if way >= turns else "in turns"
             return (
                 f"odometry contradicts the scans ({math.sqrt(max(way, turns)):.0f} times its noise {of}) and "
-                "is believed that much less; do wheels slip, is a sign wrong, is an encoder dead?"
+                "has that much less weight; do wheels slip, is a sign wrong, is an encoder dead?"
             )
         if gyro > FAULT_NOISE:
             return (
-                f"the IMU's turns contradict the scans ({math.sqrt(gyro):.0f} times their noise) and are "
-                "believed that much less; is it mounted upside down, is its unit rad/s, is its bias large?"
+                f"the IMU's turns contradict the scans ({math.sqrt(gyro):.0f} times their noise) and "
+                "have that much less weight; is it mounted upside down, is its unit rad/s, is its bias large?"
             )
         return ""
 

@@ -1,4 +1,4 @@
-"""What is believed about the vehicle's motion, and who believes it."""
+"""The estimate of the vehicle's motion, and the interface of who holds it."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -76,7 +76,7 @@ class MotionModel(Protocol):
     def predict(self, stamp_ns: int) -> Prediction: ...
 
     def correct(self, measured: Measurement | None) -> Motion:
-        """Take in what a match says of the newest prediction; None: nothing. Gives what is believed then."""
+        """Take in what a match says of the newest prediction; None: nothing. Gives the estimate then."""
         ...
 
     def settle(self, share: float) -> None:

@@ -53,7 +53,7 @@ class MotionSettings(NamedTuple):
 
 
 class Filter(NamedTuple):
-    """What is believed; all arrays are changed in place.
+    """State and covariance; all arrays are changed in place.
 
     stamp_ns    (1,)     int64     of the newest pose
     pose        (3,)     float64   base in odom
@@ -479,7 +479,7 @@ def innovation(off, model, noise, alone):
     """What a source's innovation says of its noise.
 
     off     m or rad that the pose, made with the source, is off from what the source said
-    model   variance of the source by its model;   noise   times which it is believed to be
+    model   variance of the source by its model;   noise   factor on it, as learnt
     alone   variance of the step by the scan alone
     Returns (weight 0..1 of this sample, squared innovation less the scan's own variance, over the model).
     """

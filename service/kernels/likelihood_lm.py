@@ -114,7 +114,7 @@ def align_level(
     prior_information   (3, 3) float64    in map axes
     start               (3,)   float64    pose of the scan before; with elapsed_s it makes a pose a speed
     elapsed_s           float             since then; 0: no speed can be learnt
-    twist_gain          float             share of a change of the twist that is believed; 1: eq. 11
+    twist_gain          float             share of a change of the twist that is applied; 1: eq. 11
     inverse_variance    float             of 1 - P
     tiles, field, cell_m                  the level, as read_field takes it
     settings            LmSettings

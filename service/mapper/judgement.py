@@ -26,7 +26,7 @@ GAP_S = 2.5  # without a scan, after which a loose prediction is a gap in the wa
 
 
 class JudgementConfig(BaseModel):
-    """When a match is believed; part of the settings of every matcher."""
+    """When a match is accepted; part of the settings of every matcher."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

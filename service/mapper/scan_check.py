@@ -24,7 +24,7 @@ class ScanCheck:
         """Whether the stamp is seconds off those before it: then its scan lies nowhere in time.
 
         The delay from stamp to arrival tells, so that neither a pause of the laser nor a constant offset
-        between two clocks counts. A clock that was set is believed after NEW_CLOCK_SCANS scans.
+        between two clocks counts. A clock that was set is accepted after NEW_CLOCK_SCANS scans.
         """
         delay_ns = scan.arrived_ns - scan.stamp_ns
         if self._delay_ns is None or abs(delay_ns - self._delay_ns) <= MOST_JUMP_NS:

@@ -13,7 +13,7 @@ from service.offline.trajectory import read_tum
 from tests.papers.report import Row, Section
 
 SHARED = Path(os.environ.get("CORRIDOR_SHARED", "../shared"))
-WRONG_M = 0.3  # a pose that is `ok` and farther off is a lie
+WRONG_M = 0.3  # a pose that is farther off must not be `ok`
 # synthetic recording, largest ATE in m after the finish
 WORLDS = (
     ("fgi_s1", 0.04),
@@ -68,7 +68,7 @@ def _world(name: str, bound_m: float | None, out: Path) -> list[Row]:
     assert not isinstance(live, RelationsScore)
     off, nees = _errors(done, truth)
     states = [output.state for output in done.outputs]
-    lies = sum(state == "ok" and away > WRONG_M for state, away in zip(states, off.tolist(), strict=True))
+    wrong = sum(state == "ok" and away > WRONG_M for state, away in zip(states, off.tolist(), strict=True))
     return [
         Row(
             "", f"{name}: ATE after the finish", [finished.ate_aligned_m.rms], "m", at_most=bound_m, digits=4
@@ -76,7 +76,7 @@ def _world(name: str, bound_m: float | None, out: Path) -> list[Row]:
         Row("", f"{name}: ATE live", [live.ate_aligned_m.rms], "m", digits=4),
         Row("", f"{name}: closure", [finished.closure_m], "m", digits=4),
         Row("", f"{name}: NEES, mean", [nees], "of 3", digits=2),
-        Row("", f"{name}: scans `ok` and {WRONG_M} m off", [float(lies)], "scans", at_most=0.0, digits=0),
+        Row("", f"{name}: scans `ok` and {WRONG_M} m off", [float(wrong)], "scans", at_most=0.0, digits=0),
         Row("", f"{name}: scans lost", [100.0 * states.count("lost") / len(states)], "%", digits=1),
     ]
 

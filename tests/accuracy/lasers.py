@@ -1,4 +1,4 @@
-"""Several lasers on one vehicle: better than the best alone, and none the worse for one that lies or dies."""
+"""Several lasers: better than the best alone, and none the worse for a wrong mounting or a dead one."""
 
 import math
 import time
@@ -23,7 +23,7 @@ REAR = replace(UTM30LX_40HZ, name="rear", mounting=SE2(-0.2, 0.0, math.pi))
 LUX = Laser(IBEO_LUX, 220, 25.0, -50.0, 0.5, SE2(0.25, 0.0, 0.0), "lux")
 ALL = (FRONT, REAR, LUX)
 HALF = 0.5  # of the drive, after which a laser dies or hangs
-LIE_RAD = math.radians(5.0)
+WRONG_YAW_RAD = math.radians(5.0)
 
 Tamper = Callable[[list[Frame]], list[Frame]]
 
@@ -96,7 +96,7 @@ def lasers(seeds: Sequence[int]) -> Section:
         ride, seconds = Ride(world, 0, 0.5), world.drive.duration_s
         half_ns = round(HALF * seconds * 1e9)
         mountings = {laser.name: laser.mounting for laser in ALL}
-        wrong = mountings | {"rear": SE2(-0.2, 0.0, math.pi + LIE_RAD)}
+        wrong = mountings | {"rear": SE2(-0.2, 0.0, math.pi + WRONG_YAW_RAD)}
         cases: list[tuple[str, Sequence[Laser], dict[str, SE2], Tamper | None]] = [
             ("front", (FRONT,), mountings, None),
             ("rear", (REAR,), mountings, None),

@@ -39,7 +39,7 @@ MOST_WIDENING = 16.0
 MOST_REST_S = 1.0  # wide searches take longer, so they rest longer
 STANDS = "the scan fits where the prediction is, and nowhere beside it; the prediction holds it"
 ANEW_M = 5.0  # measured way of a lost vehicle, after which the map begins anew
-UNCONFIRMED = "the scan fits where the prediction may be; it is believed once the next one fits there too"
+UNCONFIRMED = "the scan fits where the prediction may be; it is accepted once the next one fits there too"
 
 SomeKnownMap = TypeVar("SomeKnownMap", bound=KnownMap)
 KnownMap_contra = TypeVar("KnownMap_contra", bound=KnownMap, contravariant=True)
@@ -270,7 +270,7 @@ def _matched(laid: Laid, predicted: Prediction, verdict: _Verdict) -> Match:
 
 
 def _alone(laid: Laid, chi2: float) -> Laid:
-    """A find: what the scan says alone, to be joined with a prediction that is believed that much less."""
+    """A find: what the scan says alone, to be joined with a prediction with that much less weight."""
     measured = replace(
         laid.measured,
         covariance=np.asarray(np.linalg.inv(laid.measured.information), np.float64),

@@ -57,7 +57,7 @@ class SearchConfig(BaseModel):
 
 
 class ContourLmConfig(JudgementConfig):
-    """How a scan is laid on the learned map, and when the result is believed."""
+    """How a scan is laid on the learned map, and when the result is accepted."""
 
     weights: WeightsConfig = WeightsConfig()
     search: SearchConfig = SearchConfig()

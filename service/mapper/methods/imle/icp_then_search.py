@@ -32,7 +32,7 @@ REFINE_CELLS = 3
 
 
 class IcpThenSearchConfig(JudgementConfig):
-    """How far is searched around what ICP says, and when the result is believed."""
+    """How far is searched around what ICP says, and when the result is accepted."""
 
     icp: IcpConfig = IcpConfig()
     window_rms: float = Field(default=3.0, gt=0.0)  # half a window is so many times the error of ICP,

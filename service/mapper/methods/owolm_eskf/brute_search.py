@@ -23,7 +23,7 @@ RECOVERY_CELL_M = 0.1  # a lost scan is searched for on the first level whose ce
 
 
 class BruteSearchConfig(JudgementConfig):
-    """How far around the prediction is searched, and when the result is believed."""
+    """How far around the prediction is searched, and when the result is accepted."""
 
     least_window_m: float = Field(default=0.2, gt=0.0)  # the window is window_sigmas of the prediction,
     most_window_m: float = Field(default=1.0, gt=0.0)  # but no less and no more than this to each side

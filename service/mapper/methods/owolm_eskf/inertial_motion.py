@@ -23,7 +23,7 @@ ODOMETRY_MAX_GUESS_S, ODOMETRY_WINDOW_S = 1.0, 0.05
 
 
 class InertialMotionConfig(BaseModel):
-    """The IMU's errors and place, and what is believed where it is silent."""
+    """The IMU's errors and place, and what is assumed where it is silent."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
