@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 KERNEL_PACKAGE = "service.kernels."
 TELL_S = 2.0  # how often the log says how far it is
 CUT_SHORT = (EOFError, pickle.UnpicklingError)  # a file of the cache that a power cut left empty or in part
-BACK_END_PACKAGE = "service.mapper.graph."
+BACK_END_PACKAGE = ".graph."  # shared, or of one profile
 
 
 class KernelProgress:
@@ -128,13 +128,13 @@ def needed_kernels(back_end_elsewhere: bool = False) -> set[str]:
     """Module and name of every kernel that the modules imported by now may call, without those that only the
     graph's back end calls where that works elsewhere.
     """
-    without = (KERNEL_PACKAGE, BACK_END_PACKAGE) if back_end_elsewhere else KERNEL_PACKAGE
     found: dict[str, Dispatcher] = {}
     callers = [m for name, m in list(sys.modules.items()) if name.startswith("service.") and m is not None]
     waiting = [
         value
         for module in callers
-        if not module.__name__.startswith(without)
+        if not module.__name__.startswith(KERNEL_PACKAGE)
+        and not (back_end_elsewhere and BACK_END_PACKAGE in module.__name__)
         for value in list(vars(module).values())
         if isinstance(value, Dispatcher)
     ]

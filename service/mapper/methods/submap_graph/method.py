@@ -8,9 +8,9 @@ from service.mapper.methods.shared import (
     OCCUPANCY_TILES,
 )
 from service.mapper.methods.submap_graph.counted_submaps import CountedSubmaps, CountedSubmapsConfig
-from service.mapper.methods.submap_graph.landmark_back_end import LandmarkGraphConfig
-from service.mapper.methods.submap_graph.landmark_graph import LandmarkGraph
-from service.mapper.methods.submap_graph.landmark_warm_up import warm_up
+from service.mapper.methods.submap_graph.graph.landmark_back_end import LandmarkGraphConfig
+from service.mapper.methods.submap_graph.graph.landmark_graph import LandmarkGraph
+from service.mapper.methods.submap_graph.graph.landmark_warm_up import warm_up
 from service.mapper.methods.submap_graph.particle_filter import ParticleFilter, ParticleFilterConfig
 
 COUNTED_SUBMAPS = ComponentKind(

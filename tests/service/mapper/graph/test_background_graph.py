@@ -8,8 +8,8 @@ from service.mapper.background import ElsewhereWorker
 from service.mapper.components import Graph, GraphRequestError
 from service.mapper.methods.corridor.graph.loop_closing import LoopClosing
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
-from service.mapper.methods.submap_graph.landmark_back_end import LandmarkGraphConfig
-from service.mapper.methods.submap_graph.landmark_graph import LandmarkGraph
+from service.mapper.methods.submap_graph.graph.landmark_back_end import LandmarkGraphConfig
+from service.mapper.methods.submap_graph.graph.landmark_graph import LandmarkGraph
 
 
 def loop_closing() -> Graph:

@@ -20,7 +20,7 @@ from service.mapper.components import (
 )
 from service.mapper.graph.background_graph import BackgroundGraph
 from service.mapper.methods.submap_graph.counted_submaps import CountedChange
-from service.mapper.methods.submap_graph.landmark_back_end import (
+from service.mapper.methods.submap_graph.graph.landmark_back_end import (
     Batch,
     LandmarkBackEnd,
     LandmarkGraphConfig,

@@ -18,11 +18,15 @@ from service.mapper.methods.submap_graph.counted_submaps import (
     CountedSubmapsConfig,
     KeyScan,
 )
-from service.mapper.methods.submap_graph.landmark_back_end import Batch, LandmarkBackEnd, LandmarkGraphConfig
-from service.mapper.methods.submap_graph.landmark_graph import LandmarkGraph
-from service.mapper.methods.submap_graph.landmark_warm_up import warm_up
-from service.mapper.methods.submap_graph.submap_match import draw_walls, find
-from service.mapper.methods.submap_graph.submap_realignment import SubmapRealignment
+from service.mapper.methods.submap_graph.graph.landmark_back_end import (
+    Batch,
+    LandmarkBackEnd,
+    LandmarkGraphConfig,
+)
+from service.mapper.methods.submap_graph.graph.landmark_graph import LandmarkGraph
+from service.mapper.methods.submap_graph.graph.landmark_warm_up import warm_up
+from service.mapper.methods.submap_graph.graph.submap_match import draw_walls, find
+from service.mapper.methods.submap_graph.graph.submap_realignment import SubmapRealignment
 from tests.service.mapper.drives import ROOM, cast
 from tests.service.mapper.maps.points import points_of
 

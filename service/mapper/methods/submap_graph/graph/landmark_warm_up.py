@@ -4,13 +4,13 @@ import numpy as np
 
 from service.mapper.graph.made_up_room import STEP_M, seen_from
 from service.mapper.methods.submap_graph.counted_submaps import ClosedSubmap, CountedSubmapsConfig, KeyScan
-from service.mapper.methods.submap_graph.landmark_back_end import (
+from service.mapper.methods.submap_graph.graph.landmark_back_end import (
     Batch,
     LandmarkBackEnd,
     LandmarkGraphConfig,
     Result,
 )
-from service.mapper.methods.submap_graph.submap_match import SubmapMatchConfig
+from service.mapper.methods.submap_graph.graph.submap_match import SubmapMatchConfig
 
 SCANS = 4  # a sub-map
 

@@ -22,7 +22,7 @@ from service.mapper.graph.point_clouds import PointCloud, SurfelSet
 from service.mapper.graph.pose_graph import Edges, GraphError, PoseGraph, Sightings, to_g2o
 from service.mapper.graph.pose_graph_solver import Solution, solve
 from service.mapper.methods.submap_graph.counted_submaps import ClosedSubmap
-from service.mapper.methods.submap_graph.submap_match import (
+from service.mapper.methods.submap_graph.graph.submap_match import (
     Found,
     SubmapMatchConfig,
     WallPoints,
@@ -31,7 +31,11 @@ from service.mapper.methods.submap_graph.submap_match import (
     find,
     is_seen,
 )
-from service.mapper.methods.submap_graph.submap_realignment import SubmapRealignment, align_cloud, cloud_of
+from service.mapper.methods.submap_graph.graph.submap_realignment import (
+    SubmapRealignment,
+    align_cloud,
+    cloud_of,
+)
 from service.outputs import GraphPicture
 
 SURFEL_POINTS = 2000  # of a sub-map, laid on the surfels of another
