@@ -54,6 +54,7 @@ class Viewer:
         self._socket = socket
         self.channels: dict[str, dict[str, Any]] = {}  # by topic
         self._came: list[tuple[str, int, Any]] = []  # topic, log time, message
+        self._wanted = ""  # the subscription
 
     async def wait_for_topics(self, *topics: str) -> None:
         while not {*topics} <= self.channels.keys():
@@ -62,7 +63,8 @@ class Viewer:
     async def subscribe(self, *topics: str) -> None:
         await self.wait_for_topics(*topics)
         wanted = [{"id": 100 + self.channels[t]["id"], "channelId": self.channels[t]["id"]} for t in topics]
-        await self._socket.send_str(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+        self._wanted = json.dumps({"op": "subscribe", "subscriptions": wanted})
+        await self._socket.send_str(self._wanted)
 
     async def next(self, topic: str) -> tuple[int, Any]:
         while True:
@@ -78,6 +80,9 @@ class Viewer:
             told = json.loads(message.data)
             if told["op"] == "advertise":
                 self.channels |= {channel["topic"]: channel for channel in told["channels"]}
+            elif told["op"] == "status" and "Unknown channel" in told["message"]:
+                # The SDK advertises a channel a moment before it lets anybody subscribe to it.
+                await self._socket.send_str(self._wanted)
             return
         assert message.type is aiohttp.WSMsgType.BINARY, message
         opcode, subscription, log_ns = struct.unpack_from("<BIQ", message.data)
