@@ -81,7 +81,8 @@ def test_a_signal_at_any_moment_ends_a_command_at_once(
         wait_until_it_takes_signals(process.pid)
         with pytest.raises(subprocess.TimeoutExpired):
             process.wait(at_s)
-        before_s = children_cpu_s() + cpu_s(process.pid)
+        family = descendants(process.pid)  # the mapper is in a session of its own
+        before_s = children_cpu_s() + sum(map(cpu_s, family))
         if name == "SIGINT":
             os.killpg(process.pid, signal.SIGINT)  # a terminal tells the whole group
         else:
@@ -93,7 +94,10 @@ def test_a_signal_at_any_moment_ends_a_command_at_once(
         assert more_s < MOST_CPU_S, where
         assert b"Traceback" not in said, where
         assert b"Exception ignored" not in said, where
-        until(lambda group=process.pid: not alive_in(group), f"the children to end; {where}")
+        until(
+            lambda group=process.pid, pids=family: not alive_in(group) and not pids & parents().keys(),
+            f"the children to end; {where}",
+        )
 
 
 @pytest.mark.timeout(300)
@@ -147,12 +151,26 @@ def until(what: Callable[[], bool], expected: str) -> None:
 
 def alive_in(group: int) -> list[int]:
     """Processes of a group that have not ended."""
-    found = []
+    return [pid for pid, (_, its_group) in parents().items() if its_group == group]
+
+
+def descendants(pid: int) -> set[int]:
+    """A process, its children, their children and so on, as far as they have not ended."""
+    found, more = set(), {pid}
+    while more:
+        found |= more
+        more = {child for child, (parent, _) in parents().items() if parent in found} - found
+    return found
+
+
+def parents() -> dict[int, tuple[int, int]]:
+    """Parent and group of each process that has not ended."""
+    found = {}
     for name in filter(str.isdigit, os.listdir("/proc")):
         try:
-            state = Path(f"/proc/{name}/stat").read_text().rpartition(")")[2].split()
+            state, parent, group = Path(f"/proc/{name}/stat").read_text().rpartition(")")[2].split()[:3]
         except (FileNotFoundError, ProcessLookupError):
             continue
-        if int(state[2]) == group and state[0] != "Z":
-            found.append(int(name))
+        if state != "Z":
+            found[int(name)] = int(parent), int(group)
     return found
