@@ -66,9 +66,8 @@ class MapRequest(Request):
     version: Annotated[int, Field(ge=1)] | None = None
 
 
-FindMap = Callable[
-    [str, int | None], tuple[Path, int]
-]  # name, version -> folder, version that can be begun in
+# name, version -> folder, version that can be begun in
+FindMap = Callable[[str, int | None], tuple[Path, int]]
 
 
 class CarryOut(Protocol):

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -83,12 +84,8 @@ def without_time(graph: SavedGraph, from_ns: int, to_ns: int, is_bridged: bool) 
         piece=piece[is_kept],
         xy_base=graph.xy_base[points_kept],
         normals=graph.normals[points_kept],
+        **_loops_of(graph, loops_kept),
         loop_ends=number[graph.loop_ends[loops_kept]],
-        loop_measured=graph.loop_measured[loops_kept],
-        loop_covariance=graph.loop_covariance[loops_kept],
-        loop_score=graph.loop_score[loops_kept],
-        loop_points=graph.loop_points[loops_kept],
-        loop_against=graph.loop_against[loops_kept],
         refused=graph.refused.renumbered(number, is_kept),
         by_hand=graph.by_hand.without_keyframes(is_kept, graph.map),
     )
@@ -139,16 +136,18 @@ def without_loops(graph: SavedGraph, numbers: Sequence[int]) -> SavedGraph:
     kept = np.setdiff1d(np.arange(count), numbers)
     less = replace(
         graph,
+        **_loops_of(graph, kept),
         loop_ends=graph.loop_ends[kept],
-        loop_measured=graph.loop_measured[kept],
-        loop_covariance=graph.loop_covariance[kept],
-        loop_score=graph.loop_score[kept],
-        loop_points=graph.loop_points[kept],
-        loop_against=graph.loop_against[kept],
         refused=graph.refused.and_also(_refused(graph, numbers)),
     )
     _refuse_if_apart(groups(graph), less, "--add-pair holds them together, or cut one of them away first")
     return less
+
+
+def _loops_of(graph: SavedGraph, kept: Any) -> dict[str, Any]:
+    """What the graph says of some of its loops, by field; without the key frames that they join."""
+    names = ("loop_measured", "loop_covariance", "loop_score", "loop_points", "loop_against")
+    return {name: getattr(graph, name)[kept] for name in names}
 
 
 def solved(graph: SavedGraph, renderer: MapRenderer, config: LoopsConfig | None = None) -> Solved:
