@@ -1,7 +1,6 @@
 """map info, verify, log, loops, diff, merge, edit: work on stored maps."""
 
 import argparse
-import getpass
 import time
 from typing import Any
 
@@ -70,7 +69,7 @@ def _edit(parsed: argparse.Namespace) -> dict[str, Any]:
     for option, change in _ONLY_WITH.items():
         if _is_given(parsed, option) and not _is_given(parsed, change):
             raise UsageError(f"map edit: --{option} goes with --{change.replace('_', '-')}")
-    who, now_ns = parsed.who or _user(), time.time_ns()
+    who, now_ns = parsed.who or map_edit.user_name(), time.time_ns()
     if parsed.undo:
         return map_edit.undo(parsed.map, parsed.to, who, now_ns)
     changes = {
@@ -91,10 +90,3 @@ def _edit(parsed: argparse.Namespace) -> dict[str, Any]:
 def _is_given(parsed: argparse.Namespace, option: str) -> bool:
     given = getattr(parsed, option)
     return given is not None and given is not False  # 0 is given
-
-
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (OSError, KeyError):  # a user without a name, as in a container
-        return "unknown"

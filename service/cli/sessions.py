@@ -138,18 +138,18 @@ def view(parsed: argparse.Namespace) -> int:
         return 0
     if parsed.save is not None:
         raise UsageError("--save: a recording is written for rerun; give --rerun, too")
-    from service.offline.view import open_view
+    from service.offline.view import View
 
     _check_listen(parsed.listen)
-    server = open_view(parsed.source, parsed.listen)
+    shown = View(parsed.source, parsed.listen)
     try:
-        print_result({"source": str(parsed.source), "address": server.address}, parsed.json)
+        print_result({"source": str(parsed.source), "address": shown.address}, parsed.json)
         sys.stdout.flush()
         threading.Event().wait()  # until a signal
     except KeyboardInterrupt:
         return 0
     finally:
-        server.close()
+        shown.close()
     return 0
 
 

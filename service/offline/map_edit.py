@@ -1,9 +1,11 @@
 """`corridor map edit`: what a person changes in a stored map. Each change is a version; none is lost."""
 
+import getpass
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,10 @@ from service.mapstore.files import StoredMap, load_map, restore_version, save_ma
 from service.mapstore.in_use import InUse
 from service.outputs import UNKNOWN
 
+MOST_NAMED = 3  # places of pairs in the words of an edit
+LARGEST_M2 = 10_000.0  # of the rectangle around an area, or a piece of a wall: 4 million cells of 5 cm
+FURTHEST_M = 100_000.0  # from the origin
+
 
 @dataclass(frozen=True, slots=True)
 class Changed:
@@ -43,16 +49,25 @@ class Changed:
 Change = Callable[[StoredMap], Changed]
 
 
-def edit_map(folder: Path, what: str, change: Change, who: str, now_ns: int) -> dict[str, Any]:
+class OvertakenError(InputError):
+    """The map has changed since the person looked at it."""
+
+
+def edit_map(
+    folder: Path, what: str, change: Change, who: str, now_ns: int, seen: int | None = None
+) -> dict[str, Any]:
     """Make one change to the current version; a summary for JSON.
 
     what    name of the change;  now_ns  Unix time
+    seen    number of the version that the person looked at; None: whichever is current
 
-    Raises InputError where the map cannot be read or the change cannot be made, StorageError where the
-    folder cannot be written or a session goes on in the map; then nothing is changed.
+    Raises InputError where the map cannot be read or the change cannot be made, OvertakenError where `seen`
+    is not current any more, StorageError where the folder cannot be written or a session goes on in the map;
+    then nothing is changed.
     """
     with InUse(folder, "corridor map edit"):
         before = load_map(folder)
+        _refuse_if_overtaken(folder, before.number, seen)
         try:
             changed = change(before)
         except EditError as error:
@@ -70,13 +85,14 @@ def edit_map(folder: Path, what: str, change: Change, who: str, now_ns: int) -> 
     }
 
 
-def undo(folder: Path, to: int | None, who: str, now_ns: int) -> dict[str, Any]:
+def undo(folder: Path, to: int | None, who: str, now_ns: int, seen: int | None = None) -> dict[str, Any]:
     """Make the version before the newest edit, or version `to`, the current one again; a summary for JSON.
 
-    Raises InputError where there is nothing to go back to, StorageError as edit_map.
+    Raises InputError where there is nothing to go back to, OvertakenError and StorageError as edit_map.
     """
     with InUse(folder, "corridor map edit"):
         versions, current, _ = versions_of(folder)
+        _refuse_if_overtaken(folder, current, seen)
         if to is None:
             undone, back_to = undone_by(versions, current)
             what = undone.edit.words if undone.edit is not None else ""
@@ -90,6 +106,7 @@ def undo(folder: Path, to: int | None, who: str, now_ns: int) -> dict[str, Any]:
 def erase(corners: Sequence[float], is_free: bool) -> Change:
     """An area is gone from the shown map, and from what vehicles are localised against."""
     outline = points_of(corners, least=3)
+    _refuse_if_large(outline, "the area", "erase it in parts")
     if area_m2(outline) < 1e-4:
         raise UsageError("map edit --erase: the corners X Y X Y X Y... enclose no area")
 
@@ -109,6 +126,8 @@ def erase(corners: Sequence[float], is_free: bool) -> Change:
 def wall(corners: Sequence[float]) -> Change:
     """A wall stands from now on, whatever lasers see through it."""
     line = points_of(corners, least=2)
+    for piece in pairwise(line):
+        _refuse_if_large(np.array(piece), "a piece of the wall", "draw it through more points")
     length_m = float(np.hypot(*np.diff(line, axis=0).T).sum())
 
     def change(stored: StoredMap) -> Changed:
@@ -131,6 +150,25 @@ def cut(from_to: Sequence[str], is_bridged: bool) -> Change:
         loops = len(graph.loop_ends) - len(less.loop_ends)
         words = f"cut {gone} key frames out, and {loops} loops with them"
         return _solved(stored, less, words, {"keyframes_gone": gone, "loops_gone": loops})
+
+    return change
+
+
+def add_pairs(pairs: Sequence[tuple[Sequence[float], Sequence[int]]]) -> Change:
+    """Several times two points of the map, X1 Y1 X2 Y2, are one place, and two key frames saw them; solved
+    once.
+    """
+    spots = [(points_of(points, least=2), keyframes) for points, keyframes in pairs]
+
+    def change(stored: StoredMap) -> Changed:
+        before = graph = _graph_of(stored)
+        for points, keyframes in spots:
+            graph = with_pair(graph, points, keyframes)
+        first = len(before.by_hand.pair_ends)
+        named = f"pair {first}" if len(spots) == 1 else f"pairs {first} to {first + len(spots) - 1}"
+        about = ", ".join(_at(points.mean(axis=0)) for points, _ in spots[:MOST_NAMED])
+        words = f"{named} about {about}{' ...' * (len(spots) > MOST_NAMED)}"
+        return _solved(stored, graph, words, {"pairs": len(spots)})
 
     return change
 
@@ -176,6 +214,14 @@ def optimize() -> Change:
     return change
 
 
+def user_name() -> str:
+    """Who calls the command; "unknown" for a user without a name, as in a container."""
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):
+        return "unknown"
+
+
 def points_of(numbers: Sequence[float], least: int) -> Floats:
     """(C, 2) m. Raises UsageError where these are no points, or fewer than `least`."""
     if len(numbers) % 2 or len(numbers) < 2 * least or not all(map(math.isfinite, numbers)):
@@ -218,6 +264,14 @@ def _solved(stored: StoredMap, graph: SavedGraph, words: str, told: dict[str, An
     )
 
 
+def _refuse_if_overtaken(folder: Path, current: int, seen: int | None) -> None:
+    if seen is not None and seen != current:
+        raise OvertakenError(
+            f"{folder}: the map is at version {current}, and the change was meant for version {seen}; "
+            "look at it again"
+        )
+
+
 def _graph_of(stored: StoredMap) -> SavedGraph:
     if stored.graph is None:
         raise EditError(
@@ -225,6 +279,19 @@ def _graph_of(stored: StoredMap) -> SavedGraph:
             "drawn, and nothing else"
         )
     return stored.graph
+
+
+def _refuse_if_large(points: Floats, what: str, instead: str) -> None:
+    """What cells are looked for in: the rectangle around (C, 2) m. Raises UsageError."""
+    if (most_m := float(np.abs(points).max())) > FURTHEST_M:
+        raise UsageError(
+            f"{what} reaches {most_m:.0f} m from the origin; at most {FURTHEST_M:.0f} m are taken"
+        )
+    width_m, height_m = np.ptp(points, axis=0).tolist()
+    if width_m * height_m > LARGEST_M2:
+        raise UsageError(
+            f"{what} spans {width_m:.0f} m x {height_m:.0f} m, more than {LARGEST_M2:.0f} m2; {instead}"
+        )
 
 
 def _middle(points: Floats) -> str:

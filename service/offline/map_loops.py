@@ -38,7 +38,7 @@ def map_loops(folder: Path, version: int | None = None) -> dict[str, Any]:
             {"why": WORDS[reason], **told}
             for reason, told in zip(refused.reason.tolist(), not_believed, strict=True)
         ],
-        "pairs": _pairs(graph),
+        "pairs": pairs_of(graph),
         "problems": stored.problems,
     }
 
@@ -104,7 +104,7 @@ def _told(
     ]
 
 
-def _pairs(graph: SavedGraph) -> list[dict[str, Any]]:
+def pairs_of(graph: SavedGraph) -> list[dict[str, Any]]:
     """What a person says is one place, and how far apart it lies still."""
     ends, seen = graph.by_hand.pair_ends, graph.by_hand.pair_xy
     xy = se2.points_from(graph.map[ends], seen)
@@ -115,6 +115,8 @@ def _pairs(graph: SavedGraph) -> list[dict[str, Any]]:
             "keyframes": ends[k].tolist(),
             "x_m": round(float(xy[k, 0, 0]), 2),
             "y_m": round(float(xy[k, 0, 1]), 2),
+            "other_x_m": round(float(xy[k, 1, 0]), 2),
+            "other_y_m": round(float(xy[k, 1, 1]), 2),
             "apart_mm": round(1e3 * float(apart_m[k]), 1),
         }
         for k in range(len(ends))

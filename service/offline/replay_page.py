@@ -7,7 +7,6 @@ same with and without it. Pictures are made in the thread that maps, ten a secon
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -30,8 +29,9 @@ from service.geometry.se2 import SE2
 from service.mapper.mapping_session import MappingSession
 from service.mapstore.tiles import TileStore
 from service.offline.pace import Pace
+from service.offline.shown_tiles import ShownTiles
 from service.offline.view import start_serving
-from service.outputs import NO_GRAPH, UNKNOWN, GraphPicture, MapperOutput, TileUpdate
+from service.outputs import NO_GRAPH, GraphPicture, MapperOutput, TileUpdate
 from service.publishing.commands import Answer, refusal
 from service.recording.mcap_source import Session
 from service.web.access import new_token
@@ -81,7 +81,7 @@ class ReplayPage:
     def __init__(self, listen: str, name: str, rate: float, is_paused: bool = False) -> None:
         self._pace = Pace(rate, is_paused)
         self._store = TileStore()
-        self._shown: dict[tuple[int, int], TileUpdate] = {}  # as the store has them
+        self._shown = ShownTiles(self._store)
         self._session: Session | None = None
         self._mapper: MappingSession | None = None
         self._log_ns = 0  # of the step that is taken
@@ -139,7 +139,7 @@ class ReplayPage:
         self._tell_status()
 
     def finished(self, tiles: Sequence[TileUpdate], poses_map_base: Sequence[SE2]) -> None:
-        self._take_tiles(tiles)
+        self._shown.take(tiles)
         self._show_graph()
         self._server.put_path(np.array([(p.x_m, p.y_m) for p in poses_map_base], np.float32).reshape(-1, 2))
         self._way.clear()
@@ -147,7 +147,7 @@ class ReplayPage:
         self._tell_status()
 
     def _begin_map(self) -> None:
-        self._take_tiles([])
+        self._shown.take([])
         self._server.put_path(np.empty((0, 2), np.float32))
         self._way.clear()
         self._server.put(encode_graph(NO_GRAPH, self._log_ns))
@@ -174,7 +174,7 @@ class ReplayPage:
         if self._mapper is None or self._output is None:
             return
         began_s = time.monotonic()
-        self._take_tiles(self._mapper.tiles())
+        self._shown.take(self._mapper.tiles())
         self._show_graph()
         now_s = time.monotonic()
         self._tiles_due_s = now_s + max(TILES_S, LEAST_REST * (now_s - began_s))
@@ -184,19 +184,6 @@ class ReplayPage:
         if picture is not None and picture is not self._graph:
             self._graph = picture
             self._server.put(encode_graph(picture, self._log_ns))
-
-    def _take_tiles(self, tiles: Sequence[TileUpdate]) -> None:
-        """Hand on what differs from what is shown; a tile that is not there any more becomes unknown."""
-        present = {(tile.ix, tile.iy): tile for tile in tiles}
-        changed = [tile for key, tile in present.items() if not _is_same(self._shown.get(key), tile)]
-        changed += [
-            replace(tile, cells=np.full_like(tile.cells, UNKNOWN))
-            for key, tile in self._shown.items()
-            if key not in present
-        ]
-        first = self._store.version + 1
-        self._store.update(replace(tile, version=version) for version, tile in enumerate(changed, first))
-        self._shown = present
 
     def _tell_status(self) -> None:
         assert self._session is not None
@@ -274,7 +261,3 @@ class ReplayPage:
                 act: Callable[[], Any] = self._pace.pause if verb == "replay_pause" else self._pace.resume
                 act()
         return Answer(True, json.dumps({"ok": True, "position_s": round(self._position_s(), 3)}).encode())
-
-
-def _is_same(shown: TileUpdate | None, tile: TileUpdate) -> bool:
-    return shown is not None and np.array_equal(shown.cells, tile.cells)

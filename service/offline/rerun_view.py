@@ -30,7 +30,7 @@ WAY_COLOUR, LOOP_COLOUR, REFUSED_COLOUR, BORDER_COLOUR = (
 def show_in_rerun(source: Path, save: Path | None = None) -> None:
     """Open rerun's viewer, or write a recording of its own kind (.rrd) to `save`; returns at once.
 
-    source   as of open_view
+    source   as of View
 
     Raises InputError where there is no map in it, CorridorError where rerun is not installed or does not
     start, StorageError where `save` cannot be written.

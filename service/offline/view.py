@@ -1,4 +1,4 @@
-"""A stored map or the result of a replay on the operator's page: nothing is live, nothing is commanded."""
+"""A stored map or the result of a replay on the operator's page: nothing is live; a map can be edited."""
 
 import math
 import time
@@ -10,10 +10,15 @@ import numpy.typing as npt
 
 from service.encoding import OK, Status, encode_diagnostics, encode_graph
 from service.errors import InputError, StorageError
+from service.geometry.poses import Floats
 from service.mapper.graph.graph_picture import draw, draw_saved
-from service.mapstore.files import is_map_folder, load_map
+from service.mapper.saved_graph import SavedGraph
+from service.mapstore.files import StoredMap, is_map_folder, load_map, versions_of
 from service.mapstore.ros_map import read_ros_map
 from service.mapstore.tiles import TileStore
+from service.offline.bent_way import bent_way
+from service.offline.map_desk import MapDesk
+from service.offline.shown_tiles import ShownTiles
 from service.offline.trajectory import read_tum
 from service.outputs import NO_GRAPH, UNKNOWN, GraphPicture, Grid, TileUpdate
 from service.publishing.commands import Answer, refusal
@@ -25,27 +30,78 @@ EDGE = 64  # cells along a tile
 SERVED_WITHIN_S = 5.0
 
 
-def open_view(source: Path, listen: str) -> WebServer:
-    """Serve the page with what `source` holds; the caller closes it.
+class View:
+    """A page that shows one stored map or result, and what becomes of it, until `close`.
 
     source    the folder of a stored map, one that a replay wrote, or one with the map.yaml of a ROS map
     listen    as web.listen in a config
 
     Raises InputError where there is no map in it, StorageError where the page cannot be served.
     """
-    (tiles, graph), path_map = read_stored(source), _path(source)
-    store = TileStore()
-    store.update(tiles)
-    about = About(source.resolve().name, "stored", list)
-    server = WebServer(WebConfig(listen=listen), about, store, _refuse, new_token())
-    server.put_path(path_map)
-    words = f"{source}: {len(tiles)} tiles, {len(path_map)} poses; nothing is measured"
-    now_ns = time.time_ns()
-    state = Status("mapping", OK, words, {"state": "stored"})
-    server.put(encode_diagnostics("diagnostics", [state], now_ns, now_ns))
-    server.put(encode_graph(graph, now_ns))
-    start_serving(server)
-    return server
+
+    def __init__(self, source: Path, listen: str) -> None:
+        self.token = new_token()
+        self._source = source
+        self._trajectory = _trajectory(source)
+        self._store = TileStore()
+        self._tiles = ShownTiles(self._store)
+        self._mapped: SavedGraph | None = None  # as it was when the trajectory was written
+        folder = map_folder(source)
+        desk = None
+        if folder is not None:
+            stored = load_map(folder)
+            self._mapped = _before_edits(folder, stored)
+            desk = MapDesk(folder, stored, self._show_stored)
+        about = About(source.resolve().name, "stored", lambda: desk.verbs if desk is not None else ())
+        answer = desk.answer if desk is not None else _refuse
+        self._server = WebServer(WebConfig(listen=listen), about, self._store, answer, self.token)
+        if folder is not None:
+            self._show_stored(stored)
+        else:
+            self._show(*read_stored(source), self._trajectory[1][:, :2], {})
+        start_serving(self._server)
+
+    @property
+    def address(self) -> str:
+        """With the token, which changes need."""
+        return f"{self._server.address}#token={self.token}"
+
+    def close(self) -> None:
+        self._server.close()
+
+    def _show_stored(self, stored: StoredMap) -> None:
+        stamp_ns, poses = self._trajectory
+        way = poses[:, :2]
+        if self._mapped is not None and stored.graph is not None:
+            way = bent_way(stamp_ns, poses, self._mapped, stored.graph)
+        graph = NO_GRAPH if stored.graph is None else draw_saved(stored.graph)
+        self._show(stored.tiles, graph, way, {"version": str(stored.number)})
+
+    def _show(
+        self, tiles: Sequence[TileUpdate], graph: GraphPicture, way_map: Floats, told: dict[str, str]
+    ) -> None:
+        now_ns = time.time_ns()
+        self._tiles.take(tiles)
+        self._server.put_path(way_map.astype(np.float32))
+        self._server.put(encode_graph(graph, now_ns))
+        version = f" of version {told['version']}" if told else ""
+        words = f"{self._source}: {len(tiles)} tiles{version}, {len(way_map)} poses; nothing is measured"
+        state = Status("mapping", OK, words, {"state": "stored", **told})
+        self._server.put(encode_diagnostics("diagnostics", [state], now_ns, now_ns))
+
+
+def map_folder(source: Path) -> Path | None:
+    """The stored map in what View takes; a replay stores it in a folder of its own. None: there is none."""
+    return next((folder for folder in (source, source / "map") if is_map_folder(folder)), None)
+
+
+def _before_edits(folder: Path, stored: StoredMap) -> SavedGraph | None:
+    """The graph of the newest version that no edit made."""
+    if stored.edit is None:
+        return stored.graph
+    versions, _, _ = versions_of(folder)
+    mapped = [version.number for version in versions if version.edit is None]
+    return load_map(folder, mapped[-1]).graph if mapped else None
 
 
 def start_serving(server: WebServer) -> None:
@@ -75,11 +131,10 @@ def tiles_of_grid(grid: Grid) -> list[TileUpdate]:
 
 
 def read_stored(source: Path) -> tuple[Sequence[TileUpdate], GraphPicture]:
-    """Map and graph of what open_view takes. Raises InputError where there is no map in it."""
-    for folder in (source, source / "map"):  # a replay stores its map in a folder of its own, where it can
-        if is_map_folder(folder):
-            stored = load_map(folder)
-            return stored.tiles, NO_GRAPH if stored.graph is None else draw_saved(stored.graph)
+    """Map and graph of what View takes. Raises InputError where there is no map in it."""
+    if (folder := map_folder(source)) is not None:
+        stored = load_map(folder)
+        return stored.tiles, NO_GRAPH if stored.graph is None else draw_saved(stored.graph)
     if not (source / "map.yaml").is_file():
         raise InputError(f"{source}: no map in it; give the folder of a stored map or of a replay's result")
     return tiles_of_grid(read_ros_map(source / "map.yaml")), _graph_of_g2o(source / "graph.g2o")
@@ -107,13 +162,14 @@ def _graph_of_g2o(path: Path) -> GraphPicture:
     return draw(0, xy_map, np.zeros(len(row), np.int64), np.array(ends, np.int64).reshape(-1, 2), none)
 
 
-def _path(source: Path) -> npt.NDArray[np.float32]:
-    """(N, 2), m, map frame; none where there is no trajectory."""
+def _trajectory(source: Path) -> tuple[npt.NDArray[np.int64], Floats]:
+    """(N,) stamps, ns, and (N, 3) poses in the map; none where there is no trajectory."""
     trajectory = source / "trajectory.tum"
     if not trajectory.is_file():
-        return np.empty((0, 2), np.float32)
-    return read_tum(trajectory).pose[:, :2].astype(np.float32)
+        return np.empty(0, np.int64), np.empty((0, 3))
+    read = read_tum(trajectory)
+    return read.stamp_ns, read.pose
 
 
 def _refuse(verb: str, payload: bytes) -> Answer:
-    return refusal("this is a stored map; there is no vehicle to command")
+    return refusal("this is a picture of a map and cannot be changed; give the folder of a stored map")

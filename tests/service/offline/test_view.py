@@ -13,7 +13,7 @@ from service.mapstore.files import save_map
 from service.mapstore.picture import picture_of_grid
 from service.mapstore.ros_map import write_ros_map
 from service.offline.trajectory import write_tum
-from service.offline.view import open_view, tiles_of_grid
+from service.offline.view import View, tiles_of_grid
 from service.outputs import FREE, OCCUPIED, UNKNOWN, Grid, TileUpdate
 from tests.service.web.conftest import TIMEOUT_S, talk
 
@@ -27,12 +27,12 @@ def show():
     opened = []
 
     def open_one(source, listen=ANY_PORT):
-        opened.append(open_view(source, listen))
+        opened.append(View(source, listen))
         return opened[-1]
 
     yield open_one
-    for server in opened:
-        server.close()
+    for view in opened:
+        view.close()
 
 
 def grid(x_min_m: float, y_min_m: float) -> Grid:
@@ -91,7 +91,7 @@ def test_the_graph_of_a_g2o_file_is_shown_with_its_loops(show, tmp_path):
     talk(show(tmp_path), look)
     (tmp_path / "graph.g2o").write_text("VERTEX_SE2 0 here 0 0\n")
     with pytest.raises(InputError, match=r"graph\.g2o:1: .*no line of a g2o"):
-        open_view(tmp_path, ANY_PORT)
+        View(tmp_path, ANY_PORT)
 
 
 @pytest.mark.parametrize("origin", [(0.0, 0.0), (-3.2, 6.4), (-1.35, -7.05), (12.349, 0.02)])
@@ -110,16 +110,16 @@ def test_every_cell_of_a_grid_lies_in_a_tile_where_it_lay(origin):
 
 def test_a_folder_without_a_map_is_refused(tmp_path):
     with pytest.raises(InputError, match="no map in it"):
-        open_view(tmp_path, ANY_PORT)
+        View(tmp_path, ANY_PORT)
 
 
 def test_a_port_that_is_taken_is_said(show, tmp_path, monkeypatch):
     monkeypatch.setattr("service.offline.view.SERVED_WITHIN_S", 0.5)
     save_map(tmp_path / "m", [TileUpdate(0, 0, 0, 1, 0.05, np.zeros((64, 64), np.int8))], 1)
     first = show(tmp_path / "m")
-    taken = first.address.removeprefix("http://").rstrip("/")
+    taken = first.address.partition("#")[0].removeprefix("http://").rstrip("/")
     with pytest.raises(StorageError, match="--listen"):
-        open_view(tmp_path / "m", taken)
+        View(tmp_path / "m", taken)
 
 
 def test_the_command_says_where_it_shows_until_it_is_interrupted(tmp_path):

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import aiohttp
 import pytest
@@ -113,12 +113,19 @@ def _read(message: aiohttp.WSMessage) -> tuple[str | int, Any]:
     return message.data[0], message.data
 
 
-def talk(server: WebServer, conversation: Callable[[Client], Awaitable[None]]) -> None:
+class Addressed(Protocol):
+    """Anything that serves the page."""
+
+    @property
+    def address(self) -> str: ...
+
+
+def talk(server: Addressed, conversation: Callable[[Client], Awaitable[None]]) -> None:
     """Hold it, and close what was opened."""
 
     async def hold() -> None:
         async with aiohttp.ClientSession() as session:
-            await conversation(Client(session, server.address))
+            await conversation(Client(session, server.address.partition("#")[0]))
 
     asyncio.run(hold())
 

@@ -49,7 +49,9 @@ def round_the_ring(way_m: float) -> SE2:
     raise AssertionError(turns)
 
 
-def key_frames(rounds: float, seed: int = 0) -> tuple[list[KeyFrame], list[SE2]]:
+def key_frames(
+    rounds: float, seed: int = 0, turn_error_radpm: float = TURN_ERROR_RADPM
+) -> tuple[list[KeyFrame], list[SE2]]:
     """And the truth, seen from the first."""
     noise = np.random.default_rng(seed)
     angle = FIRST_RAD + STEP_RAD * np.arange(BEAMS)
@@ -60,7 +62,7 @@ def key_frames(rounds: float, seed: int = 0) -> tuple[list[KeyFrame], list[SE2]]
         truth.append(pose)
         if k:
             step = truth[-2].inverse() @ pose
-            accepted = accepted @ SE2(step.x_m, step.y_m, step.theta_rad + TURN_ERROR_RADPM * STEP_M)
+            accepted = accepted @ SE2(step.x_m, step.y_m, step.theta_rad + turn_error_radpm * STEP_M)
         origins = np.tile([pose.x_m, pose.y_m], (BEAMS, 1))
         ways = np.column_stack((np.cos(angle + pose.theta_rad), np.sin(angle + pose.theta_rad)))
         range_m = cast(RING, origins, ways) + 0.005 * noise.standard_normal(BEAMS)

@@ -1,0 +1,140 @@
+"""Carries out what the operator's page asks of a stored map, by the same code as `corridor map edit`."""
+
+import json
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from service.errors import CorridorError, InputError
+from service.geometry import poses as se2
+from service.mapper.saved_graph import SavedGraph
+from service.mapstore.files import StoredMap, load_map
+from service.offline import map_asked as asked_for
+from service.offline import map_edit
+from service.offline.map_log import map_log
+from service.offline.map_loops import pairs_of
+from service.publishing.commands import Answer, refusal
+
+MOST_KEYFRAMES = 20_000  # told to a page; then every second, third ... is left out
+MOST_VERSIONS = 50
+
+
+class MapDesk:
+    """The commands of one stored map, from any thread; one change at a time.
+
+    stored    what the folder holds now
+    show      called with each newer version of it, by the thread that made or found it
+    """
+
+    verbs = asked_for.VERBS
+
+    def __init__(self, folder: Path, stored: StoredMap, show: Callable[[StoredMap], None]) -> None:
+        self._folder = folder
+        self._stored = stored
+        self._show = show
+        self._changing = threading.Lock()
+        self._user = map_edit.user_name()
+
+    def answer(self, verb: str, payload: bytes) -> Answer:
+        """JSON in, JSON out; what cannot be done is said in words."""
+        try:
+            asked = asked_for.read_asked(verb, payload)
+            match asked:
+                case asked_for.Look():
+                    told = self._look()
+                case asked_for.LookAtKeyframe():
+                    told = self._keyframe(asked)
+                case asked_for.Edit():
+                    told = self._edit(asked)
+        except CorridorError as error:
+            return refusal(str(error))
+        return Answer(True, json.dumps({"ok": True, **told}).encode())
+
+    def _look(self) -> dict[str, Any]:
+        stored, log = self._stored, map_log(self._folder)
+        graph = stored.graph
+        return {
+            "version": stored.number,
+            "versions": log["versions"][-MOST_VERSIONS:],
+            "problems": log["problems"],
+            "user": self._user,
+            "pairs": [] if graph is None else pairs_of(graph),
+            "keyframes": None if graph is None else _keyframes(graph),
+        }
+
+    def _keyframe(self, asked: asked_for.LookAtKeyframe) -> dict[str, Any]:
+        stored = self._stored
+        if asked.version != stored.number:
+            raise InputError(
+                f"the map is at version {stored.number}, and this is of version {asked.version}; "
+                "look at it again"
+            )
+        if stored.graph is None or asked.keyframe >= len(stored.graph):
+            raise InputError(f"there is no key frame {asked.keyframe} in this map")
+        graph, k = stored.graph, asked.keyframe
+        first = int(graph.point_count[:k].sum())
+        seen = graph.xy_base[first : first + int(graph.point_count[k])].astype(np.float64)
+        points = se2.points_from(graph.map[k], seen)
+        return {"keyframe": k, "pose": graph.map[k].tolist(), "points": np.round(points, 4).ravel().tolist()}
+
+    def _edit(self, asked: asked_for.Edit) -> dict[str, Any]:
+        if not self._changing.acquire(blocking=False):
+            raise InputError("another change of this map is being made; wait until it is done")
+        try:
+            return self._edit_alone(asked)
+        except map_edit.OvertakenError:
+            self._take(load_map(self._folder))
+            raise
+        finally:
+            self._changing.release()
+
+    def _edit_alone(self, asked: asked_for.Edit) -> dict[str, Any]:
+        who, now_ns = asked.who.strip() or self._user, time.time_ns()
+        change = asked.change
+        if isinstance(change, asked_for.Undo):
+            told = map_edit.undo(self._folder, change.to, who, now_ns, asked.version)
+        else:
+            edit = _as_edit(change)
+            told = map_edit.edit_map(self._folder, change.what, edit, who, now_ns, asked.version)
+        self._take(load_map(self._folder))
+        return told
+
+    def _take(self, stored: StoredMap) -> None:
+        self._stored = stored
+        self._show(stored)
+
+
+def _as_edit(change: asked_for.ChangeAsked) -> map_edit.Change:
+    match change:
+        case asked_for.Erase():
+            return map_edit.erase(np.ravel(change.corners).tolist(), change.free)
+        case asked_for.Wall():
+            return map_edit.wall(np.ravel(change.corners).tolist())
+        case asked_for.Cut():
+            return map_edit.cut((repr(change.from_s), repr(change.to_s)), change.bridge)
+        case asked_for.AddPairs():
+            pairs = [(np.ravel(pair.points).tolist(), pair.keyframes) for pair in change.pairs]
+            return map_edit.add_pairs(pairs)
+        case asked_for.RemovePair():
+            return map_edit.remove_pair(change.pair)
+        case asked_for.Optimize():
+            return map_edit.optimize()
+        case asked_for.Undo():
+            raise TypeError("an undo is no change of what the map holds")
+
+
+def _keyframes(graph: SavedGraph) -> dict[str, Any]:
+    """Where and when: lists by rising number, of each `every`-th key frame."""
+    every = -(-len(graph) // MOST_KEYFRAMES) or 1
+    seconds = (graph.stamp_ns - graph.stamp_ns.min()) / 1e9 if len(graph) else np.zeros(0)
+    return {
+        "count": len(graph),
+        "every": every,
+        "x_m": np.round(graph.map[::every, 0], 3).tolist(),
+        "y_m": np.round(graph.map[::every, 1], 3).tolist(),
+        "at_s": np.round(seconds[::every], 3).tolist(),
+    }

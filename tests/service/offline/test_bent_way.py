@@ -1,0 +1,53 @@
+"""The way that was driven, in a map that was bent and cut afterwards."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.geometry import poses as se2
+from service.mapper.methods.corridor.graph.editing import without_time
+from service.offline.bent_way import bent_way
+from tests.service.mapper.methods.corridor.graph.test_editing import saved_of
+
+TENTH_NS = 10**8
+
+
+@pytest.fixture(scope="module")
+def graph():
+    return saved_of(0.3)
+
+
+@pytest.fixture(scope="module")
+def driven(graph):
+    """Four poses from one key frame to the next, the first of each lying on it."""
+    count = len(graph) - 1
+    ahead = np.tile([[0.0, 0, 0], [0.07, 0, 0], [0.14, 0.01, 0], [0.2, 0.02, 0.1]], (count, 1))
+    stamp_ns = np.repeat(graph.stamp_ns[:-1], 4) + np.tile(TENTH_NS // 4 * np.arange(4), count)
+    return stamp_ns, se2.compose(np.repeat(graph.map[:-1], 4, axis=0), ahead)
+
+
+def test_in_the_same_map_the_way_is_as_driven(graph, driven):
+    stamp_ns, poses = driven
+    np.testing.assert_allclose(bent_way(stamp_ns, poses, graph, graph), poses[:, :2], atol=1e-9)
+
+
+def test_each_pose_goes_with_the_key_frame_before_it(graph, driven):
+    stamp_ns, poses = driven
+    moved = graph.map.copy()
+    moved[10:] = se2.compose(np.array([3.0, -1.0, 0.4]), graph.map[10:])
+    expected = poses.copy()
+    expected[40:] = se2.compose(np.array([3.0, -1.0, 0.4]), poses[40:])
+    way = bent_way(stamp_ns, poses, graph, replace(graph, map=moved))
+    np.testing.assert_allclose(way, expected[:, :2], atol=1e-9)
+
+
+def test_what_was_cut_out_is_gone_from_the_way(graph, driven):
+    stamp_ns, poses = driven
+    cut = without_time(graph, int(graph.stamp_ns[5]), int(graph.stamp_ns[7]), is_bridged=True)
+    way = bent_way(stamp_ns, poses, graph, cut)
+    np.testing.assert_allclose(way, np.delete(poses[:, :2], np.arange(20, 32), axis=0), atol=1e-9)
+
+
+def test_without_a_trajectory_there_is_no_way(graph):
+    assert bent_way(np.empty(0, np.int64), np.empty((0, 3)), graph, graph).shape == (0, 2)
