@@ -110,9 +110,10 @@ class WebServer:
         self._dropped = self._refused = 0
         self._fault = "not started"
         self._address = ""
-        self._changed = threading.Condition()  # of _address and _fault
+        self._changed = threading.Condition()  # of _address and _fault; and guards _ending and _is_closed
         self._loop: asyncio.AbstractEventLoop | None = None
         self._ending: asyncio.Event | None = None
+        self._is_closed = False
         self._thread = threading.Thread(target=self._run, name="web-serve", daemon=True)
 
     @property
@@ -151,7 +152,9 @@ class WebServer:
 
     def close(self) -> None:
         """Let the browsers go, and the port. A second call does nothing."""
-        loop, ending = self._loop, self._ending
+        with self._changed:
+            self._is_closed = True  # for a thread that has not come as far as to listen for the end
+            loop, ending = self._loop, self._ending
         if loop is not None and ending is not None:
             with contextlib.suppress(RuntimeError):  # the loop has ended by itself
                 loop.call_soon_threadsafe(ending.set)
@@ -168,7 +171,10 @@ class WebServer:
         asyncio.run(self._serve())
 
     async def _serve(self) -> None:
-        self._loop, self._ending = asyncio.get_running_loop(), asyncio.Event()
+        with self._changed:
+            self._loop, self._ending = asyncio.get_running_loop(), asyncio.Event()
+            if self._is_closed:
+                return
         self._feed = TileFeed(self._tiles)
         runner = web.AppRunner(self._app(), access_log=None, handle_signals=False, shutdown_timeout=1.0)
         await runner.setup()

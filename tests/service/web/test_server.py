@@ -13,6 +13,7 @@ import pytest
 
 from service.encoding import encode_pose
 from service.web import browser
+from service.web.server import WebServer
 from tests.browser.scene import Scene, event, stamp
 from tests.service.mapstore.tile_makers import tile
 from tests.service.web.conftest import TIMEOUT_S, TOKEN, repeating, talk
@@ -363,6 +364,26 @@ def test_close_lets_browsers_and_port_go(serve):
     assert server.health().message == "stopped"
     with pytest.raises(ConnectionRefusedError):
         sockets.create_connection(host_and_port(address), 1.0)
+
+
+def test_a_page_that_is_closed_before_it_listens_is_not_left_behind(serve, monkeypatch):
+    closed, run = threading.Event(), WebServer._run
+
+    def run_late(self):
+        assert closed.wait(TIMEOUT_S)
+        run(self)
+
+    monkeypatch.setattr(WebServer, "_run", run_late)
+    server = serve(wait=False)
+    join = server._thread.join
+
+    def join_then(timeout_s):
+        closed.set()
+        join(timeout_s)
+
+    monkeypatch.setattr(server._thread, "join", join_then)
+    server.close()
+    assert not server._thread.is_alive()
 
 
 def test_a_certificate_makes_it_https(serve, tmp_path):
