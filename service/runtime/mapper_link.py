@@ -91,6 +91,7 @@ class MapperLink:
         self._server.setblocking(False)
         self._lock = threading.Lock()  # of what follows, down to the blank line
         self._active: Channel | None = None
+        self._given_up: list[Channel] = []  # active ones that take nothing any more, until they are closed
         self._kept: deque[Item] = deque()  # those after the stand-by's last
         self._keeps_items = True  # as long as there may be a stand-by that needs them
         self._number = 0  # of the last item submitted
@@ -173,10 +174,7 @@ class MapperLink:
             if answered is not None:
                 self._answers[item.number] = answered
             if self._active is not None and self._ready.is_set():
-                try:
-                    self._active.send(item)
-                except ChannelClosedError:
-                    self._active = None  # the thread of `run` sees to it
+                self._send(item)
 
     def run(self) -> None:
         """Listen until `close`. Raises MapperLostError."""
@@ -196,11 +194,17 @@ class MapperLink:
         with self._lock:
             self._is_finishing = True
             if self._active is not None:
-                try:
-                    self._active.send(Finish())
-                except ChannelClosedError:
-                    self._active = None
+                self._send(Finish())
         return self._finished.wait(timeout_s)
+
+    def _send(self, message: Any) -> None:
+        """Under the lock, to the active mapper. One that is gone is left to the thread of `run`."""
+        assert self._active is not None
+        try:
+            self._active.send(message)
+        except ChannelClosedError:
+            self._given_up.append(self._active)  # open still: that thread may be waiting for it
+            self._active = None
 
     def close(self) -> None:
         """End the process and its stand-by, whatever they do; `run` returns."""
@@ -208,7 +212,8 @@ class MapperLink:
 
     def clean_up(self) -> None:
         """When `run` has returned."""
-        channels = [self._active, *self._unidentified, self._standby[0] if self._standby else None]
+        standby = self._standby[0] if self._standby is not None else None
+        channels = [self._active, *self._given_up, *self._unidentified, standby]
         for channel in channels:
             if channel is not None:
                 channel.close()
@@ -254,9 +259,9 @@ class MapperLink:
         self._unidentified.remove(channel)
         hello = hellos[0]
         if not hello.is_standby:
-            channel.send(self._setup)
             with self._lock:
                 self._active, self._pid = channel, hello.pid
+            channel.send(self._setup)  # where it is gone by now, that is read next
             return
         if hello.of_pid != self._pid or hello.number < self._forgotten_number:
             # A copy of a mapper that is lost by now, which may have decided what it never told; or one that a
@@ -394,20 +399,21 @@ class MapperLink:
         self._listener.taken_over(how)
         with self._lock:
             self._active, self._pid, self._heard_s = channel, hello.pid, time.monotonic()
-            try:
-                channel.send(Go(self._done_number, decisions))
-                for item in self._kept:
-                    channel.send(item)
-                if self._is_finishing:
-                    channel.send(Finish())
-            except ChannelClosedError:
-                self._active = None  # the next turn finds it lost, too
+            for message in (
+                Go(self._done_number, decisions),
+                *self._kept,
+                *([Finish()] if self._is_finishing else []),
+            ):
+                if self._active is not None:  # else the next turn finds it lost, too
+                    self._send(message)
 
     def _end_active(self) -> None:
         with self._lock:
-            if self._active is not None:
-                self._active.close()
-                self._active = None
+            for channel in (self._active, *self._given_up):
+                if channel is not None:
+                    channel.close()
+            self._active = None
+            self._given_up.clear()
         _kill(self._pid)
         if self._process is not None and self._process.pid == self._pid:
             self._process.wait(END_S)

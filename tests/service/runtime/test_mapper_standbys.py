@@ -129,3 +129,22 @@ def test_a_copy_that_a_newer_one_has_overtaken_is_sent_away(link: MapperLink):
     assert isinstance(mapper.heard[-1], MakeStandby)  # it is heard that the newer one is gone
     assert is_sent_away(standby(link, LATE, 2, of_pid=FIRST))
     assert link.standby_pid == 0
+
+
+def test_the_connection_to_a_mapper_that_takes_nothing_any_more_is_closed(
+    link: MapperLink, monkeypatch: pytest.MonkeyPatch
+):
+    first_mapper(link)
+    second = standby(link, SECOND, 0, of_pid=FIRST)
+    until_standby(link, SECOND)
+    ours = link._active
+    assert ours is not None
+
+    def gone(message: object) -> None:
+        raise ChannelClosedError("Broken pipe")
+
+    monkeypatch.setattr(ours, "send", gone)
+    submit(link, 1)
+    second.until(2)
+    assert second.numbers() == [1]
+    assert ours.fileno() == -1
