@@ -5,11 +5,12 @@ Written apart from the simulators on purpose: an error in one of them cannot hid
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
+from service.geometry.poses import compose
 from service.geometry.se2 import SE2
 
 ROOM = [  # an L-shaped room with a pillar: (x0, y0, x1, y1), m
@@ -52,16 +53,28 @@ class Drive:
 
 def cast(walls: list[tuple[float, float, float, float]], origins: np.ndarray, ways: np.ndarray) -> np.ndarray:
     """Distance along each ray to the nearest wall, inf where there is none."""
-    nearest = np.full(len(origins), np.inf)
-    for x0, y0, x1, y1 in walls:
-        ex, ey = x1 - x0, y1 - y0
-        denominator = ways[:, 0] * ey - ways[:, 1] * ex
-        with np.errstate(divide="ignore", invalid="ignore"):
-            along = ((x0 - origins[:, 0]) * ey - (y0 - origins[:, 1]) * ex) / denominator
-            share = ((x0 - origins[:, 0]) * ways[:, 1] - (y0 - origins[:, 1]) * ways[:, 0]) / denominator
-        hit = (along > 0.0) & (share >= 0.0) & (share <= 1.0)
-        nearest = np.where(hit & (along < nearest), along, nearest)
-    return nearest
+    x0, y0, x1, y1 = (column[:, None] for column in np.array(walls).T)
+    ex, ey = x1 - x0, y1 - y0
+    to_x, to_y = x0 - origins[:, 0], y0 - origins[:, 1]
+    denominator = ways[:, 0] * ey - ways[:, 1] * ex
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = (to_x * ey - to_y * ex) / denominator
+        share = (to_x * ways[:, 1] - to_y * ways[:, 0]) / denominator
+    hit = (along > 0.0) & (share >= 0.0) & (share <= 1.0)
+    return np.where(hit, along, np.inf).min(axis=0)
+
+
+def poses_in_sweep(motion: Motion, begin_s: float) -> np.ndarray:
+    """(BEAMS, 3) where the base is at the moment of each beam: a parabola through begin, middle and end, seen
+    from the middle. What that leaves out of a motion in 15 ms is less than 0.1 mm.
+    """
+    sweep_s = (BEAMS - 1) * BEAM_NS * 1e-9
+    begin, middle, end = (motion(begin_s + share * sweep_s) for share in (0.0, 0.5, 1.0))
+    before, after = (np.array(astuple(middle.inverse() @ pose)) for pose in (begin, end))
+    u = np.linspace(-1.0, 1.0, BEAMS)[:, None]
+    x, y, turn = (0.5 * u * (after - before) + 0.5 * u * u * (after + before)).T
+    c, s = math.cos(middle.theta_rad), math.sin(middle.theta_rad)
+    return np.column_stack((middle.x_m + c * x - s * y, middle.y_m + s * x + c * y, middle.theta_rad + turn))
 
 
 def scan_at(
@@ -74,12 +87,9 @@ def scan_at(
     mounting: SE2 = MOUNTING,
 ) -> LaserScan:
     """One sweep; every beam leaves from where the laser is at its own moment."""
-    origins, ways = np.empty((BEAMS, 2)), np.empty((BEAMS, 2))
-    for i in range(BEAMS):
-        laser = motion((stamp_ns - start_ns + i * BEAM_NS) * 1e-9) @ mounting
-        angle = laser.theta_rad + FIRST_RAD + i * STEP_RAD
-        origins[i] = laser.x_m, laser.y_m
-        ways[i] = math.cos(angle), math.sin(angle)
+    laser = compose(poses_in_sweep(motion, (stamp_ns - start_ns) * 1e-9), np.array(astuple(mounting)))
+    origins, angle = laser[:, :2], laser[:, 2] + FIRST_RAD + STEP_RAD * np.arange(BEAMS)
+    ways = np.column_stack((np.cos(angle), np.sin(angle)))
     range_m = cast(walls, origins, ways) + sigma_m * noise.standard_normal(BEAMS)
     range_m[~(range_m < 20.0)] = np.nan
     return LaserScan(
@@ -105,10 +115,12 @@ def drive(
     sigma_m: float = 0.01,
     wheel_scale: float | None = 1.01,
     mounting: SE2 = MOUNTING,
+    every: int = 1,
 ) -> Drive:
     """Scans at 50 Hz and odometry at 67 Hz, by arrival.
 
     wheel_scale: what the wheels make of a metre; None where there are none.
+    every: so many turns of the laser make one scan; the others are left out.
     """
     noise = np.random.default_rng(1)
     frames: list[Frame] = []
@@ -132,7 +144,7 @@ def drive(
                     (0.0,) * 9,
                 )
             )
-    for k in range(int(seconds * 1e9) // PERIOD_NS):
+    for k in range(0, int(seconds * 1e9) // PERIOD_NS, every):
         stamp_ns = start_ns + k * PERIOD_NS + 1_234_567
         frames.append(scan_at(walls, motion, stamp_ns, start_ns, noise, sigma_m, mounting))
         truth[stamp_ns] = motion((stamp_ns - start_ns) * 1e-9)

@@ -13,15 +13,9 @@ from service.outputs import MapperOutput
 from tests.service.mapper.drives import MOUNTING, ROOM, Drive, drive, eased, round_the_room
 
 PROFILES = ("contour_lm", "imle", "owolm_eskf", "submap_graph")
-EVERY = 5  # of the scans is used: 10 Hz
+EVERY = 5  # turns of the laser make a scan: 10 Hz
 BACK_S = 2.0
 NEAR_M, NEAR_RAD = 0.10, 0.03
-
-
-def thinned(frames: list[Frame]) -> list[Frame]:
-    scans = [frame for frame in frames if isinstance(frame, LaserScan)][::EVERY]
-    others = [frame for frame in frames if not isinstance(frame, LaserScan)]
-    return sorted([*others, *scans], key=lambda frame: frame.arrived_ns)
 
 
 def outputs_of(profile: str, frames: list[Frame]) -> list[MapperOutput]:
@@ -49,19 +43,28 @@ def check(outputs: list[MapperOutput], truth: dict[int, SE2], lost_ns: int, know
     assert all(is_near(o, truth) for o in outputs if o.state == "ok")
 
 
-@pytest.mark.parametrize("profile", PROFILES)
-def test_three_seconds_of_noise_are_lost_and_the_drive_goes_on(profile: str) -> None:
-    what = drive(ROOM, round_the_room, 9.0)
-    begin_ns, end_ns = 4_000_000_000, 7_000_000_000
+NOISE_NS = 4_000_000_000, 7_000_000_000
+
+
+@pytest.fixture(scope="module")
+def noisy() -> Drive:
+    """Nine seconds round a room, of which the scans of three are noise."""
+    made = drive(ROOM, round_the_room, 9.0, every=EVERY)
     noise = np.random.default_rng(3)
     frames = [
         replace(frame, range_m=noise.uniform(0.3, 15.0, len(frame.range_m)).astype(np.float32))
-        if isinstance(frame, LaserScan) and begin_ns <= frame.stamp_ns < end_ns
+        if isinstance(frame, LaserScan) and NOISE_NS[0] <= frame.stamp_ns < NOISE_NS[1]
         else frame
-        for frame in thinned(what.frames)
+        for frame in made.frames
     ]
-    outputs = outputs_of(profile, frames)
-    check(outputs, what.truth, begin_ns, end_ns)
+    return replace(made, frames=frames)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_three_seconds_of_noise_are_lost_and_the_drive_goes_on(profile: str, noisy: Drive) -> None:
+    begin_ns, end_ns = NOISE_NS
+    outputs = outputs_of(profile, noisy.frames)
+    check(outputs, noisy.truth, begin_ns, end_ns)
     assert {o.state for o in outputs if begin_ns <= o.stamp_ns < end_ns} == {"lost"}
 
 
@@ -91,7 +94,13 @@ def one_after_the_other(first: Drive, then: Drive) -> tuple[Drive, int]:
     return Drive(frames, truth), start_ns
 
 
+@pytest.fixture(scope="module")
+def carried() -> tuple[Drive, int]:
+    first = drive(ROOM, round_the_room, 5.0, every=EVERY)
+    return one_after_the_other(first, drive(ROOM, carried_off, 4.0, every=EVERY))
+
+
 @pytest.mark.parametrize("profile", PROFILES)
-def test_a_vehicle_that_is_carried_off_is_found_again(profile: str) -> None:
-    what, carried_ns = one_after_the_other(drive(ROOM, round_the_room, 5.0), drive(ROOM, carried_off, 4.0))
-    check(outputs_of(profile, thinned(what.frames)), what.truth, carried_ns, carried_ns)
+def test_a_vehicle_that_is_carried_off_is_found_again(profile: str, carried: tuple[Drive, int]) -> None:
+    what, carried_ns = carried
+    check(outputs_of(profile, what.frames), what.truth, carried_ns, carried_ns)
