@@ -12,33 +12,27 @@ from service.geometry import poses as se2
 from service.geometry.se2 import SE2
 from service.mapper.by_hand import ERASED, WALL
 from service.mapper.components import GraphRequestError, WallToRender
-from service.mapper.maps.occupancy import cells_of_wall, rendered_of
+from service.mapper.maps.occupancy import cells_of_wall
 from service.mapper.methods.corridor.graph.editing import with_area_erased, with_wall
 from service.mapper.pipeline import UNPROVEN, Mapper
 from service.mapper.profiles import BeginIn, build_mapper, mapping_config
 from service.mapper.saved_graph import SavedGraph, SavedGraphError, from_arrays, packed_points, small_arrays
 from service.outputs import MapperOutput, TileUpdate
-from simulators.worlds import WORLDS
-from tests.simulated import FORWARD, LMS100_50HZ, Drive, Wheels, drive, run
+from tests.service.mapper.offices import mapped_office, through
+from tests.simulated import FORWARD, Drive
 
-MAPPED_S, LATER_S, SECONDS = 30.0, 12.0, 10.0
-LASER = replace(LMS100_50HZ, rate_hz=25.0)
+LATER_S, SECONDS = 12.0, 10.0
 
 
 @pytest.fixture(scope="module")
 def first() -> tuple[Drive, BeginIn]:
-    """Half a lap of the office, and its map."""
-    made = drive(WORLDS["office"](), LASER, MAPPED_S, 3, Wheels())
-    mapper = run(mapping_config(), made).mapper
-    graph = mapper.finish().update.saved
-    assert graph is not None
-    return made, BeginIn(graph, rendered_of(mapper.changed_tiles()))
+    return mapped_office()
 
 
 @pytest.fixture(scope="module")
 def second() -> Drive:
     """The same way from LATER_S on, with another noise."""
-    return drive(WORLDS["office"](), LASER, SECONDS, 4, Wheels(), stand_s=-LATER_S)
+    return through("office", SECONDS, 4, stand_s=-LATER_S)
 
 
 def outputs_of(mapper: Mapper, frames: list[Frame]) -> Iterator[MapperOutput]:
@@ -151,7 +145,7 @@ def test_a_session_may_begin_in_what_a_second_session_left(first, second):
 
 def test_what_is_nowhere_in_the_stored_map_stays_lost(first):
     _, begin = first
-    elsewhere = drive(WORLDS["library"](), LASER, 4.0, 1, Wheels())
+    elsewhere = through("library", 4.0, 1)
     outputs = list(outputs_of(new_mapper(begin), elsewhere.frames))
     assert {output.state for output in outputs} == {"lost"}
     assert "stored map" in outputs[-1].reason
@@ -171,7 +165,7 @@ def test_a_person_may_say_where_the_vehicle_is(first, second):
 
 def test_a_pose_that_does_not_fit_is_given_up_and_that_is_told(first):
     """The vehicle stands in another building."""
-    elsewhere = drive(WORLDS["library"](), LASER, 8.0, 1, Wheels())
+    elsewhere = through("library", 4.0, 1)
     mapper = new_mapper(first[1])
     mapper.graph.request("set_pose", {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5})
     reasons = [output.reason for output in outputs_of(mapper, elsewhere.frames)]
@@ -303,7 +297,7 @@ def test_a_place_that_the_map_contradicts_is_taken_back_and_found_anew(first, se
 def test_who_is_switched_on_where_the_map_knows_nothing_is_found_later(first, second):
     """The first scans are of another building; what is seen then fits nothing of them, and is a new piece."""
     drove, begin = first
-    elsewhere = drive(WORLDS["library"](), LASER, 2.0, 1, Wheels())
+    elsewhere = through("library", 2.0, 1)
     later_ns = 2_500_000_000
     frames = [frame for frame in elsewhere.frames if isinstance(frame, LaserScan)]
     frames += [

@@ -1,7 +1,6 @@
 """Maps of two drives made one."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,14 +9,11 @@ from service.geometry.se2 import SE2
 from service.mapper.methods.corridor.graph.merging import MergeError, merge_graphs, together
 from service.mapper.profiles import mapping_config
 from service.mapper.saved_graph import SavedGraph
-from simulators.worlds import WORLDS
-from tests.simulated import LMS100_50HZ, Drive, Wheels, drive, run
-
-LASER = replace(LMS100_50HZ, rate_hz=25.0)
+from tests.service.mapper.offices import mapped_office, through
+from tests.simulated import Drive, run
 
 
-def mapped(world: str, seconds: float, seed: int, begun_s: float = 0.0) -> tuple[Drive, SavedGraph]:
-    made = drive(WORLDS[world](), LASER, seconds, seed, Wheels(), stand_s=-begun_s)
+def mapped(made: Drive) -> tuple[Drive, SavedGraph]:
     saved = run(mapping_config(), made).mapper.finish().update.saved
     assert isinstance(saved, SavedGraph)
     return made, saved
@@ -25,13 +21,14 @@ def mapped(world: str, seconds: float, seed: int, begun_s: float = 0.0) -> tuple
 
 @pytest.fixture(scope="module")
 def first() -> tuple[Drive, SavedGraph]:
-    return mapped("office", 30.0, 3)
+    made, begin = mapped_office()
+    return made, begin.graph
 
 
 @pytest.fixture(scope="module")
 def second() -> tuple[Drive, SavedGraph]:
     """It begins where the first is half-way, and goes on where that has not been."""
-    return mapped("office", 28.0, 4, begun_s=12.0)
+    return mapped(through("office", 28.0, 4, stand_s=-12.0))
 
 
 def away(a: SE2, b: np.ndarray) -> tuple[float, float]:
@@ -66,7 +63,7 @@ def test_a_spot_that_a_person_names_does_instead_of_a_search(first, second):
 
 
 def test_maps_of_two_buildings_are_not_merged(first):
-    _, elsewhere = mapped("library", 12.0, 1)
+    _, elsewhere = mapped(through("library", 12.0, 1))
     with pytest.raises(MergeError, match="overlap too little"):
         merge_graphs(first[1], elsewhere, None)
 

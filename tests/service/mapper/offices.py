@@ -1,0 +1,30 @@
+"""A drive through the office and its map, made once for all tests that begin with one."""
+
+from dataclasses import replace
+from functools import cache
+
+from service.mapper.maps.occupancy import rendered_of
+from service.mapper.profiles import BeginIn, mapping_config
+from service.mapper.saved_graph import SavedGraph, small_arrays
+from simulators.worlds import WORLDS
+from tests.simulated import LMS100_50HZ, Drive, Wheels, drive, run
+
+LASER = replace(LMS100_50HZ, rate_hz=25.0)
+MAPPED_S = 30.0
+
+
+def through(world: str, seconds: float, seed: int, stand_s: float = 0.5) -> Drive:
+    """The way of a world from its start on, or from a later moment where stand_s is below 0."""
+    return drive(WORLDS[world](), LASER, seconds, seed, Wheels(), stand_s=stand_s)
+
+
+@cache
+def mapped_office() -> tuple[Drive, BeginIn]:
+    """Half a lap, and its map. Nobody can write into the arrays of its graph."""
+    made = through("office", MAPPED_S, 3)
+    mapper = run(mapping_config(), made).mapper
+    graph = mapper.finish().update.saved
+    assert isinstance(graph, SavedGraph)
+    for array in (*small_arrays(graph).values(), graph.xy_base, graph.normals):
+        array.flags.writeable = False
+    return made, BeginIn(graph, rendered_of(mapper.changed_tiles()))
