@@ -26,7 +26,8 @@ from tests.service.mapper.methods.corridor.graph.outdoors import (
     with_fixes,
 )
 
-WAY_M = 700.0
+WAY_M = 450.0
+LONG_M = 700.0  # on which drift is more than fixes err by
 
 
 @pytest.fixture(scope="module")
@@ -35,8 +36,19 @@ def drive() -> Outing:
 
 
 @pytest.fixture(scope="module")
-def anchored(drive: Outing) -> Result:
-    return fed(drive)[1][-1]
+def results(drive: Outing) -> list[Result]:
+    return fed(drive)[1]
+
+
+@pytest.fixture(scope="module")
+def anchored(results: list[Result]) -> Result:
+    return results[-1]
+
+
+@pytest.fixture(scope="module")
+def bare(drive: Outing) -> Result:
+    """The same drive without a fix."""
+    return fed(replace(drive, fixes=[]))[1][-1]
 
 
 def places(result: Result) -> np.ndarray:
@@ -62,8 +74,9 @@ def moved_m(a: Result, b: Result) -> float:
     )
 
 
-def test_fixes_bend_a_drifting_way_back_and_say_where_it_lies(drive: Outing, anchored: Result):
-    bare = fed(replace(drive, fixes=[]))[1][-1]
+def test_fixes_bend_a_drifting_way_back_and_say_where_it_lies():
+    drive = outing(LONG_M, seed=1, turn_walk_rad=0.001)
+    anchored, bare = (fed(what)[1][-1] for what in (drive, replace(drive, fixes=[])))
     assert bare.geo is None
     assert bare.fixes == {}
     assert ate_m(anchored, drive) < 0.7 * ate_m(bare, drive)
@@ -83,8 +96,7 @@ def test_a_way_that_is_too_short_gives_no_reference_and_moves_nothing(drive: Out
     assert result.g2o == bare.g2o
 
 
-def test_the_reference_comes_once_the_direction_is_known_and_stays(drive: Outing):
-    results = fed(drive)[1]
+def test_the_reference_comes_once_the_direction_is_known_and_stays(results: list[Result]):
     known = [result.geo is not None for result in results]
     first = known.index(True)
     assert all(known[first:])
@@ -97,8 +109,9 @@ def test_the_reference_comes_once_the_direction_is_known_and_stays(drive: Outing
 
 def test_the_same_drive_gives_the_same_bits_and_a_pickled_back_end_too(drive: Outing, anchored: Result):
     back_end = pickle.loads(pickle.dumps(LoopBackEnd(NO_SEARCH, None)))
-    for batch in batches(drive):
-        back_end = pickle.loads(pickle.dumps(back_end))
+    for k, batch in enumerate(batches(drive)):
+        if k % 10 == 0:
+            back_end = pickle.loads(pickle.dumps(back_end))
         back_end.work(batch)
     again = back_end.work(Batch([], is_last=True))
     assert again.all == anchored.all
@@ -116,8 +129,7 @@ def test_the_same_drive_gives_the_same_bits_and_a_pickled_back_end_too(drive: Ou
         {"latitude_deg": 60.161, "longitude_deg": 24.546},  # the receiver hangs
     ],
 )
-def test_fixes_that_say_nothing_change_nothing_to_the_last_bit(drive: Outing, useless):
-    bare = fed(replace(drive, fixes=[]))[1][-1]
+def test_fixes_that_say_nothing_change_nothing_to_the_last_bit(drive: Outing, bare: Result, useless):
     result = fed(with_fixes(drive, lambda fix: replace(fix, **useless)))[1][-1]
     assert result.geo is None
     assert result.all == bare.all
@@ -147,19 +159,25 @@ def test_a_jump_and_a_swapped_sign_move_nothing(drive: Outing, fault, wrong):
     assert errors_m(result, drive).max() < 5.0
 
 
+@pytest.fixture(scope="module")
+def hidden() -> Result:
+    """A minute without fixes."""
+    outage = GnssModel(outages=[(200.0, 260.0)])
+    return fed(outing(WAY_M, 1, outage, turn_walk_rad=0.001))[1][-1]
+
+
 @pytest.mark.parametrize("size_m", [5.0, 8.0, 15.0])
 @pytest.mark.parametrize("direction_rad", [0.4, 3.5])
-def test_a_minute_of_reflections_moves_nothing(size_m, direction_rad):
+def test_a_minute_of_reflections_moves_nothing(size_m, direction_rad, hidden: Result):
     off = size_m * math.cos(direction_rad), size_m * math.sin(direction_rad)
     model = GnssModel(reflections=[Reflection(200.0, 260.0, *off)])
     reflected = outing(WAY_M, 1, model, turn_walk_rad=0.001)
     result = fed(reflected)[1][-1]
     assert result.fixes["fixes_contradicting"] >= 15
-    hidden = outing(WAY_M, 1, GnssModel(outages=[(200.0, 260.0)]), turn_walk_rad=0.001)
-    assert moved_m(result, fed(hidden)[1][-1]) < 0.2
+    assert moved_m(result, hidden) < 0.2
 
 
-def test_a_receiver_that_hangs_for_a_while_moves_nothing(drive: Outing, anchored: Result):
+def test_a_receiver_that_hangs_for_a_while_moves_nothing(drive: Outing):
     hung, at = range(800, 1100), drive.fixes[800]
     fixes = [
         replace(fix, latitude_deg=at.latitude_deg, longitude_deg=at.longitude_deg) if k in hung else fix
@@ -170,7 +188,7 @@ def test_a_receiver_that_hangs_for_a_while_moves_nothing(drive: Outing, anchored
     assert moved_m(result, without(drive, hung)) < 0.3
 
 
-def test_fixes_that_have_nothing_to_do_with_the_way_give_no_reference(drive: Outing):
+def test_fixes_that_have_nothing_to_do_with_the_way_give_no_reference(drive: Outing, bare: Result):
     noise = np.random.default_rng(2)
     elsewhere = LocalFrame(60.161, 24.546, 51.7)
 
@@ -181,7 +199,7 @@ def test_fixes_that_have_nothing_to_do_with_the_way_give_no_reference(drive: Out
     result = fed(with_fixes(drive, wild))[1][-1]
     assert result.geo is None
     assert result.fixes["fixes_contradicting"] > 50
-    assert result.all == fed(replace(drive, fixes=[]))[1][-1].all
+    assert result.all == bare.all
 
 
 def test_a_lever_arm_that_is_told_wrong_shows_in_the_place(drive: Outing):
@@ -214,4 +232,4 @@ def test_a_reference_stays_with_its_fixes_where_none_is_believed_any_more(drive:
     assert before.geo is not None
     assert after.geo is not None
     assert after.geo.fixes == before.geo.fixes
-    assert after.fixes["fixes_contradicting"] > 100
+    assert after.fixes["fixes_contradicting"] > 80
