@@ -1,9 +1,11 @@
 """The front end on a real building: Freiburg 079, against the relations of Kuemmerle et al. 2009.
 
-`make bench` has the same recording without odometry, with scans left out and with wrong odometry.
+The first third of it; `make soak` has the whole, `make bench` the same recording without odometry, with scans
+left out and with wrong odometry.
 """
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,14 +18,18 @@ from service.geometry.se2 import SE2
 from service.mapper.profiles import build_mapper, mapping_config
 from service.outputs import MapperOutput
 
+WHOLE = 4791  # scans
 
-def frames_of(path: Path) -> list[Frame]:
-    """Scans and odometry by stamp; of equal stamps odometry first, as a vehicle would have it."""
+
+def frames_of(path: Path, scans: int) -> list[Frame]:
+    """So many scans, and odometry, by stamp; of equal stamps odometry first, as a vehicle would have it."""
     frames: list[Frame] = []
     with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
         for connection, _, raw in reader.messages():
             if connection.topic not in ("/scan", "/odom"):
                 continue
+            if scans == 0:
+                break
             message = reader.deserialize(raw, connection.msgtype)
             stamp_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
             if connection.topic == "/odom":
@@ -35,6 +41,7 @@ def frames_of(path: Path) -> list[Frame]:
                     )
                 )
                 continue
+            scans -= 1
             range_m = np.array(message.ranges, np.float32)
             range_m[~np.isfinite(range_m)] = np.nan
             frames.append(
@@ -74,38 +81,69 @@ def relation_errors(outputs: list[MapperOutput], relations: np.ndarray) -> np.nd
     return np.array(errors)
 
 
+def relations_within(shared: Path, outputs: list[MapperOutput]) -> np.ndarray:
+    """Those of the official ones between moments that were mapped."""
+    relations = np.loadtxt(shared / "datasets" / "fr079" / "official.relations")
+    within: np.ndarray = relations[relations[:, :2].max(axis=1) <= outputs[-1].stamp_ns * 1e-9]
+    return within
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Of so many scans; bounds of what is below, a tenth above what was found."""
+
+    scans: int
+    relations: int
+    mean_m: float
+    mean_deg: float
+    max_m: float
+    degraded: int
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(Expected(1600, 440, 0.043, 0.78, 0.2, 4), id="a third"),  # 0.0389, 0.714, 0.146, 1
+        pytest.param(  # 0.0501, of which the finish takes 0.0045; 0.858, 0.27, 3
+            Expected(WHOLE, 1685, 0.055, 0.92, 0.4, 6), id="whole", marks=pytest.mark.soak
+        ),
+    ],
+)
+def expected(request: pytest.FixtureRequest) -> Expected:
+    assert isinstance(request.param, Expected)
+    return request.param
+
+
 @pytest.fixture(scope="module")
-def outputs(shared: Path) -> list[MapperOutput]:
+def outputs(shared: Path, expected: Expected) -> list[MapperOutput]:
     mapper = build_mapper(mapping_config(), {"laser": SE2()})
-    frames = frames_of(shared / "datasets" / "fr079" / "fr079.mcap")
+    frames = frames_of(shared / "datasets" / "fr079" / "fr079.mcap", expected.scans)
     return [output for frame in frames if (output := mapper.process(frame)) is not None]
 
 
-def test_the_front_end_alone_keeps_the_building_together(shared: Path, outputs: list[MapperOutput]) -> None:
-    relations = np.loadtxt(shared / "datasets" / "fr079" / "official.relations")
-    errors = relation_errors(outputs, relations)
-    assert len(errors) == 1685
-    assert errors[:, 0].mean() < 0.055  # 0.0501, of which the finish takes 0.0045
-    assert np.degrees(errors[:, 1].mean()) < 0.92  # 0.858
-    assert errors[:, 0].max() < 0.4  # 0.27
+def test_the_front_end_alone_keeps_the_building_together(
+    shared: Path, outputs: list[MapperOutput], expected: Expected
+) -> None:
+    errors = relation_errors(outputs, relations_within(shared, outputs))
+    assert len(errors) >= expected.relations
+    assert errors[:, 0].mean() < expected.mean_m
+    assert np.degrees(errors[:, 1].mean()) < expected.mean_deg
+    assert errors[:, 0].max() < expected.max_m
 
 
-def test_it_is_never_lost(outputs: list[MapperOutput]) -> None:
-    assert len(outputs) == 4791
+def test_it_is_never_lost(outputs: list[MapperOutput], expected: Expected) -> None:
+    assert len(outputs) == expected.scans
     assert sum(o.state == "lost" for o in outputs) == 0
-    assert sum(o.state == "degraded" for o in outputs) < 6  # 3
+    assert sum(o.state == "degraded" for o in outputs) < expected.degraded
 
 
 def test_orthogonal_weights_hold_a_stretch_of_slow_scans_together(shared: Path) -> None:
     """Rooms beside a corridor at 4 Hz: with scans entered too seldom, or furniture blurred too wide, it
     slips along the corridor by metres."""
     mapper = build_mapper(mapping_config({"profile": "owolm_eskf"}), {"laser": SE2()})
-    frames = frames_of(shared / "datasets" / "fr079" / "fr079.mcap")
-    stretch = frames[: [isinstance(frame, LaserScan) for frame in frames].index(True) + 2 * 1500]
-    outputs = [output for frame in stretch if (output := mapper.process(frame)) is not None]
-    relations = np.loadtxt(shared / "datasets" / "fr079" / "official.relations")
-    relations = relations[relations[:, :2].max(axis=1) <= outputs[-1].stamp_ns * 1e-9]
-    errors = relation_errors(outputs, relations)
+    frames = frames_of(shared / "datasets" / "fr079" / "fr079.mcap", 1500)
+    outputs = [output for frame in frames if (output := mapper.process(frame)) is not None]
+    errors = relation_errors(outputs, relations_within(shared, outputs))
     assert sum(o.state == "lost" for o in outputs) == 0
     assert len(errors) > 300
     assert errors[:, 0].mean() < 0.07
