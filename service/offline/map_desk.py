@@ -51,7 +51,7 @@ class MapDesk:
                 case asked_for.Edit():
                     told = self._edit(asked)
         except CorridorError as error:
-            return refusal(str(error))
+            return refusal(str(error).removeprefix(f"{self._folder}: "))  # the page shows one map
         return Answer(True, json.dumps({"ok": True, **told}).encode())
 
     def _look(self) -> dict[str, Any]:

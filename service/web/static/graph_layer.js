@@ -16,6 +16,12 @@ export class GraphLayer {
     Object.assign(this, { ways, borders, accepted, refused });
   }
 
+  copy() {
+    const made = new GraphLayer();
+    made.put(this);
+    return made;
+  }
+
   /** How many of each there are. */
   get counts() {
     return {

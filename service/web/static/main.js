@@ -4,6 +4,8 @@ import { Connection } from "./connection.js";
 import { Control } from "./control.js";
 import { byId, element, setText } from "./dom.js";
 import { clockTime, fixed } from "./format.js";
+import { Edit } from "./edit.js";
+import { drawCrossHair } from "./edit_tools.js";
 import { Gestures } from "./gestures.js";
 import { Information, LEVELS } from "./information.js";
 import { MapView, scaleBar } from "./map_view.js";
@@ -21,20 +23,22 @@ let tool = null, runId = "", isOpen = false, poseTimer = null, health = null;
 
 const connection = new Connection({
   open: () => { isOpen = true; showState(); },
-  closed: () => { isOpen = false; showState(); control.update(); replay.update(); },
+  closed: () => { isOpen = false; showState(); control.update(); replay.update(); edit.update(); },
   hello: (hello) => {
-    if (hello.run_id !== runId) { view.clear(); explainLayers(); }
+    if (hello.run_id !== runId) { view.clear(); edit.compare.clear(); explainLayers(); }
     runId = hello.run_id;
     setText(byId("vehicle"), hello.vehicle);
     byId("vehicle").title = hello.vehicle; // it may be cut off
     document.title = `${hello.vehicle} \u00b7 corridor`;
     information.eventList.replaceChildren(); // all of them come again
     control.putVerbs(hello);
+    edit.putVerbs(hello);
   },
-  verbs: (message) => control.putVerbs(message),
+  verbs: (message) => { control.putVerbs(message); edit.putVerbs(message); },
   access: (access) => {
     control.putAccess(access);
     replay.update();
+    edit.putAccess();
     if (!byId("resources").hidden) resources.refresh();
   },
   refused: ({ error }) => console.error(error),
@@ -56,6 +60,7 @@ const connection = new Connection({
     information.putHealth(message);
     control.putHealth(message);
     replay.putHealth(message);
+    edit.putHealth(message);
     view.isHeld = replay.state === "paused";
     showState();
   },
@@ -69,6 +74,7 @@ const control = new Control(byId("control"), connection, (done) => setTool(new P
   done(pose);
 })));
 const replay = setUpReplay(connection, (verb, request) => control.ask(verb, request, { quietly: true }));
+const edit = new Edit(byId("edit"), connection, view, setTool);
 const resources = new Resources(byId("resources"), connection);
 byId("tab-resources").addEventListener("click", () => resources.refresh());
 const gestures = new Gestures(byId("map"), view, () => tool, () => showFollow());
@@ -84,9 +90,16 @@ function showState() {
   setText(byId("reason"), reason);
 }
 
+view.overlays = [
+  (...drawing) => edit.draw(...drawing),
+  (...drawing) => tool?.draw(...drawing),
+  (...drawing) => { if (tool && byId("map").matches(":focus-visible")) drawCrossHair(...drawing); },
+];
+
 function setTool(next) {
+  const before = tool;
   tool = next;
-  view.overlays = tool ? [(...drawing) => tool.draw(...drawing)] : [];
+  if (before !== next) before?.ended?.();
   byId("measure").setAttribute("aria-pressed", String(tool instanceof MeasureTool));
   byId("map").classList.toggle("pointing", tool !== null);
   byId("hint").hidden = tool === null;
@@ -159,6 +172,7 @@ view.onDrawn = () => {
 };
 
 gestures.onHover = ([sx, sy]) => {
+  tool?.hover?.([sx, sy]);
   const [x_m, y_m] = view.camera.toMap(sx, sy);
   const value = view.tiles.valueAt(x_m, y_m);
   const cell = value < 0 ? "unknown" : `${value} % occupied`;
@@ -167,6 +181,8 @@ gestures.onHover = ([sx, sy]) => {
 
 const toggleFollow = () => { view.follow(!view.follows); showFollow(); };
 const toggleMeasure = () => setTool(tool instanceof MeasureTool ? null : new MeasureTool(view));
+const showBefore = () => edit.compare.show(!view.showsBefore);
+const clickMiddle = () => tool?.click?.([view.camera.width / 2, view.camera.height / 2]);
 const fit = () => { view.fit(); showFollow(); };
 
 byId("follow").addEventListener("click", toggleFollow);
@@ -178,12 +194,14 @@ byId("turn-right").addEventListener("click", () => gestures.turn(-1));
 byId("north").addEventListener("click", () => gestures.north());
 byId("measure").addEventListener("click", toggleMeasure);
 byId("map").addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey) return;
-  const own = { f: toggleFollow, F: toggleFollow, 0: fit, m: toggleMeasure, M: toggleMeasure }[event.key];
+  if (event.ctrlKey || event.metaKey || event.altKey || (event.repeat && event.key === "Enter")) return;
+  const own = { f: toggleFollow, F: toggleFollow, 0: fit, m: toggleMeasure, M: toggleMeasure, b: showBefore, B: showBefore,
+    Enter: clickMiddle, Backspace: () => tool?.back?.() }[event.key];
   if (own) own();
   if (own || gestures.key(event.key)) event.preventDefault();
 });
-document.addEventListener("keydown", (event) => { if (event.key === "Escape" && tool) setTool(null); });
+document.addEventListener("keydown", (event) => { if (event.key === "Escape" && tool && !byId("confirm").open) setTool(null); });
+for (const change of ["focus", "blur"]) byId("map").addEventListener(change, () => view.invalidate()); // the cross-hair
 
 byId("confirm-no").addEventListener("click", () => byId("confirm").close("no"));
 setUpTabs();
@@ -191,6 +209,7 @@ setUpLayers();
 setUpTheme(() => {
   view.readColours();
   explainLayers();
+  edit.update();
   information.plot.draw();
   if (health) information.putHealth(health); // colours of the lasers
 });
@@ -200,7 +219,7 @@ setInterval(() => view.invalidate(), 1000); // what is stale shall look so
 
 /** For tests and for people who look into a fault: what the page shows. */
 window.corridor = {
-  view, connection,
+  view, connection, edit,
   report: () => ({
     runId, isOpen, mayControl: connection.mayControl, tiles: view.tiles.tiles.size, bounds: view.tiles.bounds,
     pose: view.track.last, pathPoints: view.path.length / 2, sensors: view.sensors, health, follows: view.follows,

@@ -36,7 +36,9 @@ export class MapView {
     this.layers = { map: true, path: true, graph: false, change: false, scans: true, vehicle: true, grid: true };
     this.graph = new GraphLayer();
     this.change = new ChangeLayer();
-    this.overlays = []; // functions(context, camera) of the tools
+    this.overlays = []; // functions(context, camera, colours) of the tools
+    this.before = null; // snapshot of an earlier map
+    this.showsBefore = false; // ... and whether it is drawn in place of the present one
     this.follows = true;
     this.isHeld = false; // a replay that is paused: what came last is of now, however long ago that was
     this.isFitted = false; // until then the first tiles are brought into view
@@ -59,12 +61,20 @@ export class MapView {
       change: { appeared: colour("--change-appeared"), gone: colour("--change-gone") },
       graph: { keyFrames: colour("--graph-key-frames"), accepted: colour("--graph-accepted"),
         refused: colour("--graph-refused"), borders: colour("--graph-border") },
+      places: { a: colour("--laser-0"), b: colour("--laser-1") }, // no laser is seen where places are chosen
       lasers: Array.from({ length: LASER_COLOURS }, (_, i) => colour(`--laser-${i}`)),
     };
-    this.tiles.setColours({
-      unknown: [0, 0, 0, 0], free: rgba(colour("--map-free")), occupied: rgba(colour("--map-occupied")),
-    });
+    for (const tiles of [this.tiles, this.before?.tiles]) {
+      tiles?.setColours({
+        unknown: [0, 0, 0, 0], free: rgba(colour("--map-free")), occupied: rgba(colour("--map-occupied")),
+      });
+    }
     this.invalidate();
+  }
+
+  /** The map, the path and the graph as they are now. */
+  snapshot() {
+    return { tiles: this.tiles.copy(), path: this.path, graph: this.graph.copy() };
   }
 
   invalidate() {
@@ -185,15 +195,16 @@ export class MapView {
   #draw() {
     const began_ms = performance.now();
     const { context, camera, colours, layers, dpr = 1 } = this;
+    const { tiles, path, graph } = this.showsBefore ? this.before : this;
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.fillStyle = colours.ground;
     context.fillRect(0, 0, this.canvas.width, this.canvas.height);
     camera.applyTo(context, dpr);
     if (layers.grid) this.#drawGrid();
-    if (layers.map) this.tiles.draw(context, camera.seen, camera.scale * dpr);
+    if (layers.map) tiles.draw(context, camera.seen, camera.scale * dpr);
     if (layers.change) this.change.draw(context, camera.seen, camera.scale, colours.change);
-    if (layers.path) this.#drawPath();
-    if (layers.graph) this.graph.draw(context, camera.scale, colours.graph);
+    if (layers.path) this.#drawPath(path);
+    if (layers.graph) graph.draw(context, camera.scale, colours.graph);
     if (layers.scans) this.#drawScans();
     if (layers.vehicle) this.#drawVehicle();
     context.setTransform(dpr, 0, 0, dpr, 0, 0);
@@ -222,8 +233,8 @@ export class MapView {
     context.stroke();
   }
 
-  #drawPath() {
-    const { context, path, camera } = this;
+  #drawPath(path) {
+    const { context, camera } = this;
     if (path.length < 4) return;
     const every = Math.max(1, Math.floor(1 / (camera.scale * PATH_STEP_M))); // points a pixel
     context.beginPath();

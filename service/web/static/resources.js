@@ -17,6 +17,7 @@ export class Resources {
     for (const [kind, title] of Object.entries(KINDS)) {
       const { node, aside } = card(title);
       const list = element("ul", { className: "stored" });
+      if (kind === "map") node.append(element("p", { className: "note" }, "A map is edited when no session goes on in it: corridor view FOLDER."));
       node.append(list);
       root.append(node);
       this.lists[kind] = { list, aside };

@@ -45,6 +45,18 @@ export class TileMap {
     this.tiles = new Set();
   }
 
+  /** The same cells once more; later ones change only one of the two. */
+  copy() {
+    const made = new TileMap();
+    Object.assign(made, { cell_m: this.cell_m, edge: this.edge, tiles: new Set(this.tiles), palette: this.palette.slice() });
+    made.levels = this.levels.map((level) => new Map([...level].map(([key, { column, row, cells }]) => {
+      const block = new Block(column, row);
+      block.cells.set(cells);
+      return [key, block];
+    })));
+    return made;
+  }
+
   /** colours: {unknown, free, occupied} as [red, green, blue, alpha], 0..255. */
   setColours({ unknown, free, occupied }) {
     const bytes = new Uint8ClampedArray(this.palette.buffer);

@@ -1,0 +1,181 @@
+// The area Edit: what a person changes in a stored map. Each change is a version; the service makes it.
+
+import { BeforeAfter } from "./before_after.js";
+import { byId, card, confirmed, element, notice, setText } from "./dom.js";
+import { EditCut, EditDraw } from "./edit_draw.js";
+import { EditPairs } from "./edit_pairs.js";
+import { KeyframeTool } from "./edit_tools.js";
+import { Keyframes } from "./keyframes.js";
+import { chooseTab } from "./tabs.js";
+
+const SHOWN = 8; // versions; the rest on demand
+
+export class Edit {
+  /** setTool(tool): put a tool to work on the map, null: none. */
+  constructor(root, connection, view, setTool) {
+    this.connection = connection;
+    this.view = view;
+    this.setTool = setTool;
+    this.isOffered = this.isBusy = this.showsAll = false;
+    this.version = 0; // of the map that is shown; 0: not known yet
+    this.versions = [];
+    this.keyframes = new Keyframes();
+    this.tool = null;
+
+    this.note = element("p", { id: "edit-note", role: "status" });
+    this.who = element("input", { type: "text", id: "edit-who", maxLength: 100, autocomplete: "off" });
+    this.said = null; // of the newest change: {words, level}
+    this.undoButton = element("button", { type: "button", id: "edit-undo", onclick: () => this.undo() }, "Undo");
+    this.list = element("ul", { className: "stored", id: "versions", "aria-label": "Versions of the map" });
+    this.compare = new BeforeAfter(view);
+    this.pairs = new EditPairs(this);
+    this.drawing = new EditDraw(this);
+    this.cut = new EditCut(this);
+    const versions = card("Versions");
+    this.count = versions.aside;
+    versions.node.append(
+      element("div", { className: "row" }, element("label", { for: "edit-who" }, "Your name"), this.who), this.list);
+    this.all = element("fieldset", { className: "areas", "aria-label": "Changes of the map" },
+      element("div", { className: "edit-head" }, this.note, this.undoButton), this.compare.card.node, this.pairs.card.node, this.drawing.card.node, this.cut.card.node, versions.node);
+    root.append(this.all);
+    this.update();
+  }
+
+  putVerbs({ verbs }) {
+    this.isOffered = verbs.includes("map_edit");
+    byId("tab-edit").hidden = !this.isOffered;
+    this.update();
+  }
+
+  /** The token was shown, or the connection is another one. */
+  putAccess() {
+    if (this.connection.mayControl && this.isOffered) this.look();
+    this.update();
+  }
+
+  /** Somebody else may have changed the map. */
+  putHealth({ statuses }) {
+    const version = Number(statuses.find(({ name }) => name === "mapping")?.values.version ?? 0);
+    if (this.version && version && version !== this.version && !this.isBusy) this.look();
+  }
+
+  update() {
+    const may = this.connection.mayControl;
+    this.all.disabled = !may || this.isBusy || !this.version;
+    if (!this.isBusy) this.#showNote(may);
+    this.pairs.card.node.hidden = this.cut.card.node.hidden = this.version > 0 && this.keyframes.count === 0;
+    this.pairs.update();
+    this.drawing.update();
+    this.cut.update();
+    this.#showVersions();
+  }
+
+  /** Hear how the map is now. */
+  async look() {
+    const told = await this.connection.command("map_look");
+    if (!told.ok) {
+      this.say(told.error, "error");
+      return;
+    }
+    [this.version, this.versions, this.keyframes] = [told.version, told.versions, new Keyframes(told.keyframes)];
+    if (!this.who.value) this.who.value = told.user;
+    this.update();
+    this.pairs.put(told.pairs);
+    this.view.invalidate();
+  }
+
+  /** Make a change; whether it was made. */
+  async change(change, label) {
+    this.endTool();
+    this.compare.keep();
+    this.isBusy = true;
+    this.update();
+    this.note.dataset.level = "none";
+    setText(this.note, `${label}: the map is being changed \u2026`);
+    const answer = await this.connection.command("map_edit", { version: this.version, who: this.who.value.trim(), change });
+    this.isBusy = false;
+    if (answer.ok) {
+      this.compare.made(answer.version, answer.done);
+      this.say(`${label}: ${answer.done}`, "ok");
+    } else this.say(`${label}: ${answer.error}`, "error");
+    await this.look();
+    this.update();
+    return answer.ok;
+  }
+
+  undo() {
+    return this.change({ what: "undo" }, "Undo");
+  }
+
+  /** On top of the area, until the next change; as a notice where the area is not shown. */
+  say(words, level) {
+    this.said = { words: `${words}.`, level };
+    this.#showNote(this.connection.mayControl);
+    if (this.note.offsetParent === null) notice(`${words}.`, level);
+  }
+
+  #showNote(may) {
+    const { words, level } = !may ? { level: "none", words: "You may look. To edit, enter the token under Control: `corridor view` prints it with the address." }
+      : this.said ?? { level: "none", words: "Each change is a new version of the stored map, and can be taken back." };
+    this.note.dataset.level = level;
+    setText(this.note, words);
+  }
+
+  /** Have a key frame clicked on the map. */
+  pickKeyframe(what, chosen) {
+    this.beginTool(new KeyframeTool(this.view, this.keyframes, what, (k) => {
+      this.endTool();
+      chooseTab("edit", { onlyOnPhone: true });
+      chosen(k);
+    }));
+  }
+
+  /** ended(): the tool is at work no more, for whatever reason. */
+  beginTool(tool, ended = () => {}) {
+    this.setTool(tool); // ends the one before
+    byId("map").focus({ preventScroll: true }); // for who works with keys
+    this.tool = tool;
+    tool.ended = () => {
+      this.tool = null;
+      ended();
+      this.pairs.update();
+    };
+    this.pairs.update();
+  }
+
+  endTool() {
+    if (this.tool) this.setTool(null);
+  }
+
+  draw(context, camera, colours) {
+    if (this.view.showsBefore) return; // what is chosen lies on the map as it is
+    this.cut.draw(context, camera, colours);
+    this.pairs.draw(context, camera, colours);
+  }
+
+  #showVersions() {
+    const newest = [...this.versions].reverse(), shown = this.showsAll ? newest : newest.slice(0, SHOWN);
+    setText(this.count, this.version ? `now ${this.version}` : "");
+    this.undoButton.disabled = !newest.some((version) => version.is_current && version.what !== "saved");
+    this.list.replaceChildren(...shown.map((version) => this.#entry(version)));
+    if (newest.length <= shown.length) return;
+    const all = () => { this.showsAll = true; this.#showVersions(); };
+    this.list.append(element("li", {}, element("button", { type: "button", onclick: all }, `Show all ${newest.length}`)));
+  }
+
+  #entry({ version, is_current, saved, who, words }) {
+    const when = new Date(saved).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
+    const entry = element("li", {}, element("p", { className: "stored-name" }, `${version}: ${words}`),
+      element("p", { className: "note" }, `${who}, ${when}${is_current ? ", the present one" : ""}`));
+    if (!is_current) {
+      entry.append(element("div", { className: "row" },
+        element("button", { type: "button", onclick: () => this.#goBack(version) }, `Go back to version ${version}\u2026`)));
+    }
+    return entry;
+  }
+
+  async #goBack(version) {
+    const isSure = await confirmed(`Go back to version ${version}?`, "What it holds becomes the newest version; those between stay, and Undo leads forward again.", "Go back");
+    if (isSure) this.change({ what: "undo", to: version }, "Go back");
+  }
+}

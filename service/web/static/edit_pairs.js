@@ -1,0 +1,140 @@
+// Manual optimisation: points of two places that are one, what is left between them, and the solution.
+
+import { card, element, setText } from "./dom.js";
+import { PairTool } from "./edit_tools.js";
+import { fixed } from "./format.js";
+import { PlacePicker } from "./place_picker.js";
+
+const MOST_PAIRS = 100; // in one change; the service refuses more
+
+export class EditPairs {
+  /** edit: of the area Edit. */
+  constructor(edit) {
+    this.edit = edit;
+    this.pairs = []; // not yet in the map: {points: [of A, of B], keyframes}
+    this.stored = []; // of the map, as map_look tells them
+    this.places = {
+      a: new PlacePicker("a", edit, () => this.#placeChanged()),
+      b: new PlacePicker("b", edit, () => this.#placeChanged()),
+    };
+    this.otherPass = element("button", { type: "button", id: "other-pass", onclick: () => this.#otherPass() }, "B: other pass near A");
+    this.pick = element("button", { type: "button", id: "pick-pairs", "aria-pressed": "false", onclick: () => this.#pickPoints() }, "Pick points");
+    this.forget = element("button", { type: "button", id: "forget-places", onclick: () => this.clear() }, "Clear");
+    this.list = element("ul", { className: "stored", id: "pairs", "aria-label": "Pairs of points" });
+    this.optimise = element("button", { type: "button", className: "primary", id: "optimise", onclick: () => this.#optimise() }, "Optimise");
+    this.card = card("Join places by points");
+    this.card.node.append(
+      element("p", { className: "note" },
+        "Where a wall shows twice, choose a place of each pass; then click a point of A and the same one of B. Two pairs some metres apart fix a turn, too."),
+      this.places.a.node, this.places.b.node,
+      element("div", { className: "row" }, this.otherPass, this.pick),
+      this.list, element("div", { className: "row" }, this.optimise, this.forget));
+  }
+
+  /** Pairs and key frames of the map as it is now. */
+  put(pairs) {
+    this.stored = pairs;
+    for (const place of Object.values(this.places)) {
+      if (place.isChosen && place.keyframe < this.edit.keyframes.count) place.choose(place.keyframe);
+      else place.clear();
+    }
+    this.update();
+  }
+
+  clear() {
+    this.pairs = [];
+    this.edit.endTool();
+    for (const place of Object.values(this.places)) place.clear();
+    this.update();
+    this.edit.view.invalidate();
+  }
+
+  update() {
+    const { a, b } = this.places, { places } = this.edit.view.colours;
+    a.swatch.style.background = places.a;
+    b.swatch.style.background = places.b;
+    a.update();
+    b.update();
+    this.otherPass.disabled = !a.isChosen;
+    this.pick.disabled = !(a.isChosen && b.isChosen) || a.keyframe === b.keyframe;
+    this.pick.setAttribute("aria-pressed", String(this.edit.tool instanceof PairTool));
+    this.forget.disabled = !a.isChosen && !b.isChosen && this.pairs.length === 0;
+    setText(this.optimise, this.pairs.length ? `Optimise with ${this.pairs.length} new` : "Optimise");
+    const total = this.stored.length + this.pairs.length;
+    setText(this.card.aside, total ? `${total} pairs` : "");
+    this.list.replaceChildren(
+      ...this.stored.map((pair) => this.#entry(`Pair ${pair.pair}`, pair.apart_mm / 1000, () => this.edit.change({ what: "remove-pair", pair: pair.pair }, "Remove pair"))),
+      ...this.pairs.map((pair, i) => this.#entry(`New ${i + 1}`, apart_m(pair), () => this.#remove(i))));
+  }
+
+  #entry(name, residual_m, remove) {
+    return element("li", { className: "pair" }, element("span", { className: "stored-name" }, name),
+      element("span", { className: "note" }, `${fixed(residual_m, 3, " m")} apart`),
+      element("button", { type: "button", "aria-label": `Remove ${name}`, onclick: remove }, "Remove"));
+  }
+
+  #remove(i) {
+    this.pairs.splice(i, 1);
+    this.update();
+    this.edit.view.invalidate();
+  }
+
+  #placeChanged() {
+    if (this.edit.tool instanceof PairTool) this.edit.tool.back();
+    this.update();
+    this.edit.view.invalidate();
+  }
+
+  #otherPass() {
+    const k = this.edit.keyframes.otherPass(this.places.a.keyframe);
+    if (k === null) this.edit.say("No other pass: the way is shorter than 10 m", "error");
+    else this.places.b.choose(k);
+  }
+
+  #pickPoints() {
+    if (this.edit.tool instanceof PairTool) {
+      this.edit.endTool();
+      return;
+    }
+    const tool = new PairTool(this.edit.view, this.places, (ofA, ofB) => {
+      if (this.pairs.length >= MOST_PAIRS) tool.note = `${MOST_PAIRS} new pairs at most; optimise first.`;
+      else this.pairs.push({ points: [ofA, ofB], keyframes: [this.places.a.keyframe, this.places.b.keyframe] });
+      this.update();
+    });
+    this.edit.beginTool(tool);
+  }
+
+  async #optimise() {
+    const { pairs } = this, change = pairs.length ? { what: "add-pair", pairs } : { what: "optimize" };
+    this.pairs = [];
+    this.edit.endTool();
+    if (!await this.edit.change(change, "Optimise")) this.pairs = pairs; // to be mended, not drawn anew
+    this.update();
+    this.edit.view.invalidate();
+  }
+
+  draw(context, camera, colours) {
+    const { a, b } = this.places;
+    if (!a.isChosen && !b.isChosen && !this.pairs.length) return;
+    a.draw(context, camera, colours.places.a);
+    b.draw(context, camera, colours.places.b);
+    const link = (from, to, name, dash) => {
+      const [x0, y0] = camera.toScreen(...from), [x1, y1] = camera.toScreen(...to);
+      context.strokeStyle = context.fillStyle = colours.measure;
+      context.lineWidth = 2;
+      context.setLineDash(dash);
+      context.beginPath();
+      context.moveTo(x0, y0);
+      context.lineTo(x1, y1);
+      context.stroke();
+      context.setLineDash([]);
+      for (const [x, y] of [[x0, y0], [x1, y1]]) context.fillRect(x - 3, y - 3, 6, 6);
+      context.font = "12px system-ui, sans-serif";
+      context.fillText(name, x1 + 6, y1 + 14);
+    };
+    for (const pair of this.stored) link([pair.x_m, pair.y_m], [pair.other_x_m, pair.other_y_m], String(pair.pair), [3, 3]);
+    this.pairs.forEach(({ points: [from, to] }, i) => link(from, to, `New ${i + 1}`, []));
+  }
+}
+
+const apart_m = ({ points: [[x0, y0], [x1, y1]] }) => Math.hypot(x1 - x0, y1 - y0);

@@ -1,0 +1,276 @@
+// Tools of the area Edit on the map: an area, a wall, a moment of the way, points of two places.
+// Each works by pointer, and by keys: a click may come from the cross-hair in the middle of the map.
+
+const CLOSE_PIXELS = 12; // a click so near to a corner means that corner
+const SNAP_PIXELS = 30; // from a click to the point of a scan, or to the key frame, that is meant
+const DOT_PIXELS = 3;
+
+const trace = (context, points) => {
+  context.beginPath();
+  points.forEach(([x, y], i) => (i ? context.lineTo(x, y) : context.moveTo(x, y)));
+};
+
+const dot = (context, [x, y], radius) => {
+  context.beginPath();
+  context.arc(x, y, radius, 0, 2 * Math.PI);
+  context.fill();
+};
+
+/** Corners one after the other. Closed: an area, done when the first is clicked again; else a wall, done at its last. */
+export class CornersTool {
+  drags = false;
+
+  /** most: corners at most; changed(): the corners are others; done(): the person is content. */
+  constructor(view, { isClosed, most, changed, done }) {
+    this.view = view;
+    this.isClosed = isClosed;
+    this.most = most;
+    this.changed = changed;
+    this.done = done;
+    this.corners = []; // map points
+    this.note = "";
+  }
+
+  get least() {
+    return this.isClosed ? 3 : 2;
+  }
+
+  get hint() {
+    if (this.note) return this.note;
+    const again = this.isClosed ? "the first one again when the area is whole" : "the last one again when the wall is whole";
+    return `Click the ${this.isClosed ? "corners" : "points of the wall"}; ${again}. Backspace takes one back, Esc ends.`;
+  }
+
+  get text() {
+    return this.hint;
+  }
+
+  click(point) {
+    const { camera } = this.view, last = this.isClosed ? this.corners[0] : this.corners.at(-1);
+    const isAgain = last && this.corners.length > 1 && distance(camera.toScreen(...last), point) < CLOSE_PIXELS;
+    this.note = "";
+    if (isAgain && this.corners.length >= this.least) this.done();
+    else if (this.corners.length >= this.most) this.note = `${this.most} points at most; make several changes.`;
+    else if (!isAgain) this.corners.push(camera.toMap(...point));
+    this.#tell();
+  }
+
+  back() {
+    this.corners.pop();
+    this.note = "";
+    this.#tell();
+  }
+
+  #tell() {
+    this.changed();
+    this.view.invalidate();
+  }
+
+  draw(context, camera, colours) {
+    const shown = this.corners.map(([x, y]) => camera.toScreen(x, y));
+    outline(context, shown, this.isClosed, colours.measure);
+  }
+}
+
+/** Press at one corner, let go at the one across; by keys two clicks. Its sides are those of the screen. */
+export class RectangleTool {
+  drags = true;
+  hint = "Press at one corner, let go at the one across. With keys: Enter at both. Esc ends.";
+
+  constructor(view, { changed, done }) {
+    this.view = view;
+    this.changed = changed;
+    this.done = done;
+    this.from = this.to = null; // screen points, while it is drawn
+    this.corners = []; // map points
+  }
+
+  down(point) {
+    this.from = this.to = point;
+    this.#shape();
+  }
+
+  move(point) {
+    if (!this.from) return;
+    this.to = point;
+    this.#shape();
+  }
+
+  up() {
+    if (!this.from) return;
+    const isDrag = Math.abs(this.to[0] - this.from[0]) > 3 && Math.abs(this.to[1] - this.from[1]) > 3;
+    this.from = null;
+    if (!isDrag) this.corners = [];
+    this.changed();
+    if (isDrag) this.done();
+  }
+
+  /** From the cross-hair: the map has moved under it since the first corner. */
+  click(point) {
+    const first = this.first;
+    this.first = first ? null : this.view.camera.toMap(...point);
+    if (!first) return;
+    this.from = this.view.camera.toScreen(...first);
+    this.to = point;
+    this.#shape();
+    this.up();
+  }
+
+  back() {
+    this.first = null;
+    this.corners = [];
+    this.changed();
+    this.view.invalidate();
+  }
+
+  #shape() {
+    const [x0, y0] = this.from, [x1, y1] = this.to;
+    this.corners = [[x0, y0], [x1, y0], [x1, y1], [x0, y1]].map(([x, y]) => this.view.camera.toMap(x, y));
+    this.changed();
+    this.view.invalidate();
+  }
+
+  draw(context, camera, colours) {
+    outline(context, this.corners.map(([x, y]) => camera.toScreen(x, y)), true, colours.measure);
+    if (!this.first) return;
+    context.fillStyle = colours.measure;
+    dot(context, camera.toScreen(...this.first), DOT_PIXELS + 1);
+  }
+}
+
+/** One key frame of the way. chosen(number) of the nearest to a click. */
+export class KeyframeTool {
+  drags = false;
+
+  constructor(view, keyframes, what, chosen) {
+    this.view = view;
+    this.keyframes = keyframes;
+    this.hint = `Click the way: ${what}. Esc ends.`;
+    this.chosen = chosen;
+  }
+
+  click(point) {
+    const k = this.keyframes.nearest(this.view.camera, point, SNAP_PIXELS);
+    if (k !== null) this.chosen(k);
+    else this.text = "The way does not lead along there; click nearer to it, or move the map.";
+    this.view.invalidate();
+  }
+
+  draw(context, camera, colours) {
+    this.keyframes.draw(context, camera, colours.graph.keyFrames);
+  }
+}
+
+/** Points of two places, in turn: one of A, the same of B. picked(pointOfA, pointOfB), map points. */
+export class PairTool {
+  drags = false;
+
+  /** places: {a, b}, each {points: [x_m, y_m, ...]}; see PlacePicker. */
+  constructor(view, places, picked) {
+    this.view = view;
+    this.places = places;
+    this.picked = picked;
+    this.first = this.aimed = null; // map points: of A, waiting for that of B; under the pointer
+    this.note = "";
+  }
+
+  get side() {
+    return this.first ? "b" : "a";
+  }
+
+  get hint() {
+    if (this.note) return this.note;
+    return this.first ? "Now the same point among those of place B. Backspace takes the first back."
+      : "Click a point of place A, a corner of a wall, say; then the same one of place B. Esc ends.";
+  }
+
+  get text() {
+    return this.hint;
+  }
+
+  click(point) {
+    const found = this.#nearest(point);
+    this.note = found ? "" : `No point of place ${this.side.toUpperCase()} is near there; click nearer to one of its colour.`;
+    if (found && this.first) {
+      const first = this.first;
+      this.first = null;
+      this.picked(first, found);
+    } else if (found) this.first = found;
+    this.aimed = null;
+    this.view.invalidate();
+  }
+
+  back() {
+    this.first = null;
+    this.note = "";
+    this.view.invalidate();
+  }
+
+  hover(point) {
+    this.aimed = this.#nearest(point);
+    this.view.invalidate();
+  }
+
+  #nearest(point) {
+    const { camera } = this.view, { points } = this.places[this.side];
+    let least = SNAP_PIXELS, found = null;
+    for (let i = 0; i < points.length; i += 2) {
+      const away = distance(camera.toScreen(points[i], points[i + 1]), point);
+      if (away < least) [least, found] = [away, [points[i], points[i + 1]]];
+    }
+    return found;
+  }
+
+  draw(context, camera, colours) {
+    context.lineWidth = 2;
+    for (const [at, side] of [[this.first, "a"], [this.aimed, this.side]]) {
+      if (!at) continue;
+      context.strokeStyle = colours.places[side];
+      context.beginPath();
+      context.arc(...camera.toScreen(...at), 7, 0, 2 * Math.PI);
+      context.stroke();
+    }
+  }
+}
+
+/** Where a click by keys goes. */
+export const drawCrossHair = (context, camera, colours) => {
+  const x = camera.width / 2, y = camera.height / 2;
+  context.strokeStyle = colours.measure;
+  context.lineWidth = 1.5;
+  context.beginPath();
+  for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
+    context.moveTo(x + 4 * dx, y + 4 * dy);
+    context.lineTo(x + 16 * dx, y + 16 * dy);
+  }
+  context.stroke();
+};
+
+export const distance = ([x0, y0], [x1, y1]) => Math.hypot(x1 - x0, y1 - y0);
+
+/** Of a polygon that does not cross itself, m2. */
+export const area = (corners) => {
+  let twice = 0;
+  corners.forEach(([x, y], i) => {
+    const [nx, ny] = corners[(i + 1) % corners.length];
+    twice += x * ny - y * nx;
+  });
+  return Math.abs(twice) / 2;
+};
+
+export const length = (corners) => corners.slice(1).reduce((sum, corner, i) => sum + distance(corners[i], corner), 0);
+
+const outline = (context, shown, isClosed, colour) => {
+  if (!shown.length) return;
+  context.strokeStyle = context.fillStyle = colour;
+  context.lineWidth = 2;
+  trace(context, shown);
+  if (isClosed && shown.length > 2) {
+    context.closePath();
+    context.globalAlpha = 0.2;
+    context.fill();
+    context.globalAlpha = 1;
+  }
+  context.stroke();
+  for (const corner of shown) dot(context, corner, DOT_PIXELS + 1);
+};

@@ -1,0 +1,61 @@
+// The key frames of a stored map: where and when each was, and the one that a person means.
+
+const WAY_APART_M = 10; // key frames of so much way between them are of two passes
+
+export class Keyframes {
+  /** told: of the service's map_look; null where the map has none. */
+  constructor(told = null) {
+    this.count = told?.count ?? 0;
+    this.every = told?.every ?? 1;
+    this.x_m = told?.x_m ?? [];
+    this.y_m = told?.y_m ?? [];
+    this.at_s = told?.at_s ?? [];
+    this.way_m = [];
+    this.x_m.forEach((x, i) => this.way_m.push(i ? this.way_m[i - 1] + Math.hypot(x - this.x_m[i - 1], this.y_m[i] - this.y_m[i - 1]) : 0));
+  }
+
+  /** Map point of key frame k. */
+  at(k) {
+    const i = this.#index(k);
+    return [this.x_m[i], this.y_m[i]];
+  }
+
+  seconds(k) {
+    return this.at_s[this.#index(k)];
+  }
+
+  /** Number of the key frame that is drawn nearest to a point of the screen; null where none is within some pixels. */
+  nearest(camera, [sx, sy], pixels) {
+    let least = pixels, found = null;
+    for (let i = 0; i < this.x_m.length; i += 1) {
+      const [x, y] = camera.toScreen(this.x_m[i], this.y_m[i]);
+      const away = Math.hypot(x - sx, y - sy);
+      if (away < least) [least, found] = [away, i * this.every];
+    }
+    return found;
+  }
+
+  /** The key frame nearest to k that was driven in another pass; null where there is only one. */
+  otherPass(k) {
+    const i = this.#index(k), [x, y] = this.at(k);
+    let least = Infinity, found = null;
+    for (let j = 0; j < this.x_m.length; j += 1) {
+      if (Math.abs(this.way_m[j] - this.way_m[i]) < WAY_APART_M) continue;
+      const away = Math.hypot(this.x_m[j] - x, this.y_m[j] - y);
+      if (away < least) [least, found] = [away, j * this.every];
+    }
+    return found;
+  }
+
+  draw(context, camera, colour) {
+    context.fillStyle = colour;
+    for (let i = 0; i < this.x_m.length; i += 1) {
+      const [x, y] = camera.toScreen(this.x_m[i], this.y_m[i]);
+      context.fillRect(x - 2, y - 2, 4, 4);
+    }
+  }
+
+  #index(k) {
+    return Math.min(Math.round(k / this.every), this.x_m.length - 1);
+  }
+}

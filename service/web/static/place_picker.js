@@ -1,0 +1,98 @@
+// One of the two places whose points are said to be the same: a key frame, chosen by number or on the map.
+
+import { element, notice, setText } from "./dom.js";
+import { fixed } from "./format.js";
+
+const LABELS = { a: "Place A", b: "Place B" };
+
+export class PlacePicker {
+  /** edit: of the area Edit; changed(): the place or its points are others. */
+  constructor(side, edit, changed) {
+    this.side = side;
+    this.edit = edit;
+    this.changed = changed;
+    this.keyframe = null;
+    this.pose = null; // pose_map_base, [x_m, y_m, theta_rad]
+    this.points = []; // map frame, [x_m, y_m, ...]
+    this.loading = false;
+    const label = LABELS[side], id = `place-${side}`;
+    this.swatch = element("span", { className: "swatch" });
+    this.words = element("span", { className: "note", id: `${id}-words` });
+    this.slider = element("input", { type: "range", id, min: "0", max: "0", step: "1", value: "0", "aria-label": `${label}: key frame` });
+    this.slider.addEventListener("input", () => this.choose(Number(this.slider.value)));
+    this.pick = element("button", { type: "button", id: `${id}-pick`, onclick: () => edit.pickKeyframe(`where ${label} is`, (k) => this.choose(k)) },
+      "On the map");
+    this.go = element("button", { type: "button", id: `${id}-go`, "aria-label": `Show ${label}`, onclick: () => this.show() }, "Show");
+    this.node = element("div", { className: "place", role: "group", "aria-label": label },
+      element("div", { className: "row" }, element("span", { className: "name" }, this.swatch, label), this.words),
+      element("div", { className: "row" }, this.slider, this.pick, this.go));
+    this.update();
+  }
+
+  get isChosen() {
+    return this.keyframe !== null;
+  }
+
+  /** Load and show the points of a key frame; while one is loading, the newest wish waits. */
+  async choose(keyframe) {
+    this.keyframe = keyframe;
+    this.update();
+    if (this.loading) return;
+    this.loading = true;
+    for (let loaded = null; loaded !== this.keyframe;) {
+      loaded = this.keyframe;
+      if (loaded === null) break;
+      const answer = await this.edit.connection.command("map_keyframe", { version: this.edit.version, keyframe: loaded });
+      if (!answer.ok) {
+        this.keyframe = null;
+        notice(`${LABELS[this.side]}: ${answer.error}.`, "error");
+        break;
+      }
+      if (this.keyframe === loaded) [this.points, this.pose] = [answer.points, answer.pose];
+    }
+    this.loading = false;
+    if (!this.isChosen) this.clear();
+    this.update();
+    this.changed();
+  }
+
+  clear() {
+    this.keyframe = this.pose = null;
+    this.points = [];
+    this.update();
+  }
+
+  /** Bring it into the middle of the map. */
+  show() {
+    if (!this.pose) return;
+    this.edit.view.follow(false);
+    this.edit.view.camera.centreOn(this.pose[0], this.pose[1]);
+    this.edit.view.invalidate();
+  }
+
+  update() {
+    const { keyframes } = this.edit;
+    this.slider.max = String(Math.max(keyframes.count - 1, 0));
+    if (this.isChosen) this.slider.value = String(this.keyframe);
+    const words = this.isChosen ? `key frame ${this.keyframe}, ${fixed(keyframes.seconds(this.keyframe), 1, " s")}` : "not chosen";
+    this.slider.setAttribute("aria-valuetext", words);
+    this.go.disabled = !this.isChosen;
+    setText(this.words, words);
+  }
+
+  draw(context, camera, colour) {
+    if (!this.pose) return;
+    context.fillStyle = context.strokeStyle = colour;
+    for (let i = 0; i < this.points.length; i += 2) {
+      const [x, y] = camera.toScreen(this.points[i], this.points[i + 1]);
+      context.fillRect(x - 2, y - 2, 4, 4);
+    }
+    const [x, y] = camera.toScreen(this.pose[0], this.pose[1]);
+    context.lineWidth = 3;
+    context.beginPath();
+    context.arc(x, y, 6, 0, 2 * Math.PI);
+    context.stroke();
+    context.font = "bold 14px system-ui, sans-serif";
+    context.fillText(this.side.toUpperCase(), x + 9, y - 7);
+  }
+}

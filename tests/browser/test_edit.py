@@ -1,0 +1,364 @@
+"""A stored map edited with the mouse, and with keys alone: from the click to the version on disk."""
+
+import numpy as np
+import pytest
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.keys import Keys
+
+from service.geometry.se2 import SE2
+from service.mapstore.files import load_map, save_map
+from service.offline import map_edit
+from service.offline.trajectory import write_tum
+from service.offline.view import View
+from tests.browser.conftest import DESKTOP, PHONE
+from tests.browser.test_page import serious_faults
+from tests.service.mapstore.tile_makers import tile
+from tests.service.offline.bent_maps import ROUND, bent_map, graph_in, save_bent
+from tests.service.offline.test_map_edit import cell
+
+PAIRED = (6, 22)  # key frames of the first round
+CABINET = np.array([(9.9, 9.5), (11.6, 9.5), (11.6, 9.9), (9.9, 9.9)])  # around the front of one; seen once
+
+
+@pytest.fixture(scope="module")
+def bent():
+    return bent_map()
+
+
+@pytest.fixture
+def folder(tmp_path, bent):
+    return save_bent(tmp_path / "ring", bent)
+
+
+@pytest.fixture
+def opened(page):
+    """Opens a stored map on the page, with the area Edit shown; closes it again."""
+    views = []
+
+    def open_one(source, version=1):
+        views.append(View(source, "127.0.0.1:0"))
+        page.open(views[-1].address)
+        page.wait_for("const r = corridor.report(); return r.tiles > 0 && r.mayControl && r.health")
+        page.wait_for("return corridor.edit.version === arguments[0]", version)
+        page.choose("edit")
+        return views[-1]
+
+    yield open_one
+    for view in views:
+        view.close()
+
+
+@pytest.fixture
+def view(opened, folder):
+    return opened(folder)
+
+
+def offset_of(page, x_m, y_m):
+    """Of a point of the map from the middle of the canvas, pixels."""
+    return page.run(
+        "const c = corridor.view.camera, [x, y] = c.toScreen(arguments[0], arguments[1]);"
+        "return [Math.round(x - c.width / 2), Math.round(y - c.height / 2)]",
+        float(x_m),
+        float(y_m),
+    )
+
+
+def click_map(page, x_m, y_m):
+    dx, dy = offset_of(page, x_m, y_m)
+    ActionChains(page.driver).move_to_element_with_offset(page.element("map"), dx, dy).click().perform()
+
+
+def drag_map(page, from_m, to_m):
+    canvas = page.element("map")
+    actions = ActionChains(page.driver).move_to_element_with_offset(canvas, *offset_of(page, *from_m))
+    actions.click_and_hold().move_to_element_with_offset(canvas, *offset_of(page, *to_m)).release().perform()
+
+
+def choose_place(page, side, xy_map):
+    page.element(f"place-{side}-pick").click()
+    click_map(page, *xy_map)
+    page.wait_for("return corridor.edit.pairs.places[arguments[0]].points.length > 0", side)
+
+
+def wait_for_version(page, number):
+    """Until the change is made; a refusal is told by its words."""
+    page.wait_for("return !corridor.edit.isBusy && corridor.edit.note.dataset.level !== 'none'")
+    assert page.element("edit-note").get_attribute("data-level") == "ok", page.text("edit-note")
+    page.wait_for("return corridor.edit.version === arguments[0] && !corridor.edit.isBusy", number)
+
+
+def residuals_m(page):
+    return page.run(
+        "return [...document.querySelectorAll('#pairs .note')].map((e) => parseFloat(e.textContent))"
+    )
+
+
+def drawn(page):
+    """The canvas, as text."""
+    before = page.run("return corridor.view.frames")
+    page.run("corridor.view.invalidate()")
+    page.wait_for("return corridor.view.frames > arguments[0]", before)
+    return page.run("return document.getElementById('map').toDataURL()")
+
+
+def test_a_bent_map_is_straightened_by_clicks_compared_and_taken_back(page, view, folder, bent):
+    assert bent.error_m(graph_in(folder)) > 0.5
+    for k in PAIRED:
+        here, there = bent.graph.map[k, :2], bent.graph.map[k + ROUND, :2]
+        page.look_at(*(here + there) / 2, 100.0)
+        choose_place(page, "a", here)
+        choose_place(page, "b", there)
+        chosen = page.run("const {a, b} = corridor.edit.pairs.places; return [a.keyframe, b.keyframe]")
+        assert chosen == [k, k + ROUND]
+        page.element("pick-pairs").click()
+        for first, second in bent.common_points(k):
+            page.look_at(*(first + second) / 2, 150.0)
+            click_map(page, *first)
+            assert "Now the same point" in page.text("hint")
+            click_map(page, *second)
+        page.element("map").send_keys(Keys.ESCAPE)
+    rows = residuals_m(page)
+    apart_m = [float(np.hypot(*(a - b))) for k in PAIRED for a, b in bent.common_points(k)]
+    np.testing.assert_allclose(rows, apart_m, atol=0.03)  # a pixel or two
+    page.element("optimise").click()
+    wait_for_version(page, 2)
+    assert bent.error_m(graph_in(folder)) < 0.10
+    assert "moved by up to" in page.text("compare-words")
+    assert len(residuals_m(page)) == 6
+    assert max(residuals_m(page)) < 0.05
+    page.wait_for("return corridor.view.tiles.tiles.size > 0 && corridor.view.before !== null")
+    page.element("fit").click()
+    after = drawn(page)
+    page.element("show-before").click()
+    assert drawn(page) != after
+    page.element("show-before").click()
+    page.wait_for("return !corridor.view.showsBefore")
+    page.element("flicker").click()
+    page.wait_for("return corridor.view.showsBefore")
+    page.wait_for("return !corridor.view.showsBefore")
+    page.element("flicker").click()
+    page.element("edit-undo").click()
+    wait_for_version(page, 3)
+    np.testing.assert_array_equal(graph_in(folder).map, bent.graph.map)
+    assert page.faults() == []
+
+
+def test_a_new_pair_and_one_of_the_map_are_removed(page, view, folder, bent):
+    k = PAIRED[0]
+    first, second = bent.common_points(k)[0]
+    page.look_at(*bent.graph.map[k, :2], 100.0)
+    choose_place(page, "a", bent.graph.map[k, :2])
+    choose_place(page, "b", bent.graph.map[k + ROUND, :2])
+    page.element("pick-pairs").click()
+    page.look_at(*(first + second) / 2, 150.0)
+    for points in 3 * (first, second):
+        click_map(page, *points)
+    assert page.text("optimise") == "Optimise with 3 new"
+    page.driver.find_element("css selector", "[aria-label='Remove New 1']").click()
+    page.element("optimise").click()
+    wait_for_version(page, 2)
+    assert len(graph_in(folder).by_hand.pair_ends) == 2
+    page.driver.find_element("css selector", "[aria-label='Remove Pair 0']").click()
+    wait_for_version(page, 3)
+    assert len(graph_in(folder).by_hand.pair_ends) == 1
+    page.driver.find_element("css selector", "[aria-label='Remove Pair 0']").click()
+    page.wait_for_text("edit-note", "2 parts of the map would hang together by nothing")
+    assert load_map(folder).number == 3
+
+
+def test_a_click_beside_all_points_picks_none(page, view, bent):
+    k = PAIRED[0]
+    page.look_at(*bent.graph.map[k, :2], 100.0)
+    choose_place(page, "a", bent.graph.map[k, :2])
+    page.element("other-pass").click()
+    page.wait_for("return corridor.edit.pairs.places.b.points.length > 0")
+    page.element("pick-pairs").click()
+    click_map(page, *bent.graph.map[k, :2])
+    page.wait_for_text("hint", "No point of place A is near there")
+    assert page.run("return corridor.edit.pairs.pairs.length") == 0
+
+
+def front_of_cabinet(folder):
+    """A point of the map where it stands."""
+    x_m = 10.775
+    return next(
+        (x_m, y_m)
+        for y_m in np.arange(9.525, 9.9, 0.05).tolist()
+        if cell(load_map(folder).tiles, x_m, y_m) > 65
+    )
+
+
+def test_an_area_is_erased_by_dragging_and_brought_back(page, view, folder):
+    spot = front_of_cabinet(folder)
+    page.look_at(*CABINET.mean(axis=0), 150.0)
+    page.element("draw-rectangle").click()
+    drag_map(page, CABINET.min(axis=0), CABINET.max(axis=0))
+    page.wait_for("return document.getElementById('confirm').open")
+    assert "0.68 m" in page.text("confirm-text")
+    page.element("confirm-yes").click()
+    wait_for_version(page, 2)
+    assert cell(load_map(folder).tiles, *spot) == -1
+    page.wait_for("return corridor.view.tiles.valueAt(...arguments) === -1", *spot)
+    assert load_map(folder).edit.who == map_edit.user_name()
+    page.element("edit-undo").click()
+    wait_for_version(page, 3)
+    assert cell(load_map(folder).tiles, *spot) > 65
+    page.wait_for("return corridor.view.tiles.valueAt(...arguments) > 65", *spot)
+
+
+def test_an_area_by_corners_is_whole_at_its_first_corner_and_a_no_changes_nothing(page, view, folder):
+    spot = front_of_cabinet(folder)
+    page.look_at(*CABINET.mean(axis=0), 150.0)
+    page.element("edit-who").clear()
+    page.element("edit-who").send_keys("ada")
+    page.element("erase-free").click()
+    page.element("draw-area").click()
+    for corner in (*CABINET, CABINET[0]):
+        click_map(page, *corner)
+    page.wait_for("return document.getElementById('confirm').open")
+    page.element("confirm-no").click()
+    page.wait_for("return !document.getElementById('confirm').open")
+    assert load_map(folder).number == 1
+    assert page.text("draw-words") == "4 corners, 0.68 m\u00b2"
+    page.element("erase").click()
+    page.element("confirm-yes").click()
+    wait_for_version(page, 2)
+    stored = load_map(folder)
+    assert (stored.edit.who, stored.edit.what) == ("ada", "erase")
+    assert 0 <= cell(stored.tiles, *spot) < 10
+
+
+def test_a_wall_is_drawn_with_keys_alone(page, view, folder):
+    page.look_at(6.0, 0.0, 60.0)
+    page.element("draw-wall").send_keys(Keys.ENTER)
+    to_and_fro = (Keys.ARROW_RIGHT, Keys.ENTER, Keys.ARROW_UP, Keys.ENTER, Keys.BACKSPACE, Keys.ARROW_DOWN)
+    for key in (Keys.ENTER, *to_and_fro):
+        page.driver.switch_to.active_element.send_keys(key)
+    assert page.text("draw-words") == "2 points, 1.00 m"
+    page.driver.switch_to.active_element.send_keys(Keys.ENTER)  # the last point again
+    page.wait_for("return document.getElementById('confirm').open")
+    page.element("confirm-yes").send_keys(Keys.ENTER)
+    wait_for_version(page, 2)
+    assert cell(load_map(folder).tiles, 6.5, 0.0) == 97
+    page.wait_for("return corridor.view.tiles.valueAt(6.5, 0.0) === 97")
+
+
+def test_a_time_span_is_cut_out_by_clicking_the_way(page, view, folder, bent):
+    first, last = 30, 40
+    page.look_at(*bent.graph.map[35, :2], 60.0)
+    for end, k in (("from", first), ("to", last)):
+        page.element(f"cut-{end}-pick").click()
+        click_map(page, *bent.graph.map[k, :2])
+    assert page.element("cut-from").get_attribute("value") == "3.00"
+    assert page.text("cut-words") == "11 key frames lie in it."
+    page.element("cut").click()
+    page.element("confirm-yes").click()
+    page.wait_for_text("edit-note", "hang together by nothing")
+    assert load_map(folder).number == 1
+    page.element("cut-bridge").click()
+    page.element("cut").click()
+    page.element("confirm-yes").click()
+    wait_for_version(page, 2)
+    assert len(graph_in(folder)) == len(bent.graph) - 11
+
+
+def test_without_the_right_token_nothing_is_changed(page, view, folder):
+    page.run("sessionStorage.clear()")
+    page.driver.get("about:blank")
+    page.open(view.address.partition("#")[0], "wrong")
+    page.wait_for_text("notices", "not the token")
+    page.choose("edit")
+    assert "You may look" in page.text("edit-note")
+    assert not page.element("draw-rectangle").is_enabled()
+    answer = page.driver.execute_async_script(
+        "const done = arguments[0], change = {what: 'wall', corners: [[0, 0], [1, 0]]};"
+        "corridor.connection.command('map_edit', {version: 1, change}).then(done)"
+    )
+    assert "needs the token" in answer["error"]
+    assert load_map(folder).number == 1
+
+
+def test_too_many_points_are_refused_by_page_and_service(page, view, folder):
+    page.element("draw-wall").click()
+    page.run("for (let i = 0; i < 501; i += 1) corridor.edit.tool.click([20 * (i % 40), 15 * (i % 37)])")
+    page.wait_for_text("hint", "500 points at most")
+    assert page.run("return corridor.edit.tool.corners.length") == 500
+    page.run(
+        "const corners = Array.from({length: 501}, (_, i) => [0, i / 100]);"
+        "corridor.edit.change({what: 'wall', corners}, 'Wall')"
+    )
+    page.wait_for_text("edit-note", "501 points, at most 500 are taken")
+    assert load_map(folder).number == 1
+
+
+def test_what_somebody_else_changed_is_seen_and_not_written_over(page, view, folder):
+    map_edit.edit_map(folder, "wall", map_edit.wall([0, 0, 1, 0]), "bob", 5)
+    page.run("corridor.edit.change({what: 'wall', corners: [[6, 0], [7, 0]]}, 'Wall')")
+    page.wait_for_text("edit-note", "the map is at version 2")
+    page.wait_for("return corridor.edit.version === 2")
+    assert "bob" in page.text("versions")
+    page.driver.find_element("xpath", "//button[text()='Go back to version 1\u2026']").click()
+    page.element("confirm-yes").click()
+    wait_for_version(page, 3)
+    assert load_map(folder).edit.restores == 1
+
+
+def test_a_map_without_a_graph_is_drawn_in(page, opened, tmp_path):
+    save_map(tmp_path / "picture", [tile(0, 0, 1, value=97), tile(1, 0, 2, value=97)], 1)
+    opened(tmp_path / "picture")
+    assert page.element("draw-rectangle").is_enabled()
+    assert not page.element("optimise").is_displayed()
+    assert not page.element("cut").is_displayed()
+
+
+def test_the_path_goes_with_the_map_that_is_bent(page, opened, tmp_path, bent):
+    graph = bent.graph
+    rows = zip(graph.stamp_ns.tolist(), graph.map.tolist(), strict=True)
+    write_tum(tmp_path / "trajectory.tum", [(stamp_ns, SE2(*pose)) for stamp_ns, pose in rows])
+    folder = save_bent(tmp_path / "map", bent)
+    pairs = [(points.ravel().tolist(), (k, k + ROUND)) for k in PAIRED for points in bent.common_points(k)]
+    opened(tmp_path)
+    map_edit.edit_map(folder, "add-pair", map_edit.add_pairs(pairs), "bob", 5)
+    page.run("corridor.edit.change({what: 'optimize'}, 'Optimise')")  # is refused, and the newer map shown
+    page.wait_for("return corridor.edit.version === 2")
+    page.wait_for(
+        "const [x, y] = corridor.view.path.slice(-2);"
+        "return Math.hypot(x - arguments[0], y - arguments[1]) < 1e-3",
+        *graph_in(folder).map[-1, :2].tolist(),
+    )
+    shown = np.reshape(page.run("return [...corridor.view.path]"), (-1, 2))
+    np.testing.assert_allclose(shown, graph_in(folder).map[:, :2], atol=1e-3)
+
+
+def test_a_live_session_offers_no_editing(page, live):
+    assert not page.element("tab-edit").is_displayed()
+
+
+def test_every_control_can_be_reached_with_the_keyboard(page, view):
+    page.run("document.getElementById('tab-edit').focus()")
+    reached = []
+    for _ in range(24):
+        ActionChains(page.driver).send_keys(Keys.TAB).perform()
+        reached.append(page.driver.switch_to.active_element.get_attribute("id"))
+    wanted = {"place-a", "place-a-pick", "optimise", "draw-rectangle", "draw-area", "draw-wall", "erase-free"}
+    assert wanted | {"cut-from", "cut-from-pick", "cut-to", "cut-bridge", "edit-who"} <= set(reached)
+
+
+@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
+@pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
+def test_axe_finds_nothing_serious_in_the_area_edit(page, view, bent, axe, size, is_dark):
+    page.resize(size, is_dark)
+    page.run(
+        "const {a, b} = corridor.edit.pairs.places; a.choose(arguments[0]); b.choose(arguments[1]);"
+        "corridor.edit.change({what: 'optimize'}, 'Optimise')",
+        PAIRED[0],
+        PAIRED[0] + ROUND,
+    )
+    wait_for_version(page, 2)
+    page.choose("edit")
+    assert page.run("return document.documentElement.scrollWidth") <= size[0]
+    wide = "[...document.querySelectorAll('#edit .card')].filter((c) => c.scrollWidth > c.clientWidth)"
+    assert page.run(f"return {wide}.map((c) => c.innerText)") == []
+    page.run(axe)
+    assert serious_faults(page) == []
+    page.resize(DESKTOP)
