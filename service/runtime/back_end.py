@@ -93,6 +93,8 @@ class BackEndProcess:
         if self._channel is not None:
             self._channel.close()
             self._channel = None
+        if self._listener is not None:
+            self._close_listener()
         if self.pid is not None:
             _kill(self.pid)
             self.pid = None
@@ -263,8 +265,11 @@ class _Server:
 
     def run(self) -> None:
         while True:
-            for message in self._channel.receive_within(3600.0):
+            channel = self._channel
+            for message in channel.receive_within(3600.0):
                 self._take(message)
+                if self._channel is not channel:
+                    break  # this is the copy: what came behind is for the one that it was made of
 
     def _take(self, message: Any) -> None:
         if isinstance(message, _Begin):

@@ -13,7 +13,7 @@ from service.runtime.back_end import BackEndProcess, ProcessJob, ProcessWorker
 
 
 class Adder:
-    """Sums what it gets; told a word, it misbehaves."""
+    """Sums what it gets; told a word, it misbehaves; a pipe counts for 10 once somebody has written to it."""
 
     def __init__(self) -> None:
         self.total = 0
@@ -23,6 +23,9 @@ class Adder:
             raise ValueError("cannot add that")
         if batch == "hang":
             signal.pause()
+        if isinstance(batch, Path):
+            batch.read_bytes()
+            batch = 10
         assert isinstance(batch, int)
         self.total += batch
         return self.total, os.getpid()
@@ -98,21 +101,29 @@ def test_the_process_outlives_nobody_and_ignores_a_signal_to_the_group(process: 
 def test_the_copy_of_a_back_end_knows_all_up_to_the_copy_and_nothing_after(
     process: BackEndProcess, tmp_path: Path
 ):
-    """Who takes over has the answers that it has not got yet sent again."""
+    """Who takes over has the answers that it has not got yet sent again. The back end is at work when it is
+    told to copy itself, and reads that together with the work behind it.
+    """
+    gate = tmp_path / "gate"
+    os.mkfifo(gate)
     worker = process.new_worker(Adder())
     assert worker.submit(1).result()[0] == 1
-    on_the_way = worker.submit(10)
+    on_the_way = worker.submit(gate)
     process.copy(tmp_path / "copy.sock")
     copy = BackEndProcess(patience_s=30.0)
     copy.__dict__.update(process.__dict__)  # as a fork has it
     copy._answers, copy.pid = {}, None
     process._listener, copy._channel = None, None
-    assert on_the_way.result()[0] == 11
-    assert worker.submit(100).result()[0] == 111
-    assert ProcessJob(copy, 2).result()[0] == 11
-    total, pid = ProcessWorker(copy).submit(1000).result()
-    assert (total, pid != process.pid) == (1011, True)
-    copy.stop()
+    try:
+        behind = worker.submit(100)
+        gate.write_bytes(b"go on")
+        assert on_the_way.result()[0] == 11
+        assert behind.result()[0] == 111
+        assert ProcessJob(copy, 2).result()[0] == 11
+        total, pid = ProcessWorker(copy).submit(1000).result()
+        assert (total, pid != process.pid) == (1011, True)
+    finally:
+        copy.stop()
     assert not _is_there(pid)
 
 
