@@ -44,6 +44,25 @@ def splat_field(xy, first_row, first_column, cell_m, sigma_m, field):
 
 
 @njit(cache=True, nogil=True)
+def fill_unknown(field, first_row, first_column, grid, likelihood):
+    """Give cells of a likelihood field that a map knows nothing of at least a likelihood.
+
+    field                     (H, W) float32   in and out
+    first_row, first_column   int              of the cell that is field[0, 0]
+    grid                      OccupancyGrid    of the same cells; evidence 0 is unknown
+    """
+    for r in range(field.shape[0]):
+        row = first_row + r
+        slot = NO_TILE
+        for q in range(field.shape[1]):
+            column = first_column + q
+            if q == 0 or column & TILE_MASK == 0:
+                slot = find_tile(grid.tiles, row >> TILE_BITS, column >> TILE_BITS)
+            if slot == NO_TILE or grid.evidence[slot, row & TILE_MASK, column & TILE_MASK] == 0:
+                field[r, q] = max(field[r, q], np.float32(likelihood))
+
+
+@njit(cache=True, nogil=True)
 def thin_points(xy, spacing_m, kept):
     """Leave out points that lie nearer than spacing_m to the last one kept.
 

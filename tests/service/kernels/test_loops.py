@@ -2,6 +2,7 @@ import numpy as np
 
 from service.geometry.se2 import SE2
 from service.kernels.loops import (
+    fill_unknown,
     path_lengths,
     share_in_free_space,
     splat_field,
@@ -46,6 +47,19 @@ def test_a_field_is_the_most_that_any_point_says():
     )
     expected = np.where(near, np.exp(-0.5 * (dx**2 + dy**2) / 0.12**2), 0.0).max(axis=2)
     np.testing.assert_allclose(field, expected, rtol=1e-5)
+
+
+def test_only_cells_that_the_map_knows_nothing_of_are_filled():
+    canvas = OccupancyRenderer(15.0, 0.1).canvas()
+    canvas.draw(np.array([[2.05, 0.05]]), (0.05, 0.05), SE2())
+    field = np.zeros((3, 40), np.float32)  # rows -1 to 1, columns -10 to 29
+    field[1, 30], field[1, 35] = 0.9, 0.8  # the wall, and something that lies behind it
+    fill_unknown(field, -1, -10, canvas.grid(), 0.7)
+    seen = field[1, 10:30]  # from the sensor up to the wall
+    assert (seen == 0.0).all()
+    np.testing.assert_array_equal(field[1, [30, 35]], np.float32([0.9, 0.8]))
+    unseen = np.delete(field, np.s_[10:31], axis=1)
+    assert (unseen >= np.float32(0.7)).all()
 
 
 def test_points_that_are_left_lie_apart():

@@ -10,7 +10,7 @@ from service.geometry.poses import Floats
 from service.kernels import occupancy
 from service.kernels.branch_and_bound import MaxPyramid, padding_cells, pool_levels, search_branch_and_bound
 from service.kernels.likelihood_search import SearchWindow
-from service.kernels.loops import share_in_free_space, splat_field
+from service.kernels.loops import fill_unknown, share_in_free_space, splat_field
 from service.kernels.occupancy import OccupancyGrid, trace_scan
 from service.mapper.graph.point_clouds import CELL_M, POOL_TILES, Fit, PointCloud, SurfelSet, cover, joined
 from service.mapper.maps.occupancy import EVIDENCE
@@ -22,6 +22,9 @@ LEVELS = 7
 REACH_M = 15.0  # points beyond are not asked: they are few, and a small turn moves them far
 FREE = -20  # two misses and no hit
 SEARCH_POINTS = 200
+# Of a point on ground that the sub-map has not seen, which says nothing: somewhat less than that of one on a
+# wall, so that ground that is known wins.
+UNKNOWN_LIKELIHOOD = 0.7
 LEAST_SCORE = 0.5  # mean likelihood of the points that a search must reach: half of them lie on walls
 TRACED_EVERY = 3  # key frames of a place: neighbours see the same free space
 
@@ -100,8 +103,6 @@ class CandidateSubmap:
 
     def against(self, cloud: PointCloud, pose: Floats) -> float:
         """Share of the points that would lie in free space of the place, 0..1."""
-        if not self._knows_space:
-            self._trace()
         return float(share_in_free_space(cloud.xy, pose, self._free(), FREE))
 
     def pyramid(self) -> MaxPyramid:
@@ -110,13 +111,14 @@ class CandidateSubmap:
             low = np.floor(self._xy.min(axis=0) / CELL_M).astype(np.int64) - 2 - pad
             high = np.floor(self._xy.max(axis=0) / CELL_M).astype(np.int64) + 3
             levels = np.zeros((LEVELS, high[1] - low[1], high[0] - low[0]), np.float32)
-            splat_field(self._xy, int(low[1]), int(low[0]), CELL_M, FIELD_SIGMA_M, levels[0])
-            pool_levels(levels, 0.0)
-            self._pyramid = MaxPyramid(levels, int(low[1]), int(low[0]), 0.0, 0.0, 1.0, CELL_M)
+            row, column = int(low[1]), int(low[0])
+            splat_field(self._xy, row, column, CELL_M, FIELD_SIGMA_M, levels[0])
+            fill_unknown(levels[0], row, column, self._free(), UNKNOWN_LIKELIHOOD)
+            pool_levels(levels, UNKNOWN_LIKELIHOOD)
+            self._pyramid = MaxPyramid(levels, row, column, UNKNOWN_LIKELIHOOD, 0.0, 1.0, CELL_M)
         return self._pyramid
 
     def _trace(self) -> None:
-        self._knows_space = True
         cover(self._space, occupancy.TILE_BITS, np.concatenate((self._xy, self._sensors)))
         for number in range(0, len(self._clouds), TRACED_EVERY):
             cloud, sensor = self._clouds[number], self._sensors[number]
@@ -126,5 +128,8 @@ class CandidateSubmap:
                 )
 
     def _free(self) -> OccupancyGrid:
+        if not self._knows_space:
+            self._knows_space = True
+            self._trace()
         evidence, touched, changed = self._space.pool.arrays
         return OccupancyGrid(self._space.index(), evidence, touched, changed, CELL_M)  # type: ignore[arg-type]
