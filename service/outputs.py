@@ -73,11 +73,13 @@ class MapperOutput:
     pose_odom_base: SE2  # smooth: never jumps
     pose_map_odom: SE2  # jumps when a loop closes
     twist_base: tuple[float, float, float]  # m/s forward, m/s left, rad/s
-    covariance: npt.NDArray[np.float64]  # (3, 3) of x, y, theta in base axes; m^2, m rad, rad^2
+    covariance: npt.NDArray[np.float64]  # (3, 3) of x, y, theta in the map, base axes; m^2, m rad, rad^2
     state: State
     reason: str  # why it is not "ok", else ""
     inlier_ratio: float  # share of the beams used that agree with the map, 0..1
     geo_reference: GeoReference | None = None  # where the map lies on the earth; None: that is not known
+    # of pose_odom_base against the first scan, which no loop makes smaller; None: the same as in the map
+    odom_covariance: npt.NDArray[np.float64] | None = None
 
     @property
     def pose_map_base(self) -> SE2:

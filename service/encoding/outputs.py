@@ -71,13 +71,14 @@ class Transform:
 
 def encode_pose(output: MapperOutput, log_ns: int) -> Message:
     """Base in map, as channel "pose"."""
-    payload = _pose_ros(output, wire.MAP_FRAME, output.pose_map_base)
+    payload = _pose_ros(output, wire.MAP_FRAME, output.pose_map_base, output.covariance)
     return wire.to_message("pose", wire.ODOMETRY, output.stamp_ns, log_ns, payload)
 
 
 def encode_odom(output: MapperOutput, log_ns: int) -> Message:
     """Base in odom, which never jumps, as channel "odom"."""
-    payload = _pose_ros(output, wire.ODOM_FRAME, output.pose_odom_base)
+    covariance = output.covariance if output.odom_covariance is None else output.odom_covariance
+    payload = _pose_ros(output, wire.ODOM_FRAME, output.pose_odom_base, covariance)
     return wire.to_message("odom", wire.ODOMETRY, output.stamp_ns, log_ns, payload)
 
 
@@ -240,11 +241,12 @@ def decode_event(payload: bytes) -> str:
     return cast(ros.std_msgs__msg__String, wire.read(wire.STRING, payload)).data
 
 
-def _pose_ros(output: MapperOutput, frame: str, pose: SE2) -> object:
-    turn = wire.rotation_3x3(pose.theta_rad)  # Odometry wants the covariance in the axes of `frame`
-    covariance = _bounded(turn @ output.covariance @ turn.T)
+def _pose_ros(output: MapperOutput, frame: str, pose: SE2, covariance: FloatArray) -> object:
+    """covariance: (3, 3) in base axes; Odometry wants it in the axes of `frame`."""
+    turn = wire.rotation_3x3(pose.theta_rad)
+    bounded = _bounded(turn @ covariance @ turn.T)
     header = wire.header_ros(output.stamp_ns, frame)
-    return wire.odometry_content(header, pose, covariance.ravel(), output.twist_base)
+    return wire.odometry_content(header, pose, bounded.ravel(), output.twist_base)
 
 
 def _bounded(covariance: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ from service.fusion.motion import Measurement, Motion, MotionModel, Prediction
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapper.background import InlineWorker, NewWorker
+from service.mapper.known_pose import KnownPose
 from service.mapper.patch_store import MemoryPatches, NewPatchStore
 from service.mapper.saved_graph import KeepGraph, KeptGraph, SavedGraph
 from service.outputs import GraphPicture, State, TileUpdate
@@ -143,6 +144,7 @@ class GraphUpdate:
     saved    what a later session needs to go on, where a checkpoint was asked for
     geo      where the map lies on the earth; None: that is not known, or not news
     picture  the graph, for people to look at; None: that of before stands
+    known    how well a key frame is known in the map; None: the motion model alone says how well
     """
 
     counts: Mapping[str, int]
@@ -155,6 +157,7 @@ class GraphUpdate:
     pose_refused: tuple[float, float, float] | None = None
     saved: SavedGraph | KeptGraph | None = None
     picture: GraphPicture | None = None
+    known: KnownPose | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

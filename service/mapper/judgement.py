@@ -14,6 +14,8 @@ from service.outputs import State
 
 LEAST_RETURNS = 20  # with fewer a scan is not matched
 MOST_SIGMA_M, MOST_SIGMA_RAD = 0.15, math.radians(3.0)  # `ok`: the pose against the map is known so well
+# `ok`: the pose in the map is known so well, with all drift since known ground was seen last
+MOST_DRIFT_M, MOST_DRIFT_RAD = 0.5, math.radians(10.0)
 LOST_SIGMA_M, LOST_SIGMA_RAD = 0.75, 0.35  # worse: lost, for a match within so much may be any of several
 TIGHT_SIGMA_M, TIGHT_SIGMA_RAD = 0.5, 0.4  # a prediction so good carries the pose onto new ground
 # Share of the returns, of those on ground that the map knows, that lie on its walls: over 8 recorded and 10
@@ -161,6 +163,18 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, str]:
             "the prediction holds it"
         )
     return "ok", ""
+
+
+def drift_of(covariance: npt.NDArray[np.float64]) -> str:
+    """Why a pose with a covariance (3, 3) in the map is not known well enough to be `ok`; "" where it is."""
+    sigma_m, sigma_rad = sigmas_of(covariance)
+    if sigma_m <= MOST_DRIFT_M and sigma_rad <= MOST_DRIFT_RAD:
+        return ""
+    return (
+        "the way since known ground was seen last has drifted: the pose in the map is known to "
+        f"{sigma_m:.2f} m and {math.degrees(sigma_rad):.1f} deg only (expected {MOST_DRIFT_M} m, "
+        f"{math.degrees(MOST_DRIFT_RAD):.0f} deg); drive past a place that was mapped before"
+    )
 
 
 def _on_map(evidence: Evidence) -> str:

@@ -21,6 +21,8 @@ from service.mapper.components import (
     ReadableMap,
     Stopwatch,
 )
+from service.mapper.judgement import drift_of
+from service.mapper.known_pose import KnownPose
 from service.mapper.mounting_check import MountingCheck
 from service.mapper.saved_graph import KeptGraph, SavedGraph
 from service.mapper.scan_check import ScanCheck
@@ -63,6 +65,7 @@ class Mapper(Generic[ReadableMap]):
         self._travelled_m = 0.0  # as predicted, from scan to scan
         self._state: tuple[State, str] = ("ok", "")  # and its reason, of the newest scan that was mapped
         self._pose_map_odom = SE2()
+        self._known: KnownPose | None = None  # a key frame that the graph has corrected
         self.geo_reference = geo_reference  # None: where the map lies on the earth is not known
         self.counters: Counter[str] = Counter()  # scans, scans_dropped_late, samples_dropped_late ...
 
@@ -147,6 +150,8 @@ class Mapper(Generic[ReadableMap]):
             self.saved = update.saved
         if update.picture is not None:
             self.graph_picture = update.picture
+        if update.known is not None:
+            self._known = update.known
         if update.placed is not None:
             self._placed = update.placed
         if update.joined is not None:
@@ -249,16 +254,20 @@ class Mapper(Generic[ReadableMap]):
         return self._output(at_ns, motion, state, reason, 0.0)
 
     def _output(self, at_ns: int, motion: Motion, state: State, reason: str, share: float) -> MapperOutput:
+        covariance = motion.covariance if self._known is None else self._known.covariance_at(motion)
+        if state == "ok" and (drift := drift_of(covariance)):
+            state, reason = "degraded", drift
         return MapperOutput(
             stamp_ns=at_ns,
             pose_odom_base=motion.pose_odom_base,
             pose_map_odom=self._pose_map_odom,
             twist_base=motion.twist_base,
-            covariance=motion.covariance,
+            covariance=covariance,
             state=state,
             reason=reason,
             inlier_ratio=share,
             geo_reference=self.geo_reference,
+            odom_covariance=motion.covariance,
         )
 
 

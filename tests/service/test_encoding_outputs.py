@@ -27,6 +27,17 @@ OUTPUT = MapperOutput(
 )
 
 
+def test_odom_has_a_covariance_of_its_own_that_no_loop_makes_smaller():
+    apart = replace(OUTPUT, odom_covariance=np.diag([4.0, 4.0, 0.01]))
+
+    def known(message):
+        return encoding.decode_pose(message.payload).covariance
+
+    np.testing.assert_allclose(known(encoding.encode_pose(apart, T0_NS)), OUTPUT.covariance, atol=1e-12)
+    np.testing.assert_allclose(known(encoding.encode_odom(apart, T0_NS)), apart.odom_covariance, atol=1e-12)
+    np.testing.assert_allclose(known(encoding.encode_odom(OUTPUT, T0_NS)), OUTPUT.covariance, atol=1e-12)
+
+
 def test_pose_covariance_is_in_the_axes_of_the_map():
     message = encoding.encode_pose(OUTPUT, T0_NS + 5)
     content = STORE.deserialize_cdr(message.payload, message.type)

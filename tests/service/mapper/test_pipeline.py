@@ -11,6 +11,7 @@ from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
 from service.mapper.components import GraphUpdate
 from service.mapper.graph.no_graph import NoGraph
+from service.mapper.known_pose import KnownPose
 from service.mapper.pipeline import MOST_BEHIND_NS, Mapper
 from service.mapper.profiles import build_mapper, mapping_config
 from tests.service.mapper.drives import MOUNTING, ROOM, drive, standing
@@ -48,6 +49,29 @@ def test_where_the_map_lies_on_the_earth_stays_with_the_mapper_and_goes_out_with
     mapper.apply_result()
     after = next(output for frame in frames if (output := mapper.process(frame)) is not None)
     assert after.geo_reference is mapper.geo_reference is TalkingGraph.reference
+
+
+class KnowingGraph(NoGraph):
+    """Has corrected a key frame: the pose is known as `covariance` there."""
+
+    covariance = np.diag([1.0, 0.01, 0.01])
+
+    def apply_result(self):
+        return GraphUpdate({}, known=KnownPose(SE2(), np.zeros((3, 3)), self.covariance))
+
+
+def test_how_well_a_pose_is_known_goes_on_from_what_the_graph_says_and_drift_is_not_ok():
+    mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
+    mapper._stages = replace(mapper._stages, graph=KnowingGraph())
+    frames = iter(drive(ROOM, standing, 0.6).frames)
+    before = next(output for frame in frames if (output := mapper.process(frame)) is not None)
+    assert before.state == "ok"
+    assert np.trace(before.covariance) < 1e-3
+    mapper.apply_result()
+    after = next(output for frame in frames if (output := mapper.process(frame)) is not None)
+    np.testing.assert_allclose(after.covariance, KnowingGraph.covariance, atol=1e-3)
+    assert after.state == "degraded"
+    assert "known to 1.00 m" in after.reason
 
 
 def test_nothing_is_rendered_while_lost_and_a_piece_is_mapped_apart():

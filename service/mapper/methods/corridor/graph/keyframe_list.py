@@ -29,6 +29,7 @@ class KeyFrame:
     angle_step_rad: float
     range_sigma_m: float = 0.01
     gap_s: float = math.inf  # longest time without a scan since the key frame before
+    motion_covariance: Floats | None = None  # (3, 3) against the first scan, base axes; None: not known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +41,7 @@ class ThinnedScan:
     sensor_xy_m: tuple[float, float]
 
 
+ARRAYS = ("_poses", "_numbers", "_covariance", "_motion_covariance")  # of KeyframeList, one row a key frame
 SESSION_APART_M = 100.0  # path length that counts between the last key frame of a session and the next one
 
 
@@ -54,6 +56,7 @@ class KeyframeList:
         self._poses = np.zeros((64, 6))
         self._numbers = np.zeros((64, 6))
         self._covariance = np.zeros((64, 3, 3))
+        self._motion_covariance = np.zeros((64, 3, 3))
         self.stamps_ns: list[int] = []
         self.thinned: list[ThinnedScan] = []
         self.by_hand = ByHand() if stored is None else stored.by_hand
@@ -68,6 +71,7 @@ class KeyframeList:
             (stored.way_m, stored.score, stored.is_lost, stored.point_count > 0, -1 - piece, stored.gap_s)
         ).astype(np.float64)
         self._covariance = stored.covariance.copy()
+        self._motion_covariance = np.full_like(stored.covariance, np.nan)
         self.stamps_ns = stored.stamp_ns.tolist()
         ends = np.cumsum(stored.point_count)[:-1]
         self.thinned = [
@@ -132,12 +136,16 @@ class KeyframeList:
         """(N, 3, 3) of each one's match."""
         return self._covariance[: self.count]
 
+    @property
+    def motion_covariance(self) -> Floats:
+        """(N, 3, 3) of each one's pose against the first scan of its session; NaN where that is not known."""
+        return self._motion_covariance[: self.count]
+
     def append(self, frame: KeyFrame, pose_map: Floats, thinned: ThinnedScan) -> None:
         if self.count == len(self._poses):
-            self._poses, self._numbers, self._covariance = (
-                np.concatenate((array, np.zeros_like(array)))
-                for array in (self._poses, self._numbers, self._covariance)
-            )
+            for name in ARRAYS:
+                array = getattr(self, name)
+                setattr(self, name, np.concatenate((array, np.zeros_like(array))))
         k = self.count
         pose = frame.pose_odom_base
         self._poses[k] = pose.x_m, pose.y_m, pose.theta_rad, *pose_map
@@ -149,13 +157,15 @@ class KeyframeList:
             way_m = self._numbers[k - 1, 0] + float(np.hypot(pose.x_m - before[0], pose.y_m - before[1]))
         self._numbers[k] = way_m, frame.score, frame.is_lost, True, frame.piece, frame.gap_s
         self._covariance[k] = frame.covariance
+        known = frame.motion_covariance
+        self._motion_covariance[k] = np.nan if known is None else known
         self.stamps_ns.append(frame.stamp_ns)
         self.thinned.append(thinned)
         self.count += 1
 
     def drop(self, first: int, last: int) -> None:
         """Take out the key frames first..last - 1; those behind move up."""
-        for name in ("_poses", "_numbers", "_covariance"):
+        for name in ARRAYS:
             array = getattr(self, name)
             setattr(self, name, np.concatenate((array[:first], array[last : self.count])))
         del self.stamps_ns[first:last], self.thinned[first:last]

@@ -15,7 +15,7 @@ from service.kernels.loops import path_lengths, thin_points
 from service.kernels.normals import estimate_normals
 from service.mapper.components import Correction, MapRenderer, RenderedMap
 from service.mapper.graph.point_clouds import Fit, PointCloud
-from service.mapper.graph.pose_graph import PoseGraph, edge_chi2, to_g2o
+from service.mapper.graph.pose_graph import Edges, GraphError, PoseGraph, SolverConfig, edge_chi2, to_g2o
 from service.mapper.graph.pose_graph_solver import solve
 from service.mapper.methods.corridor.graph.anchoring import Anchoring
 from service.mapper.methods.corridor.graph.candidate_submap import LEAST_SCORE, CandidateSubmap, cloud_of
@@ -31,9 +31,9 @@ from service.mapper.methods.corridor.graph.refusals import Refusals
 from service.mapper.methods.corridor.graph.stored_graph import (
     Placement,
     anchor_loop,
+    graph_on_held,
     landmarks_of_pairs,
     moved_loops,
-    poses_on_held,
     saved_graph,
     stored_loops,
     to_render,
@@ -137,7 +137,14 @@ class LoopBackEnd:
         if not moved:
             return Result(len(self._loops), len(self._disabled))
         self._solve()
-        return Result(len(self._loops), len(self._disabled), joined, self._correction(-1), self.render())
+        return Result(
+            len(self._loops),
+            len(self._disabled),
+            joined,
+            self._correction(-1),
+            self._covariance_of_last(),
+            self.render(),
+        )
 
     @property
     def _has_pairs(self) -> bool:
@@ -159,11 +166,7 @@ class LoopBackEnd:
     def _find_anchors(self) -> bool:
         """Whether fixes are worth a solution now."""
         is_known = ~self._keyframes.is_lost & np.isin(self._keyframes.piece, list(self._joined))
-        return self._anchoring.find(
-            self._keyframes,
-            odometry_edges(self._keyframes, self._config.keyframe_distance_m).covariance,
-            is_known,
-        )
+        return self._anchoring.find(self._keyframes, self._steps().covariance, is_known)
 
     def _usable(self) -> npt.NDArray[np.bool_]:
         """(N,) key frames that others can be laid on: matched, with points, in a place that is known."""
@@ -377,35 +380,42 @@ class LoopBackEnd:
             self._loops += new
             self._accepted.append(new)
 
-    def _graph(self) -> PoseGraph:
+    def _graph(self, is_by_motion: bool = False) -> PoseGraph:
         """Key frames; behind them, where fixes anchor the map, the frame of east and north."""
-        edges = odometry_edges(self._keyframes, self._config.keyframe_distance_m).and_also(
-            as_edges(self._loops)
-        )
+        edges = self._steps(is_by_motion).and_also(as_edges(self._loops))
         pairs = landmarks_of_pairs(self._keyframes)
         if self._anchoring.reference is None:
             return PoseGraph(self._keyframes.map.copy(), edges, *pairs)
         poses = np.vstack((self._keyframes.map, self._anchoring.pose_map_enu))
         return PoseGraph(poses, edges.and_also(self._anchoring.edges(self._keyframes)), *pairs)
 
+    def _to_solve(self, is_by_motion: bool = False) -> PoseGraph:
+        """The graph, or what of it is not held, behind one pose for all that is."""
+        if not self._held:
+            return self._graph(is_by_motion)
+        return graph_on_held(self._keyframes, self._steps(is_by_motion), self._loops, self._held)
+
+    def _steps(self, is_by_motion: bool = False) -> Edges:
+        return odometry_edges(self._keyframes, self._config.keyframe_distance_m, is_by_motion)
+
+    def _covariance_of_last(self) -> Floats | None:
+        """(3, 3) of the newest key frame in the map, base axes; None: nothing holds it there."""
+        last = self._keyframes.count - 1 - max(self._held - 1, 0)
+        as_it_is = SolverConfig(most_iterations=0)
+        try:
+            return solve(self._to_solve(is_by_motion=True), as_it_is, [last]).covariances[last]
+        except GraphError:
+            return None
+
     def _solve(self) -> None:
         """Poses that agree best; loops that the rest contradicts are disabled."""
         if self._keyframes.count < 2:
             return
         for _ in range(3):
-            if self._held:
-                self._keyframes.map[self._held :] = poses_on_held(
-                    self._keyframes,
-                    odometry_edges(self._keyframes, self._config.keyframe_distance_m),
-                    self._loops,
-                    self._held,
-                )
-                if not self._lay_aside():
-                    return
-                continue
-            poses = solve(self._graph()).poses
-            self._keyframes.map[:] = poses[: self._keyframes.count]
-            if self._anchoring.reference is not None:
+            poses = solve(self._to_solve()).poses
+            moving = self._keyframes.map[self._held :]
+            moving[:] = poses[self._held > 0 :][: len(moving)]
+            if self._anchoring.reference is not None and not self._held:
                 self._anchoring.solved(poses[-1])
             if not self._lay_aside():
                 return
@@ -435,7 +445,12 @@ class LoopBackEnd:
         text = to_g2o(self._graph())
         corrections = [self._correction(k) for k in range(keyframes.stored, keyframes.count)]
         return Result(
-            len(self._loops), len(self._disabled), None, corrections[-1], self.render(), corrections, text
+            len(self._loops),
+            len(self._disabled),
+            newest=corrections[-1],
+            rendered_map=self.render(),
+            all=corrections,
+            g2o=text,
         )
 
     def _search_again(self) -> None:

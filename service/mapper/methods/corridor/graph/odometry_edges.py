@@ -5,12 +5,14 @@ import numpy.typing as npt
 
 from service.geometry import poses as se2
 from service.mapper.graph.pose_graph import Edges
+from service.mapper.known_pose import covariance_added
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
 
 STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: of a step between key frames, at best
 LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])  # of a step that only a prediction vouches for; m^2, rad^2
 DOUBTFUL_COVARIANCE = np.diag([0.09, 0.09, 0.09])  # ... added where an end hardly lies on the map
 UNKNOWN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # ... into a piece that nobody knows the place of
+LEAST_COVARIANCE = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: of a step that nothing was added in
 GAP_SHARE = 0.1  # of a way without scans: what odometry may have erred by
 DOUBTFUL_SHARE = 0.6  # of the drive's median share on the map: with less the match may be wrong
 
@@ -28,24 +30,39 @@ def doubtful_steps(keyframes: KeyframeList) -> npt.NDArray[np.bool_]:
     return doubtful[1:] | doubtful[:-1]
 
 
-def odometry_edges(keyframes: KeyframeList, step_m: float) -> Edges:
-    """From each key frame to the next. step_m: the way after which a key frame is due."""
+def odometry_edges(keyframes: KeyframeList, step_m: float, is_by_motion: bool = False) -> Edges:
+    """From each key frame to the next.
+
+    step_m         the way after which a key frame is due
+    is_by_motion   a step is known as well as the motion model says, where it says so
+    """
+    of, is_unknown = _before(keyframes)
+    to = np.arange(1, keyframes.count, dtype=np.int64)
+    step = se2.between(keyframes.odom[of], keyframes.odom[to])
     covariance = keyframes.covariance[1:] + STEP_FLOOR
     covariance = np.where(lost_steps(keyframes)[:, None, None], LOST_COVARIANCE, covariance)
     covariance = covariance + doubtful_steps(keyframes)[:, None, None] * DOUBTFUL_COVARIANCE
     gap_m = np.maximum(np.diff(keyframes.way_m) - 2.0 * step_m, 0.0)
     covariance = covariance + (GAP_SHARE * gap_m[:, None, None]) ** 2 * np.eye(3)
+    if is_by_motion:
+        then, now = keyframes.motion_covariance[of], keyframes.motion_covariance[to]
+        said = np.isfinite(then + now).all(axis=(1, 2))
+        covariance[said] = covariance_added(then[said], now[said], step[said]) + LEAST_COVARIANCE
+    covariance[is_unknown] = UNKNOWN_COVARIANCE
+    return Edges(of, to, step, covariance, np.zeros(keyframes.count - 1))
+
+
+def _before(keyframes: KeyframeList) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+    """(N - 1,) the key frame before each but the first, and whether nobody knows the way from there.
+
+    Into another piece nobody knows the way; back in one, the newest key frame of it goes before.
+    """
     of = np.arange(keyframes.count - 1, dtype=np.int64)
-    # Into another piece nobody knows the way; back in one, the newest key frame of it goes before.
+    is_unknown = np.zeros(keyframes.count - 1, np.bool_)
     last_of: dict[int, int] = {}
     for k, piece in enumerate(keyframes.piece.tolist()):
         if k and piece != keyframes.piece[k - 1]:
-            if piece in last_of:
-                of[k - 1] = last_of[piece]
-            else:
-                covariance[k - 1] = UNKNOWN_COVARIANCE
+            of[k - 1] = last_of.get(piece, k - 1)
+            is_unknown[k - 1] = piece not in last_of
         last_of[piece] = k
-    to = np.arange(1, keyframes.count, dtype=np.int64)
-    return Edges(
-        of, to, se2.between(keyframes.odom[of], keyframes.odom[to]), covariance, np.zeros(keyframes.count - 1)
-    )
+    return of, is_unknown

@@ -11,7 +11,6 @@ from service.geometry.se2 import SE2
 from service.mapper.components import Placed, ScanToRender, ToRender
 from service.mapper.drawn_by_hand import among_scans
 from service.mapper.graph.pose_graph import Edges, PoseGraph, Sightings
-from service.mapper.graph.pose_graph_solver import solve
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
 from service.mapper.methods.corridor.graph.loops import Loop, as_edges
 from service.mapper.methods.corridor.graph.piece_search import LEAST_APART_M
@@ -106,10 +105,10 @@ def landmarks_of_pairs(keyframes: KeyframeList) -> tuple[Floats, Sightings]:
     return se2.points_from(keyframes.map[ends], xy).mean(axis=1), sightings
 
 
-def poses_on_held(keyframes: KeyframeList, odometry: Edges, loops: Sequence[Loop], held: int) -> Floats:
-    """(N - held, 3) poses of the key frames from `held` on, where those before stay as they are.
+def graph_on_held(keyframes: KeyframeList, odometry: Edges, loops: Sequence[Loop], held: int) -> PoseGraph:
+    """The key frames from `held` on, where those before stay as they are, behind one pose for all of these.
 
-    One pose stands for all that is held: a loop to a held key frame measures against that one's place.
+    A loop to a held key frame measures against that one's place.
     """
     own = (odometry.of >= held) & (odometry.to >= held)
     seen = as_edges([loop for loop in loops if loop.to >= held])
@@ -132,7 +131,7 @@ def poses_on_held(keyframes: KeyframeList, odometry: Edges, loops: Sequence[Loop
         )
     )
     poses = np.vstack((np.zeros(3), keyframes.map[held:]))
-    return solve(PoseGraph(poses, edges)).poses[1:]
+    return PoseGraph(poses, edges)
 
 
 def moved_loops(loops: Sequence[Loop], first: int, last: int) -> list[Loop]:

@@ -2,12 +2,14 @@
 
 import pickle
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
 from service.mapper.components import Correction
+from service.mapper.known_pose import carried
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
 from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
@@ -74,6 +76,27 @@ def test_a_ring_is_closed_and_the_way_bent_back(
     assert finished.disabled == 0
     assert finished.g2o.count("VERTEX_SE2") == len(frames)
     assert finished.g2o.count("EDGE_SE2") >= len(frames) - 1 + finished.loops
+
+
+def test_a_closed_ring_is_known_better_than_the_way_that_led_to_it(ring: tuple[list[KeyFrame], list[SE2]]):
+    """Also where the motion model said how far each step may have erred."""
+    variance = np.array([1e-4, 1e-4, 4e-5])
+    by_motion, frames = np.zeros((3, 3)), []
+    for before, frame in pairwise([ring[0][0], *ring[0]]):
+        step = before.pose_odom_base.inverse() @ frame.pose_odom_base
+        by_motion = carried(by_motion, np.array([step.x_m, step.y_m, step.theta_rad])) + np.diag(variance)
+        frames.append(replace(frame, motion_covariance=by_motion))
+    _, results = fed(frames, renders=False)
+    known = {
+        result.newest.stamp_ns: result.newest_covariance for result in results if result.newest is not None
+    }
+    assert len(known) > 2
+    for frame in frames:
+        if (covariance := known.get(frame.stamp_ns)) is not None:
+            assert covariance.shape == (3, 3)
+            assert np.linalg.eigvalsh(covariance)[0] > 0.0
+            assert frame.motion_covariance is not None
+            assert np.trace(covariance[:2, :2]) < 0.5 * np.trace(frame.motion_covariance[:2, :2])
 
 
 def test_the_graph_is_drawn_seldom_and_shows_what_holds_and_what_does_not(

@@ -1,0 +1,60 @@
+"""How well a pose is known in the map, from what a graph says of a key frame on."""
+
+import math
+
+import numpy as np
+
+from service.fusion.motion import Motion
+from service.geometry.se2 import SE2
+from service.mapper.judgement import MOST_DRIFT_M, drift_of
+from service.mapper.known_pose import KnownPose, covariance_added
+
+BY_STEP = np.diag([4e-4, 1e-4, 1e-5])
+
+
+def walked(steps: int, before: np.ndarray, step: SE2) -> np.ndarray:
+    """(3, 3) after steps that each add BY_STEP at their ends, by the errors themselves: x -> step^-1 x."""
+    covariance = before
+    c, s = math.cos(step.theta_rad), math.sin(step.theta_rad)
+    move = np.array(
+        [[c, s, s * step.x_m - c * step.y_m], [-s, c, c * step.x_m + s * step.y_m], [0.0, 0.0, 1.0]]
+    )
+    for _ in range(steps):
+        covariance = move @ covariance @ move.T + BY_STEP
+    return covariance
+
+
+def test_what_a_step_adds_is_what_the_motion_model_put_in():
+    step = SE2(0.3, -0.1, 0.4)
+    first = np.array([[0.05, 0.01, 0.003], [0.01, 0.02, -0.001], [0.003, -0.001, 0.004]])
+    last = walked(1, first, step)
+    by = np.array([step.x_m, step.y_m, step.theta_rad])
+    np.testing.assert_allclose(covariance_added(first, last, by), BY_STEP, atol=1e-12)
+    both = covariance_added(np.stack((first, first)), np.stack((last, last)), np.stack((by, by)))
+    np.testing.assert_allclose(both, np.stack((BY_STEP, BY_STEP)), atol=1e-12)
+
+
+def test_what_is_learnt_later_adds_nothing_and_takes_nothing():
+    before, after = np.diag([0.04, 0.04, 0.01]), np.diag([0.01, 0.05, 0.01])
+    np.testing.assert_allclose(
+        covariance_added(before, after, np.zeros(3)), np.diag([0.0, 0.01, 0.0]), atol=1e-12
+    )
+
+
+def test_after_a_correction_the_covariance_is_that_of_the_graph_and_of_the_way_since():
+    step = SE2(0.3, 0.0, 0.05)
+    by_motion = walked(200, np.zeros((3, 3)), step)
+    by_graph = np.diag([1e-4, 1e-4, 1e-5])
+    known = KnownPose(SE2(2.0, 1.0, 0.3), by_motion, by_graph)
+    now, pose = walked(10, by_motion, step), known.pose_odom_base
+    for _ in range(10):
+        pose = pose @ step
+    found = known.covariance_at(Motion(pose, (0.0, 0.0, 0.0), now))
+    np.testing.assert_allclose(found, walked(10, by_graph, step), atol=1e-9)
+    assert np.trace(found) < 0.1 * np.trace(now)
+
+
+def test_a_pose_that_has_drifted_is_not_ok_and_the_reason_tells_how_far():
+    assert drift_of(np.diag([0.9 * MOST_DRIFT_M, 0.1, 0.1]) ** 2) == ""
+    assert "1.20 m and 5.7 deg" in drift_of(np.diag([0.1, 1.2, 0.1]) ** 2)
+    assert "11.5 deg" in drift_of(np.diag([0.1, 0.1, 0.2]) ** 2)
