@@ -17,6 +17,7 @@ from tests.accuracy import (
     outages,
     recorded,
     relocalisation,
+    rules,
     trials,
 )
 from tests.accuracy.page import PAGE, write_page
@@ -42,6 +43,7 @@ SCENARIOS: dict[str, Callable[[Sequence[int]], Section]] = {
     "growing_map": cost.growing_map,
     "start": cost.start,
     "ablations": ablations.ablations,
+    "rules": rules.rules,
 }
 
 

@@ -1,0 +1,93 @@
+"""What single rules of the default profile are worth, on own drives and on given recordings."""
+
+import tempfile
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+from service.offline.replay import ReplayOptions, replay, write_replay
+from service.offline.score import RelationsScore, score
+from simulators.worlds import WORLDS
+from tests.accuracy.driving import Errors, Trip
+from tests.accuracy.given import DATASETS, SHARED
+from tests.papers.report import Section
+from tests.simulated import LMS100_50HZ
+
+METHOD = "service.mapper.methods.corridor"
+# what is switched off, where, and the value that does it
+RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
+    ("nothing", METHOD, {}),
+    ("chance taken off what a scan says ([22])", f"{METHOD}.surfel_gauss_newton", {"SURE_M": 0.0}),
+    (
+        "unknown ground neutral where a loop is searched",
+        f"{METHOD}.graph.candidate_submap",
+        {"UNKNOWN_LIKELIHOOD": 0.0},
+    ),
+)
+TRIPS = {
+    "corridor100": Trip(WORLDS["corridor100"], LMS100_50HZ),
+    "bare corridor, at its end": Trip(WORLDS["featureless"], LMS100_50HZ, 100.0),
+    "ring": Trip(WORLDS["ring"], LMS100_50HZ),
+    "office": Trip(WORLDS["office"], LMS100_50HZ),
+    "spins": Trip(WORLDS["spins"], LMS100_50HZ, 30.0),
+    "crowd": Trip(WORLDS["crowd"], LMS100_50HZ, 40.0),
+}
+SYNTHETIC = ("corridor100d_s1", "fgi_s1", "fgi_ccw_s1", "ring_s3", "ring_bias_s1")
+REAL = ("fr079", "intel", "csail", "aces", "belgioioso")
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Is in force unless `off` says otherwise."""
+
+    module: str
+    off: dict[str, Any]
+
+    @property
+    def _switched(self) -> AbstractContextManager[Any]:
+        return patch.multiple(self.module, **self.off) if self.off else nullcontext()
+
+    def trip_mm(self, trip: Trip, seeds: Sequence[int], is_end: bool) -> str:
+        errors = Errors()
+        with self._switched:
+            for made, done in trip.runs(seeds):
+                errors.add(made, done)
+        values = sorted(errors.end_mm if is_end else errors.finished_mm)
+        return f"{values[len(values) // 2]:.1f} ({values[-1]:.1f})"
+
+    def recording_mm(self, name: str) -> str:
+        relations = {row[0]: row[1:3] for row in DATASETS}
+        folder = SHARED / ("datasets" if name in relations else "worlds") / name
+        with tempfile.TemporaryDirectory() as out, self._switched:
+            write_replay(replay([folder / f"{name}.mcap"], ReplayOptions()), Path(out))
+            found = Path(out) / "trajectory.tum"
+            if name not in relations:
+                of_truth = score(found, folder / f"{name}.tum")
+                assert not isinstance(of_truth, RelationsScore)
+                return f"{1e3 * of_truth.ate_aligned_m.rms:.1f}"
+            kind, shift_s = relations[name]
+            report = score(found, folder / f"{kind}.relations", shift_s=shift_s)
+            assert isinstance(report, RelationsScore)
+            return f"{1e3 * report.errors[0].translation_m.mean:.1f}"
+
+
+def rules(seeds: Sequence[int]) -> Section:
+    kinds = [(what, Rule(module, off)) for what, module, off in RULES]
+    lines = ["| drive | " + " | ".join(what for what, _ in kinds) + " |", "|---|" + "---|" * len(kinds)]
+    for name, trip in TRIPS.items():
+        cells = [rule.trip_mm(trip, seeds, "end" in name) for _, rule in kinds]
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    if (SHARED / "worlds").exists():
+        for name in SYNTHETIC + REAL:
+            cells = [rule.recording_mm(name) for _, rule in kinds]
+            lines.append(f"| `{name}` | " + " | ".join(cells) + " |")
+    return Section(
+        "What single rules are worth",
+        "Error after the finish in mm with one rule switched off, median (worst) of the seeds; given "
+        "recordings, one run each: RMS against the truth, or the mean of the relations for real ones. In the "
+        "bare corridor it is the distance at the end.",
+        tables=["\n".join(lines)],
+    )
