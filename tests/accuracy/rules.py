@@ -32,11 +32,9 @@ TRIPS = {
     "bare corridor, at its end": Trip(WORLDS["featureless"], LMS100_50HZ, 100.0),
     "ring": Trip(WORLDS["ring"], LMS100_50HZ),
     "office": Trip(WORLDS["office"], LMS100_50HZ),
-    "spins": Trip(WORLDS["spins"], LMS100_50HZ, 30.0),
-    "crowd": Trip(WORLDS["crowd"], LMS100_50HZ, 40.0),
 }
-SYNTHETIC = ("corridor100d_s1", "fgi_s1", "fgi_ccw_s1", "ring_s3", "ring_bias_s1")
-REAL = ("fr079", "intel", "csail", "aces", "belgioioso")
+SYNTHETIC = ("corridor100d_s1", "fgi_s1", "ring_s3")
+REAL = ("fr079", "intel", "csail", "aces")
 
 
 @dataclass(frozen=True)
