@@ -5,7 +5,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from threading import Thread
@@ -31,6 +31,7 @@ from service.mapstore.tiles import TileStore
 from service.offline.replay import ReplayOptions
 from service.offline.replay import replay as replay_session
 from service.offline.replay_page import ReplayPage
+from service.offline.view import View
 from service.outputs import GraphPicture, MapperOutput
 from service.publishing.commands import Answer
 from service.recording.mcap_recorder import McapRecorder
@@ -42,6 +43,7 @@ from tests.browser.conftest import DESKTOP, PHONE, ROOT, Page
 from tests.browser.measure import chromium
 from tests.browser.scene import event, statuses
 from tests.in_background import in_background
+from tests.service.offline.bent_maps import ROUND, BentMap, bent_map, save_bent
 from tests.simulated import Laser, Wheels, odometry, scans
 
 IMAGES = ROOT / "docs" / "images"
@@ -117,6 +119,64 @@ def take_replay(page: Page, frames: Sequence[Frame], folder: Path) -> None:
         page.run("return corridor.connection.command('replay_resume')")
         working.join()
         shown.close()
+
+
+def take_edit(page: Page, folder: Path) -> None:
+    """A ring of corridors whose second round lies beside the first, before it is mended."""
+    bent, k = bent_map(), 6
+    save_bent(folder, bent)
+    with chdir(folder.parent):  # the page names the folder as it was given
+        view = View(Path(folder.name), "127.0.0.1:0")
+        try:
+            page.open(view.address)
+            page.wait_for("return corridor.report().tiles > 0 && corridor.edit.version === 1")
+            page.resize(DESKTOP)
+            page.choose("edit")
+            take_pairs(page, bent, k)
+            take_area(page)
+        finally:
+            view.close()
+
+
+def take_pairs(page: Page, bent: BentMap, k: int) -> None:
+    page.run(
+        "const {a, b} = corridor.edit.pairs.places; a.choose(arguments[0]); b.choose(arguments[1])",
+        k,
+        k + ROUND,
+    )
+    page.wait_for("const {a, b} = corridor.edit.pairs.places; return a.points.length && b.points.length")
+    page.look_at(3.2, 0.4, 110.0)
+    page.element("pick-pairs").click()
+    for number, pair in enumerate(bent.common_points(k)):
+        click_at(page, pair[0])
+        if number < 2:
+            click_at(page, pair[1])
+    save_picture(page, "edit-pairs")
+    page.element("forget-places").click()
+
+
+def take_area(page: Page) -> None:
+    page.resize(DESKTOP, is_dark=True)
+    page.look_at(10.7, 9.0, 70.0)
+    page.element("draw-area").click()
+    for corner in ((9.7, 9.45), (11.7, 9.45), (11.8, 9.95), (9.6, 9.95)):
+        click_at(page, corner)
+    save_picture(page, "edit-erase")
+
+
+def click_at(page: Page, xy_map: Sequence[float]) -> None:
+    """A click of the tool that is at work."""
+    page.run(
+        "corridor.edit.tool.click(corridor.view.camera.toScreen(...arguments))",
+        float(xy_map[0]),
+        float(xy_map[1]),
+    )
+
+
+def save_picture(page: Page, name: str) -> None:
+    before = page.run("corridor.view.invalidate(); return corridor.view.frames")
+    page.wait_for("return corridor.view.frames > arguments[0]", before)
+    page.driver.save_screenshot(str(IMAGES / f"operator-{name}.png"))
 
 
 def health(stamp_ns: int) -> Message:
@@ -217,6 +277,7 @@ def main() -> None:
             take(page, "phone-information", "information", PHONE, True)
         server.close()
         take_replay(page, office.frames, Path(kept) / "recorded")
+        take_edit(page, Path(kept) / "ring")
 
 
 if __name__ == "__main__":

@@ -166,6 +166,32 @@ def test_a_new_pair_and_one_of_the_map_are_removed(page, view, folder, bent):
     assert load_map(folder).number == 3
 
 
+def test_pairs_are_picked_with_keys_alone(page, view, folder, bent):
+    k = PAIRED[0]
+    page.element("place-a").send_keys(Keys.HOME, *(k * [Keys.ARROW_RIGHT]))
+    page.wait_for(
+        "const {a} = corridor.edit.pairs.places; return !a.loading && a.keyframe === arguments[0]", k
+    )
+    page.element("other-pass").send_keys(Keys.ENTER)
+    page.wait_for("const {b} = corridor.edit.pairs.places; return !b.loading && b.points.length > 0")
+    later = page.run("return corridor.edit.pairs.places.b.keyframe")
+    assert later - k == pytest.approx(ROUND, abs=3)
+    page.element("place-b").send_keys(
+        *(abs(k + ROUND - later) * [Keys.ARROW_RIGHT if later < k + ROUND else Keys.ARROW_LEFT])
+    )
+    page.wait_for(
+        "const {b} = corridor.edit.pairs.places; return !b.loading && b.keyframe === arguments[0]", k + ROUND
+    )
+    page.element("pick-pairs").send_keys(Keys.ENTER)
+    for points in bent.common_points(k):
+        for point in points:
+            page.look_at(*point, 400.0)
+            page.driver.switch_to.active_element.send_keys(Keys.ENTER)
+    page.element("optimise").send_keys(Keys.ENTER)
+    wait_for_version(page, 2)
+    assert bent.error_m(graph_in(folder)) < 0.10
+
+
 def test_a_click_beside_all_points_picks_none(page, view, bent):
     k = PAIRED[0]
     page.look_at(*bent.graph.map[k, :2], 100.0)
@@ -330,8 +356,9 @@ def test_the_path_goes_with_the_map_that_is_bent(page, opened, tmp_path, bent):
     np.testing.assert_allclose(shown, graph_in(folder).map[:, :2], atol=1e-3)
 
 
-def test_a_live_session_offers_no_editing(page, live):
+def test_a_live_session_offers_no_editing_and_says_when_it_is_possible(page, live):
     assert not page.element("tab-edit").is_displayed()
+    assert "A map is edited when no session goes on in it" in page.text("resources")
 
 
 def test_every_control_can_be_reached_with_the_keyboard(page, view):
