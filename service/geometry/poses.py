@@ -1,7 +1,11 @@
 """Many poses in the plane at once: rows (x m, y m, theta rad) of float64 arrays. One alone is an SE2."""
 
+import math
+
 import numpy as np
 import numpy.typing as npt
+
+from service.geometry.se2 import SE2
 
 Floats = npt.NDArray[np.float64]
 Poses = Floats  # (..., 3)
@@ -53,6 +57,13 @@ def points_seen(pose: Poses, xy: Floats) -> Floats:
     c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     dx, dy = xy[..., 0] - pose[..., 0], xy[..., 1] - pose[..., 1]
     return _rows(c * dx + s * dy, -s * dx + c * dy)
+
+
+def moved_by(pose: SE2, xy: Floats) -> Floats:
+    """Points (N, 2) given in the frame of one pose, in the frame that the pose is given in."""
+    c, s = math.cos(pose.theta_rad), math.sin(pose.theta_rad)
+    moved: Floats = xy @ np.array([[c, s], [-s, c]]) + (pose.x_m, pose.y_m)
+    return moved
 
 
 def log(pose: Poses) -> Floats:

@@ -90,11 +90,11 @@ def padding_cells(level_count: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def block_sum(cells, shares, pyramid, level, shift_row, shift_column):
-    """Weighted sum of a level at shifted points: no less than that of any candidate in the block.
+def block_sum(cells, counts, pyramid, level, shift_row, shift_column):
+    """Sum of a level at shifted points: no less than that of any candidate in the block.
 
     cells     (C, 2) int64     row and column in the layer, from turned_cells
-    shares    (C,)   float32   none below 0
+    counts    (C,)   float32   points in each
     Returns float32, added up in the order of the points as add_block does.
     """
     field = pyramid.levels[level]
@@ -107,9 +107,9 @@ def block_sum(cells, shares, pyramid, level, shift_row, shift_column):
         row = cells[n, 0] + shift_row
         column = cells[n, 1] + shift_column
         if 0 <= row < height and 0 <= column < width:
-            total += shares[n] * np.float32(field[row, column])
+            total += counts[n] * np.float32(field[row, column])
         else:
-            total += shares[n] * empty
+            total += counts[n] * empty
     return total
 
 
@@ -122,11 +122,10 @@ def nearest_square(low, high):
 
 
 @njit(cache=True, nogil=True)
-def search_branch_and_bound(xy_base, weights, pyramid, window, least_score):
+def search_branch_and_bound(xy_base, pyramid, window, least_score):
     """The candidate that search_exhaustive finds on the layer of the pyramid, without asking most of them.
 
     xy_base       (N, 2) float64   m, base frame
-    weights       (N,)   float32   none below 0
     pyramid       MaxPyramid
     least_score   float            nothing is returned below it; -inf asks for the best however poor
     Returns a SearchResult; with score -inf and the centre where nothing reaches least_score.
@@ -139,16 +138,13 @@ def search_branch_and_bound(xy_base, weights, pyramid, window, least_score):
     size = 1 << top
     rows = (2 * half_y) // size + 1
     columns = (2 * half_x) // size + 1
-    weight = 0.0
-    for n in range(count):
-        weight += weights[n]
 
     cells = np.empty((heading_count, count, 2), np.int64)
-    shares = np.empty((heading_count, count), np.float32)
+    shares = np.empty((heading_count, count), np.float32)  # points in each
     counts = np.empty(heading_count, np.int64)
     bounds = np.empty(heading_count * rows * columns, np.float32)
     for k in range(heading_count):
-        counts[k] = turned_cells(xy_base, weights, window, k, pyramid.cell_m, cells[k], shares[k])
+        counts[k] = turned_cells(xy_base, window, k, pyramid.cell_m, cells[k], shares[k])
         own_cells, own_shares = cells[k, : counts[k]], shares[k, : counts[k]]
         for a in range(rows):
             for b in range(columns):
@@ -162,7 +158,7 @@ def search_branch_and_bound(xy_base, weights, pyramid, window, least_score):
     order_rising(falling, order)
     evaluated = bounds.size
 
-    best = np.float32((least_score - pyramid.offset) / pyramid.scale * weight)
+    best = np.float32((least_score - pyramid.offset) / pyramid.scale * count)
     best_rank = np.int64(2**62)
     best_k, best_j, best_i = np.int64(half_theta), np.int64(half_y), np.int64(half_x)
     found = False
@@ -232,7 +228,7 @@ def search_branch_and_bound(xy_base, weights, pyramid, window, least_score):
                     stack[depth, 2] = child[at, 1]
                     stack_bounds[depth] = child_bounds[at]
                     depth += 1
-    result = result_of(weights, pyramid, window, best, best_k, best_j, best_i, evaluated)
+    result = result_of(count, pyramid, window, best, best_k, best_j, best_i, evaluated)
     if not found:
         return SearchResult(result.pose, -np.inf, half_theta, half_y, half_x, evaluated)
     return result

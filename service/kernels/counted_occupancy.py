@@ -187,19 +187,16 @@ def count_overlap(xy_base, pose, grid, reach_cells):
 
 
 @njit(cache=True, nogil=True)
-def weigh_scan(values, stride, floor):
+def weigh_scan(values, floor):
     """Log-likelihood of a scan: the sum over its beams of log(floor + (1 - floor) likelihood).
 
     values   (N, 3) float64   from read_field
-    stride   int              every stride-th row was asked
     floor    float            of a beam that ends where nothing was ever hit
     Returns (log-likelihood, mean likelihood).
     """
     total = 0.0
     mean = 0.0
-    asked = 0
-    for i in range(0, values.shape[0], stride):
+    for i in range(values.shape[0]):
         total += math.log(floor + (1.0 - floor) * values[i, 0])
         mean += values[i, 0]
-        asked += 1
-    return total, mean / max(asked, 1)
+    return total, mean / max(values.shape[0], 1)

@@ -79,25 +79,23 @@ def field_cell(field, tiles, row, column):
 
 
 @njit(cache=True, nogil=True)
-def read_field(xy_base, stride, pose, tiles, field, cell_m, values):
-    """Likelihood at every stride-th point, bilinear between the centres of cells, and its gradient.
+def read_field(xy_base, pose, likelihood, values):
+    """Likelihood at points, bilinear between the centres of cells, and its gradient.
 
-    xy_base   (N, 2) float64   m, base frame
-    stride    int
-    pose      (3,)   float64   base in the frame of the grid
-    tiles     TileIndex        tiles of TILE_CELLS a side
-    field     (capacity, T, T) float32
-    cell_m    float
-    values    (N, 3) float64   out, in the rows that were asked: likelihood, d/dx and d/dy in 1/m
+    xy_base      (N, 2) float64   m, base frame
+    pose         (3,)   float64   base in the frame of the field
+    likelihood   LikelihoodField
+    values       (N, 3) float64   out: likelihood, d/dx and d/dy in 1/m
     Source: Kohlbrecher et al. 2011, eqs. (4) to (6).
     """
+    tiles, field, cell_m = likelihood
     slots = tiles.slots  # taken out once, as in find_surfels
     first_row = tiles.origin[0]
     first_column = tiles.origin[1]
     cells_per_m = 1.0 / cell_m
     c = math.cos(pose[2])
     s = math.sin(pose[2])
-    for i in range(0, xy_base.shape[0], stride):
+    for i in range(xy_base.shape[0]):
         u = (pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) * cells_per_m - 0.5
         v = (pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) * cells_per_m - 0.5
         column = math.floor(u)

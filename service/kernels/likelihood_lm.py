@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on a likelihood map with the speed of the laser inside: every step deskews anew."""
+"""Levenberg-Marquardt on a likelihood map: how every matcher that lays points on one goes uphill."""
 
 import math
 from typing import NamedTuple
@@ -6,67 +6,61 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from service.kernels.deskew import deskew_points
 from service.kernels.likelihood import read_field
 from service.kernels.linear3 import copy_matrix, copy_vector, solve_3x3
-from service.kernels.pose_information import add_prior, wrap
+from service.kernels.pose_information import add_prior
 
-MOST_DAMPING = 1e6
+LEAST_DAMPING = 1e-6
 
 
 class LmSettings(NamedTuple):
-    """Documented where they are configured."""
+    """When a descent ends, and how it is damped.
 
-    iterations: int  # I_max
-    settled_m: float  # epsilon
-    settled_rad: float
-    first_damping: float
-    estimates_velocity: bool
-
-
-@njit(cache=True, nogil=True)
-def log_motion(dx, dy, turn, motion):
-    """Twist times duration that leads to a pose (dx, dy, turn) seen from the start.
-
-    motion   (3,) float64   out: m forward, m left, rad
-    Source: logarithm of SE(2) in closed form; paper 000, eq. 11.
+    trials                        int     systems solved, at most
+    settled_m, settled_rad        float   it ends with a step below both
+    first_damping, most_damping   float   it ends where nothing damped less lowers the cost
+    floor                         float   added to what is damped: a direction that nothing fixes stays
     """
-    half = 0.5 * turn
-    k = 1.0 - half * half / 3.0 if abs(half) < 1e-4 else half / math.tan(half)
-    motion[0] = k * dx + half * dy
-    motion[1] = -half * dx + k * dy
-    motion[2] = turn
+
+    trials: int
+    settled_m: float = 1e-3
+    settled_rad: float = 1e-4
+    first_damping: float = 1e-3
+    most_damping: float = 1e3
+    floor: float = 0.0
 
 
 @njit(cache=True, nogil=True)
-def velocity_between(start, pose, elapsed_s, twist):
-    """Constant body twist that leads from one pose to the next.
+def thin_evenly(xy_base, beams, sigma):
+    """About so many of some points, and the weight of each, as if all had been asked.
 
-    start, pose   (3,) float64   m, m, rad in one frame
-    elapsed_s     float          > 0
-    twist         (3,) float64   out: m/s forward, m/s left, rad/s
-    Source: paper 000, eq. 11: V = log(T_{t-1}^-1 T_t) / dt.
+    xy_base   (N, 2) float64   m
+    beams     int              > 0
+    sigma     float            of 1 - likelihood
+    Returns (every k-th point (M, 2), weights (M,)) float64.
     """
-    c = math.cos(start[2])
-    s = math.sin(start[2])
-    x = pose[0] - start[0]
-    y = pose[1] - start[1]
-    log_motion(c * x + s * y, -s * x + c * y, wrap(pose[2] - start[2]), twist)
-    for k in range(3):
-        twist[k] /= elapsed_s
+    stride = max(1, xy_base.shape[0] // beams)
+    count = (xy_base.shape[0] + stride - 1) // stride
+    thin = np.empty((count, 2))
+    weights = np.empty(count)
+    for i in range(count):
+        thin[i, 0] = xy_base[i * stride, 0]
+        thin[i, 1] = xy_base[i * stride, 1]
+        weights[i] = stride / (sigma * sigma)
+    return thin, weights
 
 
 @njit(cache=True, nogil=True)
-def weighted_normal_equations(xy_base, values, weights, pose, inverse_variance, H, g):
+def likelihood_normal_equations(xy_base, values, weights, pose, H, g):
     """Gauss-Newton system of sum w (1 - P)^2.
 
-    xy_base            (N, 2) float64   m, base frame
-    values             (N, 3) float64   from read_field at this pose
-    weights            (N,)   float64
-    pose               (3,)   float64   base in the frame of the map
-    inverse_variance   float            of 1 - P, so that a prior can be weighed against it
-    H, g               (3, 3), (3,) float64   out: Hessian, and gradient of half the cost, over x, y, theta
-    Returns half the cost. Source: paper 000, eq. 8.
+    xy_base   (N, 2) float64   m, base frame
+    values    (N, 3) float64   from read_field at this pose
+    weights   (N,)   float64   of each point, over the variance of 1 - P: what a prior is weighed against
+    pose      (3,)   float64   base in the frame of the map
+    H, g      (3, 3), (3,) float64   out: Hessian, and gradient of half the cost, over x, y, theta
+    Returns half the cost.
+    Source: Kohlbrecher et al. 2011, eqs. (7) to (13); paper 000, eq. 8.
     """
     c = math.cos(pose[2])
     s = math.sin(pose[2])
@@ -74,7 +68,7 @@ def weighted_normal_equations(xy_base, values, weights, pose, inverse_variance, 
     gx = gy = gt = 0.0
     hxx = hxy = hyy = hxt = hyt = htt = 0.0
     for i in range(xy_base.shape[0]):
-        w = inverse_variance * weights[i]
+        w = weights[i]
         e = 1.0 - values[i, 0]
         cost += 0.5 * w * e * e
         sx = values[i, 1]
@@ -102,28 +96,22 @@ def weighted_normal_equations(xy_base, values, weights, pose, inverse_variance, 
 
 
 @njit(cache=True, nogil=True)
-def align_level(
-    returns, weights, prior_pose, prior_information, start, elapsed_s, twist_gain, inverse_variance,
-    tiles, field, cell_m, settings, xy_base, pose, twist, H,
+def align_points(
+    xy_base, weights, prior_pose, prior_information, field, settings, most_steps, damping, pose, H
 ):  # fmt: skip
-    """Pose and speed of a scan on one level of a likelihood map.
+    """Pose at which points lie best on a likelihood map, held by a prior.
 
-    returns             Returns           end points at their own moments
-    weights             (N,)   float64    from balance_weights
-    prior_pose          (3,)   float64    predicted, and the information that is put on it: all zero for none
-    prior_information   (3, 3) float64    in map axes
-    start               (3,)   float64    pose of the scan before; with elapsed_s it makes a pose a speed
-    elapsed_s           float             since then; 0: no speed can be learnt
-    twist_gain          float             share of a change of the twist that is applied; 1: eq. 11
-    inverse_variance    float             of 1 - P
-    tiles, field, cell_m                  the level, as read_field takes it
+    xy_base             (N, 2) float64    m, base frame
+    weights             (N,)   float64    as for likelihood_normal_equations
+    prior_pose          (3,)   float64
+    prior_information   (3, 3) float64    in the axes of the map; all zero for no prior
+    field               LikelihoodField
     settings            LmSettings
-    xy_base             (N, 2) float64    in: deskewed with twist; out: with the twist found
-    pose                (3,)   float64    in: where to start; out: where it ended
-    twist               (3,)   float64    in and out: m/s forward, m/s left, rad/s
-    H                   (3, 3) float64    out: Hessian of the points alone
-    Returns the number of steps that were taken.
-    Source: paper 000, algorithm 1: one damped step, new speed, deskew anew, until the step is small.
+    most_steps          int               it ends after so many, too
+    damping             float             to begin with; what came out of a call before goes on
+    pose                (3,)   float64    in: where to start; out: where it ended, theta not wrapped
+    H                   (3, 3) float64    out: Hessian of the points alone, where it started
+    Returns (steps taken, whether the last was a settled one, damping to go on with).
     """
     values = np.empty((xy_base.shape[0], 3))
     g = np.empty(3)
@@ -131,42 +119,37 @@ def align_level(
     damped = np.empty((3, 3))
     step = np.empty(3)
     trial = np.empty(3)
-    trial_H = np.empty((3, 3))
+    trial_system = np.empty((3, 3))
     trial_g = np.empty(3)
-    damping = settings.first_damping
-    before = twist.copy()
-    moves = settings.estimates_velocity and elapsed_s > 0.0
+    read_field(xy_base, pose, field, values)
+    cost = likelihood_normal_equations(xy_base, values, weights, pose, H, g)
+    copy_matrix(H, system)
+    cost += 0.5 * add_prior(pose, prior_pose, prior_information, system, g)
     steps = 0
-    for _ in range(settings.iterations):
-        read_field(xy_base, 1, pose, tiles, field, cell_m, values)
-        cost = weighted_normal_equations(xy_base, values, weights, pose, inverse_variance, H, g)
-        copy_matrix(H, system)
-        cost += 0.5 * add_prior(pose, prior_pose, prior_information, system, g)
-        accepted = False
-        while not accepted and damping <= MOST_DAMPING:
-            copy_matrix(system, damped)
+    is_settled = False
+    for _ in range(settings.trials):
+        copy_matrix(system, damped)
+        for k in range(3):
+            damped[k, k] += damping * (system[k, k] + settings.floor)
+        trial_cost = np.inf
+        if solve_3x3(damped, g, step):
             for k in range(3):
-                damped[k, k] += damping * (system[k, k] + 1e-9)
-            if solve_3x3(damped, g, step):
-                for k in range(3):
-                    trial[k] = pose[k] - step[k]
-                read_field(xy_base, 1, trial, tiles, field, cell_m, values)
-                trial_cost = weighted_normal_equations(
-                    xy_base, values, weights, trial, inverse_variance, trial_H, trial_g
-                )
-                trial_cost += 0.5 * add_prior(trial, prior_pose, prior_information, trial_H, trial_g)
-                accepted = trial_cost < cost
-            damping = max(0.1 * damping, 1e-6) if accepted else 10.0 * damping
-        if not accepted:
-            break
+                trial[k] = pose[k] - step[k]
+            read_field(xy_base, trial, field, values)
+            trial_cost = likelihood_normal_equations(xy_base, values, weights, trial, trial_system, trial_g)
+            trial_cost += 0.5 * add_prior(trial, prior_pose, prior_information, trial_system, trial_g)
+        if not trial_cost < cost:  # NaN too
+            damping *= 10.0
+            if damping > settings.most_damping:
+                break
+            continue
         copy_vector(trial, pose)
+        copy_matrix(trial_system, system)
+        copy_vector(trial_g, g)
+        cost = trial_cost
+        damping = max(0.1 * damping, LEAST_DAMPING)
         steps += 1
-        if moves:
-            velocity_between(start, pose, elapsed_s, twist)
-            for k in range(3):
-                twist[k] = before[k] + twist_gain * (twist[k] - before[k])
-            deskew_points(returns.xy_raw, returns.beam_time_s, twist, xy_base)
-        if math.hypot(step[0], step[1]) < settings.settled_m and abs(step[2]) < settings.settled_rad:
+        is_settled = math.hypot(step[0], step[1]) < settings.settled_m and abs(step[2]) < settings.settled_rad
+        if is_settled or steps == most_steps:
             break
-    pose[2] = wrap(pose[2])
-    return steps
+    return steps, is_settled, damping

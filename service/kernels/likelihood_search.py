@@ -58,7 +58,7 @@ class SearchResult(NamedTuple):
     steps along x, y and theta; then the least k, j, i.
 
     pose         (3,) float64   x m, y m, theta rad in the frame of the map
-    score        float          weighted mean of the values at the points; -inf where none reached the least
+    score        float          mean of the values at the points; -inf where none reached the least
     k, j, i      int            which candidate
     evaluated    int            candidates and blocks of candidates whose points were added up
     """
@@ -72,13 +72,12 @@ class SearchResult(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def turned_cells(xy_base, weights, window, k, cell_m, cells, shares):
+def turned_cells(xy_base, window, k, cell_m, cells, counts):
     """Cells of the points at heading k of a window, at its centre; neighbours in one cell are put together.
 
     xy_base   (N, 2) float64   m, base frame
-    weights   (N,)   float32
     cells     (N, 2) int64     out: row, column
-    shares    (N,)   float32   out: sum of the weights in each
+    counts    (N,)   float32   out: points in each
     Returns how many there are.
     """
     theta = window.pose[2] + (k - window.half_theta) * window.theta_step_rad
@@ -91,11 +90,11 @@ def turned_cells(xy_base, weights, window, k, cell_m, cells, shares):
         row = math.floor(y + s * xy_base[n, 0] + c * xy_base[n, 1])
         column = math.floor(x + c * xy_base[n, 0] - s * xy_base[n, 1])
         if count > 0 and cells[count - 1, 0] == row and cells[count - 1, 1] == column:
-            shares[count - 1] += weights[n]
+            counts[count - 1] += np.float32(1.0)
             continue
         cells[count, 0] = row
         cells[count, 1] = column
-        shares[count] = weights[n]
+        counts[count] = np.float32(1.0)
         count += 1
     return count
 
@@ -139,17 +138,16 @@ def add_block(layer, values, row, column, weight, shape, sums, begin):
 
 
 @njit(cache=True, nogil=True)
-def score_window(xy_base, weights, layer, window):
-    """Weighted sum of cells at the points, for every candidate of a window.
+def score_window(xy_base, layer, window):
+    """Sum of cells at the points, for every candidate of a window.
 
     xy_base   (N, 2) float64   m, base frame
-    weights   (N,)   float32
     Returns sums (K, J, I) float32, in the unit of cells: K headings, J shifts along y, I shifts along x.
     Source: Olson 2009, Real-Time Correlative Scan Matching, section III.
     """
     sums = np.zeros((2 * window.half_theta + 1, 2 * window.half_y + 1, 2 * window.half_x + 1), np.float32)
     cells = np.empty((xy_base.shape[0], 2), np.int64)
-    shares = np.empty(xy_base.shape[0], np.float32)
+    counts = np.empty(xy_base.shape[0], np.float32)
     shape = (sums.shape[1], sums.shape[2])
     values = layer.cells.reshape(-1)
     flat = sums.reshape(-1)
@@ -159,7 +157,7 @@ def score_window(xy_base, weights, layer, window):
     tile_row = tile_column = np.int64(0)
     slot = np.int64(find_tile(layer.tiles, tile_row, tile_column))
     for k in range(sums.shape[0]):
-        count = turned_cells(xy_base, weights, window, k, layer.cell_m, cells, shares)
+        count = turned_cells(xy_base, window, k, layer.cell_m, cells, counts)
         begin = k * shape[0] * shape[1]
         for n in range(count):
             row = cells[n, 0] - window.half_y
@@ -173,9 +171,9 @@ def score_window(xy_base, weights, layer, window):
                 r = row - tile_row * tile_cells
                 c = column - tile_column * tile_cells
             if slot == NO_TILE or r > row_room or c > column_room:
-                add_block(layer, values, row, column, shares[n], shape, flat, begin)
+                add_block(layer, values, row, column, counts[n], shape, flat, begin)
                 continue
-            weight = shares[n]
+            weight = counts[n]
             to = np.uint64(begin)
             of = np.uint64((slot * tile_cells + r) * tile_cells + c)
             for _ in range(shape[0]):
@@ -187,28 +185,24 @@ def score_window(xy_base, weights, layer, window):
 
 
 @njit(cache=True, nogil=True)
-def result_of(weights, layer, window, total, k, j, i, evaluated):
-    """SearchResult of a candidate with the sum `total`; layer: LikelihoodLayer or MaxPyramid."""
+def result_of(count, layer, window, total, k, j, i, evaluated):
+    """SearchResult of a candidate with the sum `total` over so many points; layer: or MaxPyramid."""
     pose = np.empty(3)
     pose[0] = window.pose[0] + (i - window.half_x) * layer.cell_m
     pose[1] = window.pose[1] + (j - window.half_y) * layer.cell_m
     pose[2] = window.pose[2] + (k - window.half_theta) * window.theta_step_rad
-    weight = 0.0
-    for n in range(weights.shape[0]):
-        weight += weights[n]
-    score = layer.offset + layer.scale * total / max(weight, 1e-12)
+    score = layer.offset + layer.scale * total / max(count, 1)
     return SearchResult(pose, score, k, j, i, evaluated)
 
 
 @njit(cache=True, nogil=True)
-def search_exhaustive(xy_base, weights, layer, window):
+def search_exhaustive(xy_base, layer, window):
     """The best candidate of a window, by asking every one, and the sums of all.
 
     xy_base   (N, 2) float64   m, base frame
-    weights   (N,)   float32
     Returns (SearchResult, sums (K, J, I) float32 as from score_window).
     """
-    sums = score_window(xy_base, weights, layer, window)
+    sums = score_window(xy_base, layer, window)
     best_k, best_j, best_i = 0, 0, 0
     best = np.float32(-np.inf)
     best_rank = np.int64(0)
@@ -222,7 +216,7 @@ def search_exhaustive(xy_base, weights, layer, window):
                 if total > best or rank < best_rank:  # in order of (k, j, i): the first of equals stays
                     best, best_rank = total, rank
                     best_k, best_j, best_i = k, j, i
-    return result_of(weights, layer, window, best, best_k, best_j, best_i, sums.size), sums
+    return result_of(xy_base.shape[0], layer, window, best, best_k, best_j, best_i, sums.size), sums
 
 
 @njit(cache=True, nogil=True)

@@ -7,9 +7,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from service.kernels.coarse_align import AlignSettings, coarse_align
 from service.kernels.deskew import deskew_points
 from service.kernels.likelihood import LikelihoodField
+from service.kernels.likelihood_lm import LmSettings, align_points, thin_evenly
 from service.kernels.linear3 import copy_matrix, copy_vector, diagonalise_3x3, solve_3x3
 from service.kernels.pose_information import (
     add_prior,
@@ -433,7 +433,7 @@ def match_scan(returns, normals, prior, start, grid, settings, doubt_inlier_rati
     # The prediction may lie outside the catchment of the surfels: then let the coarse map lead there, from
     # the predicted heading and from two beside it. What costs least is kept.
     field = LikelihoodField(grid.tiles, grid.field, grid.cell_m)
-    coarse = AlignSettings(settings.coarse_sigma, settings.coarse_beams, settings.coarse_iterations)
+    coarse = LmSettings(settings.coarse_iterations, 1e-3, 1e-4, 1e-3, 1e3, 0.0)
     around = nothing_around(xy_base.shape[0])
     predicted_xy = xy_base.copy()
     trial_xy = xy_base.copy()
@@ -450,7 +450,19 @@ def match_scan(returns, normals, prior, start, grid, settings, doubt_inlier_rati
             copy_vector(start, trial_pose)
             side = 0.0 if trial == 1 else (1.0 if trial == 2 else -1.0)
             trial_pose[2] += 2.0 * side * math.sqrt(prior.covariance[2, 2])
-            coarse_align(trial_xy, prior.pose, prior_information, field, coarse, trial_pose)
+            thin, weights = thin_evenly(trial_xy, settings.coarse_beams, settings.coarse_sigma)
+            align_points(
+                thin,
+                weights,
+                prior.pose,
+                prior_information,
+                field,
+                coarse,
+                coarse.trials,
+                coarse.first_damping,
+                trial_pose,
+                of_trial,
+            )
         trial_cost, trial_used, trial_inliers, trial_weight = fine_align(
             returns,
             normals,

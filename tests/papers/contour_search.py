@@ -72,10 +72,7 @@ def same_place(scans: list[tuple[Points, Match]], local_map: ContourMap) -> floa
         pose = match.motion.pose_odom_base
         begin = np.array([pose.x_m, pose.y_m, pose.theta_rad]) + noise.uniform(-1.0, 1.0, 3) * BESIDE
         window = SearchWindow(begin, *WINDOW)
-        weights = np.ones(len(points.xy_base), np.float32)
-        found = [
-            search_exhaustive(points.xy_base, weights, kind, window)[0].pose for kind in (layer, product)
-        ]
+        found = [search_exhaustive(points.xy_base, kind, window)[0].pose for kind in (layer, product)]
         equal += bool((found[0] == found[1]).all())
     return 100.0 * equal / len(scans)
 

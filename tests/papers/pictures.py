@@ -10,8 +10,8 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
 from drivers.frames import LaserScan
+from service.geometry.poses import moved_by
 from service.geometry.se2 import SE2
-from service.mapper.methods.imle.patch_map import moved
 from tests.papers.report import FOLDER
 
 Array = npt.NDArray[np.float64]
@@ -42,7 +42,7 @@ def end_points(scan: LaserScan, pose: SE2) -> Array:
     angle = scan.first_angle_rad + scan.angle_step_rad * np.arange(len(scan.range_m))
     seen = np.isfinite(scan.range_m)
     xy = (scan.range_m * np.stack([np.cos(angle), np.sin(angle)]))[:, seen].T.astype(float)
-    return moved(xy, pose)
+    return moved_by(pose, xy)
 
 
 def draw_scale(panel: Axes, length_m: float) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.geometry.grid import TileRange, tiles_of
+from service.geometry.grid import TileRange
 from service.geometry.polygons import Cells, cells_along, cells_inside, centres_of, is_inside
 from service.geometry.se2 import SE2
 from service.kernels.occupancy import (
@@ -90,15 +90,7 @@ class Canvas:
             return
         sensor = np.array(sensor_xy_m)
         reach_m = max(reach_of(xy_base), reach_of(sensor.reshape(1, 2)))
-        self.tiles.cover(
-            tiles_of(
-                (pose.x_m - reach_m, pose.y_m - reach_m),
-                (pose.x_m + reach_m, pose.y_m + reach_m),
-                self._cell_m,
-                TILE_BITS,
-                margin_cells=1,
-            )
-        )
+        self.tiles.cover_around((pose.x_m, pose.y_m), reach_m, self._cell_m, TILE_BITS)
         self._scan_number = self._scan_number % 65_535 + 1
         trace_scan(
             xy_base,

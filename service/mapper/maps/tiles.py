@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from service.geometry.grid import TileRange
+from service.geometry.grid import TileRange, tiles_of
 from service.kernels.tiles import NO_TILE, TileIndex, farthest_m2, take_slot
 
 log = logging.getLogger(__name__)
@@ -142,6 +142,13 @@ class TileMap:
         slots[above : above + height, left : left + width] = self.slots
         self.slots = slots
         self.origin = np.array([row - above, column - left], np.int64)
+
+    def cover_around(
+        self, xy_m: tuple[float, float], reach_m: float, cell_m: float, tile_bits: int, margin_cells: int = 1
+    ) -> None:
+        """cover() what lies within reach of a place, and so many cells around that."""
+        (x_m, y_m), r = xy_m, reach_m
+        self.cover(tiles_of((x_m - r, y_m - r), (x_m + r, y_m + r), cell_m, tile_bits, margin_cells))
 
     def index(self) -> TileIndex:
         """The view a kernel works on; valid until the next cover()."""

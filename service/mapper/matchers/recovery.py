@@ -6,8 +6,8 @@ import numpy as np
 
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2, wrap_angle
-from service.kernels.likelihood_search import LikelihoodLayer, SearchWindow
-from service.mapper.matchers.window_search import search_bounded
+from service.kernels.likelihood_search import LikelihoodLayer
+from service.mapper.matchers.window_search import search_bounded, thinned, window_around
 
 BEAMS = 150  # about so many are asked
 STEP_RAD = 0.02  # a cell of 10 cm at 5 m
@@ -36,11 +36,8 @@ def search_around(
     None where nothing of the map lies within reach.
     Source: Hess et al. 2016, Real-Time Loop Closure in 2D LIDAR SLAM, section V.
     """
-    thin = np.ascontiguousarray(xy_base[:: max(1, len(xy_base) // BEAMS)])
-    middle = np.array([pose.x_m, pose.y_m, pose.theta_rad])
-    half = math.ceil(reach[0] / layer.cell_m)
-    window = SearchWindow(middle, half, half, math.ceil(reach[1] / step_rad), step_rad)
-    found = search_bounded(thin, np.ones(len(thin), np.float32), layer, window, layer.offset)
+    window = window_around(np.array([pose.x_m, pose.y_m, pose.theta_rad]), reach, layer, step_rad)
+    found = search_bounded(thinned(xy_base, BEAMS), layer, window, layer.offset)
     if not found.score > layer.offset:
         return None
     x_m, y_m, theta_rad = found.pose.tolist()

@@ -1,22 +1,39 @@
-"""Branch and bound over the part of a likelihood map that a window reaches."""
+"""Windows of poses to search: in metres and radians, on all of a likelihood map or by branch and bound."""
+
+import math
 
 import numpy as np
-import numpy.typing as npt
 
-from service.kernels.branch_and_bound import build_pyramid, search_branch_and_bound
+from service.geometry.poses import Floats
+from service.kernels.branch_and_bound import MaxPyramid, build_pyramid, search_branch_and_bound
+from service.kernels.likelihood import LikelihoodField
 from service.kernels.likelihood_search import LikelihoodLayer, SearchResult, SearchWindow, cells_asked
 
 MOST_LEVELS = 4  # of the pyramid: blocks of at most 8 x 8 candidates
 
 
+def layer_of(field: LikelihoodField) -> LikelihoodLayer:
+    """A map of likelihoods, to be searched cell by cell."""
+    return LikelihoodLayer(field.tiles, field.field, 0.0, 0.0, 1.0, field.cell_m)
+
+
+def thinned(xy: Floats, most: int) -> Floats:
+    """Every so many-th of some points (N, 2), so that about `most` are left."""
+    return np.ascontiguousarray(xy[:: max(1, len(xy) // most)])
+
+
+def window_around(
+    pose: Floats, reach: tuple[float, float], layer: LikelihoodLayer | MaxPyramid, step_rad: float
+) -> SearchWindow:
+    """All candidates within so many m and rad of a pose (3,), in cells of a layer and steps of heading."""
+    half = math.ceil(reach[0] / layer.cell_m)
+    return SearchWindow(pose, half, half, math.ceil(reach[1] / step_rad), step_rad)
+
+
 def search_bounded(
-    xy_base: npt.NDArray[np.float64],
-    weights: npt.NDArray[np.float32],
-    layer: LikelihoodLayer,
-    window: SearchWindow,
-    least_score: float,
+    xy_base: Floats, layer: LikelihoodLayer, window: SearchWindow, least_score: float = -math.inf
 ) -> SearchResult:
-    """What search_exhaustive finds, asking fewer; (N, 2) m in the base frame, (N,) none below 0.
+    """What search_exhaustive finds, asking fewer; (N, 2) m in the base frame.
 
     Score -inf and the centre where nothing reaches least_score.
     """
@@ -24,5 +41,5 @@ def search_bounded(
     level_count = min((2 * window.half_x).bit_length() + 1, MOST_LEVELS)  # a block is the whole window
     shape = (level_count, last_row - first_row + 1, last_column - first_column + 1)
     pyramid = build_pyramid(layer, first_row, first_column, np.empty(shape, layer.cells.dtype))
-    found: SearchResult = search_branch_and_bound(xy_base, weights, pyramid, window, least_score)
+    found: SearchResult = search_branch_and_bound(xy_base, pyramid, window, least_score)
     return found

@@ -1,7 +1,7 @@
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from service.kernels.likelihood import SPLAT_REACH_CELLS, read_field, splat_likelihood
+from service.kernels.likelihood import SPLAT_REACH_CELLS, LikelihoodField, read_field, splat_likelihood
 from service.kernels.surfels import TILE_BITS, TILE_CELLS, SurfelGrid, touch_tile
 from tests.service.kernels.surfel_grids import empty_grid
 
@@ -61,11 +61,15 @@ def random_field() -> SurfelGrid:
     return grid
 
 
+def field_of(grid: SurfelGrid) -> LikelihoodField:
+    return LikelihoodField(grid.tiles, grid.field, grid.cell_m)
+
+
 def test_the_field_is_read_as_scipy_reads_it() -> None:
     grid = random_field()
     xy = np.random.default_rng(3).uniform(-3.5, 3.5, (500, 2))
     values = np.empty((500, 3))
-    read_field(xy, 1, POSE, grid.tiles, grid.field, grid.cell_m, values)
+    read_field(xy, POSE, field_of(grid), values)
     half = 2 * TILE_CELLS
     cells = (to_map(xy) / CELL_M - 0.5 + half)[:, ::-1].T
     expected = map_coordinates(whole_field(grid).astype(float), cells, order=1)
@@ -81,17 +85,15 @@ def test_the_gradient_is_the_slope_of_the_field() -> None:
         step = np.zeros(2)
         step[axis] = 1e-6
         high, low, here = np.empty((200, 3)), np.empty((200, 3)), np.empty((200, 3))
-        read_field(xy + step, 1, still, grid.tiles, grid.field, grid.cell_m, high)
-        read_field(xy - step, 1, still, grid.tiles, grid.field, grid.cell_m, low)
-        read_field(xy, 1, still, grid.tiles, grid.field, grid.cell_m, here)
+        read_field(xy + step, still, field_of(grid), high)
+        read_field(xy - step, still, field_of(grid), low)
+        read_field(xy, still, field_of(grid), here)
         slope = (high[:, 0] - low[:, 0]) / 2e-6
         np.testing.assert_allclose(slope[inner], here[inner, 1 + axis], atol=1e-5)
     assert inner.sum() > 150
 
 
-def test_only_every_stride_th_point_is_asked_and_none_lies_where_no_tile_is() -> None:
+def test_nothing_is_likely_where_no_tile_is() -> None:
     values = np.full((5, 3), 7.0)
-    grid = random_field()
-    read_field(np.full((5, 2), 1e4), 2, np.zeros(3), grid.tiles, grid.field, grid.cell_m, values)
-    np.testing.assert_array_equal(values[::2], 0.0)
-    np.testing.assert_array_equal(values[1::2], 7.0)
+    read_field(np.full((5, 2), 1e4), np.zeros(3), field_of(random_field()), values)
+    np.testing.assert_array_equal(values, 0.0)

@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from service.kernels.coarse_align import AlignSettings, coarse_align, coarse_normal_equations
 from service.kernels.deskew import Returns
-from service.kernels.likelihood import LikelihoodField, read_field, splat_likelihood
+from service.kernels.likelihood import LikelihoodField, splat_likelihood
+from service.kernels.likelihood_lm import thin_evenly
 from service.kernels.match import (
     MatchSettings,
     Prior,
@@ -20,6 +20,7 @@ from service.kernels.match import (
 from service.kernels.normals import estimate_normals
 from service.kernels.pose_information import add_prior, invert_3x3, rotate_information, weakest_direction
 from service.kernels.surfels import SurfelGrid, find_surfels, insert_surfels
+from service.mapper.matchers.field_align import align
 from tests.service.kernels.surfel_grids import empty_grid
 
 SIGMA_M = 0.01  # of a range
@@ -177,19 +178,6 @@ def test_a_prediction_that_is_far_off_gives_way() -> None:
     assert weight(0.0, 0.4, math.pi) == pytest.approx(weights[2])
 
 
-def test_the_coarse_gradient_is_the_slope_of_its_cost() -> None:
-    grid, xy, pose = room_grid(), room_scan(), np.array([0.08, -0.05, 0.03])
-    values, matrix, gradient = np.empty((len(xy), 3)), np.empty((3, 3)), np.empty(3)
-
-    def cost(at: np.ndarray) -> float:
-        read_field(xy, 3, at, grid.tiles, grid.field, grid.cell_m, values)
-        return coarse_normal_equations(xy, values, 3, at, 0.3, matrix, gradient)
-
-    expected = slopes(cost, pose)
-    cost(pose)
-    np.testing.assert_allclose(gradient, expected, rtol=0.02)  # a few points step over a kink of the field
-
-
 def test_the_prior_is_a_parabola_around_its_pose() -> None:
     root = np.random.default_rng(1).normal(size=(3, 3))
     information, centre = root @ root.T, np.array([1.0, 2.0, 3.1])
@@ -244,11 +232,11 @@ def test_the_coarse_map_leads_where_the_surfels_are_out_of_reach() -> None:
 
 
 def test_the_coarse_step_alone_comes_within_centimetres() -> None:
-    truth, pose = np.array([0.3, -0.2, 0.1]), np.zeros(3)
+    truth = np.array([0.3, -0.2, 0.1])
     grid = room_grid()
     field = LikelihoodField(grid.tiles, grid.field, grid.cell_m)
-    settings = AlignSettings(SETTINGS.coarse_sigma, SETTINGS.coarse_beams, SETTINGS.coarse_iterations)
-    coarse_align(room_scan(tuple(truth)), np.zeros(3), np.eye(3), field, settings, pose)
+    thin = thin_evenly(room_scan(tuple(truth)), SETTINGS.coarse_beams, SETTINGS.coarse_sigma)
+    pose = align(*thin, (np.zeros(3), np.eye(3)), field, np.zeros(3), SETTINGS.coarse_iterations)
     np.testing.assert_allclose(pose, truth, atol=0.04)
 
 

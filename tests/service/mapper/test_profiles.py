@@ -312,7 +312,7 @@ def test_a_misspelt_key_is_refused() -> None:
 
 
 OWN_KERNELS = {  # what no other profile calls
-    "contour_lm": {"likelihood_lm", "background", "contour_blur"},
+    "contour_lm": {"velocity_lm", "background", "contour_blur"},
     "imle": {"icp", "line_likelihood"},
     "submap_graph": {"particles", "counted_occupancy"},
     "owolm_eskf": {"orthogonal_weights", "strapdown", "blurred_segments"},

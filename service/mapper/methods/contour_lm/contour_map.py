@@ -1,13 +1,11 @@
 """A likelihood map learned from all scans, in a pyramid: blurred contours and a background model."""
 
-import math
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.geometry.grid import tiles_of
 from service.geometry.se2 import SE2
 from service.kernels.background import LearningSettings, learn_scan, mark_passed, mark_unseen
 from service.kernels.contour_blur import (
@@ -19,11 +17,13 @@ from service.kernels.contour_blur import (
     forget_scan,
 )
 from service.kernels.contours import extract_contours
+from service.kernels.likelihood import LikelihoodField
 from service.kernels.likelihood_search import LikelihoodLayer
 from service.kernels.surfels import TILE_BITS, TILE_CELLS
 from service.mapper.components import MapChange, Match, Overlap, Points
 from service.mapper.maps.known_ground import KnownGround
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
+from service.mapper.matchers.window_search import layer_of
 
 POOL_TILES = 65_536  # 0.9 GB of address space: 0.17 km2 at 5 cm
 FIRST_SCAN_CELLS = 65_536
@@ -141,10 +141,14 @@ class ContourMap:
         index = self._tiles[number].index()
         return LikelihoodLevel(index, *self._pool.arrays, self._cell_m(number))  # type: ignore[arg-type, call-arg]
 
+    def field(self, number: int) -> LikelihoodField:
+        """A level, to be read between cells; valid as long."""
+        level = self.level(number)
+        return LikelihoodField(level.tiles, level.likelihood, level.cell_m)
+
     def search_layer(self) -> LikelihoodLayer:
         """The coarsest level, for a search."""
-        level = self.level(self.level_count - 1)
-        return LikelihoodLayer(level.tiles, level.likelihood, 0.0, 0.0, 1.0, level.cell_m)
+        return layer_of(self.field(self.level_count - 1))
 
     def overlap(self, xy_base: npt.NDArray[np.float64], pose: SE2) -> Overlap:
         return self._ground.overlap(xy_base, pose)
@@ -167,15 +171,7 @@ class ContourMap:
         reach_m = reach_of(points.xy_base)
         margin_cells = 2 + int(2.0 * blur_reach_cells(self._blur))
         for number, tiles in enumerate(self._tiles):
-            tiles.cover(
-                tiles_of(
-                    (pose.x_m - reach_m, pose.y_m - reach_m),
-                    (pose.x_m + reach_m, pose.y_m + reach_m),
-                    self._cell_m(number),
-                    TILE_BITS,
-                    margin_cells,
-                )
-            )
+            tiles.cover_around((pose.x_m, pose.y_m), reach_m, self._cell_m(number), TILE_BITS, margin_cells)
             level = self.level(number)
             self._mark(points, contour, pose_vector, level)
             while self._cells.rows[0] > len(self._cells.value):
@@ -196,11 +192,8 @@ class ContourMap:
             return True
         config = self._config
         last_ns, last = self._last
-        step = last.inverse() @ pose
-        return (
-            (stamp_ns - last_ns) * 1e-9 >= config.insert_time_s
-            or math.hypot(step.x_m, step.y_m) >= config.insert_distance_m
-            or abs(step.theta_rad) >= config.insert_turn_rad
+        return (stamp_ns - last_ns) * 1e-9 >= config.insert_time_s or pose.is_step_from(
+            last, config.insert_distance_m, config.insert_turn_rad
         )
 
     def _mark(

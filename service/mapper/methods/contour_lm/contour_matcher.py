@@ -10,21 +10,25 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
-from service.kernels.contour_blur import LikelihoodLevel
 from service.kernels.deskew import Returns, deskew_points
-from service.kernels.likelihood import read_field
-from service.kernels.likelihood_lm import LmSettings, align_level
+from service.kernels.likelihood import LikelihoodField
+from service.kernels.likelihood_lm import LmSettings
 from service.kernels.likelihood_search import SearchWindow, search_exhaustive
 from service.kernels.pose_information import rotate_information
 from service.kernels.robust_normals import balance_weights, estimate_orientations
+from service.kernels.velocity_lm import align_level
 from service.mapper.components import Match, Points
 from service.mapper.judgement import JudgementConfig
+from service.mapper.matchers.covariances import diagonal, inverse
+from service.mapper.matchers.field_align import values_at
 from service.mapper.matchers.judged import JudgedMatching, Laid
 from service.mapper.matchers.recovery import search_around, step_of
+from service.mapper.matchers.window_search import thinned
 from service.mapper.methods.contour_lm.contour_map import ContourMap
 
 Array = npt.NDArray[np.float64]
 PRINTED_BEAMS = 540
+MOST_TRIALS, MOST_DAMPING, DAMPED_FLOOR = 100, 1e6, 1e-9  # of one step; without a prior nothing else ends it
 
 
 class WeightsConfig(BaseModel):
@@ -81,12 +85,15 @@ class ContourLm:
     def __init__(self, config: ContourLmConfig) -> None:
         self._config = config
         self._matching = JudgedMatching(config)
-        steps = (config.iterations, config.settled_m, config.settled_rad, config.first_damping)
-        self._coarse_lm = LmSettings(*steps, False)
-        self._fine_lm = LmSettings(*steps, config.estimate_velocity)
-        self._floor = np.diag(
-            [config.floor_position_m**2, config.floor_position_m**2, config.floor_heading_rad**2]
+        self._lm = LmSettings(
+            MOST_TRIALS,
+            config.settled_m,
+            config.settled_rad,
+            config.first_damping,
+            MOST_DAMPING,
+            DAMPED_FLOOR,
         )
+        self._floor = diagonal(config.floor_position_m, config.floor_heading_rad)
 
     def match(self, points: Points, predicted: Prediction, local_map: ContourMap) -> Match:
         return self._matching.match(points, predicted, local_map, self)
@@ -152,9 +159,9 @@ class ContourLm:
         half_steps = round(window_rad / config.step_rad)
         if half_cells == 0 and half_steps == 0:
             return pose
-        asked = np.ascontiguousarray(xy_base[:: max(1, len(xy_base) // config.beams)])
+        asked = thinned(xy_base, config.beams)
         window = SearchWindow(pose, half_cells, half_cells, half_steps, config.step_rad)
-        best, sums = search_exhaustive(asked, np.ones(len(asked), np.float32), layer, window)
+        best, sums = search_exhaustive(asked, layer, window)
         here = float(sums[half_steps, half_cells, half_cells]) / len(asked)
         found: Array = best.pose
         return found if best.score > here + config.least_gain else pose
@@ -181,24 +188,23 @@ class ContourLm:
             rotate_information(np.linalg.inv(predicted.local_covariance), prior_pose[2], information)
         start = to @ SE2.exp(*(-predicted.elapsed_s * rate for rate in predicted.twist_base))
         twist_gain = min(max(float(predicted.twist_gain[0, 0]) * predicted.elapsed_s, 0.0), 1.0)
+        weights_of_map = 1.0 / config.residual_sigma**2 * weights
         hessian = np.zeros((3, 3))
         for number in reversed(range(local_map.level_count)):
-            level = local_map.level(number)
+            field = local_map.field(number)
             if number == 0:
-                self._keep_likelier(xy_base, weights, level, prior_pose, pose)
+                self._keep_likelier(xy_base, weights, field, prior_pose, pose)
             align_level(
                 returns,
-                weights,
+                weights_of_map,
                 prior_pose,
                 information,
                 np.array([start.x_m, start.y_m, start.theta_rad]),
-                predicted.elapsed_s,
+                predicted.elapsed_s if number == 0 and config.estimate_velocity else 0.0,
                 twist_gain,
-                1.0 / config.residual_sigma**2,
-                level.tiles,
-                level.likelihood,
-                level.cell_m,
-                self._fine_lm if number == 0 else self._coarse_lm,
+                field,
+                self._lm,
+                config.iterations,
                 xy_base,
                 pose,
                 twist,
@@ -215,21 +221,19 @@ class ContourLm:
 
     def _measurement(self, pose: SE2, covariance: Array, predicted: Prediction) -> Measurement:
         """covariance: (3, 3) base axes, of the scan alone."""
-        information = np.asarray(np.linalg.inv(covariance), np.float64)
+        information = inverse(covariance)
         if not self._has_prior(predicted):
             return Measurement(pose, covariance, information, is_joined=False)
-        joined = np.linalg.inv(information + np.linalg.inv(predicted.local_covariance))
-        return Measurement(pose, np.asarray(joined, np.float64), information)
+        joined = inverse(information + inverse(predicted.local_covariance))
+        return Measurement(pose, joined, information)
 
     def _keep_likelier(
-        self, xy_base: Array, weights: Array, level: LikelihoodLevel, predicted: Array, pose: Array
+        self, xy_base: Array, weights: Array, field: LikelihoodField, predicted: Array, pose: Array
     ) -> None:
         """Go back to the prediction where the scan lies better there: wide cells know a place to cm only."""
         costs = []
         for at in (predicted, pose):
-            values = np.empty((len(xy_base), 3))
-            read_field(xy_base, 1, at, level.tiles, level.likelihood, level.cell_m, values)
-            costs.append(float(weights @ np.square(1.0 - values[:, 0])))
+            costs.append(float(weights @ np.square(1.0 - values_at(xy_base, at, field)[:, 0])))
         if costs[0] <= costs[1]:
             pose[:] = predicted
 
@@ -237,4 +241,4 @@ class ContourLm:
         """(3, 3) in base axes: what the slope of the map at the points says, no wider than a metre or so."""
         information = np.empty((3, 3))
         rotate_information(hessian / self._config.covariance_scale, -theta_rad, information)
-        return np.asarray(np.linalg.inv(information + np.eye(3)) + self._floor, np.float64)
+        return inverse(information + np.eye(3)) + self._floor

@@ -7,7 +7,6 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.geometry.grid import tiles_of
 from service.geometry.se2 import SE2
 from service.kernels.likelihood import SPLAT_REACH_CELLS, splat_likelihood
 from service.kernels.normals import estimate_normals
@@ -89,15 +88,7 @@ class Submap:
     def insert(self, points: Points, normals: npt.NDArray[np.float64], pose: SE2) -> None:
         config = self._config
         reach_m = reach_of(points.xy_base)
-        self._tiles.cover(
-            tiles_of(
-                (pose.x_m - reach_m, pose.y_m - reach_m),
-                (pose.x_m + reach_m, pose.y_m + reach_m),
-                config.cell_m,
-                TILE_BITS,
-                margin_cells=SPLAT_REACH_CELLS,
-            )
-        )
+        self._tiles.cover_around((pose.x_m, pose.y_m), reach_m, config.cell_m, TILE_BITS, SPLAT_REACH_CELLS)
         grid = self.grid()
         pose_vector = np.array([pose.x_m, pose.y_m, pose.theta_rad])
         if self._dynamic_filter.enough > 0:

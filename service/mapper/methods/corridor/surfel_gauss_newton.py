@@ -10,7 +10,7 @@ from pydantic import Field
 from service.fusion.motion import Measurement, Motion, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns
-from service.kernels.likelihood_search import LikelihoodLayer
+from service.kernels.likelihood import LikelihoodField
 from service.kernels.match import MatchResult, MatchSettings, Prior, match_scan
 from service.mapper.components import Match, Points
 from service.mapper.judgement import (
@@ -27,6 +27,7 @@ from service.mapper.judgement import (
     too_few,
 )
 from service.mapper.matchers.recovery import FIRST, GAIN, REST_S, agree, reach_of, search_around
+from service.mapper.matchers.window_search import layer_of
 from service.mapper.methods.corridor.range_bias import RangeBias
 from service.mapper.methods.corridor.submaps import Submap, SurfelSubmaps
 from service.outputs import State
@@ -249,7 +250,7 @@ class SurfelGaussNewton:
             self._rest_until_ns = attempt.points.scan.stamp_ns + round(REST_S * 1e9)
             reach_m, reach_rad = max(reach_m, FIRST[0]), max(reach_rad, FIRST[1])
         grid = laid.submap.grid()
-        layer = LikelihoodLayer(grid.tiles, grid.field, 0.0, 0.0, 1.0, grid.cell_m)
+        layer = layer_of(LikelihoodField(grid.tiles, grid.field, grid.cell_m))
         start = search_around(
             attempt.points.xy_base, attempt.predicted.pose_odom_base, (reach_m, reach_rad), layer
         )

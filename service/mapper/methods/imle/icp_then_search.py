@@ -8,6 +8,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from service.fusion.motion import Measurement, Prediction
+from service.geometry.poses import moved_by
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.likelihood_search import (
     LikelihoodLayer,
@@ -18,10 +19,11 @@ from service.kernels.likelihood_search import (
 )
 from service.mapper.components import Match, Points
 from service.mapper.judgement import JudgementConfig, too_few
+from service.mapper.matchers.covariances import diagonal, in_base_axes, inverse
 from service.mapper.matchers.judged import JudgedMatching, Laid
 from service.mapper.matchers.recovery import search_around, step_of
-from service.mapper.matchers.window_search import search_bounded
-from service.mapper.methods.imle.patch_map import PatchMap, moved
+from service.mapper.matchers.window_search import search_bounded, window_around
+from service.mapper.methods.imle.patch_map import PatchMap
 from service.mapper.methods.imle.scan_icp import IcpConfig, ScanIcp, deskewed
 
 Array = npt.NDArray[np.float64]
@@ -58,6 +60,7 @@ class IcpThenSearch:
         self._config = config
         self._icp = ScanIcp(config.icp)
         self._matching = JudgedMatching(config)
+        self._floor = diagonal(config.floor_position_m, config.floor_heading_rad)
         self.evaluated = 0  # candidates of the last scan, by layer searched one after the other
         self.window_m = 0.0  # half the window of the last scan
 
@@ -77,78 +80,71 @@ class IcpThenSearch:
             step = self._icp.step(points, predicted)
             begin, rms_m = (begin, math.inf) if step is None else (step.pose, step.rms_m)
         local_map.prepare(
-            moved(points.xy_base, begin), min(2.0 * config.most_window_m, local_map.config.patch_m / 2)
+            moved_by(begin, points.xy_base), min(2.0 * config.most_window_m, local_map.config.patch_m / 2)
         )
         fine, coarse = local_map.fine, local_map.coarse
-        weights = np.ones(len(points.xy_base), np.float32)
         self.window_m = min(max(config.window_rms * rms_m, config.least_window_m), config.most_window_m)
         self.evaluated = 0
         if config.search == "narrowing":
-            start = self._widening(points.xy_base, weights, coarse, begin)
+            start = self._widening(points.xy_base, coarse, begin)
             half = config.narrow_cells * local_map.config.coarse_cells
-            best, covariance = self._around(points.xy_base, weights, fine, start.pose, half)
+            best, covariance = self._around(points.xy_base, fine, start.pose, half)
             if _widest(covariance) > half * fine.cell_m / 2:  # the narrow window cuts the surface off
                 half = math.ceil(self.window_m / coarse.cell_m)
-                _, covariance = self._around(points.xy_base, weights, coarse, start.pose, half)
+                _, covariance = self._around(points.xy_base, coarse, start.pose, half)
         else:
-            best = self._widening(points.xy_base, weights, fine, begin)
+            best = self._widening(points.xy_base, fine, begin)
             half = math.ceil(self.window_m / fine.cell_m)
-            _, covariance = self._around(points.xy_base, weights, fine, best.pose, half)
-        pose = self._refined(points.xy_base, weights, fine, best) if config.refine else best.pose
+            _, covariance = self._around(points.xy_base, fine, best.pose, half)
+        pose = self._refined(points.xy_base, fine, best) if config.refine else best.pose
 
         x_m, y_m, theta_rad = pose.tolist()
-        c, s = math.cos(theta_rad), math.sin(theta_rad)
-        base_from_map = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        covariance = base_from_map @ covariance @ base_from_map.T + self._floor()
-        information = np.linalg.inv(covariance)
+        covariance = in_base_axes(covariance, theta_rad) + self._floor
+        information = inverse(covariance)
         measured = Measurement(SE2(x_m, y_m, wrap_angle(theta_rad)), covariance, information, is_joined=False)
         return Laid(measured, deskewed(points, predicted, measured.pose_odom_base))
 
     def search(
         self, points: Points, local_map: PatchMap, pose: SE2, reach: tuple[float, float]
     ) -> SE2 | None:
-        local_map.prepare(moved(points.xy_base, pose), min(reach[0], local_map.config.patch_m / 2))
+        local_map.prepare(moved_by(pose, points.xy_base), min(reach[0], local_map.config.patch_m / 2))
         return search_around(points.xy_base, pose, reach, local_map.coarse, step_of(reach))
 
-    def _widening(self, xy_base: Array, weights: Sums, layer: LikelihoodLayer, begin: SE2) -> SearchResult:
+    def _widening(self, xy_base: Array, layer: LikelihoodLayer, begin: SE2) -> SearchResult:
         """Search the window, and one twice as wide while the best candidate lies on the border."""
         config = self._config
         pose = np.array([begin.x_m, begin.y_m, begin.theta_rad])
-        half_theta = round(config.window_rad / config.step_rad)
         while True:
-            half = math.ceil(self.window_m / layer.cell_m)
-            window = SearchWindow(pose, half, half, half_theta, config.step_rad)
+            window = window_around(pose, (self.window_m, config.window_rad), layer, config.step_rad)
             if config.search == "narrowing":
-                best = search_bounded(xy_base, weights, layer, window, -math.inf)
+                best = search_bounded(xy_base, layer, window)
                 self.evaluated += best.evaluated
             else:
-                best, _ = self._ask(xy_base, weights, layer, window)
-            on_border = best.i in (0, 2 * half) or best.j in (0, 2 * half)
+                best, _ = self._ask(xy_base, layer, window)
+            on_border = best.i in (0, 2 * window.half_x) or best.j in (0, 2 * window.half_y)
             if not on_border or self.window_m >= config.most_window_m:
                 return best
             self.window_m = min(2.0 * self.window_m, config.most_window_m)
 
     def _around(
-        self, xy_base: Array, weights: Sums, layer: LikelihoodLayer, pose: Array, half: int
+        self, xy_base: Array, layer: LikelihoodLayer, pose: Array, half: int
     ) -> tuple[SearchResult, Array]:
         """The best within so many cells and narrow_steps of a pose, and the covariance there."""
         config = self._config
         window = SearchWindow(pose, half, half, config.narrow_steps, config.step_rad)
-        best, sums = self._ask(xy_base, weights, layer, window)
+        best, sums = self._ask(xy_base, layer, window)
         return best, self._covariance(best, sums, window, layer)
 
-    def _ask(
-        self, xy_base: Array, weights: Sums, layer: LikelihoodLayer, window: SearchWindow
-    ) -> tuple[SearchResult, Sums]:
-        best, sums = search_exhaustive(xy_base, weights, layer, window)
+    def _ask(self, xy_base: Array, layer: LikelihoodLayer, window: SearchWindow) -> tuple[SearchResult, Sums]:
+        best, sums = search_exhaustive(xy_base, layer, window)
         self.evaluated += best.evaluated
         return best, sums
 
-    def _refined(self, xy_base: Array, weights: Sums, layer: LikelihoodLayer, best: SearchResult) -> Array:
+    def _refined(self, xy_base: Array, layer: LikelihoodLayer, best: SearchResult) -> Array:
         """Between the cells: the mean of what lies around the best, each candidate by how likely it is."""
         step_rad = self._config.step_rad / HEADING_STEPS_BETWEEN
         window = SearchWindow(best.pose, REFINE_CELLS, REFINE_CELLS, HEADING_STEPS_BETWEEN, step_rad)
-        best, sums = self._ask(xy_base, weights, layer, window)
+        best, sums = self._ask(xy_base, layer, window)
         top = float(sums[best.k, best.j, best.i])
         mean, _ = surface_moments(sums, top, self._config.refine_scale / layer.scale)
         middle = np.array([window.half_x, window.half_y, window.half_theta])
@@ -164,10 +160,6 @@ class IcpThenSearch:
         steps = np.array([layer.cell_m, layer.cell_m, window.theta_step_rad])
         covariance: Array = moments * np.outer(steps, steps)
         return covariance
-
-    def _floor(self) -> Array:
-        position, heading = self._config.floor_position_m, self._config.floor_heading_rad
-        return np.diag([position**2, position**2, heading**2])
 
 
 def _widest(covariance: Array) -> float:

@@ -4,12 +4,14 @@ import numpy as np
 from pydantic import Field
 
 from service.fusion.motion import Measurement, Prediction
+from service.geometry.poses import moved_by
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.line_likelihood import monte_carlo_search
 from service.mapper.components import Match, Points
 from service.mapper.judgement import JudgementConfig, begun, held, too_few
+from service.mapper.matchers.covariances import diagonal, inverse
 from service.mapper.matchers.judged import Laid, judged_alone
-from service.mapper.methods.imle.patch_map import PatchMap, moved
+from service.mapper.methods.imle.patch_map import PatchMap
 from service.mapper.methods.imle.scan_icp import deskewed
 
 
@@ -30,9 +32,8 @@ class MonteCarloSearch:
     def __init__(self, config: MonteCarloConfig) -> None:
         self._config = config
         self._noise = np.random.default_rng(config.seed)
-        position, heading = config.position_sigma_m**2, config.heading_sigma_rad**2
-        self._covariance = np.diag([position, position, heading])
-        self._information = np.linalg.inv(self._covariance)
+        self._covariance = diagonal(config.position_sigma_m, config.heading_sigma_rad)
+        self._information = inverse(self._covariance)
 
     def match(self, points: Points, predicted: Prediction, local_map: PatchMap) -> Match:
         config = self._config
@@ -41,7 +42,7 @@ class MonteCarloSearch:
         if local_map.is_empty:
             return begun(points, predicted)
         begin = predicted.pose_odom_base
-        local_map.prepare(moved(points.xy_base, begin), min(1.0, local_map.config.patch_m / 2))
+        local_map.prepare(moved_by(begin, points.xy_base), min(1.0, local_map.config.patch_m / 2))
         layer = local_map.fine
         found, _, _ = monte_carlo_search(
             points.xy_base,

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from service.geometry.grid import TileRange
+from service.geometry.poses import moved_by
 from service.geometry.se2 import SE2
 from service.kernels.likelihood_search import LikelihoodLayer
 from service.kernels.line_likelihood import draw_scan, mark_patches, smooth_lines
@@ -139,7 +140,7 @@ class PatchMap:
         if match.state == "lost" or len(points.xy_base) == 0:
             return MapChange()
         pose, config = match.motion.pose_odom_base, self.config
-        xy_map = moved(points.xy_base, pose)
+        xy_map = moved_by(pose, points.xy_base)
         near = self._touched(xy_map, 3 * config.coarse_cell_m)
         if self._last is not None and not pose.is_step_from(
             self._last, config.insert_distance_m, config.insert_turn_rad
@@ -225,10 +226,3 @@ class PatchMap:
         if changed[slot]:
             self._store.save(key, (fine[slot], coarse[slot]))
         self._tiles.drop(*key)
-
-
-def moved(xy_base: Array, pose_map_base: SE2) -> Array:
-    """Points of the base frame in that of the map."""
-    c, s = math.cos(pose_map_base.theta_rad), math.sin(pose_map_base.theta_rad)
-    xy_map: Array = xy_base @ np.array([[c, s], [-s, c]]) + (pose_map_base.x_m, pose_map_base.y_m)
-    return xy_map

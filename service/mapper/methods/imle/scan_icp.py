@@ -13,6 +13,7 @@ from service.kernels.deskew import deskew_points
 from service.kernels.icp import icp_point_to_point
 from service.mapper.components import Match, Points
 from service.mapper.judgement import JudgementConfig, begun, held, too_few
+from service.mapper.matchers.covariances import diagonal, inverse
 from service.mapper.matchers.judged import Laid, judged_alone
 from service.mapper.methods.imle.patch_map import PatchMap
 
@@ -103,9 +104,8 @@ class IcpScanToScan:
     def __init__(self, config: IcpScanToScanConfig) -> None:
         self._config = config
         self._icp = ScanIcp(config)
-        position, heading = config.position_sigma_m**2, config.heading_sigma_rad**2
-        self._covariance = np.diag([position, position, heading])
-        self._information = np.linalg.inv(self._covariance)
+        self._covariance = diagonal(config.position_sigma_m, config.heading_sigma_rad)
+        self._information = inverse(self._covariance)
 
     def match(self, points: Points, predicted: Prediction, local_map: PatchMap) -> Match:
         if reason := too_few(points):

@@ -8,13 +8,15 @@ from pydantic import Field
 
 from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
-from service.kernels.coarse_align import AlignSettings, coarse_align, coarse_normal_equations
-from service.kernels.likelihood import read_field
-from service.kernels.likelihood_search import LikelihoodLayer, SearchWindow, search_exhaustive
+from service.kernels.likelihood_lm import thin_evenly
+from service.kernels.likelihood_search import LikelihoodLayer, search_exhaustive
 from service.mapper.components import Match, Points
 from service.mapper.judgement import JudgementConfig
+from service.mapper.matchers.covariances import diagonal, in_base_axes, inverse
+from service.mapper.matchers.field_align import align, information_at
 from service.mapper.matchers.judged import JudgedMatching, Laid
 from service.mapper.matchers.recovery import search_around, step_of
+from service.mapper.matchers.window_search import window_around
 from service.mapper.methods.owolm_eskf.orthogonal_map import OrthogonalMap
 
 Array = npt.NDArray[np.float64]
@@ -44,6 +46,7 @@ class BruteSearch:
     def __init__(self, config: BruteSearchConfig) -> None:
         self._config = config
         self._matching = JudgedMatching(config)
+        self._floor = diagonal(config.floor_position_m, config.floor_heading_rad)
 
     def match(self, points: Points, predicted: Prediction, local_map: OrthogonalMap) -> Match:
         return self._matching.match(points, predicted, local_map, self)
@@ -52,25 +55,21 @@ class BruteSearch:
         self, points: Points, predicted: Prediction, local_map: OrthogonalMap, is_found: bool = False
     ) -> Laid:
         config = self._config
-        count = len(points.xy_base)
         window_m, window_rad = self._window(predicted)
         begin = local_map.pose_axes_odom @ predicted.pose_odom_base
         pose = np.array([begin.x_m, begin.y_m, begin.theta_rad])
-        every = points.xy_base[:: max(1, count // config.beams)]
-        pose, steps = self._search(every, pose, local_map, window_m, window_rad)
+        thin, weights = thin_evenly(points.xy_base, config.beams, config.residual_sigma)
+        pose, steps = self._search(thin, pose, local_map, window_m, window_rad)
         field = local_map.field()
-        if config.refine_iterations:
-            trusted = np.diag(1.0 / np.square(steps))
-            settings = AlignSettings(config.residual_sigma, config.beams, config.refine_iterations)
-            coarse_align(points.xy_base, pose.copy(), trusted, field, settings, pose)
-        values = np.empty((count, 3))
-        read_field(points.xy_base, 1, pose, *field, values)
+        prior = pose, np.diag(1.0 / np.square(steps))
+        pose = align(thin, weights, prior, field, pose, config.refine_iterations)
+        every, weights = thin_evenly(points.xy_base, len(points.xy_base), config.residual_sigma)
         covariance = self._covariance(
-            points.xy_base, values, pose, np.array([window_m, window_m, window_rad])
+            information_at(every, weights, pose, field), pose[2], np.array([window_m, window_m, window_rad])
         )
         x_m, y_m, theta_rad = pose.tolist()
         matched = local_map.pose_axes_odom.inverse() @ SE2(x_m, y_m, theta_rad)
-        information = np.asarray(np.linalg.inv(covariance), np.float64)
+        information = inverse(covariance)
         return Laid(Measurement(matched, covariance, information, is_joined=False), points)
 
     def search(
@@ -89,7 +88,6 @@ class BruteSearch:
         A level is passed over while its cells are wider than the window. The window of the next is a cell
         of the one before and its step of heading, to each side.
         """
-        weights = np.ones(len(xy_base), np.float32)
         reach_m = max(float(np.percentile(np.hypot(xy_base[:, 0], xy_base[:, 1]), 80.0)), 1.0)
         layers: list[LikelihoodLayer] = local_map.search_layers()
         while len(layers) > 1 and layers[-1].cell_m > window_m:
@@ -97,14 +95,8 @@ class BruteSearch:
         step_rad = window_rad
         for layer in reversed(layers):
             step_rad = min(layer.cell_m / reach_m, window_rad)
-            window = SearchWindow(
-                pose,
-                math.ceil(window_m / layer.cell_m),
-                math.ceil(window_m / layer.cell_m),
-                math.ceil(window_rad / step_rad),
-                step_rad,
-            )
-            pose = search_exhaustive(xy_base, weights, layer, window)[0].pose
+            window = window_around(pose, (window_m, window_rad), layer, step_rad)
+            pose = search_exhaustive(xy_base, layer, window)[0].pose
             window_m, window_rad = layer.cell_m, step_rad
         return pose, np.array([window_m, window_m, step_rad])
 
@@ -118,15 +110,7 @@ class BruteSearch:
             min(max(heading_rad, config.least_window_rad), config.most_window_rad),
         )
 
-    def _covariance(self, xy_base: Array, values: Array, pose: Array, window: Array) -> Array:
+    def _covariance(self, information: Array, theta_rad: float, window: Array) -> Array:
         """(3, 3) of x, y, theta in base axes: from the slope of the map, no more than the window."""
-        information = np.empty((3, 3))
-        slope = np.empty(3)
-        sigma = self._config.residual_sigma
-        coarse_normal_equations(xy_base, values, 1, pose, sigma, information, slope)
         information = information / self._config.covariance_scale + np.diag(1.0 / np.square(window))
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        base_from_map = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        floor = np.square([self._config.floor_position_m] * 2 + [self._config.floor_heading_rad])
-        covariance: Array = base_from_map @ np.linalg.inv(information) @ base_from_map.T + np.diag(floor)
-        return covariance
+        return in_base_axes(inverse(information), theta_rad) + self._floor

@@ -1,7 +1,6 @@
 """OWOLM: a pyramid of likelihood maps along the axes of the building, where straight walls weigh more."""
 
 import logging
-import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -10,9 +9,10 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.geometry.grid import tiles_of
+from service.geometry.poses import moved_by
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.blurred_segments import NO_SEGMENT, segments_along
-from service.kernels.likelihood import LikelihoodField, read_field
+from service.kernels.likelihood import LikelihoodField
 from service.kernels.likelihood_search import LikelihoodLayer
 from service.kernels.orthogonal_weights import (
     FULL,
@@ -25,6 +25,7 @@ from service.kernels.surfels import TILE_BITS, TILE_CELLS
 from service.mapper.components import MapChange, Match, Overlap, Points
 from service.mapper.maps.known_ground import KnownGround
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
+from service.mapper.matchers.field_align import values_at
 from service.mapper.methods.owolm_eskf.building_axes import building_axes
 
 log = logging.getLogger(__name__)
@@ -142,7 +143,7 @@ class OrthogonalMap:
             place = np.column_stack([column + tile_column * TILE_CELLS, row + tile_row * TILE_CELLS])
             centres.append(np.asarray((place + 0.5) * finest.cell_m))
             values.append(likelihood[row, column].astype(np.float64))
-        return _moved(self.pose_axes_odom.inverse(), np.concatenate(centres)), np.concatenate(values)
+        return moved_by(self.pose_axes_odom.inverse(), np.concatenate(centres)), np.concatenate(values)
 
     def join(self, piece: int) -> None:
         """This map is one piece."""
@@ -157,7 +158,7 @@ class OrthogonalMap:
         self._last = pose
         self._scan_count += 1
         self._ground.insert(points, pose)
-        xy_map = _moved(self.pose_axes_odom @ pose, points.xy_base)
+        xy_map = moved_by(self.pose_axes_odom @ pose, points.xy_base)
         segment = self.segments(xy_map, gap_m)
         for level in self._levels:
             level.tiles.cover(
@@ -213,8 +214,7 @@ class OrthogonalMap:
 
     def _inlier_ratio(self, points: Points, pose: SE2) -> float:
         at = self.pose_axes_odom @ pose
-        values = np.empty((len(points.xy_base), 3))
-        read_field(points.xy_base, 1, np.array([at.x_m, at.y_m, at.theta_rad]), *self.field(), values)
+        values = values_at(points.xy_base, np.array([at.x_m, at.y_m, at.theta_rad]), self.field())
         return float((values[:, 0] >= self._config.on_map_likelihood).mean())
 
     def _is_due(self, points: Points, match: Match) -> bool:
@@ -223,14 +223,6 @@ class OrthogonalMap:
         matched = match.motion if match.measured is None else match.measured
         if self._inlier_ratio(points, matched.pose_odom_base) < self._config.insert_inlier_ratio:
             return True
-        step = self._last.inverse() @ match.motion.pose_odom_base
-        return (
-            math.hypot(step.x_m, step.y_m) >= self._config.insert_distance_m
-            or abs(step.theta_rad) >= self._config.insert_turn_rad
+        return match.motion.pose_odom_base.is_step_from(
+            self._last, self._config.insert_distance_m, self._config.insert_turn_rad
         )
-
-
-def _moved(pose: SE2, xy: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    c, s = math.cos(pose.theta_rad), math.sin(pose.theta_rad)
-    moved: npt.NDArray[np.float64] = xy @ np.array([[c, s], [-s, c]]) + (pose.x_m, pose.y_m)
-    return moved

@@ -7,7 +7,6 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.geometry.grid import tiles_of
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.counted_occupancy import CountedGrid, CountWeights, count_overlap, count_scan
 from service.kernels.likelihood import LikelihoodField
@@ -119,15 +118,7 @@ class CountedMap:
         """Count a scan; a map takes at most 65 535 of them before a cell may count one twice."""
         reach_m = max(reach_of(xy_base), reach_of(sensor_xy_m.reshape(1, 2)))
         x_m, y_m, _ = pose.tolist()
-        self._tiles.cover(
-            tiles_of(
-                (x_m - reach_m, y_m - reach_m),
-                (x_m + reach_m, y_m + reach_m),
-                self._cell_m,
-                TILE_BITS,
-                margin_cells=1,
-            )
-        )
+        self._tiles.cover_around((x_m, y_m), reach_m, self._cell_m, TILE_BITS)
         self._scan_number = self._scan_number % 65_535 + 1
         count_scan(
             xy_base,
@@ -259,10 +250,9 @@ class CountedSubmaps:
         return CountedChange(closed.number, is_keyframe=True, closed=closed)
 
     def _is_keyframe(self, best: Particle) -> bool:
-        moved = best.pose - best.track[-1]
-        return (
-            math.hypot(moved[0], moved[1]) >= self.config.keyframe_distance_m
-            or abs(wrap_angle(float(moved[2]))) >= self.config.keyframe_turn_rad
+        last = SE2(*best.track[-1].tolist())
+        return self.pose_of(best).is_step_from(
+            last, self.config.keyframe_distance_m, self.config.keyframe_turn_rad
         )
 
     def _close(self, best: Particle, overlap_m: float) -> ClosedSubmap:

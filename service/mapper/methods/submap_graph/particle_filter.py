@@ -6,7 +6,6 @@ What it is weighed by is then not p / q of eq. 2, for nobody knows the q of a sa
 `draw: around_scan` has a q and that weight.
 """
 
-import math
 from typing import Literal
 
 import numpy as np
@@ -16,16 +15,18 @@ from pydantic import Field
 from service.fusion.motion import Measurement, Prediction
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2, wrap_angle
-from service.kernels.coarse_align import AlignSettings, coarse_align, coarse_normal_equations
 from service.kernels.counted_occupancy import weigh_scan
-from service.kernels.likelihood import read_field
-from service.kernels.likelihood_search import LikelihoodLayer, SearchWindow, search_exhaustive
+from service.kernels.likelihood_lm import thin_evenly
+from service.kernels.likelihood_search import search_exhaustive
 from service.kernels.particles import normalise_weights, resample
 from service.kernels.pose_information import rotate_information
 from service.mapper.components import Match, Points
 from service.mapper.judgement import JudgementConfig
+from service.mapper.matchers.covariances import diagonal, in_base_axes, inverse
+from service.mapper.matchers.field_align import align, information_at, values_at
 from service.mapper.matchers.judged import JudgedMatching, Laid
 from service.mapper.matchers.recovery import search_around, step_of
+from service.mapper.matchers.window_search import layer_of, thinned, window_around
 from service.mapper.methods.submap_graph.counted_submaps import CountedSubmaps, Particle
 
 Array = npt.NDArray[np.float64]
@@ -60,10 +61,7 @@ class ParticleFilter:
         self._config = config
         self._matching = JudgedMatching(config)
         self._random = np.random.Generator(np.random.Philox(key=config.seed))
-        self._align = AlignSettings(config.align_sigma, config.align_beams, config.align_iterations)
-        self._floor = np.diag(
-            [config.floor_position_m**2, config.floor_position_m**2, config.floor_heading_rad**2]
-        )
+        self._floor = diagonal(config.floor_position_m, config.floor_heading_rad)
         self._last = SE2()  # where the motion model had the base at the scan before
         self._deviates: Array = np.zeros((0, 3))  # of the scan being laid, a row a particle
         self._usual = 1.0  # likelihood of the best particle
@@ -99,10 +97,8 @@ class ParticleFilter:
     def search(
         self, points: Points, local_map: CountedSubmaps, pose: SE2, reach: tuple[float, float]
     ) -> SE2 | None:
-        tiles, field, cell_m = local_map.best.map.likelihood()
-        return search_around(
-            points.xy_base, pose, reach, LikelihoodLayer(tiles, field, 0.0, 0.0, 1.0, cell_m), step_of(reach)
-        )
+        layer = layer_of(local_map.best.map.likelihood())
+        return search_around(points.xy_base, pose, reach, layer, step_of(reach))
 
     def _resample(self, local_map: CountedSubmaps) -> None:
         count = len(local_map.particles)
@@ -147,59 +143,48 @@ class ParticleFilter:
     def _search(self, points: Points, particle: Particle) -> Array:
         """How far (3,) from where a particle is its map fits best, in its own axes."""
         config = self._config
-        xy_base = points.xy_base[:: max(1, len(points.xy_base) // config.align_beams)]
-        tiles, field, cell_m = particle.map.likelihood()
-        half = math.ceil(config.search_m / cell_m)
-        window = SearchWindow(
-            particle.pose, half, half, math.ceil(config.search_rad / SEARCH_STEP_RAD), SEARCH_STEP_RAD
-        )
-        layer = LikelihoodLayer(tiles, field, 0.0, 0.0, 1.0, cell_m)
-        found, _ = search_exhaustive(xy_base, np.ones(len(xy_base), np.float32), layer, window)
+        layer = layer_of(particle.map.likelihood())
+        window = window_around(particle.pose, (config.search_m, config.search_rad), layer, SEARCH_STEP_RAD)
+        found, _ = search_exhaustive(thinned(points.xy_base, config.align_beams), layer, window)
         return se2.between(particle.pose, found.pose)
 
     def _lay(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> tuple[float, int]:
         """Lay each particle on its map and weigh it; the mean likelihood of the best, and which it is."""
-        information = np.asarray(np.linalg.inv(predicted.local_covariance + 1e-12 * np.eye(3)), np.float64)
+        information = inverse(predicted.local_covariance + 1e-12 * np.eye(3))
         means = np.empty(len(local_map.particles))
+        thin = thin_evenly(points.xy_base, self._config.align_beams, self._config.align_sigma)
         for k, particle in enumerate(local_map.particles):
-            log_weight, means[k] = self._lay_one(points, particle, information, self._deviates[k])
+            log_weight, means[k] = self._lay_one(thin, particle, information, self._deviates[k])
             local_map.log_weights[k] += log_weight
         best = int(np.argmax(means))
         return float(means[best]), best
 
     def _lay_one(
-        self, points: Points, particle: Particle, information: Array, deviates: Array
+        self, thin: tuple[Array, Array], particle: Particle, information: Array, deviates: Array
     ) -> tuple[float, float]:
         """Lay a particle on its map, or draw it around where it lies.
 
+        thin          points (M, 2) and weights (M,) of thin_evenly
         information   (3, 3) of the motion, base axes
         Returns the logarithm of what its weight is multiplied by, but for what all share, and the mean
         likelihood. Source of p / q: Grisetti, Stachniss, Burgard 2007, section III.
         """
         config, field = self._config, particle.map.likelihood()
-        stride = max(1, len(points.xy_base) // config.align_beams)
-        values = np.zeros((len(points.xy_base), 3))
-        start, pose, prior = particle.pose, particle.pose.copy(), np.empty((3, 3))
+        start, prior = particle.pose, np.empty((3, 3))
         rotate_information(information, float(start[2]), prior)
-        coarse_align(points.xy_base, start, prior, field, self._align, pose)
+        pose = align(*thin, (start, prior), field, start, config.align_iterations)
         pose[2] = wrap_angle(float(pose[2]))
-        read_field(points.xy_base, stride, pose, field.tiles, field.field, field.cell_m, values)
         log_p_over_q = 0.0
         if config.draw == "around_scan":
-            hessian, gradient = np.empty((3, 3)), np.empty(3)
-            coarse_normal_equations(
-                points.xy_base, values, stride, pose, config.align_sigma, hessian, gradient
-            )
-            drawn_from = np.linalg.inv(hessian + prior)
+            drawn_from = np.linalg.inv(information_at(*thin, pose, field) + prior)
             pose += np.linalg.cholesky(drawn_from) @ deviates
             pose[2] = wrap_angle(float(pose[2]))
             off = pose - start
             off[2] = wrap_angle(float(off[2]))
             log_p_over_q = 0.5 * float(deviates @ deviates - off @ prior @ off)
             log_p_over_q += 0.5 * float(np.linalg.slogdet(drawn_from)[1])
-            read_field(points.xy_base, stride, pose, field.tiles, field.field, field.cell_m, values)
         particle.pose = pose
-        log_likelihood, mean = weigh_scan(values, stride, config.likelihood_floor)
+        log_likelihood, mean = weigh_scan(values_at(thin[0], pose, field), config.likelihood_floor)
         return config.likelihood_gain * log_likelihood + log_p_over_q, float(mean)
 
     def _mean(self, local_map: CountedSubmaps) -> Measurement:
@@ -212,11 +197,8 @@ class ParticleFilter:
         x_m, y_m, theta_rad = (best + offset).tolist()
         pose = SE2(x_m, y_m, wrap_angle(theta_rad))
         spread = np.einsum("k,ki,kj->ij", weights, apart - offset, apart - offset)
-        turn = np.eye(3)
-        c, s = math.cos(theta_rad), math.sin(theta_rad)
-        turn[:2, :2] = [[c, s], [-s, c]]
-        covariance = turn @ spread @ turn.T + self._floor
-        return Measurement(pose, covariance, np.linalg.inv(covariance))
+        covariance = in_base_axes(spread, theta_rad) + self._floor
+        return Measurement(pose, covariance, inverse(covariance))
 
 
 def _root(covariance: Array) -> Array:

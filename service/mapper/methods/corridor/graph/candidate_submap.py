@@ -1,6 +1,5 @@
 """A stretch of the way as something to be found again: surfels, free space, and a field to search in."""
 
-import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -9,12 +8,12 @@ from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.kernels import occupancy
 from service.kernels.branch_and_bound import MaxPyramid, padding_cells, pool_levels, search_branch_and_bound
-from service.kernels.likelihood_search import SearchWindow
 from service.kernels.loops import fill_unknown, share_in_free_space, splat_field
 from service.kernels.occupancy import OccupancyGrid, trace_scan
 from service.mapper.graph.point_clouds import CELL_M, POOL_TILES, Fit, PointCloud, SurfelSet, cover, joined
 from service.mapper.maps.occupancy import EVIDENCE
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
+from service.mapper.matchers.window_search import thinned, window_around
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
 
 FIELD_SIGMA_M = 0.12
@@ -90,11 +89,8 @@ class CandidateSubmap:
         """Where the cloud lies best within a window about a pose; None where nowhere well enough."""
         if not len(cloud.xy) or not len(self._xy):
             return None
-        thin = np.ascontiguousarray(cloud.xy[:: max(1, len(cloud.xy) // SEARCH_POINTS)])
-        half = math.ceil(reach_m / CELL_M)
-        window = SearchWindow(pose, half, half, math.ceil(reach_rad / step_rad), step_rad)
-        weights = np.ones(len(thin), np.float32)
-        found = search_branch_and_bound(thin, weights, self.pyramid(), window, least)
+        window = window_around(pose, (reach_m, reach_rad), self.pyramid(), step_rad)
+        found = search_branch_and_bound(thinned(cloud.xy, SEARCH_POINTS), self.pyramid(), window, least)
         return found.pose if found.score >= least else None
 
     def align(self, cloud: PointCloud, pose: Floats) -> Fit:

@@ -8,9 +8,9 @@ import numpy.typing as npt
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.kernels.branch_and_bound import MaxPyramid, padding_cells, pool_levels, search_branch_and_bound
-from service.kernels.likelihood_search import SearchWindow
 from service.kernels.loops import splat_field
 from service.mapper.graph.point_clouds import CELL_M, PointCloud
+from service.mapper.matchers.window_search import thinned, window_around
 from service.mapper.methods.corridor.graph.candidate_submap import FIELD_SIGMA_M, LEAST_SCORE, LEVELS, REACH_M
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
 
@@ -45,15 +45,13 @@ class MapField:
         """Poses (3,) in the map, at most MOST_CANDIDATES, the likeliest first: the best of each square of
         16 m a side that is not far behind the best of all. The cloud is in the frame of the pose.
         """
-        thin = np.ascontiguousarray(cloud.xy[:: max(1, len(cloud.xy) // SEARCH_POINTS)])
-        weights = np.ones(len(thin), np.float32)
-        half, half_turn = math.ceil(WINDOW_M / CELL_M), math.ceil(math.pi / STEP_RAD)
+        thin = thinned(cloud.xy, SEARCH_POINTS)
         found: list[tuple[float, Floats]] = []
         least = LEAST_SCORE
         for i, j in self._squares.tolist():
             centre = np.array([(2 * i + 1) * WINDOW_M, (2 * j + 1) * WINDOW_M, 0.0])
-            window = SearchWindow(centre, half, half, half_turn, STEP_RAD)
-            best = search_branch_and_bound(thin, weights, self._pyramid, window, least)
+            window = window_around(centre, (WINDOW_M, math.pi), self._pyramid, STEP_RAD)
+            best = search_branch_and_bound(thin, self._pyramid, window, least)
             if best.score >= least:
                 found.append((float(best.score), best.pose))
                 least = max(LEAST_SCORE, max(score for score, _ in found) - SCORE_BEHIND)

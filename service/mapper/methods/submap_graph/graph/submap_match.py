@@ -11,11 +11,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.kernels.branch_and_bound import MaxPyramid, padding_cells, pool_levels, search_branch_and_bound
-from service.kernels.coarse_align import AlignSettings, coarse_align, coarse_normal_equations
-from service.kernels.likelihood import LikelihoodField, read_field
-from service.kernels.likelihood_search import SearchWindow
+from service.kernels.likelihood import LikelihoodField
 from service.kernels.surfels import TILE_CELLS
 from service.kernels.tiles import NO_TILE, TileIndex
+from service.mapper.matchers.field_align import align, information_at, values_at
+from service.mapper.matchers.window_search import window_around
 from service.mapper.methods.submap_graph.counted_submaps import ClosedSubmap, CountedMap
 
 LEVELS = 6
@@ -126,22 +126,18 @@ def find(
     points = new.xy[:: max(1, len(new.xy) // config.most_points)] - middle
     start = se2.compose(guess, np.array([*middle, 0.0]))
     pose = _search(points, old, start, reach, config)
-    settings = AlignSettings(config.align_sigma, config.most_points, config.align_iterations)
-    weak = np.diag([1e-3, 1e-3, 1e-3])
-    coarse_align(points, pose.copy(), weak, old.field, settings, pose)
+    weights = np.full(len(points), 1.0 / config.align_sigma**2)
+    weak = pose, np.diag([1e-3, 1e-3, 1e-3])
+    pose = align(points, weights, weak, old.field, pose, config.align_iterations)
     pose[2] = float(se2.wrap(pose[2]))
-    values = np.zeros((len(points), 3))
-    field = old.field
-    read_field(points, 1, pose, field.tiles, field.field, field.cell_m, values)
     common = is_seen(old, se2.points_from(pose, points))
     count = int(np.count_nonzero(common))
     if count < max(config.common_part * len(points), config.least_common * len(points) / len(new.xy)):
         return None
-    share = float(np.mean(values[common, 0] > ON_MAP))
+    share = float(np.mean(values_at(points, pose, old.field)[common, 0] > ON_MAP))
     if share < config.least_inlier_ratio:
         return None
-    hessian, g = np.empty((3, 3)), np.empty(3)
-    coarse_normal_equations(points, values, 1, pose, config.align_sigma, hessian, g)
+    hessian = information_at(points, weights, pose, old.field)
     covariance = np.asarray(
         config.match_covariance_scale * np.linalg.inv(hessian + 1e-2 * np.eye(3)), np.float64
     )
@@ -174,15 +170,9 @@ def _search(
         levels[0, rows, columns] = np.maximum(levels[0, rows, columns], value)
     pool_levels(levels, 0.0)
     pyramid = MaxPyramid(levels, -pad, -pad, 0.0, 0.0, 1.0 / 255.0, cell_m)
-    shift_m, turn_rad = reach
     farthest_m = float(np.hypot(*points.T).max())
-    step_rad = cell_m / max(farthest_m, 1.0)
-    half = math.ceil(shift_m / cell_m)
-    window = SearchWindow(
-        start - np.array([*corner, 0.0]), half, half, math.ceil(turn_rad / step_rad), step_rad
-    )
-    weights = np.ones(len(points), np.float32)
-    result = search_branch_and_bound(points, weights, pyramid, window, 0.0)
+    window = window_around(start - np.array([*corner, 0.0]), reach, pyramid, cell_m / max(farthest_m, 1.0))
+    result = search_branch_and_bound(points, pyramid, window, 0.0)
     found: Floats = result.pose + np.array([*corner, 0.0])
     return found
 
@@ -193,10 +183,7 @@ def _landmarks(new: WallPoints, old: WallPoints, shift: Floats, config: SubmapMa
     Source: paper 004, eq. 9; of the many cells that are equally certain those are taken that fix most.
     """
     certain = np.flatnonzero(new.probability > config.landmark_probability)
-    values = np.zeros((len(certain), 3))
-    field = old.field
-    read_field(new.xy[certain], 1, shift, field.tiles, field.field, field.cell_m, values)
-    both = certain[values[:, 0] > ON_MAP]
+    both = certain[values_at(new.xy[certain], shift, old.field)[:, 0] > ON_MAP]
     order = both[np.argsort(-new.cornerness[both], kind="stable")]
     chosen: list[Floats] = []
     spacing_m = config.landmark_spacing_m
