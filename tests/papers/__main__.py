@@ -15,6 +15,7 @@ PAPERS = {
     "owolm_eskf": "Orthogonal weights and an IMU: profile `owolm_eskf` (paper 002)",
     "imle": "Exhaustive search: profile `imle` (paper 003)",
     "submap_graph": "Sub-maps and a graph: profile `submap_graph` (paper 004)",
+    "one_cycle": "One cycle of a profile, box by box",
     "real_data": "Every profile on recorded data",
 }
 
