@@ -10,7 +10,7 @@ def test_a_call_is_kept_as_it_was_given_and_as_it_came_back() -> None:
     real = one_cycle.farthest
     with listening(one_cycle, "farthest") as heard:
         xy = np.zeros((2, 2))
-        assert one_cycle.farthest(xy, xy + (3.0, 4.0)) == 5.0
+        assert one_cycle.farthest(xy, np.array([[3.0, 4.0], [0.0, 1.0]])) == 5.0
         xy += 7.0
     assert one_cycle.farthest is real
     (call,) = heard
