@@ -28,6 +28,10 @@ COMPUTING = (
     *(f"tests/service/{folder}" for folder in ("fusion", "geometry", "kernels", "mapper", "mapstore")),
 )
 TALKING = ("tests/chaos", "tests/drivers", "tests/simulators")
+LIVE = (  # against clocks and browsers, and mostly waiting
+    *("tests/browser", "tests/docs", "tests/system"),
+    *(f"tests/service/{folder}" for folder in ("publishing", "sinks", "web")),
+)
 _SHARE = re.compile(r"\[ *(\d+)%\]")
 _SKIP = re.compile(r"^SKIPPED \[(\d+)\] (.*)$", re.MULTILINE)
 
@@ -40,7 +44,8 @@ class Group:
 
 
 GROUPS = (
-    Group("service", tuple(f"--ignore={folder}" for folder in (*COMPUTING, *TALKING)), gives_way=False),
+    Group("live", LIVE, gives_way=False),
+    Group("service", tuple(f"--ignore={folder}" for folder in (*LIVE, *TALKING, *COMPUTING)), gives_way=True),
     Group("devices", TALKING, gives_way=True),
     Group("mapping", COMPUTING, gives_way=True),
 )
@@ -136,6 +141,6 @@ def say(words: str) -> None:
 if __name__ == "__main__":
     os.chdir(Path(__file__).parents[1])
     ensure_cache_dir()
-    if not is_warm():  # once, on all cores, before three groups would
+    if not is_warm():  # once, on all cores, before each group would
         subprocess.run([sys.executable, "-m", "service", "warmup"], check=True)
     sys.exit(run(GROUPS))
