@@ -17,6 +17,7 @@ from tests.service.web.conftest import TIMEOUT_S, TOKEN, desk, serve, store  # n
 
 ROOT = Path(__file__).parents[2]
 AXE = Path(os.environ.get("CORRIDOR_AXE", ROOT / "build/node_modules/axe-core/axe.min.js"))
+LOOK_S = 0.05  # from one look at the page to the next; the browser tells nobody of what changes
 DESKTOP, PHONE = (1280, 800), (390, 844)
 
 
@@ -35,7 +36,7 @@ class Page:
 
     def wait_for(self, script: str, *arguments: Any) -> Any:
         """Until the script returns something true; that."""
-        return WebDriverWait(self.driver, TIMEOUT_S).until(
+        return WebDriverWait(self.driver, TIMEOUT_S, LOOK_S).until(
             lambda driver: driver.execute_script(script, *arguments), f"never true: {script}"
         )
 

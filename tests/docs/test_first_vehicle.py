@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,7 @@ from tests.docs.test_shell import commands_of
 from tests.system.machine import START_TIMEOUT_S, STOP_TIMEOUT_S, FakeVehicle, Subscriber, free_port
 
 PAGE = "docs/first_vehicle.md"
-SCANS = 250  # five seconds
+SCANS = 125  # two and a half seconds
 COMMANDS = [
     words[1:]
     for block in written_in("sh")
@@ -55,9 +56,8 @@ def drive(config: Path) -> None:
                 if "ready" in line:
                     break
             assert service.poll() is None, "".join(said)
-            subscriber = Subscriber(endpoint)
-            subscriber.wait_for("pose", SCANS, START_TIMEOUT_S)
-            subscriber.close()
+            with closing(Subscriber(endpoint)) as subscriber:
+                subscriber.wait_for("pose", SCANS, START_TIMEOUT_S)
             service.send_signal(2)
             service.communicate(timeout=STOP_TIMEOUT_S)
             assert service.returncode == 0

@@ -150,7 +150,10 @@ def test_a_mapper_that_is_killed_again_and_again_gives_the_poses_of_one_that_is_
     assert numbers == sorted(set(numbers))  # nothing is told twice
 
 
-def test_a_new_stand_by_comes_by_itself_and_the_items_that_it_has_are_forgotten(drive: Drive):
+def test_a_new_stand_by_comes_by_itself_and_the_items_that_it_has_are_forgotten(
+    drive: Drive, strange: Callable[[str], None]
+):
+    strange("not at all")
     drive.start().scan(20)
     drive.until_mapped()
     drive.until_standby(20)
@@ -220,7 +223,7 @@ def test_a_mapper_that_stands_still_is_ended(
     drive.start().scan(3)
     drive.until_mapped()
     drive.until_standby(3)
-    monkeypatch.setattr(mapper_link, "STUCK_S", 1.5)
+    monkeypatch.setattr(mapper_link, "STUCK_S", 0.8)
     drive.scan(fatal=True)
     drive.until(lambda: bool(drive.failure))
     assert "said nothing for" in drive.heard.takeovers[0]

@@ -11,6 +11,8 @@ from service.outputs import MapperOutput
 from service.runtime import mapper_process
 from tests.service.runtime.mappers import FATAL_RANGE_M, HOW
 
+COPY_INTERVAL_S = 0.3  # a stand-by comes soon
+
 process = Mapper.process
 
 
@@ -36,6 +38,7 @@ def no_kernels(config: object, back_end_elsewhere: bool, progress: KernelProgres
 if __name__ == "__main__":
     Mapper.process = strange  # type: ignore[method-assign]
     mapper_process.warm_up_kernels = no_kernels
+    mapper_process.COPY_INTERVAL_S = COPY_INTERVAL_S
     code = mapper_process.main()
     sys.stderr.flush()
     os._exit(code)
