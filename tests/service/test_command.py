@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 MOST_CPU_S = 1.0  # that it may still take; a kernel that is compiled to its end takes up to 3
-SPAN_S = 6.0  # imports, the first compiled kernels, the start of the process that helps
+SPAN_S = 5.0  # imports, the first compiled kernels, the start of the process that helps
 PATIENCE_S = 60.0
 CODES = {
     ("run", "SIGTERM"): 0,
@@ -105,13 +105,13 @@ def test_what_an_interrupted_warm_up_has_compiled_is_used_by_the_next(
     tmp_path: Path, begin: Callable[[str], subprocess.Popen[bytes]]
 ):
     process = begin("warmup")
-    until(lambda: len(list((tmp_path / "cache").rglob("*.nbc"))) > 3, "the first kernels")
+    until(lambda: len(list((tmp_path / "cache").rglob("*.nbc"))) > 1, "the first kernels")
     os.killpg(process.pid, signal.SIGINT)
     assert process.wait(PATIENCE_S) == 130
     kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*.nbc")}
     begin("warmup")
     until(
-        lambda: len(list((tmp_path / "cache").rglob("*.nbc"))) > len(kept) + 2,
+        lambda: len(list((tmp_path / "cache").rglob("*.nbc"))) > len(kept),
         "kernels beyond those that were there",
     )
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
