@@ -20,7 +20,8 @@ from service.mapper.components import MapRenderer, RenderedMap, ScanToRender
 from service.mapper.graph.graph_picture import draw
 from service.mapper.graph.point_clouds import PointCloud, SurfelSet
 from service.mapper.graph.pose_graph import Edges, GraphError, PoseGraph, Sightings, to_g2o
-from service.mapper.graph.pose_graph_solver import Solution, solve
+from service.mapper.graph.pose_graph_solver import solve
+from service.mapper.matchers.covariances import diagonal, in_base_axes
 from service.mapper.methods.submap_graph.counted_submaps import ClosedSubmap
 from service.mapper.methods.submap_graph.graph.submap_match import (
     Found,
@@ -62,7 +63,7 @@ class LandmarkGraphConfig(BaseModel):
     search_per_m: float = Field(default=0.01, ge=0.0)  # more for each metre driven between the two
     most_search_m: float = Field(default=3.0, gt=0.0)
     search_rad: float = Field(default=0.08, gt=0.0)
-    kernel_width: float = Field(default=1.0, ge=0.0)  # Cauchy, in sigmas, of automatic landmarks
+    kernel_width: float = Field(default=1.0, ge=0.0)  # Cauchy, in sigmas, of a match
     pair_sigma_m: float = Field(default=0.02, gt=0.0)  # of a point that a person names
     render_again_m: float = Field(
         default=0.03, ge=0.0
@@ -95,6 +96,7 @@ class Result:
     pose_map_odom   of the newest
     links           pairs of sub-maps that hang together by automatic landmarks
     residual_m      by number of the pair: how far its two points lie apart now
+    rms_m           the same of all landmarks
     fault         why nothing was solved; "" else
     """
 
@@ -128,14 +130,30 @@ class _Submap:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Match:
+    """A sub-map laid on another. What it errs by, all landmarks found in it have in common.
+
+    submaps      the new one and the old one
+    middle       (3,) of the landmarks, in the drawing of the new one
+    there        (3,) where the match puts it, in the drawing of the old one
+    covariance   (3, 3) of that, in its own axes
+    """
+
+    submaps: tuple[int, int]
+    middle: Floats
+    there: Floats
+    covariance: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Landmark:
-    """A point that two sub-maps share: where it is in the drawing of each, and how sure."""
+    """A point that two sub-maps share: where it is in the drawing of each, and how sure in either."""
 
     submaps: tuple[int, int]
     xy: tuple[Floats, Floats]
-    covariance: tuple[Floats, Floats]  # in the axes of the drawings
-    kernel_width: float
-    pair: int | None = None
+    sigma_m: float
+    match: int | None = None  # that found it in the second
+    pair: int | None = None  # that a person named
 
 
 @dataclass(slots=True, eq=False)
@@ -148,11 +166,11 @@ class LandmarkBackEnd:
     drawn: list[Floats] = field(default_factory=list)
     poses: list[Floats] = field(default_factory=list)
     way_m: list[float] = field(default_factory=list)
+    matches: list[_Match] = field(default_factory=list)
     landmarks: list[_Landmark] = field(default_factory=list)
     pairs: list[Pair] = field(default_factory=list)
     tried: set[tuple[int, int]] = field(default_factory=set)
     rendered: Floats | None = None  # poses of the nodes when the shown map was last drawn
-    solution: Solution | None = None
     realignment: SubmapRealignment = field(init=False)
 
     def __post_init__(self) -> None:
@@ -246,14 +264,17 @@ class LandmarkBackEnd:
         return cloud_of(closed.scans, closed.track)
 
     def _keep(self, new: int, old: int, shift: Floats, covariance: Floats, landmarks: Floats) -> None:
-        own = self.config.match.landmark_sigma_m**2 * np.eye(2)
+        config = self.config.match
+        middle = np.array([*landmarks.mean(axis=0), 0.0])
+        there = se2.compose(shift, middle)
+        known = in_base_axes(about_origin(covariance, shift, there), float(there[2]))
+        known = known + diagonal(config.match_sigma_m, config.match_sigma_rad)
+        self.matches.append(_Match((new, old), middle, there, known))
         for xy in landmarks:
-            there = se2.points_from(shift, xy)
-            lever = np.array([[1.0, 0.0, -(there[1] - shift[1])], [0.0, 1.0, there[0] - shift[0]]])
-            seen = self.config.match.match_sigma_m**2 * np.eye(2) + len(landmarks) * (
-                lever @ covariance @ lever.T
-            )  # K points share the error of one match
-            self.landmarks.append(_Landmark((new, old), (xy, there), (own, seen), self.config.kernel_width))
+            ends = xy, se2.points_from(shift, xy)
+            self.landmarks.append(
+                _Landmark((new, old), ends, config.landmark_sigma_m, match=len(self.matches) - 1)
+            )
 
     def _neighbours(self, new: int) -> list[tuple[float, int]]:
         poses = np.array(self.poses)
@@ -284,10 +305,8 @@ class LandmarkBackEnd:
                 self._in_drawing(submap, np.array(xy))
                 for submap, xy in zip(batch.pair.submaps, batch.pair.xy_map, strict=True)
             )
-            sure = self.config.pair_sigma_m**2 * np.eye(2)
-            self.landmarks.append(
-                _Landmark(batch.pair.submaps, (first, second), (sure, sure), 0.0, batch.pair.number)
-            )
+            sigma_m, number = self.config.pair_sigma_m, batch.pair.number
+            self.landmarks.append(_Landmark(batch.pair.submaps, (first, second), sigma_m, pair=number))
         elif batch.what in ("remove", "undo") and batch.pair is not None:
             number = batch.pair.number
             self.pairs = [pair for pair in self.pairs if pair.number != number]
@@ -299,7 +318,16 @@ class LandmarkBackEnd:
         node = min(nodes, key=lambda k: math.dist(self.poses[k][:2], xy_map))
         return se2.points_from(self.drawn[node], se2.points_seen(self.poses[node], xy_map))
 
+    def _nearest(self, submap: int, xy: Floats) -> int:
+        """The track point of a sub-map that is nearest to a point of its drawing."""
+        return min(self.submaps[submap].nodes, key=lambda node: math.dist(self.drawn[node][:2], xy[:2]))
+
     def _graph(self) -> PoseGraph:
+        """Behind the track points one pose for each match: where it puts the landmarks' middle.
+
+        The landmarks are seen from there and from the new sub-map, so that the error of the match moves all
+        of them alike.
+        """
         drawn, poses = np.array(self.drawn), np.array(self.poses)
         count = len(drawn)
         measured = se2.between(drawn[:-1], drawn[1:])
@@ -308,35 +336,39 @@ class LandmarkBackEnd:
         covariance[:, 0, 0] = covariance[:, 1, 1] = self.config.drift_m_per_sqrt_m**2 * way_m
         covariance[:, 2, 2] = self.config.drift_rad_per_sqrt_m**2 * way_m
         edges = Edges(np.arange(count - 1), np.arange(1, count), measured, covariance, np.zeros(count - 1))
-        of, landmark, seen, covariances, widths, guess = [], [], [], [], [], []
-        for k, mark in enumerate(self.landmarks):
+        if self.matches:
+            holds = np.array([self._nearest(match.submaps[1], match.there) for match in self.matches])
+            laid = se2.between(drawn[holds], np.array([match.there for match in self.matches]))
+            known = np.array([match.covariance for match in self.matches])
+            widths = np.full(len(holds), self.config.kernel_width)
+            edges = edges.and_also(Edges(holds, count + np.arange(len(holds)), laid, known, widths))
+            poses = np.concatenate((poses, se2.compose(poses[holds], laid)))
+        of, seen, guess = [], [], []
+        for mark in self.landmarks:
             for side in (0, 1):
-                nodes = self.submaps[mark.submaps[side]].nodes
-                node = min(nodes, key=lambda n: math.dist(drawn[n][:2], mark.xy[side]))
-                xy = se2.points_seen(drawn[node], mark.xy[side])
-                c, s = math.cos(drawn[node][2]), math.sin(drawn[node][2])
-                turn = np.array([[c, s], [-s, c]])
+                if side and mark.match is not None:
+                    node = count + mark.match
+                    xy = se2.points_seen(self.matches[mark.match].middle, mark.xy[0])
+                else:
+                    node = self._nearest(mark.submaps[side], mark.xy[side])
+                    xy = se2.points_seen(drawn[node], mark.xy[side])
                 of.append(node)
-                landmark.append(k)
                 seen.append(xy)
-                covariances.append(turn @ mark.covariance[side] @ turn.T)
-                widths.append(mark.kernel_width if side else 0.0)
-                if side:
-                    guess.append(se2.points_from(poses[node], xy))
+            guess.append(se2.points_from(poses[of[-1]], seen[-1]))
+        variances = np.repeat([mark.sigma_m**2 for mark in self.landmarks], 2)
         sightings = Sightings(
             np.array(of, np.int64),
-            np.array(landmark, np.int64),
+            np.repeat(np.arange(len(self.landmarks)), 2),
             np.array(seen).reshape(-1, 2),
-            np.array(covariances).reshape(-1, 2, 2),
-            np.array(widths, np.float64),
+            variances.reshape(-1, 1, 1) * np.eye(2),
+            np.zeros(len(of)),
         )
         return PoseGraph(poses, edges, np.array(guess).reshape(-1, 2), sightings)
 
     def _solve(self) -> None:
         if len(self.drawn) < 2:
             return
-        self.solution = solve(self._graph())
-        self.poses = list(self.solution.poses)
+        self.poses = list(solve(self._graph()).poses[: len(self.drawn)])
 
     def _key_poses(self) -> tuple[npt.NDArray[np.int64], Floats]:
         """Stamps and map poses of all key scans: bent along between the track points on both sides."""
@@ -362,8 +394,12 @@ class LandmarkBackEnd:
         if self.renderer is not None and moved_m > (0.0 if is_last else self.config.render_again_m):
             self.rendered = nodes
             rendered_map = self.renderer.render(self._drawn(poses))
-        residuals = {pair.number: self._apart_m(pair.number) for pair in self.pairs}
-        seen = self.solution.sighting_chi2 if self.solution is not None else np.zeros(0)
+        apart_m = [self._apart_m(mark) for mark in self.landmarks]
+        residuals = {
+            mark.pair: apart
+            for mark, apart in zip(self.landmarks, apart_m, strict=True)
+            if mark.pair is not None
+        }
         return Result(
             len(self.submaps),
             stamps,
@@ -372,7 +408,7 @@ class LandmarkBackEnd:
             len(self.tried),
             len(self.landmarks),
             residuals,
-            float(np.sqrt(seen.mean())) * self.config.match.landmark_sigma_m if len(seen) else 0.0,
+            math.sqrt(sum(apart * apart for apart in apart_m) / max(len(apart_m), 1)),
             rendered_map,
             fault,
             to_g2o(self._graph()) if is_last and len(self.drawn) > 1 else "",
@@ -399,12 +435,11 @@ class LandmarkBackEnd:
             for scan, pose in zip(scans, poses, strict=True)
         ]
 
-    def _apart_m(self, number: int) -> float:
-        mark = next(mark for mark in self.landmarks if mark.pair == number)
+    def _apart_m(self, mark: _Landmark) -> float:
+        """How far the map has the two places of a landmark from each other."""
         ends = []
         for side in (0, 1):
-            nodes = self.submaps[mark.submaps[side]].nodes
-            node = min(nodes, key=lambda n: math.dist(self.drawn[n][:2], mark.xy[side]))
+            node = self._nearest(mark.submaps[side], mark.xy[side])
             ends.append(se2.points_from(self.poses[node], se2.points_seen(self.drawn[node], mark.xy[side])))
         return math.dist(*ends)
 

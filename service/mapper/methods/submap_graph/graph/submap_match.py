@@ -42,7 +42,8 @@ class SubmapMatchConfig(BaseModel):
     landmark_probability: float = Field(default=0.95, gt=0.5, lt=1.0)
     landmark_spacing_m: float = Field(default=1.5, gt=0.0)
     landmark_sigma_m: float = Field(default=0.02, gt=0.0)
-    match_sigma_m: float = Field(default=0.03, gt=0.0)  # of a landmark in the neighbour, besides the match's
+    match_sigma_m: float = Field(default=0.015, gt=0.0)  # of a match, besides what its fit says:
+    match_sigma_rad: float = Field(default=0.004, gt=0.0)  # sub-maps are bent
     match_covariance_scale: float = Field(default=0.5, gt=0.0)
 
 

@@ -11,6 +11,7 @@ from service.geometry import poses as se2
 from service.geometry.se2 import SE2
 from service.mapper.background import InlineWorker
 from service.mapper.components import GraphRequestError, MappedScan, Match
+from service.mapper.graph.pose_graph_solver import solve
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapper.methods.submap_graph.counted_submaps import (
     ClosedSubmap,
@@ -25,7 +26,7 @@ from service.mapper.methods.submap_graph.graph.landmark_back_end import (
 )
 from service.mapper.methods.submap_graph.graph.landmark_graph import LandmarkGraph
 from service.mapper.methods.submap_graph.graph.landmark_warm_up import warm_up
-from service.mapper.methods.submap_graph.graph.submap_match import draw_walls, find
+from service.mapper.methods.submap_graph.graph.submap_match import about_origin, draw_walls, find
 from service.mapper.methods.submap_graph.graph.submap_realignment import SubmapRealignment
 from tests.service.mapper.drives import ROOM, cast
 from tests.service.mapper.maps.points import points_of
@@ -150,6 +151,36 @@ def test_landmarks_take_out_what_the_ways_disagree_in(trip) -> None:
     for one in closed:
         repeated = again.work(Batch("submap", closed=one))
     np.testing.assert_array_equal(repeated.poses, results[3].poses)
+
+
+# D11
+def test_many_landmarks_of_one_match_know_a_place_as_well_as_the_match_and_no_better(trip) -> None:
+    """What a match errs by moves all its landmarks alike: their number does not take it out."""
+    loose = {"neighbour_m": 1e-3, "drift_m_per_sqrt_m": 1.0, "drift_rad_per_sqrt_m": 1.0}
+    config = CONFIG.model_copy(update=loose)
+    fit = np.array([0.010, 0.020, 0.005])
+    known = np.hypot(fit, [config.match.match_sigma_m] * 2 + [config.match.match_sigma_rad])
+    sigmas = []
+    for count in (2, 4, 40):
+        back_end = LandmarkBackEnd(config, None)
+        for one in trip[0][:3]:
+            back_end.work(Batch("submap", closed=one))
+        node = back_end.submaps[2].nodes[0]
+        x, y, theta = back_end.drawn[node]
+        angle = theta + 2.0 * np.pi * np.arange(count) / count
+        around = np.stack((x + 2.0 * np.cos(angle), y + 2.0 * np.sin(angle)), axis=1)
+        turn = np.array(
+            [[np.cos(theta), -np.sin(theta), 0.0], [np.sin(theta), np.cos(theta), 0.0], [0.0, 0.0, 1.0]]
+        )
+        at_node = turn @ np.diag(fit**2) @ turn.T
+        shift = np.zeros(3)
+        back_end._keep(2, 0, shift, about_origin(at_node, back_end.drawn[node], shift), around)
+        covariance = solve(back_end._graph(), covariances_of=[node]).covariances[node]
+        sigmas.append(np.sqrt(np.diag(covariance)))
+    few, four, many = sigmas
+    assert (few > four).all()
+    assert (many > 0.99 * known).all()
+    np.testing.assert_allclose(many, known, rtol=0.1)
 
 
 def corrected(graph: LandmarkGraph) -> np.ndarray:
