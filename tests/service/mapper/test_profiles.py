@@ -276,6 +276,7 @@ def shown(tiles: list[TileUpdate], x_m: float, y_m: float) -> str:
     return "wall" if max(seen) > 65 else "floor" if max(seen) < 20 and min(seen) >= 0 else f"unclear: {seen}"
 
 
+@pytest.mark.timeout(800)  # where the cache is cold, on a machine that does other things
 def test_kernels_are_compiled_once_for_warm_up_and_all_that_follows() -> None:
     child = [sys.executable, "-m", "tests.service.mapper.compiled_kernels"]
     for _ in range(2):  # the first fills the cache: what compiles counts the types of its callers, too
