@@ -1,5 +1,6 @@
 """Paper 004: one precision in worlds of 300, 2000 and 12 000 m2; a single map beside. It has no figures."""
 
+import pickle
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ from drivers.frames import LaserScan
 from service.geometry.se2 import SE2
 from service.mapper.background import InlineWorker
 from service.mapper.corrections import corrected
+from service.mapper.methods.submap_graph.graph.landmark_back_end import LandmarkBackEnd
 from service.mapper.profiles import build_mapper, mapping_config
 from simulators.world import World
 from simulators.worlds.floor import floor
@@ -28,6 +30,7 @@ EVERY = 5  # scans: so many as one are asked where walls are
 CART = Laser(LMS100_50HZ.model, 541, 5.0, -135.0, 0.5)  # every tenth sweep
 SINGLE = {"local_map": {"length_m": 1e6}}
 SHORT = "on a lap of 115 m one map drifts by centimetres only before it meets its first walls again"
+KEEPS = "the scans of every pass are kept, for landmarks and to draw the map anew"
 AROUND = {"matcher": {"draw": "around_scan"}}
 
 
@@ -42,6 +45,8 @@ class Place:
 
 OFFICE = Place("office", 300, lambda _: office(), 60.0, 5)
 FLOOR = Place("floor", 2000, lambda seed: floor(layout=seed), 260.0, 3)
+LAP_COUNT = 4
+LAPS = Place("office", 300, lambda _: office(), LAP_COUNT * office().drive.duration_s, 1)
 MALL = Place("mall", 12_000, lambda _: mall(), 1250.0, 3)
 
 
@@ -158,6 +163,57 @@ def against_single(seeds: Sequence[int]) -> Section:
     )
 
 
+def memory(seeds: Sequence[int]) -> Section:
+    """D8: lap after lap round the office, in which nothing new is seen."""
+    ride = driven(LAPS, seeds[0])
+    held: list[LandmarkBackEnd] = []
+
+    def new_worker(back_end: LandmarkBackEnd) -> InlineWorker:
+        held.append(back_end)
+        return InlineWorker(back_end)
+
+    config = mapping_config({"profile": "submap_graph"})
+    mapper = build_mapper(config, {"front": FORWARD}, new_worker=new_worker)  # type: ignore[arg-type]
+    lap_s = office().drive.duration_s
+    tiles, kept_mb, way_m = [0] * LAP_COUNT, [0.0] * LAP_COUNT, [0.0] * LAP_COUNT
+    for frame in ride.frames:
+        if mapper.process(frame) is None:
+            continue
+        lap = min(int(frame.stamp_ns * 1e-9 / lap_s), LAP_COUNT - 1)
+        tiles[lap] = max(tiles[lap], mapper._stages.local_map.tile_count)
+        while mapper.graph.waiting:
+            mapper.apply_result()
+            kept_mb[lap], way_m[lap] = len(pickle.dumps(held[0])) / 1e6, held[0].way_m[-1]
+    grown_mb, driven_m = kept_mb[-1] - kept_mb[1], way_m[-1] - way_m[1]
+    ratio = tiles[-1] / tiles[1]
+    return Section(
+        "Memory, lap after lap",
+        f"{LAP_COUNT} laps of the office, in which nothing new is seen after the first. Tiles are those that "
+        "all particles hold together, at most in a lap. What the graph keeps is its size as it is sent to "
+        "another process: the scans of all closed sub-maps, to compare them and to draw the shown map anew.",
+        [
+            Row("D8", "tiles of the particles: last lap by second", [ratio], "times", at_most=1.1),
+            Row(
+                "D8",
+                "the graph keeps for 100 m of way, second lap to last",
+                [100.0 * grown_mb / driven_m],
+                "MB",
+                digits=2,
+            ),
+            Row(
+                "D8",
+                "that for two hours at 1 m/s, by this",
+                [7200.0 * grown_mb / driven_m],
+                "MB",
+                at_most=50.0,
+                digits=0,
+                cause=KEEPS,
+            ),
+        ],
+        ran_on=told(seeds[:1]),
+    )
+
+
 def worst(found: Sequence[Mapped]) -> list[float]:
     return [one.worst_m for one in found]
 
@@ -239,4 +295,5 @@ SCENARIOS = {
     "mall": lambda seeds: precision(MALL, seeds),
     "one_map": against_single,
     "weights": weights,
+    "memory": memory,
 }

@@ -40,6 +40,7 @@ from service.mapper.methods.submap_graph.graph.submap_realignment import (
 from service.outputs import GraphPicture
 
 SURFEL_POINTS = 2000  # of a sub-map, laid on the surfels of another
+MOST_WALLS = 8  # sub-maps whose walls are kept: they take two to four times as much as all their scans
 
 
 class LandmarkGraphConfig(BaseModel):
@@ -118,7 +119,6 @@ class Result:
 class _Submap:
     closed: ClosedSubmap  # laid anew
     end_odom: Floats  # (3,) of its last scan, as the particle drew it
-    walls: WallPoints
     begin_m: float  # way driven before it
     border: Floats  # (4, 2) corners around its walls, as it was drawn
     nodes: list[int] = field(default_factory=list)  # of the graph, own ones
@@ -170,6 +170,7 @@ class LandmarkBackEnd:
     landmarks: list[_Landmark] = field(default_factory=list)
     pairs: list[Pair] = field(default_factory=list)
     tried: set[tuple[int, int]] = field(default_factory=set)
+    walls: dict[int, WallPoints] = field(default_factory=dict)  # by sub-map, that used last at the end
     rendered: Floats | None = None  # poses of the nodes when the shown map was last drawn
     realignment: SubmapRealignment = field(init=False)
 
@@ -195,9 +196,11 @@ class LandmarkBackEnd:
     def _add(self, closed: ClosedSubmap) -> bool:
         """Take in a sub-map; whether landmarks were found in others."""
         begin_m = self.way_m[-1] if self.way_m else 0.0
+        if closed.carried:  # the very scans of the sub-map before: kept once
+            carried = self.submaps[-1].closed.scans[-closed.carried :]
+            closed = replace(closed, scans=carried + closed.scans[closed.carried :])
         laid = self.realignment.realign(closed)
-        walls = draw_walls(laid, self.config.match)
-        submap = _Submap(laid, closed.track[-1], walls, begin_m, _corners(laid))
+        submap = _Submap(laid, closed.track[-1], begin_m, _corners(laid))
         self.submaps.append(submap)
         for pose in laid.track[submap.own]:
             away_m = math.dist(pose[:2], self.drawn[-1][:2]) if self.drawn else 0.0
@@ -232,8 +235,8 @@ class LandmarkBackEnd:
                 driven_m = self.submaps[new].begin_m - self.submaps[old].begin_m
                 reach_m = min(reach_m + config.search_per_m * driven_m, config.most_search_m)
             found = find(
-                self.submaps[new].walls,
-                self.submaps[old].walls,
+                self._walls(new),
+                self._walls(old),
                 self._guess(new, old),
                 (reach_m, config.search_rad),
                 config.match,
@@ -249,7 +252,7 @@ class LandmarkBackEnd:
     def _on_surfels(self, new: int, old: int, found: Found) -> Found | None:
         """The same, laid point to line; None where too little of what both have seen lies on walls."""
         config = self.config
-        cloud, other = self._cloud(new), self.submaps[old].walls
+        cloud, other = self._cloud(new), self._walls(old)
         common = is_seen(other, se2.points_from(found.pose, cloud.xy))
         shared = PointCloud(cloud.xy[common], cloud.normals[common])
         fit, shift = align_cloud(shared, SurfelSet(self._cloud(old)), found.pose, SURFEL_POINTS)
@@ -258,6 +261,16 @@ class LandmarkBackEnd:
         covariance = config.match.match_covariance_scale * np.linalg.inv(fit.information + 1e-2 * np.eye(3))
         at_origin = about_origin(np.asarray(covariance, np.float64), fit.pose, shift)
         return replace(found, pose=shift, covariance=at_origin, share=fit.share)
+
+    def _walls(self, number: int) -> WallPoints:
+        """The walls of a sub-map, drawn again from its scans where they were forgotten."""
+        walls = self.walls.pop(number, None)
+        if walls is None:
+            walls = draw_walls(self.submaps[number].closed, self.config.match)
+        self.walls[number] = walls
+        if len(self.walls) > MOST_WALLS:
+            del self.walls[next(iter(self.walls))]
+        return walls
 
     def _cloud(self, number: int) -> PointCloud:
         closed = self.submaps[number].closed

@@ -19,6 +19,7 @@ from service.mapper.methods.submap_graph.counted_submaps import (
     CountedSubmapsConfig,
     KeyScan,
 )
+from service.mapper.methods.submap_graph.graph import landmark_back_end
 from service.mapper.methods.submap_graph.graph.landmark_back_end import (
     Batch,
     LandmarkBackEnd,
@@ -181,6 +182,36 @@ def test_many_landmarks_of_one_match_know_a_place_as_well_as_the_match_and_no_be
     assert (few > four).all()
     assert (many > 0.99 * known).all()
     np.testing.assert_allclose(many, known, rtol=0.1)
+
+
+# D8
+def test_walls_that_were_forgotten_are_drawn_again_and_nothing_changes(trip, monkeypatch) -> None:
+    def worked() -> tuple[LandmarkBackEnd, np.ndarray]:
+        back_end = LandmarkBackEnd(CONFIG, None)
+        poses = [back_end.work(Batch("submap", closed=one)).poses for one in trip[0]]
+        return back_end, np.concatenate([*poses, back_end.work(Batch("finish")).poses])
+
+    kept, poses = worked()
+    assert len(kept.walls) == 4
+    monkeypatch.setattr(landmark_back_end, "MOST_WALLS", 1)
+    forgetful, again = worked()
+    assert len(forgetful.walls) == 1
+    np.testing.assert_array_equal(again, poses)
+
+
+# D8
+def test_scans_that_two_sub_maps_share_are_kept_once() -> None:
+    x = np.linspace(0.0, 2.4, 9)
+    way = np.stack((x + 1.0, np.full(9, 0.2), np.zeros(9)), axis=1)
+    whole = submap(0, way, way)
+    first = replace(whole, scans=whole.scans[:6], track=way[:6])
+    second = replace(whole, number=1, carried=2, scans=whole.scans[4:], track=way[4:])
+    back_end = LandmarkBackEnd(CONFIG, None)
+    for one in (first, second):  # each comes from another process, with scans of its own
+        back_end.work(Batch("submap", closed=pickle.loads(pickle.dumps(one))))
+    before, after = (one.closed for one in back_end.submaps)
+    assert [a is b for a, b in zip(before.scans[4:], after.scans, strict=False)] == [True, True]
+    assert [scan.stamp_ns for scan in after.scans] == [scan.stamp_ns for scan in second.scans]
 
 
 def corrected(graph: LandmarkGraph) -> np.ndarray:
