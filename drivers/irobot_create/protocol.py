@@ -10,6 +10,7 @@ import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import lru_cache
 
 from drivers.errors import ProtocolError
 
@@ -186,9 +187,15 @@ def _code(packet_id: int) -> str:
     return "".join(PACKETS[member] for member in members(packet_id))
 
 
+@lru_cache(maxsize=256)  # a robot is asked for one list all the time
+def _layout(packet_ids: tuple[int, ...]) -> struct.Struct:
+    """Of the plain answer to these ids."""
+    return struct.Struct(">" + "".join(_code(packet_id) for packet_id in packet_ids))
+
+
 def data_bytes(packet_ids: Iterable[int]) -> int:
-    """Length of the plain answer to 142 or 149 for these ids."""
-    return struct.calcsize(">" + "".join(_code(packet_id) for packet_id in packet_ids))
+    """Length of the plain answer to 142 or 149 for these ids. Raises ProtocolError where one is unknown."""
+    return _layout(tuple(packet_ids)).size
 
 
 def frame_bytes(packet_ids: Sequence[int]) -> int:
@@ -217,7 +224,7 @@ def _encode_list(opcode: Opcode, packet_ids: Sequence[int]) -> bytes:
 def encode_values(packet_ids: Sequence[int], values: Mapping[int, int]) -> bytes:
     """The plain answer to 142 or 149: values[packet] of each id in turn; a packet not in `values` is 0."""
     flat = [values.get(member, 0) for packet_id in packet_ids for member in members(packet_id)]
-    return struct.pack(">" + "".join(_code(packet_id) for packet_id in packet_ids), *flat)
+    return _layout(tuple(packet_ids)).pack(*flat)
 
 
 def decode_values(packet_ids: Sequence[int], data: bytes) -> dict[int, int]:
@@ -228,7 +235,7 @@ def decode_values(packet_ids: Sequence[int], data: bytes) -> dict[int, int]:
     expected = data_bytes(packet_ids)
     if len(data) != expected:
         raise ProtocolError(f"answer of {len(data)} bytes to packets {list(packet_ids)}, expected {expected}")
-    flat = struct.unpack(">" + "".join(_code(packet_id) for packet_id in packet_ids), data)
+    flat = _layout(tuple(packet_ids)).unpack(data)
     order = [member for packet_id in packet_ids for member in members(packet_id)]
     return dict(zip(order, flat, strict=True))
 
