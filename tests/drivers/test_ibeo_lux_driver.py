@@ -327,10 +327,10 @@ NARROW = {"first_angle_deg": 10.0, "last_angle_deg": -10.0}  # what it sees is n
 def test_stamps_are_those_of_the_first_ray_through_drift_and_jitter(rate_hz, set_clock, drift_ppm):
     t = talk(LuxSetup(clock_drift_ppm=drift_ppm), scan_rate_hz=rate_hz, set_clock=set_clock, **NARROW)
     t.delay_ns = jitter(np.random.default_rng(5))
-    t.run(40.0)
+    t.run(25.0)
     late_ms = errors_ms(t)
     after_10_s = late_ms[round(10 * rate_hz) :]
-    assert len(after_10_s) > 25 * rate_hz
+    assert len(after_10_s) > 12 * rate_hz
     assert np.std(after_10_s) <= 0.2
     assert np.mean(after_10_s) - LEAVES_AFTER_SWEEP_NS / 1e6 == pytest.approx(0.1, abs=0.2)
 
