@@ -1,9 +1,12 @@
 """A stored map edited with the mouse, and with keys alone: from the click to the version on disk."""
 
+import itertools
+
 import numpy as np
 import pytest
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import WebDriverWait
 
 from service.geometry.se2 import SE2
 from service.mapstore.files import load_map, save_map
@@ -16,6 +19,7 @@ from tests.service.mapstore.tile_makers import tile
 from tests.service.offline.bent_maps import ROUND, bent_map, graph_in, save_bent
 from tests.service.offline.test_map_edit import cell
 
+EDITED_WITHIN_S = 60.0  # a solution and a drawing on a machine that has more to do
 PAIRED = (6, 22)  # key frames of the first round
 CABINET = np.array([(9.9, 9.5), (11.6, 9.5), (11.6, 9.9), (9.9, 9.9)])  # around the front of one; seen once
 
@@ -82,7 +86,8 @@ def choose_place(page, side, xy_map):
 
 def wait_for_version(page, number):
     """Until the change is made; a refusal is told by its words."""
-    page.wait_for("return !corridor.edit.isBusy && corridor.edit.note.dataset.level !== 'none'")
+    is_told = "return !corridor.edit.isBusy && corridor.edit.note.dataset.level !== 'none'"
+    WebDriverWait(page.driver, EDITED_WITHIN_S).until(lambda driver: driver.execute_script(is_told), is_told)
     assert page.element("edit-note").get_attribute("data-level") == "ok", page.text("edit-note")
     page.wait_for("return corridor.edit.version === arguments[0] && !corridor.edit.isBusy", number)
 
@@ -123,15 +128,17 @@ def test_a_bent_map_is_straightened_by_clicks_compared_and_taken_back(page, view
     page.element("optimise").click()
     wait_for_version(page, 2)
     assert bent.error_m(graph_in(folder)) < 0.10
-    assert "moved by up to" in page.text("compare-words")
+    assert "moved by up to" in page.text("edit-note")
     assert len(residuals_m(page)) == 6
     assert max(residuals_m(page)) < 0.05
     page.wait_for("return corridor.view.tiles.tiles.size > 0 && corridor.view.before !== null")
     page.element("fit").click()
+    page.element("forget-places").click()  # their points lie on the present map only
     after = drawn(page)
     page.element("show-before").click()
     assert drawn(page) != after
     page.element("show-before").click()
+    assert drawn(page) == after
     page.wait_for("return !corridor.view.showsBefore")
     page.element("flicker").click()
     page.wait_for("return corridor.view.showsBefore")
@@ -304,6 +311,13 @@ def test_without_the_right_token_nothing_is_changed(page, view, folder):
     assert load_map(folder).number == 1
 
 
+def test_without_a_connection_nothing_can_be_changed(page, view):
+    assert page.element("draw-rectangle").is_enabled()
+    view.close()
+    page.wait_for_text("state", "no connection")
+    assert not page.element("draw-rectangle").is_enabled()
+
+
 def test_too_many_points_are_refused_by_page_and_service(page, view, folder):
     page.element("draw-wall").click()
     page.run("for (let i = 0; i < 501; i += 1) corridor.edit.tool.click([20 * (i % 40), 15 * (i % 37)])")
@@ -371,21 +385,24 @@ def test_every_control_can_be_reached_with_the_keyboard(page, view):
     assert wanted | {"cut-from", "cut-from-pick", "cut-to", "cut-bridge", "edit-who"} <= set(reached)
 
 
-@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
-@pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
-def test_axe_finds_nothing_serious_in_the_area_edit(page, view, bent, axe, size, is_dark):
-    page.resize(size, is_dark)
+def test_axe_finds_nothing_serious_in_the_area_edit(page, view, axe):
     page.run(
         "const {a, b} = corridor.edit.pairs.places; a.choose(arguments[0]); b.choose(arguments[1]);"
-        "corridor.edit.change({what: 'optimize'}, 'Optimise')",
+        "corridor.edit.change({what: 'wall', corners: [[6, 0], [7, 0]]}, 'Wall')",
         PAIRED[0],
         PAIRED[0] + ROUND,
     )
     wait_for_version(page, 2)
-    page.choose("edit")
-    assert page.run("return document.documentElement.scrollWidth") <= size[0]
-    wide = "[...document.querySelectorAll('#edit .card')].filter((c) => c.scrollWidth > c.clientWidth)"
-    assert page.run(f"return {wide}.map((c) => c.innerText)") == []
     page.run(axe)
-    assert serious_faults(page) == []
-    page.resize(DESKTOP)
+    try:
+        for size, is_dark in itertools.product((DESKTOP, PHONE), (False, True)):
+            page.resize(size, is_dark)
+            page.choose("edit")
+            assert page.run("return document.documentElement.scrollWidth") <= size[0]
+            wide = (
+                "[...document.querySelectorAll('#edit .card')].filter((c) => c.scrollWidth > c.clientWidth)"
+            )
+            assert page.run(f"return {wide}.map((c) => c.innerText)") == []
+            assert serious_faults(page) == [], f"{size}, dark: {is_dark}"
+    finally:
+        page.resize(DESKTOP)

@@ -1,6 +1,6 @@
 // The map before the newest change, drawn in place of the map as it is: by hand, or in turn.
 
-import { card, element, setText } from "./dom.js";
+import { element } from "./dom.js";
 
 const FLICKER_MS = 700; // slower than three changes a second, which may harm people
 
@@ -8,12 +8,9 @@ export class BeforeAfter {
   constructor(view) {
     this.view = view;
     this.timer = null;
-    this.words = element("p", { className: "note", id: "compare-words", role: "status" });
-    this.toggle = element("button", { type: "button", id: "show-before", "aria-pressed": "false", title: "B",
+    this.toggle = element("button", { type: "button", id: "show-before", "aria-pressed": "false", title: "The map before the newest change (B)",
       onclick: () => this.show(!this.view.showsBefore) }, "Show before");
     this.flicker = element("button", { type: "button", id: "flicker", "aria-pressed": "false", onclick: () => this.#flicker() }, "Flicker");
-    this.card = card("Before and after");
-    this.card.node.append(this.words, element("div", { className: "row" }, this.toggle, this.flicker));
     this.clear();
   }
 
@@ -25,17 +22,16 @@ export class BeforeAfter {
   }
 
   /** The change was made: what was kept is what was before. */
-  made(version, words) {
+  made() {
     this.view.before = this.next;
-    this.card.node.hidden = false;
-    setText(this.words, `Version ${version}: ${words}`);
+    this.toggle.hidden = this.flicker.hidden = false;
   }
 
   clear() {
     this.#stop();
     this.show(false);
     this.view.before = this.next = null;
-    this.card.node.hidden = true;
+    this.toggle.hidden = this.flicker.hidden = true;
   }
 
   show(isBefore) {

@@ -22,7 +22,7 @@ export class Edit {
     this.keyframes = new Keyframes();
     this.tool = null;
 
-    this.note = element("p", { id: "edit-note", role: "status" });
+    this.note = element("p", { id: "edit-note", role: "status", tabIndex: 0 }); // it may be long, and scrolls then
     this.who = element("input", { type: "text", id: "edit-who", maxLength: 100, autocomplete: "off" });
     this.said = null; // of the newest change: {words, level}
     this.undoButton = element("button", { type: "button", id: "edit-undo", onclick: () => this.undo() }, "Undo");
@@ -36,7 +36,8 @@ export class Edit {
     versions.node.append(
       element("div", { className: "row" }, element("label", { for: "edit-who" }, "Your name"), this.who), this.list);
     this.all = element("fieldset", { className: "areas", "aria-label": "Changes of the map" },
-      element("div", { className: "edit-head" }, this.note, this.undoButton), this.compare.card.node, this.pairs.card.node, this.drawing.card.node, this.cut.card.node, versions.node);
+      element("div", { className: "edit-head" }, this.note, element("div", { className: "row" }, this.undoButton, this.compare.toggle, this.compare.flicker)),
+      element("div", { className: "cards" }, this.pairs.card.node, this.drawing.card.node, this.cut.card.node, versions.node));
     root.append(this.all);
     this.update();
   }
@@ -95,7 +96,7 @@ export class Edit {
     const answer = await this.connection.command("map_edit", { version: this.version, who: this.who.value.trim(), change });
     this.isBusy = false;
     if (answer.ok) {
-      this.compare.made(answer.version, answer.done);
+      this.compare.made();
       this.say(`${label}: ${answer.done}`, "ok");
     } else this.say(`${label}: ${answer.error}`, "error");
     await this.look();

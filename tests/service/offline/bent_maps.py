@@ -1,6 +1,7 @@
 """A stored map whose second round lies beside the first, and where its points truly are."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,6 +29,7 @@ class BentMap:
 
     graph: SavedGraph
     truth: Floats  # (N, 3) pose_map_base
+    tiles: Sequence[TileUpdate]  # as it is drawn
 
     def error_m(self, graph: SavedGraph) -> float:
         """How far the key frame that lies worst is from the truth."""
@@ -74,12 +76,13 @@ def bent_map() -> BentMap:
     poses[ROUND:] = se2.compose(moved, se2.between(begin, graph.map[ROUND:]))
     piece[ROUND:] = piece.max() + 1  # odometry says nothing of how it lies to the first round
     true_poses = np.array([(pose.x_m, pose.y_m, pose.theta_rad) for pose in truth])
-    return BentMap(replace(graph, map=poses, piece=piece), true_poses)
+    bent = replace(graph, map=poses, piece=piece)
+    return BentMap(bent, true_poses, tiles_of(bent))
 
 
 def save_bent(folder: Path, bent: BentMap) -> Path:
     """Stored as it was drawn."""
-    save_map(folder, tiles_of(bent.graph), 1_000, {"vehicle": "veh1"}, graph=bent.graph)
+    save_map(folder, bent.tiles, 1_000, {"vehicle": "veh1"}, graph=bent.graph)
     return folder
 
 
