@@ -15,7 +15,7 @@ CONFIG = mapping_config({"profile": "contour_lm"})
 
 @pytest.fixture(scope="module")
 def room_drive() -> Drive:
-    return drive(ROOM, round_the_room, 4.0, wheel_scale=None)
+    return drive(ROOM, round_the_room, 4.0, wheel_scale=None, every=2)
 
 
 def test_a_drive_round_a_room_is_followed_with_the_laser_alone(room_drive: Drive) -> None:  # A1 A8

@@ -37,7 +37,7 @@ def mapper(
 
 @pytest.fixture(scope="module")
 def short_drive() -> Drive:
-    return drive(ROOM, round_the_room, 4.0)
+    return drive(ROOM, round_the_room, 4.0, every=2)
 
 
 def outputs_of(made: Mapper[CountedSubmaps], what: Drive) -> list[MapperOutput]:
