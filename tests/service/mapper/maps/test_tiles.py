@@ -122,3 +122,10 @@ def test_reserved_space_costs_no_memory_until_it_is_touched() -> None:
 
 def test_the_reach_of_points_is_that_of_the_farthest() -> None:
     assert reach_of(np.array([[1.0, 0.0], [-3.0, 4.0], [0.0, 2.0]])) == 5.0
+
+
+def test_a_place_is_covered_as_far_as_its_reach_and_a_margin_of_cells() -> None:
+    tiles = TileMap(TilePool((Layer((4, 4), np.uint8),), 64))
+    tiles.cover_around((0.35, -1.05), 0.4, 0.1, 2, margin_cells=1)  # cells -2 to 8, -16 to -6; tiles of 4
+    assert tiles.origin.tolist() == [-4, -1]
+    assert tiles.slots.shape == (3, 4)
