@@ -14,8 +14,9 @@ from service.geometry.se2 import SE2
 from service.kernels.loops import path_lengths, thin_points
 from service.kernels.normals import estimate_normals
 from service.mapper.components import Correction, MapRenderer, RenderedMap
+from service.mapper.graph.marginal import covariance_of_last
 from service.mapper.graph.point_clouds import Fit, PointCloud
-from service.mapper.graph.pose_graph import Edges, GraphError, PoseGraph, SolverConfig, edge_chi2, to_g2o
+from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, to_g2o
 from service.mapper.graph.pose_graph_solver import solve
 from service.mapper.methods.corridor.graph.anchoring import Anchoring
 from service.mapper.methods.corridor.graph.candidate_submap import LEAST_SCORE, CandidateSubmap, cloud_of
@@ -137,13 +138,10 @@ class LoopBackEnd:
         if not moved:
             return Result(len(self._loops), len(self._disabled))
         self._solve()
+        newest = self._keyframes.count - 1 - max(self._held - 1, 0)
+        known = covariance_of_last(self._to_solve(is_by_motion=True), newest)
         return Result(
-            len(self._loops),
-            len(self._disabled),
-            joined,
-            self._correction(-1),
-            self._covariance_of_last(),
-            self.render(),
+            len(self._loops), len(self._disabled), joined, self._correction(-1), known, self.render()
         )
 
     @property
@@ -397,15 +395,6 @@ class LoopBackEnd:
 
     def _steps(self, is_by_motion: bool = False) -> Edges:
         return odometry_edges(self._keyframes, self._config.keyframe_distance_m, is_by_motion)
-
-    def _covariance_of_last(self) -> Floats | None:
-        """(3, 3) of the newest key frame in the map, base axes; None: nothing holds it there."""
-        last = self._keyframes.count - 1 - max(self._held - 1, 0)
-        as_it_is = SolverConfig(most_iterations=0)
-        try:
-            return solve(self._to_solve(is_by_motion=True), as_it_is, [last]).covariances[last]
-        except GraphError:
-            return None
 
     def _solve(self) -> None:
         """Poses that agree best; loops that the rest contradicts are disabled."""

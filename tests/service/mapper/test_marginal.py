@@ -1,0 +1,69 @@
+"""The covariance of the last pose of a chain with loops, against GTSAM's and where GTSAM gives none."""
+
+import numpy as np
+import pytest
+
+from service.geometry import poses as se2
+from service.mapper.graph.marginal import covariance_of_last
+from service.mapper.graph.pose_graph import Edges, GraphError, PoseGraph
+from service.mapper.graph.pose_graph_solver import solve
+
+COUNT = 40
+
+
+def chain(loops: list[tuple[int, int]], seed: int = 1) -> PoseGraph:
+    """A winding way whose edges all fit, with covariances of any shape."""
+    random = np.random.default_rng(seed)
+    poses = np.zeros((COUNT, 3))
+    for k in range(1, COUNT):
+        poses[k] = se2.compose(poses[k - 1], np.array([0.3, 0.02, random.normal(0.0, 0.1)]))
+    of = np.array([*range(COUNT - 1), *(a for a, _ in loops)])
+    to = np.array([*range(1, COUNT), *(b for _, b in loops)])
+    roots = random.normal(size=(len(of), 3, 3)) * np.array([0.01, 0.01, 0.003])
+    covariance = np.swapaxes(roots, 1, 2) @ roots + 1e-6 * np.eye(3)
+    width = np.r_[np.zeros(COUNT - 1), np.full(len(loops), 2.0)]
+    return PoseGraph(poses, Edges(of, to, se2.between(poses[of], poses[to]), covariance, width))
+
+
+def rows(edges: Edges, which: list[int]) -> Edges:
+    return Edges(*(getattr(edges, name)[which] for name in Edges.__slots__))
+
+
+@pytest.mark.parametrize("loops", [[], [(0, 39)], [(3, 30), (5, 33), (10, 21), (2, 39), (0, 14)]])
+def test_it_is_what_a_solver_gives(loops: list[tuple[int, int]]):
+    graph = chain(loops)
+    for last in (COUNT - 1, 25):
+        inner = [k for k in range(len(graph.edges.of)) if max(graph.edges.of[k], graph.edges.to[k]) <= last]
+        within = PoseGraph(graph.poses[: last + 1], rows(graph.edges, inner))
+        expected = solve(within, covariances_of=[last]).covariances[last]
+        found = covariance_of_last(graph, last)
+        np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-9)
+
+
+def test_a_loop_over_a_step_that_nothing_measures_says_how_well_the_pose_is_known():
+    graph = chain([(5, 30)])
+    graph.edges.covariance[:-1] = np.diag([1e-8, 1e-8, 1e-10])
+    graph.edges.covariance[19] = np.diag([1e3, 1e3, 10.0])
+    graph.edges.covariance[-1] = np.diag([1e-4, 1e-4, 1e-6])
+    with pytest.raises(GraphError):  # at a pose that no loop holds
+        solve(PoseGraph(graph.poses, rows(graph.edges, list(range(COUNT - 1)))), covariances_of=[COUNT - 1])
+    found = covariance_of_last(graph, COUNT - 1)
+    heading_m2 = 1e-6 * ((graph.poses[-1, :2] - graph.poses[30, :2]) ** 2).sum()
+    assert found[2, 2] == pytest.approx(1e-6, rel=0.05)
+    assert np.trace(found[:2, :2]) == pytest.approx(2e-4 + heading_m2, rel=0.05)
+
+
+def test_a_step_that_is_missing_is_known_by_nothing_but_a_loop():
+    whole = chain([(0, 39)])
+    kept = [k for k in range(len(whole.edges.of)) if k != 20]
+    cut = PoseGraph(whole.poses, rows(whole.edges, kept))
+    np.testing.assert_allclose(covariance_of_last(cut, 39), whole.edges.covariance[-1], rtol=1e-3)
+    without = PoseGraph(whole.poses, rows(whole.edges, kept[:-1]))
+    assert np.trace(covariance_of_last(without, 39)[:2, :2]) > 1e3
+
+
+def test_a_loop_that_errs_by_many_sigmas_counts_less():
+    graph = chain([(0, 39)])
+    right = covariance_of_last(graph, 39)
+    graph.edges.measured[-1, 0] += 0.5
+    assert np.trace(covariance_of_last(graph, 39)) > 2.0 * np.trace(right)
