@@ -13,12 +13,12 @@ from service.kernels.match import (
     match_scan,
     point_information,
     prior_weight_at,
-    scan_information,
     surfel_cost,
     surfel_normal_equations,
 )
 from service.kernels.normals import estimate_normals
 from service.kernels.pose_information import add_prior, invert_3x3, rotate_information, weakest_direction
+from service.kernels.scan_information import scan_information
 from service.kernels.surfels import SurfelGrid, find_surfels, insert_surfels
 from service.mapper.matchers.field_align import align
 from tests.service.kernels.surfel_grids import empty_grid
