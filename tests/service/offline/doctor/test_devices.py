@@ -139,17 +139,23 @@ def test_a_stream_that_dries_up_is_a_fault(serial_line: SerialLine):
 
 
 def test_what_is_counted_beside_good_frames_is_noted(on_tcp: OnTcp):
-    _, second = examine(lms100(on_tcp(fake_lms100(repeat_every=3))), WAITING)
-    assert second.severity == "note"
-    assert "scans_duplicate" in second.measured
+    first, *findings = examine(lms100(on_tcp(fake_lms100(repeat_every=3))), WAITING)
+    assert first.severity == "ok"
+    assert that_says("scans_duplicate", findings).severity == "note"
 
 
 def test_a_dirty_window_is_a_fault_of_the_device(on_tcp: OnTcp):
     device = fake_lms100()
     device.contamination = 2
-    findings = examine(lms100(on_tcp(device)), Patience(measure_s=1.0))
-    assert [finding.severity for finding in findings][:2] == ["ok", "fault"]
-    assert "the device reports: contamination error" in findings[1].measured
+    first, *findings = examine(lms100(on_tcp(device)), Patience(measure_s=1.0))
+    assert first.severity == "ok"
+    assert that_says("the device reports: contamination error", findings).severity == "fault"
+
+
+def that_says(words: str, findings: list[Finding]) -> Finding:
+    """The one with these words; a busy machine may starve the fake device, which is a finding of its own."""
+    (found,) = [finding for finding in findings if words in finding.measured]
+    return found
 
 
 def test_a_silent_robot_is_to_be_woken(serial_line: SerialLine):
