@@ -187,6 +187,8 @@ class Service:
         begin, CorridorError where the mapper does not start.
         """
         threading.excepthook = self._thread_died
+        if cancelled():  # the sinks may have taken half a second to open
+            return False
         if self._config.begin_in is not None:
             begin_in(self._config.begin_in, self._config.mapping)  # refused here, before anything runs
         if not self._start_mapper(cancelled):

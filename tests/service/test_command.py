@@ -127,12 +127,12 @@ def wait_until_it_takes_signals(pid: int) -> None:
 
 
 def cpu_s(pid: int) -> float:
-    """Processor time of a process so far; 0 where it has just ended."""
+    """Processor time of a process so far, and of its children that have ended; 0 where it has just ended."""
     try:
-        user, system = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
+        ticks = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:15]
     except (FileNotFoundError, ProcessLookupError):
         return 0.0
-    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+    return sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
 
 
 def children_cpu_s() -> float:

@@ -194,6 +194,15 @@ def test_a_start_that_compiles_says_that_it_goes_on_and_can_be_called_off(
             os.kill(pid, 0)
 
 
+def test_a_start_that_was_called_off_while_the_sinks_opened_begins_no_mapper(
+    open_service: Callable[..., Service],
+):
+    service = open_service()
+    assert not service.start(cancelled=lambda: True)
+    assert service._link._process is None
+    service.stop()
+
+
 def test_a_map_that_cannot_be_saved_is_raised_after_everything_ended(
     open_service: Callable[..., Service], tmp_path: Path
 ):
