@@ -29,7 +29,7 @@ COMPUTING = (
 )
 TALKING = ("tests/chaos", "tests/drivers", "tests/simulators")
 LIVE = (  # against clocks and browsers, and mostly waiting
-    *("tests/browser", "tests/docs", "tests/system"),
+    *("tests/browser", "tests/docs", "tests/system", "tests/service/offline/doctor"),
     *(f"tests/service/{folder}" for folder in ("publishing", "sinks", "web")),
 )
 _SHARE = re.compile(r"\[ *(\d+)%\]")
