@@ -14,9 +14,10 @@ SETTLED_NS = 2_000_000_000  # a hull shorter than this says nothing of skew
 WINDOW_NS = 60_000_000_000  # a hull is used from half this age to this age, so warming-up drift is followed
 UNKNOWN_NS = 1_000_000_000  # standard deviation of an offset that rests on one message
 MAX_SKEW = 300e-6  # crystals are good to 100 ppm; more is a hull over bad data
-RUNAWAY_NS = (
-    10_000_000_000  # a hull this long with more skew than that is begun anew, lest its offset grow stale
-)
+# A hull this long with more skew than that is begun anew, lest its offset grow stale.
+RUNAWAY_NS = 10_000_000_000
+MOST_RUNAWAY = 0.01  # no oscillator is worse: a sender that falls behind is
+MOST_BEND = 0.25  # of what clocks that run apart have gained: how far messages may lie from their line
 
 
 @dataclass(slots=True)
@@ -28,6 +29,7 @@ class _Hull:
     points: list[tuple[float, float]] = field(default_factory=list)
     minimum_offset_ns: float = 0.0
     count: int = 0  # of messages
+    sum_device_ns: float = 0.0
     sum_offset_ns: float = 0.0
 
     def add(self, device_ns: int, offset_ns: int) -> None:
@@ -35,6 +37,7 @@ class _Hull:
         points = self.points
         self.minimum_offset_ns = min(self.minimum_offset_ns, y)
         self.count += 1
+        self.sum_device_ns += x
         self.sum_offset_ns += y
         if points and x <= points[-1][0]:
             if y < points[-1][1]:
@@ -65,6 +68,16 @@ class _Hull:
         skew = (y1 - y0) / (x1 - x0)
         return None if abs(skew) > MAX_SKEW else (y0 - skew * x0, skew)
 
+    @property
+    def is_straight(self) -> bool:
+        """Whether the messages hug one line: clocks that run apart, not a sender that falls behind."""
+        (x0, y0), (x1, y1) = self.points[0], self.points[-1]
+        skew, most_ns = (y1 - y0) / (x1 - x0), MOST_BEND * abs(y1 - y0)
+        below_ns = max(y0 + skew * (x - x0) - y for x, y in self.points)
+        middle_ns = self.sum_device_ns / self.count
+        above_ns = self.sum_offset_ns / self.count - (y0 + skew * (middle_ns - x0))
+        return abs(skew) <= MOST_RUNAWAY and below_ns <= most_ns and above_ns <= most_ns
+
 
 class ClockMap:
     """Learns the device's clock from arrivals and translates ticks to host nanoseconds.
@@ -74,9 +87,10 @@ class ClockMap:
     latency_ns    shortest delay from the moment of measurement to arrival, if known by calibration
 
     `observe` first, with the ticks of the moment the message left; then `to_host_ns` for any tick near it.
-    Messages held back by a network come late for a while and change nothing. A message far too early, ticks
-    that go back and stay there, or lateness that does not end, are a restart of the device: all is learnt
-    anew. A single message from before the newest is out of order, and changes nothing.
+    Messages held back by a network come late for a while and change nothing, and a sender that falls behind
+    bit by bit comes late for as long as it does. A message far too early, ticks that go back and stay there,
+    or lateness that came with one message and does not end, are a restart of the device: all is learnt anew.
+    A single message from before the newest is out of order, and changes nothing.
     """
 
     def __init__(self, tick_ns: float, wrap_ticks: int | None = None, latency_ns: int = 0) -> None:
@@ -142,17 +156,28 @@ class ClockMap:
             if self._hull.span_ns > WINDOW_NS / 2:
                 self._young = _Hull(device_ns, offset_ns)
         elif self._young.span_ns > WINDOW_NS / 2:
-            self._hull, self._young = self._young, None
+            if self._lateness_of(self._young) <= MAX_SKEW * WINDOW_NS:  # more is no drift, but lateness
+                self._hull = self._young
+            self._young = None
         for hull in (self._hull, self._young):
             if hull is not None:
                 hull.add(device_ns, offset_ns)
         line = self._hull.line()
-        if line is None and self._hull.span_ns > RUNAWAY_NS:
+        if line is None and self._hull.span_ns > RUNAWAY_NS and self._hull.is_straight:
             self._hull, self._young = _Hull(device_ns, offset_ns), None
             self._hull.add(device_ns, offset_ns)
             self.runaways += 1
-        self._line = line or (self._hull.minimum_offset_ns, 0.0)
+        skew = self._line[1]
+        self._line = line or (min(y - skew * x for x, y in self._hull.points), skew)
         self.residual_ns = arrived_ns - self._translate(unwrapped)
+
+    def _lateness_of(self, young: _Hull) -> float:
+        """How much later than the line its fastest message came, ns."""
+        hull = self._hull
+        assert hull is not None
+        offset, skew = self._line
+        expected = hull.offset0_ns + offset + skew * (young.device0_ns - hull.device0_ns)
+        return young.offset0_ns + young.minimum_offset_ns - expected
 
     def _restarted(self, unwrapped_ticks: int, arrived_ns: int) -> bool:
         late_ns = arrived_ns - self._translate(unwrapped_ticks)
@@ -167,6 +192,8 @@ class ClockMap:
         if back:
             return True
         if self._late_since_ns is None:
+            if late_ns - self.residual_ns <= JUMP_NS:
+                return False  # its messages are as far apart as before: it lags, its clock has not moved
             self._late_since_ns = arrived_ns
         return arrived_ns - self._late_since_ns > BACKLOG_NS
 

@@ -138,6 +138,20 @@ def test_messages_held_back_by_the_network_are_late_and_no_restart():
     assert error_ms[stream.sent_s > 62.0].std() <= 0.2
 
 
+@pytest.mark.parametrize("gained_per_s", [0.04, 0.2])
+@pytest.mark.parametrize("lateness_s", [0.3, 1.0])
+def test_a_sender_that_falls_behind_and_stays_behind_keeps_its_stamps(gained_per_s, lateness_s):
+    """A queue that fills, of a process without a processor or of a slow link, is not the device's clock."""
+    stream = Stream(5, count=6000)
+    behind_s = np.clip((stream.sent_s - 80.0) * gained_per_s, 0.0, lateness_s)
+    behind_s[stream.sent_s > 140.0] = 0.0  # longer than a hull is used
+    stream.arrived_s = np.maximum.accumulate(stream.arrived_s + behind_s)
+    clock = microseconds()
+    error_ms, _ = stream.through(clock)
+    assert clock.resets == clock.runaways == 0
+    assert np.abs(error_ms[stream.sent_s > 62.0]).max() < 25.0
+
+
 def test_quantised_arrivals_do_not_quantise_stamps():
     stream = Stream(3)
     stream.arrived_s = np.ceil(stream.arrived_s / 0.016) * 0.016  # a serial adapter's latency timer

@@ -15,11 +15,11 @@ BY_TURNS = [name for name in BENCHES if name != "create1"]  # that one speaks wh
 
 @pytest.mark.parametrize(
     ("behind_ns", "skipped"),
-    [(-5, 0), (0, 0), (CATCH_UP_NS, 0), (CATCH_UP_NS + 1, 1), (CATCH_UP_NS + 25_000_001, 2)],
+    [(-5, 0), (0, 0), (CATCH_UP_NS, 0), (CATCH_UP_NS + 1, 40), (CATCH_UP_NS + 25_000_001, 41)],
 )
 def test_turns_are_skipped_beyond_a_second_alone(behind_ns: int, skipped: int):
     assert turns_to_skip(behind_ns, 25e6) == skipped
-    assert turns_to_skip(behind_ns + CATCH_UP_NS, 25e6, 2 * CATCH_UP_NS) == skipped
+    assert turns_to_skip(behind_ns - CATCH_UP_NS, 25e6, 0) == max(skipped - 40, 0)
 
 
 def _streaming(name: str) -> Talk:
@@ -57,6 +57,6 @@ def test_a_device_starved_for_longer_skips_turns_and_its_driver_counts_as_many(n
     talk.now_ns += 2 * SECOND_NS
     talk.run(2.0)
     rate_hz = BENCHES[name].rate_hz
-    assert device.counters[TURNS_SKIPPED] == pytest.approx(rate_hz, abs=0.05 * rate_hz + 1)
+    assert device.counters[TURNS_SKIPPED] == pytest.approx(2 * rate_hz, abs=0.05 * rate_hz + 1)
     if name != "create2":  # its frames carry neither number nor time: lost and held back look the same
         assert _missed(talk) == device.counters[TURNS_SKIPPED]
