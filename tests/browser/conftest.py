@@ -13,6 +13,7 @@ from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.ui import WebDriverWait
 
 from tests.browser.scene import Scene
+from tests.service.offline.conftest import bent, folder  # noqa: F401 - fixtures
 from tests.service.web.conftest import TIMEOUT_S, TOKEN, desk, serve, store  # noqa: F401 - fixtures
 
 ROOT = Path(__file__).parents[2]

@@ -16,22 +16,12 @@ from service.offline.view import View
 from tests.browser.conftest import DESKTOP, PHONE
 from tests.browser.test_page import serious_faults
 from tests.service.mapstore.tile_makers import tile
-from tests.service.offline.bent_maps import ROUND, bent_map, graph_in, save_bent
+from tests.service.offline.bent_maps import ROUND, graph_in, save_bent
 from tests.service.offline.test_map_edit import cell
 
 EDITED_WITHIN_S = 60.0  # a solution and a drawing on a machine that has more to do
 PAIRED = (6, 22)  # key frames of the first round
 CABINET = np.array([(9.9, 9.5), (11.6, 9.5), (11.6, 9.9), (9.9, 9.9)])  # around the front of one; seen once
-
-
-@pytest.fixture(scope="module")
-def bent():
-    return bent_map()
-
-
-@pytest.fixture
-def folder(tmp_path, bent):
-    return save_bent(tmp_path / "ring", bent)
 
 
 @pytest.fixture

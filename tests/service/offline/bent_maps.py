@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -62,7 +63,9 @@ class BentMap:
         return self.graph.xy_base[begin : begin + int(self.graph.point_count[k])].astype(np.float64)
 
 
+@cache
 def bent_map() -> BentMap:
+    """Made once for all who look at it."""
     frames, truth = key_frames(1.4, turn_error_radpm=0.0)
     back_end = LoopBackEnd(LoopsConfig(consensus_span_m=1000.0), None)  # no loop is accepted
     for k in range(0, len(frames), 7):

@@ -13,20 +13,10 @@ from service.offline import map_edit
 from service.offline.map_desk import MapDesk
 from service.offline.view import View
 from tests.service.mapstore.tile_makers import tile
-from tests.service.offline.bent_maps import ROUND, bent_map, graph_in, save_bent
+from tests.service.offline.bent_maps import ROUND, graph_in
 from tests.service.web.conftest import TIMEOUT_S, talk
 
 SQUARE = [[0.5, 0.5], [1.5, 0.5], [1.5, 1.5], [0.5, 1.5]]
-
-
-@pytest.fixture(scope="module")
-def bent():
-    return bent_map()
-
-
-@pytest.fixture
-def folder(tmp_path, bent):
-    return save_bent(tmp_path / "ring", bent)
 
 
 @pytest.fixture
