@@ -97,6 +97,7 @@ class LinkHealth:
     frames: int = 0  # GNSS fixes, which come beside the samples, are not counted
     bytes_read: int = 0
     last_frame_ns: int = 0  # host monotonic, 0 before the first
+    delay_ns: int = 0  # from the newest frame's stamp to its arrival
     clock_offset_ns: int | None = None
     clock_sigma_ns: int | None = None
     counters: Counter[str] = field(default_factory=Counter)  # over all connections
@@ -177,7 +178,7 @@ def _pump(
                         health.state = "streaming"
                         log.info("%s: streaming%s", health.name, _identity_text(session.identity))
                     health.frames += not isinstance(frame, GnssFix)  # rates are those of what is mapped
-                    health.last_frame_ns = now_ns
+                    health.last_frame_ns, health.delay_ns = now_ns, now_ns - frame.stamp_ns
                     if gate.lets_through(session.clock_sigma_ns, now_ns):
                         sink(frame)
                     else:

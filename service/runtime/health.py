@@ -14,6 +14,7 @@ from service.runtime.metrics import LatencyHistogram, RateMeter
 from service.sinks.fan_out import Sinks
 
 STALE_AFTER_NS = 1_000_000_000
+LATE_NS = 500_000_000  # from a measurement to its arrival: no device and no link needs so long
 POSE_STALE_NS = 500_000_000  # the slowest laser sends each 80 ms
 
 _LEVEL_OF_LINK = {"streaming": OK, "starting": WARNING, "connecting": WARNING, "down": ERROR}
@@ -53,6 +54,11 @@ class SensorHealth:
             words = link.last_error
         elif link.state == "streaming" and now_ns - link.last_frame_ns > STALE_AFTER_NS:
             level, words = STALE, f"no frame for {silent_s:.1f} s"
+        elif link.state == "streaming" and link.delay_ns > LATE_NS:
+            level, words = WARNING, (
+                f"frames arrive {link.delay_ns / 1e9:.1f} s after they were measured (expected at most "
+                f"{LATE_NS / 1e9:.1f} s), too old to be mapped; is its link, or this computer, too slow?"
+            )
         values = {
             "state": link.state,
             "status": link.status,
@@ -62,6 +68,7 @@ class SensorHealth:
             "dropped": str(dropped),
             "unusable": str(unusable),
             "age_s": f"{silent_s:.2f}" if link.last_frame_ns else "",
+            "delay_ms": f"{link.delay_ns / 1e6:.1f}" if link.last_frame_ns else "",
             "connects": str(link.connects),
             "clock_offset_ms": "" if link.clock_offset_ns is None else f"{link.clock_offset_ns / 1e6:.3f}",
             "clock_sigma_ms": "" if link.clock_sigma_ns is None else f"{link.clock_sigma_ns / 1e6:.3f}",

@@ -101,6 +101,7 @@ def test_outbox_is_written_frames_reach_the_sink_and_the_end_is_polite():
     assert health.state == "streaming"
     assert (health.status, health.identity, health.clock_offset_ns) == ("streaming", {"firmware": "1"}, 7)
     assert health.last_frame_ns > 0
+    assert health.delay_ns == health.last_frame_ns - frames[-1].stamp_ns
 
 
 def test_a_session_is_ticked_at_the_very_time_of_what_happened_before():

@@ -13,9 +13,14 @@ from service.runtime.metrics import LatencyHistogram
 S = 1_000_000_000
 
 
-def streaming(frames: int = 100, last_frame_ns: int = 10 * S) -> LinkHealth:
+def streaming(frames: int = 100, last_frame_ns: int = 10 * S, delay_ns: int = 20_000_000) -> LinkHealth:
     return LinkHealth(
-        "front", state="streaming", status="measuring", frames=frames, last_frame_ns=last_frame_ns
+        "front",
+        state="streaming",
+        status="measuring",
+        frames=frames,
+        last_frame_ns=last_frame_ns,
+        delay_ns=delay_ns,
     )
 
 
@@ -65,6 +70,8 @@ def status(made: HealthReport, name: str) -> Any:
         (LinkHealth("front", state="starting", status="logging in"), WARNING, "logging in"),
         (LinkHealth("front", state="down", last_error="cable out; reconnecting in 1 s"), ERROR, "cable out"),
         (streaming(last_frame_ns=7 * S), STALE, "no frame for 4.0 s"),
+        (streaming(delay_ns=1_030_000_000), WARNING, "frames arrive 1.0 s after they were measured"),
+        (streaming(delay_ns=60_000_000), OK, "measuring"),
     ],
 )
 def test_a_sensor_says_in_words_how_it_is(link: LinkHealth, level: int, words: str):
@@ -83,7 +90,7 @@ def test_rates_drops_offset_counters_and_identity_are_told():
     values = sensor.status(dropped=3, unusable=1, now_ns=11 * S).values
     assert (values["rate_hz"], values["kilobytes_per_s"]) == ("50.0", "80.0")
     assert (values["dropped"], values["unusable"], values["clock_offset_ms"]) == ("3", "1", "1.500")
-    assert values["clock_sigma_ms"] == "0.040"
+    assert (values["clock_sigma_ms"], values["delay_ms"]) == ("0.040", "20.0")
     assert (values["count.resync"], values["identity.serial"]) == ("2", "123")
     assert sensor.mean_rate_hz == 50.0
 
