@@ -55,9 +55,12 @@ class SensorHealth:
         elif link.state == "streaming" and now_ns - link.last_frame_ns > STALE_AFTER_NS:
             level, words = STALE, f"no frame for {silent_s:.1f} s"
         elif link.state == "streaming" and link.delay_ns > LATE_NS:
-            level, words = WARNING, (
-                f"frames arrive {link.delay_ns / 1e9:.1f} s after they were measured (expected at most "
-                f"{LATE_NS / 1e9:.1f} s), too old to be mapped; is its link, or this computer, too slow?"
+            level, words = (
+                WARNING,
+                (
+                    f"frames arrive {link.delay_ns / 1e9:.1f} s after they were measured (expected at most "
+                    f"{LATE_NS / 1e9:.1f} s), too old to be mapped; is its link, or this computer, too slow?"
+                ),
             )
         values = {
             "state": link.state,
