@@ -17,10 +17,15 @@ def test_want_of_real_recordings_is_a_skip_here_and_a_failure_where_they_are_nee
 ):
     (tmp_path / "test_it.py").write_text(WANTS_RECORDINGS)
     options = ["-q", "-rs", "-p", "tests.conftest", "-c", os.devnull, f"--rootdir={tmp_path}"]
+    environment = {
+        "CORRIDOR_SHARED": str(tmp_path),
+        "CORRIDOR_NEEDS_SHARED": needs_shared,
+        "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",  # they take longer to load than the rest
+    }
     done = subprocess.run(
         [sys.executable, "-m", "pytest", *options, str(tmp_path / "test_it.py")],
         cwd=ROOT,
-        env=os.environ | {"CORRIDOR_SHARED": str(tmp_path), "CORRIDOR_NEEDS_SHARED": needs_shared},
+        env=os.environ | environment,
         capture_output=True,
         text=True,
         timeout=100,

@@ -16,6 +16,12 @@ def signals_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tests.groups.signal.signal", lambda number, handler: None)
 
 
+@pytest.fixture(autouse=True)
+def pytest_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without plugins, which take longer to load than the rest of such a session."""
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+
+
 def group(folder: Path, name: str, text: str) -> Group:
     path = folder / f"test_{name}.py"
     path.write_text(text)
