@@ -75,6 +75,10 @@ class _Scheduled:
         self.chance = np.random.default_rng([seed, number, CONTENT])
         self.active = False
 
+    @property
+    def next_change_ns(self) -> int | None:
+        return self.when.end_ns if self.active else self.when.begin_ns
+
 
 class Faulty:
     """A FakeDevice that stands for `device` and has these faults; also Unpluggable.
@@ -93,6 +97,7 @@ class Faulty:
             for number, fault in enumerate(faults)
             if isinstance(fault, RepeatedFault)
         ]
+        self._change_ns = min(self._changes(), default=(None, 0))[0]  # None: nothing comes or goes any more
         self._slow_starts = [
             (zero_ns + round(fault.at_s * 1e9), round(fault.for_s * 1e9))
             for fault in faults
@@ -122,9 +127,9 @@ class Faulty:
 
     def next_due_ns(self, now_ns: int) -> int | None:
         self._advance(now_ns)
-        times = [self.device.next_due_ns(now_ns), self._held[0][0] if self._held else None]
-        times += [self._next_change_ns(scheduled) for scheduled in self._scheduled]
-        return min((due_ns for due_ns in times if due_ns is not None), default=None)
+        held_ns = self._held[0][0] if self._held else None
+        times = (self.device.next_due_ns(now_ns), held_ns, self._change_ns)
+        return min([due_ns for due_ns in times if due_ns is not None], default=None)
 
     def due(self, now_ns: int) -> bytes:
         self._advance(now_ns)
@@ -139,30 +144,24 @@ class Faulty:
 
     def next_plug_ns(self, now_ns: int) -> int | None:
         self._advance(now_ns)
-        times = [
-            self._next_change_ns(scheduled) for scheduled in self._scheduled if _unplugs(scheduled.fault)
-        ]
+        times = [scheduled.next_change_ns for scheduled in self._scheduled if _unplugs(scheduled.fault)]
         return min((at_ns for at_ns in times if at_ns is not None), default=None)
 
-    def _next_change_ns(self, scheduled: _Scheduled) -> int | None:
-        return scheduled.when.end_ns if scheduled.active else scheduled.when.begin_ns
+    def _changes(self) -> list[tuple[int, int]]:
+        """Of each fault that comes or goes again: when next, and its number."""
+        ahead = [(scheduled.next_change_ns, number) for number, scheduled in enumerate(self._scheduled)]
+        return [(at_ns, number) for at_ns, number in ahead if at_ns is not None]
 
     def _advance(self, now_ns: int) -> None:
         """Begin and end what has its time, in the order of time."""
-        while True:
-            changes = [
-                (at_ns, number)
-                for number, scheduled in enumerate(self._scheduled)
-                if (at_ns := self._next_change_ns(scheduled)) is not None and at_ns <= now_ns
-            ]
-            if not changes:
-                return
-            at_ns, number = min(changes)
+        while self._change_ns is not None and self._change_ns <= now_ns:
+            at_ns, number = min(self._changes())
             scheduled = self._scheduled[number]
             if scheduled.active:
                 self._end(scheduled, at_ns)
             else:
                 self._begin(scheduled, at_ns)
+            self._change_ns = min(self._changes(), default=(None, 0))[0]
 
     def _begin(self, scheduled: _Scheduled, at_ns: int) -> None:
         fault = scheduled.fault

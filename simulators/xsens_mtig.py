@@ -8,6 +8,7 @@ line takes its time, and an answer waits behind the data that are under way.
 import struct
 from collections import Counter, deque
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -42,6 +43,11 @@ ANY_STATE = (
     Mid.GPS_STATUS,
     Mid.REQ_DATA,
 )
+
+
+@cache
+def _legacy_codec(mode: int, settings: int) -> LegacyCodec:
+    return LegacyCodec(Layout(mode, settings))
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +187,7 @@ class FakeMtiG:
         times = [self._wake_at_ns, self._boot_ends_ns]
         if self.state == "measurement" and self._clock is not None:
             times += [self._sample_ready_ns(), self._fix_ready_ns()]
-        return min((due_ns for due_ns in times if due_ns is not None), default=None)
+        return min([due_ns for due_ns in times if due_ns is not None], default=None)
 
     def due(self, now_ns: int) -> bytes:
         self._begin(now_ns)
@@ -241,7 +247,7 @@ class FakeMtiG:
 
     def _host_ns(self, index: int) -> int:
         assert self._clock is not None
-        return self._clock.host_ns(index * self._period_ns)
+        return self._clock.host_ns(index * self.settings.period_ns)
 
     def _whole_fix_ns(self, host_ns: int) -> int:
         """Host time of the next whole 250 ms of UTC, where the receiver measures; a little beside it."""
@@ -268,7 +274,7 @@ class FakeMtiG:
             self.counters[TURNS_SKIPPED] += skipped
         while self.state == "measurement":
             sample_ns, fix_ns = self._sample_ready_ns(), self._fix_ready_ns()
-            ready_ns = min((t for t in (sample_ns, fix_ns) if t is not None), default=None)
+            ready_ns = min([t for t in (sample_ns, fix_ns) if t is not None], default=None)
             if ready_ns is None or ready_ns > now_ns:
                 return
             if ready_ns == sample_ns:
@@ -284,7 +290,7 @@ class FakeMtiG:
         estimate = None if self._place is None or estimates is None else estimates[row]
         sample = self._sample(self._host_ns(index), count, felt, row, estimate)
         if self.settings.legacy:
-            codec = LegacyCodec(Layout(self.settings.mode, self.settings.output_settings))
+            codec = _legacy_codec(self.settings.mode, self.settings.output_settings)
             age = index - self._place_index
             data = legacy_message(codec, sample, count & 0xFFFF, age, self._place_utc_ns)
             return encode(Mid.MTDATA, data)

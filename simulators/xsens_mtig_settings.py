@@ -121,6 +121,7 @@ class DeviceSettings:
         self.baud = baud
         self._next_baud = baud
         self._registers: dict[int, bytes] = {}
+        self._output: list[tuple[int, int]] = []
         self._syncs: dict[tuple[int, int], bytes] = {}
         self.option_flags = 0
         self.scenario = SCENARIOS[personality][0][0]
@@ -130,18 +131,6 @@ class DeviceSettings:
     @property
     def legacy(self) -> bool:
         return self._personality == "legacy"
-
-    @property
-    def mode(self) -> int:
-        return self._number(Mid.OUTPUT_MODE)
-
-    @property
-    def output_settings(self) -> int:
-        return self._number(Mid.OUTPUT_SETTINGS)
-
-    @property
-    def skip(self) -> int:
-        return self._number(Mid.SKIP_FACTOR)
 
     @property
     def device_id(self) -> bytes:
@@ -155,25 +144,26 @@ class DeviceSettings:
     @output.setter
     def output(self, output: list[tuple[int, int]]) -> None:
         self._output = output
-        rates = [r for i, r in output if r != EVERY_MESSAGE and i & KIND_MASK != Kind.GNSS_PVT]
-        self._rate_hz = max(rates, default=0)
+        self._work_out()
 
-    @property
-    def rate_hz(self) -> int:
-        """Of MTData2 messages with samples; GNSS messages are apart."""
-        return self._rate_hz
+    def _work_out(self) -> None:
+        """What every sample asks for, whenever a register or the output has changed.
 
-    @property
-    def period_ns(self) -> int:
-        """Between two data messages with samples; of a unit that sends none, any."""
+        rate_hz     of MTData2 messages with samples; GNSS messages are apart
+        period_ns   between two data messages with samples; of a unit that sends none, any
+        sends_data  without being asked for each message
+        """
+        self.mode, self.output_settings = self._number(Mid.OUTPUT_MODE), self._number(Mid.OUTPUT_SETTINGS)
+        self.skip = self._number(Mid.SKIP_FACTOR)
+        rates = [r for i, r in self._output if r != EVERY_MESSAGE and i & KIND_MASK != Kind.GNSS_PVT]
+        self.rate_hz = max(rates, default=0)
         if self.legacy:
             skip = 0 if self.skip == POLLED else self.skip
-            return round(1e9 * self._number(Mid.PERIOD) * (skip + 1) / PERIOD_HZ)
-        return round(1e9 / (self.rate_hz or 100))
-
-    @property
-    def sends_data(self) -> bool:
-        return self.skip != POLLED if self.legacy else self.rate_hz > 0
+            self.period_ns = round(1e9 * self._number(Mid.PERIOD) * (skip + 1) / PERIOD_HZ)
+            self.sends_data = self.skip != POLLED
+        else:
+            self.period_ns = round(1e9 / (self.rate_hz or 100))
+            self.sends_data = self.rate_hz > 0
 
     @property
     def receives_gnss(self) -> bool:
@@ -194,8 +184,9 @@ class DeviceSettings:
         self.baud = self._next_baud
 
     def write(self, mid: int, data: bytes) -> None:
-        """For tests: as if somebody had set it before."""
+        """As if somebody had set it before."""
         self._registers[mid] = data
+        self._work_out()
 
     def _number(self, mid: int) -> int:
         return int.from_bytes(self._registers[mid], "big")
@@ -266,7 +257,7 @@ class DeviceSettings:
             raise Refusal(PERIOD_INVALID)
         if mid == Mid.OUTPUT_SETTINGS and data[2] & 3 == 3:
             raise Refusal(PARAMETER_INVALID)
-        self._registers[mid] = data
+        self.write(mid, data)
         return b""
 
     def _data_bytes(self) -> int:

@@ -6,7 +6,7 @@ which agree on the order; checked on traces of an MTi-G.
 
 import struct
 from dataclasses import dataclass, fields
-from enum import IntFlag
+from enum import IntEnum
 from typing import NamedTuple
 
 from drivers.errors import ProtocolError
@@ -16,8 +16,8 @@ from drivers.xsens_mtig.reals import BYTES, Precision, Reals, read_reals, write_
 UTC_BYTES = 12
 
 
-class Mode(IntFlag):
-    """OutputMode, message D0."""
+class Mode(IntEnum):
+    """OutputMode, message D0: single bits. As plain numbers, they are looked at in each message."""
 
     TEMPERATURE = 0x0001
     CALIBRATED = 0x0002
@@ -30,7 +30,7 @@ class Mode(IntFlag):
     RAW_INERTIAL = 0x4000
 
 
-class Settings(IntFlag):
+class Settings(IntEnum):
     """OutputSettings, message D2: single bits. Bits 3-2 are the orientation, bits 9-8 the number format."""
 
     SAMPLE_COUNTER = 0x0001
@@ -46,7 +46,7 @@ class Settings(IntFlag):
 ORIENTATION_SHIFT, PRECISION_SHIFT = 2, 8
 QUATERNION, EULER, MATRIX = range(3)
 ORIENTATION_REALS = (4, 3, 9)
-KNOWN_MODE = Mode(sum(Mode))
+KNOWN_MODE = sum(Mode)
 
 _RAW_INERTIAL = struct.Struct(">10H")
 _RAW_GPS = struct.Struct(">HBIiiiiiiIIIB")

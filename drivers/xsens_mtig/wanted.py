@@ -77,11 +77,11 @@ def wanted_layout(config: XsensMtigConfig, baud: int | None) -> LegacyOutput:
         raise DeviceError("an MTi-G has no number_format float64; write float32, fp12.20 or fp16.32")
     settings = Settings.SAMPLE_COUNTER | Settings.NO_MAGNETIC_FIELD
     settings |= Settings.NO_ANALOG_1 | Settings.NO_ANALOG_2
-    bits = int(settings) | config.precision << SETTINGS_PRECISION_SHIFT
+    bits = settings | config.precision << SETTINGS_PRECISION_SHIFT
     skip = next(s for s in range(PERIOD_HZ) if PERIOD_HZ // (config.rate_hz * (s + 1)) in PERIODS)
     period = PERIOD_HZ // (config.rate_hz * (skip + 1))
 
-    def load(mode: Mode) -> int:
+    def load(mode: int) -> int:
         return (Layout(mode, bits).data_bytes + OVERHEAD_BYTES) * BITS_A_BYTE * config.rate_hz
 
     mode = Mode.CALIBRATED | Mode.STATUS
@@ -93,7 +93,7 @@ def wanted_layout(config: XsensMtigConfig, baud: int | None) -> LegacyOutput:
         mode = mode | Mode.RAW_GPS if _carries(baud, load(mode | Mode.RAW_GPS)) else smallest
     if config.orientation == "auto" and _carries(baud, load(mode | Mode.ORIENTATION)):
         mode |= Mode.ORIENTATION
-    return LegacyOutput(Layout(int(mode), bits), period, skip)
+    return LegacyOutput(Layout(mode, bits), period, skip)
 
 
 def _carries(baud: int | None, bits_per_s: int) -> bool:
