@@ -174,7 +174,7 @@ def test_grid_covers_the_field_and_each_point_goes_to_the_nearest_beam(step_deg,
 def test_reduction_agrees_with_plain_loops_on_random_scans(choice, echo):
     rng = np.random.default_rng(11)
     rank = {0: 1, 1: 0, 2: 0, 3: 1}
-    for _ in range(20):
+    for _ in range(8):
         shots = {(int(rng.integers(0, 4)), int(angle)) for angle in rng.integers(-300, 301, 400)}
         rows = [
             (

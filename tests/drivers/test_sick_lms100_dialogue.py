@@ -291,4 +291,5 @@ def test_subscription_that_is_never_answered_is_a_transport_error():
 
 def test_scan_before_the_answer_to_the_subscription_is_taken():
     answers = {"SCdevicestate": b"\1", "SetAccessMode": b"\1"}  # sEN LMDscandata is answered by scans alone
-    assert scripted(Scripted(answers)).run(200.0).session.status == "streaming"
+    t = scripted(Scripted(answers))
+    assert t.run(200.0, until=lambda: t.session.status == "streaming").session.status == "streaming"

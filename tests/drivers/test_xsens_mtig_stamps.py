@@ -10,6 +10,7 @@ from drivers.xsens_mtig.sample_clock import CounterClock, FineClock
 from simulators.xsens_mtig import FakeMtiG, MtigSetup
 from tests.drivers.mtig import MS, ZERO_NS, Swing, legacy, mtdata2, samples, talk
 from tests.drivers.virtual_time import SECOND_NS, Talk
+from tests.soaked import every_other
 
 LATENCY_MS = 1.0  # of the fake device
 SHORTEST_DELAY_MS = 0.1
@@ -57,17 +58,19 @@ LINES = [
 ]
 
 
-@pytest.mark.parametrize("drift_ppm", [100.0, -100.0])
-@pytest.mark.parametrize(("personality", "baud"), LINES)
+@pytest.mark.parametrize(
+    ("drift_ppm", "personality", "baud"),
+    every_other((drift_ppm, *line) for drift_ppm in (100.0, -100.0) for line in LINES),
+)
 def test_stamps_scatter_less_than_a_fifth_of_a_millisecond_and_a_restart_is_over_in_three_seconds(
-    personality, baud, drift_ppm
+    drift_ppm, personality, baud
 ):
     setup = MtigSetup(personality, baud, drift_ppm, start_ticks=863_900_000, start_count=62_000)
     t, device = talked(setup, seed=1)
-    t.run(25.0)
+    t.run(18.0)
     error_ms = errors_ms([s for s in samples(t.frames) if s.stamp_ns > ZERO_NS + 10 * SECOND_NS])
     bias_ms = LATENCY_MS + SHORTEST_DELAY_MS
-    assert len(error_ms) == pytest.approx(15 * 200, abs=20)
+    assert len(error_ms) == pytest.approx(8 * 200, abs=20)
     assert np.std(error_ms) < 0.03  # asked for: 0.2
     assert np.mean(error_ms) == pytest.approx(bias_ms, abs=0.05)
     assert t.session.counters["samples_missed"] == 0
