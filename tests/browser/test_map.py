@@ -117,6 +117,16 @@ def test_a_scan_of_a_moving_vehicle_is_laid_out_beam_by_beam(page, scene, live):
     assert moved == pytest.approx(0.36, abs=1e-6)
 
 
+def test_poses_of_two_lasers_at_one_moment_are_of_one_run(page, live):
+    kept = page.driver.execute_async_script(
+        "const poses = arguments[0], done = arguments[1]; import('./geometry.js').then(({PoseTrack}) => {"
+        " const track = new PoseTrack(); for (const pose of poses) track.add(pose);"
+        " done(track.poses.map((pose) => pose.number)); })",
+        [{"number": k, "stamp_s": stamp_s} for k, stamp_s in enumerate((5.0, 1.0, 1.5, 1.5, 2.0))],
+    )
+    assert kept == [1, 3, 4]  # the first is of another run
+
+
 def test_keys_move_zoom_and_turn_the_map(page, live):
     canvas = page.element("map")
     page.look_at(0.0, 0.0, 40.0)

@@ -59,7 +59,8 @@ export class PoseTrack {
 
   add(pose) {
     const last = this.poses.at(-1);
-    if (last && pose.stamp_s <= last.stamp_s) this.poses.length = 0; // another run
+    if (last && pose.stamp_s < last.stamp_s) this.poses.length = 0; // another run
+    else if (last?.stamp_s === pose.stamp_s) this.poses.pop(); // of another laser, less than a microsecond later
     this.poses.push(pose);
     while (this.poses[0].stamp_s < pose.stamp_s - this.kept_s) this.poses.shift();
   }
