@@ -61,12 +61,22 @@ class Recording:
                 counts[topic.name, topic.type, topic.encoding] += topic.count
         self.topics = [Topic(*key, count) for key, count in sorted(counts.items())]
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+    def messages(
+        self, topics: Collection[str] | None = None, from_ns: int | None = None, to_ns: int | None = None
+    ) -> Iterator[Message]:
         """Messages by rising log time, those of equal log time as they stand in the file.
+
+        from_ns, to_ns    log times of the first and the last that are wanted, both included; None: all.
+                          Of a file with an index only the pieces that hold them are read.
 
         Raises InputError at a damaged place.
         """
-        streams = [_messages(file.path, topics) for file in self._files]
+        streams = [
+            _messages(file.path, topics, from_ns, to_ns)
+            for file in self._files
+            if (from_ns is None or from_ns <= file.last_log_ns)
+            and (to_ns is None or to_ns >= file.first_log_ns)
+        ]
         if all(a.last_log_ns < b.first_log_ns for a, b in pairwise(self._files)):
             for stream in streams:
                 yield from stream
@@ -162,10 +172,14 @@ def _type_name(schema: str) -> str:
     return schema if not name or "/" in name else f"{package}/msg/{name}"
 
 
-def _messages(path: Path, topics: Collection[str] | None) -> Iterator[Message]:
+def _messages(
+    path: Path, topics: Collection[str] | None, from_ns: int | None, to_ns: int | None
+) -> Iterator[Message]:
     try:
         with path.open("rb") as stream:
-            for schema, channel, record in SeekingReader(stream, validate_crcs=True).iter_messages(topics):
+            reader = SeekingReader(stream, validate_crcs=True)
+            wanted = reader.iter_messages(topics, starting_at=from_ns, ending_at=to_ns)
+            for schema, channel, record in wanted:
                 yield Message(
                     channel=channel.topic.removeprefix("/"),
                     type=_type_name(schema.name if schema is not None else ""),
