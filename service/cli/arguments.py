@@ -169,8 +169,16 @@ def _add_offline(commands: Any) -> None:
         "--reference", metavar="LASER", help="whose clock and place the others' are compared with"
     )
 
-    view = _add(commands, "view", "a stored map or a replay's result on the operator's page, until Ctrl-C")
-    view.add_argument("source", type=Path, metavar="RESULT|MAP", help="the folder of either")
+    view = _add(
+        commands, "view", "a stored map, a result or a recording on the operator's page, until Ctrl-C"
+    )
+    view.add_argument(
+        "source",
+        type=Path,
+        nargs="+",
+        metavar="RESULT|MAP|FILE.mcap",
+        help="the folder of a result or a map, or the files of one recording: any of its moments",
+    )
     _add_listen(view)
     view.add_argument(
         "--rerun", action="store_true", help="in rerun's viewer instead (pip install 'corridor[rerun]')"

@@ -14,7 +14,9 @@ from service.interruption import leave_signals_alone
 from service.kernel_cache import ensure_cache_dir
 
 if TYPE_CHECKING:
+    from service.offline.recording_view import RecordingView
     from service.offline.replay_page import ReplayPage
+    from service.offline.view import View
 
 
 def replay(parsed: argparse.Namespace) -> int:
@@ -129,21 +131,25 @@ def export(parsed: argparse.Namespace) -> int:
 
 
 def view(parsed: argparse.Namespace) -> int:
+    first, *more = parsed.source
+    is_recording = first.suffix == ".mcap"
+    if more and not is_recording:
+        raise UsageError("several files are one recording, all of them *.mcap; of folders give one")
     if parsed.rerun:
+        if is_recording:
+            raise UsageError("--rerun shows maps and results; a recording is opened by rerun itself")
         from service.offline.rerun_view import show_in_rerun
 
-        show_in_rerun(parsed.source, parsed.save)
+        show_in_rerun(first, parsed.save)
         where = "the viewer of rerun" if parsed.save is None else str(parsed.save)
-        print_result({"source": str(parsed.source), "shown_in": where}, parsed.json)
+        print_result({"source": str(first), "shown_in": where}, parsed.json)
         return 0
     if parsed.save is not None:
         raise UsageError("--save: a recording is written for rerun; give --rerun, too")
-    from service.offline.view import View
-
     _check_listen(parsed.listen)
-    shown = View(parsed.source, parsed.listen)
+    shown = _recording_view(parsed) if is_recording else _map_view(parsed)
     try:
-        print_result({"source": str(parsed.source), "address": shown.address}, parsed.json)
+        print_result({"source": str(first), "address": shown.address}, parsed.json)
         sys.stdout.flush()
         threading.Event().wait()  # until a signal
     except KeyboardInterrupt:
@@ -151,6 +157,19 @@ def view(parsed: argparse.Namespace) -> int:
     finally:
         shown.close()
     return 0
+
+
+def _map_view(parsed: argparse.Namespace) -> "View":
+    from service.offline.view import View
+
+    return View(parsed.source[0], parsed.listen)
+
+
+def _recording_view(parsed: argparse.Namespace) -> "RecordingView":
+    from service.offline.recording_view import RecordingView
+
+    with progress("reading") as shown:
+        return RecordingView(parsed.source, parsed.listen, shown)
 
 
 def score(parsed: argparse.Namespace) -> int:

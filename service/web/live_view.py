@@ -7,7 +7,7 @@ most are replaced before.
 import math
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -29,7 +29,6 @@ from service.encoding import (
     decode_upside_down,
 )
 from service.errors import InputError
-from service.geometry.se2 import SE2
 from service.web.mailbox import Payload
 from service.web.protocol import (
     FloatArray,
@@ -37,6 +36,7 @@ from service.web.protocol import (
     encode_path,
     encode_scan,
     health_json,
+    mountings_json,
     pose_json,
     to_json,
 )
@@ -99,6 +99,7 @@ class _Streams:
     latencies_ns: deque[int] = field(default_factory=lambda: deque(maxlen=1000))
     path: FloatArray | None = None  # in place of the path so far
     way: deque[FloatArray] = field(default_factory=lambda: deque(maxlen=MOST_WAYS))  # behind it
+    ready: dict[str, Payload] = field(default_factory=dict)  # by key
 
 
 class LiveView:
@@ -141,6 +142,7 @@ class LiveView:
         now_ns = self._monotonic_ns()
         came = self._take(now_ns)
         shown = self._show_way(came)
+        shown += [self._keep(key, payload) for key, payload in came.ready.items()]
         for channel, message in came.newest.items():
             try:
                 shown += self._show(channel, message)
@@ -177,6 +179,11 @@ class LiveView:
         """Take a piece of way behind the path so far; (N, 2), m, map frame. From any thread."""
         with self._lock:
             self._came.way.append(points_map)
+
+    def put_ready(self, payloads: Mapping[str, Payload]) -> None:
+        """Take payloads that somebody else has made, each in place of that of its key. From any thread."""
+        with self._lock:
+            self._came.ready.update(payloads)
 
     def map_reset(self) -> Shown:
         """The map begins anew, and with it the path."""
@@ -265,8 +272,7 @@ class LiveView:
     def _mountings(self, message: Message) -> list[Shown]:
         self._upside_down = decode_upside_down(message.payload)
         edges = [edge for edge in decode_transforms(message.payload) if edge.frame == BASE_FRAME]
-        mountings = {edge.child: _xy_theta(edge.pose) for edge in edges}
-        return [self._keep("mountings", to_json("mountings", pose_base_sensor=mountings))]
+        return [self._keep("mountings", mountings_json({edge.child: edge.pose for edge in edges}))]
 
     def _latency(self, came: _Streams) -> str:
         """Of the scans since the last: median and longest, ms from the last byte read to the pose."""
@@ -279,7 +285,3 @@ class LiveView:
     def _keep(self, key: str, payload: Payload) -> Shown:
         self._kept[key] = payload
         return Shown(key, payload)
-
-
-def _xy_theta(pose: SE2) -> Sequence[float]:
-    return [pose.x_m, pose.y_m, pose.theta_rad]

@@ -27,6 +27,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from drivers.frames import LaserScan
 from service.encoding import Pose, Status
+from service.geometry.se2 import SE2
 from service.outputs import GraphPicture, TileUpdate
 
 TILES, SCAN, PATH, GRAPH = 1, 2, 3, 4
@@ -98,16 +99,39 @@ def to_json(kind: str, **content: Any) -> str:
 
 def pose_json(pose: Pose) -> str:
     """Base in map. covariance: the 9 values of x, y, theta in base axes; m^2, m rad, rad^2."""
+    return to_json("pose", **_pose_fields(pose))
+
+
+def moment_json(
+    at_s: float,
+    position_s: float,
+    duration_s: float,
+    path: tuple[int, int],
+    poses: Sequence[Pose],
+    map_words: str,
+    events: Sequence[tuple[float, str]],
+) -> str:
+    """A moment of the past, in place of poses and events as they come; see service.offline.moments.
+
+    at_s, position_s, duration_s    Unix time; from the first moment to this one; to the last one
+    path        first and last + 1 of the points of the path that were driven by then
+    events      Unix time, s, and text
+    """
     return to_json(
-        "pose",
-        stamp_ns=str(pose.stamp_ns),  # too long for a number of JavaScript
-        stamp_s=pose.stamp_ns / 1e9,
-        x_m=pose.pose.x_m,
-        y_m=pose.pose.y_m,
-        theta_rad=pose.pose.theta_rad,
-        covariance=pose.covariance.ravel().tolist(),
-        twist=list(pose.twist),
+        "moment",
+        at_s=at_s,
+        position_s=position_s,
+        duration_s=duration_s,
+        path=list(path),
+        poses=[_pose_fields(pose) for pose in poses],
+        map_words=map_words,
+        events=[{"stamp_s": stamp_s, "text": text} for stamp_s, text in events],
     )
+
+
+def mountings_json(poses_base_sensor: Mapping[str, SE2]) -> str:
+    poses = {sensor: [pose.x_m, pose.y_m, pose.theta_rad] for sensor, pose in poses_base_sensor.items()}
+    return to_json("mountings", pose_base_sensor=poses)
 
 
 def health_json(
@@ -173,6 +197,18 @@ def encode_graph(picture: GraphPicture) -> bytes:
     parts = [*lines, picture.accepted, picture.refused]
     body = np.array(counts, "<u4").tobytes() + b"".join(part.astype("<f4").tobytes() for part in parts)
     return struct.pack("<BBH", GRAPH, 0, 0) + zlib.compress(body, DEFLATE_LEVEL)
+
+
+def _pose_fields(pose: Pose) -> dict[str, Any]:
+    return {
+        "stamp_ns": str(pose.stamp_ns),  # too long for a number of JavaScript
+        "stamp_s": pose.stamp_ns / 1e9,
+        "x_m": pose.pose.x_m,
+        "y_m": pose.pose.y_m,
+        "theta_rad": pose.pose.theta_rad,
+        "covariance": pose.covariance.ravel().tolist(),
+        "twist": list(pose.twist),
+    }
 
 
 def _finite(value: Any) -> Any:

@@ -31,6 +31,7 @@ from service.web.access import HEADERS, host_fault, origin_fault, own_names
 from service.web.browser import Browser
 from service.web.config import WebConfig, split_listen
 from service.web.live_view import LiveView, Shown
+from service.web.mailbox import Payload
 from service.web.protocol import LARGEST_ASKED, CommandAsked, FloatArray, ResourceAsked, to_json
 from service.web.resources import Kind, Resources
 from service.web.shelf import Shelf
@@ -140,6 +141,10 @@ class WebServer:
     def put_way(self, points_map: FloatArray) -> None:
         """Show that this was driven, too: a way between two poses of which not all are put; (N, 2), m."""
         self._view.put_way(points_map)
+
+    def put_ready(self, payloads: Mapping[str, Payload]) -> None:
+        """Show payloads of protocol.py as they are, each in place of that of its key."""
+        self._view.put_ready(payloads)
 
     def health(self) -> Status:
         values = {

@@ -21,6 +21,7 @@ from service.encoding import (
     encode_diagnostics,
     encode_frame,
     encode_graph,
+    encode_grid,
     encode_pose,
     encode_tf_static,
 )
@@ -28,11 +29,12 @@ from service.geometry.se2 import SE2
 from service.mapper.profiles import build_mapper, mapping_config
 from service.mapstore.files import save_map
 from service.mapstore.tiles import TileStore
+from service.offline.recording_view import RecordingView
 from service.offline.replay import ReplayOptions
 from service.offline.replay import replay as replay_session
 from service.offline.replay_page import ReplayPage
 from service.offline.view import View
-from service.outputs import GraphPicture, MapperOutput
+from service.outputs import GraphPicture, Grid, MapperOutput
 from service.publishing.commands import Answer
 from service.recording.mcap_recorder import McapRecorder
 from service.web.config import WebConfig
@@ -44,10 +46,12 @@ from tests.browser.measure import chromium
 from tests.browser.scene import event, statuses
 from tests.in_background import in_background
 from tests.service.offline.bent_maps import ROUND, BentMap, bent_map, save_bent
+from tests.service.recording.sessions import write_file
 from tests.simulated import Laser, Wheels, odometry, scans
 
 IMAGES = ROOT / "docs" / "images"
 DRIVEN_S, SHOWN_S = 62.0, 2.0
+MAP_PERIOD_NS = 10_000_000_000
 UNIX_NS = 1_795_000_000_000_000_000  # of the drive's begin
 MOUNTINGS = {"front": SE2(0.2, 0.0, 0.0), "rear": SE2(-0.2, 0.0, math.pi)}
 LASERS = (
@@ -63,6 +67,7 @@ class Office(NamedTuple):
     frames: list[Frame]  # as they arrived
     outputs: list[MapperOutput]
     graph: GraphPicture
+    maps: list[tuple[int, Grid]]  # by the time, ns, at which each was whole
 
     @property
     def seen(self) -> list[LaserScan]:
@@ -74,15 +79,21 @@ def map_office(store: TileStore) -> Office:
     frames = [scan for laser in LASERS for scan in scans(ride, laser, DRIVEN_S, [1])[0]]
     frames += odometry(ride, Wheels(), DRIVEN_S, 1)
     mapper = build_mapper(mapping_config({}), MOUNTINGS)
-    outputs = []
+    outputs: list[MapperOutput] = []
+    maps: list[tuple[int, Grid]] = []
     frames.sort(key=lambda frame: frame.arrived_ns)
     for frame in frames:
         if (output := mapper.process(frame)) is not None:
             outputs.append(output)
+        if frame.arrived_ns >= (len(maps) + 1) * MAP_PERIOD_NS:
+            store.update(mapper.changed_tiles())
+            grid = store.grid()
+            assert grid is not None
+            maps.append((frame.arrived_ns, grid))
     mapper.finish()
     store.update(mapper.changed_tiles())
     assert mapper.graph_picture is not None
-    return Office(frames, outputs, mapper.graph_picture)
+    return Office(frames, outputs, mapper.graph_picture, maps)
 
 
 def record(frames: Sequence[Frame], folder: Path) -> Path:
@@ -119,6 +130,33 @@ def take_replay(page: Page, frames: Sequence[Frame], folder: Path) -> None:
         page.run("return corridor.connection.command('replay_resume')")
         working.join()
         shown.close()
+
+
+def take_past(page: Page, office: Office, folder: Path) -> None:
+    """The drive as a service would have recorded it, at one of its moments."""
+    messages = [encode_tf_static(MOUNTINGS, UNIX_NS, UNIX_NS)]
+    for scan in office.seen:
+        moved = replace(scan, stamp_ns=scan.stamp_ns + UNIX_NS, arrived_ns=scan.arrived_ns + UNIX_NS)
+        messages.append(encode_frame(moved))
+    messages += [
+        encode_pose(replace(o, stamp_ns=o.stamp_ns + UNIX_NS), o.stamp_ns + UNIX_NS + 45_000_000)
+        for o in office.outputs
+    ]
+    messages += [encode_grid(grid, at_ns + UNIX_NS, at_ns + UNIX_NS) for at_ns, grid in office.maps]
+    messages += [health(UNIX_NS + k * 10**9) for k in range(round(DRIVEN_S))]
+    write_file(folder / "veh1_20261118T061320Z_0001.mcap", sorted(messages, key=lambda m: m.log_ns))
+    view = RecordingView([folder / "veh1_20261118T061320Z_0001.mcap"], "127.0.0.1:0")
+    try:
+        page.open(view.address)
+        page.wait_for("return corridor.report().moment && corridor.report().mayControl")
+        page.resize(DESKTOP)
+        page.run("corridor.past.go(arguments[0])", 42.6)
+        page.wait_for("return Math.abs(corridor.report().moment.position_s - 42.6) < 0.01")
+        page.wait_for("return corridor.report().tiles > 0 && corridor.report().shownSensors.length === 2")
+        page.element("fit").click()
+        save_picture(page, "past")
+    finally:
+        view.close()
 
 
 def take_edit(page: Page, folder: Path) -> None:
@@ -277,6 +315,7 @@ def main() -> None:
             take(page, "phone-information", "information", PHONE, True)
         server.close()
         take_replay(page, office.frames, Path(kept) / "recorded")
+        take_past(page, office, Path(kept))
         take_edit(page, Path(kept) / "ring")
 
 

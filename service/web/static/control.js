@@ -75,10 +75,10 @@ export class Control {
     this.mark.disabled = !may || !this.isRecording;
   }
 
-  /** quietly: what was done can be seen elsewhere; only a refusal is said. */
-  async ask(verb, request = {}, { quietly = false } = {}) {
+  /** quietly: what was done can be seen elsewhere; only a refusal is said, of what is named so. */
+  async ask(verb, request = {}, { quietly = "" } = {}) {
     const answer = await this.connection.command(verb, request);
-    const label = this.buttons.get(verb)?.textContent.replace("\u2026", "") ?? (quietly ? "Replay" : verb);
+    const label = this.buttons.get(verb)?.textContent.replace("\u2026", "") ?? (quietly || verb);
     if (answer.ok && quietly) return answer;
     if (answer.ok) notice(`${label}: done${words(answer)}.`, "ok");
     else notice(`${label}: ${answer.error}.`, "error");

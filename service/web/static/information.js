@@ -16,6 +16,7 @@ const MOST_EVENTS = 60;
 export class Information {
   constructor(root, colourOf) {
     this.colourOf = colourOf;
+    this.isPast = false; // whether moments of a recording are shown
     this.mapping = card("Mapping");
     this.words = element("p", { className: "note" });
     this.pose = new Facts();
@@ -42,7 +43,12 @@ export class Information {
     root.append(...[this.mapping, this.sensors, this.recording, this.latency, this.parts, this.events].map((c) => c.node));
   }
 
+  /** null: none is known. */
   putPose(pose) {
+    if (!pose) {
+      this.pose.set(Object.fromEntries(["x", "y", "Heading", "Speed"].map((name) => [name, "\u2013"])));
+      return;
+    }
     const { x_std_m, y_std_m, theta_std_rad } = deviationsInMap(pose);
     this.pose.set({
       "x": `${fixed(pose.x_m, 3, " m")} \u00b1 ${fixed(100 * x_std_m, 1, " cm")}`,
@@ -59,8 +65,19 @@ export class Information {
     this.#recording(byName.get("recording"), byName.get("map"), health.stamp_s);
     this.#parts(health.statuses);
     // A replay and a stored map have no devices.
-    const isLive = !byName.has("replay") && byName.get("mapping")?.values.state !== "stored";
-    for (const { node } of [this.sensors, this.recording, this.latency, this.events]) node.hidden = !isLive;
+    const hasDevices = !byName.has("replay") && byName.get("mapping")?.values.state !== "stored";
+    for (const { node } of [this.sensors, this.recording, this.latency, this.events]) node.hidden = !hasDevices;
+    if (this.isPast) this.latency.node.hidden = true; // which no recording holds
+  }
+
+  /** A moment of the past: what had happened by then. */
+  putMoment({ events }) {
+    this.isPast = true;
+    const newest = events.at(-1)?.stamp_s ?? null;
+    if (this.eventList.children.length > 0 && newest === this.newestEvent_s) return;
+    this.newestEvent_s = newest;
+    this.eventList.replaceChildren();
+    for (const event of events) this.putEvent(event);
   }
 
   putLatency({ point }) {

@@ -9,6 +9,7 @@ import { drawCrossHair } from "./edit_tools.js";
 import { Gestures } from "./gestures.js";
 import { Information, LEVELS } from "./information.js";
 import { MapView, scaleBar } from "./map_view.js";
+import { setUpPast } from "./past.js";
 import { setUpReplay } from "./replay.js";
 import { Resources } from "./resources.js";
 import { chooseTab, setUpTabs } from "./tabs.js";
@@ -23,9 +24,9 @@ let tool = null, runId = "", isOpen = false, poseTimer = null, health = null;
 
 const connection = new Connection({
   open: () => { isOpen = true; showState(); },
-  closed: () => { isOpen = false; showState(); control.update(); replay.update(); edit.update(); },
+  closed: () => { isOpen = false; showState(); control.update(); replay.update(); past.update(); edit.update(); },
   hello: (hello) => {
-    if (hello.run_id !== runId) { view.clear(); edit.compare.clear(); explainLayers(); }
+    if (hello.run_id !== runId) { view.clear(); edit.compare.clear(); past.clear(); explainLayers(); }
     runId = hello.run_id;
     setText(byId("vehicle"), hello.vehicle);
     byId("vehicle").title = hello.vehicle; // it may be cut off
@@ -38,6 +39,7 @@ const connection = new Connection({
   access: (access) => {
     control.putAccess(access);
     replay.update();
+    past.update();
     edit.putAccess();
     if (!byId("resources").hidden) resources.refresh();
   },
@@ -47,6 +49,13 @@ const connection = new Connection({
   path: (message) => view.putPath(message),
   scan: (message) => { if (view.putScan(message)) explainLayers(); },
   mountings: ({ pose_base_sensor }) => { view.mountings = pose_base_sensor; },
+  moment: (moment) => {
+    view.putMoment(moment);
+    past.put(moment);
+    information.putMoment(moment);
+    information.putPose(view.track.last);
+    showFollow();
+  },
   pose: (pose) => {
     view.putPose(pose);
     if (poseTimer !== null) return; // the newest is said when its time has come
@@ -73,7 +82,8 @@ const control = new Control(byId("control"), connection, (done) => setTool(new P
   setTool(null);
   done(pose);
 })));
-const replay = setUpReplay(connection, (verb, request) => control.ask(verb, request, { quietly: true }));
+const replay = setUpReplay(connection, (verb, request) => control.ask(verb, request, { quietly: "Replay" }));
+const past = setUpPast(connection, (position_s) => control.ask("moment_go_to", { position_s }, { quietly: "Moment" }));
 const edit = new Edit(byId("edit"), connection, view, setTool);
 const resources = new Resources(byId("resources"), connection);
 byId("tab-resources").addEventListener("click", () => resources.refresh());
@@ -196,6 +206,7 @@ byId("measure").addEventListener("click", toggleMeasure);
 byId("map").addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || (event.repeat && event.key === "Enter")) return;
   const own = { f: toggleFollow, F: toggleFollow, 0: fit, m: toggleMeasure, M: toggleMeasure, b: showBefore, B: showBefore,
+    ",": () => past.step(-1), ".": () => past.step(1),
     Enter: clickMiddle, Backspace: () => tool?.back?.() }[event.key];
   if (own) own();
   if (own || gestures.key(event.key)) event.preventDefault();
@@ -219,11 +230,11 @@ setInterval(() => view.invalidate(), 1000); // what is stale shall look so
 
 /** For tests and for people who look into a fault: what the page shows. */
 window.corridor = {
-  view, connection, edit,
+  view, connection, edit, past,
   report: () => ({
     runId, isOpen, mayControl: connection.mayControl, tiles: view.tiles.tiles.size, bounds: view.tiles.bounds,
-    pose: view.track.last, pathPoints: view.path.length / 2, sensors: view.sensors, health, follows: view.follows,
-    graph: view.graph.counts, change: view.change.counts, plotPoints: information.plot.points.length, bytes: connection.bytes, frames: view.frames, drawn_ms: [...view.drawn_ms],
+    pose: view.track.last, pathPoints: view.path.length / 2, sensors: view.sensors, shownSensors: view.shownSensors, health, follows: view.follows,
+    moment: past.moment, graph: view.graph.counts, change: view.change.counts, plotPoints: information.plot.points.length, bytes: connection.bytes, frames: view.frames, drawn_ms: [...view.drawn_ms],
     scanPoints: Object.fromEntries([...view.scans].map(([sensor, held]) => [sensor, held.points?.length / 2])),
   }),
 };

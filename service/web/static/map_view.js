@@ -43,6 +43,7 @@ export class MapView {
     this.isHeld = false; // a replay that is paused: what came last is of now, however long ago that was
     this.isFitted = false; // until then the first tiles are brought into view
     this.poseArrived_ms = -Infinity;
+    this.moment = null; // of a past that is looked at: {at_s, path}
     this.frames = 0;
     this.drawn_ms = []; // how long the last pictures took
     this.needsPicture = false;
@@ -94,6 +95,7 @@ export class MapView {
     this.change.clear();
     this.layers.change = false;
     this.path = [];
+    this.moment = null;
     this.isFitted = false;
     this.invalidate();
   }
@@ -103,7 +105,7 @@ export class MapView {
       this.tiles.put(ix, iy, edge, cell_m, cells);
       this.change.put(ix, iy, edge, cell_m, cells);
     }
-    if (!this.isFitted && this.track.last === null) this.#showAll(); // to be followed all the same when it comes
+    if (!this.isFitted && (this.track.last === null || this.moment)) this.#showAll(); // to be followed all the same when it comes
     this.invalidate();
   }
 
@@ -129,6 +131,16 @@ export class MapView {
     if (this.follows) this.camera.centreOn(pose.x_m, pose.y_m);
     this.isFitted = true;
     this.invalidate();
+  }
+
+  /** Show a moment of the past: the poses about it, and as much of the path as was driven by then. */
+  putMoment({ at_s, poses, path }) {
+    if (!this.moment) this.follows = false; // all of the map first
+    this.moment = { at_s, path };
+    this.track.clear();
+    for (const pose of poses) this.track.add({ ...pose, covariance: known(pose.covariance), twist: known(pose.twist) });
+    for (const held of this.scans.values()) held.isFinal = false;
+    this.follow(this.follows);
   }
 
   /** Whether it is of a laser that was not seen before. */
@@ -178,6 +190,7 @@ export class MapView {
 
   /** Whether the newest pose is of now. */
   get isLive() {
+    if (this.moment) return 1000 * (this.moment.at_s - this.track.last.stamp_s) < STALE_MS;
     return this.isHeld || performance.now() - this.poseArrived_ms < STALE_MS;
   }
 
@@ -203,7 +216,7 @@ export class MapView {
     if (layers.grid) this.#drawGrid();
     if (layers.map) tiles.draw(context, camera.seen, camera.scale * dpr);
     if (layers.change) this.change.draw(context, camera.seen, camera.scale, colours.change);
-    if (layers.path) this.#drawPath(path);
+    if (layers.path) this.#drawPath(this.moment && !this.showsBefore ? this.#drivenPath() : path);
     if (layers.graph) graph.draw(context, camera.scale, colours.graph);
     if (layers.scans) this.#drawScans();
     if (layers.vehicle) this.#drawVehicle();
@@ -233,6 +246,14 @@ export class MapView {
     context.stroke();
   }
 
+  /** As far as it was driven at the moment that is shown, and on to the vehicle. */
+  #drivenPath() {
+    const { path: [first, end] } = this.moment, { last } = this.track;
+    const driven = this.path.slice(2 * first, 2 * end);
+    if (last && end > first) driven.push(last.x_m, last.y_m);
+    return driven;
+  }
+
   #drawPath(path) {
     const { context, camera } = this;
     if (path.length < 4) return;
@@ -249,10 +270,9 @@ export class MapView {
 
   #drawScans() {
     const { context, camera } = this;
-    const now_ms = performance.now();
     const size_m = Math.max(3 / camera.scale, 0.02);
     for (const [sensor, held] of this.scans) {
-      if (now_ms - held.arrived_ms > STALE_MS && !this.isHeld) continue;
+      if (!this.#isOfNow(held)) continue;
       if (!held.isFinal) this.#placeScan(held);
       if (!held.points) continue;
       context.fillStyle = this.colourOf(sensor);
@@ -261,6 +281,17 @@ export class MapView {
         context.fillRect(points[i] - size_m / 2, points[i + 1] - size_m / 2, size_m, size_m);
       }
     }
+  }
+
+  /** Whether a scan is of now, or of the moment of the past that is shown. */
+  #isOfNow({ scan, arrived_ms }) {
+    const age_ms = this.moment ? 1000 * (this.moment.at_s - scan.stamp_s) : this.isHeld ? 0 : performance.now() - arrived_ms;
+    return age_ms >= 0 && age_ms <= STALE_MS;
+  }
+
+  /** Lasers whose scans are drawn. */
+  get shownSensors() {
+    return this.sensors.filter((sensor) => this.scans.has(sensor) && this.#isOfNow(this.scans.get(sensor)));
   }
 
   /** End points in the map, each beam at its own moment. */
@@ -327,6 +358,9 @@ export class MapView {
     context.restore();
   }
 }
+
+/** Numbers that were told, NaN for what nobody knows: JSON has null for it. */
+const known = (numbers) => numbers.map((number) => number ?? NaN);
 
 /** 1, 2 or 5 times a power of ten, at least `least`. */
 export const niceLength = (least) => {

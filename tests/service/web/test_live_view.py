@@ -213,3 +213,11 @@ def test_events_that_come_many_a_second_are_left_out(view):
     view.put(event('{"event": "mark", "text": "a door"}', 0.0))
     (told,) = texts(view.due(), "event")
     assert "a door" in told["text"]
+
+
+def test_what_is_ready_is_shown_as_it_is_and_kept_for_who_comes_late(view):
+    view.put_ready({"moment": "first", "path": b"whole"})
+    view.put_ready({"moment": "second"})
+    assert [(s.key, s.payload) for s in view.due()] == [("moment", "second"), ("path", b"whole")]
+    assert view.due() == []
+    assert [s.payload for s in view.snapshot() if s.key == "path"][-1] == b"whole"

@@ -1,0 +1,145 @@
+"""What a page shows of one moment of the past, and the command by which a person goes from one to another."""
+
+import json
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Protocol
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from drivers.frames import LaserScan
+from service.encoding import Pose, Status
+from service.errors import CorridorError
+from service.geometry.poses import Floats
+from service.geometry.se2 import SE2
+from service.outputs import GraphPicture
+from service.publishing.commands import Answer, refusal
+from service.web.mailbox import Payload
+from service.web.protocol import encode_graph, encode_scan, health_json, moment_json, mountings_json
+
+GO_TO = "moment_go_to"
+STALE_NS = 1_500_000_000  # older scans are not of the moment, as on the page of a running service
+
+
+class GoToAsked(BaseModel):
+    """Seconds since the first moment; behind the last one it means that."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    position_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moment:
+    """One moment as it was known then.
+
+    at_ns        which, Unix time
+    poses        base in map, by rising stamps: those around each scan, and the newest as the last of them;
+                 what is not known of one is NaN
+    path         first and last + 1 of the points of the whole path that were driven by then
+    scans        the newest of each laser, none STALE_NS older than the moment
+    mountings    sensor -> pose_base_sensor
+    graph        None: as it was shown before
+    statuses     with the Unix time, s, since when each is as it is
+    events       Unix time, s, and text of each, oldest first
+    map_words    of when the map is that lies below
+    """
+
+    at_ns: int
+    poses: Sequence[Pose]
+    path: tuple[int, int]
+    map_words: str
+    scans: Sequence[LaserScan] = ()
+    mountings: Mapping[str, SE2] | None = None
+    graph: GraphPicture | None = None
+    statuses: Sequence[tuple[Status, float]] = ()
+    events: Sequence[tuple[float, str]] = ()
+
+
+class Moments(Protocol):
+    """A past that can be looked at, moment by moment."""
+
+    @property
+    def first_ns(self) -> int: ...
+    @property
+    def last_ns(self) -> int: ...
+    def at(self, at_ns: int) -> Moment: ...
+
+
+class MomentDesk:
+    """Takes a page to a moment; from any thread, one after another.
+
+    show    called with the moment, ns, and what is to be shown of it, each by its key; may raise InputError
+    """
+
+    verbs = (GO_TO,)
+
+    def __init__(self, moments: Moments, show: Callable[[int, Mapping[str, Payload]], None]) -> None:
+        self._moments = moments
+        self._show = show
+        self._going = threading.Lock()
+
+    def go_to(self, at_ns: int) -> None:
+        """Show this moment; before the first and behind the last that one. Raises InputError."""
+        with self._going:
+            moments = self._moments
+            moment = moments.at(min(max(at_ns, moments.first_ns), moments.last_ns))
+            self._show(moment.at_ns, payloads_of(moment, moments.first_ns, moments.last_ns))
+
+    def answer(self, verb: str, payload: bytes) -> Answer:
+        """JSON in, JSON out; what cannot be done is said in words."""
+        if verb != GO_TO:
+            return refusal(f"this is a recording; it knows {GO_TO}")
+        try:
+            asked = GoToAsked.model_validate_json(payload, strict=True)
+            self.go_to(self._moments.first_ns + round(asked.position_s * 1e9))
+        except ValidationError as error:
+            fault = error.errors(include_url=False, include_input=False)[0]
+            return refusal(f"{verb}: {'.'.join(map(str, fault['loc']))}: {fault['msg']}")
+        except CorridorError as error:
+            return refusal(str(error))
+        return Answer(True, json.dumps({"ok": True}).encode())
+
+
+def payloads_of(moment: Moment, first_ns: int, last_ns: int) -> dict[str, Payload]:
+    """By key, in the order in which a page wants them."""
+    payloads: dict[str, Payload] = {}
+    if moment.mountings is not None:
+        payloads["mountings"] = mountings_json(moment.mountings)
+    payloads["moment"] = moment_json(
+        at_s=moment.at_ns / 1e9,
+        position_s=(moment.at_ns - first_ns) / 1e9,
+        duration_s=(last_ns - first_ns) / 1e9,
+        path=moment.path,
+        poses=moment.poses,
+        map_words=moment.map_words,
+        events=moment.events,
+    )
+    if moment.statuses:
+        delay_ms = {scan.sensor: (scan.arrived_ns - scan.stamp_ns) / 1e6 for scan in moment.scans}
+        since_s = {status.name: since for status, since in moment.statuses}
+        statuses = [status for status, _ in moment.statuses]
+        payloads["health"] = health_json(statuses, since_s, delay_ms, moment.at_ns / 1e9)
+    if moment.graph is not None:
+        payloads["graph"] = encode_graph(moment.graph)
+    payloads |= {f"scan/{scan.sensor}": encode_scan(scan) for scan in moment.scans}
+    return payloads
+
+
+def thinned(xy_map: Floats, step_m: float, most: int) -> list[int]:
+    """Rows of a way that lie at least `step_m` apart, the step doubled until there are at most `most`.
+
+    xy_map    (N, 2), m; row 0 is among the rows given, where there is one
+    """
+    while True:
+        rows: list[int] = []
+        x_m = y_m = np.inf
+        for row, (x, y) in enumerate(xy_map.tolist()):
+            if not (x - x_m) ** 2 + (y - y_m) ** 2 < step_m**2:
+                rows.append(row)
+                x_m, y_m = x, y
+        if len(rows) <= most:
+            return rows
+        step_m *= 2.0

@@ -1,0 +1,207 @@
+"""A recording looked at moment by moment: with the mouse, and with keys alone."""
+
+import itertools
+
+import pytest
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.keys import Keys
+
+from service.offline.recording_view import RecordingView
+from tests.browser.conftest import DESKTOP, PHONE
+from tests.browser.scene import Scene, stamp
+from tests.browser.test_page import serious_faults
+from tests.service.offline.past_recordings import LASTS_S, write_past
+
+END_S = LASTS_S + 0.005  # the last scan's arrival
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    view = RecordingView(write_past(tmp_path_factory.mktemp("past")), "127.0.0.1:0")
+    yield view
+    view.close()
+
+
+@pytest.fixture
+def past(page, recording):
+    """The recording's page, at its last moment."""
+    page.open(recording.address)
+    page.wait_for("const r = corridor.report(); return r.moment && r.mayControl && r.health")
+    page.element("past-position").send_keys(Keys.END)
+    wait_for_moment(page, END_S)
+    page.wait_for("return corridor.report().tiles > 0")
+    return page
+
+
+def wait_for_moment(page, seconds):
+    page.wait_for(
+        "const r = corridor.report(); return Math.abs(r.moment.position_s - arguments[0]) < 0.006"
+        " && Math.abs(r.health.stamp_s - r.moment.at_s) < 1e-6",
+        seconds,
+    )
+
+
+def go_to(page, seconds):
+    page.run(
+        "const slider = document.getElementById('past-position'); slider.value = arguments[0];"
+        "slider.dispatchEvent(new Event('input'))",
+        str(seconds),
+    )
+    wait_for_moment(page, seconds)
+
+
+def test_dragging_the_slider_shows_pose_path_map_and_scans_of_that_moment(past):
+    go_to(past, 8.0)
+    report = past.report()
+    assert report["pose"]["stamp_ns"] == str(stamp(7.9) + 1)
+    assert report["pose"]["x_m"] == pytest.approx(Scene().pose(7.9).x_m, abs=1e-6)
+    past.wait_for("return corridor.view.tiles.valueAt(3.98, 0.0) === 100")  # the first room's wall
+    past.run("corridor.view.follow(false)")
+    past.look_at(0.0, 0.0, 30.0)
+    past.wait_for("const p = corridor.report().scanPoints; return p.front === 361 && p.rear === 361")
+    worst = past.run(
+        "corridor.view.invalidate(); let worst = 0;"
+        "for (const {points} of corridor.view.scans.values())"
+        " for (let i = 0; i < points.length; i += 2)"
+        "  worst = Math.max(worst, Math.min(Math.abs(Math.abs(points[i]) - 8),"
+        "   Math.abs(Math.abs(points[i + 1]) - 5)));"
+        "return worst"
+    )
+    assert worst < 0.02  # on the walls of the room that was driven in
+    assert past.text("state") == "degraded"
+    assert past.text("past-note") == "map recorded 3.0 s before"
+    assert past.text("past-time") == f"8.00 of {END_S:.2f} s, 2023-11-14 22:13:28.0 UTC"
+
+
+def test_it_goes_back_as_well_as_forward(past):
+    length = "return corridor.report().moment.path[1] - corridor.report().moment.path[0]"
+    go_to(past, 11.0)
+    late = past.run(length)
+    past.wait_for("return corridor.view.tiles.valueAt(7.98, 0.0) === 100")
+    go_to(past, 2.0)
+    assert 0 < past.run(length) < 0.3 * late
+    past.wait_for("return corridor.report().tiles === 0")  # no map was recorded yet
+    assert "mark" not in past.text("information")
+    go_to(past, 14.5)
+    past.wait_for("return corridor.view.tiles.valueAt(7.98, 0.0) === 100")
+    assert "map reset" in past.text("information")
+    assert past.run("return corridor.report().moment.path[0]") > 0
+
+
+def test_the_path_is_drawn_as_far_as_it_was_driven(past):
+    reached, not_yet = Scene().pose(2.0), Scene().pose(4.0)
+    past.run("for (const layer of ['scans', 'vehicle', 'map', 'grid']) corridor.view.layers[layer] = false")
+    try:
+        colours = []
+        for seconds in (6.0, 3.0):
+            go_to(past, seconds)
+            past.look_at(0.0, 0.0, 40.0)
+            colours.append([past.pixel(p.x_m, p.y_m) for p in (reached, not_yet)])
+    finally:
+        past.run("for (const name of Object.keys(corridor.view.layers)) corridor.view.layers[name] = true")
+    (path, also_path), (still_path, ground) = colours
+    assert path == also_path == still_path != ground
+
+
+def test_arrow_keys_go_a_second_or_a_tenth_back_and_forth(past):
+    slider = past.element("past-position")
+    at = END_S
+    for keys, by_s in (
+        ((Keys.ARROW_LEFT,), -1.0),
+        ((Keys.ARROW_LEFT,), -1.0),
+        ((Keys.ARROW_RIGHT,), 1.0),
+        ((Keys.SHIFT, Keys.ARROW_LEFT), -0.1),
+        ((Keys.PAGE_DOWN,), -10.0),
+        ((Keys.SHIFT, Keys.ARROW_RIGHT), 0.1),
+    ):
+        at += by_s
+        slider.send_keys(*keys)
+        wait_for_moment(past, at)
+    slider.send_keys(Keys.HOME)
+    wait_for_moment(past, 0.0)
+    slider.send_keys(Keys.ARROW_LEFT)
+    wait_for_moment(past, 0.0)
+    past.element("map").send_keys("..")
+    wait_for_moment(past, 2.0)
+    past.element("map").send_keys(",")
+    wait_for_moment(past, 1.0)
+    assert slider.get_attribute("aria-valuetext").startswith("1.00 of")
+
+
+def test_buttons_step_and_play_runs_to_the_end_and_begins_anew(past):
+    past.element("past-by-10").click()
+    wait_for_moment(past, END_S - 10.0)
+    past.element("past-by1").click()
+    wait_for_moment(past, END_S - 9.0)
+    past.run("document.getElementById('past-rate').value = '50'")
+    past.element("past-play").click()
+    wait_for_moment(past, END_S)
+    past.wait_for("return document.getElementById('past-play').textContent === 'Play'")
+    past.run("document.getElementById('past-rate').value = '1'")
+    past.element("past-play").click()
+    past.wait_for("const p = corridor.report().moment.position_s; return p > 0 && p < 3")
+    past.element("past-play").click()
+    assert past.text("past-play") == "Play"
+
+
+def test_the_newest_wish_counts_and_the_service_is_not_flooded(past):
+    past.run(
+        "window.asked = []; const ask = corridor.past.ask;"
+        "corridor.past.ask = (s) => { window.asked.push(s); return ask(s); };"
+        "for (let i = 0; i <= 100; i += 1) corridor.past.go(15 - i / 10)"
+    )
+    wait_for_moment(past, 5.0)
+    assert 1 < past.run("return window.asked.length") < 5
+    assert past.run("return window.asked.at(-1)") == 5
+
+
+def test_a_silent_laser_and_an_old_pose_are_seen_as_such(past):
+    go_to(past, 13.5)
+    past.wait_for("return corridor.report().shownSensors.join() === 'front,rear'")
+    go_to(past, 16.0)
+    past.wait_for("return corridor.report().shownSensors.join() === 'front' && corridor.view.isLive")
+    go_to(past, 19.5)
+    past.wait_for("return !corridor.view.isLive")
+    assert past.report()["pose"]["stamp_ns"] == str(stamp(16.9) + 1)
+
+
+def test_without_the_token_one_sees_the_moment_and_cannot_go_elsewhere(page, recording):
+    page.open(recording.address.partition("#")[0])
+    page.wait_for("return corridor.report().moment")
+    assert page.element("past-position").is_displayed()
+    assert not page.element("past-position").is_enabled()
+    assert not page.element("past-play").is_enabled()
+    before = page.report()["moment"]["position_s"]
+    page.element("map").send_keys(",")
+    answer = page.driver.execute_async_script(
+        "corridor.connection.command('moment_go_to', {position_s: 1}).then(arguments[0])"
+    )
+    assert "needs the token" in answer["error"]
+    assert page.report()["moment"]["position_s"] == before
+
+
+def test_a_running_service_has_no_past(page, live):
+    assert not page.element("past").is_displayed()
+    page.element("map").send_keys(",")
+    assert page.faults() == []
+
+
+def test_the_slider_is_dragged_with_the_mouse(past):
+    slider = past.element("past-position")
+    quarter = round(slider.size["width"] / 4)
+    actions = ActionChains(past.driver).move_to_element_with_offset(slider, quarter, 0).click_and_hold()
+    actions.move_to_element_with_offset(slider, -quarter, 0).release().perform()
+    past.wait_for("return Math.abs(corridor.report().moment.position_s - 5) < 0.7")
+
+
+def test_axe_finds_nothing_serious_on_the_page_of_a_recording(past, axe):
+    past.run(axe)
+    try:
+        for size, is_dark in itertools.product((DESKTOP, PHONE), (False, True)):
+            past.resize(size, is_dark)
+            assert past.run("return document.documentElement.scrollWidth") <= size[0]
+            assert past.element("past-note").is_displayed()
+            assert serious_faults(past) == [], f"{size}, dark: {is_dark}"
+    finally:
+        past.resize(DESKTOP)
+    assert past.faults() == []
