@@ -8,13 +8,16 @@ from service.geometry.poses import Floats
 from service.mapper.saved_graph import SavedGraph
 
 
-def bent_way(stamp_ns: npt.NDArray[np.int64], poses: Floats, before: SavedGraph, after: SavedGraph) -> Floats:
-    """(M, 2) m. Each pose goes with the key frame before it; those of key frames that were cut out are gone.
+def bent_way(
+    stamp_ns: npt.NDArray[np.int64], poses: Floats, before: SavedGraph, after: SavedGraph
+) -> tuple[npt.NDArray[np.int64], Floats]:
+    """(M,) and (M, 3). Each pose goes with the key frame before it; those of key frames that were cut out
+    are gone.
 
     stamp_ns, poses   (N,) and (N, 3) of the trajectory, in the map of `before`
     """
     if not len(stamp_ns) or not len(before):
-        return poses[:, :2]
+        return stamp_ns, poses
     order = np.argsort(before.stamp_ns, kind="stable")
     at = np.searchsorted(before.stamp_ns[order], stamp_ns, side="right") - 1
     held_by = order[np.maximum(at, 0)]
@@ -26,4 +29,4 @@ def bent_way(stamp_ns: npt.NDArray[np.int64], poses: Floats, before: SavedGraph,
     is_left = now[held_by] >= 0
     k = held_by[is_left]
     seen = se2.between(before.map[k], poses[is_left])
-    return se2.compose(after.map[now[k]], seen)[:, :2]
+    return stamp_ns[is_left], se2.compose(after.map[now[k]], seen)

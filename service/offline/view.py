@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +17,17 @@ from service.mapstore.files import StoredMap, is_map_folder, load_map, versions_
 from service.mapstore.ros_map import read_ros_map
 from service.mapstore.tiles import TileStore
 from service.offline.bent_way import bent_way
+from service.offline.driven_moments import DrivenMoments
 from service.offline.map_desk import MapDesk
+from service.offline.moments import MomentDesk
 from service.offline.shown_tiles import ShownTiles
 from service.offline.trajectory import read_tum
 from service.outputs import NO_GRAPH, UNKNOWN, GraphPicture, Grid, TileUpdate
 from service.publishing.commands import Answer, refusal
 from service.web.access import new_token
 from service.web.config import WebConfig
+from service.web.mailbox import Payload
+from service.web.protocol import encode_path
 from service.web.server import About, WebServer
 
 EDGE = 64  # cells along a tile
@@ -46,19 +50,20 @@ class View:
         self._store = TileStore()
         self._tiles = ShownTiles(self._store)
         self._mapped: SavedGraph | None = None  # as it was when the trajectory was written
+        self._moments: MomentDesk | None = None  # of the trajectory as it lies in the map that is shown
+        self._at_ns: int | None = None  # of the moment that is shown
         folder = map_folder(source)
-        desk = None
+        self._desk: MapDesk | None = None
         if folder is not None:
             stored = load_map(folder)
             self._mapped = _before_edits(folder, stored)
-            desk = MapDesk(folder, stored, self._show_stored)
-        about = About(source.resolve().name, "stored", lambda: desk.verbs if desk is not None else ())
-        answer = desk.answer if desk is not None else _refuse
-        self._server = WebServer(WebConfig(listen=listen), about, self._store, answer, self.token)
+            self._desk = MapDesk(folder, stored, self._show_stored)
+        about = About(source.resolve().name, "stored", self._verbs)
+        self._server = WebServer(WebConfig(listen=listen), about, self._store, self._answer, self.token)
         if folder is not None:
             self._show_stored(stored)
         else:
-            self._show(*read_stored(source), self._trajectory[1][:, :2], {})
+            self._show(*read_stored(source), *self._trajectory, {})
         start_serving(self._server)
 
     @property
@@ -69,25 +74,54 @@ class View:
     def close(self) -> None:
         self._server.close()
 
+    def _verbs(self) -> tuple[str, ...]:
+        return (*(self._desk.verbs if self._desk else ()), *(self._moments.verbs if self._moments else ()))
+
+    def _answer(self, verb: str, payload: bytes) -> Answer:
+        if self._moments is not None and verb in self._moments.verbs:
+            return self._moments.answer(verb, payload)
+        if self._desk is not None:
+            return self._desk.answer(verb, payload)
+        return refusal("this is a picture of a map and cannot be changed; give the folder of a stored map")
+
     def _show_stored(self, stored: StoredMap) -> None:
         stamp_ns, poses = self._trajectory
-        way = poses[:, :2]
         if self._mapped is not None and stored.graph is not None:
-            way = bent_way(stamp_ns, poses, self._mapped, stored.graph)
+            stamp_ns, poses = bent_way(stamp_ns, poses, self._mapped, stored.graph)
         graph = NO_GRAPH if stored.graph is None else draw_saved(stored.graph)
-        self._show(stored.tiles, graph, way, {"version": str(stored.number)})
+        self._show(stored.tiles, graph, stamp_ns, poses, {"version": str(stored.number)})
 
     def _show(
-        self, tiles: Sequence[TileUpdate], graph: GraphPicture, way_map: Floats, told: dict[str, str]
+        self,
+        tiles: Sequence[TileUpdate],
+        graph: GraphPicture,
+        stamp_ns: npt.NDArray[np.int64],
+        poses: Floats,
+        told: dict[str, str],
     ) -> None:
         now_ns = time.time_ns()
         self._tiles.take(tiles)
-        self._server.put_path(way_map.astype(np.float32))
+        self._show_way(stamp_ns, poses)
         self._server.put(encode_graph(graph, now_ns))
         version = f" of version {told['version']}" if told else ""
-        words = f"{self._source}: {len(tiles)} tiles{version}, {len(way_map)} poses; nothing is measured"
+        words = f"{self._source}: {len(tiles)} tiles{version}, {len(poses)} poses; nothing is measured"
         state = Status("mapping", OK, words, {"state": "stored", **told})
         self._server.put(encode_diagnostics("diagnostics", [state], now_ns, now_ns))
+
+    def _show_way(self, stamp_ns: npt.NDArray[np.int64], poses: Floats) -> None:
+        """The whole of it, and of its moments the one that was shown before; at first the last."""
+        if not len(stamp_ns):
+            self._moments = None
+            self._server.put_ready({"path": encode_path(np.empty((0, 2), np.float32))})
+            return
+        moments = DrivenMoments(stamp_ns, poses)
+        self._server.put_ready({"path": encode_path(moments.path_map.astype(np.float32))})
+        self._moments = MomentDesk(moments, self._show_moment)
+        self._moments.go_to(moments.last_ns if self._at_ns is None else self._at_ns)
+
+    def _show_moment(self, at_ns: int, payloads: Mapping[str, Payload]) -> None:
+        self._at_ns = at_ns
+        self._server.put_ready(payloads)
 
 
 def map_folder(source: Path) -> Path | None:
@@ -169,7 +203,3 @@ def _trajectory(source: Path) -> tuple[npt.NDArray[np.int64], Floats]:
         return np.empty(0, np.int64), np.empty((0, 3))
     read = read_tum(trajectory)
     return read.stamp_ns, read.pose
-
-
-def _refuse(verb: str, payload: bytes) -> Answer:
-    return refusal("this is a picture of a map and cannot be changed; give the folder of a stored map")

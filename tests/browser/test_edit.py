@@ -348,6 +348,12 @@ def test_the_path_goes_with_the_map_that_is_bent(page, opened, tmp_path, bent):
     folder = save_bent(tmp_path / "map", bent)
     pairs = [(points.ravel().tolist(), (k, k + ROUND)) for k in PAIRED for points in bent.common_points(k)]
     opened(tmp_path)
+    page.element("past-position").send_keys(Keys.HOME)
+    page.wait_for("return corridor.report().moment.position_s === 0")
+    page.wait_for("return corridor.report().pose.stamp_ns === arguments[0]", str(graph.stamp_ns[0]))
+    page.element("past-position").send_keys(Keys.END)
+    page.wait_for("const m = corridor.report().moment; return m.position_s === m.duration_s")
+    assert "\u00b1 \u2013" in page.text("information")  # a trajectory does not tell how well it is known
     map_edit.edit_map(folder, "add-pair", map_edit.add_pairs(pairs), "bob", 5)
     page.run("corridor.edit.change({what: 'optimize'}, 'Optimise')")  # is refused, and the newer map shown
     page.wait_for("return corridor.edit.version === 2")
@@ -358,6 +364,11 @@ def test_the_path_goes_with_the_map_that_is_bent(page, opened, tmp_path, bent):
     )
     shown = np.reshape(page.run("return [...corridor.view.path]"), (-1, 2))
     np.testing.assert_allclose(shown, graph_in(folder).map[:, :2], atol=1e-3)
+    page.wait_for(
+        "const p = corridor.report().pose;"
+        "return Math.hypot(p.x_m - arguments[0], p.y_m - arguments[1]) < 1e-3",
+        *graph_in(folder).map[-1, :2].tolist(),
+    )
 
 
 def test_a_live_session_offers_no_editing_and_says_when_it_is_possible(page, live):

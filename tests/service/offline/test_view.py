@@ -73,6 +73,33 @@ def test_the_result_of_a_replay_is_shown_with_its_path(show, tmp_path):
     talk(show(tmp_path), look)
 
 
+def test_a_result_is_looked_at_where_the_vehicle_was_at_any_moment(show, tmp_path):
+    write_ros_map(tmp_path / "map.pgm", tmp_path / "map.yaml", picture_of_grid(grid(0.0, 0.0)))
+    write_tum(tmp_path / "trajectory.tum", [(k * 10**9 + 1, SE2(float(k), 0.5, 0.1)) for k in range(4)])
+    view = show(tmp_path)
+
+    async def look(client):
+        async with client.socket() as socket:
+            assert (await client.next(socket, "hello"))["verbs"] == ["moment_go_to"]
+            last = await client.next(socket, "moment")
+            assert (last["position_s"], last["duration_s"], last["path"]) == (3.0, 3.0, [0, 4])
+            await client.ask(socket, type="token", token=view.token)
+            for seconds, x_m, path in ((1.5, 1.0, [0, 2]), (0.0, 0.0, [0, 1]), (2.0, 2.0, [0, 3])):
+                asked = {"position_s": seconds}
+                await client.ask(socket, type="command", n=1, verb="moment_go_to", request=asked)
+                moment = await client.next(socket, "moment")
+                assert moment["position_s"] == pytest.approx(seconds)
+                (pose,) = moment["poses"]
+                assert (pose["x_m"], pose["y_m"], pose["theta_rad"]) == pytest.approx((x_m, 0.5, 0.1))
+                assert pose["covariance"] == [None] * 9
+                assert (moment["path"], moment["map_words"]) == (path, "map as it is in the end")
+            await client.ask(socket, type="command", n=2, verb="map_look", request={})
+            answers = [(await client.next(socket, "answer"))["body"] for _ in range(4)]
+            assert "cannot be changed" in answers[-1]["error"]
+
+    talk(view, look)
+
+
 def test_the_graph_of_a_g2o_file_is_shown_with_its_loops(show, tmp_path):
     write_ros_map(tmp_path / "map.pgm", tmp_path / "map.yaml", picture_of_grid(grid(0.0, 0.0)))
     lines = [f"VERTEX_SE2 {k} {k} 0.5 0" for k in range(4)] + ["FIX 0"]
