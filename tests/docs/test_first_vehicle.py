@@ -18,7 +18,7 @@ from tests.docs.test_shell import commands_of
 from tests.system.machine import START_TIMEOUT_S, STOP_TIMEOUT_S, FakeVehicle, Subscriber, free_port
 
 PAGE = "docs/first_vehicle.md"
-SCANS = 125  # two and a half seconds
+SCANS = 60  # more than a second
 COMMANDS = [
     words[1:]
     for block in written_in("sh")

@@ -5,6 +5,7 @@ import json
 import re
 import shlex
 import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,9 +53,8 @@ def test_each_command_can_be_called_so(block):
                 new_parser().parse_args(arguments)  # leaves by SystemExit where it refuses
             case "make":
                 target = [word for word in arguments if "=" not in word] or ["help"]
-                made = subprocess.run(
-                    ["make", "-n", *target], cwd=ROOT, capture_output=True, text=True, check=False
-                )
+                command = ["make", "-n", f"PYTHON={sys.executable}", *target]  # else make looks for one
+                made = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
                 assert made.returncode == 0, made.stderr
             case other:
                 assert other in OF_THE_SYSTEM, f"{other}: nobody can say whether this can be run"

@@ -33,7 +33,7 @@ def free_port() -> int:
 class FakeVehicle:
     """`python -m simulators` with a laser on a fixed port and a base on a named terminal; can start again."""
 
-    def __init__(self, folder: Path, stand_s: float = 3.0) -> None:
+    def __init__(self, folder: Path, stand_s: float = 1.0) -> None:
         self.truth = folder / "truth.txt"
         self.port, self.terminal = free_port(), folder / "base"
         self._stand_s = stand_s

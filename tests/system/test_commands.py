@@ -42,17 +42,17 @@ def live_service(fake_vehicle: FakeVehicle, tmp_path: Path) -> Iterator[LiveServ
 
 def test_a_drive_with_commands(live_service: LiveService, subscribe: Subscribe):
     subscriber = subscribe(live_service.endpoint)
-    subscriber.wait_for("pose", 200)  # it stands for three seconds of them
+    subscriber.wait_for("pose", 100)  # it stands for a second of them at most
 
     marked = subscriber.ask("mark", text="begin", id="1")
     assert subscriber.ask("mark", text="begin", id="1") == marked
     assert "did you mean 'text'" in subscriber.ask("mark", txt="begin")["error"]
 
     assert subscriber.ask("pause")["changed"]
-    subscriber.wait_for("front/scan", 50)
+    subscriber.wait_for("front/scan", 25)
     subscriber.wait_until(lambda: _state(subscriber) == "paused")
     assert subscriber.ask("resume")["changed"]
-    subscriber.wait_for("pose", 50)
+    subscriber.wait_for("pose", 25)
 
     saved = subscriber.ask("save_map")
     first_map = Path(saved["folder"])
@@ -65,7 +65,7 @@ def test_a_drive_with_commands(live_service: LiveService, subscribe: Subscribe):
     reset = subscriber.ask("reset_map")
     assert (reset["folder_before"], reset["folder"]) == (str(first_map), f"{first_map}_2")
     before = load_map(first_map)
-    subscriber.wait_for("pose", 100)
+    subscriber.wait_for("pose", 75)
     _check_the_old_map_is_gone(subscribe(live_service.endpoint), before.tiles)
 
     stopped = subscriber.ask("stop_recording")
@@ -151,7 +151,7 @@ def _check_the_wires_make_the_frames_again(session: Path) -> None:
     recording = Recording([session])
     config = parse_config(recording.metadata["config"]["yaml"], "recorded config")
     offset_ns = int(recording.metadata["clock"]["utc_offset_ns"])
-    for name, channel, least in (("front", "/front/scan", 350), ("base", "/base/odom", 300)):
+    for name, channel, least in (("front", "/front/scan", 200), ("base", "/base/odom", 200)):
         sensor = config.sensors[name]
         new_session = SENSOR_KINDS[sensor.type].session_maker(sensor)
         frames = list(frames_from_wire(raw_chunks(recording, name), new_session))

@@ -11,7 +11,7 @@ from service.recording.mcap_reader import Recording
 from tests.demo_run import run_demo
 
 FAULTS = Path(__file__).with_name("faults.yaml")
-SECONDS = 17
+SECONDS = 13
 LOST_M = 5.0  # or more, where the map has nothing to do with the world any more
 CALM_S = 2.0  # at the end of the run: no fault any more
 

@@ -20,6 +20,7 @@ from tests.system.machine import FakeVehicle, LiveService, Subscriber
 
 Subscribe = Callable[[str], Subscriber]
 SCAN = "sensor_msgs/msg/LaserScan"
+SCANS = 250  # 5 s at 50 Hz
 MOST_LOST_S = 5.0  # a second where the processor is ours alone; all of some fifteen where nothing was flushed
 
 
@@ -27,14 +28,14 @@ def test_a_whole_drive(fake_vehicle: FakeVehicle, live_service: LiveService, sub
     subscriber = subscribe(live_service.endpoint)
     subscriber.wait_for("front/scan", 1)
     first = subscriber.count("front/scan")
-    subscriber.wait_for("front/scan", 400)  # 8 s at 50 Hz
+    subscriber.wait_for("front/scan", SCANS)
 
     heard = subscriber.heard
     scans = [decode_frame(SCAN, payload, "front", 0) for _, payload in heard["front/scan"][first:]]
     between_s = np.diff([scan.stamp_ns for scan in scans if scan is not None]) / 1e9
     assert np.median(between_s) == pytest.approx(0.02, rel=0.06)
     subscriber.wait_until(lambda: {"pose", "base/odom", "odom", "tf", "health"} <= heard.keys())
-    subscriber.wait_for("pose", max(0, first + 400 - subscriber.count("pose")))  # one for each scan
+    subscriber.wait_for("pose", max(0, first + SCANS - subscriber.count("pose")))  # one for each scan
     statuses = {s.name: s for s in decode_diagnostics(heard["health"][-1][1])}
     assert statuses["sensor/front"].values["state"] == statuses["sensor/base"].values["state"] == "streaming"
     assert {"mapping", "map", "recording", "zenoh", "clock"} <= statuses.keys()
@@ -116,7 +117,7 @@ def test_a_device_returns_and_a_kill_costs_a_second(
     subscriber.wait_until(lambda: _state(subscriber, "front") == _state(subscriber, "base") == "down")
     fake_vehicle.start()
     subscriber.wait_until(lambda: _state(subscriber, "front") == _state(subscriber, "base") == "streaming")
-    subscriber.wait_for("pose", 125)
+    subscriber.wait_for("pose", 100)
     connects = {s.name: s.values["connects"] for s in decode_diagnostics(subscriber.heard["health"][-1][1])
                 if s.name.startswith("sensor/")}  # fmt: skip
     assert connects == {"sensor/front": "2", "sensor/base": "2"}
@@ -136,7 +137,7 @@ def test_a_device_returns_and_a_kill_costs_a_second(
         decode_frame(m.type, m.payload, "front", m.log_ns)
         for m in Recording([session]).messages(["/front/scan"])
     ]
-    assert len(scans) == len(stamps_ns) > 100
+    assert len(scans) == len(stamps_ns) > 50
     assert scans[-1] is not None
     assert (last_heard.stamp_ns - scans[-1].stamp_ns) / 1e9 < MOST_LOST_S
 

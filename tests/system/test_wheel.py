@@ -109,7 +109,7 @@ def test_it_runs_from_anywhere(corridor: Path, tmp_path: Path):
 
 @pytest.mark.timeout(TIMEOUT_S)
 def test_it_maps_a_demo_and_replays_what_was_recorded(corridor: Path, tmp_path: Path):
-    told = json.loads(run([str(corridor), "demo", "--seconds", "4", "--json", "--out", "out"], tmp_path))
+    told = json.loads(run([str(corridor), "demo", "--seconds", "2", "--json", "--out", "out"], tmp_path))
     assert told["scans"] > 0  # a busy machine passes many over
     assert (tmp_path / told["map"] / "map.yaml").exists()
     replayed = json.loads(run([str(corridor), "replay", told["session"], "--json", "--out", "r"], tmp_path))
