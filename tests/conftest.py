@@ -1,5 +1,6 @@
 """Fixtures that every test file may use."""
 
+import gc
 import logging
 import os
 import subprocess
@@ -13,6 +14,7 @@ import pytest
 
 from service.kernel_cache import ensure_cache_dir, is_warm
 
+gc.disable()  # until all is imported, which makes no garbage but would be looked through over and over
 ensure_cache_dir()  # before anything imports numba: what is compiled from now on is kept
 
 ROOT = Path(__file__).parents[1]
@@ -31,6 +33,8 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     """Compile all kernels before the first test where they are not in the cache: on every core, under no
     test's time-out.
     """
+    gc.freeze()  # what stands now stands to the end
+    gc.enable()
     nodes = [item.nodeid for item in session.items]
     wanted = any(name.startswith("service.kernels.") for name in sys.modules) or any(
         node.startswith(RUNS_THE_PROGRAM) for node in nodes

@@ -50,6 +50,14 @@ def test_a_group_without_a_test_is_no_success(tmp_path: Path):
     assert run([group(tmp_path, "empty", "")], tmp_path / "logs") == 1
 
 
+def test_compiled_files_are_kept_even_where_the_environment_says_otherwise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    assert run([group(tmp_path, "a", PASSES)], tmp_path / "logs") == 0
+    assert list((tmp_path / "__pycache__").glob("test_a.*.pyc"))
+
+
 def test_it_is_never_silent_for_long(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
