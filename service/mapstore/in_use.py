@@ -1,6 +1,7 @@
 """A session that goes on in a stored map, and who changes it by hand, keep each other out."""
 
 import fcntl
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
@@ -28,14 +29,19 @@ class InUse:
             raise StorageError(
                 f"{folder}: {other} uses this map and would write over the change; stop it first"
             ) from None
-        file.truncate(0)
-        file.write(who)
-        file.flush()
         self._file = file
+        try:
+            file.truncate(0)
+            file.write(who)
+            file.flush()
+        except OSError as error:
+            self.release()
+            raise StorageError(f"{folder}: {error}") from error
 
     def release(self) -> None:
         if self._file is not None:
-            self._file.close()
+            with suppress(OSError):  # of what a full disk has not taken; the lock is gone all the same
+                self._file.close()
             self._file = None
 
     def __enter__(self) -> "InUse":

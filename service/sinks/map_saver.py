@@ -278,7 +278,10 @@ class MapSaver(Sink):
             return None
         if folder == self.folder:
             return self.newest
-        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StorageError(f"cannot save the map to {folder}: {error}; choose another name") from error
         with InUse(folder, f"a session of {self._about['vehicle']}"):
             number = save_map(folder, present.tiles, self._unix_ns(), self._about, present.geo, present.graph)
         assert number is not None

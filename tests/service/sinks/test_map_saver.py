@@ -150,6 +150,24 @@ def test_who_asks_hears_where_the_map_is_once_it_is_there(running: Kept, answers
     assert load_map(tmp_path / "map").number == 1
 
 
+def test_a_name_that_the_disk_refuses_is_told_and_the_next_save_is_made(
+    running: Kept, answers: Answers, tmp_path: Path
+):
+    running.tiles.update([tile(1)])
+    running.saver.ask_to_save(answers)
+    assert answers.came.acquire(timeout=10.0)
+    (tmp_path / "map" / "notes").write_text("in the way")
+    running.saver.ask_to_save(answers, "notes")
+    assert answers.came.acquire(timeout=10.0)
+    saved, fault = answers.heard[1]
+    assert saved is None
+    assert f"cannot save the map to {tmp_path}/map/notes: [Errno 17] File exists" in fault
+    running.tiles.update([tile(2)])
+    running.saver.ask_to_save(answers)
+    assert answers.came.acquire(timeout=10.0)
+    assert answers.heard[2] == (SavedMap(tmp_path / "map", 2, 2), "")
+
+
 def test_the_map_before_a_reset_is_saved_whole_and_the_next_goes_beside_it(
     running: Kept, answers: Answers, tmp_path: Path
 ):
