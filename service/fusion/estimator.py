@@ -154,15 +154,16 @@ class Estimator:
         way, turns = self._filter.noise.tolist()
         gyro = float(self._filter.gyro_noise[0])
         if max(way, turns) > FAULT_NOISE:
-            of = "in way" if way >= turns else "in turns"
+            of = "distance" if way >= turns else "turns"
             return (
-                f"odometry contradicts the scans ({math.sqrt(max(way, turns)):.0f} times its noise {of}) and "
-                "has that much less weight; do wheels slip, is a sign wrong, is an encoder dead?"
+                f"odometry contradicts the scans ({of} off by {math.sqrt(max(way, turns)):.0f} times the "
+                "noise of its model) and loses weight; do wheels slip, is a sign wrong, is an encoder dead?"
             )
         if gyro > FAULT_NOISE:
             return (
-                f"the IMU's turns contradict the scans ({math.sqrt(gyro):.0f} times their noise) and "
-                "have that much less weight; is it mounted upside down, is its unit rad/s, is its bias large?"
+                f"the IMU's turns contradict the scans (off by {math.sqrt(gyro):.0f} times the noise of "
+                "their model) and lose weight; is it mounted upside down, is its unit rad/s, is its "
+                "bias large?"
             )
         return ""
 

@@ -132,35 +132,36 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, str]:
     agreement = evidence.on_map / known if known else 0.0
     if known and agreement < (LEAST_AGREEMENT_FAR if evidence.is_far else LEAST_AGREEMENT):
         return "lost", (
-            f"{_on_map(evidence)} and {evidence.in_free / max(evidence.used, 1):.0%} where it knows that "
-            "nothing stands: "
-            "this is another place, or much has changed; the pose follows the prediction"
+            f"{_on_map(evidence)} and {evidence.in_free / max(evidence.used, 1):.0%} in its free space: "
+            "another place, or one that has changed much; the pose follows the prediction"
         )
     least = limits.degraded_ratio if evidence.is_far else limits.lost_ratio
     if ratio < least and not (evidence.is_measured and not is_loose(evidence.prior) and ratio >= LEAST_KNOWN):
         return "lost", f"{_on_map(evidence)} (at least {least:.0%}); the pose follows the prediction"
     if evidence.sigma[0] > LOST_SIGMA_M or evidence.sigma[1] > LOST_SIGMA_RAD:
         return "lost", (
-            f"the position on the map is known to {evidence.sigma[0]:.2f} m and "
-            f"{math.degrees(evidence.sigma[1]):.0f} deg only (at most {LOST_SIGMA_M} m, "
+            f"the pose on the map is uncertain by {evidence.sigma[0]:.2f} m and "
+            f"{math.degrees(evidence.sigma[1]):.0f} deg (sigma, at most {LOST_SIGMA_M} m and "
             f"{math.degrees(LOST_SIGMA_RAD):.0f} deg)"
         )
     if ratio < limits.degraded_ratio:
         return "degraded", (
-            f"{_on_map(evidence)} (expected {limits.degraded_ratio:.0%}): new ground, or much has changed"
+            f"{_on_map(evidence)} (expected {limits.degraded_ratio:.0%}): unmapped ground, or a place that "
+            "has changed much"
         )
     if evidence.sigma[0] > MOST_SIGMA_M or evidence.sigma[1] > MOST_SIGMA_RAD:
         return "degraded", (
-            f"the position on the map is known to {evidence.sigma[0]:.2f} m and "
-            f"{math.degrees(evidence.sigma[1]):.1f} deg (expected {MOST_SIGMA_M} m, "
+            f"the pose on the map is uncertain by {evidence.sigma[0]:.2f} m and "
+            f"{math.degrees(evidence.sigma[1]):.1f} deg (sigma, expected at most {MOST_SIGMA_M} m and "
             f"{math.degrees(MOST_SIGMA_RAD):.0f} deg)"
         )
     sigma_m, direction_rad = evidence.weakest
     if sigma_m > limits.degraded_sigma_m:
         return "degraded", (
-            "the walls in view do not fix the position along "
-            f"{math.degrees(direction_rad) % 180.0:.0f} deg of the vehicle (sigma {sigma_m:.2f} m); "
-            "the prediction holds it"
+            "the scan does not fix the position along the direction "
+            f"{math.degrees(direction_rad) % 180.0:.0f} deg from the vehicle's heading (sigma "
+            f"{sigma_m:.2f} m, expected at most {limits.degraded_sigma_m:g} m); there the pose follows the "
+            "prediction"
         )
     return "ok", ""
 
@@ -171,9 +172,9 @@ def drift_of(covariance: npt.NDArray[np.float64]) -> str:
     if sigma_m <= MOST_DRIFT_M and sigma_rad <= MOST_DRIFT_RAD:
         return ""
     return (
-        "the way since known ground was seen last has drifted: the pose in the map is known to "
-        f"{sigma_m:.2f} m and {math.degrees(sigma_rad):.1f} deg only (expected {MOST_DRIFT_M} m, "
-        f"{math.degrees(MOST_DRIFT_RAD):.0f} deg); drive past a place that was mapped before"
+        f"the pose has drifted without loop closures: in the map it is uncertain by {sigma_m:.2f} m and "
+        f"{math.degrees(sigma_rad):.1f} deg (sigma, expected at most {MOST_DRIFT_M} m and "
+        f"{math.degrees(MOST_DRIFT_RAD):.0f} deg); drive past a place that is mapped already"
     )
 
 

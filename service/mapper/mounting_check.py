@@ -1,4 +1,4 @@
-"""Whether a laser sits where its config says: its scans against a map that other lasers have made.
+"""Whether a laser is mounted as configured: its scans against a map that other lasers have made.
 
 A mounting that is wrong by some degrees cannot be seen in that laser's own map: it agrees with itself. Taken
 for right it tears the map of the others. So a laser that joins others is laid on their map first, without a
@@ -15,7 +15,7 @@ from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
 
 TOLERANCE = np.diag([0.03, 0.03, math.radians(0.5)]) ** 2  # m, m, rad: how well people measure a mounting
-SEARCHED = np.diag([0.10, 0.10, math.radians(6.0)]) ** 2  # where its scans are looked for meanwhile
+SEARCHED = np.diag([0.10, 0.10, math.radians(6.0)]) ** 2  # sigmas of the search for its scans meanwhile
 SAME_ERRORS = 20.0  # scans that see the same errors of the map
 BATCH_SCANS = 25  # after which an offset is judged
 KNOWN_RAD, KNOWN_M = math.radians(0.3), 0.02  # the heading, and the position in its best direction
@@ -66,8 +66,8 @@ class MountingCheck:
         if self._missed >= BATCH_SCANS:
             self._begin_batch()
             self.fault = (
-                "does not fit the map of the others, not even turned by some degrees or moved by a hand; "
-                "it is not mapped. Is its mounting as configured?"
+                "does not fit the map of the other lasers, even after a search around its configured "
+                "mounting; it is not mapped. Is the mounting as configured?"
             )
 
     def _begin_batch(self) -> None:
@@ -88,6 +88,7 @@ class MountingCheck:
         self.fault = ""
         if not self.is_right:
             self.fault = (
-                f"sits {math.degrees(turn_rad):+.1f} deg, {x_m:+.2f} m ahead and {y_m:+.2f} m left of where "
-                "its mounting says, against the map of the others; it is not mapped. Measure its mounting"
+                f"is off its configured mounting by {math.degrees(turn_rad):+.1f} deg, {x_m:+.2f} m ahead "
+                f"and {y_m:+.2f} m left, measured on the map of the other lasers; it is not mapped. Measure "
+                "the mounting and correct the config"
             )

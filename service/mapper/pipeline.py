@@ -28,7 +28,7 @@ from service.mapper.saved_graph import KeptGraph, SavedGraph
 from service.mapper.scan_check import ScanCheck
 from service.outputs import GraphPicture, MapperOutput, State, TileUpdate
 
-UNPROVEN = "found in the stored map by what is seen from one spot; drive on some metres to prove it"
+UNPROVEN = "localised in the stored map from one viewpoint; drive on some metres to confirm it"
 MOST_BEHIND_NS = 250_000_000  # that a sweep may have begun before the newest pose: a slow laser beside a fast
 WELL_NS = 500_000_000  # so long a scan that lay on the map vouches for the place
 
@@ -193,7 +193,7 @@ class Mapper(Generic[ReadableMap]):
             match = replace(match, state="degraded", reason=UNPROVEN)
         if match.state == "lost" and self.pose_refused is not None:
             x_m, y_m, _ = self.pose_refused
-            said = f"the pose set at ({x_m:.1f}, {y_m:.1f}) m is given up: what is seen does not fit there; "
+            said = f"the pose set at ({x_m:.1f}, {y_m:.1f}) m is rejected: no scan matches the map there; "
             match = replace(match, reason=said + match.reason)
         if match.state != "lost" and not self._is_localizing:  # nothing is drawn where nobody knows the place
             s.free_space.insert(match.points, pose_map_odom @ match.motion.pose_odom_base)
@@ -202,11 +202,11 @@ class Mapper(Generic[ReadableMap]):
         return self._output(at_ns, match.motion, match.state, match.reason, match.inlier_ratio)
 
     def _unplaced(self, reason: str) -> str:
-        """Why a session in a stored map is lost still."""
+        """Why a session in a stored map is `lost`."""
         if self._alike:
             places = " and ".join(f"({x_m:.1f}, {y_m:.1f}) m" for x_m, y_m in self._alike)
-            return f"what is seen fits the stored map at {places} alike; drive on, or set the pose"
-        return reason or "the vehicle is looked for in the stored map; drive on, or set the pose"
+            return f"the scans match the stored map equally well at {places}; drive on, or set the pose"
+        return reason or "not localised in the stored map yet; drive on, or set the pose"
 
     def _compared(
         self, scan: LaserScan, at_ns: int, laser: "LaserWatch", points: Points, predicted: Prediction
@@ -240,16 +240,18 @@ class Mapper(Generic[ReadableMap]):
         """A scan that fits nowhere while those of another laser do: its laser is wrong, not the place."""
         self.counters[f"scans_contradicting_{scan.sensor}"] += 1
         reason = (
-            f"{scan.sensor} contradicts the map that {well} confirms ({match.reason}); it is left out. "
-            "Is its mounting as configured, is its window clean?"
+            f"{scan.sensor} contradicts the map that {well} confirms ({match.reason}); its scan is not "
+            "mapped. Is its mounting as configured, is its window clean?"
         )
         return self._output(at_ns, match.motion, "degraded", reason, match.inlier_ratio)
 
     def _passed_over(self, scan: LaserScan, at_ns: int) -> MapperOutput:
-        """A scan that says nothing: the pose follows the prediction, and nothing is mapped."""
+        """A scan that equals the one before: the pose follows the prediction, and nothing is mapped."""
         self.counters["scans_repeated"] += 1
         motion = self._stages.motion_model.correct(None)
-        reason = f"{scan.sensor}: the same scan comes again though the vehicle moves; does the laser hang?"
+        reason = (
+            f"{scan.sensor}: identical scans although the vehicle moves; has the laser stopped measuring?"
+        )
         state: State = "degraded" if self._well_besides(scan.sensor, at_ns) else "lost"
         return self._output(at_ns, motion, state, reason, 0.0)
 

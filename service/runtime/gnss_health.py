@@ -10,16 +10,16 @@ RECENT_NS = 10_000_000_000  # what was counted within so long is said
 
 # By counter, the worst first: level and words.
 FAULTS = {
-    "fixes_frozen": (WARNING, "the receiver repeats one position while the vehicle moves; does it hang?"),
-    "fixes_impossible": (WARNING, "positions that are not on the earth; what does the receiver send?"),
+    "fixes_frozen": (WARNING, "the receiver repeats one position while the vehicle moves; is it stuck?"),
+    "fixes_impossible": (WARNING, "fixes with impossible coordinates; is the receiver set up correctly?"),
     "fixes_contradicting": (
         WARNING,
-        "fixes contradict the way driven and are not used; walls that reflect, a jump, or a wrong lever arm",
+        "fixes contradict the driven path and are not used: multipath, a jump, or a wrong lever arm",
     ),
-    "fixes_of_another_receiver": (WARNING, "a second receiver is heard; only the first one is used"),
+    "fixes_of_another_receiver": (WARNING, "fixes of a second receiver; only the first receiver is used"),
     "fixes_without_covariance": (
         WARNING,
-        "fixes that do not say how good they are cannot be used; let the receiver send its accuracy",
+        "fixes without a covariance are not used; configure the receiver to send its accuracy",
     ),
     "fixes_out_of_order": (WARNING, "fixes whose stamps do not rise"),
     "fixes_without_scans": (WARNING, "fixes from moments without scans"),
@@ -48,7 +48,7 @@ class GnssHealth:
         self._counted = fixes
         values = {name: str(count) for name, count in sorted(fixes.items())}
         values["referenced"] = str(reference is not None).lower()
-        level, words = OK, "not referenced yet: fixes have to agree with the way over some 100 to 300 m"
+        level, words = OK, "not referenced yet: fixes must agree with 100 to 300 m of the driven path"
         if reference is not None:
             yaw_sigma_deg = math.degrees(reference.yaw_sigma_rad)
             values |= {

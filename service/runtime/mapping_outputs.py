@@ -125,9 +125,9 @@ class MappingOutputs:
             return ""
         since_s = (now_ns - self._overloaded_since_ns) / 1e9
         return (
-            f"overloaded for {since_s:.0f} s: {len(recent)} scans of the last second were passed over, "
-            f"having waited up to {self._oldest_age_ns / 1e6:.0f} ms; odometry carries the pose meanwhile. "
-            "Does another program take the processor?"
+            f"overloaded for {since_s:.0f} s: {len(recent)} scans of the last second were not mapped, "
+            f"having waited up to {self._oldest_age_ns / 1e6:.0f} ms; the pose follows the prediction "
+            "meanwhile. Does another program take the processor?"
         )
 
     @property
@@ -163,7 +163,7 @@ class MappingOutputs:
     def _pose_refused(self, refused: PoseRefused) -> None:
         at = {"x_m": refused.x_m, "y_m": refused.y_m, "theta_rad": refused.theta_rad}
         log.warning(
-            "set_pose: the pose (%.2f, %.2f) m, %.2f rad is given up: what is seen does not fit there; "
+            "set_pose: the pose (%.2f, %.2f) m, %.2f rad is rejected: no scan matches the map there; "
             "set another one, or drive on",
             refused.x_m,
             refused.y_m,

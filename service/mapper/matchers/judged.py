@@ -39,7 +39,7 @@ MOST_WIDENING = 16.0
 MOST_REST_S = 1.0  # wide searches take longer, so they rest longer
 STANDS = "the scan fits where the prediction is, and nowhere beside it; the prediction holds it"
 ANEW_M = 5.0  # measured way of a lost vehicle, after which the map begins anew
-UNCONFIRMED = "the scan fits where the prediction may be; it is accepted once the next one fits there too"
+UNCONFIRMED = "the scan fits the map at a place that the prediction allows; a second scan has to confirm it"
 
 SomeKnownMap = TypeVar("SomeKnownMap", bound=KnownMap)
 KnownMap_contra = TypeVar("KnownMap_contra", bound=KnownMap, contravariant=True)
@@ -115,7 +115,7 @@ class JudgedMatching:
                 points,
                 match.inlier_ratio,
                 "degraded",
-                f"{match.reason}; not found over {self._lost_way_m:.0f} m: the map begins anew here",
+                f"{match.reason}; not relocalised over {self._lost_way_m:.0f} m: a new map begins here",
             )
         self._is_lost = match.state == "lost"
         if not self._is_lost:

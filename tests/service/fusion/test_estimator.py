@@ -306,6 +306,6 @@ def test_a_source_far_beyond_its_noise_is_named() -> None:
     assert model.fault.startswith("the IMU's turns contradict the scans (")
     model._filter.noise[1] = 4.0 * FAULT_NOISE
     assert model.fault.startswith("odometry contradicts the scans (")
-    assert "in turns" in model.fault
+    assert "turns off by" in model.fault
     model._filter.noise[0] = 9.0 * FAULT_NOISE
-    assert "in way" in model.fault
+    assert "distance off by" in model.fault

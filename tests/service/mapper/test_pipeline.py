@@ -71,7 +71,7 @@ def test_how_well_a_pose_is_known_goes_on_from_what_the_graph_says_and_drift_is_
     after = next(output for frame in frames if (output := mapper.process(frame)) is not None)
     np.testing.assert_allclose(after.covariance, KnowingGraph.covariance, atol=1e-3)
     assert after.state == "degraded"
-    assert "known to 1.00 m" in after.reason
+    assert "uncertain by 1.00 m" in after.reason
 
 
 def test_nothing_is_rendered_while_lost_and_a_piece_is_mapped_apart():
@@ -157,7 +157,9 @@ def test_a_laser_that_is_turned_against_its_mounting_is_not_mapped_and_told_by_h
     reasons, mapper, farthest_m = rear_mounted_at(REAR @ SE2(0.0, 0.0, math.radians(4.0)))
     (reason,) = reasons
     assert re.match(
-        r"rear sits -(3\.[89]|4\.[01]) deg, [+-]0\.0\d m ahead and [+-]0\.0\d m left of where", reason
+        r"rear is off its configured mounting by -(3\.[89]|4\.[01]) deg, [+-]0\.0\d m ahead and "
+        r"[+-]0\.0\d m left",
+        reason,
     )
     assert mapper.counters["scans_compared_rear"] > 60
     assert farthest_m < 0.01
@@ -165,7 +167,7 @@ def test_a_laser_that_is_turned_against_its_mounting_is_not_mapped_and_told_by_h
 
 def test_a_laser_that_is_mounted_somewhere_else_is_not_mapped_and_named():
     reasons, _, farthest_m = rear_mounted_at(SE2(1.5, 0.8, 2.0))
-    assert any(reason.startswith("rear does not fit the map of the others") for reason in reasons)
+    assert any(reason.startswith("rear does not fit the map of the other lasers") for reason in reasons)
     assert farthest_m < 0.01
 
 
@@ -204,7 +206,7 @@ def test_a_laser_that_hangs_is_named_while_another_sees_on():
             frame = replace(frame, range_m=held.range_m)
         output = mapper.process(frame)
         if output is not None and frame.stamp_ns > 2_000_000_000:
-            said.append((frame.sensor, output.state, "does the laser hang" in output.reason))
+            said.append((frame.sensor, output.state, "has the laser stopped measuring" in output.reason))
     assert {("front", "ok", False), ("rear", "degraded", True)} == set(said)
 
 

@@ -157,7 +157,7 @@ def test_the_free_direction_of_a_corridor_is_held_on_odometry() -> None:
     assert np.abs(away[:, 1]).max() < 0.02
     assert np.degrees(np.abs(away[:, 2]).max()) < 0.15
     last = outputs[-1]
-    warned = [output for output in outputs if "do not fix the position along" in output.reason]
+    warned = [output for output in outputs if "does not fix the position along" in output.reason]
     assert {output.state for output in warned} == {"degraded"}
     assert len(warned) > len(outputs) // 2
     along_m, across_m = np.sqrt(np.diag(last.covariance)[:2])

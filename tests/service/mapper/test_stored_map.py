@@ -170,9 +170,7 @@ def test_a_pose_that_does_not_fit_is_given_up_and_that_is_told(first):
     mapper.graph.request("set_pose", {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5})
     reasons = [output.reason for output in outputs_of(mapper, elsewhere.frames)]
     assert not reasons[0].startswith("the pose set")
-    assert reasons[-1].startswith(
-        "the pose set at (1.0, 2.0) m is given up: what is seen does not fit there; "
-    )
+    assert reasons[-1].startswith("the pose set at (1.0, 2.0) m is rejected: no scan matches the map there; ")
     assert mapper.counters["set_pose_given_up"] == 1
     assert mapper.pose_refused == (1.0, 2.0, 0.5)
     mapper.graph.request("set_pose", {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5})

@@ -211,7 +211,7 @@ def test_a_graph_that_does_no_work_is_a_warning():
 def test_an_overloaded_mapper_is_a_warning_with_its_figures():
     made = report(streaming())
     made._outputs.last = Mapped(1, 1, 1, "ok", "", 0.9, 1, ())
-    made._outputs.overload = lambda: "overloaded for 3 s: 12 scans of the last second were passed over"
+    made._outputs.overload = lambda: "overloaded for 3 s: 12 scans of the last second were not mapped"
     told = status(made, "mapping")
     assert (told.level, told.values["state"]) == (WARNING, "overloaded")
     assert told.message.startswith("overloaded for 3 s: 12 scans")

@@ -217,7 +217,7 @@ def test_a_pose_that_is_given_up_is_an_event_once_and_none_when_there_is_news(ca
     events = [json.loads(decode_event(m.payload)) for m in run.recorded if m.channel == "events"]
     told = {"event": "set_pose_given_up", "x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5}
     assert events == [told, told]
-    assert "(1.00, 2.00) m, 0.50 rad is given up" in caplog.text
+    assert "(1.00, 2.00) m, 0.50 rad is rejected" in caplog.text
 
 
 def scans_in_turn(count: int) -> list[LaserScan]:
@@ -307,7 +307,7 @@ def test_a_scan_that_has_waited_too_long_is_passed_over_and_the_recording_says_s
     assert event.log_ns - OFFSET_NS == 59  # right before its scan
     assert decode_step(event.payload, event.log_ns) == LeftOut("front", "old", event.log_ns)
     assert run.outputs.passed_over == {"front": 1}
-    assert "1 scans of the last second were passed over, having waited up to 50 ms" in run.outputs.overload()
+    assert "1 scans of the last second were not mapped, having waited up to 50 ms" in run.outputs.overload()
     run.link.now_ns += 10**9 + 1
     assert run.outputs.overload() == ""
 

@@ -147,7 +147,7 @@ class SurfelGaussNewton:
         if detached.state == "lost":
             return held(points, predicted, laid.reason, laid.result.share)
         return self._as_match(
-            detached, attempt, "lost", f"{laid.reason}; what is seen now is mapped apart until it is found"
+            detached, attempt, "lost", f"{laid.reason}; a detached map begins here until its place is found"
         )
 
     def _is_found(self, laid: _Laid, attempt: _Attempt) -> bool:

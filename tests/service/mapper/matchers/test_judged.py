@@ -153,7 +153,7 @@ def test_a_vehicle_that_is_not_found_over_a_long_way_begins_its_map_anew(room: G
     matches = lost_over(ANEW_M, room, [square()])
     assert [match.state for match in matches[:-1]] == ["lost"] * (len(matches) - 1)
     assert matches[-1].state == "degraded"
-    assert "begins anew" in matches[-1].reason
+    assert "a new map begins here" in matches[-1].reason
     assert matches[-1].measured is None
     assert room.is_empty
 
