@@ -9,6 +9,7 @@ import logging
 import math
 import mmap
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -69,6 +70,26 @@ class TilePool:
             self.arrays = [np.zeros((capacity, *layer.shape), layer.dtype) for layer in layers]
         self.free = np.empty(capacity, np.int32)
         self.counts = np.zeros(2, np.int64)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For pickle: the slots that were ever taken. The rest is address space, which weighs nothing here."""
+        released, taken = self.counts.tolist()
+        return {
+            "layers": self._layers,
+            "capacity": self.capacity,
+            "arrays": [array[:taken] for array in self.arrays],
+            "free": self.free[:released],
+            "counts": self.counts,
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(state["layers"], state["capacity"])  # type: ignore[misc]
+        released, taken = state["counts"].tolist()
+        self.make_room(taken)
+        for array, held in zip(self.arrays, state["arrays"], strict=True):
+            array[:taken] = held
+        self.free[:released] = state["free"]
+        self.counts[:] = state["counts"]
 
     @property
     def capacity(self) -> int:

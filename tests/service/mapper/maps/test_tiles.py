@@ -1,5 +1,6 @@
 import logging
 import mmap
+import pickle
 
 import numpy as np
 import pytest
@@ -43,6 +44,20 @@ def test_a_map_grows_in_all_directions_without_moving_a_cell() -> None:
         assert read(tile_map, row, column) == k + 1
     assert {(row, column): slot for row, column, slot in tile_map.tiles()} == places
     assert np.isnan(read(tile_map, 2, 2))
+
+
+def test_a_pickled_map_is_the_same_and_weighs_what_its_tiles_do() -> None:
+    tile_map = TileMap(TilePool(LAYERS, 1 << 20))
+    slots = [put(tile_map, 0, column, float(column)) for column in range(6)]
+    tile_map.pool.release(np.array(slots[2:4], np.int32))
+    pickled = pickle.dumps(tile_map)
+    assert len(pickled) < 4000
+    again = pickle.loads(pickled)
+    assert [read(again, 0, column) for column in range(6)] == [float(column) for column in range(6)]
+    assert again.pool.capacity == tile_map.pool.capacity
+    assert put(again, 9, 9, 1.0) == put(tile_map, 9, 9, 1.0) == slots[3]
+    assert put(again, 9, 8, 1.0) == put(tile_map, 9, 8, 1.0) == slots[2]
+    assert put(again, 9, 7, 1.0) == put(tile_map, 9, 7, 1.0) == 6
 
 
 def test_growing_step_by_step_is_rare() -> None:
