@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Generic, Literal, NamedTuple, Protocol, TypeVar, get_args
+from typing import Any, Generic, Literal, NamedTuple, Protocol, TypeVar, get_args, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -181,6 +181,28 @@ class LocalMap(Protocol):
 
     def join(self, piece: int) -> None:
         """The graph has found where a piece of the map lies in the rest."""
+        ...
+
+
+class Standing(NamedTuple):
+    """Cells in which something stands, and for how long it has.
+
+    xy_odom   (N, 2) float64   centres, m
+    share     (N,)   float64   of the time from which on a thing counts in full; above 0, at most 1
+    cell_m    float
+    """
+
+    xy_odom: npt.NDArray[np.float64]
+    share: npt.NDArray[np.float64]
+    cell_m: float
+
+
+@runtime_checkable
+class KnowsStanding(Protocol):
+    """A local map that counts how long things stand."""
+
+    def standing(self) -> Standing | None:
+        """Of what scans are matched to now; None where nothing is counted."""
         ...
 
 

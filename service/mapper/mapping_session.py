@@ -10,7 +10,7 @@ from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapper.components import FinishedGraph, Graph
 from service.mapper.saved_graph import KeptGraph, SavedGraph
-from service.outputs import GraphPicture, MapperOutput, TileUpdate
+from service.outputs import GraphPicture, Grid, MapperOutput, TileUpdate
 
 APPLY_AFTER_SCANS = 25  # half a second at 50 Hz: what a loop takes live on a busy machine
 
@@ -81,6 +81,7 @@ class FrameMapper(Protocol):
     def skip(self, scan: LaserScan) -> None: ...
     def changed_tiles(self) -> list[TileUpdate]: ...
     def tiles(self) -> list[TileUpdate]: ...
+    def standing(self) -> Grid | None: ...
     def apply_result(self) -> None: ...
     def finish(self) -> FinishedGraph: ...
 
@@ -171,6 +172,10 @@ class MappingSession:
     def tiles(self) -> list[TileUpdate]:
         """As Mapper.tiles."""
         return self._mapper.tiles()
+
+    def standing(self) -> Grid | None:
+        """As Mapper.standing."""
+        return self._mapper.standing()
 
     @property
     def geo_reference(self) -> GeoReference | None:

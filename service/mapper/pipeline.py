@@ -14,6 +14,7 @@ from service.mapper.components import (
     FinishedGraph,
     Graph,
     GraphUpdate,
+    KnowsStanding,
     MappedScan,
     Match,
     Placed,
@@ -23,10 +24,11 @@ from service.mapper.components import (
 )
 from service.mapper.judgement import drift_of
 from service.mapper.known_pose import KnownPose
+from service.mapper.maps.standing import draw_standing
 from service.mapper.mounting_check import MountingCheck
 from service.mapper.saved_graph import KeptGraph, SavedGraph
 from service.mapper.scan_check import ScanCheck
-from service.outputs import GraphPicture, MapperOutput, State, TileUpdate
+from service.outputs import GraphPicture, Grid, MapperOutput, State, TileUpdate
 
 UNPROVEN = "localised in the stored map from one viewpoint; drive on some metres to confirm it"
 MOST_BEHIND_NS = 250_000_000  # that a sweep may have begun before the newest pose: a slow laser beside a fast
@@ -61,6 +63,7 @@ class Mapper(Generic[ReadableMap]):
         self.graph_picture: GraphPicture | None = None  # the newest, for people to look at
         self._stopwatch = stopwatch if stopwatch is not None else NoStopwatch()
         self._last_ns: int | None = None  # moment of the newest pose
+        self._newest: MapperOutput | None = None
         self._lasers: dict[str, LaserWatch] = {}
         self._travelled_m = 0.0  # as predicted, from scan to scan
         self._state: tuple[State, str] = ("ok", "")  # and its reason, of the newest scan that was mapped
@@ -125,6 +128,16 @@ class Mapper(Generic[ReadableMap]):
     def tiles(self) -> list[TileUpdate]:
         """All tiles of the shown map as they are now, for who only looks on."""
         return self._stages.free_space.tiles()
+
+    def standing(self) -> Grid | None:
+        """How long things stand around the vehicle, as draw_standing has it, for who only looks on; None
+        where that is not counted or nothing is mapped yet.
+        """
+        local_map = self._stages.local_map
+        if self._newest is None or not isinstance(local_map, KnowsStanding):
+            return None
+        standing = local_map.standing()
+        return None if standing is None else draw_standing(standing, self._newest)
 
     @property
     def graph(self) -> Graph:
@@ -259,7 +272,7 @@ class Mapper(Generic[ReadableMap]):
         covariance = motion.covariance if self._known is None else self._known.covariance_at(motion)
         if state == "ok" and (drift := drift_of(covariance)):
             state, reason = "degraded", drift
-        return MapperOutput(
+        self._newest = MapperOutput(
             stamp_ns=at_ns,
             pose_odom_base=motion.pose_odom_base,
             pose_map_odom=self._pose_map_odom,
@@ -271,6 +284,7 @@ class Mapper(Generic[ReadableMap]):
             geo_reference=self.geo_reference,
             odom_covariance=motion.covariance,
         )
+        return self._newest
 
 
 class LaserWatch:

@@ -10,14 +10,21 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.frames import LaserScan
-from service.encoding import Pose, Status
+from service.encoding import STANDING, Pose, Status
 from service.errors import CorridorError
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
-from service.outputs import GraphPicture
+from service.outputs import GraphPicture, Grid
 from service.publishing.commands import Answer, refusal
 from service.web.mailbox import Payload
-from service.web.protocol import encode_graph, encode_scan, health_json, moment_json, mountings_json
+from service.web.protocol import (
+    encode_graph,
+    encode_scan,
+    encode_standing,
+    health_json,
+    moment_json,
+    mountings_json,
+)
 
 GO_TO = "moment_go_to"
 STALE_NS = 1_500_000_000  # older scans are not of the moment, as on the page of a running service
@@ -42,6 +49,7 @@ class Moment:
     scans        the newest of each laser, none STALE_NS older than the moment
     mountings    sensor -> pose_base_sensor
     graph        None: as it was shown before
+    standing     for how long things stand around the vehicle; None: that is not known
     statuses     with the Unix time, s, since when each is as it is
     events       Unix time, s, and text of each, oldest first
     map_words    of when the map is that lies below
@@ -54,6 +62,7 @@ class Moment:
     scans: Sequence[LaserScan] = ()
     mountings: Mapping[str, SE2] | None = None
     graph: GraphPicture | None = None
+    standing: Grid | None = None
     statuses: Sequence[tuple[Status, float]] = ()
     events: Sequence[tuple[float, str]] = ()
 
@@ -124,6 +133,7 @@ def payloads_of(moment: Moment, first_ns: int, last_ns: int) -> dict[str, Payloa
         payloads["health"] = health_json(statuses, since_s, delay_ms, moment.at_ns / 1e9)
     if moment.graph is not None:
         payloads["graph"] = encode_graph(moment.graph)
+    payloads[STANDING] = encode_standing(moment.standing)
     payloads |= {f"scan/{scan.sensor}": encode_scan(scan) for scan in moment.scans}
     return payloads
 

@@ -22,6 +22,7 @@ from service.encoding import (
     OCCUPANCY_GRID,
     ODOMETRY,
     STALE,
+    STANDING,
     STRING,
     TF,
     Message,
@@ -41,7 +42,7 @@ from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.offline.moments import STALE_NS, Moment, thinned
 from service.offline.view import tiles_of_grid
-from service.outputs import NO_GRAPH, GraphPicture, TileUpdate
+from service.outputs import NO_GRAPH, GraphPicture, Grid, TileUpdate
 from service.recording.mcap_reader import Recording
 from service.web.live_view import MOST_EVENTS, MOST_PATH_POINTS, PATH_STEP_M, UNTOLD
 
@@ -49,6 +50,7 @@ TOPICS = {
     "/pose": ODOMETRY,
     "/map": OCCUPANCY_GRID,
     f"/{GRAPH}": MARKERS,
+    f"/{STANDING}": OCCUPANCY_GRID,
     "/diagnostics": DIAGNOSTICS,
     "/events": STRING,
     "/tf_static": TF,
@@ -80,6 +82,7 @@ class RecordedMoments:
         self._pose_log_ns: list[int] = []
         self._map_log_ns: list[int] = []
         self._graph_log_ns: list[int] = []
+        self._standing_log_ns: list[int] = []
         self._new_map_log_ns: list[int] = []
         self._events: list[tuple[int, float, str]] = []  # log time, stamp in s, text
         self._health: list[tuple[int, Sequence[tuple[Status, float]]]] = []
@@ -123,6 +126,7 @@ class RecordedMoments:
             scans=scans,
             mountings=mountings,
             graph=self._graph(at_ns),
+            standing=self._standing(at_ns, since_ns),
             statuses=self._statuses(at_ns),
             events=[(s, text) for log_ns, s, text in self._events if log_ns <= at_ns][-MOST_EVENTS:],
         )
@@ -148,6 +152,8 @@ class RecordedMoments:
                     self._map_log_ns.append(log_ns)
                 case "graph":
                     self._graph_log_ns.append(log_ns)
+                case "standing":
+                    self._standing_log_ns.append(log_ns)
                 case "diagnostics":
                     self._health.append((log_ns, self._with_since(message)))
                 case "events":
@@ -214,6 +220,12 @@ class RecordedMoments:
     def _graph(self, at_ns: int) -> GraphPicture:
         log_ns = _newest(self._graph_log_ns, at_ns)
         return NO_GRAPH if log_ns is None else self._graph_of(log_ns)
+
+    def _standing(self, at_ns: int, since_ns: int) -> Grid | None:
+        log_ns = _newest(self._standing_log_ns, at_ns)
+        if log_ns is None or log_ns < since_ns:
+            return None
+        return decode_grid(self._message(f"/{STANDING}", log_ns).payload)
 
     def _read_tiles(self, log_ns: int) -> Sequence[TileUpdate]:
         return tiles_of_grid(decode_grid(self._message("/map", log_ns).payload))

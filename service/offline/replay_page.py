@@ -17,6 +17,7 @@ from drivers.frames import LaserScan
 from service.encoding import (
     ERROR,
     OK,
+    STANDING,
     WARNING,
     Status,
     encode_diagnostics,
@@ -36,6 +37,7 @@ from service.publishing.commands import Answer, refusal
 from service.recording.mcap_source import Session
 from service.web.access import new_token
 from service.web.config import WebConfig
+from service.web.protocol import encode_standing
 from service.web.server import About, WebServer
 
 PICTURE_S = 0.1  # pose and scans
@@ -140,6 +142,7 @@ class ReplayPage:
 
     def finished(self, tiles: Sequence[TileUpdate], poses_map_base: Sequence[SE2]) -> None:
         self._shown.take(tiles)
+        self._server.put_ready({STANDING: encode_standing(None)})  # told before the last loops
         self._show_graph()
         self._server.put_path(np.array([(p.x_m, p.y_m) for p in poses_map_base], np.float32).reshape(-1, 2))
         self._way.clear()
@@ -148,6 +151,7 @@ class ReplayPage:
 
     def _begin_map(self) -> None:
         self._shown.take([])
+        self._server.put_ready({STANDING: encode_standing(None)})
         self._server.put_path(np.empty((0, 2), np.float32))
         self._way.clear()
         self._server.put(encode_graph(NO_GRAPH, self._log_ns))
@@ -176,6 +180,7 @@ class ReplayPage:
         began_s = time.monotonic()
         self._shown.take(self._mapper.tiles())
         self._show_graph()
+        self._server.put_ready({STANDING: encode_standing(self._mapper.standing())})
         now_s = time.monotonic()
         self._tiles_due_s = now_s + max(TILES_S, LEAST_REST * (now_s - began_s))
 

@@ -42,6 +42,7 @@ from service.runtime.mapper_messages import (
     Ready,
     ResultApplied,
     Setup,
+    StandingDrawn,
     Status,
     Tiles,
     Unusable,
@@ -57,7 +58,9 @@ MOST_DEATHS = 4  # without an item done in between: then the service ends with a
 STANDBY_S = 5.0  # that a stand-by which has just been made may take to come here
 END_S = 2.0
 
-Heard = Mapped | PassedOver | ResultApplied | Unusable | Tiles | Status | GraphDrawn | PoseRefused
+Heard = (
+    Mapped | PassedOver | ResultApplied | Unusable | Tiles | Status | GraphDrawn | StandingDrawn | PoseRefused
+)
 
 
 class MapperListener(Protocol):

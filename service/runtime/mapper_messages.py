@@ -13,7 +13,7 @@ from service.encoding import Message
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapper.mapping_session import SessionAction
-from service.outputs import GraphPicture, State, TileUpdate
+from service.outputs import GraphPicture, Grid, State, TileUpdate
 
 
 class FrameItem(NamedTuple):
@@ -120,6 +120,13 @@ class GraphDrawn(NamedTuple):
     """The graph of the present map, for people to look at."""
 
     picture: GraphPicture
+
+
+class StandingDrawn(NamedTuple):
+    """How long things stand around the vehicle, for people to look at; see Mapper.standing."""
+
+    grid: Grid
+    stamp_ns: int  # Unix time of the newest scan in it
 
 
 class Progress(NamedTuple):

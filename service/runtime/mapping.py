@@ -27,6 +27,7 @@ from service.runtime.mapper_messages import (
     PoseRefused,
     ResultApplied,
     SessionItem,
+    StandingDrawn,
     Status,
     Tiles,
     Unusable,
@@ -35,6 +36,8 @@ from service.runtime.mapper_messages import (
 TILE_INTERVAL_NS = 200_000_000
 TILES_OVERDUE_NS = 1_000_000_000  # then they are handed over though items wait
 STATUS_INTERVAL_NS = 200_000_000
+STANDING_INTERVAL_NS = 2_000_000_000
+STANDING_OVERDUE_NS = 8_000_000_000  # then it is drawn though items wait, which takes 1 to 3 ms
 MOST_AGE_NS = 50_000_000  # of a scan when its mapping begins, or two of its periods if that is more
 
 
@@ -76,7 +79,8 @@ class MappingLoop:
         self._send = send
         self._upside_down = frozenset(upside_down)
         self._monotonic_ns = monotonic_ns
-        self._tiles_due_ns = self._status_due_ns = 0
+        self._tiles_due_ns = self._status_due_ns = self._standing_due_ns = 0
+        self._standing_stamp_ns = 0  # of the newest scan in what was drawn last
         self._told_graph: Any = None  # the newest checkpoint that ingest knows of
         self._shown_graph: GraphPicture | None = None  # the newest that ingest has
         self._told_refused: tuple[float, float, float] | None = None
@@ -119,6 +123,9 @@ class MappingLoop:
         if self.is_up_to_date and now_ns >= self._tiles_due_ns + (0 if is_idle else TILES_OVERDUE_NS):
             self._tiles_due_ns = now_ns + TILE_INTERVAL_NS
             self.hand_over_tiles()
+        if now_ns >= self._standing_due_ns + (0 if is_idle else STANDING_OVERDUE_NS):
+            self._standing_due_ns = now_ns + STANDING_INTERVAL_NS
+            self._show_standing()
         if now_ns >= self._status_due_ns:
             self._status_due_ns = now_ns + STATUS_INTERVAL_NS
             self._show_graph()
@@ -142,6 +149,13 @@ class MappingLoop:
         if picture is not self._shown_graph and self.is_up_to_date:
             self._shown_graph = picture
             self._send(GraphDrawn(picture if picture is not None else NO_GRAPH))
+
+    def _show_standing(self) -> None:
+        if not self.is_up_to_date or self._map_stamp_ns == self._standing_stamp_ns:
+            return
+        self._standing_stamp_ns = self._map_stamp_ns
+        if (grid := self.mapper.standing()) is not None:
+            self._send(StandingDrawn(grid, self._map_stamp_ns))
 
     def tell_status(self) -> None:
         self._send(

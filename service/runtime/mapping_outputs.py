@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from service.encoding import APPLY_RESULT, Message, encode_event, encode_graph
+from service.encoding import APPLY_RESULT, STANDING, Message, encode_event, encode_graph, encode_grid
 from service.geometry.geo_reference import GeoReference
 from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
@@ -22,6 +22,7 @@ from service.runtime.mapper_messages import (
     PassedOver,
     PoseRefused,
     ResultApplied,
+    StandingDrawn,
     Status,
     Tiles,
     Unusable,
@@ -93,6 +94,8 @@ class MappingOutputs:
                 self._graph_kept(message)
             case GraphDrawn():
                 self._put(encode_graph(message.picture, self._log_ns()), None)
+            case StandingDrawn():
+                self._put(encode_grid(message.grid, message.stamp_ns, self._log_ns(), STANDING), None)
             case Unusable():
                 self.unusable[message.sensor] += 1
                 self.unusable_scans += message.is_mapped_scan

@@ -18,12 +18,14 @@ from service.encoding import (
     APPLY_RESULT,
     BASE_FRAME,
     GRAPH,
+    STANDING,
     Message,
     Status,
     decode_diagnostics,
     decode_event,
     decode_frame,
     decode_graph,
+    decode_grid,
     decode_pose,
     decode_transforms,
     decode_upside_down,
@@ -35,6 +37,7 @@ from service.web.protocol import (
     encode_graph,
     encode_path,
     encode_scan,
+    encode_standing,
     health_json,
     mountings_json,
     pose_json,
@@ -185,10 +188,10 @@ class LiveView:
         with self._lock:
             self._came.ready.update(payloads)
 
-    def map_reset(self) -> Shown:
-        """The map begins anew, and with it the path."""
+    def map_reset(self) -> list[Shown]:
+        """The map begins anew, and with it the path and what stands."""
         self._path.clear()
-        return Shown("path", self._path.payload())
+        return [Shown("path", self._path.payload()), self._keep(STANDING, encode_standing(None))]
 
     def _take(self, now_ns: int) -> _Streams:
         """What came. Scans whose laser was shown just now, a graph likewise, and latencies too new stay."""
@@ -231,6 +234,8 @@ class LiveView:
                 return self._health(message)
             case "", "graph":
                 return self._graph(message)
+            case "", "standing":
+                return [self._keep(STANDING, encode_standing(decode_grid(message.payload)))]
             case "", "tf_static":
                 return self._mountings(message)
             case _, "scan":

@@ -12,6 +12,10 @@ To the browser, text is JSON with a "type"; binary begins with a kind:
             points for each way and each border; the points of ways and borders, then both ends of each
             accepted and of each refused loop, as (f32 x_m, f32 y_m), map frame
 
+    STANDING u8 5, u8 0, u16 0, f32 cell_m, i32 column, i32 row of the lower left cell, counted from the map's
+            origin, u32 width, u32 height, then zlib of width x height x i8 by rows (-1 nothing stands, 1..100
+            for how long something has, per cent of what counts in full)
+
 All little-endian. From the browser only text comes: see `Asked`.
 """
 
@@ -28,9 +32,9 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from drivers.frames import LaserScan
 from service.encoding import Pose, Status
 from service.geometry.se2 import SE2
-from service.outputs import GraphPicture, TileUpdate
+from service.outputs import GraphPicture, Grid, TileUpdate
 
-TILES, SCAN, PATH, GRAPH = 1, 2, 3, 4
+TILES, SCAN, PATH, GRAPH, STANDING = 1, 2, 3, 4, 5
 RANGE_STEP_M = 0.005  # a tenth of a cell; 16 bits reach 327 m
 LARGEST_ASKED = 65_536  # bytes of one message from a browser
 DEFLATE_LEVEL = 1  # tiles are mostly of one value; higher levels cost more than they save
@@ -197,6 +201,16 @@ def encode_graph(picture: GraphPicture) -> bytes:
     parts = [*lines, picture.accepted, picture.refused]
     body = np.array(counts, "<u4").tobytes() + b"".join(part.astype("<f4").tobytes() for part in parts)
     return struct.pack("<BBH", GRAPH, 0, 0) + zlib.compress(body, DEFLATE_LEVEL)
+
+
+def encode_standing(grid: Grid | None) -> bytes:
+    """See service.mapper.maps.standing; None: of nothing it is known."""
+    if grid is None:
+        return struct.pack("<BBHfiiII", STANDING, 0, 0, 1.0, 0, 0, 0, 0) + zlib.compress(b"")
+    height, width = grid.cells.shape
+    column, row = round(grid.x_min_m / grid.cell_m), round(grid.y_min_m / grid.cell_m)
+    header = struct.pack("<BBHfiiII", STANDING, 0, 0, grid.cell_m, column, row, width, height)
+    return header + zlib.compress(np.ascontiguousarray(grid.cells, np.int8).tobytes(), DEFLATE_LEVEL)
 
 
 def _pose_fields(pose: Pose) -> dict[str, Any]:

@@ -311,7 +311,7 @@ class WebServer:
             shown.append(Shown("verbs", to_json("verbs", verbs=verbs)))
         if self._tiles.number != self._map_number:
             self._map_number = self._tiles.number
-            shown.append(self._view.map_reset())
+            shown += self._view.map_reset()
         return shown
 
     async def _carry_out(self, asked: CommandAsked | ResourceAsked) -> dict[str, Any]:

@@ -126,6 +126,14 @@ def take_replay(page: Page, frames: Sequence[Frame], folder: Path) -> None:
         page.element("fit").click()
         page.wait_for("return corridor.view.frames > arguments[0]", page.run("return corridor.view.frames"))
         page.driver.save_screenshot(str(IMAGES / "operator-replay.png"))
+        page.resize(DESKTOP, is_dark=True)
+        for layer in ("standing", "scans"):
+            page.run(f"document.getElementById('layer-{layer}').click()")
+        page.run("document.querySelector('.layers').open = true")
+        pose = page.report()["pose"]
+        page.look_at(pose["x_m"], pose["y_m"] + 1.0, 42.0)
+        save_picture(page, "static")
+        page.resize(DESKTOP)
     finally:
         page.run("return corridor.connection.command('replay_resume')")
         working.join()

@@ -5,8 +5,9 @@ import pytest
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 
-from service.encoding import decode_pose, encode_graph, encode_pose
-from service.outputs import NO_GRAPH, OCCUPIED, GraphPicture, TileUpdate
+from service.encoding import decode_pose, encode_graph, encode_grid, encode_pose
+from service.outputs import NO_GRAPH, OCCUPIED, GraphPicture, Grid, TileUpdate
+from tests.browser.conftest import DESKTOP
 from tests.browser.scene import CELL_M, EDGE, MOUNTINGS, stamp
 
 WALL, FREE, GROUND = [11, 18, 32], [255, 255, 255], [228, 232, 238]  # of the light theme
@@ -227,6 +228,41 @@ def test_the_graph_is_a_layer_with_its_parts_explained(page, scene, live):
     assert 0.4 < ink < 0.9  # dashes
     live.put(encode_graph(NO_GRAPH, stamp(2.0)))
     page.wait_for("return corridor.report().graph.keyFrames === 0")
+
+
+def test_the_static_score_is_a_layer_from_just_come_to_stands_for_long(page, scene, live):
+    hide_all_but_the_map(page)
+    page.driver.find_element("css selector", ".layers summary").click()
+    page.element("layer-standing").click()
+    assert "Nothing is told" in page.text("parts-standing")
+    cells = np.full((20, 30), -1, np.int8)
+    cells[10, 10], cells[10, 20] = 0, 100
+    live.put(encode_grid(Grid(0, 0.1, -1.0, 1.0, cells), stamp(1.0), stamp(1.0), "standing"))
+    page.wait_for("return corridor.view.standing.isKnown")
+    points = [(0.05, 2.05), (1.05, 2.05), (0.05, 2.15), (-1.05, 2.0), (5.0, 2.0)]
+    values = page.run("return arguments[0].map((xy) => corridor.view.standing.valueAt(...xy))", points)
+    assert values == [0, 100, -1, -1, -1]
+    words = page.run("return [...document.querySelectorAll('.standing-part')].map((e) => e.textContent)")
+    assert words == ["Just come: counts little", "Stands for long: counts in full"]
+    page.run("document.querySelector('.layers').open = false")
+    page.look_at(0.5, 2.0, 200.0)
+    assert page.pixel(0.05, 2.05) == [220, 38, 38]
+    assert page.pixel(1.05, 2.05) == [29, 78, 216]
+    assert page.pixel(0.55, 2.05) == FREE
+    page.run(
+        "const [x, y] = corridor.view.camera.toScreen(1.05, 2.05), map = document.getElementById('map'),"
+        " box = map.getBoundingClientRect();"
+        "map.dispatchEvent(new PointerEvent('pointermove', {clientX: box.left + x, clientY: box.top + y}))"
+    )
+    assert page.text("cursor").endswith("static score 100 %")
+    page.resize(DESKTOP, is_dark=True)
+    try:
+        page.look_at(0.5, 2.0, 200.0)
+        assert page.pixel(1.05, 2.05) == [110, 168, 255]
+    finally:
+        page.resize(DESKTOP)
+    scene.store.begin_anew()
+    page.wait_for("return !corridor.view.standing.isKnown")
 
 
 def test_what_changed_since_a_moment_is_a_layer(page, scene, live):

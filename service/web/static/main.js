@@ -46,6 +46,7 @@ const connection = new Connection({
   refused: ({ error }) => console.error(error),
   tiles: (message) => { view.putTiles(message); explainChange(); byId("empty").hidden = view.tiles.tiles.size > 0; },
   graph: (message) => { view.putGraph(message); explainLayers(); },
+  standing: (message) => { view.putStanding(message); explainStanding(); },
   path: (message) => view.putPath(message),
   scan: (message) => { if (view.putScan(message)) explainLayers(); },
   mountings: ({ pose_base_sensor }) => { view.mountings = pose_base_sensor; },
@@ -122,7 +123,7 @@ function showFollow() {
   byId("follow").setAttribute("aria-pressed", String(view.follows));
 }
 
-const LAYERS = { map: "Map", path: "Path", graph: "Pose graph", change: "Change", scans: "Scans", vehicle: "Vehicle with its 95 % ellipse", grid: "Grid" };
+const LAYERS = { map: "Map", standing: "Static score", path: "Path", graph: "Pose graph", change: "Change", scans: "Scans", vehicle: "Vehicle with its 95 % ellipse", grid: "Grid" };
 
 const GRAPH_PARTS = { keyFrames: "Key frames", accepted: "Loops that hold", refused: "Loops not believed", borders: "Sub-maps" };
 
@@ -133,6 +134,7 @@ function setUpLayers() {
     box.addEventListener("change", () => {
       view.layers[layer] = box.checked;
       if (layer === "change") compareFromNow();
+      if (layer === "standing") explainStanding();
       view.invalidate();
     });
     byId("layers").append(element("label", {}, box, words), element("div", { className: "parts", id: `parts-${layer}` }));
@@ -158,7 +160,16 @@ function explainLayers() {
   const parts = Object.entries(GRAPH_PARTS).filter(([part]) => counts[part] > 0);
   byId("parts-graph").replaceChildren(...parts.map(([part, words]) => explained(`${words}: ${counts[part]}`, graph[part], "graph-part")));
   explainChange();
+  explainStanding();
   byId("parts-scans").replaceChildren(...view.sensors.map((sensor) => explained(sensor, view.colourOf(sensor), "laser")));
+}
+
+/** What its colours mean; what it is told of, only once it is on. */
+function explainStanding() {
+  const [fresh, full] = [view.colours.standing.fresh, view.colours.standing.full].map((rgba) => `rgb(${rgba.slice(0, 3)})`);
+  byId("parts-standing").replaceChildren(...(!view.layers.standing ? []
+    : !view.standing.isKnown ? [element("span", {}, "Nothing is told of it now")]
+      : [explained("Just come: counts little", fresh, "standing-part"), explained("Stands for long: counts in full", full, "standing-part")]));
 }
 
 function explainChange() {
@@ -186,7 +197,9 @@ gestures.onHover = ([sx, sy]) => {
   const [x_m, y_m] = view.camera.toMap(sx, sy);
   const value = view.tiles.valueAt(x_m, y_m);
   const cell = value < 0 ? "unknown" : `${value} % occupied`;
-  setText(byId("cursor"), `x ${fixed(x_m, 2, " m")}  y ${fixed(y_m, 2, " m")}  ${cell}`);
+  const stands = view.layers.standing ? view.standing.valueAt(x_m, y_m) : -1;
+  const score = stands < 0 ? "" : `  static score ${stands} %`;
+  setText(byId("cursor"), `x ${fixed(x_m, 2, " m")}  y ${fixed(y_m, 2, " m")}  ${cell}${score}`);
 };
 
 const toggleFollow = () => { view.follow(!view.follows); showFollow(); };

@@ -5,6 +5,7 @@ import { compose, ellipse, PoseTrack } from "./geometry.js";
 import { GraphLayer } from "./graph_layer.js";
 import { ChangeLayer } from "./change_layer.js";
 import { metres } from "./format.js";
+import { StandingLayer } from "./standing_layer.js";
 import { RANGE_STEP_M } from "./protocol.js";
 import { TileMap } from "./tiles.js";
 
@@ -33,9 +34,10 @@ export class MapView {
     this.scans = new Map(); // sensor -> {scan, arrived_ms}
     this.sensors = []; // lasers in the order in which they were first seen: gives each its colour
     this.mountings = {};
-    this.layers = { map: true, path: true, graph: false, change: false, scans: true, vehicle: true, grid: true };
+    this.layers = { map: true, path: true, standing: false, graph: false, change: false, scans: true, vehicle: true, grid: true };
     this.graph = new GraphLayer();
     this.change = new ChangeLayer();
+    this.standing = new StandingLayer();
     this.overlays = []; // functions(context, camera, colours) of the tools
     this.before = null; // snapshot of an earlier map
     this.showsBefore = false; // ... and whether it is drawn in place of the present one
@@ -60,11 +62,13 @@ export class MapView {
       vehicle: colour("--map-vehicle"), measure: colour("--map-measure"), text: colour("--text"),
       paper: colour("--ground"), stale: colour("--none"),
       change: { appeared: colour("--change-appeared"), gone: colour("--change-gone") },
+      standing: { fresh: rgba(colour("--standing-fresh")), full: rgba(colour("--standing-full")) },
       graph: { keyFrames: colour("--graph-key-frames"), accepted: colour("--graph-accepted"),
         refused: colour("--graph-refused"), borders: colour("--graph-border") },
       places: { a: colour("--laser-0"), b: colour("--laser-1") }, // no laser is seen where places are chosen
       lasers: Array.from({ length: LASER_COLOURS }, (_, i) => colour(`--laser-${i}`)),
     };
+    this.standing.repaint();
     for (const tiles of [this.tiles, this.before?.tiles]) {
       tiles?.setColours({
         unknown: [0, 0, 0, 0], free: rgba(colour("--map-free")), occupied: rgba(colour("--map-occupied")),
@@ -93,6 +97,7 @@ export class MapView {
     this.scans.clear();
     this.graph.clear();
     this.change.clear();
+    this.standing.clear();
     this.layers.change = false;
     this.path = [];
     this.moment = null;
@@ -116,6 +121,11 @@ export class MapView {
 
   putGraph(graph) {
     this.graph.put(graph);
+    this.invalidate();
+  }
+
+  putStanding(standing) {
+    this.standing.put(standing);
     this.invalidate();
   }
 
@@ -215,6 +225,7 @@ export class MapView {
     camera.applyTo(context, dpr);
     if (layers.grid) this.#drawGrid();
     if (layers.map) tiles.draw(context, camera.seen, camera.scale * dpr);
+    if (layers.standing && !this.showsBefore) this.standing.draw(context, colours.standing);
     if (layers.change) this.change.draw(context, camera.seen, camera.scale, colours.change);
     if (layers.path) this.#drawPath(this.moment && !this.showsBefore ? this.#drivenPath() : path);
     if (layers.graph) graph.draw(context, camera.scale, colours.graph);

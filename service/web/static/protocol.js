@@ -1,6 +1,6 @@
 // The binary messages of service/web/protocol.py, which describes them.
 
-const TILES = 1, SCAN = 2, PATH = 3, GRAPH = 4;
+const TILES = 1, SCAN = 2, PATH = 3, GRAPH = 4, STANDING = 5;
 export const RANGE_STEP_M = 0.005;
 
 const inflate = async (bytes) => {
@@ -58,6 +58,16 @@ const decodeGraph = async (view) => {
   };
 };
 
+const decodeStanding = async (view) => ({
+  type: "standing",
+  cell_m: Math.round(view.getFloat32(4, true) * 1e6) / 1e6,
+  column: view.getInt32(8, true),
+  row: view.getInt32(12, true),
+  width: view.getUint32(16, true),
+  height: view.getUint32(20, true),
+  cells: new Int8Array(await inflate(new Uint8Array(view.buffer, 24))),
+});
+
 /** A message of the service as an object with a type; tiles take a moment to inflate. */
 export const decode = (data) => {
   if (typeof data === "string") return JSON.parse(data);
@@ -67,6 +77,7 @@ export const decode = (data) => {
     case SCAN: return decodeScan(view);
     case PATH: return decodePath(view);
     case GRAPH: return decodeGraph(view);
-    default: throw new Error(`message of kind ${view.getUint8(0)}; expected 1 to 4`);
+    case STANDING: return decodeStanding(view);
+    default: throw new Error(`message of kind ${view.getUint8(0)}; expected 1 to 5`);
   }
 };

@@ -99,6 +99,15 @@ def test_events_and_graph_are_those_until_then(moments):
     assert len(moments.at(stamp(GRAPH_S)).graph.ways) == 1
 
 
+def test_what_stands_is_the_newest_of_the_present_map(moments):
+    def percent(seconds):
+        grid = moments.at(stamp(seconds)).standing
+        return None if grid is None else int(grid.cells[0, 0])
+
+    assert [percent(s) for s in (1.9, 2.0, 5.0, RESET_S - 0.01)] == [None, 20, 40, 40]
+    assert [percent(s) for s in (RESET_S, 13.0, 14.0)] == [None, None, 60]
+
+
 def test_a_laser_that_fell_silent_is_not_of_the_moment(moments):
     assert [scan.sensor for scan in moments.at(stamp(15.2)).scans] == ["front", "rear"]
     assert [scan.sensor for scan in moments.at(stamp(16.0)).scans] == ["front"]

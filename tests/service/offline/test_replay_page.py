@@ -127,6 +127,23 @@ def cells_of(message: bytes) -> dict[tuple[int, int], bytes]:
     return {(ix, iy): square for (ix, iy), square in zip(places, cells, strict=True)}
 
 
+def test_what_stands_is_shown_while_it_is_mapped_and_not_of_the_finished_map(
+    record_drive: RecordDrive,  # noqa: F811
+    show: Callable[..., ReplayPage],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told: list[bytes] = []
+    page = show()
+    put_ready = page._server.put_ready
+    monkeypatch.setattr(
+        page._server, "put_ready", lambda ready: (told.append(ready["standing"]), put_ready(ready))
+    )
+    replay([record_drive(scans=60)], ReplayOptions(), watch=page)
+    cells = [struct.unpack_from("<II", payload, 16) for payload in told]
+    assert cells[0] == cells[-1] == (0, 0)
+    assert any(width * height > 100 for width, height in cells)
+
+
 def test_a_replay_is_halted_sent_ahead_and_let_go_from_the_page(
     record_drive: RecordDrive,  # noqa: F811
     show: Callable[..., ReplayPage],

@@ -15,6 +15,7 @@ from service.encoding import (
     decode_event,
     decode_frame,
     decode_graph,
+    decode_grid,
     decode_pose,
     decode_step,
 )
@@ -23,7 +24,7 @@ from service.mapper.components import FinishedGraph, GraphUpdate
 from service.mapper.graph.no_graph import NoGraph
 from service.mapper.mapping_session import ApplyResult, LeftOut, MappingSession
 from service.mapstore.tiles import TileStore
-from service.outputs import UNKNOWN, GraphPicture, MapperOutput, TileUpdate
+from service.outputs import UNKNOWN, GraphPicture, Grid, MapperOutput, TileUpdate
 from service.runtime.host_time import HostTime
 from service.runtime.intake import Intake
 from service.runtime.mapper_messages import (
@@ -87,6 +88,10 @@ class FakeMapper:
     def skip(self, scan: LaserScan) -> None:
         self.skipped += 1
 
+    def standing(self) -> Grid | None:
+        return self.stands
+
+    stands: Grid | None = None
     graph_picture: GraphPicture | None = None
     pose_refused: tuple[float, float, float] | None = None
 
@@ -258,6 +263,39 @@ def test_the_graph_is_shown_when_it_was_drawn_anew_and_taken_away_by_a_reset():
     (message,) = shown()
     assert not decode_graph(message.payload).ways
     assert shown() == []
+
+
+def test_what_stands_is_told_each_two_seconds_while_scans_come():
+    mapper, said, now_ns = FakeMapper(), [], [10**9]
+    mapper.stands = Grid(0, 0.1, 2.0, 3.0, np.full((2, 3), 40, np.int8))
+    loop = MappingLoop(MappingSession(lambda: mapper, ["front"], None), said.append, (), lambda: now_ns[0])
+    run = Run(FakeMapper()).put(*FRAMES)
+    items = iter(run.link.items)
+
+    def take(count: int) -> None:
+        for _ in range(count):
+            loop.take(next(items)._replace(arrived_ns=now_ns[0]))
+
+    def told(later_s: float, is_idle: bool = True) -> list[Message]:
+        now_ns[0] += round(later_s * 1e9)
+        said.clear()
+        loop.keep_up(is_idle)
+        run.put_out.clear()
+        for message in said:
+            run.outputs.heard(message)
+        return [message for message in run.recorded if message.channel == "standing"]
+
+    assert told(0.0) == []  # no scan was mapped
+    take(2)
+    assert told(1.0) == []
+    (message,) = told(1.1)
+    assert decode_grid(message.payload).cells.tolist() == mapper.stands.cells.tolist()
+    assert told(2.1) == []  # nothing came meanwhile
+    take(1)
+    assert told(2.1, is_idle=False) == []  # items wait
+    assert len(told(8.0, is_idle=False)) == 1
+    mapper.stands = None
+    assert told(9.0) == []
 
 
 def test_before_the_graph_takes_its_time_at_the_end_ingest_hears_that_no_item_waits():

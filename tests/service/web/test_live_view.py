@@ -11,11 +11,12 @@ from service.encoding import (
     encode_diagnostics,
     encode_frame,
     encode_graph,
+    encode_grid,
     encode_pose,
     encode_tf_static,
 )
 from service.geometry.se2 import SE2
-from service.outputs import GraphPicture
+from service.outputs import GraphPicture, Grid
 from service.web.live_view import LATENCY_PERIOD_NS, SCAN_PERIOD_NS, DrivenPath, LiveView
 from tests.browser.scene import MOUNTINGS, Scene, event, stamp, statuses
 
@@ -164,9 +165,22 @@ def test_the_path_is_told_to_who_comes_late_and_ends_with_its_map(view):
 
     expected = [(scene.pose(t).x_m, scene.pose(t).y_m) for t in (0.0, 1.0, 2.0)]
     np.testing.assert_allclose(points(), expected, atol=1e-6)
-    reset = view.map_reset()
+    reset, _ = view.map_reset()
     assert struct.unpack_from("<I", reset.payload, 4) == (0,)
     assert len(points()) == 0
+
+
+def test_what_stands_is_shown_until_the_map_begins_anew(view):
+    grid = Grid(0, 0.1, -1.2, 3.4, np.array([[-1, 5, 100], [7, -1, -1]], np.int8))
+    view.put(encode_grid(grid, 1, 1, "standing"))
+    (shown,) = view.due()
+    assert shown.key == "standing"
+    kind, _, _, cell_m, column, row, width, height = struct.unpack_from("<BBHfiiII", shown.payload)
+    assert (kind, round(cell_m, 6), column, row, width, height) == (5, 0.1, -12, 34, 3, 2)
+    assert np.frombuffer(zlib.decompress(shown.payload[24:]), np.int8).tolist() == [-1, 5, 100, 7, -1, -1]
+    _, emptied = view.map_reset()
+    assert struct.unpack_from("<II", emptied.payload, 16) == (0, 0)
+    assert [s.payload for s in view.snapshot() if s.key == "standing"] == [emptied.payload]
 
 
 def test_a_long_path_keeps_its_shape_and_its_bound():

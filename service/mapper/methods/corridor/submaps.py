@@ -19,7 +19,7 @@ from service.kernels.static_score import (
 )
 from service.kernels.surfels import TILE_BITS, TILE_CELLS, SurfelGrid, insert_surfels
 from service.kernels.tiles import NO_TILE
-from service.mapper.components import MapChange, Match, Points
+from service.mapper.components import MapChange, Match, Points, Standing
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
 from service.mapper.methods.corridor.dynamic_filter import DynamicFilterConfig, ticks_in
 
@@ -120,6 +120,19 @@ class Submap:
         self._last_ns = stamp_ns
         return min(max(1, ticks_in((stamp_ns - last_ns) * 1e-9)), self._dynamic_filter.enough)
 
+    def standing(self) -> Standing | None:
+        """As KnowsStanding.standing, of this sub-map."""
+        enough, cell_m = self._dynamic_filter.enough, self._config.cell_m
+        if enough == 0:
+            return None
+        rows, columns = np.nonzero(self._tiles.slots != NO_TILE)
+        score = self._sightings().score[self._tiles.slots[rows, columns]]
+        tile, row, column = np.nonzero(score > 0)
+        first_row, first_column = self._tiles.origin
+        x_m = ((columns[tile] + first_column) * TILE_CELLS + column + 0.5) * cell_m
+        y_m = ((rows[tile] + first_row) * TILE_CELLS + row + 0.5) * cell_m
+        return Standing(np.column_stack((x_m, y_m)), score[tile, row, column] / enough, cell_m)
+
     def _sightings(self) -> Sightings:
         _surfels, _field, score, touched = self._tiles.pool.arrays
         return Sightings(score, touched)  # type: ignore[arg-type]
@@ -171,6 +184,10 @@ class SurfelSubmaps:
     def detached(self) -> Submap | None:
         """The piece that is not joined to the map; None where there is none."""
         return self._detached
+
+    def standing(self) -> Standing | None:
+        """As KnowsStanding.standing."""
+        return None if self.matched_to is None else self.matched_to.standing()
 
     def join(self, piece: int) -> None:
         """The graph has found where a detached piece lies: go on with it, if it is the newest."""
