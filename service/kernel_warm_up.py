@@ -1,8 +1,8 @@
-"""Every kernel that a config needs, compiled by two processes where the cache is cold.
+"""Every kernel that a config needs, compiled by one process per core where the cache is cold.
 
-numba compiles one kernel at a time and holds the interpreter meanwhile, so a second core helps only a second
-process. What this one is to do falls into pieces; both take the next one until none is left. What the other
-has compiled is read from the cache that both share, and what it has not is compiled here.
+numba compiles one kernel at a time and holds the interpreter meanwhile, so a further core needs a process of its
+own. The work falls into pieces; each process takes the next one until none is left. What the others have
+compiled is read from the cache that all share, and what they have not is compiled here.
 """
 
 import logging
