@@ -1,7 +1,7 @@
 """Every kernel that a config needs, compiled by one process per core where the cache is cold.
 
-numba compiles one kernel at a time and holds the interpreter meanwhile, so a further core needs a process of its
-own. The work falls into pieces; each process takes the next one until none is left. What the others have
+numba compiles one kernel at a time and holds the interpreter meanwhile, so a further core needs a process of
+its own. The work falls into pieces; each process takes the next one until none is left. What the others have
 compiled is read from the cache that all share, and what they have not is compiled here.
 """
 

@@ -72,7 +72,7 @@ class TilePool:
         self.counts = np.zeros(2, np.int64)
 
     def __getstate__(self) -> dict[str, Any]:
-        """For pickle: the slots that were ever taken. The rest is address space, which weighs nothing here."""
+        """For pickle: the slots that were ever taken. The rest is address space and weighs nothing."""
         released, taken = self.counts.tolist()
         return {
             "layers": self._layers,
