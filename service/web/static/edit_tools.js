@@ -1,6 +1,8 @@
 // Tools of the area Edit on the map: an area, a wall, a moment of the way, points of two places.
 // Each works by pointer, and by keys: a click may come from the cross-hair in the middle of the map.
 
+import { cornerNear } from "./corners.js";
+
 const CLOSE_PIXELS = 12; // a click so near to a corner means that corner
 const SNAP_PIXELS = 30; // from a click to the point of a scan, or to the key frame, that is meant
 const DOT_PIXELS = 3;
@@ -170,7 +172,7 @@ export class PairTool {
     this.view = view;
     this.places = places;
     this.picked = picked;
-    this.first = this.aimed = null; // map points: of A, waiting for that of B; under the pointer
+    this.first = this.aimed = null; // of A, waiting for that of B; under the pointer: {at: map point, isCorner}
     this.note = "";
   }
 
@@ -194,7 +196,7 @@ export class PairTool {
     if (found && this.first) {
       const first = this.first;
       this.first = null;
-      this.picked(first, found);
+      this.picked(first.at, found.at);
     } else if (found) this.first = found;
     this.aimed = null;
     this.view.invalidate();
@@ -211,14 +213,18 @@ export class PairTool {
     this.view.invalidate();
   }
 
+  /** The corner of two walls, where one is near; else the nearest point of the place. */
   #nearest(point) {
     const { camera } = this.view, { points } = this.places[this.side];
-    let least = SNAP_PIXELS, found = null;
+    let least = SNAP_PIXELS, nearest = null;
     for (let i = 0; i < points.length; i += 2) {
       const away = distance(camera.toScreen(points[i], points[i + 1]), point);
-      if (away < least) [least, found] = [away, [points[i], points[i + 1]]];
+      if (away < least) [least, nearest] = [away, [points[i], points[i + 1]]];
     }
-    return found;
+    if (!nearest) return null;
+    const corner = cornerNear(points, nearest);
+    const isCorner = corner !== null && distance(camera.toScreen(...corner), point) < SNAP_PIXELS;
+    return { at: isCorner ? corner : nearest, isCorner };
   }
 
   draw(context, camera, colours) {
@@ -226,12 +232,18 @@ export class PairTool {
     for (const [at, side] of [[this.first, "a"], [this.aimed, this.side]]) {
       if (!at) continue;
       context.strokeStyle = colours.places[side];
-      context.beginPath();
-      context.arc(...camera.toScreen(...at), 7, 0, 2 * Math.PI);
-      context.stroke();
+      drawAimed(context, camera.toScreen(...at.at), at.isCorner);
     }
   }
 }
+
+/** A ring about a point, a square about a corner. */
+export const drawAimed = (context, [x, y], isCorner) => {
+  context.beginPath();
+  if (isCorner) context.rect(x - 8, y - 8, 16, 16);
+  else context.arc(x, y, 7, 0, 2 * Math.PI);
+  context.stroke();
+};
 
 /** Where a click by keys goes. */
 export const drawCrossHair = (context, camera, colours) => {

@@ -1,0 +1,83 @@
+// Where two walls meet: the corner that a person means by a click near it.
+
+const NEAR_M = 0.6; // from the point that was clicked; walls beyond it have no say
+const OFF_WALL_M = 0.025; // of a point of a wall, at most
+const LEAST_POINTS = 4; // of a wall
+const LEAST_ANGLE_RAD = Math.PI / 6; // between two walls
+const GAP_M = 0.15; // from a wall's nearest point to the corner
+const MOST_POINTS = 80; // the nearest; the time goes with the cube of them
+const LEAST_SHARE = 0.85; // of the points that lie on the two walls: a column has no corner
+const ROUNDS = 3; // of giving each point to the wall that it is nearer to
+
+/** Line through points by least squares of the distances: {x, y, dx, dy}, a point of it and its direction. */
+const fitted = (points) => {
+  const n = points.length;
+  const x = points.reduce((sum, p) => sum + p[0], 0) / n, y = points.reduce((sum, p) => sum + p[1], 0) / n;
+  let xx = 0, xy = 0, yy = 0;
+  for (const [px, py] of points) {
+    xx += (px - x) ** 2;
+    xy += (px - x) * (py - y);
+    yy += (py - y) ** 2;
+  }
+  const angle = Math.atan2(2 * xy, xx - yy) / 2;
+  return { x, y, dx: Math.cos(angle), dy: Math.sin(angle) };
+};
+
+const offLine = ({ x, y, dx, dy }, [px, py]) => Math.abs(dx * (py - y) - dy * (px - x));
+
+/** The line on which most points lie, and those; null where too few lie on one. Every pair of points is tried. */
+const wallOf = (points) => {
+  let best = [];
+  for (let i = 0; i < points.length; i += 1) {
+    for (let j = i + 1; j < points.length; j += 1) {
+      const dx = points[j][0] - points[i][0], dy = points[j][1] - points[i][1], length = Math.hypot(dx, dy);
+      if (length < 2 * OFF_WALL_M) continue; // says nothing of the direction
+      const line = { x: points[i][0], y: points[i][1], dx: dx / length, dy: dy / length };
+      const on = points.filter((point) => offLine(line, point) < OFF_WALL_M);
+      if (on.length > best.length) best = on;
+    }
+  }
+  return best.length < LEAST_POINTS ? null : { on: best, line: fitted(best) };
+};
+
+/** Both with the points that are theirs; null where there are no two, or where much lies on neither. */
+const twoWalls = (near) => {
+  const first = wallOf(near);
+  const second = first && wallOf(near.filter((point) => offLine(first.line, point) >= OFF_WALL_M));
+  if (!second) return null;
+  let walls = [first, second];
+  for (let round = 0; round < ROUNDS; round += 1) {
+    const lines = walls.map(({ line }) => line);
+    const own = [[], []];
+    for (const point of near) {
+      const [toFirst, toSecond] = lines.map((line) => offLine(line, point));
+      if (Math.min(toFirst, toSecond) < OFF_WALL_M) own[Number(toSecond < toFirst)].push(point);
+    }
+    if (own.some((on) => on.length < LEAST_POINTS)) return null;
+    walls = own.map((on) => ({ on, line: fitted(on) }));
+  }
+  return walls[0].on.length + walls[1].on.length < LEAST_SHARE * near.length ? null : walls;
+};
+
+const gap = (points, [x, y]) => Math.min(...points.map((p) => Math.hypot(p[0] - x, p[1] - y)));
+
+/**
+ * Corner of the two walls around a point; null where there are no two, or where they do not reach it.
+ * points: [x_m, y_m, x_m, y_m ...], about: [x_m, y_m].
+ */
+export const cornerNear = (points, about) => {
+  const near = [];
+  for (let i = 0; i < points.length; i += 2) {
+    const away = Math.hypot(points[i] - about[0], points[i + 1] - about[1]);
+    if (away < NEAR_M) near.push([points[i], points[i + 1], away]);
+  }
+  near.sort((a, b) => a[2] - b[2]);
+  near.length = Math.min(near.length, MOST_POINTS);
+  const walls = twoWalls(near);
+  if (!walls) return null;
+  const [a, b] = walls.map(({ line }) => line), cross = a.dx * b.dy - a.dy * b.dx;
+  if (Math.abs(cross) < Math.sin(LEAST_ANGLE_RAD)) return null;
+  const along = ((b.x - a.x) * b.dy - (b.y - a.y) * b.dx) / cross;
+  const corner = [a.x + along * a.dx, a.y + along * a.dy];
+  return walls.every(({ on }) => gap(on, corner) < GAP_M) ? corner : null;
+};

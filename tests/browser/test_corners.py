@@ -1,0 +1,85 @@
+"""The corner that is meant by a click near it; what is no corner is none."""
+
+import math
+
+import numpy as np
+import pytest
+from selenium.webdriver.common.action_chains import ActionChains
+
+from tests.browser.test_edit import choose_place, click_map, offset_of, opened, view  # noqa: F401 - fixtures
+from tests.service.offline.bent_maps import ROUND
+
+NOISE_M = 0.008
+AT = np.array([3.0, -2.0])
+FAR_AWAY = AT + np.array([2.0, 2.0])
+
+
+def wall(angle_rad, from_m=0.05, to_m=0.5, step_m=0.03):
+    """Points of a wall that leads away from AT, beginning from_m from it."""
+    way = np.arange(from_m, to_m, step_m)[:, None]
+    return AT + way * np.array([math.cos(angle_rad), math.sin(angle_rad)])
+
+
+def ring(radius_m, from_rad, to_rad, count=30):
+    angles = np.linspace(from_rad, to_rad, count)
+    return AT + radius_m * np.column_stack((np.cos(angles), np.sin(angles)))
+
+
+def corner_of(page, points, about=AT):
+    noise = np.random.default_rng(1).normal(0.0, NOISE_M, points.shape)
+    return page.driver.execute_async_script(
+        "const [points, about, done] = arguments;"
+        "import('./corners.js').then(({cornerNear}) => done(cornerNear(points, about)))",
+        (points + noise).ravel().tolist(),
+        list(map(float, about)),
+    )
+
+
+@pytest.mark.parametrize("angle_rad", [math.pi / 2, math.radians(50), math.radians(140), -math.radians(75)])
+@pytest.mark.parametrize("turn_rad", [0.0, 1.0])
+def test_two_walls_meet_where_no_point_lies(page, live, angle_rad, turn_rad):
+    points = np.concatenate((wall(turn_rad), wall(turn_rad + angle_rad), [FAR_AWAY]))
+    corner = corner_of(page, points, AT + 0.3 * np.array([math.cos(turn_rad), math.sin(turn_rad)]))
+    assert np.hypot(*(np.array(corner) - AT)) < 0.02 / abs(math.sin(angle_rad))
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        np.concatenate((wall(0.0), wall(math.pi))),
+        np.concatenate((wall(0.0), wall(math.pi - math.radians(20)))),
+        np.concatenate((wall(0.0), wall(math.pi / 2, from_m=0.3))),
+        wall(0.0),
+        wall(0.0)[:3],
+        ring(0.25, 0.0, math.pi),
+        np.random.default_rng(3).uniform(-0.4, 0.4, (40, 2)) + AT,
+    ],
+    ids=["straight", "hardly bent", "walls apart", "one wall", "three points", "a column", "a bush"],
+)
+def test_what_is_no_corner_is_none(page, live, points):
+    assert corner_of(page, points) is None
+
+
+def test_a_click_beside_a_corner_means_the_corner_and_one_on_a_wall_a_point(page, view, bent):  # noqa: F811
+    k, corner, beside = 40, np.array([15.0, -1.0]), np.array([14.92, -0.9])
+    page.look_at(*bent.graph.map[k, :2], 60.0)
+    choose_place(page, "a", bent.graph.map[k, :2])
+    page.run("corridor.edit.pairs.places.b.choose(arguments[0])", k + ROUND)
+    page.wait_for("return corridor.edit.pairs.places.b.points.length > 0")
+    page.element("pick-pairs").click()
+    page.look_at(*corner, 150.0)
+    dx, dy = offset_of(page, *beside)
+    ActionChains(page.driver).move_to_element_with_offset(page.element("map"), dx, dy).perform()
+    assert page.run("return corridor.edit.tool.aimed.isCorner")
+    click_map(page, *beside)
+    picked = page.run("return corridor.edit.tool.first")
+    assert picked["isCorner"]
+    assert np.hypot(*(np.array(picked["at"]) - corner)) < 0.02
+    page.run("corridor.edit.tool.back()")
+    begin = int(bent.graph.point_count[:k].sum())
+    points = bent.graph.xy_base[begin : begin + int(bent.graph.point_count[k])] + bent.graph.map[k, :2]
+    on_wall = next(p for p in points if abs(p[1] + 1.0) < 0.03 and 13.0 < p[0] < 14.0)
+    click_map(page, *on_wall)
+    picked = page.run("return corridor.edit.tool.first")
+    assert not picked["isCorner"]
+    assert np.hypot(*(np.array(picked["at"]) - on_wall)) < 0.02
