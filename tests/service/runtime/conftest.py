@@ -1,9 +1,23 @@
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import pytest
 
 from service.runtime import mapper_link
 from tests.service.runtime.mappers import HOW
+from tests.service.runtime.mappers.forked import Nursery
+
+
+@pytest.fixture(scope="session")
+def nursery() -> Iterator[Nursery]:
+    opened = Nursery()
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def forked_mappers(nursery: Nursery, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Mappers begin within milliseconds, as copies of one that has imported and loaded all."""
+    monkeypatch.setattr(mapper_link, "subprocess", nursery)
 
 
 @pytest.fixture

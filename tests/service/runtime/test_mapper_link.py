@@ -24,6 +24,7 @@ from service.runtime.mapper_link import MapperLink, MapperLostError
 from service.runtime.mapper_messages import Answer, FrameItem, LoadItem, Mapped, Setup, Tiles, TilesItem
 from tests.service.runtime.mappers import FATAL_RANGE_M
 
+pytestmark = pytest.mark.usefixtures("forked_mappers")
 PERIOD_NS = 20_000_000
 TIMEOUT_S = 30.0
 

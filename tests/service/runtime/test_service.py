@@ -22,6 +22,8 @@ from service.sinks.sink import Sink, SinkContext
 from tests.service.runtime.mappers import FATAL_RANGE_M
 from tests.service.runtime.test_mapping import scan
 
+pytestmark = pytest.mark.usefixtures("forked_mappers")
+
 
 @pytest.fixture
 def silent_laser() -> Iterator[int]:

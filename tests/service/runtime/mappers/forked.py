@@ -1,0 +1,116 @@
+"""Mapper's processes forked from one that has imported and loaded all.
+
+For tests of what such a process does. How it begins is tested in tests/system.
+"""
+
+import json
+import os
+import runpy
+import select
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from typing import Any
+
+from tests.service.runtime.mappers import HOW
+
+DEVNULL = subprocess.DEVNULL
+
+
+class Nursery:
+    """One process with every kernel loaded, which forks a mapper whenever it is asked."""
+
+    def __init__(self) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+
+    def Popen(self, command: list[str], **_: object) -> "Forked":  # noqa: N802 - in the place of subprocess
+        """What `python -m MODULE FOLDER` would do, in a session of its own."""
+        _, _, module, folder = command
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        wanted = {"module": module, "folder": folder, "how": os.environ.get(HOW, "")}
+        print(json.dumps(wanted), file=self._process.stdin, flush=True)
+        return Forked(int(self._process.stdout.readline()))
+
+    @property
+    def DEVNULL(self) -> int:  # noqa: N802 - in the place of subprocess
+        return DEVNULL
+
+    def close(self) -> None:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.close()
+        self._process.wait()
+        self._process.stdout.close()
+
+
+class Forked:
+    """As much of a Popen as the mapper's link uses."""
+
+    def __init__(self, pid: int) -> None:
+        self.pid = pid
+        try:
+            self._ends: int | None = os.pidfd_open(pid)
+        except ProcessLookupError:
+            self._ends = None
+
+    def wait(self, timeout_s: float) -> None:
+        """Raises TimeoutError."""
+        if self._ends is None:
+            return
+        if not select.select([self._ends], [], [], timeout_s)[0]:
+            raise TimeoutError(f"process {self.pid} runs still after {timeout_s} s")
+        os.close(self._ends)
+        self._ends = None
+
+
+def main() -> None:
+    from service.encoding import warm_up as warm_up_encoding
+    from service.kernel_warm_up import warm_up
+    from service.mapper.profiles import build_mapper, mapping_config
+    from service.mapstore import begin_in, graph_files, patch_files  # noqa: F401 - the process imports them
+    from service.runtime import back_end, mapper_messages, mapping  # noqa: F401
+
+    config = mapping_config()
+    build_mapper(config, {})
+    warm_up(config)
+    warm_up_encoding()
+    signal.signal(signal.SIGCHLD, lambda number, frame: _reap())
+    for line in sys.stdin:
+        if (pid := os.fork()) == 0:
+            _be_a_mapper(**json.loads(line))
+        print(pid, flush=True)
+
+
+def _reap() -> None:
+    """Nobody asks how a mapper ended, but what it used is counted."""
+    with suppress(ChildProcessError):
+        while os.waitpid(-1, os.WNOHANG)[0]:
+            pass
+
+
+def _be_a_mapper(**wanted: Any) -> None:
+    """Does not return."""
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    os.setsid()
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for ours in (0, 1):
+        os.dup2(nothing, ours)
+    os.environ[HOW] = wanted["how"]
+    sys.argv = [wanted["module"], wanted["folder"]]
+    code = 1
+    try:
+        runpy.run_module(wanted["module"], run_name="__main__")
+        code = 0
+    except SystemExit as ended:
+        code = ended.code if isinstance(ended.code, int) else 1
+    finally:
+        sys.stderr.flush()
+        os._exit(code)
+
+
+if __name__ == "__main__":
+    main()
