@@ -52,6 +52,11 @@ def diagnostics(done: Run) -> set[str]:
     return {output.reason.split(" contradict")[0] for output in done.outputs if "contradict" in output.reason}
 
 
+def known(reason: str) -> list[pytest.MarkDecorator]:
+    """Of a failure that is known: looked at in `make soak` alone."""
+    return [pytest.mark.xfail(strict=True, reason=reason), pytest.mark.soak]
+
+
 @pytest.mark.parametrize(
     ("kind", "lie", "blamed"),
     [
@@ -60,7 +65,7 @@ def diagnostics(done: Run) -> set[str]:
             ImuSample,
             upside_down,
             {"the IMU's turns"},
-            marks=pytest.mark.xfail(strict=True, reason="heading 0.23 deg, 0.2 wanted; position 0.008 m"),
+            marks=known("heading 0.23 deg, 0.2 wanted; position 0.008 m"),
         ),
         (ImuSample, in_degrees, {"the IMU's turns"}),
         (ImuSample, silent, {"the IMU's turns"}),
@@ -69,7 +74,7 @@ def diagnostics(done: Run) -> set[str]:
             OdometrySample,
             frozen,
             {"odometry"},
-            marks=pytest.mark.xfail(strict=True, reason="lost at 21 s, then 17.6 m off in another place"),
+            marks=known("lost at 21 s, then 17.6 m off in another place"),
         ),
     ],
 )

@@ -43,6 +43,11 @@ def room_drive() -> Drive:
     return drive(ROOM, round_the_room, 8.0)
 
 
+@pytest.fixture(scope="module")
+def room_outputs(room_drive: Drive) -> list[MapperOutput]:
+    return run(room_drive.frames)
+
+
 def new_mapper() -> Mapper:
     return build_mapper(mapping_config(), {"front": MOUNTING})
 
@@ -70,10 +75,9 @@ def digest(output: MapperOutput) -> tuple:
 
 @pytest.mark.parametrize(("wheels", "rms_m"), [(True, 0.0015), (False, 0.004)])
 def test_a_drive_round_a_room_is_followed_to_millimetres(
-    room_drive: Drive, wheels: bool, rms_m: float
+    room_drive: Drive, room_outputs: list[MapperOutput], wheels: bool, rms_m: float
 ) -> None:
-    frames = [f for f in room_drive.frames if wheels or isinstance(f, LaserScan)]
-    outputs = run(frames)
+    outputs = room_outputs if wheels else run([f for f in room_drive.frames if isinstance(f, LaserScan)])
     away = errors(outputs, room_drive.truth)
     assert {o.state for o in outputs} == {"ok"}
     assert np.sqrt((away[:, :2] ** 2).sum(axis=1).mean()) < rms_m
@@ -124,18 +128,18 @@ def test_a_turn_that_nobody_announced_is_found_again(room_drive: Drive) -> None:
         assert abs(away.theta_rad) < 0.01
 
 
-def test_motion_during_the_sweep_is_taken_out(room_drive: Drive) -> None:
+def test_motion_during_the_sweep_is_taken_out(room_drive: Drive, room_outputs: list[MapperOutput]) -> None:
     """The same drive with sweeps declared to be instants: the error that deskewing saves."""
     frozen = [replace(f, beam_interval_ns=0) if isinstance(f, LaserScan) else f for f in room_drive.frames]
     skewed, deskewed = (
-        np.hypot(*errors(run(frames), room_drive.truth)[:, :2].T).mean()
-        for frames in (frozen, room_drive.frames)
+        np.hypot(*errors(outputs, room_drive.truth)[:, :2].T).mean()
+        for outputs in (run(frozen), room_outputs)
     )
     assert skewed > 2.5 * deskewed
 
 
-def test_the_twist_is_that_of_the_truth(room_drive: Drive) -> None:
-    outputs = run(room_drive.frames)[50:]
+def test_the_twist_is_that_of_the_truth(room_drive: Drive, room_outputs: list[MapperOutput]) -> None:
+    outputs = room_outputs[50:]
     stamps = sorted(room_drive.truth)
     true_twists = []
     for output in outputs:
@@ -189,8 +193,8 @@ def test_standing_still_the_pose_stays() -> None:
     assert np.abs(away[-50:, :2].mean(axis=0) - away[50:100, :2].mean(axis=0)).max() < 0.001
 
 
-def test_covariance_is_sane_and_honest(room_drive: Drive) -> None:
-    outputs = run(room_drive.frames)
+def test_covariance_is_sane_and_honest(room_drive: Drive, room_outputs: list[MapperOutput]) -> None:
+    outputs = room_outputs
     away = errors(outputs, room_drive.truth)
     nees = []
     for output, error in zip(outputs[5:], away[5:], strict=True):
@@ -211,13 +215,14 @@ def test_the_same_frames_give_the_same_outputs_bit_for_bit(room_drive: Drive) ->
         np.testing.assert_array_equal(a.cells, b.cells)
 
 
-def test_only_differences_of_time_count(room_drive: Drive) -> None:
+def test_only_differences_of_time_count(room_drive: Drive, room_outputs: list[MapperOutput]) -> None:
     offset_ns = 1_763_716_515_123_456_789
     later = [
         replace(f, stamp_ns=f.stamp_ns + offset_ns, arrived_ns=f.arrived_ns + offset_ns)
         for f in room_drive.frames[:400]
     ]
-    assert [digest(o) for o in run(later)] == [digest(o) for o in run(room_drive.frames[:400])]
+    outputs = run(later)
+    assert [digest(o) for o in outputs] == [digest(o) for o in room_outputs[: len(outputs)]]
 
 
 def test_a_late_scan_and_a_late_sample_are_dropped_and_counted(room_drive: Drive) -> None:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from drivers.frames import Frame, LaserScan
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
 from service.mapper.by_hand import ERASED, WALL
-from service.mapper.components import GraphRequestError, WallToRender
+from service.mapper.components import FinishedGraph, GraphRequestError, WallToRender
 from service.mapper.maps.occupancy import cells_of_wall
 from service.mapper.methods.corridor.graph.editing import with_area_erased, with_wall
 from service.mapper.pipeline import UNPROVEN, Mapper
@@ -54,9 +54,39 @@ def off_m(first: Drive, second: Drive, output: MapperOutput) -> float:
     return math.hypot(away.x_m, away.y_m)
 
 
-def test_a_vehicle_is_found_where_it_is_and_followed(first, second):
-    drove, begin = first
-    outputs = list(outputs_of(new_mapper(begin), second.frames))
+@dataclass(frozen=True)
+class Began:
+    """A second session in the map of the first, over: its mapper, and what each scan gave."""
+
+    mapper: Mapper
+    shown: list[TileUpdate]  # before the first scan
+    outputs: list[MapperOutput]
+
+
+def begun(begin: BeginIn, second: Drive, mode: str) -> Began:
+    mapper = new_mapper(begin, mode)
+    return Began(mapper, mapper.changed_tiles(), list(outputs_of(mapper, second.frames)))
+
+
+@pytest.fixture(scope="module")
+def before(first) -> dict[str, np.ndarray]:
+    """The stored graph's arrays as they are before any session begins in it."""
+    return {name: array.copy() for name, array in small_arrays(first[1].graph).items()}
+
+
+@pytest.fixture(scope="module")
+def localized(first, second, before) -> Began:
+    return begun(first[1], second, "localization")
+
+
+@pytest.fixture(scope="module")
+def continued(first, second) -> tuple[Began, FinishedGraph]:
+    began = begun(first[1], second, "mapping")
+    return began, began.mapper.finish()
+
+
+def test_a_vehicle_is_found_where_it_is_and_followed(first, second, localized):
+    drove, outputs = first[0], localized.outputs
     assert outputs[0].state == "lost"
     placed = [output for output in outputs if output.state != "lost"]
     assert 1e-9 * (placed[0].stamp_ns - outputs[0].stamp_ns) < 1.0
@@ -65,26 +95,25 @@ def test_a_vehicle_is_found_where_it_is_and_followed(first, second):
     assert max(off_m(drove, second, output) for output in placed) < 0.05
 
 
-def test_who_is_only_localised_leaves_the_stored_map_as_it_is(first, second):
+def test_a_pose_that_is_known_is_not_set(localized):
+    with pytest.raises(GraphRequestError, match="the map confirms it"):
+        localized.mapper.graph.request("set_pose", {"x_m": 0.0, "y_m": 0.0, "theta_rad": 0.0})
+
+
+def test_who_is_only_localised_leaves_the_stored_map_as_it_is(first, before, localized):
     _, begin = first
-    before = {name: array.copy() for name, array in small_arrays(begin.graph).items()}
-    mapper = new_mapper(begin)
-    shown = mapper.changed_tiles()
-    list(outputs_of(mapper, second.frames))
-    saved = mapper.finish().update.saved
-    assert mapper.changed_tiles() == []
-    assert len(shown) > 0
+    saved = localized.mapper.finish().update.saved
+    assert localized.mapper.changed_tiles() == []
+    assert len(localized.shown) > 0
     for name, array in small_arrays(begin.graph).items():
         np.testing.assert_array_equal(array, before[name], err_msg=name)
     assert saved is not None
     np.testing.assert_array_equal(saved.map[: len(begin.graph)], begin.graph.map)
 
 
-def test_mapping_goes_on_in_the_stored_map(first, second):
+def test_mapping_goes_on_in_the_stored_map(first, continued):
     _, begin = first
-    mapper = new_mapper(begin, "mapping")
-    outputs = list(outputs_of(mapper, second.frames))
-    finished = mapper.finish()
+    outputs, finished = continued[0].outputs, continued[1]
     saved = finished.update.saved
     assert saved is not None
     assert len(saved) > len(begin.graph)
@@ -131,11 +160,9 @@ def shown_at(tiles: list[TileUpdate], pose: SE2) -> int:
     return int(tile.cells[row % 64, column % 64])
 
 
-def test_a_session_may_begin_in_what_a_second_session_left(first, second):
+def test_a_session_may_begin_in_what_a_second_session_left(first, second, continued):
     drove, begin = first
-    mapper = new_mapper(begin, "mapping")
-    list(outputs_of(mapper, second.frames))
-    saved = mapper.finish().update.saved
+    saved = continued[1].update.saved
     assert saved is not None
     again = BeginIn(saved, begin.shown)
     outputs = list(outputs_of(new_mapper(again), second.frames))
@@ -188,13 +215,6 @@ def test_who_is_found_elsewhere_than_said_is_told_so(first, second):
     assert off_m(drove, second, last) < 0.05
     assert last.reason == ""
     assert mapper.counters["set_pose_given_up"] == 1
-
-
-def test_a_pose_that_is_known_is_not_set(first, second):
-    mapper = new_mapper(first[1])
-    list(outputs_of(mapper, second.frames))
-    with pytest.raises(GraphRequestError, match="the map confirms it"):
-        mapper.graph.request("set_pose", {"x_m": 0.0, "y_m": 0.0, "theta_rad": 0.0})
 
 
 def test_a_pose_that_is_no_pose_is_refused_by_its_key(first):

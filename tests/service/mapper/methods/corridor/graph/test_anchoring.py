@@ -3,6 +3,7 @@
 import math
 import pickle
 from dataclasses import replace
+from itertools import starmap
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from tests.service.mapper.methods.corridor.graph.outdoors import (
     outing,
     with_fixes,
 )
+from tests.soaked import in_soak
 
 WAY_M = 450.0
 LONG_M = 700.0  # on which drift is more than fixes err by
@@ -143,11 +145,11 @@ def without(drive: Outing, wrong: range) -> Result:
 @pytest.mark.parametrize(
     ("fault", "wrong"),
     [
-        (lambda fix: replace(fix, latitude_deg=fix.latitude_deg + 50.0 / 111_200.0), range(800, 840)),
+        in_soak(lambda fix: replace(fix, latitude_deg=fix.latitude_deg + 50.0 / 111_200.0), range(800, 840)),
         (lambda fix: replace(fix, latitude_deg=fix.latitude_deg + 50.0 / 111_200.0), range(0, 60)),
         (lambda fix: replace(fix, latitude_deg=-fix.latitude_deg), range(800, 820)),
-        (lambda fix: replace(fix, longitude_deg=-fix.longitude_deg), range(0, 30)),
-        (lambda fix: replace(fix, latitude_deg=0.0, longitude_deg=0.0), range(0, 30)),
+        in_soak(lambda fix: replace(fix, longitude_deg=-fix.longitude_deg), range(0, 30)),
+        in_soak(lambda fix: replace(fix, latitude_deg=0.0, longitude_deg=0.0), range(0, 30)),
     ],
     ids=["jump of 50 m", "jump at the start", "sign of latitude", "first fixes in the west", "zeros"],
 )
@@ -166,9 +168,11 @@ def hidden() -> Result:
     return fed(outing(WAY_M, 1, outage, turn_walk_rad=0.001))[1][-1]
 
 
-@pytest.mark.parametrize("size_m", [5.0, 8.0, 15.0])
-@pytest.mark.parametrize("direction_rad", [0.4, 3.5])
-def test_a_minute_of_reflections_moves_nothing(size_m, direction_rad, hidden: Result):
+@pytest.mark.parametrize(
+    ("direction_rad", "size_m"),
+    [(0.4, 5.0), (3.5, 15.0), *starmap(in_soak, [(0.4, 8.0), (0.4, 15.0), (3.5, 5.0), (3.5, 8.0)])],
+)
+def test_a_minute_of_reflections_moves_nothing(direction_rad, size_m, hidden: Result):
     off = size_m * math.cos(direction_rad), size_m * math.sin(direction_rad)
     model = GnssModel(reflections=[Reflection(200.0, 260.0, *off)])
     reflected = outing(WAY_M, 1, model, turn_walk_rad=0.001)

@@ -28,7 +28,7 @@ def first() -> tuple[Drive, SavedGraph]:
 @pytest.fixture(scope="module")
 def second() -> tuple[Drive, SavedGraph]:
     """It begins where the first is half-way, and goes on where that has not been."""
-    return mapped(through("office", 28.0, 4, stand_s=-12.0))
+    return mapped(through("office", 20.0, 4, stand_s=-12.0))
 
 
 def away(a: SE2, b: np.ndarray) -> tuple[float, float]:
@@ -63,7 +63,7 @@ def test_a_spot_that_a_person_names_does_instead_of_a_search(first, second):
 
 
 def test_maps_of_two_buildings_are_not_merged(first):
-    _, elsewhere = mapped(through("library", 12.0, 1))
+    _, elsewhere = mapped(through("library", 6.0, 1))
     with pytest.raises(MergeError, match="overlap too little"):
         merge_graphs(first[1], elsewhere, None)
 
