@@ -87,7 +87,7 @@ class MapperLink:
     def __init__(self, setup: Setup, listener: MapperListener) -> None:
         self._setup = setup
         self._listener = listener
-        self._folder = tempfile.TemporaryDirectory(prefix="corridor-mapper-")
+        self._folder = tempfile.TemporaryDirectory(prefix="corridor-mapper-", ignore_cleanup_errors=True)
         self._server = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._server.bind(str(self._path / "mapper.sock"))
         self._server.listen(4)
@@ -214,7 +214,7 @@ class MapperLink:
         self._closed.set()
 
     def clean_up(self) -> None:
-        """When `run` has returned."""
+        """When `run` has returned. Raises nothing: recording and map are finished after it."""
         standby = self._standby[0] if self._standby is not None else None
         channels = [self._active, *self._given_up, *self._unidentified, standby]
         for channel in channels:
@@ -224,8 +224,7 @@ class MapperLink:
         self._server.close()
         for pid in (self._pid, self._process.pid if self._process is not None else 0):
             _kill(pid)
-        if self._process is not None:
-            self._process.wait(END_S)
+        self._bury()
         self._folder.cleanup()
 
     def _listen(self) -> None:
@@ -419,7 +418,20 @@ class MapperLink:
             self._given_up.clear()
         _kill(self._pid)
         if self._process is not None and self._process.pid == self._pid:
+            self._bury()
+
+    def _bury(self) -> None:
+        """Wait for the process that was started here, which has been killed; not for ever."""
+        if self._process is None:
+            return
+        try:
             self._process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            log.error(
+                "the mapper's process (%d) was killed and has not ended within %g s; it waits for a disk or "
+                "for memory that hangs, `cat /proc/%d/wchan` says where. It is left behind",
+                *(self._process.pid, END_S, self._process.pid),
+            )
 
 
 class _ServerSocket:

@@ -224,8 +224,12 @@ class Service:
         self._notifier.stopping()
         seconds = (time.monotonic_ns() - self._ready_ns) / 1e9 if self._ready_ns else 0.0
         cpu_s = self._processor_s() - self._cpu_s
-        self._readers.stop()
-        self._stop_mapping()
+        try:
+            self._readers.stop()
+            self._stop_mapping()
+        except Exception as error:  # recording and map are finished all the same
+            log.exception("drivers and mapper did not end in good order")
+            self._workers.fail("the end of drivers and mapper", error)
         self._notifier.need_more_time(FLUSH_S + CLOSE_S)
         lost = self._sinks.flush()
         if self._ready_ns:

@@ -231,6 +231,30 @@ def test_a_mapper_that_stands_still_is_ended(
     assert drive.failure.endswith("4 times after item 3")
 
 
+def test_a_mapper_that_even_a_kill_does_not_end_is_left_behind(
+    drive: Drive, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    """It waits for a disk that hangs, say."""
+    drive.start().scan(3)
+    drive.until_mapped()
+    drive.until_standby(3)
+    pid = drive.link.pid
+    os.kill(pid, signal.SIGSTOP)
+    monkeypatch.setattr(mapper_link, "STUCK_S", 0.8)
+    monkeypatch.setattr(mapper_link, "END_S", 0.1)
+    monkeypatch.setattr(mapper_link, "_kill", lambda pid: None)
+    try:
+        drive.scan(5)
+        drive.until_mapped()
+        drive.link.close()
+        drive.thread.join(TIMEOUT_S)
+        drive.link.clean_up()
+    finally:
+        os.kill(pid, signal.SIGKILL)
+    assert (len(drive.heard.poses), len(drive.heard.takeovers)) == (8, 1)
+    assert f"the mapper's process ({pid}) was killed and has not ended within 0.1 s" in caplog.text
+
+
 def test_a_mapper_that_does_not_start_is_told(strange: Callable[[str], None]):
     strange("does not compile")
     drive = Drive()

@@ -153,6 +153,23 @@ def test_a_mapper_that_fails_at_every_scan_brings_the_service_down_with_its_reco
     assert "no such tile" in events[-1]
 
 
+def test_a_mapper_that_does_not_end_in_good_order_costs_neither_recording_nor_map(
+    open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch
+):
+    def fail(self: MapperLink) -> None:
+        clean_up(self)
+        raise OSError("the disk hangs")
+
+    clean_up = MapperLink.clean_up
+    monkeypatch.setattr(MapperLink, "clean_up", fail)
+    service = open_service()
+    service.start()
+    summary = service.stop()
+    events = [decode_event(m.payload) for m in Recording(summary.sessions).messages(["/events"])]
+    assert service.failure == "the end of drivers and mapper: OSError: the disk hangs"
+    assert "the disk hangs" in events[-1]
+
+
 def test_a_thread_nobody_watches_brings_the_service_down_too(
     open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch
 ):
