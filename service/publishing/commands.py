@@ -73,7 +73,7 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Verb:
-    """start must not wait; it raises CommandError where the command cannot even be begun."""
+    """start waits for nothing but a disk; it raises CommandError where the command cannot even be begun."""
 
     request: type[Request]
     start: Callable[[Any, Outcome], None]
@@ -165,6 +165,7 @@ class CommandDispatcher:
 
     def _outcome(self, verb: str, request: Request) -> Outcome:
         """Start it, or find what became of it when it was asked for before."""
+        outcome = Outcome()
         with self._lock:
             self._forget()
             known = self._known.get(request.id) if request.id is not None else None
@@ -175,12 +176,19 @@ class CommandDispatcher:
                         f"{known.verb}, with other content; a new command needs a new id"
                     )
                 return known.outcome
-            outcome = Outcome()
-            self._verbs[verb].start(request, outcome)
-            self._counts[verb] += 1
             if request.id is not None:
                 self._known[request.id] = _Known(verb, request, outcome, self._monotonic_s())
-            return outcome
+        try:
+            self._verbs[verb].start(request, outcome)  # without the lock: health and others must not wait
+        except Exception as error:
+            outcome.failed(str(error))
+            with self._lock:
+                if request.id is not None:
+                    self._known.pop(request.id, None)
+            raise
+        with self._lock:
+            self._counts[verb] += 1
+        return outcome
 
     def _forget(self) -> None:
         too_old_s = self._monotonic_s() - REMEMBER_S

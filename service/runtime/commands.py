@@ -102,8 +102,9 @@ class Commands:
         self._recorder = recorder
         self._storage = storage
         self._find_map = find_map
-        self._lock = threading.Lock()
+        self._lock = threading.Lock()  # of the outcomes that are open
         self._open: list[Outcome] = []
+        self._loading = threading.Lock()  # held while a stored map is read and taken: one after the other
 
     def verbs(self) -> dict[str, Verb]:
         return {
@@ -185,11 +186,12 @@ class Commands:
         inner = self._verb("load_map", self._load_map, MapRequest)
 
         def start(request: MapRequest, outcome: Outcome) -> None:
-            folder, version = self._find_map(request.map, request.version)
-            try:
-                self._storage.hold(folder)
-            except StorageError as error:
-                raise CommandError(str(error)) from error
+            with self._loading:
+                folder, version = self._find_map(request.map, request.version)
+                try:
+                    self._storage.hold(folder)
+                except StorageError as error:
+                    raise CommandError(str(error)) from error
             inner.start(request.model_copy(update={"map": str(folder), "version": version}), outcome)
 
         return Verb(MapRequest, start)

@@ -145,6 +145,41 @@ def test_two_who_ask_at_once_with_one_id_share_one_outcome():
     assert dispatcher.counts() == {"wash": 1}
 
 
+def test_a_command_whose_begin_waits_for_a_disk_holds_up_neither_health_nor_another():
+    reads, release = threading.Event(), threading.Event()
+
+    def start_slowly(request: Request, outcome: Outcome) -> None:
+        reads.set()
+        assert release.wait(10.0)
+        raise CommandError("no such map")
+
+    verbs = {"load": Verb(Request, start_slowly), "wash": Verb(Request, lambda _, outcome: outcome.done())}
+    dispatcher = CommandDispatcher(verbs, answer_timeout_s=5.0)
+    answers: list[bytes] = []
+
+    def ask(verb: str, payload: bytes) -> threading.Thread:
+        thread = threading.Thread(target=lambda: answers.append(dispatcher.answer(verb, payload).body))
+        thread.start()
+        return thread
+
+    slow = ask("load", b'{"id": "7"}')
+    assert reads.wait(5.0)
+    quick = ask("wash", b"")
+    counted = threading.Thread(target=dispatcher.counts)
+    counted.start()
+    quick.join(5.0)
+    counted.join(5.0)
+    is_held_up = quick.is_alive() or counted.is_alive()
+    same = ask("load", b'{"id": "7"}')
+    release.set()
+    for thread in (slow, quick, counted, same):
+        thread.join(10.0)
+    assert not is_held_up
+    refused = {"ok": False, "id": "7", "error": "no such map"}
+    assert sorted(map(json.loads, answers), key=str) == [refused, refused, {"ok": True}]
+    assert dispatcher.counts() == {"wash": 1, "refused": 2}
+
+
 def test_an_outcome_is_settled_once():
     outcome = Outcome()
     outcome.done(number=1)
