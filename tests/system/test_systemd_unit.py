@@ -46,3 +46,19 @@ def test_the_unit_says_what_the_service_relies_on():
         assert re.search(f"^{line}$", text, re.MULTILINE), line
     assert "NUMBA_CACHE_DIR=/var/cache/corridor/numba" in text
     assert "CacheDirectory=corridor" in text
+
+
+@pytest.mark.parametrize(("group", "module"), [("ttyUSB", "usbserial"), ("ttyACM", "cdc_acm")])
+def test_a_port_that_is_plugged_in_after_the_start_is_let_in(group: str, module: str):
+    """systemd drops a DeviceAllow= whose group is not in /proc/devices yet, for good."""
+    text = UNIT.read_text()
+    assert re.search(f"^DeviceAllow=char-{group} rw$", text, re.MULTILINE)
+    for setting in ("After", "Wants"):
+        named = " ".join(re.findall(f"^{setting}=(.*)$", text, re.MULTILINE)).split()
+        assert f"modprobe@{module}.service" in named
+
+
+def test_a_service_that_fails_again_and_again_is_started_again_without_end():
+    text = UNIT.read_text()
+    assert re.search("^StartLimitIntervalSec=0$", text, re.MULTILINE)
+    assert re.search("^Restart=on-failure$", text, re.MULTILINE)
