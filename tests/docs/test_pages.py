@@ -8,6 +8,7 @@ import pytest
 from tests.docs.blocks import BLOCKS, PAGES, ROOT, without_blocks
 
 LANGUAGES = {"", "sh", "python", "yaml", "ini"}
+LINKING = [*PAGES, ROOT / "CONTRIBUTING.md"]
 
 
 def test_every_block_is_in_a_language_that_a_test_runs():
@@ -23,12 +24,21 @@ def test_code_stands_in_fences_where_tests_find_it(page):
         assert not is_code, f"{page}: {line}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
-def test_links_lead_somewhere(page):
+@pytest.mark.parametrize("page", LINKING, ids=[str(page.relative_to(ROOT)) for page in LINKING])
+def test_links_lead_to_a_file_and_a_heading_that_there_are(page):
     text = "\n".join(without_blocks(page))
-    for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", text):
-        if not target.startswith(("http://", "https://", "mailto:")):
-            assert (page.parent / target).exists(), f"{page}: {target}"
+    for target, anchor in re.findall(r"\]\(([^)#\s]*)(?:#([^)\s]*))?\)", text):
+        if target.startswith(("http://", "https://", "mailto:")):
+            continue
+        linked = page.parent / target if target else page
+        assert linked.exists(), f"{page}: {target}"
+        assert not anchor or anchor in anchors_of(linked), f"{page}: {target}#{anchor}"
+
+
+def anchors_of(page):
+    """Of its headings, as GitHub makes them: lower case, punctuation dropped, blanks to hyphens."""
+    headings = re.findall(r"^#+ (.*)$", "\n".join(without_blocks(page)), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
