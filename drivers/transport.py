@@ -3,7 +3,9 @@
 import os
 import select
 import socket
+import time
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Protocol, Self
 
 import serial
@@ -12,6 +14,7 @@ from drivers.errors import TransportError
 
 READ_BYTES = 65_536
 DEAD_PEER_MS = 3_000  # unacknowledged data older than this means the cable is out
+WRITE_TIMEOUT_S = 3.0  # a request of 100 bytes takes 0.2 s at 4800 baud
 
 
 class Transport(Protocol):
@@ -71,7 +74,10 @@ class TcpTransport:
 
 
 class SerialTransport:
-    """A serial port by path, or any pyserial URL (socket://host:port, rfc2217://...); 8N1, no handshake."""
+    """A serial port by path, or socket://host:port of a device server; 8N1, no handshake.
+
+    Raises TransportError where it cannot be opened, is unplugged, or takes nothing for WRITE_TIMEOUT_S.
+    """
 
     def __init__(self, device: str, baud: int) -> None:
         self._where = f"{device} at {baud} baud"
@@ -82,6 +88,14 @@ class SerialTransport:
                 self._port = serial.Serial(device, baud, timeout=0, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
             raise TransportError(f"cannot open {self._where}: {error}") from error
+        try:
+            self._port.fileno()
+        except OSError as error:
+            self._port.close()
+            raise TransportError(
+                f"cannot open {self._where}: nobody can wait for such a port; write socket://host:port, and "
+                "set the device server to raw TCP"
+            ) from error
 
     def read(self, timeout_s: float) -> bytes:
         try:
@@ -100,9 +114,20 @@ class SerialTransport:
         return bytes(data)
 
     def write(self, data: bytes) -> None:
+        # Not by pyserial: where a port takes nothing it tries again without end, and without a pause.
+        left = memoryview(data)
+        deadline_s = time.monotonic() + WRITE_TIMEOUT_S
         try:
-            self._port.write(data)
-        except (serial.SerialException, OSError) as error:
+            while left:
+                wait_s = deadline_s - time.monotonic()
+                if wait_s <= 0.0 or not select.select([], [self._port.fileno()], [], wait_s)[1]:
+                    raise TransportError(
+                        f"{self._where}: took {len(data) - len(left)} of {len(data)} bytes within "
+                        f"{WRITE_TIMEOUT_S:g} s; does the device hang? cut its power once"
+                    )
+                with suppress(BlockingIOError):
+                    left = left[os.write(self._port.fileno(), left) :]
+        except (serial.SerialException, OSError, TypeError, ValueError) as error:
             raise TransportError(f"{self._where}: cannot send {len(data)} bytes: {error}") from error
 
     def set_baud(self, baud: int) -> None:

@@ -1,12 +1,16 @@
 """Real sockets and pseudo terminals on this machine."""
 
+import io
 import os
 import pty
 import socket
+import threading
 import tty
+from contextlib import suppress
 
 import pytest
 
+from drivers import transport
 from drivers.errors import TransportError
 from drivers.transport import ScriptedTransport, SerialTransport, TcpTransport
 
@@ -116,6 +120,57 @@ def test_serial_unplugged_is_a_transport_error():
         os.close(master)
         with pytest.raises(TransportError, match="unplugged"):
             port.read(5.0)
+
+
+def test_serial_port_that_takes_nothing_is_given_up(terminal, monkeypatch):
+    """A device that hangs: nobody reads the other end."""
+    monkeypatch.setattr(transport, "WRITE_TIMEOUT_S", 0.1)
+    master, path = terminal
+    with SerialTransport(path, 115_200) as port:
+        with pytest.raises(
+            TransportError, match=r"took \d+ of 100000 bytes within 0.1 s; does the device hang"
+        ):
+            port.write(bytes(100_000))
+        os.set_blocking(master, False)
+        with suppress(BlockingIOError):
+            while os.read(master, 65_536):
+                pass
+        port.write(b"to")
+        assert os.read(master, 10) == b"to"
+
+
+def test_serial_long_writes_go_through_whole(terminal):
+    master, path = terminal
+    said = bytes(range(256)) * 400
+    heard = bytearray()
+
+    def hear():
+        while len(heard) < len(said):
+            heard.extend(os.read(master, 65_536))
+
+    with SerialTransport(path, 115_200) as port:
+        thread = threading.Thread(target=hear, daemon=True)
+        thread.start()
+        port.write(said)
+        thread.join(5.0)
+    assert heard == said
+
+
+def test_serial_url_that_cannot_be_waited_for_is_refused_with_one_that_can(monkeypatch):
+    class Remote:
+        closed = False
+
+        def fileno(self):
+            raise io.UnsupportedOperation("fileno")
+
+        def close(self):
+            self.closed = True
+
+    remote = Remote()
+    monkeypatch.setattr(transport.serial, "serial_for_url", lambda *_, **__: remote)
+    with pytest.raises(TransportError, match="write socket://host:port"):
+        SerialTransport("rfc2217://127.0.0.1:4000", 115_200)
+    assert remote.closed
 
 
 def test_serial_takes_a_socket_url(listener):
