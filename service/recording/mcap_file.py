@@ -65,6 +65,7 @@ class McapFile:
         self._channel_ids: dict[str, int] = {}
         self._schema_ids: dict[str, int] = {}
         self._sequences: dict[str, int] = {}
+        self._first_message_at: int | None = None  # bytes before it: header and metadata
         self._stream = open_stream(self.active_path)
         try:
             fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -81,6 +82,8 @@ class McapFile:
 
     def write(self, message: Message, log_ns: int | None = None) -> None:
         """Append a message; log_ns replaces its log time where it is repeated from an earlier file."""
+        if self._first_message_at is None:
+            self._first_message_at = self._stream.tell()
         channel_id = self._channel_ids.get(message.channel)
         if channel_id is None:
             channel_id = self._register(message.channel, message.type)
@@ -112,8 +115,13 @@ class McapFile:
         sync_directory(self.path.parent)
 
     def abandon(self) -> None:
-        """Let go of a file the disk refuses; what reached it stays as `*.active`."""
-        self._stream.close()
+        """Let go of a file the disk refuses; what reached it stays as `*.active`, if that holds a message."""
+        try:
+            self._stream.close()
+        finally:
+            before_messages = self._first_message_at
+            if before_messages is None or self.active_path.stat().st_size <= before_messages:
+                self.active_path.unlink()
 
     def _register(self, channel: str, type_name: str) -> int:
         schema_id = self._schema_ids.get(type_name)

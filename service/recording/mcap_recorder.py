@@ -78,7 +78,8 @@ class RecorderHealth:
     path: Path | None = None  # the file being written
     finished: list[Path] = field(default_factory=list)
     messages: int = 0  # written, in all files
-    dropped: Counter[str] = field(default_factory=Counter)  # by channel, for whatever reason
+    # By channel, for whatever reason; where the disk refuses a file, also what was not synced yet.
+    dropped: Counter[str] = field(default_factory=Counter)
     steps_back: int = 0  # messages whose log time lay before that of an earlier one
     free_bytes: int = 0
     last_error: str = ""
@@ -129,6 +130,7 @@ class McapRecorder:
         self._thread = threading.Thread(target=self._run, name="recording-writer", daemon=True)
         self._leftovers: Leftovers | None = None
         self._file: McapFile | None = None
+        self._unsynced: Counter[str] = Counter()  # messages of that file since it was synced, by channel
         self._enabled = True
         self._session = ""
         self._session_began_s = 0
@@ -317,6 +319,7 @@ class McapRecorder:
         if file is None:
             file = self._open(message)
         file.write(message)
+        self._unsynced[message.channel] += 1
         self.health.messages += 1
         if message.channel.endswith(RAW_SUFFIX):
             return  # put by the readers themselves, ahead of frames that wait to be mapped
@@ -351,6 +354,7 @@ class McapRecorder:
         if self._file is not None:
             try:
                 self._file.sync()
+                self._unsynced.clear()
                 if not self._has_room(self._keep_free_bytes):
                     self._close()
             except Exception as error:  # as in _keep
@@ -367,6 +371,7 @@ class McapRecorder:
             self._file = file
             self._abandon(error)
             return
+        self._unsynced.clear()
         self.health.path = None
         self.health.finished.append(file.path)
 
@@ -377,11 +382,22 @@ class McapRecorder:
         self.health.state, self.health.path = "disk error", None
         self._retry_at_s = self._monotonic_s() + RETRY_S
         log.error("recording: %s; a new file is tried in %.0f s", self.health.last_error, RETRY_S)
+        self._give_up_unsynced()
         if file is not None:
             try:
                 file.abandon()
             except OSError as second:
                 log.debug("recording: closing %s: %s", where, second)
+
+    def _give_up_unsynced(self) -> None:
+        """Nobody knows what of it is on the disk; a recovery brings that back."""
+        if not self._unsynced:
+            return
+        log.error("recording: %d messages that were not synced yet count as dropped", self._unsynced.total())
+        with self._wake:
+            self.health.dropped.update(self._unsynced)
+        self.health.messages -= self._unsynced.total()
+        self._unsynced.clear()
 
     def _drop(self, message: Message, reason: str) -> None:
         if not self.health.dropped[message.channel]:

@@ -241,7 +241,7 @@ class FailingStream(io.FileIO):
         return super().write(data)
 
 
-def test_a_disk_error_costs_the_file_but_not_the_recording(recorder):
+def test_a_disk_error_costs_the_file_but_not_the_recording(recorder, tmp_path):
     clock = Clock()
     rooms = iter([2_000])
 
@@ -255,14 +255,44 @@ def test_a_disk_error_costs_the_file_but_not_the_recording(recorder):
     clock.now_s += 1.0  # the sync writes the chunk, and fails
     wait_until(lambda: session.health.state == "disk error")
     assert "No space left on device" in session.health.last_error
+    wait_until(lambda: session.health.messages == 0)  # it is not on the disk, and counted so
+    assert session.health.dropped == {"front/scan": 1}
     session.put(scan_message(1))
-    wait_until(lambda: session.health.dropped["front/scan"] == 1)
+    wait_until(lambda: session.health.dropped["front/scan"] == 2)
     clock.now_s += mcap_recorder.RETRY_S
     session.put(scan_message(2))
     wait_until(lambda: session.health.state == "recording")
     (path,) = session.finish()
+    assert session.health.messages == 1
+    assert list(tmp_path.iterdir()) == [path]  # a disk that stays full does not gather empty files
     assert path.name.endswith("_0002.mcap")
     assert [payload for _, _, payload in read_back(path)] == [scan_message(2).payload]
+
+
+def test_what_was_synced_before_a_disk_error_stays_to_be_recovered(recorder, tmp_path):
+    clock = Clock()
+    streams: list[FailingStream] = []
+
+    def open_stream(path: Path):
+        streams.append(FailingStream(path, PLENTY))
+        return streams[-1]
+
+    session = recorder(open_stream=open_stream, monotonic_s=clock)
+    session.put(scan_message(0))
+    wait_until(lambda: session.health.messages == 1)
+    clock.now_s += 1.0
+    wait_until(lambda: streams[0].tell() > 1_000)
+    session.put(scan_message(1))
+    session.put(scan_message(2))
+    wait_until(lambda: session.health.messages == 3)
+    streams[0]._room = 0
+    clock.now_s += 1.0
+    wait_until(lambda: session.health.state == "disk error")
+    wait_until(lambda: session.health.messages == 1)
+    assert session.health.dropped == {"front/scan": 2}
+    session.finish()
+    (path,) = tmp_path.iterdir()
+    assert recover(path).messages == 1
 
 
 class Changes:
