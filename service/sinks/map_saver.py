@@ -26,6 +26,8 @@ log = logging.getLogger(__name__)
 EMIT_INTERVAL_S = 10.0  # a whole map a second would outgrow the scans
 GRAPH_S = 5.0  # that the graph may take to be put away when somebody asks for the map
 MOST_UNSAVED = 8  # maps that a reset ended and the disk has not taken yet
+# A graph folder that has not changed for so long, while checkpoints come, is of a session that was killed.
+ABANDONED_S = 3600.0
 
 
 def open_sink(config: MapConfig, context: SinkContext) -> "MapSaver":
@@ -207,6 +209,8 @@ class MapSaver(Sink):
             self._newest = (numbered.number, saved)
 
     def _run(self) -> None:
+        if self._asks_for_graph:
+            self._remove_abandoned_graphs()
         ask_at_s = time.monotonic() + 0.5 * self._checkpoint_s
         save_at_s = ask_at_s + 0.5 * self._checkpoint_s
         while self._wait():
@@ -218,6 +222,17 @@ class MapSaver(Sink):
             if time.monotonic() >= save_at_s:
                 save_at_s = time.monotonic() + self._checkpoint_s
                 self._try_to_save()
+
+    def _remove_abandoned_graphs(self) -> None:
+        """A session that is killed leaves its graph folder behind; its map holds what it needs of it."""
+        try:
+            for folder in self.graph_folder.parent.glob(".*.graph-*"):
+                age_s = time.time() - folder.stat().st_mtime
+                if folder != self.graph_folder and age_s >= ABANDONED_S and not _is_alive(folder):
+                    shutil.rmtree(folder)
+                    log.info("removed %s, left by a session that was killed", folder)
+        except OSError as error:
+            log.warning("what sessions that were killed have left cannot be removed: %s", error)
 
     def _stop(self) -> None:
         with self._wake:
@@ -298,3 +313,9 @@ class MapSaver(Sink):
         if str(error) != self.fault:  # once, not at every try
             log.error("%s", error)
         self.fault = str(error)
+
+
+def _is_alive(graph_folder: Path) -> bool:
+    """Whether the process that a graph folder is named by is there."""
+    number = graph_folder.name.rpartition("-")[2]
+    return number.isdigit() and Path("/proc", number).exists()

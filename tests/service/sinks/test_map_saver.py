@@ -1,3 +1,4 @@
+import os
 import queue
 import threading
 from collections.abc import Iterator
@@ -24,6 +25,7 @@ from service.sinks.sink import SavedMap
 from tests.service.mapstore.test_graph_files import graph_of
 from tests.service.sinks.contexts import sink_context
 
+NOBODY = 4_194_305  # above every process id that Linux gives
 GEO = GeoReference(LocalFrame(60.161, 24.546, 51.7), SE2(3.0, -4.0, 0.0), 0.8, 0.01, 41)
 
 
@@ -275,6 +277,22 @@ def test_a_map_that_somebody_asks_for_is_saved_with_the_graph_of_now(tmp_path: P
         assert asked == ["checkpoint", "checkpoint"]
     finally:
         saver.flush()
+
+
+def test_the_graph_of_a_session_that_was_killed_is_removed_by_a_later_one(tmp_path: Path):
+    long_gone, just_killed, living = (
+        tmp_path / f".veh1_20251121T10000{k}Z.graph-{pid}"
+        for k, pid in enumerate((NOBODY, NOBODY, os.getpid()))
+    )
+    for folder in (long_gone, just_killed, living):
+        (folder / "map1").mkdir(parents=True)
+    for folder in (long_gone, living):
+        os.utime(folder, (1e9, 1e9))
+    config = MapConfig.model_construct(directory=tmp_path, load=None, checkpoint_s=3600.0)
+    saver = MapSaver(config, sink_context(stores_graph=True))
+    saver.start()
+    saver.flush()
+    assert sorted(tmp_path.iterdir()) == [just_killed, living]
 
 
 def test_who_is_only_localised_leaves_no_trace_in_the_map(tmp_path: Path):
