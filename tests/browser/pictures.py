@@ -25,6 +25,7 @@ from service.encoding import (
     encode_pose,
     encode_tf_static,
 )
+from service.geometry.poses import Floats, points_from, points_seen
 from service.geometry.se2 import SE2
 from service.mapper.profiles import build_mapper, mapping_config
 from service.mapstore.files import save_map
@@ -45,6 +46,7 @@ from tests.browser.conftest import DESKTOP, PHONE, ROOT, Page
 from tests.browser.measure import chromium
 from tests.browser.scene import event, statuses
 from tests.in_background import in_background
+from tests.service.mapper.methods.corridor.graph.rings import HALF_M, LENGTH_M
 from tests.service.offline.bent_maps import ROUND, BentMap, bent_map, save_bent
 from tests.service.recording.sessions import write_file
 from tests.simulated import Laser, Wheels, odometry, scans
@@ -179,6 +181,7 @@ def take_edit(page: Page, folder: Path) -> None:
             page.resize(DESKTOP)
             page.choose("edit")
             take_pairs(page, bent, k)
+            take_panes(page, bent)
             take_area(page)
         finally:
             view.close()
@@ -199,6 +202,38 @@ def take_pairs(page: Page, bent: BentMap, k: int) -> None:
             click_at(page, pair[1])
     save_picture(page, "edit-pairs")
     page.element("forget-places").click()
+
+
+def take_panes(page: Page, bent: BentMap) -> None:
+    """A corner of the ring, seen in both rounds."""
+    k, corner = 38, np.array([LENGTH_M + HALF_M, -HALF_M])
+    drawn = corner_of_second_round(bent, k, corner)
+    page.run(
+        "const {a, b} = corridor.edit.pairs.places; a.choose(arguments[0]); b.choose(arguments[1])",
+        k,
+        k + ROUND,
+    )
+    page.wait_for("const {a, b} = corridor.edit.pairs.places; return a.points.length && b.points.length")
+    page.element("side-by-side").click()
+    page.look_at(corner[0] - 1.2, corner[1] + 1.0, 90.0)
+    page.run(
+        "const {pane} = corridor.edit.pairs; pane.camera.scale = 90;"
+        "pane.camera.centreOn(arguments[0], arguments[1]); corridor.edit.tool.click("
+        "corridor.view.camera.toScreen(arguments[2], arguments[3])); pane.gestures.onHover("
+        "pane.camera.toScreen(arguments[4], arguments[5]))",
+        drawn[0] - 1.2,
+        drawn[1] + 1.0,
+        *corner.tolist(),
+        *drawn.tolist(),
+    )
+    save_picture(page, "edit-panes")
+    page.element("forget-places").click()
+
+
+def corner_of_second_round(bent: BentMap, k: int, xy_map: Floats) -> Floats:
+    """Where a point that key frame k sees lies for the one a round later, m."""
+    seen = points_seen(bent.truth[k + ROUND], xy_map[None])
+    return points_from(bent.graph.map[k + ROUND], seen)[0]
 
 
 def take_area(page: Page) -> None:

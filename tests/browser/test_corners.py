@@ -72,7 +72,7 @@ def test_a_click_beside_a_corner_means_the_corner_and_one_on_a_wall_a_point(page
     ActionChains(page.driver).move_to_element_with_offset(page.element("map"), dx, dy).perform()
     assert page.run("return corridor.edit.tool.aimed.isCorner")
     click_map(page, *beside)
-    picked = page.run("return corridor.edit.tool.first")
+    picked = page.run("return corridor.edit.tool.found.a")
     assert picked["isCorner"]
     assert np.hypot(*(np.array(picked["at"]) - corner)) < 0.02
     page.run("corridor.edit.tool.back()")
@@ -80,6 +80,6 @@ def test_a_click_beside_a_corner_means_the_corner_and_one_on_a_wall_a_point(page
     points = bent.graph.xy_base[begin : begin + int(bent.graph.point_count[k])] + bent.graph.map[k, :2]
     on_wall = next(p for p in points if abs(p[1] + 1.0) < 0.03 and 13.0 < p[0] < 14.0)
     click_map(page, *on_wall)
-    picked = page.run("return corridor.edit.tool.first")
+    picked = page.run("return corridor.edit.tool.found.a")
     assert not picked["isCorner"]
     assert np.hypot(*(np.array(picked["at"]) - on_wall)) < 0.02

@@ -4,7 +4,7 @@ import { BeforeAfter } from "./before_after.js";
 import { byId, card, confirmed, element, notice, setText } from "./dom.js";
 import { EditCut, EditDraw } from "./edit_draw.js";
 import { EditPairs } from "./edit_pairs.js";
-import { KeyframeTool } from "./edit_tools.js";
+import { KeyframeTool, PairTool } from "./edit_tools.js";
 import { Keyframes } from "./keyframes.js";
 import { chooseTab } from "./tabs.js";
 
@@ -133,6 +133,7 @@ export class Edit {
 
   /** ended(): the tool is at work no more, for whatever reason. */
   beginTool(tool, ended = () => {}) {
+    if (!(tool instanceof PairTool) && !(tool instanceof KeyframeTool)) this.pairs.closePane(); // one map to draw on
     this.setTool(tool); // ends the one before
     byId("map").focus({ preventScroll: true }); // for who works with keys
     this.tool = tool;

@@ -1,8 +1,9 @@
 // Manual optimisation: points of two places that are one, what is left between them, and the solution.
 
-import { card, element, setText } from "./dom.js";
+import { byId, card, element, setText } from "./dom.js";
 import { PairTool } from "./edit_tools.js";
 import { fixed } from "./format.js";
+import { PlacePane } from "./place_pane.js";
 import { PlacePicker } from "./place_picker.js";
 
 const MOST_PAIRS = 100; // in one change; the service refuses more
@@ -19,6 +20,10 @@ export class EditPairs {
     };
     this.otherPass = element("button", { type: "button", id: "other-pass", onclick: () => this.#otherPass() }, "B: other pass near A");
     this.pick = element("button", { type: "button", id: "pick-pairs", "aria-pressed": "false", onclick: () => this.#pickPoints() }, "Pick points");
+    this.split = element("button", { type: "button", id: "side-by-side", "aria-pressed": "false", onclick: () => this.#sideBySide() }, "Side by side");
+    this.pane = new PlacePane(byId("pane"), edit.view, () => (edit.tool instanceof PairTool ? edit.tool : null),
+      (...drawing) => this.#drawPane(...drawing));
+    this.shownInPane = null; // pose of place B
     this.forget = element("button", { type: "button", id: "forget-places", onclick: () => this.clear() }, "Clear");
     this.list = element("ul", { className: "stored", id: "pairs", "aria-label": "Pairs of points" });
     this.optimise = element("button", { type: "button", className: "primary", id: "optimise", onclick: () => this.#optimise() }, "Optimise");
@@ -27,7 +32,7 @@ export class EditPairs {
       element("p", { className: "note" },
         "Where a wall shows twice, choose a place of each pass; then click a point of A and the same one of B. Two pairs some metres apart fix a turn, too."),
       this.places.a.node, this.places.b.node,
-      element("div", { className: "row" }, this.otherPass, this.pick),
+      element("div", { className: "row" }, this.otherPass, this.pick, this.split),
       this.list, element("div", { className: "row" }, this.optimise, this.forget));
   }
 
@@ -58,6 +63,10 @@ export class EditPairs {
     this.otherPass.disabled = !a.isChosen;
     this.pick.disabled = !(a.isChosen && b.isChosen) || a.keyframe === b.keyframe;
     this.pick.setAttribute("aria-pressed", String(this.edit.tool instanceof PairTool));
+    const areTwo = a.isChosen && b.isChosen;
+    this.split.disabled = !areTwo;
+    if (!areTwo && this.pane.isOpen) this.pane.close();
+    this.split.setAttribute("aria-pressed", String(this.pane.isOpen));
     this.forget.disabled = !a.isChosen && !b.isChosen && this.pairs.length === 0;
     setText(this.optimise, this.pairs.length ? `Optimise with ${this.pairs.length} new` : "Optimise");
     const total = this.stored.length + this.pairs.length;
@@ -81,6 +90,8 @@ export class EditPairs {
 
   #placeChanged() {
     if (this.edit.tool instanceof PairTool) this.edit.tool.back();
+    const { b } = this.places;
+    if (this.pane.isOpen && b.pose && b.pose !== this.shownInPane) this.#showInPane();
     this.update();
     this.edit.view.invalidate();
   }
@@ -96,12 +107,36 @@ export class EditPairs {
       this.edit.endTool();
       return;
     }
-    const tool = new PairTool(this.edit.view, this.places, (ofA, ofB) => {
+    const tool = new PairTool(this.edit.view, this.places, this.pane, (ofA, ofB) => {
       if (this.pairs.length >= MOST_PAIRS) tool.note = `${MOST_PAIRS} new pairs at most; optimise first.`;
       else this.pairs.push({ points: [ofA, ofB], keyframes: [this.places.a.keyframe, this.places.b.keyframe] });
       this.update();
     });
     this.edit.beginTool(tool);
+  }
+
+  /** Two panes, and points are picked in them; or one map again. */
+  #sideBySide() {
+    const { a, b } = this.places;
+    if (this.pane.isOpen) this.closePane();
+    else if (a.pose && b.pose) {
+      this.pane.open(a.pose, b.pose);
+      this.shownInPane = b.pose;
+      if (!(this.edit.tool instanceof PairTool)) this.#pickPoints();
+      else this.edit.beginTool(this.edit.tool); // its hint is another
+    }
+    this.update();
+  }
+
+  closePane() {
+    this.pane.close();
+    if (this.edit.tool instanceof PairTool) this.edit.tool.back();
+    this.update();
+  }
+
+  #showInPane() {
+    this.shownInPane = this.places.b.pose;
+    this.pane.show(this.shownInPane);
   }
 
   async #optimise() {
@@ -115,9 +150,20 @@ export class EditPairs {
 
   draw(context, camera, colours) {
     const { a, b } = this.places;
+    this.pane.invalidate();
     if (!a.isChosen && !b.isChosen && !this.pairs.length) return;
     a.draw(context, camera, colours.places.a);
-    b.draw(context, camera, colours.places.b);
+    if (!this.pane.isOpen) b.draw(context, camera, colours.places.b);
+    this.#drawLinks(context, camera, colours);
+  }
+
+  #drawPane(context, camera, colours) {
+    this.places.b.draw(context, camera, colours.places.b);
+    this.#drawLinks(context, camera, colours);
+    if (this.edit.tool instanceof PairTool) this.edit.tool.drawOf(["b"], context, camera, colours);
+  }
+
+  #drawLinks(context, camera, colours) {
     const link = (from, to, name, dash) => {
       const [x0, y0] = camera.toScreen(...from), [x1, y1] = camera.toScreen(...to);
       context.strokeStyle = context.fillStyle = colours.measure;

@@ -163,26 +163,30 @@ export class KeyframeTool {
   }
 }
 
-/** Points of two places, in turn: one of A, the same of B. picked(pointOfA, pointOfB), map points. */
+/**
+ * Points of two places: one of A and the same of B. picked(pointOfA, pointOfB), map points.
+ * On one map first that of A, then that of B; in two panes each in its own, in any order.
+ */
 export class PairTool {
   drags = false;
 
-  /** places: {a, b}, each {points: [x_m, y_m, ...]}; see PlacePicker. */
-  constructor(view, places, picked) {
+  /** places: {a, b}, each {points: [x_m, y_m, ...]}; see PlacePicker. pane: PlacePane of place B, open or not. */
+  constructor(view, places, pane, picked) {
     this.view = view;
     this.places = places;
+    this.pane = pane;
     this.picked = picked;
-    this.first = this.aimed = null; // of A, waiting for that of B; under the pointer: {at: map point, isCorner}
+    this.found = { a: null, b: null }; // {at: map point, isCorner}, until there is one of each
+    this.aimed = null; // what a click would mean: {side, at, isCorner}
     this.note = "";
-  }
-
-  get side() {
-    return this.first ? "b" : "a";
   }
 
   get hint() {
     if (this.note) return this.note;
-    return this.first ? "Now the same point among those of place B. Backspace takes the first back."
+    const { a, b } = this.found;
+    if (a) return `Now the same point ${this.pane.isOpen ? "in the pane" : "among those"} of place B. Backspace takes the first back.`;
+    if (b) return "Now the same point in the pane of place A. Backspace takes the first back.";
+    return this.pane.isOpen ? "Click a point in one pane, a corner of a wall, say; then the same one in the other. Esc ends."
       : "Click a point of place A, a corner of a wall, say; then the same one of place B. Esc ends.";
   }
 
@@ -190,32 +194,40 @@ export class PairTool {
     return this.hint;
   }
 
-  click(point) {
-    const found = this.#nearest(point);
-    this.note = found ? "" : `No point of place ${this.side.toUpperCase()} is near there; click nearer to one of its colour.`;
-    if (found && this.first) {
-      const first = this.first;
-      this.first = null;
-      this.picked(first.at, found.at);
-    } else if (found) this.first = found;
+  /** pane: in which it was; left out, in the first. */
+  click(point, pane = null) {
+    const side = this.#side(pane), found = this.#nearest(point, side, pane);
+    this.note = found ? "" : `No point of place ${side.toUpperCase()} is near there; click nearer to one of its colour.`;
+    if (found) this.found[side] = found;
+    const { a, b } = this.found;
+    if (a && b) {
+      this.found = { a: null, b: null };
+      this.picked(a.at, b.at);
+    }
     this.aimed = null;
     this.view.invalidate();
   }
 
   back() {
-    this.first = null;
+    this.found = { a: null, b: null };
     this.note = "";
     this.view.invalidate();
   }
 
-  hover(point) {
-    this.aimed = this.#nearest(point);
+  hover(point, pane = null) {
+    const side = this.#side(pane), found = this.#nearest(point, side, pane);
+    this.aimed = found && { side, ...found };
     this.view.invalidate();
   }
 
+  #side(pane) {
+    if (this.pane.isOpen) return pane ? "b" : "a";
+    return this.found.a ? "b" : "a";
+  }
+
   /** The corner of two walls, where one is near; else the nearest point of the place. */
-  #nearest(point) {
-    const { camera } = this.view, { points } = this.places[this.side];
+  #nearest(point, side, pane) {
+    const { camera } = pane ?? this.view, { points } = this.places[side];
     let least = SNAP_PIXELS, nearest = null;
     for (let i = 0; i < points.length; i += 2) {
       const away = distance(camera.toScreen(points[i], points[i + 1]), point);
@@ -227,12 +239,19 @@ export class PairTool {
     return { at: isCorner ? corner : nearest, isCorner };
   }
 
+  /** In two panes only what is of the first one. */
   draw(context, camera, colours) {
+    this.drawOf(this.pane.isOpen ? ["a"] : ["a", "b"], context, camera, colours);
+  }
+
+  drawOf(sides, context, camera, colours) {
     context.lineWidth = 2;
-    for (const [at, side] of [[this.first, "a"], [this.aimed, this.side]]) {
-      if (!at) continue;
-      context.strokeStyle = colours.places[side];
-      drawAimed(context, camera.toScreen(...at.at), at.isCorner);
+    for (const side of sides) {
+      for (const found of [this.found[side], this.aimed?.side === side ? this.aimed : null]) {
+        if (!found) continue;
+        context.strokeStyle = colours.places[side];
+        drawAimed(context, camera.toScreen(...found.at), found.isCorner);
+      }
     }
   }
 }

@@ -55,7 +55,6 @@ const connection = new Connection({
     past.put(moment);
     information.putMoment(moment);
     information.putPose(view.track.last);
-    showFollow();
   },
   pose: (pose) => {
     view.putPose(pose);
@@ -202,7 +201,8 @@ gestures.onHover = ([sx, sy]) => {
   setText(byId("cursor"), `x ${fixed(x_m, 2, " m")}  y ${fixed(y_m, 2, " m")}  ${cell}${score}`);
 };
 
-const toggleFollow = () => { view.follow(!view.follows); showFollow(); };
+view.onFollows = showFollow;
+const toggleFollow = () => view.follow(!view.follows);
 const toggleMeasure = () => setTool(tool instanceof MeasureTool ? null : new MeasureTool(view));
 const showBefore = () => edit.compare.show(!view.showsBefore);
 const clickMiddle = () => tool?.click?.([view.camera.width / 2, view.camera.height / 2]);

@@ -195,6 +195,7 @@ export class MapView {
     this.follows = isOn;
     const last = this.track.last;
     if (isOn && last) this.camera.centreOn(last.x_m, last.y_m);
+    this.onFollows?.();
     this.invalidate();
   }
 
