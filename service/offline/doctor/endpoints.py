@@ -52,9 +52,9 @@ def _taken(
         services = running_services(machine)  # another user's: the kernel shows its name, not its sockets
     if services:
         words = (
-            f"{services[0]} is the running service and listens at {endpoint}; its devices are busy with it"
+            f"{services[0]} is the running service and listens at {endpoint}; its devices are in use by it"
         )
-        remedy = "what follows of devices is what it says; stop it to have them looked at"
+        remedy = "the lines on devices below are its health; stop it to examine the devices themselves"
         return note("zenoh", words, remedy), RunningService(services[0], endpoint)
     held = " and ".join(map(str, owners)) or "another user's process, which only root sees"
     return fault(

@@ -27,7 +27,7 @@ def look_at_clock(machine: Machine) -> Finding:
     if now_s < BEFORE_THIS_PROGRAM_S:
         return fault(
             "clock",
-            f"the clock stands {(BEFORE_THIS_PROGRAM_S - now_s) / 86400:.0f} days before 2025; {keeper}",
+            f"the clock is {(BEFORE_THIS_PROGRAM_S - now_s) / 86400:.0f} days before 2025; {keeper}",
             "today's date: recordings are named and stamped by it",
             "an empty clock battery? let chrony or systemd-timesyncd set it before the service starts",
         )
@@ -72,7 +72,7 @@ def look_at_rights(machine: Machine) -> Finding:
     if machine.user in group.gr_mem:
         return note(
             "rights",
-            f"user {machine.user} is in group {SERIAL_GROUP} since after this login{listed}",
+            f"user {machine.user} is in group {SERIAL_GROUP}, but was added after this login{listed}",
             "log out and in again",
         )
     return note(
@@ -95,7 +95,7 @@ def look_at_unit(machine: Machine) -> Finding:
     if not enabled:
         return note(
             "unit",
-            f"{installed[0]}/{UNIT} is installed, for no vehicle enabled",
+            f"{installed[0]}/{UNIT} is installed, but enabled for no vehicle",
             "sudo systemctl enable --now corridor@<vehicle>",
         )
     return ok("unit", f"{installed[0]}/{UNIT}, enabled: {', '.join(enabled)}")

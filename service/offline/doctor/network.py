@@ -121,7 +121,7 @@ def _nobody_there(machine: Machine, who: str, address: str, port: int) -> Findin
         )
     on = f" on {route.interface}" if route else ""
     if _arp_answered(machine, address) is False:
-        measured = f"nobody has the address {address}{on} (no answer to ARP)"
+        measured = f"no machine has the address {address}{on} (no answer to ARP)"
     else:
         measured = f"no answer from {address} at port {port}{on}"
     return fault(

@@ -74,13 +74,13 @@ def from_health(
 
 def _from_status(status: Status) -> Finding:
     who = status.name.removeprefix(SENSOR_PREFIX)
-    measured = f"as the service has it: {status.message}"
+    measured = f"as the running service reports: {status.message}"
     if who != status.name and (rate := status.values.get("rate_hz")):
         measured += f"; {rate} frames/s"
     severity = _SEVERITIES.get(status.level, "fault")
     if severity == "ok":
         return Finding("ok", who, measured, values=dict(status.values))
-    remedy = "stop the service and look again: then the device itself is asked"
+    remedy = "stop the service and run doctor again: it then talks to the device itself"
     if who == status.name:
-        remedy = "docs/operations.md says what this line means"
+        remedy = "docs/operations.md explains this line"
     return Finding(severity, who, measured, "level ok", remedy, dict(status.values))

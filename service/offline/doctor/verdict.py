@@ -45,14 +45,14 @@ def streaming(kind: SensorKind, config: Any, seen: Probe) -> list[Finding]:
     if losses := seen.losses:
         counted = ", ".join(f"{name} {count}" for name, count in losses.items())
         found.append(
-            note(config.name, f"while it streamed: {counted}", f"{_page(config)} says what is counted")
+            note(config.name, f"while it streamed: {counted}", f"{_page(config)} explains the counters")
         )
     if (delay := seen.delay_ms) and delay[0] < -STAMP_AHEAD_MS:
         found.append(
             fault(
                 config.name,
                 f"stamps lie {-delay[0]:.1f} ms after the arrival of the frame",
-                "before it: a message is measured before it comes",
+                "stamps before the arrival: a measurement precedes its message",
                 "make its latency setting larger",
             )
         )
@@ -85,7 +85,7 @@ def _slow_rate(kind: SensorKind, config: Any, seen: Probe) -> Finding | None:
         return None
     made_hz = seen.rate_hz
     if made_hz is not None and made_hz < RATE_SHARE * wanted_hz and not seen.losses:
-        remedy = "the device itself is slower than the config: has somebody else set it, can this type do it?"
+        remedy = "the device is slower than the config: has another program set it, can this type do it?"
     else:
         remedy = "frames are lost on the way: look at the cable, the network's load, and this machine's"
     measured = f"{seen.frames} frames, then none" if rate_hz is None else f"{rate_hz:.1f} frames/s"
@@ -103,7 +103,7 @@ def slow(config: Any, seen: Probe, identity: dict[str, str]) -> Finding:
     """It answers, and has not come to its first frame in time."""
     return fault(
         config.name,
-        f"{_identity(identity)} answers, but no frame in {seen.seconds:.0f} s; it is at: {seen.status}",
+        f"{_identity(identity)} answers, but no frame in {seen.seconds:.0f} s; its status: {seen.status}",
         "the first frame by then",
         f"look again in a minute: it may be starting or taking over new settings; {_page(config)}",
     )
@@ -114,7 +114,7 @@ def refused(config: Any, seen: Probe) -> Finding:
     if seen.error is None:
         return fault(
             config.name,
-            f"a {config.type} is there, but no frame in {seen.seconds:.0f} s; it is at: {seen.status}",
+            f"a {config.type} is there, but no frame in {seen.seconds:.0f} s; its status: {seen.status}",
             "frames",
             _page(config),
         )
@@ -128,7 +128,7 @@ def silent(kind: SensorKind, config: Any, seen: Probe) -> Finding:
         f"the wire is open, {seen.bytes_written} bytes were sent, and nothing came in {seen.seconds:.0f} s"
     )
     if seen.error is not None and _hung_up(seen.error):
-        measured = "accepts and hangs up without a word"
+        measured = "accepts the connection and closes it without data"
     return fault(config.name, measured, f"a {config.type} to answer", kind.advice.silence)
 
 

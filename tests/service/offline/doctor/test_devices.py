@@ -105,14 +105,14 @@ def test_a_device_that_serves_somebody_else_is_recognised(on_tcp: OnTcp):
     at = on_tcp(fake_lms100())
     with TcpTransport(*at):
         finding = only(examine(lms100(at)))
-    assert finding.measured == "accepts and hangs up without a word"
+    assert finding.measured == "accepts the connection and closes it without data"
     assert "is another host" in finding.remedy
 
 
 def test_a_slow_start_is_named_with_what_the_device_is_at(on_tcp: OnTcp):
     finding = only(examine(lms100(on_tcp(fake_lms100(measuring=False, start_delay_ns=60_000_000_000)))))
     assert "answers, but no frame in 1 s" in finding.measured
-    assert "it is at: waiting for the laser" in finding.measured
+    assert "its status: waiting for the laser" in finding.measured
 
 
 def test_a_refusal_is_said_with_the_drivers_own_advice(on_tcp: OnTcp):

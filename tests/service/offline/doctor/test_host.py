@@ -52,7 +52,7 @@ def test_the_real_kernel_is_asked_and_nothing_is_set():
     [
         ({"is_root": True}, "ok", "root may open every port"),
         ({"group_ids": frozenset({20})}, "ok", "user driver is in group dialout"),
-        ({"user": "member"}, "note", "since after this login"),
+        ({"user": "member"}, "note", "was added after this login"),
         ({}, "note", "user driver is not in group dialout"),
     ],
 )
@@ -80,7 +80,7 @@ def test_a_machine_without_the_group_says_so(tree: FakeTree, monkeypatch: pytest
 def test_the_unit_is_missing_there_or_enabled(tree: FakeTree):
     assert "is not installed" in look_at_unit(tree.machine()).measured
     tree.write("/etc/systemd/system/corridor@.service", "")
-    assert "for no vehicle enabled" in look_at_unit(tree.machine()).measured
+    assert "enabled for no vehicle" in look_at_unit(tree.machine()).measured
     tree.link("/etc/systemd/system/multi-user.target.wants/corridor@veh1.service", "../corridor@.service")
     finding = look_at_unit(tree.machine())
     assert finding.severity == "ok"

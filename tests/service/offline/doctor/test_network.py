@@ -74,7 +74,7 @@ def test_an_address_that_nobody_has_is_told_from_a_silent_device(tree: FakeTree)
     tree.write("/proc/net/route", HEAD + VEHICLE_NET)
     arp = "IP address HW type Flags HW address Mask Device\n192.168.0.1 0x1 0x{} 00:06:77:00:00:01 * eth1\n"
     tree.write("/proc/net/arp", arp.format(0))
-    assert "nobody has the address" in (
+    assert "no machine has the address" in (
         call_failed(tree.machine(), "front", "192.168.0.1", 2111, failed(0)).measured
     )
     tree.write("/proc/net/arp", arp.format(2))

@@ -29,7 +29,7 @@ def test_each_status_becomes_a_finding():
     running = RunningService(PROCESS, "tcp/127.0.0.1:7447")
     front, base, mapping, rear = from_health(running, "veh1", ["front", "base", "rear"], STATUSES)
     assert (front.severity, front.who) == ("ok", "front")
-    assert front.measured == "as the service has it: streaming; 49.7 frames/s"
+    assert front.measured == "as the running service reports: streaming; 49.7 frames/s"
     assert (base.severity, base.who) == ("fault", "base")
     assert "stop the service" in base.remedy
     assert (mapping.severity, mapping.who) == ("note", "mapping")
