@@ -105,7 +105,7 @@ def test_what_an_interrupted_warm_up_has_compiled_is_used_by_the_next(
     tmp_path: Path, begin: Callable[[str], subprocess.Popen[bytes]]
 ):
     process = begin("warmup")
-    until(lambda: len(list((tmp_path / "cache").rglob("*.nbc"))) > 1, "the first kernels")
+    until(lambda: len(list((tmp_path / "cache").rglob("*.nbc"))) > 0, "the first kernel")
     os.killpg(process.pid, signal.SIGINT)
     assert process.wait(PATIENCE_S) == 130
     kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*.nbc")}
