@@ -189,11 +189,12 @@ def test_reduction_agrees_with_plain_loops_on_random_scans(choice, echo):
             for e in range(int(rng.integers(1, 4)))
         ]
         by_beam = {}
+        by_shot = {shot: [] for shot in shots}
+        for r in rows:
+            if r[4] >= 30 and not r[2] & (DIRT | RAIN):
+                by_shot[r[0], r[3]].append(r)
         for layer, angle in shots:
-            echoes = [
-                r for r in rows if (r[0], r[3]) == (layer, angle) and r[4] >= 30 and not r[2] & (DIRT | RAIN)
-            ]
-            if echoes:
+            if echoes := by_shot[layer, angle]:
                 pick = {"first": echoes[0], "last": echoes[-1], "strongest": max(echoes, key=lambda r: r[5])}
                 by_beam.setdefault(math.floor((320 - angle) / 8 + 0.5), []).append(pick[echo])
         expected = np.full(81, np.nan)
