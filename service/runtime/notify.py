@@ -11,14 +11,17 @@ SEND_TIMEOUT_S = 0.2
 
 
 class Notifier:
-    """Sends to $NOTIFY_SOCKET. That it is gone is no reason to stop mapping: said once, then ignored."""
+    """Sends to $NOTIFY_SOCKET. That it is gone is no reason to stop mapping: said once, and each word tries
+    it again, for a watchdog that hears nothing any more kills the service.
+    """
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         self._socket: socket.socket | None = None
         self.watchdog_s = _watchdog_s(environment)  # ping at least this often; None: no watchdog
-        address = environment.get("NOTIFY_SOCKET", "")
-        if address:
-            self._connect("\0" + address[1:] if address.startswith("@") else address)
+        self._address = environment.get("NOTIFY_SOCKET", "")
+        self._is_told = False  # that it is gone, since it was last there
+        if self._address:
+            self._connect()
 
     def ready(self) -> None:
         self.send("READY=1")
@@ -38,31 +41,44 @@ class Notifier:
         self.send("STOPPING=1")
 
     def send(self, line: str) -> None:
-        if self._socket is None:
+        if self._socket is None and not (self._address and self._connect()):
             return
+        assert self._socket is not None
         try:
             self._socket.send(line.encode())
+            self._is_told = False
         except TimeoutError:
             log.warning("systemd does not take %s", line)  # its queue is full
         except OSError as error:
-            log.warning("cannot notify systemd any more: %s", error)
-            self.close()
+            self._tell(f"cannot notify systemd at NOTIFY_SOCKET={self._address}: {error}")
+            self._disconnect()
 
     def close(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+        """Nothing more is said."""
+        self._address = ""
+        self._disconnect()
 
-    def _connect(self, address: str) -> None:
+    def _connect(self) -> bool:
+        address = "\0" + self._address[1:] if self._address.startswith("@") else self._address
         notify = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
         try:
             notify.connect(address)
         except OSError as error:
             notify.close()
-            log.warning("NOTIFY_SOCKET is set to %r, but nobody listens there: %s", address, error)
-            return
+            self._tell(f"NOTIFY_SOCKET is set to {self._address!r}, but nobody listens there: {error}")
+            return False
         notify.settimeout(SEND_TIMEOUT_S)
         self._socket = notify
+        return True
+
+    def _disconnect(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def _tell(self, words: str) -> None:
+        log.log(logging.DEBUG if self._is_told else logging.WARNING, "%s; it is tried again", words)
+        self._is_told = True
 
 
 def _watchdog_s(environment: Mapping[str, str]) -> float | None:

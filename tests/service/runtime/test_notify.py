@@ -1,3 +1,4 @@
+import logging
 import os
 import socket
 from collections.abc import Iterator
@@ -43,7 +44,8 @@ def test_nobody_to_tell_is_no_error():
     assert notifier.watchdog_s is None
 
 
-def test_a_socket_nobody_listens_on_is_said_once_and_left(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+def test_a_socket_nobody_listens_on_is_said_once(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    caplog.set_level(logging.WARNING)
     notifier = Notifier({"NOTIFY_SOCKET": str(tmp_path / "gone")})
     notifier.ready()
     notifier.ready()
@@ -54,9 +56,32 @@ def test_a_listener_that_goes_away_does_not_stop_us(tmp_path: Path, caplog: pyte
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(str(tmp_path / "notify"))
         notifier = Notifier({"NOTIFY_SOCKET": str(tmp_path / "notify")})
+    caplog.set_level(logging.WARNING)
     notifier.ready()
     notifier.ready()
-    assert caplog.text.count("cannot notify systemd any more") == 1
+    assert caplog.text.count("cannot notify systemd at") == 1
+    assert caplog.text.count("nobody listens") == 0
+
+
+def test_a_listener_that_comes_back_hears_the_watchdog_again(tmp_path: Path):
+    """Else it would kill a service that is well."""
+    path = tmp_path / "notify"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(str(path))
+        notifier = Notifier({"NOTIFY_SOCKET": str(path)})
+    notifier.alive()
+    path.unlink()
+    notifier.alive()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(str(path))
+        listener.settimeout(5.0)
+        notifier.alive()
+        assert listener.recv(256) == b"WATCHDOG=1"
+        notifier.close()
+        notifier.alive()
+        listener.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            listener.recv(256)
 
 
 def test_a_listener_that_sleeps_does_not_hold_us_up(tmp_path: Path, caplog: pytest.LogCaptureFixture):
