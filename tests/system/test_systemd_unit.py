@@ -62,3 +62,8 @@ def test_a_service_that_fails_again_and_again_is_started_again_without_end():
     text = UNIT.read_text()
     assert re.search("^StartLimitIntervalSec=0$", text, re.MULTILINE)
     assert re.search("^Restart=on-failure$", text, re.MULTILINE)
+
+
+def test_a_mapper_killed_for_want_of_memory_leaves_its_place_to_the_stand_by():
+    """systemd's own way is to stop the whole service."""
+    assert re.search("^OOMPolicy=continue$", UNIT.read_text(), re.MULTILINE)
