@@ -5,6 +5,7 @@ same with and without it. Pictures are made in the thread that maps, ten a secon
 """
 
 import json
+import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -26,10 +27,15 @@ from service.encoding import (
     encode_pose,
     encode_tf_static,
 )
+from service.errors import InputError
 from service.geometry.se2 import SE2
 from service.mapper.mapping_session import MappingSession
 from service.mapstore.tiles import TileStore
+from service.offline.driven_moments import DrivenMoments
+from service.offline.moments import GO_TO, MomentDesk
 from service.offline.pace import Pace
+from service.offline.raw_replay import FROM_RAW
+from service.offline.replayed_moments import ReplayedMoments
 from service.offline.shown_tiles import ShownTiles
 from service.offline.view import start_serving
 from service.outputs import NO_GRAPH, GraphPicture, MapperOutput, TileUpdate
@@ -37,8 +43,10 @@ from service.publishing.commands import Answer, refusal
 from service.recording.mcap_source import Session
 from service.web.access import new_token
 from service.web.config import WebConfig
-from service.web.protocol import encode_standing
+from service.web.protocol import encode_path, encode_standing, moment_over_json
 from service.web.server import About, WebServer
+
+log = logging.getLogger(__name__)
 
 PICTURE_S = 0.1  # pose and scans
 STATUS_S = 0.5
@@ -91,11 +99,13 @@ class ReplayPage:
         self._scans: dict[str, LaserScan] = {}  # the newest of each laser
         self._graph: GraphPicture | None = None  # the newest that is shown
         self._way: list[tuple[float, float]] = []  # driven since the last picture
+        self._stamps: list[tuple[int, int]] = []  # of each scan mapped in the present map: measured, logged
+        self._moments: MomentDesk | None = None  # of the finished map
         self._phase = "starting"  # replaying, closing loops, finished
         self._picture_due_s = self._status_due_s = self._tiles_due_s = 0.0
         self._speed_from: tuple[float, int] | None = None  # moment and log time of the last status
         self._token = new_token()
-        about = About(name, "", lambda: VERBS)
+        about = About(name, "", lambda: VERBS if self._moments is None else (*VERBS, GO_TO))
         self._server = WebServer(WebConfig(listen=listen), about, self._store, self._answer, self._token)
         start_serving(self._server)
 
@@ -124,6 +134,7 @@ class ReplayPage:
             self._begin_map()
             self._phase = "replaying"
         self._output, self._scans[scan.sensor] = output, scan
+        self._stamps.append((output.stamp_ns, self._log_ns))
         pose = output.pose_map_base
         self._way.append((pose.x_m, pose.y_m))
         now_s = time.monotonic()
@@ -144,12 +155,35 @@ class ReplayPage:
         self._shown.take(tiles)
         self._server.put_ready({STANDING: encode_standing(None)})  # told before the last loops
         self._show_graph()
-        self._server.put_path(np.array([(p.x_m, p.y_m) for p in poses_map_base], np.float32).reshape(-1, 2))
         self._way.clear()
         self._phase = "finished"
+        self._look_back(poses_map_base)
         self._tell_status()
 
+    def _look_back(self, poses_map_base: Sequence[SE2]) -> None:
+        """From now on any moment can be gone to; at first the last is shown."""
+        assert self._session is not None
+        stamp_ns, log_ns = np.array(self._stamps, np.int64).T
+        poses = np.array([(p.x_m, p.y_m, p.theta_rad) for p in poses_map_base])
+        is_remade = FROM_RAW in self._session.metadata  # then its file is gone by and by
+        moments: DrivenMoments | ReplayedMoments = (
+            DrivenMoments(stamp_ns, poses)
+            if is_remade
+            else ReplayedMoments(self._session, stamp_ns, log_ns, poses)
+        )
+        self._server.put_ready({"path": encode_path(moments.path_map.astype(np.float32))})
+        desk = MomentDesk(moments, lambda at_ns, payloads: self._server.put_ready(payloads))
+        try:
+            desk.go_to(moments.last_ns)
+        except InputError as error:
+            log.warning("the page cannot look back: %s", error)  # the result is written all the same
+        else:
+            self._moments = desk
+
     def _begin_map(self) -> None:
+        self._moments = None
+        self._stamps.clear()
+        self._server.put_ready({"moment": moment_over_json()})
         self._shown.take([])
         self._server.put_ready({STANDING: encode_standing(None)})
         self._server.put_path(np.empty((0, 2), np.float32))
@@ -239,8 +273,10 @@ class ReplayPage:
 
     def _answer(self, verb: str, payload: bytes) -> Answer:
         """From a thread of the page."""
+        if verb == GO_TO and (moments := self._moments) is not None:
+            return moments.answer(verb, payload)
         if verb not in VERBS:
-            return refusal(f"this is a replay; it knows {', '.join(VERBS)}")
+            return refusal(f"this is a replay; it knows {', '.join(VERBS)}, and {GO_TO} when it is finished")
         if self._session is None or self._phase in ("closing loops", "finished"):
             return refusal(f"the replay is {self._phase}")
         try:

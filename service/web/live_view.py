@@ -213,6 +213,7 @@ class LiveView:
     def _show_way(self, came: _Streams) -> list[Shown]:
         shown = []
         if came.path is not None:
+            self._kept.pop("path", None)  # that somebody else had made ready
             self._path.clear()
             for x_m, y_m in came.path.tolist():
                 self._path.add(x_m, y_m)

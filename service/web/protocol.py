@@ -133,6 +133,11 @@ def moment_json(
     )
 
 
+def moment_over_json() -> str:
+    """No moment of the past is shown any more: what comes is of now."""
+    return to_json("moment_over")
+
+
 def mountings_json(poses_base_sensor: Mapping[str, SE2]) -> str:
     poses = {sensor: [pose.x_m, pose.y_m, pose.theta_rad] for sensor, pose in poses_base_sensor.items()}
     return to_json("mountings", pose_base_sensor=poses)

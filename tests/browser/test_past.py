@@ -2,15 +2,19 @@
 
 import itertools
 
+import numpy as np
 import pytest
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 
 from service.offline.recording_view import RecordingView
+from service.offline.replay import ReplayOptions, replay
+from service.offline.replay_page import ReplayPage
 from tests.browser.conftest import DESKTOP, PHONE
 from tests.browser.scene import Scene, stamp
 from tests.browser.test_page import serious_faults
 from tests.service.offline.past_recordings import LASTS_S, write_past
+from tests.service.offline.test_replay import record_drive  # noqa: F401 - a fixture
 
 END_S = LASTS_S + 0.005  # the last scan's arrival
 
@@ -192,6 +196,35 @@ def test_the_slider_is_dragged_with_the_mouse(past):
     actions = ActionChains(past.driver).move_to_element_with_offset(slider, quarter, 0).click_and_hold()
     actions.move_to_element_with_offset(slider, -quarter, 0).release().perform()
     past.wait_for("return Math.abs(corridor.report().moment.position_s - 5) < 0.7")
+
+
+def test_a_replay_that_is_finished_is_looked_back_at_until_another_begins(page, record_drive):  # noqa: F811
+    shown = ReplayPage("127.0.0.1:0", "lap", 0.0)
+    try:
+        done = replay([record_drive(scans=60)], ReplayOptions(), watch=shown)
+        page.open(shown.address)
+        page.wait_for(
+            "const r = corridor.report(); return r.moment && r.mayControl && r.health && r.tiles > 0"
+        )
+        assert page.element("past").is_displayed()
+        assert not page.element("replay").is_displayed()
+        page.element("past-position").send_keys(Keys.HOME)
+        page.wait_for("return corridor.report().moment.position_s === 0")
+        page.wait_for(
+            "return corridor.report().pose.stamp_ns === arguments[0]", str(done.outputs[0].stamp_ns)
+        )
+        page.element("map").send_keys(".")
+        page.wait_for("return Math.abs(corridor.report().moment.position_s - 1) < 0.001")
+        page.wait_for("return corridor.report().scanPoints.front > 100")
+        points = page.run("return [...corridor.view.scans.get('front').points]")
+        assert np.isfinite(points).all()
+        shown._begin_map()
+        shown._tell_status()
+        page.wait_for("return corridor.view.moment === null")
+        assert not page.element("past").is_displayed()
+        assert page.report()["pose"] is None
+    finally:
+        shown.close()
 
 
 def test_axe_finds_nothing_serious_on_the_page_of_a_recording(past, axe):

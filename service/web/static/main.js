@@ -53,9 +53,11 @@ const connection = new Connection({
   moment: (moment) => {
     view.putMoment(moment);
     past.put(moment);
+    replay.root.hidden = true; // finished: its pace matters no more
     information.putMoment(moment);
     information.putPose(view.track.last);
   },
+  moment_over: () => { view.endMoment(); past.clear(); },
   pose: (pose) => {
     view.putPose(pose);
     if (poseTimer !== null) return; // the newest is said when its time has come

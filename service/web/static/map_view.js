@@ -153,6 +153,15 @@ export class MapView {
     this.follow(this.follows);
   }
 
+  /** What comes from now on is of now. */
+  endMoment() {
+    if (!this.moment) return;
+    this.moment = null;
+    this.track.clear();
+    this.scans.clear();
+    this.invalidate();
+  }
+
   /** Whether it is of a laser that was not seen before. */
   putScan(scan) {
     const isNew = !this.sensors.includes(scan.sensor);

@@ -31,7 +31,7 @@ export class Replay {
 
   putHealth({ statuses }) {
     const values = statuses.find((status) => status.name === "replay")?.values;
-    this.root.hidden = !values;
+    this.root.hidden = !values || values.state === "finished"; // then any of its moments can be gone to
     this.state = values?.state ?? "";
     if (!values) return;
     this.position_s = Number(values.position_s);

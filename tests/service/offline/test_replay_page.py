@@ -18,6 +18,7 @@ from service.mapstore.files import load_map
 from service.offline.replay import ReplayOptions, replay, write_replay
 from service.offline.replay_page import ReplayPage
 from service.outputs import UNKNOWN
+from service.recording.mcap_source import Session
 from tests.service.offline.test_replay import RecordDrive, record_drive  # noqa: F401 - a fixture
 from tests.service.web.conftest import TIMEOUT_S, talk
 
@@ -111,6 +112,56 @@ def test_the_page_shows_the_map_that_is_written_its_path_and_what_the_scans_saw(
     talk(page._server, look)
 
 
+def test_when_it_is_finished_any_moment_can_be_gone_to(
+    record_drive: RecordDrive,  # noqa: F811
+    show: Callable[..., ReplayPage],
+) -> None:
+    page = show()
+    done = replay([record_drive(scans=60)], ReplayOptions(), watch=page)
+    first_ns = done.outputs[0].stamp_ns
+
+    async def look(client: Any) -> None:
+        async with client.socket() as socket:
+            await client.ask(socket, type="token", token=page._token)
+            last = await client.next(socket, "moment")
+            assert last["duration_s"] == pytest.approx((done.outputs[-1].stamp_ns - first_ns) / 1e9)
+            for k in (30, 5, 59):
+                asked = {"position_s": (done.outputs[k].stamp_ns - first_ns) / 1e9 + 1e-6}
+                await client.ask(socket, type="command", n=k, verb="moment_go_to", request=asked)
+                moment = {"position_s": -1.0}
+                while abs(moment["position_s"] - asked["position_s"]) > 1e-5:
+                    moment = await client.next(socket, "moment")
+                assert moment["map_words"] == "map as it is in the end"
+                newest, truth = moment["poses"][-1], done.poses_map_base[k]
+                assert newest["stamp_ns"] == str(done.outputs[k].stamp_ns)
+                assert (newest["x_m"], newest["y_m"]) == pytest.approx((truth.x_m, truth.y_m), abs=1e-9)
+                assert newest["twist"][0] == pytest.approx(0.5, abs=0.3)
+                stamp_s = 0.0
+                while stamp_s != done.outputs[k].stamp_ns / 1e9:
+                    (stamp_s,) = struct.unpack_from("<d", await client.next(socket, SCAN), 4)
+
+    talk(page._server, look)
+
+
+def test_of_frames_that_were_made_anew_only_the_way_is_shown(
+    record_drive: RecordDrive,  # noqa: F811
+    show: Callable[..., ReplayPage],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ready: list[str] = []
+    session = record_drive(scans=20)
+    monkeypatch.setattr(Session, "metadata", {"from_raw": {}})
+    page = show()
+    monkeypatch.setattr(page._server, "put_ready", lambda payloads: ready.extend(payloads))
+    replay([session], ReplayOptions(), watch=page)
+    assert page._moments is not None
+    session.unlink()  # as that of frames made anew
+    ready.clear()
+    page._moments.go_to(0)
+    assert "moment" in ready
+    assert not any(key.startswith("scan/") for key in ready)
+
+
 async def path_of(client: Any, socket: Any) -> Any:
     """The next whole path; pieces that go on from it are passed over."""
     while (message := await client.next(socket, PATH))[1]:
@@ -136,7 +187,9 @@ def test_what_stands_is_shown_while_it_is_mapped_and_not_of_the_finished_map(
     page = show()
     put_ready = page._server.put_ready
     monkeypatch.setattr(
-        page._server, "put_ready", lambda ready: (told.append(ready["standing"]), put_ready(ready))
+        page._server,
+        "put_ready",
+        lambda ready: (told.extend(v for k, v in ready.items() if k == "standing"), put_ready(ready)),
     )
     replay([record_drive(scans=60)], ReplayOptions(), watch=page)
     cells = [struct.unpack_from("<II", payload, 16) for payload in told]
