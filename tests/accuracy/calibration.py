@@ -106,7 +106,7 @@ def _value(one: SensorCalibration, name: str) -> tuple[float, float]:
 
 
 def table(trials: list[Trial]) -> str:
-    lines = ["| what | config off by | median error | worst error | sigma said | aimed at | within it |"]
+    lines = ["| value | config off by | median error | worst error | reported sigma | bound | within it |"]
     lines.append("|---|---|---|---|---|---|---|")
     for what, aim in AIMS.items():
         name, unit = what.rsplit(" ", 1)
