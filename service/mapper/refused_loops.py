@@ -11,13 +11,14 @@ from service.geometry.poses import Floats
 
 Ints = npt.NDArray[np.int64]
 
-TOO_FEW_POINTS, IN_FREE_SPACE, ALONE, CONTRADICTED, BY_HAND = range(5)
+TOO_FEW_POINTS, IN_FREE_SPACE, ALONE, CONTRADICTED, BY_HAND, TOO_FAR = range(6)
 WORDS = (
     "too few of its points lie on the map",
     "too many of its points lie where the map knows that nothing stands",
     "no other loop near it says the same",
     "the rest of the graph contradicts it",
     "taken back by hand",
+    "it is farther from where the way leads than that can have drifted",
 )
 PREFIX = "refused_"  # of the names in a file
 

@@ -39,7 +39,8 @@ from service.mapper.methods.corridor.graph.stored_graph import (
     stored_loops,
     to_render,
 )
-from service.mapper.refused_loops import ALONE, BY_HAND, CONTRADICTED, IN_FREE_SPACE, TOO_FEW_POINTS
+from service.mapper.methods.corridor.graph.way_drift import WayDrift
+from service.mapper.refused_loops import ALONE, BY_HAND, CONTRADICTED, IN_FREE_SPACE, TOO_FAR, TOO_FEW_POINTS
 from service.mapper.saved_graph import KeepGraph, SavedGraph
 
 SAME_SPOT_M, SAME_VIEW_RAD = 0.5, 0.5  # key frames so near see the same
@@ -85,6 +86,7 @@ class LoopBackEnd:
         self._disabled: list[Loop] = []
         self._refusals = Refusals(None if stored is None else stored.refused)
         self._submaps: OrderedDict[int, CandidateSubmap] = OrderedDict()
+        self._drift = WayDrift(self._keyframes, config.keyframe_distance_m)
         self._searched_m = float(self._keyframes.way_m[-1]) if stored is not None else 0.0
         # Numbers of the pieces whose place in the map is known.
         self._joined = {0} if stored is None else set(self._keyframes.piece.tolist())
@@ -322,10 +324,12 @@ class LoopBackEnd:
             loop = loop_of(
                 submap.reference, reference, fit.pose, fit.information, fit.share, len(cloud.xy), against
             )
-            if against < MOST_AGAINST:
-                found.append(loop)
-            else:
+            if not against < MOST_AGAINST:
                 self._refusals.add([loop], IN_FREE_SPACE if is_good else TOO_FEW_POINTS)
+            elif not self._drift.allows(loop):
+                self._refusals.add([loop], TOO_FAR)
+            else:
+                found.append(loop)
         return found
 
     def _is_good(self, fit: Fit) -> bool:

@@ -1,0 +1,85 @@
+"""Whether a loop lies where the way between its ends can have drifted to."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.geometry.se2 import SE2
+from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
+from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
+from service.mapper.methods.corridor.graph.loop_batches import Batch
+from service.mapper.methods.corridor.graph.loops import Loop
+from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
+from service.mapper.methods.corridor.graph.way_drift import MOST_DRIFT_CHI2, WayDrift
+from service.mapper.refused_loops import TOO_FAR
+from tests.service.mapper.methods.corridor.graph.rings import key_frames
+
+STEPS, STEP_M = 40, 0.25
+VARIANCE = np.diag([4e-4, 1e-4, 1e-8])  # that a step adds: m^2, m^2, rad^2
+SURE = 1e-12 * np.eye(3)
+BESIDE_M = 1.5
+BATCH = 10
+
+
+def straight(is_known: bool = True, lost: int | None = None) -> WayDrift:
+    """Ten metres ahead, each step known as well as the one before."""
+    back_end = LoopBackEnd(LoopsConfig(), None)
+    frames = [
+        KeyFrame(
+            k * 10**8,
+            SE2(STEP_M * k, 0.0, 0.0),
+            np.diag([1e-4, 1e-4, 1e-6]),
+            0,
+            0.9,
+            k == lost,
+            np.zeros((0, 2), np.float32),
+            (0.0, 0.0),
+            0.01,
+            motion_covariance=VARIANCE * k if is_known else None,
+        )
+        for k in range(STEPS + 1)
+    ]
+    back_end.work(Batch(frames))
+    return WayDrift(back_end._keyframes, STEP_M)
+
+
+def loop(x_m: float, y_m: float, theta_rad: float) -> Loop:
+    return Loop(0, STEPS, np.array([x_m, y_m, theta_rad]), SURE, 0.5)
+
+
+def test_the_drift_of_a_way_is_the_sum_of_its_steps():
+    drift = straight()
+    assert drift.chi2(loop(10.0, 0.0, 0.0)) == pytest.approx(0.0, abs=1e-6)
+    sigma_m = np.sqrt(STEPS * VARIANCE[0, 0])
+    assert drift.chi2(loop(10.0 + 3.0 * sigma_m, 0.0, 0.0)) == pytest.approx(9.0, rel=0.01)
+
+
+def test_a_loop_beyond_that_is_not_allowed_unless_nobody_knows_the_way():
+    off_m = 1.1 * np.sqrt(MOST_DRIFT_CHI2 * STEPS * VARIANCE[0, 0])
+    assert straight().allows(loop(10.0 + 0.8 * off_m, 0.0, 0.0))
+    assert not straight().allows(loop(10.0 + off_m, 0.0, 0.0))
+    assert straight(lost=20).allows(loop(10.0 + off_m, 0.0, 0.0))
+    assert straight(is_known=False).allows(loop(10.0 + off_m, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("is_known", [True, False])
+def test_an_aisle_that_looks_like_another_beside_it_is_not_taken_for_it(is_known: bool):
+    """Where nobody knows how well the way is known, the same scans close a loop."""
+    aisle, _ = key_frames(0.5, turn_error_radpm=0.0)
+    away = SE2(0.0, BESIDE_M, 0.0)
+    like = [
+        replace(frame, stamp_ns=frame.stamp_ns + 10**11, pose_odom_base=away @ frame.pose_odom_base)
+        for frame in aisle
+    ]
+    frames = [
+        replace(frame, motion_covariance=0.2 * VARIANCE * k if is_known else None)
+        for k, frame in enumerate([*aisle, *like])
+    ]
+    back_end = LoopBackEnd(LoopsConfig(), None)
+    for k in range(0, len(frames), BATCH):
+        back_end.work(Batch(frames[k : k + BATCH]))
+    result = back_end.work(Batch([], is_last=True))
+    assert (result.loops == 0) == is_known
+    refused = back_end._refusals.arrays(back_end._loops).reason
+    assert (TOO_FAR in refused) == is_known
