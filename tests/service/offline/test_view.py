@@ -15,6 +15,7 @@ from service.mapstore.ros_map import write_ros_map
 from service.offline.trajectory import write_tum
 from service.offline.view import View, tiles_of_grid
 from service.outputs import FREE, OCCUPIED, UNKNOWN, Grid, TileUpdate
+from tests.service.offline.bent_maps import ROUND, save_bent
 from tests.service.web.conftest import TIMEOUT_S, talk
 
 TILES, PATH, GRAPH = 1, 3, 4
@@ -98,6 +99,34 @@ def test_a_result_is_looked_at_where_the_vehicle_was_at_any_moment(show, tmp_pat
             assert "cannot be changed" in answers[-1]["error"]
 
     talk(view, look)
+
+
+def test_a_moment_stays_when_the_map_is_edited_and_its_pose_goes_with_the_map(
+    show, tmp_path, bent, monkeypatch
+):
+    graph = bent.graph
+    rows = zip(graph.stamp_ns.tolist(), graph.map.tolist(), strict=True)
+    write_tum(tmp_path / "trajectory.tum", [(stamp_ns, SE2(*pose)) for stamp_ns, pose in rows])
+    save_bent(tmp_path / "map", bent)
+    view, told = show(tmp_path), []
+    put_ready = view._server.put_ready
+    monkeypatch.setattr(view._server, "put_ready", lambda ready: (told.append(ready), put_ready(ready)))
+    k = ROUND + 20
+    asked = {"position_s": (graph.stamp_ns[k] - graph.stamp_ns[0]) / 1e9}
+    assert view._answer("moment_go_to", json.dumps(asked).encode()).ok
+    pairs = [
+        {"points": points.tolist(), "keyframes": [near, near + ROUND]}
+        for near in (6, 22)
+        for points in bent.common_points(near)
+    ]
+    change = {"version": 1, "change": {"what": "add-pair", "pairs": pairs}}
+    assert view._answer("map_edit", json.dumps(change).encode()).ok
+    before, after = (json.loads(ready["moment"]) for ready in told if "moment" in ready)
+    assert before["position_s"] == after["position_s"] == pytest.approx(asked["position_s"])
+    (was,), (now,) = before["poses"], after["poses"]
+    assert (was["x_m"], was["y_m"]) == pytest.approx(tuple(graph.map[k, :2]), abs=1e-6)
+    assert (now["x_m"], now["y_m"]) == pytest.approx(tuple(bent.truth[k, :2]), abs=0.1)
+    assert np.hypot(now["x_m"] - was["x_m"], now["y_m"] - was["y_m"]) > 0.2
 
 
 def test_the_graph_of_a_g2o_file_is_shown_with_its_loops(show, tmp_path):
