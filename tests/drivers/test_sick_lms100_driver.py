@@ -202,15 +202,20 @@ def test_garbage_between_telegrams_is_counted():
 
 
 @pytest.mark.parametrize(
-    ("zero_index_after_sweep", "first_angle_deg"),
-    [(True, -90.0), (False, -135.0), in_soak(True, -135.0), in_soak(False, -90.0)],
+    ("zero_index_after_sweep", "first_angle_deg", "drift_ppm"),
+    [
+        (True, -90.0, 100.0),
+        (False, -135.0, -100.0),
+        in_soak(True, -135.0, -100.0),
+        in_soak(False, -90.0, 100.0),
+    ],
 )
 def test_stamps_are_those_of_the_first_ray_through_drift_jitter_and_a_wrap(
-    zero_index_after_sweep, first_angle_deg
+    zero_index_after_sweep, first_angle_deg, drift_ppm
 ):
     rng = np.random.default_rng(5)
     setup = Lms100Setup(
-        clock_drift_ppm=100.0,
+        clock_drift_ppm=drift_ppm,
         clock_start_us=2**32 - 10_000_000,
         zero_index_after_sweep=zero_index_after_sweep,
         output_range=OutputRange(round((first_angle_deg + 90) * 1e4), 2_250_000),
