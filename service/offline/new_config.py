@@ -20,7 +20,7 @@ NAMES = {
     "xsens_mtig": "imu",
     "irobot_create": "base",
 }
-REST_BEGINS = "# How it is mapped."  # in config/vehicle.yaml: what follows does not depend on the devices
+REST_BEGINS = "# The mapper."  # in config/vehicle.yaml: what follows does not depend on the devices
 EXAMPLE_DATA = "/var/lib/corridor"  # in config/vehicle.yaml
 HEAD = """\
 # One vehicle, written by `corridor init` for the devices that answered. Before the first drive: measure where
