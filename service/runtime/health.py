@@ -1,6 +1,6 @@
 """What the service knows of itself: one diagnostic status a sensor, and one for each part behind them."""
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping
 
 from drivers.link import LinkHealth
@@ -16,6 +16,8 @@ from service.sinks.fan_out import Sinks
 STALE_AFTER_NS = 1_000_000_000
 LATE_NS = 500_000_000  # from a measurement to its arrival: no device and no link needs so long
 POSE_STALE_NS = 500_000_000  # the slowest laser sends each 80 ms
+RESTARTS_WITHIN_NS = 60_000_000_000
+MOST_RESTARTS = 1  # of the mapper in that time: one is what the stand-by is for, more are a fault that stays
 
 _LEVEL_OF_LINK = {"streaming": OK, "starting": WARNING, "connecting": WARNING, "down": ERROR}
 _LEVEL_OF_POSE = {"ok": OK, "degraded": WARNING, "lost": ERROR}
@@ -107,6 +109,8 @@ class HealthReport:
         self._states = dict.fromkeys(links, "connecting")
         self._mapping_state_told = "waiting"
         self._gnss_health = GnssHealth()
+        self._restarted_ns: deque[int] = deque()  # when the mapper was, host monotonic
+        self._restarts = 0  # in all, at the last update
         self.statuses: list[Status] = []
         self.clock_step_ns = self._now_ns = 0
 
@@ -157,6 +161,7 @@ class HealthReport:
         """Look at everything. now_ns: host monotonic; clock_step_ns: how far the wall clock has stepped."""
         self.clock_step_ns, self._now_ns = clock_step_ns, now_ns
         self._scan_rate.read(sum(dict(self._outputs.states).values()), now_ns)
+        self._note_restarts(now_ns)
         dropped, unusable = self._outputs.passed_over, self._outputs.unusable
         sensors = [s.status(dropped[name], unusable[name], now_ns) for name, s in self._sensors.items()]
         self.statuses = [
@@ -223,7 +228,21 @@ class HealthReport:
             return Status("mapping", max(level, WARNING), overload, values)
         if level == OK and outputs.graph_fault:
             level, words = WARNING, f"no loops are closed: {outputs.graph_fault}"
+        if level == OK and len(self._restarted_ns) > MOST_RESTARTS:
+            level, words = (
+                WARNING,
+                (
+                    f"the mapper was restarted {len(self._restarted_ns)} times in the last minute; at the "
+                    f"last time its process {outputs.restart_reason}; the log says more"
+                ),
+            )
         return Status("mapping", level, words, values)
+
+    def _note_restarts(self, now_ns: int) -> None:
+        new, self._restarts = self._outputs.restarts - self._restarts, self._outputs.restarts
+        self._restarted_ns.extend([now_ns] * new)
+        while self._restarted_ns and now_ns - self._restarted_ns[0] > RESTARTS_WITHIN_NS:
+            self._restarted_ns.popleft()
 
     def _gnss(self, now_ns: int) -> list[Status]:
         """None where there are no fixes."""

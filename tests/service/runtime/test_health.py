@@ -219,6 +219,29 @@ def test_an_overloaded_mapper_is_a_warning_with_its_figures():
     assert (told.values["queue_length"], told.values["restarts"]) == ("3", "1")
 
 
+def test_a_mapper_that_is_restarted_again_and_again_is_a_warning_for_a_minute():
+    made = report(streaming())
+    outputs = made._outputs
+    outputs.last = Mapped(1, 1, 1, "ok", "", 0.9, 1, ())
+    outputs.restart_reason = "said nothing for 10 s while 7 items waited"
+
+    def told_at(seconds: int, restarts: int) -> tuple[int, str]:
+        outputs.restarts, outputs.last_ns = restarts, seconds * S
+        made.update(seconds * S, 0)
+        told = next(status for status in made.statuses if status.name == "mapping")
+        return told.level, told.message
+
+    assert told_at(11, 1) == (OK, "ok")
+    level, words = told_at(20, 3)
+    assert level == WARNING
+    assert words.startswith(
+        "the mapper was restarted 3 times in the last minute; at the last time its process"
+    )
+    assert "process said nothing for 10 s while 7 items waited" in words
+    assert told_at(79, 3)[0] == WARNING
+    assert told_at(81, 3) == (OK, "ok")
+
+
 def test_a_pose_that_is_not_fresh_is_an_error():
     made = report(streaming())
     made._outputs.last, made._outputs.last_ns = Mapped(1, 1, 1, "ok", "", 0.9, 1, ()), 7 * S
