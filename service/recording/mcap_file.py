@@ -3,6 +3,7 @@
 import fcntl
 import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -56,7 +57,10 @@ def is_locked(path: Path) -> bool:
 
 
 class McapFile:
-    """Raises OSError from every method, as the disk does. path is what it will be called when complete."""
+    """path is what it will be called when complete.
+
+    Raises OSError from every method but `abandon`, as the disk does.
+    """
 
     def __init__(self, path: Path, first_log_ns: int, open_stream: StreamOpener = create_stream) -> None:
         self.path = path
@@ -115,10 +119,13 @@ class McapFile:
         sync_directory(self.path.parent)
 
     def abandon(self) -> None:
-        """Let go of a file the disk refuses; what reached it stays as `*.active`, if that holds a message."""
-        try:
+        """Let go of a file the disk refuses; what reached it stays as `*.active`, if that holds a message.
+
+        Raises nothing: the disk has said what it has to say.
+        """
+        with suppress(OSError):
             self._stream.close()
-        finally:
+        with suppress(OSError):
             before_messages = self._first_message_at
             if before_messages is None or self.active_path.stat().st_size <= before_messages:
                 self.active_path.unlink()

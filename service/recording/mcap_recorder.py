@@ -384,10 +384,7 @@ class McapRecorder:
         log.error("recording: %s; a new file is tried in %.0f s", self.health.last_error, RETRY_S)
         self._give_up_unsynced()
         if file is not None:
-            try:
-                file.abandon()
-            except OSError as second:
-                log.debug("recording: closing %s: %s", where, second)
+            file.abandon()
 
     def _give_up_unsynced(self) -> None:
         """Nobody knows what of it is on the disk; a recovery brings that back."""
