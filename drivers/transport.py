@@ -3,6 +3,7 @@
 import os
 import select
 import socket
+import termios
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -15,6 +16,8 @@ from drivers.errors import TransportError
 READ_BYTES = 65_536
 DEAD_PEER_MS = 3_000  # unacknowledged data older than this means the cable is out
 WRITE_TIMEOUT_S = 3.0  # a request of 100 bytes takes 0.2 s at 4800 baud
+# What pyserial lets out of a port that goes away under it. termios.error is no OSError.
+PORT_ERRORS = (serial.SerialException, OSError, termios.error, TypeError, ValueError)
 
 
 class Transport(Protocol):
@@ -34,7 +37,7 @@ class TcpTransport:
         self._where = f"{host}:{port}"
         try:
             self._socket = socket.create_connection((host, port), timeout=connect_timeout_s)
-        except OSError as error:
+        except (OSError, UnicodeError) as error:  # the latter of a name that no DNS can hold
             raise TransportError(f"cannot connect to {self._where}: {error}") from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
@@ -86,7 +89,7 @@ class SerialTransport:
                 self._port = serial.serial_for_url(device, baudrate=baud, timeout=0)
             else:
                 self._port = serial.Serial(device, baud, timeout=0, exclusive=True)
-        except (serial.SerialException, OSError, ValueError) as error:
+        except PORT_ERRORS as error:
             raise TransportError(f"cannot open {self._where}: {error}") from error
         try:
             self._port.fileno()
@@ -107,7 +110,7 @@ class SerialTransport:
                 if "://" in self._where
                 else os.read(self._port.fileno(), READ_BYTES)
             )
-        except (serial.SerialException, OSError, TypeError, ValueError) as error:
+        except PORT_ERRORS as error:
             raise TransportError(f"{self._where}: {error}; unplugged?") from error
         if not data:
             raise TransportError(f"{self._where}: readable but empty; unplugged?")
@@ -127,14 +130,14 @@ class SerialTransport:
                     )
                 with suppress(BlockingIOError):
                     left = left[os.write(self._port.fileno(), left) :]
-        except (serial.SerialException, OSError, TypeError, ValueError) as error:
+        except PORT_ERRORS as error:
             raise TransportError(f"{self._where}: cannot send {len(data)} bytes: {error}") from error
 
     def set_baud(self, baud: int) -> None:
         """Go on at another rate. Raises TransportError where the port cannot do it."""
         try:
             self._port.baudrate = baud
-        except (serial.SerialException, OSError, ValueError) as error:
+        except PORT_ERRORS as error:
             raise TransportError(f"{self._where}: cannot go to {baud} baud: {error}") from error
 
     def set_low_latency(self) -> None:
@@ -148,7 +151,7 @@ class SerialTransport:
         """Pull RTS and DTR, which iRobot cables wire to BRC; ports without modem lines (pty) ignore it."""
         try:
             self._port.rts = self._port.dtr = low
-        except (serial.SerialException, OSError):
+        except PORT_ERRORS:
             return
 
     def close(self) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import AfterValidator
 
 _LABEL = r"[A-Za-z0-9_]([A-Za-z0-9_-]*[A-Za-z0-9_])?"
-_HOST_NAME = re.compile(rf"{_LABEL}(\.{_LABEL})*\.?")
+_HOST_NAME = re.compile(rf"(?!.*[^.]{{64}}){_LABEL}(\.{_LABEL})*\.?")  # RFC 1035: 63 characters a label
 _LOOKS_LIKE_IPV4 = re.compile(r"[0-9.]+")
 MAX_HOST_CHARS = 253  # RFC 1035, section 2.3.4
 

@@ -1,9 +1,11 @@
 """Real sockets and pseudo terminals on this machine."""
 
+import errno
 import io
 import os
 import pty
 import socket
+import termios
 import threading
 import tty
 from contextlib import suppress
@@ -104,6 +106,34 @@ def test_serial_carries_bytes_both_ways(terminal):
 def test_serial_port_that_is_not_there_is_a_transport_error(tmp_path):
     with pytest.raises(TransportError, match=r"cannot open .*nothing at 115200 baud"):
         SerialTransport(str(tmp_path / "nothing"), 115_200)
+
+
+@pytest.mark.parametrize("call", ["tcsetattr", "tcflush"])
+def test_serial_port_that_goes_away_while_it_is_opened_is_a_transport_error(terminal, monkeypatch, call):
+    """An adapter that enumerates anew: termios.error is no OSError, and would end the reader's thread."""
+
+    def gone(*_):
+        raise termios.error(errno.EIO, "Input/output error")
+
+    _, path = terminal
+    monkeypatch.setattr(termios, call, gone)
+    with pytest.raises(TransportError, match=r"cannot open .*Input/output error"):
+        SerialTransport(path, 115_200)
+
+
+def test_serial_port_that_goes_away_while_its_rate_is_set_is_a_transport_error(terminal, monkeypatch):
+    def gone(*_):
+        raise termios.error(errno.EIO, "Input/output error")
+
+    with SerialTransport(terminal[1], 115_200) as port:
+        monkeypatch.setattr(termios, "tcsetattr", gone)
+        with pytest.raises(TransportError, match="cannot go to 9600 baud"):
+            port.set_baud(9600)
+
+
+def test_tcp_host_that_is_no_name_is_a_transport_error():
+    with pytest.raises(TransportError, match=r"cannot connect to .*label"):
+        TcpTransport("a" * 64, 2111)
 
 
 def test_serial_port_opened_twice_is_refused(terminal):

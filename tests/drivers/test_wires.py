@@ -10,7 +10,17 @@ class Wire(BaseModel):
 
 
 @pytest.mark.parametrize(
-    "host", ["192.168.0.1", "::1", "fe80::1%eth0", "localhost", "lms-front.local", "front_laser", "site.org."]
+    "host",
+    [
+        "192.168.0.1",
+        "::1",
+        "fe80::1%eth0",
+        "localhost",
+        "lms-front.local",
+        "front_laser",
+        "site.org.",
+        f"{'a' * 63}.b",
+    ],
 )
 def test_addresses_and_names_are_hosts(host: str):
     assert Wire(host=host).host == host
@@ -21,6 +31,7 @@ def test_addresses_and_names_are_hosts(host: str):
     [
         *("", " ", "192.168.0. 1", "192.168.0.1 ", "192.168.0.1:2111", "tcp://192.168.0.1", "192.168.0.300"),
         *("192.168.0", "a..b", "-a", "a-", "a\0b", "a\nb", "ä", "a" * 254, "[::1]"),
+        *("a" * 64, f"lms.{'a' * 64}.local"),
     ],
 )
 def test_what_is_no_host_is_refused_with_an_example(host: str):
