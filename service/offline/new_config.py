@@ -1,5 +1,6 @@
 """`corridor init`: a commented config for the devices that answer."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,18 +21,18 @@ NAMES = {
     "xsens_mtig": "imu",
     "irobot_create": "base",
 }
-REST_BEGINS = "# The mapper."  # in config/vehicle.yaml: what follows does not depend on the devices
+REST = re.compile(r"^(?:#[^\n]*\n)*mapping:\n.*", re.MULTILINE | re.DOTALL)  # the same for all devices
 EXAMPLE_DATA = "/var/lib/corridor"  # in config/vehicle.yaml
 HEAD = """\
-# One vehicle, written by `corridor init` for the devices that answered. Before the first drive: measure where
-# each sensor sits and write it to its `mounting`; `corridor doctor {path}` then looks at everything.
-# All settings of a device stand in the page of its type, docs/devices/<type>.md.
+# One vehicle, written by `corridor init` for the devices that answered. Before the first drive: measure the
+# position of each sensor and enter it as its `mounting`; then run `corridor doctor {path}`.
+# docs/devices/<type>.md and config/sensors/<type>.yaml describe all settings of a device.
 
 # Part of every Zenoh key (corridor/v1/{vehicle}/...) and of every file name: lower-case letters, digits and
 # single _.
 vehicle: {vehicle}
 
-# One entry a sensor; its name is that of its topics (/front/scan) and of its frame. Call them what you like.
+# One entry for each sensor; its name, of your choice, is part of its topics (/front/scan) and its frame.
 sensors:
 """
 MOUNTING = "    mounting: {x_m: 0.0, y_m: 0.0, yaw_deg: 0.0}   # MEASURE: base frame, x forward, y left\n"
@@ -121,8 +122,9 @@ def render(sensors: Mapping[str, Found], vehicle: str, data: Path, out: Path) ->
         if "mounting" in SENSOR_KINDS[found.type].config.model_fields:
             parts.append(MOUNTING)
     example = (CONFIG / "vehicle.yaml").read_text(encoding="utf-8")
-    rest = example[example.index(REST_BEGINS) :]
-    return "".join(parts) + "\n" + rest.replace(EXAMPLE_DATA, str(data))
+    rest = REST.search(example)
+    assert rest is not None, "config/vehicle.yaml has no section mapping"
+    return "".join(parts) + "\n" + rest[0].replace(EXAMPLE_DATA, str(data))
 
 
 def _in_one_line(text: str) -> str:
