@@ -83,15 +83,15 @@ class SurfelSet:
         """More points of the same frame."""
         if len(cloud.xy):
             cover(self._tiles, surfels.TILE_BITS, cloud.xy)
-            insert_surfels(cloud.xy, cloud.normals, np.zeros(3), self._grid(), COUNT_LIMIT)
+            insert_surfels(cloud.xy, cloud.normals, np.zeros(3), self.grid(), COUNT_LIMIT)
 
     def align(self, cloud: PointCloud, pose: Floats) -> Fit:
         """Another cloud laid on it, from a pose near enough."""
         aligned, information = pose.copy(), np.zeros((3, 3))
-        used, inliers = align_surfels(cloud.xy, cloud.normals, self._grid(), SETTINGS, aligned, information)
+        used, inliers = align_surfels(cloud.xy, cloud.normals, self.grid(), SETTINGS, aligned, information)
         return Fit(aligned, information, inliers / used if used else 0.0)
 
-    def _grid(self) -> SurfelGrid:
+    def grid(self) -> SurfelGrid:
         (cells,) = self._tiles.pool.arrays
         return SurfelGrid(self._tiles.index(), cells, NO_FIELD, CELL_M)  # type: ignore[arg-type]
 

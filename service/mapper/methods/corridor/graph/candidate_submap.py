@@ -33,13 +33,32 @@ def cloud_of(
 ) -> PointCloud:
     """Key frames as odometry lays them, in the frame of `reference`; or as `poses`, (N, 3) of all, does."""
     poses = keyframes.odom if poses is None else poses
-    clouds = []
-    for k in members:
-        kept = keyframes.thinned[k]
-        near = (kept.xy_base * kept.xy_base).sum(axis=1) < REACH_M * REACH_M
-        seen = PointCloud(kept.xy_base[near].astype(np.float64), kept.normals[near].astype(np.float64))
-        clouds.append(seen.transformed(se2.between(poses[reference], poses[k])))
-    return joined(clouds)
+    return joined(
+        [seen_by(keyframes, k).transformed(se2.between(poses[reference], poses[k])) for k in members]
+    )
+
+
+def seen_by(keyframes: KeyframeList, k: int) -> PointCloud:
+    """The points of a key frame that are asked, in its own frame."""
+    kept = keyframes.thinned[k]
+    near = (kept.xy_base * kept.xy_base).sum(axis=1) < REACH_M * REACH_M
+    return PointCloud(kept.xy_base[near].astype(np.float64), kept.normals[near].astype(np.float64))
+
+
+def sensors_of(keyframes: KeyframeList, members: Iterable[int], reference: int) -> Floats:
+    """(N, 2) m: where the beam of each point of `cloud_of` begins, in the frame of `reference`."""
+    odom = keyframes.odom
+    return np.concatenate(
+        [
+            np.tile(
+                se2.points_from(
+                    se2.between(odom[reference], odom[k]), np.array(keyframes.thinned[k].sensor_xy_m)
+                ),
+                (len(seen_by(keyframes, k).xy), 1),
+            )
+            for k in members
+        ]
+    )
 
 
 class CandidateSubmap:

@@ -97,6 +97,11 @@ class LoopBackEnd:
         self._anchoring = Anchoring()
         self._drawing = Drawing()
 
+    def make_ready(self) -> None:
+        """Make what a session looks for itself in before its first scan comes: a second for 12 000 m2."""
+        if self._keyframes.stored:
+            self._pieces.make_ready(np.flatnonzero(self._usable()))
+
     def work(self, batch: Batch) -> Result:
         result = self._work(batch)
         anchoring, is_asked = self._anchoring, batch.is_last or bool(batch.request)

@@ -60,7 +60,9 @@ class LoopClosing(BackgroundGraph[Result]):
 
         stored, is_localizing, keep_graph   as of BuildContext
         """
-        super().__init__(LoopBackEnd(config, renderer, stored, is_localizing, keep_graph), new_worker)
+        back_end = LoopBackEnd(config, renderer, stored, is_localizing, keep_graph)
+        back_end.make_ready()
+        super().__init__(back_end, new_worker)
         self._config = config
         self._mountings = mountings or {}
         self._fixes = FixTrack()

@@ -1,5 +1,6 @@
 """Where a detached piece of the map lies in the rest, when nobody knows it."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,28 +9,43 @@ import numpy.typing as npt
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.mapper.graph.point_clouds import Fit, PointCloud
-from service.mapper.methods.corridor.graph.candidate_submap import LEAST_SCORE, CandidateSubmap, cloud_of
+from service.mapper.methods.corridor.graph.candidate_submap import (
+    LEAST_SCORE,
+    CandidateSubmap,
+    cloud_of,
+    sensors_of,
+)
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
+from service.mapper.methods.corridor.graph.known_map import KnownMap, Shares
 from service.mapper.methods.corridor.graph.loops import Loop, loop_of
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
-from service.mapper.methods.corridor.graph.map_field import MapField
 
-REFINE_REACH = (1.0, 0.1)  # m, rad about a candidate: what the map is bent by between two passes
-AROUND_M, MOST_AROUND = 6.0, 40  # key frames that what is seen at a candidate is held against
+AROUND_M, MOST_AROUND = 6.0, 40  # key frames that what is seen where a person says is held against
 MOST_QUERY = 12  # key frames of a piece that are looked for together
-CLEARLY_BETTER = 0.08  # of the returns: so much more must lie on the map than at any other place
+# A point that contradicts the map tells more than one on a wall: places that look alike have both.
+AGAINST_WEIGHT = 3.0
+# So much more evidence than any other place the best one needs, and so much more where it leaves all points
+# unexplained: where much of what is seen is not in the map, the true place may be no candidate.
+CLEARLY_BETTER, FOR_UNEXPLAINED = 0.03, 0.3
 SAME_PLACE_M, SAME_PLACE_RAD = 0.5, 0.1
 CARRIED_S = 2.0  # without scans: a vehicle may have been carried
 MOST_OFF_M, MOST_OFF_SHARE = 4.0, 0.2  # how far off dead reckoning may be else, and for each metre of a piece
 LEAST_APART_M = 4.0  # between two finds of a piece: standing, a room looks like any other of its kind
-# Of the points, so many may lie where the map knows that nothing stands: right finds have 0.000 to 0.005, a
-# look-alike room entered from the other side 0.067.
-PIECE_AGAINST = 0.03
-# A session may begin where no key frame has stood, and see much that the map does not know. What it sees on
-# known ground must lie on walls: 0.96 to 1.00 does at right places of simulated offices.
-SESSION_SHARE, SESSION_AGREEMENT = 0.4, 0.94
+PIECE_AGAINST = 0.06  # of the points may contradict the map: people do, and things that were moved
+# A session may begin where no key frame has stood, and see much that the map does not know. Of what it sees
+# on known ground so much must lie on walls.
+SESSION_SHARE, SESSION_AGREEMENT = 0.4, 0.90
 EXPECTED_REACH, EXPECTED_TRIES = (1.5, 0.35), 10  # m, rad about a pose that is said; batches of key frames
 PIECE_SHARE = 0.75  # of the drive's median share must lie on the map where a piece is found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """Where key frames may lie in the known map."""
+
+    pose: Floats  # (3,) of the reference key frame in the map
+    evidence: float  # share of the points that speaks for it, less what speaks against it; 1 at most
+    loop: Loop | None  # that says so; None where too little fits
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +69,7 @@ class PieceSearch:
         self._tries = 0
         self.pose_refused: tuple[float, float, float] | None = None  # was said, and the piece is not there
         self._refused_piece = 0
-        self._field: MapField | None = None
+        self._known_map: KnownMap | None = None
         self._is_session_placed = True  # False: of this session nothing is placed in the stored map
         self.alike: list[tuple[float, float]] = []  # m: the places that the newest piece fits equally well
 
@@ -61,6 +77,11 @@ class PieceSearch:
         """A person says where the vehicle is now, (3,) m, m, rad: looked at before all other places."""
         self._expected, self._expected_odom, self._tries = pose_map_base, None, EXPECTED_TRIES
         self.pose_refused = None
+
+    def make_ready(self, known: npt.NDArray[np.int64]) -> None:
+        """Make what places are looked for in; else the first search does. known (K,) as of find."""
+        if len(known):
+            self._map_of(known)
 
     def find(self, known: npt.NDArray[np.int64]) -> tuple[Loop, ...] | None:
         """Move the newest piece to where it lies, and give the loops that say so; None: nothing is sure.
@@ -118,11 +139,11 @@ class PieceSearch:
         near = nearest[np.sort(away_m)[:MOST_AROUND] <= max(AROUND_M, float(away_m.min()))]
         return CandidateSubmap(keyframes, np.sort(near).tolist(), int(near[0]), keyframes.map)
 
-    def _field_of(self, known: npt.NDArray[np.int64]) -> MapField:
+    def _map_of(self, known: npt.NDArray[np.int64]) -> KnownMap:
         """That of the search before, while the known map is the same: a piece is looked for many times."""
-        if self._field is None or not np.array_equal(self._field.known, known):
-            self._field = MapField(self._keyframes, known)
-        return self._field
+        if self._known_map is None or not np.array_equal(self._known_map.known, known):
+            self._known_map = KnownMap(self._keyframes, known)
+        return self._known_map
 
     def _place(self, piece: int, pose_map_odom: Floats, is_as_said: bool = False) -> None:
         keyframes = self._keyframes
@@ -130,41 +151,37 @@ class PieceSearch:
             self._give_up_expected(piece)
         mine = keyframes.piece == piece
         keyframes.map[mine] = se2.compose(pose_map_odom, keyframes.odom[mine])
-        self._hypothesis = self._expected = self._field = None
+        self._hypothesis = self._expected = self._known_map = None
 
-    def places_of(
-        self, own: list[int], reference: int, known: npt.NDArray[np.int64]
-    ) -> list[tuple[float, Floats, Loop | None]]:
-        """Where in the known map the key frames `own` may lie: inlier ratio there, pose (3,) of `reference`
-        in the map, and the loop that says so; None where too little fits.
-        """
-        keyframes = self._keyframes
-        cloud = cloud_of(keyframes, own, reference)
-        found: list[tuple[float, Floats, Loop | None]] = []
-        for guess in self._field_of(known).candidates(cloud):
-            submap = self._around(known, guess)
-            near = se2.between(keyframes.map[submap.reference], guess)
-            pose = submap.search(cloud, near, *REFINE_REACH, LEAST_SCORE)
-            if pose is None:
-                continue
-            fit, loop = self._loop_at(submap, cloud, pose, reference)
-            found.append((fit.share, se2.compose(keyframes.map[submap.reference], fit.pose), loop))
+    def places_of(self, own: list[int], reference: int, known: npt.NDArray[np.int64]) -> list[Place]:
+        """Where in the known map the key frames `own` may lie."""
+        keyframes, known_map = self._keyframes, self._map_of(known)
+        cloud, sensors = cloud_of(keyframes, own, reference), sensors_of(keyframes, own, reference)
+        found = []
+        for guess in known_map.candidates(cloud):
+            fit = known_map.lay(cloud, guess)
+            shares = known_map.shares(cloud, sensors, fit.pose)
+            evidence = shares.close - AGAINST_WEIGHT * shares.against
+            found.append(Place(fit.pose, evidence, self._loop_of(known, reference, fit, shares, cloud)))
         return found
 
-    def best_of(self, found: list[tuple[float, Floats, Loop | None]]) -> tuple[Floats, Loop] | None:
-        """The place that fits clearly better than every other; None where there is none."""
+    def best_of(self, found: list[Place]) -> tuple[Floats, Loop] | None:
+        """The place for which clearly more speaks than for every other; None where there is none."""
         self.alike = []
-        share, at, loop = max(found, key=lambda f: f[0]) if found else (0.0, np.zeros(3), None)
-        if loop is None:
+        if not found:
             return None
-        for other, other_at, _ in found:
-            away = se2.between(at, other_at)
-            if other > share - CLEARLY_BETTER and (
+        best = max(found, key=lambda place: place.evidence)
+        if best.loop is None:
+            return None
+        margin = CLEARLY_BETTER + FOR_UNEXPLAINED * (1.0 - best.evidence)
+        for other in found:
+            away = se2.between(best.pose, other.pose)
+            if other.evidence > best.evidence - margin and (
                 np.hypot(away[0], away[1]) > SAME_PLACE_M or abs(away[2]) > SAME_PLACE_RAD
             ):
-                self.alike = [(float(at[0]), float(at[1])), (float(other_at[0]), float(other_at[1]))]
+                self.alike = [(float(place.pose[0]), float(place.pose[1])) for place in (best, other)]
                 return None
-        return at, loop
+        return best.pose, best.loop
 
     def _find_expected(self, piece: int, known: npt.NDArray[np.int64]) -> tuple[Loop, ...] | None:
         """Place the newest piece where a person has said, if it fits there; gives up after some tries."""
@@ -203,16 +220,33 @@ class PieceSearch:
         """How the points lie on a sub-map from a pose near enough; and the loop, if they fit."""
         fit = submap.align(cloud, pose)
         against = submap.against(cloud, fit.pose)
-        if not self._is_session_placed:
-            fits = fit.share >= SESSION_SHARE and fit.share >= SESSION_AGREEMENT * (fit.share + against)
-        else:
-            usual = float(np.median(self._keyframes.score))
-            fits = fit.share >= PIECE_SHARE * usual and against < PIECE_AGAINST
-        if not fits:
+        if not self._fits(fit.share, against):
             return fit, None
         return fit, loop_of(
             submap.reference, reference, fit.pose, fit.information, fit.share, len(cloud.xy), against
         )
+
+    def _loop_of(
+        self, known: npt.NDArray[np.int64], reference: int, fit: Fit, shares: Shares, cloud: PointCloud
+    ) -> Loop | None:
+        """The loop that says that a key frame lies where it fits the known map, if it fits well enough: with
+        the key frame of that map next to it.
+        """
+        if not self._fits(fit.share, shares.against):
+            return None
+        poses = self._keyframes.map
+        of = int(known[np.argmin(np.hypot(*(poses[known, :2] - fit.pose[:2]).T))])
+        c, s = math.cos(poses[of, 2]), math.sin(poses[of, 2])
+        turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        information = turn @ fit.information @ turn.T
+        measured = se2.between(poses[of], fit.pose)
+        return loop_of(of, reference, measured, information, fit.share, len(cloud.xy), shares.against)
+
+    def _fits(self, share: float, against: float) -> bool:
+        if not self._is_session_placed:
+            return share >= SESSION_SHARE and share >= SESSION_AGREEMENT * (share + against)
+        usual = float(np.median(self._keyframes.score))
+        return share >= PIECE_SHARE * usual and against < PIECE_AGAINST
 
     def _could_be_at(self, at: Floats, piece: int, reference: int) -> bool:
         """Whether a key frame of a piece may lie at a pose (3,) of the map.

@@ -8,10 +8,11 @@ from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
 from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
 from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
+from service.mapper.saved_graph import SavedGraph
 
 
 def warm_up() -> Result:
-    """There and back through a room: the way back closes loops with the way there."""
+    """There and back through a room: the way back closes loops with the way there. Then found in its map."""
     config = LoopsConfig(apart_m=0.5, place_m=1.0, search_every_m=0.5, consensus_span_m=0.2)
     back_end = LoopBackEnd(config, None)
     there = [made_up_room.STEP_M * k for k in range(12)]
@@ -19,7 +20,9 @@ def warm_up() -> Result:
     for frame in frames:
         back_end.work(Batch([frame]))
     result: Result = back_end.work(Batch([], is_last=True))
-    return result
+    assert isinstance(result.saved, SavedGraph)
+    found: Result = LoopBackEnd(config, None, result.saved, is_localizing=True).work(Batch(frames[:1]))
+    return found
 
 
 def _key_frame_from(x_m: float, number: int) -> KeyFrame:

@@ -1,0 +1,209 @@
+"""Where on a large map a scan may lie, when nobody knows: all places and headings, by branch and bound.
+
+A point of a wall lies on a wall only where that faces the same way. So a scan that is turned wrongly fits
+nowhere, and most headings are given up for whole blocks of the map at once.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from service.kernels.ordering import order_rising
+
+DIRECTIONS = 16  # in which walls face; a wall counts in the two beside its own, too
+ANY = DIRECTIONS  # layer of what has no direction: posts, legs, leaves
+LAYERS = DIRECTIONS + 1
+SECTORS = 8  # of headings: the best of a block is kept for each, for rivals of one spot differ by half turns
+FULL = 255  # of a cell in which a wall lies
+
+
+class FacingPyramid(NamedTuple):
+    """Likelihoods of end points by the way that their walls face, and maxima over blocks of them.
+
+    levels        (LAYERS, L, H, W) uint8   [d, l, r, c]: the maximum over 2^l x 2^l cells from (r, c) on
+    first_row, first_column   int           of the cell of the map that is levels[:, :, 0, 0]
+    cell_m        float
+    """
+
+    levels: npt.NDArray[np.uint8]
+    first_row: int
+    first_column: int
+    cell_m: float
+
+
+@njit(cache=True, nogil=True)
+def direction_of(angle_rad):
+    """Which of the DIRECTIONS is nearest to an angle."""
+    return math.floor(angle_rad / (2.0 * math.pi) * DIRECTIONS + 0.5) % DIRECTIONS
+
+
+@njit(cache=True, nogil=True)
+def splat_facing(xy, normals, pyramid, sigma_m):
+    """Fill level 0: the most that any point says of a cell or one beside it, by the distance to its border.
+
+    xy        (N, 2) float64   m, frame of the map; no nearer than a cell to the border of the pyramid
+    normals   (N, 3) float64   as estimate_normals gives them; of weight 1 or more: a wall
+    pyramid   FacingPyramid    in and out
+    sigma_m   float
+    """
+    levels, cell_m = pyramid.levels, pyramid.cell_m
+    scale = -0.5 / (sigma_m * sigma_m)
+    for i in range(xy.shape[0]):
+        column = math.floor(xy[i, 0] / cell_m)
+        row = math.floor(xy[i, 1] / cell_m)
+        is_wall = normals[i, 2] >= 1.0
+        own = direction_of(math.atan2(normals[i, 1], normals[i, 0])) if is_wall else 0
+        for v in range(row - 1, row + 2):
+            r = v - pyramid.first_row
+            dy = max(v * cell_m - xy[i, 1], xy[i, 1] - (v + 1) * cell_m, 0.0)
+            for u in range(column - 1, column + 2):
+                q = u - pyramid.first_column
+                dx = max(u * cell_m - xy[i, 0], xy[i, 0] - (u + 1) * cell_m, 0.0)
+                value = np.uint8(FULL * math.exp(scale * (dx * dx + dy * dy)))
+                levels[ANY, 0, r, q] = max(levels[ANY, 0, r, q], value)
+                if is_wall:
+                    for beside in range(-1, 2):
+                        d = (own + beside) % DIRECTIONS
+                        levels[d, 0, r, q] = max(levels[d, 0, r, q], value)
+
+
+@njit(cache=True, nogil=True)
+def facing_sum(cells, levels, level, row, column):
+    """Sum of a level at points, moved by so many cells: no less than that of any place in the block.
+
+    cells   (N, 3) int64   row, column, layer
+    """
+    height, width = levels.shape[2], levels.shape[3]
+    total = 0
+    for n in range(cells.shape[0]):
+        r = cells[n, 0] + row
+        q = cells[n, 1] + column
+        if 0 <= r < height and 0 <= q < width:
+            total += levels[cells[n, 2], level, r, q]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def turned_facing(xy_base, normals, theta_rad, cell_m, cells):
+    """Row, column and layer (N, 3) of points at a heading, the base in the middle of the cell (0, 0)."""
+    c = math.cos(theta_rad) / cell_m
+    s = math.sin(theta_rad) / cell_m
+    for n in range(xy_base.shape[0]):
+        cells[n, 0] = math.floor(0.5 + s * xy_base[n, 0] + c * xy_base[n, 1])
+        cells[n, 1] = math.floor(0.5 + c * xy_base[n, 0] - s * xy_base[n, 1])
+        cells[n, 2] = ANY
+        if normals[n, 2] >= 1.0:
+            cells[n, 2] = direction_of(math.atan2(normals[n, 1], normals[n, 0]) + theta_rad)
+
+
+@njit(cache=True, nogil=True)
+def search_facing(xy_base, normals, pyramid, heading_count, least_score, behind):
+    """The best place of each block of the map and each sector of headings, if it is good enough.
+
+    xy_base         (N, 2) float64   m, base frame
+    normals         (N, 3) float64
+    pyramid         FacingPyramid    of as many rows and columns as whole blocks of its highest level
+    heading_count   int              headings asked, a whole turn
+    least_score     float            0..1: what is worse is not given
+    behind          float            nor what is so far behind the best of all
+    Returns (places (C, 4) float64: x m, y m, theta rad of the base in the frame of the map, mean likelihood
+    0..1; and how many blocks were asked).
+    Source: Hess et al. 2016, Real-Time Loop Closure in 2D LIDAR SLAM, algorithm 3; here the layers know
+    directions, and each block keeps a best one of its own.
+    """
+    levels = pyramid.levels
+    count = xy_base.shape[0]
+    top = levels.shape[1] - 1
+    size = 1 << top
+    rows, columns = levels.shape[2] // size, levels.shape[3] // size
+    blocks = rows * columns
+    unit = FULL * count
+    floor = np.int64(least_score * unit)
+    margin = np.int64(behind * unit)
+
+    cells = np.empty((heading_count, count, 3), np.int64)
+    bounds = np.empty(heading_count * blocks, np.int64)
+    promising = 0
+    for k in range(heading_count):
+        turned_facing(xy_base, normals, 2.0 * math.pi * k / heading_count, pyramid.cell_m, cells[k])
+        for a in range(rows):
+            for b in range(columns):
+                place = k * blocks + a * columns + b
+                bounds[place] = facing_sum(cells[k], levels, top, a * size, b * size)
+                promising += bounds[place] > floor
+    evaluated = bounds.size
+    which = np.empty(promising, np.int64)
+    falling = np.empty(promising)
+    promising = 0
+    for place in range(bounds.size):
+        if bounds[place] > floor:
+            which[promising] = place
+            falling[promising] = -float(bounds[place])
+            promising += 1
+    order = np.empty(promising, np.int64)
+    order_rising(falling, order)
+
+    best = np.full(blocks * SECTORS, floor, np.int64)
+    best_at = np.full((blocks * SECTORS, 3), -1, np.int64)  # heading, row, column
+    best_of_all = floor
+    stack = np.empty((4 * top + 4, 3), np.int64)  # level, row, column of blocks to look into, best on top
+    stack_bounds = np.empty(4 * top + 4, np.int64)
+    child = np.empty((4, 2), np.int64)
+    child_bounds = np.empty(4, np.int64)
+    for place in order:
+        k, block = which[place] // blocks, which[place] % blocks
+        bound = bounds[which[place]]
+        if bound < best_of_all - margin:
+            break
+        own = block * SECTORS + (k * SECTORS) // heading_count
+        depth = 1
+        stack[0, 0] = top
+        stack[0, 1] = block // columns * size
+        stack[0, 2] = block % columns * size
+        stack_bounds[0] = bound
+        while depth > 0:
+            depth -= 1
+            level, row, column = stack[depth, 0], stack[depth, 1], stack[depth, 2]
+            bound = stack_bounds[depth]
+            if bound <= best[own] or bound < best_of_all - margin:
+                continue
+            if level == 0:
+                best[own] = bound
+                best_at[own, 0], best_at[own, 1], best_at[own, 2] = k, row, column
+                best_of_all = max(best_of_all, bound)
+                continue
+            half = 1 << (level - 1)
+            for a in range(2):
+                for b in range(2):
+                    r, q = row + a * half, column + b * half
+                    total = facing_sum(cells[k], levels, level - 1, r, q)
+                    at = 2 * a + b
+                    while at > 0 and child_bounds[at - 1] > total:  # rising: the best is pushed last
+                        child_bounds[at] = child_bounds[at - 1]
+                        child[at, 0], child[at, 1] = child[at - 1, 0], child[at - 1, 1]
+                        at -= 1
+                    child_bounds[at] = total
+                    child[at, 0], child[at, 1] = r, q
+            evaluated += 4
+            for at in range(4):
+                if child_bounds[at] > best[own]:
+                    stack[depth, 0] = level - 1
+                    stack[depth, 1], stack[depth, 2] = child[at, 0], child[at, 1]
+                    stack_bounds[depth] = child_bounds[at]
+                    depth += 1
+    kept = 0
+    for own in range(best.size):
+        kept += best_at[own, 0] >= 0 and best[own] >= best_of_all - margin
+    places = np.empty((kept, 4))
+    kept = 0
+    for own in range(best.size):
+        if best_at[own, 0] >= 0 and best[own] >= best_of_all - margin:
+            places[kept, 0] = (pyramid.first_column + best_at[own, 2] + 0.5) * pyramid.cell_m
+            places[kept, 1] = (pyramid.first_row + best_at[own, 1] + 0.5) * pyramid.cell_m
+            places[kept, 2] = 2.0 * math.pi * best_at[own, 0] / heading_count
+            places[kept, 3] = best[own] / unit
+            kept += 1
+    return places, evaluated

@@ -1,0 +1,171 @@
+"""All of the known map as something to be found in: where a piece may lie, and what speaks for each place."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry import poses as se2
+from service.geometry.poses import Floats
+from service.kernels import occupancy
+from service.kernels.beam_verdicts import CLOSE, IN_FREE, NEW, ON_WALL, THROUGH, VERDICTS, judge_beams
+from service.kernels.branch_and_bound import MaxPyramid, pool_levels, search_branch_and_bound
+from service.kernels.facing_search import (
+    DIRECTIONS,
+    FULL,
+    LAYERS,
+    FacingPyramid,
+    search_facing,
+    splat_facing,
+)
+from service.kernels.loops import splat_field
+from service.kernels.occupancy import OccupancyGrid, trace_scan
+from service.kernels.tiles import NO_TILE
+from service.mapper.graph.point_clouds import CELL_M, POOL_TILES, Fit, PointCloud, SurfelSet, cover, joined
+from service.mapper.maps.occupancy import EVIDENCE
+from service.mapper.maps.tiles import Layer, TileMap, TilePool
+from service.mapper.matchers.window_search import thinned, window_around
+from service.mapper.methods.corridor.graph.candidate_submap import FIELD_SIGMA_M, REACH_M, seen_by
+from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
+
+COARSE_CELL_M, LEVELS = 0.2, 6  # blocks of 6.4 m
+HEADINGS = 210  # 0.03 rad apart: 0.22 m at REACH_M, a cell
+SEARCH_POINTS = 120
+# Of a point on ground that the map does not know, which says nothing: free ground contradicts, and scores 0.
+UNKNOWN_LIKELIHOOD = 0.4
+LEAST_SCORE = 0.45  # mean likelihood of the points
+BEHIND = 0.15  # a place whose score is so far behind the best is no candidate
+MOST_CANDIDATES = 240
+REFINED = (0.3, 0.03, 0.006)  # m and rad about a candidate, in steps of so many rad
+REFINING_POINTS = 150
+TRACED_EVERY = 3  # key frames: neighbours see the same free space
+LOOKED_THROUGH = -10  # evidence of a cell: a beam passed, and none ended in it
+
+
+@dataclass(frozen=True, slots=True)
+class Shares:
+    """Of the points of a cloud, by what the map says to them; see service.kernels.beam_verdicts."""
+
+    close: float  # within 3 cm of a wall, 0..1
+    on_wall: float  # within 10 cm of one, these included
+    against: float  # where nothing stands, or behind a wall
+    new: float  # where the map knows nothing
+
+
+class KnownMap:
+    """The points of the key frames `known` (K,), where the graph has them now."""
+
+    def __init__(self, keyframes: KeyframeList, known: npt.NDArray[np.int64]) -> None:
+        self.known = known
+        clouds = [seen_by(keyframes, k).transformed(keyframes.map[k]) for k in known.tolist()]
+        whole = joined(clouds)
+        self._walls = SurfelSet(whole)
+        few = _one_of_each_cell(whole)
+        self._field = _field(few)
+        self._ground = _ground(keyframes, known, clouds, whole.xy)
+        self._facing = _facing_pyramid(few, self._ground)
+
+    def candidates(self, cloud: PointCloud) -> list[Floats]:
+        """Where the cloud may lie: poses (3,) of its frame in the map, the likeliest first; at most
+        MOST_CANDIDATES.
+        """
+        step = max(1, len(cloud.xy) // SEARCH_POINTS)
+        xy, normals = np.ascontiguousarray(cloud.xy[::step]), np.ascontiguousarray(cloud.normals[::step])
+        places, _ = search_facing(xy, normals, self._facing, HEADINGS, LEAST_SCORE, BEHIND)
+        order = np.argsort(-places[:, 3], kind="stable")[:MOST_CANDIDATES]
+        return list(places[order, :3])
+
+    def lay(self, cloud: PointCloud, near: Floats) -> Fit:
+        """The cloud laid on all walls there are, from a candidate."""
+        window = window_around(near, REFINED[:2], self._field, REFINED[2])
+        found = search_branch_and_bound(thinned(cloud.xy, REFINING_POINTS), self._field, window, -math.inf)
+        return self._walls.align(cloud, found.pose)
+
+    def shares(self, cloud: PointCloud, sensors: Floats, pose: Floats) -> Shares:
+        """What the map says to the beams of a cloud at a pose (3,); sensors (N, 2) m: where each begins."""
+        verdict = np.empty(len(cloud.xy), np.int64)
+        judge_beams(
+            cloud.xy, cloud.normals, sensors, pose, self._walls.grid(), self._ground, LOOKED_THROUGH, verdict
+        )
+        share = np.bincount(verdict, minlength=VERDICTS) / max(len(verdict), 1)
+        return Shares(
+            float(share[CLOSE]),
+            float(share[CLOSE] + share[ON_WALL]),
+            float(share[IN_FREE] + share[THROUGH]),
+            float(share[NEW]),
+        )
+
+
+def _one_of_each_cell(cloud: PointCloud) -> PointCloud:
+    """One point for each cell and direction in which walls face there: it says as much as all."""
+    cells = np.floor(cloud.xy / CELL_M).astype(np.int64)
+    low, high = cells.min(axis=0), cells.max(axis=0) + 1
+    angle = np.arctan2(cloud.normals[:, 1], cloud.normals[:, 0])
+    direction = np.floor(angle / (2.0 * np.pi) * DIRECTIONS + 0.5).astype(np.int64) % DIRECTIONS
+    one_of = np.full((high[1] - low[1], high[0] - low[0], DIRECTIONS), -1, np.int32)
+    one_of[cells[:, 1] - low[1], cells[:, 0] - low[0], direction] = np.arange(len(cells))
+    few = one_of[one_of >= 0]
+    return PointCloud(np.ascontiguousarray(cloud.xy[few]), np.ascontiguousarray(cloud.normals[few]))
+
+
+def _facing_pyramid(cloud: PointCloud, ground: OccupancyGrid) -> FacingPyramid:
+    block = 1 << (LEVELS - 1)
+    low = np.floor(cloud.xy.min(axis=0) / COARSE_CELL_M).astype(np.int64) - 1 - block
+    high = np.floor(cloud.xy.max(axis=0) / COARSE_CELL_M).astype(np.int64) + 2 + block
+    columns, rows = (-(-(high - low) // block) * block).tolist()
+    levels = np.zeros((LAYERS, LEVELS, rows, columns), np.uint8)
+    pyramid = FacingPyramid(levels, int(low[1]), int(low[0]), COARSE_CELL_M)
+    splat_facing(cloud.xy, cloud.normals, pyramid, FIELD_SIGMA_M)
+    unknown = np.uint8(FULL * UNKNOWN_LIKELIHOOD) * ~_is_known(ground, pyramid)
+    np.maximum(levels[:, 0], unknown, out=levels[:, 0])
+    for layer in levels:
+        pool_levels(layer, 0.0)
+    return pyramid
+
+
+def _is_known(ground: OccupancyGrid, pyramid: FacingPyramid) -> npt.NDArray[np.bool_]:
+    """(H, W) cells of level 0 of which the ground knows something."""
+    rows, columns = pyramid.levels.shape[2:]
+    times = round(COARSE_CELL_M / CELL_M)
+    known = np.zeros((times * rows, times * columns), np.bool_)
+    edge = occupancy.TILE_CELLS
+    for i, j in np.argwhere(ground.tiles.slots != NO_TILE).tolist():
+        row = (i + int(ground.tiles.origin[0])) * edge - times * pyramid.first_row
+        column = (j + int(ground.tiles.origin[1])) * edge - times * pyramid.first_column
+        of = ground.evidence[ground.tiles.slots[i, j]] != 0
+        low_row, low_column = max(row, 0), max(column, 0)
+        part = of[low_row - row :, low_column - column :]
+        to = known[low_row : row + edge, low_column : column + edge]
+        to[:] = part[: to.shape[0], : to.shape[1]]
+    coarser: npt.NDArray[np.bool_] = np.any(known.reshape(rows, times, columns, times), axis=(1, 3))
+    return coarser
+
+
+def _field(cloud: PointCloud) -> MaxPyramid:
+    """Of one level: small windows are asked as a whole."""
+    low = np.floor(cloud.xy.min(axis=0) / CELL_M).astype(np.int64) - 2
+    high = np.floor(cloud.xy.max(axis=0) / CELL_M).astype(np.int64) + 3
+    levels = np.zeros((1, high[1] - low[1], high[0] - low[0]), np.float32)
+    splat_field(cloud.xy, int(low[1]), int(low[0]), CELL_M, FIELD_SIGMA_M, levels[0])
+    return MaxPyramid(levels, int(low[1]), int(low[0]), 0.0, 0.0, 1.0, CELL_M)
+
+
+def _ground(
+    keyframes: KeyframeList, known: npt.NDArray[np.int64], clouds: list[PointCloud], xy: Floats
+) -> OccupancyGrid:
+    cells = (occupancy.TILE_CELLS,) * 2
+    tiles = TileMap(
+        TilePool((Layer(cells, np.int8), Layer(cells, np.uint16), Layer((), np.uint8)), POOL_TILES)
+    )
+    cover(tiles, occupancy.TILE_BITS, np.concatenate((xy, keyframes.map[known, :2])))
+    evidence, touched, changed = tiles.pool.arrays
+    ground = OccupancyGrid(tiles.index(), evidence, touched, changed, CELL_M)  # type: ignore[arg-type]
+    for number in range(0, len(known), TRACED_EVERY):
+        ends = clouds[number].xy
+        k = int(known[number])
+        sensor = se2.points_from(keyframes.map[k], np.array(keyframes.thinned[k].sensor_xy_m))
+        if len(ends):
+            scan_number = np.uint16(number // TRACED_EVERY % 65_535 + 1)
+            trace_scan(ends, sensor, np.zeros(3), ground, EVIDENCE, REACH_M, scan_number)
+    return ground

@@ -1,0 +1,127 @@
+"""Two rooms that differ by a pillar: which of them a scan was taken in, and when nobody can tell."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from service.geometry import poses as se2
+from service.geometry.se2 import SE2
+from service.kernels.loops import thin_points
+from service.kernels.normals import estimate_normals
+from service.mapper.methods.corridor.graph.candidate_submap import cloud_of, sensors_of
+from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
+from service.mapper.methods.corridor.graph.known_map import UNKNOWN_LIKELIHOOD, KnownMap
+from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
+from service.mapper.methods.corridor.graph.piece_search import PieceSearch
+from tests.service.mapper.drives import cast
+
+Walls = list[tuple[float, float, float, float]]
+APART_M = 30.0  # from one room to the other
+FIRST_RAD, STEP_RAD, BEAMS = -0.75 * math.pi, math.radians(0.5), 541
+PILLAR = (3.0, 2.2, 0.4)  # x, y of its corner and its edge, m
+
+
+def room(at_m: float, with_pillar: bool) -> Walls:
+    corners = [(0.0, 0.0), (7.0, 0.0), (7.0, 4.0), (5.0, 4.0), (5.0, 5.0), (0.0, 5.0), (0.0, 0.0)]
+    walls = [(*a, *b) for a, b in pairwise(corners)]
+    if with_pillar:
+        x, y, edge = PILLAR
+        corners = [(x, y), (x + edge, y), (x + edge, y + edge), (x, y + edge), (x, y)]
+        walls += [(*a, *b) for a, b in pairwise(corners)]
+    return [(x0 + at_m, y0, x1 + at_m, y1) for x0, y0, x1, y1 in walls]
+
+
+def append(keyframes: KeyframeList, walls: Walls, pose: SE2, piece: int, noise: np.random.Generator) -> int:
+    """A key frame of what is seen from a pose; its number."""
+    angle = FIRST_RAD + STEP_RAD * np.arange(BEAMS)
+    ways = np.column_stack((np.cos(angle + pose.theta_rad), np.sin(angle + pose.theta_rad)))
+    range_m = cast(walls, np.tile([pose.x_m, pose.y_m], (BEAMS, 1)), ways)
+    range_m = range_m + 0.012 * noise.standard_normal(BEAMS)
+    xy = np.column_stack((range_m * np.cos(angle), range_m * np.sin(angle)))
+    normals, kept = np.empty((BEAMS, 3)), np.empty(BEAMS, np.bool_)
+    estimate_normals(xy, np.zeros(2), STEP_RAD, 0.012, 1.0, normals)
+    thin_points(xy, 0.04, kept)
+    nothing = np.zeros((0, 2), np.float32)
+    frame = KeyFrame(keyframes.count, pose, np.eye(3), piece, 0.9, False, nothing, (0.0, 0.0), STEP_RAD)
+    thinned = ThinnedScan(xy[kept].astype(np.float32), normals[kept].astype(np.float32), (0.0, 0.0))
+    keyframes.append(frame, np.array([pose.x_m, pose.y_m, pose.theta_rad]), thinned)
+    return keyframes.count - 1
+
+
+def rooms(pillar_in_first: bool, pillar_in_second: bool) -> tuple[KeyframeList, np.random.Generator]:
+    """A way through each of the two, both known."""
+    noise, keyframes = np.random.default_rng(5), KeyframeList()
+    for at_m, with_pillar in ((0.0, pillar_in_first), (APART_M, pillar_in_second)):
+        for x_m in np.arange(1.0, 5.5, 0.3):
+            append(keyframes, room(at_m, with_pillar), SE2(at_m + x_m, 1.2, 0.0), 0, noise)
+    return keyframes, noise
+
+
+STOOD = SE2(2.0, 3.1, 0.3)  # in a room, where no key frame was
+
+
+def looked_for(keyframes: KeyframeList, own: int) -> tuple[PieceSearch, tuple[np.ndarray, object] | None]:
+    search = PieceSearch(LoopsConfig(), keyframes)
+    known = np.arange(own)
+    return search, search.best_of(search.places_of([own], own, known))
+
+
+@pytest.mark.parametrize("stands_in_second", [False, True])
+def test_a_pillar_tells_two_rooms_apart_whichever_of_them_has_it(stands_in_second):
+    """Seen where the map knows that nothing stands; or looked through where the map has it."""
+    for pillar_in_second in (False, True):
+        keyframes, noise = rooms(not pillar_in_second, pillar_in_second)
+        at_m = APART_M if stands_in_second else 0.0
+        walls = room(at_m, stands_in_second == pillar_in_second)
+        pose = SE2(at_m + STOOD.x_m, STOOD.y_m, STOOD.theta_rad)
+        _, best = looked_for(keyframes, append(keyframes, walls, pose, 1, noise))
+        assert best is not None
+        away = se2.between(np.array([pose.x_m, pose.y_m, pose.theta_rad]), best[0])
+        assert math.hypot(away[0], away[1]) < 0.02
+        assert abs(away[2]) < 0.005
+
+
+def test_of_two_rooms_that_are_alike_none_is_taken_and_both_are_told():
+    keyframes, noise = rooms(pillar_in_first=False, pillar_in_second=False)
+    search, best = looked_for(keyframes, append(keyframes, room(0.0, with_pillar=False), STOOD, 1, noise))
+    assert best is None
+    told = sorted(search.alike)
+    assert told[0] == pytest.approx((STOOD.x_m, STOOD.y_m), abs=0.05)
+    assert told[1] == pytest.approx((STOOD.x_m + APART_M, STOOD.y_m), abs=0.05)
+
+
+def test_what_the_map_does_not_know_at_all_is_found_nowhere():
+    keyframes, noise = rooms(pillar_in_first=True, pillar_in_second=False)
+    hall = [(-9.0, -8.0, 9.0, -8.0), (9.0, -8.0, 9.0, 8.0), (9.0, 8.0, -9.0, 8.0), (-9.0, 8.0, -9.0, -8.0)]
+    _, best = looked_for(keyframes, append(keyframes, hall, SE2(0.5, 0.3, 0.4), 1, noise))
+    assert best is None
+
+
+def test_a_pillar_that_is_seen_where_nothing_stands_counts_against_a_place():
+    keyframes, noise = rooms(pillar_in_first=False, pillar_in_second=False)
+    own = append(keyframes, room(0.0, with_pillar=True), STOOD, 1, noise)
+    known_map = KnownMap(keyframes, np.arange(own))
+    cloud, sensors = cloud_of(keyframes, [own], own), sensors_of(keyframes, [own], own)
+    fit = known_map.lay(cloud, np.array([STOOD.x_m + 0.1, STOOD.y_m - 0.1, STOOD.theta_rad]))
+    shares = known_map.shares(cloud, sensors, fit.pose)
+    on_pillar = np.hypot(*(se2.points_from(fit.pose, cloud.xy) - (3.2, 2.4)).T) < 0.4
+    assert 0.03 < on_pillar.mean() < 0.3
+    assert shares.against == pytest.approx(on_pillar.mean(), abs=0.03)
+    assert shares.close > 0.9 - on_pillar.mean()
+    assert shares.close <= shares.on_wall
+
+
+def test_ground_that_the_map_does_not_know_says_little_in_the_search_and_free_ground_speaks_against():
+    keyframes, _ = rooms(pillar_in_first=False, pillar_in_second=False)
+    facing = KnownMap(keyframes, np.arange(keyframes.count))._facing
+
+    def likelihoods(x_m: float, y_m: float) -> np.ndarray:
+        row, column = math.floor(y_m / facing.cell_m), math.floor(x_m / facing.cell_m)
+        return facing.levels[:, 0, row - facing.first_row, column - facing.first_column]
+
+    assert set(likelihoods(15.0, 2.0)) == {round(255 * UNKNOWN_LIKELIHOOD)}  # between the rooms
+    assert set(likelihoods(3.0, 2.0)) == {0}
+    wall = likelihoods(3.0, 0.05)
+    assert (wall.min(), wall.max()) == (0, 255)  # by the way that it faces
