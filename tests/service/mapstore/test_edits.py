@@ -7,7 +7,7 @@ import pytest
 from service.errors import InputError, StorageError
 from service.mapstore.edits import Edit, undone_by
 from service.mapstore.files import load_map, restore_version, save_map, versions_of
-from tests.service.mapstore.test_graph_files import graph_of
+from tests.service.mapstore.graphs import graph_of
 from tests.service.mapstore.tile_makers import same, tile
 
 

@@ -7,39 +7,13 @@ import pytest
 
 from service.errors import ConfigError, InputError
 from service.mapper.profiles import mapping_config
-from service.mapper.saved_graph import SavedGraph
 from service.mapstore import files, graph_files
 from service.mapstore.begin_in import begin_in
 from service.mapstore.files import load_map, save_map
+from tests.service.mapstore.graphs import graph_of
 from tests.service.mapstore.tile_makers import tile
 
 TILES = [tile(0, 0, 3), tile(-1, 2, 4)]
-
-
-def graph_of(count: int) -> SavedGraph:
-    random = np.random.default_rng(1)
-    points = np.full(count, 3)
-    return SavedGraph(
-        stamp_ns=np.arange(count, dtype=np.int64),
-        odom=random.normal(size=(count, 3)),
-        map=random.normal(size=(count, 3)),
-        way_m=0.3 * np.arange(count),
-        covariance=np.tile(np.eye(3), (count, 1, 1)),
-        score=np.ones(count),
-        gap_s=np.full(count, np.inf),
-        piece=np.zeros(count, np.int64),
-        is_lost=np.zeros(count, np.bool_),
-        sensor_xy_m=np.zeros((count, 2)),
-        point_count=points,
-        xy_base=np.round(random.normal(size=(3 * count, 2)), 3).astype(np.float32),
-        normals=np.round(random.normal(size=(3 * count, 3)), 4).astype(np.float32),
-        loop_ends=np.array([[0, count - 1]]),
-        loop_measured=np.zeros((1, 3)),
-        loop_covariance=np.eye(3)[None],
-        loop_score=np.ones(1),
-        loop_points=np.full(1, 400),
-        loop_against=np.zeros(1),
-    )
 
 
 def point_files(folder) -> list[str]:

@@ -13,7 +13,7 @@ from service.mapstore.difference import COLOURS, WALL_GONE, WALL_NEW, Difference
 from service.mapstore.files import save_map
 from service.offline.map_diff import map_diff
 from service.outputs import TileUpdate
-from tests.service.mapstore.test_graph_files import graph_of
+from tests.service.mapstore.graphs import graph_of
 from tests.service.mapstore.tile_makers import CELL_M, EDGE, tile
 
 

@@ -9,7 +9,7 @@ from service.errors import InputError
 from service.mapper.by_hand import WALL, ByHand, Drawing
 from service.mapstore.files import save_map
 from service.offline.map_work import map_info, map_merge, map_verify
-from tests.service.mapstore.test_graph_files import graph_of
+from tests.service.mapstore.graphs import graph_of
 from tests.service.mapstore.tile_makers import tile
 
 TILES = [tile(0, 0, 3), tile(-1, 2, 4)]

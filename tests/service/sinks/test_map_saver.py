@@ -22,7 +22,7 @@ from service.outputs import TileUpdate
 from service.publishing.commands import Answer
 from service.sinks.map_saver import MOST_UNSAVED, MapSaver
 from service.sinks.sink import SavedMap
-from tests.service.mapstore.test_graph_files import graph_of
+from tests.service.mapstore.graphs import graph_of
 from tests.service.sinks.contexts import sink_context
 
 NOBODY = 4_194_305  # above every process id that Linux gives

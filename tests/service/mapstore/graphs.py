@@ -1,0 +1,41 @@
+"""Graphs for tests of the store: no drive stands behind them."""
+
+import numpy as np
+
+from service.mapper.saved_graph import SavedGraph
+
+KEYFRAMES_A_VERSION, POINTS = 8, 40
+
+
+def graph_of(count: int, points_each: int = 3) -> SavedGraph:
+    """Key frames with seeded random poses and points, and one loop. A longer one begins with the same."""
+    return SavedGraph(
+        stamp_ns=np.arange(count, dtype=np.int64),
+        odom=_random(count, 1, 3),
+        map=_random(count, 2, 3),
+        way_m=0.3 * np.arange(count),
+        covariance=np.tile(np.eye(3), (count, 1, 1)),
+        score=np.ones(count),
+        gap_s=np.full(count, np.inf),
+        piece=np.zeros(count, np.int64),
+        is_lost=np.zeros(count, np.bool_),
+        sensor_xy_m=np.zeros((count, 2)),
+        point_count=np.full(count, points_each),
+        xy_base=np.round(_random(points_each * count, 3, 2), 3).astype(np.float32),
+        normals=np.round(_random(points_each * count, 4, 3), 4).astype(np.float32),
+        loop_ends=np.array([[0, count - 1]]),
+        loop_measured=np.full((1, 3), float(count)),
+        loop_covariance=np.eye(3)[None],
+        loop_score=np.ones(1),
+        loop_points=np.full(1, 400),
+        loop_against=np.zeros(1),
+    )
+
+
+def growing_graph(version: int) -> SavedGraph:
+    """KEYFRAMES_A_VERSION more with each version."""
+    return graph_of(KEYFRAMES_A_VERSION * version, POINTS)
+
+
+def _random(count: int, seed: int, width: int) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(count, width))
