@@ -9,6 +9,7 @@ from drivers.frames import Frame, LaserScan
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapper.components import FinishedGraph, Graph
+from service.mapper.map_changes import MapChanges
 from service.mapper.saved_graph import KeptGraph, SavedGraph
 from service.outputs import GraphPicture, Grid, MapperOutput, TileUpdate
 
@@ -77,6 +78,8 @@ class FrameMapper(Protocol):
     pose_refused: tuple[float, float, float] | None
     graph_picture: GraphPicture | None
 
+    @property
+    def map_changes(self) -> MapChanges | None: ...
     def process(self, frame: Frame) -> MapperOutput | None: ...
     def skip(self, scan: LaserScan) -> None: ...
     def changed_tiles(self) -> list[TileUpdate]: ...
@@ -201,6 +204,11 @@ class MappingSession:
     def work_ready(self) -> bool:
         """Whether apply_result would apply something without waiting. Only what runs live may ask."""
         return self._mapper.graph.ready
+
+    @property
+    def map_changes(self) -> MapChanges | None:
+        """As Mapper.map_changes."""
+        return self._mapper.map_changes
 
     @property
     def graph_fault(self) -> str:

@@ -24,6 +24,7 @@ from service.mapper.components import (
 )
 from service.mapper.judgement import drift_of
 from service.mapper.known_pose import KnownPose
+from service.mapper.map_changes import ChangeWatch, MapChanges
 from service.mapper.maps.standing import draw_standing
 from service.mapper.mounting_check import MountingCheck
 from service.mapper.saved_graph import KeptGraph, SavedGraph
@@ -32,6 +33,7 @@ from service.outputs import GraphPicture, Grid, MapperOutput, State, TileUpdate
 
 UNPROVEN = "localised in the stored map from one viewpoint; drive on some metres to confirm it"
 MOST_BEHIND_NS = 250_000_000  # that a sweep may have begun before the newest pose: a slow laser beside a fast
+CHANGES_TOLD_NS = 5_000_000_000  # between two counts of the cells that have changed
 WELL_NS = 500_000_000  # so long a scan that lay on the map vouches for the place
 
 
@@ -50,11 +52,15 @@ class Mapper(Generic[ReadableMap]):
         placed: Placed = "proven",
         is_localizing: bool = False,
         geo_reference: GeoReference | None = None,
+        changes: ChangeWatch | None = None,
     ) -> None:
         """placed: "unknown" where the session begins in a stored map, in which the vehicle is to be found.
 
-        is_localizing: the shown map stays as it is. geo_reference: of the stored map.
+        is_localizing: the shown map stays as it is. geo_reference: of the stored map. changes: what is to be
+        told of how that map has changed; None: nothing is.
         """
+        self._changes = changes
+        self._changes_told_ns = 0
         self._stages = stages
         self._placed, self._is_localizing = placed, is_localizing
         self.pose_refused: tuple[float, float, float] | None = None  # set by a person; nothing seen fits it
@@ -148,6 +154,11 @@ class Mapper(Generic[ReadableMap]):
         """Bring in the oldest piece of work of the graph, between two frames; waits for it."""
         self._bring_in(self._stages.graph.apply_result())
 
+    @property
+    def map_changes(self) -> MapChanges | None:
+        """What has changed since the map was stored; None: nobody watches."""
+        return None if self._changes is None else self._changes.changes()
+
     def finish(self) -> FinishedGraph:
         """The graph's last word, after the last frame; the shown map is corrected, too."""
         finished = self._stages.graph.finish()
@@ -210,9 +221,20 @@ class Mapper(Generic[ReadableMap]):
             match = replace(match, reason=said + match.reason)
         if match.state != "lost" and not self._is_localizing:  # nothing is drawn where nobody knows the place
             s.free_space.insert(match.points, pose_map_odom @ match.motion.pose_odom_base)
+        if match.state == "ok" and self._placed == "proven" and self._changes is not None:
+            self._changes.add(match.points, pose_map_odom @ match.motion.pose_odom_base, at_ns)
+            self._tell_changes(self._changes, at_ns)
         watch.lap("insert")
         self._state = match.state, match.reason
         return self._output(at_ns, match.motion, match.state, match.reason, match.inlier_ratio)
+
+    def _tell_changes(self, changes: ChangeWatch, at_ns: int) -> None:
+        if at_ns - self._changes_told_ns < CHANGES_TOLD_NS:
+            return
+        self._changes_told_ns = at_ns
+        is_new = changes.changes().is_new
+        self.counters["changed_cells_new"] = int(is_new.sum())
+        self.counters["changed_cells_gone"] = int((~is_new).sum())
 
     def _unplaced(self, reason: str) -> str:
         """Why a session in a stored map is `lost`."""

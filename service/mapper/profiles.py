@@ -32,6 +32,7 @@ from service.mapper.components import (
     Slot,
     Stopwatch,
 )
+from service.mapper.map_changes import ChangeWatch
 from service.mapper.patch_store import MemoryPatches, NewPatchStore
 from service.mapper.pipeline import Mapper
 from service.mapper.saved_graph import KeepGraph, SavedGraph
@@ -218,6 +219,7 @@ def build_mapper(
         "proven" if begin_in is None else "unknown",
         around.is_localizing,
         None if begin_in is None else begin_in.geo,
+        ChangeWatch(begin_in.shown, config.cell_m) if begin_in is not None and around.is_localizing else None,
     )
 
 

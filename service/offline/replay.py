@@ -38,6 +38,7 @@ from service.kernel_warm_up import KernelProgress
 from service.kernel_warm_up import warm_up as warm_up_kernels
 from service.mapper.components import GraphRequestError
 from service.mapper.corrections import corrected
+from service.mapper.map_changes import MapChanges
 from service.mapper.mapping_session import (
     APPLY_AFTER_SCANS,
     ApplyResult,
@@ -59,8 +60,10 @@ from service.mapstore.picture import picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
 from service.offline.geo_export import write_world_file
+from service.offline.map_change_file import CHANGES_FILE, write_changes
 from service.offline.pace import Unwatched, Watch
 from service.offline.raw_replay import FROM_RAW, remake_frames
+from service.offline.replay_figures import peak_rss_mb, percentiles_ms
 from service.offline.trajectory import write_tum
 from service.outputs import MapperOutput, TileUpdate
 from service.recording.mcap_source import Session, open_session
@@ -118,6 +121,7 @@ class Replay:
     notes: list[str] = field(default_factory=list)
     geo: GeoReference | None = None  # where its map lies on the earth; None: that is not known
     graph: SavedGraph | None = None  # with which a later session goes on; None: it cannot
+    changes: MapChanges | None = None  # since the map was stored in which it was localised; None: it was not
 
 
 def group_sessions(paths: Sequence[Path]) -> list[list[Path]]:
@@ -298,12 +302,12 @@ def replay(
         "duration_s": round(duration_s, 3),
         "wall_s": round(wall_s, 3),
         "realtime_factor": round(duration_s / wall_s, 1),
-        "scan_ms": _percentiles_ms(scan_ns),
-        "scan_cpu_ms": _percentiles_ms(scan_cpu_ns),
+        "scan_ms": percentiles_ms(scan_ns),
+        "scan_cpu_ms": percentiles_ms(scan_cpu_ns),
         "stage_ms_p50": stages.p50_ms(),
         "loop_closures": mapper.counters["loop_closures"],
         "keyframes": mapper.counters["keyframes"],
-        "peak_rss_mb": _peak_rss_mb(),
+        "peak_rss_mb": peak_rss_mb(),
         "map_tiles": len(tiles),
         "map_resets": mapper.counters["map_resets"],
         "state": {state: states[state] for state in STATES},
@@ -316,7 +320,9 @@ def replay(
     }
     if mapping.mode == "localization":
         graph = None  # the map stays the one it was
-    return Replay(outputs, poses, tiles, g2o, summary, session.notes, geo, graph)
+    if (changes := mapper.map_changes) is not None:
+        summary["map_changes"] = changes.as_dict()
+    return Replay(outputs, poses, tiles, g2o, summary, session.notes, geo, graph, changes)
 
 
 def _replay_from_raw(
@@ -332,7 +338,8 @@ def _replay_from_raw(
 
 def write_replay(done: Replay, out: Path) -> None:
     """trajectory.tum, trajectory_live.tum, map.pgm + map.yaml, map.png, graph.g2o, geo.json, summary.json,
-    and map/, the map as it is stored: `--map` and map.load begin in it.
+    and map/, the map as it is stored: `--map` and map.load begin in it. Where it was localised in a stored
+    map, changes.csv: what has changed since.
 
     There is no graph.g2o where the profile has no graph. Where fixes do not anchor the map there is no
     geo.json, and none of an earlier replay stays; where they do, map.png has a world file beside it, as far
@@ -359,6 +366,7 @@ def write_replay(done: Replay, out: Path) -> None:
             write_geo(out / GEO_FILE, done.geo)
             if abs(done.geo.origin.latitude_deg) < UTM_MOST_LATITUDE_DEG:
                 write_world_file(out / "map.png", shown, done.geo)
+        write_changes(out / CHANGES_FILE, done.changes)
         _store_map(done, out / "map")
         (out / "summary.json").write_text(json.dumps(done.summary, indent=1) + "\n", encoding="ascii")
     except OSError as error:
@@ -485,16 +493,3 @@ def _in_words(devices: Mapping[str, Mapping[str, Any]]) -> str:
         + ("refused" if device["sensor"] is None else f"read as {device['sensor']}")
         for frame, device in devices.items()
     )
-
-
-def _percentiles_ms(durations_ns: Sequence[int]) -> dict[str, float]:
-    p50, p95, p99 = np.percentile(durations_ns, (50, 95, 99)) / 1e6
-    largest = max(durations_ns) / 1e6
-    return {"p50": round(p50, 3), "p95": round(p95, 3), "p99": round(p99, 3), "max": round(largest, 3)}
-
-
-def _peak_rss_mb() -> int:
-    """Of this very process; getrusage would count what a parent held before exec."""
-    status = Path("/proc/self/status").read_text(encoding="ascii")
-    kilobytes = next(line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:"))
-    return round(int(kilobytes) / 1024)

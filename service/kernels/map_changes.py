@@ -1,0 +1,185 @@
+"""Where scans contradict a map that stays as it is: things that stand where it knows that nothing does, and
+walls of it that beams go through.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from service.kernels.rays import begin_ray
+
+UNKNOWN, FREE, WALL = 0, 1, 2
+BEHIND_M = 0.3  # a beam that ends so far behind a cell went through it
+LEAST_SINE = 0.4  # of the angle between beam and wall: what passes along a wall says nothing of it
+LONG = 4.0  # times as long as wide: what stands around a cell has a direction
+MOST_VOTES = 200  # of either side; then both are halved, and what is newer counts more
+
+
+class ChangeVotes(NamedTuple):
+    """What scans said to the cells of a map. Row 0, column 0 is the cell at (first_row, first_column).
+
+    stored     (H, W) uint8    UNKNOWN, FREE or WALL: what the map says
+    changed    (H, W) uint8    scans that contradict it
+    same       (H, W) uint8    scans that confirm it, since the first that contradicted it
+    poses      (H, W) uint8    poses from which it was contradicted
+    last_pose  (H, W) int32    number of the last of them
+    first_ms, last_ms  (H, W) int32   moments of the first and of the last contradiction
+    hit, passed        (H, W) int32   number of the last scan that ended in the cell, or went through it
+    first_row, first_column   int
+    cell_m     float
+    """
+
+    stored: npt.NDArray[np.uint8]
+    changed: npt.NDArray[np.uint8]
+    same: npt.NDArray[np.uint8]
+    poses: npt.NDArray[np.uint8]
+    last_pose: npt.NDArray[np.int32]
+    first_ms: npt.NDArray[np.int32]
+    last_ms: npt.NDArray[np.int32]
+    hit: npt.NDArray[np.int32]
+    passed: npt.NDArray[np.int32]
+    first_row: int
+    first_column: int
+    cell_m: float
+
+
+class Moment(NamedTuple):
+    """Of one scan: its number and that of its pose, from 1, and its time."""
+
+    scan: int
+    pose: int
+    now_ms: int
+
+
+@njit(cache=True, nogil=True)
+def weigh_changes(xy_base, sensor_base, pose, farthest_m, votes, moment):
+    """Let one scan speak of each cell once.
+
+    xy_base       (N, 2) float64   ends of beams, m, base frame
+    sensor_base   (2,)   float64   where they begin
+    pose          (3,)   float64   base in the map
+    farthest_m    float            ends beyond are not asked
+    votes         ChangeVotes      in and out
+    moment        Moment
+    """
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    cell_m = votes.cell_m
+    u = (pose[0] + c * sensor_base[0] - s * sensor_base[1]) / cell_m - votes.first_column
+    v = (pose[1] + s * sensor_base[0] + c * sensor_base[1]) / cell_m - votes.first_row
+    height, width = votes.stored.shape
+    count = xy_base.shape[0]
+    ends = np.empty((count, 2))
+    for i in range(count):
+        ends[i, 0] = (pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) / cell_m - votes.first_column
+        ends[i, 1] = (pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) / cell_m - votes.first_row
+        row, column = math.floor(ends[i, 1]), math.floor(ends[i, 0])
+        if 0 <= row < height and 0 <= column < width:
+            votes.hit[row, column] = moment.scan
+    for i in range(count):
+        far_m = math.hypot(ends[i, 0] - u, ends[i, 1] - v) * cell_m
+        if far_m > farthest_m:
+            continue
+        _weigh_end(math.floor(ends[i, 1]), math.floor(ends[i, 0]), votes, moment)
+        _weigh_way(u, v, ends[i, 0] - u, ends[i, 1] - v, far_m, votes, moment)
+
+
+@njit(cache=True, nogil=True)
+def _weigh_end(row, column, votes, moment):
+    """Something stands at the end of a beam."""
+    height, width = votes.stored.shape
+    if not (1 <= row < height - 1 and 1 <= column < width - 1):
+        return
+    is_free = True
+    for r in range(row - 1, row + 2):
+        for q in range(column - 1, column + 2):
+            is_free = is_free and votes.stored[r, q] == FREE
+            if votes.stored[r, q] == WALL and votes.changed[r, q] > 0 and votes.passed[r, q] != moment.scan:
+                votes.passed[r, q] = moment.scan
+                _add_vote(votes.same, votes.changed, r, q)
+    if is_free and votes.passed[row, column] != moment.scan:
+        votes.passed[row, column] = moment.scan
+        _contradict(row, column, votes, moment)
+
+
+@njit(cache=True, nogil=True)
+def _weigh_way(u, v, du, dv, far_m, votes, moment):
+    """Nothing stands on the way of a beam, up to BEHIND_M before its end."""
+    height, width = votes.stored.shape
+    share = 1.0 - BEHIND_M / far_m if far_m > BEHIND_M else 0.0
+    column, row, step_column, step_row, next_column, next_row, per_column, per_row, steps = begin_ray(
+        u, v, share * du, share * dv
+    )
+    for _ in range(steps):
+        if 1 <= row < height - 1 and 1 <= column < width - 1 and votes.passed[row, column] != moment.scan:
+            stored = votes.stored[row, column]
+            if (stored == WALL or votes.changed[row, column] > 0) and not _is_hit(row, column, votes, moment):
+                if stored == FREE:
+                    votes.passed[row, column] = moment.scan
+                    _add_vote(votes.same, votes.changed, row, column)
+                elif stored == WALL and _crosses(row, column, du, dv, votes):
+                    votes.passed[row, column] = moment.scan
+                    _contradict(row, column, votes, moment)
+        is_column = next_column < next_row
+        column += step_column if is_column else 0
+        row += 0 if is_column else step_row
+        next_column += per_column if is_column else 0.0
+        next_row += 0.0 if is_column else per_row
+
+
+@njit(cache=True, nogil=True)
+def _is_hit(row, column, votes, moment):
+    """Whether this scan ended in a cell or in one of the eight around it."""
+    for r in range(row - 1, row + 2):
+        for q in range(column - 1, column + 2):
+            if votes.hit[r, q] == moment.scan:
+                return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _crosses(row, column, du, dv, votes):
+    """Whether a beam goes across the wall of a cell, not along it."""
+    height, width = votes.stored.shape
+    count = sx = sy = xx = xy = yy = 0.0
+    for r in range(max(row - 2, 0), min(row + 3, height)):
+        for q in range(max(column - 2, 0), min(column + 3, width)):
+            if votes.stored[r, q] == WALL:
+                x, y = float(q - column), float(r - row)
+                count += 1.0
+                sx += x
+                sy += y
+                xx += x * x
+                xy += x * y
+                yy += y * y
+    xx = xx / count - (sx / count) ** 2 + 0.08  # a cell is no point
+    yy = yy / count - (sy / count) ** 2 + 0.08
+    xy = xy / count - sx * sy / (count * count)
+    half = 0.5 * (xx + yy)
+    root = math.sqrt(max(0.25 * (xx - yy) ** 2 + xy * xy, 0.0))
+    if half + root < LONG * (half - root):
+        return True
+    angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
+    sine = abs(math.cos(angle) * dv - math.sin(angle) * du) / max(math.hypot(du, dv), 1e-9)
+    return sine >= LEAST_SINE
+
+
+@njit(cache=True, nogil=True)
+def _contradict(row, column, votes, moment):
+    if votes.changed[row, column] == 0:
+        votes.first_ms[row, column] = moment.now_ms
+    votes.last_ms[row, column] = moment.now_ms
+    if votes.last_pose[row, column] != moment.pose:
+        votes.last_pose[row, column] = moment.pose
+        votes.poses[row, column] = min(votes.poses[row, column] + 1, MOST_VOTES)
+    _add_vote(votes.changed, votes.same, row, column)
+
+
+@njit(cache=True, nogil=True)
+def _add_vote(mine, other, row, column):
+    mine[row, column] += 1
+    if mine[row, column] >= MOST_VOTES:
+        mine[row, column] //= 2
+        other[row, column] //= 2

@@ -1,0 +1,154 @@
+"""What has changed since a map was stored, as a vehicle sees it that is only localised in it."""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry.se2 import SE2
+from service.kernels.map_changes import FREE, UNKNOWN, WALL, ChangeVotes, Moment, weigh_changes
+from service.mapper.components import Points, RenderedMap
+
+COARSER = 2  # cells of the map along an edge of one of these: 0.1 m
+WALL_EVIDENCE, FREE_EVIDENCE = 13, -20  # log-odds in steps of 0.05: 66 %; and two beams passed
+FARTHEST_M = 12.0
+STEP_M, STEP_RAD = 0.3, 0.2  # from one pose to the next that counts as another
+USED_EVERY_M, USED_EVERY_RAD, USED_EVERY_NS = 0.1, 0.05, 200_000_000
+LEAST_POSES, LEAST_VOTES, LEAST_MS = 3, 5, 1000  # that contradict the map before a cell is told
+LEAST_SHARE = 0.8  # of the scans that spoke of a cell since then
+LEAST_CELLS = 4  # together: one alone is the rim of something that stands where it was
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapChanges:
+    """Cells of cell_m that are not what the stored map says. Rows of the arrays are cells."""
+
+    cell_m: float
+    xy_map: npt.NDArray[np.float64]  # (N, 2) m, their middles
+    is_new: npt.NDArray[np.bool_]  # (N,) something stands there now; else what stood there is gone
+    first_ns: npt.NDArray[np.int64]  # (N,) stamps of the first and of the last scan that said so
+    last_ns: npt.NDArray[np.int64]
+    scans: npt.NDArray[np.int64]  # (N,) that said so
+
+    def as_dict(self) -> dict[str, int | float]:
+        """How many, for JSON."""
+        return {
+            "cells_new": int(self.is_new.sum()),
+            "cells_gone": int((~self.is_new).sum()),
+            "cell_m": self.cell_m,
+        }
+
+
+class ChangeWatch:
+    """Scans in at poses that are proven; out what they have said more than once, from more than one pose.
+
+    Reads the shown map, and changes nothing in it. Raises ValueError where the map has no cells.
+    """
+
+    def __init__(self, shown: RenderedMap, cell_m: float) -> None:
+        if not len(shown.tile_row):
+            raise ValueError("the stored map shows nothing; there is nothing that could have changed")
+        stored, first_row, first_column = _stored(shown)
+        shape = stored.shape
+        self._votes = ChangeVotes(
+            stored,
+            changed=np.zeros(shape, np.uint8),
+            same=np.zeros(shape, np.uint8),
+            poses=np.zeros(shape, np.uint8),
+            last_pose=np.zeros(shape, np.int32),
+            first_ms=np.zeros(shape, np.int32),
+            last_ms=np.zeros(shape, np.int32),
+            hit=np.zeros(shape, np.int32),
+            passed=np.zeros(shape, np.int32),
+            first_row=first_row,
+            first_column=first_column,
+            cell_m=COARSER * cell_m,
+        )
+        self._began_ns: int | None = None
+        self._used: tuple[SE2, int] | None = None  # pose and stamp of the newest scan that was asked
+        self._counted: SE2 | None = None
+        self._scans = self._poses = 0
+
+    def add(self, points: Points, pose_map_base: SE2, stamp_ns: int) -> None:
+        """Ask one scan, unless the one before was taken just here and now."""
+        if self._began_ns is None:
+            self._began_ns = stamp_ns
+        if self._used is not None:
+            pose, used_ns = self._used
+            is_far = pose_map_base.is_step_from(pose, USED_EVERY_M, USED_EVERY_RAD)
+            if not is_far and stamp_ns - used_ns < USED_EVERY_NS:
+                return
+        if self._counted is None or pose_map_base.is_step_from(self._counted, STEP_M, STEP_RAD):
+            self._counted = pose_map_base
+            self._poses += 1
+        self._used = pose_map_base, stamp_ns
+        self._scans += 1
+        sensor = points.sensor_base
+        weigh_changes(
+            points.xy_base,
+            np.array([sensor.x_m, sensor.y_m]),
+            np.array([pose_map_base.x_m, pose_map_base.y_m, pose_map_base.theta_rad]),
+            FARTHEST_M,
+            self._votes,
+            Moment(self._scans, self._poses, (stamp_ns - self._began_ns) // 1_000_000),
+        )
+
+    def changes(self) -> MapChanges:
+        """What is sure by now."""
+        votes = self._votes
+        changed, same = votes.changed.astype(np.int64), votes.same.astype(np.int64)
+        is_sure = (
+            (votes.poses >= LEAST_POSES)
+            & (changed >= LEAST_VOTES)
+            & (votes.last_ms - votes.first_ms >= LEAST_MS)
+            & (changed >= LEAST_SHARE * (changed + same))
+        )
+        is_new = votes.stored == FREE
+        row, column = np.nonzero(_in_groups(is_sure & is_new) | _in_groups(is_sure & ~is_new))
+        at = row, column
+        began_ns = self._began_ns or 0
+        cells = np.column_stack((column + votes.first_column, row + votes.first_row)).astype(np.float64)
+        return MapChanges(
+            votes.cell_m,
+            (cells + 0.5) * votes.cell_m,
+            is_new[at],
+            began_ns + votes.first_ms[at].astype(np.int64) * 1_000_000,
+            began_ns + votes.last_ms[at].astype(np.int64) * 1_000_000,
+            changed[at],
+        )
+
+
+def _stored(shown: RenderedMap) -> tuple[npt.NDArray[np.uint8], int, int]:
+    """UNKNOWN, FREE or WALL of each coarser cell, and the row and column of the first of them."""
+    edge = shown.evidence.shape[1]
+    low_row, low_column = int(shown.tile_row.min()), int(shown.tile_column.min())
+    height = (int(shown.tile_row.max()) - low_row + 1) * edge
+    width = (int(shown.tile_column.max()) - low_column + 1) * edge
+    fine = np.zeros((height, width), np.int8)
+    for row, column, evidence in zip(shown.tile_row, shown.tile_column, shown.evidence, strict=True):
+        r, q = (int(row) - low_row) * edge, (int(column) - low_column) * edge
+        fine[r : r + edge, q : q + edge] = evidence
+    blocks = fine.reshape(height // COARSER, COARSER, width // COARSER, COARSER)
+    stored = np.full((height // COARSER, width // COARSER), UNKNOWN, np.uint8)
+    stored[(blocks <= FREE_EVIDENCE).all(axis=(1, 3))] = FREE
+    stored[(blocks >= WALL_EVIDENCE).any(axis=(1, 3))] = WALL
+    return stored, low_row * edge // COARSER, low_column * edge // COARSER
+
+
+def _in_groups(cells: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Without cells that hang together with too few others, by edges or corners."""
+    kept = np.zeros_like(cells)
+    left = set(zip(*(axis.tolist() for axis in np.nonzero(cells)), strict=True))
+    while left:
+        group, ends = [], deque([left.pop()])
+        while ends:
+            row, column = ends.popleft()
+            group.append((row, column))
+            for near in [(row + dr, column + dc) for dr in (-1, 0, 1) for dc in (-1, 0, 1)]:
+                if near in left:
+                    left.remove(near)
+                    ends.append(near)
+        if len(group) >= LEAST_CELLS:
+            kept[tuple(np.array(group).T)] = True
+    return kept

@@ -1,0 +1,33 @@
+"""changes.csv: the cells that are not what a stored map says, for who looks after it."""
+
+import csv
+from pathlib import Path
+
+from service.mapper.map_changes import MapChanges
+
+CHANGES_FILE = "changes.csv"
+COLUMNS = ("x_m", "y_m", "change", "first_stamp_ns", "last_stamp_ns", "scans")
+
+
+def write_changes(path: Path, changes: MapChanges | None) -> None:
+    """A line a cell: its middle in the map; "new" where something stands now, "gone" where something stood;
+    the stamps of the first and of the last scan that said so, and how many did. None: there is no file then,
+    nor does one of before stay. Raises OSError.
+    """
+    path.unlink(missing_ok=True)
+    if changes is None:
+        return
+    with path.open("w", encoding="ascii", newline="") as file:
+        lines = csv.writer(file, lineterminator="\n")
+        lines.writerow(COLUMNS)
+        for (x_m, y_m), is_new, first_ns, last_ns, scans in zip(
+            changes.xy_map.tolist(),
+            changes.is_new.tolist(),
+            changes.first_ns.tolist(),
+            changes.last_ns.tolist(),
+            changes.scans.tolist(),
+            strict=True,
+        ):
+            lines.writerow(
+                (f"{x_m:.2f}", f"{y_m:.2f}", "new" if is_new else "gone", first_ns, last_ns, scans)
+            )

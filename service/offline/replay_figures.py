@@ -1,0 +1,19 @@
+"""Figures of a replay: how long scans took, and how much memory."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+
+def percentiles_ms(durations_ns: Sequence[int]) -> dict[str, float]:
+    p50, p95, p99 = np.percentile(durations_ns, (50, 95, 99)) / 1e6
+    largest = max(durations_ns) / 1e6
+    return {"p50": round(p50, 3), "p95": round(p95, 3), "p99": round(p99, 3), "max": round(largest, 3)}
+
+
+def peak_rss_mb() -> int:
+    """Of this very process; getrusage would count what a parent held before exec."""
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    kilobytes = next(line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:"))
+    return round(int(kilobytes) / 1024)

@@ -1,0 +1,145 @@
+"""A pallet was moved and a doorway closed since the office was mapped: found there, and nowhere else."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.mapper.map_changes import MapChanges
+from service.mapper.maps.occupancy import rendered_of
+from service.mapper.pipeline import Mapper
+from service.mapper.profiles import BeginIn, build_mapper, mapping_config
+from service.mapper.saved_graph import SavedGraph
+from service.outputs import MapperOutput
+from simulators.world import Plan, World, make_world
+from simulators.worlds import WORLDS
+from simulators.worlds.office import START, office_plan
+from tests.simulated import FORWARD, LMS100_50HZ, Drive, Wheels, drive, run
+
+LASER = replace(LMS100_50HZ, rate_hz=25.0)
+SECONDS = 36.0  # from the open plan along the lower corridor into the workshop
+PALLET_M = (1.2, 0.8)
+WAS, IS = (19.8, 2.4), (20.2, 10.3)  # middle of the pallet when the map was made, and later; m in the plan
+DOOR, DOOR_M = (15.85, 3.2), (0.9, 0.12)  # a doorway of the lower corridor, closed later
+NEAR_M = 0.25  # of the thing's rim
+TOLD_WITHIN_S = 10.0  # of the first scan that contradicted the map there
+ASKED_EVERY = 12  # scans
+
+
+def office(with_change: bool) -> World:
+    plan = office_plan()
+    plan.box(IS if with_change else WAS, PALLET_M)
+    if with_change:
+        plan.box(DOOR, DOOR_M)
+    return peopled(plan)
+
+
+def peopled(plan: Plan) -> World:
+    """The office with its people and its drive, and other walls."""
+    known = WORLDS["office"]()
+    walls = make_world("office", plan, (), replace_start(known))
+    return replace(walls, people=known.people, drive=known.drive)
+
+
+def replace_start(known: World):
+    """The drive of the office as it lies in the plan."""
+    return known.drive.seen_from(START.inverse())
+
+
+@pytest.fixture(scope="module")
+def before() -> tuple[Drive, BeginIn]:
+    made = drive(office(with_change=False), LASER, SECONDS, 3, Wheels())
+    mapper = run(mapping_config(), made).mapper
+    graph = mapper.finish().update.saved
+    assert isinstance(graph, SavedGraph)
+    return made, BeginIn(graph, rendered_of(mapper.changed_tiles()))
+
+
+def driven_again(begin: BeginIn, again: Drive, told: dict[int, MapChanges] | None = None) -> tuple:
+    """The mapper and its outputs; told: out, what was told from time to time, by stamp."""
+    mapper = build_mapper(mapping_config({"mode": "localization"}), {"front": FORWARD}, begin_in=begin)
+    outputs = []
+    for frame in again.frames:
+        output = mapper.process(frame)
+        while mapper.graph.waiting:
+            mapper.apply_result()
+        if output is not None:
+            outputs.append(output)
+            if told is not None and len(outputs) % ASKED_EVERY == 0 and mapper.map_changes is not None:
+                told[output.stamp_ns] = mapper.map_changes
+    return mapper, outputs
+
+
+Driven = tuple[Mapper, list[MapperOutput], Drive, dict[int, MapChanges]]
+
+
+@pytest.fixture(scope="module")
+def after(before) -> Driven:
+    again = drive(office(with_change=True), LASER, SECONDS, 4, Wheels())
+    told: dict[int, MapChanges] = {}
+    return *driven_again(before[1], again, told), again, told
+
+
+def off_rim_m(xy_plan: np.ndarray, middle: tuple[float, float], size_m: tuple[float, float]) -> np.ndarray:
+    """(N,) of points from the rim of a box without a turn."""
+    beyond = np.abs(xy_plan - middle) - np.array(size_m) / 2.0
+    outside = np.hypot(*np.maximum(beyond, 0.0).T)
+    return np.where((beyond < 0.0).all(axis=1), -beyond.max(axis=1), outside)
+
+
+def in_plan(first: Drive, xy_map: np.ndarray) -> np.ndarray:
+    pose = START @ first.world_first
+    c, s = math.cos(pose.theta_rad), math.sin(pose.theta_rad)
+    return xy_map @ np.array([[c, s], [-s, c]]) + (pose.x_m, pose.y_m)
+
+
+def test_what_was_moved_and_closed_is_found_and_nothing_else(before, after):
+    changes = after[0].map_changes
+    assert changes is not None
+    xy = in_plan(before[0], changes.xy_map)
+    new, gone = xy[changes.is_new], xy[~changes.is_new]
+    at_pallet, at_door = off_rim_m(new, IS, PALLET_M) < NEAR_M, off_rim_m(new, DOOR, DOOR_M) < NEAR_M
+    assert at_pallet.sum() >= 10
+    assert at_door.sum() >= 4
+    assert (off_rim_m(gone, WAS, PALLET_M) < NEAR_M).sum() >= 10
+    assert (~(at_pallet | at_door)).sum() == 0
+    assert (off_rim_m(gone, WAS, PALLET_M) >= NEAR_M).sum() == 0
+
+
+def test_who_finds_it_knows_its_place_as_well_as_if_nothing_had_changed(before, after):
+    _, outputs, again, _ = after
+    first = before[0]
+    off_m = []
+    for output in outputs:
+        if output.state == "ok":
+            true = first.world_first.inverse() @ again.world_first @ again.truth[output.stamp_ns]
+            away = true.inverse() @ output.pose_map_base
+            off_m.append(math.hypot(away.x_m, away.y_m))
+    assert len(off_m) > 0.8 * len(outputs)
+    assert max(off_m) < 0.05
+
+
+def test_each_change_is_told_within_seconds_of_the_first_scan_that_contradicts(before, after):
+    mapper, _, _, told = after
+    last = mapper.map_changes
+    assert last is not None
+    for middle, size_m, is_new in ((IS, PALLET_M, True), (DOOR, DOOR_M, True), (WAS, PALLET_M, False)):
+
+        def there(changes: MapChanges, at=middle, size_m=size_m, is_new=is_new) -> np.ndarray:
+            near = off_rim_m(in_plan(before[0], changes.xy_map), at, size_m) < NEAR_M
+            return near & (changes.is_new == is_new)
+
+        first_ns = int(last.first_ns[there(last)].min())
+        told_ns = min(stamp_ns for stamp_ns, changes in told.items() if there(changes).any())
+        assert 1.0 <= (told_ns - first_ns) / 1e9 <= TOLD_WITHIN_S  # not at once: people pass, too
+    assert mapper.counters["changed_cells_new"] > 0
+    assert mapper.counters["changed_cells_gone"] > 0
+
+
+def test_nothing_is_told_where_only_people_walk(before):
+    again = drive(office(with_change=False), LASER, SECONDS, 5, Wheels())
+    mapper, _ = driven_again(before[1], again)
+    changes = mapper.map_changes
+    assert changes is not None
+    assert len(changes.xy_map) == 0
