@@ -1,4 +1,4 @@
-"""Where a sensor sits on the vehicle."""
+"""Pose of a sensor on the vehicle."""
 
 from pydantic import BaseModel, ConfigDict, Field
 

@@ -1,4 +1,4 @@
-"""Where the program `corridor` begins. Ctrl-C ends it from here on; what takes time to import comes after."""
+"""Entry point of the program `corridor`. Ctrl-C ends it from here on; slow imports come later."""
 
 import os
 import signal

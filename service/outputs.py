@@ -1,4 +1,4 @@
-"""What leaves the mapper."""
+"""Outputs of the mapper."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,3 +1,3 @@
-"""The one place the version number stands."""
+"""The version number."""
 
 VERSION = "0.1.0"

@@ -1,4 +1,4 @@
-"""The command line, and nothing behind it: what each command is called and takes."""
+"""The command line alone: name and arguments of each command."""
 
 import argparse
 import sys

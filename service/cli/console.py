@@ -1,4 +1,4 @@
-"""What the commands say: progress and logs on stderr, results on stdout."""
+"""Output of the commands: progress and logs on stderr, results on stdout."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""run, demo: what needs devices."""
+"""run, demo: commands that need devices."""
 
 import argparse
 import gc

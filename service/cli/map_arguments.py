@@ -1,4 +1,4 @@
-"""What `corridor map` is told."""
+"""Arguments of `corridor map`."""
 
 import argparse
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""check, doctor, init, install-unit, warmup: what one does before a drive."""
+"""check, doctor, init, install-unit, warmup: commands before a drive."""
 
 import argparse
 import logging

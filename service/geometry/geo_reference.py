@@ -1,4 +1,4 @@
-"""Where a map lies on the earth."""
+"""Position of a map on the earth."""
 
 import math
 from collections.abc import Mapping

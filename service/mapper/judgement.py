@@ -1,4 +1,4 @@
-"""Whether a scan was matched where the vehicle is: one rule for the matchers of all profiles."""
+"""Decides whether a match is accepted: one rule for the matchers of all profiles."""
 
 import math
 from dataclasses import dataclass

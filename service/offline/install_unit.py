@@ -1,4 +1,4 @@
-"""What systemd and udev need to start the service with the machine, put where they look for it."""
+"""Installs the files by which systemd and udev start the service with the machine."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""What `corridor map` does with stored maps: tell, check, merge."""
+"""`corridor map info`, `verify` and `merge`."""
 
 from collections.abc import Sequence
 from pathlib import Path

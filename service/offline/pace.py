@@ -1,4 +1,4 @@
-"""How fast a replay goes, and who looks on. Nothing here has a say in what comes of it."""
+"""Speed of a replay, and its observers. Neither changes the result."""
 
 import threading
 import time

@@ -1,4 +1,4 @@
-"""How far a trajectory is from the truth: against another trajectory, or against relations between poses.
+"""Errors of a trajectory against the truth: another trajectory, or relations between poses.
 
 Relations: Kuemmerle, Steder, Dornhege, Ruhnke, Grisetti, Stachniss, Kleiner, On measuring the accuracy of
 SLAM algorithms, Autonomous Robots 27 (2009). ATE and RPE: Sturm et al., A benchmark for the evaluation of

@@ -1,4 +1,4 @@
-"""Compile the kernels ahead of time, so that the next start finds them in the cache."""
+"""Compiles the kernels ahead of time, so that the next start loads them from the cache."""
 
 import os
 import time

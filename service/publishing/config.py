@@ -1,4 +1,4 @@
-"""What the publisher is told."""
+"""Settings of the Zenoh publisher."""
 
 import re
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""Where a person says that the vehicle is, as RViz says it: a pose on Zenoh, handed on as set_pose."""
+"""Start poses as RViz sends them: a pose on Zenoh becomes the command set_pose."""
 
 import json
 import logging

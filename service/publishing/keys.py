@@ -1,4 +1,4 @@
-"""Where things are on Zenoh. Version first, vehicle second: one rule or one subscription covers a fleet."""
+"""Key expressions on Zenoh. Version first, vehicle second: one rule or one subscription covers a fleet."""
 
 ROOT = "corridor/v1"
 

@@ -1,4 +1,4 @@
-"""Opening the Zenoh session, and saying in words why it does not open."""
+"""Opens the Zenoh session; a failure gets a reason."""
 
 import json
 import re

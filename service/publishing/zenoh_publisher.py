@@ -1,4 +1,4 @@
-"""Messages and the map, out on Zenoh. Nothing here makes the mapper or a driver wait.
+"""Publishes messages and the map on Zenoh. The mapper and the drivers never wait for it.
 
 Two threads send: one the stream (scans, poses, odometry), one the bulk (tiles, the whole map, states). Who
 comes late asks: tiles, map, map/meta, pose, tf_static and health are answered by get.

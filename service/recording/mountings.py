@@ -1,4 +1,4 @@
-"""Where the sensors of a recording sit, by its static transforms, as far as a planar mapper wants to know."""
+"""Mountings of the sensors of a recording in the plane, from its static transforms."""
 
 import math
 from collections.abc import Collection, Iterator, Sequence

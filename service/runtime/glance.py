@@ -1,4 +1,4 @@
-"""What somebody at the terminal wants to see of a running service, in one look."""
+"""Summary of a running service for the status line of a terminal."""
 
 import math
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""What health says of GNSS: whether the map is geo-referenced, and what is wrong with the fixes of late."""
+"""Health of GNSS: the geo-reference of the map, and faults of the newest fixes."""
 
 import math
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""What ingest and the mapper's process say to each other; see docs/decisions/0012-two-processes.md.
+"""Messages between ingest and the mapper's process; see docs/decisions/0012-two-processes.md.
 
 Everything that ingest hands to the mapper has a number, one more than the last, and is taken in that order.
 Numbers, and what the mapper decided by the clock (`ResultApplied`, `PassedOver`), are all that a stand-by

@@ -1,4 +1,4 @@
-"""Words to systemd: READY, WATCHDOG, STATUS, STOPPING (sd_notify(3)). Silent where nobody listens."""
+"""Messages to systemd: READY, WATCHDOG, STATUS, STOPPING (sd_notify(3)). None without systemd."""
 
 import logging
 import os

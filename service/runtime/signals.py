@@ -1,4 +1,4 @@
-"""SIGTERM, SIGINT and SIGHUP as a word the main thread waits for."""
+"""SIGTERM, SIGINT and SIGHUP as an event that the main thread waits for."""
 
 import logging
 import select

@@ -1,4 +1,4 @@
-"""What a run of the service amounted to."""
+"""Results of a run of the service."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from service.runtime.metrics import Percentiles
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What a run of the service amounted to."""
+    """Results of a run of the service."""
 
     seconds: float  # from READY to the end
     scans: int

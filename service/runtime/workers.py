@@ -1,4 +1,4 @@
-"""Threads that are not allowed to die in silence."""
+"""Threads whose failure ends the service."""
 
 import logging
 import threading

@@ -1,4 +1,4 @@
-"""What the Foxglove output is told."""
+"""Settings of the Foxglove output."""
 
 from typing import Annotated
 

@@ -1,4 +1,4 @@
-"""What the operator's page is told."""
+"""Settings of the operator's page."""
 
 import re
 from pathlib import Path
