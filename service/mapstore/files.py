@@ -20,7 +20,7 @@ import re
 import shutil
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -234,7 +234,12 @@ def _publish_alone(
     if not has_geo and (folder / GEO_FILE).is_symlink():
         (folder / GEO_FILE).unlink()
     for old in _too_old(folder):
-        shutil.rmtree(folder / _name(old), ignore_errors=True)  # again with the next save
+        gone = (
+            folder / f"{_UNFINISHED}{_name(old)}"
+        )  # half of it is no version: the next save removes the rest
+        with suppress(OSError):  # again with the next save
+            (folder / _name(old)).rename(gone)
+            shutil.rmtree(gone)
     return number
 
 

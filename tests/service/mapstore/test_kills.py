@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from service.mapper.saved_graph import SavedGraph
-from service.mapstore.files import check_versions, load_map
+from service.mapstore import files
+from service.mapstore.files import KEEP_VERSIONS, check_versions, load_map, save_map
 from service.mapstore.ros_map import read_ros_map
 from tests.service.mapstore.graphs import KEYFRAMES_A_VERSION, growing_graph
+from tests.service.mapstore.tile_makers import tile
 
 LONGEST_S = 0.5  # from a save to the kill: some saves
 SAVE_FOR_EVER = """
@@ -56,6 +58,26 @@ def test_a_kill_at_any_moment_leaves_a_whole_map_with_its_graph_and_its_loops(tm
         assert read_ros_map(tmp_path / "map" / "map.yaml").cells.shape == (32, 32)
     assert check_versions(tmp_path / "map")[1] == []  # nor is one of the versions before damaged
     assert saved > kills
+
+
+def test_a_kill_while_an_old_version_goes_leaves_no_half_of_it(tmp_path, monkeypatch):
+    class Killed(BaseException):
+        pass
+
+    def half_gone(path: Path) -> None:
+        (path / "manifest.json").unlink()
+        raise Killed
+
+    for version in range(1, KEEP_VERSIONS + 1):
+        save_map(tmp_path, [tile(0, 0, version)], version)
+    monkeypatch.setattr(files.shutil, "rmtree", half_gone)
+    with pytest.raises(Killed):
+        save_map(tmp_path, [tile(0, 0, 4)], 4)
+    monkeypatch.undo()
+    assert check_versions(tmp_path) == ([2, 3, 4], [])
+    save_map(tmp_path, [tile(0, 0, 5)], 5)
+    assert check_versions(tmp_path) == ([3, 4, 5], [])
+    assert not list(tmp_path.glob(".unfinished-*"))
 
 
 def _killed_saver(folder: Path, saved: int, after_s: float) -> int:
