@@ -38,6 +38,18 @@ def add_maps(commands: Any, add: Add) -> None:
         help="one spot in the first map and the same in the second, to 2 m and 10 deg, where too little "
         "overlaps to be found",
     )
+    remap = add(works, "remap", "drive an area of a map again: what the recording saw of it takes its place")
+    remap.add_argument("map", type=Path, metavar="MAP")
+    remap.add_argument("recordings", type=Path, nargs="+", metavar="FILE.mcap", help="of one drive")
+    remap.add_argument(
+        "--area",
+        type=float,
+        nargs="+",
+        required=True,
+        metavar="M",
+        help="X Y X Y X Y ...: corners of the area, m in the map; outside of it nothing changes",
+    )
+    remap.add_argument("--who", metavar="NAME", help="who makes the change (default: the user's name)")
     _add_edit(add(works, "edit", "change a stored map by hand; each change is a version, and none is lost"))
 
 

@@ -43,6 +43,14 @@ def map_command(parsed: argparse.Namespace) -> int:
             print_result(told, parsed.json)
         case "edit":
             print_result(_edit(parsed), parsed.json)
+        case "remap":
+            from service.offline.map_edit import user_name
+            from service.offline.map_remap import map_remap
+
+            who = parsed.who or user_name()
+            with progress("map remap") as shown:
+                told = map_remap(parsed.map, parsed.recordings, parsed.area, who, time.time_ns(), shown)
+            print_result(told, parsed.json)
         case _:
             if len(parsed.maps) < 2:
                 raise UsageError("map merge: name two maps or more")

@@ -122,6 +122,7 @@ class Replay:
     geo: GeoReference | None = None  # where its map lies on the earth; None: that is not known
     graph: SavedGraph | None = None  # with which a later session goes on; None: it cannot
     changes: MapChanges | None = None  # since the map was stored in which it was localised; None: it was not
+    session: SavedGraph | None = None  # key frames of that map and of the drive behind them; None likewise
 
 
 def group_sessions(paths: Sequence[Path]) -> list[list[Path]]:
@@ -318,11 +319,12 @@ def replay(
         },
         "geo_reference": None if geo is None else geo.as_dict(),
     }
+    session_graph = None
     if mapping.mode == "localization":
-        graph = None  # the map stays the one it was
+        graph, session_graph = None, graph  # the map stays the one it was
     if (changes := mapper.map_changes) is not None:
         summary["map_changes"] = changes.as_dict()
-    return Replay(outputs, poses, tiles, g2o, summary, session.notes, geo, graph, changes)
+    return Replay(outputs, poses, tiles, g2o, summary, session.notes, geo, graph, changes, session_graph)
 
 
 def _replay_from_raw(
