@@ -84,6 +84,10 @@ class RecoveryReport:
         return text
 
 
+class InUseError(InputError):
+    """A living process writes or recovers the file."""
+
+
 def recover(source: Path) -> RecoveryReport:
     """Recover `x.mcap.active` to `x.mcap`, or a broken `x.mcap` in its place.
 
@@ -126,7 +130,7 @@ def _lock(source: Path, stream: BinaryIO) -> None:
     try:
         fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
-        raise InputError(
+        raise InUseError(
             f"{source} is in use: a running service writes or recovers it; wait for it or stop it"
         ) from error
 
@@ -416,6 +420,8 @@ def recover_leftovers(paths: Sequence[Path]) -> None:
             if is_locked(path):
                 continue  # another service writes to the same directory
             log.info("recovered %s", recover(path))
+        except InUseError as error:  # since the look above
+            log.info("%s", error)
         except InputError as error:
             aside = path.with_name(path.name.removesuffix(ACTIVE_SUFFIX) + UNREADABLE_SUFFIX)
             path.rename(aside)

@@ -5,8 +5,9 @@ import pytest
 from mcap.writer import Writer
 
 from service.errors import CorridorError, InputError
+from service.recording import mcap_recovery
 from service.recording.mcap_reader import Recording
-from service.recording.mcap_recovery import recover
+from service.recording.mcap_recovery import recover, recover_leftovers
 from tests.service.recording.sessions import as_read, drive, read_back, write_file
 
 SYNCED = 50  # messages in each chunk of the files below
@@ -186,6 +187,15 @@ def test_a_file_that_is_being_written_is_refused(active):
         fcntl.flock(writer, fcntl.LOCK_EX)
         with pytest.raises(InputError, match="in use"):
             recover(path)
+
+
+def test_a_leftover_that_another_began_to_recover_meanwhile_is_left_to_it(active, monkeypatch):
+    path, _ = active
+    monkeypatch.setattr(mcap_recovery, "is_locked", lambda path: False)  # it was not, a moment ago
+    with path.open("rb") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        recover_leftovers([path])
+    assert list(path.parent.iterdir()) == [path]
 
 
 def test_what_is_no_mcap_is_refused_with_what_was_found(tmp_path):
