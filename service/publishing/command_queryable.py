@@ -43,15 +43,20 @@ class CommandQueryable:
                     _refuse(query, f"a command has one key, {self._root}<verb>, without wildcards")
             return
         thread = threading.Thread(target=self._reply, args=(key, query), name="zenoh-command", daemon=True)
+        refused = ""
         with self._lock:
-            busy = len(self._threads) >= MOST_AT_ONCE
-            if not busy:
+            if len(self._threads) >= MOST_AT_ONCE:
+                refused = f"{MOST_AT_ONCE} commands are being worked on; ask again in a moment"
+            else:
                 self._threads.add(thread)
-        if busy:
+                try:
+                    thread.start()  # to leave the others it needs the lock
+                except RuntimeError as error:  # the system gives no more threads
+                    self._threads.discard(thread)
+                    refused = f"nobody can work on it: {error}; ask again in a moment"
+        if refused:
             with query:
-                _refuse(query, f"{MOST_AT_ONCE} commands are being worked on; ask again in a moment")
-            return
-        thread.start()
+                _refuse(query, refused)
 
     def _reply(self, key: str, query: zenoh.Query) -> None:
         try:

@@ -133,3 +133,21 @@ def test_what_was_taken_is_answered_before_the_session_closes(
     closing.join(10.0)
     asking.join(10.0)
     assert answers == [[(True, "application/json", '{"ok": true}')]]
+
+
+def test_a_command_for_which_there_is_no_thread_is_refused_and_the_next_is_done(
+    served: ZenohPublisher, client: zenoh.Session, monkeypatch: pytest.MonkeyPatch
+):
+    def start(self: threading.Thread) -> None:
+        if self.name == "zenoh-command":
+            raise RuntimeError("can't start new thread")
+        begin(self)
+
+    begin = threading.Thread.start
+    monkeypatch.setattr(command_queryable, "MOST_AT_ONCE", 1)
+    with monkeypatch.context() as exhausted:
+        exhausted.setattr(threading.Thread, "start", start)
+        ((good, _, text),) = ask(client, "cmd/mark")
+    assert not good
+    assert "nobody can work on it: can't start new thread; ask again" in text
+    assert ask(client, "cmd/mark")[0][0]
