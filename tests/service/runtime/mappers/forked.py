@@ -15,11 +15,14 @@ from typing import Any
 
 from tests.service.runtime.mappers import HOW
 
-DEVNULL = subprocess.DEVNULL
-
 
 class Nursery:
-    """One process with every kernel loaded, which forks a mapper whenever it is asked."""
+    """One process with every kernel loaded, which forks a mapper whenever it is asked. In the place of the
+    module subprocess.
+    """
+
+    DEVNULL = subprocess.DEVNULL
+    TimeoutExpired = subprocess.TimeoutExpired
 
     def __init__(self) -> None:
         self._process = subprocess.Popen(
@@ -34,10 +37,6 @@ class Nursery:
         wanted = {"module": module, "folder": folder, "how": os.environ.get(HOW, "")}
         print(json.dumps(wanted), file=self._process.stdin, flush=True)
         return Forked(int(self._process.stdout.readline()))
-
-    @property
-    def DEVNULL(self) -> int:  # noqa: N802 - in the place of subprocess
-        return DEVNULL
 
     def close(self) -> None:
         assert self._process.stdin is not None
@@ -58,11 +57,11 @@ class Forked:
             self._ends = None
 
     def wait(self, timeout_s: float) -> None:
-        """Raises TimeoutError."""
+        """Raises subprocess.TimeoutExpired."""
         if self._ends is None:
             return
         if not select.select([self._ends], [], [], timeout_s)[0]:
-            raise TimeoutError(f"process {self.pid} runs still after {timeout_s} s")
+            raise subprocess.TimeoutExpired(str(self.pid), timeout_s)
         os.close(self._ends)
         self._ends = None
 
