@@ -31,7 +31,7 @@ from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
 
 COARSE_CELL_M, LEVELS = 0.2, 6  # blocks of 6.4 m
 HEADINGS = 210  # 0.03 rad apart: 0.22 m at REACH_M, a cell
-SEARCH_POINTS = 120
+SEARCH_POINTS = 80
 # Of a point on ground that the map does not know, which says nothing: free ground contradicts, and scores 0.
 UNKNOWN_LIKELIHOOD = 0.4
 LEAST_SCORE = 0.45  # mean likelihood of the points
