@@ -22,6 +22,7 @@ from service.kernels.tiles import NO_TILE
 from service.mapper.components import MapChange, Match, Points, Standing
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
 from service.mapper.methods.corridor.dynamic_filter import DynamicFilterConfig, ticks_in
+from service.mapper.methods.corridor.posts import Posts, posts_of
 
 FIRST_SCANS = 25  # all of the first ones of a map are taken, even standing: half a second of a 50 Hz laser
 COUNT_LIMIT = 1000.0  # points that a surfel stands for at most, so that it forgets what was moved
@@ -85,7 +86,9 @@ class Submap:
         """How many points of a scan at a pose (3,) lie where nothing stands."""
         return int(count_in_free(xy_base, normals, pose, self.grid(), self._sightings()))
 
-    def insert(self, points: Points, normals: npt.NDArray[np.float64], pose: SE2) -> None:
+    def insert(
+        self, points: Points, normals: npt.NDArray[np.float64], posts: Posts | None, pose: SE2
+    ) -> None:
         config = self._config
         reach_m = reach_of(points.xy_base)
         self._tiles.cover_around((pose.x_m, pose.y_m), reach_m, config.cell_m, TILE_BITS, SPLAT_REACH_CELLS)
@@ -94,6 +97,10 @@ class Submap:
         if self._dynamic_filter.enough > 0:
             normals = self._sight(points, normals, pose_vector, grid)
         insert_surfels(points.xy_base, normals, pose_vector, grid, COUNT_LIMIT)
+        if posts is not None:
+            twice = np.repeat(posts.xy_base, 2, axis=0)
+            whole = posts.normals(pose.theta_rad, np.ones(len(posts.point)))
+            insert_surfels(twice, whole, pose_vector, grid, COUNT_LIMIT)
         splat_likelihood(points.xy_base, pose_vector, grid, FIELD_SIGMA_M, FIELD_ENOUGH)
         self.scan_count += 1
 
@@ -282,8 +289,9 @@ class SurfelSubmaps:
 
     def _insert_keyframe(self, submaps: list[Submap], points: Points, pose: SE2) -> None:
         normals = self.normals_of(points)
+        posts = posts_of(points)
         for submap in submaps:
-            submap.insert(points, normals, pose)
+            submap.insert(points, normals, posts, pose)
 
     def _new_submap(self) -> Submap:
         self._next_number += 1

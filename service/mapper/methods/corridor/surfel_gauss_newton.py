@@ -12,6 +12,7 @@ from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns
 from service.kernels.likelihood import LikelihoodField
 from service.kernels.match import MatchResult, MatchSettings, Prior, match_scan
+from service.kernels.normals import ROUGH_WEIGHT
 from service.mapper.components import Match, Points
 from service.mapper.judgement import (
     GAP_S,
@@ -28,6 +29,7 @@ from service.mapper.judgement import (
 )
 from service.mapper.matchers.recovery import FIRST, GAIN, REST_S, agree, reach_of, search_around
 from service.mapper.matchers.window_search import layer_of
+from service.mapper.methods.corridor.posts import Posts, posts_of
 from service.mapper.methods.corridor.range_bias import RangeBias
 from service.mapper.methods.corridor.submaps import Submap, SurfelSubmaps
 from service.outputs import State
@@ -61,6 +63,7 @@ class _Attempt:
 
     points: Points
     normals: Matrix  # (N, 3) from estimate_normals
+    posts: Posts | None  # where there are few walls
     predicted: Prediction
     prior: Prior
     usual_ratio: float  # inlier ratio of this laser's scans of late
@@ -133,7 +136,8 @@ class SurfelGaussNewton:
             self._gap, self._hypothesis = self._began, None
         usual = self._usual_ratios.get(points.scan.sensor, 1.0)
         prior = _prior_of(predicted, self._gap)
-        attempt = _Attempt(points, local_map.normals_of(points), predicted, prior, usual)
+        normals = local_map.normals_of(points)
+        attempt = _Attempt(points, normals, posts_of(points), predicted, prior, usual)
         laid = self._searched(self._lay(attempt, attempt.prior.pose, submap), attempt)
         if laid.state != "lost" and self._is_found(laid, attempt):
             self._usual_ratios[points.scan.sensor] = usual + (laid.result.share - usual) / USUAL_SCANS
@@ -195,10 +199,13 @@ class SurfelGaussNewton:
     def _lay(self, attempt: _Attempt, start: Matrix, submap: Submap) -> _Laid:
         """The match on a sub-map, begun at `start`, a pose as in the prior, and what to think of it."""
         points = attempt.points
-        xy_base = points.xy_base.copy()
+        xy_base, normals = points.xy_base.copy(), submap.weighed(points, attempt.normals, start)
+        returns = Returns(points.xy_raw, points.beam_time_s, points.beam)
+        if attempt.posts is not None:
+            returns, normals, xy_base = _with_posts(attempt, attempt.posts, normals, start[2])
         result: MatchResult = match_scan(
-            Returns(points.xy_raw, points.beam_time_s, points.beam),
-            submap.weighed(points, attempt.normals, start),
+            returns,
+            normals,
             attempt.prior,
             start,
             submap.grid(),
@@ -210,6 +217,7 @@ class SurfelGaussNewton:
             DOUBT_RATIO * attempt.usual_ratio,
             xy_base,
         )
+        xy_base = xy_base[: len(points.xy_base)]
         return _Laid(result, xy_base, submap, *self._judge(result, xy_base, attempt, submap))
 
     def _judge(
@@ -258,6 +266,27 @@ class SurfelGaussNewton:
             return laid
         found = self._lay(attempt, np.array([start.x_m, start.y_m, start.theta_rad]), laid.submap)
         return found if found.state != "lost" and found.result.share >= share + GAIN else laid
+
+
+def _with_posts(
+    attempt: _Attempt, posts: Posts, weighed: Matrix, heading_rad: float
+) -> tuple[Returns, Matrix, Matrix]:
+    """The points of a scan, and behind them the middle of each post twice; what stood longer weighs more."""
+    points = attempt.points
+    weighed = weighed.copy()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        static = np.nan_to_num(weighed[posts.point, 2] / attempt.normals[posts.point, 2], nan=0.0)
+    weighed[posts.is_of_one, 2] = np.minimum(weighed[posts.is_of_one, 2], ROUGH_WEIGHT)
+    weight = static * points.range_sigma_m**2 / posts.variance_m2
+    return (
+        Returns(
+            np.vstack((points.xy_raw, np.repeat(posts.xy_raw, 2, axis=0))),
+            np.concatenate((points.beam_time_s, np.repeat(posts.beam_time_s, 2))),
+            np.concatenate((points.beam, np.repeat(posts.beam, 2))),
+        ),
+        np.vstack((weighed, posts.normals(heading_rad, weight))),
+        np.vstack((points.xy_base, np.repeat(posts.xy_base, 2, axis=0))),
+    )
 
 
 def _apart_m(predicted: Prediction) -> float:
