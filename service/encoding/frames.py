@@ -18,6 +18,9 @@ from service.geometry.se2 import SE2
 SERVICE_GPS = 1  # sensor_msgs/NavSatStatus
 COVARIANCE_UNKNOWN, COVARIANCE_DIAGONAL, COVARIANCE_KNOWN = 0, 2, 3  # sensor_msgs/NavSatFix
 _FRAME_ID_AT = 12  # its length, after 4 bytes of CDR and the stamp
+# Values beyond these are damage and not measurements: a gyroscope reads at most 70 rad/s, an accelerometer
+# 4000 m/s^2; metres, m/s and the variances of odometry stay far below.
+MOST_RATE_RADPS, MOST_FORCE_MPS2, MOST_ODOMETRY = 1e3, 1e5, 1e12
 UNSET_RANGE_MAX_M = 100.0  # for a foreign scan whose range_max is 0, inf or NaN
 
 _UNKNOWN_9 = np.zeros(9)
@@ -56,7 +59,8 @@ def decode_frame(
     Of a sensor that is mounted upside down, turned about its forward axis, scans and rates are turned back.
 
     None for another type and for content that no mapper can use: a scan without beams or with an impossible
-    angle step, an Imu without a gyroscope, values that are not finite. A NavSatFix without a fix is content.
+    angle step, an Imu without a gyroscope, values that are not finite or beyond what a sensor can measure. A
+    NavSatFix without a fix is content.
     Raises InputError on bytes that are not the message they are said to be.
     """
     decode = _FRAME_DECODERS.get(message_type)
@@ -151,6 +155,8 @@ def _imu_frame(content: object, sensor: str, log_ns: int) -> ImuSample | None:
     rate_radps, force_mps2 = (rate.x, rate.y, rate.z), (force.x, force.y, force.z)
     if m.angular_velocity_covariance[0] == -1.0 or not wire.all_finite(*rate_radps, *force_mps2):
         return None
+    if max(map(abs, rate_radps)) > MOST_RATE_RADPS or max(map(abs, force_mps2)) > MOST_FORCE_MPS2:
+        return None
     orientation = (q.w, q.x, q.y, q.z)
     measured = m.orientation_covariance[0] != -1.0 and wire.all_finite(*orientation) and any(orientation)
     return ImuSample(
@@ -177,6 +183,8 @@ def _odometry_frame(content: object, sensor: str, log_ns: int) -> OdometrySample
     twist = (linear.x, linear.y, angular.z)
     covariance = tuple(m.pose.covariance[wire.PLANAR_CELLS].tolist())
     if not wire.all_finite(position.x, position.y, theta_rad, *twist, *covariance):
+        return None
+    if max(map(abs, (position.x, position.y, *twist, *covariance))) > MOST_ODOMETRY:
         return None
     return OdometrySample(
         sensor=sensor,

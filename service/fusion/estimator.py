@@ -4,6 +4,7 @@ The model, its equations and its picture are docs/estimator.md; the arithmetic i
 service/kernels/estimator.py.
 """
 
+import logging
 import math
 from dataclasses import dataclass, field
 
@@ -32,6 +33,8 @@ from service.kernels.estimator import (
 )
 from service.kernels.tracks import Track, begin_twist
 
+log = logging.getLogger(__name__)
+
 CAPACITY = 4096
 MOST_SAMPLES = 200_000  # that wait for a scan; then those between the oldest and the newest are dropped
 FAULT_NOISE = 1000.0  # times the variance of its model, 30 sigmas: honest odometry of fr079 reaches 23
@@ -39,6 +42,9 @@ GYRO_PAUSE_S = 0.05  # between two samples
 FADE_S = 1.0  # in which a speed fades that neither scans nor odometry confirm
 TURN_M = 0.5  # a turn of a radian shows as much new as so many metres
 KEEP_BEFORE_NS = 2_000_000_000  # of samples before the last scan: for the largest lag, and for a speed
+MOST_SPEED_MPS, MOST_TURN_RADPS = 30.0, 30.0  # of any vehicle: odometry that says more has begun anew
+LEAST_ELAPSED_S = 0.05  # stamps that came in a burst may lie closer together than what they stand for
+TELL_AGAIN_NS = 10_000_000_000
 LOCAL_BLOCK = slice(LOCAL, LOCAL + 3)
 MAP_BLOCK = slice(MAP, MAP + 3)
 FIRST_TWIST_SIGMA = (1.0, 0.3, 0.5)  # m/s, m/s, rad/s at the first scan, where odometry does not say
@@ -89,6 +95,10 @@ class _Samples:
         self.track.value[end] = value
         self.track.span[1] = end + 1
 
+    def forget(self) -> None:
+        """Drop all samples."""
+        self.track.span[0] = self.track.span[1]
+
     def forget_before(self, stamp_ns: int) -> None:
         """Drop samples before a moment, but two of them: a speed needs a pair."""
         first, end = self.track.span.tolist()
@@ -128,6 +138,7 @@ class Estimator:
         )
         self._odometry, self._gyro = _Samples(5), _Samples(2)
         self._gyro_rate = 0.0
+        self._jump_told_ns = 0  # not again before
         sigma = np.zeros(STATES)
         sigma[LOCAL_BLOCK] = LEAST_SIGMA
         sigma[TWIST : TWIST + 3] = FIRST_TWIST_SIGMA
@@ -261,7 +272,30 @@ class Estimator:
             return False
         if not all(map(math.isfinite, value)):
             return False
+        if last is not None and self._has_begun_anew(sample, last):
+            self._odometry.forget()
         self._odometry.append(sample.stamp_ns, value)
+        return True
+
+    def _has_begun_anew(self, sample: OdometrySample, last: int) -> bool:
+        """Whether odometry has jumped since the sample before, as when the base's computer restarts.
+
+        What was driven between the two nobody knows: there odometry counts as silent.
+        """
+        x_m, y_m, theta_rad = self._odometry.track.value[last, :3].tolist()
+        elapsed_s = (sample.stamp_ns - int(self._odometry.track.stamp_ns[last])) * 1e-9
+        jump_m = math.hypot(sample.x_m - x_m, sample.y_m - y_m)
+        jump_rad = abs(wrap_angle(sample.theta_rad - theta_rad))
+        within_s = max(elapsed_s, LEAST_ELAPSED_S)
+        if jump_m <= MOST_SPEED_MPS * within_s and jump_rad <= MOST_TURN_RADPS * within_s:
+            return False
+        if sample.stamp_ns >= self._jump_told_ns:
+            self._jump_told_ns = sample.stamp_ns + TELL_AGAIN_NS
+            log.warning(
+                "%s: odometry jumps by %.1f m and %.0f deg within %.3f s (expected at most %.0f m/s and "
+                "%.0f rad/s); it counts as begun anew. Has the base restarted?",
+                sample.sensor, jump_m, math.degrees(jump_rad), elapsed_s, MOST_SPEED_MPS, MOST_TURN_RADPS,
+            )  # fmt: skip
         return True
 
     def _add_gyro(self, sample: ImuSample) -> bool:

@@ -11,6 +11,7 @@ from rosbags.typesys.stores import ros2_jazzy as ros
 from drivers.frames import NO_INTENSITY, Frame, GnssFix, ImuSample, LaserScan, OdometrySample
 from service import encoding
 from service.encoding import decode_frame, encode_frame
+from service.encoding.frames import MOST_FORCE_MPS2, MOST_ODOMETRY, MOST_RATE_RADPS
 from service.errors import InputError
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -70,7 +71,9 @@ times = st.integers(min_value=0, max_value=2**31 * 1_000_000_000 - 1)
 durations = st.integers(min_value=0, max_value=2_000_000_000)
 finite = st.floats(allow_nan=False, allow_infinity=False)
 metres = st.floats(-1e6, 1e6)
-triples = st.tuples(finite, finite, finite)
+rates = st.tuples(*[st.floats(-MOST_RATE_RADPS, MOST_RATE_RADPS)] * 3)
+forces = st.tuples(*[st.floats(-MOST_FORCE_MPS2, MOST_FORCE_MPS2)] * 3)
+of_odometry = st.floats(-MOST_ODOMETRY, MOST_ODOMETRY)
 names = st.sampled_from(["front", "rear_left", "l"])
 
 
@@ -99,8 +102,8 @@ imu_samples = st.builds(
     sensor=names,
     stamp_ns=times,
     arrived_ns=times,
-    rate_radps=triples,
-    force_mps2=triples,
+    rate_radps=rates,
+    force_mps2=forces,
     orientation_wxyz=st.none() | st.tuples(finite, finite, finite, finite),
 )
 odometry_samples = st.builds(
@@ -111,8 +114,8 @@ odometry_samples = st.builds(
     x_m=metres,
     y_m=metres,
     theta_rad=st.floats(-100, 100) | st.sampled_from([math.pi, -math.pi, 0.0, -0.0, math.pi / 2]),
-    twist_mps_radps=triples,
-    covariance=st.tuples(*[finite] * 9),
+    twist_mps_radps=st.tuples(*[of_odometry] * 3),
+    covariance=st.tuples(*[of_odometry] * 9),
 )
 fixes = st.builds(
     GnssFix,
@@ -380,3 +383,18 @@ def test_what_a_sensor_upside_down_says_is_turned_back():
     turned = decode_frame(message.type, message.payload, "imu", 9, upside_down=True)
     assert (turned.rate_radps, turned.force_mps2) == ((0.1, -0.2, -0.3), (1.0, -2.0, 9.8))
     assert turned.orientation_wxyz is None
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        ImuSample("imu", 1, 2, (0.0, 0.0, 1e300), (0.0, 0.0, 9.81)),
+        ImuSample("imu", 1, 2, (0.0, 0.0, 0.1), (-1e30, 0.0, 9.81)),
+        OdometrySample("base", 1, 2, -1e300, 0.0, 0.0, (0.0, 0.0, 0.0), (0.0,) * 9),
+        OdometrySample("base", 1, 2, 1.0, 0.0, 0.0, (0.0, 0.0, 0.0), (1e200,) + (0.0,) * 8),
+    ],
+    ids=["rate", "force", "position", "variance"],
+)
+def test_values_that_no_sensor_measures_are_damage(damaged):
+    message = encode_frame(damaged)
+    assert decode_frame(message.type, message.payload, damaged.sensor, 2) is None

@@ -234,6 +234,29 @@ def test_odometry_that_grows_unsure_widens_the_prediction() -> None:
     assert unsure[0] == pytest.approx(0.1, rel=0.3)
 
 
+@pytest.mark.parametrize("begins_at", [SE2(), SE2(10.0, 0.0, 2.5), SE2(1e8, -1e8, 0.0)])
+def test_odometry_that_begins_anew_costs_the_step_in_which_it_did(
+    begins_at: SE2, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The computer of the base restarts while the vehicle drives on."""
+    model, off_m, measured = Estimator(EstimatorConfig()), [], []
+    for stamp_ms in range(0, 15_001, 20):
+        way_m = stamp_ms * 1e-3
+        is_anew = stamp_ms >= 10_000
+        step = SE2(way_m - 10.0 if is_anew else way_m, 0.0, 0.0)
+        assert model.add(odometry(stamp_ms, begins_at @ step if is_anew else step))
+        if stamp_ms % 100 == 0:
+            predicted = model.predict(stamp_ms * MS)
+            model.correct(matched(SE2(way_m, 0.0, 0.0), TIGHT))
+            off_m.append(abs(predicted.pose_odom_base.x_m - way_m))
+            measured.append(predicted.is_measured)
+    assert max(off_m[5:]) < 0.02
+    assert measured[5:].count(False) <= 1
+    assert abs(model.learnt[0]) < 0.005
+    assert not model.fault
+    assert [record.message.startswith("base: odometry jumps by") for record in caplog.records] == [True]
+
+
 def test_only_differences_of_time_count() -> None:
     near, unix = (
         driven(Estimator(EstimatorConfig()), 2000, 0.7, 1.02, offset_ns, rate_radps=0.01)
