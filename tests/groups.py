@@ -24,7 +24,7 @@ TELL_S = 10.0  # no silence for longer
 LOOK_S = 0.5
 # Set, each of some hundred processes would compile every file anew: a third of their processor time.
 WITHOUT_BYTECODE = "PYTHONDONTWRITEBYTECODE"
-EXPECTED = "some five minutes on two cores, seven on slow ones"
+EXPECTED = "some five minutes on two cores, nine on slow ones"
 COMPUTING = (
     "tests/accuracy",
     *(f"tests/service/{folder}" for folder in ("fusion", "geometry", "kernels", "mapper", "mapstore")),
