@@ -136,7 +136,9 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, str]:
             "another place, or one that has changed much; the pose follows the prediction"
         )
     least = limits.degraded_ratio if evidence.is_far else limits.lost_ratio
-    if ratio < least and not (evidence.is_measured and not is_loose(evidence.prior) and ratio >= LEAST_KNOWN):
+    # The prediction carries the pose onto new ground where it is itself; a match elsewhere needs more.
+    is_carried = evidence.is_measured and not evidence.is_far and not is_loose(evidence.prior)
+    if ratio < least and not (is_carried and ratio >= LEAST_KNOWN):
         return "lost", f"{_on_map(evidence)} (at least {least:.0%}); the pose follows the prediction"
     if evidence.sigma[0] > LOST_SIGMA_M or evidence.sigma[1] > LOST_SIGMA_RAD:
         return "lost", (

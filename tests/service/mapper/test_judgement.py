@@ -49,6 +49,9 @@ def test_a_match_far_from_the_prediction_needs_more() -> None:
     assert state(GOOD, on_map=400, in_free=90, is_far=True) == "lost"
     assert state(GOOD, on_map=200, in_free=0, is_measured=False) == "degraded"
     assert state(GOOD, on_map=200, in_free=0, is_measured=False, is_far=True) == "lost"
+    # 8 of 23 returns fitted 103 deg away from a heading that odometry knew to 1 deg
+    assert state(GOOD, used=23, on_map=8, in_free=0) == "degraded"
+    assert state(GOOD, used=23, on_map=8, in_free=0, is_far=True) == "lost"
 
 
 @pytest.mark.parametrize(
