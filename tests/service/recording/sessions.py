@@ -1,6 +1,7 @@
 """Messages and files that the tests of the recording share."""
 
-from collections.abc import Iterable
+import threading
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from service.geometry.se2 import SE2
 from service.recording.mcap_file import McapFile
 
 T0_NS = 1_763_719_200_000_000_000  # 2025-11-21 10:00:00 UTC
+PLENTY = 1 << 40  # bytes free on a disk
 PERIOD_NS = 20_000_000  # 50 scans a second
 MOUNTINGS = {"front": SE2(0.2, 0.0, 0.3)}
 
@@ -84,3 +86,13 @@ def read_back(path: Path) -> list[tuple[str, int, bytes]]:
 def as_read(messages: Iterable[Message]) -> list[tuple[str, int, bytes]]:
     """What read_back is to give: by log time, in the order written where that is equal."""
     return sorted(((f"/{m.channel}", m.log_ns, m.payload) for m in messages), key=lambda row: row[1])
+
+
+def wait_until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
+    """Wait for another thread's doing; ten milliseconds between looks."""
+    pause = threading.Event()
+    for _ in range(round(seconds * 100)):
+        if condition():
+            return
+        pause.wait(0.01)
+    raise AssertionError(f"not within {seconds} s")

@@ -1,11 +1,9 @@
-import errno
 import io
 import logging
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,57 +12,20 @@ from rosbags.highlevel import AnyReader
 from service.encoding import STRING, Message, decode_event, encode_event
 from service.errors import StorageError
 from service.recording import mcap_recorder
-from service.recording.mcap_file import McapFile, create_stream
 from service.recording.mcap_reader import Recording
 from service.recording.mcap_recorder import McapRecorder, SessionChange
 from service.recording.mcap_recovery import recover
 from tests.service.recording.sessions import (
+    PLENTY,
     T0_NS,
     as_read,
     drive,
     mountings_message,
     read_back,
     scan_message,
+    wait_until,
     write_file,
 )
-
-PLENTY = 1 << 40
-
-
-class Clock:
-    """A monotonic clock that a test sets; it wakes nobody, the recorder looks at it."""
-
-    def __init__(self) -> None:
-        self.now_s = 100.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
-@pytest.fixture
-def recorder(tmp_path):
-    """Starts recorders into tmp_path and finishes them all."""
-    started = []
-
-    def start(**options) -> McapRecorder:
-        made = McapRecorder(tmp_path, "veh1", **({"free_bytes_of": lambda _: PLENTY} | options))
-        made.start()
-        started.append(made)
-        return made
-
-    yield start
-    for made in started:
-        made.finish()
-
-
-def wait_until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
-    """Wait for another thread's doing; ten milliseconds between looks."""
-    pause = threading.Event()
-    for _ in range(round(seconds * 100)):
-        if condition():
-            return
-        pause.wait(0.01)
-    raise AssertionError(f"not within {seconds} s")
 
 
 def test_what_was_put_is_what_rosbags_reads(recorder, tmp_path):
@@ -201,111 +162,6 @@ def test_put_never_waits_and_counts_what_a_stuck_disk_costs(recorder, monkeypatc
     assert [r.message for r in caplog.records if r.levelno >= logging.WARNING] == [
         "recording drops front/scan: 10 messages wait; the disk does not keep up"
     ]
-
-
-def test_recording_pauses_on_a_full_disk_and_resumes(recorder, caplog):
-    clock, free = Clock(), [PLENTY]
-    session = recorder(keep_free_bytes=1_000_000, free_bytes_of=lambda _: free[0], monotonic_s=clock)
-    session.put(scan_message(0))
-    wait_until(lambda: session.health.messages == 1)
-    free[0] = 999_999
-    clock.now_s += 1.0
-    wait_until(lambda: len(session.health.finished) == 1)
-    assert session.health.state == "disk full"
-    session.put(scan_message(1))
-    wait_until(lambda: session.health.dropped["front/scan"] == 1)
-    free[0] = 1_000_001  # enough, but so little more that it would stop again at once
-    clock.now_s += 1.0
-    session.put(scan_message(2))
-    wait_until(lambda: session.health.dropped["front/scan"] == 2)
-    free[0] = PLENTY
-    clock.now_s += 1.0
-    session.put(scan_message(3))
-    wait_until(lambda: session.health.messages == 2)
-    assert session.health.state == "recording"
-    first, second = session.finish()
-    assert len(read_back(first)) == len(read_back(second)) == 1
-    assert "less than the 0.00 GB of recording.keep_free_gb; make room" in caplog.text
-
-
-class FailingStream(io.FileIO):
-    """A disk that is full after some bytes, as the kernel says it."""
-
-    def __init__(self, path: Path, room: int) -> None:
-        super().__init__(path, "xb")
-        self._room = room
-
-    def write(self, data) -> int:
-        if self.tell() + len(data) > self._room:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        return super().write(data)
-
-
-def test_a_disk_error_costs_the_file_but_not_the_recording(recorder, tmp_path):
-    clock = Clock()
-    rooms = iter([2_000])
-
-    def open_stream(path: Path):
-        room = next(rooms, None)
-        return create_stream(path) if room is None else FailingStream(path, room)
-
-    session = recorder(open_stream=open_stream, monotonic_s=clock)
-    session.put(scan_message(0))
-    wait_until(lambda: session.health.messages == 1)
-    clock.now_s += 1.0  # the sync writes the chunk, and fails
-    wait_until(lambda: session.health.state == "disk error")
-    assert "No space left on device" in session.health.last_error
-    wait_until(lambda: session.health.messages == 0)  # it is not on the disk, and counted so
-    assert session.health.dropped == {"front/scan": 1}
-    session.put(scan_message(1))
-    wait_until(lambda: session.health.dropped["front/scan"] == 2)
-    clock.now_s += mcap_recorder.RETRY_S
-    session.put(scan_message(2))
-    wait_until(lambda: session.health.state == "recording")
-    (path,) = session.finish()
-    assert session.health.messages == 1
-    assert list(tmp_path.iterdir()) == [path]  # a disk that stays full does not gather empty files
-    assert path.name.endswith("_0002.mcap")
-    assert [payload for _, _, payload in read_back(path)] == [scan_message(2).payload]
-
-
-def test_a_file_is_let_go_of_also_where_the_disk_refuses_its_close(tmp_path):
-    file = McapFile(
-        tmp_path / "a.mcap",
-        T0_NS,
-        lambda path: io.BufferedWriter(FailingStream(path, 0), buffer_size=1 << 20),
-    )
-    file.write(scan_message(0))
-    with pytest.raises(OSError, match="No space left"):
-        file.sync()
-    file.abandon()
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_what_was_synced_before_a_disk_error_stays_to_be_recovered(recorder, tmp_path):
-    clock = Clock()
-    streams: list[FailingStream] = []
-
-    def open_stream(path: Path):
-        streams.append(FailingStream(path, PLENTY))
-        return streams[-1]
-
-    session = recorder(open_stream=open_stream, monotonic_s=clock)
-    session.put(scan_message(0))
-    wait_until(lambda: session.health.messages == 1)
-    clock.now_s += 1.0
-    wait_until(lambda: streams[0].tell() > 1_000)
-    session.put(scan_message(1))
-    session.put(scan_message(2))
-    wait_until(lambda: session.health.messages == 3)
-    streams[0]._room = 0
-    clock.now_s += 1.0
-    wait_until(lambda: session.health.state == "disk error")
-    wait_until(lambda: session.health.messages == 1)
-    assert session.health.dropped == {"front/scan": 2}
-    session.finish()
-    (path,) = tmp_path.iterdir()
-    assert recover(path).messages == 1
 
 
 class Changes:
