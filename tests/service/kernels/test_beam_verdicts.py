@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from service.kernels.beam_verdicts import BESIDE, CLOSE, IN_FREE, NEW, ON_WALL, THROUGH, judge_beams
-from service.kernels.occupancy import TILE_CELLS, Evidence, OccupancyGrid, trace_scan
+from service.kernels.occupancy import Evidence, OccupancyGrid, trace_scan
 from service.kernels.surfels import SurfelGrid, insert_surfels
-from service.kernels.tiles import NO_TILE, TileIndex
+from tests.service.kernels.occupancy_grids import empty_occupancy
 from tests.service.kernels.surfel_grids import empty_grid
 
 EVIDENCE = Evidence(hit=24, miss=-10, least=-70, most=70)
@@ -15,24 +15,11 @@ WALL_X_M = 3.05  # in the middle of a cell
 SENSOR = (0.0, 0.0)
 
 
-def ground() -> OccupancyGrid:
-    index = TileIndex(
-        np.full((4, 4), NO_TILE, np.int32),
-        np.array([-2, -2], np.int64),
-        np.empty(16, np.int32),
-        np.zeros(2, np.int64),
-    )
-    shape = (16, TILE_CELLS, TILE_CELLS)
-    return OccupancyGrid(
-        index, np.zeros(shape, np.int8), np.zeros(shape, np.uint16), np.zeros(16, np.uint8), CELL_M
-    )
-
-
 def mapped() -> tuple[SurfelGrid, OccupancyGrid]:
     """A wall across x = 3.05 m from y = -1.5 to 1.5 m, seen from the origin."""
     y = np.arange(-1.5, 1.5, 0.02)
     xy = np.column_stack((np.full(len(y), WALL_X_M), y))
-    walls, free = empty_grid(), ground()
+    walls, free = empty_grid(), empty_occupancy(CELL_M)
     insert_surfels(xy, np.tile([-1.0, 0.0, 1.0], (len(y), 1)), np.zeros(3), walls, 50.0)
     trace_scan(xy, np.zeros(2), np.zeros(3), free, EVIDENCE, 20.0, np.uint16(1))
     return walls, free

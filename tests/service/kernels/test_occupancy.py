@@ -12,24 +12,11 @@ from service.kernels.occupancy import (
     to_per_cent,
     trace_scan,
 )
-from service.kernels.tiles import NO_TILE, TileIndex
+from tests.service.kernels.occupancy_grids import empty_occupancy
 
 EVIDENCE = Evidence(hit=24, miss=-10, least=-70, most=70)
 CELL_M = 0.05
 HALF = 2 * TILE_CELLS
-
-
-def empty_grid() -> OccupancyGrid:
-    index = TileIndex(
-        np.full((4, 4), NO_TILE, np.int32),
-        np.array([-2, -2], np.int64),
-        np.empty(16, np.int32),
-        np.zeros(2, np.int64),
-    )
-    shape = (16, TILE_CELLS, TILE_CELLS)
-    return OccupancyGrid(
-        index, np.zeros(shape, np.int8), np.zeros(shape, np.uint16), np.zeros(16, np.uint8), CELL_M
-    )
 
 
 def cells_of(grid: OccupancyGrid) -> np.ndarray:
@@ -54,7 +41,7 @@ def beam(grid: OccupancyGrid, u: float, v: float, du: float, dv: float) -> None:
 
 @pytest.mark.parametrize("angle", np.linspace(0.05, 2.0 * math.pi, 37).tolist())
 def test_a_beam_clears_just_the_cells_it_passes(angle: float) -> None:
-    grid = empty_grid()
+    grid = empty_occupancy(CELL_M)
     u, v, du, dv = 0.3, -0.4, 60.0 * math.cos(angle), 60.0 * math.sin(angle)
     beam(grid, u, v, du, dv)
     share = np.linspace(0.0, 1.0, 200_001)
@@ -69,13 +56,13 @@ def test_a_beam_clears_just_the_cells_it_passes(angle: float) -> None:
 
 @pytest.mark.parametrize("way", [(50.0, 0.0), (0.0, -50.0), (0.0, 0.0)])
 def test_beams_along_the_axes_end(way: tuple[float, float]) -> None:
-    grid = empty_grid()
+    grid = empty_occupancy(CELL_M)
     beam(grid, 0.5, 0.5, *way)
     assert np.count_nonzero(cells_of(grid) < 0) == round(abs(way[0]) + abs(way[1]))
 
 
 def test_no_beam_clears_what_another_of_the_scan_hit() -> None:
-    grid = empty_grid()
+    grid = empty_occupancy(CELL_M)
     trace(grid, [(2.0, 0.01), (1.0, 0.01)])
     cells = cells_of(grid)
     assert cells[HALF, HALF + 20] == 24
@@ -84,7 +71,7 @@ def test_no_beam_clears_what_another_of_the_scan_hit() -> None:
 
 
 def test_a_cell_hears_each_scan_once() -> None:
-    grid = empty_grid()
+    grid = empty_occupancy(CELL_M)
     trace(grid, [(1.01, 0.01), (1.02, 0.02)])
     assert cells_of(grid)[HALF, HALF + 20] == 24
     trace(grid, [(1.01, 0.01)], number=2)
@@ -92,7 +79,7 @@ def test_a_cell_hears_each_scan_once() -> None:
 
 
 def test_evidence_is_bounded_and_never_reads_as_unseen() -> None:
-    grid = empty_grid()
+    grid = empty_occupancy(CELL_M)
     for number in range(1, 20):
         trace(grid, [(1.01, 0.01)], number)
     assert cells_of(grid)[HALF, HALF + 20] == 70
@@ -104,7 +91,7 @@ def test_evidence_is_bounded_and_never_reads_as_unseen() -> None:
 
 
 def test_beams_clear_up_to_the_free_range_only() -> None:
-    grid = empty_grid()
+    grid = empty_occupancy(CELL_M)
     trace(grid, [(3.01, 0.01)], free_range_m=1.01)
     cleared = np.flatnonzero(cells_of(grid)[HALF] < 0) - HALF
     assert cleared.tolist() == list(range(20))
@@ -122,7 +109,7 @@ def test_per_cent_follow_the_odds_and_say_what_changed() -> None:
 
 @pytest.mark.parametrize("theta_rad", [0.0, 0.7])
 def test_a_point_lies_on_a_wall_in_the_free_or_on_ground_nobody_saw(theta_rad: float) -> None:
-    grid = empty_grid()
+    grid = empty_occupancy(CELL_M)
     trace(grid, [(2.02, 0.01)])
     xy = [(2.02, 0.01), (2.06, 0.06), (2.13, 0.01), (1.0, 0.01), (1.92, 0.01), (1.0, 1.0), (90.0, 0.0)]
     c, s = math.cos(theta_rad), math.sin(theta_rad)

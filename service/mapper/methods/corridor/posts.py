@@ -12,7 +12,7 @@ Matrix = npt.NDArray[np.float64]
 
 # Share of the points on posts: in a wood 0.73 and more. With fewer, walls are in view, which fix the pose
 # better.
-MOSTLY = 0.7
+LEAST_SHARE = 0.7
 MOST_WIDTH_M = 0.6  # of a post
 LEAST_STEP_M = 0.3  # by so much lies what is beside a post farther away
 CENTROID = math.pi / 4.0  # of the radius: the points seen of a circle lie in front of its middle by so much
@@ -69,7 +69,7 @@ def posts_of(points: Points) -> Posts | None:
     spacing_m = step_rad * mean_m
     width_m = (end - begin) * spacing_m
     is_narrow = width_m <= MOST_WIDTH_M
-    if (end - begin)[is_narrow].sum() < MOSTLY * count:
+    if (end - begin)[is_narrow].sum() < LEAST_SHARE * count:
         return None
     # what is beside it: the point next to it, or nothing in reach
     before = (begin > 0) & (points.beam[begin] - points.beam[begin - 1] == 1)
@@ -80,7 +80,7 @@ def posts_of(points: Points) -> Posts | None:
     is_post = is_narrow & is_before & is_after & is_inside
     is_of_one = np.repeat(is_post, end - begin)
     which = np.flatnonzero(is_post)
-    if np.count_nonzero(is_of_one) < max(MOSTLY * count, 1):
+    if np.count_nonzero(is_of_one) < max(LEAST_SHARE * count, 1):
         return None
     begin, end, spacing_m = begin[which], end[which], spacing_m[which]
     of_each = (end - begin).astype(np.float64)
