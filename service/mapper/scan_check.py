@@ -41,10 +41,12 @@ class ScanCheck:
     def is_repeated(self, scan: LaserScan, travel_m: float) -> bool:
         """Whether a scan equals the one before to the last bit though the vehicle has moved.
 
+        Scans without a return are no evidence: a laser out of range of everything sends them too.
+
         travel_m   m   moved since the scan before, as predicted
         """
         last, self._last = self._last, scan
-        if last is None or not _are_same(last.range_m, scan.range_m):
+        if last is None or not _are_same(last.range_m, scan.range_m) or not np.isfinite(scan.range_m).any():
             self._travel_m = 0.0
             return False
         self._travel_m += travel_m
