@@ -83,6 +83,7 @@ class IbeoLuxDialogue:
         self.stopped = False  # by us
         self.scans_seen = 0  # kept by the session
         self.foreign = ""  # what other device seems to be there; kept by the session
+        self.other_scans = ""  # rate and angles of the scans where they are not as configured; by the session
         self.device_status: DeviceStatus | None = None  # the newest
         self.beam_tilt_rad = 0.0
         self.upside_down = False
@@ -91,7 +92,9 @@ class IbeoLuxDialogue:
         )  # what the device reported of itself, by the session
 
     def run(self) -> Dialogue[None]:
-        """Raises TransportError where nobody answers, DeviceError where the device refuses."""
+        """Raises TransportError where nobody answers, or only after the scans were taken as they are;
+        DeviceError where the device refuses.
+        """
         answers = yield from self._identify()
         if answers:
             yield from self._configure()
@@ -100,8 +103,9 @@ class IbeoLuxDialogue:
             yield from self._start()
         self.ready = True
         self.phase = "waiting for the first scan"
-        if answers:
-            yield from self._watch()
+        if not answers:
+            yield from self._ask_until_answered()
+        yield from self._watch()
 
     def _identify(self) -> Dialogue[bool]:
         """Whether the device answers commands; one that does not may still send scans."""
@@ -260,6 +264,18 @@ class IbeoLuxDialogue:
             f"no scan {waited_s:g} s after Start: {self._state_words()}; does the mirror turn, "
             "is it too hot or too cold?"
         )
+
+    def _ask_until_answered(self) -> Dialogue[None]:
+        """Ask for the status every WATCH_PERIOD_S: what was deaf while it booted can be set up later."""
+        yield Pause(WATCH_PERIOD_S)
+        while (yield from self._read_status()) is None:
+            yield Pause(WATCH_PERIOD_S)
+        self.identity.pop("commands")
+        if self.other_scans:
+            raise TransportError(
+                f"scans come at {self.other_scans}, and the device answers commands now, which it did not do "
+                "at the start; a new connection sets it up"
+            )
 
     def _watch(self) -> Dialogue[None]:
         """Poll the status every WATCH_PERIOD_S; ends where the device no longer answers."""

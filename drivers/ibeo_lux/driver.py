@@ -216,6 +216,8 @@ class IbeoLuxSession:
                 parts.append("the same scan again and again, not used")
             elif self._clock_stands:
                 parts.append("its clock stands still, stamps are those of arrival")
+            if self._dialogue.other_scans and self._other_in_a_row > OTHER_LIMIT:
+                parts.append(f"scans at {self._dialogue.other_scans}")
         parts += [f"error: {text}" for text in self._errors_shown()]
         parts += [f"warning: {text}" for text in self._shown(self._warnings)]
         status = self._dialogue.device_status
@@ -322,11 +324,13 @@ class IbeoLuxSession:
         wanted = (config.first_ticks, config.last_ticks)
         if abs(rate - 1.0) <= RATE_TOLERANCE and angles == wanted:
             self._other_in_a_row, self._was_as_configured = 0, True
+            self._dialogue.other_scans = ""
             return
         self.counters["scans_not_as_configured"] += 1
         self._other_in_a_row += 1
+        found, set_to = _words(1e9 / period_ns, angles), _words(config.scan_rate_hz, wanted)
+        self._dialogue.other_scans = f"{found}, configured {set_to}"
         if self._was_as_configured and self._other_in_a_row > OTHER_LIMIT:
-            found, set_to = _words(1e9 / period_ns, angles), _words(config.scan_rate_hz, wanted)
             raise TransportError(
                 f"{self._other_in_a_row} scans in a row at {found}, set was {set_to}; "
                 "it restarted or another host changed it"

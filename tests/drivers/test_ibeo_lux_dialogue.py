@@ -231,12 +231,33 @@ def test_device_that_never_answers_is_given_up():
 
 
 def test_device_that_sends_but_does_not_answer_is_taken_as_it_is():
-    t = talk(LuxSetup(parameters={0x1102: 6400}))
+    t = talk(LuxSetup(parameters={0x1102: 6400}), scan_rate_hz=50)
     receive = t.device.receive_data
     t.device.receive_data = lambda data, now_ns: receive(data, now_ns) and b""
     t.run(10.0)
     assert t.session.identity == {"commands": "not answered; taken as it is"}
     assert len(t.frames) > 100
+    assert t.session.status == (
+        "streaming; scans at 25 Hz from 50 to -60 deg, configured 50 Hz from 50 to -60 deg"
+    )
+
+
+@pytest.mark.parametrize(("rate_hz", "is_other"), [(25, False), (50, True)])
+def test_device_that_answers_only_later_is_set_up_where_its_scans_are_not_as_configured(rate_hz, is_other):
+    t = talk(LuxSetup(parameters={0x1102: 6400}), scan_rate_hz=rate_hz)
+    receive = t.device.receive_data
+    t.device.receive_data = lambda data, now_ns: receive(data, now_ns) and b""
+    t.run(10.0)
+    t.device.receive_data = receive
+    if is_other:
+        with pytest.raises(TransportError, match="scans come at 25 Hz from 50 to -60 deg, configured 50 Hz"):
+            t.run(10.0)
+        reconnect(t, scan_rate_hz=rate_hz)
+    t.run(12.0)
+    assert t.session.status.startswith("streaming")
+    assert "configured" not in t.session.status
+    assert t.session.counters["scans_not_as_configured"] == 0
+    assert "commands" not in t.session.identity
 
 
 def test_motor_that_does_not_start_is_a_device_error_in_words():
