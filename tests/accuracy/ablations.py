@@ -22,10 +22,10 @@ PARTS: tuple[tuple[str, dict[str, dict[str, Any]] | None], ...] = (
         {"motion_model": {"odometry_scale_sigma": 0.0, "odometry_lag_sigma_s": 0.0}},
     ),
     ("surfels finer than 10 cm: 5 cm", {"local_map": {"cell_m": 0.05}}),
-    ("telling what moves", {"local_map": {"dynamic_filter": {"enough_s": 0.0}}}),
-    ("weight by how long a thing stands", {DYNAMIC_FILTER: {"LEAST_WEIGHT": 1.0}}),
-    ("looking through things", {"local_map": {"dynamic_filter": {"behind_m": 1e3}}}),
-    ("refusing what comes into free space", {DYNAMIC_FILTER: {"FREE_S": 0.0}}),
+    ("dynamic-object filter", {"local_map": {"dynamic_filter": {"enough_s": 0.0}}}),
+    ("weight by static score", {DYNAMIC_FILTER: {"LEAST_WEIGHT": 1.0}}),
+    ("ray-cast removal", {"local_map": {"dynamic_filter": {"behind_m": 1e3}}}),
+    ("refusal of points in free space", {DYNAMIC_FILTER: {"FREE_S": 0.0}}),
     ("long sub-maps: 5 m", {"local_map": {"spacing_m": 5.0}}),
 )
 
@@ -46,8 +46,8 @@ def ablations(seeds: Sequence[int]) -> Section:
     lines = ["| switched off | " + " | ".join(trips) + " |", "|---|" + "---|" * len(trips)]
     lines += [f"| {what} | " + " | ".join(row) + " |" for what, row in cells.items()]
     return Section(
-        "What each part is worth",
-        "RMS error as is, mm, median (worst) of the seeds, each part switched off alone. Parts that have no "
+        "Error without each part",
+        "RMS error as is, mm, median (worst) of the seeds, with one part switched off. Parts without a "
         "switch in the config are not listed.",
         tables=["\n".join(lines)],
     )

@@ -43,8 +43,8 @@ def scans(seeds: Sequence[int]) -> Section:
             rows.append(Row("", f"{what}: {name}", values, "ms", at_most=bound, digits=2))
     return Section(
         "A scan",
-        "The whole way of a scan through the mapper: predict, deskew, match, sub-maps, shown map. Time of "
-        "the thread on the processor, so that what else runs on the machine counts less.",
+        "One scan through the whole mapper: prediction, deskew, match, sub-maps, shown map. Processor time "
+        "of the thread, so that other load of the machine counts less.",
         rows,
     )
 

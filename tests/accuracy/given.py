@@ -52,10 +52,10 @@ def given(seeds: Sequence[int]) -> Section:  # recordings: seeds change nothing
             rows += _dataset(name, relations, shift_s, (bound_m, bound_deg), Path(folder) / name)
     return Section(
         "Given recordings",
-        "Synthetic recordings of another simulator against their truth, and real ones against their "
-        "relations (order expected^-1 * relative; `derived` ones are good to 5 to 10 cm). One run each. NEES "
-        "is that of the pose against the first scan, every tenth scan, 3 expected. Parameters were chosen "
-        "while looking at all of them.",
+        "Recordings of another simulator against their truth, and recordings of real buildings against "
+        "their relations (order expected^-1 * relative; the `derived` relations have an accuracy of 5 to "
+        "10 cm). One run each. NEES is the normalised squared error of the pose against the first scan, of "
+        "every tenth scan; 3 is expected. The parameters were chosen with all of these recordings in view.",
         rows,
     )
 

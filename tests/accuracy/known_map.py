@@ -57,10 +57,11 @@ def known_map(seeds: Sequence[int]) -> Section:
             ]
     return Section(
         "One scan against a known map",
-        f"{SCANS} scans from one place, each laid on a map of {MAP_SCANS} scans entered at their true poses "
-        f"around it, from a start that is off by {100 * START_OFF_M:.0f} cm and {START_OFF_RAD} rad, with a "
-        "prior that has no say. The bound is that of the ranges alone (Censi 2007), its derivatives taken by "
-        "casting the scene from poses beside it; no mixed pixels. RMS error over bound, of the worst axis.",
+        f"{SCANS} scans from one place. Each is matched to a map of {MAP_SCANS} scans that were inserted at "
+        f"their true poses around that place; the start is off by {100 * START_OFF_M:.0f} cm and "
+        f"{START_OFF_RAD} rad, and the prior has no weight. The bound is the Cramer-Rao bound of the ranges "
+        "(Censi 2007); its derivatives are taken by casting the scene from poses beside the true one, "
+        "without mixed pixels. The figure is the RMS error over the bound, of the worst axis.",
         rows,
     )
 

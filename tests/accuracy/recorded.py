@@ -49,9 +49,9 @@ def recorded(seeds: Sequence[int]) -> Section:  # one recording, no noise: seeds
             rows += _rows(what, done / FINISHED, False, 0.0, 1.5 * reference[0], 1.5 * reference[1])
     return Section(
         "Freiburg 079",
-        "SICK, 360 beams at 4 Hz, noisy odometry, 423 m. Mean error against official.relations, order "
-        "expected^-1 * relative (Kuemmerle et al. 2009). The spoilt runs may err 1.5 times as much as the "
-        "recording as it is. One run each: nothing here is drawn at random.",
+        "SICK laser, 360 beams at 4 Hz, noisy odometry, 423 m. Mean error against official.relations, "
+        "order expected^-1 * relative (Kuemmerle et al. 2009). The bound of a changed recording is 1.5 "
+        "times the error of the unchanged one. One run each; nothing is random.",
         rows,
     )
 

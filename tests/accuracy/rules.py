@@ -20,9 +20,13 @@ METHOD = "service.mapper.methods.corridor"
 # what is switched off, where, and the value that does it
 RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("nothing", METHOD, {}),
-    ("chance taken off what a scan says ([22])", f"{METHOD}.surfel_gauss_newton", {"SURE_M": 0.0}),
     (
-        "unknown ground neutral where a loop is searched",
+        "information of a scan reduced by what chance gives ([22])",
+        f"{METHOD}.surfel_gauss_newton",
+        {"SURE_M": 0.0},
+    ),
+    (
+        "unknown ground neutral in the loop search",
         f"{METHOD}.graph.candidate_submap",
         {"UNKNOWN_LIKELIHOOD": 0.0},
     ),
@@ -83,9 +87,9 @@ def rules(seeds: Sequence[int]) -> Section:
             cells = [rule.recording_mm(name) for _, rule in kinds]
             lines.append(f"| `{name}` | " + " | ".join(cells) + " |")
     return Section(
-        "What single rules are worth",
-        "Error after the finish in mm with one rule switched off, median (worst) of the seeds; given "
-        "recordings, one run each: RMS against the truth, or the mean of the relations for real ones. In the "
-        "bare corridor it is the distance at the end.",
+        "Error without single rules",
+        "Error after the finish in mm with one rule switched off, median (worst) of the seeds. Given "
+        "recordings have one run each: RMS against the truth, or the mean of the relations for real ones. "
+        "In the bare corridor the figure is the error at the end.",
         tables=["\n".join(lines)],
     )

@@ -40,10 +40,10 @@ def motion(seeds: Sequence[int]) -> Section:
             rows.append(Row("", "crowd: ghost cells", ghosts, "cells", at_most=0.0, by_worst=True, digits=0))
     return Section(
         "Turns, stops and a crowd",
-        "spins: turns at 3 rad/s on the spot in four rooms of the office. stop_and_go: a stand every 2 m. "
-        "crowd: 1 m/s in a hall with five people who keep within 3 m, then walk off. A ghost is a cell shown "
-        f"occupied, {GHOST_WALL_M:.1f} m from every wall and from wherever somebody was in the last "
-        f"{GHOST_AFTER_S:.0f} s. LMS-100 at 50 Hz, odometry.",
+        "spins: turns at 3 rad/s on the spot in four rooms of the office. stop_and_go: a stop every 2 m. "
+        "crowd: 1 m/s in a hall with five people who stay within 3 m and then leave. A ghost is a cell "
+        "shown as occupied that is more than 0.3 m from every wall and from every place where a person was "
+        "in the last 20 s. LMS-100 at 50 Hz, odometry.",
         rows,
     )
 
@@ -68,8 +68,8 @@ def bad_returns(seeds: Sequence[int]) -> Section:
     rows += _against("the same side of glass", glass.as_is_mm, brick.as_is_mm)
     return Section(
         "Returns that are wrong, missing or behind glass",
-        "Each fault alone, against the same drive without it (no mixed pixels, no lost beams). RMS error as "
-        "is; a fault may at most double it, seed by seed.",
+        "Each fault alone, compared with the same drive without it (no mixed pixels, no lost beams). RMS "
+        "error as is; the bound is twice the error without the fault, for each seed.",
         rows,
     )
 
@@ -95,8 +95,8 @@ def bare_corridor(seeds: Sequence[int]) -> Section:
         ]
     return Section(
         "A bare corridor",
-        "100 m between bare walls, the ends out of sight: nothing says how far along. The wheels must carry "
-        "it, and the state must say so.",
+        "100 m between bare walls, both ends out of sight: the scans do not fix the position along the "
+        "corridor. Odometry has to carry it, and the state has to name the open direction.",
         rows,
     )
 
@@ -112,8 +112,8 @@ def parked(seeds: Sequence[int]) -> Section:
         worst_mm.append(1e3 * float(np.hypot(*done.errors[:, :2].T).max()))
     return Section(
         "Parked for an hour",
-        f"In the square room, {PARKED_HZ:.0f} scans a second instead of 50, the motion of each beam as of a "
-        "mirror at that rate. Creep: mean of the last 10 s against the first scan.",
+        f"In the square room, {PARKED_HZ:.0f} scans a second instead of 50, with the mirror speed of that rate. "
+        "Creep is the mean of the last 10 s against the first scan.",
         [
             Row("", "creep", ends_mm, "mm", at_most=1.0, digits=2),
             Row("", "creep of the heading", ends_deg, "deg", at_most=0.01, digits=4),
