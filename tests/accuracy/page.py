@@ -12,10 +12,10 @@ from tests.papers.report import Section
 PAGE = Path(__file__).parents[2] / "docs" / "performance.md"
 HEAD = """# Performance of the profile `corridor`
 
-`make bench BENCH_ARGS="--only accuracy"` writes this page; `--scenario NAME` runs one scenario, `--seeds 1` runs
-one seed. All scenarios use the default parameters. Median and worst are over the seeds; a bound applies to the
-median unless its row says otherwise. ATE is the root mean square distance to the truth after the rigid motion
-that fits best (Sturm et al. 2012). "As is" is the error without that motion, from the first scan on.
+`make bench BENCH_ARGS="--only accuracy"` writes this page; `--scenario NAME` runs one scenario, `--seeds 1`
+runs one seed. All scenarios use the default parameters. Median and worst are over the seeds; a bound applies
+to the median unless its row says otherwise. ATE is the root mean square distance to the truth after the rigid
+motion that fits best (Sturm et al. 2012). "As is" is the error without that motion, from the first scan on.
 """
 
 

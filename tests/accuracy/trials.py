@@ -112,8 +112,8 @@ def parked(seeds: Sequence[int]) -> Section:
         worst_mm.append(1e3 * float(np.hypot(*done.errors[:, :2].T).max()))
     return Section(
         "Parked for an hour",
-        f"In the square room, {PARKED_HZ:.0f} scans a second instead of 50, with the mirror speed of that rate. "
-        "Creep is the mean of the last 10 s against the first scan.",
+        f"In the square room, {PARKED_HZ:.0f} scans a second instead of 50, with the mirror speed of that "
+        "rate. Creep is the mean of the last 10 s against the first scan.",
         [
             Row("", "creep", ends_mm, "mm", at_most=1.0, digits=2),
             Row("", "creep of the heading", ends_deg, "deg", at_most=0.01, digits=4),

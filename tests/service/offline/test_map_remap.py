@@ -34,7 +34,9 @@ def in_map(x_m: float, y_m: float) -> tuple[float, float]:
     return at.x_m, at.y_m
 
 
-AREA = [length_m for corner in AREA_M for length_m in in_map(*corner)]
+def lengths(*corners: tuple[float, float]) -> list[float]:
+    """As the command takes them: x and y of each corner of the plan, in the map."""
+    return [length_m for corner in corners for length_m in in_map(*corner)]
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +67,7 @@ def recording(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def remapped(folder, recording) -> tuple[StoredMap, dict, StoredMap]:
     before = load_map(folder)
-    told = map_remap(folder, [recording], AREA, "ada", NOW_NS)
+    told = map_remap(folder, [recording], lengths(*AREA_M), "ada", NOW_NS)
     return before, told, load_map(folder)
 
 
@@ -139,7 +141,7 @@ def test_the_version_says_who_and_what_and_an_undo_takes_it_back(remapped, folde
 
 def test_an_area_that_the_drive_did_not_see_is_refused_and_nothing_changes(folder, recording):
     before = load_map(folder).number
-    far = [length_m for corner in ((30, 30), (31, 30), (31, 31)) for length_m in in_map(*corner)]
+    far = lengths((30, 30), (31, 30), (31, 31))
     with pytest.raises(InputError, match="saw nothing of the area"):
         map_remap(folder, [recording], far, "ada", NOW_NS)
     assert load_map(folder).number == before
