@@ -14,10 +14,12 @@ from service.mapper.mapping_session import (
     SessionAction,
     SessionRequest,
     Step,
+    SwitchProfile,
 )
 
 SESSION_ACTIONS: tuple[SessionAction, ...] = get_args(SessionAction)
 LOAD_MAP = "load_map"
+SWITCH_PROFILE = "switch_profile"
 APPLY_RESULT = "apply_result"
 _APPLY_RESULTS = (APPLY_RESULT, "take_in")  # the latter in recordings made before 2026-11-22
 LEFT_OUT: dict[str, Literal["old", "fatal"]] = {"scan_passed_over": "old", "frame_refused": "fatal"}
@@ -38,6 +40,8 @@ def decode_step(payload: bytes, log_ns: int) -> Step | None:
         return SessionRequest(what, log_ns)
     if what == LOAD_MAP and isinstance(event.get("map"), str) and isinstance(event.get("version"), int):
         return LoadMap(event["map"], event["version"], log_ns)
+    if what == SWITCH_PROFILE and isinstance(event.get("profile"), str):
+        return SwitchProfile(event["profile"], log_ns)
     if what in _APPLY_RESULTS:
         return ApplyResult(log_ns)
     if isinstance(what, str) and what in LEFT_OUT and isinstance(event.get("sensor"), str):

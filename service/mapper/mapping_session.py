@@ -36,6 +36,14 @@ class LoadMap:
 
 
 @dataclass(frozen=True, slots=True)
+class SwitchProfile:
+    """At this place among the frames the session begins anew, with another profile."""
+
+    profile: str
+    arrived_ns: int
+
+
+@dataclass(frozen=True, slots=True)
 class ApplyResult:
     """Live, a result of the graph's back end was applied at this place among the frames."""
 
@@ -63,7 +71,9 @@ class LeftOut:
     arrived_ns: int
 
 
-Step = SessionRequest | LoadMap | ApplyResult | GraphRequest | LeftOut  # what stands among the frames
+Step = (
+    SessionRequest | LoadMap | SwitchProfile | ApplyResult | GraphRequest | LeftOut
+)  # what stands among the frames
 
 # What the verbs are called that go to the graph; a profile's graph says which of them it knows.
 GRAPH_REQUESTS = ("add_landmark_pair", "remove_landmark_pair", "optimize", "undo", "set_pose", "checkpoint")

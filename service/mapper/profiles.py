@@ -15,7 +15,15 @@ from importlib import import_module
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, create_model, field_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    create_model,
+    field_validator,
+)
 from pydantic.fields import FieldInfo
 
 from drivers.frames import NO_INTENSITY, ImuSample, LaserScan, OdometrySample
@@ -165,6 +173,18 @@ def mapping_config(section: Mapping[str, Any] | None = None) -> MappingConfig:
     """A mapping section as it stands in a config, read. Raises pydantic.ValidationError."""
     section = section or {}
     return mapping_model(section).model_validate(section)
+
+
+def with_profile(profile: str, mapping: MappingConfig) -> MappingConfig:
+    """The same lasers of the same vehicle, mapped by another profile with the settings that it brings along.
+
+    Raises ValueError, in words, for a profile that is not there.
+    """
+    kept = {"cell_m": mapping.cell_m, "lasers": mapping.lasers, "outline_m": mapping.outline_m}
+    try:
+        return mapping_config({"profile": profile, **kept})
+    except ValidationError as error:
+        raise ValueError(error.errors()[0]["msg"].removeprefix("Value error, ")) from error
 
 
 def build_mapper(

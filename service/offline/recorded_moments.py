@@ -55,7 +55,11 @@ TOPICS = {
     "/events": STRING,
     "/tf_static": TF,
 }
-NEW_MAP = ("reset_map", "load_map")  # events with which another map begins, and another path
+NEW_MAP = (
+    "reset_map",
+    "load_map",
+    "switch_profile",
+)  # events with which another map begins, and another path
 KEPT_TILINGS = 3
 
 

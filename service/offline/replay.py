@@ -16,7 +16,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from drivers.frames import LaserScan
 from service.config import (
@@ -47,9 +46,10 @@ from service.mapper.mapping_session import (
     LoadMap,
     MappingSession,
     SessionRequest,
+    SwitchProfile,
 )
 from service.mapper.pipeline import Mapper
-from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
+from service.mapper.profiles import MappingConfig, build_mapper, mapping_config, with_profile
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.annotated import PALETTE, annotated
 from service.mapstore.begin_in import begin_in
@@ -62,6 +62,7 @@ from service.mapstore.ros_map import write_ros_map
 from service.offline.geo_export import write_world_file
 from service.offline.map_change_file import CHANGES_FILE, write_changes
 from service.offline.pace import Unwatched, Watch
+from service.offline.profile_switches import ProfileSwitches
 from service.offline.raw_replay import FROM_RAW, remake_frames
 from service.offline.replay_figures import peak_rss_mb, percentiles_ms
 from service.offline.trajectory import write_tum
@@ -206,13 +207,16 @@ def replay(
     stored = None if options.map is None else begin_in(options.map, mapping)
     log.info("mapping the scans of %s", ", ".join(lasers))
     warm_up_encoding()
-    warm_up_kernels(mapping, progress=KernelProgress(lambda k: progress(k.share, "compiling kernels")))
+    compiling = KernelProgress(lambda k: progress(k.share, "compiling kernels"))
+    warm_up_kernels(mapping, progress=compiling)
     stages, scan_ns, scan_cpu_ns, states = StageTimes(), [], [], Counter[str]()
     begins = [stored]  # a reset begins a new map, but for a vehicle that is only localised
+    switches = ProfileSwitches(mapping, is_followed=options.profile is None)
 
     def new_mapper() -> Mapper[Any]:
-        begin = begins[0] if mapping.mode == "localization" else begins.pop() if begins else None
-        return build_mapper(mapping, poses_base_sensor, stages, new_patch_store=PatchFiles, begin_in=begin)
+        present = switches.present
+        begin = begins[0] if present.mode == "localization" else begins.pop() if begins else None
+        return build_mapper(present, poses_base_sensor, stages, new_patch_store=PatchFiles, begin_in=begin)
 
     mapper = MappingSession(
         new_mapper,
@@ -253,9 +257,12 @@ def replay(
                 finish_map()
             mapper.carry_out(step.action)
             continue
-        if isinstance(step, LoadMap):
+        if isinstance(step, LoadMap | SwitchProfile):
             finish_map()
-            begins[:] = [begin_in(Path(step.folder), mapping, step.version)]
+            if isinstance(step, LoadMap):
+                begins[:] = [begin_in(Path(step.folder), switches.present, step.version)]
+            elif switches.take(step, recording.first_log_ns):
+                warm_up_kernels(switches.present, progress=compiling)
             mapper.carry_out("reset_map")
             continue
         if isinstance(step, ApplyResult):
@@ -293,7 +300,7 @@ def replay(
     duration_s = (outputs[-1].stamp_ns - outputs[0].stamp_ns) / 1e9
     summary = {
         "corridor": VERSION,
-        "profile": mapping.profile,
+        "profile": switches.present.profile,
         "scans": len(outputs),
         "scans_dropped": _dropped(session, mapper),
         "scans_not_mapped": mapper.counters["scans_not_mapped"],
@@ -319,6 +326,7 @@ def replay(
         },
         "geo_reference": None if geo is None else geo.as_dict(),
     }
+    summary |= switches.as_dict()
     session_graph = None
     if mapping.mode == "localization":
         graph, session_graph = None, graph  # the map stays the one it was
@@ -412,7 +420,10 @@ def _setup(
         config = load_replay_config(options.config)
     mapping = config.mapping if config is not None else mapping_config()
     if options.profile is not None and options.profile != mapping.profile:
-        mapping = _with_profile(options.profile, mapping)
+        try:
+            mapping = with_profile(options.profile, mapping)
+        except ValueError as error:
+            raise ConfigError([f"--profile: {error}"]) from error
     configured = mountings(config.sensors) if config is not None else {}
     poses = {name: configured.get(name, pose) for name, pose in session.mountings.items()}
     poses |= session.antennas | {name: pose for name, pose in configured.items() if name not in poses}
@@ -446,14 +457,6 @@ def _lasers(session: Session, config: ReplayConfig | None) -> Sequence[str]:
             "give it by --config"
         )
     return lasers
-
-
-def _with_profile(profile: str, mapping: MappingConfig) -> MappingConfig:
-    settings = {"profile": profile, "cell_m": mapping.cell_m, "lasers": mapping.lasers}
-    try:
-        return mapping_config(settings)
-    except ValidationError as error:
-        raise ConfigError([f"--profile: {error.errors()[0]['msg'].removeprefix('Value error, ')}"]) from error
 
 
 def _replay_to(

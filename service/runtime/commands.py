@@ -19,6 +19,7 @@ from service.recording.mcap_recorder import SessionChange
 from service.runtime.intake import Intake
 from service.runtime.mapper_messages import Answer
 from service.runtime.mapping_outputs import MappingOutputs
+from service.runtime.profile_switch import ProfileSwitch
 from service.sinks.sink import MapStorage, SavedMap, SessionRecorder
 
 
@@ -83,6 +84,7 @@ class Commands:
     recorder   for start_recording and stop_recording
     storage    for save_map, load_map and reset_map
     find_map   of load_map; raises CommandError where no session can begin there
+    switch     of switch_profile
     """
 
     def __init__(
@@ -94,6 +96,7 @@ class Commands:
         recorder: SessionRecorder,
         storage: MapStorage,
         find_map: FindMap,
+        switch: ProfileSwitch,
     ) -> None:
         self._intake = intake
         self._outputs = outputs
@@ -104,6 +107,7 @@ class Commands:
         self._find_map = find_map
         self._lock = threading.Lock()  # of the outcomes that are open
         self._open: list[Outcome] = []
+        self._switch = switch
         self._loading = threading.Lock()  # held while a stored map is read and taken: one after the other
 
     def verbs(self) -> dict[str, Verb]:
@@ -113,6 +117,7 @@ class Commands:
             "reset_map": self._verb("reset_map", self._reset_map),
             "save_map": self._verb("save_map", self._save_map, SaveRequest),
             "load_map": self._load_verb(),
+            "switch_profile": self._switch.verb(self._keep),
             "start_recording": self._verb("start_recording", self._start_recording),
             "stop_recording": self._verb("stop_recording", self._stop_recording),
             "mark": self._verb("mark", self._mark, MarkRequest),
@@ -133,13 +138,16 @@ class Commands:
     def _verb(self, name: str, carry_out: CarryOut, request: type[Request] = Request) -> Verb:
         def start(request: Request, outcome: Outcome) -> None:
             event = {"event": name, **request.model_dump(exclude_none=True)}
-            with self._lock:
-                self._open = [*(o for o in self._open if not o.settled), outcome]
+            self._keep(outcome)
             if refused := self._intake.mark(event, lambda message: carry_out(message, outcome)):
                 outcome.failed(refused)
                 raise CommandError(refused)
 
         return Verb(request, start)
+
+    def _keep(self, outcome: Outcome) -> None:
+        with self._lock:
+            self._open = [*(o for o in self._open if not o.settled), outcome]
 
     def _graph_verb(self, name: str, request: type[Request] = Request) -> Verb:
         """A verb for the graph of the profile that maps."""

@@ -1,7 +1,7 @@
 """What the service knows of itself: one diagnostic status a sensor, and one for each part behind them."""
 
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from drivers.link import LinkHealth
 from service.encoding import ERROR, OK, STALE, WARNING, Message, Status, encode_diagnostics
@@ -96,6 +96,7 @@ class HealthReport:
         sinks: Sinks,
         latency: LatencyHistogram,
         dispatcher: CommandDispatcher,
+        profile: Callable[[], str],
     ) -> None:
         self._links = links
         self._sensors = {name: SensorHealth(link) for name, link in links.items()}
@@ -105,6 +106,7 @@ class HealthReport:
         self._sinks = sinks
         self._latency = latency
         self._dispatcher = dispatcher
+        self._profile = profile
         self._scan_rate = RateMeter()
         self._states = dict.fromkeys(links, "connecting")
         self._mapping_state_told = "waiting"
@@ -195,6 +197,7 @@ class HealthReport:
         outputs, last = self._outputs, self._outputs.last
         values = {name: str(count) for name, count in sorted(outputs.counters.items())}
         values |= {
+            "profile": self._profile(),
             "lasers": " ".join(outputs.lasers),
             "scan_rate_hz": f"{self._scan_rate.rate_hz:.1f}",
             "scans_dropped": str(self.scans_dropped),

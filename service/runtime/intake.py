@@ -15,7 +15,15 @@ from service.encoding import LogClock, Message, encode_event, encode_frame
 from service.mapper.mapping_session import SessionAction
 from service.runtime.host_time import HostTime
 from service.runtime.mapper_link import MapperLink
-from service.runtime.mapper_messages import Answer, FrameItem, GraphItem, LoadItem, SessionItem, TilesItem
+from service.runtime.mapper_messages import (
+    Answer,
+    FrameItem,
+    GraphItem,
+    LoadItem,
+    SessionItem,
+    SwitchItem,
+    TilesItem,
+)
 
 Answered = Callable[[Answer], None]
 
@@ -59,7 +67,7 @@ class Intake:
     def mark(self, event: Mapping[str, Any], then: Callable[[Message], None]) -> str:
         """Put an event among the frames; `then` takes it, encoded, before any later frame is recorded.
 
-        Why that was not done, "" if it was. `then` waits for nothing and may call the three requests below.
+        Why that was not done, "" if it was. `then` waits for nothing and may call the requests below.
         """
         with self._lock:
             if self._is_closed:
@@ -76,6 +84,10 @@ class Intake:
     def request_map(self, folder: str, version: int, log_ns: int, answered: Answered) -> None:
         """Within `then` of a mark: have the mapper begin anew in a stored map at its place."""
         self._link.submit(LoadItem(self._link.next_number(), log_ns, folder, version), answered)
+
+    def request_profile(self, mapping: Mapping[str, Any], log_ns: int, answered: Answered) -> None:
+        """Within `then` of a mark: have the mapper begin anew at its place, as this section says."""
+        self._link.submit(SwitchItem(self._link.next_number(), log_ns, mapping), answered)
 
     def request_graph(self, name: str, payload: Mapping[str, Any], log_ns: int, answered: Answered) -> None:
         """Within `then` of a mark: ask the graph for something."""

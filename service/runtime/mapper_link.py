@@ -25,6 +25,7 @@ from typing import Any, Protocol
 from service.runtime.channel import Channel, ChannelClosedError, wait_for
 from service.runtime.mapper_messages import (
     Answer,
+    CanCopy,
     Decisions,
     Failed,
     Finish,
@@ -303,6 +304,9 @@ class MapperLink:
         if isinstance(message, Finished):
             self._finished.set()
             return
+        if isinstance(message, CanCopy):
+            self._keep_items(message.can_copy)
+            return
         if isinstance(message, Progress):
             self.kernels, self.kernels_share = message.words, message.share
             return
@@ -334,6 +338,18 @@ class MapperLink:
             self._ready.set()
             if self._is_finishing:
                 self._active.send(Finish())
+
+    def _keep_items(self, for_standby: bool) -> None:
+        """From now on, or not any more. A stand-by that would need an item from before is refused."""
+        if not for_standby and self._standby is not None:
+            self._standby[0].close()  # it would map on with the profile before
+            self._standby = None
+        with self._lock:
+            self._keeps_items = for_standby
+            if for_standby:
+                self._forgotten_number = self._number
+            else:
+                self._kept.clear()
 
     def _watch(self) -> None:
         if self._orphaned is not None:

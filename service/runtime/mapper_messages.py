@@ -44,6 +44,14 @@ class LoadItem(NamedTuple):
     version: int
 
 
+class SwitchItem(NamedTuple):
+    """Begin anew, mapped as this section of a config says."""
+
+    number: int
+    log_ns: int
+    mapping: Mapping[str, Any]
+
+
 class GraphItem(NamedTuple):
     """A request to the graph."""
 
@@ -60,7 +68,7 @@ class TilesItem(NamedTuple):
     log_ns: int
 
 
-Item = FrameItem | SessionItem | LoadItem | GraphItem | TilesItem
+Item = FrameItem | SessionItem | LoadItem | SwitchItem | GraphItem | TilesItem
 
 
 class Decisions(NamedTuple):
@@ -140,6 +148,12 @@ class Ready(NamedTuple):
     """Kernels are there, and a stand-by where the profile can have one; frames are welcome."""
 
     has_standby: bool
+
+
+class CanCopy(NamedTuple):
+    """From here on there are stand-bys, or there are none any more: another profile maps."""
+
+    can_copy: bool
 
 
 class Mapped(NamedTuple):

@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 from collections import deque
+from collections.abc import Mapping
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ from service.mapstore.patch_files import PatchFiles
 from service.runtime.back_end import BackEndProcess
 from service.runtime.channel import Channel, ChannelClosedError, wait_for
 from service.runtime.mapper_messages import (
+    CanCopy,
     Failed,
     Finish,
     Finished,
@@ -83,12 +85,20 @@ class MapperProcess:
         def prepare_map(folder: str, version: int) -> None:
             begins[:] = [begin_in(Path(folder), config, version)]
 
+        def prepare_profile(mapping: Mapping[str, Any]) -> None:
+            nonlocal config
+            config = mapping_config(dict(mapping))
+            warm_up_kernels(config, back_end_elsewhere=True, progress=_progress(self._channel))
+            self._can_copy = True  # until its parts say otherwise
+
         self._loop = MappingLoop(
             MappingSession(new_mapper, setup.lasers, apply_after=None),
             self._send,
             setup.upside_down,
             prepare_map=prepare_map,
+            prepare_profile=prepare_profile,
         )
+        self._told_can_copy = self._can_copy
         self._items: deque[Item] = deque()
         self._is_finishing = False
         self._copied_number = -1
@@ -104,6 +114,9 @@ class MapperProcess:
                 self._hear(0.0 if self._items else IDLE_S)
                 if self._items:
                     self._loop.take(self._items.popleft())
+                if self._can_copy != self._told_can_copy:
+                    self._told_can_copy = self._can_copy
+                    self._send(CanCopy(self._can_copy))
                 self._loop.keep_up(is_idle=not self._items)
                 if self._is_copy_due():
                     self._copy()

@@ -2,7 +2,8 @@
 
 import math
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
+from functools import partial
 from typing import Any
 
 from drivers.frames import Frame, LaserScan
@@ -29,6 +30,7 @@ from service.runtime.mapper_messages import (
     SessionItem,
     StandingDrawn,
     Status,
+    SwitchItem,
     Tiles,
     Unusable,
 )
@@ -42,10 +44,15 @@ MOST_AGE_NS = 50_000_000  # of a scan when its mapping begins, or two of its per
 
 
 PrepareMap = Callable[[str, int], None]  # folder and version: the next new mapper begins there
+PrepareProfile = Callable[[Mapping[str, Any]], None]  # section of a config: the next new mapper maps so
 
 
 def no_stored_maps(folder: str, version: int) -> None:
     raise InputError(f"{folder}, version {version}: this mapper begins in no stored map")
+
+
+def one_profile(mapping: Mapping[str, Any]) -> None:
+    raise InputError(f"{mapping.get('profile')}: this mapper has one profile")
 
 
 class MapperError(Exception):
@@ -63,7 +70,9 @@ class MappingLoop:
     the clock: when a result of the graph's back end is applied, and which scans are too old to be mapped.
     Both are told, and the recording holds them.
 
-    prepare_map   makes a stored map that in which the session's next mapper begins. Raises CorridorError
+    prepare_map      makes a stored map that in which the session's next mapper begins. Raises CorridorError
+    prepare_profile  makes a profile that of the session's next mapper, which begins a new map. Raises
+                     CorridorError
     """
 
     def __init__(
@@ -73,9 +82,11 @@ class MappingLoop:
         upside_down: Collection[str] = (),
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
         prepare_map: PrepareMap = no_stored_maps,
+        prepare_profile: PrepareProfile = one_profile,
     ) -> None:
         self.mapper = mapper
         self._prepare_map = prepare_map
+        self._prepare_profile = prepare_profile
         self._send = send
         self._upside_down = frozenset(upside_down)
         self._monotonic_ns = monotonic_ns
@@ -109,7 +120,12 @@ class MappingLoop:
             self._tell(item.number, Answer(item.number, self.mapper.carry_out(item.action)))
         elif isinstance(item, LoadItem):
             self.hand_over_tiles()  # they are of the map before
-            self._tell(item.number, self._begin_in(item))
+            self._tell(
+                item.number, self._begin_anew(item, partial(self._prepare_map, item.folder, item.version))
+            )
+        elif isinstance(item, SwitchItem):
+            self.hand_over_tiles()  # they are of the map before
+            self._tell(item.number, self._begin_anew(item, partial(self._prepare_profile, item.mapping)))
         elif isinstance(item, GraphItem):
             self._tell(item.number, self._request(item))
         else:
@@ -253,10 +269,10 @@ class MappingLoop:
                 raise MapperError(item.number, words)
         return output
 
-    def _begin_in(self, item: LoadItem) -> Answer:
-        """The map before stays where the stored one cannot be read."""
+    def _begin_anew(self, item: LoadItem | SwitchItem, prepare: Callable[[], None]) -> Answer:
+        """The map before stays where what the next one needs cannot be had."""
         try:
-            self._prepare_map(item.folder, item.version)
+            prepare()
         except CorridorError as error:
             return Answer(item.number, None, str(error))
         return Answer(item.number, self.mapper.carry_out("reset_map"))

@@ -37,6 +37,7 @@ from service.runtime.mapper_messages import Setup
 from service.runtime.mapping_outputs import MappingOutputs
 from service.runtime.metrics import LatencyHistogram
 from service.runtime.notify import Notifier
+from service.runtime.profile_switch import PresentMapping, ProfileSwitch
 from service.runtime.readers import Readers
 from service.runtime.summary import Summary
 from service.runtime.workers import Workers
@@ -81,6 +82,7 @@ class Service:
         self._tiles = TileStore()
         self._latency = LatencyHistogram()
         links = {name: LinkHealth(name) for name in config.sensors}
+        self._present = PresentMapping(config.mapping)
         self._sinks = Sinks()
         context = SinkContext(
             vehicle=config.vehicle,
@@ -104,6 +106,7 @@ class Service:
             emit=self._sinks.put,
             unix_ns=self._unix_ns,
             is_paused=lambda: self._intake.paused,
+            present_profile=lambda: self._present.profile,
             pose_sent=self._latency.add,
         )
         self._sinks.open(SINKS, config.sinks, context)
@@ -116,14 +119,14 @@ class Service:
         )
         self._link = MapperLink(self._setup(), self._outputs)
         self._intake = Intake(self._link, self.host_time, self._sinks.put)
+        parts = self._intake, self._outputs, self._tiles, self._sinks.put
+        storage = self._sinks.map_storage()
         self._commands = Commands(
-            self._intake,
-            self._outputs,
-            self._tiles,
-            self._sinks.put,
+            *parts,
             self._sinks.session_recorder(),
-            self._sinks.map_storage(),
+            storage,
             self._find_map,
+            ProfileSwitch(self._present, *parts, storage),
         )
         self._dispatcher = CommandDispatcher(self._commands.verbs())
         self._report = HealthReport(
@@ -134,6 +137,7 @@ class Service:
             self._sinks,
             self._latency,
             self._dispatcher,
+            lambda: self._present.profile,
         )
         self._readers = Readers(
             config.sensors,
@@ -333,13 +337,13 @@ class Service:
         return self._dispatcher.answer(verb, payload)
 
     def _find_map(self, name: str, version: int | None) -> tuple[Path, int]:
-        """Folder and version of a stored map that a session of this config can begin in.
+        """Folder and version of a stored map that a session can begin in with the present profile.
 
         Raises CommandError.
         """
         folder = (self._config.sinks["map"].directory / name).resolve()  # an absolute name is itself
         try:
-            return folder, stored_for(folder, self._config.mapping, version).number
+            return folder, stored_for(folder, self._present.config, version).number
         except CorridorError as error:
             raise CommandError(str(error)) from error
 

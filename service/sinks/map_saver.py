@@ -40,6 +40,11 @@ class _Asked(NamedTuple):
     with_graph: bool
 
 
+class _Profile(NamedTuple):
+    name: str
+    stores_graph: bool
+
+
 class MapSaver(Sink):
     """Saves the map while it grows; a MapStorage.
 
@@ -62,13 +67,13 @@ class MapSaver(Sink):
         self._directory = config.directory
         self._present: NumberedMap | None = None  # as it was at the last save
         self._command = context.command
-        self._asks_for_graph = context.stores_graph and not context.is_localizing
         self._is_localizing = context.is_localizing
         self._tiles = context.tiles
         self._unix_ns = context.unix_ns
         self._emit = context.emit
         self._checkpoint_s = config.checkpoint_s
-        self._about: Mapping[str, str] = {"vehicle": context.vehicle, "profile": context.profile}
+        self._vehicle = context.vehicle
+        self._made_by = {1: _Profile(context.profile, context.stores_graph)}  # from the map of that number on
         self._emitted_version = 0
         self._unsaved: list[NumberedMap] = []  # ended by a reset
         self._wake = threading.Condition()  # of the two that follow
@@ -102,11 +107,15 @@ class MapSaver(Sink):
     def hold(self, folder: Path) -> None:
         """Keep others from changing a stored map that is about to be begun in. Raises StorageError."""
         if not self._is_localizing and folder not in self._in_use:
-            self._in_use[folder] = InUse(folder, f"a session of {self._about['vehicle']}")
+            self._in_use[folder] = InUse(folder, f"a session of {self._vehicle}")
 
     def begun_in(self, folder: Path) -> None:
         """The present map is that of this folder from now on; call it when the one before has ended."""
         self._begun_in[self._tiles.number] = folder
+
+    def mapped_by(self, profile: str, stores_graph: bool) -> None:
+        """The present map is made by this profile; call it when the one before has ended."""
+        self._made_by[self._tiles.number] = _Profile(profile, stores_graph)
 
     def ask_to_save(self, saved: SavedHeard, name: str = "", with_graph: bool = False) -> None:
         """Have what is not yet on disk saved soon, by the sink's thread, in which `saved` hears of it.
@@ -203,7 +212,8 @@ class MapSaver(Sink):
         ):
             return
         folder = self.folder_of(numbered.number)
-        number = save_map(folder, numbered.tiles, self._unix_ns(), self._about, numbered.geo, numbered.graph)
+        about = self._about(numbered.number)
+        number = save_map(folder, numbered.tiles, self._unix_ns(), about, numbered.geo, numbered.graph)
         if number is not None:
             saved = SavedMap(folder, number, numbered.version, numbered.geo, numbered.graph)
             self._newest = (numbered.number, saved)
@@ -222,6 +232,17 @@ class MapSaver(Sink):
             if time.monotonic() >= save_at_s:
                 save_at_s = time.monotonic() + self._checkpoint_s
                 self._try_to_save()
+
+    @property
+    def _asks_for_graph(self) -> bool:
+        return self._profile_of(self._tiles.number).stores_graph and not self._is_localizing
+
+    def _profile_of(self, number: int) -> _Profile:
+        made_by = dict(self._made_by)  # in one step: another thread may add to it
+        return made_by[max(first for first in made_by if first <= number)]
+
+    def _about(self, number: int) -> Mapping[str, str]:
+        return {"vehicle": self._vehicle, "profile": self._profile_of(number).name}
 
     def _remove_abandoned_graphs(self) -> None:
         """A session that is killed leaves its graph folder behind; its map holds what it needs of it."""
@@ -297,8 +318,9 @@ class MapSaver(Sink):
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise StorageError(f"cannot save the map to {folder}: {error}; choose another name") from error
-        with InUse(folder, f"a session of {self._about['vehicle']}"):
-            number = save_map(folder, present.tiles, self._unix_ns(), self._about, present.geo, present.graph)
+        with InUse(folder, f"a session of {self._vehicle}"):
+            about = self._about(present.number)
+            number = save_map(folder, present.tiles, self._unix_ns(), about, present.geo, present.graph)
         assert number is not None
         return SavedMap(folder, number, present.version, present.geo, present.graph)
 

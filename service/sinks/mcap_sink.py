@@ -32,6 +32,7 @@ class McapSink(Sink):
         self.wants_raw = config.raw
         self._directory = config.directory
         self._is_paused = context.is_paused
+        self._profile, self._present_profile = context.profile, context.present_profile
         self._recorder = McapRecorder(
             config.directory,
             context.vehicle,
@@ -52,11 +53,18 @@ class McapSink(Sink):
         self._recorder.put_metadata(name, values)
 
     def begin_session(self, first: Message, heard: SessionHeard) -> None:
-        """As McapRecorder.begin_session; a session that begins in a pause says so in its second message."""
+        """As McapRecorder.begin_session. A session holds all that its replay needs: one that begins after a
+        switch of the profile, or in a pause, says so in the messages after its first.
+        """
         self._recorder.begin_session(first, heard)
-        if self._is_paused():  # a session holds all that its replay needs
-            text = json.dumps({"event": "pause", "reason": "paused before the recording began"})
-            self._recorder.put(encode_event(text, first.stamp_ns, first.log_ns))
+        if (profile := self._present_profile()) != self._profile:
+            reason = "switched before the recording began"
+            self._tell(first, {"event": "switch_profile", "profile": profile, "reason": reason})
+        if self._is_paused():
+            self._tell(first, {"event": "pause", "reason": "paused before the recording began"})
+
+    def _tell(self, first: Message, event: Mapping[str, str]) -> None:
+        self._recorder.put(encode_event(json.dumps(dict(event)), first.stamp_ns, first.log_ns))
 
     def end_session(self, heard: SessionHeard) -> None:
         self._recorder.end_session(heard)

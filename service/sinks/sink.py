@@ -24,7 +24,7 @@ class SinkContext:
     """What the service offers a sink when it is opened. Every callable may be called from any thread."""
 
     vehicle: str
-    profile: str  # of the mapper
+    profile: str  # that the config names; `present_profile` after a switch
     stores_graph: bool  # whether a later session can go on in the map
     is_localizing: bool  # whether the map is a stored one that stays as it is
     start_unix_ns: int  # Unix time at which the service was constructed
@@ -38,6 +38,7 @@ class SinkContext:
     emit: Callable[[Message], None]  # hands a message to all sinks, the caller included
     unix_ns: Callable[[], int]  # the service's Unix time: host monotonic clock plus the offset of the start
     is_paused: Callable[[], bool]  # whether a command has paused the mapping
+    present_profile: Callable[[], str]  # that maps now
     pose_sent: Callable[[int], None]  # takes ns from the last byte of a scan to its pose on the network
 
 
@@ -163,6 +164,13 @@ class MapStorage(Protocol):
 
     def begun_in(self, folder: Path) -> None:
         """The present map is that of this folder from now on; call it when the one before has ended."""
+        ...
+
+    def mapped_by(self, profile: str, stores_graph: bool) -> None:
+        """The present map is made by this profile; call it when the one before has ended.
+
+        stores_graph   whether a later session can go on in it
+        """
         ...
 
     def ask_to_save(self, saved: SavedHeard, name: str = "", with_graph: bool = False) -> None:

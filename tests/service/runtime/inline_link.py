@@ -5,7 +5,7 @@ from typing import Any
 
 from service.mapper.mapping_session import MappingSession
 from service.runtime.mapper_messages import Answer, Item
-from service.runtime.mapping import MappingLoop, PrepareMap, no_stored_maps
+from service.runtime.mapping import MappingLoop, PrepareMap, PrepareProfile, no_stored_maps, one_profile
 from service.runtime.mapping_outputs import MappingOutputs
 
 Answered = Callable[[Answer], None]
@@ -20,6 +20,7 @@ class InlineLink:
         outputs: MappingOutputs,
         is_deaf: bool = False,
         prepare_map: PrepareMap = no_stored_maps,
+        prepare_profile: PrepareProfile = one_profile,
     ) -> None:
         self.now_ns = 0
         self.said: list[Any] = []
@@ -27,7 +28,7 @@ class InlineLink:
         self._outputs = outputs
         self._is_deaf = is_deaf
         self._answered: Answered | None = None
-        self.loop = MappingLoop(mapper, self._hear, (), lambda: self.now_ns, prepare_map)
+        self.loop = MappingLoop(mapper, self._hear, (), lambda: self.now_ns, prepare_map, prepare_profile)
 
     @property
     def waiting(self) -> int:

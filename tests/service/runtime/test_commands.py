@@ -3,7 +3,7 @@
 import json
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from service.encoding import STRING, LogClock, Message, decode_event, encode_eve
 from service.encoding.steps import decode_step
 from service.errors import InputError, StorageError
 from service.mapper.mapping_session import GraphRequest, LoadMap, MappingSession
+from service.mapper.profiles import mapping_config
 from service.mapstore.config import MapConfig
 from service.mapstore.files import load_map, save_map
 from service.mapstore.in_use import InUse
@@ -25,6 +26,7 @@ from service.runtime.commands import Commands
 from service.runtime.host_time import HostTime
 from service.runtime.intake import Intake
 from service.runtime.mapping_outputs import MappingOutputs
+from service.runtime.profile_switch import PresentMapping, ProfileSwitch
 from service.sinks.map_saver import MapSaver
 from service.sinks.mcap_sink import McapSink
 from tests.service.runtime.inline_link import InlineLink
@@ -45,6 +47,7 @@ class Machine:
             emit=self._put,
             unix_ns=lambda: host_time.unix_ns(time.monotonic_ns()),
             is_paused=lambda: self.intake.paused,
+            present_profile=lambda: self.present.profile,
         )
         self.recorder = McapSink(RecordingConfig(directory=folder / "in"), context)
         self.recorder._recorder = McapRecorder(
@@ -61,12 +64,16 @@ class Machine:
         self.prepared: list[tuple[str, int]] = []  # stored maps that mappers began in
         self.mapper_fault = ""  # why the mapper cannot read a stored map
         session = MappingSession(FakeMapper, ["front"], None)
-        self.link = InlineLink(session, self.outputs, is_deaf, self._prepare)
+        self.profiles: list[Mapping[str, Any]] = []  # sections that mappers began anew with
+        self.compiled: list[Mapping[str, Any]] = []
+        self.compiler_fault = ""
+        self.present = PresentMapping(mapping_config())
+        self.link = InlineLink(session, self.outputs, is_deaf, self._prepare, self.profiles.append)
         self._folder = folder
         self.intake = Intake(self.link, host_time, self._put)  # type: ignore[arg-type]
-        self.commands = Commands(
-            self.intake, self.outputs, self.tiles, self._put, self.recorder, self.saver, self._find
-        )
+        parts = self.intake, self.outputs, self.tiles, self._put
+        switch = ProfileSwitch(self.present, *parts, self.saver, self._compile)
+        self.commands = Commands(*parts, self.recorder, self.saver, self._find, switch)
         self.dispatcher = CommandDispatcher(self.commands.verbs(), answer_timeout_s=20.0)
         self._scans = 0
 
@@ -94,6 +101,11 @@ class Machine:
         if self.mapper_fault:
             raise InputError(self.mapper_fault)
         self.prepared.append((folder, version))
+
+    def _compile(self, section: Mapping[str, Any]) -> None:
+        if self.compiler_fault:
+            raise CommandError(self.compiler_fault)
+        self.compiled.append(section)
 
     def _find(self, name: str, version: int | None) -> tuple[Path, int]:
         try:
@@ -133,7 +145,7 @@ def test_the_known_verbs(machine: Machine):
         "ok": False,
         "error": "there is no command 'fly'; known: add_landmark_pair, checkpoint, load_map, mark, optimize, "
         "pause, remove_landmark_pair, reset_map, resume, save_map, set_pose, start_recording, "
-        "stop_recording, undo",
+        "stop_recording, switch_profile, undo",
     }
 
 

@@ -53,6 +53,7 @@ def report(link: LinkHealth, **parts: Any) -> HealthReport:
         "sinks": sinks,
         "latency": LatencyHistogram(),
         "dispatcher": SimpleNamespace(counts=lambda: Counter(mark=2, refused=1)),
+        "profile": lambda: "corridor",
     }
     return HealthReport({"front": link}, **(defaults | parts))
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from drivers.frames import NO_INTENSITY, LaserScan
-from service.encoding import encode_frame
+from service.encoding import decode_pose, encode_frame
 from service.geometry.se2 import SE2
 from service.mapper.profiles import build_mapper, mapping_config
 from service.mapper.saved_graph import SavedGraph
@@ -21,7 +21,16 @@ from service.mapstore.files import save_map
 from service.outputs import TileUpdate
 from service.runtime import mapper_link
 from service.runtime.mapper_link import MapperLink, MapperLostError
-from service.runtime.mapper_messages import Answer, FrameItem, LoadItem, Mapped, Setup, Tiles, TilesItem
+from service.runtime.mapper_messages import (
+    Answer,
+    FrameItem,
+    LoadItem,
+    Mapped,
+    Setup,
+    SwitchItem,
+    Tiles,
+    TilesItem,
+)
 from tests.service.runtime.mappers import FATAL_RANGE_M
 
 pytestmark = pytest.mark.usefixtures("forked_mappers")
@@ -83,6 +92,13 @@ class Drive:
         answers: list[Answer] = []
         number = self.link.next_number()
         self.link.submit(LoadItem(number, number, str(folder), version), answers.append)
+        return answers
+
+    def switch(self, profile: str) -> list[Answer]:
+        """Where the answer will be."""
+        answers: list[Answer] = []
+        number = self.link.next_number()
+        self.link.submit(SwitchItem(number, number, {"profile": profile}), answers.append)
         return answers
 
     def until(self, what: Callable[[], bool]) -> None:
@@ -193,6 +209,34 @@ def test_a_mapper_begins_in_a_stored_map_on_the_way_and_so_does_its_stand_by(dri
     assert set(states[:10]) == {"ok"}
     assert set(states[10:]) == {"lost"}  # in the map that was loaded: the room looks the same turned round
     assert len(states) == 25
+
+
+def test_stand_bys_end_with_a_profile_that_has_none_and_come_back_with_one_that_has(drive: Drive):
+    drive.start().scan(10)
+    drive.until_mapped()
+    drive.until_standby(10)
+    to_imle = drive.switch("imle")
+    drive.scan(10)
+    drive.until(lambda: drive.link.standby_pid == 0)
+    drive.scan(10)
+    drive.until_mapped()
+    assert to_imle[0].result is True
+    assert not drive.link._kept  # nobody will ever ask for them
+    back = drive.switch("contour_lm")
+    drive.scan(10)
+    drive.until_mapped()
+    drive.until(lambda: drive.link.standby_pid != 0)
+    assert back[0].result is True
+    os.kill(drive.link.pid, signal.SIGKILL)
+    drive.scan(10)
+    drive.until_mapped()
+    assert len(drive.heard.takeovers) == 1
+    number = back[0].number
+    assert 0.0 < x_m_of(drive, number + 20) - x_m_of(drive, number + 1) < 0.3  # one map all along
+
+
+def x_m_of(drive: Drive, number: int) -> float:
+    return decode_pose(drive.heard.poses[number]).pose.x_m
 
 
 def stored_room() -> tuple[list[TileUpdate], int, dict[str, str], None, SavedGraph]:

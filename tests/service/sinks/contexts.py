@@ -25,6 +25,7 @@ def sink_context(**parts: Any) -> SinkContext:
         "emit": lambda message: None,
         "unix_ns": time.time_ns,
         "is_paused": lambda: False,
+        "present_profile": lambda: "corridor",
         "pose_sent": lambda duration_ns: None,
     }
     return SinkContext(**(defaults | parts))

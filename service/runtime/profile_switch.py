@@ -1,0 +1,181 @@
+"""Another profile while the service runs.
+
+    asked --refused at once, or--> its kernels, in a process of their own --> the map saved --> at one place
+    among the frames: the mapper begins a new map with it --> the map before saved up to there --> answered
+
+Until that place nothing has changed: what fails before it leaves the profile as it is.
+"""
+
+import logging
+import os
+import threading
+from collections.abc import Callable, Mapping
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from service.encoding import Message
+from service.interruption import children_do_not_hear, end_with_parent
+from service.kernel_warm_up import warm_up
+from service.mapper.profiles import MappingConfig, begins_in_stored, mapping_config, with_profile
+from service.mapstore.tiles import TileStore
+from service.publishing.commands import CommandError, Outcome, Request, Verb
+from service.runtime.intake import Intake
+from service.runtime.mapper_messages import Answer
+from service.runtime.mapping_outputs import MappingOutputs
+from service.sinks.sink import MapStorage, SavedMap
+
+log = logging.getLogger(__name__)
+
+VERB = "switch_profile"
+NICENESS = 10  # of the process that compiles; the drive goes on meanwhile
+Section = Mapping[str, Any]  # of a config: mapping
+
+
+class ProfileRequest(Request):
+    """profile: one of service.mapper.profiles.METHODS."""
+
+    profile: Annotated[str, Field(min_length=1, max_length=100)]
+
+
+class PresentMapping:
+    """How frames are mapped now: as the config says, or since a switch otherwise.
+
+    A later switch back to the profile of the config takes its settings from there again.
+    """
+
+    def __init__(self, configured: MappingConfig) -> None:
+        self.configured = self.config = configured
+
+    @property
+    def profile(self) -> str:
+        return self.config.profile
+
+    def with_profile(self, profile: str) -> MappingConfig:
+        """What a switch to that profile leads to. Raises CommandError where it cannot be switched to."""
+        if self.config.mode == "localization":
+            raise CommandError(
+                "this session is localised in a stored map, which stays as it is; only the profile "
+                f"{self.profile} does that. Start the service with mapping.mode: mapping to switch"
+            )
+        if profile == self.profile:
+            raise CommandError(f"{profile} is the profile that maps now; reset_map begins a new map with it")
+        if profile == self.configured.profile:
+            return self.configured
+        try:
+            return with_profile(profile, self.configured)
+        except ValueError as error:
+            raise CommandError(str(error)) from error
+
+
+def compile_kernels(section: Section) -> None:
+    """Have the kernels for a mapping section in the cache when this returns, made by a process of its own.
+
+    Raises CommandError where it failed.
+    """
+    with children_do_not_hear():
+        process = get_context("spawn").Process(target=_compile, args=(dict(section),), daemon=True)
+        process.start()
+    process.join()
+    if process.exitcode:
+        raise CommandError(
+            f"the kernels of {section.get('profile')} could not be compiled: that process ended with code "
+            f"{process.exitcode}, its log says why. The profile stays"
+        )
+
+
+def _compile(section: dict[str, Any]) -> None:
+    end_with_parent()
+    os.nice(NICENESS)
+    warm_up(mapping_config(section))
+
+
+class ProfileSwitch:
+    """One switch at a time.
+
+    prepare    has the kernels for a section in the cache when it returns; raises CommandError
+    """
+
+    def __init__(
+        self,
+        present: PresentMapping,
+        intake: Intake,
+        outputs: MappingOutputs,
+        tiles: TileStore,
+        put: Callable[[Message], Any],
+        storage: MapStorage,
+        prepare: Callable[[Section], None] = compile_kernels,
+    ) -> None:
+        self._present = present
+        self._intake = intake
+        self._outputs = outputs
+        self._tiles = tiles
+        self._put = put
+        self._storage = storage
+        self._prepare = prepare
+        self._lock = threading.Lock()  # of what follows
+        self._newest: Outcome | None = None
+
+    def verb(self, keep: Callable[[Outcome], None]) -> Verb:
+        """keep: takes the outcome, which is to be settled when the service ends."""
+
+        def start(request: ProfileRequest, outcome: Outcome) -> None:
+            with self._lock:
+                if self._newest is not None and not self._newest.settled:
+                    raise CommandError("another switch is in progress; ask again when it is done")
+                chosen = self._present.with_profile(request.profile)
+                self._newest = outcome
+            keep(outcome)
+            event = {"event": VERB, **request.model_dump(exclude_none=True)}
+            threading.Thread(
+                target=self._make_ready, args=(event, chosen, outcome), name="switch-profile", daemon=True
+            ).start()
+
+        return Verb(ProfileRequest, start)
+
+    def _make_ready(self, event: Mapping[str, Any], chosen: MappingConfig, outcome: Outcome) -> None:
+        section = chosen.model_dump(mode="json", exclude_defaults=True)
+        try:
+            self._prepare(section)
+        except CommandError as error:
+            outcome.failed(str(error))
+            return
+
+        def saved(present: SavedMap | None, fault: str) -> None:
+            if fault:
+                outcome.failed(f"the profile stays, for the map cannot be saved: {fault}")
+            elif refused := self._intake.mark(event, lambda marked: self._switch(marked, chosen, outcome)):
+                outcome.failed(refused)
+
+        self._storage.ask_to_save(saved, with_graph=True)
+
+    def _switch(self, event: Message, chosen: MappingConfig, outcome: Outcome) -> None:
+        """Answered when the map before is on disk up to here."""
+        self._put(event)
+
+        def saved(before: Path | None, present: SavedMap | None, fault: str) -> None:
+            if fault:
+                outcome.failed(f"{chosen.profile} maps now, but the map before is not saved yet: {fault}")
+            else:
+                outcome.done(
+                    profile=chosen.profile,
+                    folder=str(self._storage.folder),
+                    folder_before=None if before is None else str(before),
+                )
+
+        def answered(answer: Answer) -> None:
+            if answer.error:
+                outcome.failed(f"the profile stays: {answer.error}")
+                return
+            number = self._tiles.number
+            self._outputs.map_reset()
+            before = self._storage.folder_of(number) if self._tiles.number != number else None
+            self._present.config = chosen
+            self._storage.mapped_by(chosen.profile, begins_in_stored(chosen))
+            log.info("the profile is %s now", chosen.profile)
+            self._storage.ask_to_save(lambda present, fault: saved(before, present, fault))
+
+        section = chosen.model_dump(mode="json", exclude_defaults=True)
+        self._intake.request_profile(section, event.log_ns, answered)

@@ -1,0 +1,128 @@
+"""What switch_profile does to real parts: see test_commands.Machine."""
+
+import threading
+from pathlib import Path
+
+import pytest
+
+from service.encoding import encode_event
+from service.encoding.steps import decode_step
+from service.mapper.mapping_session import SwitchProfile
+from service.mapper.profiles import mapping_config
+from service.mapstore.files import load_map
+from service.publishing.commands import CommandError
+from service.runtime.profile_switch import PresentMapping, compile_kernels
+from tests.service.runtime.test_commands import (  # noqa: F401 - fixtures
+    Machine,
+    events,
+    free_bytes,
+    machine,
+)
+
+
+def test_the_map_before_is_saved_and_another_profile_begins_a_new_one(
+    machine: Machine,  # noqa: F811
+    tmp_path: Path,
+):
+    machine.scan(3)
+    told = machine.ask("switch_profile", profile="imle")
+    assert told == {
+        "ok": True,
+        "profile": "imle",
+        "folder": str(tmp_path / "map_2"),
+        "folder_before": str(tmp_path / "map"),
+    }
+    assert [section["profile"] for section in (*machine.compiled, *machine.profiles)] == ["imle", "imle"]
+    assert machine.present.profile == "imle"
+    assert machine.link.loop.mapper.counters["map_resets"] == 1
+    machine.scan(2)
+    assert machine.ask("save_map")["folder"] == str(tmp_path / "map_2")
+    assert [load_map(tmp_path / name).about["profile"] for name in ("map", "map_2")] == ["corridor", "imle"]
+    (session,) = machine.stop()
+    (event,) = [event for event in events(session) if event["event"] == "switch_profile"]
+    assert event == {"event": "switch_profile", "profile": "imle"}
+
+
+def test_an_event_of_a_switch_is_a_step_of_a_replay():
+    message = encode_event('{"event": "switch_profile", "profile": "imle", "id": "7"}', 5, 5)
+    assert decode_step(message.payload, 5) == SwitchProfile("imle", 5)
+    assert decode_step(encode_event('{"event": "switch_profile"}', 5, 5).payload, 5) is None
+
+
+def test_settings_of_the_config_come_back_with_its_profile(machine: Machine):  # noqa: F811
+    configured = machine.present.configured = mapping_config(
+        {"cell_m": 0.1, "lasers": ["front"], "settings": {"motion_model": {}}}
+    )
+    machine.scan()
+    assert machine.ask("switch_profile", profile="contour_lm")["ok"]
+    kept = {"profile": "contour_lm", "cell_m": 0.1, "lasers": ["front"]}
+    assert machine.present.config.model_dump() == mapping_config(kept).model_dump()
+    assert machine.ask("switch_profile", profile="corridor")["ok"]
+    assert machine.present.config is configured
+
+
+def test_what_cannot_be_switched_to_is_refused_in_words(machine: Machine, tmp_path: Path):  # noqa: F811
+    machine.scan()
+    assert machine.ask("switch_profile", profile="imlee")["error"] == (
+        'imlee is no profile; did you mean "imle"?'
+    )
+    assert machine.ask("switch_profile", profile="corridor")["error"].startswith(
+        "corridor is the profile that maps now; reset_map"
+    )
+    assert "'profile' is missing" in machine.ask("switch_profile")["error"]
+    machine.compiler_fault = "the kernels of imle could not be compiled"
+    assert machine.ask("switch_profile", profile="imle")["error"] == machine.compiler_fault
+    machine.compiler_fault = ""
+    (tmp_path / "map").write_text("in the way")
+    refused = machine.ask("switch_profile", profile="imle")["error"]
+    assert refused.startswith("the profile stays, for the map cannot be saved: cannot save the map to")
+    (tmp_path / "map").unlink()
+    assert (machine.present.profile, machine.profiles, machine.tiles.number) == ("corridor", [], 1)
+    (session,) = machine.stop()
+    assert "switch_profile" not in [event["event"] for event in events(session)]
+
+
+def test_a_session_that_is_localised_keeps_its_profile():
+    present = PresentMapping(mapping_config({"mode": "localization"}))
+    with pytest.raises(CommandError, match="only the profile corridor does that"):
+        present.with_profile("imle")
+
+
+def test_a_switch_in_progress_is_waited_for(machine: Machine, monkeypatch: pytest.MonkeyPatch):  # noqa: F811
+    began, go_on = threading.Event(), threading.Event()
+
+    def compile_slowly(section: object) -> None:
+        began.set()
+        assert go_on.wait(20.0)
+
+    monkeypatch.setattr(machine.commands._switch, "_prepare", compile_slowly)
+    machine.scan()
+    told: list[bool] = []
+    asking = threading.Thread(target=lambda: told.append(machine.ask("switch_profile", profile="imle")["ok"]))
+    asking.start()
+    assert began.wait(20.0)
+    machine.scan()  # mapped meanwhile
+    assert machine.outputs.states["ok"] == 2
+    assert "another switch is in progress" in machine.ask("switch_profile", profile="contour_lm")["error"]
+    go_on.set()
+    asking.join(20.0)
+    assert told == [True]
+    assert machine.ask("switch_profile", profile="contour_lm")["ok"]
+
+
+def test_a_recording_begun_after_a_switch_says_so_first(machine: Machine):  # noqa: F811
+    machine.scan()
+    machine.ask("stop_recording")
+    machine.ask("switch_profile", profile="imle")
+    machine.ask("start_recording")
+    machine.scan()
+    _, second = machine.stop()
+    assert [(event["event"], event.get("profile")) for event in events(second)] == [
+        ("start_recording", None),
+        ("switch_profile", "imle"),
+    ]
+
+
+def test_kernels_that_do_not_compile_are_told():
+    with pytest.raises(CommandError, match=r"the kernels of nobody could not be compiled.*code 1"):
+        compile_kernels({"profile": "nobody"})
