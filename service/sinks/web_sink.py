@@ -6,6 +6,7 @@ from pathlib import Path
 
 from service.encoding import WARNING, Message, Status
 from service.errors import StorageError
+from service.mapper.profiles import METHODS
 from service.publishing.commands import Answer, refusal
 from service.sinks.sink import Sink, SinkContext
 from service.web.access import new_token, state_folder, token_from_file
@@ -31,7 +32,12 @@ class WebSink(Sink):
         self._token_fault = ""
         self._server = WebServer(
             config,
-            About(context.vehicle, context.profile, lambda: context.verbs() if self._is_started else ()),
+            About(
+                context.vehicle,
+                context.profile,
+                lambda: context.verbs() if self._is_started else (),
+                tuple(METHODS),
+            ),
             context.tiles,
             self._answer,
             self._token(config),

@@ -71,6 +71,7 @@ class About:
     vehicle: str
     profile: str
     verbs: Callable[[], Sequence[str]]  # commands that the service knows
+    profiles: Sequence[str] = ()  # that it can be switched to, with switch_profile
 
 
 class WebServer:
@@ -288,6 +289,7 @@ class WebServer:
             version=VERSION,
             vehicle=self._about.vehicle,
             profile=self._about.profile,
+            profiles=list(self._about.profiles),
             verbs=self._verbs,
             now_s=time.time(),
         )

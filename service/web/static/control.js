@@ -2,6 +2,7 @@
 
 import { card, confirmed, element, notice, setText } from "./dom.js";
 import { degrees, fixed } from "./format.js";
+import { ProfileCard } from "./profile_card.js";
 
 export class Control {
   /** startPoseTool(done): have a pose drawn on the map; done({x_m, y_m, theta_rad}), map frame. */
@@ -35,8 +36,16 @@ export class Control {
     this.pose = card("Pose");
     this.pose.node.append(element("p", { className: "note" }, "Tell the vehicle where it is: press on the map where it stands, drag to where it looks."),
       element("div", { className: "row" }, this.#button("set_pose", "Set pose on the map", "", "", () => this.#setPose())));
-    root.append(this.access.node, mapping.node, recording.node, this.pose.node);
+    this.profile = new ProfileCard((verb, request) => connection.command(verb, request));
+    root.append(this.access.node, mapping.node, recording.node, this.pose.node, this.profile.node);
     this.update();
+  }
+
+  /** profile: of the service's start; health tells of a later one. */
+  putHello({ profile, profiles = [], verbs }) {
+    this.profile.putProfiles(profiles);
+    this.profile.putProfile(profile);
+    this.putVerbs({ verbs });
   }
 
   putVerbs({ verbs }) {
@@ -48,6 +57,7 @@ export class Control {
     const values = (name) => statuses.find((status) => status.name === name)?.values ?? {};
     this.isPaused = values("mapping").state === "paused";
     this.isRecording = values("recording").state === "recording";
+    this.profile.putProfile(values("mapping").profile);
     this.update();
   }
 
@@ -71,6 +81,7 @@ export class Control {
       button.hidden = !this.verbs.includes(verb);
       button.disabled = !may || Boolean(useless[verb]);
     }
+    this.profile.update(may, this.verbs);
     this.pose.node.hidden = !this.verbs.includes("set_pose");
     this.mark.disabled = !may || !this.isRecording;
   }

@@ -10,7 +10,8 @@ const COLUMNS = [["Sensor", ""], ["Hz", "frames a second"], ["Age s", "since the
   ["Delay ms", "from the measurement to its arrival"], ["Dropped", "scans not mapped: they had waited too long"],
   ["Clock", "how far the host's clock is ahead of the device's"]];
 const EVENT_WORDS = { start: "service started", stop: "service stops", mark: "mark", pause: "mapping paused",
-  resume: "mapping resumed", reset_map: "map reset", save_map: "map saved", sensor: "sensor" };
+  resume: "mapping resumed", reset_map: "map reset", save_map: "map saved", load_map: "map loaded",
+  switch_profile: "profile switched", sensor: "sensor" };
 const MOST_EVENTS = 60;
 
 export class Information {

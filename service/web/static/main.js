@@ -32,10 +32,11 @@ const connection = new Connection({
     byId("vehicle").title = hello.vehicle; // it may be cut off
     document.title = `${hello.vehicle} \u00b7 corridor`;
     information.eventList.replaceChildren(); // all of them come again
-    control.putVerbs(hello);
+    control.putHello(hello);
+    resources.verbs = hello.verbs;
     edit.putVerbs(hello);
   },
-  verbs: (message) => { control.putVerbs(message); edit.putVerbs(message); },
+  verbs: (message) => { resources.verbs = message.verbs; control.putVerbs(message); edit.putVerbs(message); },
   access: (access) => {
     control.putAccess(access);
     replay.update();

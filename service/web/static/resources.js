@@ -1,4 +1,4 @@
-// The area Resources: stored maps and sessions; to have, to name, to delete and to take back.
+// The area Resources: stored maps and sessions; to have, to load, to name, to delete and to take back.
 
 import { card, confirmed, element, notice, setText } from "./dom.js";
 import { bytes } from "./format.js";
@@ -11,6 +11,7 @@ export class Resources {
     this.connection = connection;
     this.formats = {};
     this.lists = {};
+    this.verbs = [];
     const refresh = element("button", { type: "button", onclick: () => this.refresh() }, "Refresh");
     root.append(element("div", { className: "row" }, refresh,
       element("span", { className: "note" }, "Deleted things can be taken back until the service starts again.")));
@@ -55,9 +56,12 @@ export class Resources {
     const act = (text, label, onclick, isOff, className = "") => element("button",
       { type: "button", className, onclick, disabled: isOff, "aria-label": `${text} ${label}` }, text);
     const isBeingWritten = entry.name.endsWith(".active");
+    const load = kind === "map" && this.verbs.includes("load_map")
+      ? [act("Load\u2026", entry.name, () => this.#load(entry.name), !may || entry.in_use)] : [];
     return element("li", {},
-      element("p", { className: "stored-name" }, entry.name),
-      element("p", { className: "note" }, `${bytes(entry.bytes)}, ${when}${entry.in_use ? ", in use" : ""}`),
+      element("div", { className: "stored-head" }, element("div", {},
+        element("p", { className: "stored-name" }, entry.name),
+        element("p", { className: "note" }, `${bytes(entry.bytes)}, ${when}${entry.in_use ? ", in use" : ""}`)), ...load),
       element("div", { className: "row" }, format,
         act("Download", entry.name, () => this.#download(kind, entry.name, format.value), !may || isBeingWritten),
         act("Rename\u2026", entry.name, () => this.#rename(kind, entry.name), !may || entry.in_use),
@@ -72,6 +76,17 @@ export class Resources {
       return;
     }
     element("a", { href: answer.url, download: "" }).click();
+  }
+
+  /** The mapping goes on in a stored map. */
+  async #load(name) {
+    const isSure = await confirmed(`Load ${name}?`, "The present map is saved and closed, and mapping goes on in this one. "
+      + "The vehicle is lost until it is found there; Set pose helps it. The recording goes on.", "Load map");
+    if (!isSure) return;
+    const answer = await this.connection.command("load_map", { map: name });
+    const before = answer.folder_before ? `, the map before is in ${answer.folder_before}` : "";
+    notice(answer.ok ? `${name} is loaded${before}.` : `Load ${name}: ${answer.error}.`, answer.ok ? "ok" : "error");
+    this.refresh();
   }
 
   async #rename(kind, name) {

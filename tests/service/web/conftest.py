@@ -57,7 +57,7 @@ def serve(store: TileStore, desk: Desk) -> Iterator[Callable[..., WebServer]]:
         wait: bool = True, retry_s: float = 0.05, folders: dict[Any, Path] | None = None, **settings: Any
     ) -> WebServer:
         config = WebConfig(**{"listen": "127.0.0.1:0", **settings})
-        about = About("veh1", "corridor", lambda: ["mark", "wait"])
+        about = About("veh1", "corridor", lambda: ["mark", "wait"], ("corridor", "contour_lm", "imle"))
         opened.append(WebServer(config, about, store, desk.answer, TOKEN, folders, retry_s))
         opened[-1].start()
         assert not wait or opened[-1].wait_served(TIMEOUT_S)

@@ -82,6 +82,7 @@ def test_a_new_browser_is_told_all_of_it(serve, store):
             server.put(message)
         async with client.socket() as socket:
             hello = await client.next(socket, "hello")
+            assert hello["profiles"] == ["corridor", "contour_lm", "imle"]
             assert (hello["vehicle"], hello["profile"], hello["verbs"]) == (
                 "veh1",
                 "corridor",

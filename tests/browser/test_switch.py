@@ -1,0 +1,112 @@
+"""Another profile, and another map, by the buttons of the page."""
+
+import json
+
+from service.encoding import Status, encode_diagnostics
+from service.mapstore.files import save_map
+from service.publishing.commands import Answer
+from tests.browser.conftest import PHONE
+from tests.browser.scene import stamp
+from tests.browser.test_page import asked, serious_faults
+from tests.service.sinks.test_map_saver import tile
+from tests.service.web.conftest import TOKEN
+
+VERBS = "['switch_profile', 'load_map']"
+
+
+def open_control(page):
+    page.run(
+        f"corridor.connection.on.hello({{run_id: '', vehicle: 'v', verbs: {VERBS}, profile: 'corridor',"
+        " profiles: ['corridor', 'contour_lm', 'imle']})"
+    )
+    page.choose("control")
+
+
+def options(page):
+    return page.run("return [...document.getElementById('profile').options].map((option) => option.value)")
+
+
+def told(profile):
+    return encode_diagnostics(
+        "diagnostics",
+        [Status("mapping", 0, "ok", {"state": "ok", "profile": profile})],
+        stamp(2.0),
+        stamp(2.0),
+    )
+
+
+def test_a_profile_is_chosen_confirmed_and_asked_for_until_it_maps(page, live, desk, monkeypatch):
+    answers = [
+        {"ok": False, "error": "taken up, but not finished within 8 s; health tells how things stand"},
+        {"ok": True, "folder_before": "/maps/a"},
+    ]
+
+    def answer(verb, payload):
+        desk.asked.append((verb, payload))
+        return Answer(True, json.dumps(answers.pop(0)).encode())
+
+    monkeypatch.setattr(live, "_answer", answer)
+    open_control(page)
+    assert options(page) == ["contour_lm", "imle"]  # not the one that maps
+    page.run(
+        "const s = document.getElementById('profile'); s.value = 'imle'; s.dispatchEvent(new Event('change'))"
+    )
+    assert "keeps the map on disk" in page.text("control")
+    page.element("do-switch_profile").click()
+    page.element("confirm-no").click()
+    page.wait_for("return !document.getElementById('confirm').open")
+    assert desk.asked == []
+    page.element("do-switch_profile").click()
+    assert "begins a new, empty map" in page.text("confirm-text")
+    page.element("confirm-yes").click()
+    page.wait_for_text("notices", "imle maps now; the map before is in /maps/a.")
+    (first, request), second = asked(desk)
+    assert (first, request["profile"]) == ("switch_profile", "imle")
+    assert second == (first, request)  # with the same id, so that it is not done twice
+    live.put(told("imle"))
+    page.wait_for("return document.getElementById('profile').options[0].value === 'corridor'")
+    assert options(page) == ["corridor", "contour_lm"]
+
+
+def test_why_a_profile_is_refused_is_said(page, live, monkeypatch):
+    words = "this session is localised in a stored map"
+    refused = json.dumps({"ok": False, "error": words}).encode()
+    monkeypatch.setattr(live, "_answer", lambda verb, payload: Answer(False, refused))
+    open_control(page)
+    page.element("do-switch_profile").click()
+    page.element("confirm-yes").click()
+    page.wait_for_text("notices", f"Switch profile: {words}.")
+    page.wait_for("return !document.getElementById('do-switch_profile').disabled")
+
+
+def test_without_the_token_and_without_the_verb_nothing_is_switched(page, serve, scene):
+    server = serve()
+    for message in scene.messages(1.0):
+        server.put(message)
+    page.open(server.address)
+    open_control(page)
+    assert not page.element("do-switch_profile").is_enabled()
+    page.run("corridor.connection.on.verbs({verbs: ['mark']})")
+    assert not page.element("do-switch_profile").is_displayed()
+
+
+def test_a_stored_map_is_loaded(page, serve, desk, tmp_path):
+    save_map(tmp_path / "office", [tile(1)], 1)
+    page.open(serve(folders={"session": tmp_path / "none", "map": tmp_path}).address, TOKEN)
+    page.wait_for("return corridor.report().mayControl")
+    page.run(f"corridor.connection.on.verbs({{verbs: {VERBS}}})")
+    page.choose("resources")
+    page.wait_for_text("resources", "office")
+    page.driver.find_element("css selector", '[aria-label="Load\u2026 office"]').click()
+    assert "lost until it is found" in page.text("confirm-text")
+    page.element("confirm-yes").click()
+    page.wait_for_text("notices", "office is loaded.")
+    assert asked(desk) == [("load_map", {"map": "office"})]
+
+
+def test_the_card_fits_a_phone_and_passes_axe(page, live, axe):
+    page.resize(PHONE)
+    open_control(page)
+    assert page.run("return document.documentElement.scrollWidth") <= PHONE[0]
+    page.run(axe)
+    assert serious_faults(page) == []
