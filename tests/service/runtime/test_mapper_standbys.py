@@ -4,7 +4,7 @@ import logging
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,7 +13,7 @@ import pytest
 from service.geometry.se2 import SE2
 from service.runtime.channel import Channel, ChannelClosedError
 from service.runtime.mapper_link import MapperLink
-from service.runtime.mapper_messages import Go, Hello, Item, MakeStandby, Ready, Setup, TilesItem
+from service.runtime.mapper_messages import CanCopy, Go, Hello, Item, MakeStandby, Ready, Setup, TilesItem
 from tests.service.runtime.test_mapper_link import Heard
 
 TIMEOUT_S = 10.0
@@ -85,9 +85,13 @@ def standby(link: MapperLink, pid: int, number: int, of_pid: int) -> Acted:
 
 
 def until_standby(link: MapperLink, pid: int) -> None:
+    until(lambda: link.standby_pid == pid, f"stand-by is not {pid}")
+
+
+def until(what: Callable[[], bool], words: str) -> None:
     pause, deadline_s = threading.Event(), time.monotonic() + TIMEOUT_S
-    while link.standby_pid != pid:
-        assert time.monotonic() < deadline_s, f"stand-by is {link.standby_pid}, expected {pid}"
+    while not what():
+        assert time.monotonic() < deadline_s, f"after {TIMEOUT_S} s the {words}"
         pause.wait(0.01)
 
 
@@ -148,3 +152,27 @@ def test_the_connection_to_a_mapper_that_takes_nothing_any_more_is_closed(
     second.until(2)
     assert second.numbers() == [1]
     assert ours.fileno() == -1
+
+
+def test_a_copy_that_would_need_items_from_before_they_were_kept_again_is_sent_away(link: MapperLink):
+    """A profile without stand-bys has mapped for a while: its items are not kept."""
+    mapper = first_mapper(link)
+    submit(link, 2)
+    mapper.until(3)
+    before = standby(link, SECOND, 1, of_pid=FIRST)
+    until_standby(link, SECOND)
+    mapper.say(CanCopy(False))
+    assert is_sent_away(before)  # it knows nothing of the other profile
+    submit(link, 3)
+    mapper.until(6)
+    assert not link._kept
+    mapper.say(CanCopy(True))
+    until(lambda: link._keeps_items, "items are not kept")
+    late = standby(link, LATE, 4, of_pid=FIRST)
+    assert is_sent_away(late)
+    submit(link, 2)
+    third = standby(link, THIRD, 5, of_pid=FIRST)
+    until_standby(link, THIRD)
+    mapper.channel.close()
+    third.until(3)
+    assert third.numbers() == [6, 7]
