@@ -11,7 +11,7 @@ from service.geometry.se2 import SE2
 from service.mapper.components import MapChange, Match, Overlap, Points
 from service.mapper.judgement import JudgementConfig
 from service.mapper.maps.known_ground import KnownGround
-from service.mapper.matchers.judged import ANEW_M, JudgedMatching, Laid
+from service.mapper.matchers.judged import ANEW_M, UNCONFIRMED, JudgedMatching, Laid
 from tests.service.mapper.maps.points import points_of, square
 
 ORIGIN = SE2()
@@ -126,6 +126,19 @@ def test_finds_that_do_not_agree_are_not_believed(room: Ground) -> None:
     told = Told(finds=[SE2(0.0, 0.0, math.pi / 2), SE2(), SE2(0.0, 0.0, -math.pi / 2)])  # it is a square
     for k in range(3):
         assert matching.match(at(square(), 1.0 + k), away, room, told).state == "lost"
+
+
+@pytest.mark.parametrize(("turned_rad", "state"), [(0.0, "ok"), (math.pi / 2, "lost")])  # it is a square
+def test_after_lost_scans_two_have_to_agree_where_the_prediction_says_little(
+    room: Ground, turned_rad: float, state: str
+) -> None:
+    matching, told = JudgedMatching(JudgementConfig()), Told()
+    here = replace(predicted(SE2()), local_covariance=np.diag([0.8**2, 0.8**2, 1.0**2]))
+    assert matching.match(at(points_of(square().xy_base[:7]), 1.0), here, room, told).state == "lost"
+    first = matching.match(at(square(), 1.1), here, room, told)
+    assert (first.state, first.reason, first.measured) == ("lost", UNCONFIRMED, None)
+    told.off = SE2(0.0, 0.0, turned_rad)
+    assert matching.match(at(square(), 1.2), here, room, told).state == state
 
 
 def test_a_search_in_vain_makes_the_next_twice_as_wide(room: Ground) -> None:
