@@ -27,7 +27,9 @@ from service.recording.mcap_recovery import Leftovers
 
 log = logging.getLogger(__name__)
 
-SYNC_PERIOD_S = 0.9  # with the flush and the sync themselves, less than a second is at risk
+SYNC_PERIOD_S = 0.85  # with a batch, the flush and the sync themselves, less than a second is at risk
+BATCH_S = 0.05  # the thread wakes so often, not for each message: a wake-up costs more than the writing
+BATCH_BYTES = 1 << 20  # and at once where so much waits
 QUEUE_MESSAGES, QUEUE_BYTES = 20_000, 64 << 20  # a disk may stall for a minute before scans are lost
 RAW_SUFFIX, RAW_SHARE = "/raw", 0.5  # of the queue: bytes as they came never push out the frames made of them
 EVENTS = "events"
@@ -123,10 +125,12 @@ class McapRecorder:
         self._open_stream = open_stream
         self._free_bytes_of = free_bytes_of
         self._monotonic_s = monotonic_s
-        self._wake = threading.Condition()  # guards the queue, its size, stopping and health.dropped
+        self._wake = threading.Condition()  # of what follows, and of health.dropped
         self._queue: deque[_Item] = deque()
         self._queue_bytes = 0
+        self._is_asked = False  # a session is to begin or to end
         self._stopping = False
+
         self._thread = threading.Thread(target=self._run, name="recording-writer", daemon=True)
         self._leftovers: Leftovers | None = None
         self._file: McapFile | None = None
@@ -176,13 +180,13 @@ class McapRecorder:
                 return
             self._queue.append(message)
             self._queue_bytes += len(message.payload)
-            self._wake.notify()
+            if self._queue_bytes >= BATCH_BYTES:
+                self._wake.notify()
 
     def put_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write metadata now (a step of the clock, say) and into every later file; the last one wins."""
         with self._wake:
             self._queue.append(_Metadata(name, dict(values)))
-            self._wake.notify()
 
     def begin_session(self, first: Message, heard: SessionHeard) -> None:
         """Record again, into a new file that opens with metadata, latched messages and `first`.
@@ -217,6 +221,7 @@ class McapRecorder:
         with self._wake:
             if not self._stopping:
                 self._queue.append(request)
+                self._is_asked = True
                 self._wake.notify()
                 return
         request.heard(SessionChange(False, [], "the recorder is being stopped"))
@@ -224,9 +229,9 @@ class McapRecorder:
     def _run(self) -> None:
         while True:
             with self._wake:
-                if not self._queue and not self._stopping:
-                    self._wake.wait(max(self._sync_at_s - self._monotonic_s(), 0.01))
+                self._wake.wait_for(self._is_due, BATCH_S)
                 batch, self._queue, self._queue_bytes = self._queue, deque(), 0
+                self._is_asked = False
                 stopping = self._stopping
             for item in batch:
                 self._take(item)
@@ -236,6 +241,9 @@ class McapRecorder:
                 self._close()
                 self.health.state = "finished"
                 return
+
+    def _is_due(self) -> bool:
+        return self._stopping or self._is_asked or self._queue_bytes >= BATCH_BYTES
 
     def _take(self, item: _Item) -> None:
         match item:
