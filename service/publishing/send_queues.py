@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from service.encoding import Message
 from service.outputs import TileUpdate
 
+BATCH_S = 0.01  # messages of the stream go out so often: each wake-up of a thread takes processor from a scan
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sending:
@@ -20,12 +22,14 @@ class Sending:
 
 
 class StreamQueue:
-    """Any thread puts and never waits; one thread takes."""
+    """Any thread puts and never waits; one thread takes, a batch each batch_s."""
 
-    def __init__(self, capacity: int) -> None:
+    def __init__(self, capacity: int, batch_s: float = BATCH_S) -> None:
         self._capacity = capacity
+        self._batch_s = batch_s
         self._wake = threading.Condition()
         self._waiting: deque[Sending] = deque()
+        self._is_idle = False  # the taker waits for a first message
         self._closed = False
         self._dropped: Counter[str] = Counter()
 
@@ -37,14 +41,18 @@ class StreamQueue:
             if len(self._waiting) >= self._capacity:
                 self._dropped[self._waiting.popleft().message.channel] += 1
             self._waiting.append(sending)
-            self._wake.notify()
+            if self._is_idle:
+                self._wake.notify()
 
-    def take(self) -> Sending | None:
-        """The oldest; waits for one. None when the queue is closed and empty."""
+    def take(self) -> list[Sending]:
+        """All that wait, oldest first; waits for one, and batch_s. Empty when closed and nothing is left."""
         with self._wake:
-            while not self._waiting and not self._closed:
-                self._wake.wait()
-            return self._waiting.popleft() if self._waiting else None
+            self._wake.wait_for(lambda: self._closed, self._batch_s)
+            self._is_idle = True
+            self._wake.wait_for(lambda: self._waiting or self._closed)
+            self._is_idle = False
+            batch, self._waiting = list(self._waiting), deque()
+            return batch
 
     def close(self) -> None:
         with self._wake:

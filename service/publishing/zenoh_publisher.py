@@ -1,7 +1,8 @@
 """Publishes messages and the map on Zenoh. The mapper and the drivers never wait for it.
 
-Two threads send: one the stream (scans, poses, odometry), one the bulk (tiles, the whole map, states). Who
-comes late asks: tiles, map, map/meta, pose, tf_static and health are answered by get.
+Poses are sent by the thread that puts them. Two threads send the rest: one the stream (scans, samples), 10 ms
+late at most, one the bulk (tiles, the whole map, states). Who comes late asks: tiles, map, map/meta, pose,
+tf_static and health are answered by get.
 """
 
 import logging
@@ -34,6 +35,7 @@ TILE_PERIOD_S = 0.2  # a tile is sent at most so often: the newest counts, not e
 PICTURE_PERIOD_S = 1.0
 CLOSE_TIMEOUT_S = 5.0
 
+POSES = ("pose", "odom", "tf")  # sent by who puts them: a thread between would cost them its wake-up
 STATES = ("tf_static", "health", "graph")  # newest counts; cached for late joiners
 PICTURES = ("map", "map/meta")  # made here, when somebody listens or asks
 ANSWERED = ("pose", *STATES)  # the last one sent is the answer to a get
@@ -104,8 +106,13 @@ class ZenohPublisher:
         self.close()
 
     def put(self, message: Message, origin_ns: int | None = None) -> None:
-        """Hand over a message; never waits. A full queue drops its oldest, counted."""
-        if message.channel in STATES:
+        """Send a pose, hand over any other message. A full queue drops its oldest, counted.
+
+        Never waits, but for 1 ms at most with a pose while a subscriber does not read: then Zenoh drops it.
+        """
+        if message.channel in POSES and not self._closed:
+            self._send_now(Sending(message, origin_ns))
+        elif message.channel in STATES:
             self._bulk.put(message)
         else:
             self._stream.put(Sending(message, origin_ns))
@@ -186,10 +193,14 @@ class ZenohPublisher:
             log.error("Zenoh does not close: %s", error)
 
     def _send_stream(self) -> None:
-        while (sending := self._stream.take()) is not None:
-            self._try(sending.message.channel, partial(self._send, sending.message))
-            if sending.origin_ns is not None and self._on_latency is not None:
-                self._on_latency(time.monotonic_ns() - sending.origin_ns)
+        while batch := self._stream.take():
+            for sending in batch:
+                self._send_now(sending)
+
+    def _send_now(self, sending: Sending) -> None:
+        self._try(sending.message.channel, partial(self._send, sending.message))
+        if sending.origin_ns is not None and self._on_latency is not None:
+            self._on_latency(time.monotonic_ns() - sending.origin_ns)
 
     def _send_bulk(self) -> None:
         while (bulk := self._bulk.take()) is not None:

@@ -16,16 +16,25 @@ def test_a_stream_keeps_order_and_lets_the_oldest_go_counted_by_channel():
         queue.put(Sending(message(channel, number), None))
     assert queue.dropped() == {"front/scan": 1, "pose": 1}
     queue.close()
-    assert [queue.take().message.stamp_ns for _ in range(3)] == [2, 3, 4]
-    assert queue.take() is None
+    assert [sending.message.stamp_ns for sending in queue.take()] == [2, 3, 4]
+    assert queue.take() == []
 
 
 def test_what_comes_after_the_close_is_dropped_and_counted():
     queue = StreamQueue(3)
     queue.close()
     queue.put(Sending(message("pose"), None))
-    assert queue.take() is None
+    assert queue.take() == []
     assert queue.dropped() == {"pose": 1}
+
+
+def test_what_comes_soon_after_another_goes_with_it():
+    queue = StreamQueue(3, batch_s=0.5)
+    queue.put(Sending(message("front/scan", 1), None))
+    later = threading.Timer(0.002, queue.put, [Sending(message("imu/imu", 2), None)])
+    later.start()
+    assert [sending.message.stamp_ns for sending in queue.take()] == [1, 2]
+    later.join()
 
 
 def test_bulk_keeps_the_newest_of_each_thing():
@@ -73,10 +82,10 @@ def test_a_closed_bulk_queue_gives_out_what_is_left_at_once():
 
 
 def test_closing_wakes_who_waits():
-    for queue in (StreamQueue(3), BulkQueue(1.0, 1.0)):
+    for queue, nothing in ((StreamQueue(3), []), (BulkQueue(1.0, 1.0), None)):
         taken = []
         waiter = threading.Thread(target=lambda queue=queue, taken=taken: taken.append(queue.take()))
         waiter.start()
         queue.close()
         waiter.join(timeout=5.0)
-        assert taken == [None]
+        assert taken == [nothing]
