@@ -56,19 +56,21 @@ class Channel:
         """What the other side has not taken yet."""
         return len(self._waiting)
 
-    def send(self, message: Any) -> None:
+    def send(self, *messages: Any) -> None:
         """Never waits. Raises ChannelClosedError, also where the other side has long stopped to read."""
-        body = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
+        parts = []
+        for message in messages:
+            body = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
+            parts += [_SIZE.pack(len(body)), body]
         with self._lock:
             if len(self._waiting) > MOST_WAITING_BYTES:
                 raise ChannelClosedError(f"{len(self._waiting)} bytes wait; the other side stands still")
             if self._waiting:
-                self._waiting += _SIZE.pack(len(body)) + body
+                self._waiting += b"".join(parts)
                 self._flush()
                 return
-            parts = [_SIZE.pack(len(body)), body]
             sent = self._write(parts)
-            if sent < _SIZE.size + len(body):
+            if sent < sum(map(len, parts)):
                 self._waiting += b"".join(parts)[sent:]
 
     def flush(self) -> bool:

@@ -2,9 +2,10 @@
 
     readers --submit--> socket --> mapper's process --> socket --> thread here --> recorder, publisher, tiles
 
-Nothing here makes a reader wait: what the mapper does not take at once waits in the channel. A thread of its
-own listens. When the mapper dies, or stands still, the newest stand-by gets the items after its own last one
-again, which are kept here until a newer stand-by has them.
+Nothing here makes a reader wait: what the mapper does not take at once waits in the channel. Samples go with
+the next scan: without one nothing comes of them, and each wake-up of the mapper takes processor time from a
+scan. A thread of its own listens. When the mapper dies, or stands still, the newest stand-by gets the items
+after its own last one again, which are kept here until a newer stand-by has them.
 """
 
 import logging
@@ -47,6 +48,7 @@ from service.runtime.mapper_messages import (
     Status,
     Tiles,
     Unusable,
+    is_sample,
 )
 
 log = logging.getLogger(__name__)
@@ -56,6 +58,8 @@ MODULE = "service.runtime.mapper_process"
 STUCK_S = 10.0  # items wait, and the mapper has said nothing for so long: it is ended
 MOST_KEPT = 60_000  # items; minutes of three lasers, while a stand-by comes every few seconds
 MOST_DEATHS = 4  # without an item done in between: then the service ends with an error
+HOLD_NS = 25_000_000  # that a sample may wait for the scan that it goes to the mapper with
+MOST_HELD = 64  # samples; then they go without one
 STANDBY_S = 5.0  # that a stand-by which has just been made may take to come here
 END_S = 2.0
 
@@ -98,6 +102,7 @@ class MapperLink:
         self._given_up: list[Channel] = []  # active ones that take nothing any more, until they are closed
         self._kept: deque[Item] = deque()  # those after the stand-by's last
         self._keeps_items = True  # as long as there may be a stand-by that needs them
+        self._held: list[FrameItem] = []  # samples that go with the next scan; no scan, no use of them
         self._number = 0  # of the last item submitted
         self._answers: dict[int, Callable[[Answer], None]] = {}
 
@@ -177,8 +182,14 @@ class MapperLink:
                 self._kept.append(item)
             if answered is not None:
                 self._answers[item.number] = answered
-            if self._active is not None and self._ready.is_set():
-                self._send(item)
+            if self._active is None or not self._ready.is_set():
+                return
+            if is_sample(item):
+                self._held.append(item)
+                if item.arrived_ns - self._held[0].arrived_ns > HOLD_NS or len(self._held) > MOST_HELD:
+                    self._send_held()
+            else:
+                self._send_held(item)
 
     def run(self) -> None:
         """Listen until `close`. Raises MapperLostError."""
@@ -198,14 +209,18 @@ class MapperLink:
         with self._lock:
             self._is_finishing = True
             if self._active is not None:
-                self._send(Finish())
+                self._send_held(Finish())
         return self._finished.wait(timeout_s)
 
-    def _send(self, message: Any) -> None:
+    def _send_held(self, *messages: Any) -> None:
+        held, self._held = self._held, []
+        self._send(*held, *messages)
+
+    def _send(self, *messages: Any) -> None:
         """Under the lock, to the active mapper. One that is gone is left to the thread of `run`."""
         assert self._active is not None
         try:
-            self._active.send(message)
+            self._active.send(*messages)
         except ChannelClosedError:
             self._given_up.append(self._active)  # open still: that thread may be waiting for it
             self._active = None
@@ -356,6 +371,9 @@ class MapperLink:
             self._take_over()
         elif self._active is None and self._ready.is_set() and not self._finished.is_set():
             self._lost("closed its connection")
+        with self._lock:
+            if self._held and time.monotonic_ns() - self._held[0].arrived_ns > HOLD_NS:
+                self._send_held()
         silent_s = time.monotonic() - self._heard_s
         is_mapping = self._active is not None and self._ready.is_set() and not self._finished.is_set()
         if is_mapping and self.waiting and silent_s > STUCK_S:
@@ -417,6 +435,7 @@ class MapperLink:
         self._listener.taken_over(how)
         with self._lock:
             self._active, self._pid, self._heard_s = channel, hello.pid, time.monotonic()
+            self._held.clear()  # they are among those kept
             for message in (
                 Go(self._done_number, decisions),
                 *self._kept,

@@ -7,9 +7,9 @@ needs to go the same way again.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard
 
-from service.encoding import Message
+from service.encoding import LASER_SCAN, Message
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapper.mapping_session import SessionAction
@@ -25,6 +25,11 @@ class FrameItem(NamedTuple):
     sensor: str
     type: str
     payload: bytes
+
+
+def is_sample(item: "Item") -> TypeGuard[FrameItem]:
+    """Whether it only says how the vehicle moves: without a scan after it nothing comes of it."""
+    return isinstance(item, FrameItem) and item.type != LASER_SCAN
 
 
 class SessionItem(NamedTuple):

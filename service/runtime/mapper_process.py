@@ -45,6 +45,7 @@ from service.runtime.mapper_messages import (
     Progress,
     Ready,
     Setup,
+    is_sample,
 )
 from service.runtime.mapping import MapperError, MappingLoop
 
@@ -54,6 +55,7 @@ IDLE_S = 0.2  # how long to wait for an item before the loop looks after tiles a
 COPY_INTERVAL_S = 4.0  # from one stand-by to the next, while items come
 COPY_OVERDUE_S = 12.0  # then a stand-by is made though items wait
 CONNECT_S = 10.0
+MOST_AT_ONCE = 100  # samples taken without a look at what else there is to do
 
 
 class MapperProcess:
@@ -112,8 +114,7 @@ class MapperProcess:
         try:
             while self._items or not self._is_finishing:
                 self._hear(0.0 if self._items else IDLE_S)
-                if self._items:
-                    self._loop.take(self._items.popleft())
+                self._take_up_to_scan()
                 if self._can_copy != self._told_can_copy:
                     self._told_can_copy = self._can_copy
                     self._send(CanCopy(self._can_copy))
@@ -127,6 +128,15 @@ class MapperProcess:
             self._say_last(Failed(error.number, str(error)))
         finally:
             self._back_end.stop()
+
+    def _take_up_to_scan(self) -> None:
+        for _ in range(MOST_AT_ONCE):
+            if not self._items:
+                return
+            item = self._items.popleft()
+            self._loop.take(item)
+            if not is_sample(item):
+                return
 
     def _hear(self, timeout_s: float) -> None:
         ends = [self._channel]

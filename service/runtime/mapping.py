@@ -33,6 +33,7 @@ from service.runtime.mapper_messages import (
     SwitchItem,
     Tiles,
     Unusable,
+    is_sample,
 )
 
 TILE_INTERVAL_NS = 200_000_000
@@ -199,6 +200,8 @@ class MappingLoop:
     def _apply_results_before(self, item: Item) -> None:
         for _ in range(self._decided.applied.get(item.number, 0)):
             self.mapper.apply_result()
+        if is_sample(item):
+            return  # a scan comes soon
         if item.number > self._done_number and self.mapper.work_ready:
             self.mapper.apply_result()
             self._send(ResultApplied(item.number, item.log_ns, self.mapper.graph_fault))

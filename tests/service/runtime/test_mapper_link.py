@@ -3,6 +3,7 @@
 import logging
 import os
 import signal
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,14 +13,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.frames import NO_INTENSITY, LaserScan
-from service.encoding import decode_pose, encode_frame
+from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
+from service.encoding import IMU, LASER_SCAN, ODOMETRY, decode_pose, encode_frame
 from service.geometry.se2 import SE2
 from service.mapper.profiles import build_mapper, mapping_config
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import save_map
 from service.outputs import TileUpdate
 from service.runtime import mapper_link
+from service.runtime.channel import Channel
 from service.runtime.mapper_link import MapperLink, MapperLostError
 from service.runtime.mapper_messages import (
     Answer,
@@ -70,6 +72,7 @@ class Drive:
         self.failure = ""
         self.thread = threading.Thread(target=self._run)
         self._scans = 0
+        self._has_wheels = False
 
     def start(self) -> "Drive":
         self.link.start()
@@ -81,11 +84,16 @@ class Drive:
         for _ in range(count):
             self._scans += 1
             stamp_ns = 10**9 + self._scans * PERIOD_NS
-            frame = _room(stamp_ns, 0.01 * self._scans, fatal)
-            message = encode_frame(frame, 0, stamp_ns)
-            number = self.link.next_number()
             arrived_ns = time.monotonic_ns() + 3600 * 10**9  # never too old, however slow this machine is
-            self.link.submit(FrameItem(number, stamp_ns, arrived_ns, "front", message.type, message.payload))
+            if self._has_wheels:
+                self._submit(_rolled(stamp_ns - 10, 0.01 * self._scans), arrived_ns)
+            self._submit(_room(stamp_ns, 0.01 * self._scans, fatal), arrived_ns)
+
+    def _submit(self, frame: Frame, arrived_ns: int) -> None:
+        message, number = encode_frame(frame, 0, frame.stamp_ns), self.link.next_number()
+        self.link.submit(
+            FrameItem(number, frame.stamp_ns, arrived_ns, frame.sensor, message.type, message.payload)
+        )
 
     def load(self, folder: Path, version: int) -> list[Answer]:
         """Where the answer will be."""
@@ -139,6 +147,10 @@ def _room(stamp_ns: int, x_m: float, fatal: bool) -> LaserScan:
     return LaserScan("front", *times, float(angle[0]), np.deg2rad(1.0), 0.05, 30.0, range_m, NO_INTENSITY)
 
 
+def _rolled(stamp_ns: int, x_m: float) -> OdometrySample:
+    return OdometrySample("base", stamp_ns, stamp_ns, x_m, 0.0, 0.0, (0.5, 0.0, 0.0), (0.0,) * 9)
+
+
 @pytest.fixture
 def drive() -> Iterator[Drive]:
     drive = Drive()
@@ -146,8 +158,11 @@ def drive() -> Iterator[Drive]:
     drive.stop()
 
 
-def test_a_mapper_that_is_killed_again_and_again_gives_the_poses_of_one_that_is_not(drive: Drive):
+def test_a_mapper_that_is_killed_again_and_again_gives_the_poses_of_one_that_is_not(
+    drive: Drive,
+):
     undisturbed = Drive()
+    undisturbed._has_wheels = drive._has_wheels = True
     try:
         undisturbed.start().scan(60)
         undisturbed.until_mapped()
@@ -179,6 +194,21 @@ def test_a_new_stand_by_comes_by_itself_and_the_items_that_it_has_are_forgotten(
     os.kill(first, signal.SIGKILL)
     drive.until(lambda: drive.link.standby_pid not in (0, first))
     assert not drive.heard.takeovers
+
+
+def test_samples_go_with_the_next_scan_and_soon_without_one(drive: Drive):
+    ours, theirs = map(Channel, socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM))
+    drive.link._active = ours
+    drive.link._ready.set()
+
+    def submit(number: int, type_name: str, arrived_ms: int) -> list[int]:
+        """Numbers of the items that go out by that."""
+        drive.link.submit(FrameItem(number, number, arrived_ms * 1_000_000, "any", type_name, b""))
+        return [item.number for item in theirs.receive()]
+
+    assert [submit(1, ODOMETRY, 0), submit(2, IMU, 5), submit(3, LASER_SCAN, 10)] == [[], [], [1, 2, 3]]
+    assert [submit(4, IMU, 20), submit(5, IMU, 45), submit(6, IMU, 46)] == [[], [], [4, 5, 6]]
+    theirs.close()
 
 
 def test_tiles_after_a_takeover_hold_the_whole_map(drive: Drive):

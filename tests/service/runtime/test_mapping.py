@@ -422,10 +422,10 @@ def test_a_result_of_the_graph_is_applied_between_two_frames_and_the_recording_s
     mapper = FakeMapper(graph=GraphAtWork())
     run = Run(mapper).put(*FRAMES)
     run.link.finish()
-    assert mapper.eaten[0] == "apply_result"
+    assert [eaten == "apply_result" for eaten in mapper.eaten] == [False, True, False, False]
     (event,) = [m for m in run.recorded if m.channel == "events"]
     assert decode_step(event.payload, event.log_ns) == ApplyResult(event.log_ns)
-    assert event.log_ns - OFFSET_NS == 29  # right before the sample of 30
+    assert event.log_ns - OFFSET_NS == 31  # right before the scan, which came after the sample of 30
     assert mapper.finished
 
 
