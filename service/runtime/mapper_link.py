@@ -356,15 +356,15 @@ class MapperLink:
 
     def _keep_items(self, for_standby: bool) -> None:
         """From now on, or not any more. A stand-by that would need an item from before is refused."""
-        if not for_standby and self._standby is not None:
-            self._standby[0].close()  # it would map on with the profile before
-            self._standby = None
         with self._lock:
             self._keeps_items = for_standby
             if for_standby:
                 self._forgotten_number = self._number
             else:
                 self._kept.clear()
+        if not for_standby and self._standby is not None:
+            self._standby[0].close()  # it would map on with the profile before
+            self._standby = None
 
     def _watch(self) -> None:
         if self._orphaned is not None:
