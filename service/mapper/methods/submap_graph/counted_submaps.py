@@ -13,6 +13,7 @@ from service.kernels.likelihood import LikelihoodField
 from service.kernels.surfels import TILE_BITS, TILE_CELLS
 from service.mapper.components import MapChange, Match, Overlap, Points
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
+from service.mapper.methods.submap_graph.key_scan import DrawnScan, KeyScan
 
 SAME_WALL_M = 0.10  # a return so near to a wall lies on it
 POOL_TILES = 131_072  # 1.3 GB of address space; only what is seen costs memory
@@ -44,16 +45,6 @@ class CountedSubmapsConfig(BaseModel):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KeyScan:
-    """A scan that was drawn."""
-
-    stamp_ns: int
-    xy_base: npt.NDArray[np.float32]  # (N, 2) m, in beam order
-    sensor_xy_m: tuple[float, float]  # in the base frame
-    angle_step_rad: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class ClosedSubmap:
     """A sub-map that is done: the way of the best particle, and the scans it drew. Can be pickled.
 
@@ -65,7 +56,7 @@ class ClosedSubmap:
 
     number: int
     carried: int
-    scans: tuple[KeyScan, ...]
+    scans: tuple[DrawnScan, ...]
     track: npt.NDArray[np.float64]
     config: CountedSubmapsConfig
 

@@ -37,10 +37,14 @@ from service.mapper.methods.submap_graph.graph.submap_realignment import (
     align_cloud,
     cloud_of,
 )
+from service.mapper.methods.submap_graph.key_scan import DrawnScan, KeptScan
 from service.outputs import GraphPicture
 
 SURFEL_POINTS = 2000  # of a sub-map, laid on the surfels of another
 MOST_WALLS = 8  # sub-maps whose walls are kept: they take two to four times as much as all their scans
+
+
+Ints = npt.NDArray[np.int64]
 
 
 class LandmarkGraphConfig(BaseModel):
@@ -117,7 +121,7 @@ class Result:
 
 @dataclass(slots=True, eq=False)
 class _Submap:
-    closed: ClosedSubmap  # laid anew
+    closed: ClosedSubmap  # laid anew, of kept scans
     end_odom: Floats  # (3,) of its last scan, as the particle drew it
     begin_m: float  # way driven before it
     border: Floats  # (4, 2) corners around its walls, as it was drawn
@@ -196,11 +200,11 @@ class LandmarkBackEnd:
     def _add(self, closed: ClosedSubmap) -> bool:
         """Take in a sub-map; whether landmarks were found in others."""
         begin_m = self.way_m[-1] if self.way_m else 0.0
-        if closed.carried:  # the very scans of the sub-map before: kept once
-            carried = self.submaps[-1].closed.scans[-closed.carried :]
-            closed = replace(closed, scans=carried + closed.scans[closed.carried :])
         laid = self.realignment.realign(closed)
-        submap = _Submap(laid, closed.track[-1], begin_m, _corners(laid))
+        scans: tuple[DrawnScan, ...] = tuple(KeptScan.of(scan) for scan in closed.scans[closed.carried :])
+        if closed.carried:  # the very scans of the sub-map before: kept once
+            scans = self.submaps[-1].closed.scans[-closed.carried :] + scans
+        submap = _Submap(replace(laid, scans=scans), closed.track[-1], begin_m, _corners(laid))
         self.submaps.append(submap)
         for pose in laid.track[submap.own]:
             away_m = math.dist(pose[:2], self.drawn[-1][:2]) if self.drawn else 0.0
@@ -385,14 +389,13 @@ class LandmarkBackEnd:
 
     def _key_poses(self) -> tuple[npt.NDArray[np.int64], Floats]:
         """Stamps and map poses of all key scans: bent along between the track points on both sides."""
-        stamps, poses = [], []
-        map_nodes, odom_nodes = np.array(self.poses), np.array(self.drawn)
-        for submap in self.submaps:
-            own = submap.closed.scans[submap.own], submap.closed.track[submap.own]
-            for scan, pose, node in zip(*own, submap.behind, strict=True):
-                stamps.append(scan.stamp_ns)
-                poses.append(_bent(map_nodes, odom_nodes, node, min(node + 1, len(odom_nodes) - 1), pose))
-        return np.array(stamps, np.int64), np.array(poses).reshape(-1, 3)
+        closed = [submap.closed for submap in self.submaps]
+        stamps = [scan.stamp_ns for one in closed for scan in one.scans[one.carried :]]
+        drawn = np.concatenate([one.track[one.carried :] for one in closed])
+        before = np.array([node for submap in self.submaps for node in submap.behind], np.int64)
+        after = np.minimum(before + 1, len(self.drawn) - 1)
+        poses = _bent(np.array(self.poses), np.array(self.drawn), before, after, drawn)
+        return np.array(stamps, np.int64), poses
 
     def _result(self, fault: str, is_last: bool) -> Result:
         if not self.submaps:
@@ -468,12 +471,12 @@ def _corners(closed: ClosedSubmap) -> Floats:
     return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
 
 
-def _bent(map_nodes: Floats, odom_nodes: Floats, a: int, b: int, pose: Floats) -> Floats:
-    """A pose between two track points, moved by what both were moved, weighed by the way to each."""
-    ends = [se2.compose(map_nodes[k], se2.between(odom_nodes[k], pose)) for k in (a, b)]
-    to_a, to_b = (math.dist(odom_nodes[k, :2], pose[:2]) for k in (a, b))
-    share = to_a / (to_a + to_b) if to_a + to_b > 0.0 else 0.0
+def _bent(map_nodes: Floats, odom_nodes: Floats, a: Ints, b: Ints, poses: Floats) -> Floats:
+    """Poses (K, 3) between two track points each, moved by what both moved, weighed by the way to each."""
+    ends = [se2.compose(map_nodes[k], se2.between(odom_nodes[k], poses)) for k in (a, b)]
+    to_a, to_b = (np.hypot(*(odom_nodes[k, :2] - poses[:, :2]).T) for k in (a, b))
+    share = np.divide(to_a, to_a + to_b, out=np.zeros(len(poses)), where=to_a + to_b > 0.0)
     apart = ends[1] - ends[0]
-    apart[2] = se2.wrap(apart[2])
-    bent: Floats = ends[0] + share * apart
+    apart[:, 2] = se2.wrap(apart[:, 2])
+    bent: Floats = ends[0] + share[:, None] * apart
     return bent

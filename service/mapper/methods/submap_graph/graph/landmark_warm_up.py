@@ -3,7 +3,7 @@
 import numpy as np
 
 from service.mapper.graph.made_up_room import STEP_M, seen_from
-from service.mapper.methods.submap_graph.counted_submaps import ClosedSubmap, CountedSubmapsConfig, KeyScan
+from service.mapper.methods.submap_graph.counted_submaps import ClosedSubmap, CountedSubmapsConfig
 from service.mapper.methods.submap_graph.graph.landmark_back_end import (
     Batch,
     LandmarkBackEnd,
@@ -11,6 +11,7 @@ from service.mapper.methods.submap_graph.graph.landmark_back_end import (
     Result,
 )
 from service.mapper.methods.submap_graph.graph.submap_match import SubmapMatchConfig
+from service.mapper.methods.submap_graph.key_scan import KeyScan
 
 SCANS = 4  # a sub-map
 

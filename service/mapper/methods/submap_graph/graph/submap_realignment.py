@@ -13,7 +13,8 @@ from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.kernels.normals import estimate_normals
 from service.mapper.graph.point_clouds import Fit, PointCloud, SurfelSet, joined
-from service.mapper.methods.submap_graph.counted_submaps import ClosedSubmap, KeyScan
+from service.mapper.methods.submap_graph.counted_submaps import ClosedSubmap
+from service.mapper.methods.submap_graph.key_scan import DrawnScan
 
 # How sure the step of a particle is from key scan to key scan, m, m, rad. It says where a scan lies along
 # walls that say nothing.
@@ -56,7 +57,7 @@ class SubmapRealignment:
         return pose
 
 
-def cloud_of(scans: Sequence[KeyScan], track: Floats) -> PointCloud:
+def cloud_of(scans: Sequence[DrawnScan], track: Floats) -> PointCloud:
     """Scans with their poses (K, 3) as one cloud, in the frame of the poses."""
     return joined([_cloud(scan).transformed(pose) for scan, pose in zip(scans, track, strict=True)])
 
@@ -71,7 +72,7 @@ def align_cloud(cloud: PointCloud, surfels: SurfelSet, shift: Floats, most_point
     return fit, se2.compose(fit.pose, -middle)
 
 
-def _cloud(scan: KeyScan) -> PointCloud:
+def _cloud(scan: DrawnScan) -> PointCloud:
     xy = scan.xy_base.astype(np.float64)
     normals = np.zeros((len(xy), 3))
     estimate_normals(xy, np.array(scan.sensor_xy_m), scan.angle_step_rad, 0.01, 1.0, normals)

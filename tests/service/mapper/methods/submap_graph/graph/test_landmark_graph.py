@@ -17,7 +17,6 @@ from service.mapper.methods.submap_graph.counted_submaps import (
     ClosedSubmap,
     CountedChange,
     CountedSubmapsConfig,
-    KeyScan,
 )
 from service.mapper.methods.submap_graph.graph import landmark_back_end
 from service.mapper.methods.submap_graph.graph.landmark_back_end import (
@@ -29,6 +28,7 @@ from service.mapper.methods.submap_graph.graph.landmark_graph import LandmarkGra
 from service.mapper.methods.submap_graph.graph.landmark_warm_up import warm_up
 from service.mapper.methods.submap_graph.graph.submap_match import about_origin, draw_walls, find
 from service.mapper.methods.submap_graph.graph.submap_realignment import SubmapRealignment
+from service.mapper.methods.submap_graph.key_scan import KeyScan
 from tests.service.mapper.drives import ROOM, cast
 from tests.service.mapper.maps.points import points_of
 
