@@ -13,10 +13,9 @@ from drivers.frames import NO_INTENSITY, LaserScan, OdometrySample
 from service.encoding import encode_event, encode_frame, encode_tf_static
 from service.errors import ConfigError, InputError, StorageError
 from service.geometry.se2 import SE2
-from service.mapper.profiles import mapping_config
+from service.mapper.profiles import mapping_config, with_profile
 from service.offline.replay import (
     ReplayOptions,
-    _with_profile,
     group_sessions,
     replay,
     replay_all,
@@ -146,9 +145,11 @@ def test_a_second_laser_in_the_topic_of_the_first_is_refused_and_named(
 
 
 def test_another_profile_maps_the_same_laser():
-    mapping = mapping_config({"profile": "corridor", "lasers": ("rear",), "cell_m": 0.1})
-    other = _with_profile("corridor", mapping)
-    assert (other.lasers, other.cell_m) == (("rear",), 0.1)
+    outline_m = ((0.2, 0.2), (-0.2, 0.2), (0.0, -0.2))
+    mapping = mapping_config({"lasers": ("rear",), "cell_m": 0.1, "outline_m": outline_m})
+    other = with_profile("imle", mapping)
+    assert (other.profile, other.lasers, other.cell_m) == ("imle", ("rear",), 0.1)
+    assert other.outline_m == outline_m
 
 
 def test_a_config_that_does_not_know_the_lasers_maps_the_fullest(record_drive: RecordDrive, tmp_path: Path):
