@@ -15,6 +15,10 @@ class WorkLostError(Exception):
     """A piece of work will never be done; says why. Nothing that the back end knew can be had any more."""
 
 
+class BackEndDiedError(Exception):
+    """The process of the back end is gone, and a copy of this one has a copy of it: that one goes on."""
+
+
 class BackEnd(Protocol):
     """Plain state that can be pickled, as can batches and results. Draws no random numbers without a seed."""
 

@@ -10,10 +10,11 @@ import os
 import signal
 import socket
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from service.mapper.background import BackEnd, WorkLostError
+from service.mapper.background import BackEnd, BackEndDiedError, WorkLostError
 from service.runtime.channel import Channel, ChannelClosedError
 
 log = logging.getLogger(__name__)
@@ -52,14 +53,18 @@ class _Failed(NamedTuple):
 class BackEndProcess:
     """Does the work of one back end after the other; waits for nothing but `result`. Needs no thread.
 
-    The process begins with the first back end, so a profile without a graph has none. When it dies, that is
-    said once in the log, and all work from then on is lost; it ends when this process ends, however it ends.
+    The process begins with the first back end, so a profile without a graph has none. When it dies where
+    nothing can replace it, that is said once in the log, and all work from then on is lost; it ends when this
+    process ends, however it ends.
 
-    patience_s   how long result() of all its work may keep others waiting, taken together
+    patience_s       how long result() of all its work may keep others waiting, taken together
+    is_replaceable   whether a copy of this process could go on with a copy of the back end. Then every call
+                     but `stop` raises BackEndDiedError when it dies
     """
 
-    def __init__(self, patience_s: float) -> None:
+    def __init__(self, patience_s: float, is_replaceable: Callable[[], bool] = lambda: False) -> None:
         self.patience_s = self._left_s = patience_s
+        self._is_replaceable = is_replaceable
         self._channel: Channel | None = None
         self._listener: socket.socket | None = None  # of a stand-by, until its back end is needed
         self._submitted = 0
@@ -79,6 +84,10 @@ class BackEndProcess:
         """Whether answers are still to come."""
         self._receive(0.0)
         return self._answered < self._submitted and not self.fault
+
+    def look(self) -> None:
+        """Take in what it says; whether it is there at all shows by that."""
+        self._receive(0.0)
 
     def new_worker(self, back_end: BackEnd) -> "ProcessWorker":
         if self._channel is None and self._listener is None and not self.fault:
@@ -194,15 +203,22 @@ class BackEndProcess:
             self._died(error)
 
     def _died(self, error: ChannelClosedError) -> None:
-        self._give_up(f"the back end's process died ({error})")
+        fault = f"the back end's process died ({error})"
+        if not self.fault and self._is_replaceable():
+            self._shut(fault)
+            raise BackEndDiedError(fault) from error
+        self._give_up(fault)
 
     def _give_up(self, fault: str) -> None:
+        if not self.fault:
+            log.error("%s; mapping goes on without closing loops", fault)
+        self._shut(fault)
+
+    def _shut(self, fault: str) -> None:
         if self._channel is not None:
             self._channel.close()
             self._channel = None
-        if not self.fault:
-            self.fault = fault
-            log.error("%s; mapping goes on without closing loops", fault)
+        self.fault = self.fault or fault
 
 
 class ProcessWorker:

@@ -145,6 +145,21 @@ class Channel:
             raise ChannelClosedError(str(error)) from error
 
 
+class Listening:
+    """Lets a listening socket be waited for beside channels."""
+
+    waiting_bytes = 0
+
+    def __init__(self, server: socket.socket) -> None:
+        self._server = server
+
+    def fileno(self) -> int:
+        return self._server.fileno()
+
+    def flush(self) -> bool:
+        return True
+
+
 def wait_for(channels: Collection[End], timeout_s: float) -> list[End]:
     """Those of which something can be read, or whose other side is gone; meanwhile what waits is sent."""
     deadline_s = time.monotonic() + timeout_s

@@ -23,9 +23,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
-from service.runtime.channel import Channel, ChannelClosedError, wait_for
+from service.runtime.channel import Channel, ChannelClosedError, Listening, wait_for
 from service.runtime.mapper_messages import (
     Answer,
+    BackEndDied,
     CanCopy,
     Decisions,
     Failed,
@@ -60,6 +61,7 @@ MOST_KEPT = 60_000  # items; minutes of three lasers, while a stand-by comes eve
 MOST_DEATHS = 4  # without an item done in between: then the service ends with an error
 HOLD_NS = 25_000_000  # that a sample may wait for the scan that it goes to the mapper with
 MOST_HELD = 64  # samples; then they go without one
+MOST_BACK_END_DEATHS, BACK_END_DEATHS_WITHIN_S = 3, 60.0  # then the stand-by stays where its own one dies
 STANDBY_S = 5.0  # that a stand-by which has just been made may take to come here
 END_S = 2.0
 
@@ -118,6 +120,7 @@ class MapperLink:
         self._heard_s = 0.0
         self._taken_number = 0  # as the mapper said last
         self._deaths = (0, 0)  # how many since the item that was done last
+        self._back_ends_died_s: deque[float] = deque(maxlen=MOST_BACK_END_DEATHS)  # host monotonic
         self._orphaned: tuple[str, float] | None = None  # why there is no mapper, and since when
         self._is_finishing = False
         self._finished = threading.Event()
@@ -247,7 +250,7 @@ class MapperLink:
         standby = [self._standby[0]] if self._standby is not None else []
         active = self._active
         ends = [*([active] if active is not None else []), *standby, *self._unidentified]
-        for end in wait_for([*ends, _ServerSocket(self._server)], LISTEN_S):
+        for end in wait_for([*ends, Listening(self._server)], LISTEN_S):
             if not isinstance(end, Channel):
                 self._accept()
             elif end is active:
@@ -309,6 +312,10 @@ class MapperLink:
         for message in messages:
             if isinstance(message, Failed):
                 self._fatal(message)
+                return
+            if isinstance(message, BackEndDied):
+                self._back_ends_died_s.append(self._heard_s)
+                self._lost(f"is without its graph: {message.words}")
                 return
             self._take(message)
 
@@ -437,12 +444,16 @@ class MapperLink:
             self._active, self._pid, self._heard_s = channel, hello.pid, time.monotonic()
             self._held.clear()  # they are among those kept
             for message in (
-                Go(self._done_number, decisions),
+                Go(self._done_number, decisions, self._back_end_dies_again_and_again()),
                 *self._kept,
                 *([Finish()] if self._is_finishing else []),
             ):
                 if self._active is not None:  # else the next turn finds it lost, too
                     self._send(message)
+
+    def _back_end_dies_again_and_again(self) -> bool:
+        died_s = self._back_ends_died_s
+        return len(died_s) == MOST_BACK_END_DEATHS and died_s[-1] - died_s[0] < BACK_END_DEATHS_WITHIN_S
 
     def _end_active(self) -> None:
         with self._lock:
@@ -467,21 +478,6 @@ class MapperLink:
                 "for memory that hangs, `cat /proc/%d/wchan` says where. It is left behind",
                 *(self._process.pid, END_S, self._process.pid),
             )
-
-
-class _ServerSocket:
-    """Lets a listening socket be waited for beside channels."""
-
-    waiting_bytes = 0
-
-    def __init__(self, server: socket.socket) -> None:
-        self._server = server
-
-    def fileno(self) -> int:
-        return self._server.fileno()
-
-    def flush(self) -> bool:
-        return True
 
 
 def _kill(pid: int) -> None:

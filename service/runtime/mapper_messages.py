@@ -89,6 +89,7 @@ class Go(NamedTuple):
 
     done_number: int
     decisions: Decisions
+    stays: bool = False  # also where its back end dies: that has happened again and again
 
 
 class MakeStandby(NamedTuple):
@@ -227,6 +228,12 @@ class Failed(NamedTuple):
     """The mapper cannot be trusted after this item; its process ends with this word."""
 
     number: int
+    words: str
+
+
+class BackEndDied(NamedTuple):
+    """The back end of the graph is gone, and with it what it knew; the stand-by has another one."""
+
     words: str
 
 

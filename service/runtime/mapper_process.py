@@ -24,6 +24,7 @@ from service.encoding import warm_up as warm_up_encoding
 from service.kernel_warm_up import KernelProgress
 from service.kernel_warm_up import warm_up as warm_up_kernels
 from service.log_format import set_up_logging
+from service.mapper.background import BackEndDiedError
 from service.mapper.mapping_session import MappingSession
 from service.mapper.patch_store import PatchStore
 from service.mapper.pipeline import Mapper
@@ -34,6 +35,7 @@ from service.mapstore.patch_files import PatchFiles
 from service.runtime.back_end import BackEndProcess
 from service.runtime.channel import Channel, ChannelClosedError, wait_for
 from service.runtime.mapper_messages import (
+    BackEndDied,
     CanCopy,
     Failed,
     Finish,
@@ -65,8 +67,11 @@ class MapperProcess:
         self._folder = folder
         self._setup = setup
         self._channel = channel
-        self._back_end = BackEndProcess(setup.graph_patience_s)
         self._can_copy = True
+        self._stays = False  # where the back end dies: then no loops are closed any more
+        self._back_end = BackEndProcess(
+            setup.graph_patience_s, is_replaceable=lambda: self._can_copy and not self._stays
+        )
         config = mapping_config(dict(setup.mapping))
 
         begins = [begin_in(Path(setup.begin_in), config) if setup.begin_in else None]
@@ -109,9 +114,9 @@ class MapperProcess:
 
     def run(self) -> None:
         """Until ingest says that nothing more comes, or is gone. Raises ChannelClosedError."""
-        if not self._copy():
-            self._send(Ready(self._can_copy))
         try:
+            if not self._copy():
+                self._send(Ready(self._can_copy))
             while self._items or not self._is_finishing:
                 self._hear(0.0 if self._items else IDLE_S)
                 self._take_up_to_scan()
@@ -126,6 +131,8 @@ class MapperProcess:
         except MapperError as error:
             log.error("the mapper failed: %s", error)
             self._say_last(Failed(error.number, str(error)))
+        except BackEndDiedError as error:
+            self._say_last(BackEndDied(str(error)))
         finally:
             self._back_end.stop()
 
@@ -142,7 +149,10 @@ class MapperProcess:
         ends = [self._channel]
         if self._back_end.channel is not None:
             ends.append(self._back_end.channel)  # finished work comes in before the next item
-        if self._channel not in wait_for(ends, timeout_s):
+        ready = wait_for(ends, timeout_s)
+        if self._back_end.channel in ready:
+            self._back_end.look()
+        if self._channel not in ready:
             return
         for message in self._channel.receive():
             self._take_message(message)
@@ -206,6 +216,7 @@ class MapperProcess:
             os._exit(0)  # a newer stand-by is there, or nobody needs one any more
         first, *items = messages
         assert isinstance(first, Go)
+        self._stays = first.stays
         self._loop.go_on(first)
         self._copy()  # it may be needed before everything has come again
         self._copy_due_s = 0.0  # and once more when it has

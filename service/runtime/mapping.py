@@ -9,6 +9,7 @@ from typing import Any
 from drivers.frames import Frame, LaserScan
 from service.encoding import decode_frame, encode_odom, encode_pose, encode_tf
 from service.errors import CorridorError, InputError
+from service.mapper.background import BackEndDiedError
 from service.mapper.components import GraphRequestError
 from service.mapper.mapping_session import MappingSession
 from service.mapper.saved_graph import KeptGraph
@@ -262,6 +263,8 @@ class MappingLoop:
         kind = "scan" if isinstance(frame, LaserScan) else "sample"
         try:
             output = self.mapper.process(frame)
+        except BackEndDiedError:
+            raise
         except Exception as error:
             words = f"{kind} of {frame.sensor} stamped {frame.stamp_ns}: {error!r}"
             raise MapperError(item.number, words) from error

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from service.mapper.background import WorkLostError
+from service.mapper.background import BackEndDiedError, WorkLostError
 from service.runtime import back_end
 from service.runtime.back_end import BackEndProcess, ProcessJob, ProcessWorker
 
@@ -69,6 +69,22 @@ def test_when_the_process_is_killed_all_work_is_lost_and_nothing_hangs(
             pending.result()
     assert "mapping goes on without closing loops" in caplog.text
     assert caplog.text.count("died") == 1
+
+
+def test_where_a_copy_could_go_on_the_death_of_the_process_is_raised():
+    process = BackEndProcess(patience_s=30.0, is_replaceable=lambda: True)
+    try:
+        worker = process.new_worker(Adder())
+        worker.submit(1).result()
+        hanging = worker.submit("hang")
+        assert process.pid is not None
+        os.kill(process.pid, signal.SIGKILL)
+        with pytest.raises(BackEndDiedError, match="process died"):
+            hanging.result()
+        with pytest.raises(WorkLostError, match="process died"):  # said once; nothing comes after it
+            worker.submit(1).result()
+    finally:
+        process.stop()
 
 
 def test_a_back_end_that_fails_says_how(process: BackEndProcess):

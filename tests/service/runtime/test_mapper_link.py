@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from service.runtime.mapper_messages import (
     LoadItem,
     Mapped,
     Setup,
+    Status,
     SwitchItem,
     Tiles,
     TilesItem,
@@ -56,6 +58,10 @@ class Heard:
 
     def refused(self, item: FrameItem) -> None:
         self.refusals.append(item.number)
+
+    @property
+    def graph_fault(self) -> str:
+        return next((m.graph_fault for m in reversed(self.messages) if isinstance(m, Status)), "")
 
     @property
     def poses(self) -> dict[int, bytes]:
@@ -180,6 +186,47 @@ def test_a_mapper_that_is_killed_again_and_again_gives_the_poses_of_one_that_is_
     assert len(drive.heard.takeovers) == drive.link.restarts == 6
     numbers = [m.number for m in drive.heard.messages if isinstance(m, Mapped)]
     assert numbers == sorted(set(numbers))  # nothing is told twice
+
+
+def back_end_of(mapper: int) -> int:
+    """The process of its graph's back end. It gives way to the mapper; the stand-by's is its child."""
+    session, niceness = os.getsid(mapper), os.getpriority(os.PRIO_PROCESS, mapper)
+    parents: dict[int, int] = {}
+    for entry in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            pid = int(entry.name)
+            state, parent = (entry / "stat").read_text().rpartition(")")[2].split()[:2]
+            is_back_end = os.getpriority(os.PRIO_PROCESS, pid) > niceness
+            if is_back_end and state != "Z" and os.getsid(pid) == session:
+                parents[pid] = int(parent)
+    (pid,) = (pid for pid, parent in parents.items() if parent not in parents)
+    return pid
+
+
+def test_a_back_end_that_dies_is_replaced_with_all_that_it_knew_until_it_dies_again_and_again(drive: Drive):
+    undisturbed = Drive()
+    try:
+        undisturbed.start().scan(40)
+        undisturbed.until_mapped()
+    finally:
+        undisturbed.stop()
+    drive.start()
+    for deaths in range(1, mapper_link.MOST_BACK_END_DEATHS + 1):
+        drive.scan(10)
+        drive.until_mapped()
+        pid = drive.link.pid
+        os.kill(back_end_of(pid), signal.SIGKILL)
+        drive.until(lambda pid=pid: drive.link.pid not in (0, pid))
+        assert len(drive.heard.takeovers) == deaths
+        assert "without its graph: the back end's process died" in drive.heard.takeovers[-1]
+    drive.scan(10)
+    drive.until_mapped()
+    assert drive.heard.poses == undisturbed.heard.poses
+    assert not drive.heard.graph_fault
+    os.kill(back_end_of(drive.link.pid), signal.SIGKILL)  # once more: mapping goes on without it
+    drive.scan(10)
+    drive.until_mapped()
+    assert len(drive.heard.takeovers) == mapper_link.MOST_BACK_END_DEATHS
 
 
 def test_a_new_stand_by_comes_by_itself_and_the_items_that_it_has_are_forgotten(
