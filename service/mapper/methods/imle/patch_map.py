@@ -148,13 +148,14 @@ class PatchMap:
             self._look_ahead(xy_map, near)
             return MapChange()
         self._last = pose
-        for key in near:
-            if key not in self._slots:
-                self._bring_in(key, near)
-        self._use(near)
-        changed, join_m = self._changed(), self._join_m(points)
-        lines_map = np.empty_like(xy_map)
+        join_m, lines_map = self._join_m(points), np.empty_like(xy_map)
         smooth_lines(xy_map, points.beam, join_m, self.config.smooth_m, lines_map)
+        drawn = self._touched(_along(lines_map, join_m, config.coarse_cell_m), 4 * config.coarse_cell_m)
+        for key in drawn:
+            if key not in self._slots:
+                self._bring_in(key, drawn)
+        self._use(drawn)
+        changed = self._changed()
         draw_scan(lines_map, points.beam, self.fine, changed, self.levels, self.config.ring_cells, join_m)
         draw_scan(lines_map, points.beam, self.coarse, changed, self.levels, 1, join_m)
         self._ground.insert(points, pose)
@@ -226,3 +227,18 @@ class PatchMap:
         if changed[slot]:
             self._store.save(key, (fine[slot], coarse[slot]))
         self._tiles.drop(*key)
+
+
+def _along(lines_map: Array, join_m: Array, apart_m: float) -> Array:
+    """The points (N, 2), and places so far apart on the way to each that is no farther than join_m (N,):
+    a line between two points may cut off the corner of a patch that neither lies in.
+    """
+    steps = np.diff(lines_map, axis=0)
+    lengths_m = np.hypot(*steps.T)
+    counts = np.where(lengths_m <= join_m[1:], np.maximum(np.ceil(lengths_m / apart_m), 1.0), 1.0)
+    counts = counts.astype(np.int64)
+    first = np.repeat(np.cumsum(counts) - counts, counts)
+    share = (np.arange(len(first)) - first) / np.repeat(counts, counts)
+    along = np.repeat(lines_map[:-1], counts, axis=0) + share[:, None] * np.repeat(steps, counts, axis=0)
+    places: Array = np.concatenate((along, lines_map[-1:]))
+    return places

@@ -1,5 +1,7 @@
 """Patches of the likelihood map: which are in memory, and that none is lost."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -7,6 +9,7 @@ from pydantic import ValidationError
 from drivers.frames import NO_INTENSITY, LaserScan
 from service.fusion.motion import Motion
 from service.geometry.se2 import SE2
+from service.kernels.line_likelihood import mean_value
 from service.mapper.components import Match, Points
 from service.mapper.methods.imle.patch_map import PatchMap, PatchMapConfig
 from service.mapper.patch_store import MemoryPatches
@@ -148,3 +151,18 @@ def test_layers_that_do_not_fit_on_each_other_are_refused() -> None:
         PatchMapConfig(coarse_cells=7)
     with pytest.raises(ValidationError, match="more than half a patch"):
         PatchMapConfig(ahead_m=6.0)
+
+
+# C10
+def test_a_line_that_cuts_off_the_corner_of_a_patch_is_drawn_there_too() -> None:
+    """Neither end lies in the patch nor near it: 6 m of wall seen aslant from 34 m away."""
+    patches = PatchMap(PatchMapConfig(), MemoryPatches)
+    xy = np.array([[27.0, 31.5], [31.5, 27.0]])
+    scan = replace(circle().scan, angle_step_rad=0.01)
+    points = Points(xy, xy, np.zeros(2), np.arange(2, dtype=np.int32), SE2(), scan)
+    patches.insert(points, Match(Motion(SE2(), (0.0, 0.0, 0.0), np.eye(3)), points, 1.0))
+    assert set(patches.resident) == {(2, 2), (3, 2), (2, 3)}
+    for layer in (patches.fine, patches.coarse):
+        for xy_m in ([29.255, 29.245], [27.755, 30.745], [30.745, 27.755]):
+            there = mean_value(np.array([xy_m]), np.zeros(3), layer)
+            assert there >= patches.levels[1]  # hit, or beside the line by a cell
