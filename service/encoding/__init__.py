@@ -14,6 +14,7 @@ from drivers.link import RawChunk
 from service.encoding.frames import decode_frame, encode_frame, frame_id
 from service.encoding.graph import GRAPH, decode_graph, encode_graph
 from service.encoding.outputs import (
+    CHANGES,
     ERROR,
     OK,
     STALE,
@@ -70,6 +71,7 @@ __all__ = [
     "APPLY_RESULT",
     "BASE_FRAME",
     "BYTES",
+    "CHANGES",
     "DIAGNOSTICS",
     "ERROR",
     "GRAPH",

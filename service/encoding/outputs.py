@@ -18,6 +18,7 @@ ANY_HEADING = math.pi**2 / 3.0  # rad^2, variance of a heading of which nothing 
 
 
 OK, WARNING, ERROR, STALE = 0, 1, 2, 3  # levels of diagnostic_msgs/DiagnosticStatus
+CHANGES = "map/changes"  # the channel: what is not as a stored map says, see service.mapper.map_changes
 STANDING = "standing"  # the channel: for how long things stand, see service.mapper.maps.standing
 
 

@@ -9,6 +9,10 @@ import numpy.typing as npt
 from service.geometry.se2 import SE2
 from service.kernels.map_changes import FREE, UNKNOWN, WALL, ChangeVotes, Moment, weigh_changes
 from service.mapper.components import Points, RenderedMap
+from service.outputs import FREE as GRID_FREE
+from service.outputs import OCCUPIED as GRID_OCCUPIED
+from service.outputs import UNKNOWN as GRID_UNKNOWN
+from service.outputs import Grid
 
 COARSER = 2  # cells of the map along an edge of one of these: 0.1 m
 WALL_EVIDENCE, FREE_EVIDENCE = 13, -20  # log-odds in steps of 0.05: 66 %; and two beams passed
@@ -18,6 +22,7 @@ USED_EVERY_M, USED_EVERY_RAD, USED_EVERY_NS = 0.1, 0.05, 200_000_000
 LEAST_POSES, LEAST_VOTES, LEAST_MS = 3, 5, 1000  # that contradict the map before a cell is told
 LEAST_SHARE = 0.8  # of the scans that spoke of a cell since then
 LEAST_CELLS = 4  # together: one alone is the rim of something that stands where it was
+NOTHING_CHANGED = Grid(0, COARSER * 0.05, 0.0, 0.0, np.empty((0, 0), np.int8))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,6 +35,29 @@ class MapChanges:
     first_ns: npt.NDArray[np.int64]  # (N,) stamps of the first and of the last scan that said so
     last_ns: npt.NDArray[np.int64]
     scans: npt.NDArray[np.int64]  # (N,) that said so
+
+    def as_grid(self) -> Grid:
+        """A picture just large enough: OCCUPIED where something stands now, FREE where what stood is gone,
+        UNKNOWN where all is as stored. 0 x 0 cells where nothing has changed.
+        """
+        if not len(self.xy_map):
+            return NOTHING_CHANGED
+        cells = np.floor(self.xy_map / self.cell_m).astype(np.int64)
+        low = cells.min(axis=0)
+        width, height = cells.max(axis=0) - low + 1
+        picture = np.full((height, width), GRID_UNKNOWN, np.int8)
+        column, row = (cells - low).T
+        picture[row, column] = np.where(self.is_new, GRID_OCCUPIED, GRID_FREE)
+        x_min_m, y_min_m = low * self.cell_m
+        return Grid(0, self.cell_m, float(x_min_m), float(y_min_m), picture)
+
+    def says_as(self, other: "MapChanges | None") -> bool:
+        """Whether the same cells have changed in the same way."""
+        return (
+            other is not None
+            and np.array_equal(self.xy_map, other.xy_map)
+            and np.array_equal(self.is_new, other.is_new)
+        )
 
     def as_dict(self) -> dict[str, int | float]:
         """How many, for JSON."""

@@ -87,6 +87,7 @@ class FrameMapper(Protocol):
     saved: SavedGraph | KeptGraph | None
     pose_refused: tuple[float, float, float] | None
     graph_picture: GraphPicture | None
+    changes_told: MapChanges | None
 
     @property
     def map_changes(self) -> MapChanges | None: ...
@@ -219,6 +220,11 @@ class MappingSession:
     def map_changes(self) -> MapChanges | None:
         """As Mapper.map_changes."""
         return self._mapper.map_changes
+
+    @property
+    def changes_told(self) -> MapChanges | None:
+        """map_changes as they were some seconds ago; to ask for them costs nothing."""
+        return self._mapper.changes_told
 
     @property
     def graph_fault(self) -> str:

@@ -61,6 +61,7 @@ class Mapper(Generic[ReadableMap]):
         """
         self._changes = changes
         self._changes_told_ns = 0
+        self.changes_told: MapChanges | None = None  # as of some seconds ago, see map_changes
         self._stages = stages
         self._placed, self._is_localizing = placed, is_localizing
         self.pose_refused: tuple[float, float, float] | None = None  # set by a person; nothing seen fits it
@@ -232,7 +233,8 @@ class Mapper(Generic[ReadableMap]):
         if at_ns - self._changes_told_ns < CHANGES_TOLD_NS:
             return
         self._changes_told_ns = at_ns
-        is_new = changes.changes().is_new
+        self.changes_told = changes.changes()
+        is_new = self.changes_told.is_new
         self.counters["changed_cells_new"] = int(is_new.sum())
         self.counters["changed_cells_gone"] = int((~is_new).sum())
 

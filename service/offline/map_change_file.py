@@ -3,7 +3,10 @@
 import csv
 from pathlib import Path
 
-from service.mapper.map_changes import MapChanges
+import numpy as np
+
+from service.errors import InputError
+from service.mapper.map_changes import COARSER, MapChanges
 
 CHANGES_FILE = "changes.csv"
 COLUMNS = ("x_m", "y_m", "change", "first_stamp_ns", "last_stamp_ns", "scans")
@@ -31,3 +34,27 @@ def write_changes(path: Path, changes: MapChanges | None) -> None:
             lines.writerow(
                 (f"{x_m:.2f}", f"{y_m:.2f}", "new" if is_new else "gone", first_ns, last_ns, scans)
             )
+
+
+def read_changes(path: Path, cell_m: float) -> MapChanges | None:
+    """What write_changes wrote of a map with cells of cell_m; None where there is no such file.
+
+    Raises InputError.
+    """
+    if not path.is_file():
+        return None
+    try:
+        with path.open(encoding="ascii", newline="") as file:
+            rows = list(csv.DictReader(file))
+        return MapChanges(
+            COARSER * cell_m,
+            np.array([(float(row["x_m"]), float(row["y_m"])) for row in rows]).reshape(-1, 2),
+            np.array([row["change"] == "new" for row in rows], np.bool_),
+            np.array([int(row["first_stamp_ns"]) for row in rows], np.int64),
+            np.array([int(row["last_stamp_ns"]) for row in rows], np.int64),
+            np.array([int(row["scans"]) for row in rows], np.int64),
+        )
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{path}: no {CHANGES_FILE} of a replay: {error!r}; delete it to see the rest"
+        ) from error

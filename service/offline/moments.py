@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.frames import LaserScan
-from service.encoding import STANDING, Pose, Status
+from service.encoding import CHANGES, STANDING, Pose, Status
 from service.errors import CorridorError
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
@@ -18,6 +18,7 @@ from service.outputs import GraphPicture, Grid
 from service.publishing.commands import Answer, refusal
 from service.web.mailbox import Payload
 from service.web.protocol import (
+    encode_changes,
     encode_graph,
     encode_scan,
     encode_standing,
@@ -50,6 +51,7 @@ class Moment:
     mountings    sensor -> pose_base_sensor
     graph        None: as it was shown before
     standing     for how long things stand around the vehicle; None: that is not known
+    changes      what is not as the stored map says; None: as it was shown before
     statuses     with the Unix time, s, since when each is as it is
     events       Unix time, s, and text of each, oldest first
     map_words    of when the map is that lies below
@@ -63,6 +65,7 @@ class Moment:
     mountings: Mapping[str, SE2] | None = None
     graph: GraphPicture | None = None
     standing: Grid | None = None
+    changes: Grid | None = None
     statuses: Sequence[tuple[Status, float]] = ()
     events: Sequence[tuple[float, str]] = ()
 
@@ -134,6 +137,8 @@ def payloads_of(moment: Moment, first_ns: int, last_ns: int) -> dict[str, Payloa
     if moment.graph is not None:
         payloads["graph"] = encode_graph(moment.graph)
     payloads[STANDING] = encode_standing(moment.standing)
+    if moment.changes is not None:
+        payloads[CHANGES] = encode_changes(moment.changes)
     payloads |= {f"scan/{scan.sensor}": encode_scan(scan) for scan in moment.scans}
     return payloads
 

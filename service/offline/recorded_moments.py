@@ -15,6 +15,7 @@ import numpy as np
 
 from drivers.frames import LaserScan
 from service.encoding import (
+    CHANGES,
     DIAGNOSTICS,
     GRAPH,
     LASER_SCAN,
@@ -40,6 +41,7 @@ from service.encoding import (
 from service.errors import InputError
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
+from service.mapper.map_changes import NOTHING_CHANGED
 from service.offline.moments import STALE_NS, Moment, thinned
 from service.offline.view import tiles_of_grid
 from service.outputs import NO_GRAPH, GraphPicture, Grid, TileUpdate
@@ -51,6 +53,7 @@ TOPICS = {
     "/map": OCCUPANCY_GRID,
     f"/{GRAPH}": MARKERS,
     f"/{STANDING}": OCCUPANCY_GRID,
+    f"/{CHANGES}": OCCUPANCY_GRID,
     "/diagnostics": DIAGNOSTICS,
     "/events": STRING,
     "/tf_static": TF,
@@ -87,6 +90,7 @@ class RecordedMoments:
         self._map_log_ns: list[int] = []
         self._graph_log_ns: list[int] = []
         self._standing_log_ns: list[int] = []
+        self._changes_log_ns: list[int] = []
         self._new_map_log_ns: list[int] = []
         self._events: list[tuple[int, float, str]] = []  # log time, stamp in s, text
         self._health: list[tuple[int, Sequence[tuple[Status, float]]]] = []
@@ -130,7 +134,8 @@ class RecordedMoments:
             scans=scans,
             mountings=mountings,
             graph=self._graph(at_ns),
-            standing=self._standing(at_ns, since_ns),
+            standing=self._grid(STANDING, self._standing_log_ns, at_ns, since_ns),
+            changes=self._changes(at_ns, since_ns),
             statuses=self._statuses(at_ns),
             events=[(s, text) for log_ns, s, text in self._events if log_ns <= at_ns][-MOST_EVENTS:],
         )
@@ -158,6 +163,8 @@ class RecordedMoments:
                     self._graph_log_ns.append(log_ns)
                 case "standing":
                     self._standing_log_ns.append(log_ns)
+                case "map/changes":
+                    self._changes_log_ns.append(log_ns)
                 case "diagnostics":
                     self._health.append((log_ns, self._with_since(message)))
                 case "events":
@@ -225,11 +232,18 @@ class RecordedMoments:
         log_ns = _newest(self._graph_log_ns, at_ns)
         return NO_GRAPH if log_ns is None else self._graph_of(log_ns)
 
-    def _standing(self, at_ns: int, since_ns: int) -> Grid | None:
-        log_ns = _newest(self._standing_log_ns, at_ns)
+    def _changes(self, at_ns: int, since_ns: int) -> Grid | None:
+        """None in a recording that tells of none at all; else the page would offer to show them."""
+        if not self._changes_log_ns:
+            return None
+        return self._grid(CHANGES, self._changes_log_ns, at_ns, since_ns) or NOTHING_CHANGED
+
+    def _grid(self, channel: str, came_log_ns: Sequence[int], at_ns: int, since_ns: int) -> Grid | None:
+        """The newest by then, of the map that began at since_ns."""
+        log_ns = _newest(came_log_ns, at_ns)
         if log_ns is None or log_ns < since_ns:
             return None
-        return decode_grid(self._message(f"/{STANDING}", log_ns).payload)
+        return decode_grid(self._message(f"/{channel}", log_ns).payload)
 
     def _read_tiles(self, log_ns: int) -> Sequence[TileUpdate]:
         return tiles_of_grid(decode_grid(self._message("/map", log_ns).payload))

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.frames import LaserScan
 from service.encoding import (
+    CHANGES,
     ERROR,
     OK,
     STANDING,
@@ -29,6 +30,7 @@ from service.encoding import (
 )
 from service.errors import InputError
 from service.geometry.se2 import SE2
+from service.mapper.map_changes import MapChanges
 from service.mapper.mapping_session import MappingSession
 from service.mapstore.tiles import TileStore
 from service.offline.driven_moments import DrivenMoments
@@ -43,7 +45,7 @@ from service.publishing.commands import Answer, refusal
 from service.recording.mcap_source import Session
 from service.web.access import new_token
 from service.web.config import WebConfig
-from service.web.protocol import encode_path, encode_standing, moment_over_json
+from service.web.protocol import encode_changes, encode_path, encode_standing, moment_over_json
 from service.web.server import About, WebServer
 
 log = logging.getLogger(__name__)
@@ -94,6 +96,7 @@ class ReplayPage:
         self._shown = ShownTiles(self._store)
         self._session: Session | None = None
         self._mapper: MappingSession | None = None
+        self._changes: MapChanges | None = None  # that are shown
         self._log_ns = 0  # of the step that is taken
         self._output: MapperOutput | None = None  # the newest
         self._scans: dict[str, LaserScan] = {}  # the newest of each laser
@@ -154,6 +157,7 @@ class ReplayPage:
     def finished(self, tiles: Sequence[TileUpdate], poses_map_base: Sequence[SE2]) -> None:
         self._shown.take(tiles)
         self._server.put_ready({STANDING: encode_standing(None)})  # told before the last loops
+        self._show_changes(self._mapper.map_changes if self._mapper is not None else None)
         self._show_graph()
         self._way.clear()
         self._phase = "finished"
@@ -185,7 +189,8 @@ class ReplayPage:
         self._stamps.clear()
         self._server.put_ready({"moment": moment_over_json()})
         self._shown.take([])
-        self._server.put_ready({STANDING: encode_standing(None)})
+        self._changes = None
+        self._server.put_ready({STANDING: encode_standing(None), CHANGES: encode_changes(None)})
         self._server.put_path(np.empty((0, 2), np.float32))
         self._way.clear()
         self._server.put(encode_graph(NO_GRAPH, self._log_ns))
@@ -215,8 +220,14 @@ class ReplayPage:
         self._shown.take(self._mapper.tiles())
         self._show_graph()
         self._server.put_ready({STANDING: encode_standing(self._mapper.standing())})
+        self._show_changes(self._mapper.changes_told)
         now_s = time.monotonic()
         self._tiles_due_s = now_s + max(TILES_S, LEAST_REST * (now_s - began_s))
+
+    def _show_changes(self, changes: MapChanges | None) -> None:
+        if changes is not None and not changes.says_as(self._changes):
+            self._changes = changes
+            self._server.put_ready({CHANGES: encode_changes(changes.as_grid())})
 
     def _show_graph(self) -> None:
         picture = self._mapper.graph_picture if self._mapper is not None else None

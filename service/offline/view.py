@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from service.encoding import OK, Status, encode_diagnostics, encode_graph
+from service.encoding import CHANGES, OK, Status, encode_diagnostics, encode_graph
 from service.errors import InputError, StorageError
 from service.geometry.poses import Floats
 from service.mapper.graph.graph_picture import draw, draw_saved
@@ -18,6 +18,7 @@ from service.mapstore.ros_map import read_ros_map
 from service.mapstore.tiles import TileStore
 from service.offline.bent_way import bent_way
 from service.offline.driven_moments import DrivenMoments
+from service.offline.map_change_file import CHANGES_FILE, read_changes
 from service.offline.map_desk import MapDesk
 from service.offline.moments import MomentDesk
 from service.offline.shown_tiles import ShownTiles
@@ -27,7 +28,7 @@ from service.publishing.commands import Answer, refusal
 from service.web.access import new_token
 from service.web.config import WebConfig
 from service.web.mailbox import Payload
-from service.web.protocol import encode_path
+from service.web.protocol import encode_changes, encode_path
 from service.web.server import About, WebServer
 
 EDGE = 64  # cells along a tile
@@ -63,7 +64,9 @@ class View:
         if folder is not None:
             self._show_stored(stored)
         else:
-            self._show(*read_stored(source), *self._trajectory, {})
+            tiles, graph = read_stored(source)
+            self._show(tiles, graph, *self._trajectory, {})
+            self._show_changes(tiles)
         start_serving(self._server)
 
     @property
@@ -107,6 +110,11 @@ class View:
         words = f"{self._source}: {len(tiles)} tiles{version}, {len(poses)} poses; nothing is measured"
         state = Status("mapping", OK, words, {"state": "stored", **told})
         self._server.put(encode_diagnostics("diagnostics", [state], now_ns, now_ns))
+
+    def _show_changes(self, tiles: Sequence[TileUpdate]) -> None:
+        """Of a drive that was localised in a stored map: what is not as that says."""
+        if tiles and (changes := read_changes(self._source / CHANGES_FILE, tiles[0].cell_m)) is not None:
+            self._server.put_ready({CHANGES: encode_changes(changes.as_grid())})
 
     def _show_way(self, stamp_ns: npt.NDArray[np.int64], poses: Floats) -> None:
         """The whole of it, and of its moments the one that was shown before; at first the last."""

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import zenoh
 import zenoh.ext
 
-from service.encoding import Message, Status, encode_diagnostics, encode_grid, encode_tile
+from service.encoding import CHANGES, Message, Status, encode_diagnostics, encode_grid, encode_tile
 from service.errors import StorageError
 from service.outputs import Grid, TileUpdate
 from service.publishing.attachment import Attachment, make_gid
@@ -36,7 +36,7 @@ PICTURE_PERIOD_S = 1.0
 CLOSE_TIMEOUT_S = 5.0
 
 POSES = ("pose", "odom", "tf")  # sent by who puts them: a thread between would cost them its wake-up
-STATES = ("tf_static", "health", "graph")  # newest counts; cached for late joiners
+STATES = ("tf_static", "health", "graph", CHANGES)  # newest counts; cached for late joiners
 PICTURES = ("map", "map/meta")  # made here, when somebody listens or asks
 ANSWERED = ("pose", *STATES)  # the last one sent is the answer to a get
 TILES = "map/tile"

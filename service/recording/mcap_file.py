@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 from mcap.writer import CompressionType, Writer
 
-from service.encoding import Message, schema_text, type_hash
+from service.encoding import CHANGES, Message, schema_text, type_hash
 from service.version import VERSION
 
 ACTIVE_SUFFIX = ".active"
@@ -17,7 +17,7 @@ PROFILE = "ros2"
 LIBRARY = f"corridor {VERSION}"
 CHUNK_BYTES = 1 << 20
 # Transient local in ROS: the last one is there for late joiners.
-LATCHED = frozenset({"tf_static", "map", "graph"})
+LATCHED = frozenset({"tf_static", "map", "graph", CHANGES})
 
 _QOS = """- history: 1
   depth: {depth}

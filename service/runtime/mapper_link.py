@@ -28,6 +28,7 @@ from service.runtime.mapper_messages import (
     Answer,
     BackEndDied,
     CanCopy,
+    ChangesDrawn,
     Decisions,
     Failed,
     Finish,
@@ -66,7 +67,16 @@ STANDBY_S = 5.0  # that a stand-by which has just been made may take to come her
 END_S = 2.0
 
 Heard = (
-    Mapped | PassedOver | ResultApplied | Unusable | Tiles | Status | GraphDrawn | StandingDrawn | PoseRefused
+    Mapped
+    | PassedOver
+    | ResultApplied
+    | Unusable
+    | Tiles
+    | Status
+    | GraphDrawn
+    | StandingDrawn
+    | ChangesDrawn
+    | PoseRefused
 )
 
 

@@ -143,6 +143,13 @@ class StandingDrawn(NamedTuple):
     stamp_ns: int  # Unix time of the newest scan in it
 
 
+class ChangesDrawn(NamedTuple):
+    """What has changed since the map was stored in which the vehicle is localised; see MapChanges.as_grid."""
+
+    grid: Grid
+    stamp_ns: int  # Unix time of the newest scan that was mapped
+
+
 class Progress(NamedTuple):
     """Kernels are being compiled; share of them that is, 0 to 1."""
 

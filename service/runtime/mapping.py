@@ -11,11 +11,13 @@ from service.encoding import decode_frame, encode_odom, encode_pose, encode_tf
 from service.errors import CorridorError, InputError
 from service.mapper.background import BackEndDiedError
 from service.mapper.components import GraphRequestError
+from service.mapper.map_changes import NOTHING_CHANGED, MapChanges
 from service.mapper.mapping_session import MappingSession
 from service.mapper.saved_graph import KeptGraph
 from service.outputs import NO_GRAPH, GraphPicture, MapperOutput
 from service.runtime.mapper_messages import (
     Answer,
+    ChangesDrawn,
     Decisions,
     FrameItem,
     Go,
@@ -96,6 +98,7 @@ class MappingLoop:
         self._standing_stamp_ns = 0  # of the newest scan in what was drawn last
         self._told_graph: Any = None  # the newest checkpoint that ingest knows of
         self._shown_graph: GraphPicture | None = None  # the newest that ingest has
+        self._shown_changes: MapChanges | None = None  # likewise
         self._told_refused: tuple[float, float, float] | None = None
         self._map_stamp_ns = 0  # Unix time of the newest scan in the map
         self._done_number = 0  # up to here nothing is decided anew, and nothing is told twice
@@ -147,6 +150,7 @@ class MappingLoop:
         if now_ns >= self._status_due_ns:
             self._status_due_ns = now_ns + STATUS_INTERVAL_NS
             self._show_graph()
+            self._show_changes()
             self.tell_status()
 
     def hand_over_tiles(self) -> None:
@@ -167,6 +171,16 @@ class MappingLoop:
         if picture is not self._shown_graph and self.is_up_to_date:
             self._shown_graph = picture
             self._send(GraphDrawn(picture if picture is not None else NO_GRAPH))
+
+    def _show_changes(self) -> None:
+        """Where other cells are told than before; nothing where nobody watches."""
+        told, shown = self.mapper.changes_told, self._shown_changes
+        if told is shown or not self.is_up_to_date:
+            return
+        self._shown_changes = told
+        if told is None or not told.says_as(shown):
+            grid = NOTHING_CHANGED if told is None else told.as_grid()
+            self._send(ChangesDrawn(grid, self._map_stamp_ns))
 
     def _show_standing(self) -> None:
         if not self.is_up_to_date or self._map_stamp_ns == self._standing_stamp_ns:

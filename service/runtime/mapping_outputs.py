@@ -9,12 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from service.encoding import APPLY_RESULT, STANDING, Message, encode_event, encode_graph, encode_grid
+from service.encoding import APPLY_RESULT, CHANGES, STANDING, Message, encode_event, encode_graph, encode_grid
 from service.geometry.geo_reference import GeoReference
 from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
 from service.runtime.mapper_link import Heard
 from service.runtime.mapper_messages import (
+    ChangesDrawn,
     FrameItem,
     GraphDrawn,
     GraphKept,
@@ -96,6 +97,8 @@ class MappingOutputs:
                 self._put(encode_graph(message.picture, self._log_ns()), None)
             case StandingDrawn():
                 self._put(encode_grid(message.grid, message.stamp_ns, self._log_ns(), STANDING), None)
+            case ChangesDrawn():
+                self._put(encode_grid(message.grid, message.stamp_ns, self._log_ns(), CHANGES), None)
             case Unusable():
                 self.unusable[message.sensor] += 1
                 self.unusable_scans += message.is_mapped_scan

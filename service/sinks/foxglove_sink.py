@@ -6,7 +6,7 @@ import time
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
-from service.encoding import ERROR, OK, Message, Status, encode_grid, schema_text
+from service.encoding import CHANGES, ERROR, OK, Message, Status, encode_grid, schema_text
 from service.errors import StorageError
 from service.sinks.foxglove_config import FoxgloveConfig
 from service.sinks.sink import Sink, SinkContext
@@ -22,7 +22,7 @@ BACKLOG = 1024  # messages for one client that reads slowly; then its oldest goe
 MAP_PERIOD_S = 1.0
 RETRY_S = 5.0
 MAP = "map"
-KEPT = frozenset(("tf_static", "graph"))  # the last one is for who comes late
+KEPT = frozenset(("tf_static", "graph", CHANGES))  # the last one is for who comes late
 
 
 def open_sink(config: FoxgloveConfig, context: SinkContext) -> "FoxgloveSink | None":

@@ -17,6 +17,7 @@ from drivers.frames import LaserScan
 from service.encoding import (
     APPLY_RESULT,
     BASE_FRAME,
+    CHANGES,
     GRAPH,
     STANDING,
     Message,
@@ -34,6 +35,7 @@ from service.errors import InputError
 from service.web.mailbox import Payload
 from service.web.protocol import (
     FloatArray,
+    encode_changes,
     encode_graph,
     encode_path,
     encode_scan,
@@ -189,9 +191,13 @@ class LiveView:
             self._came.ready.update(payloads)
 
     def map_reset(self) -> list[Shown]:
-        """The map begins anew, and with it the path and what stands."""
+        """The map begins anew, and with it the path, what stands and what has changed."""
         self._path.clear()
-        return [Shown("path", self._path.payload()), self._keep(STANDING, encode_standing(None))]
+        return [
+            Shown("path", self._path.payload()),
+            self._keep(STANDING, encode_standing(None)),
+            self._keep(CHANGES, encode_changes(None)),
+        ]
 
     def _take(self, now_ns: int) -> _Streams:
         """What came. Scans whose laser was shown just now, a graph likewise, and latencies too new stay."""
@@ -237,6 +243,8 @@ class LiveView:
                 return self._graph(message)
             case "", "standing":
                 return [self._keep(STANDING, encode_standing(decode_grid(message.payload)))]
+            case "map", "changes":
+                return [self._keep(CHANGES, encode_changes(decode_grid(message.payload)))]
             case "", "tf_static":
                 return self._mountings(message)
             case _, "scan":

@@ -12,9 +12,11 @@ To the browser, text is JSON with a "type"; binary begins with a kind:
             points for each way and each border; the points of ways and borders, then both ends of each
             accepted and of each refused loop, as (f32 x_m, f32 y_m), map frame
 
-    STANDING u8 5, u8 0, u16 0, f32 cell_m, i32 column, i32 row of the lower left cell, counted from the map's
-            origin, u32 width, u32 height, then zlib of width x height x i8 by rows (-1 nothing stands, 1..100
-            for how long something has, per cent of what counts in full)
+    STANDING u8 5, u8 known, u16 0, f32 cell_m, i32 column, i32 row of the lower left cell, counted from the
+            map's origin, u32 width, u32 height, then zlib of width x height x i8 by rows (-1 nothing stands,
+            1..100 for how long something has, per cent of what counts in full); known 0: nothing is known
+    CHANGED u8 6, else as STANDING (-1 as the stored map says, 100 something stands there now, 0 what stood is
+            gone); known 0: nobody watches
 
 All little-endian. From the browser only text comes: see `Asked`.
 """
@@ -34,7 +36,7 @@ from service.encoding import Pose, Status
 from service.geometry.se2 import SE2
 from service.outputs import GraphPicture, Grid, TileUpdate
 
-TILES, SCAN, PATH, GRAPH, STANDING = 1, 2, 3, 4, 5
+TILES, SCAN, PATH, GRAPH, STANDING, CHANGED = 1, 2, 3, 4, 5, 6
 RANGE_STEP_M = 0.005  # a tenth of a cell; 16 bits reach 327 m
 LARGEST_ASKED = 65_536  # bytes of one message from a browser
 DEFLATE_LEVEL = 1  # tiles are mostly of one value; higher levels cost more than they save
@@ -210,11 +212,20 @@ def encode_graph(picture: GraphPicture) -> bytes:
 
 def encode_standing(grid: Grid | None) -> bytes:
     """See service.mapper.maps.standing; None: of nothing it is known."""
+    return _encode_picture(STANDING, grid)
+
+
+def encode_changes(grid: Grid | None) -> bytes:
+    """See service.mapper.map_changes; None: nobody watches what changes."""
+    return _encode_picture(CHANGED, grid)
+
+
+def _encode_picture(kind: int, grid: Grid | None) -> bytes:
     if grid is None:
-        return struct.pack("<BBHfiiII", STANDING, 0, 0, 1.0, 0, 0, 0, 0) + zlib.compress(b"")
+        return struct.pack("<BBHfiiII", kind, 0, 0, 1.0, 0, 0, 0, 0) + zlib.compress(b"")
     height, width = grid.cells.shape
     column, row = round(grid.x_min_m / grid.cell_m), round(grid.y_min_m / grid.cell_m)
-    header = struct.pack("<BBHfiiII", STANDING, 0, 0, grid.cell_m, column, row, width, height)
+    header = struct.pack("<BBHfiiII", kind, 1, 0, grid.cell_m, column, row, width, height)
     return header + zlib.compress(np.ascontiguousarray(grid.cells, np.int8).tobytes(), DEFLATE_LEVEL)
 
 

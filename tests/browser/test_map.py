@@ -265,6 +265,26 @@ def test_the_static_score_is_a_layer_from_just_come_to_stands_for_long(page, sce
     page.wait_for("return !corridor.view.standing.isKnown")
 
 
+def test_what_is_not_as_the_stored_map_says_is_a_layer(page, scene, live):
+    hide_all_but_the_map(page)
+    page.run("document.querySelector('.layers').open = true")
+    assert not page.element("layer-stored").is_displayed()  # nobody watches
+    cells = np.full((3, 12), -1, np.int8)
+    cells[1, 1], cells[2, 11] = 100, 0
+    live.put(encode_grid(Grid(0, 0.1, -1.0, 1.0, cells), stamp(1.0), stamp(1.0), "map/changes"))
+    page.wait_for("const c = corridor.report().stored; return c.appeared === 1 && c.gone === 1")
+    words = page.run("return [...document.querySelectorAll('.stored-part')].map((e) => e.textContent)")
+    assert words == ["Stands there now: 1 cells", "Is gone: 1 cells"]
+    assert page.element("layer-stored").is_selected()
+    page.run("document.querySelector('.layers').open = false")
+    page.look_at(-0.4, 1.2, 200.0)
+    assert page.pixel(-0.85, 1.15) == [190, 24, 93]
+    assert page.pixel(0.15, 1.25) == [3, 105, 161]
+    assert page.pixel(-0.45, 1.15) == FREE
+    scene.store.begin_anew()
+    page.wait_for("return document.getElementById('layer-stored').parentElement.hidden")
+
+
 def test_what_changed_since_a_moment_is_a_layer(page, scene, live):
     hide_all_but_the_map(page)
     page.driver.find_element("css selector", ".layers summary").click()

@@ -47,17 +47,19 @@ export class ChangeLayer {
   }
 
   draw(context, seen, scale, colours) {
-    const size_m = Math.max(this.cell_m, LEAST_PIXELS / scale), off_m = (this.cell_m - size_m) / 2;
     for (const kind of ["appeared", "gone"]) {
-      context.fillStyle = colours[kind];
-      for (const tile of this.changed.values()) {
-        const corners = tile[kind];
-        for (let i = 0; i < corners.length; i += 2) {
-          const x = corners[i] + off_m, y = corners[i + 1] + off_m;
-          const isSeen = x < seen.x_max_m && x + size_m > seen.x_min_m && y < seen.y_max_m && y + size_m > seen.y_min_m;
-          if (isSeen) context.fillRect(x, y, size_m, size_m);
-        }
-      }
+      for (const tile of this.changed.values()) drawCells(context, tile[kind], this.cell_m, seen, scale, colours[kind]);
     }
   }
 }
+
+/** corners: [x_m, y_m, ...], lower left ones of cells; none smaller than can be seen. */
+export const drawCells = (context, corners, cell_m, seen, scale, colour) => {
+  const size_m = Math.max(cell_m, LEAST_PIXELS / scale), off_m = (cell_m - size_m) / 2;
+  context.fillStyle = colour;
+  for (let i = 0; i < corners.length; i += 2) {
+    const x = corners[i] + off_m, y = corners[i + 1] + off_m;
+    const isSeen = x < seen.x_max_m && x + size_m > seen.x_min_m && y < seen.y_max_m && y + size_m > seen.y_min_m;
+    if (isSeen) context.fillRect(x, y, size_m, size_m);
+  }
+};

@@ -48,6 +48,7 @@ const connection = new Connection({
   tiles: (message) => { view.putTiles(message); explainChange(); byId("empty").hidden = view.tiles.tiles.size > 0; },
   graph: (message) => { view.putGraph(message); explainLayers(); },
   standing: (message) => { view.putStanding(message); explainStanding(); },
+  changes: (message) => { view.putStoredChanges(message); explainStoredChanges(); },
   path: (message) => view.putPath(message),
   scan: (message) => { if (view.putScan(message)) explainLayers(); },
   mountings: ({ pose_base_sensor }) => { view.mountings = pose_base_sensor; },
@@ -125,7 +126,7 @@ function showFollow() {
   byId("follow").setAttribute("aria-pressed", String(view.follows));
 }
 
-const LAYERS = { map: "Map", standing: "Static score", path: "Path", graph: "Pose graph", change: "Change", scans: "Scans", vehicle: "Vehicle with its 95 % ellipse", grid: "Grid" };
+const LAYERS = { map: "Map", standing: "Static score", path: "Path", graph: "Pose graph", change: "Change", stored: "Changed since the map was stored", scans: "Scans", vehicle: "Vehicle with its 95 % ellipse", grid: "Grid" };
 
 const GRAPH_PARTS = { keyFrames: "Key frames", accepted: "Loops that hold", refused: "Loops not believed", borders: "Sub-maps" };
 
@@ -141,6 +142,7 @@ function setUpLayers() {
     });
     byId("layers").append(element("label", {}, box, words), element("div", { className: "parts", id: `parts-${layer}` }));
   }
+  explainStoredChanges();
 }
 
 /** The change that is shown begins when it is asked for. */
@@ -162,6 +164,7 @@ function explainLayers() {
   const parts = Object.entries(GRAPH_PARTS).filter(([part]) => counts[part] > 0);
   byId("parts-graph").replaceChildren(...parts.map(([part, words]) => explained(`${words}: ${counts[part]}`, graph[part], "graph-part")));
   explainChange();
+  explainStoredChanges();
   explainStanding();
   byId("parts-scans").replaceChildren(...view.sensors.map((sensor) => explained(sensor, view.colourOf(sensor), "laser")));
 }
@@ -172,6 +175,14 @@ function explainStanding() {
   byId("parts-standing").replaceChildren(...(!view.layers.standing ? []
     : !view.standing.isKnown ? [element("span", {}, "Nothing is told of it now")]
       : [explained("Just come: counts little", fresh, "standing-part"), explained("Stands for long: counts in full", full, "standing-part")]));
+}
+
+/** Offered where somebody watches: a vehicle that is only localised in a stored map. */
+function explainStoredChanges() {
+  const { isKnown, counts } = view.stored, { change } = view.colours, parts = byId("parts-stored");
+  byId("layer-stored").parentElement.hidden = parts.hidden = !isKnown;
+  parts.replaceChildren(explained(`Stands there now: ${counts.appeared} cells`, change.appeared, "stored-part"),
+    explained(`Is gone: ${counts.gone} cells`, change.gone, "stored-part"));
 }
 
 function explainChange() {
@@ -250,7 +261,7 @@ window.corridor = {
   report: () => ({
     runId, isOpen, mayControl: connection.mayControl, tiles: view.tiles.tiles.size, bounds: view.tiles.bounds,
     pose: view.track.last, pathPoints: view.path.length / 2, sensors: view.sensors, shownSensors: view.shownSensors, health, follows: view.follows,
-    moment: past.moment, graph: view.graph.counts, change: view.change.counts, plotPoints: information.plot.points.length, bytes: connection.bytes, frames: view.frames, drawn_ms: [...view.drawn_ms],
+    moment: past.moment, graph: view.graph.counts, change: view.change.counts, stored: view.stored.counts, plotPoints: information.plot.points.length, bytes: connection.bytes, frames: view.frames, drawn_ms: [...view.drawn_ms],
     scanPoints: Object.fromEntries([...view.scans].map(([sensor, held]) => [sensor, held.points?.length / 2])),
   }),
 };

@@ -7,6 +7,7 @@ import { ChangeLayer } from "./change_layer.js";
 import { metres } from "./format.js";
 import { StandingLayer } from "./standing_layer.js";
 import { RANGE_STEP_M } from "./protocol.js";
+import { StoredChangeLayer } from "./stored_change_layer.js";
 import { TileMap } from "./tiles.js";
 
 const STALE_MS = 1500; // older scans and poses are not shown as live
@@ -34,9 +35,10 @@ export class MapView {
     this.scans = new Map(); // sensor -> {scan, arrived_ms}
     this.sensors = []; // lasers in the order in which they were first seen: gives each its colour
     this.mountings = {};
-    this.layers = { map: true, path: true, standing: false, graph: false, change: false, scans: true, vehicle: true, grid: true };
+    this.layers = { map: true, path: true, standing: false, graph: false, change: false, stored: true, scans: true, vehicle: true, grid: true };
     this.graph = new GraphLayer();
     this.change = new ChangeLayer();
+    this.stored = new StoredChangeLayer();
     this.standing = new StandingLayer();
     this.overlays = []; // functions(context, camera, colours) of the tools
     this.before = null; // snapshot of an earlier map
@@ -98,6 +100,7 @@ export class MapView {
     this.graph.clear();
     this.change.clear();
     this.standing.clear();
+    this.stored.clear();
     this.layers.change = false;
     this.path = [];
     this.moment = null;
@@ -126,6 +129,11 @@ export class MapView {
 
   putStanding(standing) {
     this.standing.put(standing);
+    this.invalidate();
+  }
+
+  putStoredChanges(changes) {
+    this.stored.put(changes);
     this.invalidate();
   }
 
@@ -237,6 +245,7 @@ export class MapView {
     if (layers.map) tiles.draw(context, camera.seen, camera.scale * dpr);
     if (layers.standing && !this.showsBefore) this.standing.draw(context, colours.standing);
     if (layers.change) this.change.draw(context, camera.seen, camera.scale, colours.change);
+    if (layers.stored && !this.showsBefore) this.stored.draw(context, camera.seen, camera.scale, colours.change);
     if (layers.path) this.#drawPath(this.moment && !this.showsBefore ? this.#drivenPath() : path);
     if (layers.graph) graph.draw(context, camera.scale, colours.graph);
     if (layers.scans) this.#drawScans();

@@ -1,6 +1,6 @@
 // The binary messages of service/web/protocol.py, which describes them.
 
-const TILES = 1, SCAN = 2, PATH = 3, GRAPH = 4, STANDING = 5;
+const TILES = 1, SCAN = 2, PATH = 3, GRAPH = 4, STANDING = 5, CHANGED = 6;
 export const RANGE_STEP_M = 0.005;
 
 const inflate = async (bytes) => {
@@ -58,8 +58,9 @@ const decodeGraph = async (view) => {
   };
 };
 
-const decodeStanding = async (view) => ({
-  type: "standing",
+const decodePicture = async (type, view) => ({
+  type,
+  isKnown: view.getUint8(1) === 1,
   cell_m: Math.round(view.getFloat32(4, true) * 1e6) / 1e6,
   column: view.getInt32(8, true),
   row: view.getInt32(12, true),
@@ -77,7 +78,8 @@ export const decode = (data) => {
     case SCAN: return decodeScan(view);
     case PATH: return decodePath(view);
     case GRAPH: return decodeGraph(view);
-    case STANDING: return decodeStanding(view);
-    default: throw new Error(`message of kind ${view.getUint8(0)}; expected 1 to 5`);
+    case STANDING: return decodePicture("standing", view);
+    case CHANGED: return decodePicture("changes", view);
+    default: throw new Error(`message of kind ${view.getUint8(0)}; expected 1 to 6`);
   }
 };

@@ -16,6 +16,7 @@ PERIOD_S = 0.1  # of poses and scans of both lasers
 DEGRADED_S = (7.0, 9.0)  # told by the health of each second
 MAPS_S = {5.0: (4.0, 2.5), 10.0: (8.0, 5.0), 15.0: (6.0, 3.0)}  # half width and height of the room drawn
 MARK_S, GRAPH_S, RESET_S = 3.0, 6.0, 12.05
+CHANGED_S = {3.0: 100, 5.0: 0}  # of one cell, which is new and then gone
 STANDING_S = {2.0: 20, 4.0: 40, 14.0: 60}  # of one cell, per cent
 REAR_ENDS_S, POSES_END_S = 14.0, 17.0  # no scan of rear, no pose, from then on
 NO_ENDS = np.empty((0, 2, 2), np.float32)
@@ -54,6 +55,9 @@ def past_messages() -> list[Message]:
     for seconds, percent in STANDING_S.items():
         stands = Grid(0, 0.1, 1.0, 1.0, np.full((1, 1), percent, np.int8))
         messages.append(encode_grid(stands, stamp(seconds), stamp(seconds), "standing"))
+    for seconds, value in CHANGED_S.items():
+        changed = Grid(0, 0.1, 2.0, 2.0, np.full((1, 1), value, np.int8))
+        messages.append(encode_grid(changed, stamp(seconds), stamp(seconds), "map/changes"))
     return sorted(messages, key=lambda message: message.log_ns)
 
 

@@ -1,9 +1,11 @@
 import csv
 
 import numpy as np
+import pytest
 
+from service.errors import InputError
 from service.mapper.map_changes import MapChanges
-from service.offline.map_change_file import write_changes
+from service.offline.map_change_file import read_changes, write_changes
 
 CHANGES = MapChanges(
     0.1,
@@ -35,3 +37,21 @@ def test_where_nobody_watched_no_file_of_before_stays(tmp_path):
     write_changes(tmp_path / "changes.csv", CHANGES)
     write_changes(tmp_path / "changes.csv", None)
     assert not (tmp_path / "changes.csv").exists()
+
+
+def test_what_is_written_is_read_again(tmp_path):
+    write_changes(tmp_path / "changes.csv", CHANGES)
+    again = read_changes(tmp_path / "changes.csv", 0.05)
+    assert again.says_as(CHANGES)
+    assert again.cell_m == CHANGES.cell_m
+    assert [again.first_ns.tolist(), again.scans.tolist()] == [[1000, 2000], [12, 7]]
+    assert read_changes(tmp_path / "none.csv", 0.05) is None
+
+
+@pytest.mark.parametrize(
+    "text", ["x_m,y_m\n1,2\n", "x_m,y_m,change,first_stamp_ns,last_stamp_ns,scans\na,b\n"]
+)
+def test_a_file_that_is_none_is_named(tmp_path, text):
+    (tmp_path / "changes.csv").write_text(text)
+    with pytest.raises(InputError, match=r"changes.csv: no changes.csv of a replay"):
+        read_changes(tmp_path / "changes.csv", 0.05)

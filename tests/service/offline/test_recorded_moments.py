@@ -108,6 +108,13 @@ def test_what_stands_is_the_newest_of_the_present_map(moments):
     assert [percent(s) for s in (RESET_S, 13.0, 14.0)] == [None, None, 60]
 
 
+def test_what_has_changed_is_the_newest_of_the_present_map(moments):
+    def cells(seconds):
+        return moments.at(stamp(seconds)).changes.cells.tolist()
+
+    assert [cells(s) for s in (2.9, 3.0, 5.0, RESET_S)] == [[], [[100]], [[0]], []]
+
+
 def test_a_laser_that_fell_silent_is_not_of_the_moment(moments):
     assert [scan.sensor for scan in moments.at(stamp(15.2)).scans] == ["front", "rear"]
     assert [scan.sensor for scan in moments.at(stamp(16.0)).scans] == ["front"]

@@ -12,13 +12,15 @@ from service.geometry.se2 import SE2
 from service.mapstore.files import save_map
 from service.mapstore.picture import picture_of_grid
 from service.mapstore.ros_map import write_ros_map
+from service.offline.map_change_file import write_changes
 from service.offline.trajectory import write_tum
 from service.offline.view import View, tiles_of_grid
 from service.outputs import FREE, OCCUPIED, UNKNOWN, Grid, TileUpdate
 from tests.service.offline.bent_maps import ROUND, save_bent
+from tests.service.offline.test_map_change_file import CHANGES
 from tests.service.web.conftest import TIMEOUT_S, talk
 
-TILES, PATH, GRAPH = 1, 3, 4
+TILES, PATH, GRAPH, CHANGED = 1, 3, 4, 6
 ANY_PORT = "127.0.0.1:0"
 
 
@@ -70,6 +72,19 @@ def test_the_result_of_a_replay_is_shown_with_its_path(show, tmp_path):
                 [3.0, 0.5],
             ]
             assert struct.unpack_from("<I", await client.next(socket, TILES), 8) == (6,)
+
+    talk(show(tmp_path), look)
+
+
+def test_a_result_shows_what_had_changed_since_its_map_was_stored(show, tmp_path):
+    write_ros_map(tmp_path / "map.pgm", tmp_path / "map.yaml", picture_of_grid(grid(0.0, 0.0)))
+    write_tum(tmp_path / "trajectory.tum", [(k * 10**9 + 1, SE2(float(k), 0.5, 0.0)) for k in range(4)])
+    write_changes(tmp_path / "changes.csv", CHANGES)
+
+    async def look(client):
+        async with client.socket() as socket:
+            told = await client.next(socket, CHANGED)
+            assert struct.unpack_from("<BBHfiiII", told)[4:] == (12, -4, 59, 26)
 
     talk(show(tmp_path), look)
 

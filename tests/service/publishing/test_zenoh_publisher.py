@@ -120,6 +120,7 @@ def test_a_late_joiner_gets_the_last_pose_and_state(publisher, client):
     for number in (1, 2):
         publisher.put(message("pose", number))
         publisher.put(message("tf_static", number, payload=b"tf"))
+        publisher.put(message("map/changes", number, payload=b"changed"))
         publisher.put(message("health", number, payload=b"health"))
     wait_until(
         lambda: publisher.sent()["pose"] == 2 and publisher.sent()["health"] and publisher.sent()["tf_static"]
@@ -128,6 +129,8 @@ def test_a_late_joiner_gets_the_last_pose_and_state(publisher, client):
         (b"\x00\x01\x00\x00pose", 2)
     ]
     assert [s.payload.to_bytes() for s in get(client, "tf_static")] == [b"tf"]
+    wait_until(lambda: publisher.sent()["map/changes"] >= 1)
+    assert [s.payload.to_bytes() for s in get(client, "map/changes")] == [b"changed"]
     assert [s.payload.to_bytes() for s in get(client, "health")] == [b"health"]
 
 

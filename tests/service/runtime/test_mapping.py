@@ -22,6 +22,7 @@ from service.encoding import (
 from service.geometry.se2 import SE2
 from service.mapper.components import FinishedGraph, GraphUpdate
 from service.mapper.graph.no_graph import NoGraph
+from service.mapper.map_changes import MapChanges
 from service.mapper.mapping_session import ApplyResult, LeftOut, MappingSession
 from service.mapstore.tiles import TileStore
 from service.outputs import UNKNOWN, GraphPicture, Grid, MapperOutput, TileUpdate
@@ -94,6 +95,7 @@ class FakeMapper:
     stands: Grid | None = None
     graph_picture: GraphPicture | None = None
     pose_refused: tuple[float, float, float] | None = None
+    changes_told: MapChanges | None = None
 
     def changed_tiles(self) -> list[TileUpdate]:
         version, self._changed = self._changed, 0
@@ -263,6 +265,42 @@ def test_the_graph_is_shown_when_it_was_drawn_anew_and_taken_away_by_a_reset():
     (message,) = shown()
     assert not decode_graph(message.payload).ways
     assert shown() == []
+
+
+def test_what_has_changed_is_told_when_it_is_something_else():
+    mapper, said, now_ns = FakeMapper(), [], [10**9]
+    mappers = iter([mapper, FakeMapper()])
+    session = MappingSession(lambda: next(mappers), ["front"], None)
+    loop = MappingLoop(session, said.append, (), lambda: now_ns[0])
+    outputs = Run(FakeMapper())
+
+    def told() -> list[Grid]:
+        now_ns[0] += 10**9
+        said.clear()
+        loop.keep_up(is_idle=True)
+        outputs.put_out.clear()
+        for message in said:
+            outputs.outputs.heard(message)
+        return [decode_grid(m.payload) for m in outputs.recorded if m.channel == "map/changes"]
+
+    assert told() == []  # nobody watches
+    mapper.changes_told = changed([0.25])
+    (grid,) = told()
+    assert (grid.cells.tolist(), grid.x_min_m, grid.cell_m) == ([[100]], pytest.approx(0.2), 0.1)
+    mapper.changes_told = changed([0.25])
+    assert told() == []  # the same cells
+    mapper.changes_told = changed([0.25, 0.35])
+    (grid,) = told()
+    assert grid.cells.tolist() == [[100, 100]]
+    session.carry_out("reset_map")
+    (grid,) = told()
+    assert grid.cells.size == 0
+
+
+def changed(x_m: list[float]) -> MapChanges:
+    stamps = np.zeros(len(x_m), np.int64)
+    xy_map = np.array([(x, 0.05) for x in x_m])
+    return MapChanges(0.1, xy_map, np.ones(len(x_m), np.bool_), stamps, stamps, stamps)
 
 
 def test_what_stands_is_told_each_two_seconds_while_scans_come():

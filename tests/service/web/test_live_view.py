@@ -16,6 +16,7 @@ from service.encoding import (
     encode_tf_static,
 )
 from service.geometry.se2 import SE2
+from service.mapper.map_changes import NOTHING_CHANGED
 from service.outputs import GraphPicture, Grid
 from service.web.live_view import LATENCY_PERIOD_NS, SCAN_PERIOD_NS, DrivenPath, LiveView
 from tests.browser.scene import MOUNTINGS, Scene, event, stamp, statuses
@@ -165,7 +166,7 @@ def test_the_path_is_told_to_who_comes_late_and_ends_with_its_map(view):
 
     expected = [(scene.pose(t).x_m, scene.pose(t).y_m) for t in (0.0, 1.0, 2.0)]
     np.testing.assert_allclose(points(), expected, atol=1e-6)
-    reset, _ = view.map_reset()
+    reset, *_ = view.map_reset()
     assert struct.unpack_from("<I", reset.payload, 4) == (0,)
     assert len(points()) == 0
 
@@ -178,9 +179,23 @@ def test_what_stands_is_shown_until_the_map_begins_anew(view):
     kind, _, _, cell_m, column, row, width, height = struct.unpack_from("<BBHfiiII", shown.payload)
     assert (kind, round(cell_m, 6), column, row, width, height) == (5, 0.1, -12, 34, 3, 2)
     assert np.frombuffer(zlib.decompress(shown.payload[24:]), np.int8).tolist() == [-1, 5, 100, 7, -1, -1]
-    _, emptied = view.map_reset()
+    _, emptied, _ = view.map_reset()
     assert struct.unpack_from("<II", emptied.payload, 16) == (0, 0)
     assert [s.payload for s in view.snapshot() if s.key == "standing"] == [emptied.payload]
+
+
+def test_what_has_changed_is_shown_until_the_map_begins_anew(view):
+    view.put(encode_grid(Grid(0, 0.1, 0.3, -0.2, np.array([[100, -1, 0]], np.int8)), 1, 1, "map/changes"))
+    (shown,) = view.due()
+    assert shown.key == "map/changes"
+    kind, is_known, _, _, column, row, width, height = struct.unpack_from("<BBHfiiII", shown.payload)
+    assert (kind, is_known, column, row, width, height) == (6, 1, 3, -2, 3, 1)
+    assert np.frombuffer(zlib.decompress(shown.payload[24:]), np.int8).tolist() == [100, -1, 0]
+    view.put(encode_grid(NOTHING_CHANGED, 2, 2, "map/changes"))
+    (shown,) = view.due()
+    assert struct.unpack_from("<BBHfiiII", shown.payload)[1] == 1  # it is known that nothing has
+    *_, forgotten = view.map_reset()
+    assert struct.unpack_from("<BB", forgotten.payload) == (6, 0)
 
 
 def test_a_long_path_keeps_its_shape_and_its_bound():
