@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from service.kernels.posts import may_see_posts_mostly
 from service.mapper.components import Points
 
 Matrix = npt.NDArray[np.float64]
@@ -59,9 +60,12 @@ def posts_of(points: Points) -> Posts | None:
     if count < 3:
         return None
     sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
+    step_rad = abs(points.scan.angle_step_rad)
+    bounds = (MOST_WIDTH_M, LEAST_STEP_M, LEAST_SHARE)
+    if not may_see_posts_mostly(points.xy_raw, points.beam, sensor, step_rad, *bounds):
+        return None  # as below, in a twentieth of the time: so it is with nearly every scan
     away = points.xy_raw - sensor
     range_m = np.hypot(away[:, 0], away[:, 1])
-    step_rad = abs(points.scan.angle_step_rad)
     is_break = (np.diff(points.beam) > 1) | (np.abs(np.diff(range_m)) > LEAST_STEP_M)
     begin = np.concatenate(([0], np.flatnonzero(is_break) + 1))
     end = np.concatenate((begin[1:], [count]))

@@ -8,6 +8,7 @@ import pytest
 from drivers.frames import NO_INTENSITY, LaserScan
 from service.geometry.se2 import SE2
 from service.mapper.components import Points
+from service.mapper.methods.corridor import posts
 from service.mapper.methods.corridor.posts import posts_of
 from service.mapper.profiles import mapping_config
 from simulators.trajectory import Follow, plan_drive
@@ -42,8 +43,8 @@ def seen(posts: list[tuple[float, float, float]], wall_m: float = math.inf) -> P
 
 
 def found(points: Points) -> np.ndarray:
-    posts = posts_of(points)
-    return np.zeros((0, 2)) if posts is None else posts.xy_raw
+    seen_whole = posts_of(points)
+    return np.zeros((0, 2)) if seen_whole is None else seen_whole.xy_raw
 
 
 @pytest.mark.parametrize("radius_m", [0.06, 0.12, 0.25])
@@ -65,6 +66,23 @@ def test_what_stands_half_behind_another_or_at_the_edge_of_the_view_is_left_out(
 
 def test_where_walls_are_in_view_posts_are_not_asked():
     assert len(found(seen([(2.0, 0.5, 0.15)], wall_m=3.0))) == 0
+
+
+def test_the_quick_look_at_a_scan_refuses_none_that_sees_posts_mostly(monkeypatch: pytest.MonkeyPatch):
+    rng = np.random.default_rng(1)
+    scans = []
+    for _ in range(300):
+        stand = [
+            (float(rng.uniform(0.5, 9.0)), float(rng.uniform(-6.0, 6.0)), float(rng.uniform(0.03, 0.4)))
+            for _ in range(int(rng.integers(1, 25)))
+        ]
+        points = seen(stand, wall_m=float(rng.choice([math.inf, 5.0, 12.0])))
+        if len(points.xy_raw) >= 3:
+            scans.append(points)
+    quick = [posts_of(points) is not None for points in scans]
+    monkeypatch.setattr(posts, "may_see_posts_mostly", lambda *_: True)
+    assert quick == [posts_of(points) is not None for points in scans]
+    assert 20 < sum(quick) < len(scans) - 20
 
 
 def test_a_post_is_asked_twice_along_the_axes_of_the_map():
