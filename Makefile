@@ -9,11 +9,12 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/installed
 VENV_MB := 900
+AXE := build/node_modules/axe-core/axe.min.js
 export CORRIDOR_SHARED ?= $(abspath ../shared)
 # One thread a process: the mapper is single-threaded, and BLAS pools only steal its core.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv demo test check ci bench papers chaos interop soak clean
+.PHONY: help venv demo test check ci axe bench papers chaos interop soak clean
 
 help: ## this list
 	@awk -F':.*## ' '/^[a-z]+:.*## /{printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -57,6 +58,11 @@ check: venv ## ruff, mypy --strict, import-linter
 
 ci: ## what a pull request must pass: check, test, and both with Python 3.13 where that is installed
 	.ci/run
+
+axe: $(AXE) ## axe-core by npm, with which the browser tests judge accessibility; skipped without it
+
+$(AXE):
+	npm install --prefix build --no-audit --no-fund --fetch-retries 1 --fetch-timeout 20000 axe-core@4.14.1
 
 bench: venv ## the benchmarks: a table, and bench.json
 	$(BIN)/python -m tests.bench $(BENCH_ARGS)

@@ -296,6 +296,23 @@ def test_a_replay_is_steered_from_its_strip(page, scene, live, desk):
     assert not page.run("return corridor.view.isLive")
 
 
+def test_the_slider_of_a_replay_is_not_dragged_back_before_its_end(page, scene, live, desk):
+    live.put(replaying(scene, 20.04, state="paused"))
+    page.wait_for_text("replay-time", "0:20 min of 1:40 min")
+    for seconds in ("5", "30"):
+        page.run(
+            "const s = document.getElementById('replay-position'); s.value = arguments[0];"
+            "s.dispatchEvent(new Event('input'));"
+            "window.shown = [s.value, document.getElementById('replay-note').textContent];"
+            "s.dispatchEvent(new Event('change'))",
+            seconds,
+        )
+        position = "20" if seconds == "5" else seconds
+        assert page.run("return window.shown") == [position, "forward only"]
+    page.wait_for_answers()
+    assert asked(desk) == [("replay_go_to", {"position_s": 30})]
+
+
 def test_the_path_goes_on_where_a_replay_leaves_poses_out(page, scene, live):
     before = page.report()["pathPoints"]
     live.put_way(np.array([[1.0, 1.0], [2.0, 1.0], [3.0, 1.0]], np.float32))

@@ -5,6 +5,7 @@ import { duration } from "./format.js";
 
 const RATES = [[0, "as fast as it maps"], [0.5, "0.5 times"], [1, "real time"], [2, "2 times"], [5, "5 times"], [10, "10 times"], [50, "50 times"]];
 const STEP_S = 1;
+const FORWARD = "Goes forward only; when the replay has finished, any moment of it can be gone to";
 
 export class Replay {
   /** ask(verb, request): give a command. */
@@ -18,9 +19,9 @@ export class Replay {
     this.step = element("button", { type: "button", id: "replay-step", title: `Go on by ${STEP_S} s, then pause`,
       onclick: () => this.#goTo(this.position_s + STEP_S) }, `+${STEP_S} s`);
     this.slider = element("input", { type: "range", id: "replay-position", min: "0", max: "1", step: "0.1", value: "0",
-      "aria-label": "Time in the recording: go there, then pause" });
+      "aria-label": "Time in the recording: go forward to it, then pause", title: FORWARD });
     this.slider.addEventListener("change", () => this.#goTo(Number(this.slider.value)));
-    this.slider.addEventListener("input", () => { this.isDragged = true; setText(this.words, this.#time(Number(this.slider.value))); });
+    this.slider.addEventListener("input", () => this.#drag());
     this.words = element("span", { className: "replay-time", id: "replay-time" });
     this.rate = element("select", { id: "replay-rate", "aria-label": "Speed of the replay" },
       ...RATES.map(([rate, text]) => element("option", { value: String(rate) }, text)));
@@ -69,8 +70,22 @@ export class Replay {
   }
 
   async #goTo(position_s) {
+    if (position_s <= this.position_s) { // dragged back
+      this.isDragged = false;
+      return;
+    }
     await this.ask("replay_go_to", { position_s: Math.min(position_s, this.duration_s) });
     this.isDragged = false;
+  }
+
+  /** Not back: what is mapped stays mapped until the end. */
+  #drag() {
+    this.isDragged = true;
+    if (Number(this.slider.value) < this.position_s) {
+      this.slider.value = String(this.position_s);
+      setText(this.note, "forward only");
+    }
+    setText(this.words, this.#time(Number(this.slider.value)));
   }
 
   #time(position_s) {
