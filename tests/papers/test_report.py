@@ -1,9 +1,6 @@
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
 
+from tests.papers.__main__ import main
 from tests.papers.report import FOLDER, Row, Section, below_title, told, write_page
 
 MISSED = Row("A1", "error", [7.0], "mm", at_most=5.0, cause="the wall is glass")
@@ -40,8 +37,9 @@ def test_on_the_pages_every_missed_bound_has_its_cause():
         (["--only", "imle", "--scenario", "lobby"], "--scenario lobby: known here are room,"),
     ],
 )
-def test_what_cannot_be_run_is_refused_before_anything_is(arguments, told_so):
-    command = [sys.executable, "-m", "tests.papers", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).parents[2], timeout=60)
-    assert done.returncode == 2
-    assert told_so in done.stderr
+def test_what_cannot_be_run_is_refused_before_anything_is(arguments, told_so, capsys, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["python -m tests.papers", *arguments])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 2
+    assert told_so in capsys.readouterr().err

@@ -65,17 +65,24 @@ def test_the_version_is_the_one_that_stands_in_one_place(capsys: pytest.CaptureF
         ["replay", "a.mcap", "--rate", "-1"],
         ["replay", "a.mcap", "--jobs", "0"],
         ["export", "x", "--format", "jpeg", "--out", "y"],
-        ["simulate", "--world", "nowhere at all"],
         ["demo", "--world", "ofice"],
         ["demo", "--port", "0"],
         ["replay", "a.mcap", "--profile", "corridr"],
     ],
 )
-def test_wrong_usage_exits_with_64(wrong: list[str]):
+def test_wrong_usage_exits_with_64(wrong: list[str], capsys: pytest.CaptureFixture[str]):
+    assert code_of(wrong) == UsageError.exit_code
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "usage: corridor" in said.err
+
+
+@pytest.mark.parametrize("wrong", [["drive"], ["simulate", "--world", "nowhere at all"]])
+def test_the_command_itself_ends_with_this_code_and_without_a_traceback(wrong: list[str]):
     done = subprocess.run([CORRIDOR, *wrong], capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == UsageError.exit_code
-    assert done.stdout == ""
-    assert "usage: corridor" in done.stderr
+    assert (done.returncode, done.stdout) == (UsageError.exit_code, "")
+    assert done.stderr.startswith("usage: corridor")
+    assert "Traceback" not in done.stderr
 
 
 def test_a_name_that_is_nearly_right_is_offered_and_all_are_named(capsys: pytest.CaptureFixture[str]):

@@ -172,7 +172,7 @@ def test_a_session_may_begin_in_what_a_second_session_left(first, second, contin
 
 def test_what_is_nowhere_in_the_stored_map_stays_lost(first):
     _, begin = first
-    elsewhere = through("library", 4.0, 1)
+    elsewhere = through("library", 2.0, 1)
     outputs = list(outputs_of(new_mapper(begin), elsewhere.frames))
     assert {output.state for output in outputs} == {"lost"}
     assert "stored map" in outputs[-1].reason
@@ -195,7 +195,9 @@ def test_a_pose_that_does_not_fit_is_given_up_and_that_is_told(first):
     elsewhere = through("library", 4.0, 1)
     mapper = new_mapper(first[1])
     mapper.graph.request("set_pose", {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5})
-    reasons = [output.reason for output in outputs_of(mapper, elsewhere.frames)]
+    outputs = list(outputs_of(mapper, elsewhere.frames))
+    assert {output.state for output in outputs} == {"lost"}  # also in all searches after that
+    reasons = [output.reason for output in outputs]
     assert not reasons[0].startswith("the pose set")
     assert reasons[-1].startswith("the pose set at (1.0, 2.0) m is rejected: no scan matches the map there; ")
     assert mapper.counters["set_pose_given_up"] == 1
