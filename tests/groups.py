@@ -1,6 +1,6 @@
 """`make test`: groups of tests side by side, how far each is while it runs, and their failures at the end.
 
-What computes gives way (nice) to what talks to devices and clocks in real time.
+What computes gives way (nice) to what talks to browsers and clocks, and that to whole machines in real time.
 """
 
 import os
@@ -24,15 +24,19 @@ TELL_S = 10.0  # no silence for longer
 LOOK_S = 0.5
 # Set, each of some hundred processes would compile every file anew: a third of their processor time.
 WITHOUT_BYTECODE = "PYTHONDONTWRITEBYTECODE"
-EXPECTED = "some five minutes on two cores, nine on slow ones"
-COMPUTING = (
-    "tests/accuracy",
-    *(f"tests/service/{folder}" for folder in ("fusion", "geometry", "kernels", "mapper", "mapstore")),
-)
-TALKING = ("tests/chaos", "tests/drivers", "tests/simulators")
-LIVE = (  # against clocks and browsers, and mostly waiting
-    *("tests/browser", "tests/docs", "tests/system", "tests/service/offline/doctor"),
+EXPECTED = "some five minutes on two cores, eight on slow ones"
+MACHINES = ("tests/docs", "tests/system")  # services with all their devices, in real time
+PAGES = (  # against clocks and browsers, and mostly waiting
+    *("tests/browser", "tests/service/offline/doctor"),
     *(f"tests/service/{folder}" for folder in ("publishing", "sinks", "web")),
+)
+PARTS = (  # each on its own: drivers, fake devices, kernels
+    *("tests/chaos", "tests/drivers", "tests/simulators"),
+    *(f"tests/service/{folder}" for folder in ("fusion", "geometry", "kernels")),
+)
+MAPPING = (
+    *("tests/accuracy", "tests/service/mapper"),
+    "tests/service/offline/test_map_remap.py",  # which begins with a map of the others'
 )
 _SHARE = re.compile(r"\[ *(\d+)%\]")
 _SKIP = re.compile(r"^SKIPPED \[(\d+)\] (.*)$", re.MULTILINE)
@@ -42,15 +46,17 @@ _SKIP = re.compile(r"^SKIPPED \[(\d+)\] (.*)$", re.MULTILINE)
 class Group:
     name: str
     arguments: tuple[str, ...]
-    gives_way: bool
+    niceness: int
 
 
-GROUPS = (
-    Group("live", LIVE, gives_way=False),
-    Group("service", tuple(f"--ignore={folder}" for folder in (*LIVE, *TALKING, *COMPUTING)), gives_way=True),
-    Group("devices", TALKING, gives_way=True),
-    Group("mapping", COMPUTING, gives_way=True),
+NAMED = (
+    Group("machines", MACHINES, niceness=0),
+    Group("pages", PAGES, niceness=5),
+    Group("parts", PARTS, niceness=10),
+    Group("mapping", MAPPING, niceness=10),
 )
+REST = tuple(f"--ignore={path}" for group in NAMED for path in group.arguments)
+GROUPS = (*NAMED, Group("service", REST, niceness=10))
 
 
 class Running:
@@ -64,12 +70,22 @@ class Running:
         command = [sys.executable, "-m", "pytest", "-q", "-rs", "-m", "not soak and not bench"]
         command += ["--durations=25"]  # its slowest tests stand at the end of its words
         self.process = subprocess.Popen(
-            [*(["nice"] if group.gives_way else []), *command, "-p", "no:cacheprovider", *group.arguments],
+            ["nice", "-n", str(group.niceness), *command, "-p", "no:cacheprovider", *group.arguments],
             env={name: value for name, value in os.environ.items() if name != WITHOUT_BYTECODE},
             stdout=self._file,
             stderr=subprocess.STDOUT,
         )
         self.told = False
+        self._cpu_s = 0.0
+
+    def wait(self, seconds: float) -> bool:
+        """Whether it has ended within so long; the processor time of an ended one is read here."""
+        if self.process.returncode is None:
+            before_s = children_cpu_s()
+            with suppress(subprocess.TimeoutExpired):
+                self.process.wait(seconds)
+                self._cpu_s = children_cpu_s() - before_s
+        return self.process.returncode is not None
 
     @property
     def text(self) -> str:
@@ -85,7 +101,10 @@ class Running:
         self._file.close()
         words = self.text.strip().splitlines() or ["said nothing"]
         took_s = time.monotonic() - self._began_s
-        return f"{self.group.name}: exit code {self.process.returncode} after {took_s:.0f} s: {words[-1]}"
+        return (
+            f"{self.group.name}: exit code {self.process.returncode} after {took_s:.0f} s, "
+            f"{self._cpu_s:.0f} s of processor: {words[-1]}"
+        )
 
 
 def run(groups: Sequence[Group], folder: Path = LOGS) -> int:
@@ -96,11 +115,10 @@ def run(groups: Sequence[Group], folder: Path = LOGS) -> int:
     running = [Running(group, folder) for group in groups]
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
-        while alive := [one for one in running if one.process.poll() is None]:
-            with suppress(subprocess.TimeoutExpired):
-                alive[0].process.wait(LOOK_S)
+        while alive := [one for one in running if not one.wait(0.0)]:
+            alive[0].wait(LOOK_S)
             for one in running:
-                if one.process.poll() is not None and not one.told:
+                if one.wait(0.0) and not one.told:
                     one.told = True
                     say(one.end())
             if time.monotonic() - told_s >= TELL_S:
@@ -131,10 +149,15 @@ def summarise(running: Sequence[Running], took_s: float) -> int:
             skips[reason.partition(": ")[2] or reason] += int(count)
     for reason, count in sorted(skips.items()):
         say(f"skipped {count}: {reason}")
-    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
-    say(f"{took_s:.0f} s, {usage.ru_utime + usage.ru_stime:.0f} s of processor")
+    say(f"{took_s:.0f} s, {children_cpu_s():.0f} s of processor")
     say(f"FAILED: {', '.join(one.group.name for one in failed)}" if failed else "all passed")
     return 1 if failed else 0
+
+
+def children_cpu_s() -> float:
+    """Of all children of this process that have ended and were waited for, and of theirs."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
 
 
 def say(words: str) -> None:

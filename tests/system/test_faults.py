@@ -32,7 +32,7 @@ def test_a_demo_with_faults_stays_up_and_its_session_replays(tmp_path: Path):
     ):
         status = statuses[f"sensor/{name}"]
         assert status["state"] == "streaming"
-        assert int(status["connects"]) >= 2
+        assert not run.was_in_time or int(status["connects"]) >= 2  # else the fault was over before the first
         frames = [decode_frame(kind, m.payload, "x", m.log_ns) for m in recording.messages([topic])]
         stamps_ns = np.array([frame.stamp_ns for frame in frames if frame is not None])
         assert (np.diff(stamps_ns) > 0).all()
