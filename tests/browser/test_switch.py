@@ -2,6 +2,9 @@
 
 import json
 
+import pytest
+from selenium.webdriver.common.keys import Keys
+
 from service.encoding import Status, encode_diagnostics
 from service.mapstore.files import save_map
 from service.publishing.commands import Answer
@@ -102,6 +105,34 @@ def test_a_stored_map_is_loaded(page, serve, desk, tmp_path):
     page.element("confirm-yes").click()
     page.wait_for_text("notices", "office is loaded.")
     assert asked(desk) == [("load_map", {"map": "office"})]
+
+
+def test_a_copy_is_saved_and_loaded_again_where_the_vehicle_was(page, serve, scene, desk, tmp_path):
+    save_map(tmp_path / "copy", [tile(1)], 1)
+    server = serve(folders={"session": tmp_path / "none", "map": tmp_path})
+    for message in scene.messages(1.0):
+        server.put(message)
+    page.open(server.address, TOKEN)
+    page.wait_for("const r = corridor.report(); return r.mayControl && r.pose")
+    page.run("corridor.connection.on.verbs({verbs: ['save_map', 'load_map', 'set_pose']})")
+    page.choose("control")
+    page.element("save-as").click()
+    page.element("confirm-input").send_keys(Keys.CONTROL, "a")
+    page.element("confirm-input").send_keys("copy", Keys.ENTER)
+    page.wait_for_text("notices", "Save map: done")
+    page.choose("resources")
+    page.wait_for_text("resources", "copy")
+    server.put(scene.messages(2.0)[1])
+    page.wait_for("return corridor.view.isLive")
+    page.driver.find_element("css selector", '[aria-label="Load\u2026 copy"]').click()
+    page.element("confirm-yes").click()
+    page.wait_for_text("notices", "copy is loaded. Is it a copy of that one")
+    page.driver.find_element("xpath", "//div[@id='notices']//button[text()='Set its pose']").click()
+    page.wait_for_text("notices", "looked for where it was")
+    (_, saved), (_, loaded), (verb, posed) = asked(desk)
+    assert (saved, loaded, verb) == ({"name": "copy"}, {"map": "copy"}, "set_pose")
+    pose = scene.pose(2.0)
+    assert posed == pytest.approx({"x_m": pose.x_m, "y_m": pose.y_m, "theta_rad": pose.theta_rad})
 
 
 def test_the_card_fits_a_phone_and_passes_axe(page, live, axe):

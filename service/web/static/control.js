@@ -26,6 +26,7 @@ export class Control {
       this.#button("pause", "Pause", "Scans are recorded, not mapped"),
       this.#button("resume", "Resume"),
       this.#button("save_map", "Save map"),
+      this.saveAs = element("button", { type: "button", id: "save-as", title: "Also under a name: a copy that can be edited", onclick: () => this.#saveAs() }, "Save as\u2026"),
       this.#button("reset_map", "Reset map\u2026", "", "danger", () => this.#reset())));
     const recording = card("Recording");
     this.mark = element("input", { type: "text", id: "mark-text", maxLength: 1000, placeholder: "What happened here" });
@@ -81,6 +82,8 @@ export class Control {
       button.hidden = !this.verbs.includes(verb);
       button.disabled = !may || Boolean(useless[verb]);
     }
+    this.saveAs.hidden = this.buttons.get("save_map").hidden;
+    this.saveAs.disabled = !may;
     this.profile.update(may, this.verbs);
     this.pose.node.hidden = !this.verbs.includes("set_pose");
     this.mark.disabled = !may || !this.isRecording;
@@ -112,6 +115,12 @@ export class Control {
     const isSure = await confirmed("Reset the map?",
       "The present map is saved and closed, and mapping begins a new one where the vehicle stands.", "Reset map");
     if (isSure) this.ask("reset_map");
+  }
+
+  async #saveAs() {
+    const name = await confirmed("Save the map as", "Name of the copy: letters, digits, _ . and -. Mapping goes on in the map that it is in; "
+      + "the copy can be edited (corridor view) and loaded again under Resources.", "Save", "map");
+    if (name) this.ask("save_map", { name });
   }
 
   async #mark(event) {

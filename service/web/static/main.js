@@ -89,7 +89,7 @@ const control = new Control(byId("control"), connection, (done) => setTool(new P
 const replay = setUpReplay(connection, (verb, request) => control.ask(verb, request, { quietly: "Replay" }));
 const past = setUpPast(connection, (position_s) => control.ask("moment_go_to", { position_s }, { quietly: "Moment" }));
 const edit = new Edit(byId("edit"), connection, view, setTool);
-const resources = new Resources(byId("resources"), connection);
+const resources = new Resources(byId("resources"), connection, () => (view.track.last && view.isLive ? view.track.last : null));
 byId("tab-resources").addEventListener("click", () => resources.refresh());
 const gestures = new Gestures(byId("map"), view, () => tool, () => showFollow());
 

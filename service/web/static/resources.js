@@ -7,8 +7,10 @@ const KINDS = { map: "Maps", session: "Sessions" };
 const SHOWN = 30; // of a kind; the rest on demand
 
 export class Resources {
-  constructor(root, connection) {
+  /** lastPose(): {x_m, y_m, theta_rad} of the vehicle in the present map, null where it is not known now. */
+  constructor(root, connection, lastPose) {
     this.connection = connection;
+    this.lastPose = lastPose;
     this.formats = {};
     this.lists = {};
     this.verbs = [];
@@ -18,7 +20,7 @@ export class Resources {
     for (const [kind, title] of Object.entries(KINDS)) {
       const { node, aside } = card(title);
       const list = element("ul", { className: "stored" });
-      if (kind === "map") node.append(element("p", { className: "note" }, "A map is edited when no session goes on in it: corridor view FOLDER."));
+      if (kind === "map") node.append(element("p", { className: "note" }, "To edit the map of this session: Save as\u2026 under Control, corridor view of that copy, then Load\u2026 here."));
       node.append(list);
       root.append(node);
       this.lists[kind] = { list, aside };
@@ -83,10 +85,21 @@ export class Resources {
     const isSure = await confirmed(`Load ${name}?`, "The present map is saved and closed, and mapping goes on in this one. "
       + "The vehicle is lost until it is found there; Set pose helps it. The recording goes on.", "Load map");
     if (!isSure) return;
+    const pose = this.lastPose();
     const answer = await this.connection.command("load_map", { map: name });
     const before = answer.folder_before ? `, the map before is in ${answer.folder_before}` : "";
-    notice(answer.ok ? `${name} is loaded${before}.` : `Load ${name}: ${answer.error}.`, answer.ok ? "ok" : "error");
+    if (!answer.ok) notice(`Load ${name}: ${answer.error}.`, "error");
+    else if (!pose) notice(`${name} is loaded${before}.`, "ok");
+    else {
+      notice(`${name} is loaded${before}. Is it a copy of that one, and the vehicle where it was?`, "ok",
+        { text: "Set its pose", act: () => this.#setPose(pose) });
+    }
     this.refresh();
+  }
+
+  async #setPose({ x_m, y_m, theta_rad }) {
+    const answer = await this.connection.command("set_pose", { x_m, y_m, theta_rad });
+    notice(answer.ok ? "The vehicle is looked for where it was." : `Set pose: ${answer.error}.`, answer.ok ? "ok" : "error");
   }
 
   async #rename(kind, name) {
