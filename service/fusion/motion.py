@@ -30,6 +30,7 @@ class Prediction(Motion):
     elapsed_s: float  # since the last scan; 0: there was none
     travel_m: float  # since the last scan
     is_measured: bool  # wheels or an IMU measured the motion since then; else the last speed goes on
+    is_confirmed: bool = False  # both did, and were weighed against each other
 
     def twist_at(self, pose_odom_base: SE2) -> tuple[float, float, float]:
         """The twist, were the base at this pose instead: m/s forward, m/s left, rad/s."""

@@ -7,20 +7,23 @@ import numpy.typing as npt
 from pydantic import Field
 
 from service.fusion.motion import Measurement, Prediction
+from service.geometry.poses import moved_by
 from service.geometry.se2 import SE2
 from service.kernels.likelihood_lm import thin_evenly
 from service.kernels.likelihood_search import LikelihoodLayer, search_exhaustive
 from service.mapper.components import Match, Points
 from service.mapper.judgement import JudgementConfig
 from service.mapper.matchers.covariances import diagonal, in_base_axes, inverse
-from service.mapper.matchers.field_align import align, information_at
+from service.mapper.matchers.field_align import align, information_at, values_at
 from service.mapper.matchers.judged import JudgedMatching, Laid
 from service.mapper.matchers.recovery import search_around, step_of
 from service.mapper.matchers.window_search import window_around
+from service.mapper.methods.owolm_eskf.across_walls import information_across
 from service.mapper.methods.owolm_eskf.orthogonal_map import OrthogonalMap
 
 Array = npt.NDArray[np.float64]
 
+BLIND = np.diag([1e-4, 1e-4, 0.1])  # known at least: sigma of 100 m and 3 rad
 RECOVERY_CELL_M = 0.1  # a lost scan is searched for on the first level whose cells are so wide
 
 
@@ -63,12 +66,18 @@ class BruteSearch:
         field = local_map.field()
         prior = pose, np.diag(1.0 / np.square(steps))
         pose = align(thin, weights, prior, field, pose, config.refine_iterations)
-        every, weights = thin_evenly(points.xy_base, len(points.xy_base), config.residual_sigma)
-        covariance = self._covariance(
-            information_at(every, weights, pose, field), pose[2], np.array([window_m, window_m, window_rad])
-        )
         x_m, y_m, theta_rad = pose.tolist()
-        matched = local_map.pose_axes_odom.inverse() @ SE2(x_m, y_m, theta_rad)
+        laid = SE2(x_m, y_m, theta_rad)
+        every, weights = thin_evenly(points.xy_base, len(points.xy_base), config.residual_sigma)
+        if predicted.is_confirmed:
+            segment = local_map.segments(moved_by(laid, points.xy_base), local_map.gaps(points))
+            said = information_across(points, values_at(every, pose, field), weights, segment, pose)
+            least = BLIND
+        else:  # wheels alone may lie, and accelerations alone run away: what dots say is better than nothing
+            said = information_at(every, weights, pose, field)
+            least = np.diag(1.0 / np.square([window_m, window_m, window_rad]))
+        covariance = self._covariance(said, least, theta_rad)
+        matched = local_map.pose_axes_odom.inverse() @ laid
         information = inverse(covariance)
         return Laid(Measurement(matched, covariance, information, is_joined=False), points)
 
@@ -110,7 +119,7 @@ class BruteSearch:
             min(max(heading_rad, config.least_window_rad), config.most_window_rad),
         )
 
-    def _covariance(self, information: Array, theta_rad: float, window: Array) -> Array:
-        """(3, 3) of x, y, theta in base axes: from the slope of the map, no more than the window."""
-        information = information / self._config.covariance_scale + np.diag(1.0 / np.square(window))
+    def _covariance(self, said: Array, least: Array, theta_rad: float) -> Array:
+        """(3, 3) of x, y, theta in base axes, from what the points say and what is known at least."""
+        information = said / self._config.covariance_scale + least
         return in_base_axes(inverse(information), theta_rad) + self._floor

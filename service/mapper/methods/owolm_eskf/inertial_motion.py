@@ -106,6 +106,7 @@ class InertialMotion:
             elapsed_s=elapsed_s,
             travel_m=math.dist((before.x_m, before.y_m), (pose.x_m, pose.y_m)),
             is_measured=is_inertial or wheels is not None,
+            is_confirmed=is_inertial and wheel_twist is not None,
         )
 
     def correct(self, measured: Measurement | None) -> Motion:

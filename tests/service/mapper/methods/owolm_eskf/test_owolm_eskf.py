@@ -6,12 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.frames import Frame, ImuSample, LaserScan
+from drivers.frames import Frame, ImuSample, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import build_mapper, mapping_config
 from service.outputs import MapperOutput
-from tests.service.mapper.drives import MOUNTING, ROOM, drive, round_the_room, standing
+from tests.service.mapper.drives import (
+    CORRIDOR,
+    MOUNTING,
+    ROOM,
+    down_the_corridor,
+    drive,
+    round_the_room,
+    standing,
+)
 
 IMU_NS = 5_000_000
 
@@ -108,6 +116,20 @@ def test_segments_weigh_more_than_the_rest(room_drive):  # B22 B26 B27
         return float(mapper._stages.local_map.occupied()[1].sum())
 
     assert mass() > 1.5 * mass(weigh_segments=False)
+
+
+def test_along_a_bare_corridor_wheels_and_imu_say_how_far_it_was_and_the_state_says_so():
+    """Wheels 1 % off; the dots of the walls, which every scan sees alike, would hold the pose back."""
+    long = drive(CORRIDOR, down_the_corridor, 6.0)
+    wheels = [frame for frame in long.frames if isinstance(frame, OdometrySample)]
+    frames = [*with_imu(long.frames, down_the_corridor, 6.0), *wheels]
+    outputs = run(sorted(frames, key=lambda frame: frame.arrived_ns), new_mapper())
+    away = errors(outputs, long.truth)
+    way_m = long.truth[outputs[-1].stamp_ns].x_m
+    assert np.abs(away[:, 0]).max() < 0.02 * way_m
+    assert np.abs(away[:, 1]).max() < 0.03
+    assert outputs[-1].state == "degraded"
+    assert "does not fix the position along the direction" in outputs[-1].reason
 
 
 def test_standing_still_the_pose_stays():
