@@ -58,6 +58,11 @@ def test_a_port_that_is_plugged_in_after_the_start_is_let_in(group: str, module:
         assert f"modprobe@{module}.service" in named
 
 
+@pytest.mark.parametrize("group", ["ttyS", "ttyAMA", "ttyTHS", "ttymxc"])
+def test_the_uarts_of_the_board_are_let_in(group: str):
+    assert re.search(f"^DeviceAllow=char-{group} rw$", UNIT.read_text(), re.MULTILINE)
+
+
 def test_a_service_that_fails_again_and_again_is_started_again_without_end():
     text = UNIT.read_text()
     assert re.search("^StartLimitIntervalSec=0$", text, re.MULTILINE)
