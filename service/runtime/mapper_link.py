@@ -11,19 +11,17 @@ after its own last one again, which are kept here until a newer stand-by has the
 import logging
 import os
 import signal
-import socket
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from typing import Any, Protocol
 
 from service.runtime.channel import Channel, ChannelClosedError, Listening, wait_for
+from service.runtime.early_mapper import END_S, MODULE, EarlyMapper, Meeting, mapper_environment
 from service.runtime.mapper_messages import (
     Answer,
     BackEndDied,
@@ -56,7 +54,6 @@ from service.runtime.mapper_messages import (
 log = logging.getLogger(__name__)
 
 LISTEN_S = 0.2
-MODULE = "service.runtime.mapper_process"
 STUCK_S = 10.0  # items wait, and the mapper has said nothing for so long: it is ended
 MOST_KEPT = 60_000  # items; minutes of three lasers, while a stand-by comes every few seconds
 MOST_DEATHS = 4  # without an item done in between: then the service ends with an error
@@ -64,7 +61,6 @@ HOLD_NS = 25_000_000  # that a sample may wait for the scan that it goes to the 
 MOST_HELD = 64  # samples; then they go without one
 MOST_BACK_END_DEATHS, BACK_END_DEATHS_WITHIN_S = 3, 60.0  # then the stand-by stays where its own one dies
 STANDBY_S = 5.0  # that a stand-by which has just been made may take to come here
-END_S = 2.0
 
 Heard = (
     Mapped
@@ -101,14 +97,12 @@ class MapperLostError(Exception):
 class MapperLink:
     """`start` the process, `submit` items, have a thread `run`; at last `finish`, `close`, `clean_up`."""
 
-    def __init__(self, setup: Setup, listener: MapperListener) -> None:
+    def __init__(self, setup: Setup, listener: MapperListener, early: EarlyMapper | None = None) -> None:
+        """early: a process that has been begun, and told the section of the config that `setup` holds."""
         self._setup = setup
         self._listener = listener
-        self._folder = tempfile.TemporaryDirectory(prefix="corridor-mapper-", ignore_cleanup_errors=True)
-        self._server = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._server.bind(str(self._path / "mapper.sock"))
-        self._server.listen(4)
-        self._server.setblocking(False)
+        self._early = early
+        self._meeting = Meeting() if early is None else early.meeting
         self._lock = threading.Lock()  # of what follows, down to the blank line
         self._active: Channel | None = None
         self._given_up: list[Channel] = []  # active ones that take nothing any more, until they are closed
@@ -142,10 +136,6 @@ class MapperLink:
         self.turns = 0  # rises as long as `run` turns, with or without items
 
     @property
-    def _path(self) -> Path:
-        return Path(self._folder.name)
-
-    @property
     def pid(self) -> int:
         """Of the process that maps; 0 while there is none."""
         return self._pid
@@ -171,11 +161,13 @@ class MapperLink:
     def start(self) -> None:
         """Start the process; it is ready when `is_ready` says so. `run` must turn meanwhile."""
         self._heard_s = time.monotonic()
-        command = [sys.executable, "-m", MODULE, str(self._path)]
-        environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+        if self._early is not None:
+            self._process = self._early.process
+            return
+        command = [sys.executable, "-m", MODULE, str(self._meeting.folder)]
         # A session of its own: Ctrl-C is for ingest, which says when it is over.
         self._process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, env=environment, start_new_session=True
+            command, stdin=subprocess.DEVNULL, env=mapper_environment(), start_new_session=True
         )
 
     def next_number(self) -> int:
@@ -250,17 +242,16 @@ class MapperLink:
             if channel is not None:
                 channel.close()
         self._active = self._standby = None
-        self._server.close()
         for pid in (self._pid, self._process.pid if self._process is not None else 0):
             _kill(pid)
         self._bury()
-        self._folder.cleanup()
+        self._meeting.close()
 
     def _listen(self) -> None:
         standby = [self._standby[0]] if self._standby is not None else []
         active = self._active
         ends = [*([active] if active is not None else []), *standby, *self._unidentified]
-        for end in wait_for([*ends, Listening(self._server)], LISTEN_S):
+        for end in wait_for([*ends, Listening(self._meeting.server)], LISTEN_S):
             if not isinstance(end, Channel):
                 self._accept()
             elif end is active:
@@ -273,7 +264,7 @@ class MapperLink:
     def _accept(self) -> None:
         while True:
             try:
-                connection, _ = self._server.accept()
+                connection, _ = self._meeting.server.accept()
             except BlockingIOError:
                 return
             self._unidentified.append(Channel(connection))

@@ -1,4 +1,5 @@
-"""The mapper's process: `python -m service.runtime.mapper_process SOCKET`, started by mapper_link.py.
+"""The mapper's process: `python -m service.runtime.mapper_process FOLDER`, started by mapper_link.py, or
+earlier by early_mapper.py.
 
 It has one thread and waits in one place. Every few seconds, when nothing waits, it forks: the child, a
 stand-by, holds the whole state as it was at that item and costs nothing but the pages that change afterwards.
@@ -7,6 +8,7 @@ is where the mapper was a second later. What it says is in mapper_messages.py.
 """
 
 import gc
+import json
 import logging
 import os
 import signal
@@ -28,12 +30,13 @@ from service.mapper.background import BackEndDiedError
 from service.mapper.mapping_session import MappingSession
 from service.mapper.patch_store import PatchStore
 from service.mapper.pipeline import Mapper
-from service.mapper.profiles import build_mapper, mapping_config
+from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
 from service.mapstore.begin_in import begin_in
 from service.mapstore.graph_files import GraphFolder
 from service.mapstore.patch_files import PatchFiles
 from service.runtime.back_end import BackEndProcess
 from service.runtime.channel import Channel, ChannelClosedError, wait_for
+from service.runtime.early_mapper import TOLD
 from service.runtime.mapper_messages import (
     BackEndDied,
     CanCopy,
@@ -246,22 +249,39 @@ def _progress(channel: Channel) -> KernelProgress:
     return KernelProgress(tell)
 
 
+def _told() -> MappingConfig | None:
+    """What an EarlyMapper says that will be mapped; None: nothing, or what no config may say."""
+    if TOLD not in sys.argv:
+        return None
+    try:
+        return mapping_config(json.loads(sys.stdin.read()))
+    except ValueError:
+        return None  # ingest refuses it
+
+
+def _load(config: MappingConfig, channel: Channel) -> None:
+    warm_up_encoding()
+    warm_up_kernels(config, back_end_elsewhere=True, progress=_progress(channel))
+
+
 def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # ingest hears them, and says when it is over
     folder = Path(sys.argv[1])
     try:
+        told = _told()
         channel = connect(folder)
         channel.send(Hello(os.getpid(), 0, is_standby=False))
-        messages = channel.receive_within(CONNECT_S)
-        if not messages:
-            return 1
+        if told is not None:  # while ingest imports, and checks the config
+            set_up_logging(logging.INFO)
+            _load(told, channel)
+        while not (messages := channel.receive_within(CONNECT_S)):
+            pass  # ingest is on its way, or gone, which ends this
         (setup,) = messages
         set_up_logging(setup.log_level)
-        warm_up_encoding()
-        warm_up_kernels(
-            mapping_config(dict(setup.mapping)), back_end_elsewhere=True, progress=_progress(channel)
-        )
+        config = mapping_config(dict(setup.mapping))
+        if config != told:
+            _load(config, channel)
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # stand-bys end when nobody needs them any more
         gc.collect()
         gc.freeze()  # what stands now stands for the whole run; a full collection would stall a scan

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from service.config import ServiceConfig
 from service.errors import CalledOffError, CorridorError
+from service.runtime.early_mapper import EarlyMapper
 from service.runtime.notify import Notifier
 from service.runtime.service import Service
 from service.runtime.signals import StopSignals
@@ -25,17 +26,20 @@ def run(
     on_ready: Callable[[Service], None] = lambda service: None,
     give_up: Callable[[], str] = lambda: "",
     watch: Callable[[Service], None] = lambda service: None,
+    early: EarlyMapper | None = None,
 ) -> Summary:
     """Run the service until SIGTERM, SIGINT or SIGHUP, or for `seconds` from READY on. Main thread only.
 
     `give_up` is asked several times a second and may say why to stop as a failure; `watch` is called as
-    often, during the start too. Whatever ends the run, the
-    recording is finished and the map saved first. Raises CorridorError where a part failed, StorageError
-    where Zenoh cannot listen or the disk refuses, CalledOffError where a signal came before READY.
+    often, during the start too. `early` is a mapper's process that was begun for this config.
+
+    Whatever ends the run, the recording is finished and the map saved first. Raises CorridorError where a
+    part failed, StorageError where Zenoh cannot listen or the disk refuses, CalledOffError where a signal
+    came before READY.
     """
     notifier = Notifier()
     with StopSignals() as signals:
-        service = Service(config, notifier, map_folder, on_failure=signals.wake)
+        service = Service(config, notifier, map_folder, on_failure=signals.wake, early=early)
         reason = failure = called_off = ""
         try:
 

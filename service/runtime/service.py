@@ -28,6 +28,7 @@ from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
 from service.publishing.commands import Answer, CommandDispatcher, CommandError
 from service.runtime.commands import Commands
+from service.runtime.early_mapper import EarlyMapper
 from service.runtime.glance import Glance, glance
 from service.runtime.health import HealthReport
 from service.runtime.host_time import HostTime
@@ -72,6 +73,7 @@ class Service:
         notifier: Notifier,
         map_folder: Path | None = None,
         on_failure: Callable[[], None] = lambda: None,
+        early: EarlyMapper | None = None,
     ) -> None:
         self._config = config
         self._notifier = notifier
@@ -117,7 +119,7 @@ class Service:
             self._put_tiles,
             lambda: self._intake.log_ns(),
         )
-        self._link = MapperLink(self._setup(), self._outputs)
+        self._link = MapperLink(self._setup(), self._outputs, early)
         self._intake = Intake(self._link, self.host_time, self._sinks.put)
         parts = self._intake, self._outputs, self._tiles, self._sinks.put
         storage = self._sinks.map_storage()

@@ -63,7 +63,7 @@ def link() -> Iterator[MapperLink]:
 
 
 def folder_of(link: MapperLink) -> Path:
-    return Path(link._folder.name)
+    return link._meeting.folder
 
 
 def submit(link: MapperLink, count: int) -> None:

@@ -1,0 +1,93 @@
+"""The mapper's process, begun before the config is checked: importing and loading take as long as in ingest.
+
+start of the command --> process begins, imports, loads the kernels of the profile it is told ------> maps
+                     --> ingest imports, checks the config, opens Zenoh, the recording, the devices
+"""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Self
+
+from service.interruption import before_ending
+from service.located_yaml import load
+
+MODULE = "service.runtime.mapper_process"
+TOLD = "--told"  # the section "mapping" of the config, JSON, comes on the process's standard input
+END_S = 2.0
+MOST_BYTES = 1_000_000  # of a config
+
+
+class Meeting:
+    """A folder of its own with the socket at which the mapper and its stand-bys arrive."""
+
+    def __init__(self) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="corridor-mapper-", ignore_cleanup_errors=True)
+        self.server = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self.server.bind(str(self.folder / "mapper.sock"))
+        self.server.listen(4)
+        self.server.setblocking(False)
+
+    @property
+    def folder(self) -> Path:
+        return Path(self._folder.name)
+
+    def close(self) -> None:
+        self.server.close()
+        self._folder.cleanup()
+
+
+class EarlyMapper:
+    """`tell` it for what to load kernels; a MapperLink takes it over. On exit the process ends."""
+
+    def __init__(self) -> None:
+        self.meeting = Meeting()
+        before_ending(self.meeting.close)
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", MODULE, str(self.meeting.folder), TOLD],
+            stdin=subprocess.PIPE,
+            env=mapper_environment(),
+            start_new_session=True,
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End the process, if it has not ended."""
+        assert self.process.stdin is not None
+        with suppress(BrokenPipeError):
+            self.process.stdin.close()
+        self.process.kill()
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(END_S)
+        self.meeting.close()
+
+    def tell(self, mapping: Mapping[str, Any]) -> None:
+        """The section "mapping" of the config, unchecked; which kernels to load follows from it."""
+        assert self.process.stdin is not None
+        with suppress(BrokenPipeError):  # it has failed, which the link will say
+            self.process.stdin.write(json.dumps(dict(mapping)).encode())
+            self.process.stdin.close()
+
+
+def mapping_section(path: Path) -> dict[str, Any]:
+    """As the file has it, which nobody has checked; empty where there is none or the file is none."""
+    try:
+        if not path.is_file() or path.stat().st_size > MOST_BYTES:
+            return {}
+        root = load(path.read_text(encoding="utf-8")).value
+    except (OSError, ValueError):
+        return {}  # who checks the config says so
+    section = root.get("mapping") if isinstance(root, dict) else None
+    return section if isinstance(section, dict) else {}
+
+
+def mapper_environment() -> dict[str, str]:
+    return {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
