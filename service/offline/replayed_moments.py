@@ -63,7 +63,7 @@ class ReplayedMoments:
         newest: dict[str, LaserScan] = {}
         for message in self._recording.messages(self._topics, log_ns - STALE_NS, log_ns + LATER_NS):
             try:
-                sensor = self._session.devices[f"/{message.channel}"].get(frame_id(message.payload))
+                sensor = self._session.devices[self._session.topic_of(message)].get(frame_id(message.payload))
                 if sensor is None:
                     continue
                 is_turned = sensor in self._session.upside_down

@@ -108,6 +108,11 @@ class Session:
             if len(counts) > 1
         }
 
+    def topic_of(self, message: Message) -> str:
+        """As the recording names it: in ROS with a slash ahead, by other writers perhaps without."""
+        name = f"/{message.channel}"
+        return name if name in self.devices or name in self.events else message.channel
+
     def frames(self) -> Iterator[Frame]:
         """What `steps` gives, without the requests in between."""
         return (step for step in self.steps() if not isinstance(step, Step))
@@ -123,7 +128,7 @@ class Session:
         self.counters.clear()
         self.frame_ids = {topic: Counter() for topic in self.devices}
         for message in self._in_order():
-            topic = f"/{message.channel}"
+            topic = self.topic_of(message)
             if topic in self.events:
                 yield from self._step(message)
                 continue

@@ -175,6 +175,15 @@ def test_a_foreign_laser_is_found_by_type_and_mounted_by_its_chain(foreign):
     assert {type(frame) for frame in session.frames()} == {LaserScan, OdometrySample}
 
 
+def test_topics_without_a_slash_ahead_are_read_as_those_with_one(foreign):
+    session = open_session(
+        foreign.add_message("scan", scan_message(0)).add_message("/odom", odometry()).close()
+    )
+    assert session.sensors == {"scan": "scan", "/odom": "odom"}
+    assert {type(frame) for frame in session.frames()} == {LaserScan, OdometrySample}
+    assert session.counters == {"scan": 1, "/odom": 1}
+
+
 def fix_message(index: int, sensor: str) -> Message:
     fix = GnssFix(sensor, T0_NS + index, T0_NS + index, 0, 60.1, 24.5, 51.0, (4.0, 0, 0, 0, 4.0, 0, 0, 0, 9))
     return encode_frame(fix)
