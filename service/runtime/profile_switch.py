@@ -30,7 +30,7 @@ from service.sinks.sink import MapStorage, SavedMap
 log = logging.getLogger(__name__)
 
 VERB = "switch_profile"
-NICENESS = 10  # of the process that compiles; the drive goes on meanwhile
+NICENESS = 10  # of the process that compiles, while frames are mapped
 Section = Mapping[str, Any]  # of a config: mapping
 
 
@@ -88,8 +88,16 @@ def compile_kernels(section: Section) -> None:
 
 def _compile(section: dict[str, Any]) -> None:
     end_with_parent()
-    os.nice(NICENESS)
+    stand_back()
     warm_up(mapping_config(section))
+
+
+def stand_back() -> None:
+    """This process takes one core at most, and only what others leave of it. The warm-up then starts no
+    helpers, which this process, a daemon of multiprocessing, may not have.
+    """
+    os.nice(NICENESS)
+    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
 
 
 class ProfileSwitch:

@@ -74,7 +74,10 @@ async def in_turn():
             await asyncio.gather(*(look(session, begins_s + window_s) for _ in range(count)))
             await asyncio.sleep(window_s)
 
-asyncio.run(in_turn())
+try:
+    asyncio.run(in_turn())
+except aiohttp.ClientError:
+    pass  # the service has ended
 """
 COUNT_S = 20.0
 COUNT = """

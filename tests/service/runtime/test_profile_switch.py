@@ -1,5 +1,8 @@
 """What switch_profile does to real parts: see test_commands.Machine."""
 
+import os
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -11,7 +14,7 @@ from service.mapper.mapping_session import SwitchProfile
 from service.mapper.profiles import mapping_config
 from service.mapstore.files import load_map
 from service.publishing.commands import CommandError
-from service.runtime.profile_switch import PresentMapping, compile_kernels
+from service.runtime.profile_switch import NICENESS, PresentMapping, compile_kernels, stand_back
 from tests.service.runtime.test_commands import (  # noqa: F401 - fixtures
     Machine,
     events,
@@ -121,6 +124,29 @@ def test_a_recording_begun_after_a_switch_says_so_first(machine: Machine):  # no
         ("start_recording", None),
         ("switch_profile", "imle"),
     ]
+
+
+def test_who_compiles_beside_the_mapping_takes_one_core_and_needs_no_helpers(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    cores: set[int] = set()
+    monkeypatch.setattr(os, "nice", lambda more: NICENESS - more)
+    monkeypatch.setattr(os, "sched_setaffinity", lambda process, taken: cores.update(taken))
+    stand_back()
+    assert len(cores) == 1
+    assert cores <= os.sched_getaffinity(0)
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(900)
+def test_a_profile_whose_kernels_were_never_compiled_is_made_ready(tmp_path: Path):
+    """By a program without a cache, as after an update of the package."""
+    program = "from service.runtime.profile_switch import compile_kernels\n"
+    program += "if __name__ == '__main__':\n    compile_kernels({'profile': 'imle'})\n"
+    (tmp_path / "program.py").write_text(program)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": os.getcwd()}
+    subprocess.run([sys.executable, tmp_path / "program.py"], env=environment, check=True)
+    assert list((tmp_path / "cache").rglob("*.nbc"))
 
 
 def test_kernels_that_do_not_compile_are_told():
