@@ -1,7 +1,6 @@
 """Scans into frames: values, faults, stamps; and the whole driver over loopback."""
 
 import math
-import threading
 
 import numpy as np
 import pytest
@@ -12,11 +11,9 @@ from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.ibeo_lux.driver import IbeoLuxSession
 from drivers.ibeo_lux.messages import ErrorRegisters, ScanFlag, read_scan
 from drivers.ibeo_lux.protocol import DataType, Message, encode
-from drivers.link import LinkHealth, run_link
-from drivers.registry import SENSOR_KINDS
 from simulators.ibeo_lux import LEAVES_AFTER_SWEEP_NS, FakeIbeoLux, LuxSetup
-from simulators.wire import serve_tcp
 from tests.drivers.lux import Room, config, ntp, reconnect, scan, talk, wire
+from tests.drivers.over_tcp import frames_over_tcp
 from tests.drivers.virtual_time import SECOND_NS
 from tests.soaked import in_soak
 
@@ -426,57 +423,23 @@ def test_mutated_messages_do_no_harm_and_the_next_good_scan_is_a_frame(data):
     assert np.count_nonzero(~np.isnan(frame.range_m)) == 1
 
 
-@pytest.fixture
-def frames_over_tcp():
-    """Runs run_link against a fake device on a loopback port; gives the frames until `enough` were read."""
-
-    def run(setup, enough, at_frame=lambda count, wire: None):
-        stop, frames = threading.Event(), []
-        port_wire = serve_tcp(FakeIbeoLux(Room(), setup))
-        with port_wire as (host, port):
-            chosen = config(host=host, port=port)
-
-            def sink(frame):
-                frames.append(frame)
-                at_frame(len(frames), port_wire)
-                if len(frames) >= enough:
-                    stop.set()
-
-            health = LinkHealth("lux")
-            guard = threading.Timer(60.0, stop.set)
-            guard.start()
-            kind = SENSOR_KINDS["ibeo_lux"]
-            try:
-                run_link(
-                    health,
-                    lambda: kind.open_transport(chosen),
-                    kind.session_maker(chosen),
-                    sink,
-                    stop,
-                )
-            finally:
-                guard.cancel()
-                guard.join()
-        return frames, health
-
-    return run
-
-
-def test_frames_come_over_tcp_with_stamps_of_this_hosts_clock(frames_over_tcp):
-    frames, health = frames_over_tcp(LuxSetup(), enough=20)
-    assert len(frames) == 20
+def test_frames_come_over_tcp_with_stamps_of_this_hosts_clock():
+    frames, health = frames_over_tcp("ibeo_lux", FakeIbeoLux(Room(), LuxSetup()), config, enough=20)
+    assert len(frames) >= 20  # one read may bring several
     assert health.state == "streaming"
     for frame in frames:
         assert SWEEP_NS - 1_000 < frame.arrived_ns - frame.stamp_ns < 10e9
 
 
-def test_link_that_breaks_is_made_anew(frames_over_tcp):
+def test_link_that_breaks_is_made_anew():
     def cut_once(count, port_wire):
         if count == 5:
             port_wire.cut()
             port_wire.restore()
 
-    frames, health = frames_over_tcp(LuxSetup(), enough=60, at_frame=cut_once)
-    assert len(frames) == 60
+    frames, health = frames_over_tcp(
+        "ibeo_lux", FakeIbeoLux(Room(), LuxSetup()), config, enough=60, at_frame=cut_once
+    )
+    assert len(frames) >= 60  # one read may bring several
     assert health.connects == 2
     assert np.diff([frame.stamp_ns for frame in frames]).min() > 0

@@ -2,21 +2,18 @@
 
 import json
 import math
-import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from drivers.errors import ProtocolError, TransportError
-from drivers.link import LinkHealth, run_link
-from drivers.registry import SENSOR_KINDS
 from drivers.sick_lms100.driver import Lms100Session
 from drivers.sick_lms100.protocol import Dialect, encode
 from drivers.sick_lms100.telegrams import Channel, OutputRange, write_scan
 from simulators.sick_lms100 import FakeLms100, Lms100Setup
-from simulators.wire import serve_tcp
 from tests.drivers.lms100 import Room, config, talk, telegram
+from tests.drivers.over_tcp import frames_over_tcp
 from tests.drivers.virtual_time import SECOND_NS
 from tests.soaked import in_soak
 
@@ -283,58 +280,26 @@ def test_answers_nobody_asked_for_are_counted():
     assert session.counters["events_ignored"] == 1
 
 
-@pytest.fixture
-def frames_over_tcp():
-    """Runs run_link against a fake device on a loopback port until `enough` frames were read."""
-
-    def run(setup, enough, at_frame=lambda count, wire: None):
-        stop, frames = threading.Event(), []
-        wire = serve_tcp(FakeLms100(Room(), setup))
-        with wire as (host, port):
-            settings = config(host=host, port=port)
-
-            def sink(frame):
-                frames.append(frame)
-                at_frame(len(frames), wire)
-                if len(frames) >= enough:
-                    stop.set()
-
-            health = LinkHealth("front")
-            guard = threading.Timer(60.0, stop.set)
-            guard.start()
-            kind = SENSOR_KINDS["sick_lms100"]
-            try:
-                run_link(
-                    health,
-                    lambda: kind.open_transport(settings),
-                    kind.session_maker(settings),
-                    sink,
-                    stop,
-                )
-            finally:
-                guard.cancel()
-                guard.join()
-        return frames, health
-
-    return run
-
-
 @pytest.mark.parametrize("dialect", [ASCII, BINARY])
-def test_frames_come_over_tcp_with_stamps_of_this_hosts_clock(frames_over_tcp, dialect):
-    frames, health = frames_over_tcp(Lms100Setup(dialect=dialect), enough=20)
-    assert len(frames) == 20
+def test_frames_come_over_tcp_with_stamps_of_this_hosts_clock(dialect):
+    frames, health = frames_over_tcp(
+        "sick_lms100", FakeLms100(Room(), Lms100Setup(dialect=dialect)), config, enough=20
+    )
+    assert len(frames) >= 20  # one read may bring several
     assert health.state == "streaming"
     for frame in frames:
         assert 14.8e6 < frame.arrived_ns - frame.stamp_ns < 10e9
 
 
-def test_link_that_breaks_is_made_anew(frames_over_tcp):
+def test_link_that_breaks_is_made_anew():
     def cut_once(count, wire):
         if count == 5:
             wire.cut()
             wire.restore()
 
-    frames, health = frames_over_tcp(Lms100Setup(), enough=200, at_frame=cut_once)
-    assert len(frames) == 200
+    frames, health = frames_over_tcp(
+        "sick_lms100", FakeLms100(Room(), Lms100Setup()), config, enough=200, at_frame=cut_once
+    )
+    assert len(frames) >= 200  # one read may bring several
     assert health.connects == 2
     assert health.counters["scans_received"] >= 200
