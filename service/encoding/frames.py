@@ -2,15 +2,15 @@
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import cast
 
 import numpy as np
 
 from drivers.frames import NO_INTENSITY, Frame, GnssFix, ImuSample, LaserScan, OdometrySample
+from service.encoding import quick, wire
 from service.encoding import ros_messages as ros
-from service.encoding import wire
 from service.encoding.wire import Message
 from service.errors import InputError
 from service.geometry.se2 import SE2
@@ -23,8 +23,8 @@ _FRAME_ID_AT = 12  # its length, after 4 bytes of CDR and the stamp
 MOST_RATE_RADPS, MOST_FORCE_MPS2, MOST_ODOMETRY = 1e3, 1e5, 1e12
 UNSET_RANGE_MAX_M = 100.0  # for a foreign scan whose range_max is 0, inf or NaN
 
-_UNKNOWN_9 = np.zeros(9)
-_NOT_MEASURED_9 = np.array([-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # sensor_msgs/Imu: element 0 is -1
+_UNKNOWN_9 = (0.0,) * 9
+_NOT_MEASURED_9 = (-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # sensor_msgs/Imu: element 0 is -1
 _NAN = np.float32(np.nan)
 _NO_RETURN = np.float32(np.inf)  # REP 117: beyond the range of the sensor
 _SMALLEST_RANGE_M = float(np.finfo(np.float32).tiny)
@@ -43,9 +43,11 @@ def encode_frame(frame: Frame, utc_offset_ns: int = 0, log_ns: int | None = None
         case LaserScan():
             kind, type_name, content = "scan", wire.LASER_SCAN, _scan_ros(frame, stamp_ns)
         case ImuSample():
-            kind, type_name, content = "imu", wire.IMU, _imu_ros(frame, stamp_ns)
+            payload = quick.imu(stamp_ns, frame.sensor, _imu_values(frame))
+            return Message(f"{frame.sensor}/imu", wire.IMU, stamp_ns, log_ns, payload)
         case OdometrySample():
-            kind, type_name, content = "odom", wire.ODOMETRY, _odometry_ros(frame, stamp_ns)
+            payload = _odometry_payload(frame, stamp_ns)
+            return Message(f"{frame.sensor}/odom", wire.ODOMETRY, stamp_ns, log_ns, payload)
         case GnssFix():
             kind, type_name, content = "fix", wire.NAV_SAT_FIX, _fix_ros(frame, stamp_ns)
     return wire.to_message(f"{frame.sensor}/{kind}", type_name, stamp_ns, log_ns, content)
@@ -63,8 +65,14 @@ def decode_frame(
     NavSatFix without a fix is content.
     Raises InputError on bytes that are not the message they are said to be.
     """
-    decode = _FRAME_DECODERS.get(message_type)
-    frame = None if decode is None else decode(wire.read(message_type, payload), sensor, log_ns)
+    frame: Frame | None
+    if message_type == wire.IMU and (imu := quick.read_imu(payload)) is not None:
+        frame = _imu_sample(sensor, log_ns, *imu)
+    elif message_type == wire.ODOMETRY and (odometry := quick.read_odometry(payload)) is not None:
+        frame = _odometry_sample(sensor, log_ns, *odometry)
+    else:
+        decode = _FRAME_DECODERS.get(message_type)
+        frame = None if decode is None else decode(wire.read(message_type, payload), sensor, log_ns)
     return _turned_over(frame) if upside_down else frame
 
 
@@ -136,62 +144,84 @@ def _scan_frame(content: object, sensor: str, log_ns: int) -> LaserScan | None:
     )
 
 
-def _imu_ros(sample: ImuSample, stamp_ns: int) -> object:
+def _imu_values(sample: ImuSample) -> tuple[float, ...]:
+    """The numbers of a sensor_msgs/Imu in their order."""
     w, x, y, z = sample.orientation_wxyz if sample.orientation_wxyz is not None else (1.0, 0.0, 0.0, 0.0)
-    return ros.sensor_msgs__msg__Imu(
-        header=wire.header_ros(stamp_ns, sample.sensor),
-        orientation=ros.geometry_msgs__msg__Quaternion(x, y, z, w),
-        orientation_covariance=_NOT_MEASURED_9 if sample.orientation_wxyz is None else _UNKNOWN_9,
-        angular_velocity=ros.geometry_msgs__msg__Vector3(*sample.rate_radps),
-        angular_velocity_covariance=_UNKNOWN_9,
-        linear_acceleration=ros.geometry_msgs__msg__Vector3(*sample.force_mps2),
-        linear_acceleration_covariance=_UNKNOWN_9,
-    )
+    covariance = _NOT_MEASURED_9 if sample.orientation_wxyz is None else _UNKNOWN_9
+    return (x, y, z, w, *covariance, *sample.rate_radps, *_UNKNOWN_9, *sample.force_mps2, *_UNKNOWN_9)
 
 
 def _imu_frame(content: object, sensor: str, log_ns: int) -> ImuSample | None:
     m = cast(ros.sensor_msgs__msg__Imu, content)
-    rate, force, q = m.angular_velocity, m.linear_acceleration, m.orientation
-    rate_radps, force_mps2 = (rate.x, rate.y, rate.z), (force.x, force.y, force.z)
-    if m.angular_velocity_covariance[0] == -1.0 or not wire.all_finite(*rate_radps, *force_mps2):
+    q, rate, force = m.orientation, m.angular_velocity, m.linear_acceleration
+    values = (
+        *(q.x, q.y, q.z, q.w, *m.orientation_covariance.tolist()),
+        *(rate.x, rate.y, rate.z, *m.angular_velocity_covariance.tolist()),
+        *(force.x, force.y, force.z, *m.linear_acceleration_covariance.tolist()),
+    )
+    return _imu_sample(sensor, log_ns, wire.stamp_ns_of(m.header.stamp), values)
+
+
+def _imu_sample(sensor: str, log_ns: int, stamp_ns: int, values: Sequence[float]) -> ImuSample | None:
+    """values: as _imu_values has them."""
+    x, y, z, w, is_oriented = values[:5]
+    rx, ry, rz, is_turning = values[13:17]
+    fx, fy, fz = values[25:28]
+    if is_turning == -1.0 or not wire.all_finite(rx, ry, rz, fx, fy, fz):
         return None
-    if max(map(abs, rate_radps)) > MOST_RATE_RADPS or max(map(abs, force_mps2)) > MOST_FORCE_MPS2:
+    if max(abs(rx), abs(ry), abs(rz)) > MOST_RATE_RADPS or max(abs(fx), abs(fy), abs(fz)) > MOST_FORCE_MPS2:
         return None
-    orientation = (q.w, q.x, q.y, q.z)
-    measured = m.orientation_covariance[0] != -1.0 and wire.all_finite(*orientation) and any(orientation)
+    orientation = (w, x, y, z)
+    measured = is_oriented != -1.0 and wire.all_finite(*orientation) and any(orientation)
     return ImuSample(
         sensor=sensor,
-        stamp_ns=wire.stamp_ns_of(m.header.stamp),
+        stamp_ns=stamp_ns,
         arrived_ns=log_ns,
-        rate_radps=rate_radps,
-        force_mps2=force_mps2,
+        rate_radps=(rx, ry, rz),
+        force_mps2=(fx, fy, fz),
         orientation_wxyz=orientation if measured else None,
     )
 
 
-def _odometry_ros(sample: OdometrySample, stamp_ns: int) -> object:
+def _odometry_payload(sample: OdometrySample, stamp_ns: int) -> bytes:
     pose = SE2(sample.x_m, sample.y_m, sample.theta_rad)
     frame = f"{sample.sensor}_{wire.ODOM_FRAME}"  # the wheels' own; `odom` is the mapper's
-    header = wire.header_ros(stamp_ns, frame)
-    return wire.odometry_content(header, pose, sample.covariance, sample.twist_mps_radps)
+    return wire.odometry_payload(stamp_ns, frame, pose, sample.covariance, sample.twist_mps_radps)
 
 
 def _odometry_frame(content: object, sensor: str, log_ns: int) -> OdometrySample | None:
     m = cast(ros.nav_msgs__msg__Odometry, content)
-    position, linear, angular = m.pose.pose.position, m.twist.twist.linear, m.twist.twist.angular
-    theta_rad = wire.yaw(m.pose.pose.orientation)
-    twist = (linear.x, linear.y, angular.z)
-    covariance = tuple(m.pose.covariance[wire.PLANAR_CELLS].tolist())
-    if not wire.all_finite(position.x, position.y, theta_rad, *twist, *covariance):
+    p, q, linear, angular = (
+        m.pose.pose.position,
+        m.pose.pose.orientation,
+        m.twist.twist.linear,
+        m.twist.twist.angular,
+    )
+    values = (
+        *(p.x, p.y, p.z, q.x, q.y, q.z, q.w, *m.pose.covariance.tolist()),
+        *(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z),
+    )
+    return _odometry_sample(sensor, log_ns, wire.stamp_ns_of(m.header.stamp), values)
+
+
+def _odometry_sample(
+    sensor: str, log_ns: int, stamp_ns: int, values: Sequence[float]
+) -> OdometrySample | None:
+    """values: the numbers of a nav_msgs/Odometry in their order; the covariance of the twist is not read."""
+    x_m, y_m = values[:2]
+    theta_rad = wire.yaw(ros.geometry_msgs__msg__Quaternion(*values[3:7]))
+    covariance = tuple(values[7 + cell] for cell in wire.PLANAR_CELLS_OF_36)
+    twist = (values[43], values[44], values[48])
+    if not wire.all_finite(x_m, y_m, theta_rad, *twist, *covariance):
         return None
-    if max(map(abs, (position.x, position.y, *twist, *covariance))) > MOST_ODOMETRY:
+    if max(map(abs, (x_m, y_m, *twist, *covariance))) > MOST_ODOMETRY:
         return None
     return OdometrySample(
         sensor=sensor,
-        stamp_ns=wire.stamp_ns_of(m.header.stamp),
+        stamp_ns=stamp_ns,
         arrived_ns=log_ns,
-        x_m=position.x,
-        y_m=position.y,
+        x_m=x_m,
+        y_m=y_m,
         theta_rad=theta_rad,
         twist_mps_radps=twist,
         covariance=covariance,

@@ -7,8 +7,8 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
+from service.encoding import quick, wire
 from service.encoding import ros_messages as ros
-from service.encoding import wire
 from service.encoding.wire import FloatArray, Message
 from service.errors import InputError
 from service.geometry.se2 import SE2
@@ -73,24 +73,24 @@ class Transform:
 
 def encode_pose(output: MapperOutput, log_ns: int) -> Message:
     """Base in map, as channel "pose"."""
-    payload = _pose_ros(output, wire.MAP_FRAME, output.pose_map_base, output.covariance)
-    return wire.to_message("pose", wire.ODOMETRY, output.stamp_ns, log_ns, payload)
+    payload = _pose_payload(output, wire.MAP_FRAME, output.pose_map_base, output.covariance)
+    return Message("pose", wire.ODOMETRY, output.stamp_ns, log_ns, payload)
 
 
 def encode_odom(output: MapperOutput, log_ns: int) -> Message:
     """Base in odom, which never jumps, as channel "odom"."""
     covariance = output.covariance if output.odom_covariance is None else output.odom_covariance
-    payload = _pose_ros(output, wire.ODOM_FRAME, output.pose_odom_base, covariance)
-    return wire.to_message("odom", wire.ODOMETRY, output.stamp_ns, log_ns, payload)
+    payload = _pose_payload(output, wire.ODOM_FRAME, output.pose_odom_base, covariance)
+    return Message("odom", wire.ODOMETRY, output.stamp_ns, log_ns, payload)
 
 
 def encode_tf(output: MapperOutput, log_ns: int) -> Message:
     """map -> odom and odom -> base_link at the scan's first ray, as channel "tf"."""
-    transforms = [
-        _transform_ros(output.stamp_ns, wire.MAP_FRAME, wire.ODOM_FRAME, output.pose_map_odom),
-        _transform_ros(output.stamp_ns, wire.ODOM_FRAME, wire.BASE_FRAME, output.pose_odom_base),
-    ]
-    return wire.to_message("tf", wire.TF, output.stamp_ns, log_ns, ros.tf2_msgs__msg__TFMessage(transforms))
+    edges = (
+        (wire.MAP_FRAME, wire.ODOM_FRAME, output.pose_map_odom),
+        (wire.ODOM_FRAME, wire.BASE_FRAME, output.pose_odom_base),
+    )
+    return Message("tf", wire.TF, output.stamp_ns, log_ns, quick.transforms(output.stamp_ns, edges))
 
 
 def encode_tf_static(
@@ -243,12 +243,11 @@ def decode_event(payload: bytes) -> str:
     return cast(ros.std_msgs__msg__String, wire.read(wire.STRING, payload)).data
 
 
-def _pose_ros(output: MapperOutput, frame: str, pose: SE2, covariance: FloatArray) -> object:
+def _pose_payload(output: MapperOutput, frame: str, pose: SE2, covariance: FloatArray) -> bytes:
     """covariance: (3, 3) in base axes; Odometry wants it in the axes of `frame`."""
     turn = wire.rotation_3x3(pose.theta_rad)
     bounded = _bounded(turn @ covariance @ turn.T)
-    header = wire.header_ros(output.stamp_ns, frame)
-    return wire.odometry_content(header, pose, bounded.ravel(), output.twist_base)
+    return wire.odometry_payload(output.stamp_ns, frame, pose, bounded.ravel(), output.twist_base)
 
 
 def _bounded(covariance: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from rosbags.serde import SerdeError
 from rosbags.typesys.store import Typestore
 
+from service.encoding import quick
 from service.encoding import ros_messages as ros
 from service.errors import InputError
 from service.geometry.se2 import SE2
@@ -34,8 +35,10 @@ LARGEST_ANGLE = math.floor(math.pi * ANGLE_GRID) / ANGLE_GRID
 FloatArray = npt.NDArray[np.float64]
 _PLANAR = np.array([0, 1, 5])  # x, y, yaw within ROS' (x, y, z, roll, pitch, yaw)
 PLANAR_CELLS = (_PLANAR[:, None] * 6 + _PLANAR).ravel()  # the 9 cells of the planar block in the 36
+PLANAR_CELLS_OF_36: tuple[int, ...] = tuple(PLANAR_CELLS.tolist())
 NOT_KNOWN = 1e6  # m^2, rad^2: a variance that says so, as in drivers of planar bases; 0 would say "exact"
 NOT_KNOWN_36 = NOT_KNOWN * np.eye(6).ravel()
+_NOT_KNOWN_BYTES = NOT_KNOWN_36.tobytes()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,31 +129,21 @@ def stamp_ns_of(time: ros.builtin_interfaces__msg__Time) -> int:
     return time.sec * 1_000_000_000 + time.nanosec
 
 
-def odometry_content(
-    header: ros.std_msgs__msg__Header,
+def odometry_payload(
+    stamp_ns: int,
+    frame: str,
     pose: SE2,
     covariance: Sequence[float] | FloatArray,
     twist: tuple[float, float, float],
-) -> ros.nav_msgs__msg__Odometry:
-    """covariance: the 9 values of x, y, theta, in the axes of the header's frame.
+) -> bytes:
+    """nav_msgs/Odometry of the base in that frame.
 
-    Nobody knows that of the twist, nor what the plane leaves open.
+    covariance: the 9 values of x, y, theta, in the axes of the frame. Nobody knows that of the twist, nor
+    what the plane leaves open.
     """
-    forward, left, turn = twist
     covariance_36 = NOT_KNOWN_36.copy()
     covariance_36[PLANAR_CELLS] = covariance
-    return ros.nav_msgs__msg__Odometry(
-        header=header,
-        child_frame_id=BASE_FRAME,
-        pose=ros.geometry_msgs__msg__PoseWithCovariance(planar_pose_ros(pose), covariance_36),
-        twist=ros.geometry_msgs__msg__TwistWithCovariance(
-            ros.geometry_msgs__msg__Twist(
-                ros.geometry_msgs__msg__Vector3(forward, left, 0.0),
-                ros.geometry_msgs__msg__Vector3(0.0, 0.0, turn),
-            ),
-            NOT_KNOWN_36,
-        ),
-    )
+    return quick.odometry(stamp_ns, (frame, BASE_FRAME), pose, covariance_36, twist, _NOT_KNOWN_BYTES)
 
 
 def planar_pose_ros(pose: SE2) -> ros.geometry_msgs__msg__Pose:
