@@ -1,5 +1,7 @@
 import os
 import pickle
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from multiprocessing.connection import Connection
@@ -149,3 +151,25 @@ def test_kernels_that_a_config_needs_are_known_from_who_calls_them():
     of_the_back_end = {f"service.kernels.loops.{name}" for name in LOOP_KERNELS}
     assert of_the_back_end <= every
     assert of_the_back_end.isdisjoint(live)
+
+
+# Called beside the stream of scans only: in a stored map, when loops have closed, by another profile.
+NOT_WITH_SCANS = {"weigh_changes", "take_slot", "write_tiles"}
+NOT_LOADED = """
+import sys
+from numba.core.registry import CPUDispatcher
+from service.kernel_warm_up import warm_up
+from service.mapper.profiles import mapping_config
+warm_up(mapping_config(), back_end_elsewhere=True)
+for name, module in list(sys.modules.items()):
+    if name.startswith("service.") and not name.startswith("service.kernels") and ".graph" not in name:
+        for kernel in vars(module).values():
+            if isinstance(kernel, CPUDispatcher) and not kernel.overloads:
+                print(kernel.py_func.__name__)
+"""
+
+
+def test_no_kernel_that_a_scan_may_need_is_left_to_the_first_scan():
+    """One of them took 0.45 s of the first second of a drive."""
+    ended = subprocess.run([sys.executable, "-c", NOT_LOADED], capture_output=True, text=True, check=True)
+    assert set(ended.stdout.split()) <= NOT_WITH_SCANS
