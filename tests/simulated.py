@@ -5,7 +5,7 @@ For experiments and benchmarks of the mapper. What the wire does to a frame is t
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -181,27 +181,31 @@ def drives(
 def scans(ride: Ride, laser: Laser, seconds: float, seeds: Sequence[int]) -> list[list[LaserScan]]:
     """Those of each seed."""
     source = LaserTruth(ride, laser.name, laser.mounting, laser.model, seeds[0])
-    first_rad, step_rad = math.radians(laser.first_deg), math.radians(laser.step_deg)
     made: list[list[LaserScan]] = [[] for _ in seeds]
     for stamp_ns in range(0, round(seconds * 1e9), laser.period_ns):
-        view = source.view(stamp_ns, laser.beam_ns, first_rad, step_rad, laser.beams)
-        for seed, of_seed in zip(seeds, made, strict=True):
-            of_seed.append(
-                LaserScan(
-                    sensor=laser.name,
-                    stamp_ns=stamp_ns,
-                    arrived_ns=stamp_ns + laser.beams * laser.beam_ns,
-                    beam_interval_ns=laser.beam_ns,
-                    scan_period_ns=laser.period_ns,
-                    first_angle_rad=first_rad,
-                    angle_step_rad=step_rad,
-                    range_min_m=laser.model.range_min_m,
-                    range_max_m=laser.model.range_max_m,
-                    range_m=source.measure(view, seed).range_m,
-                    intensity=NO_INTENSITY,
-                )
-            )
+        for of_seed, scan in zip(made, scans_at(source, laser, stamp_ns, seeds), strict=True):
+            of_seed.append(scan)
     return made
+
+
+def scans_at(source: LaserTruth, laser: Laser, stamp_ns: int, seeds: Sequence[int]) -> Iterator[LaserScan]:
+    """That of each seed."""
+    first_rad, step_rad = math.radians(laser.first_deg), math.radians(laser.step_deg)
+    view = source.view(stamp_ns, laser.beam_ns, first_rad, step_rad, laser.beams)
+    for seed in seeds:
+        yield LaserScan(
+            sensor=laser.name,
+            stamp_ns=stamp_ns,
+            arrived_ns=stamp_ns + laser.beams * laser.beam_ns,
+            beam_interval_ns=laser.beam_ns,
+            scan_period_ns=laser.period_ns,
+            first_angle_rad=first_rad,
+            angle_step_rad=step_rad,
+            range_min_m=laser.model.range_min_m,
+            range_max_m=laser.model.range_max_m,
+            range_m=source.measure(view, seed).range_m,
+            intensity=NO_INTENSITY,
+        )
 
 
 def odometry(ride: Ride, wheels: Wheels, seconds: float, seed: int) -> list[OdometrySample]:
