@@ -1,7 +1,7 @@
 """Another profile while the service runs.
 
-    asked --refused at once, or--> its kernels, in a process of their own --> the map saved --> at one place
-    among the frames: the mapper begins a new map with it --> the map before saved up to there --> answered
+    asked --refused at once, or--> its kernels, where they are not compiled yet --> the map saved --> at one
+    place among the frames: the mapper begins a new map with it --> the map before saved --> answered
 
 Until that place nothing has changed: what fails before it leaves the profile as it is.
 """
@@ -18,6 +18,7 @@ from pydantic import Field
 
 from service.encoding import Message
 from service.interruption import children_do_not_hear, end_with_parent
+from service.kernel_cache import is_warm
 from service.kernel_warm_up import warm_up
 from service.mapper.profiles import MappingConfig, begins_in_stored, mapping_config, with_profile
 from service.mapstore.tiles import TileStore
@@ -70,6 +71,12 @@ class PresentMapping:
             raise CommandError(str(error)) from error
 
 
+def make_kernels_ready(section: Section) -> None:
+    """As compile_kernels; at once where those of all profiles are there, as after `corridor warmup`."""
+    if not is_warm():
+        compile_kernels(section)
+
+
 def compile_kernels(section: Section) -> None:
     """Have the kernels for a mapping section in the cache when this returns, made by a process of its own.
 
@@ -114,7 +121,7 @@ class ProfileSwitch:
         tiles: TileStore,
         put: Callable[[Message], Any],
         storage: MapStorage,
-        prepare: Callable[[Section], None] = compile_kernels,
+        prepare: Callable[[Section], None] = make_kernels_ready,
     ) -> None:
         self._present = present
         self._intake = intake

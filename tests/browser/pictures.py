@@ -1,6 +1,10 @@
-"""Makes the pictures of docs/operator.md, of a simulated office: `python -m tests.browser.pictures`."""
+"""Makes the pictures of docs/operator.md, of a simulated office: `python -m tests.browser.pictures [NAME]`.
+
+Named are those of the page of a running service: desktop-light, resources ...; left out, all are made.
+"""
 
 import math
+import sys
 import tempfile
 import threading
 import time
@@ -27,7 +31,7 @@ from service.encoding import (
 )
 from service.geometry.poses import Floats, points_from, points_seen
 from service.geometry.se2 import SE2
-from service.mapper.profiles import build_mapper, mapping_config
+from service.mapper.profiles import METHODS, build_mapper, mapping_config
 from service.mapstore.files import save_map
 from service.mapstore.tiles import TileStore
 from service.offline.recording_view import RecordingView
@@ -60,7 +64,10 @@ LASERS = (
     Laser(LMS100, 541, 25.0, -135.0, 0.5, MOUNTINGS["front"], "front"),
     Laser(UTM30LX, 1081, 10.0, -135.0, 0.25, MOUNTINGS["rear"], "rear"),
 )
-VERBS = ["pause", "resume", "save_map", "reset_map", "start_recording", "stop_recording", "mark", "set_pose"]
+VERBS = [
+    *("pause", "resume", "save_map", "reset_map", "load_map", "switch_profile"),
+    *("start_recording", "stop_recording", "mark", "set_pose"),
+]
 
 
 class Office(NamedTuple):
@@ -303,7 +310,13 @@ def driving(server: WebServer, outputs: list[MapperOutput], seen: list[LaserScan
         yield
 
 
+def is_wanted(name: str) -> bool:
+    return not sys.argv[1:] or name in sys.argv[1:]
+
+
 def take(page: Page, name: str, area: str, size: tuple[int, int], is_dark: bool) -> None:
+    if not is_wanted(name):
+        return
     page.resize(size, is_dark)
     page.choose(area)
     before = page.run("return corridor.view.frames")
@@ -323,7 +336,7 @@ def main() -> None:
             (folders["session"] / f"veh1_20261118T061320Z_000{number}.mcap").write_bytes(
                 b"\0" * 7_340_032 * number
             )
-        about = About("veh1", "corridor", lambda: VERBS)
+        about = About("veh1", "corridor", lambda: VERBS, tuple(METHODS))
         server = WebServer(
             WebConfig(listen="127.0.0.1:0"),
             about,
@@ -357,6 +370,8 @@ def main() -> None:
             take(page, "phone-map", "map", PHONE, False)
             take(page, "phone-information", "information", PHONE, True)
         server.close()
+        if sys.argv[1:]:
+            return
         take_replay(page, office.frames, Path(kept) / "recorded")
         take_past(page, office, Path(kept))
         take_edit(page, Path(kept) / "ring")

@@ -61,7 +61,7 @@ export class ProfileCard {
     if (!(await confirmed(`Map with ${profile}?`, CONFIRM, "Switch profile"))) return;
     this.isSwitching = true;
     this.refresh?.();
-    notice(`Switching to ${profile}: it is made ready first, which can take a minute; mapping goes on meanwhile.`);
+    notice(`Switching to ${profile}: it is made ready first, which can take minutes the first time; mapping goes on meanwhile.`);
     const answer = await this.#untilDone({ profile, id: `switch-${Date.now()}` });
     this.isSwitching = false;
     this.refresh?.();

@@ -14,6 +14,7 @@ from service.mapper.mapping_session import SwitchProfile
 from service.mapper.profiles import mapping_config
 from service.mapstore.files import load_map
 from service.publishing.commands import CommandError
+from service.runtime import profile_switch
 from service.runtime.profile_switch import NICENESS, PresentMapping, compile_kernels, stand_back
 from tests.service.runtime.test_commands import (  # noqa: F401 - fixtures
     Machine,
@@ -135,6 +136,17 @@ def test_who_compiles_beside_the_mapping_takes_one_core_and_needs_no_helpers(
     stand_back()
     assert len(cores) == 1
     assert cores <= os.sched_getaffinity(0)
+
+
+@pytest.mark.parametrize(("is_all_compiled", "compiled"), [(True, []), (False, [{"profile": "imle"}])])
+def test_what_is_compiled_already_is_not_compiled_again(
+    monkeypatch: pytest.MonkeyPatch, is_all_compiled: bool, compiled: list[object]
+):
+    asked: list[object] = []
+    monkeypatch.setattr(profile_switch, "is_warm", lambda: is_all_compiled)
+    monkeypatch.setattr(profile_switch, "compile_kernels", asked.append)
+    profile_switch.make_kernels_ready({"profile": "imle"})
+    assert asked == compiled
 
 
 @pytest.mark.soak
