@@ -140,6 +140,10 @@ def test_each_change_is_told_within_seconds_of_the_first_scan_that_contradicts(b
         assert 1.0 <= (told_ns - first_ns) / 1e9 <= TOLD_WITHIN_S  # not at once: people pass, too
     assert mapper.counters["changed_cells_new"] > 0
     assert mapper.counters["changed_cells_gone"] > 0
+    shown = mapper.changes_told
+    assert shown is not None
+    assert shown.is_new.sum() == mapper.counters["changed_cells_new"]
+    assert (shown.as_grid().cells == 0).sum() == mapper.counters["changed_cells_gone"]
 
 
 def test_nothing_is_told_where_only_people_walk(laser, before):
