@@ -1,7 +1,7 @@
 """ROS 2 messages as bytes: the types used, their definitions, and the pieces all of them share."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -57,6 +57,10 @@ class Message:
     stamp_ns: int
     log_ns: int
     payload: bytes
+
+    def __reduce__(self) -> tuple[Callable[..., "Message"], tuple[str, str, int, int, bytes]]:
+        """Every pose crosses from one process to another; field by field that takes three times as long."""
+        return Message, (self.channel, self.type, self.stamp_ns, self.log_ns, self.payload)
 
 
 class LogClock:

@@ -1,6 +1,7 @@
 """What is written and read by struct calls is what the type store of rosbags writes and reads."""
 
 import math
+import pickle
 from collections.abc import Callable
 
 import numpy as np
@@ -89,3 +90,10 @@ def test_what_is_laid_out_otherwise_is_left_to_the_type_store(make: Callable[[st
     for size in (0, 3, 4, 12, 15, 18, len(message.payload) - 1):
         with pytest.raises(InputError):
             decode_frame(message.type, message.payload[:size], "base", STAMP_NS)
+
+
+def test_a_message_comes_whole_from_another_process():
+    message = encode_pose(output(), 17)
+    again = pickle.loads(pickle.dumps(message, pickle.HIGHEST_PROTOCOL))
+    for name in ("channel", "type", "stamp_ns", "log_ns", "payload"):
+        assert getattr(again, name) == getattr(message, name)
