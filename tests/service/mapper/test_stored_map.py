@@ -289,7 +289,7 @@ def test_a_place_that_the_map_contradicts_is_taken_back_and_found_anew(first, se
     """The first find is off by 3 m, as if another place had looked the same: nothing may be `ok` there."""
     drove, begin = first
     mapper = new_mapper(begin)
-    pieces = mapper.graph._jobs._worker._back_end._pieces
+    pieces = mapper.graph._jobs._worker._back_end.pieces
     best_of, wrongly = pieces.best_of, []
 
     def find_wrongly(found):

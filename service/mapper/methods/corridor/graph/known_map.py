@@ -9,7 +9,16 @@ import numpy.typing as npt
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.kernels import occupancy
-from service.kernels.beam_verdicts import CLOSE, IN_FREE, NEW, ON_WALL, THROUGH, VERDICTS, judge_beams
+from service.kernels.beam_likelihood import (
+    AGAINST_RATIO,
+    FULL_RATIO,
+    POINT_CELL_M,
+    POINT_REACH,
+    KnownGround,
+    count_looks,
+    splat_points,
+    weigh_beams,
+)
 from service.kernels.branch_and_bound import MaxPyramid, pool_levels, search_branch_and_bound
 from service.kernels.facing_search import (
     DIRECTIONS,
@@ -21,6 +30,7 @@ from service.kernels.facing_search import (
 )
 from service.kernels.loops import splat_field
 from service.kernels.occupancy import OccupancyGrid, trace_scan
+from service.kernels.surfels import SurfelGrid
 from service.kernels.tiles import NO_TILE
 from service.mapper.graph.point_clouds import CELL_M, POOL_TILES, Fit, PointCloud, SurfelSet, cover, joined
 from service.mapper.maps.occupancy import EVIDENCE
@@ -29,28 +39,27 @@ from service.mapper.matchers.window_search import thinned, window_around
 from service.mapper.methods.corridor.graph.candidate_submap import FIELD_SIGMA_M, REACH_M, seen_by
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
 
-COARSE_CELL_M, LEVELS = 0.2, 6  # blocks of 6.4 m
+COARSE_CELL_M, LEVELS = 0.2, 5  # blocks of 3.2 m: shelves and desks that look alike stand no closer
 HEADINGS = 210  # 0.03 rad apart: 0.22 m at REACH_M, a cell
 SEARCH_POINTS = 80
 # Of a point on ground that the map does not know, which says nothing: free ground contradicts, and scores 0.
 UNKNOWN_LIKELIHOOD = 0.4
 LEAST_SCORE = 0.45  # mean likelihood of the points
-BEHIND = 0.15  # a place whose score is so far behind the best is no candidate
+BEHIND = 0.12  # a place whose score is so far behind the best is no candidate
 MOST_CANDIDATES = 240
 REFINED = (0.3, 0.03, 0.006)  # m and rad about a candidate, in steps of so many rad
 REFINING_POINTS = 150
-TRACED_EVERY = 3  # key frames: neighbours see the same free space
+TRACED_EVERY = 3  # key frames: neighbours see the same free space, and through the same things
 LOOKED_THROUGH = -10  # evidence of a cell: a beam passed, and none ended in it
 
 
 @dataclass(frozen=True, slots=True)
-class Shares:
-    """Of the points of a cloud, by what the map says to them; see service.kernels.beam_verdicts."""
+class Weight:
+    """What speaks for a cloud at a pose."""
 
-    close: float  # within 3 cm of a wall, 0..1
-    on_wall: float  # within 10 cm of one, these included
-    against: float  # where nothing stands, or behind a wall
-    new: float  # where the map knows nothing
+    evidence: float  # nats: log-likelihood of its beams, less that on ground that nobody knows
+    unexplained: float  # nats that are missing to a map that knows all that is seen; 0 or more
+    against: float  # share of the beams that contradict the map, 0..1
 
 
 class KnownMap:
@@ -65,6 +74,8 @@ class KnownMap:
         self._field = _field(few)
         self._ground = _ground(keyframes, known, clouds, whole.xy)
         self._facing = _facing_pyramid(few, self._ground)
+        self._asked = _asked_of(keyframes, known, clouds, self._walls.grid(), self._ground)
+        self._weighed = 0
 
     def candidates(self, cloud: PointCloud) -> list[Floats]:
         """Where the cloud may lie: poses (3,) of its frame in the map, the likeliest first; at most
@@ -82,19 +93,14 @@ class KnownMap:
         found = search_branch_and_bound(thinned(cloud.xy, REFINING_POINTS), self._field, window, -math.inf)
         return self._walls.align(cloud, found.pose)
 
-    def shares(self, cloud: PointCloud, sensors: Floats, pose: Floats) -> Shares:
-        """What the map says to the beams of a cloud at a pose (3,); sensors (N, 2) m: where each begins."""
-        verdict = np.empty(len(cloud.xy), np.int64)
-        judge_beams(
-            cloud.xy, cloud.normals, sensors, pose, self._walls.grid(), self._ground, LOOKED_THROUGH, verdict
-        )
-        share = np.bincount(verdict, minlength=VERDICTS) / max(len(verdict), 1)
-        return Shares(
-            float(share[CLOSE]),
-            float(share[CLOSE] + share[ON_WALL]),
-            float(share[IN_FREE] + share[THROUGH]),
-            float(share[NEW]),
-        )
+    def weigh(self, cloud: PointCloud, sensors: Floats, pose: Floats) -> Weight:
+        """What speaks for a cloud at a pose (3,); sensors (N, 2) m: where each of its beams begins."""
+        ratio = np.empty(len(cloud.xy))
+        self._weighed += 1
+        weigh_beams(cloud.xy, cloud.normals, sensors, pose, self._asked, self._weighed, ratio)
+        evidence = float(ratio.sum())
+        against = float(np.mean(ratio < AGAINST_RATIO)) if len(ratio) else 0.0
+        return Weight(evidence, max(0.0, FULL_RATIO * len(ratio) - evidence), against)
 
 
 def _one_of_each_cell(cloud: PointCloud) -> PointCloud:
@@ -163,9 +169,34 @@ def _ground(
     ground = OccupancyGrid(tiles.index(), evidence, touched, changed, CELL_M)  # type: ignore[arg-type]
     for number in range(0, len(known), TRACED_EVERY):
         ends = clouds[number].xy
-        k = int(known[number])
-        sensor = se2.points_from(keyframes.map[k], np.array(keyframes.thinned[k].sensor_xy_m))
+        sensor = _sensor_of(keyframes, int(known[number]))
         if len(ends):
             scan_number = np.uint16(number // TRACED_EVERY % 65_535 + 1)
             trace_scan(ends, sensor, np.zeros(3), ground, EVIDENCE, REACH_M, scan_number)
     return ground
+
+
+def _asked_of(
+    keyframes: KeyframeList,
+    known: npt.NDArray[np.int64],
+    clouds: list[PointCloud],
+    walls: SurfelGrid,
+    ground: OccupancyGrid,
+) -> KnownGround:
+    looked = np.zeros(walls.surfels.shape[:4], np.float32)
+    for number in range(0, len(known), TRACED_EVERY):
+        sensor = _sensor_of(keyframes, int(known[number]))
+        count_looks(clouds[number].xy, sensor, walls, float(TRACED_EVERY), looked)
+    xy = joined(clouds).xy
+    low = np.floor(xy.min(axis=0) / POINT_CELL_M).astype(np.int64) - POINT_REACH
+    high = np.floor(xy.max(axis=0) / POINT_CELL_M).astype(np.int64) + POINT_REACH + 1
+    points = np.zeros((high[1] - low[1], high[0] - low[0]), np.uint8)
+    splat_points(xy, int(low[1]), int(low[0]), points)
+    asked = np.zeros(walls.surfels.shape[:3], np.int32)
+    return KnownGround(walls, looked, ground, LOOKED_THROUGH, points, int(low[1]), int(low[0]), asked)
+
+
+def _sensor_of(keyframes: KeyframeList, k: int) -> Floats:
+    """(2,) m: where the beams of a key frame begin, in the map."""
+    at: Floats = se2.points_from(keyframes.map[k], np.array([keyframes.thinned[k].sensor_xy_m]))[0]
+    return at

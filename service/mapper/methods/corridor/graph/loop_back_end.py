@@ -90,7 +90,7 @@ class LoopBackEnd:
         self._searched_m = float(self._keyframes.way_m[-1]) if stored is not None else 0.0
         # Numbers of the pieces whose place in the map is known.
         self._joined = {0} if stored is None else set(self._keyframes.piece.tolist())
-        self._pieces = PieceSearch(config, self._keyframes)
+        self.pieces = PieceSearch(config, self._keyframes)
         self._is_merging = False  # what is stored was put together, and no loop holds it yet
         self._placement = Placement(stored is not None)
         self._looked_back = 0  # key frames whose context were asked for passes too many
@@ -100,7 +100,7 @@ class LoopBackEnd:
     def make_ready(self) -> None:
         """Make what a session looks for itself in before its first scan comes: a second for 12 000 m2."""
         if self._keyframes.stored:
-            self._pieces.make_ready(np.flatnonzero(self._usable()))
+            self.pieces.make_ready(np.flatnonzero(self._usable()))
 
     def work(self, batch: Batch) -> Result:
         result = self._work(batch)
@@ -110,8 +110,8 @@ class LoopBackEnd:
             geo=anchoring.reference,
             fixes=dict(anchoring.counts),
             placed=self._placement.state,
-            alike=self._pieces.alike,
-            pose_refused=self._pieces.pose_refused,
+            alike=self.pieces.alike,
+            pose_refused=self.pieces.pose_refused,
             picture=self._drawing.picture(
                 self._keyframes, self._joined, self._loops, self._refusals, is_asked
             ),
@@ -126,7 +126,7 @@ class LoopBackEnd:
             self._append(frame)
         self._anchoring.add(batch.fixes)
         if batch.request == "set_pose":
-            self._pieces.expect_at(np.array(batch.pose))
+            self.pieces.expect_at(np.array(batch.pose))
         joined = self._look_for_piece() if self._is_detached() else None
         moved = joined is not None or self._look_for_loops()
         if self._anchoring.is_due:
@@ -179,7 +179,7 @@ class LoopBackEnd:
 
     def _look_for_piece(self) -> int | None:
         """Number of the newest piece, if its place was found now; else None."""
-        loops = self._pieces.find(np.flatnonzero(self._usable()))
+        loops = self.pieces.find(np.flatnonzero(self._usable()))
         if loops is None:
             return None
         piece = int(self._keyframes.piece[-1])

@@ -8,13 +8,21 @@ import pytest
 
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
+from service.kernels.beam_likelihood import FULL_RATIO
 from service.kernels.loops import thin_points
 from service.kernels.normals import estimate_normals
 from service.mapper.methods.corridor.graph.candidate_submap import cloud_of, sensors_of
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
-from service.mapper.methods.corridor.graph.known_map import UNKNOWN_LIKELIHOOD, KnownMap
+from service.mapper.methods.corridor.graph.known_map import UNKNOWN_LIKELIHOOD, KnownMap, Weight
+from service.mapper.methods.corridor.graph.loops import loop_of
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
-from service.mapper.methods.corridor.graph.piece_search import PieceSearch
+from service.mapper.methods.corridor.graph.piece_search import (
+    CLEARLY_LIKELIER,
+    FOR_UNEXPLAINED,
+    MUCH_UNEXPLAINED,
+    PieceSearch,
+    Place,
+)
 from tests.service.mapper.drives import cast
 
 Walls = list[tuple[float, float, float, float]]
@@ -76,11 +84,15 @@ def test_a_pillar_tells_two_rooms_apart_whichever_of_them_has_it(stands_in_secon
         at_m = APART_M if stands_in_second else 0.0
         walls = room(at_m, stands_in_second == pillar_in_second)
         pose = SE2(at_m + STOOD.x_m, STOOD.y_m, STOOD.theta_rad)
-        _, best = looked_for(keyframes, append(keyframes, walls, pose, 1, noise))
+        search, best = looked_for(keyframes, append(keyframes, walls, pose, 1, noise))
         assert best is not None
-        away = se2.between(np.array([pose.x_m, pose.y_m, pose.theta_rad]), best[0])
+        truth = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+        away = se2.between(truth, best[0])
         assert math.hypot(away[0], away[1]) < 0.02
         assert abs(away[2]) < 0.005
+        assert not search.is_likelier_elsewhere(truth)
+        in_the_other = truth + np.array([-APART_M if stands_in_second else APART_M, 0.0, 0.0])
+        assert search.is_likelier_elsewhere(in_the_other)
 
 
 def test_of_two_rooms_that_are_alike_none_is_taken_and_both_are_told():
@@ -105,12 +117,49 @@ def test_a_pillar_that_is_seen_where_nothing_stands_counts_against_a_place():
     known_map = KnownMap(keyframes, np.arange(own))
     cloud, sensors = cloud_of(keyframes, [own], own), sensors_of(keyframes, [own], own)
     fit = known_map.lay(cloud, np.array([STOOD.x_m + 0.1, STOOD.y_m - 0.1, STOOD.theta_rad]))
-    shares = known_map.shares(cloud, sensors, fit.pose)
+    weight = known_map.weigh(cloud, sensors, fit.pose)
     on_pillar = np.hypot(*(se2.points_from(fit.pose, cloud.xy) - (3.2, 2.4)).T) < 0.4
     assert 0.03 < on_pillar.mean() < 0.3
-    assert shares.against == pytest.approx(on_pillar.mean(), abs=0.03)
-    assert shares.close > 0.9 - on_pillar.mean()
-    assert shares.close <= shares.on_wall
+    assert weight.against == pytest.approx(on_pillar.mean(), abs=0.03)
+    count = len(cloud.xy)
+    assert weight.evidence / count == pytest.approx(2.6 - 7.1 * on_pillar.mean(), abs=0.25)
+    assert weight.unexplained == pytest.approx(FULL_RATIO * count - weight.evidence)
+
+
+def test_a_person_who_stood_there_when_the_map_was_made_hides_no_place():
+    """What is left of him lies around the sensor: each beam goes through it."""
+    noise, keyframes = np.random.default_rng(5), KeyframeList()
+    for at_m in (0.0, APART_M):
+        for x_m in np.arange(1.0, 5.5, 0.3):
+            walls = room(at_m, with_pillar=at_m > 0.0)
+            if at_m == 0.0 and 2.0 < x_m < 2.5:
+                corners = [(1.8, 2.9), (2.2, 2.9), (2.2, 3.3), (1.8, 3.3), (1.8, 2.9)]
+                walls = walls + [(*a, *b) for a, b in pairwise(corners)]
+            append(keyframes, walls, SE2(at_m + x_m, 1.2, 0.0), 0, noise)
+    _, best = looked_for(keyframes, append(keyframes, room(0.0, with_pillar=False), STOOD, 1, noise))
+    assert best is not None
+    away = se2.between(np.array([STOOD.x_m, STOOD.y_m, STOOD.theta_rad]), best[0])
+    assert math.hypot(away[0], away[1]) < 0.02
+
+
+def test_a_place_that_leaves_much_unexplained_must_be_much_likelier_than_every_other():
+    keyframes, _ = rooms(pillar_in_first=False, pillar_in_second=False)
+    search = PieceSearch(LoopsConfig(), keyframes)
+    loop = loop_of(0, 1, np.zeros(3), np.eye(3), 0.9, 100, 0.0)
+
+    def best_of(unexplained: float, ahead: float = 50.0) -> object:
+        best = Place(np.zeros(3), Weight(500.0, unexplained, 0.0), loop)
+        other = Place(np.array([5.0, 0.0, 0.0]), Weight(500.0 - ahead, unexplained, 0.0), loop)
+        return search.best_of([other, best])
+
+    assert best_of(0.0) is not None
+    assert best_of(1.01 * (50.0 - CLEARLY_LIKELIER)) is None  # 50 nats: what the best is ahead by
+    assert best_of(0.99 * (50.0 - CLEARLY_LIKELIER)) is not None
+    ahead = CLEARLY_LIKELIER + MUCH_UNEXPLAINED + FOR_UNEXPLAINED * 400.0
+    assert best_of(400.0, 0.99 * ahead) is None
+    assert best_of(400.0, 1.01 * ahead) is not None
+    assert best_of(500.0, 1.01 * ahead) is None
+    assert search.alike == [(0.0, 0.0), (5.0, 0.0)]
 
 
 def test_ground_that_the_map_does_not_know_says_little_in_the_search_and_free_ground_speaks_against():

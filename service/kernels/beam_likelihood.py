@@ -1,0 +1,244 @@
+"""How likely the beams of a scan are at a pose in a known map, against ground that nobody knows.
+
+A beam is likely where it ends on a wall of the map, less likely where the map knows that nothing stands, and
+it does not go through walls. A wall that it does go through is asked once, however many beams do so: a thing
+that is gone is one thing, near the sensor or far from it.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from service.kernels.occupancy import OccupancyGrid, evidence_at
+from service.kernels.rays import begin_ray
+from service.kernels.surfels import (
+    COUNT,
+    MEAN_X,
+    MEAN_Y,
+    NORMAL_X,
+    NORMAL_Y,
+    TILE_BITS,
+    TILE_MASK,
+    SurfelGrid,
+    find_surfels,
+)
+from service.kernels.tiles import NO_TILE, find_tile
+
+LEAST_COSINE = 0.6  # between the normal of a point and that of its wall
+WALL_SIGMA_M = 0.02  # of a point off its wall: noise of the range, of the map and of the pose
+POINT_CELL_M, POINT_SIGMA_M, POINT_REACH = 0.05, 0.04, 2  # of points as such; they are kept in cells
+# Densities of where a beam ends, 1/m. People, chairs and doors stand where nothing stood. Where the map knows
+# nothing, or ends, anything may stand, and its points are not independent: one of a wall tells the next ones.
+IN_FREE, NOT_KNOWN = 0.01, 1.0
+ON_WALL, ON_POINT = 0.8, 0.2  # shares of the beams that end on what the map has there
+AT_BACK, BACK_M, BACK_SIGMA_M = 1.5, 0.1, 0.03  # other side of a wall, which is about so thick
+THROUGH_REACH_M = 0.07  # how far from the middle of a surfel it still is the wall
+BEHIND_M = 0.3  # a beam that ends so far behind a wall went through it
+LEAST_OPEN = 0.02  # a wall that stood at all times is gone this often
+FULL_RATIO = 2.7  # nats: mean of beams that all end on walls
+AGAINST_RATIO = 0.5 * math.log(IN_FREE / NOT_KNOWN)  # nats: a beam below it contradicts the map
+
+
+class KnownGround(NamedTuple):
+    """A map as beams are asked of it.
+
+    walls     SurfelGrid
+    looked    (capacity, T, T, 2) float32   beams of the map itself that went through each of the surfels
+    ground    OccupancyGrid                 of cells as large as those of `walls`
+    free      int                           evidence at or below it: nothing stands in a cell
+    points    (H, W) uint8                  likelihood of an end point near those of the map, cells of
+                                            POINT_CELL_M, by splat_points
+    first_row, first_column   int           of the cell of the map that is points[0, 0]
+    asked     (capacity, T, T) int32        the pose, by number, for which a cell of `walls` was gone through
+    """
+
+    walls: SurfelGrid
+    looked: npt.NDArray[np.float32]
+    ground: OccupancyGrid
+    free: int
+    points: npt.NDArray[np.uint8]
+    first_row: int
+    first_column: int
+    asked: npt.NDArray[np.int32]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def goes_through(surfels, slot, row, column, side, u, v, du, dv):
+    """Whether a beam goes through a surfel, from either side, and ends clearly behind it.
+
+    u, v     float   start of the beam, m from the centre of the cell
+    du, dv   float   from there to its end point, m
+    """
+    nx = np.float64(surfels[slot, row, column, side, NORMAL_X])
+    ny = np.float64(surfels[slot, row, column, side, NORMAL_Y])
+    mx = np.float64(surfels[slot, row, column, side, MEAN_X])
+    my = np.float64(surfels[slot, row, column, side, MEAN_Y])
+    before_m = nx * (u - mx) + ny * (v - my)
+    after_m = before_m + nx * du + ny * dv
+    if before_m * after_m >= 0.0 or abs(after_m) < BEHIND_M:
+        return False
+    share = before_m / (before_m - after_m)
+    x = u + share * du - mx
+    y = v + share * dv - my
+    return x * x + y * y < THROUGH_REACH_M * THROUGH_REACH_M
+
+
+@njit(cache=True, nogil=True)
+def count_looks(ends, sensor, walls, weight, looked):
+    """Count the beams of one scan that go through surfels.
+
+    ends     (N, 2) float64   m, frame of the map
+    sensor   (2,)   float64   where they begin
+    walls    SurfelGrid
+    weight   float            what each of them counts
+    looked   (capacity, T, T, 2) float32   in and out
+    """
+    cell_m = walls.cell_m
+    for i in range(ends.shape[0]):
+        du, dv = ends[i, 0] - sensor[0], ends[i, 1] - sensor[1]
+        column, row, step_column, step_row, next_column, next_row, per_column, per_row, steps = begin_ray(
+            sensor[0] / cell_m, sensor[1] / cell_m, du / cell_m, dv / cell_m
+        )
+        for _ in range(steps):
+            slot = find_tile(walls.tiles, row >> TILE_BITS, column >> TILE_BITS)
+            if slot != NO_TILE:
+                r, q = row & TILE_MASK, column & TILE_MASK
+                u = sensor[0] - (column + 0.5) * cell_m
+                v = sensor[1] - (row + 0.5) * cell_m
+                for side in range(2):
+                    if walls.surfels[slot, r, q, side, COUNT] == 0.0:
+                        break  # the second side is never filled before the first
+                    if goes_through(walls.surfels, slot, r, q, side, u, v, du, dv):
+                        looked[slot, r, q, side] += np.float32(weight)
+            is_column = next_column < next_row
+            column += step_column if is_column else 0
+            row += 0 if is_column else step_row
+            next_column += per_column if is_column else 0.0
+            next_row += 0.0 if is_column else per_row
+
+
+@njit(cache=True, nogil=True)
+def splat_points(xy, first_row, first_column, points):
+    """Likelihood of an end point near others: the most that any of them says, 255 at one of them.
+
+    xy       (N, 2) float64   m, no nearer than POINT_REACH cells to the border
+    points   (H, W) uint8     in and out, cells of POINT_CELL_M
+    """
+    scale = -0.5 / (POINT_SIGMA_M * POINT_SIGMA_M)
+    for i in range(xy.shape[0]):
+        column, row = math.floor(xy[i, 0] / POINT_CELL_M), math.floor(xy[i, 1] / POINT_CELL_M)
+        if points[row - first_row, column - first_column] > 250:
+            continue  # another point lies in the middle of the cell
+        for r in range(row - POINT_REACH, row + POINT_REACH + 1):
+            dy = (r + 0.5) * POINT_CELL_M - xy[i, 1]
+            for q in range(column - POINT_REACH, column + POINT_REACH + 1):
+                dx = (q + 0.5) * POINT_CELL_M - xy[i, 0]
+                value = np.uint8(255.0 * math.exp(scale * (dx * dx + dy * dy)))
+                at = r - first_row, q - first_column
+                points[at] = max(points[at], value)
+
+
+@njit(cache=True, nogil=True)
+def openness(u, v, du, dv, known, number):
+    """Log-probability that what a beam goes through is gone; what another beam of the pose `number` went
+    through is gone already, and says nothing.
+
+    u, v     float   start, m, frame of the map
+    du, dv   float   from there to its end
+    """
+    walls, looked = known.walls, known.looked
+    cell_m = walls.cell_m
+    column, row, step_column, step_row, next_column, next_row, per_column, per_row, steps = begin_ray(
+        u / cell_m, v / cell_m, du / cell_m, dv / cell_m
+    )
+    total = 0.0
+    for _ in range(steps):
+        slot = find_tile(walls.tiles, row >> TILE_BITS, column >> TILE_BITS)
+        if slot != NO_TILE:
+            r, q = row & TILE_MASK, column & TILE_MASK
+            if known.asked[slot, r, q] != number:
+                open_share = 1.0
+                for side in range(2):
+                    hits = walls.surfels[slot, r, q, side, COUNT]
+                    if hits == 0.0:
+                        break
+                    if goes_through(
+                        walls.surfels,
+                        slot,
+                        r,
+                        q,
+                        side,
+                        u - (column + 0.5) * cell_m,
+                        v - (row + 0.5) * cell_m,
+                        du,
+                        dv,
+                    ):
+                        through = looked[slot, r, q, side]
+                        open_share = min(open_share, (through + 0.5) / (hits + through + 1.0))
+                if open_share < 1.0:
+                    known.asked[slot, r, q] = number
+                    total += math.log(max(open_share, LEAST_OPEN))
+        is_column = next_column < next_row
+        column += step_column if is_column else 0
+        row += 0 if is_column else step_row
+        next_column += per_column if is_column else 0.0
+        next_row += 0.0 if is_column else per_row
+    return total
+
+
+@njit(cache=True, nogil=True)
+def density_of_ground(ground, free, x, y):
+    """Of beams that end where no wall of the map is, 1/m; free ground is known in the cells around, too."""
+    column, row = math.floor(x / ground.cell_m), math.floor(y / ground.cell_m)
+    for r in range(row - 1, row + 2):
+        for q in range(column - 1, column + 2):
+            evidence = evidence_at(ground, r, q)
+            if evidence == 0 or evidence > free:
+                return NOT_KNOWN
+    return IN_FREE
+
+
+@njit(cache=True, nogil=True)
+def weigh_beams(xy, normals, sensors, pose, known, number, ratio):
+    """Log-likelihood of each beam at a pose, less that on ground of which the map knows nothing.
+
+    xy        (N, 2) float64   ends of the beams, m
+    normals   (N, 3) float64   of the walls there
+    sensors   (N, 2) float64   where each beam begins, m, in the frame of xy
+    pose      (3,)   float64   of that frame in the map
+    known     KnownGround      `asked` is written to
+    number    int              of this pose: another one than that of the call before
+    ratio     (N,)   float64   out, nats; about FULL_RATIO on a wall, 0 on unknown ground, below 0 where the
+                               map contradicts
+    Source: Thrun, Burgard, Fox, Probabilistic Robotics, section 6.3 (beam model); the share of a wall that is
+    gone by hits and misses, as reflection maps count them (Haehnel 2004).
+    """
+    count = xy.shape[0]
+    front, back, turned = np.empty((count, 6)), np.empty((count, 6)), normals.copy()
+    turned[:, :2] *= -1.0
+    find_surfels(xy, normals, pose, known.walls, LEAST_COSINE, front)
+    find_surfels(xy, turned, pose, known.walls, LEAST_COSINE, back)
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    on_wall = ON_WALL / (math.sqrt(2.0 * math.pi) * WALL_SIGMA_M)
+    on_point = ON_POINT / (math.sqrt(2.0 * math.pi) * POINT_SIGMA_M * 255.0)
+    for i in range(count):
+        x = pose[0] + c * xy[i, 0] - s * xy[i, 1]
+        y = pose[1] + s * xy[i, 0] + c * xy[i, 1]
+        u = pose[0] + c * sensors[i, 0] - s * sensors[i, 1]
+        v = pose[1] + s * sensors[i, 0] + c * sensors[i, 1]
+        density = density_of_ground(known.ground, known.free, x, y)
+        if front[i, 4] > 0.0:
+            off_m = (x - front[i, 0]) * front[i, 2] + (y - front[i, 1]) * front[i, 3]
+            density += on_wall * math.exp(-0.5 * (off_m / WALL_SIGMA_M) ** 2)
+        if back[i, 4] > 0.0:
+            behind_m = -((x - back[i, 0]) * back[i, 2] + (y - back[i, 1]) * back[i, 3])
+            off_m = max(0.0, behind_m - BACK_M, -behind_m)
+            density += AT_BACK * math.exp(-0.5 * (off_m / BACK_SIGMA_M) ** 2)
+        row = math.floor(y / POINT_CELL_M) - known.first_row
+        column = math.floor(x / POINT_CELL_M) - known.first_column
+        if 0 <= row < known.points.shape[0] and 0 <= column < known.points.shape[1]:
+            density += on_point * known.points[row, column]
+        ratio[i] = math.log(density / NOT_KNOWN) + openness(u, v, x - u, y - v, known, number)

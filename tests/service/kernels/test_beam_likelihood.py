@@ -1,0 +1,150 @@
+import math
+
+import numpy as np
+import pytest
+
+from service.kernels.beam_likelihood import (
+    AGAINST_RATIO,
+    AT_BACK,
+    FULL_RATIO,
+    IN_FREE,
+    LEAST_OPEN,
+    NOT_KNOWN,
+    ON_POINT,
+    ON_WALL,
+    POINT_CELL_M,
+    POINT_REACH,
+    POINT_SIGMA_M,
+    WALL_SIGMA_M,
+    KnownGround,
+    count_looks,
+    splat_points,
+    weigh_beams,
+)
+from service.kernels.occupancy import Evidence, trace_scan
+from service.kernels.surfels import insert_surfels
+from tests.service.kernels.occupancy_grids import empty_occupancy
+from tests.service.kernels.surfel_grids import empty_grid
+
+EVIDENCE = Evidence(hit=24, miss=-10, least=-70, most=70)
+CELL_M = 0.1
+WALL_X_M = 3.05  # in the middle of a cell
+SENSOR = (0.0, 0.0)
+FIRST = -200  # row and column of the cells of points: 10 m to each side
+
+
+def mapped(looked_through: bool = False) -> KnownGround:
+    """A wall across x = 3.05 m from y = -1.5 to 1.5 m, seen from the origin; and looked through later."""
+    y = np.arange(-1.5, 1.5, 0.002)
+    xy = np.column_stack((np.full(len(y), WALL_X_M), y))
+    walls, ground = empty_grid(), empty_occupancy(CELL_M)
+    insert_surfels(xy, np.tile([-1.0, 0.0, 1.0], (len(y), 1)), np.zeros(3), walls, 50.0)
+    trace_scan(xy, np.zeros(2), np.zeros(3), ground, EVIDENCE, 20.0, np.uint16(1))
+    points = np.zeros((400, 400), np.uint8)
+    splat_points(xy, FIRST, FIRST, points)
+    looked = np.zeros(walls.surfels.shape[:4], np.float32)
+    known = KnownGround(
+        walls, looked, ground, -10, points, FIRST, FIRST, np.zeros(walls.surfels.shape[:3], np.int32)
+    )
+    if looked_through:
+        beyond = np.column_stack((np.full(401, 4.5), np.linspace(-2.0, 2.0, 401)))
+        for _ in range(10):
+            count_looks(beyond, np.zeros(2), walls, 1.0, looked)
+    return known
+
+
+def ratios(ends, known: KnownGround, pose=(0.0, 0.0, 0.0), sensor=SENSOR, normal=(-1.0, 0.0), number=1):
+    """Of beams from one sensor to some ends, all as the map has them; asked from a base with a pose in it."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    turn = np.array([[c, -s], [s, c]])
+    here = (np.atleast_2d(ends) - pose[:2]) @ turn
+    sensors = np.tile((np.array(sensor) - pose[:2]) @ turn, (len(here), 1))
+    normals = np.tile([*(np.array(normal) @ turn), 1.0], (len(here), 1))
+    ratio = np.empty(len(here))
+    weigh_beams(here, normals, sensors, np.array(pose), known, number, ratio)
+    return ratio
+
+
+def ratio_by_hand(off_m: float, ground: float, on_points: float) -> float:
+    wall = ON_WALL * math.exp(-0.5 * (off_m / WALL_SIGMA_M) ** 2) / (math.sqrt(2.0 * math.pi) * WALL_SIGMA_M)
+    points = ON_POINT * on_points / (math.sqrt(2.0 * math.pi) * POINT_SIGMA_M)
+    return math.log((ground + wall + points) / NOT_KNOWN)
+
+
+@pytest.mark.parametrize("pose", [(0.0, 0.0, 0.0), (0.7, -0.4, 2.2)])
+@pytest.mark.parametrize("off_m", [0.003, 0.02, -0.04])
+def test_a_beam_that_ends_on_a_wall_is_as_likely_as_its_noise_says(off_m, pose):
+    known = mapped()
+    end = WALL_X_M + off_m, 0.325
+    cell = [math.floor(value / POINT_CELL_M) - FIRST for value in end]
+    on_points = known.points[cell[1], cell[0]] / 255.0
+    assert ratios(end, known, pose)[0] == pytest.approx(ratio_by_hand(off_m, NOT_KNOWN, on_points), abs=0.02)
+
+
+def test_a_map_that_knows_all_that_is_seen_gives_the_full_ratio():
+    noise = np.random.default_rng(3).normal(0.0, 0.012, 300)
+    ends = np.column_stack((WALL_X_M + noise, np.linspace(-1.2, 1.2, 300)))
+    assert ratios(ends, mapped()).mean() == pytest.approx(FULL_RATIO, abs=0.15)
+
+
+@pytest.mark.parametrize(
+    ("end", "density"),
+    [((-2.0, 0.0), NOT_KNOWN), ((1.55, 0.05), IN_FREE), ((WALL_X_M - 0.1, 0.0), NOT_KNOWN)],
+)
+def test_a_beam_that_ends_on_no_wall_is_as_likely_as_the_ground_says(end, density):
+    ratio = ratios(end, mapped(), normal=(0.0, 1.0))[0]
+    assert ratio == pytest.approx(math.log(density / NOT_KNOWN), abs=0.1)
+    assert (ratio < AGAINST_RATIO) == (density == IN_FREE)
+
+
+def test_a_wall_seen_from_its_other_side_may_be_as_thick_as_walls_are():
+    known = mapped()
+    for thick_m, is_likely in ((0.02, True), (0.09, True), (0.45, False)):
+        end = WALL_X_M + thick_m, 0.0
+        ratio = ratios(end, known, sensor=(6.0, 0.0), normal=(1.0, 0.0))[0]
+        assert (ratio > math.log(1.0 + AT_BACK / NOT_KNOWN) - 0.1) == is_likely
+
+
+@pytest.mark.parametrize(("sensor", "end"), [((0.0, 0.0), (4.5, 0.0)), ((6.0, 0.05), (-2.0, 0.05))])
+def test_no_beam_goes_through_a_wall_from_whichever_side(sensor, end):
+    ratio = ratios(end, mapped(), sensor=sensor)[0]
+    assert ratio == pytest.approx(math.log(LEAST_OPEN), abs=0.02)
+
+
+def test_a_thing_that_is_gone_counts_once_however_many_beams_say_so():
+    known = mapped()
+    one = ratios((4.5, 0.0), known, number=1)
+    many = ratios([(4.5, 0.001 * k) for k in range(10)], known, number=2)
+    assert many.sum() == pytest.approx(one.sum())
+    assert ratios((4.5, 0.0), known, number=3) == pytest.approx(one)  # at another pose it is asked anew
+
+
+def test_of_a_wall_that_the_map_itself_looked_through_a_beam_does_not_say_much():
+    known = mapped(looked_through=True)
+    assert -1.5 < ratios((4.5, 0.0), known)[0] < -0.05
+    assert ratios((4.5, 0.0), mapped())[0] < -3.0
+
+
+def test_a_beam_past_the_end_of_a_wall_does_not_go_through_it():
+    assert ratios((4.0, 3.0), mapped())[0] == pytest.approx(0.0)
+
+
+def test_looks_through_a_wall_are_counted_by_their_weight():
+    known = mapped()
+    ends = np.array([(4.5, 0.05), (3.2, 0.05), (2.0, 0.05)])  # behind it, too near behind it, before it
+    count_looks(ends, np.array([0.0, 0.05]), known.walls, 3.0, known.looked)
+    counted = known.looked[known.looked > 0.0]
+    assert counted.tolist() == [3.0]
+
+
+def test_likelihood_near_points_is_that_of_the_nearest():
+    xy = np.random.default_rng(2).uniform(-1.0, 1.0, (40, 2))
+    points = np.zeros((80, 80), np.uint8)
+    splat_points(xy, -40, -40, points)
+    centre = (np.arange(-40, 40) + 0.5) * POINT_CELL_M
+    x, y = np.meshgrid(centre, centre)
+    off_m = np.hypot(x[..., None] - xy[:, 0], y[..., None] - xy[:, 1]).min(axis=2)
+    near = off_m <= POINT_REACH * POINT_CELL_M
+    expected = 255.0 * np.exp(-0.5 * (off_m / POINT_SIGMA_M) ** 2)
+    np.testing.assert_allclose(points[near], expected[near], atol=2.0)
+    assert points[off_m > 3 * POINT_CELL_M].max() == 0
