@@ -1,12 +1,15 @@
 """A bin was put beside the way since the office was mapped: its area is driven again; only that changes."""
 
+import json
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from service.cli import main
 from service.encoding import Message, encode_frame, encode_tf_static
 from service.errors import InputError, UsageError
 from service.geometry.se2 import SE2
@@ -150,3 +153,29 @@ def test_an_area_that_the_drive_did_not_see_is_refused_and_nothing_changes(folde
 def test_corners_that_are_no_area_are_refused_before_the_drive_is_read(folder):
     with pytest.raises(UsageError, match="enclose no area"):
         map_remap(folder, [Path("nowhere.mcap")], [0.0, 0.0, 1.0, 0.0, 2.0, 0.0], "ada", NOW_NS)
+
+
+def test_the_command_does_the_same_and_says_it(remapped, folder, recording, tmp_path, capsys):
+    before, told, after = remapped
+    own = tmp_path / "office"
+    shutil.copytree(folder, own, symlinks=True)
+    undo(own, before.number, "ada", NOW_NS + 2)
+    area = [f"{length_m:.9f}" for length_m in lengths(*AREA_M)]
+    capsys.readouterr()
+    command = ["map", "remap", str(own), str(recording), "--area", *area, "--who", "ada", "--json"]
+    assert main(command) == 0
+    said = json.loads(capsys.readouterr().out)
+    stored = load_map(own)
+    number = stored.number
+    assert said == {**told, "version": number, "version_before": number - 1, "map": str(own)}
+    assert stored.edit is not None
+    assert (stored.edit.who, stored.edit.what) == ("ada", "remap")
+    for place, cells in cells_of(after).items():
+        np.testing.assert_array_equal(cells_of(stored)[place], cells)
+
+
+def test_the_command_refuses_an_area_that_the_drive_did_not_see(folder, recording, capsys):
+    far = [str(length_m) for length_m in lengths((30, 30), (31, 30), (31, 31))]
+    code = main(["map", "remap", str(folder), str(recording), "--area", *far])
+    assert code == InputError.exit_code
+    assert "saw nothing of the area" in capsys.readouterr().err
