@@ -13,6 +13,13 @@ ANGLE_SIGMA_RAD = 0.1  # a window grows until the wall's direction is known so w
 MOST_ANGLE = 2.0  # times the direction's sigma that is asked for: known worse, a piece is rough
 LEAST_COS_INCIDENCE = 0.05  # beams that graze more see nothing that can be relied on
 ROUGH_WEIGHT = 0.01  # of a point that lies on no plane
+# Beside an edge, where the window around a point holds two walls: a window to one side of the point.
+LEAST_SIDE = 2  # points in it besides the point itself
+LEAST_REACH_M = 0.12  # windows that reach less far fit on the side of a door by themselves
+LEAST_WIDTH_M = 0.6  # of a run with edges; a narrower one is a post, a trunk or a person, and round
+MOST_SPACING_M = 0.1  # of its points: of few and far ones, each on another wall, any three make a plane
+LEAST_COS_BESIDE_EDGE = 0.5  # of the incidence: what lies between two walls lies along the beams
+CLEAN = 1.0  # spread across, at most, over what noise explains
 LEAST_RUNS, MOST_BEAM_GAP = 30, 4  # of three beams, that noise is seen in; steps between the beams of a run
 
 
@@ -52,7 +59,6 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazin
             if dx * dx + dy * dy < gap_m * gap_m:
                 first[i] = first[i - 1]
     square_m2 = range_sigma_m * range_sigma_m
-    most_rad2 = (MOST_ANGLE * ANGLE_SIGMA_RAD) ** 2
     # [16] 12 sigma^2 / (n L^2) is the variance of the direction of n points over the length L: as many beams
     # are wanted each side as make beams^3 spacing^2 this much
     wanted_m2 = 1.5 * (range_sigma_m / ANGLE_SIGMA_RAD) ** 2
@@ -69,61 +75,131 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazin
             reach -= 1
         low = max(first[i], i - reach)
         high = min(end, i + reach + 1)
-        n = high - low
-        nx = 1.0
-        ny = 0.0
-        if range_m[i] > 0.0:
-            nx = (sensor_xy_m[0] - xy_base[i, 0]) / range_m[i]
-            ny = (sensor_xy_m[1] - xy_base[i, 1]) / range_m[i]
-        weight = ROUGH_WEIGHT
-        if n >= 3:
-            sx = sums[high, 0] - sums[low, 0]
-            sy = sums[high, 1] - sums[low, 1]
-            a = sums[high, 2] - sums[low, 2] - sx * sx / n
-            b = sums[high, 3] - sums[low, 3] - sx * sy / n
-            c = sums[high, 4] - sums[low, 4] - sy * sy / n
-            half = 0.5 * (a - c)
-            root = math.sqrt(half * half + b * b)
-            mean = 0.5 * (a + c)
-            # [20] The point itself tells nothing of the direction, for its error shall not be in it; and
-            # noise along the beam tilts the line of points that are seen aslant: both are taken out.
-            x = xy_base[i, 0] - sensor_xy_m[0] - sx / n
-            y = xy_base[i, 1] - sensor_xy_m[1] - sy / n
-            own = n / (n - 1.0)
-            noise = (n - 2) * square_m2
-            tilt = b - own * x * y - noise * nx * ny
-            lean = half - 0.5 * own * (x * x - y * y) - 0.5 * noise * (nx * nx - ny * ny)
-            if lean >= 0.0:  # eigenvector of the small eigenvalue, from the form that cancels nothing
-                ex = -tilt
-                ey = lean + math.hypot(lean, tilt)
-            else:
-                ex = lean - math.hypot(lean, tilt)
-                ey = tilt
-            length = math.sqrt(ex * ex + ey * ey)
-            if length > 0.0:
-                ex /= length
-                ey /= length
-                cosine = ex * nx + ey * ny
-                if cosine < 0.0:
-                    ex = -ex
-                    ey = -ey
-                    cosine = -cosine
+        nx, ny, weight, _ = plane_at(
+            xy_base, sensor_xy_m, range_m[i], sums, i, low, high, square_m2, grazing_weight
+        )
+        is_edge = reach * spacing_m > LEAST_REACH_M and (end - first[i]) * spacing_m > LEAST_WIDTH_M
+        if weight == ROUGH_WEIGHT and is_edge:
+            ex, ey, of_side = plane_beside_edge(
+                xy_base, sensor_xy_m, range_m[i], sums, i, first[i], end, reach, square_m2, grazing_weight
+            )
+            if of_side != ROUGH_WEIGHT:
                 nx = ex
                 ny = ey
-                # [17] the spread across a plane has n - 2 degrees of freedom
-                expected = square_m2 * cosine * cosine + WALL_M * WALL_M
-                spread = THICK_SIGMAS * math.sqrt(2.0 / max(n - 2, 1))
-                thin = mean - root < max(n - 2, 1) * expected * (1.0 + spread)
-                # Not the scatter measured: a point that is off would judge itself by it.
-                is_direction_known = expected < most_rad2 * (mean + root)
-                if thin and is_direction_known:
-                    weight = 0.0
-                    if cosine >= LEAST_COS_INCIDENCE:
-                        square = cosine * cosine
-                        weight = 1.0 / (square + (1.0 - square) / grazing_weight)
+                weight = of_side
         normals[i, 0] = nx
         normals[i, 1] = ny
         normals[i, 2] = weight
+
+
+@njit(cache=True, nogil=True)
+def plane_beside_edge(xy_base, sensor_xy_m, range_m, sums, i, first, end, reach, square_m2, grazing_weight):
+    """Unit normal (2,) and weight of point i by the longest clean window to one side; ROUGH_WEIGHT: none is.
+
+    first, end   the run of the point
+    reach        points of the longest window besides the point
+    The outermost point of a window may lie beyond the next edge, within noise: it is left out of a window
+    of more than LEAST_SIDE.
+    """
+    nx = 1.0
+    ny = 0.0
+    weight = ROUGH_WEIGHT
+    for side in range(reach, LEAST_SIDE - 1, -1):
+        least = CLEAN
+        for k in range(2):
+            low = i - k * side
+            high = low + side + 1
+            if low < first or high > end:
+                continue
+            x = xy_base[low, 0] - xy_base[high - 1, 0]
+            y = xy_base[low, 1] - xy_base[high - 1, 1]
+            if x * x + y * y > MOST_SPACING_M * MOST_SPACING_M * side * side:
+                continue
+            ex, ey, of_window, excess = plane_at(
+                xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazing_weight
+            )
+            ahead_m = ex * (sensor_xy_m[0] - xy_base[i, 0]) + ey * (sensor_xy_m[1] - xy_base[i, 1])
+            is_facing = ahead_m > LEAST_COS_BESIDE_EDGE * range_m
+            if of_window == ROUGH_WEIGHT or not is_facing or excess >= least:
+                continue
+            if side > LEAST_SIDE:
+                low += k
+                high -= 1 - k
+                ex, ey, of_window, _ = plane_at(
+                    xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazing_weight
+                )
+            if of_window != ROUGH_WEIGHT:
+                least = excess
+                nx = ex
+                ny = ey
+                weight = of_window
+        if least < CLEAN:
+            break
+    return nx, ny, weight
+
+
+@njit(cache=True, nogil=True)
+def plane_at(xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazing_weight):
+    """Unit normal (2,) of point i by the points low to high - 1, its weight, and their spread across.
+
+    The spread is in units of what noise explains.
+    """
+    most_rad2 = (MOST_ANGLE * ANGLE_SIGMA_RAD) ** 2
+    n = high - low
+    nx = 1.0
+    ny = 0.0
+    if range_m > 0.0:
+        nx = (sensor_xy_m[0] - xy_base[i, 0]) / range_m
+        ny = (sensor_xy_m[1] - xy_base[i, 1]) / range_m
+    weight = ROUGH_WEIGHT
+    excess = 0.0
+    if n >= 3:
+        sx = sums[high, 0] - sums[low, 0]
+        sy = sums[high, 1] - sums[low, 1]
+        a = sums[high, 2] - sums[low, 2] - sx * sx / n
+        b = sums[high, 3] - sums[low, 3] - sx * sy / n
+        c = sums[high, 4] - sums[low, 4] - sy * sy / n
+        half = 0.5 * (a - c)
+        root = math.sqrt(half * half + b * b)
+        mean = 0.5 * (a + c)
+        # [20] The point itself tells nothing of the direction, for its error shall not be in it; and
+        # noise along the beam tilts the line of points that are seen aslant: both are taken out.
+        x = xy_base[i, 0] - sensor_xy_m[0] - sx / n
+        y = xy_base[i, 1] - sensor_xy_m[1] - sy / n
+        own = n / (n - 1.0)
+        noise = (n - 2) * square_m2
+        tilt = b - own * x * y - noise * nx * ny
+        lean = half - 0.5 * own * (x * x - y * y) - 0.5 * noise * (nx * nx - ny * ny)
+        if lean >= 0.0:  # eigenvector of the small eigenvalue, from the form that cancels nothing
+            ex = -tilt
+            ey = lean + math.hypot(lean, tilt)
+        else:
+            ex = lean - math.hypot(lean, tilt)
+            ey = tilt
+        length = math.sqrt(ex * ex + ey * ey)
+        if length > 0.0:
+            ex /= length
+            ey /= length
+            cosine = ex * nx + ey * ny
+            if cosine < 0.0:
+                ex = -ex
+                ey = -ey
+                cosine = -cosine
+            nx = ex
+            ny = ey
+            # [17] the spread across a plane has n - 2 degrees of freedom
+            expected = square_m2 * cosine * cosine + WALL_M * WALL_M
+            spread = THICK_SIGMAS * math.sqrt(2.0 / max(n - 2, 1))
+            excess = (mean - root) / (max(n - 2, 1) * expected)
+            thin = excess < 1.0 + spread
+            # Not the scatter measured: a point that is off would judge itself by it.
+            is_direction_known = expected < most_rad2 * (mean + root)
+            if thin and is_direction_known:
+                weight = 0.0
+                if cosine >= LEAST_COS_INCIDENCE:
+                    square = cosine * cosine
+                    weight = 1.0 / (square + (1.0 - square) / grazing_weight)
+    return nx, ny, weight, excess
 
 
 @njit(cache=True, nogil=True)

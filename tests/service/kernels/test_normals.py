@@ -22,6 +22,36 @@ def wall(distance_m: float, angles: np.ndarray) -> np.ndarray:
     return np.column_stack([np.full(len(angles), distance_m), distance_m * np.tan(angles)])
 
 
+def slow_run(i: int, gaps: list[bool]) -> range:
+    """Points joined to point i without a gap."""
+    first, end = i, i + 1
+    while first > 0 and not gaps[first - 1]:
+        first -= 1
+    while end <= len(gaps) and not gaps[end - 1]:
+        end += 1
+    return range(first, end)
+
+
+def slow_plane(point: np.ndarray, others: list[np.ndarray]) -> tuple[np.ndarray, float]:
+    """Normal and weight of a point by the points beside it, and their spread over what noise explains."""
+    towards = -point / np.hypot(*point)
+    rough = np.array([*towards, ROUGH_WEIGHT])
+    if len(others) < 2:
+        return rough, np.inf
+    scatter_m2 = len(others) * np.cov(np.array(others).T, bias=True)
+    _, vectors = np.linalg.eigh(scatter_m2 - (len(others) - 1) * SIGMA_M**2 * np.outer(towards, towards))
+    normal = vectors[:, 0] * np.sign(vectors[:, 0] @ towards)
+    cosine = normal @ towards
+    values = np.linalg.eigvalsh((len(others) + 1) * np.cov(np.array([point, *others]).T, bias=True))
+    freedoms = len(others) - 1
+    expected_m2 = (SIGMA_M * cosine) ** 2 + WALL_M**2
+    excess = values[0] / (freedoms * expected_m2)
+    weight = ROUGH_WEIGHT
+    if excess < 1.0 + 2.0 * np.sqrt(2.0 / freedoms) and np.sqrt(expected_m2 / values[1]) < 0.2:
+        weight = 1.0 / (0.2 + 0.8 * cosine**2) if cosine >= 0.05 else 0.0
+    return np.array([*normal, weight]), excess
+
+
 def slow_normals(xy: np.ndarray) -> np.ndarray:
     """The same by its definition, with eigh over windows found by walking outwards."""
     answer = np.zeros((len(xy), 3))
@@ -42,21 +72,28 @@ def slow_normals(xy: np.ndarray) -> np.ndarray:
                 if not 0 <= b < len(xy) or gaps[min(a, b)]:
                     break
                 others.append(xy[b])
-        towards = -point / np.hypot(*point)
-        answer[i] = *towards, ROUGH_WEIGHT
-        if len(others) < 2:
+        answer[i], _ = slow_plane(point, others)
+        run = slow_run(i, gaps)
+        spacing_m = STEP_RAD * range_m
+        if answer[i, 2] != ROUGH_WEIGHT or reach * spacing_m <= 0.12 or len(run) * spacing_m <= 0.6:
             continue
-        scatter_m2 = len(others) * np.cov(np.array(others).T, bias=True)
-        _, vectors = np.linalg.eigh(scatter_m2 - (len(others) - 1) * SIGMA_M**2 * np.outer(towards, towards))
-        normal = vectors[:, 0] * np.sign(vectors[:, 0] @ towards)
-        answer[i, :2] = normal
-        cosine = normal @ towards
-        values = np.linalg.eigvalsh((len(others) + 1) * np.cov(np.array([point, *others]).T, bias=True))
-        freedoms = len(others) - 1
-        expected_m2 = (SIGMA_M * cosine) ** 2 + WALL_M**2
-        is_thin = values[0] < expected_m2 * (freedoms + 2.0 * np.sqrt(2.0 * freedoms))
-        if is_thin and np.sqrt(expected_m2 / values[1]) < 0.2:
-            answer[i, 2] = 1.0 / (0.2 + 0.8 * cosine**2) if cosine >= 0.05 else 0.0
+        for side in range(reach, 1, -1):
+            sides = [[i + sign * k for k in range(1, side + 1)] for sign in (1, -1)]
+            found = []
+            for beside in sides:
+                if not set(beside) <= set(run):
+                    continue
+                plane, excess = slow_plane(point, [xy[k] for k in beside])
+                is_dense = np.hypot(*(point - xy[beside[-1]])) <= 0.1 * side
+                is_facing = plane[:2] @ point < -0.5 * np.hypot(*point)
+                if plane[2] != ROUGH_WEIGHT and is_facing and is_dense and excess < 1.0:
+                    kept = beside[:-1] if side > 2 else beside
+                    plane, _ = slow_plane(point, [xy[k] for k in kept])
+                    if plane[2] != ROUGH_WEIGHT:
+                        found.append((excess, *plane))
+            if found:
+                answer[i] = min(found)[1:]
+                break
     return answer
 
 
@@ -198,3 +235,50 @@ def test_each_window_is_that_of_its_own_range_whatever_ranges_come_before() -> N
     for xy in (near, np.vstack([near, far]), np.vstack([far[::-1], near])):
         xy = xy + np.random.default_rng(5).normal(0.0, 0.002, xy.shape)
         np.testing.assert_allclose(normals_of(xy)[:, :2], slow_normals(xy)[:, :2], atol=1e-6)
+
+
+def sunk_door(depth_m: float, step_rad: float) -> tuple[np.ndarray, np.ndarray]:
+    """A wall along x, 1.3 m to the left, with a door from x = 2 m to 3 m that lies `depth_m` deeper, as beams
+    see it from the origin, and which of them end on the far side of the door.
+    """
+    points, is_side = [], []
+    for angle in np.arange(math.radians(15.0), math.radians(80.0), step_rad):
+        c, s = math.cos(angle), math.sin(angle)
+        on_wall, on_door, on_side = 1.3 / s, (1.3 + depth_m) / s, 3.0 / c
+        if not 2.0 < on_wall * c < 3.0:
+            range_m, side = on_wall, False
+        elif on_door * c < 3.0:
+            range_m, side = on_door, False
+        else:
+            range_m, side = on_side, True
+        points.append((range_m * c, range_m * s))
+        is_side.append(side)
+    return np.array(points), np.array(is_side)
+
+
+def test_the_side_of_a_door_is_a_plane_for_a_laser_of_one_degree() -> None:
+    """It alone fixes the position along a corridor; a window around its points holds the walls beside too."""
+    step_rad = math.radians(1.0)
+    planar, off_rad = 0, []
+    for seed in range(20):
+        xy, is_side = sunk_door(0.2, step_rad)
+        towards = xy / np.hypot(*xy.T)[:, None]
+        xy = xy + towards * np.random.default_rng(seed).normal(0.0, SIGMA_M, len(xy))[:, None]
+        normals = np.full((len(xy), 3), np.nan)
+        estimate_normals(np.ascontiguousarray(xy), np.zeros(2), step_rad, SIGMA_M, 5.0, normals)
+        of_side = normals[is_side & (normals[:, 2] > 0.5)]
+        planar += len(of_side)
+        off_rad += list(np.arctan2(of_side[:, 1], -of_side[:, 0]))
+    assert is_side.sum() == 3
+    assert planar >= 0.5 * 20 * is_side.sum()
+    assert np.mean(np.abs(off_rad) < 0.5) > 0.8
+
+
+def test_few_far_points_make_no_plane_beside_an_edge() -> None:
+    """Of a stair of walls that are each hit once, any three points may lie in line."""
+    angles = np.arange(-0.5, 0.5, math.radians(2.0))
+    range_m = 4.0 + 0.5 * (np.arange(len(angles)) % 2) * np.linspace(0.2, 1.0, len(angles))
+    xy = np.column_stack([range_m * np.cos(angles), range_m * np.sin(angles)])
+    normals = np.full((len(xy), 3), np.nan)
+    estimate_normals(np.ascontiguousarray(xy), np.zeros(2), math.radians(2.0), SIGMA_M, 5.0, normals)
+    assert (normals[:, 2] <= ROUGH_WEIGHT).all()
