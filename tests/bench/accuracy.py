@@ -18,6 +18,7 @@ from tests.accuracy import (
     recorded,
     relocalisation,
     rules,
+    terrain,
     trials,
 )
 from tests.accuracy.page import PAGE, write_page
@@ -33,6 +34,8 @@ SCENARIOS: dict[str, Callable[[Sequence[int]], Section]] = {
     "bad_returns": trials.bad_returns,
     "bare_corridor": trials.bare_corridor,
     "mall": buildings.big_mall,
+    "coarse_laser": terrain.coarse_laser,
+    "terrain": terrain.terrain,
     "anchored": anchored.anchored,
     "parked": trials.parked,
     "lasers": lasers.lasers,
