@@ -11,7 +11,7 @@ from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
 from service.mapper.methods.corridor.graph.loop_batches import Batch
 from service.mapper.methods.corridor.graph.loops import Loop
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
-from service.mapper.methods.corridor.graph.way_drift import MOST_DRIFT_CHI2, WayDrift
+from service.mapper.methods.corridor.graph.way_drift import MOST_DRIFT_CHI2, UNMODELLED_SHARE, WayDrift
 from service.mapper.refused_loops import TOO_FAR
 from tests.service.mapper.methods.corridor.graph.rings import key_frames
 
@@ -22,7 +22,7 @@ BESIDE_M = 1.5
 BATCH = 10
 
 
-def straight(is_known: bool = True, lost: int | None = None) -> WayDrift:
+def straight(is_known: bool = True, lost: int | None = None, variance: np.ndarray = VARIANCE) -> WayDrift:
     """Ten metres ahead, each step known as well as the one before."""
     back_end = LoopBackEnd(LoopsConfig(), None)
     frames = [
@@ -36,7 +36,7 @@ def straight(is_known: bool = True, lost: int | None = None) -> WayDrift:
             np.zeros((0, 2), np.float32),
             (0.0, 0.0),
             0.01,
-            motion_covariance=VARIANCE * k if is_known else None,
+            motion_covariance=variance * k if is_known else None,
         )
         for k in range(STEPS + 1)
     ]
@@ -51,16 +51,23 @@ def loop(x_m: float, y_m: float, theta_rad: float) -> Loop:
 def test_the_drift_of_a_way_is_the_sum_of_its_steps():
     drift = straight()
     assert drift.chi2(loop(10.0, 0.0, 0.0)) == pytest.approx(0.0, abs=1e-6)
-    sigma_m = np.sqrt(STEPS * VARIANCE[0, 0])
+    sigma_m = np.hypot(np.sqrt(STEPS * VARIANCE[0, 0]), UNMODELLED_SHARE * 10.0)
     assert drift.chi2(loop(10.0 + 3.0 * sigma_m, 0.0, 0.0)) == pytest.approx(9.0, rel=0.01)
 
 
 def test_a_loop_beyond_that_is_not_allowed_unless_nobody_knows_the_way():
-    off_m = 1.1 * np.sqrt(MOST_DRIFT_CHI2 * STEPS * VARIANCE[0, 0])
+    off_m = 1.1 * np.sqrt(MOST_DRIFT_CHI2 * (STEPS * VARIANCE[0, 0] + (UNMODELLED_SHARE * 10.0) ** 2))
     assert straight().allows(loop(10.0 + 0.8 * off_m, 0.0, 0.0))
     assert not straight().allows(loop(10.0 + off_m, 0.0, 0.0))
     assert straight(lost=20).allows(loop(10.0 + off_m, 0.0, 0.0))
     assert straight(is_known=False).allows(loop(10.0 + off_m, 0.0, 0.0))
+
+
+def test_a_slip_that_nobody_noticed_does_not_keep_loops_away():
+    """A scan that was matched wrong leaves the covariance as small as it was."""
+    sure = straight(variance=1e-4 * VARIANCE)
+    assert sure.allows(loop(10.0 * 1.02, 0.0, 0.0))
+    assert not sure.allows(loop(10.0 * 1.04, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("is_known", [True, False])
