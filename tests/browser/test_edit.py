@@ -373,7 +373,7 @@ def test_the_path_goes_with_the_map_that_is_bent(page, opened, tmp_path, bent):
 
 def test_a_live_session_offers_no_editing_and_says_when_it_is_possible(page, live):
     assert not page.element("tab-edit").is_displayed()
-    assert "A map is edited when no session goes on in it" in page.text("resources")
+    assert "To edit the map of this session: Save as" in page.text("resources")
 
 
 def test_every_control_can_be_reached_with_the_keyboard(page, view):

@@ -246,5 +246,5 @@ def test_a_noisy_sensor_makes_rough_walls_of_what_are_planes() -> None:
         normals = submaps().normals_of(replace(noisy, range_sigma_m=sigma_m))
         return float((normals[:, 2] >= 1.0).mean())
 
-    assert planar_share(0.01) < 0.3
+    assert planar_share(0.01) < 0.5
     assert planar_share(0.03) > 0.6
