@@ -4,15 +4,18 @@ from service.kernels.occupancy import TILE_CELLS, OccupancyGrid
 from service.kernels.tiles import NO_TILE, TileIndex
 
 
-def empty_occupancy(cell_m: float) -> OccupancyGrid:
+def empty_tiles() -> TileIndex:
     """Room for 16 tiles, two to each side of the origin."""
-    index = TileIndex(
+    return TileIndex(
         np.full((4, 4), NO_TILE, np.int32),
         np.array([-2, -2], np.int64),
         np.empty(16, np.int32),
         np.zeros(2, np.int64),
     )
+
+
+def empty_occupancy(cell_m: float) -> OccupancyGrid:
     shape = (16, TILE_CELLS, TILE_CELLS)
     return OccupancyGrid(
-        index, np.zeros(shape, np.int8), np.zeros(shape, np.uint16), np.zeros(16, np.uint8), cell_m
+        empty_tiles(), np.zeros(shape, np.int8), np.zeros(shape, np.uint16), np.zeros(16, np.uint8), cell_m
     )

@@ -10,7 +10,7 @@ from service.kernels.orthogonal_weights import (
     shares_of_three,
 )
 from service.kernels.surfels import TILE_BITS, TILE_CELLS
-from service.kernels.tiles import NO_TILE, TileIndex
+from tests.service.kernels.occupancy_grids import empty_tiles
 
 CELL_M = 0.1
 SIGMAS = np.array([[1.5, 1.5], [1.5, 0.5], [0.5, 1.5], [0.5, 0.5]])
@@ -18,14 +18,8 @@ ALONE = np.array([[-1, -1]], np.int32)
 
 
 def empty_layer():
-    index = TileIndex(
-        np.full((4, 4), NO_TILE, np.int32),
-        np.array([-2, -2], np.int64),
-        np.empty(16, np.int32),
-        np.zeros(2, np.int64),
-    )
     shape = (16, TILE_CELLS, TILE_CELLS)
-    return WeightedLayer(index, np.zeros(shape, np.float32), np.zeros(shape, np.uint8), CELL_M)
+    return WeightedLayer(empty_tiles(), np.zeros(shape, np.float32), np.zeros(shape, np.uint8), CELL_M)
 
 
 def cell(layer, row, column):

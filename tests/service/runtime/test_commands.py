@@ -30,7 +30,7 @@ from service.runtime.profile_switch import PresentMapping, ProfileSwitch
 from service.sinks.map_saver import MapSaver
 from service.sinks.mcap_sink import McapSink
 from tests.service.runtime.inline_link import InlineLink
-from tests.service.runtime.test_mapping import OFFSET_NS, FakeMapper, scan
+from tests.service.runtime.mapping_runs import OFFSET_NS, FakeMapper, scan
 from tests.service.sinks.contexts import sink_context
 from tests.service.sinks.test_map_saver import tile
 

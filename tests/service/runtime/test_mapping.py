@@ -2,15 +2,13 @@
 
 import json
 import math
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
+from drivers.frames import LaserScan, OdometrySample
 from service.encoding import (
-    LogClock,
     Message,
     decode_event,
     decode_frame,
@@ -19,151 +17,22 @@ from service.encoding import (
     decode_pose,
     decode_step,
 )
-from service.geometry.se2 import SE2
-from service.mapper.components import FinishedGraph, GraphUpdate
-from service.mapper.graph.no_graph import NoGraph
 from service.mapper.map_changes import MapChanges
 from service.mapper.mapping_session import ApplyResult, LeftOut, MappingSession
-from service.mapstore.tiles import TileStore
-from service.outputs import UNKNOWN, GraphPicture, Grid, MapperOutput, TileUpdate
-from service.runtime.host_time import HostTime
-from service.runtime.intake import Intake
+from service.outputs import UNKNOWN, GraphPicture, Grid
 from service.runtime.mapper_messages import (
-    Answer,
-    Decisions,
-    Go,
-    Mapped,
-    PassedOver,
-    ResultApplied,
     Status,
-    Tiles,
 )
 from service.runtime.mapping import MOST_AGE_NS, MapperError, MappingLoop
-from service.runtime.mapping_outputs import MappingOutputs
-from tests.service.runtime.inline_link import InlineLink
-
-OFFSET_NS = 1_700_000_000_000_000_000
-MS = 1_000_000
-
-
-class FakeMapper:
-    """Puts every scan one metre further along x; notes what it was given."""
-
-    finished = False
-    geo_reference = None
-
-    saved = None
-
-    def __init__(
-        self, fault: Exception | None = None, x_m: float | None = None, graph: NoGraph | None = None
-    ) -> None:
-        self.counters: Counter[str] = Counter()
-        self.eaten: list[Frame] = []
-        self.skipped = 0
-        self._mapped = self._changed = 0
-        self._fault = fault
-        self._x_m = x_m
-        self.graph = graph or NoGraph()
-
-    def apply_result(self) -> None:
-        self.eaten.append("apply_result")  # type: ignore[arg-type]
-        self.graph.apply_result()
-
-    def finish(self) -> FinishedGraph:
-        self.finished = True
-        return FinishedGraph()
-
-    def process(self, frame: Frame) -> MapperOutput | None:
-        self.eaten.append(frame)
-        if not isinstance(frame, LaserScan):
-            return None
-        if self._fault is not None:
-            raise self._fault
-        self.counters["scans"] += 1
-        self._mapped += 1
-        self._changed = self._mapped
-        x_m = float(self._mapped) if self._x_m is None else self._x_m
-        pose = SE2(x_m, 0.0, 0.0)
-        return MapperOutput(frame.stamp_ns, pose, SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 1.0)
-
-    def skip(self, scan: LaserScan) -> None:
-        self.skipped += 1
-
-    def standing(self) -> Grid | None:
-        return self.stands
-
-    stands: Grid | None = None
-    graph_picture: GraphPicture | None = None
-    pose_refused: tuple[float, float, float] | None = None
-    changes_told: MapChanges | None = None
-
-    def changed_tiles(self) -> list[TileUpdate]:
-        version, self._changed = self._changed, 0
-        return [TileUpdate(0, 0, 0, version, 0.05, np.zeros((4, 4), np.int8))] if version else []
-
-
-def scan(stamp_ns: int, arrived_ns: int, ranges: list[float], sensor: str = "front") -> LaserScan:
-    range_m = np.array(ranges, dtype=np.float32)
-    return LaserScan(sensor, stamp_ns, arrived_ns, 1, 3, 0.0, 0.1, 0.01, 20.0, range_m, NO_INTENSITY)
-
-
-def sample(stamp_ns: int, arrived_ns: int) -> OdometrySample:
-    return OdometrySample("base", stamp_ns, arrived_ns, 0.1, 0.2, 0.3, (0.0, 0.0, 0.0), (0.0,) * 9)
-
-
-class Run:
-    """An intake, a mapping loop and what comes of it."""
-
-    def __init__(self, mapper: FakeMapper) -> None:
-        self.put_out: list[tuple[Message, int | None]] = []  # what the sinks were handed
-        self.handed_over: list[tuple[int, int]] = []
-        self.tiles = TileStore()
-        fresh = iter([mapper])
-        log_clock = LogClock()
-        self.outputs = MappingOutputs(
-            ["front"],
-            self.tiles,
-            self._put,
-            self._hand_over,
-            lambda: log_clock.next_ns(OFFSET_NS + 10**9),
-            lambda: self.link.now_ns,
-        )
-        session = MappingSession(lambda: next(fresh, None) or FakeMapper(), ["front"], apply_after=None)
-        self.link = InlineLink(session, self.outputs)
-        self.intake = Intake(self.link, HostTime(OFFSET_NS), self._put)  # type: ignore[arg-type]
-
-    def put(self, *frames: Frame, waits_ns: int = 0) -> "Run":
-        for frame in frames:
-            self.link.now_ns = frame.arrived_ns + waits_ns
-            self.intake.put(frame)
-        return self
-
-    def request(self, action: str) -> list[Answer]:
-        """What the mapper answers to a command that is recorded as it is carried out."""
-        answers: list[Answer] = []
-
-        def carry_out(event: Message) -> None:
-            self._put(event)
-            self.intake.request_session(action, event.log_ns, answers.append)  # type: ignore[arg-type]
-
-        assert self.intake.mark({"event": action}, carry_out) == ""
-        return answers
-
-    def channels(self) -> list[str]:
-        return [m.channel for m in self.recorded if m.channel not in ("odom", "tf")]
-
-    @property
-    def recorded(self) -> list[Message]:
-        return [message for message, _ in self.put_out]
-
-    def _put(self, message: Message, arrived_ns: int | None = None) -> None:
-        self.put_out.append((message, arrived_ns))
-
-    def _hand_over(self, tiles: list[TileUpdate], stamp_ns: int) -> None:
-        self.handed_over.append((tiles[-1].version, stamp_ns - OFFSET_NS))
-
-
-FRAMES: list[Frame] = [sample(5, 30), scan(10, 20, [1.0, math.nan, 2.0]), scan(40, 60, [1.1, 1.2, 1.3])]
+from tests.service.runtime.mapping_runs import (
+    FRAMES,
+    MS,
+    OFFSET_NS,
+    FakeMapper,
+    GraphAtWork,
+    Run,
+    scan,
+)
 
 
 def test_the_mapper_eats_what_the_recording_holds():
@@ -444,18 +313,6 @@ def test_after_close_nothing_is_taken():
     assert run.intake.mark({"event": "mark"}, run._put) == "the service is stopping"
 
 
-class GraphAtWork(NoGraph):
-    """Has one piece of work ready, or lost."""
-
-    def __init__(self, lost: str = "") -> None:
-        self.ready = True
-        self._lost = lost
-
-    def apply_result(self) -> GraphUpdate:
-        self.ready, self.fault = False, self._lost
-        return GraphUpdate({})
-
-
 def test_a_result_of_the_graph_is_applied_between_two_frames_and_the_recording_says_where():
     mapper = FakeMapper(graph=GraphAtWork())
     run = Run(mapper).put(*FRAMES)
@@ -474,38 +331,3 @@ def test_lost_work_is_not_recorded_as_applied():
     assert decode_step(event.payload, event.log_ns) is None
     assert "the process died" in decode_event(event.payload)
     assert run.outputs.graph_fault == "the process died"
-
-
-class TestStandBy:
-    """A loop that goes on where another was lost."""
-
-    def follow(self, go: Go, graph: NoGraph | None = None) -> tuple[FakeMapper, list[object]]:
-        """It takes the items of FRAMES and one scan more, each of which has waited for a second."""
-        first = Run(FakeMapper()).put(*FRAMES, scan(70, 90, [1.0, 2.0]))
-        mapper, said = FakeMapper(graph=graph), []
-        loop = MappingLoop(MappingSession(lambda: mapper, ["front"], None), said.append, (), lambda: 10**9)
-        loop.go_on(go)
-        for item in first.link.items:
-            assert loop.is_up_to_date == (loop.number >= go.done_number)
-            loop.take(item)
-            loop.keep_up(is_idle=True)
-        return mapper, said
-
-    def test_what_is_done_is_done_again_in_silence_and_then_the_clock_decides_anew(self):
-        mapper, said = self.follow(Go(2, Decisions({}, frozenset(), frozenset())))
-        assert [frame.sensor for frame in mapper.eaten] == ["base", "front"]
-        assert mapper.skipped == 2  # both have waited for a second
-        assert [s.number for s in said if isinstance(s, PassedOver)] == [3, 4]
-        assert not any(isinstance(s, Mapped) for s in said)
-
-    def test_what_was_decided_by_the_clock_is_not_decided_anew(self):
-        decided = Decisions({3: 1}, frozenset([2]), frozenset([4]))
-        mapper, said = self.follow(Go(4, decided), GraphAtWork())
-        assert [getattr(e, "sensor", e) for e in mapper.eaten] == ["base", "apply_result", "front"]
-        assert mapper.skipped == 1
-        assert not any(isinstance(s, PassedOver | ResultApplied | Mapped) for s in said)
-
-    def test_tiles_are_handed_over_when_it_is_where_the_other_was(self):
-        _, said = self.follow(Go(3, Decisions({}, frozenset(), frozenset())))
-        (tiles,) = [s for s in said if isinstance(s, Tiles)]
-        assert tiles.tiles[0].version == 2

@@ -20,7 +20,7 @@ from service.runtime.service import Service
 from service.sinks.registry import SinkKind
 from service.sinks.sink import Sink, SinkContext
 from tests.service.runtime.mappers import FATAL_RANGE_M
-from tests.service.runtime.test_mapping import scan
+from tests.service.runtime.mapping_runs import scan
 
 pytestmark = pytest.mark.usefixtures("forked_mappers")
 
