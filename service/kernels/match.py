@@ -21,7 +21,6 @@ from service.kernels.pose_information import (
 from service.kernels.scan_information import scan_information
 from service.kernels.surfels import find_surfels_again, nothing_around
 
-UNKNOWN_COUNT = 1.0  # points that a surfel would stand for that is not there
 STUDENT = 5.0  # degrees of freedom of the prediction's error: now and then it is far larger than usual
 
 
@@ -38,6 +37,7 @@ class MatchSettings(NamedTuple):
     """Documented where they are configured."""
 
     range_sigma_m: float
+    surfel_sigma_m: float
     wall_sigma_m: float
     repeats: float
     chance_chi2: float
@@ -72,12 +72,13 @@ def point_information(weight, count, beside, settings):
     """What a point says of its distance to a surfel, 1/m^2; [13].
 
     weight   of the point: 1 where its beam meets the wall head-on
-    count    points that the surfel stands for
+    count    points of the noise surfel_sigma_m that the surfel stands for
     beside   points of this scan in the same cell: they are one measurement of its wall, each a part of it
     """
     square = settings.range_sigma_m * settings.range_sigma_m
+    counted = settings.surfel_sigma_m * settings.surfel_sigma_m
     wall = settings.wall_sigma_m * settings.wall_sigma_m
-    return 1.0 / (square / weight + beside * (settings.repeats * square / count + wall))
+    return 1.0 / (square / weight + beside * (settings.repeats * counted / count + wall))
 
 
 @njit(cache=True, nogil=True)
@@ -91,13 +92,15 @@ def surfel_cost(xy_base, normals, found, pose, unmatched_m, settings):
     s = math.sin(pose[2])
     squared_cauchy = settings.cauchy_m * settings.cauchy_m
     unmatched = 0.5 * squared_cauchy * math.log1p(unmatched_m * unmatched_m / squared_cauchy)
+    # A surfel that is not there would stand for one point of this scan.
+    unknown_count = (settings.surfel_sigma_m / settings.range_sigma_m) ** 2
     cost = 0.0
     for i in range(xy_base.shape[0]):
         weight = normals[i, 2]
         if weight == 0.0:
             continue
         if found[i, 4] == 0.0:
-            cost += point_information(weight, UNKNOWN_COUNT, found[i, 5], settings) * unmatched
+            cost += point_information(weight, unknown_count, found[i, 5], settings) * unmatched
             continue
         rx = c * xy_base[i, 0] - s * xy_base[i, 1]
         ry = s * xy_base[i, 0] + c * xy_base[i, 1]

@@ -12,7 +12,8 @@ from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
 TILE_BITS = 5
 TILE_CELLS = 1 << TILE_BITS
 TILE_MASK = TILE_CELLS - 1
-# Columns of a surfel: how many points it stands for, mean from the centre of its cell (m), unit normal.
+# Columns of a surfel: how many points of one and the same noise it stands for, mean from the centre of its
+# cell (m), unit normal.
 COUNT, MEAN_X, MEAN_Y, NORMAL_X, NORMAL_Y = range(5)
 SAME_WALL_COSINE = np.float32(0.7)  # a point that faces farther from a surfel begins the other one
 MOST_AROUND = 18  # surfels in 3 x 3 cells
@@ -78,18 +79,22 @@ def touch_tile(grid, tile_row, tile_column):
 
 
 @njit(cache=True, nogil=True)
-def insert_surfels(xy_base, normals, pose, grid, count_limit):
+def insert_surfels(xy_base, normals, pose, grid, count_limit, point_count):
     """Merge the points of a scan into the surfels of a sub-map whose index covers them.
 
     xy_base       (N, 2) float64   m, base frame
     normals       (N, 3) float64   from estimate_normals; only planar points, of weight 1 or more, are taken
     pose          (3,)   float64   pose of the base in the frame of the grid
     grid          SurfelGrid       in and out
-    count_limit   float            a surfel forgets: it never stands for more points than this
+    count_limit   float            a surfel forgets: so many points of this noise are the most it stands for
+                                   by them; one that stands for more gains none, but its mean follows them
+    point_count   float            how many points of the noise that surfels count in each stands for: the
+                                   ratio of the variances, so that the mean has the least
     """
     c = math.cos(pose[2])
     s = math.sin(pose[2])
-    limit = np.float32(count_limit)
+    own = np.float32(point_count)
+    limit = np.float32((count_limit - 1.0) * point_count)
     surfels = grid.surfels
     cell_m = grid.cell_m
     cells_per_m = 1.0 / cell_m
@@ -118,17 +123,19 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit):
             other = surfels[slot, r, q, 1, NORMAL_X] * nx + surfels[slot, r, q, 1, NORMAL_Y] * ny
             if surfels[slot, r, q, 1, COUNT] == 0.0 or other > cosine:
                 side = 1
-        n = min(surfels[slot, r, q, side, COUNT], limit - np.float32(1.0))
-        share = np.float32(1.0) / (n + np.float32(1.0))
+        n = surfels[slot, r, q, side, COUNT]
+        if n > limit:
+            n -= own
+        share = own / (n + own)
         surfels[slot, r, q, side, MEAN_X] += (dx - surfels[slot, r, q, side, MEAN_X]) * share
         surfels[slot, r, q, side, MEAN_Y] += (dy - surfels[slot, r, q, side, MEAN_Y]) * share
-        mx = n * surfels[slot, r, q, side, NORMAL_X] + nx
-        my = n * surfels[slot, r, q, side, NORMAL_Y] + ny
+        mx = n * surfels[slot, r, q, side, NORMAL_X] + own * nx
+        my = n * surfels[slot, r, q, side, NORMAL_Y] + own * ny
         length = math.sqrt(mx * mx + my * my)
         if length > 0.0:
             surfels[slot, r, q, side, NORMAL_X] = mx / length
             surfels[slot, r, q, side, NORMAL_Y] = my / length
-        surfels[slot, r, q, side, COUNT] = n + np.float32(1.0)
+        surfels[slot, r, q, side, COUNT] = n + own
 
 
 @njit(cache=True, nogil=True)

@@ -21,6 +21,7 @@ COUNT_LIMIT = 50.0
 POOL_TILES = 4096
 SETTINGS = MatchSettings(
     range_sigma_m=0.012,
+    surfel_sigma_m=0.012,
     wall_sigma_m=0.006,
     repeats=1.0,
     chance_chi2=0.0,
@@ -83,7 +84,7 @@ class SurfelSet:
         """More points of the same frame."""
         if len(cloud.xy):
             cover(self._tiles, surfels.TILE_BITS, cloud.xy)
-            insert_surfels(cloud.xy, cloud.normals, np.zeros(3), self.grid(), COUNT_LIMIT)
+            insert_surfels(cloud.xy, cloud.normals, np.zeros(3), self.grid(), COUNT_LIMIT, 1.0)
 
     def align(self, cloud: PointCloud, pose: Floats) -> Fit:
         """Another cloud laid on it, from a pose near enough."""

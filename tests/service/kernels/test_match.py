@@ -26,6 +26,7 @@ from tests.service.kernels.surfel_grids import empty_grid
 SIGMA_M = 0.01  # of a range
 SETTINGS = MatchSettings(
     range_sigma_m=SIGMA_M,
+    surfel_sigma_m=SIGMA_M,
     wall_sigma_m=0.004,
     repeats=1.0,
     chance_chi2=0.0,
@@ -64,7 +65,7 @@ def room_grid() -> SurfelGrid:
     grid = empty_grid()
     xy = room_scan()
     for _ in range(3):
-        insert_surfels(xy, normals_of(xy), np.zeros(3), grid, 50.0)
+        insert_surfels(xy, normals_of(xy), np.zeros(3), grid, 50.0, 1.0)
     splat_likelihood(xy, np.zeros(3), grid, 0.15, 0.95)
     return grid
 
@@ -133,6 +134,13 @@ def test_the_hessian_is_that_of_weighted_least_squares() -> None:
     np.testing.assert_allclose(shared, of_both, rtol=1e-9, atol=1e-6)
     assert used == np.count_nonzero(normals[:, 2])
     assert 0 < inliers <= used
+
+
+def test_a_surfel_is_known_as_well_as_the_points_it_counts_not_as_those_of_this_scan() -> None:
+    noisy = SETTINGS._replace(range_sigma_m=4.0 * SIGMA_M)
+    assert point_information(1.0, 5.0, 1.0, noisy) == pytest.approx(
+        1.0 / ((4.0 * SIGMA_M) ** 2 + SIGMA_M**2 / 5.0 + 0.004**2)
+    )
 
 
 def test_points_of_one_cell_share_the_error_of_its_wall() -> None:
@@ -277,7 +285,7 @@ def corridor_grid(end_m: float, rng: np.random.Generator, scans: int = 25) -> Su
     grid = empty_grid()
     for _ in range(scans):
         xy = corridor(end_m, rng)
-        insert_surfels(xy, normals_of(xy), np.zeros(3), grid, 1000.0)
+        insert_surfels(xy, normals_of(xy), np.zeros(3), grid, 1000.0, 1.0)
         splat_likelihood(xy, np.zeros(3), grid, 0.15, 0.95)
     return grid
 

@@ -49,7 +49,7 @@ def test_the_bias_of_some_ranges_shows_on_walls_that_were_seen_without_it() -> N
     grid = empty_grid()
     for x_m in np.arange(-2.0, 2.01, 0.1):
         xy, normals = seen_from(x_m, np.zeros(NODES), rng)
-        insert_surfels(xy, normals, np.array([x_m, 0.0, 0.0]), grid, 1000.0)
+        insert_surfels(xy, normals, np.array([x_m, 0.0, 0.0]), grid, 1000.0, 1.0)
     bias_m = np.zeros(NODES)
     bias_m[5:8] = 0.02
     total, weighted = 1e4 * np.eye(NODES), np.zeros(NODES)

@@ -52,7 +52,7 @@ def read_all(grid: SurfelGrid) -> list[tuple[float, float, float, float, float]]
 def test_surfels_are_means_of_the_points_that_face_one_way() -> None:
     xy, normals = random_points(6000)
     grid = empty_grid(cell_m=0.4)
-    insert_surfels(xy, normals, POSE, grid, 1e6)
+    insert_surfels(xy, normals, POSE, grid, 1e6, 1.0)
     expected: dict[tuple[int, int], list[list[np.ndarray]]] = {}
     facing: dict[tuple[int, int], list[np.ndarray]] = {}
     for point, normal, weight in zip(to_map(xy, POSE), turned(normals, POSE), normals[:, 2], strict=True):
@@ -83,7 +83,7 @@ def test_a_thin_wall_keeps_two_sides() -> None:
     y = np.linspace(-0.5, 0.5, 50)
     for x, facing in ((0.02, -1.0), (0.07, 1.0)):
         xy = np.column_stack([np.full(50, x), y])
-        insert_surfels(xy, np.tile([facing, 0.0, 1.0], (50, 1)), np.zeros(3), grid, 50.0)
+        insert_surfels(xy, np.tile([facing, 0.0, 1.0], (50, 1)), np.zeros(3), grid, 50.0, 1.0)
     means = {round(nx): [x for x, _, n, _, _ in read_all(grid) if n == nx] for nx in (-1.0, 1.0)}
     np.testing.assert_allclose(means[-1], 0.02, atol=1e-6)
     np.testing.assert_allclose(means[1], 0.07, atol=1e-6)
@@ -93,15 +93,36 @@ def test_a_surfel_forgets_beyond_its_limit() -> None:
     grid = empty_grid()
     for x, times in ((0.02, 100), (0.06, 60)):
         xy = np.tile([x, 0.05], (times, 1))
-        insert_surfels(xy, np.tile([-1.0, 0.0, 1.0], (times, 1)), np.zeros(3), grid, 10.0)
+        insert_surfels(xy, np.tile([-1.0, 0.0, 1.0], (times, 1)), np.zeros(3), grid, 10.0, 1.0)
     ((x, _, _, _, count),) = read_all(grid)
     assert count == 10.0
     assert abs(x - 0.06) < 1e-3
 
 
+def test_points_count_by_the_inverse_of_their_variance() -> None:
+    grid = empty_grid()
+    facing = np.tile([-1.0, 0.0, 1.0], (32, 1))
+    insert_surfels(np.tile([0.02, 0.05], (32, 1)), facing, np.zeros(3), grid, 1e3, 1.0)
+    insert_surfels(np.tile([0.06, 0.05], (32, 1)), facing, np.zeros(3), grid, 1e3, 1.0 / 16.0)
+    ((x, _, _, _, count),) = read_all(grid)
+    assert count == 34.0
+    assert x == pytest.approx((32 * 0.02 + 2 * 0.06) / 34.0, abs=1e-6)
+
+
+def test_noisy_points_take_nothing_from_a_surfel_that_stands_for_more() -> None:
+    """A limit of ten points of theirs is not one of ten points of a laser that knows four times better."""
+    grid = empty_grid()
+    facing = np.tile([-1.0, 0.0, 1.0], (20, 1))
+    insert_surfels(np.tile([0.02, 0.05], (20, 1)), facing, np.zeros(3), grid, 10.0, 1.0)
+    insert_surfels(np.tile([0.06, 0.05], (20, 1)), facing, np.zeros(3), grid, 10.0, 1.0 / 16.0)
+    ((x, _, _, _, count),) = read_all(grid)
+    assert count == 10.0
+    assert x == pytest.approx(0.06 - 0.04 * (1.0 - 1.0 / 160.0) ** 20, abs=1e-6)
+
+
 def test_a_used_slot_is_cleared_before_it_is_filled() -> None:
     grid = empty_grid(used_slots=3)
-    insert_surfels(np.array([[0.05, 0.05]]), np.array([[1.0, 0.0, 1.0]]), np.zeros(3), grid, 50.0)
+    insert_surfels(np.array([[0.05, 0.05]]), np.array([[1.0, 0.0, 1.0]]), np.zeros(3), grid, 50.0, 1.0)
     assert [n for *_, n in read_all(grid)] == [1.0]
 
 
@@ -111,8 +132,8 @@ def test_a_corner_keeps_its_two_walls_apart() -> None:
     across, along = 0.05 + rng.normal(0.0, 0.005, 200), rng.uniform(0.0, 0.1, 200)
     tilt = rng.normal(0.0, 0.1, 200)
     facing = np.column_stack([-np.cos(tilt), np.sin(tilt), np.ones(200)])
-    insert_surfels(np.column_stack([across, along]), facing, np.zeros(3), grid, 1e3)
-    insert_surfels(np.column_stack([along, across]), facing[:, [1, 0, 2]], np.zeros(3), grid, 1e3)
+    insert_surfels(np.column_stack([across, along]), facing, np.zeros(3), grid, 1e3, 1.0)
+    insert_surfels(np.column_stack([along, across]), facing[:, [1, 0, 2]], np.zeros(3), grid, 1e3, 1.0)
     found = sorted(row for row in read_all(grid) if row[4] > 20)
     normals_found = sorted(row[2:4] for row in found)
     np.testing.assert_allclose(normals_found, [[-1.0, 0.0], [0.0, -1.0]], atol=0.05)
@@ -129,6 +150,7 @@ def test_a_wall_that_runs_along_a_border_of_cells_is_found_where_it_is() -> None
             np.zeros(3),
             grid := empty_grid(),
             1e6,
+            1.0,
         )
         xy = np.column_stack([np.linspace(0.2, 0.8, 50), wall_y_m + rng.normal(0.0, 0.012, 50)])
         found = np.empty((50, 6))
@@ -138,7 +160,7 @@ def test_a_wall_that_runs_along_a_border_of_cells_is_found_where_it_is() -> None
 
 def test_the_wall_beside_a_point_is_the_mean_of_the_surfels_near_it() -> None:
     grid = empty_grid()
-    insert_surfels(*random_points(20_000, seed=2), np.zeros(3), grid, 50.0)
+    insert_surfels(*random_points(20_000, seed=2), np.zeros(3), grid, 50.0, 1.0)
     surfels = np.array(read_all(grid))
     cells = np.floor(surfels[:, :2] / 0.1)
     cells_stored = np.round(cells)
@@ -170,8 +192,8 @@ def test_far_from_the_origin_nothing_is_lost() -> None:
     far = np.array([-12.75, 9.6, 0.0])
     xy, normals = random_points(3000, seed=4)
     near_grid, far_grid = empty_grid(tiles_each_way=8), empty_grid(tiles_each_way=8)
-    insert_surfels(xy, normals, np.zeros(3), near_grid, 50.0)
-    insert_surfels(xy, normals, far, far_grid, 50.0)
+    insert_surfels(xy, normals, np.zeros(3), near_grid, 50.0, 1.0)
+    insert_surfels(xy, normals, far, far_grid, 50.0, 1.0)
     moved = np.array(sorted(read_all(far_grid)))
     assert len(moved) > 100
     total = np.array([(x * n, y * n, n) for x, y, _, _, n in read_all(near_grid)]).sum(axis=0)
@@ -185,7 +207,7 @@ def test_points_that_lie_in_one_cell_one_behind_the_other_are_counted() -> None:
     y = np.array([0.01, 0.05, 0.09, 0.11, 0.15, 0.31, 0.35, 0.02])
     xy = np.column_stack([np.full(8, 0.05), y])
     normals = np.tile([-1.0, 0.0, 1.0], (8, 1))
-    insert_surfels(xy, normals, np.zeros(3), grid, 50.0)
+    insert_surfels(xy, normals, np.zeros(3), grid, 50.0, 1.0)
     found = np.empty((8, 6))
     find_surfels(xy, normals, np.zeros(3), grid, 0.6, found)
     np.testing.assert_array_equal(found[:, 5], [3, 3, 3, 2, 2, 2, 2, 1])
@@ -198,7 +220,7 @@ def test_what_is_kept_of_a_search_changes_no_later_one(rows: int) -> None:
     grid = empty_grid()
     xy = np.column_stack([np.linspace(-1.0, 1.0, 300), 0.5 + rng.normal(0.0, 0.02, 300)])
     normals = np.tile([0.0, -1.0, 1.0], (300, 1))
-    insert_surfels(xy, normals, POSE, grid, 1000.0)
+    insert_surfels(xy, normals, POSE, grid, 1000.0, 1.0)
     around = nothing_around(len(xy))._replace(surfels=np.empty((MOST_AROUND + rows, 5)))
     for off in ((0.0, 0.0, 0.0), (0.004, -0.003, 0.001), (0.15, 0.02, 0.01), (0.004, -0.003, 0.001)):
         found, again = np.full((300, 6), np.nan), np.full((300, 6), np.nan)

@@ -25,7 +25,8 @@ from service.mapper.methods.corridor.dynamic_filter import DynamicFilterConfig, 
 from service.mapper.methods.corridor.posts import Posts, posts_of
 
 FIRST_SCANS = 25  # all of the first ones of a map are taken, even standing: half a second of a 50 Hz laser
-COUNT_LIMIT = 1000.0  # points that a surfel stands for at most, so that it forgets what was moved
+COUNT_LIMIT = 1000.0  # points of one laser that a surfel stands for at most: it forgets what was moved
+SURFEL_SIGMA_M = 0.01  # of the points that surfels count in: a unit alone, no pose depends on it
 FIELD_SIGMA_M = 0.15  # spread of a point in the coarse field: wide enough that a start one cell off slides in
 FIELD_ENOUGH = 0.95  # likelihood of a cell from which on more points add nothing
 POOL_TILES = 16_384  # 750 MB of address space; a sub-map in a large hall touches a few hundred tiles
@@ -96,11 +97,12 @@ class Submap:
         pose_vector = np.array([pose.x_m, pose.y_m, pose.theta_rad])
         if self._dynamic_filter.enough > 0:
             normals = self._sight(points, normals, pose_vector, grid)
-        insert_surfels(points.xy_base, normals, pose_vector, grid, COUNT_LIMIT)
+        point_count = (SURFEL_SIGMA_M / points.range_sigma_m) ** 2
+        insert_surfels(points.xy_base, normals, pose_vector, grid, COUNT_LIMIT, point_count)
         if posts is not None:
             twice = np.repeat(posts.xy_base, 2, axis=0)
             whole = posts.normals(pose.theta_rad, np.ones(len(posts.point)))
-            insert_surfels(twice, whole, pose_vector, grid, COUNT_LIMIT)
+            insert_surfels(twice, whole, pose_vector, grid, COUNT_LIMIT, point_count)
         splat_likelihood(points.xy_base, pose_vector, grid, FIELD_SIGMA_M, FIELD_ENOUGH)
         self.scan_count += 1
 

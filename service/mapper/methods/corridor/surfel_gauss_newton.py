@@ -31,7 +31,7 @@ from service.mapper.matchers.recovery import FIRST, GAIN, REST_S, agree, reach_o
 from service.mapper.matchers.window_search import layer_of
 from service.mapper.methods.corridor.posts import Posts, posts_of
 from service.mapper.methods.corridor.range_bias import RangeBias
-from service.mapper.methods.corridor.submaps import Submap, SurfelSubmaps
+from service.mapper.methods.corridor.submaps import SURFEL_SIGMA_M, Submap, SurfelSubmaps
 from service.outputs import State
 
 Matrix = npt.NDArray[np.float64]
@@ -95,6 +95,7 @@ class SurfelGaussNewton:
         self._config = config
         self._settings = MatchSettings(
             range_sigma_m=0.01,
+            surfel_sigma_m=SURFEL_SIGMA_M,
             wall_sigma_m=config.wall_sigma_m,
             repeats=1.0,
             chance_chi2=0.0,

@@ -48,6 +48,16 @@ def test_a_scan_of_the_same_room_is_put_where_it_belongs() -> None:
     assert result.inlier_ratio > 0.9
 
 
+def test_a_noisy_laser_does_not_spoil_the_walls_of_a_good_one() -> None:
+    """Walls that a laser of 4 cm puts 4 cm aside move by the 17th part of that, not by half."""
+    chain = mapped(replace(square(), range_sigma_m=0.01))
+    aside = replace(square(), xy_base=square().xy_base + np.array([0.04, 0.0]), range_sigma_m=0.04)
+    for _ in range(5):
+        chain.insert(aside, match_at(SE2(), aside, submap=0))
+    pose = match(replace(square(), range_sigma_m=0.01), SE2(), chain).motion.pose_odom_base
+    assert 0.0005 < pose.x_m < 0.005
+
+
 def test_the_first_scan_defines_the_map() -> None:
     empty = SurfelSubmaps(SubmapsConfig())
     result = match(square(), SE2(), empty)
