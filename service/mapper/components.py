@@ -212,6 +212,12 @@ class Overlap(NamedTuple):
     on_map: int
     in_free: int
 
+    @property
+    def agreement(self) -> float:
+        """Share on walls of what ends on known ground; 1 where nothing is known, for nothing contradicts."""
+        known = self.on_map + self.in_free
+        return self.on_map / known if known else 1.0
+
 
 class KnownMap(LocalMap, Protocol):
     """A local map that can be asked whether a scan fits."""

@@ -239,10 +239,9 @@ class JudgedMatching:
         seen = KnownGround()
         seen.insert(*before)
         overlap = seen.overlap(points.xy_base, predicted.pose_odom_base)
-        known = overlap.on_map + overlap.in_free
         return (
             overlap.on_map >= self._limits.lost_ratio * len(points.xy_base)
-            and overlap.on_map >= LEAST_AGREEMENT * known
+            and overlap.agreement >= LEAST_AGREEMENT
         )
 
 

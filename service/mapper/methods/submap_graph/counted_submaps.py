@@ -177,9 +177,11 @@ class CountedSubmaps:
         return self.particles[int(np.argmax(self.weights))]
 
     def overlap(self, xy_base: npt.NDArray[np.float64], pose: SE2) -> Overlap:
-        at = np.array([pose.x_m, pose.y_m, pose.theta_rad])
-        reach_cells = math.ceil(SAME_WALL_M / self.config.cell_m)
-        return Overlap(*count_overlap(xy_base, at, self.best.map.grid(), reach_cells))
+        return self._overlap(self.best.map, xy_base, np.array([pose.x_m, pose.y_m, pose.theta_rad]))
+
+    def overlap_of(self, particle: Particle, xy_base: npt.NDArray[np.float64]) -> Overlap:
+        """How a scan lies on the map of a particle, where that particle is."""
+        return self._overlap(particle.map, xy_base, particle.pose)
 
     def gather(self, pose: SE2) -> None:
         """Put every particle at a pose in odom."""
@@ -270,6 +272,12 @@ class CountedSubmaps:
         self.log_weights[:] = 0.0
         self.weights[:] = 1.0 / len(self.particles)
         return closed
+
+    def _overlap(
+        self, map_: CountedMap, xy_base: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]
+    ) -> Overlap:
+        reach_cells = math.ceil(SAME_WALL_M / self.config.cell_m)
+        return Overlap(*count_overlap(xy_base, pose, map_.grid(), reach_cells))
 
     def pose_of(self, particle: Particle) -> SE2:
         x_m, y_m, theta_rad = particle.pose.tolist()

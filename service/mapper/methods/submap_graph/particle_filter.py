@@ -6,7 +6,7 @@ What it is weighed by is then not p / q of eq. 2, for nobody knows the q of a sa
 `draw: around_scan` has a q and that weight.
 """
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,7 @@ from service.kernels.likelihood_search import search_exhaustive
 from service.kernels.particles import normalise_weights, resample
 from service.kernels.pose_information import rotate_information
 from service.mapper.components import Match, Points
-from service.mapper.judgement import JudgementConfig
+from service.mapper.judgement import LEAST_AGREEMENT_FAR, JudgementConfig
 from service.mapper.matchers.covariances import diagonal, in_base_axes, inverse
 from service.mapper.matchers.field_align import align, information_at, values_at
 from service.mapper.matchers.judged import JudgedMatching, Laid
@@ -36,6 +36,8 @@ SEARCH_STEP_RAD = 0.02  # turns a point at 5 m by two cells
 class ParticleFilterConfig(JudgementConfig):
     """How particles are drawn, laid on their maps and weighed."""
 
+    RENAMED: ClassVar = {"doubt_ratio": "least_agreement"}
+
     seed: int = Field(default=1, ge=0)
     # laid: from the motion model, then laid on the map, weighed by the likelihood of the scan
     # around_scan: around where it lies best, weighed by p / q (eq. 2)
@@ -45,8 +47,8 @@ class ParticleFilterConfig(JudgementConfig):
     align_iterations: int = Field(default=8, ge=0, le=100)
     likelihood_floor: float = Field(default=0.05, gt=0.0, lt=1.0)
     likelihood_gain: float = Field(default=0.1, gt=0.0, le=1.0)  # beams are not independent
-    doubt_ratio: float = Field(default=0.85, ge=0.0, le=1.0)  # of the usual likelihood: less is searched for
-    usual_scans: int = Field(default=20, ge=1)  # over which the usual likelihood is taken
+    # share of the returns on known ground that lie on walls: with less, the map is searched around
+    least_agreement: float = Field(default=LEAST_AGREEMENT_FAR, ge=0.0, le=1.0)
     search_m: float = Field(default=0.5, gt=0.0)  # to each side
     search_rad: float = Field(default=0.35, gt=0.0)
     resample_below: float = Field(default=0.5, ge=0.0, le=1.0)  # of the particles still worth something
@@ -64,7 +66,6 @@ class ParticleFilter:
         self._floor = diagonal(config.floor_position_m, config.floor_heading_rad)
         self._last = SE2()  # where the motion model had the base at the scan before
         self._deviates: Array = np.zeros((0, 3))  # of the scan being laid, a row a particle
-        self._usual = 1.0  # likelihood of the best particle
 
     def match(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> Match:
         """A lost scan neither weighs the particles nor leaves them where it drew them."""
@@ -119,26 +120,26 @@ class ParticleFilter:
     def _lay_or_search(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> None:
         """Lay each particle on its map.
 
-        Where that is much less than usual, wheels may have said what is not so: then the best particle's map
-        is searched around, all particles are moved alike, and laid from there.
+        Where returns end in what the best particle's map knows to be free, wheels may have said what is not
+        so: then that map is searched around, all particles are moved alike, and laid from there. A scan that
+        merely meets little of the map, as on new ground, is not searched for: where the far walls of a
+        corridor are dots, a search finds the place of the scan before.
         """
-        config = self._config
         weights = local_map.log_weights.copy()
         likelihood, best = self._lay(points, predicted, local_map)
-        if likelihood < config.doubt_ratio * self._usual:
-            laid = local_map.log_weights.copy(), [particle.pose for particle in local_map.particles]
-            moved = self._search(points, local_map.particles[best])
-            for particle in local_map.particles:
-                particle.pose = se2.compose(particle.pose, moved)
-            local_map.log_weights[:] = weights
-            found, _ = self._lay(points, predicted, local_map)
-            if found > likelihood:
-                likelihood = found
-            else:
-                local_map.log_weights[:] = laid[0]
-                for particle, pose in zip(local_map.particles, laid[1], strict=True):
-                    particle.pose = pose
-        self._usual += (likelihood - self._usual) / config.usual_scans
+        searched = local_map.particles[best]
+        if local_map.overlap_of(searched, points.xy_base).agreement >= self._config.least_agreement:
+            return
+        laid = local_map.log_weights.copy(), [particle.pose for particle in local_map.particles]
+        moved = self._search(points, searched)
+        for particle in local_map.particles:
+            particle.pose = se2.compose(particle.pose, moved)
+        local_map.log_weights[:] = weights
+        found, _ = self._lay(points, predicted, local_map)
+        if found <= likelihood:
+            local_map.log_weights[:] = laid[0]
+            for particle, pose in zip(local_map.particles, laid[1], strict=True):
+                particle.pose = pose
 
     def _search(self, points: Points, particle: Particle) -> Array:
         """How far (3,) from where a particle is its map fits best, in its own axes."""

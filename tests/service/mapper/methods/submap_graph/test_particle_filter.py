@@ -184,6 +184,18 @@ def test_wheels_that_say_forwards_for_backwards_are_found_out() -> None:
     assert abs(last.theta_rad) < 0.05
 
 
+def test_far_walls_of_a_corridor_do_not_hold_a_scan_back() -> None:
+    """Beams of 1 deg meet walls 1 m to each side in dots; 0.4 m on they meet them in the same dots."""
+    bearing_rad = np.radians([*range(4, 177), *range(-176, -3)])
+    seen = points_of(np.stack((1.0 / np.tan(np.abs(bearing_rad)), np.sign(bearing_rad)), axis=1))
+    submaps = CountedSubmaps(CountedSubmapsConfig(particles=8))
+    submaps.insert(seen, match_at(SE2(), seen))
+    known = np.diag([0.05**2, 0.01**2, 0.002**2])
+    ahead = replace(standing(known), pose_odom_base=SE2(0.4, 0.0, 0.0))
+    match = ParticleFilter(ParticleFilterConfig()).match(seen, ahead, submaps)
+    assert match.motion.pose_odom_base.x_m == pytest.approx(0.4, abs=0.05)
+
+
 def test_a_scan_without_returns_is_lost_and_draws_nothing(short_drive: Drive) -> None:
     made = mapper(particles=4)
     seen = outputs_of(made, short_drive)[-1]
