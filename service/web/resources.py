@@ -1,8 +1,9 @@
-"""Stored sessions and maps: list, rename, delete, take back, export. Blocks; knows nothing of the network.
+"""Stored sessions and maps: list, rename, delete, take back, edit, export. Blocks, and knows no network.
 
 What is deleted goes to `.deleted/` beside it, from where `undo` brings it back; `purge` erases it for good.
 """
 
+import json
 import os
 import re
 import secrets
@@ -10,7 +11,8 @@ import shutil
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -23,7 +25,7 @@ FORMATS: Mapping[Kind, tuple[str, ...]] = {  # the first is what is stored; the 
 }
 SUFFIXES = {"geotiff": "tif"}  # of formats that are called otherwise than their files
 MOST_LISTED = 500  # of a kind, newest first
-EXPORT_TIMEOUT_S = 300.0
+WORK_TIMEOUT_S = 300.0  # of an export or an edit
 DELETED = ".deleted"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
 
@@ -60,7 +62,7 @@ class Resources:
         self._in_use = in_use
         self._scratch = scratch
         self._lock = threading.Lock()
-        self._exporting = threading.Lock()  # one at a time: the vehicle has other work
+        self._working = threading.Lock()  # one export or edit at a time: the vehicle has other work
         self._deleted: dict[str, tuple[Kind, str]] = {}
 
     def listing(self) -> dict[str, Any]:
@@ -132,12 +134,24 @@ class Resources:
             raise ResourceError(f"{to!r}: a {kind} is had as {', '.join(FORMATS[kind])}")
         if to == "mcap":
             return Download(path, name)
-        if not self._exporting.acquire(blocking=False):
-            raise ResourceError("another export is being made; ask again when it is done")
-        try:
+        with self._alone():
             return self._export(path, to)
+
+    def edit(self, name: str, arguments: Sequence[str]) -> str:
+        """Change a stored map by `corridor map edit`; what came of it, in words. Raises ResourceError."""
+        path = self._own("map", name)
+        with self._alone():
+            told = _run("map", "edit", str(path), *arguments, "--json")
+        return str(json.loads(told)["done"])
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        if not self._working.acquire(blocking=False):
+            raise ResourceError("another export or edit is being made; ask again when it is done")
+        try:
+            yield
         finally:
-            self._exporting.release()
+            self._working.release()
 
     def _export(self, path: Path, to: str) -> Download:
         scratch = self._scratch / secrets.token_hex(8)
@@ -148,7 +162,8 @@ class Resources:
             if to == "zip":
                 shutil.copytree(path, made, dirs_exist_ok=True, symlinks=False)
             else:
-                _run_export(path, to, made / f"{stem}.{SUFFIXES.get(to, to)}")
+                out = made / f"{stem}.{SUFFIXES.get(to, to)}"
+                _run("export", str(path), "--format", to, "--out", str(out))
             files = list(made.iterdir())
             if len(files) == 1 and files[0].is_file():
                 return Download(files[0], files[0].name, scratch)
@@ -201,15 +216,16 @@ class Resources:
             raise ResourceError(f"{path.name} cannot be moved to {target}: {error}") from error
 
 
-def _run_export(source: Path, to: str, out: Path) -> None:
-    """`corridor export`, in a process of its own that gives way: no export holds up a reader of a device."""
-    command = [sys.executable, "-m", "service", "export", str(source), "--format", to, "--out", str(out)]
+def _run(*arguments: str) -> str:
+    """Stdout of `corridor ...`, in a process of its own that gives way to the readers of devices."""
+    command = [sys.executable, "-m", "service", *arguments]
     if nice := shutil.which("nice"):
         command = [nice, "-n", "10", *command]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=EXPORT_TIMEOUT_S, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=WORK_TIMEOUT_S, check=False)
     except subprocess.TimeoutExpired as error:
-        raise ResourceError(f"the export took longer than {EXPORT_TIMEOUT_S:.0f} s and was ended") from error
+        raise ResourceError(f"it took longer than {WORK_TIMEOUT_S:.0f} s and was ended") from error
     if done.returncode != 0:
         said = done.stderr.strip().splitlines()
-        raise ResourceError(said[-1] if said else f"the export ended with exit code {done.returncode}")
+        raise ResourceError(said[-1] if said else f"{arguments[0]} ended with exit code {done.returncode}")
+    return done.stdout

@@ -13,7 +13,7 @@ from typing import Any
 
 from aiohttp import web
 
-from service.web.protocol import ResourceAsked
+from service.web.protocol import ChangeAsked, ResourceAsked
 from service.web.resources import Download, ResourceError, Resources
 
 TICKET_S = 60.0
@@ -65,6 +65,8 @@ class Shelf:
                 return lambda: {"undo": resources.delete(asked.kind, asked.name)}
             case "undo":
                 return lambda: {"name": resources.undo(asked.to)}
+            case "edit":
+                return lambda: {"done": resources.edit(asked.name, _arguments(asked.change))}
             case "download":
                 loop = asyncio.get_running_loop()
                 return partial(self._prepare, resources, asked, loop)
@@ -86,3 +88,15 @@ class Shelf:
     def _withdraw(self, ticket: str) -> None:
         if (download := self._tickets.pop(ticket, None)) is not None:
             download.clean_up()
+
+
+def _arguments(change: ChangeAsked | None) -> list[str]:
+    """Of `corridor map edit`. Raises ResourceError."""
+    if change is None:
+        raise ResourceError("an edit needs a change")
+    metres = [f"{metre:.4f}" for corner in change.corners for metre in corner]
+    return [f"--{change.what}", *metres, *(["--free"] if change.free else []), *_who(change.who.strip())]
+
+
+def _who(name: str) -> list[str]:
+    return [f"--who={name}"] if name else []

@@ -371,9 +371,9 @@ def test_the_path_goes_with_the_map_that_is_bent(page, opened, tmp_path, bent):
     )
 
 
-def test_a_live_session_offers_no_editing_and_says_when_it_is_possible(page, live):
+def test_what_cannot_load_a_map_offers_no_editing_and_says_how_it_is_done(page, live):
     assert not page.element("tab-edit").is_displayed()
-    assert "To edit the map of this session: Save as" in page.text("resources")
+    assert "To cut the map of this session or to join its places: Save as" in page.text("resources")
 
 
 def test_every_control_can_be_reached_with_the_keyboard(page, view):

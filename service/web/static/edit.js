@@ -1,22 +1,28 @@
-// The area Edit: what a person changes in a stored map. Each change is a version; the service makes it.
+// The area Edit: what a person changes in a stored map. Each change is a version; the service makes it. Of the map of
+// a running session, areas are erased and walls drawn.
 
 import { BeforeAfter } from "./before_after.js";
 import { byId, card, confirmed, element, notice, setText } from "./dom.js";
 import { EditCut, EditDraw } from "./edit_draw.js";
 import { EditPairs } from "./edit_pairs.js";
 import { KeyframeTool, PairTool } from "./edit_tools.js";
+import { LiveEdit } from "./edit_live.js";
 import { Keyframes } from "./keyframes.js";
 import { chooseTab } from "./tabs.js";
 
 const SHOWN = 8; // versions; the rest on demand
+const LIVE_VERBS = ["save_map", "load_map", "set_pose"]; // by which the map of a running session is changed
+const LIVE_WORDS = "A change is made in a copy of the map, in which the mapping then goes on. The vehicle is lost until it is found there, "
+  + "and what it maps while the copy is changed is not in it. An area that is erased is mapped anew when it is driven past.";
 
 export class Edit {
-  /** setTool(tool): put a tool to work on the map, null: none. */
-  constructor(root, connection, view, setTool) {
+  /** setTool(tool): put a tool to work on the map, null: none. lastPose(): of the vehicle, null if not known now. */
+  constructor(root, connection, view, setTool, lastPose) {
     this.connection = connection;
     this.view = view;
     this.setTool = setTool;
-    this.isOffered = this.isBusy = this.showsAll = false;
+    this.live = new LiveEdit(connection, lastPose);
+    this.isOffered = this.isLive = this.isBusy = this.showsAll = false;
     this.version = 0; // of the map that is shown; 0: not known yet
     this.versions = [];
     this.keyframes = new Keyframes();
@@ -32,11 +38,13 @@ export class Edit {
     this.drawing = new EditDraw(this);
     this.cut = new EditCut(this);
     const versions = card("Versions");
+    this.versionsCard = versions.node;
+    this.undoRow = element("div", { className: "row" }, this.undoButton, this.compare.toggle, this.compare.flicker);
     this.count = versions.aside;
     versions.node.append(
       element("div", { className: "row" }, element("label", { for: "edit-who" }, "Your name"), this.who), this.list);
     this.all = element("fieldset", { className: "areas", "aria-label": "Changes of the map" },
-      element("div", { className: "edit-head" }, this.note, element("div", { className: "row" }, this.undoButton, this.compare.toggle, this.compare.flicker)),
+      element("div", { className: "edit-head" }, this.note, this.undoRow),
       element("div", { className: "cards" }, this.pairs.card.node, this.drawing.card.node, this.cut.card.node, versions.node));
     root.append(this.all);
     this.update();
@@ -44,7 +52,8 @@ export class Edit {
 
   putVerbs({ verbs }) {
     this.isOffered = verbs.includes("map_edit");
-    byId("tab-edit").hidden = !this.isOffered;
+    this.isLive = !this.isOffered && LIVE_VERBS.every((verb) => verbs.includes(verb));
+    byId("tab-edit").hidden = !this.isOffered && !this.isLive;
     this.update();
   }
 
@@ -62,9 +71,10 @@ export class Edit {
 
   update() {
     const may = this.connection.mayControl;
-    this.all.disabled = !may || this.isBusy || !this.version;
+    this.all.disabled = !may || this.isBusy || !(this.version || this.isLive);
     if (!this.isBusy) this.#showNote(may);
-    this.pairs.card.node.hidden = this.cut.card.node.hidden = this.version > 0 && this.keyframes.count === 0;
+    this.versionsCard.hidden = this.undoRow.hidden = this.isLive;
+    this.pairs.card.node.hidden = this.cut.card.node.hidden = this.isLive || (this.version > 0 && this.keyframes.count === 0);
     this.pairs.update();
     this.drawing.update();
     this.cut.update();
@@ -88,20 +98,24 @@ export class Edit {
   /** Make a change; whether it was made. */
   async change(change, label) {
     this.endTool();
-    this.compare.keep();
     this.isBusy = true;
     this.update();
     this.note.dataset.level = "none";
-    setText(this.note, `${label}: the map is being changed \u2026`);
-    const answer = await this.connection.command("map_edit", { version: this.version, who: this.who.value.trim(), change });
+    const busy = (words) => setText(this.note, `${label}: ${words} \u2026`);
+    busy("the map is being changed");
+    const answer = await (this.isLive ? this.live.change(change, busy) : this.#changeStored(change));
     this.isBusy = false;
-    if (answer.ok) {
-      this.compare.made();
-      this.say(`${label}: ${answer.done}`, "ok");
-    } else this.say(`${label}: ${answer.error}`, "error");
-    await this.look();
+    this.say(`${label}: ${answer.ok ? answer.done : answer.error}`, answer.ok ? "ok" : "error");
+    if (!this.isLive) await this.look();
     this.update();
     return answer.ok;
+  }
+
+  async #changeStored(change) {
+    this.compare.keep();
+    const answer = await this.connection.command("map_edit", { version: this.version, who: this.who.value.trim(), change });
+    if (answer.ok) this.compare.made();
+    return answer;
   }
 
   undo() {
@@ -116,8 +130,8 @@ export class Edit {
   }
 
   #showNote(may) {
-    const { words, level } = !may ? { level: "none", words: "You may look. To edit, enter the token under Control: `corridor view` prints it with the address." }
-      : this.said ?? { level: "none", words: "Each change is a new version of the stored map, and can be taken back." };
+    const { words, level } = !may ? { level: "none", words: "You may look. To edit, enter the token under Control." }
+      : this.said ?? { level: "none", words: this.isLive ? LIVE_WORDS : "Each change is a new version of the stored map, and can be taken back." };
     this.note.dataset.level = level;
     setText(this.note, words);
   }

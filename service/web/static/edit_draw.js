@@ -58,15 +58,19 @@ export class EditDraw {
   async #erase() {
     const { corners } = this, free = this.free.checked;
     const isSure = await confirmed("Erase the area?",
-      `What stands within ${fixed(area(corners), 2, " m\u00b2")} is gone: from the map, and from what vehicles are localised against. Undo brings it back.`, "Erase");
+      `What stands within ${fixed(area(corners), 2, " m\u00b2")} is gone: from the map, and from what vehicles are localised against. ${this.#undoWords("brings it back")}`, "Erase");
     if (isSure) this.#change({ what: "erase", corners, free }, "Erase");
   }
 
   async #wall() {
     const { corners } = this;
     const isSure = await confirmed("Put up the wall?",
-      `${fixed(length(corners), 2, " m")} are occupied from now on, whatever lasers see there. Undo takes it down.`, "Put up");
+      `${fixed(length(corners), 2, " m")} are occupied from now on, whatever lasers see there. ${this.#undoWords("takes it down")}`, "Put up");
     if (isSure) this.#change({ what: "wall", corners }, "Wall");
+  }
+
+  #undoWords(what) {
+    return `Undo ${what}${this.edit.isLive ? ", and loses what was mapped since" : ""}.`;
   }
 
   #change(change, label) {

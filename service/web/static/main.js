@@ -62,6 +62,7 @@ const connection = new Connection({
   moment_over: () => { view.endMoment(); past.clear(); },
   pose: (pose) => {
     view.putPose(pose);
+    edit.live.putPose(pose);
     if (poseTimer !== null) return; // the newest is said when its time has come
     poseTimer = setTimeout(() => {
       poseTimer = null;
@@ -88,8 +89,9 @@ const control = new Control(byId("control"), connection, (done) => setTool(new P
 })));
 const replay = setUpReplay(connection, (verb, request) => control.ask(verb, request, { quietly: "Replay" }));
 const past = setUpPast(connection, (position_s) => control.ask("moment_go_to", { position_s }, { quietly: "Moment" }));
-const edit = new Edit(byId("edit"), connection, view, setTool);
-const resources = new Resources(byId("resources"), connection, () => (view.track.last && view.isLive ? view.track.last : null));
+const lastPose = () => (view.track.last && view.isLive ? view.track.last : null);
+const edit = new Edit(byId("edit"), connection, view, setTool, lastPose);
+const resources = new Resources(byId("resources"), connection, lastPose);
 byId("tab-resources").addEventListener("click", () => resources.refresh());
 const gestures = new Gestures(byId("map"), view, () => tool, () => showFollow());
 

@@ -1,5 +1,7 @@
 import os
+import threading
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 from typing import get_args
 
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 
 from service.mapstore.files import save_map
 from service.offline.export import Format
+from service.offline.map_log import map_log
 from service.outputs import TileUpdate
 from service.web.resources import DELETED, FORMATS, ResourceError, Resources
 
@@ -179,3 +182,40 @@ def test_an_export_that_fails_says_why_and_leaves_nothing(resources, tmp_path):
 def test_a_format_that_there_is_not_is_refused(resources):
     with pytest.raises(ResourceError, match="a map is had as zip, png"):
         resources.download("map", "office", "exe")
+
+
+AREA = ["--erase", "0", "0", "1", "0", "1", "1", "--who=Ann"]
+
+
+def test_a_map_is_edited_as_by_the_command_and_not_while_it_is_in_use(resources, folders, used):
+    assert resources.edit("office", AREA).startswith("erased 0.50 m2")
+    newest = map_log(folders["map"] / "office")["versions"][-1]
+    assert (newest["what"], newest["who"]) == ("erase", "Ann")
+    with pytest.raises(ResourceError, match="no area"):
+        resources.edit("office", ["--erase", "0", "0", "1", "0", "2", "0"])
+    used.append(folders["map"] / "office")
+    with pytest.raises(ResourceError, match="in use"):
+        resources.edit("office", AREA)
+    assert len(map_log(folders["map"] / "office")["versions"]) == 2
+
+
+def test_one_edit_or_export_at_a_time(resources, monkeypatch):
+    began, go_on = threading.Event(), threading.Event()
+
+    def run(*arguments):
+        began.set()
+        assert go_on.wait(20.0)
+        return '{"done": "erased"}'
+
+    monkeypatch.setattr("service.web.resources._run", run)
+    with ThreadPoolExecutor(1) as pool:
+        first = pool.submit(resources.edit, "office", AREA)
+        assert began.wait(20.0)
+        for second in (
+            lambda: resources.edit("office", AREA),
+            lambda: resources.download("map", "office", "png"),
+        ):
+            with pytest.raises(ResourceError, match="another export or edit"):
+                second()
+        go_on.set()
+        assert first.result(20.0) == "erased"
