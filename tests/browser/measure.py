@@ -12,7 +12,6 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,9 +22,9 @@ from drivers.frames import LaserScan
 from service.encoding import encode_frame
 from service.mapstore.tiles import TileStore
 from service.publishing.commands import Answer
-from service.recording.mcap_reader import Recording
 from service.web.config import WebConfig
 from service.web.server import About, WebServer
+from tests.browser import watched_mapping
 from tests.browser.conftest import DESKTOP, Page
 from tests.browser.scene import Scene, stamp
 from tests.in_background import in_background
@@ -50,35 +49,6 @@ async def all_of_them():
 asyncio.run(all_of_them())
 """
 DEMO_S = 28.0
-RUNS = 4
-WINDOW_S = 3.0  # with browsers and without them in turn: the machine's own ups and downs fall on both alike
-SETTLE_IN_WINDOW_S = 0.75  # in which a browser gets the whole map, or is gone
-LOOK_IN_TURN = """
-import asyncio, json, sys, time, aiohttp
-
-address, count, window_s = sys.argv[1], int(sys.argv[2]), float(sys.argv[3])
-
-async def look(session, ends_s):
-    async with session.ws_connect(address + "ws", max_msg_size=0) as socket:
-        while (left_s := ends_s - time.time()) > 0:
-            try:
-                await asyncio.wait_for(socket.receive(), left_s)
-            except asyncio.TimeoutError:
-                return
-
-async def in_turn():
-    async with aiohttp.ClientSession() as session:
-        while True:
-            begins_s = time.time()
-            print(json.dumps([begins_s, begins_s + window_s]), flush=True)
-            await asyncio.gather(*(look(session, begins_s + window_s) for _ in range(count)))
-            await asyncio.sleep(window_s)
-
-try:
-    asyncio.run(in_turn())
-except aiohttp.ClientError:
-    pass  # the service has ended
-"""
 COUNT_S = 20.0
 COUNT = """
 import asyncio, sys, time, aiohttp
@@ -231,31 +201,6 @@ def measure_steady(page: Page) -> dict[str, float]:
     }
 
 
-def measure_mapping() -> dict[str, Any]:
-    """`corridor demo`, several times: from a scan's last byte to its pose among the messages, ms, while
-    nobody looks and while several do, in turn; and the ratio of the two in each run.
-    """
-    runs = [watched_in_turn() for _ in range(RUNS)]
-    ratios = sorted(with_them["p99"] / alone["p99"] for alone, with_them, _ in runs)
-    return {
-        "latency_ms_with_none": [alone for alone, _, _ in runs],
-        f"latency_ms_with_{BROWSERS}": [with_them for _, with_them, _ in runs],
-        "ratio_of_p99": [round(ratio, 3) for ratio in ratios],
-        "ratio_of_p99_median": round(float(np.median(ratios)), 3),
-        "void": [void for _, _, void in runs],  # why the figures of a run say nothing, if they do
-    }
-
-
-def watched_in_turn() -> tuple[dict[str, float], dict[str, float], Any]:
-    """Latency with nobody and with BROWSERS programs that look, ms, and what the demo says against it."""
-    looking = [LOOK_IN_TURN, str(BROWSERS), str(WINDOW_S)]
-    with tempfile.TemporaryDirectory() as out:
-        summary, said = demo(out, looking)
-        windows = [json.loads(line) for line in said.splitlines()]
-        alone, watched = latencies_ms(Path(summary["session"]), windows)
-        return percentiles(alone), percentiles(watched), summary["void"]
-
-
 def demo(out: str, looking: Sequence[str]) -> tuple[dict[str, Any], str]:
     """Its summary, and what the program said that looks at its page from READY to its end."""
     program, *arguments = looking
@@ -280,35 +225,6 @@ def demo(out: str, looking: Sequence[str]) -> tuple[dict[str, Any], str]:
             return json.loads(summary), looker.stdout.read()
 
 
-def latencies_ms(session: Path, windows: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:
-    """From a recording: outside of the windows (Unix s) in which somebody looked, and inside of them."""
-    read_ns: dict[int, int] = {}  # stamp of a scan -> when its last byte was read
-    alone: list[float] = []
-    watched: list[float] = []
-    first_s, last_s = windows[0][0], windows[-1][1]
-    for message in Recording([session]).messages():
-        if message.channel.endswith("/scan"):
-            read_ns[message.stamp_ns] = message.log_ns
-        if message.channel != "pose" or message.stamp_ns not in read_ns:
-            continue
-        at_s = read_ns[message.stamp_ns] / 1e9
-        latency_ms = (message.log_ns - read_ns[message.stamp_ns]) / 1e6
-        if any(begins_s + SETTLE_IN_WINDOW_S <= at_s < ends_s for begins_s, ends_s in windows):
-            watched.append(latency_ms)
-        elif first_s <= at_s < last_s and not any(
-            begins_s <= at_s < ends_s + SETTLE_IN_WINDOW_S for begins_s, ends_s in windows
-        ):
-            alone.append(latency_ms)
-    return alone, watched
-
-
-def percentiles(values_ms: Sequence[float]) -> dict[str, float]:
-    told = dict(
-        zip(("p50", "p95", "p99"), np.percentile(values_ms, (50, 95, 99)).round(2).tolist(), strict=True)
-    )
-    return told | {"scans": len(values_ms)}
-
-
 def measure_traffic() -> dict[str, float]:
     """What one browser gets from `corridor demo`, kbit/s."""
     with tempfile.TemporaryDirectory() as out:
@@ -331,7 +247,7 @@ def in_chromium() -> dict[str, Any]:
 
 def main() -> None:
     """`python -m tests.browser.measure [chromium] [mapping] [traffic]`, all of them where none is named."""
-    parts = {"chromium": in_chromium, "mapping": measure_mapping, "traffic": measure_traffic}
+    parts = {"chromium": in_chromium, "mapping": watched_mapping.measure, "traffic": measure_traffic}
     for name in sys.argv[1:] or parts:
         print(json.dumps({name: parts[name]()}, indent=1), flush=True)
 
