@@ -12,6 +12,7 @@ from drivers.frames import GnssFix, LaserScan
 from service.fusion.motion import Measurement, Motion, MotionModel, Prediction
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
+from service.kernels.usual_gap import usual_gap
 from service.mapper.background import InlineWorker, NewWorker
 from service.mapper.known_pose import KnownPose
 from service.mapper.patch_store import MemoryPatches, NewPatchStore
@@ -32,6 +33,17 @@ class Points:
     sensor_base: SE2  # pose of the sensor in the base frame (pose_base_sensor)
     scan: LaserScan
     range_sigma_m: float = 0.01  # noise of a range, as the sensor has shown it so far
+
+    @property
+    def usual_gap(self) -> int:
+        """Beams of the scan from one return to the next; above 1 where the laser measures only some."""
+        gap: int = usual_gap(self.beam)
+        return gap
+
+    @property
+    def spacing_rad(self) -> float:
+        """From one return to the next."""
+        return abs(self.scan.angle_step_rad) * self.usual_gap
 
 
 @dataclass(frozen=True, slots=True, eq=False)

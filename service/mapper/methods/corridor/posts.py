@@ -60,13 +60,13 @@ def posts_of(points: Points) -> Posts | None:
     if count < 3:
         return None
     sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
-    step_rad = abs(points.scan.angle_step_rad)
+    gap, step_rad = points.usual_gap, points.spacing_rad
     bounds = (MOST_WIDTH_M, LEAST_STEP_M, LEAST_SHARE)
-    if not may_see_posts_mostly(points.xy_raw, points.beam, sensor, step_rad, *bounds):
+    if not may_see_posts_mostly(points.xy_raw, points.beam, gap, sensor, step_rad, *bounds):
         return None  # as below, in a twentieth of the time: so it is with nearly every scan
     away = points.xy_raw - sensor
     range_m = np.hypot(away[:, 0], away[:, 1])
-    is_break = (np.diff(points.beam) > 1) | (np.abs(np.diff(range_m)) > LEAST_STEP_M)
+    is_break = (np.diff(points.beam) > gap) | (np.abs(np.diff(range_m)) > LEAST_STEP_M)
     begin = np.concatenate(([0], np.flatnonzero(is_break) + 1))
     end = np.concatenate((begin[1:], [count]))
     mean_m = np.add.reduceat(range_m, begin) / (end - begin)
@@ -76,11 +76,11 @@ def posts_of(points: Points) -> Posts | None:
     if (end - begin)[is_narrow].sum() < LEAST_SHARE * count:
         return None
     # what is beside it: the point next to it, or nothing in reach
-    before = (begin > 0) & (points.beam[begin] - points.beam[begin - 1] == 1)
-    after = (end < count) & (points.beam[np.minimum(end, count - 1)] - points.beam[end - 1] == 1)
+    before = (begin > 0) & (points.beam[begin] - points.beam[begin - 1] <= gap)
+    after = (end < count) & (points.beam[np.minimum(end, count - 1)] - points.beam[end - 1] <= gap)
     is_before = ~before | (range_m[begin - 1] > range_m[begin] + LEAST_STEP_M)
     is_after = ~after | (range_m[np.minimum(end, count - 1)] > range_m[end - 1] + LEAST_STEP_M)
-    is_inside = (points.beam[begin] > 0) & (points.beam[end - 1] < len(points.scan.range_m) - 1)
+    is_inside = (points.beam[begin] >= gap) & (points.beam[end - 1] < len(points.scan.range_m) - gap)
     is_post = is_narrow & is_before & is_after & is_inside
     is_of_one = np.repeat(is_post, end - begin)
     which = np.flatnonzero(is_post)

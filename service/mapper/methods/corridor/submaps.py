@@ -219,7 +219,7 @@ class SurfelSubmaps:
         estimate_normals(
             points.xy_base,
             sensor,
-            abs(points.scan.angle_step_rad),
+            points.spacing_rad,
             points.range_sigma_m,
             GRAZING_WEIGHT,
             normals,

@@ -219,7 +219,7 @@ def _key_frame(scan: MappedScan, gap_s: float) -> KeyFrame:
         match.measured is None and scan.change.piece == 0 and match.state == "lost",
         points.xy_base.astype(np.float32),
         (points.sensor_base.x_m, points.sensor_base.y_m),
-        abs(points.scan.angle_step_rad),
+        points.spacing_rad,
         points.range_sigma_m,
         gap_s,
         match.motion.covariance,

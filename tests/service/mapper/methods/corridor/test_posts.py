@@ -1,6 +1,7 @@
 """Posts: their middle is the same from all sides, and a wood is mapped by them."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -66,6 +67,28 @@ def test_what_stands_half_behind_another_or_at_the_edge_of_the_view_is_left_out(
 
 def test_where_walls_are_in_view_posts_are_not_asked():
     assert len(found(seen([(2.0, 0.5, 0.15)], wall_m=3.0))) == 0
+
+
+def on_each_second_beam(points: Points) -> Points:
+    """As a LUX has it, which reduces its layers to a grid twice as fine as it measures."""
+    scan = points.scan
+    range_m = np.full(2 * len(scan.range_m) - 1, np.nan, np.float32)
+    range_m[::2] = scan.range_m
+    scan = replace(scan, angle_step_rad=scan.angle_step_rad / 2.0, range_m=range_m)
+    return replace(points, beam=2 * points.beam, scan=scan)
+
+
+def test_a_wall_seen_on_each_second_beam_is_no_row_of_posts():
+    assert posts_of(on_each_second_beam(seen([], wall_m=3.0))) is None
+
+
+def test_posts_seen_on_each_second_beam_are_those_of_a_laser_that_has_no_others():
+    points = seen([(3.0, 0.5, 0.2), (4.0, -2.0, 0.12)])
+    every, second = posts_of(points), posts_of(on_each_second_beam(points))
+    assert every is not None
+    assert second is not None
+    np.testing.assert_allclose(second.xy_raw, every.xy_raw, atol=1e-9)
+    np.testing.assert_allclose(second.variance_m2, every.variance_m2, rtol=1e-9)
 
 
 def test_the_quick_look_at_a_scan_refuses_none_that_sees_posts_mostly(monkeypatch: pytest.MonkeyPatch):

@@ -46,6 +46,14 @@ def points_in(submap: Submap | None) -> float:
     return float(grid.surfels[slots, :, :, :, 0].sum())
 
 
+def test_normals_know_how_far_apart_returns_are_and_not_how_fine_the_grid_is() -> None:
+    noise = np.random.default_rng(2)
+    points = points_of(square().xy_base + 0.03 * noise.standard_normal((360, 2)))
+    fine = replace(points.scan, angle_step_rad=points.scan.angle_step_rad / 4.0)
+    sparse = replace(points, scan=fine, beam=4 * points.beam)
+    np.testing.assert_allclose(submaps().normals_of(sparse), submaps().normals_of(points), rtol=1e-12)
+
+
 def test_before_the_first_scan_there_is_nothing_to_match_to() -> None:
     assert submaps().matched_to is None
     assert submaps().detached is None
