@@ -41,6 +41,7 @@ from service.mapper.components import (
     Stopwatch,
 )
 from service.mapper.map_changes import ChangeWatch
+from service.mapper.maps.shown_warm_up import warm_up_changes
 from service.mapper.patch_store import MemoryPatches, NewPatchStore
 from service.mapper.pipeline import Mapper
 from service.mapper.saved_graph import KeepGraph, SavedGraph
@@ -296,6 +297,8 @@ def warm_up_steps(
     }
     first = [kind.warm_up_core for kind in kinds.values() if kind.warm_up_core is not None]
     last = [kind.warm_up for kind in kinds.values() if kind.warm_up is not None]
+    if config is None or config.mode == "localization":
+        last.append(warm_up_changes)
     worker = ElsewhereWorker if back_end_elsewhere else InlineWorker
     return [*first, *(partial(_drive, c, worker) for c in configs), *last]
 

@@ -5,6 +5,7 @@ from service.mapper.components import ComponentKind, NoSettings
 from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist
 from service.mapper.graph.no_graph import NoGraph
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
+from service.mapper.maps.shown_warm_up import warm_up_replacing
 
 ESTIMATOR = ComponentKind("estimator", EstimatorConfig, lambda config, _: Estimator(config))
 DESKEW_BY_TWIST = ComponentKind(
@@ -14,5 +15,8 @@ DESKEW_BY_TWIST = ComponentKind(
 )
 NO_GRAPH = ComponentKind("no_graph", NoSettings, lambda _, __: NoGraph())
 OCCUPANCY_TILES = ComponentKind(
-    "occupancy_tiles", OccupancyConfig, lambda config, around: OccupancyTiles(config, around.cell_m)
+    "occupancy_tiles",
+    OccupancyConfig,
+    lambda config, around: OccupancyTiles(config, around.cell_m),
+    warm_up=warm_up_replacing,
 )

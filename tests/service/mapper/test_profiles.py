@@ -302,8 +302,9 @@ def test_kernels_are_compiled_once_for_warm_up_and_all_that_follows() -> None:
     } == {}
 
 
-def test_a_live_start_loads_every_kernel_of_a_scan_and_neither_solver_nor_scipy() -> None:
-    child = [sys.executable, "-m", "tests.service.mapper.compiled_kernels", "live"]
+@pytest.mark.parametrize("what", ["live", "localizing"])
+def test_a_live_start_loads_every_kernel_of_a_drive_and_neither_solver_nor_scipy(what: str) -> None:
+    child = [sys.executable, "-m", "tests.service.mapper.compiled_kernels", what]
     ran = json.loads(subprocess.run(child, cwd=ROOT, check=True, capture_output=True, timeout=400).stdout)
     assert ran["late"] == []
     assert ran["imported"] == []
