@@ -4,6 +4,7 @@ A figure here depends on the machine and on what else it does, so it is printed 
 """
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -153,18 +155,21 @@ def measure_large_map(page: Page) -> dict[str, float]:
     )
     opened_s = time.monotonic() - began_s
     page.run("corridor.view.fit()")
+    browser = [page.driver.service.process.pid, *_below(page.driver.service.process.pid)]
+    before_s, began_s = sum(map(_processor_s, browser)), time.monotonic()
     result = page.driver.execute_async_script(
         "const done = arguments[1], v = corridor.view, began = performance.now();"
-        "let frames = 0; v.drawn_ms.length = 0;"
+        "let frames = 0, before = began, longest = 0; v.drawn_ms.length = 0;"
         "const median = (values) => values.toSorted((a, b) => a - b)[values.length >> 1];"
-        "const step = (now) => { frames += 1;"
+        "const step = (now) => { frames += 1; longest = Math.max(longest, now - before); before = now;"
         "v.camera.panBy(8 * Math.cos(now / 300), 8 * Math.sin(now / 300));"
         "v.camera.scale = 12 + 8 * Math.sin(now / 900); v.invalidate();"
         "if (now < began + 1000 * arguments[0]) requestAnimationFrame(step);"
-        "else done([1000 * frames / (now - began), median(v.drawn_ms)]); };"
+        "else done([1000 * frames / (now - began), median(v.drawn_ms), longest]); };"
         "requestAnimationFrame(step);",
         PAN_S,
     )
+    busy = (sum(map(_processor_s, browser)) - before_s) / (time.monotonic() - began_s)
     bytes_received = page.report()["bytes"]
     server.close()
     return {
@@ -172,8 +177,26 @@ def measure_large_map(page: Page) -> dict[str, float]:
         "opened_s": round(opened_s, 2),
         "megabytes": round(bytes_received / 1e6, 2),
         "frames_per_s_panning": round(result[0], 1),
+        "longest_frame_ms": round(result[2], 1),
         "draw_ms_p50": round(result[1], 2),
+        "browser_percent_of_a_core": round(100 * busy),
     }
+
+
+def _below(pid: int) -> list[int]:
+    """Processes that it has started, and theirs."""
+    started = [
+        int(child)
+        for task in Path(f"/proc/{pid}/task").iterdir()
+        for child in (task / "children").read_text().split()
+    ]
+    return [*started, *(process for child in started for process in _below(child))]
+
+
+def _processor_s(pid: int) -> float:
+    """That its threads have had so far (proc(5), stat: utime and stime)."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def measure_steady(page: Page) -> dict[str, float]:
