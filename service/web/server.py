@@ -30,6 +30,7 @@ from service.version import VERSION
 from service.web.access import HEADERS, host_fault, origin_fault, own_names
 from service.web.browser import Browser
 from service.web.config import WebConfig, split_listen
+from service.web.doorway import Doorway
 from service.web.live_view import LiveView, Shown
 from service.web.mailbox import Payload
 from service.web.protocol import LARGEST_ASKED, CommandAsked, FloatArray, ResourceAsked, to_json
@@ -110,11 +111,13 @@ class WebServer:
         self._map_number = tiles.number
         self._verbs = list(about.verbs())
         self._dropped = self._refused = 0
+        self._doorway = Doorway(config.most_browsers, self._refuse)
         self._fault = "not started"
         self._address = ""
         self._changed = threading.Condition()  # of _address and _fault; and guards _ending and _is_closed
         self._loop: asyncio.AbstractEventLoop | None = None
         self._ending: asyncio.Event | None = None
+        self._listening: asyncio.Server | None = None
         self._is_closed = False
         self._thread = threading.Thread(target=self._run, name="web-serve", daemon=True)
 
@@ -182,7 +185,7 @@ class WebServer:
             if self._is_closed:
                 return
         self._feed = TileFeed(self._tiles)
-        runner = web.AppRunner(self._app(), access_log=None, handle_signals=False, shutdown_timeout=1.0)
+        runner = self._doorway.runner(self._app())
         await runner.setup()
         showing = asyncio.create_task(self._show())
         self._shelf.purge(self._workers)
@@ -193,6 +196,8 @@ class WebServer:
             await self._ending.wait()
         finally:
             self._say("", "stopped")
+            if self._listening is not None:
+                self._listening.close()
             showing.cancel()
             goodbye = [b.let_go(WSCloseCode.GOING_AWAY, "the service stops") for b in self._browsers]
             await asyncio.gather(showing, *goodbye, return_exceptions=True)
@@ -201,15 +206,14 @@ class WebServer:
     async def _listen(self, runner: web.AppRunner) -> bool:
         host, port = split_listen(self._config.listen)
         try:
-            site = web.TCPSite(runner, host, port, ssl_context=self._tls(), reuse_address=True)
-            await site.start()
+            self._listening = await self._doorway.open(runner, host, port, self._tls())
         except (OSError, ssl.SSLError) as error:
             words = f"the page cannot be served at {self._config.listen}: {error}"
             if words != self._fault:
                 log.error("web: %s; tried again each %.0f s, mapping goes on", words, self._retry_s)
             self._say("", words)
             return False
-        bound_port = runner.addresses[0][1]
+        bound_port = self._listening.sockets[0].getsockname()[1]
         shown_host = f"[{host}]" if ":" in host else host
         self._say(f"{self._scheme}://{shown_host}:{bound_port}/", "")
         return True
@@ -219,6 +223,9 @@ class WebServer:
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._ending.wait(), timeout_s)
         return self._ending.is_set()
+
+    def _refuse(self) -> None:
+        self._refused += 1
 
     def _say(self, address: str, fault: str) -> None:
         with self._changed:
@@ -249,7 +256,7 @@ class WebServer:
             request.headers.get("Origin"), request.host, self._scheme
         )
         if fault:
-            self._refused += 1
+            self._refuse()
             return web.Response(status=403, text=f"{fault}\n")
         response: web.StreamResponse = await handler(request)
         return response
@@ -262,7 +269,7 @@ class WebServer:
 
     async def _websocket(self, request: web.Request) -> web.StreamResponse:
         if len(self._browsers) >= self._config.most_browsers:
-            self._refused += 1
+            self._refuse()
             return web.Response(status=503, text=f"{len(self._browsers)} browsers look already\n")
         socket = web.WebSocketResponse(
             heartbeat=HEARTBEAT_S, max_msg_size=LARGEST_ASKED, compress=False, writer_limit=WRITE_BUFFER

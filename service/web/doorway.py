@@ -1,0 +1,80 @@
+"""Who is let in at the port: so many connections at once, none of which may stay without asking for anything.
+
+Every connection is a file that the whole process may open less: recordings and devices need some, too.
+"""
+
+import asyncio
+import logging
+import ssl
+from collections.abc import Callable
+
+from aiohttp import web
+from aiohttp.http_exceptions import HttpProcessingError
+
+CONNECTIONS_A_BROWSER = 4  # one is its websocket; more to fetch the page faster
+LEAST_CONNECTIONS = 32
+IDLE_S = 15.0  # without a whole request; a websocket is one that lasts
+HANDSHAKE_S = 10.0  # of TLS
+AT_ONCE = 16  # connections that asyncio accepts before any of them counts: so many may be too many
+
+log = logging.getLogger(__name__)
+
+
+class _Refused(asyncio.Protocol):
+    """A connection too many."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        transport.abort()
+
+
+class Doorway:
+    """refused(): called for each connection too many, and for each request that breaks HTTP."""
+
+    def __init__(self, most_browsers: int, refused: Callable[[], None]) -> None:
+        self._most = max(LEAST_CONNECTIONS, CONNECTIONS_A_BROWSER * most_browsers)
+        self._refused = refused
+        self._log = logging.Logger(f"{__name__}.http")  # of this page alone: it counts for its health
+        self._log.parent = log
+        self._log.addFilter(self._is_ours)
+
+    def runner(self, app: web.Application) -> web.AppRunner:
+        return web.AppRunner(
+            app,
+            access_log=None,
+            handle_signals=False,
+            shutdown_timeout=1.0,
+            keepalive_timeout=IDLE_S,
+            logger=self._log,
+        )
+
+    async def open(
+        self, runner: web.AppRunner, host: str, port: int, tls: ssl.SSLContext | None
+    ) -> asyncio.Server:
+        """Listen. Raises OSError."""
+        server = runner.server
+        assert server is not None
+
+        def connect() -> asyncio.BaseProtocol:
+            if len(server.connections) < self._most:
+                return server()
+            self._refused()
+            return _Refused()
+
+        timeout_s = HANDSHAKE_S if tls is not None else None
+        return await asyncio.get_running_loop().create_server(
+            connect,
+            host,
+            port,
+            ssl=tls,
+            backlog=AT_ONCE,
+            reuse_address=True,
+            ssl_handshake_timeout=timeout_s,
+        )
+
+    def _is_ours(self, record: logging.LogRecord) -> bool:
+        """False for what somebody has sent that is no HTTP: it is counted; it would fill the log."""
+        if record.exc_info is None or not isinstance(record.exc_info[1], HttpProcessingError):
+            return True
+        self._refused()
+        return False

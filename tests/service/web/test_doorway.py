@@ -1,0 +1,98 @@
+import socket as sockets
+from contextlib import ExitStack, suppress
+
+import pytest
+
+from service.web import doorway
+from tests.service.web.conftest import TIMEOUT_S, TOKEN, talk
+
+IDLE_S = 0.3
+
+
+def connect(server):
+    host, _, port = server.address.removeprefix("http://").rstrip("/").partition(":")
+    opened = sockets.create_connection((host, int(port)), TIMEOUT_S)
+    opened.settimeout(TIMEOUT_S)
+    return opened
+
+
+def is_closed(connection):
+    """Whether the service closes it, in time, before it says something."""
+    try:
+        return connection.recv(65_536) == b""
+    except ConnectionResetError:
+        return True
+
+
+@pytest.fixture
+def narrow(serve, monkeypatch):
+    """A page with room for two connections."""
+    monkeypatch.setattr(doorway, "LEAST_CONNECTIONS", 2)
+    monkeypatch.setattr(doorway, "CONNECTIONS_A_BROWSER", 2)
+    return serve(most_browsers=1)
+
+
+def test_a_connection_too_many_is_closed_and_the_next_is_let_in_when_one_has_gone(narrow):
+    with ExitStack() as stack:
+        first, second = (stack.enter_context(connect(narrow)) for _ in range(2))
+        for connection in (first, second):  # answered: both are in
+            connection.sendall(b"GET /icon.svg HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+            assert connection.recv(12) == b"HTTP/1.1 200"
+        assert is_closed(stack.enter_context(connect(narrow)))
+        assert narrow.health().values["refused"] == "1"
+        first.sendall(b"GET / HTTP/1.0\r\nHost: 127.0.0.1\r\n\r\n")
+        while first.recv(65_536):  # until the service has closed it
+            pass
+        third = stack.enter_context(connect(narrow))
+        third.sendall(b"GET /icon.svg HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        assert third.recv(12) == b"HTTP/1.1 200"
+
+
+def test_connections_that_come_all_at_once_are_not_all_let_in(narrow):
+    with ExitStack() as stack:
+        crowd = [stack.enter_context(connect(narrow)) for _ in range(100)]
+        for connection in crowd:
+            with suppress(ConnectionError):  # closed already
+                connection.sendall(b"GET /icon.svg HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        let_in = sum(not is_closed(connection) for connection in crowd)
+        assert 2 <= let_in <= 2 + doorway.AT_ONCE
+
+
+@pytest.mark.parametrize("said", [b"", b"GET / HTTP/1.1\r\nHost:"])
+def test_who_asks_for_nothing_whole_is_let_go_and_a_browser_stays(serve, monkeypatch, said):
+    monkeypatch.setattr(doorway, "IDLE_S", IDLE_S)
+    server = serve()
+
+    async def look(client):
+        async with client.socket() as socket:
+            await client.next(socket, "hello")
+            with connect(server) as idle:
+                idle.sendall(said)
+                assert is_closed(idle)
+            await client.ask(socket, type="token", token=TOKEN)  # it has been open for longer
+            assert (await client.next(socket, "access"))["may_control"]
+
+    talk(server, look)
+
+
+def test_what_is_no_http_is_let_go_and_fills_no_log(serve, caplog):
+    server = serve()
+    for sent in (
+        b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX: " + b"y" * 10_000,
+        b"\x16\x03\x01" + b"\xff" * 500,
+    ):
+        with connect(server) as stranger:
+            stranger.sendall(sent + b"\r\n\r\n")
+            while not is_closed(stranger):
+                pass
+    assert server.health().values["refused"] == "1"  # the other speaks TLS, say, and is nothing of note
+    assert caplog.records == []
+
+
+def test_a_fault_of_ours_is_logged(serve, caplog, monkeypatch):
+    server = serve()
+    monkeypatch.setattr("service.web.server.host_fault", lambda host, names: 1 / 0)
+    with connect(server) as browser:
+        browser.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        assert browser.recv(12) == b"HTTP/1.1 500"
+    assert "ZeroDivisionError" in caplog.text
