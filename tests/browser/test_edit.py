@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from selenium.common.exceptions import TimeoutException
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
@@ -75,11 +76,13 @@ def choose_place(page, side, xy_map):
 
 
 def wait_for_version(page, number):
-    """Until the change is made; a refusal is told by its words."""
-    is_told = "return !corridor.edit.isBusy && corridor.edit.note.dataset.level !== 'none'"
-    WebDriverWait(page.driver, EDITED_WITHIN_S).until(lambda driver: driver.execute_script(is_told), is_told)
+    """Until the change is made. A refusal that is shown may still be that of the change before."""
+    is_made = "return corridor.edit.version === arguments[0] && !corridor.edit.isBusy"
+    try:
+        WebDriverWait(page.driver, EDITED_WITHIN_S).until(lambda d: d.execute_script(is_made, number))
+    except TimeoutException:
+        raise AssertionError(f"no version {number}: {page.text('edit-note')}") from None
     assert page.element("edit-note").get_attribute("data-level") == "ok", page.text("edit-note")
-    page.wait_for("return corridor.edit.version === arguments[0] && !corridor.edit.isBusy", number)
 
 
 def residuals_m(page):

@@ -80,6 +80,21 @@ def test_a_reset_asks_first(page, live, desk):
     page.element("confirm-no").click()
     page.wait_for("return !document.getElementById('confirm').open")
     page.element("do-reset_map").click()
+    page.wait_for("return document.getElementById('confirm').open")
+    page.element("confirm-yes").click()
+    page.wait_for_text("notices", "Reset map: done.")
+    assert asked(desk) == [("reset_map", {})]
+
+
+def test_a_question_waits_for_the_answer_to_the_one_before(page, live, desk):
+    page.choose("control")
+    page.run("corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: ['reset_map']})")
+    page.run(
+        "const press = (name) => document.getElementById(name).click();"
+        "press('do-reset_map'); window.once = Promise.resolve().then(() => {"
+        "  press('confirm-no'); press('do-reset_map'); });"
+    )  # asked again before the browser has told of the answer
+    page.wait_for("return document.getElementById('confirm').open")
     page.element("confirm-yes").click()
     page.wait_for_text("notices", "Reset map: done.")
     assert asked(desk) == [("reset_map", {})]

@@ -68,8 +68,13 @@ export const notice = (text, level = "none", offer = null) => {
   while (byId("notices").children.length > 4) byId("notices").firstChild.remove();
 };
 
-/** Ask before something happens; resolves to true or false, or, where a text is to be changed, to the new one. */
-export const confirmed = (title, text, yes, given = null) => new Promise((settle) => {
+let answered = Promise.resolve();
+
+/** Ask before something happens; resolves to true or false, or, where a text is to be changed, to the new one.
+ * A question waits for the answer to the one before: `close` comes some time after the dialog has closed. */
+export const confirmed = (...question) => (answered = answered.then(() => ask(...question)));
+
+const ask = (title, text, yes, given = null) => new Promise((settle) => {
   const dialog = byId("confirm");
   setText(byId("confirm-title"), title);
   setText(byId("confirm-text"), text);
