@@ -78,6 +78,7 @@ interop: venv ## third-party programs, each in a venv of its own, against ours: 
 
 soak: venv ## the long checks
 	$(BIN)/python -m pytest -q -m soak $(TEST_ARGS)
+	$(BIN)/python -m pytest -q -m hypothesis --hypothesis-profile=thorough $(TEST_ARGS)
 
 clean: ## remove what make made
 	rm -rf $(VENV) .venv-3.13 .venv-interop build *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache out bench.json

@@ -13,13 +13,16 @@ import hypothesis
 import pytest
 
 from service.kernel_cache import ensure_cache_dir, is_warm
+from tests.soaked import FEW_EXAMPLES, MANY_EXAMPLES
 
 gc.disable()  # until all is imported, which makes no garbage but would be looked through over and over
 ensure_cache_dir()  # before anything imports numba: what is compiled from now on is kept
 
 ROOT = Path(__file__).parents[1]
 
-hypothesis.settings.register_profile("corridor", deadline=None)  # a core may be busy with other things
+# Without a deadline: a core may be busy with other things.
+hypothesis.settings.register_profile("corridor", deadline=None, max_examples=FEW_EXAMPLES)
+hypothesis.settings.register_profile("thorough", deadline=None, max_examples=MANY_EXAMPLES)  # `make soak`
 hypothesis.settings.load_profile("corridor")
 
 

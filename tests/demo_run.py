@@ -6,7 +6,7 @@ import subprocess
 import sys
 import threading
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from service.recording.mcap_reader import Recording
 from simulators.device import TURNS_SKIPPED
 from simulators.wire import DROPPED
 
+HERE = Path(sys.executable).parent / "corridor"  # of the tree that is tested
 ENDS_WITHIN_S = 100.0  # beyond the time asked for: start, warm-up, the last loops
 LOOK_S = 10.0
 IN_TIME_S, STALL_S = 0.1, 0.5
@@ -50,14 +51,18 @@ def run_demo(
     folder: Path,
     look: Callable[[int], None] = lambda process: None,
     faults: Path | None = None,
+    program: Path = HERE,
+    environment: Mapping[str, str] | None = None,
 ) -> DemoRun:
     """`look` is called with the service's process id, each LOOK_S."""
-    command = [str(Path(sys.executable).parent / "corridor"), "demo", "--json"]
+    command = [str(program), "demo", "--json"]
     command += ["--seconds", str(seconds), "--out", str(folder)]
     if faults is not None:
         command += ["--faults", str(faults)]
     ended = threading.Event()
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
 
         def watch() -> None:
             while not ended.wait(LOOK_S):

@@ -3,7 +3,15 @@
 from collections.abc import Iterable
 from typing import Any
 
+import hypothesis
 import pytest
+
+FEW_EXAMPLES, MANY_EXAMPLES = 40, 1000  # that hypothesis tries, in `make test` and in `make soak`
+
+
+def examples(few: int) -> int:
+    """So many where one takes long, and as many times more in `make soak` as of all others."""
+    return round(few * hypothesis.settings().max_examples / FEW_EXAMPLES)
 
 
 def in_soak(*values: Any) -> Any:

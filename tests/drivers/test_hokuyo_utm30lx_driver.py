@@ -330,7 +330,7 @@ def test_statuses_that_end_a_stream_and_those_that_are_noise():
         t.session.receive_data(encode_reply("MD0000108001000", "0L"), t.now_ns)
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(derandomize=True)
 @given(
     flips=st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), min_size=1, max_size=5),
     cut=st.integers(0, 10**6),

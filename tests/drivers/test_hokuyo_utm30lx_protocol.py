@@ -4,7 +4,7 @@ import contextlib
 import json
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.errors import ProtocolError
@@ -197,7 +197,6 @@ def recorded(shared, name):
 GOOD = [wire for wire, _ in REPLIES] + [REAL_PP, write_scan(random_scan(1))]
 
 
-@settings(max_examples=300, deadline=None)
 @given(
     wires=st.lists(st.sampled_from(GOOD), min_size=1, max_size=4),
     flips=st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), max_size=6),

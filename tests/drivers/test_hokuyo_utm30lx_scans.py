@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.errors import ProtocolError
@@ -133,7 +133,6 @@ def test_further_echoes_stand_below_the_beam_they_belong_to():
     assert scan.distance_mm.tolist() == [[1, 2, 5], [NO_ECHO, 3, 6], [NO_ECHO, 4, NO_ECHO]]
 
 
-@settings(max_examples=300, deadline=None)
 @given(
     flips=st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), min_size=1, max_size=4),
     cut=st.integers(0, 10**6),

@@ -128,7 +128,7 @@ def test_ntp_stamps_go_on_over_the_end_of_their_era(unix_s):
 
 
 @given(data=st.data())
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(suppress_health_check=[HealthCheck.too_slow])
 def test_after_a_mutated_message_the_next_good_one_is_decoded(data):
     draw = data.draw
     chance = draw(st.randoms(use_true_random=False))

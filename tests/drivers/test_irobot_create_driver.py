@@ -30,6 +30,7 @@ from tests.drivers.irobot_bench import (
     largest_step_m,
 )
 from tests.drivers.virtual_time import Talk
+from tests.soaked import examples
 
 HARMLESS = {
     Opcode.START,
@@ -388,7 +389,7 @@ def test_pose_survives_a_reconnect():
         assert all(b.stamp_ns > a.stamp_ns for a, b in itertools.pairwise([before, *samples]))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(20))
 @given(st.lists(st.binary(max_size=120), max_size=20), st.sampled_from([CONFIG, CREATE1]))
 def test_any_bytes_are_survived_and_the_next_good_ones_used(chunks: list[bytes], config: IrobotCreateConfig):
     table = bench(STANDING, config)

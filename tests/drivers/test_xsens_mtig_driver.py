@@ -37,6 +37,7 @@ from tests.drivers.mtig import (
 )
 from tests.drivers.test_xsens_mtig_protocol import GOOD
 from tests.drivers.virtual_time import SECOND_NS, Talk
+from tests.soaked import examples
 
 FORMATS = ("float32", "fp12.20", "fp16.32", "float64")
 BOTH = pytest.mark.parametrize("make", [mtdata2, legacy])
@@ -359,7 +360,7 @@ REAL = b"".join(
 )
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(8))
 @given(st.randoms(use_true_random=False), st.integers(1, 40), st.sampled_from([mtdata2, legacy]))
 def test_damaged_messages_are_survived_in_every_state_and_the_next_good_ones_used(chance, count, make):
     device = make()

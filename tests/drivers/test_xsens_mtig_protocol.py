@@ -4,7 +4,7 @@ import random
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.xsens_mtig.protocol import (
@@ -119,7 +119,6 @@ def test_any_bytes_are_survived_in_bounded_memory(chunks: list[bytes]):
     assert found[-1].bytes_after == 0
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.randoms(use_true_random=False), st.integers(1, 60))
 def test_the_next_good_message_after_damaged_ones_is_read(chance: random.Random, count: int):
     decoder = MessageDecoder()

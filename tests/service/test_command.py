@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests.soaked import in_soak
+
 MOST_CPU_S = 1.0  # that it may still take; a kernel that is compiled to its end takes up to 3
 SPAN_S = 5.0  # imports, the first compiled kernels, the start of the process that helps
 PATIENCE_S = 60.0
@@ -24,6 +26,12 @@ CODES = {
     ("warmup", "SIGTERM"): 143,
     **{(command, "SIGINT"): 130 for command in ("run", "demo", "replay", "warmup")},
 }
+SPANS_S = {"at once": (0.0, 0.0), "soon": (0.0, 2.0), "late": (2.0, SPAN_S)}
+# Each command by each signal, and each signal at each kind of moment.
+NOW = {("run", "SIGINT", "soon"), ("run", "SIGTERM", "late"), ("demo", "SIGINT", "late"),
+       ("demo", "SIGTERM", "at once"), ("replay", "SIGINT", "at once"), ("replay", "SIGTERM", "soon"),
+       ("warmup", "SIGINT", "soon"), ("warmup", "SIGTERM", "at once")}  # fmt: skip
+MOMENTS = [(*of, when) if (*of, when) in NOW else in_soak(*of, when) for of in CODES for when in SPANS_S]
 
 
 @pytest.fixture
@@ -70,34 +78,32 @@ def begin(tmp_path: Path, shared: Path) -> Iterator[Callable[[str], subprocess.P
 
 
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize(("command", "name"), CODES)
+@pytest.mark.parametrize(("command", "name", "when"), MOMENTS)
 def test_a_signal_at_any_moment_ends_a_command_at_once(
-    command: str, name: str, begin: Callable[[str], subprocess.Popen[bytes]]
+    command: str, name: str, when: str, begin: Callable[[str], subprocess.Popen[bytes]]
 ):
-    moments_s = random.Random(f"{command} {name}")  # as the test, always the same
-    is_late = (command in ("run", "warmup")) == (name == "SIGTERM")
-    for at_s in (0.0, moments_s.uniform(2.0, SPAN_S) if is_late else moments_s.uniform(0.0, 2.0)):
-        process = begin(command)
-        wait_until_it_takes_signals(process.pid)
-        with pytest.raises(subprocess.TimeoutExpired):
-            process.wait(at_s)
-        family = descendants(process.pid)  # the mapper is in a session of its own
-        before_s = children_cpu_s() + sum(map(cpu_s, family))
-        if name == "SIGINT":
-            os.killpg(process.pid, signal.SIGINT)  # a terminal tells the whole group
-        else:
-            process.send_signal(signal.SIGTERM)
-        said, _ = process.communicate(timeout=PATIENCE_S)
-        more_s = children_cpu_s() - before_s  # of its own; nobody waits for the processes that it killed
-        where = f"{command}, {name} after {at_s:.2f} s said {said.decode()}"
-        assert process.returncode == CODES[command, name], where
-        assert more_s < MOST_CPU_S, where
-        assert b"Traceback" not in said, where
-        assert b"Exception ignored" not in said, where
-        until(
-            lambda group=process.pid, pids=family: not alive_in(group) and not pids & parents().keys(),
-            f"the children to end; {where}",
-        )
+    at_s = random.Random(f"{command} {name}").uniform(*SPANS_S[when])  # always the same
+    process = begin(command)
+    wait_until_it_takes_signals(process.pid)
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(at_s)
+    family = descendants(process.pid)  # the mapper is in a session of its own
+    before_s = children_cpu_s() + sum(map(cpu_s, family))
+    if name == "SIGINT":
+        os.killpg(process.pid, signal.SIGINT)  # a terminal tells the whole group
+    else:
+        process.send_signal(signal.SIGTERM)
+    said, _ = process.communicate(timeout=PATIENCE_S)
+    more_s = children_cpu_s() - before_s  # of its own; nobody waits for the processes that it killed
+    where = f"{command}, {name} after {at_s:.2f} s said {said.decode()}"
+    assert process.returncode == CODES[command, name], where
+    assert more_s < MOST_CPU_S, where
+    assert b"Traceback" not in said, where
+    assert b"Exception ignored" not in said, where
+    until(
+        lambda group=process.pid, pids=family: not alive_in(group) and not pids & parents().keys(),
+        f"the children to end; {where}",
+    )
 
 
 @pytest.mark.timeout(300)

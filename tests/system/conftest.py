@@ -5,7 +5,29 @@ from pathlib import Path
 
 import pytest
 
+from tests.demo_run import DemoRun, run_demo
+from tests.system.installed import build_wheel, environment, install
 from tests.system.machine import FakeVehicle, LiveService, Subscriber
+
+DEMO_S = 7
+
+
+@pytest.fixture(scope="session")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_wheel(tmp_path_factory.mktemp("wheel"))
+
+
+@pytest.fixture(scope="session")
+def corridor(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The command, installed from the wheel."""
+    return install(wheel, tmp_path_factory.mktemp("installed"))
+
+
+@pytest.fixture(scope="session")
+def demo_run(corridor: Path, tmp_path_factory: pytest.TempPathFactory) -> DemoRun:
+    """One demo, of the installed command, for all who look at what is left of it."""
+    folder = tmp_path_factory.mktemp("demo")
+    return run_demo(DEMO_S, folder, program=corridor, environment=environment())
 
 
 @pytest.fixture

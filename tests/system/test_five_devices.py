@@ -30,16 +30,9 @@ CHANNELS = {"front": "scan", "rear": "scan", "lux": "scan", "imu": "imu", "base"
 COUNTED_AS_LOST = ("missed", "lost", "gap", "dropped", "discarded", "bad", "unreadable", "resync")
 MEASURED = ("scans", "samples", "frames")  # as counters call it
 NUMBERED = ("front", "rear", "lux", "imu")  # on the wire; what a base missed is an estimate from arrivals
-DEMO_S = 7
 LOST_M = 5.0  # or more, where the map has nothing to do with the world any more
 SOAK_S = 600
 GROWTH_MB = 40.0  # of a map that is complete after a lap, buffers included
-
-
-@pytest.fixture(scope="module")
-def demo_run(tmp_path_factory: pytest.TempPathFactory) -> DemoRun:
-    """One demo for all who look at what is left of it."""
-    return run_demo(DEMO_S, tmp_path_factory.mktemp("demo"))
 
 
 def test_the_demo_maps_to_a_centimetre(demo_run: DemoRun):

@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from service.kernels.branch_and_bound import MaxPyramid, build_pyramid, padding_cells, search_branch_and_bound
@@ -95,7 +95,6 @@ def test_the_best_candidate_has_the_largest_sum_and_its_pose_and_mean() -> None:
 
 
 # C8
-@settings(max_examples=150, deadline=None)
 @given(seed=st.integers(0, 10**6), levels=st.integers(1, 5), dtype=st.sampled_from([np.uint8, np.float32]))
 def test_branch_and_bound_finds_what_asking_every_candidate_finds(seed, levels, dtype) -> None:
     sparse = seed % 3 > 0

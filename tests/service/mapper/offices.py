@@ -9,7 +9,7 @@ from service.mapper.saved_graph import SavedGraph, small_arrays
 from simulators.worlds import WORLDS
 from tests.simulated import LMS100_50HZ, Drive, Wheels, drive, run
 
-LASER = replace(LMS100_50HZ, rate_hz=25.0)
+LASER = replace(LMS100_50HZ, rate_hz=12.5)
 MAPPED_S = 30.0
 
 

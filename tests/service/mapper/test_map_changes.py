@@ -27,7 +27,7 @@ TOLD_WITHIN_S = 10.0  # of the first scan that contradicted the map there
 ASKED_EVERY_NS = 480_000_000
 
 
-@pytest.fixture(scope="module", params=[12.5, in_soak(25.0)], ids=["12.5 Hz", "25 Hz"])
+@pytest.fixture(scope="module", params=[8.0, in_soak(12.5), in_soak(25.0)], ids=["8 Hz", "12.5 Hz", "25 Hz"])
 def laser(request: pytest.FixtureRequest) -> Laser:
     return replace(LMS100_50HZ, rate_hz=request.param)
 

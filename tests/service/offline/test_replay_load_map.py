@@ -18,7 +18,7 @@ from simulators.worlds import WORLDS
 from tests.service.recording.sessions import T0_NS, write_file
 from tests.simulated import FORWARD, LMS100_50HZ, Drive, Wheels, drive, run
 
-LASER = replace(LMS100_50HZ, rate_hz=25.0)
+LASER, FINER = (replace(LMS100_50HZ, rate_hz=rate_hz) for rate_hz in (12.5, 25.0))
 LOADED_S, LATER_S = 2.0, 12.0
 
 
@@ -35,7 +35,7 @@ def first(tmp_path_factory) -> tuple[Drive, Path]:
 
 @pytest.fixture(scope="module")
 def second() -> Drive:
-    return drive(WORLDS["office"](), LASER, 8.0, 4, Wheels(), stand_s=-LATER_S)
+    return drive(WORLDS["office"](), FINER, 8.0, 4, Wheels(), stand_s=-LATER_S)
 
 
 def recorded(path: Path, made: Drive, event: dict[str, object]) -> Path:

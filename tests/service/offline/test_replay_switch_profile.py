@@ -19,7 +19,7 @@ AT_NS = T0_NS + round(LOADED_S * 1e9)
 
 @pytest.fixture(scope="module")
 def made() -> Drive:
-    return drive(WORLDS["office"](), LASER, 5.0, 4, Wheels())
+    return drive(WORLDS["office"](), LASER, 4.0, 4, Wheels())
 
 
 def poses(outputs) -> list[bytes]:

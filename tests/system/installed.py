@@ -1,0 +1,73 @@
+"""The wheel of this tree, and the command that is installed from it in a venv of its own."""
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+from service.kernel_cache import DIGEST_NAME, KERNELS
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("service", "drivers", "simulators")
+TIMEOUT_S = 300.0  # kernels are compiled where those of the tree do not fit
+
+
+def build_wheel(folder: Path) -> Path:
+    """Built from a copy, so that no build folder is left in the tree, and without the network."""
+    source = folder / "source"
+    source.mkdir()
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    leave_out = shutil.ignore_patterns("__pycache__")
+    for name in (*PACKAGES, "config", "systemd"):
+        shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=leave_out)
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "wheel", "--quiet"]
+    run([*pip, "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(source)], folder)
+    (built,) = folder.glob("corridor-*.whl")
+    return built
+
+
+def install(wheel: Path, folder: Path) -> Path:
+    """The command, installed in a venv of its own. Dependencies come from the venv that tests; kernels of the
+    same sources come from its cache, where it has them beside the sources.
+    """
+    venv = folder / "venv"
+    run([sys.executable, "-m", "venv", "--without-pip", str(venv)], folder)
+    python = venv / "bin" / "python"
+    (site,) = (venv / "lib").glob("python*/site-packages")
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--python", str(python)]
+    run([*pip, "install", "--quiet", "--no-deps", "--no-index", str(wheel)], folder)
+    # A .pth file in a folder that a .pth file names is not read: the editable install of the tree stays out.
+    (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    compiled = KERNELS / "__pycache__"
+    if (compiled / DIGEST_NAME).exists():
+        installed = site / "service" / "kernels"
+        for kernel in KERNELS.glob("*.py"):  # numba takes what it compiled for another time of the source
+            changed = kernel.stat()
+            os.utime(installed / kernel.name, ns=(changed.st_atime_ns, changed.st_mtime_ns))
+        (installed / "__pycache__").mkdir(exist_ok=True)
+        for path in (compiled / DIGEST_NAME, *compiled.glob("*.nb[ci]")):
+            shutil.copy2(path, installed / "__pycache__")
+    return venv / "bin" / "corridor"
+
+
+def environment() -> dict[str, str]:
+    """Of a process that knows nothing of the tree."""
+    return {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "NUMBA_CACHE_DIR")}
+
+
+def run(command: list[str], folder: Path) -> str:
+    """stdout, of a process that knows nothing of the tree."""
+    done = subprocess.run(
+        command,
+        cwd=folder,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=TIMEOUT_S,
+        check=False,
+    )
+    assert done.returncode == 0, f"{command}: {done.stderr}"
+    return done.stdout
