@@ -18,6 +18,9 @@ FORMER = {  # as they were written -> what it is called
     r"voices|command ?desk|map ?keeper|farewell": (
         "protocol identification, command dispatcher, map saver, shutdown request"
     ),
+    r"(?:scans?|points?|maps?) laid\b|lays? each|laid (?:where|on)": "at the pose, aligned with",
+    r"what \w+ is weighed|weighed by": "weight, weighted by",
+    r"never fades|forgets (?:people|them)": "is not decreased, removes",
     r"the walls say|the wheels say|stands? in for": "scan matching, odometry, component",
 }
 

@@ -135,8 +135,8 @@ def niches(seeds: Sequence[int]) -> Section:
         "A corridor 2 m wide with six niches of 0.25 x 0.9 m, driven past at true poses; every fifth scan is "
         "learned. A traditional map's contours are as likely between points as at them; in the profile "
         "likelihood falls between points (eq. 6). The profile joins neighbouring points up to 15 cm apart "
-        "(eq. 5); a traditional map is made with points joined up to 1 m, as if nothing ended a contour, and "
-        "with the profile's own contours. Rows without a bound are for comparison.",
+        "(eq. 5); the traditional map is built twice: with points joined up to 1 m, so that no contour "
+        "ends, and with the profile's own contours. Rows without a bound are for comparison.",
         rows,
         pictures=[picture, one_scan(seeds[0])],
     )
@@ -204,8 +204,10 @@ def ring(seeds: Sequence[int]) -> Section:
     return Section(
         "Ring of 100 m",
         "30 x 20 m, 2 m wide, at 1.2 m/s, corners at about 70 deg/s; laser alone, no loop closing, every "
-        "second scan of 50 Hz. Without deskewing, sweeps are taken for instants. Past the last corner scans "
-        "are matched to the first walls again, which takes drift away; the error before it keeps it.",
+        "second scan of 50 Hz. Without deskewing, all beams of a sweep are assigned to one "
+        "moment. After the last corner the "
+        "scans are matched to the first walls again, which removes the drift; the error before that corner "
+        "includes it.",
         rows,
         ran_on=told(seeds),
     )
@@ -248,7 +250,8 @@ def pairwise(seeds: Sequence[int]) -> Section:
         f"The first {PAIRED_SCANS} scans of the ring, {way_m:.0f} m along its first corridor. `contour_lm` "
         "and ICP of each scan to the one before it (point to point, all points, that of the profile `imle`) "
         "get 25 scans a second of an LMS100 alone, `owolm_eskf` 40 of a UTM-30LX and an IMU, as long. "
-        "Along bare walls the nearest points are those beside, so that ICP of pairs stands still.",
+        "Along bare walls the nearest points are those beside, so that ICP of pairs of scans estimates no "
+        "motion.",
         rows,
     )
 
@@ -279,7 +282,8 @@ def turns(seeds: Sequence[int]) -> Section:
         ramps.append(float(off[ramping].mean()))
     return Section(
         "Turning on the spot",
-        "A room of 8 x 6 m, two turns at 90 deg/s, begun and ended with 2 rad/s²; laser alone, every scan of "
+        "A room of 8 x 6 m, two turns at 90 deg/s, with 2 rad/s² at the beginning and the "
+        "end; laser alone, every scan of "
         f"50 Hz. Errors are those of a place {AT_M:g} m away.",
         [
             Row("A31", "mean turn rate found at 90 deg/s: off by", rate, "%", at_most=1.0, digits=2),
@@ -332,8 +336,8 @@ def recorded(seeds: Sequence[int]) -> Section:  # recordings: seeds change nothi
             ]
     return Section(
         "Recorded corridors",
-        "A corridor with sunk doors of 100 m, out and back, and a ring, by another simulator; with wheels, "
-        "every scan of 50 Hz.",
+        "A corridor of 100 m with recessed doors, out and back, and a ring, by another simulator; with "
+        "odometry, every scan of 50 Hz.",
         rows,
         ran_on="recordings",
     )
@@ -347,8 +351,9 @@ def lone_points(seeds: Sequence[int]) -> Section:  # recordings: seeds change no
         lone = {"local_map": {"contours": {"lone_points": True}}}
         rows += error_row("A15", "with lone points: ", "contour_lm", name, settings=lone)
     return Section(
-        "Points that no contour takes",
-        "Left out of the map, as by default, or drawn as blobs (`lone_points: true`). aces and csail are "
+        "Points outside all contours",
+        "Such points are left out of the map (default), or drawn as "
+        "blobs (`lone_points: true`). aces and csail are "
         "real buildings, mean error of their relations, which are good to 5 to 10 cm; the others are of "
         "another simulator, ATE after the rigid motion that fits best.",
         rows,

@@ -156,7 +156,8 @@ def crossing(seeds: Sequence[int]) -> Section:
     world = crossed_corridor()
     section = people(
         "A person who crosses",
-        "A vehicle stands in a corridor; somebody crosses ahead of it at 1 m/s and is away for 20 s.",
+        "A vehicle stands in a corridor; a person crosses ahead of it at 1 m/s and is absent for the "
+        "following 20 s.",
         "A48",
         world,
         24.0,
@@ -176,7 +177,8 @@ def crowd(seeds: Sequence[int]) -> Section:
     """A49."""
     return people(
         "Six people in a lobby",
-        "A vehicle stands in a lobby of 12 x 8 m; six people walk about for 60 s and are gone for 20 s.",
+        "A vehicle stands in a lobby of 12 x 8 m; six people walk for 60 s and are absent for the following "
+        "20 s.",
         "A49",
         lobby(),
         81.0,
@@ -204,8 +206,9 @@ def protection(seeds: Sequence[int]) -> Section:
             Row("A38", f"n_th {count}: walls", [kept], "of 1"),
         ]
     return Section(
-        "After how many scans a cell is safe",
-        "The lobby again, with the profile's own update: a cell seen in more than n_th scans never fades.",
+        "Number of scans after which a cell is protected",
+        "The lobby again, with the profile's own update: a cell that was hit in more than n_th scans is not "
+        "decreased any more.",
         rows,
         ran_on=told([seed]),
     )

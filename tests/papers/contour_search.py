@@ -52,7 +52,7 @@ def starts(what: Drive, beams: BeamsConfig, seed: int) -> Section:
                 Row("A26 A42", figure, [brought_back(chosen, away, local_map, sigmas)], "%", digits=0)
             )
     return Section(
-        "Where the search may begin",
+        "Start poses from which the search converges",
         f"{SCANS} scans of the corridor with niches, on the map of them all at true poses. The "
         "search looks up to 50 cm and 20° around; back is within 5 cm and 0.5°. Logarithms are cut off at "
         "0.1.",

@@ -85,8 +85,9 @@ def accuracy_in_room(seeds: Sequence[int]) -> Section:
         "T-shaped room",
         "C22 C23 C24 C25",
         "A room of 15 x 7 m, both arms 2 m wide, driven along the bar at 0.28 m/s: 51 scans, one a second, "
-        "of 361 beams over 180 deg, noise 4 cm, no odometry. The published figures are those of one run. The "
-        "first scan sees the far wall 14 m ahead with some twenty beams, which alone know it to about 1 cm.",
+        "of 361 beams over 180 deg, noise 4 cm, no odometry. The published figures are those of one run. In "
+        "the first scan some twenty beams hit the far wall 14 m ahead; they alone determine its distance, "
+        "to about 1 cm.",
         runs,
         0,
         0.02,
@@ -108,7 +109,7 @@ def accuracy_in_corridor(seeds: Sequence[int]) -> Section:
         "Corridor of 38.5 m that ends in glass",
         "C26 C27",
         "441 beams over 110 deg. The last 4 m have glass handrails, plants, a glass wall with frames. The "
-        "published reference is the robot's odometer; ours is the truth.",
+        "published reference is the robot's odometer; here it is the simulated truth.",
         in_corridor(seeds)[1],
         1,
         0.09,
@@ -134,8 +135,8 @@ def every_scan(seeds: Sequence[int]) -> Section:
         "The corridor at 25 scans a second",
         "The same, all scans of the scanner instead of one a second, with wheels 1 % off and an IMU; and two "
         "recordings of such a corridor from another simulator (ATE, after the rigid motion that fits best). "
-        "All scans are matched; one each 0.2 m is drawn. Where all are drawn, each lies a centimetre ahead "
-        "of the one before, whose far points hold it back.",
+        "All scans are matched; one each 0.2 m is added to the map. If all are added, each scan is a "
+        "centimetre ahead of the one before, whose far points bias the match backwards.",
         rows,
     )
 
@@ -194,10 +195,14 @@ def pictures(seeds: Sequence[int]) -> Section:
     axes[1, 1].set_title("error, m", fontsize=8)
     axes[1, 1].legend(fontsize=7)
     caption = (
-        f"Scans laid where each matcher put them (seed {seeds[0]}): true way green, matched way red; errors "
+        f"Scans at the poses of each matcher (seed {seeds[0]}): true path green, estimated path red; errors "
         "by epoch"
     )
-    return Section("Maps at epoch 50", "C34.", pictures=[save(figure, "imle-t-room.png", caption)])
+    return Section(
+        "Maps at epoch 50",
+        "The maps of the three matchers after 50 scans (C34).",
+        pictures=[save(figure, "imle-t-room.png", caption)],
+    )
 
 
 def over_time(seeds: Sequence[int]) -> Section:
@@ -216,7 +221,7 @@ def over_time(seeds: Sequence[int]) -> Section:
         rows.append(Row("C35", f"IMLE: largest error {name}", [float(e.max()) for e in errors], "m"))
     return Section(
         "Error over time in the corridor",
-        "The paper sees the error of all three rise among glass and plants.",
+        "In the paper the error of all three methods rises among glass and plants.",
         rows,
         pictures=[save(figure, "imle-corridor.png", f"Position error by epoch (seed {seeds[0]})")],
     )
@@ -242,7 +247,7 @@ def cost(seeds: Sequence[int]) -> Section:
     return Section(
         "Cost",
         "The corridor again: matching, map and shown map together, one core; of each scan the least of three "
-        "runs. The paper's are for matching.",
+        "runs. The figures of the paper are for matching alone.",
         rows,
     )
 
@@ -260,7 +265,7 @@ def as_printed(seeds: Sequence[int]) -> Section:
         Row("C1 C9 C10", name, [rms_m(mapped("icp_then_search", what, **settings)) for what in room], "m")
         for name, settings in variants.items()
     ]
-    return Section("What our choices do", "RMS of the position in the T-shaped room.", rows)
+    return Section("Effect of the choices", "RMS of the position in the T-shaped room.", rows)
 
 
 def large(seeds: Sequence[int]) -> Section:

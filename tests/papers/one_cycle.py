@@ -227,8 +227,9 @@ def contour_cycle(seeds: Sequence[int]) -> Section:
     ]
     picture = draw_cycle(
         "one-cycle-contour.png",
-        "One cycle of contour_lm: the previous map with the scan where it was predicted, the map after with "
-        f"the scan where it was matched, and what rose (red) and fell (blue); m, seed {seeds[0]} ({CONTOUR})",
+        "One cycle of contour_lm: the previous map with the scan at the predicted pose, the next map with "
+        f"the scan at the matched pose, and increased (red) and decreased (blue) "
+        f"cells; m, seed {seeds[0]} ({CONTOUR})",
         cycle,
         match,
         beside,
@@ -339,8 +340,8 @@ def owolm_boxes(cycle: Cycle, seed: int) -> tuple[Boxes, tuple[str, str]] | None
     )
     picture = draw_cycle(
         "one-cycle-owolm.png",
-        "One cycle of owolm_eskf: the previous map with the scan where it was predicted, the map after with "
-        f"the scan where it was matched, and what rose (red); m, seed {seed} ({OWOLM})",
+        "One cycle of owolm_eskf: the previous map with the scan at the predicted pose, the next map with "
+        f"the scan at the matched pose, and increased cells (red); m, seed {seed} ({OWOLM})",
         cycle,
         match,
         beside,

@@ -88,8 +88,9 @@ def _against_plain(seeds: Sequence[int]) -> Section:
         "Library, one lap of 116 m",
         "UTM-30LX at 40 Hz, IMU at 200 Hz, no odometry, no loop closing (B31). The plain maps are the same "
         "profile without segments, every point blurred alike; the one with the least mass far from the "
-        f"structure, that of {best} cells, is what is compared with. Maps are laid on the structure by their "
-        "check points. Books up to 15 cm behind their cases' fronts and what is seen behind glass count as "
+        f"structure, that of {best} cells, is the one to compare "
+        "with. Maps are aligned with the structure by their check "
+        "points. Books up to 15 cm behind their cases' fronts and what is seen behind glass count as "
         "far from the structure.",
         [
             *rows,
@@ -132,7 +133,7 @@ def _check_points(seeds: Sequence[int]) -> Section:
         "18 check points",
         "Corners of the hall, the offices, bookcases and the cabinet, looked for in the map up to 50 cm from "
         "their true places: x and y are those of the strongest walls along y and x there, of cells 10 to "
-        "60 cm from the corner, weighed by their likelihood squared; that may be another wall than the "
+        "60 cm from the corner, weighted by their likelihood squared; that may be another wall than the "
         "corner's. "
         "Then translation and rotation are fitted. "
         "Sides of bookcases are books, not fronts, which is most of points 9 to 16. The table shows seed "
@@ -180,9 +181,9 @@ def _limits(seeds: Sequence[int]) -> Section:
     picture = draw_segments(xy_m, local_map.segments(xy_m, local_map.gaps(points)))
     return Section(
         "Limits of segments",
-        "The map at true poses (B21): what an error of the poses adds is left out. Blurring what is in no "
-        "segment by more than 3 cells leaves still less of it, but leaves recordings of real buildings, "
-        "whose walls are seldom straight for a metre, little to be matched to.",
+        "The map is built at true poses (B21), so that errors of the poses add nothing. A blur of more than "
+        "3 cells for points outside all segments reduces their mass further, but in recordings of real "
+        "buildings, whose walls are seldom straight for a metre, little structure remains to match to.",
         tables=["\n".join(lines)],
         pictures=[picture],
         ran_on=told(seeds[:1]),
@@ -202,8 +203,8 @@ def _begun_at_an_angle(seeds: Sequence[int]) -> Section:
             Row("B18", f"begun at {heading_deg:.0f}°: position, RMS", [ran.position_rmse_m], "m"),
         ]
     return Section(
-        "Begun at an angle",
-        "One lap. The map turns its axes along the walls.",
+        "Start at an angle to the walls",
+        "One lap. The map aligns its axes with the walls.",
         rows,
         ran_on=told(seeds[:1]),
     )
@@ -217,10 +218,10 @@ def _corridors(seeds: Sequence[int]) -> Section:  # recordings: seeds change not
     return Section(
         "Straight corridors",
         "Recordings of another simulator with wheels and an IMU: corridors of 38 and 100 m, and an office "
-        "beside them. Far points of a corridor's walls are dots of 3 x 3 cells, and the search, which has no "
-        "prior, lays the next scan's dots on them, 0.3 m behind the vehicle. With R from the slopes of those "
-        "dots the filter followed: 9.2 and 27.6 m. R comes from slopes across walls alone, where IMU and "
-        "wheels both measure the way.",
+        "beside them. Far points of a corridor's walls are dots of 3 x 3 cells, and the search, which has "
+        "no prior, matches the dots of the next scan to them, 0.3 m behind the vehicle. With R computed "
+        "from the slopes of those dots the filter follows the search: errors of 9.2 and 27.6 m. If IMU and "
+        "odometry both measure the path, R is therefore computed from slopes across walls alone.",
         rows,
         ran_on="recordings",
     )

@@ -71,8 +71,9 @@ def buildings(seeds: Sequence[int]) -> Section:
         "Replays with the odometry of the recordings, every parameter at its default. Errors against "
         "`official.relations` (fr079) and `derived_nearby.relations` (csail; from another mapper's path, "
         "good to 5 to 10 cm): mean over all pairs of expected⁻¹ · relative, interpolated. Others have none. "
-        "csail has a scan a second, with turns of up to 137 deg and 2 m between two of them: what searches a "
-        "small window loses it. A milder case of it is mines1. Nothing tells which of its maps is right.",
+        "csail has a scan a second, with turns of up to 137 deg and 2 m between two of them: a profile with "
+        "a small search window gets lost. mines1 is a milder case; there is no reference by which to judge "
+        "its maps.",
         rows=[
             Row(
                 "",

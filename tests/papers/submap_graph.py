@@ -91,8 +91,8 @@ def precision(place: Place, seeds: Sequence[int]) -> Section:
     return Section(
         f"The {place.name}, {place.area_m2} m2",
         "A cart with an LMS100 at 5 sweeps a second, wheels 1 % off, 30 particles. "
-        f"{CHECK_POINTS} places on true walls, as far apart as all that was seen allows, are compared with "
-        "where the map has them, in the median of the scans that see them: after a rigid fit, and by the "
+        f"{CHECK_POINTS} places on true walls, as far apart as the observed area allows, are compared with "
+        "their places in the map, in the median of the scans that see them: after a rigid fit, and by the "
         "distances between all of them.",
         rows,
         ran_on=told(seeds[: place.seeds]),
@@ -108,17 +108,21 @@ def weights(seeds: Sequence[int]) -> Section:
             [run(driven(place, seed), SINGLE | AROUND, graph=False) for seed in rides],
             [run(driven(place, seed), AROUND) for seed in rides],
         )
-        for name, (single, whole) in (("laid, weighed by the scan", laid), ("around the scan, p / q", drawn)):
+        for name, (single, whole) in (
+            ("aligned, weighted by the scan", laid),
+            ("around the scan, p / q", drawn),
+        ):
             rows += [
                 Row("D2", f"{place.name}, {name}: one map, worst check point", worst(single), "m"),
                 Row("D2", f"{place.name}, {name}: sub-maps, worst check point", worst(whole), "m"),
             ]
     return Section(
-        "What a particle is weighed by",
-        "The paper weighs by p / q (eq. 2). The profile draws from the motion model, lays each particle on "
-        "its map and weighs it by the likelihood of the scan there to the power of 0.1: the q of a sample "
-        "that was moved is not known. `draw: around_scan` draws from a Gaussian around where the scan lies "
-        "best and weighs by p / q.",
+        "Weight of a particle",
+        "The paper weights by p / q (eq. "
+        "2). The profile draws from the motion model, aligns each particle with its map and weights it by "
+        "the likelihood of the scan there to the power of 0.1: the density q of a sample that was moved is "
+        "not known. `draw: around_scan` draws from a Gaussian around the best pose of the scan and weights "
+        "by p / q.",
         rows,
         ran_on=told(seeds[:3]),
     )
@@ -143,11 +147,11 @@ def against_single(seeds: Sequence[int]) -> Section:
         panel.set_aspect("equal")
         panel.tick_params(labelsize=7)
         draw_scale(panel, 10.0)
-    caption = f"A floor, seed {seeds[0]}: end points of every fifth scan laid where the scan was mapped"
+    caption = f"A floor, seed {seeds[0]}: end points of every fifth scan at its estimated pose"
     return Section(
         "One map or many",
-        "The same drives round the floors of 2000 m2 with as many particles, as one map that is never "
-        "closed: what it drew wrong it is laid on again.",
+        "The same drives round the floors of 2000 m2 with as many particles, as one map without loop "
+        "closing: later scans are matched to its errors.",
         [
             Row("D18", "one map: worst check point", worst(single), "m"),
             Row(
@@ -193,9 +197,10 @@ def memory(seeds: Sequence[int]) -> Section:
     ratio = tiles[-1] / tiles[1]
     return Section(
         "Memory, lap after lap",
-        f"{LAP_COUNT} laps of the office, in which nothing new is seen after the first. Tiles are those that "
-        "all particles hold together, at most in a lap. What the graph keeps is its size as it is sent to "
-        "another process: the scans of all closed sub-maps, to compare them and to draw the shown map anew, "
+        f"{LAP_COUNT} laps of the office, in which nothing new is seen after the first. Tiles are the "
+        "maximum in a lap, of all particles together. The memory of the graph is its size when it is sent "
+        "to another "
+        "process: the scans of all closed sub-maps, to compare them and to draw the shown map anew, "
         "in steps of 1 mm and 0.1 mrad; and beside it, once, the walls of the 8 sub-maps that were compared "
         "last.",
         [
