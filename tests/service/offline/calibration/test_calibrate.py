@@ -35,7 +35,7 @@ map: {directory: maps}
 @pytest.fixture(scope="module")
 def frames():
     vehicle = Vehicle(
-        lasers=(one_laser(FRONT, LMS100, beams=121), one_laser(REAR, UTM30LX, "rear", beams=121)),
+        lasers=(one_laser(FRONT, LMS100, beams=181), one_laser(REAR, UTM30LX, "rear", beams=181)),
         wheels=Wheels(SCALE, TURN_SCALE),
         late_s=tuple(LATE_S.items()),
     )
