@@ -43,6 +43,7 @@ from service.runtime.mapper_messages import (
     Failed,
     Finish,
     Finished,
+    FrameItem,
     Go,
     Hello,
     Item,
@@ -53,12 +54,13 @@ from service.runtime.mapper_messages import (
     is_sample,
 )
 from service.runtime.mapping import MapperError, MappingLoop
+from service.runtime.scan_forecast import ScanForecast
 
 log = logging.getLogger(__name__)
 
 IDLE_S = 0.2  # how long to wait for an item before the loop looks after tiles anyway
 COPY_INTERVAL_S = 4.0  # from one stand-by to the next, while items come
-COPY_OVERDUE_S = 12.0  # then a stand-by is made though items wait
+COPY_OVERDUE_S = 12.0  # then a stand-by is made though items wait, or a scan is due
 CONNECT_S = 10.0
 MOST_AT_ONCE = 100  # samples taken without a look at what else there is to do
 
@@ -113,6 +115,8 @@ class MapperProcess:
         self._is_finishing = False
         self._copied_number = -1
         self._copies = 0
+        self._copy_took_ns = 0  # the newest fork; the next one takes about as long
+        self._forecast = ScanForecast()
         self._copy_due_s = 0.0
 
     def run(self) -> None:
@@ -145,8 +149,11 @@ class MapperProcess:
                 return
             item = self._items.popleft()
             self._loop.take(item)
-            if not is_sample(item):
-                return
+            if is_sample(item):
+                continue
+            if isinstance(item, FrameItem):
+                self._forecast.arrived(item.sensor, item.arrived_ns)
+            return
 
     def _hear(self, timeout_s: float) -> None:
         ends = [self._channel]
@@ -186,8 +193,12 @@ class MapperProcess:
     def _is_copy_due(self) -> bool:
         if not self._can_copy or self._loop.number == self._copied_number or not self._loop.is_up_to_date:
             return False
-        now_s = time.monotonic()
-        return now_s >= self._copy_due_s + (COPY_OVERDUE_S - COPY_INTERVAL_S if self._items else 0.0)
+        now_ns = time.monotonic_ns()
+        late_s = now_ns * 1e-9 - self._copy_due_s
+        if late_s < 0.0 or late_s >= COPY_OVERDUE_S - COPY_INTERVAL_S:
+            return late_s >= 0.0
+        pause_ns = self._forecast.pause_ns(now_ns)
+        return not self._items and (pause_ns is None or pause_ns >= self._copy_took_ns)
 
     def _copy(self) -> bool:
         """Leave a stand-by behind that holds what is known now; True in it, when it has taken over."""
@@ -199,7 +210,9 @@ class MapperProcess:
         self._copies += 1
         self._back_end.copy(self._folder / f"back-end-{os.getpid()}-{self._copies}.sock")
         mapper_pid = os.getpid()
+        began_ns = time.monotonic_ns()
         is_copy = os.fork() == 0
+        self._copy_took_ns = time.monotonic_ns() - began_ns
         self._back_end.forked(is_copy)
         if is_copy:
             self._stand_by(mapper_pid)
