@@ -211,6 +211,33 @@ def test_everything_can_be_reached_with_the_keyboard(page, live):
     assert {"theme", "map", "follow", "measure", "tab-information", "information"} <= set(reached)
 
 
+def test_long_figures_of_sensors_stay_within_their_card_on_a_phone(page, live):
+    page.resize(PHONE)
+    page.choose("information")
+    values = {"rate_hz": "201.7", "age_s": "0.02", "dropped": "12345", "clock_offset_ms": "-4004380800000"}
+    named = [Status(f"sensor/{name}", 0, "ok", values) for name in ("front", "rear", "lux")]
+    live.put(encode_diagnostics("diagnostics", named, stamp(2.0), stamp(2.0)))
+    page.wait_for_text("information", "-46347 d")
+    table, card = page.run(
+        "const table = document.querySelector('#information table'), card = table.parentElement;"
+        "const padding = parseFloat(getComputedStyle(card).paddingRight);"
+        "return [table.getBoundingClientRect().right, card.getBoundingClientRect().right - padding]"
+    )
+    assert table <= card
+
+
+def test_a_long_name_of_a_file_goes_on_after_an_underscore(page, live):
+    page.resize(PHONE)
+    page.choose("information")
+    page.wait_for_text("information", "veh1_20260101T000000Z_0001.mcap")
+    parts = page.run(
+        "const name = [...document.querySelectorAll('#information dd')]"
+        ".find((node) => node.textContent.startsWith('veh1_'));"
+        "return [...name.childNodes].map((node) => node.nodeName === 'WBR' ? '|' : node.data)"
+    )
+    assert parts == ["veh1_", "|", "20260101T000000Z_", "|", "0001.mcap"]
+
+
 def test_nothing_is_wider_than_a_phone(page, live):
     page.resize(PHONE)
     page.run(

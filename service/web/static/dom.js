@@ -19,6 +19,9 @@ export const setText = (node, text) => {
   if (node.textContent !== text) node.textContent = text;
 };
 
+/** A name of a file, which may go on in the next line after each _ only. */
+export const fileName = (name) => name.split(/(?<=_)/).flatMap((part, i) => (i ? [element("wbr"), part] : [part]));
+
 export const card = (title, ...children) => {
   const aside = element("span", { className: "aside" });
   const made = element("section", { className: "card" }, element("h2", {}, title, aside), ...children);
@@ -46,7 +49,7 @@ export class Facts {
         this.node.append(...row);
         this.rows.set(name, row);
       }
-      setText(row[1], text);
+      if (row[1].textContent !== text) row[1].replaceChildren(...fileName(text));
     }
   }
 }

@@ -1,6 +1,6 @@
 // The area Resources: stored maps and sessions; to have, to load, to name, to delete and to take back.
 
-import { card, confirmed, element, notice, setText } from "./dom.js";
+import { card, confirmed, element, fileName, notice, setText } from "./dom.js";
 import { bytes } from "./format.js";
 
 const KINDS = { map: "Maps", session: "Sessions" };
@@ -62,7 +62,7 @@ export class Resources {
       ? [act("Load\u2026", entry.name, () => this.#load(entry.name), !may || entry.in_use)] : [];
     return element("li", {},
       element("div", { className: "stored-head" }, element("div", {},
-        element("p", { className: "stored-name" }, entry.name),
+        element("p", { className: "stored-name" }, ...fileName(entry.name)),
         element("p", { className: "note" }, `${bytes(entry.bytes)}, ${when}${entry.in_use ? ", in use" : ""}`)), ...load),
       element("div", { className: "row" }, format,
         act("Download", entry.name, () => this.#download(kind, entry.name, format.value), !may || isBeingWritten),
