@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -63,6 +63,8 @@ class SearchConfig(BaseModel):
 class ContourLmConfig(JudgementConfig):
     """How a scan is laid on the learned map, and when the result is accepted."""
 
+    RENAMED: ClassVar = {"covariance_scale": "residual_sigma"}
+
     weights: WeightsConfig = WeightsConfig()
     search: SearchConfig = SearchConfig()
     iterations: int = Field(default=20, ge=1, le=200)  # I_max, on each level
@@ -71,10 +73,9 @@ class ContourLmConfig(JudgementConfig):
     first_damping: float = Field(default=1e-3, gt=0.0)
     estimate_velocity: bool = True
     beam_time: Literal["measured", "printed"] = "measured"  # printed: the period over the number of beams
-    residual_sigma: float = Field(default=0.3, gt=0.0)  # of 1 - likelihood, against odometry
+    # of 1 - likelihood: what a point says against odometry, and what is reported of the pose
+    residual_sigma: float = Field(default=0.6, gt=0.0)
     prior: Literal["wheels", "always", "never"] = "wheels"  # when the prediction has a say in the cost
-
-    covariance_scale: float = Field(default=4.0, gt=0.0)
     floor_position_m: float = Field(default=0.006, gt=0.0)
     floor_heading_rad: float = Field(default=0.0015, gt=0.0)
 
@@ -240,5 +241,5 @@ class ContourLm:
     def _covariance(self, hessian: Array, theta_rad: float) -> Array:
         """(3, 3) in base axes: what the slope of the map at the points says, no wider than a metre or so."""
         information = np.empty((3, 3))
-        rotate_information(hessian / self._config.covariance_scale, -theta_rad, information)
+        rotate_information(hessian, -theta_rad, information)
         return inverse(information + np.eye(3)) + self._floor
