@@ -153,10 +153,15 @@ def test_it_comes_back_after_the_service_was_started_again(page, serve, scene, l
     before = page.report()["runId"]
     live.close()
     page.wait_for_text("state", "no connection")
+    assert page.element("information-old").is_displayed()
+    assert "All of this is of" in page.text("information-old")
     scene.store.begin_anew()
     again = serve(listen=f"127.0.0.1:{port}")
     page.wait_for("const r = corridor.report(); return r.isOpen && r.runId !== arguments[0]", before)
     page.wait_for("const r = corridor.report(); return r.tiles === 0 && r.pathPoints === 0 && r.mayControl")
+    assert page.text("state") == "starting"  # how the run before was is nothing of this one
+    assert not page.element("information-old").is_displayed()
+    assert "front" not in page.text("information")
     again.put(scene.messages(5.0)[1])
     page.wait_for("const p = corridor.report().pose; return p && p.stamp_ns === '1700000005000000000'")
 

@@ -36,6 +36,11 @@ export class Facts {
     this.rows = new Map();
   }
 
+  /** The names stay, so that nothing moves; their texts are not known any more. */
+  clear() {
+    for (const [, text] of this.rows.values()) setText(text, "\u2013");
+  }
+
   set(facts) {
     for (const [name, text] of Object.entries(facts)) {
       let row = this.rows.get(name);

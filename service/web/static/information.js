@@ -17,6 +17,8 @@ const MOST_EVENTS = 60;
 export class Information {
   constructor(root, colourOf) {
     this.colourOf = colourOf;
+    this.stamp_s = null; // of what is told, Unix time
+    this.old = element("p", { id: "information-old", role: "status", hidden: true });
     this.isPast = false; // whether moments of a recording are shown
     this.mapping = card("Mapping");
     this.words = element("p", { className: "note" });
@@ -41,7 +43,24 @@ export class Information {
     this.events = card("Events");
     this.eventList = element("ul", { className: "events" });
     this.events.node.append(this.eventList);
-    root.append(...[this.mapping, this.sensors, this.recording, this.latency, this.parts, this.events].map((c) => c.node));
+    root.append(this.old, ...[this.mapping, this.sensors, this.recording, this.latency, this.parts, this.events].map((c) => c.node));
+  }
+
+  /** The connection is lost: figures that stand still look like those of now. */
+  putLost() {
+    this.old.hidden = this.stamp_s === null;
+    if (this.stamp_s !== null) setText(this.old, `No connection. All of this is of ${clockTime(this.stamp_s)}.`);
+  }
+
+  /** Another run of the service: nothing is known of it yet. */
+  clear() {
+    this.stamp_s = null;
+    this.old.hidden = true;
+    for (const facts of [this.pose, this.recordingFacts]) facts.clear();
+    for (const node of [this.words, this.mapping.aside, this.sensors.aside, this.recording.aside, this.latency.aside]) setText(node, "");
+    for (const list of [this.rows, this.partRows, this.eventList]) list.replaceChildren();
+    this.sensorRows.clear();
+    this.plot.set([]);
   }
 
   /** null: none is known. */
@@ -60,6 +79,8 @@ export class Information {
   }
 
   putHealth(health) {
+    this.stamp_s = health.stamp_s;
+    this.old.hidden = true;
     const byName = new Map(health.statuses.map((status) => [status.name, status]));
     this.#mapping(byName.get("mapping"), health.stamp_s);
     this.#sensors(health);
@@ -127,7 +148,7 @@ export class Information {
         values.dropped ?? "\u2013", offset(values.clock_offset_ms)];
       figures.forEach((text, i) => setText(row.cells[i], text));
       row.words.hidden = status.level === 0;
-      setText(row.words.firstChild, `${status.message}, for ${duration(health.stamp_s - status.since_s)}`);
+      setText(row.words.firstChild, `${status.message} (for ${duration(health.stamp_s - status.since_s)})`);
       row.name.title = details(values);
     }
     setText(this.sensors.aside, `${streaming} of ${sensors.length} well`);

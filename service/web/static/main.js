@@ -24,9 +24,17 @@ let tool = null, runId = "", isOpen = false, poseTimer = null, health = null;
 
 const connection = new Connection({
   open: () => { isOpen = true; showState(); },
-  closed: () => { isOpen = false; showState(); control.update(); replay.update(); past.update(); edit.update(); },
+  closed: () => { isOpen = false; showState(); information.putLost(); control.update(); replay.update(); past.update(); edit.update(); },
   hello: (hello) => {
-    if (hello.run_id !== runId) { view.clear(); edit.compare.clear(); past.clear(); explainLayers(); }
+    if (hello.run_id !== runId) {
+      view.clear();
+      edit.compare.clear();
+      past.clear();
+      information.clear();
+      explainLayers();
+      health = null;
+      showState();
+    }
     runId = hello.run_id;
     setText(byId("vehicle"), hello.vehicle);
     byId("vehicle").title = hello.vehicle; // it may be cut off
