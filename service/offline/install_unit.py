@@ -113,7 +113,7 @@ def _warning(program: str) -> str:
     if not program.startswith(HIDDEN):
         return ""
     return (
-        f"{program} lies where the unit may not look (ProtectHome=, PrivateTmp=); install corridor to "
-        "/opt/corridor/venv, say: python3 -m venv /opt/corridor/venv && "
-        "/opt/corridor/venv/bin/pip install corridor, and call install-unit from there"
+        f"{program} lies where the unit may not look (ProtectHome=, PrivateTmp=); install it to "
+        "/opt/corridor/venv: python3 -m venv /opt/corridor/venv && /opt/corridor/venv/bin/pip install . "
+        "in the source tree, and call install-unit from there"
     )
