@@ -246,34 +246,65 @@ def weigh_static_score(xy_base, pose, grid, sightings, settings, normals):
 
 
 @njit(cache=True, nogil=True)
-def count_in_free(xy_base, normals, pose, grid, sightings):
-    """Points that lie where key frames looked through and nothing stands in the 3 x 3 cells around.
+def count_contradicting(xy_base, sensor_xy_m, normals, pose, grid, sightings, behind_m):
+    """How many points lie where key frames looked through and nothing stands in the 3 x 3 cells around, and
+    how many clearly behind something that stands, on ground that nobody knows.
 
-    xy_base     (N, 2) float64   m, base frame
-    normals     (N, 3) float64   from estimate_normals; points of weight 0 are not asked
-    pose        (3,)   float64   base in the frame of the grid
-    grid        SurfelGrid
-    sightings   Sightings
+    xy_base       (N, 2) float64   m, base frame
+    sensor_xy_m   (2,)   float64   where the beams start, m, base frame
+    normals       (N, 3) float64   from estimate_normals; points of weight 0 are not asked
+    pose          (3,)   float64   base in the frame of the grid
+    grid          SurfelGrid
+    sightings     Sightings
+    behind_m      float            as in looks_through
+    Returns (in free space, behind).
     """
     score = sightings.score
+    surfels = grid.surfels
     slots = grid.tiles.slots
     first_row = grid.tiles.origin[0]
     first_column = grid.tiles.origin[1]
-    cells_per_m = 1.0 / grid.cell_m
+    cell_m = grid.cell_m
+    cells_per_m = 1.0 / cell_m
     c = math.cos(pose[2])
     s = math.sin(pose[2])
-    count = 0
+    x = pose[0] + c * sensor_xy_m[0] - s * sensor_xy_m[1]
+    y = pose[1] + s * sensor_xy_m[0] + c * sensor_xy_m[1]
+    in_free = 0
+    behind = 0
     for i in range(xy_base.shape[0]):
         if normals[i, 2] == 0.0:
             continue
-        column = math.floor((pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) * cells_per_m)
-        row = math.floor((pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) * cells_per_m)
-        if score_at(slots, first_row, first_column, score, row, column) >= 0:
-            continue
+        dx = pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1] - x
+        dy = pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1] - y
+        column = math.floor((x + dx) * cells_per_m)
+        row = math.floor((y + dy) * cells_per_m)
         stands = False
         for r in range(row - 1, row + 2):
             for q in range(column - 1, column + 2):
                 stands = stands or score_at(slots, first_row, first_column, score, r, q) > 0
-        if not stands:
-            count += 1
-    return count
+        if stands:
+            continue
+        if score_at(slots, first_row, first_column, score, row, column) < 0:
+            in_free += 1
+            continue
+        column, row, step_column, step_row, next_column, next_row, per_column, per_row, steps = begin_ray(
+            x * cells_per_m, y * cells_per_m, dx * cells_per_m, dy * cells_per_m
+        )
+        for _ in range(steps):
+            if score_at(slots, first_row, first_column, score, row, column) > 0:
+                slot = slot_at(slots, (row >> TILE_BITS) - first_row, (column >> TILE_BITS) - first_column)
+                u = x - (column + 0.5) * cell_m
+                v = y - (row + 0.5) * cell_m
+                if looks_through(
+                    surfels, slot, row & TILE_MASK, column & TILE_MASK, 0.5 * cell_m, u, v, dx, dy, behind_m
+                ):
+                    behind += 1
+                    break
+            if next_column < next_row:
+                column += step_column
+                next_column += per_column
+            else:
+                row += step_row
+                next_row += per_row
+    return in_free, behind

@@ -12,7 +12,8 @@ from service.geometry.se2 import SE2
 from service.mapper.components import Match, Points
 from service.outputs import State
 
-LEAST_RETURNS = 20  # with fewer a scan is not matched
+LEAST_RETURNS = 5  # with fewer a scan is not matched: three unknowns, and two to contradict
+LEAST_CONFIRMING = 20  # `ok`: so many returns of the scan
 MOST_SIGMA_M, MOST_SIGMA_RAD = 0.15, math.radians(3.0)  # `ok`: the pose against the map is known so well
 # `ok`: the pose in the map is known so well, with all drift since known ground was seen last
 MOST_DRIFT_M, MOST_DRIFT_RAD = 0.5, math.radians(10.0)
@@ -22,7 +23,8 @@ TIGHT_SIGMA_M, TIGHT_SIGMA_RAD = 0.5, 0.4  # a prediction so good carries the po
 # simulated drives it is 0.90 to 1.00 where the pose is right; people close by lower it.
 LEAST_AGREEMENT = 0.5
 LEAST_AGREEMENT_FAR = 0.85  # where the match is not where the prediction was
-LEAST_KNOWN = 0.02  # share of the returns that must lie on the map even on new ground
+LEAST_KNOWN = 0.02  # share of the returns on the map, and at least LEAST_RETURNS, below which it says nothing
+CHANCE_SIGMAS = 2.0  # so many more returns than usual contradict the map by chance
 JUMP_CHI2 = 27.9  # 99.999 % of three degrees of freedom: a match this far from the prediction is no chance
 GAP_S = 2.5  # without a scan, after which a loose prediction is a gap in the way
 
@@ -50,6 +52,8 @@ class Evidence:
     is_far      the match is farther from the prediction than chance explains, or the prediction says little
     weakest     (m, rad) sigma of the position by the scan alone in its worst direction, and that direction
                 in base axes
+    behind      returns clearly behind walls of the map, on ground that it does not know; None: nothing is
+                known of that, and ground that the map does not know proves nothing
     """
 
     used: int
@@ -60,6 +64,7 @@ class Evidence:
     is_measured: bool
     is_far: bool
     weakest: tuple[float, float] = (0.0, 0.0)
+    behind: float | None = None
 
     @property
     def inlier_ratio(self) -> float:
@@ -128,6 +133,11 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, str]:
     that nothing stands: that contradicts, however good the prediction was.
     """
     ratio = evidence.inlier_ratio
+    # The prediction carries the pose onto new ground where it is itself; a match elsewhere needs more.
+    is_carried = evidence.is_measured and not evidence.is_far and not is_loose(evidence.prior)
+    least_on_map = max(LEAST_KNOWN * evidence.used, LEAST_RETURNS)
+    if is_carried and evidence.on_map < least_on_map and evidence.behind is not None:
+        return _on_unknown_ground(evidence)
     known = evidence.on_map + evidence.in_free
     agreement = evidence.on_map / known if known else 0.0
     if known and agreement < (LEAST_AGREEMENT_FAR if evidence.is_far else LEAST_AGREEMENT):
@@ -136,8 +146,6 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, str]:
             "another place, or one that has changed much; the pose follows the prediction"
         )
     least = limits.degraded_ratio if evidence.is_far else limits.lost_ratio
-    # The prediction carries the pose onto new ground where it is itself; a match elsewhere needs more.
-    is_carried = evidence.is_measured and not evidence.is_far and not is_loose(evidence.prior)
     if ratio < least and not (is_carried and ratio >= LEAST_KNOWN):
         return "lost", f"{_on_map(evidence)} (at least {least:.0%}); the pose follows the prediction"
     if evidence.sigma[0] > LOST_SIGMA_M or evidence.sigma[1] > LOST_SIGMA_RAD:
@@ -157,6 +165,11 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, str]:
             f"{math.degrees(evidence.sigma[1]):.1f} deg (sigma, expected at most {MOST_SIGMA_M} m and "
             f"{math.degrees(MOST_SIGMA_RAD):.0f} deg)"
         )
+    if evidence.used < LEAST_CONFIRMING:
+        return "degraded", (
+            f"{evidence.used} returns (expected at least {LEAST_CONFIRMING}) confirm no place; "
+            "is the window covered, or is there little in range?"
+        )
     sigma_m, direction_rad = evidence.weakest
     if sigma_m > limits.degraded_sigma_m:
         return "degraded", (
@@ -166,6 +179,20 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, str]:
             "prediction"
         )
     return "ok", ""
+
+
+def _on_unknown_ground(evidence: Evidence) -> tuple[State, str]:
+    """A scan of which nothing lies on the map, though the prediction is good: new ground, unless more returns
+    than chance explains lie where nothing stands or behind walls that should be seen from there.
+    """
+    used, usual = evidence.used, 1.0 - LEAST_AGREEMENT_FAR
+    behind = evidence.behind or 0.0
+    if evidence.in_free + behind > usual * used + CHANCE_SIGMAS * math.sqrt(usual * (1.0 - usual) * used):
+        return "lost", (
+            f"{_on_map(evidence)}, {evidence.in_free / used:.0%} in its free space and {behind / used:.0%} "
+            "behind its walls: another place, or one that has changed much; the pose follows the prediction"
+        )
+    return "degraded", f"{_on_map(evidence)}: unmapped ground; the pose follows the prediction onto it"
 
 
 def drift_of(covariance: npt.NDArray[np.float64]) -> str:

@@ -33,7 +33,39 @@ def test_new_ground_is_degraded_where_the_prediction_is_tight_and_measured() -> 
     assert state(NEW_GROUND, is_measured=False) == "lost"
     assert state(NEW_GROUND, prior=(0.6, 0.01)) == "lost"
     assert state(NEW_GROUND, prior=(0.05, 0.5)) == "lost"
-    assert state(NEW_GROUND, on_map=5, in_free=0) == "lost"  # next to nothing is known
+    assert state(NEW_GROUND, on_map=5, in_free=0) == "lost"  # what lies behind walls is not counted
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, "degraded"),
+        ({"behind": 90}, "degraded"),
+        ({"behind": 91}, "lost"),  # 15 % and two sigma of 500: walls should be seen from there
+        ({"in_free": 40, "behind": 51}, "lost"),
+        ({"used": 10, "behind": 3}, "degraded"),
+        ({"used": 10, "behind": 4}, "lost"),
+        ({"used": 100, "on_map": 4, "in_free": 8}, "degraded"),  # four returns on the map are chance
+        ({"used": 100, "on_map": 5, "in_free": 8}, "lost"),
+        ({"on_map": 15, "behind": 400}, "degraded"),  # a door that opened: the rest of the room is there
+        ({"is_measured": False}, "lost"),
+        ({"is_far": True}, "lost"),
+        ({"prior": (0.6, 0.01)}, "lost"),
+        ({"prior": (0.05, 0.5)}, "lost"),
+    ],
+)
+def test_odometry_carries_the_pose_onto_ground_of_which_nothing_is_known(
+    changes: dict[str, object], expected: str
+) -> None:
+    unknown = replace(GOOD, on_map=0, in_free=0, behind=0)
+    assert state(unknown, **changes) == expected
+
+
+def test_a_handful_of_returns_confirms_no_place() -> None:
+    assert state(GOOD, used=20, on_map=20, in_free=0) == "ok"
+    few, reason = judge(replace(GOOD, used=19, on_map=19, in_free=0), RATIOS)
+    assert few == "degraded"
+    assert reason.startswith("19 returns (expected at least 20)")
 
 
 def test_returns_where_nothing_stands_contradict_however_good_the_prediction() -> None:

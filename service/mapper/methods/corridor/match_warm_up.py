@@ -7,7 +7,7 @@ import numpy as np
 from service.kernels.deskew import Returns
 from service.kernels.match import MatchSettings, Prior, match_scan
 from service.kernels.range_bias import see_bias, shorten_ranges
-from service.kernels.static_score import Sightings, count_in_free
+from service.kernels.static_score import Sightings, count_contradicting
 from service.kernels.surfels import TILE_CELLS, SurfelGrid
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 
@@ -24,7 +24,8 @@ def warm_up_match() -> None:
     shorten_ranges(xy, np.zeros(2), np.zeros(2), 1.0, xy)
     tile = np.zeros((1, TILE_CELLS, TILE_CELLS))
     sightings = Sightings(tile.astype(np.int8), tile.astype(np.uint16))
-    count_in_free(xy, normals, np.zeros(3), grid, sightings)  # a scan that fits needs it not
+    # a scan that fits needs it not
+    count_contradicting(xy, np.zeros(2), normals, np.zeros(3), grid, sightings, 1.0)
 
 
 def _empty_grid() -> SurfelGrid:

@@ -7,19 +7,20 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.geometry.se2 import SE2
+from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.likelihood import SPLAT_REACH_CELLS, splat_likelihood
 from service.kernels.normals import estimate_normals
 from service.kernels.static_score import (
     Sightings,
+    count_contradicting,
     count_hits,
-    count_in_free,
     remove_by_ray_cast,
     weigh_static_score,
 )
 from service.kernels.surfels import TILE_BITS, TILE_CELLS, SurfelGrid, insert_surfels
 from service.kernels.tiles import NO_TILE
 from service.mapper.components import MapChange, Match, Points, Standing
+from service.mapper.judgement import too_few
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
 from service.mapper.methods.corridor.dynamic_filter import DynamicFilterConfig, ticks_in
 from service.mapper.methods.corridor.posts import Posts, posts_of
@@ -78,14 +79,22 @@ class Submap:
         )
         return weighed
 
-    def in_free(
+    def contradicting(
         self,
+        points: Points,
         xy_base: npt.NDArray[np.float64],
         normals: npt.NDArray[np.float64],
         pose: npt.NDArray[np.float64],
-    ) -> int:
-        """How many points of a scan at a pose (3,) lie where nothing stands."""
-        return int(count_in_free(xy_base, normals, pose, self.grid(), self._sightings()))
+    ) -> tuple[int, int]:
+        """How many points (N, 2) of a scan at a pose (3,) lie where nothing stands, and how many behind what
+        stands, where nobody has looked.
+        """
+        sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
+        behind_m = self._dynamic_filter.behind_m
+        in_free, behind = count_contradicting(
+            xy_base, sensor, normals, pose, self.grid(), self._sightings(), behind_m
+        )
+        return int(in_free), int(behind)
 
     def insert(
         self, points: Points, normals: npt.NDArray[np.float64], posts: Posts | None, pose: SE2
@@ -179,7 +188,7 @@ class SurfelSubmaps:
         self._detached: Submap | None = None
         self._piece = self._joined_piece = 0  # number of the newest piece; of that which scans are matched to
         self._misses = 0  # scans in a row that fitted neither the map nor the piece
-        self._moved_m = 0.0  # from the key frame before
+        self._moved_m = self._turned = 0.0  # from the key frame before; turned: in fields of view
         self._travelled_m = 0.0  # since the younger of the pair was begun
         self._last_keyframe: SE2 | None = None
         self._last_of: dict[str, SE2] = {}  # by laser: each sees another part of what is around
@@ -244,10 +253,14 @@ class SurfelSubmaps:
             retired = self._begin_submap()
             closed = closed if retired is None else retired
         self._insert_keyframe(self._pair, points, pose)
-        return MapChange(closed, is_keyframe=True, error_left=self._error_left(), piece=self._joined_piece)
+        return MapChange(
+            closed, is_keyframe=True, error_left=self._error_left(match), piece=self._joined_piece
+        )
 
     def _insert_detached(self, points: Points, match: Match) -> MapChange:
-        """Put a lost scan into the piece, if it was matched to it, or begins one."""
+        """Put a lost scan into the piece, if it was matched to it, or begins one; few returns do neither."""
+        if too_few(points):
+            return MapChange(piece=self._joined_piece if self._detached is None else self._piece)
         pose = match.motion.pose_odom_base
         self._misses = 0 if match.measured is not None else self._misses + 1
         if self._detached is None or self._misses >= MOST_MISSES:
@@ -266,10 +279,12 @@ class SurfelSubmaps:
             return MapChange(piece=self._piece)
         self._advance(points, pose)
         self._insert_keyframe([self._detached], points, pose)
-        return MapChange(is_keyframe=True, error_left=self._error_left(), piece=self._piece)
+        return MapChange(is_keyframe=True, error_left=self._error_left(match), piece=self._piece)
 
-    def _error_left(self) -> float:
-        return math.exp(-self._moved_m / self._config.memory_m)
+    def _error_left(self, match: Match) -> float:
+        """What lay on the map keeps it from taking over the pose's error; what is new has all of it."""
+        kept = math.exp(-self._moved_m / self._config.memory_m - self._turned)
+        return max(min(kept, match.inlier_ratio), NEW_PIECE_ERROR)
 
     def _begin_keyframes(self) -> None:
         self._last_keyframe = None
@@ -287,6 +302,8 @@ class SurfelSubmaps:
         self._last_of[points.scan.sensor] = pose
         self._moved_m = math.hypot(pose.x_m - last.x_m, pose.y_m - last.y_m) if last is not None else 0.0
         self._travelled_m += self._moved_m
+        turned_rad = abs(wrap_angle(pose.theta_rad - last.theta_rad)) if last is not None else 0.0
+        self._turned = turned_rad / abs(points.scan.angle_step_rad * len(points.scan.range_m))
         self._last_keyframe = pose
 
     def _insert_keyframe(self, submaps: list[Submap], points: Points, pose: SE2) -> None:

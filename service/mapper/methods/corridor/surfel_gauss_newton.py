@@ -228,9 +228,9 @@ class SurfelGaussNewton:
         is_far = _chi2(result.pose, attempt.prior) > JUMP_CHI2 or (
             is_loose(prior) and (self._gap is not None or attempt.predicted.elapsed_s > GAP_S)
         )
-        in_free = 0
-        if is_far or result.share < DOUBT_RATIO * attempt.usual_ratio:
-            in_free = submap.in_free(xy_base, attempt.normals, result.pose)
+        in_free, behind = 0, 0
+        if is_far or result.share < max(DOUBT_RATIO * attempt.usual_ratio, self._config.degraded_ratio):
+            in_free, behind = submap.contradicting(attempt.points, xy_base, attempt.normals, result.pose)
         evidence = Evidence(
             used=result.used,
             on_map=result.share * result.used,
@@ -239,6 +239,7 @@ class SurfelGaussNewton:
             prior=prior,
             is_measured=attempt.predicted.is_measured,
             is_far=is_far,
+            behind=None if self._gap is not None else behind,  # once contradicted, new ground proves nothing
             weakest=(result.weakest_sigma_m, result.weakest_direction_rad),
         )
         return judge(evidence, self._config)

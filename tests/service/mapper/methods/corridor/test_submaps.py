@@ -7,7 +7,13 @@ import pytest
 from service.fusion.motion import Measurement
 from service.geometry.se2 import SE2
 from service.mapper.components import MapChange
-from service.mapper.methods.corridor.submaps import MOST_MISSES, Submap, SubmapsConfig, SurfelSubmaps
+from service.mapper.methods.corridor.submaps import (
+    MOST_MISSES,
+    NEW_PIECE_ERROR,
+    Submap,
+    SubmapsConfig,
+    SurfelSubmaps,
+)
 from service.outputs import State
 from tests.service.mapper.maps.points import match_at, points_of, square
 
@@ -228,7 +234,7 @@ def test_what_was_moved_away_is_forgotten_and_tiles_handed_back_know_nothing(
         assert not sighted[slots[slots >= 0]].any()
 
 
-def test_points_that_moved_walls_left_free_are_counted_as_in_free_space(
+def test_points_where_nothing_stands_and_points_behind_walls_contradict_the_map(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(FIRST_SCANS, 20)
@@ -239,9 +245,24 @@ def test_points_that_moved_walls_left_free_are_counted_as_in_free_space(
     submap = chain.matched_to
     assert submap is not None
     normals = np.ones((360, 3))
-    assert submap.in_free(square().xy_base, normals, np.zeros(3)) == 0
-    assert submap.in_free(0.5 * square().xy_base, normals, np.zeros(3)) > 300
-    assert submap.in_free(3.0 * square().xy_base, normals, np.zeros(3)) == 0  # nobody looked there
+
+    def contradicting(xy_base: np.ndarray, pose: SE2 | None = None) -> tuple[int, int]:
+        at = np.zeros(3) if pose is None else np.array([pose.x_m, pose.y_m, pose.theta_rad])
+        return submap.contradicting(points_of(xy_base), xy_base, normals, at)
+
+    square_m = square().xy_base
+    assert contradicting(square_m) == (0, 0)
+    in_free, behind = contradicting(0.5 * square_m)
+    assert in_free > 300
+    assert behind == 0
+    in_free, behind = contradicting(3.0 * square_m)  # where nobody looked, with the walls before it
+    assert in_free == 0
+    assert behind > 340
+    outside = SE2(30.0, 0.0, 0.0)
+    assert contradicting(square_m, outside) == (0, 0)
+    in_free, behind = contradicting(20.0 * square_m, outside)  # beams of 10 deg go through the room's walls
+    assert in_free == 0
+    assert behind <= 10
 
 
 def test_a_noisy_sensor_makes_rough_walls_of_what_are_planes() -> None:
@@ -256,3 +277,33 @@ def test_a_noisy_sensor_makes_rough_walls_of_what_are_planes() -> None:
 
     assert planar_share(0.01) < 0.5
     assert planar_share(0.03) > 0.6
+
+
+def test_a_scan_of_hardly_any_returns_begins_no_piece_and_none_that_follows_is_lost_by_it() -> None:
+    chain = submaps()
+    room = square()
+    chain.insert(room, match_at(SE2(), room))
+    few = points_of(square().xy_base[:4])
+    change = chain.insert(few, match_at(SE2(1.0, 0.0, 0.0), few, state="lost"))
+    assert (change.is_keyframe, change.piece) == (False, 0)
+    assert chain.detached is None
+
+
+@pytest.mark.parametrize(
+    ("turn_rad", "ratio", "left"),
+    [
+        (0.1, 1.0, math.exp(-0.1 / (2.0 * math.pi))),
+        (math.pi, 1.0, math.exp(-0.5)),  # of a view of a full turn half is new
+        (0.1, 0.4, 0.4),  # so much of the scan lay on the map, the rest takes the pose's error over
+        (0.1, 0.0, NEW_PIECE_ERROR),
+    ],
+)
+def test_the_map_takes_over_the_error_of_the_pose_as_far_as_it_shows_new_ground(
+    turn_rad: float, ratio: float, left: float
+) -> None:
+    chain = submaps()
+    room = square()
+    chain.insert(room, match_at(SE2(), room))
+    change = chain.insert(room, replace(match_at(SE2(0.0, 0.0, turn_rad), room), inlier_ratio=ratio))
+    assert change.is_keyframe
+    assert change.error_left == pytest.approx(left, rel=1e-9)

@@ -22,7 +22,7 @@ def mapped(points: Points) -> SurfelSubmaps:
     return chain
 
 
-def predicted(pose: SE2, sigma: float = 0.05) -> Prediction:
+def predicted(pose: SE2, sigma: float = 0.05, is_measured: bool = True) -> Prediction:
     covariance = np.diag([sigma**2] * 3)
     return Prediction(
         pose,
@@ -32,12 +32,12 @@ def predicted(pose: SE2, sigma: float = 0.05) -> Prediction:
         twist_gain=10.0 * np.eye(3),
         elapsed_s=0.1,
         travel_m=0.01,
-        is_measured=True,
+        is_measured=is_measured,
     )
 
 
-def match(points: Points, pose: SE2, chain: SurfelSubmaps) -> Match:
-    return new_matcher().match(points, predicted(pose), chain)
+def match(points: Points, pose: SE2, chain: SurfelSubmaps, is_measured: bool = True) -> Match:
+    return new_matcher().match(points, predicted(pose, is_measured=is_measured), chain)
 
 
 def test_a_scan_of_the_same_room_is_put_where_it_belongs() -> None:
@@ -66,11 +66,36 @@ def test_the_first_scan_defines_the_map() -> None:
 
 def test_a_room_that_is_not_on_the_map_is_lost_and_keeps_the_prediction() -> None:
     pose = SE2(30.0, 0.0, 0.2)
-    result = match(square(), pose, mapped(square()))
+    result = match(square(), pose, mapped(square()), is_measured=False)
     assert result.state == "lost"
     assert result.motion.pose_odom_base == pose
     assert result.motion.twist_base == (0.1, 0.0, 0.0)
     assert "0% of 360 returns lie on the map (at least 30%)" in result.reason
+
+
+def test_measured_motion_carries_the_pose_onto_ground_that_nobody_knows() -> None:
+    pose = SE2(30.0, 0.0, 0.2)
+    result = match(square(), pose, mapped(square()))
+    assert result.state == "degraded"
+    assert "unmapped ground" in result.reason
+    found = result.motion.pose_odom_base
+    np.testing.assert_allclose([found.x_m, found.y_m, found.theta_rad], [30.0, 0.0, 0.2], atol=1e-12)
+
+
+def test_a_vehicle_that_was_lost_is_not_carried_back_onto_ground_that_nobody_knows() -> None:
+    """Set down in another room, it drives off the ground that the map knows: nothing contradicts there."""
+    chain, matcher = mapped(square()), new_matcher()
+    assert lost_at(chain, matcher, square(8.0), predicted(SE2())).state == "lost"
+    for k in range(5):
+        far = predicted(SE2(30.0 + 0.1 * k, 0.0, 0.0))
+        assert lost_at(chain, matcher, square(8.0), far).state == "lost"
+
+
+def test_another_room_where_the_walls_of_this_one_should_be_seen_is_lost() -> None:
+    """Carried there with the wheels off the floor: beams end behind the walls that stand around."""
+    result = match(square(8.0), SE2(), mapped(square()))
+    assert result.state == "lost"
+    assert "behind its walls" in result.reason
 
 
 def test_new_ground_is_degraded() -> None:
@@ -137,9 +162,9 @@ def test_scans_that_follow_each_other_closely_meet_the_same_noise_of_the_map() -
 
 
 def test_too_few_returns_name_the_sensor_and_what_to_look_at() -> None:
-    result = match(points_of(square().xy_base[:7]), SE2(), mapped(square()))
+    result = match(points_of(square().xy_base[:4]), SE2(), mapped(square()))
     assert result.state == "lost"
-    assert result.reason.startswith("front: 7 of 7 beams returned (at least 20)")
+    assert result.reason.startswith("front: 4 of 4 beams returned (at least 5)")
 
 
 def lost_at(chain: SurfelSubmaps, matcher: SurfelGaussNewton, points: Points, start: Prediction) -> Match:
@@ -151,8 +176,8 @@ def lost_at(chain: SurfelSubmaps, matcher: SurfelGaussNewton, points: Points, st
 
 def test_what_is_lost_is_matched_to_the_detached_piece_and_stays_lost() -> None:
     chain, matcher, far = mapped(square()), new_matcher(), square(3.0)
-    assert lost_at(chain, matcher, far, predicted(SE2(50.0, 0.0, 0.0))).measured is None
-    result = lost_at(chain, matcher, far, predicted(SE2(50.03, 0.0, 0.01)))
+    assert lost_at(chain, matcher, far, predicted(SE2(50.0, 0.0, 0.0), is_measured=False)).measured is None
+    result = lost_at(chain, matcher, far, predicted(SE2(50.03, 0.0, 0.01), is_measured=False))
     assert (result.state, result.submap) == ("lost", 1)
     assert "a detached map begins here" in result.reason
     assert isinstance(result.measured, Measurement)
