@@ -31,14 +31,15 @@ LEAST_COSINE = 0.6  # between the normal of a point and that of its wall
 WALL_SIGMA_M = 0.02  # of a point off its wall: noise of the range, of the map and of the pose
 POINT_CELL_M, POINT_SIGMA_M, POINT_REACH = 0.05, 0.04, 2  # of points as such; they are kept in cells
 # Densities of where a beam ends, 1/m. People, chairs and doors stand where nothing stood. Where the map knows
-# nothing, or ends, anything may stand, and its points are not independent: one of a wall tells the next ones.
-IN_FREE, NOT_KNOWN = 0.01, 1.0
+# nothing, or ends, anything may stand; but surfaces are smooth, so given the beam beside it one ends within
+# 0.1 m (1 sigma).
+IN_FREE, NOT_KNOWN = 0.01, 4.0
 ON_WALL, ON_POINT = 0.8, 0.2  # shares of the beams that end on what the map has there
 AT_BACK, BACK_M, BACK_SIGMA_M = 1.5, 0.1, 0.03  # other side of a wall, which is about so thick
 THROUGH_REACH_M = 0.07  # how far from the middle of a surfel it still is the wall
 BEHIND_M = 0.3  # a beam that ends so far behind a wall went through it
 LEAST_OPEN = 0.02  # a wall that stood at all times is gone this often
-FULL_RATIO = 2.7  # nats: mean of beams that all end on walls
+FULL_RATIO = 1.5  # nats: mean of beams that all end on walls
 AGAINST_RATIO = 0.5 * math.log(IN_FREE / NOT_KNOWN)  # nats: a beam below it contradicts the map
 
 
@@ -202,7 +203,7 @@ def density_of_ground(ground, free, x, y):
 
 
 @njit(cache=True, nogil=True)
-def weigh_beams(xy, normals, sensors, pose, known, number, ratio):
+def weigh_beams(xy, normals, sensors, pose, known, number, at_end, on_way):
     """Log-likelihood of each beam at a pose, less that on ground of which the map knows nothing.
 
     xy        (N, 2) float64   ends of the beams, m
@@ -211,8 +212,9 @@ def weigh_beams(xy, normals, sensors, pose, known, number, ratio):
     pose      (3,)   float64   of that frame in the map
     known     KnownGround      `asked` is written to
     number    int              of this pose: another one than that of the call before
-    ratio     (N,)   float64   out, nats; about FULL_RATIO on a wall, 0 on unknown ground, below 0 where the
-                               map contradicts
+    at_end    (N,)   float64   out, nats, of where the beam ends: about FULL_RATIO on a wall, 0 on unknown
+                               ground, below 0 where the map knows that nothing stands
+    on_way    (N,)   float64   out, nats, 0 or less, of what it goes through
     Source: Thrun, Burgard, Fox, Probabilistic Robotics, section 6.3 (beam model); the share of a wall that is
     gone by hits and misses, as reflection maps count them (Haehnel 2004).
     """
@@ -241,4 +243,5 @@ def weigh_beams(xy, normals, sensors, pose, known, number, ratio):
         column = math.floor(x / POINT_CELL_M) - known.first_column
         if 0 <= row < known.points.shape[0] and 0 <= column < known.points.shape[1]:
             density += on_point * known.points[row, column]
-        ratio[i] = math.log(density / NOT_KNOWN) + openness(u, v, x - u, y - v, known, number)
+        at_end[i] = math.log(density / NOT_KNOWN)
+        on_way[i] = openness(u, v, x - u, y - v, known, number)

@@ -60,9 +60,10 @@ def ratios(ends, known: KnownGround, pose=(0.0, 0.0, 0.0), sensor=SENSOR, normal
     here = (np.atleast_2d(ends) - pose[:2]) @ turn
     sensors = np.tile((np.array(sensor) - pose[:2]) @ turn, (len(here), 1))
     normals = np.tile([*(np.array(normal) @ turn), 1.0], (len(here), 1))
-    ratio = np.empty(len(here))
-    weigh_beams(here, normals, sensors, np.array(pose), known, number, ratio)
-    return ratio
+    at_end, on_way = np.empty(len(here)), np.empty(len(here))
+    weigh_beams(here, normals, sensors, np.array(pose), known, number, at_end, on_way)
+    assert (on_way <= 0.0).all()
+    return at_end + on_way
 
 
 def ratio_by_hand(off_m: float, ground: float, on_points: float) -> float:

@@ -38,27 +38,11 @@ def cloud_of(
     )
 
 
-def seen_by(keyframes: KeyframeList, k: int) -> PointCloud:
+def seen_by(keyframes: KeyframeList, k: int, reach_m: float = REACH_M) -> PointCloud:
     """The points of a key frame that are asked, in its own frame."""
     kept = keyframes.thinned[k]
-    near = (kept.xy_base * kept.xy_base).sum(axis=1) < REACH_M * REACH_M
+    near = (kept.xy_base * kept.xy_base).sum(axis=1) < reach_m * reach_m
     return PointCloud(kept.xy_base[near].astype(np.float64), kept.normals[near].astype(np.float64))
-
-
-def sensors_of(keyframes: KeyframeList, members: Iterable[int], reference: int) -> Floats:
-    """(N, 2) m: where the beam of each point of `cloud_of` begins, in the frame of `reference`."""
-    odom = keyframes.odom
-    return np.concatenate(
-        [
-            np.tile(
-                se2.points_from(
-                    se2.between(odom[reference], odom[k]), np.array(keyframes.thinned[k].sensor_xy_m)
-                ),
-                (len(seen_by(keyframes, k).xy), 1),
-            )
-            for k in members
-        ]
-    )
 
 
 class CandidateSubmap:

@@ -28,6 +28,7 @@ from service.kernels.facing_search import (
     search_facing,
     splat_facing,
 )
+from service.kernels.likeliest_pose import climb
 from service.kernels.loops import splat_field
 from service.kernels.occupancy import OccupancyGrid, trace_scan
 from service.kernels.surfels import SurfelGrid
@@ -38,17 +39,22 @@ from service.mapper.maps.tiles import Layer, TileMap, TilePool
 from service.mapper.matchers.window_search import thinned, window_around
 from service.mapper.methods.corridor.graph.candidate_submap import FIELD_SIGMA_M, REACH_M, seen_by
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
+from service.mapper.methods.corridor.graph.seen_cloud import SeenCloud
 
-COARSE_CELL_M, LEVELS = 0.2, 5  # blocks of 3.2 m: shelves and desks that look alike stand no closer
+COARSE_CELL_M, LEVELS = 0.2, 5  # blocks of 3.2 m, of which one place each is a candidate
 HEADINGS = 210  # 0.03 rad apart: 0.22 m at REACH_M, a cell
 SEARCH_POINTS = 80
 # Of a point on ground that the map does not know, which says nothing: free ground contradicts, and scores 0.
-UNKNOWN_LIKELIHOOD = 0.4
+UNKNOWN_LIKELIHOOD = 0.5
 LEAST_SCORE = 0.45  # mean likelihood of the points
-BEHIND = 0.12  # a place whose score is so far behind the best is no candidate
+BEHIND = 0.2  # a place whose score is so far behind the best is no candidate
 MOST_CANDIDATES = 240
 REFINED = (0.3, 0.03, 0.006)  # m and rad about a candidate, in steps of so many rad
 REFINING_POINTS = 150
+FIRST_STEPS, LEAST_STEP = np.array([0.06, 0.06, 0.012]), 1.0 / 16.0  # m, m, rad of a climb, and its last ones
+ALONG_M, ALONG_STEP_M = 1.6, 0.1  # how far to both sides of a place along the walls others are looked for
+ALONG_SHARE = 0.9  # of the points that lie on walls at a place must do so beside it
+ON_MAP_RATIO = 0.5 * FULL_RATIO  # nats: a beam above it ends on what the map has there
 TRACED_EVERY = 3  # key frames: neighbours see the same free space, and through the same things
 LOOKED_THROUGH = -10  # evidence of a cell: a beam passed, and none ended in it
 
@@ -60,6 +66,15 @@ class Weight:
     evidence: float  # nats: log-likelihood of its beams, less that on ground that nobody knows
     unexplained: float  # nats that are missing to a map that knows all that is seen; 0 or more
     against: float  # share of the beams that contradict the map, 0..1
+    on_map: float  # share that ends on what the map has there, 0..1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Laid:
+    """A cloud laid on the map."""
+
+    fit: Fit
+    weight: Weight
 
 
 class KnownMap:
@@ -81,26 +96,68 @@ class KnownMap:
         """Where the cloud may lie: poses (3,) of its frame in the map, the likeliest first; at most
         MOST_CANDIDATES.
         """
-        step = max(1, len(cloud.xy) // SEARCH_POINTS)
-        xy, normals = np.ascontiguousarray(cloud.xy[::step]), np.ascontiguousarray(cloud.normals[::step])
+        near = np.flatnonzero((cloud.xy**2).sum(axis=1) < REACH_M**2)
+        near = near[:: max(1, len(near) // SEARCH_POINTS)]
+        xy, normals = cloud.xy[near], cloud.normals[near]
         places, _ = search_facing(xy, normals, self._facing, HEADINGS, LEAST_SCORE, BEHIND)
         order = np.argsort(-places[:, 3], kind="stable")[:MOST_CANDIDATES]
         return list(places[order, :3])
 
-    def lay(self, cloud: PointCloud, near: Floats) -> Fit:
+    def lay(self, seen: SeenCloud, near: Floats) -> Laid:
         """The cloud laid on all walls there are, from a candidate."""
         window = window_around(near, REFINED[:2], self._field, REFINED[2])
-        found = search_branch_and_bound(thinned(cloud.xy, REFINING_POINTS), self._field, window, -math.inf)
-        return self._walls.align(cloud, found.pose)
+        near = (seen.cloud.xy**2).sum(axis=1) < REACH_M**2
+        thin = thinned(seen.cloud.xy[near], REFINING_POINTS)
+        found = search_branch_and_bound(thin, self._field, window, -math.inf)
+        return self._aligned(seen, found.pose)
 
-    def weigh(self, cloud: PointCloud, sensors: Floats, pose: Floats) -> Weight:
-        """What speaks for a cloud at a pose (3,); sensors (N, 2) m: where each of its beams begins."""
-        ratio = np.empty(len(cloud.xy))
+    def refine(self, seen: SeenCloud, laid: Laid) -> Laid:
+        """The likeliest pose near that at which the cloud was laid: walls alone lead astray where there are
+        few.
+        """
+        pose = laid.fit.pose.copy()
+        evidence, count = climb(
+            seen.cloud.xy,
+            seen.cloud.normals,
+            seen.sensors,
+            seen.shares,
+            pose,
+            self._asked,
+            self._weighed + 1,
+            FIRST_STEPS,
+            LEAST_STEP,
+        )
+        self._weighed += count
+        again = self._aligned(seen, pose)
+        if again.weight.evidence >= evidence:
+            return again
+        return Laid(Fit(pose, again.fit.information, again.fit.share), self.weigh(seen, pose))
+
+    def along(self, seen: SeenCloud, laid: Laid) -> list[Laid]:
+        """Where else the cloud can be laid beside a place, in the direction in which it is known worst."""
+        of_pose = laid.fit.information
+        turning = np.outer(of_pose[:2, 2], of_pose[2, :2]) / max(float(of_pose[2, 2]), 1e-9)
+        known = of_pose[:2, :2] - turning
+        axis = np.append(np.linalg.eigh(known)[1][:, 0], 0.0)
+        steps = np.arange(ALONG_STEP_M, ALONG_M + 0.5 * ALONG_STEP_M, ALONG_STEP_M)
+        beside = [self._walls.align(seen.cloud, laid.fit.pose + off_m * axis) for off_m in [*-steps, *steps]]
+        least = ALONG_SHARE * laid.fit.share
+        return [Laid(fit, self.weigh(seen, fit.pose)) for fit in beside if fit.share >= least]
+
+    def weigh(self, seen: SeenCloud, pose: Floats) -> Weight:
+        """What speaks for a cloud at a pose (3,)."""
+        cloud, shares = seen.cloud, seen.shares
+        at_end, on_way = np.empty(len(cloud.xy)), np.empty(len(cloud.xy))
         self._weighed += 1
-        weigh_beams(cloud.xy, cloud.normals, sensors, pose, self._asked, self._weighed, ratio)
-        evidence = float(ratio.sum())
-        against = float(np.mean(ratio < AGAINST_RATIO)) if len(ratio) else 0.0
-        return Weight(evidence, max(0.0, FULL_RATIO * len(ratio) - evidence), against)
+        weigh_beams(cloud.xy, cloud.normals, seen.sensors, pose, self._asked, self._weighed, at_end, on_way)
+        evidence, whole = float(shares @ at_end + on_way.sum()), max(float(shares.sum()), 1e-9)
+        against = float(shares @ (at_end + on_way < AGAINST_RATIO)) / whole
+        on_map = float(shares @ (at_end > ON_MAP_RATIO)) / whole
+        return Weight(evidence, max(0.0, FULL_RATIO * whole - evidence), against, on_map)
+
+    def _aligned(self, seen: SeenCloud, pose: Floats) -> Laid:
+        fit = self._walls.align(seen.cloud, pose)
+        return Laid(fit, self.weigh(seen, fit.pose))
 
 
 def _one_of_each_cell(cloud: PointCloud) -> PointCloud:

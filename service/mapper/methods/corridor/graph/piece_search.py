@@ -13,21 +13,19 @@ from service.mapper.methods.corridor.graph.candidate_submap import (
     LEAST_SCORE,
     CandidateSubmap,
     cloud_of,
-    sensors_of,
 )
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
-from service.mapper.methods.corridor.graph.known_map import KnownMap, Weight
+from service.mapper.methods.corridor.graph.known_map import KnownMap, Laid, Weight
 from service.mapper.methods.corridor.graph.loops import Loop, loop_of
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
+from service.mapper.methods.corridor.graph.place_search import find_places, is_same_place, is_same_pose
+from service.mapper.methods.corridor.graph.seen_cloud import SeenCloud, seen_cloud
 
 AROUND_M, MOST_AROUND = 6.0, 40  # key frames that what is seen where a person says is held against
 MOST_QUERY = 12  # key frames of a piece that are looked for together
-# Nats by which the best place must beat every other one, as service.kernels.beam_likelihood weighs beams.
-# What it leaves unexplained is added, since then the true place may fit worse than one that looks alike: all
-# of it, or MUCH_UNEXPLAINED and a share of it, whichever is less. Of 400 places in four buildings, 35 of them
-# with another place ahead of the true one, none is taken for another by these.
-CLEARLY_LIKELIER, MUCH_UNEXPLAINED, FOR_UNEXPLAINED = 20.0, 40.0, 0.2
-SAME_PLACE_M, SAME_PLACE_RAD = 0.5, 0.1
+# Nats by which the best place must beat every other one, as service.kernels.beam_likelihood weighs beams; and
+# a share of what it leaves unexplained, since then the true place may fit worse than one that looks alike.
+CLEARLY_LIKELIER, FOR_UNEXPLAINED = 20.0, 0.5
 CARRIED_S = 2.0  # without scans: a vehicle may have been carried
 MOST_OFF_M, MOST_OFF_SHARE = 4.0, 0.2  # how far off dead reckoning may be else, and for each metre of a piece
 LEAST_APART_M = 4.0  # between two finds of a piece: standing, a room looks like any other of its kind
@@ -72,7 +70,7 @@ class PieceSearch:
         self._known_map: KnownMap | None = None
         self._is_session_placed = True  # False: of this session nothing is placed in the stored map
         self.alike: list[tuple[float, float]] = []  # m: the places that the newest piece fits equally well
-        self._asked: tuple[PointCloud, Floats] | None = None  # cloud and sensors of the newest search
+        self._asked: SeenCloud | None = None  # of the newest search
         self._places: list[Place] = []  # that it found
 
     def expect_at(self, pose_map_base: Floats) -> None:
@@ -127,7 +125,7 @@ class PieceSearch:
         if new.way_m - old.way_m < LEAST_APART_M:
             return None
         self._hypothesis = new
-        if not _is_same(se2.compose(old.pose_map_odom, keyframes.odom[reference]), at):
+        if not is_same_place(se2.compose(old.pose_map_odom, keyframes.odom[reference]), at):
             return None
         self._place(piece, new.pose_map_odom)
         return old.loop, new.loop
@@ -155,16 +153,14 @@ class PieceSearch:
         self._hypothesis = self._expected = self._known_map = None
 
     def places_of(self, own: list[int], reference: int, known: npt.NDArray[np.int64]) -> list[Place]:
-        """Where in the known map the key frames `own` may lie."""
-        keyframes, known_map = self._keyframes, self._map_of(known)
-        cloud, sensors = cloud_of(keyframes, own, reference), sensors_of(keyframes, own, reference)
-        found = []
-        for guess in known_map.candidates(cloud):
-            fit = known_map.lay(cloud, guess)
-            weight = known_map.weigh(cloud, sensors, fit.pose)
-            found.append(Place(fit.pose, weight, self._loop_of(known, reference, fit, weight, cloud)))
-        self._asked, self._places = (cloud, sensors), found
-        return found
+        """Where in the known map the key frames `own` may lie, the likeliest first."""
+        seen = seen_cloud(self._keyframes, own, reference)
+        self._asked = seen
+        self._places = [
+            Place(one.fit.pose, one.weight, self._loop_of(known, reference, one, seen.cloud))
+            for one in find_places(self._map_of(known), seen)
+        ]
+        return self._places
 
     def is_likelier_elsewhere(self, pose_map: Floats) -> bool:
         """Whether the newest search found a place that is likelier than the pose (3,) in the map. Where that
@@ -172,10 +168,10 @@ class PieceSearch:
         """
         if self._asked is None or self._known_map is None:
             return False
-        cloud, sensors = self._asked
-        here = self._known_map.weigh(cloud, sensors, self._known_map.lay(cloud, pose_map).pose)
+        seen, known_map = self._asked, self._known_map
+        here = known_map.refine(seen, known_map.lay(seen, pose_map)).weight
         return any(
-            place.weight.evidence >= here.evidence and not _is_same(place.pose, pose_map)
+            place.weight.evidence >= here.evidence and not is_same_place(place.pose, pose_map)
             for place in self._places
         )
 
@@ -187,11 +183,12 @@ class PieceSearch:
         best = max(found, key=lambda place: place.weight.evidence)
         if best.loop is None:
             return None
-        unexplained = best.weight.unexplained
-        margin = CLEARLY_LIKELIER + min(unexplained, MUCH_UNEXPLAINED + FOR_UNEXPLAINED * unexplained)
-        least = best.weight.evidence - margin
+        margin = CLEARLY_LIKELIER + FOR_UNEXPLAINED * best.weight.unexplained
         for other in found:
-            if other.weight.evidence > least and not _is_same(best.pose, other.pose):
+            ahead = best.weight.evidence - other.weight.evidence
+            # Beside the best place the same is unexplained, so it says nothing there.
+            least = CLEARLY_LIKELIER if is_same_place(best.pose, other.pose) else margin
+            if ahead < least and not is_same_pose(best.pose, other.pose):
                 self.alike = [(float(place.pose[0]), float(place.pose[1])) for place in (best, other)]
                 return None
         return best.pose, best.loop
@@ -240,12 +237,14 @@ class PieceSearch:
         )
 
     def _loop_of(
-        self, known: npt.NDArray[np.int64], reference: int, fit: Fit, weight: Weight, cloud: PointCloud
+        self, known: npt.NDArray[np.int64], reference: int, laid: Laid, cloud: PointCloud
     ) -> Loop | None:
         """The loop that says that a key frame lies where it fits the known map, if it fits well enough: with
         the key frame of that map next to it.
         """
-        if not self._fits(fit.share, weight.against):
+        fit, weight = laid.fit, laid.weight
+        share = fit.share if self._is_session_placed else weight.on_map
+        if not self._fits(share, weight.against):
             return None
         poses = self._keyframes.map
         of = int(known[np.argmin(np.hypot(*(poses[known, :2] - fit.pose[:2]).T))])
@@ -253,7 +252,7 @@ class PieceSearch:
         turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         information = turn @ fit.information @ turn.T
         measured = se2.between(poses[of], fit.pose)
-        return loop_of(of, reference, measured, information, fit.share, len(cloud.xy), weight.against)
+        return loop_of(of, reference, measured, information, share, len(cloud.xy), weight.against)
 
     def _fits(self, share: float, against: float) -> bool:
         if not self._is_session_placed:
@@ -277,8 +276,3 @@ class PieceSearch:
         away = se2.between(keyframes.map[reference], at)
         way_m = float(keyframes.way_m[reference] - keyframes.way_m[first])
         return bool(np.hypot(away[0], away[1]) <= MOST_OFF_M + MOST_OFF_SHARE * way_m)
-
-
-def _is_same(pose: Floats, other: Floats) -> bool:
-    away = se2.between(pose, other)
-    return bool(np.hypot(away[0], away[1]) <= SAME_PLACE_M and abs(away[2]) <= SAME_PLACE_RAD)

@@ -11,7 +11,6 @@ from service.geometry.se2 import SE2
 from service.kernels.beam_likelihood import FULL_RATIO
 from service.kernels.loops import thin_points
 from service.kernels.normals import estimate_normals
-from service.mapper.methods.corridor.graph.candidate_submap import cloud_of, sensors_of
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
 from service.mapper.methods.corridor.graph.known_map import UNKNOWN_LIKELIHOOD, KnownMap, Weight
 from service.mapper.methods.corridor.graph.loops import loop_of
@@ -19,10 +18,10 @@ from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
 from service.mapper.methods.corridor.graph.piece_search import (
     CLEARLY_LIKELIER,
     FOR_UNEXPLAINED,
-    MUCH_UNEXPLAINED,
     PieceSearch,
     Place,
 )
+from service.mapper.methods.corridor.graph.seen_cloud import seen_cloud
 from tests.service.mapper.drives import cast
 
 Walls = list[tuple[float, float, float, float]]
@@ -47,8 +46,9 @@ def append(keyframes: KeyframeList, walls: Walls, pose: SE2, piece: int, noise: 
     ways = np.column_stack((np.cos(angle + pose.theta_rad), np.sin(angle + pose.theta_rad)))
     range_m = cast(walls, np.tile([pose.x_m, pose.y_m], (BEAMS, 1)), ways)
     range_m = range_m + 0.012 * noise.standard_normal(BEAMS)
+    angle, range_m = angle[np.isfinite(range_m)], range_m[np.isfinite(range_m)]
     xy = np.column_stack((range_m * np.cos(angle), range_m * np.sin(angle)))
-    normals, kept = np.empty((BEAMS, 3)), np.empty(BEAMS, np.bool_)
+    normals, kept = np.empty((len(xy), 3)), np.empty(len(xy), np.bool_)
     estimate_normals(xy, np.zeros(2), STEP_RAD, 0.012, 1.0, normals)
     thin_points(xy, 0.04, kept)
     nothing = np.zeros((0, 2), np.float32)
@@ -115,14 +115,15 @@ def test_a_pillar_that_is_seen_where_nothing_stands_counts_against_a_place():
     keyframes, noise = rooms(pillar_in_first=False, pillar_in_second=False)
     own = append(keyframes, room(0.0, with_pillar=True), STOOD, 1, noise)
     known_map = KnownMap(keyframes, np.arange(own))
-    cloud, sensors = cloud_of(keyframes, [own], own), sensors_of(keyframes, [own], own)
-    fit = known_map.lay(cloud, np.array([STOOD.x_m + 0.1, STOOD.y_m - 0.1, STOOD.theta_rad]))
-    weight = known_map.weigh(cloud, sensors, fit.pose)
-    on_pillar = np.hypot(*(se2.points_from(fit.pose, cloud.xy) - (3.2, 2.4)).T) < 0.4
+    seen = seen_cloud(keyframes, [own], own)
+    cloud = seen.cloud
+    laid = known_map.lay(seen, np.array([STOOD.x_m + 0.1, STOOD.y_m - 0.1, STOOD.theta_rad]))
+    weight = laid.weight
+    on_pillar = np.hypot(*(se2.points_from(laid.fit.pose, cloud.xy) - (3.2, 2.4)).T) < 0.4
     assert 0.03 < on_pillar.mean() < 0.3
     assert weight.against == pytest.approx(on_pillar.mean(), abs=0.03)
     count = len(cloud.xy)
-    assert weight.evidence / count == pytest.approx(2.6 - 7.1 * on_pillar.mean(), abs=0.25)
+    assert weight.evidence / count == pytest.approx(1.55 - 7.3 * on_pillar.mean(), abs=0.15)
     assert weight.unexplained == pytest.approx(FULL_RATIO * count - weight.evidence)
 
 
@@ -147,19 +148,21 @@ def test_a_place_that_leaves_much_unexplained_must_be_much_likelier_than_every_o
     search = PieceSearch(LoopsConfig(), keyframes)
     loop = loop_of(0, 1, np.zeros(3), np.eye(3), 0.9, 100, 0.0)
 
-    def best_of(unexplained: float, ahead: float = 50.0) -> object:
-        best = Place(np.zeros(3), Weight(500.0, unexplained, 0.0), loop)
-        other = Place(np.array([5.0, 0.0, 0.0]), Weight(500.0 - ahead, unexplained, 0.0), loop)
+    def best_of(unexplained: float, ahead: float, beside_m: float = 5.0) -> object:
+        best = Place(np.zeros(3), Weight(500.0, unexplained, 0.0, 1.0), loop)
+        other = Place(np.array([beside_m, 0.0, 0.0]), Weight(500.0 - ahead, unexplained, 0.0, 1.0), loop)
         return search.best_of([other, best])
 
-    assert best_of(0.0) is not None
-    assert best_of(1.01 * (50.0 - CLEARLY_LIKELIER)) is None  # 50 nats: what the best is ahead by
-    assert best_of(0.99 * (50.0 - CLEARLY_LIKELIER)) is not None
-    ahead = CLEARLY_LIKELIER + MUCH_UNEXPLAINED + FOR_UNEXPLAINED * 400.0
-    assert best_of(400.0, 0.99 * ahead) is None
-    assert best_of(400.0, 1.01 * ahead) is not None
-    assert best_of(500.0, 1.01 * ahead) is None
-    assert search.alike == [(0.0, 0.0), (5.0, 0.0)]
+    for unexplained in (0.0, 60.0):
+        ahead = CLEARLY_LIKELIER + FOR_UNEXPLAINED * unexplained
+        assert best_of(unexplained, 0.99 * ahead) is None
+        assert search.alike == [(0.0, 0.0), (5.0, 0.0)]
+        assert best_of(unexplained, 1.01 * ahead) is not None
+        assert search.alike == []
+    # Beside it the same is unexplained; and a pose as near as it is known is the same one.
+    assert best_of(60.0, 1.01 * CLEARLY_LIKELIER, beside_m=0.3) is not None
+    assert best_of(60.0, 0.99 * CLEARLY_LIKELIER, beside_m=0.3) is None
+    assert best_of(60.0, 0.0, beside_m=0.05) is not None
 
 
 def test_ground_that_the_map_does_not_know_says_little_in_the_search_and_free_ground_speaks_against():
@@ -170,7 +173,7 @@ def test_ground_that_the_map_does_not_know_says_little_in_the_search_and_free_gr
         row, column = math.floor(y_m / facing.cell_m), math.floor(x_m / facing.cell_m)
         return facing.levels[:, 0, row - facing.first_row, column - facing.first_column]
 
-    assert set(likelihoods(15.0, 2.0)) == {round(255 * UNKNOWN_LIKELIHOOD)}  # between the rooms
+    assert set(likelihoods(15.0, 2.0)) == {int(255 * UNKNOWN_LIKELIHOOD)}  # between the rooms
     assert set(likelihoods(3.0, 2.0)) == {0}
     wall = likelihoods(3.0, 0.05)
     assert (wall.min(), wall.max()) == (0, 255)  # by the way that it faces

@@ -1,0 +1,71 @@
+"""Where in a known map a cloud may lie: candidates, each climbed to the likeliest pose near it."""
+
+import math
+
+import numpy as np
+
+from service.geometry import poses as se2
+from service.geometry.poses import Floats
+from service.mapper.methods.corridor.graph.known_map import KnownMap, Laid
+from service.mapper.methods.corridor.graph.seen_cloud import SeenCloud
+
+SAME_PLACE_M, SAME_PLACE_RAD = 0.5, 0.1
+SAME_POSE_M, SAME_POSE_RAD = 0.1, 0.02  # poses of one place may differ by so much where it is known well
+MOST_REFINED = 12  # of the places that candidates lead to
+BEHIND_NATS = 100.0  # so far behind the likeliest a place is not refined
+MOST_SLID, MOST_BESIDE = 8, 4  # places beside which others are looked for in a round, and how many of those
+MOST_ROUNDS = 3  # until none of these is ahead
+
+
+def find_places(known_map: KnownMap, seen: SeenCloud) -> list[Laid]:
+    """The likeliest first. Along walls that say nothing of a direction, places beside a candidate are told
+    from it, too.
+    """
+    laid = _distinct([known_map.lay(seen, guess) for guess in known_map.candidates(seen.cloud)])
+    places = _refined(known_map, seen, laid[:MOST_REFINED], [])
+    asked: list[Laid] = []
+    for _ in range(MOST_ROUNDS):
+        best, fresh = places[:1], [place for place in places[:MOST_SLID] if place not in asked]
+        asked += fresh
+        beside = [one for place in fresh for one in _distinct(known_map.along(seen, place))[:MOST_BESIDE]]
+        places = _refined(known_map, seen, _distinct(beside), places)
+        if places[:1] == best:
+            break
+    others = [one for one in laid[MOST_REFINED:] if not is_same_place(one.fit.pose, places[0].fit.pose)]
+    return _by_evidence(places + others)
+
+
+def _refined(known_map: KnownMap, seen: SeenCloud, laid: list[Laid], places: list[Laid]) -> list[Laid]:
+    """Places with these, refined, among them, the likeliest first."""
+    for one in laid:
+        least = places[0].weight.evidence - BEHIND_NATS if places else -math.inf
+        if one.weight.evidence > least and not any(is_same_pose(one.fit.pose, p.fit.pose) for p in places):
+            places = _distinct([*places, known_map.refine(seen, one)])
+    return places
+
+
+def is_same_place(pose: Floats, other: Floats) -> bool:
+    """Whether poses (3,) are so near that one room is meant by both."""
+    return _is_near(pose, other, SAME_PLACE_M, SAME_PLACE_RAD)
+
+
+def is_same_pose(pose: Floats, other: Floats) -> bool:
+    return _is_near(pose, other, SAME_POSE_M, SAME_POSE_RAD)
+
+
+def _is_near(pose: Floats, other: Floats, near_m: float, near_rad: float) -> bool:
+    away = se2.between(pose, other)
+    return bool(np.hypot(away[0], away[1]) <= near_m and abs(away[2]) <= near_rad)
+
+
+def _distinct(laid: list[Laid]) -> list[Laid]:
+    """The likeliest of each pose, the likeliest first."""
+    kept: list[Laid] = []
+    for one in _by_evidence(laid):
+        if not any(is_same_pose(one.fit.pose, other.fit.pose) for other in kept):
+            kept.append(one)
+    return kept
+
+
+def _by_evidence(laid: list[Laid]) -> list[Laid]:
+    return sorted(laid, key=lambda one: -one.weight.evidence)

@@ -1,0 +1,47 @@
+import math
+
+import numpy as np
+import pytest
+
+from service.kernels.beam_likelihood import weigh_beams
+from service.kernels.likeliest_pose import climb
+from tests.service.kernels.test_beam_likelihood import mapped
+
+FIRST, LEAST = np.array([0.06, 0.06, 0.012]), 1.0 / 16.0
+
+
+def seen_at(pose, noise):
+    """Ends on the wall, with normals, in the frame of a base that has a pose in the map."""
+    ends = np.column_stack((3.05 + 0.005 * noise.standard_normal(120), np.linspace(-1.4, 1.4, 120)))
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    turn = np.array([[c, -s], [s, c]])
+    return (ends - pose[:2]) @ turn, np.tile([*(np.array([-1.0, 0.0]) @ turn), 1.0], (120, 1))
+
+
+def climbed(start, truth, shares, noise):
+    known = mapped()
+    xy, normals = seen_at(truth, noise)
+    sensors, pose = np.zeros((120, 2)), np.array(start)
+    best, asked = climb(xy, normals, sensors, shares, pose, known, 1, FIRST, LEAST)
+    at_end, on_way = np.empty(120), np.empty(120)
+    weigh_beams(xy, normals, sensors, pose, known, asked + 1, at_end, on_way)
+    assert best == pytest.approx(float(shares @ at_end + on_way.sum()))
+    return pose, best, asked
+
+
+def test_a_climb_ends_at_the_wall_and_along_it_where_it_ends():
+    truth = (0.1, -0.05, 0.04)
+    start = (0.19, 0.05, 0.015)
+    pose, _, asked = climbed(start, truth, np.ones(120), np.random.default_rng(1))
+    assert pose[2] == pytest.approx(truth[2], abs=0.004)
+    across = pose[0] - truth[0]  # of the wall; along it only its ends say where
+    assert abs(across) < 0.012
+    assert abs(pose[1] - truth[1]) < 0.15
+    assert asked < 200
+
+
+def test_points_count_by_their_shares():
+    truth = (0.1, -0.05, 0.04)
+    _, whole, _ = climbed(truth, truth, np.ones(120), np.random.default_rng(1))
+    _, half, _ = climbed(truth, truth, np.full(120, 0.5), np.random.default_rng(1))
+    assert half == pytest.approx(0.5 * whole, rel=0.02)
