@@ -8,9 +8,11 @@ import numpy as np
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
+from service.mapper.methods.corridor.graph.known_map import KnownMap
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
 from service.mapper.methods.corridor.graph.piece_search import PieceSearch
-from service.mapper.methods.corridor.graph.place_search import is_same_pose
+from service.mapper.methods.corridor.graph.place_search import find_places, is_same_pose
+from service.mapper.methods.corridor.graph.seen_cloud import seen_cloud
 from tests.service.mapper.methods.corridor.graph.test_known_map import Walls, append
 
 LENGTH_M = 70.0
@@ -55,6 +57,23 @@ def test_along_walls_that_say_nothing_no_place_is_taken():
     search, best = looked_for(corridor(), SE2(33.0, 0.3, 0.2))
     assert best is None
     assert len(search.alike) == 2
+
+
+def test_beside_a_place_others_are_found_along_the_walls_and_none_where_a_niche_tells():
+    pose = SE2(33.0, 0.3, 0.2)
+    for niches, are_there_others in (((), True), ((34.0, 35.9), False)):
+        walls = corridor(niches)
+        keyframes, noise = mapped(walls)
+        known_map = KnownMap(keyframes, np.arange(keyframes.count))
+        own = append(keyframes, within(walls, pose.x_m), pose, 1, noise)
+        seen = seen_cloud(keyframes, [own], own)
+        laid = known_map.lay(seen, np.array([pose.x_m, pose.y_m, pose.theta_rad]))
+        off_m = [one.fit.pose - laid.fit.pose for one in known_map.along(seen, laid)]
+        assert all(abs(off[1]) < 0.02 and abs(off[2]) < 0.01 for off in off_m)
+        assert (max((abs(off[0]) for off in off_m), default=0.0) > 1.5) == are_there_others
+        best, *others = find_places(known_map, seen)
+        rivals = [one.fit.pose for one in others if best.weight.evidence - one.weight.evidence < 20.0]
+        assert any(0.1 < abs(at[0] - best.fit.pose[0]) < 1.65 for at in rivals) == are_there_others
 
 
 def test_a_niche_tells_where_along_a_corridor():
