@@ -42,6 +42,7 @@ GYRO_PAUSE_S = 0.05  # between two samples
 FADE_S = 1.0  # in which a speed fades that neither scans nor odometry confirm
 TURN_M = 0.5  # a turn of a radian shows as much new as so many metres
 KEEP_BEFORE_NS = 2_000_000_000  # of samples before the last scan: for the largest lag, and for a speed
+PAUSE_NS = 1_000_000_000  # of odometry; shorter ones are bridged without a word
 MOST_SPEED_MPS, MOST_TURN_RADPS = 30.0, 30.0  # of any vehicle: odometry that says more has begun anew
 LEAST_ELAPSED_S = 0.05  # stamps that came in a burst may lie closer together than what they stand for
 TELL_AGAIN_NS = 10_000_000_000
@@ -85,6 +86,17 @@ class _Samples:
         """Row of the newest; None: there is none."""
         first, end = self.track.span.tolist()
         return end - 1 if end > first else None
+
+    def longest_pause_s(self, since_ns: int, until_ns: int) -> float:
+        """Between two moments, the longest time without a sample; 0 where it is no longer than PAUSE_NS, or
+        there are no samples at all.
+        """
+        first, end = self.track.span.tolist()
+        if until_ns - since_ns <= PAUSE_NS or first == end:
+            return 0.0
+        stamps = np.clip(self.track.stamp_ns[first:end], since_ns, until_ns)
+        longest_ns = int(np.diff(np.r_[since_ns, stamps, until_ns]).max())
+        return longest_ns * 1e-9 if longest_ns > PAUSE_NS else 0.0
 
     def append(self, stamp_ns: int, value: tuple[float, ...]) -> None:
         end = int(self.track.span[1])
@@ -191,11 +203,13 @@ class Estimator:
     def predict(self, stamp_ns: int) -> Prediction:
         state = self._filter
         x0_m, y0_m, theta0_rad = state.pose.tolist()
+        pause_s = 0.0
         if not self._has_begun:
             self._has_begun = True
             self._begin(stamp_ns)
         else:
             self._elapsed_s = (stamp_ns - int(state.stamp_ns[0])) * 1e-9
+            pause_s = self._odometry.longest_pause_s(int(state.stamp_ns[0]), stamp_ns)
             predict_motion(state, self._odometry.track, self._gyro.track, stamp_ns, self._settings)
         self._odometry.forget_before(stamp_ns - KEEP_BEFORE_NS)
         self._gyro.forget_before(stamp_ns - KEEP_BEFORE_NS)
@@ -212,6 +226,7 @@ class Estimator:
             elapsed_s=self._elapsed_s,
             travel_m=math.hypot(x_m - x0_m, y_m - y0_m) + TURN_M * abs(wrap_angle(theta_rad - theta0_rad)),
             is_measured=bool(state.said[3]),
+            pause_s=pause_s,
         )
 
     def correct(self, measured: Measurement | None) -> Motion:

@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit
 
 from service.kernels.beam_likelihood import weigh_beams
+from service.kernels.linear3 import copy_vector
 
 
 @njit(cache=True, nogil=True)
@@ -40,7 +41,7 @@ def climb(xy, normals, sensors, shares, pose, known, number, first, least):
         next_best = best
         for axis in range(3):
             for sign in (-1.0, 1.0):
-                trial[:] = pose
+                copy_vector(pose, trial)
                 trial[axis] += sign * scale * first[axis]
                 evidence = evidence_of_beams(
                     xy, normals, sensors, shares, trial, known, number + asked, at_end, on_way
@@ -48,10 +49,10 @@ def climb(xy, normals, sensors, shares, pose, known, number, first, least):
                 asked += 1
                 if evidence > next_best:
                     next_best = evidence
-                    next_pose[:] = trial
+                    copy_vector(trial, next_pose)
         if next_best > best:
             best = next_best
-            pose[:] = next_pose
+            copy_vector(next_pose, pose)
         else:
             scale *= 0.5
     return best, asked

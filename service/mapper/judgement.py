@@ -52,8 +52,9 @@ class Evidence:
     is_far      the match is farther from the prediction than chance explains, or the prediction says little
     weakest     (m, rad) sigma of the position by the scan alone in its worst direction, and that direction
                 in base axes
-    behind      returns clearly behind walls of the map, on ground that it does not know; None: nothing is
-                known of that, and ground that the map does not know proves nothing
+    behind      returns clearly behind walls of the map, on ground that it does not know; None: not counted
+    is_doubted  a scan has contradicted this map since one lay on it: new ground proves nothing then, and
+                walls that should be seen from there count
     """
 
     used: int
@@ -65,6 +66,7 @@ class Evidence:
     is_far: bool
     weakest: tuple[float, float] = (0.0, 0.0)
     behind: float | None = None
+    is_doubted: bool = False
 
     @property
     def inlier_ratio(self) -> float:
@@ -136,9 +138,12 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, str]:
     # The prediction carries the pose onto new ground where it is itself; a match elsewhere needs more.
     is_carried = evidence.is_measured and not evidence.is_far and not is_loose(evidence.prior)
     least_on_map = max(LEAST_KNOWN * evidence.used, LEAST_RETURNS)
-    if is_carried and evidence.on_map < least_on_map and evidence.behind is not None:
+    is_told_of = evidence.behind is not None and not evidence.is_doubted
+    if is_carried and is_told_of and evidence.on_map < least_on_map:
         return _on_unknown_ground(evidence)
     known = evidence.on_map + evidence.in_free
+    if evidence.is_doubted:
+        known += evidence.behind or 0.0
     agreement = evidence.on_map / known if known else 0.0
     if known and agreement < (LEAST_AGREEMENT_FAR if evidence.is_far else LEAST_AGREEMENT):
         return "lost", (

@@ -294,6 +294,18 @@ def test_samples_of_a_silent_laser_are_kept_and_old_ones_forgotten() -> None:
     assert model.predict(400_000 * MS).pose_odom_base.x_m == pytest.approx(200.0, abs=0.05)
 
 
+def test_a_pause_of_odometry_between_two_scans_is_told_and_one_of_the_laser_is_none() -> None:
+    model = Estimator(EstimatorConfig())
+    assert driven(model, 2000).pause_s == 0.0
+    for stamp_ms in range(2020, 4001, 20):
+        model.add(odometry(stamp_ms, SE2(stamp_ms * 1e-3, 0.0, 0.0)))
+    assert model.predict(4000 * MS).pause_s == 0.0  # the laser was silent, odometry was not
+    model.correct(None)
+    model.add(odometry(9000, SE2(9.0, 0.0, 0.0)))
+    assert model.predict(9000 * MS).pause_s == pytest.approx(5.0)
+    assert Estimator(EstimatorConfig()).predict(9000 * MS).pause_s == 0.0
+
+
 def test_without_odometry_the_last_speed_goes_on_and_grows_vague() -> None:
     model = Estimator(EstimatorConfig())
     for stamp_ms in range(0, 2001, 40):

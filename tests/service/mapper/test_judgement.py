@@ -49,6 +49,7 @@ def test_new_ground_is_degraded_where_the_prediction_is_tight_and_measured() -> 
         ({"used": 100, "on_map": 5, "in_free": 8}, "lost"),
         ({"on_map": 15, "behind": 400}, "degraded"),  # a door that opened: the rest of the room is there
         ({"is_measured": False}, "lost"),
+        ({"is_doubted": True}, "lost"),
         ({"is_far": True}, "lost"),
         ({"prior": (0.6, 0.01)}, "lost"),
         ({"prior": (0.05, 0.5)}, "lost"),
@@ -59,6 +60,13 @@ def test_odometry_carries_the_pose_onto_ground_of_which_nothing_is_known(
 ) -> None:
     unknown = replace(GOOD, on_map=0, in_free=0, behind=0)
     assert state(unknown, **changes) == expected
+
+
+def test_once_a_scan_has_contradicted_the_map_walls_that_should_be_seen_count() -> None:
+    back = replace(GOOD, on_map=170, in_free=70, behind=230)  # carried 5 m along a corridor of an office
+    assert state(back) == "degraded"
+    assert state(back, is_doubted=True) == "lost"
+    assert state(back, behind=90, is_doubted=True) == "degraded"
 
 
 def test_a_handful_of_returns_confirms_no_place() -> None:

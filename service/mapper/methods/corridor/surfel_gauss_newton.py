@@ -225,8 +225,10 @@ class SurfelGaussNewton:
         self, result: MatchResult, xy_base: Matrix, attempt: _Attempt, submap: Submap
     ) -> tuple[State, str]:
         prior = sigmas_of(attempt.prior.covariance)
-        is_far = _chi2(result.pose, attempt.prior) > JUMP_CHI2 or (
-            is_loose(prior) and (self._gap is not None or attempt.predicted.elapsed_s > GAP_S)
+        is_far = (
+            attempt.predicted.pause_s > GAP_S  # nobody saw the way: the vehicle may have been carried
+            or _chi2(result.pose, attempt.prior) > JUMP_CHI2
+            or (is_loose(prior) and (self._gap is not None or attempt.predicted.elapsed_s > GAP_S))
         )
         in_free, behind = 0, 0
         if is_far or result.share < max(DOUBT_RATIO * attempt.usual_ratio, self._config.degraded_ratio):
@@ -239,7 +241,8 @@ class SurfelGaussNewton:
             prior=prior,
             is_measured=attempt.predicted.is_measured,
             is_far=is_far,
-            behind=None if self._gap is not None else behind,  # once contradicted, new ground proves nothing
+            behind=behind,
+            is_doubted=self._gap is not None,
             weakest=(result.weakest_sigma_m, result.weakest_direction_rad),
         )
         return judge(evidence, self._config)

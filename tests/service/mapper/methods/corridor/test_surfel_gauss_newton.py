@@ -98,6 +98,17 @@ def test_another_room_where_the_walls_of_this_one_should_be_seen_is_lost() -> No
     assert "behind its walls" in result.reason
 
 
+def test_after_a_pause_in_which_nobody_saw_the_way_a_scan_has_to_lie_on_the_map() -> None:
+    """Half of the room is another: new ground where the way is known, not after 5 s without odometry."""
+    xy = square().xy_base
+    opened = points_of(np.where((np.abs(np.arctan2(xy[:, 1], xy[:, 0])) < 1.95)[:, None], 3.5 * xy, xy))
+    seen = replace(predicted(SE2(0.02, 0.0, 0.0)), elapsed_s=5.0)
+    assert new_matcher().match(opened, seen, mapped(square())).state == "degraded"
+    unseen = replace(seen, pause_s=5.0)
+    assert new_matcher().match(opened, unseen, mapped(square())).state == "lost"
+    assert new_matcher().match(square(), unseen, mapped(square())).state == "ok"
+
+
 def test_new_ground_is_degraded() -> None:
     """Most of the room opened up, so that the returns lie where the map knows nothing."""
     xy = square().xy_base
