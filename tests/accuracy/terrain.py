@@ -43,7 +43,8 @@ def coarse_laser(seeds: Sequence[int]) -> Section:
         "through once: `campus` two loops of corridors with sunk doors, 110 x 60 m; `car park` 68 x 48 m of "
         "equal pillars; `warehouse` 90 x 50 m; `vines` six rows of 50 m; `courtyard` 60 m between buildings, "
         "trees and cars, where a scan has 10 to 90 returns. The windows beside edges were chosen "
-        "with `campus` in view (seeds 11 to 14); no parameter with the other four.",
+        "with `campus` in view (seeds 11 to 14), what is done on new ground and with few returns with "
+        "`courtyard` (seeds 11 to 15); no parameter with the other three.",
         _rows(
             [
                 Place("campus", campus, COARSE, POOR_WHEELS),
