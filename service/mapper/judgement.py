@@ -49,7 +49,8 @@ class Evidence:
     sigma       (m, rad) of the pose against the map, prediction and scan together; the position's worst
     prior       (m, rad) of the prediction alone
     is_measured wheels or an IMU measured the motion since the last scan
-    is_far      the match is farther from the prediction than chance explains, or the prediction says little
+    is_far      the match is farther from the prediction than chance explains, or the prediction says little,
+                or odometry was silent so long that nobody measured the motion
     weakest     (m, rad) sigma of the position by the scan alone in its worst direction, and that direction
                 in base axes
     behind      returns clearly behind walls of the map, on ground that it does not know; None: not counted
@@ -138,18 +139,15 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, str]:
     # The prediction carries the pose onto new ground where it is itself; a match elsewhere needs more.
     is_carried = evidence.is_measured and not evidence.is_far and not is_loose(evidence.prior)
     least_on_map = max(LEAST_KNOWN * evidence.used, LEAST_RETURNS)
-    is_told_of = evidence.behind is not None and not evidence.is_doubted
-    if is_carried and is_told_of and evidence.on_map < least_on_map:
+    can_contradict = evidence.behind is not None and not evidence.is_doubted
+    if is_carried and can_contradict and evidence.on_map < least_on_map:
         return _on_unknown_ground(evidence)
     known = evidence.on_map + evidence.in_free
     if evidence.is_doubted:
         known += evidence.behind or 0.0
     agreement = evidence.on_map / known if known else 0.0
     if known and agreement < (LEAST_AGREEMENT_FAR if evidence.is_far else LEAST_AGREEMENT):
-        return "lost", (
-            f"{_on_map(evidence)} and {evidence.in_free / max(evidence.used, 1):.0%} in its free space: "
-            "another place, or one that has changed much; the pose follows the prediction"
-        )
+        return "lost", _contradicted(evidence)
     least = limits.degraded_ratio if evidence.is_far else limits.lost_ratio
     if ratio < least and not (is_carried and ratio >= LEAST_KNOWN):
         return "lost", f"{_on_map(evidence)} (at least {least:.0%}); the pose follows the prediction"
@@ -193,10 +191,7 @@ def _on_unknown_ground(evidence: Evidence) -> tuple[State, str]:
     used, usual = evidence.used, 1.0 - LEAST_AGREEMENT_FAR
     behind = evidence.behind or 0.0
     if evidence.in_free + behind > usual * used + CHANCE_SIGMAS * math.sqrt(usual * (1.0 - usual) * used):
-        return "lost", (
-            f"{_on_map(evidence)}, {evidence.in_free / used:.0%} in its free space and {behind / used:.0%} "
-            "behind its walls: another place, or one that has changed much; the pose follows the prediction"
-        )
+        return "lost", _contradicted(evidence)
     return "degraded", f"{_on_map(evidence)}: unmapped ground; the pose follows the prediction onto it"
 
 
@@ -209,6 +204,15 @@ def drift_of(covariance: npt.NDArray[np.float64]) -> str:
         f"the pose has drifted without loop closures: in the map it is uncertain by {sigma_m:.2f} m and "
         f"{math.degrees(sigma_rad):.1f} deg (sigma, expected at most {MOST_DRIFT_M} m and "
         f"{math.degrees(MOST_DRIFT_RAD):.0f} deg); drive past a place that is mapped already"
+    )
+
+
+def _contradicted(evidence: Evidence) -> str:
+    used = max(evidence.used, 1)
+    behind = "" if evidence.behind is None else f", {evidence.behind / used:.0%} behind its walls"
+    return (
+        f"{_on_map(evidence)}, {evidence.in_free / used:.0%} in its free space{behind}: another place, "
+        "or one that has changed much; the pose follows the prediction"
     )
 
 

@@ -99,23 +99,24 @@ def test_a_surfel_forgets_beyond_its_limit() -> None:
     assert abs(x - 0.06) < 1e-3
 
 
-def test_points_count_by_the_inverse_of_their_variance() -> None:
-    grid = empty_grid()
-    facing = np.tile([-1.0, 0.0, 1.0], (32, 1))
-    insert_surfels(np.tile([0.02, 0.05], (32, 1)), facing, np.zeros(3), grid, 1e3, 1.0)
-    insert_surfels(np.tile([0.06, 0.05], (32, 1)), facing, np.zeros(3), grid, 1e3, 1.0 / 16.0)
+def of_fine_and_noisy_points(times: int, most: float) -> tuple[float, float]:
+    """x and count of the surfel of points at 0.02 m, then of as many at 0.06 m with four times the noise."""
+    grid, facing = empty_grid(), np.tile([-1.0, 0.0, 1.0], (times, 1))
+    insert_surfels(np.tile([0.02, 0.05], (times, 1)), facing, np.zeros(3), grid, most, 1.0)
+    insert_surfels(np.tile([0.06, 0.05], (times, 1)), facing, np.zeros(3), grid, most, 1.0 / 16.0)
     ((x, _, _, _, count),) = read_all(grid)
+    return x, count
+
+
+def test_points_count_by_the_inverse_of_their_variance() -> None:
+    x, count = of_fine_and_noisy_points(32, most=1e3)
     assert count == 34.0
     assert x == pytest.approx((32 * 0.02 + 2 * 0.06) / 34.0, abs=1e-6)
 
 
 def test_noisy_points_take_nothing_from_a_surfel_that_stands_for_more() -> None:
     """A limit of ten points of theirs is not one of ten points of a laser that knows four times better."""
-    grid = empty_grid()
-    facing = np.tile([-1.0, 0.0, 1.0], (20, 1))
-    insert_surfels(np.tile([0.02, 0.05], (20, 1)), facing, np.zeros(3), grid, 10.0, 1.0)
-    insert_surfels(np.tile([0.06, 0.05], (20, 1)), facing, np.zeros(3), grid, 10.0, 1.0 / 16.0)
-    ((x, _, _, _, count),) = read_all(grid)
+    x, count = of_fine_and_noisy_points(20, most=10.0)
     assert count == 10.0
     assert x == pytest.approx(0.06 - 0.04 * (1.0 - 1.0 / 160.0) ** 20, abs=1e-6)
 

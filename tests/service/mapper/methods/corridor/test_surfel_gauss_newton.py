@@ -85,9 +85,9 @@ def test_measured_motion_carries_the_pose_onto_ground_that_nobody_knows() -> Non
 def test_a_vehicle_that_was_lost_is_not_carried_back_onto_ground_that_nobody_knows() -> None:
     """Set down in another room, it drives off the ground that the map knows: nothing contradicts there."""
     chain, matcher = mapped(square()), new_matcher()
-    assert lost_at(chain, matcher, square(8.0), predicted(SE2())).state == "lost"
+    assert lost_at(chain, matcher, square(8.0), predicted(SE2(), sigma=0.005)).state == "lost"
     for k in range(5):
-        far = predicted(SE2(30.0 + 0.1 * k, 0.0, 0.0))
+        far = predicted(SE2(30.0 + 0.1 * k, 0.0, 0.0), sigma=0.005)
         assert lost_at(chain, matcher, square(8.0), far).state == "lost"
 
 
