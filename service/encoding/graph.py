@@ -19,11 +19,11 @@ WAYS, LOOPS, REFUSED, BORDERS = (
     "refused_loops",
     "sub_maps",
 )  # namespaces of the markers
-_LOOK = {  # width in m, colour
-    WAYS: (0.03, (0.16, 0.36, 0.85, 1.0)),
-    LOOPS: (0.04, (0.10, 0.60, 0.25, 1.0)),
-    REFUSED: (0.02, (0.80, 0.15, 0.15, 0.8)),
-    BORDERS: (0.02, (0.55, 0.35, 0.75, 0.8)),
+_LOOK = {  # width in m, colour; one pixel where 40 m fill 500 pixels
+    WAYS: (0.08, (0.16, 0.36, 0.85, 1.0)),
+    LOOPS: (0.08, (0.10, 0.60, 0.25, 1.0)),
+    REFUSED: (0.05, (0.80, 0.15, 0.15, 0.8)),
+    BORDERS: (0.05, (0.55, 0.35, 0.75, 0.8)),
 }
 
 Lines = npt.NDArray[np.float32]

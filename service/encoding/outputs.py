@@ -20,6 +20,9 @@ ANY_HEADING = math.pi**2 / 3.0  # rad^2, variance of a heading of which nothing 
 OK, WARNING, ERROR, STALE = 0, 1, 2, 3  # levels of diagnostic_msgs/DiagnosticStatus
 CHANGES = "map/changes"  # the channel: what is not as a stored map says, see service.mapper.map_changes
 STANDING = "standing"  # the channel: for how long things stand, see service.mapper.maps.standing
+# Viewers in 3D draw what lies at one height in any order: the map would hide scans and path. So it lies below
+# them, and what is drawn on it halfway. More than a viewer's depth resolves (mm), less than a cell.
+MAP_BELOW_M = 0.02
 
 
 class Status(NamedTuple):
@@ -123,12 +126,14 @@ def encode_tile(tile: TileUpdate, stamp_ns: int, log_ns: int) -> Message:
 def encode_grid(grid: Grid, stamp_ns: int, log_ns: int, channel: str = "map") -> Message:
     """A grid in the map frame. The message has no field for its version."""
     height, width = grid.cells.shape
+    origin = wire.planar_pose_ros(SE2(grid.x_min_m, grid.y_min_m, 0.0))
+    origin.position.z = -MAP_BELOW_M / 2 if channel in (CHANGES, STANDING) else -MAP_BELOW_M
     info = ros.nav_msgs__msg__MapMetaData(
         map_load_time=wire.time_ros(stamp_ns),
         resolution=grid.cell_m,
         width=width,
         height=height,
-        origin=wire.planar_pose_ros(SE2(grid.x_min_m, grid.y_min_m, 0.0)),
+        origin=origin,
     )
     cells = np.ascontiguousarray(grid.cells, dtype=np.int8).ravel()
     payload = ros.nav_msgs__msg__OccupancyGrid(wire.header_ros(stamp_ns, wire.MAP_FRAME), info, cells)
