@@ -88,9 +88,10 @@ class ClockMap:
 
     `observe` first, with the ticks of the moment the message left; then `to_host_ns` for any tick near it.
     Messages held back by a network come late for a while and change nothing, and a sender that falls behind
-    bit by bit comes late for as long as it does. A message far too early, ticks that go back and stay there,
-    or lateness that came with one message and does not end, are a restart of the device: all is learnt anew.
-    A single message from before the newest is out of order, and changes nothing.
+    bit by bit comes late for as long as it does. A message far too early, ticks that go back by more than
+    JUMP_NS or stay behind, or lateness that came with one message and does not end, are a restart of the
+    device: all is learnt anew. A single message from a little before the newest is out of order, and changes
+    nothing.
     """
 
     def __init__(self, tick_ns: float, wrap_ticks: int | None = None, latency_ns: int = 0) -> None:

@@ -90,6 +90,16 @@ def test_clock_set_back_a_little_is_learnt_anew_with_the_second_message(jump_us)
     assert np.abs(error_ms[1500 + round(3.0 / PERIOD_S) :] - LATENCY_S * 1e3).max() < 1.0
 
 
+@pytest.mark.parametrize("jump_us", [-600_000, -30_000_000])
+def test_clock_set_back_far_is_learnt_anew_with_the_first_message(jump_us):
+    stream = Stream(1)
+    stream.ticks[1500:] += jump_us
+    clock = microseconds()
+    error_ms, _ = stream.through(clock)
+    assert clock.resets == 1
+    assert np.abs(error_ms[1500 : 1500 + round(3.0 / PERIOD_S)]).max() < 60.0
+
+
 @pytest.mark.parametrize("back", [0, 1, 5, 20])
 def test_messages_out_of_order_or_twice_change_nothing(back):
     undisturbed_ms, _ = Stream(1).through(microseconds())

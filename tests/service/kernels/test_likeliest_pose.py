@@ -45,3 +45,15 @@ def test_points_count_by_their_shares():
     _, whole, _ = climbed(truth, truth, np.ones(120), np.random.default_rng(1))
     _, half, _ = climbed(truth, truth, np.full(120, 0.5), np.random.default_rng(1))
     assert half == pytest.approx(0.5 * whole, rel=0.02)
+
+
+def test_what_beams_go_through_counts_at_each_pose_anew():
+    """Beams that end 1 m behind the wall go through it at every pose that is asked."""
+    known = mapped()
+    xy, normals = seen_at((0.0, 0.0, 0.0), np.random.default_rng(1))
+    xy[:, 0] += 1.0
+    pose, at_end, on_way = np.zeros(3), np.empty(120), np.empty(120)
+    best, asked = climb(xy, normals, np.zeros((120, 2)), np.ones(120), pose, known, 1, FIRST, LEAST)
+    weigh_beams(xy, normals, np.zeros((120, 2)), pose, known, asked + 1, at_end, on_way)
+    assert on_way.sum() < -1.0
+    assert best == pytest.approx(float(at_end.sum() + on_way.sum()))

@@ -15,6 +15,9 @@ def test_the_pause_lasts_until_the_first_laser_is_due() -> None:
     two = forecast(front=[0, 20, 40, 60], rear=[5, 30, 55])
     assert two.pause_ns(62 * MS) == 18 * MS  # both are due at 80 ms
     assert two.pause_ns(79 * MS) == 1 * MS
+    assert two.pause_ns(81 * MS) == 0
+    three = forecast(front=[0, 20, 40], rear=[0, 25, 50])
+    assert three.pause_ns(51 * MS) == 9 * MS  # the front one at 60 ms, the rear one at 75 ms
 
 
 def test_one_late_arrival_does_not_move_the_forecast() -> None:

@@ -1,0 +1,88 @@
+"""How far a step between two key frames is believed: eleven of them straight ahead, one of which is odd."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.geometry.poses import Floats
+from service.geometry.se2 import SE2
+from service.mapper.graph.pose_graph import Edges
+from service.mapper.methods.corridor.graph.keyframe_list import (
+    NO_NORMALS,
+    NO_POINTS,
+    KeyFrame,
+    KeyframeList,
+    ThinnedScan,
+)
+from service.mapper.methods.corridor.graph.odometry_edges import (
+    DOUBTFUL_COVARIANCE,
+    LEAST_COVARIANCE,
+    LOST_COVARIANCE,
+    STEP_FLOOR,
+    UNKNOWN_COVARIANCE,
+    odometry_edges,
+)
+
+STEP_M, COUNT, ODD = 0.25, 11, 5
+MATCHED = np.diag([1e-4, 4e-4, 1e-6])
+SOUND = MATCHED + STEP_FLOOR
+
+
+def edges(ahead_m: float = STEP_M, by_motion: bool = False, **odd: Any) -> Edges:
+    """ahead_m: from the key frame before the odd one to it; `odd`: what else differs in that one."""
+    keyframes = KeyframeList()
+    for k in range(COUNT):
+        x_m = STEP_M * k + (ahead_m - STEP_M if k >= ODD else 0.0)
+        usual = {"score": 0.9, "is_lost": False, "piece": 0, "motion_covariance": 1e-6 * k * np.eye(3)}
+        pose = SE2(x_m, 0.0, 0.0)
+        chosen = usual | (odd if k == ODD else {})
+        frame = KeyFrame(
+            k, pose, MATCHED, xy_base=NO_POINTS, sensor_xy_m=(0, 0), angle_step_rad=0.01, **chosen
+        )
+        keyframes.append(frame, np.array([x_m, 0.0, 0.0]), ThinnedScan(NO_POINTS, NO_NORMALS, (0.0, 0.0)))
+    return odometry_edges(keyframes, STEP_M, by_motion)
+
+
+def check(found: Edges, into: Floats, out_of: Floats) -> None:
+    """Covariance of the step into the odd key frame and of that out of it; all others are sound."""
+    expected = np.tile(SOUND, (COUNT - 1, 1, 1))
+    expected[ODD - 1], expected[ODD] = into, out_of
+    np.testing.assert_allclose(found.covariance, expected)
+
+
+def test_a_matched_step_is_known_as_well_as_its_match_at_best_to_the_floor() -> None:
+    check(edges(), SOUND, SOUND)
+
+
+def test_steps_at_a_key_frame_that_was_not_matched_are_hardly_believed() -> None:
+    check(edges(is_lost=True), LOST_COVARIANCE, LOST_COVARIANCE)
+
+
+@pytest.mark.parametrize(("score", "added"), [(0.55, 0.0), (0.53, 1.0)])
+def test_steps_at_a_key_frame_that_hardly_lies_on_the_map_are_doubted(score: float, added: float) -> None:
+    """The others lie on it with 0.9, and 60 % of that is 0.54."""
+    doubted = SOUND + added * DOUBTFUL_COVARIANCE
+    check(edges(score=score), doubted, doubted)
+
+
+@pytest.mark.parametrize(("ahead_m", "sigma"), [(2.0 * STEP_M, 0.0), (2.0 * STEP_M + 3.0, 0.3)])
+def test_a_way_without_scans_is_doubted_by_its_length_beyond_two_steps(ahead_m: float, sigma: float) -> None:
+    """By a tenth of it, m and rad."""
+    check(edges(ahead_m), SOUND + sigma**2 * np.eye(3), SOUND)
+
+
+def test_the_motion_model_says_how_well_a_step_is_known_where_it_can() -> None:
+    found = edges(by_motion=True, motion_covariance=None).covariance
+    usual = np.diag(np.full(3, 1e-6)) + LEAST_COVARIANCE
+    np.testing.assert_allclose(found[[0, -1]][:, 0, 0], usual[0, 0], rtol=1e-6)
+    np.testing.assert_allclose(found[ODD - 1], SOUND)
+    np.testing.assert_allclose(found[ODD], SOUND)
+
+
+def test_nobody_knows_the_way_into_another_piece_and_back_it_is_counted_from_where_it_was_left() -> None:
+    found = edges(piece=1)
+    np.testing.assert_allclose(found.covariance[ODD - 1], UNKNOWN_COVARIANCE)
+    assert (found.of[ODD - 1], found.of[ODD]) == (ODD - 1, ODD - 1)  # out of the piece: from before it
+    np.testing.assert_allclose(found.measured[ODD], [2.0 * STEP_M, 0.0, 0.0])
+    np.testing.assert_allclose(found.covariance[ODD], SOUND)
