@@ -2,131 +2,247 @@
 
 import gc
 import math
+import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
-from drivers.frames import LaserScan
+from drivers.frames import Frame, LaserScan
+from service.geometry import poses as se2
+from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.mapper.background import BackEnd, InlineWorker
+from service.mapper.corrections import corrected
 from service.mapper.maps.occupancy import rendered_of
 from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
 from service.mapper.profiles import BeginIn, build_mapper, mapping_config
-from service.outputs import FREE
+from service.outputs import FREE, MapperOutput
+from service.recording.mcap_source import open_session
 from simulators.trajectory import Pause, plan_drive
 from simulators.world import World
 from simulators.worlds import WORLDS
 from tests.accuracy.buildings import FAST_MALL, LMS100_25HZ, MALL_WAY_M, seconds_for
 from tests.papers.report import Row, Section
-from tests.simulated import FORWARD, LMS100_50HZ, Drive, Laser, Wheels, drive, run
+from tests.simulated import LMS100_50HZ, Laser, Wheels, begun_at, drive, heading_rad
 
-PLACES = 100
+SHARED = Path(os.environ.get("CORRIDOR_SHARED", "../shared"))
+PLACES = 100  # of each kind, over all seeds; of each recording
 CLEARANCE_M = 0.4  # of a place from every wall
+ON_WAY_M = 2.0  # from a key frame of the map: as near the way was driven
 STAND_S, MOVE_S = 1.0, 8.0
 RIGHT_M, RIGHT_DEG = 0.10, 1.0
+BUILDINGS: Mapping[str, tuple[Callable[[], World], Laser, float | None]] = {
+    "office": (WORLDS["office"], LMS100_50HZ, None),
+    "library": (WORLDS["library"], LMS100_50HZ, None),
+    "floor": (WORLDS["floor"], LMS100_50HZ, None),
+    "mall": (FAST_MALL, LMS100_25HZ, MALL_WAY_M),
+}
+HALVES = ("fr079", "intel", "wean1")
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """A stored map, and where the vehicle truly was at its key frames."""
+
+    begin: BeginIn
+    mountings: Mapping[str, SE2]
+    true: Floats  # (K, 3) m, m, rad of each key frame, in any one frame
+
+    def in_map(self, true: Floats) -> Floats:
+        """A true pose (3,) as the map has the place: seen from the nearest key frame."""
+        k = int(np.argmin(self.away_m(true)))
+        return se2.compose(self.begin.graph.map[k], se2.between(self.true[k], true))
+
+    def away_m(self, true: Floats) -> Floats:
+        """(K,) from each key frame."""
+        away: Floats = np.hypot(*(self.true[:, :2] - true[:2]).T)
+        return away
+
+
+@dataclass(frozen=True)
+class Look:
+    """What came of one start."""
+
+    is_right: bool  # at its end
+    is_wrong: bool  # said to be found, and is not there, at its end
+    was_wrong_ok: bool  # at any moment
+    is_likelier_elsewhere: bool  # and lost
+    found_s: float  # from the first scan on; nan: not
+    cpu_s: float  # of the scan that took longest
+    off_mm: float  # at its end
 
 
 @dataclass
-class Outcome:
-    """A value a place."""
+class Looks:
+    """Those of one kind."""
 
-    right: list[bool] = field(default_factory=list)  # at its end
-    wrong: list[bool] = field(default_factory=list)  # said to be found, and is not there
-    wrong_ok: list[bool] = field(default_factory=list)  # at any moment
-    found_s: list[float] = field(default_factory=list)  # from the first scan on; nan: not
-    cpu_s: list[float] = field(default_factory=list)  # of the scan that took longest
-    off_mm: list[float] = field(default_factory=list)  # where right
+    all: list[Look] = field(default_factory=list)
+
+    def rows(self, case: str, how: str, cause: str = "", at_least: float | None = 98.0) -> list[Row]:
+        count = len(self.all)
+        if not count:
+            return []
+        right = [look for look in self.all if look.is_right]
+        lost = [look for look in self.all if not look.is_right and not look.is_wrong]
+        elsewhere = sum(look.is_likelier_elsewhere for look in lost)
+        wrong_ok = sum(look.was_wrong_ok for look in self.all)
+
+        def one(what: str, value: float, unit: str, **bounds: float) -> Row:
+            return Row(case, f"{how}: {what}", [value], unit, digits=0, **bounds)  # type: ignore[arg-type]
+
+        return [
+            Row(
+                case,
+                f"{how}: right, of {count}",
+                [100.0 * len(right) / count],
+                "%",
+                at_least=at_least,
+                digits=0,
+                cause=cause,
+            ),
+            one("lost", float(len(lost)), "places"),
+            one("lost, and likelier elsewhere", float(elsewhere), "places"),
+            one("wrong", float(sum(look.is_wrong for look in self.all)), "places", at_most=0.0),
+            one("`ok` and wrong", float(wrong_ok), "places", at_most=0.0),
+            Row(
+                case, f"{how}: off where right", [look.off_mm for look in right] or [math.nan], "mm", digits=1
+            ),
+            Row(case, f"{how}: found after", [look.found_s for look in right] or [math.nan], "s", digits=2),
+            Row(
+                case,
+                f"{how}: longest search, processor",
+                [look.cpu_s for look in self.all],
+                "s",
+                at_most=1.0,
+                by_worst=True,
+                digits=2,
+            ),
+        ]
 
 
 def relocalisation(seeds: Sequence[int]) -> Section:
     rows = []
-    worlds = {
-        "office": (WORLDS["office"](), LMS100_50HZ, None),
-        "library": (WORLDS["library"](), LMS100_50HZ, None),
-        "floor": (WORLDS["floor"](), LMS100_50HZ, None),
-        "mall": (FAST_MALL(), LMS100_25HZ, MALL_WAY_M),
-    }
-    for name, (world, laser, way_m) in worlds.items():
-        seconds = world.drive.duration_s if way_m is None else seconds_for(world, way_m)
-        begin, first = stored(world, laser, seconds, seeds[0])
-        stand, move = Outcome(), Outcome()
-        for number, place in enumerate(places(world, begin, first, seeds[0])):
-            here = replace(world, drive=plan_drive(place, [Pause(STAND_S + 1.0)]))
-            look(begin, first, drive(here, laser, STAND_S, number, Wheels(), stand_s=0.0), stand)
-        for number, at_s in enumerate(np.linspace(0.0, seconds - MOVE_S, PLACES).tolist()):
-            look(begin, first, drive(world, laser, MOVE_S, number, Wheels(), stand_s=-at_s), move)
-        for how, one in (("standing", stand), ("moving", move)):
-            count, alike = len(one.right), sum(one.alike)
-            rows += [
-                Row(name, f"{how}: right, of {count}", [float(sum(one.right))], "places", digits=0),
-                Row(name, f"{how}: lost, likelier elsewhere", [float(alike)], "places", digits=0),
-                Row(
-                    name,
-                    f"{how}: right, of the others",
-                    [100.0 * sum(one.right) / max(count - alike, 1)],
-                    "%",
-                    at_least=98.0,
-                    digits=0,
-                ),
-                Row(name, f"{how}: wrong", [float(sum(one.wrong))], "places", at_most=0.0, digits=0),
-                Row(
-                    name,
-                    f"{how}: `ok` and wrong",
-                    [float(sum(one.wrong_ok))],
-                    "places",
-                    at_most=0.0,
-                    digits=0,
-                ),
-                Row(name, f"{how}: off where right", one.off_mm or [math.nan], "mm", digits=1),
-                Row(name, f"{how}: found after", [s for s in one.found_s if s == s] or [math.nan], "s"),
-                Row(name, f"{how}: longest search, processor", one.cpu_s, "s", at_most=1.0, by_worst=True),
-            ]
+    for name in BUILDINGS:
+        on_way, off_way, moving = Looks(), Looks(), Looks()
+        for seed in seeds:
+            for looks, found in zip(
+                (on_way, off_way, moving), in_building(name, seed, PLACES // len(seeds)), strict=True
+            ):
+                looks.all += found
+            gc.collect()
+        rows += on_way.rows(name, f"standing within {ON_WAY_M:.0f} m of the way")
+        rows += off_way.rows(name, "standing farther off", "the map has a part of what is seen from there")
+        rows += moving.rows(name, "driving on")
+    for name in HALVES:
+        if (SHARED / "datasets" / name).exists():
+            rows += Looks(in_second_half(name, PLACES)).rows(f"{name}, second half", "driving on")
     return Section(
         "Switched on in a stored map",
-        f"{PLACES} places of the known free ground, at least {CLEARANCE_M} m from walls, at any heading, "
-        f"standing for {STAND_S:.0f} s; and {PLACES} moments of the mapped drive, driving on for "
-        f"{MOVE_S:.0f} s. Right: within {RIGHT_M} m and {RIGHT_DEG:.0f} deg at the end; wrong: placed, and "
-        "farther off at the end. What is neither stays lost. Likelier elsewhere: another place of the map "
-        "fits what is seen better than the true one does, of which the map holds too little.",
+        f"The map of one drive of each seed. Places of the known free ground, at least {CLEARANCE_M} m from "
+        f"walls, at any heading, standing for {STAND_S:.0f} s: within {ON_WAY_M:.0f} m of where the map was "
+        f"driven, and farther off, in rooms that were passed and not entered; and moments of the mapped "
+        f"drive, driving on for {MOVE_S:.0f} s with another noise. Of recordings, moments of the second half "
+        f"in the map of the first, within {ON_WAY_M:.0f} m of its way; the truth is the map of the whole. "
+        f"Right: at the end within {RIGHT_M} m and {RIGHT_DEG:.0f} deg of where the nearest key frame of the "
+        "map has the place; wrong: placed, and farther off. What is neither stays lost. Likelier elsewhere: "
+        "another place of the map fits what is seen better than the true one does.",
         rows,
     )
 
 
-def stored(world: World, laser: Laser, seconds: float, seed: int) -> tuple[BeginIn, SE2]:
-    """The map of one drive, as a session begins in it; and its frame in that of the world."""
+def in_building(name: str, seed: int, count: int) -> tuple[list[Look], list[Look], list[Look]]:
+    """Standing on the way, standing off it, driving on."""
+    make, laser, way_m = BUILDINGS[name]
+    plain = make()
+    world = begun_at(plain, heading_rad(seed))
+    seconds = world.drive.duration_s
+    if way_m is not None:
+        seconds += seconds_for(plain, way_m) - plain.drive.duration_s
+    known, first = stored(world, laser, seconds, seed)
+    standing: list[list[Look]] = []
+    for number, of_kind in enumerate(places(world, known, first, seed, count)):
+        standing.append([])
+        for k, place in enumerate(of_kind):
+            here = replace(world, drive=plan_drive(place, [Pause(STAND_S + 1.0)]))
+            made = drive(here, laser, STAND_S, 1000 * seed + 100 * number + k, Wheels(), stand_s=0.0)
+            to_first = first.inverse() @ made.world_first
+            standing[-1].append(look(known, made.frames, _seen_from(to_first, made.truth)))
+    moving = []
+    for k, at_s in enumerate(np.linspace(0.0, seconds - MOVE_S, count).tolist()):
+        made = drive(world, laser, MOVE_S, 1000 * seed + 500 + k, Wheels(), stand_s=-at_s)
+        moving.append(look(known, made.frames, _seen_from(first.inverse() @ made.world_first, made.truth)))
+    return standing[0], standing[1], moving
+
+
+def in_second_half(name: str, count: int) -> list[Look]:
+    """Of a recording: moments of its second half in the map of its first."""
+    session = open_session([SHARED / "datasets" / name / f"{name}.mcap"])
+    frames, mountings = list(session.frames()), session.mountings
+    scans = [k for k, frame in enumerate(frames) if isinstance(frame, LaserScan)]
+    middle = scans[len(scans) // 2]
+    _, whole = _mapped(frames, mountings)
+    begin, _ = _mapped(frames[:middle], mountings)
+    known = Known(begin, mountings, _true_of(begin, whole))
+    starts = [
+        k
+        for k in scans[len(scans) // 2 :]
+        if frames[k].stamp_ns in whole
+        and frames[k].stamp_ns + MOVE_S * 1e9 < frames[scans[-1]].stamp_ns
+        and known.away_m(whole[frames[k].stamp_ns]).min() < ON_WAY_M
+    ]
+    chosen = (
+        [starts[k] for k in np.unique(np.linspace(0, len(starts) - 1, count).astype(int))] if starts else []
+    )
+    looks = []
+    for k in chosen:
+        until_ns = frames[k].stamp_ns + round(MOVE_S * 1e9)
+        here = [frame for frame in frames[k:] if frame.stamp_ns <= until_ns]
+        looks.append(look(known, here, whole))
+    return looks
+
+
+def stored(world: World, laser: Laser, seconds: float, seed: int) -> tuple[Known, SE2]:
+    """The map of one drive; and the first scan's pose in the world, in whose frame the truth is."""
     made = drive(world, laser, seconds, seed, Wheels())
-    mapper = run(mapping_config(), made).mapper
-    graph = mapper.finish().update.saved
-    assert graph is not None
-    return BeginIn(graph, rendered_of(mapper.changed_tiles())), made.world_first
+    mountings = {laser.name: laser.mounting}
+    begin, _ = _mapped(made.frames, mountings)
+    return Known(begin, mountings, _true_of(begin, _seen_from(SE2(), made.truth))), made.world_first
 
 
-def places(world: World, begin: BeginIn, first: SE2, seed: int) -> list[SE2]:
-    """In the frame of the world."""
-    shown, random = begin.shown, np.random.default_rng(seed)
+def _true_of(begin: BeginIn, truth: Mapping[int, Floats]) -> Floats:
+    return np.array([truth[stamp_ns] for stamp_ns in begin.graph.stamp_ns.tolist()])
+
+
+def places(world: World, known: Known, first: SE2, seed: int, count: int) -> tuple[list[SE2], list[SE2]]:
+    """In the frame of the world: near the way that was driven, and farther off; fewer where there is no
+    ground of this kind.
+    """
+    shown, random = known.begin.shown, np.random.default_rng(seed)
     tile, row, column = np.nonzero(shown.evidence < FREE)
     width = shown.evidence.shape[1]
     x_m = 0.05 * (shown.tile_column[tile] * width + column + 0.5)
     y_m = 0.05 * (shown.tile_row[tile] * width + row + 0.5)
-    found: list[SE2] = []
-    while len(found) < PLACES:
-        k = int(random.integers(len(x_m)))
-        place = first @ SE2(float(x_m[k]), float(y_m[k]), float(random.uniform(-math.pi, math.pi)))
-        if _clearance_m(world, place) >= CLEARANCE_M:
-            found.append(place)
-    return found
+    near: list[SE2] = []
+    far: list[SE2] = []
+    for k in random.permutation(len(x_m)).tolist():
+        at = SE2(float(x_m[k]), float(y_m[k]), float(random.uniform(-math.pi, math.pi)))
+        kind = near if known.away_m(np.array([at.x_m, at.y_m, 0.0])).min() < ON_WAY_M else far
+        if len(kind) < count and _clearance_m(world, first @ at) >= CLEARANCE_M:
+            kind.append(first @ at)
+        if len(near) == count and len(far) == count:
+            break
+    return near, far
 
 
-def _clearance_m(world: World, place: SE2) -> float:
-    begin, way = world.segments[:, :2], world.segments[:, 2:] - world.segments[:, :2]
-    to = np.array([place.x_m, place.y_m]) - begin
-    along = np.clip((to * way).sum(axis=1) / np.maximum((way * way).sum(axis=1), 1e-12), 0.0, 1.0)
-    return float(np.hypot(*(to - along[:, None] * way).T).min())
+def look(known: Known, frames: Sequence[Frame], truth: Mapping[int, Floats]) -> Look:
+    """Begin in a map with these frames.
 
-
-def look(begin: BeginIn, first: SE2, made: Drive, outcome: Outcome) -> None:
+    truth   poses (3,) by the stamp of a scan, in the frame of known.true
+    """
     back_ends: list[LoopBackEnd] = []
 
     def in_place(back_end: BackEnd) -> InlineWorker:
@@ -135,33 +251,59 @@ def look(begin: BeginIn, first: SE2, made: Drive, outcome: Outcome) -> None:
         return InlineWorker(back_end)
 
     config = mapping_config({"mode": "localization"})
-    mapper = build_mapper(config, {"front": FORWARD}, new_worker=in_place, begin_in=begin)
-    found_s, longest_s, wrong_ok, is_wrong, off_m, off_deg = math.nan, 0.0, False, False, math.inf, 0.0
-    for frame in made.frames:
+    mapper = build_mapper(config, known.mountings, new_worker=in_place, begin_in=known.begin)
+    found_s, longest_s, was_wrong_ok, is_placed, is_wrong = math.nan, 0.0, False, False, False
+    off_m, true = math.inf, np.zeros(3)
+    for frame in frames:
         began_s = time.thread_time()
         output = mapper.process(frame)
         while mapper.graph.waiting:
             mapper.apply_result()
-        if not isinstance(frame, LaserScan) or output is None:
+        if not isinstance(frame, LaserScan) or output is None or output.stamp_ns not in truth:
             continue
         longest_s = max(longest_s, time.thread_time() - began_s)
-        true = first.inverse() @ made.world_first @ made.truth[output.stamp_ns]
-        away = true.inverse() @ output.pose_map_base
-        off_m, off_deg = math.hypot(away.x_m, away.y_m), abs(math.degrees(away.theta_rad))
+        true = known.in_map(truth[output.stamp_ns])
+        off_m, off_deg = _off(true, output)
         is_placed = output.state != "lost"
         is_wrong = is_placed and (off_m > RIGHT_M or off_deg > RIGHT_DEG)
-        wrong_ok |= is_wrong and output.state == "ok"
+        was_wrong_ok |= is_wrong and output.state == "ok"
         if is_placed and math.isnan(found_s):
-            found_s = 1e-9 * (output.stamp_ns - made.frames[0].stamp_ns)
-    is_right = is_placed and not is_wrong
-    outcome.right.append(is_right)
-    outcome.wrong.append(is_wrong)
-    outcome.wrong_ok.append(wrong_ok)
-    outcome.found_s.append(found_s)
-    at = np.array([true.x_m, true.y_m, true.theta_rad])
-    outcome.alike.append(not is_placed and back_ends[0].pieces.is_likelier_elsewhere(at))
-    outcome.cpu_s.append(longest_s)
-    if is_right:
-        outcome.off_mm.append(1e3 * off_m)
+            found_s = 1e-9 * (output.stamp_ns - frames[0].stamp_ns)
+    elsewhere = not is_placed and back_ends[0].pieces.is_likelier_elsewhere(true)
     mapper.graph.close()
-    gc.collect()
+    return Look(
+        is_placed and not is_wrong, is_wrong, was_wrong_ok, elsewhere, found_s, longest_s, 1e3 * off_m
+    )
+
+
+def _off(true: Floats, output: MapperOutput) -> tuple[float, float]:
+    pose = output.pose_map_base
+    away = se2.between(true, np.array([pose.x_m, pose.y_m, pose.theta_rad]))
+    return math.hypot(away[0], away[1]), abs(math.degrees(away[2]))
+
+
+def _mapped(frames: Sequence[Frame], mountings: Mapping[str, SE2]) -> tuple[BeginIn, Mapping[int, Floats]]:
+    """The map of these frames, and where it has each scan in the end."""
+    mapper = build_mapper(mapping_config(), mountings)
+    outputs = [output for frame in frames if (output := mapper.process(frame)) is not None]
+    finished = mapper.finish()
+    graph = finished.update.saved
+    assert graph is not None
+    poses = corrected(outputs, finished.corrections)
+    at = {
+        output.stamp_ns: np.array([pose.x_m, pose.y_m, pose.theta_rad])
+        for output, pose in zip(outputs, poses, strict=True)
+    }
+    return BeginIn(graph, rendered_of(mapper.changed_tiles())), at
+
+
+def _seen_from(frame: SE2, truth: Mapping[int, SE2]) -> dict[int, Floats]:
+    seen = {stamp_ns: frame @ pose for stamp_ns, pose in truth.items()}
+    return {ns: np.array([pose.x_m, pose.y_m, pose.theta_rad]) for ns, pose in seen.items()}
+
+
+def _clearance_m(world: World, place: SE2) -> float:
+    begin, way = world.segments[:, :2], world.segments[:, 2:] - world.segments[:, :2]
+    to: npt.NDArray[np.float64] = np.array([place.x_m, place.y_m]) - begin
+    along = np.clip((to * way).sum(axis=1) / np.maximum((way * way).sum(axis=1), 1e-12), 0.0, 1.0)
+    return float(np.hypot(*(to - along[:, None] * way).T).min())
