@@ -178,6 +178,18 @@ def test_what_is_nowhere_in_the_stored_map_stays_lost(first):
     assert "stored map" in outputs[-1].reason
 
 
+def test_who_stands_where_no_map_is_keeps_no_more_the_longer_it_stands(first):
+    _, begin = first
+    elsewhere = through("library", 40.0, 1, stand_s=50.0)
+    mapper = new_mapper(begin)
+    assert {output.state for output in outputs_of(mapper, elsewhere.frames)} == {"lost"}
+    keyframes = mapper.graph._jobs._worker._back_end._keyframes
+    has_points = keyframes.has_points[keyframes.stored :]
+    assert 6 < len(has_points) < 12  # two a second at first, one each 8 s in the end
+    assert has_points.sum() == 3
+    assert np.diff(keyframes.stamps_ns[-2:]) == pytest.approx(8e9, abs=0.1e9)
+
+
 def test_a_person_may_say_where_the_vehicle_is(first, second):
     drove, begin = first
     mapper = new_mapper(begin)

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.mapper.by_hand import ByHand
+from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
 from service.mapper.saved_graph import SavedGraph
 
 NO_POINTS, NO_NORMALS = np.empty((0, 2), np.float32), np.empty((0, 3), np.float32)
@@ -175,3 +176,15 @@ class KeyframeList:
         """Keep of a key frame no more than where it is."""
         self.thinned[k] = ThinnedScan(NO_POINTS, NO_NORMALS, self.thinned[k].sensor_xy_m)
         self._numbers[k, 3] = False
+
+    def forget_one_standing(self, most: int, config: LoopsConfig) -> None:
+        """Forget the one before the newest `most`, if the next is of the same spot: it sees the same.
+
+        While a piece is looked for, key frames are made where the vehicle stands, too.
+        """
+        old = self.count - 1 - most
+        if old < self.stored or self._numbers[old, 4] != self._numbers[old + 1, 4]:
+            return
+        pose, following = (SE2(*self.odom[k].tolist()) for k in (old, old + 1))
+        if not following.is_step_from(pose, config.keyframe_distance_m, config.keyframe_turn_rad):
+            self.forget(old)

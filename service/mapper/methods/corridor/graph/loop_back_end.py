@@ -27,7 +27,7 @@ from service.mapper.methods.corridor.graph.loops import Loop, agree, as_edges, d
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
 from service.mapper.methods.corridor.graph.odometry_edges import doubtful_steps, lost_steps, odometry_edges
 from service.mapper.methods.corridor.graph.passes import worth_asking
-from service.mapper.methods.corridor.graph.piece_search import PieceSearch
+from service.mapper.methods.corridor.graph.piece_search import MOST_STANDING, PieceSearch
 from service.mapper.methods.corridor.graph.refusals import Refusals
 from service.mapper.methods.corridor.graph.stored_graph import (
     Placement,
@@ -140,8 +140,10 @@ class LoopBackEnd:
             moved = True
         if batch.is_last:
             return self._finish()
-        self._forget()
-        self._forget_session()
+        if self._held:
+            self._forget_session()
+        elif not self._is_detached():  # else the search waits for it, and nothing new lies in the map
+            self._forget()
         if not moved:
             return Result(len(self._loops), len(self._disabled))
         self._solve()
@@ -204,6 +206,7 @@ class LoopBackEnd:
         keyframes.append(
             frame, odom, ThinnedScan(frame.xy_base[kept], normals[kept].astype(np.float32), frame.sensor_xy_m)
         )
+        keyframes.forget_one_standing(MOST_STANDING, self._config)
 
     def _look_for_loops(self) -> bool:
         """Search if it is time; whether what came to be accepted is worth a solution now."""
@@ -480,14 +483,13 @@ class LoopBackEnd:
         """Of a vehicle that is only localised no more of the way is kept than loops are found over."""
         keyframes, held = self._keyframes, self._held
         last = held + (keyframes.count - held) // 2
-        if not held or keyframes.count - held < MOST_SESSION or self._is_detached():
+        if keyframes.count - held < MOST_SESSION or self._is_detached():
             return
         keyframes.drop(held, last)
         self._loops = [*moved_loops(self._loops, held, last), anchor_loop(keyframes, held)]
         self._candidates = moved_loops(self._candidates, held, last)
         self._disabled, self._accepted = [], []
         self._refusals.clear()
-        self._looked_back = held
         for k in [k for k in self._submaps if k >= held]:
             del self._submaps[k]
 

@@ -28,9 +28,12 @@ from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
 from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
 from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
+from service.mapper.methods.corridor.graph.piece_search import MOST_STANDING
 from service.mapper.saved_graph import KeepGraph, SavedGraph
 
-DETACHED_INTERVAL_NS = 500_000_000  # of key frames of a piece that is looked for, also while standing
+# Of key frames of a piece that is looked for, also while it stands. MOST_STANDING of one spot tell what there
+# is to tell: each one after them comes twice as late as the one before.
+DETACHED_INTERVAL_NS, MOST_DOUBLED = 500_000_000, 4
 
 
 class PoseRequest(BaseModel):
@@ -77,6 +80,7 @@ class LoopClosing(BackgroundGraph[Result]):
         self._known: KnownPose | None = None
         self._last: SE2 | None = None  # of the newest key frame
         self._last_ns = 0
+        self._standing = 0  # key frames since the one before which the vehicle moved
         self._gap_s = 0.0 if stored is None else math.inf  # longest time without a scan since then
         self._way_m = 0.0  # of those not yet sent
         self._last_result: Result | None = None
@@ -89,14 +93,15 @@ class LoopClosing(BackgroundGraph[Result]):
         self._gap_s = max(self._gap_s, scan.elapsed_s)
         is_detached = not self._is_placed or (scan.match.state == "lost" and scan.change.piece > 0)
         self._is_looking = is_detached
-        is_due = self._is_keyframe(pose) or (
-            is_detached and scan.stamp_ns - self._last_ns >= DETACHED_INTERVAL_NS
-        )
+        is_step = self._is_keyframe(pose)
+        wait_ns = DETACHED_INTERVAL_NS << min(max(self._standing - MOST_STANDING, 0), MOST_DOUBLED)
+        is_due = is_step or (is_detached and scan.stamp_ns - self._last_ns >= wait_ns)
         is_keyframe = len(scan.points.xy_base) and is_due and not self.fault
         if is_keyframe:
             if self._last is not None:
                 self._way_m += math.hypot(pose.x_m - self._last.x_m, pose.y_m - self._last.y_m)
             self._last, self._last_ns = pose, scan.stamp_ns
+            self._standing = 0 if is_step else self._standing + 1
             self._fresh.append(_key_frame(scan, self._gap_s))
             self._keyframes += 1
             self._gap_s = 0.0
@@ -136,6 +141,7 @@ class LoopClosing(BackgroundGraph[Result]):
             raise GraphRequestError(
                 "set_pose: the pose is known and the map confirms it; it can be set where it is lost"
             )
+        self._standing = 0
         self._submit("set_pose", pose=(asked.x_m, asked.y_m, asked.theta_rad))
         return {"looked_for_at": [asked.x_m, asked.y_m, asked.theta_rad]}
 

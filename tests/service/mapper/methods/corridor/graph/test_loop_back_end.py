@@ -136,6 +136,19 @@ def test_memory_grows_with_the_area_and_not_with_the_way():
     assert everything._keyframes.has_points.all()
 
 
+def test_who_is_only_localised_forgets_nothing_of_the_stored_map(ring_fed: tuple[bytes, list[Result]]):
+    """However often a spot is passed: passes of the session go, and then nothing would be known there."""
+    stored = pickle.loads(ring_fed[0]).work(Batch([], is_last=True)).saved
+    assert stored is not None
+    back_end = LoopBackEnd(LoopsConfig(keep_passes=2), None, stored, is_localizing=True)
+    frames, _ = key_frames(3.8, seed=1)
+    session = [replace(frame, piece=0) for frame in frames]
+    results = [back_end.work(Batch(session[k : k + BATCH])) for k in range(0, len(session), BATCH)]
+    keyframes = back_end._keyframes
+    assert results[-1].placed == "proven"
+    assert keyframes.has_points[: len(stored)].all()
+
+
 def test_the_same_batches_give_the_same_result_and_a_pickled_back_end_too(
     ring: tuple[list[KeyFrame], list[SE2]], ring_fed: tuple[bytes, list[Result]]
 ):
