@@ -21,6 +21,7 @@ from service.kernels.surfels import (
     NORMAL_X,
     NORMAL_Y,
     TILE_BITS,
+    TILE_CELLS,
     TILE_MASK,
     SurfelGrid,
     find_surfels,
@@ -47,6 +48,7 @@ class KnownGround(NamedTuple):
     """A map as beams are asked of it.
 
     walls     SurfelGrid
+    has_wall  (H, W) bool                   whether a surfel lies in a cell of `walls`, from its first tile on
     looked    (capacity, T, T, 2) float32   beams of the map itself that went through each of the surfels
     ground    OccupancyGrid                 of cells as large as those of `walls`
     free      int                           evidence at or below it: nothing stands in a cell
@@ -57,6 +59,7 @@ class KnownGround(NamedTuple):
     """
 
     walls: SurfelGrid
+    has_wall: npt.NDArray[np.bool_]
     looked: npt.NDArray[np.float32]
     ground: OccupancyGrid
     free: int
@@ -121,6 +124,16 @@ def count_looks(ends, sensor, walls, weight, looked):
             next_row += 0.0 if is_column else per_row
 
 
+def cells_with_walls(walls: SurfelGrid) -> npt.NDArray[np.bool_]:
+    """`has_wall` of a KnownGround: a byte a cell, where a surfel takes forty."""
+    rows, columns = walls.tiles.slots.shape
+    has_wall = np.zeros((rows, TILE_CELLS, columns, TILE_CELLS), np.bool_)
+    for row, column in np.argwhere(walls.tiles.slots != NO_TILE).tolist():
+        surfels = walls.surfels[walls.tiles.slots[row, column]]
+        has_wall[row, :, column, :] = surfels[:, :, 0, COUNT] > 0.0  # the second side is never filled before
+    return has_wall.reshape(rows * TILE_CELLS, columns * TILE_CELLS)
+
+
 @njit(cache=True, nogil=True)
 def splat_points(xy, first_row, first_column, points):
     """Likelihood of an end point near others: the most that any of them says, 255 at one of them.
@@ -150,15 +163,17 @@ def openness(u, v, du, dv, known, number):
     u, v     float   start, m, frame of the map
     du, dv   float   from there to its end
     """
-    walls, looked = known.walls, known.looked
+    walls, looked, has_wall = known.walls, known.looked, known.has_wall
     cell_m = walls.cell_m
+    first_row, first_column = walls.tiles.origin[0] << TILE_BITS, walls.tiles.origin[1] << TILE_BITS
     column, row, step_column, step_row, next_column, next_row, per_column, per_row, steps = begin_ray(
         u / cell_m, v / cell_m, du / cell_m, dv / cell_m
     )
     total = 0.0
     for _ in range(steps):
-        slot = find_tile(walls.tiles, row >> TILE_BITS, column >> TILE_BITS)
-        if slot != NO_TILE:
+        i, j = row - first_row, column - first_column
+        if 0 <= i < has_wall.shape[0] and 0 <= j < has_wall.shape[1] and has_wall[i, j]:
+            slot = find_tile(walls.tiles, row >> TILE_BITS, column >> TILE_BITS)
             r, q = row & TILE_MASK, column & TILE_MASK
             if known.asked[slot, r, q] != number:
                 open_share = 1.0
@@ -203,20 +218,16 @@ def density_of_ground(ground, free, x, y):
 
 
 @njit(cache=True, nogil=True)
-def weigh_beams(xy, normals, sensors, pose, known, number, at_end, on_way):
-    """Log-likelihood of each beam at a pose, less that on ground of which the map knows nothing.
+def weigh_ends(xy, normals, pose, known, at_end):
+    """Log-likelihood of where each beam ends at a pose, less that on ground of which the map knows nothing.
 
     xy        (N, 2) float64   ends of the beams, m
     normals   (N, 3) float64   of the walls there
-    sensors   (N, 2) float64   where each beam begins, m, in the frame of xy
-    pose      (3,)   float64   of that frame in the map
-    known     KnownGround      `asked` is written to
-    number    int              of this pose: another one than that of the call before
-    at_end    (N,)   float64   out, nats, of where the beam ends: about FULL_RATIO on a wall, 0 on unknown
-                               ground, below 0 where the map knows that nothing stands
-    on_way    (N,)   float64   out, nats, 0 or less, of what it goes through
-    Source: Thrun, Burgard, Fox, Probabilistic Robotics, section 6.3 (beam model); the share of a wall that is
-    gone by hits and misses, as reflection maps count them (Haehnel 2004).
+    pose      (3,)   float64   of their frame in the map
+    known     KnownGround
+    at_end    (N,)   float64   out, nats: about FULL_RATIO on a wall, 0 on unknown ground, below 0 where the
+                               map knows that nothing stands
+    Source: Thrun, Burgard, Fox, Probabilistic Robotics, section 6.3 (beam model).
     """
     count = xy.shape[0]
     front, back, turned = np.empty((count, 6)), np.empty((count, 6)), normals.copy()
@@ -229,8 +240,6 @@ def weigh_beams(xy, normals, sensors, pose, known, number, at_end, on_way):
     for i in range(count):
         x = pose[0] + c * xy[i, 0] - s * xy[i, 1]
         y = pose[1] + s * xy[i, 0] + c * xy[i, 1]
-        u = pose[0] + c * sensors[i, 0] - s * sensors[i, 1]
-        v = pose[1] + s * sensors[i, 0] + c * sensors[i, 1]
         density = density_of_ground(known.ground, known.free, x, y)
         if front[i, 4] > 0.0:
             off_m = (x - front[i, 0]) * front[i, 2] + (y - front[i, 1]) * front[i, 3]
@@ -244,4 +253,32 @@ def weigh_beams(xy, normals, sensors, pose, known, number, at_end, on_way):
         if 0 <= row < known.points.shape[0] and 0 <= column < known.points.shape[1]:
             density += on_point * known.points[row, column]
         at_end[i] = math.log(density / NOT_KNOWN)
+
+
+@njit(cache=True, nogil=True)
+def weigh_ways(xy, sensors, pose, known, number, least, on_way):
+    """Log-probability that what the beams go through is gone; gives up where it is less than `least` in sum.
+
+    xy        (N, 2) float64   ends of the beams, m
+    sensors   (N, 2) float64   where each begins, m, in the frame of xy
+    pose      (3,)   float64   of that frame in the map
+    known     KnownGround      `asked` is written to
+    number    int              of this pose: another one than that of the call before
+    least     float            nats
+    on_way    (N,)   float64   out, nats, 0 or less; what is not asked any more: 0
+    Returns their sum.
+    Source: a wall is gone by hits and misses, as reflection maps count them (Haehnel 2004).
+    """
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    on_way[:] = 0.0
+    total = 0.0
+    for i in range(xy.shape[0]):
+        x = pose[0] + c * xy[i, 0] - s * xy[i, 1]
+        y = pose[1] + s * xy[i, 0] + c * xy[i, 1]
+        u = pose[0] + c * sensors[i, 0] - s * sensors[i, 1]
+        v = pose[1] + s * sensors[i, 0] + c * sensors[i, 1]
         on_way[i] = openness(u, v, x - u, y - v, known, number)
+        total += on_way[i]
+        if total < least:
+            break
+    return total

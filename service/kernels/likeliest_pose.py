@@ -1,23 +1,32 @@
 """The likeliest pose of a cloud of points in a known map near another one, by the beams that end in them."""
 
+import math
+
 import numpy as np
 from numba import njit
 
-from service.kernels.beam_likelihood import weigh_beams
+from service.kernels.beam_likelihood import weigh_ends, weigh_ways
 from service.kernels.linear3 import copy_vector
 
 
 @njit(cache=True, nogil=True)
-def evidence_of_beams(xy, normals, sensors, shares, pose, known, number, at_end, on_way):
-    """Nats that speak for a pose, as weigh_beams gives them.
+def evidence_of_beams(xy, normals, sensors, shares, pose, known, number, least, at_end, on_way):
+    """Nats that speak for a pose: of the beams' ends and ways.
+
+    Ways only take away: where the ends alone do not reach `least`, no way is asked, and what is given is less
+    than `least`, but no less than the evidence.
 
     shares   (N,) float64   what the end of each beam counts
+    at_end, on_way   (N,) float64   out, as weigh_ends and weigh_ways give them
     """
-    weigh_beams(xy, normals, sensors, pose, known, number, at_end, on_way)
+    weigh_ends(xy, normals, pose, known, at_end)
     total = 0.0
     for i in range(xy.shape[0]):
-        total += shares[i] * at_end[i] + on_way[i]
-    return total
+        total += shares[i] * at_end[i]
+    if total < least:
+        on_way[:] = 0.0
+        return total
+    return total + weigh_ways(xy, sensors, pose, known, number, least - total, on_way)
 
 
 @njit(cache=True, nogil=True)
@@ -26,14 +35,14 @@ def climb(xy, normals, sensors, shares, pose, known, number, first, least):
     then steps of half the length.
 
     pose     (3,) float64   in: where to start, out: where it ended, in the map
-    number   int            of the first pose asked, as weigh_beams takes it; those after it count on
+    number   int            of the first pose asked, as weigh_ways takes it; those after it count on
     first    (3,) float64   longest steps, m, m, rad
     least    float          so many times the longest steps are the shortest
     Returns (nats at the end, poses asked).
     Source: Hooke and Jeeves, Direct search solution of numerical and statistical problems, 1961.
     """
     at_end, on_way = np.empty(xy.shape[0]), np.empty(xy.shape[0])
-    best = evidence_of_beams(xy, normals, sensors, shares, pose, known, number, at_end, on_way)
+    best = evidence_of_beams(xy, normals, sensors, shares, pose, known, number, -math.inf, at_end, on_way)
     asked = 1
     trial, next_pose = np.empty(3), np.empty(3)
     scale = 1.0
@@ -44,7 +53,7 @@ def climb(xy, normals, sensors, shares, pose, known, number, first, least):
                 copy_vector(pose, trial)
                 trial[axis] += sign * scale * first[axis]
                 evidence = evidence_of_beams(
-                    xy, normals, sensors, shares, trial, known, number + asked, at_end, on_way
+                    xy, normals, sensors, shares, trial, known, number + asked, next_best, at_end, on_way
                 )
                 asked += 1
                 if evidence > next_best:

@@ -17,9 +17,11 @@ from service.kernels.beam_likelihood import (
     POINT_SIGMA_M,
     WALL_SIGMA_M,
     KnownGround,
+    cells_with_walls,
     count_looks,
     splat_points,
-    weigh_beams,
+    weigh_ends,
+    weigh_ways,
 )
 from service.kernels.occupancy import Evidence, trace_scan
 from service.kernels.surfels import insert_surfels
@@ -43,9 +45,8 @@ def mapped(looked_through: bool = False) -> KnownGround:
     points = np.zeros((400, 400), np.uint8)
     splat_points(xy, FIRST, FIRST, points)
     looked = np.zeros(walls.surfels.shape[:4], np.float32)
-    known = KnownGround(
-        walls, looked, ground, -10, points, FIRST, FIRST, np.zeros(walls.surfels.shape[:3], np.int32)
-    )
+    asked = np.zeros(walls.surfels.shape[:3], np.int32)
+    known = KnownGround(walls, cells_with_walls(walls), looked, ground, -10, points, FIRST, FIRST, asked)
     if looked_through:
         beyond = np.column_stack((np.full(401, 4.5), np.linspace(-2.0, 2.0, 401)))
         for _ in range(10):
@@ -61,7 +62,9 @@ def ratios(ends, known: KnownGround, pose=(0.0, 0.0, 0.0), sensor=SENSOR, normal
     sensors = np.tile((np.array(sensor) - pose[:2]) @ turn, (len(here), 1))
     normals = np.tile([*(np.array(normal) @ turn), 1.0], (len(here), 1))
     at_end, on_way = np.empty(len(here)), np.empty(len(here))
-    weigh_beams(here, normals, sensors, np.array(pose), known, number, at_end, on_way)
+    weigh_ends(here, normals, np.array(pose), known, at_end)
+    total = weigh_ways(here, sensors, np.array(pose), known, number, -math.inf, on_way)
+    assert total == pytest.approx(on_way.sum())
     assert (on_way <= 0.0).all()
     return at_end + on_way
 
@@ -149,3 +152,17 @@ def test_likelihood_near_points_is_that_of_the_nearest():
     expected = 255.0 * np.exp(-0.5 * (off_m / POINT_SIGMA_M) ** 2)
     np.testing.assert_allclose(points[near], expected[near], atol=2.0)
     assert points[off_m > 3 * POINT_CELL_M].max() == 0
+
+
+def test_ways_are_asked_no_further_than_they_can_matter():
+    """Beams that go through the wall side by side, each through a cell of its own."""
+    known = mapped()
+    ends = np.column_stack((np.full(8, 4.5), np.linspace(-1.6, 1.6, 8)))
+    on_way, few = np.empty(8), np.empty(8)
+    sensors, pose = np.zeros((8, 2)), np.zeros(3)
+    total = weigh_ways(ends, sensors, pose, known, 1, -math.inf, on_way)
+    assert (on_way < 0.0).all()
+    assert weigh_ways(ends, sensors, pose, known, 2, total, few) == pytest.approx(total)
+    least = on_way[:3].sum() + 1e-9
+    assert weigh_ways(ends, sensors, pose, known, 3, least, few) < least
+    np.testing.assert_allclose(few, [*on_way[:3], 0.0, 0.0, 0.0, 0.0, 0.0])

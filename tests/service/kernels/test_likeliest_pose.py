@@ -3,8 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from service.kernels.beam_likelihood import weigh_beams
-from service.kernels.likeliest_pose import climb
+from service.kernels.likeliest_pose import climb, evidence_of_beams
 from tests.service.kernels.test_beam_likelihood import mapped
 
 FIRST, LEAST = np.array([0.06, 0.06, 0.012]), 1.0 / 16.0
@@ -18,14 +17,21 @@ def seen_at(pose, noise):
     return (ends - pose[:2]) @ turn, np.tile([*(np.array([-1.0, 0.0]) @ turn), 1.0], (120, 1))
 
 
+def asked_at(pose, xy, normals, shares, known, number, least=-math.inf):
+    at_end, on_way = np.empty(120), np.empty(120)
+    evidence = evidence_of_beams(
+        xy, normals, np.zeros((120, 2)), shares, pose, known, number, least, at_end, on_way
+    )
+    return evidence, at_end, on_way
+
+
 def climbed(start, truth, shares, noise):
     known = mapped()
     xy, normals = seen_at(truth, noise)
     sensors, pose = np.zeros((120, 2)), np.array(start)
     best, asked = climb(xy, normals, sensors, shares, pose, known, 1, FIRST, LEAST)
-    at_end, on_way = np.empty(120), np.empty(120)
-    weigh_beams(xy, normals, sensors, pose, known, asked + 1, at_end, on_way)
-    assert best == pytest.approx(float(shares @ at_end + on_way.sum()))
+    evidence, at_end, on_way = asked_at(pose, xy, normals, shares, known, asked + 1)
+    assert best == evidence == pytest.approx(float(shares @ at_end + on_way.sum()))
     return pose, best, asked
 
 
@@ -52,8 +58,21 @@ def test_what_beams_go_through_counts_at_each_pose_anew():
     known = mapped()
     xy, normals = seen_at((0.0, 0.0, 0.0), np.random.default_rng(1))
     xy[:, 0] += 1.0
-    pose, at_end, on_way = np.zeros(3), np.empty(120), np.empty(120)
+    pose = np.zeros(3)
     best, asked = climb(xy, normals, np.zeros((120, 2)), np.ones(120), pose, known, 1, FIRST, LEAST)
-    weigh_beams(xy, normals, np.zeros((120, 2)), pose, known, asked + 1, at_end, on_way)
+    _, at_end, on_way = asked_at(pose, xy, normals, np.ones(120), known, asked + 1)
     assert on_way.sum() < -1.0
     assert best == pytest.approx(float(at_end.sum() + on_way.sum()))
+
+
+def test_where_the_ends_alone_are_not_enough_their_sum_is_told():
+    """From beyond the wall: every beam goes through it and ends on its back."""
+    known, truth = mapped(), np.zeros(3)
+    xy, normals = seen_at(truth, np.random.default_rng(1))
+    beyond = np.array([0.6, 0.0, 0.0])
+    evidence, at_end, on_way = asked_at(beyond, xy, normals, np.ones(120), known, 1)
+    assert (on_way < 0.0).any()
+    assert evidence < at_end.sum()
+    bound, _, unasked = asked_at(beyond, xy, normals, np.ones(120), known, 2, at_end.sum() + 1.0)
+    assert bound == pytest.approx(at_end.sum())
+    assert (unasked == 0.0).all()

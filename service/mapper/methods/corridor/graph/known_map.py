@@ -15,9 +15,9 @@ from service.kernels.beam_likelihood import (
     POINT_CELL_M,
     POINT_REACH,
     KnownGround,
+    cells_with_walls,
     count_looks,
     splat_points,
-    weigh_beams,
 )
 from service.kernels.branch_and_bound import MaxPyramid, pool_levels, search_branch_and_bound
 from service.kernels.facing_search import (
@@ -28,7 +28,7 @@ from service.kernels.facing_search import (
     search_facing,
     splat_facing,
 )
-from service.kernels.likeliest_pose import climb
+from service.kernels.likeliest_pose import climb, evidence_of_beams
 from service.kernels.loops import splat_field
 from service.kernels.occupancy import OccupancyGrid, trace_scan
 from service.kernels.surfels import SurfelGrid
@@ -103,13 +103,13 @@ class KnownMap:
         order = np.argsort(-places[:, 3], kind="stable")[:MOST_CANDIDATES]
         return list(places[order, :3])
 
-    def lay(self, seen: SeenCloud, near: Floats) -> Laid:
-        """The cloud laid on all walls there are, from a candidate."""
+    def lay(self, seen: SeenCloud, near: Floats, least: float = -math.inf) -> Laid:
+        """The cloud laid on all walls there are, from a candidate. least: as of weigh."""
         window = window_around(near, REFINED[:2], self._field, REFINED[2])
         near = (seen.cloud.xy**2).sum(axis=1) < REACH_M**2
         thin = thinned(seen.cloud.xy[near], REFINING_POINTS)
         found = search_branch_and_bound(thin, self._field, window, -math.inf)
-        return self._aligned(seen, found.pose)
+        return self._aligned(seen, found.pose, least)
 
     def refine(self, seen: SeenCloud, laid: Laid) -> Laid:
         """The likeliest pose near that at which the cloud was laid: walls alone lead astray where there are
@@ -144,20 +144,31 @@ class KnownMap:
         least = ALONG_SHARE * laid.fit.share
         return [Laid(fit, self.weigh(seen, fit.pose)) for fit in beside if fit.share >= least]
 
-    def weigh(self, seen: SeenCloud, pose: Floats) -> Weight:
-        """What speaks for a cloud at a pose (3,)."""
+    def weigh(self, seen: SeenCloud, pose: Floats, least: float = -math.inf) -> Weight:
+        """What speaks for a cloud at a pose (3,); of evidence below `least` no more than a bound."""
         cloud, shares = seen.cloud, seen.shares
         at_end, on_way = np.empty(len(cloud.xy)), np.empty(len(cloud.xy))
         self._weighed += 1
-        weigh_beams(cloud.xy, cloud.normals, seen.sensors, pose, self._asked, self._weighed, at_end, on_way)
-        evidence, whole = float(shares @ at_end + on_way.sum()), max(float(shares.sum()), 1e-9)
+        evidence = evidence_of_beams(
+            cloud.xy,
+            cloud.normals,
+            seen.sensors,
+            shares,
+            pose,
+            self._asked,
+            self._weighed,
+            least,
+            at_end,
+            on_way,
+        )
+        whole = max(float(shares.sum()), 1e-9)
         against = float(shares @ (at_end + on_way < AGAINST_RATIO)) / whole
         on_map = float(shares @ (at_end > ON_MAP_RATIO)) / whole
         return Weight(evidence, max(0.0, FULL_RATIO * whole - evidence), against, on_map)
 
-    def _aligned(self, seen: SeenCloud, pose: Floats) -> Laid:
+    def _aligned(self, seen: SeenCloud, pose: Floats, least: float = -math.inf) -> Laid:
         fit = self._walls.align(seen.cloud, pose)
-        return Laid(fit, self.weigh(seen, fit.pose))
+        return Laid(fit, self.weigh(seen, fit.pose, least))
 
 
 def _one_of_each_cell(cloud: PointCloud) -> PointCloud:
@@ -250,7 +261,17 @@ def _asked_of(
     points = np.zeros((high[1] - low[1], high[0] - low[0]), np.uint8)
     splat_points(xy, int(low[1]), int(low[0]), points)
     asked = np.zeros(walls.surfels.shape[:3], np.int32)
-    return KnownGround(walls, looked, ground, LOOKED_THROUGH, points, int(low[1]), int(low[0]), asked)
+    return KnownGround(
+        walls,
+        cells_with_walls(walls),
+        looked,
+        ground,
+        LOOKED_THROUGH,
+        points,
+        int(low[1]),
+        int(low[0]),
+        asked,
+    )
 
 
 def _sensor_of(keyframes: KeyframeList, k: int) -> Floats:

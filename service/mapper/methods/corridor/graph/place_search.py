@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import numpy.typing as npt
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
@@ -13,6 +14,7 @@ SAME_PLACE_M, SAME_PLACE_RAD = 0.5, 0.1
 SAME_POSE_M, SAME_POSE_RAD = 0.1, 0.02  # poses of one place may differ by so much where it is known well
 MOST_REFINED = 12  # of the places that candidates lead to
 BEHIND_NATS = 100.0  # so far behind the likeliest a place is not refined
+FAR_BEHIND_NATS = 250.0  # nor asked how far: it counts for as much as may speak for it
 MOST_SLID, MOST_BESIDE = 8, 4  # places beside which others are looked for in a round, and how many of those
 MOST_ROUNDS = 3  # until none of these is ahead
 
@@ -21,7 +23,7 @@ def find_places(known_map: KnownMap, seen: SeenCloud) -> list[Laid]:
     """The likeliest first. Along walls that say nothing of a direction, places beside a candidate are told
     from it, too.
     """
-    laid = _distinct([known_map.lay(seen, guess) for guess in known_map.candidates(seen.cloud)])
+    laid = _distinct(_laid(known_map, seen))
     places = _refined(known_map, seen, laid[:MOST_REFINED], [])
     asked: list[Laid] = []
     for _ in range(MOST_ROUNDS):
@@ -35,6 +37,16 @@ def find_places(known_map: KnownMap, seen: SeenCloud) -> list[Laid]:
     return _by_evidence(places + others)
 
 
+def _laid(known_map: KnownMap, seen: SeenCloud) -> list[Laid]:
+    """All candidates; of those FAR_BEHIND_NATS behind one before, the most that can speak for them."""
+    laid: list[Laid] = []
+    best = -math.inf
+    for guess in known_map.candidates(seen.cloud):
+        laid.append(known_map.lay(seen, guess, best - FAR_BEHIND_NATS))
+        best = max(best, laid[-1].weight.evidence)
+    return laid
+
+
 def _refined(known_map: KnownMap, seen: SeenCloud, laid: list[Laid], places: list[Laid]) -> list[Laid]:
     """Places with these, refined, among them, the likeliest first."""
     for one in laid:
@@ -46,24 +58,29 @@ def _refined(known_map: KnownMap, seen: SeenCloud, laid: list[Laid], places: lis
 
 def is_same_place(pose: Floats, other: Floats) -> bool:
     """Whether poses (3,) are so near that one room is meant by both."""
-    return _is_near(pose, other, SAME_PLACE_M, SAME_PLACE_RAD)
+    return bool(_are_near(pose, other, SAME_PLACE_M, SAME_PLACE_RAD))
 
 
 def is_same_pose(pose: Floats, other: Floats) -> bool:
-    return _is_near(pose, other, SAME_POSE_M, SAME_POSE_RAD)
+    return bool(_are_near(pose, other, SAME_POSE_M, SAME_POSE_RAD))
 
 
-def _is_near(pose: Floats, other: Floats, near_m: float, near_rad: float) -> bool:
-    away = se2.between(pose, other)
-    return bool(np.hypot(away[0], away[1]) <= near_m and abs(away[2]) <= near_rad)
+def _are_near(pose: Floats, others: Floats, near_m: float, near_rad: float) -> npt.NDArray[np.bool_]:
+    """(...,) of others (..., 3)."""
+    away = se2.between(pose, others)
+    near: npt.NDArray[np.bool_] = np.hypot(away[..., 0], away[..., 1]) <= near_m
+    return near & (np.abs(away[..., 2]) <= near_rad)
 
 
 def _distinct(laid: list[Laid]) -> list[Laid]:
     """The likeliest of each pose, the likeliest first."""
-    kept: list[Laid] = []
-    for one in _by_evidence(laid):
-        if not any(is_same_pose(one.fit.pose, other.fit.pose) for other in kept):
+    ordered, kept = _by_evidence(laid), []
+    poses = np.array([one.fit.pose for one in ordered]).reshape(-1, 3)
+    is_taken = np.zeros(len(ordered), np.bool_)
+    for k, one in enumerate(ordered):
+        if not is_taken[k]:
             kept.append(one)
+            is_taken |= _are_near(poses[k], poses, SAME_POSE_M, SAME_POSE_RAD)
     return kept
 
 
