@@ -178,13 +178,14 @@ class KeyframeList:
         self._numbers[k, 3] = False
 
     def forget_one_standing(self, most: int, config: LoopsConfig) -> None:
-        """Forget the one before the newest `most`, if the next is of the same spot: it sees the same.
+        """Forget the one before the newest `most`, if the one kept before it is of the same spot and piece.
 
         While a piece is looked for, key frames are made where the vehicle stands, too.
         """
         old = self.count - 1 - most
-        if old < self.stored or self._numbers[old, 4] != self._numbers[old + 1, 4]:
+        before = np.flatnonzero(self._numbers[self.stored : max(old, self.stored), 3])
+        if not len(before) or self._numbers[self.stored + before[-1], 4] != self._numbers[old, 4]:
             return
-        pose, following = (SE2(*self.odom[k].tolist()) for k in (old, old + 1))
-        if not following.is_step_from(pose, config.keyframe_distance_m, config.keyframe_turn_rad):
+        pose, kept = (SE2(*self.odom[k].tolist()) for k in (old, self.stored + before[-1]))
+        if not pose.is_step_from(kept, config.keyframe_distance_m, config.keyframe_turn_rad):
             self.forget(old)

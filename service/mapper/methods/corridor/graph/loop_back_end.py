@@ -192,8 +192,7 @@ class LoopBackEnd:
         return piece
 
     def _append(self, frame: KeyFrame) -> None:
-        keyframes = self._keyframes
-        pose = frame.pose_odom_base
+        keyframes, pose = self._keyframes, frame.pose_odom_base
         odom = np.array([pose.x_m, pose.y_m, pose.theta_rad])
         if keyframes.count > keyframes.stored:
             odom = se2.compose(keyframes.map[-1], se2.between(keyframes.odom[-1], odom))
@@ -206,7 +205,8 @@ class LoopBackEnd:
         keyframes.append(
             frame, odom, ThinnedScan(frame.xy_base[kept], normals[kept].astype(np.float32), frame.sensor_xy_m)
         )
-        keyframes.forget_one_standing(MOST_STANDING, self._config)
+        if self._is_detached():
+            keyframes.forget_one_standing(MOST_STANDING, self._config)
 
     def _look_for_loops(self) -> bool:
         """Search if it is time; whether what came to be accepted is worth a solution now."""

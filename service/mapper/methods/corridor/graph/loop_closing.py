@@ -80,7 +80,8 @@ class LoopClosing(BackgroundGraph[Result]):
         self._known: KnownPose | None = None
         self._last: SE2 | None = None  # of the newest key frame
         self._last_ns = 0
-        self._standing = 0  # key frames since the one before which the vehicle moved
+        self._spot: SE2 | None = None  # of the first key frame from where the vehicle stands
+        self._standing = 0  # key frames after that one from there
         self._gap_s = 0.0 if stored is None else math.inf  # longest time without a scan since then
         self._way_m = 0.0  # of those not yet sent
         self._last_result: Result | None = None
@@ -93,15 +94,16 @@ class LoopClosing(BackgroundGraph[Result]):
         self._gap_s = max(self._gap_s, scan.elapsed_s)
         is_detached = not self._is_placed or (scan.match.state == "lost" and scan.change.piece > 0)
         self._is_looking = is_detached
-        is_step = self._is_keyframe(pose)
         wait_ns = DETACHED_INTERVAL_NS << min(max(self._standing - MOST_STANDING, 0), MOST_DOUBLED)
-        is_due = is_step or (is_detached and scan.stamp_ns - self._last_ns >= wait_ns)
+        is_due = self._is_step(pose, self._last) or (is_detached and scan.stamp_ns - self._last_ns >= wait_ns)
         is_keyframe = len(scan.points.xy_base) and is_due and not self.fault
         if is_keyframe:
             if self._last is not None:
                 self._way_m += math.hypot(pose.x_m - self._last.x_m, pose.y_m - self._last.y_m)
             self._last, self._last_ns = pose, scan.stamp_ns
-            self._standing = 0 if is_step else self._standing + 1
+            self._standing += 1
+            if self._is_step(pose, self._spot):
+                self._spot, self._standing = pose, 0
             self._fresh.append(_key_frame(scan, self._gap_s))
             self._keyframes += 1
             self._gap_s = 0.0
@@ -207,11 +209,9 @@ class LoopClosing(BackgroundGraph[Result]):
             self._known,
         )
 
-    def _is_keyframe(self, pose: SE2) -> bool:
+    def _is_step(self, pose: SE2, last: SE2 | None) -> bool:
         config = self._config
-        return self._last is None or pose.is_step_from(
-            self._last, config.keyframe_distance_m, config.keyframe_turn_rad
-        )
+        return last is None or pose.is_step_from(last, config.keyframe_distance_m, config.keyframe_turn_rad)
 
 
 def _key_frame(scan: MappedScan, gap_s: float) -> KeyFrame:

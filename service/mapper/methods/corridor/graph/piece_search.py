@@ -23,7 +23,7 @@ from service.mapper.methods.corridor.graph.seen_cloud import SeenCloud, seen_clo
 
 AROUND_M, MOST_AROUND = 6.0, 40  # key frames that what is seen where a person says is held against
 MOST_QUERY = 12  # key frames of a piece that are looked for together
-MOST_STANDING = 3  # of them of one spot, which see the same
+MOST_STANDING = 3  # of them, besides the first, of one spot, which see the same
 # Nats by which the best place must beat every other one, as service.kernels.beam_likelihood weighs beams; and
 # a share of what it leaves unexplained, since then the true place may fit worse than one that looks alike.
 CLEARLY_LIKELIER, FOR_UNEXPLAINED = 20.0, 0.5
