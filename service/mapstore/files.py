@@ -31,6 +31,7 @@ from service.errors import InputError, StorageError
 from service.geometry.geo_reference import GeoReference
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.annotated import PALETTE, annotated
+from service.mapstore.arrays import write_arrays
 from service.mapstore.edits import Edit, Version, edit_from_json, edit_to_json, kept_for_ever
 from service.mapstore.geo_file import GEO_FILE, read_geo, write_geo
 from service.mapstore.graph_files import GRAPH_FILE, link_graph, read_graph, write_graph
@@ -266,12 +267,12 @@ def _write_content(
     if geo is not None:
         write_geo(new / GEO_FILE, geo)
     with (new / "tiles.npz").open("wb") as file:
-        np.savez_compressed(
-            file,
-            index=np.array([(t.level, t.ix, t.iy, t.version) for t in tiles], dtype=np.int64),
-            cell_m=np.array([t.cell_m for t in tiles]),
-            cells=np.stack([t.cells for t in tiles]),
-        )
+        arrays = {
+            "index": np.array([(t.level, t.ix, t.iy, t.version) for t in tiles], dtype=np.int64),
+            "cell_m": np.array([t.cell_m for t in tiles]),
+            "cells": np.stack([t.cells for t in tiles]),
+        }
+        write_arrays(file, arrays)
     picture = picture_of_tiles(tiles)
     write_ros_map(new / "map.pgm", new / "map.yaml", picture)
     write_png(new / "map.png", annotated(picture), PALETTE)

@@ -10,7 +10,6 @@ import os
 import shutil
 import zipfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,10 +22,10 @@ from service.mapper.saved_graph import (
     packed_points,
     small_arrays,
 )
+from service.mapstore.arrays import write_arrays
 
 GRAPH_FILE = "graph.npz"
 FRAMES_A_FILE = 256
-_savez: Any = np.savez_compressed  # numpy's type says of **kwds that each is a flag
 
 
 def write_graph(
@@ -55,10 +54,9 @@ def write_graph(
             os.link(old, folder / name)
             continue
         with (folder / name).open("wb") as file:
-            _savez(file, **points)
+            write_arrays(file, points)
     with (folder / GRAPH_FILE).open("wb") as file:
-        arrays = small_arrays(graph) | {"points": np.array(names, np.str_)}
-        _savez(file, **arrays)
+        write_arrays(file, small_arrays(graph) | {"points": np.array(names, np.str_)})
     return [GRAPH_FILE, *names]
 
 

@@ -18,6 +18,7 @@ MAX_PIXELS = 2**30  # 1.6 km square at 5 cm: a map that spans more has lost its 
 _GREY = np.full(256, GREY_UNKNOWN, dtype=np.uint8)
 _GREY[: int(FREE_THRESH * 100) + 1] = WHITE_FREE
 _GREY[int(OCCUPIED_THRESH * 100) : 101] = BLACK_OCCUPIED
+_GREY_OF = _GREY.tobytes()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,8 +37,9 @@ class Picture:
 
 
 def to_pixels(cells: npt.NDArray[np.int8]) -> Pixels:
-    """(H, W) occupancy, row 0 lowest -> (H, W) grey, row 0 on top."""
-    return _GREY[np.ascontiguousarray(cells[::-1]).view(np.uint8)]
+    """(H, W) occupancy, row 0 lowest -> (H, W) grey, row 0 on top; read-only."""
+    pixels = cells[::-1].tobytes().translate(_GREY_OF)  # in half the time of an index by cells
+    return np.frombuffer(pixels, np.uint8).reshape(cells.shape)
 
 
 def picture_of_grid(grid: Grid) -> Picture:
