@@ -23,6 +23,7 @@ from numba.core.registry import cpu_target
 
 from service.interruption import children_do_not_hear, end_with_parent
 from service.kernel_cache import forget_kernels
+from service.kernel_compiler import load_compiler
 from service.mapper.profiles import MappingConfig, mapping_config, warm_up_steps
 
 log = logging.getLogger(__name__)
@@ -128,6 +129,7 @@ def needed_kernels(back_end_elsewhere: bool = False) -> set[str]:
     """Module and name of every kernel that the modules imported by now may call, without those that only the
     graph's back end calls where that works elsewhere.
     """
+    load_compiler()
     found: dict[str, Dispatcher] = {}
     callers = [m for name, m in list(sys.modules.items()) if name.startswith("service.") and m is not None]
     waiting = [
@@ -159,6 +161,7 @@ def _start_compiler() -> None:
     It would import scipy.linalg only to know whether np.dot can be had: half of the time that this takes. No
     kernel multiplies matrices that way.
     """
+    load_compiler()
     if "scipy.linalg" in sys.modules:
         return
     sys.modules["scipy.linalg"] = None  # type: ignore[assignment]

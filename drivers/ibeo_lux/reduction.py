@@ -1,7 +1,7 @@
 """Four layers into one planar scan. Arrays in, arrays out.
 
 Which points count: those of the layers chosen, without the labels to be left out, within the range limits,
-and, where the mounting height is known, above the ground. A label is believed only where the scan's flag says
+and, where the mounting height is known, above the ground. A label is used only where the scan's flag says
 that this labelling ran: in real scans the bits of the others are set at random.
 
 Of the echoes of one shot one is chosen. Its end point is laid into the horizontal plane: range times cosine

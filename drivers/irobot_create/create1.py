@@ -137,7 +137,7 @@ class Create1Session:
         if len(self._answer) < self._answer_bytes:
             return []
         answer, surplus = bytes(self._answer[: self._answer_bytes]), bytes(self._answer[self._answer_bytes :])
-        values = None if surplus else self._believe(answer, arrived_ns)
+        values = None if surplus else self._accepted(answer, arrived_ns)
         if values is None:
             self.counters["answers_refused"] += 1
             self._refused_in_a_row += 1
@@ -169,7 +169,7 @@ class Create1Session:
                 self.status = "the robot was reset; waiting for the end of its banner"
         self._text.lines.clear()
 
-    def _believe(self, answer: bytes, arrived_ns: int) -> dict[int, int] | None:
+    def _accepted(self, answer: bytes, arrived_ns: int) -> dict[int, int] | None:
         """The answer's values, None where they contradict themselves or the robot's abilities."""
         try:
             values = decode_values(QUERY_IDS, answer)

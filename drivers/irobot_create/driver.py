@@ -54,8 +54,8 @@ class Reading:
 class IrobotCreateSession:
     """One connection's life; see drivers.link.Session.
 
-    Yields an OdometrySample per stream frame, 66.7 a second. The pose never jumps: what cannot be known or
-    believed is left out of it, and put into its covariance instead.
+    Yields an OdometrySample per stream frame, 66.7 a second. The pose never jumps: what is unknown or
+    implausible is left out of it, and added to its covariance instead.
     """
 
     def __init__(self, config: IrobotCreateConfig, odometry: DeadReckoning | None = None) -> None:
@@ -71,7 +71,7 @@ class IrobotCreateSession:
         self._byte_ns = 10e9 / config.baud
         self._frame_bytes = frame_bytes(STREAM_IDS)
         self._clock = FrameClock(round(self._frame_bytes * self._byte_ns + config.latency_ms * 1e6))
-        self._read: Reading | None = None  # the last believed; None: not read since the last reset
+        self._read: Reading | None = None  # the last plausible one; None: not read since the last reset
         self._doubtful: Reading | None = None  # too far from that; the next one tells which of them was right
         self._heard_ns: int | None = None
         self._backdated = False  # the read at hand: its bytes had the time to come one after the other
@@ -203,7 +203,7 @@ class IrobotCreateSession:
             self.identity["oi_mode"] = "reported one too high"
 
     def _roll(self, frame: StreamFrame, stamp_ns: int, arrived_ns: int) -> tuple[float, float]:
-        """Integrate the counts since the last reading; (m, rad), zeros where they cannot be believed."""
+        """Integrate the counts since the last reading; (m, rad), zeros where they are implausible."""
         counts = (frame.values[PacketId.LEFT_ENCODER], frame.values[PacketId.RIGHT_ENCODER])
         reading = Reading(*counts, stamp_ns)
         for before in (self._read, self._doubtful):

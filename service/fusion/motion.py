@@ -49,7 +49,7 @@ class Measurement:
     covariance        (3, 3) of that pose against the local map, base axes
     information       (3, 3) of the scan alone, base axes; zero: nothing was measured, the pose is the
                       prediction
-    prior_weight      1, or less where the prediction was so far off that it was believed less
+    prior_weight      1, or less where the prediction was so far off that its weight was reduced
     gap               (3, 3) how much less the prediction was known than the model says, base axes: the scan
                       was matched to another piece of the map than those before it; None: not so
     is_joined         False: pose and covariance are those of the scan alone; the motion model joins them with

@@ -4,8 +4,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from service.kernel_compiler import njit
 from service.kernels.contour_blur import BLURRED, HIT, PASSED, touch_cell
 from service.kernels.rays import begin_ray
 from service.kernels.surfels import TILE_BITS, TILE_CELLS, TILE_MASK

@@ -1,8 +1,8 @@
 """Orthogonal blurred segments: runs of points in a narrow band along either axis of the map."""
 
 import numpy as np
-from numba import njit
 
+from service.kernel_compiler import njit
 from service.kernels.ordering import order_rising
 
 NO_SEGMENT = -1

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from service.kernel_compiler import njit
 from service.kernels.likelihood_search import SearchResult, result_of, turned_cells
 from service.kernels.ordering import order_rising
 from service.kernels.tiles import NO_TILE, find_tile

@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from service.kernel_compiler import njit
 from service.kernels.ordering import order_rising
 
 ALONE = -1

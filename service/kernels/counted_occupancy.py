@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from service.kernel_compiler import njit
 from service.kernels.rays import begin_ray
 from service.kernels.surfels import TILE_BITS, TILE_MASK
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot

@@ -21,8 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from service.kernel_compiler import njit
 from service.kernels.pose_information import invert_3x3, wrap
 from service.kernels.se2 import between, compose, exponential, logarithm
 from service.kernels.tracks import bridge_s3, last_at_or_before, mean_twist, odometry_at, turned_to

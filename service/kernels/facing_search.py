@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from service.kernel_compiler import njit
 from service.kernels.ordering import order_rising
 
 DIRECTIONS = 16  # in which walls face; a wall counts in the two beside its own, too

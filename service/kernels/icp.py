@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from service.kernel_compiler import njit
 from service.kernels.ordering import order_rising
 from service.kernels.pose_information import wrap
 

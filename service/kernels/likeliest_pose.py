@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from service.kernel_compiler import njit
 from service.kernels.beam_likelihood import weigh_ends, weigh_ways
 from service.kernels.linear3 import copy_vector
 

@@ -4,8 +4,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from service.kernel_compiler import njit
 from service.kernels.likelihood import read_field
 from service.kernels.linear3 import copy_matrix, copy_vector, solve_3x3
 from service.kernels.pose_information import add_prior

@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from service.kernel_compiler import njit
 from service.kernels.tiles import NO_TILE, find_tile
 
 RINGS = 2  # around the cell that was hit

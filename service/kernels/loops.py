@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from service.kernel_compiler import njit
 from service.kernels.linear3 import copy_matrix, solve_3x3
 from service.kernels.match import surfel_normal_equations
 from service.kernels.occupancy import TILE_BITS, TILE_MASK

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from service.kernel_compiler import njit
 from service.kernels.rays import begin_ray
 
 UNKNOWN, FREE, WALL = 0, 1, 2

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from service.kernel_compiler import njit
 from service.kernels.deskew import deskew_points
 from service.kernels.likelihood import LikelihoodField
 from service.kernels.likelihood_lm import LmSettings, align_points, thin_evenly

@@ -3,7 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
+
+from service.kernel_compiler import njit
 
 WALL_M = 0.004  # how even a wall is, at best
 BEAMS_EACH_SIDE, MOST_BEAMS_EACH_SIDE = 4, 32  # of a window

@@ -1,7 +1,8 @@
 """Order among numbers. By hand: numba's np.argsort takes 2 s to compile, its np.partition 10 s."""
 
 import numpy as np
-from numba import njit
+
+from service.kernel_compiler import njit
 
 
 @njit(cache=True, nogil=True)

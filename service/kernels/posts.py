@@ -2,7 +2,7 @@
 
 import math
 
-from numba import njit
+from service.kernel_compiler import njit
 
 SLACK = 1e-9  # relative, for sums in another order
 

@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from service.kernel_compiler import njit
 from service.kernels.linear3 import solve_3x3
 from service.kernels.match import point_information
 from service.kernels.surfels import find_surfels

@@ -7,7 +7,8 @@ real one is. Source of the grid walk: Amanatides, Woo, "A fast voxel traversal a
 import math
 
 import numpy as np
-from numba import njit
+
+from service.kernel_compiler import njit
 
 NO_HIT = -1
 CORNER_SLACK = 1e-9  # how far beyond its ends a segment still stops a ray, in its own lengths: closes corners

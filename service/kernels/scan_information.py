@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from service.kernel_compiler import njit
 from service.kernels.linear3 import diagonalise_3x3
 
 CLUSTER_BEAMS = 16  # neighbours whose normals share most of their points

@@ -2,8 +2,7 @@
 
 import math
 
-from numba import njit
-
+from service.kernel_compiler import njit
 from service.kernels.pose_information import wrap
 
 

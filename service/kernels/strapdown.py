@@ -3,7 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
+
+from service.kernel_compiler import njit
 
 # Rows of the 15 error states: position, velocity, attitude, biases of accelerometer and gyroscope.
 POSITION, VELOCITY, ATTITUDE, FORCE_BIAS, RATE_BIAS = 0, 3, 6, 9, 12

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from service.kernel_compiler import njit
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
 
 TILE_BITS = 5

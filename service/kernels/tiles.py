@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from service.kernel_compiler import njit
 
 NO_TILE = -1
 

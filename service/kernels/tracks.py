@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from service.kernel_compiler import njit
 from service.kernels.se2 import between, compose, exponential, logarithm
 
 LAG_WINDOW_NS = 200_000_000  # over which a speed is taken that a lag of the stamps is multiplied by

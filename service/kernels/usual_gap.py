@@ -1,7 +1,8 @@
 """How far apart the returns of a scan are, where they are neighbours."""
 
 import numpy as np
-from numba import njit
+
+from service.kernel_compiler import njit
 
 MOST_GAP = 64  # beams; returns farther apart are no neighbours
 

@@ -2,8 +2,7 @@
 
 import math
 
-from numba import njit
-
+from service.kernel_compiler import njit
 from service.kernels.deskew import deskew_points
 from service.kernels.likelihood_lm import align_points
 from service.kernels.pose_information import wrap

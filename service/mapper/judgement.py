@@ -129,7 +129,7 @@ def too_few(points: Points) -> str:
 
 
 def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, str]:
-    """State and its reason, "" where it is ok. "lost": the match is not to be believed.
+    """State and its reason, "" where it is ok. "lost": the match is rejected.
 
     A scan may lie on the map in small part for two reasons. On new ground its returns lie where the map knows
     nothing; then a prediction that is good carries the pose. At a wrong pose they lie where the map knows

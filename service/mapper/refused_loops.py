@@ -1,4 +1,4 @@
-"""Loops that were measured and are not believed, as they are stored, and why."""
+"""Loops that were measured and are not accepted, as they are stored, and why."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields

@@ -14,7 +14,7 @@ class ScanCheck:
     """Looks at the scans of one laser, in the order of their arrival."""
 
     def __init__(self) -> None:
-        self._delay_ns: int | None = None  # from stamp to arrival, of the last scan that was believed
+        self._delay_ns: int | None = None  # from stamp to arrival, of the last scan that was accepted
         self._strange = 0  # scans in a row whose delay has jumped
         self._strange_ns = 0  # delay of the last one
         self._last: LaserScan | None = None

@@ -1,4 +1,4 @@
-"""`corridor map loops`: which loops hold a stored map together, which were not believed, and why."""
+"""`corridor map loops`: which loops hold a stored map together, which were not accepted, and why."""
 
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ def map_loops(folder: Path, version: int | None = None) -> dict[str, Any]:
     accepted = _told(
         graph, graph.loop_ends, graph.loop_measured, graph.loop_score, graph.loop_points, graph.loop_against
     )
-    not_believed = _told(
+    not_accepted = _told(
         graph, refused.ends, refused.measured, refused.score, refused.points, refused.against
     )
     return {
@@ -36,7 +36,7 @@ def map_loops(folder: Path, version: int | None = None) -> dict[str, Any]:
         "accepted": [{"loop": k, **told} for k, told in enumerate(accepted)],
         "refused": [
             {"why": WORDS[reason], **told}
-            for reason, told in zip(refused.reason.tolist(), not_believed, strict=True)
+            for reason, told in zip(refused.reason.tolist(), not_accepted, strict=True)
         ],
         "pairs": pairs_of(graph),
         "problems": stored.problems,

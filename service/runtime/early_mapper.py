@@ -4,8 +4,10 @@ start of the command --> process begins, imports, loads the kernels of the profi
                      --> ingest imports, checks the config, opens Zenoh, the recording, the devices
 """
 
+import fcntl
 import json
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -22,15 +24,21 @@ MODULE = "service.runtime.mapper_process"
 TOLD = "--told"  # the section "mapping" of the config, JSON, comes on the process's standard input
 END_S = 2.0
 MOST_BYTES = 1_000_000  # of a config
+FOLDER, SOCKET = "corridor-meeting-", "mapper.sock"
 
 
 class Meeting:
-    """A folder of its own with the socket at which the mapper and its stand-bys arrive."""
+    """A folder of its own with the socket at which the mapper and its stand-bys arrive.
+
+    The folder is locked for as long as this process lives. The next meeting removes what a killed one left.
+    """
 
     def __init__(self) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="corridor-mapper-", ignore_cleanup_errors=True)
+        remove_left_behind()
+        self._folder = tempfile.TemporaryDirectory(prefix=FOLDER, ignore_cleanup_errors=True)
+        self._lock: int | None = _locked(self.folder)
         self.server = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self.server.bind(str(self.folder / "mapper.sock"))
+        self.server.bind(str(self.folder / SOCKET))
         self.server.listen(4)
         self.server.setblocking(False)
 
@@ -41,6 +49,31 @@ class Meeting:
     def close(self) -> None:
         self.server.close()
         self._folder.cleanup()
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+
+def remove_left_behind() -> None:
+    """Remove the folders of services that were killed. One without a socket is just being made."""
+    for path in Path(tempfile.gettempdir()).glob(f"{FOLDER}*/{SOCKET}"):
+        with suppress(OSError):  # another user's, that of a service that lives, or removed by now
+            lock = _locked(path.parent)
+            shutil.rmtree(path.parent, ignore_errors=True)
+            os.close(lock)
+
+
+def _locked(folder: Path) -> int:
+    """A descriptor that locks a folder until it is closed, or its process ends. Raises BlockingIOError where
+    another holds the lock.
+    """
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        raise
+    return descriptor
 
 
 class EarlyMapper:

@@ -36,7 +36,7 @@ from service.mapstore.graph_files import GraphFolder
 from service.mapstore.patch_files import PatchFiles
 from service.runtime.back_end import BackEndProcess
 from service.runtime.channel import Channel, ChannelClosedError, wait_for
-from service.runtime.early_mapper import TOLD
+from service.runtime.early_mapper import SOCKET, TOLD
 from service.runtime.mapper_messages import (
     BackEndDied,
     CanCopy,
@@ -245,7 +245,7 @@ def connect(folder: Path) -> Channel:
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     connection.settimeout(CONNECT_S)
     try:
-        connection.connect(str(folder / "mapper.sock"))
+        connection.connect(str(folder / SOCKET))
     except OSError as error:
         raise ChannelClosedError(str(error)) from error
     return Channel(connection)

@@ -19,7 +19,6 @@ from pydantic import Field
 from service.encoding import Message
 from service.interruption import children_do_not_hear, end_with_parent
 from service.kernel_cache import is_warm
-from service.kernel_warm_up import warm_up
 from service.mapper.profiles import MappingConfig, begins_in_stored, mapping_config, with_profile
 from service.mapstore.tiles import TileStore
 from service.publishing.commands import CommandError, Outcome, Request, Verb
@@ -94,6 +93,8 @@ def compile_kernels(section: Section) -> None:
 
 
 def _compile(section: dict[str, Any]) -> None:
+    from service.kernel_warm_up import warm_up  # with numba, which ingest itself does without
+
     end_with_parent()
     stand_back()
     warm_up(mapping_config(section))

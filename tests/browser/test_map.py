@@ -209,7 +209,7 @@ def test_the_graph_is_a_layer_with_its_parts_explained(page, scene, live):
     page.wait_for("return corridor.report().graph.keyFrames === 3")
     assert page.report()["graph"] == {"keyFrames": 3, "accepted": 1, "refused": 2, "borders": 1}
     words = page.run("return [...document.querySelectorAll('.graph-part')].map((e) => e.textContent)")
-    assert words == ["Key frames: 3", "Loops that hold: 1", "Loops not believed: 2", "Sub-maps: 1"]
+    assert words == ["Key frames: 3", "Loops that hold: 1", "Loops not accepted: 2", "Sub-maps: 1"]
     hide_all_but_the_map(page)
     page.look_at(0.0, 1.0, 400.0)
     assert page.pixel(0.0, 1.0) == FREE  # it is off at first

@@ -138,7 +138,7 @@ function showFollow() {
 
 const LAYERS = { map: "Map", standing: "Static score", path: "Path", graph: "Pose graph", change: "Change", stored: "Changed since the map was stored", scans: "Scans", vehicle: "Vehicle with its 95 % ellipse", grid: "Grid" };
 
-const GRAPH_PARTS = { keyFrames: "Key frames", accepted: "Loops that hold", refused: "Loops not believed", borders: "Sub-maps" };
+const GRAPH_PARTS = { keyFrames: "Key frames", accepted: "Loops that hold", refused: "Loops not accepted", borders: "Sub-maps" };
 
 /** A switch for each layer; what its colours mean stands below it. */
 function setUpLayers() {

@@ -15,7 +15,7 @@ export class Past {
     this.connection = connection;
     this.ask = ask;
     this.moment = null; // the newest that came
-    this.wanted_s = null; // where a person wants to go; the newest wish counts
+    this.wanted_s = null; // where a person wants to go; the newest request counts
     this.isAsking = false;
     this.playing = null; // timer
     const step = (step_s) => element("button", { type: "button", id: `past-by${step_s}`, onclick: () => this.step(step_s),
@@ -65,7 +65,7 @@ export class Past {
     this.go(this.position_s + step_s);
   }
 
-  /** Go to this many seconds after the beginning; while the service is at work, the newest wish waits. */
+  /** Go to this many seconds after the beginning; while the service is at work, the newest request waits. */
   async go(position_s) {
     this.wanted_s = Math.min(Math.max(position_s, 0), this.moment.duration_s);
     this.#show(this.wanted_s);

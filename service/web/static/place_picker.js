@@ -33,7 +33,7 @@ export class PlacePicker {
     return this.keyframe !== null;
   }
 
-  /** Load and show the points of a key frame; while one is loading, the newest wish waits. */
+  /** Load and show the points of a key frame; while one is loading, the newest request waits. */
   async choose(keyframe) {
     this.keyframe = keyframe;
     this.update();

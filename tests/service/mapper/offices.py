@@ -7,15 +7,18 @@ from service.mapper.maps.occupancy import rendered_of
 from service.mapper.profiles import BeginIn, mapping_config
 from service.mapper.saved_graph import SavedGraph, small_arrays
 from simulators.worlds import WORLDS
-from tests.simulated import LMS100_50HZ, Drive, Wheels, drive, run
+from tests.simulated import LMS100_50HZ, Drive, Laser, Wheels, drive, run
 
 LASER = replace(LMS100_50HZ, rate_hz=12.5)
+COARSE = replace(
+    LASER, beams=136, step_deg=2.0
+)  # a quarter of the beams, for what searches with each of them
 MAPPED_S = 30.0
 
 
-def through(world: str, seconds: float, seed: int, stand_s: float = 0.5) -> Drive:
+def through(world: str, seconds: float, seed: int, stand_s: float = 0.5, laser: Laser = LASER) -> Drive:
     """The way of a world from its start on, or from a later moment where stand_s is below 0."""
-    return drive(WORLDS[world](), LASER, seconds, seed, Wheels(), stand_s=stand_s)
+    return drive(WORLDS[world](), laser, seconds, seed, Wheels(), stand_s=stand_s)
 
 
 @cache

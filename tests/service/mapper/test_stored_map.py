@@ -18,7 +18,7 @@ from service.mapper.pipeline import UNPROVEN, Mapper
 from service.mapper.profiles import BeginIn, build_mapper, mapping_config
 from service.mapper.saved_graph import SavedGraph, SavedGraphError, from_arrays, packed_points, small_arrays
 from service.outputs import MapperOutput, TileUpdate
-from tests.service.mapper.offices import mapped_office, through
+from tests.service.mapper.offices import COARSE, mapped_office, through
 from tests.simulated import FORWARD, Drive
 
 LATER_S, SECONDS = 12.0, 10.0
@@ -172,7 +172,7 @@ def test_a_session_may_begin_in_what_a_second_session_left(first, second, contin
 
 def test_what_is_nowhere_in_the_stored_map_stays_lost(first):
     _, begin = first
-    elsewhere = through("library", 2.0, 1)
+    elsewhere = through("library", 2.0, 1, laser=COARSE)
     outputs = list(outputs_of(new_mapper(begin), elsewhere.frames))
     assert {output.state for output in outputs} == {"lost"}
     assert "stored map" in outputs[-1].reason
@@ -204,7 +204,7 @@ def test_a_person_may_say_where_the_vehicle_is(first, second):
 
 def test_a_pose_that_does_not_fit_is_given_up_and_that_is_told(first):
     """The vehicle stands in another building."""
-    elsewhere = through("library", 4.0, 1)
+    elsewhere = through("library", 3.8, 1, laser=COARSE)
     mapper = new_mapper(first[1])
     mapper.graph.request("set_pose", {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5})
     outputs = list(outputs_of(mapper, elsewhere.frames))
@@ -329,8 +329,8 @@ def test_a_place_that_the_map_contradicts_is_taken_back_and_found_anew(first, se
 def test_who_is_switched_on_where_the_map_knows_nothing_is_found_later(first, second):
     """The first scans are of another building; what is seen then fits nothing of them, and is a new piece."""
     drove, begin = first
-    elsewhere = through("library", 2.0, 1)
-    later_ns = 2_500_000_000
+    elsewhere = through("library", 1.2, 1)
+    later_ns = 1_700_000_000
     frames = [frame for frame in elsewhere.frames if isinstance(frame, LaserScan)]
     frames += [
         replace(frame, stamp_ns=frame.stamp_ns + later_ns, arrived_ns=frame.arrived_ns + later_ns)

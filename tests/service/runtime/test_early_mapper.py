@@ -1,11 +1,13 @@
 """The mapper's process that is begun before the config is checked."""
 
 import subprocess
+import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 
-from service.runtime.early_mapper import EarlyMapper, mapping_section
+from service.runtime.early_mapper import EarlyMapper, Meeting, mapping_section
 
 
 @pytest.mark.parametrize(
@@ -40,3 +42,31 @@ def test_a_process_that_nobody_takes_over_ends_with_its_folder(is_told: bool):
             early.process.wait(0.05)
     assert early.process.returncode is not None
     assert not folder.exists()
+
+
+MEETS = "from service.runtime.early_mapper import Meeting as M; m = M(); print(m.folder, flush=True); input()"
+
+
+def test_the_folder_of_a_service_that_was_killed_is_removed_by_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)  # as it is before anybody has asked
+    living = Meeting()
+    just_made = tmp_path / "corridor-meeting-new"
+    just_made.mkdir()
+    command = [sys.executable, "-c", MEETS]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        theirs = Path(other.stdout.readline().strip())
+        while_it_lives = Meeting()
+        assert theirs.exists()
+        other.kill()
+    assert theirs.exists()
+    after = Meeting()
+    assert sorted(tmp_path.iterdir()) == sorted(
+        [living.folder, just_made, while_it_lives.folder, after.folder]
+    )
+    for meeting in (living, while_it_lives, after):
+        meeting.close()
+    assert list(tmp_path.iterdir()) == [just_made]

@@ -120,8 +120,8 @@ class ErrorStateFilter:
         step     way of the base
         twist    speed of the base afterwards, m/s forward and left, rad/s
         sigmas   (3,) of the way (m), the turn (rad) and the speed (m/s)
-        is_measured   by wheels, along the base's axes; else step and twist follow from the speed believed, so
-                      that a wrong speed and a wrong way go together
+        is_measured   by wheels, along the base's axes; else step and twist follow from the estimated speed,
+                      so that a wrong speed and a wrong way go together
         """
         before = self.rotation.copy()
         base = self.position_m - before @ self._arm_m

@@ -1,4 +1,4 @@
-"""What odometry says between key frames, and how far it is to be believed."""
+"""Steps of odometry between key frames, as edges of the graph, and their covariance."""
 
 import numpy as np
 import numpy.typing as npt

@@ -1,4 +1,4 @@
-"""What is remembered of loops that are not believed: for a person who asks why a map looks as it does."""
+"""Loops that were not accepted, kept for a person who asks why a map looks as it does."""
 
 from collections import OrderedDict
 from collections.abc import Collection, Iterable
@@ -43,8 +43,8 @@ class Refusals:
 
     def arrays(self, accepted: Collection[Loop]) -> RefusedLoops:
         """Those that were not accepted after all."""
-        believed = {(loop.of, loop.to) for loop in accepted}
-        left = [one for ends, one in self._by_ends.items() if ends not in believed]
+        held = {(loop.of, loop.to) for loop in accepted}
+        left = [one for ends, one in self._by_ends.items() if ends not in held]
         return RefusedLoops(
             np.array([(loop.of, loop.to) for loop, _ in left], np.int64).reshape(-1, 2),
             np.array([loop.measured for loop, _ in left], np.float64).reshape(-1, 3),

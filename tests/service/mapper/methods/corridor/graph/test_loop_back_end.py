@@ -271,7 +271,7 @@ def test_a_piece_seen_from_one_place_only_is_not_joined(ring: tuple[list[KeyFram
     known = ring[0][:SIDE]
     back_end = LoopBackEnd(LoopsConfig(), None)
     back_end.work(Batch(known))
-    for k, frame in enumerate(piece_after(known, known[10:11] * 15)):
+    for k, frame in enumerate(piece_after(known, known[10:11] * 6)):
         assert not back_end.work(Batch([replace(frame, stamp_ns=frame.stamp_ns + k)])).joined
 
 

@@ -1,4 +1,4 @@
-"""How far a step between two key frames is believed: eleven of them straight ahead, one of which is odd."""
+"""Covariance of a step between two key frames: eleven of them straight ahead, one of which is odd."""
 
 from typing import Any
 
@@ -55,7 +55,7 @@ def test_a_matched_step_is_known_as_well_as_its_match_at_best_to_the_floor() -> 
     check(edges(), SOUND, SOUND)
 
 
-def test_steps_at_a_key_frame_that_was_not_matched_are_hardly_believed() -> None:
+def test_steps_at_a_key_frame_that_was_not_matched_are_given_a_wide_covariance() -> None:
     check(edges(is_lost=True), LOST_COVARIANCE, LOST_COVARIANCE)
 
 

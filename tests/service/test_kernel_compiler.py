@@ -1,0 +1,70 @@
+"""Kernels before and after numba is imported, in processes that begin without it."""
+
+import subprocess
+import sys
+
+BEGIN = """
+import math, sys
+import numpy as np
+from service.kernels import linear3, se2, usual_gap
+from service.kernel_compiler import WaitingKernel, njit
+from service.kernels.usual_gap import usual_gap as by_name
+held = {"gap": by_name}
+assert "numba" not in sys.modules
+assert isinstance(by_name, WaitingKernel)
+"""
+
+
+def run(code: str) -> str:
+    done = subprocess.run([sys.executable, "-c", BEGIN + code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_first_call_imports_numba_and_puts_its_kernels_into_every_module():
+    assert run("""
+gap = held["gap"](np.array([0, 2, 4, 6, 7], np.int32))
+from numba.core.dispatcher import Dispatcher
+kernels = [v for m in (linear3, se2, usual_gap) for v in vars(m).values() if hasattr(v, "py_func")]
+assert kernels and all(isinstance(kernel, Dispatcher) for kernel in kernels)
+assert not any(isinstance(v, WaitingKernel) for m in list(sys.modules.values()) for k, v in vars(m).items()
+               if m.__name__.startswith("service"))
+assert usual_gap.usual_gap.signatures and held["gap"](np.array([0, 3], np.int32)) == 3
+print(gap)
+""").split() == ["2"]
+
+
+def test_a_kernel_that_waits_is_known_by_its_name_and_its_words():
+    run("""
+assert by_name.__name__ == "usual_gap" and "most common gap" in by_name.__doc__
+assert by_name.__module__ == "service.kernels.usual_gap"
+""")
+
+
+def test_a_kernel_that_is_imported_later_finds_those_that_waited_and_waits_for_nothing():
+    run("""
+held["gap"](np.array([0, 2], np.int32))
+from service.kernels import likeliest_pose
+from numba.core.dispatcher import Dispatcher
+assert isinstance(likeliest_pose.copy_vector, Dispatcher) and isinstance(likeliest_pose.climb, Dispatcher)
+assert likeliest_pose.copy_vector is linear3.copy_vector
+""")
+
+
+def test_the_warm_up_needs_no_first_call():
+    assert "service.kernels.match.match_scan" in run("""
+from service.mapper.profiles import mapping_config
+mapping_config({"profile": "corridor"})
+assert "numba" not in sys.modules
+from service.kernel_warm_up import needed_kernels
+print(*needed_kernels())
+""")
+
+
+def test_who_imports_numba_otherwise_leaves_no_kernel_behind_that_cannot_be_called():
+    run("""
+import numba
+from service.kernels import likeliest_pose  # it calls kernels of linear3, which wait by now
+assert linear3.copy_vector is likeliest_pose.copy_vector
+assert not any(isinstance(kernel, WaitingKernel) for kernel in (linear3.copy_vector, usual_gap.usual_gap))
+""")
