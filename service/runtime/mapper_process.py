@@ -54,13 +54,11 @@ from service.runtime.mapper_messages import (
     is_sample,
 )
 from service.runtime.mapping import MapperError, MappingLoop
-from service.runtime.scan_forecast import ScanForecast
+from service.runtime.standby_schedule import StandbySchedule
 
 log = logging.getLogger(__name__)
 
 IDLE_S = 0.2  # how long to wait for an item before the loop looks after tiles anyway
-COPY_INTERVAL_S = 4.0  # from one stand-by to the next, while items come
-COPY_OVERDUE_S = 12.0  # then a stand-by is made though items wait, or a scan is due
 CONNECT_S = 10.0
 MOST_AT_ONCE = 100  # samples taken without a look at what else there is to do
 
@@ -115,9 +113,7 @@ class MapperProcess:
         self._is_finishing = False
         self._copied_number = -1
         self._copies = 0
-        self._copy_took_ns = 0  # the newest fork; the next one takes about as long
-        self._forecast = ScanForecast()
-        self._copy_due_s = 0.0
+        self._schedule = StandbySchedule()
 
     def run(self) -> None:
         """Until ingest says that nothing more comes, or is gone. Raises ChannelClosedError."""
@@ -152,7 +148,7 @@ class MapperProcess:
             if is_sample(item):
                 continue
             if isinstance(item, FrameItem):
-                self._forecast.arrived(item.sensor, item.arrived_ns)
+                self._schedule.arrived(item.sensor, item.arrived_ns)
             return
 
     def _hear(self, timeout_s: float) -> None:
@@ -171,7 +167,8 @@ class MapperProcess:
         if isinstance(message, Finish):
             self._is_finishing = True
         elif isinstance(message, MakeStandby):
-            self._copied_number, self._copy_due_s = -1, 0.0
+            self._copied_number = -1
+            self._schedule.make_next_at_once()
         else:
             self._items.append(message)
 
@@ -193,12 +190,7 @@ class MapperProcess:
     def _is_copy_due(self) -> bool:
         if not self._can_copy or self._loop.number == self._copied_number or not self._loop.is_up_to_date:
             return False
-        now_ns = time.monotonic_ns()
-        late_s = now_ns * 1e-9 - self._copy_due_s
-        if late_s < 0.0 or late_s >= COPY_OVERDUE_S - COPY_INTERVAL_S:
-            return late_s >= 0.0
-        pause_ns = self._forecast.pause_ns(now_ns)
-        return not self._items and (pause_ns is None or pause_ns >= self._copy_took_ns)
+        return self._schedule.is_due(time.monotonic_ns(), is_waiting=bool(self._items))
 
     def _copy(self) -> bool:
         """Leave a stand-by behind that holds what is known now; True in it, when it has taken over."""
@@ -206,13 +198,12 @@ class MapperProcess:
             return False
         self._loop.hand_over_tiles()
         self._copied_number = self._loop.number
-        self._copy_due_s = time.monotonic() + COPY_INTERVAL_S
         self._copies += 1
         self._back_end.copy(self._folder / f"back-end-{os.getpid()}-{self._copies}.sock")
         mapper_pid = os.getpid()
         began_ns = time.monotonic_ns()
         is_copy = os.fork() == 0
-        self._copy_took_ns = time.monotonic_ns() - began_ns
+        self._schedule.made(began_ns, time.monotonic_ns() - began_ns)
         self._back_end.forked(is_copy)
         if is_copy:
             self._stand_by(mapper_pid)
@@ -235,7 +226,7 @@ class MapperProcess:
         self._stays = first.stays
         self._loop.go_on(first)
         self._copy()  # it may be needed before everything has come again
-        self._copy_due_s = 0.0  # and once more when it has
+        self._schedule.make_next_at_once()  # and once more when it has
         for message in items:
             self._take_message(message)
 

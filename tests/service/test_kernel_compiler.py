@@ -1,7 +1,11 @@
 """Kernels before and after numba is imported, in processes that begin without it."""
 
+import re
 import subprocess
 import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
 
 BEGIN = """
 import math, sys
@@ -68,3 +72,10 @@ from service.kernels import likeliest_pose  # it calls kernels of linear3, which
 assert linear3.copy_vector is likeliest_pose.copy_vector
 assert not any(isinstance(kernel, WaitingKernel) for kernel in (linear3.copy_vector, usual_gap.usual_gap))
 """)
+
+
+def test_no_kernel_takes_njit_from_numba_itself():
+    """It could not call those that wait."""
+    kernels = [path for package in ("service", "simulators") for path in (ROOT / package).rglob("*.py")]
+    theirs = re.compile(r"^from numba import .*\bn?jit\b", re.MULTILINE)
+    assert [str(path) for path in kernels if theirs.search(path.read_text(encoding="utf-8"))] == []

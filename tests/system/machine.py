@@ -145,6 +145,12 @@ class LiveService:
         except AssertionError as error:
             raise AssertionError(f"{error}; its log:\n{self.log}") from None
 
+    @property
+    def libraries(self) -> str:
+        """What its own process has mapped, not that of the mapper."""
+        assert self._process is not None
+        return Path(f"/proc/{self._process.pid}/maps").read_text()
+
     def signal(self, number: signal.Signals) -> None:
         assert self._process is not None
         self._process.send_signal(number)

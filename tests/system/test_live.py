@@ -47,6 +47,8 @@ def test_a_whole_drive(fake_vehicle: FakeVehicle, live_service: LiveService, sub
     assert len(fetched) > 5
     assert "map" in late.get("map")
 
+    assert "numpy" in live_service.libraries
+    assert "llvmlite" not in live_service.libraries  # only the mapper's process calls kernels
     before = len(live_service.systemd.words)
     live_service.signal(signal.SIGTERM)
     live_service.signal(signal.SIGINT)  # the second must not spoil what the first began

@@ -172,7 +172,7 @@ def test_a_session_may_begin_in_what_a_second_session_left(first, second, contin
 
 def test_what_is_nowhere_in_the_stored_map_stays_lost(first):
     _, begin = first
-    elsewhere = through("library", 2.0, 1, laser=COARSE)
+    elsewhere = through("library", 2.0, 1)
     outputs = list(outputs_of(new_mapper(begin), elsewhere.frames))
     assert {output.state for output in outputs} == {"lost"}
     assert "stored map" in outputs[-1].reason

@@ -8,10 +8,10 @@ from drivers.frames import Frame, LaserScan
 from service.kernel_warm_up import KernelProgress
 from service.mapper.pipeline import Mapper
 from service.outputs import MapperOutput
-from service.runtime import mapper_process
+from service.runtime import mapper_process, standby_schedule
 from tests.service.runtime.mappers import FATAL_RANGE_M, HOW
 
-COPY_INTERVAL_S = 0.3  # a stand-by comes soon
+STANDBY_EVERY_NS = 300_000_000  # one comes soon
 
 process = Mapper.process
 
@@ -38,7 +38,7 @@ def no_kernels(config: object, back_end_elsewhere: bool, progress: KernelProgres
 if __name__ == "__main__":
     Mapper.process = strange  # type: ignore[method-assign]
     mapper_process.warm_up_kernels = no_kernels
-    mapper_process.COPY_INTERVAL_S = COPY_INTERVAL_S
+    standby_schedule.INTERVAL_NS = STANDBY_EVERY_NS
     code = mapper_process.main()
     sys.stderr.flush()
     os._exit(code)

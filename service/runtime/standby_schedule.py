@@ -1,0 +1,38 @@
+"""When the mapper forks its next stand-by: in a pause between scans that is long enough for a fork."""
+
+from service.runtime.scan_forecast import ScanForecast
+
+INTERVAL_NS = 4_000_000_000  # from one stand-by to the next, while items come
+OVERDUE_NS = 12_000_000_000  # since the last one: then one is made though items wait, or a scan is due
+
+
+class StandbySchedule:
+    """Host monotonic ns throughout. `arrived` with each scan, `made` with each stand-by."""
+
+    def __init__(self) -> None:
+        self._forecast = ScanForecast()
+        self._due_ns = 0
+        self._took_ns = 0  # the newest fork; the next one takes about as long
+
+    def arrived(self, sensor: str, at_ns: int) -> None:
+        """The last byte of a scan of this laser was read."""
+        self._forecast.arrived(sensor, at_ns)
+
+    def made(self, began_ns: int, took_ns: int) -> None:
+        """A stand-by was forked."""
+        self._due_ns, self._took_ns = began_ns + INTERVAL_NS, took_ns
+
+    def make_next_at_once(self) -> None:
+        """The newest stand-by is gone, or holds less than what has come by now."""
+        self._due_ns = 0
+
+    def is_due(self, now_ns: int, is_waiting: bool) -> bool:
+        """Whether to fork now.
+
+        is_waiting   items wait to be mapped
+        """
+        late_ns = now_ns - self._due_ns
+        if late_ns < 0 or late_ns >= OVERDUE_NS - INTERVAL_NS:
+            return late_ns >= 0
+        pause_ns = self._forecast.pause_ns(now_ns)
+        return not is_waiting and (pause_ns is None or pause_ns >= self._took_ns)

@@ -1,0 +1,61 @@
+"""When a stand-by is forked: in the pauses of the lasers, as the process tells it of their scans."""
+
+from collections import deque
+from types import SimpleNamespace
+
+from service.encoding import LASER_SCAN
+from service.runtime.mapper_messages import FrameItem
+from service.runtime.mapper_process import MapperProcess
+from service.runtime.standby_schedule import INTERVAL_NS, OVERDUE_NS, StandbySchedule
+
+MS = 1_000_000
+TOOK_NS = 8 * MS
+DUE_NS = 1000 * MS + INTERVAL_NS
+LATE_NS = 1000 * MS + OVERDUE_NS
+
+
+def schedule(until_ns: int = DUE_NS) -> StandbySchedule:
+    """A laser of 50 Hz, its last scan at that moment, and a stand-by made at 1 s, which took 8 ms."""
+    made = StandbySchedule()
+    made.made(1000 * MS, TOOK_NS)
+    for k in range(10, -1, -1):
+        made.arrived("front", until_ns - 20 * MS * k)
+    return made
+
+
+def test_the_first_is_due_at_once_and_the_next_after_the_interval() -> None:
+    assert StandbySchedule().is_due(5, is_waiting=False)
+    assert not schedule(DUE_NS - 1).is_due(DUE_NS - 1, is_waiting=False)
+    assert schedule().is_due(DUE_NS, is_waiting=False)
+
+
+def test_it_is_made_where_the_pause_to_the_next_scan_is_as_long_as_a_fork() -> None:
+    assert schedule().is_due(DUE_NS + 12 * MS, is_waiting=False)
+    assert not schedule().is_due(DUE_NS + 13 * MS, is_waiting=False)
+    assert not schedule().is_due(DUE_NS + 30 * MS, is_waiting=False)  # a scan is overdue
+    assert schedule().is_due(DUE_NS + 200 * MS, is_waiting=False)  # the laser is silent
+
+
+def test_it_is_not_made_while_items_wait_until_it_is_overdue() -> None:
+    assert not schedule().is_due(DUE_NS, is_waiting=True)
+    late = schedule(LATE_NS - 30 * MS)
+    assert not late.is_due(LATE_NS - 1, is_waiting=True)
+    assert late.is_due(LATE_NS, is_waiting=True)
+
+
+def test_where_the_newest_is_gone_the_next_is_due_at_once() -> None:
+    made = schedule(1500 * MS)
+    assert not made.is_due(1500 * MS, is_waiting=False)
+    made.make_next_at_once()
+    assert made.is_due(1500 * MS, is_waiting=False)
+
+
+def test_the_process_tells_of_scans_alone_and_of_each_when_it_is_taken() -> None:
+    process, told, taken = object.__new__(MapperProcess), [], []
+    process._loop = SimpleNamespace(take=taken.append)
+    process._schedule = SimpleNamespace(arrived=lambda *scan: told.append(scan))
+    scan, odometry = (FrameItem(k, 0, 7 + k, "front", t, b"") for k, t in enumerate((LASER_SCAN, "odom")))
+    process._items = deque([odometry, scan, odometry])
+    process._take_up_to_scan()
+    assert told == [("front", 7)]
+    assert taken == [odometry, scan]
