@@ -9,7 +9,7 @@ KERNELS = Path(__file__).parents[3] / "service" / "kernels"
 
 
 def checked_copies(source: str) -> list[int]:
-    """Lines of kernels with `a[:] = b`: a copy by slice brings in numba's shape errors, 8 to 12 s to compile."""
+    """Lines of kernels with `a[:] = b`: a copy by slice brings in numba's shape errors, 8 to 12 s each."""
     functions = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
     kernels = [f for f in functions if any("njit" in ast.unparse(by) for by in f.decorator_list)]
     lines = []
