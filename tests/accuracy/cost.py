@@ -5,16 +5,17 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from drivers.frames import LaserScan
+from drivers.frames import Frame, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
-from service.mapper.profiles import build_mapper, mapping_config
+from service.mapper.maps.occupancy import rendered_of
+from service.mapper.profiles import BeginIn, build_mapper, mapping_config
 from simulators.trajectory import Follow, Leg, Limits, plan_drive
 from simulators.world import World
 from simulators.worlds import WORLDS
@@ -27,6 +28,7 @@ from tests.simulated import LMS100_50HZ, UTM30LX_40HZ, Drive, drive
 
 CORRIDOR = Path(sys.executable).with_name("corridor")  # as installed
 LOOPS, LOOP_RATE_HZ = 100, 5.0
+HOURS = 24.0
 BLOCK = [(22.0, 0.0), (22.0, 30.0), (-5.0, 30.0), (-5.0, 0.0), (0.0, 0.0)]  # seen from the mall's start
 
 
@@ -101,6 +103,68 @@ def growing_map(seeds: Sequence[int]) -> Section:
             Row("", "memory, loop 100 - loop 10", [memory_mb[last] - memory_mb[10]], "MB", digits=1),
         ],
     )
+
+
+def localised(seeds: Sequence[int]) -> Section:
+    """A vehicle that drives the same lap for hours, in a map of it that stays as it is."""
+    world = _block_of_mall()
+    lap_s = world.drive.duration_s
+    laser = replace(LMS100_50HZ, rate_hz=LOOP_RATE_HZ)
+    mountings = {laser.name: laser.mounting}
+    mapped = build_mapper(mapping_config(), mountings)
+    for frame in drive(world, laser, 1.2 * lap_s, 1, WHEELS, stand_s=0.0).frames:
+        mapped.process(frame)
+    graph = mapped.finish().update.saved
+    assert graph is not None
+    begin = BeginIn(graph, rendered_of(mapped.changed_tiles()))
+    mapper = build_mapper(mapping_config({"mode": "localization"}), mountings, begin_in=begin)
+    lap = drive(world, laser, lap_s, 2, WHEELS, stand_s=0.0).frames
+    laps = round(HOURS * 3600.0 / lap_s)
+    spent, memory_mb, not_ok = np.zeros(laps), np.zeros(laps), 0
+    for number in range(laps):
+        scans = 0
+        for frame in _laps_later(lap, number, round(lap_s * 1e9)):
+            began_ns = time.thread_time_ns()
+            output = mapper.process(frame)
+            while mapper.graph.waiting:
+                mapper.apply_result()
+            if output is not None:
+                spent[number] += (time.thread_time_ns() - began_ns) / 1e6
+                not_ok += output.state != "ok" and number > 0
+                scans += 1
+        spent[number] /= scans
+        memory_mb[number] = _memory_mb()
+    tenth = laps // 10
+    early, late = (float(np.median(spent[part])) for part in (slice(tenth, 2 * tenth), slice(-tenth, None)))
+    early_mb, late_mb = memory_mb[2 * tenth - 1], memory_mb[-1]
+    return Section(
+        "Localised for hours",
+        f"{HOURS:.0f} h, {laps} laps around a block of the mall at {LOOP_RATE_HZ:.0f} scans a second, in the "
+        f"map of one lap ({len(graph)} key frames), searches for loops included. Of the laps, the last tenth "
+        "against the second.",
+        [
+            Row("", "a scan, last tenth / second", [late / early], "times", at_most=1.05),
+            Row("", "a scan, second tenth", [early], "ms"),
+            Row("", "memory, end / end of the second tenth", [late_mb / early_mb], "times", at_most=1.05),
+            Row("", "memory at the end", [late_mb], "MB", digits=0),
+            Row("", "scans not `ok`, from the second lap on", [float(not_ok)], "scans", digits=0),
+        ],
+    )
+
+
+def _laps_later(lap: Sequence[Frame], laps: int, lap_ns: int) -> Iterator[Frame]:
+    """The frames of a lap, so many laps later: odometry counts on from lap to lap."""
+    last = next(frame for frame in reversed(lap) if isinstance(frame, OdometrySample))
+    a_lap, before = SE2(last.x_m, last.y_m, last.theta_rad), SE2()
+    for _ in range(laps):
+        before @= a_lap
+    for frame in lap:
+        later = {"stamp_ns": frame.stamp_ns + laps * lap_ns, "arrived_ns": frame.arrived_ns + laps * lap_ns}
+        if isinstance(frame, OdometrySample):
+            at = before @ SE2(frame.x_m, frame.y_m, frame.theta_rad)
+            yield replace(frame, x_m=at.x_m, y_m=at.y_m, theta_rad=at.theta_rad, **later)
+        else:
+            yield replace(frame, **later)
 
 
 def start(seeds: Sequence[int]) -> Section:

@@ -44,6 +44,7 @@ SCENARIOS: dict[str, Callable[[Sequence[int]], Section]] = {
     "scans": cost.scans,
     "replay": cost.recording,
     "growing_map": cost.growing_map,
+    "localised": cost.localised,
     "start": cost.start,
     "ablations": ablations.ablations,
     "rules": rules.rules,
