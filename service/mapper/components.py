@@ -1,4 +1,4 @@
-"""The seams of the mapper: what each stage takes and gives. No algorithm lives here."""
+"""The seams of the mapper: what each component takes and gives. No algorithm lives here."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -341,7 +341,7 @@ class Graph(Protocol):
 
 
 class Stopwatch(Protocol):
-    """Times the stages for the reader of a summary; has no say in any result."""
+    """Times the stages of a scan for the reader of a summary; has no say in any result."""
 
     def start(self) -> None: ...
     def lap(self, stage: str) -> None: ...
@@ -365,7 +365,7 @@ SLOTS: tuple[Slot, ...] = get_args(Slot)  # the fields of Components
 
 @dataclass(frozen=True, slots=True)
 class BuildContext:
-    """What a stage is told besides its own settings."""
+    """What a component is told besides its own settings."""
 
     cell_m: float  # of the shown map
     mountings: Mapping[str, SE2]  # pose_base_sensor of each laser, by its name
@@ -382,8 +382,8 @@ class BuildContext:
 class ComponentKind:
     """Something that can fill a slot: its name in a config, its settings, and how it is made.
 
-    makes     the class that build gives, where another stage reads it (local maps); else None
-    reads     the class of the local map that this stage reads, None where it reads none
+    makes     the class that build gives, where another component reads it (local maps); else None
+    reads     the class of the local map that this component reads, None where it reads none
     warm_up   runs what a short drive does not reach, so that it is compiled; None where there is nothing such
     warm_up_core   runs alone what takes longest to compile, so that another process can drive meanwhile
     begins_in_stored   of a graph: it can go on from BuildContext.stored, and gives what to store
@@ -400,7 +400,7 @@ class ComponentKind:
 
 
 class NoSettings(BaseModel):
-    """Of a stage that has nothing to set."""
+    """Of a component that has nothing to set."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -409,11 +409,11 @@ class NoSettings(BaseModel):
 class Method:
     """A page that says which components fill the slots, and with which settings where those are its own.
 
-    settings   by slot: keys whose values differ from the stage's defaults
-    others     by slot: further stages that a config may choose
+    settings   by slot: keys whose values differ from the defaults of the component
+    others     by slot: further components that a config may choose
     """
 
     name: str
-    stages: Mapping[Slot, ComponentKind]
+    components: Mapping[Slot, ComponentKind]
     settings: Mapping[Slot, Mapping[str, Any]]
     others: Mapping[Slot, Sequence[ComponentKind]] = field(default_factory=dict)

@@ -47,7 +47,7 @@ class Mapper(Generic[ReadableMap]):
 
     def __init__(
         self,
-        stages: Components[ReadableMap],
+        components: Components[ReadableMap],
         stopwatch: Stopwatch | None = None,
         placed: Placed = "proven",
         is_localizing: bool = False,
@@ -62,7 +62,7 @@ class Mapper(Generic[ReadableMap]):
         self._changes = changes
         self._changes_told_ns = 0
         self.changes_told: MapChanges | None = None  # as of some seconds ago, see map_changes
-        self._stages = stages
+        self._components = components
         self._placed, self._is_localizing = placed, is_localizing
         self.pose_refused: tuple[float, float, float] | None = None  # set by a person; nothing seen fits it
         self._alike: Sequence[tuple[float, float]] = ()  # places that what is seen fits equally well
@@ -87,10 +87,10 @@ class Mapper(Generic[ReadableMap]):
         before the newest pose is brought to the moment right after that.
         """
         if isinstance(frame, GnssFix):
-            self.counters[self._stages.graph.add_fix(frame)] += 1
+            self.counters[self._components.graph.add_fix(frame)] += 1
             return None
         if not isinstance(frame, LaserScan):
-            if not self._stages.motion_model.add(frame):
+            if not self._components.motion_model.add(frame):
                 self.counters["samples_dropped_late"] += 1
             return None
         laser = self._lasers.get(frame.sensor)
@@ -117,8 +117,8 @@ class Mapper(Generic[ReadableMap]):
         if self._last_ns is None or scan.stamp_ns <= self._last_ns:
             return
         self._last_ns = scan.stamp_ns
-        self._stages.motion_model.predict(scan.stamp_ns)
-        self._stages.motion_model.correct(None)
+        self._components.motion_model.predict(scan.stamp_ns)
+        self._components.motion_model.correct(None)
 
     def _moment_of(self, scan: LaserScan, laser: "LaserWatch") -> int | None:
         """To which moment its points are brought, ns; None: it is too old."""
@@ -130,17 +130,17 @@ class Mapper(Generic[ReadableMap]):
 
     def changed_tiles(self) -> list[TileUpdate]:
         """Tiles of the shown map that changed since the last call."""
-        return self._stages.free_space.changed_tiles()
+        return self._components.free_space.changed_tiles()
 
     def tiles(self) -> list[TileUpdate]:
         """All tiles of the shown map as they are now, for who only looks on."""
-        return self._stages.free_space.tiles()
+        return self._components.free_space.tiles()
 
     def standing(self) -> Grid | None:
         """How long things stand around the vehicle, as draw_standing has it, for who only looks on; None
         where that is not counted or nothing is mapped yet.
         """
-        local_map = self._stages.local_map
+        local_map = self._components.local_map
         if self._newest is None or not isinstance(local_map, KnowsStanding):
             return None
         standing = local_map.standing()
@@ -149,11 +149,11 @@ class Mapper(Generic[ReadableMap]):
     @property
     def graph(self) -> Graph:
         """To be asked and told; what comes back goes through apply_result and finish of the mapper."""
-        return self._stages.graph
+        return self._components.graph
 
     def apply_result(self) -> None:
         """Bring in the oldest piece of work of the graph, between two frames; waits for it."""
-        self._bring_in(self._stages.graph.apply_result())
+        self._bring_in(self._components.graph.apply_result())
 
     @property
     def map_changes(self) -> MapChanges | None:
@@ -162,7 +162,7 @@ class Mapper(Generic[ReadableMap]):
 
     def finish(self) -> FinishedGraph:
         """The graph's last word, after the last frame; the shown map is corrected, too."""
-        finished = self._stages.graph.finish()
+        finished = self._components.graph.finish()
         self._bring_in(finished.update)
         return finished
 
@@ -180,12 +180,12 @@ class Mapper(Generic[ReadableMap]):
         if update.placed is not None:
             self._placed = update.placed
         if update.joined is not None:
-            self._stages.local_map.join(update.joined)
+            self._components.local_map.join(update.joined)
         if update.rendered_map is not None:
-            self._stages.free_space.replace_by(update.rendered_map, update.since)
+            self._components.free_space.replace_by(update.rendered_map, update.since)
 
     def _process_scan(self, scan: LaserScan, at_ns: int, laser: "LaserWatch") -> MapperOutput:
-        s, watch = self._stages, self._stopwatch
+        s, watch = self._components, self._stopwatch
         watch.start()
         predicted = s.motion_model.predict(at_ns)  # where we should be, and how fast
         self._travelled_m += predicted.travel_m
@@ -251,12 +251,12 @@ class Mapper(Generic[ReadableMap]):
         """A scan of a laser whose mounting is to be checked: laid on the map, without a say in anything."""
         self.counters[f"scans_compared_{scan.sensor}"] += 1
         looked_for = laser.mounting.where_to_look(predicted)
-        match = self._stages.matcher.match(points, looked_for, self._stages.local_map)
+        match = self._components.matcher.match(points, looked_for, self._components.local_map)
         if match.measured is not None and match.state != "lost":
             laser.mounting.add(looked_for, match.measured)
         else:
             laser.mounting.miss()
-        motion = self._stages.motion_model.correct(None)
+        motion = self._components.motion_model.correct(None)
         state, reason = self._state
         if laser.mounting.fault:
             is_alone = not self._well_besides(scan.sensor, at_ns)
@@ -285,7 +285,7 @@ class Mapper(Generic[ReadableMap]):
     def _passed_over(self, scan: LaserScan, at_ns: int) -> MapperOutput:
         """A scan that equals the one before: the pose follows the prediction, and nothing is mapped."""
         self.counters["scans_repeated"] += 1
-        motion = self._stages.motion_model.correct(None)
+        motion = self._components.motion_model.correct(None)
         reason = (
             f"{scan.sensor}: identical scans although the vehicle moves; has the laser stopped measuring?"
         )

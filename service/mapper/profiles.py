@@ -1,8 +1,9 @@
-"""Profile name -> its stages and their settings. The only module that knows methods by name.
+"""Profile name -> its components and their settings. The only module that knows methods by name.
 
 Another profile is another folder in methods/, named like it, with method.py, and a name in METHODS. It
-is imported, with all that it stands on, when the profile is chosen. A config may put a stage of one method
-into a slot of another's: `stages: {matcher: surfel_gauss_newton}`; what that stage cannot read is refused.
+is imported, with all that it stands on, when the profile is chosen. A config may put a component of one
+method into a slot of another's: `components: {matcher: surfel_gauss_newton}`; what that component cannot read
+is refused.
 """
 
 import difflib
@@ -12,7 +13,7 @@ from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import (
@@ -61,17 +62,17 @@ METHODS: dict[str, Callable[[], Method]] = {
 def stage_kinds(slot: Slot, profiles: Iterable[str] | None = None) -> dict[str, ComponentKind]:
     """What can fill a slot, by name: of these profiles, or of all."""
     methods = [METHODS[name]() for name in (METHODS if profiles is None else profiles)]
-    kinds = [kind for method in methods for kind in (method.stages[slot], *method.others.get(slot, ()))]
+    kinds = [kind for method in methods for kind in (method.components[slot], *method.others.get(slot, ()))]
     return {kind.name: kind for kind in kinds}
 
 
-def chosen_stages(profile: str, stages: Mapping[Slot, str]) -> dict[Slot, ComponentKind]:
-    """The component of each slot: the profile's own, or what `stages` names instead.
+def chosen_components(profile: str, components: Mapping[Slot, str]) -> dict[Slot, ComponentKind]:
+    """The component of each slot: the profile's own, or what `components` names instead.
 
-    Raises ValueError, in words, for a stage that is not there or that cannot read the local map chosen.
+    Raises ValueError, in words, for a component that is not there or that cannot read the local map chosen.
     """
-    chosen = dict(METHODS[profile]().stages)
-    for slot, name in stages.items():
+    chosen = dict(METHODS[profile]().components)
+    for slot, name in components.items():
         kinds = stage_kinds(slot, [profile])
         if name not in kinds and name not in (kinds := stage_kinds(slot)):
             raise ValueError(f"{name} is no {slot}; {_choose(name, kinds)}")
@@ -101,18 +102,19 @@ class BeginIn:
 class MappingConfig(BaseModel):
     """Which method maps, with which parameters, and how fine the shown map is.
 
-    mapping_model gives the class whose `settings` know the stages that were chosen.
+    mapping_model gives the class whose `settings` know the components that were chosen.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+    RENAMED: ClassVar = {"stages": "components"}
 
     profile: str = "corridor"
     cell_m: float = Field(default=0.05, ge=0.01, le=0.5)
     mode: Literal["mapping", "localization"] = "mapping"
     lasers: tuple[str, ...] | None = None  # whose scans are mapped; None: all that do not say map: false
     outline_m: tuple[tuple[float, float], ...] = ()  # corners of the vehicle, base frame; returns within go
-    stages: dict[Slot, str] = {}
-    settings: Any = None  # by slot: the settings of the stage in it; None: the profile's
+    components: dict[Slot, str] = {}
+    settings: Any = None  # by slot: the settings of the component in it; None: the profile's
 
     @field_validator("profile")
     @classmethod
@@ -121,12 +123,12 @@ class MappingConfig(BaseModel):
             raise ValueError(f"{profile} is no profile; {_choose(profile, METHODS)}")
         return profile
 
-    @field_validator("stages")
+    @field_validator("components")
     @classmethod
-    def _fitting(cls, stages: dict[Slot, str], info: ValidationInfo) -> dict[Slot, str]:
+    def _fitting(cls, components: dict[Slot, str], info: ValidationInfo) -> dict[Slot, str]:
         if "profile" in info.data:
-            chosen_stages(info.data["profile"], stages)
-        return stages
+            chosen_components(info.data["profile"], components)
+        return components
 
     @field_validator("outline_m")
     @classmethod
@@ -145,17 +147,17 @@ class MappingConfig(BaseModel):
 
 def begins_in_stored(config: MappingConfig) -> bool:
     """Whether a session of this config can begin in a stored map."""
-    return chosen_stages(config.profile, config.stages)["graph"].begins_in_stored
+    return chosen_components(config.profile, config.components)["graph"].begins_in_stored
 
 
 def mapping_model(section: Mapping[str, Any]) -> type[MappingConfig]:
-    """The model for a mapping section: its settings are those of the stages that the section chooses.
+    """The model for a mapping section: its settings are those of the components that the section chooses.
 
     A section that chooses what is not there gets the plain model, which says so.
     """
-    profile, stages = section.get("profile", "corridor"), section.get("stages") or {}
+    profile, components = section.get("profile", "corridor"), section.get("components") or {}
     try:
-        chosen = chosen_stages(profile, stages)
+        chosen = chosen_components(profile, components)
     except (ValueError, TypeError, KeyError, AttributeError):
         return MappingConfig
     method = METHODS[profile]()
@@ -163,7 +165,7 @@ def mapping_model(section: Mapping[str, Any]) -> type[MappingConfig]:
     for slot, kind in chosen.items():
         if not kind.config.model_fields:
             continue
-        own = method.settings.get(slot, {}) if kind is method.stages[slot] else {}
+        own = method.settings.get(slot, {}) if kind is method.components[slot] else {}
         model = _with_defaults(kind.config, own)
         fields[slot] = (model, model())
     settings = create_model("Settings", __config__=ConfigDict(frozen=True, extra="forbid"), **fields)
@@ -209,7 +211,7 @@ def build_mapper(
     """
     if config.settings is None:
         config = mapping_config(config.model_dump(exclude={"settings"}))
-    chosen = chosen_stages(config.profile, config.stages)
+    chosen = chosen_components(config.profile, config.components)
 
     if begin_in is not None and not begins_in_stored(config):
         raise ValueError(
@@ -283,7 +285,7 @@ def warm_up_steps(
     cache: pieces of work that can be done in any order, the longest first.
 
     Kernels must meet the very types of a real run, so each mapper is driven a little way through a made-up
-    room; stages add what such a drive does not reach, or what takes longest to compile.
+    room; components add what such a drive does not reach, or what takes longest to compile.
 
     back_end_elsewhere   the graph's back end works in another process, which compiles or loads its kernels
         itself: they are left out here, and the solver is not imported
@@ -292,7 +294,7 @@ def warm_up_steps(
     kinds = {
         kind.name: kind
         for c in configs
-        for slot, kind in chosen_stages(c.profile, c.stages).items()
+        for slot, kind in chosen_components(c.profile, c.components).items()
         if not (back_end_elsewhere and slot == "graph")
     }
     first = [kind.warm_up_core for kind in kinds.values() if kind.warm_up_core is not None]

@@ -221,7 +221,7 @@ def pairwise(seeds: Sequence[int]) -> Section:
         begun = begun_beside(world, *phase_m(seed))
         ride = thinned(drive(begun, LMS100_50HZ, seconds, seed), 2)
         with_imu = drive(begun, UTM30LX_40HZ, seconds, seed, imu=Imu())
-        paired = {"profile": "imle", "stages": {"matcher": "icp_scan_to_scan"}}
+        paired = {"profile": "imle", "components": {"matcher": "icp_scan_to_scan"}}
         for name, ran in (
             (OURS, mapped(ride)),
             (INERTIAL, run(mapping_config({"profile": "owolm_eskf"}), with_imu)),

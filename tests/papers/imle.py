@@ -56,7 +56,7 @@ MOUNTINGS = {"front": SE2()}
 def mapped(matcher: str, what: Drive, /, **settings: object) -> Run:
     if matcher != "icp_then_search":  # what others are measured by draws every scan, as they do
         settings = {"local_map": {"insert_distance_m": 0.0}} | settings
-    section = {"profile": "imle", "stages": {"matcher": matcher}, "settings": settings}
+    section = {"profile": "imle", "components": {"matcher": matcher}, "settings": settings}
     return run(mapping_config(section), what, MOUNTINGS)
 
 

@@ -165,6 +165,10 @@ def test_an_antenna_lies_where_mounting_axes_and_lever_arm_put_it():
             "graph.group_span_m: is called consensus_span_m now; write consensus_span_m, with the same value",
         ),
         (
+            GOOD + "mapping: {stages: {matcher: icp_scan_to_scan}}\n",
+            "c.yaml:9:11: mapping.stages: is called components now; write components, with the same value",
+        ),
+        (
             GOOD + "mapping: {mode: localization}\n",
             "c.yaml:9:11: mapping.mode: localization is in a stored map; name its folder in map: {load",
         ),

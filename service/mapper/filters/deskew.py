@@ -29,7 +29,7 @@ class BeamsConfig(BaseModel):
 
 
 class DeskewByTwist:
-    """Callable stage; remembers the directions of the beams of each sensor.
+    """A component that is called; remembers the directions of the beams of each sensor.
 
     outline_m   corners of the vehicle, base frame: returns within are of the vehicle itself, and go
     """

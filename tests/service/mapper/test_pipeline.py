@@ -40,7 +40,7 @@ class TalkingGraph(NoGraph):
 
 def test_where_the_map_lies_on_the_earth_stays_with_the_mapper_and_goes_out_with_each_pose():
     mapper: Mapper = build_mapper(mapping_config({"profile": "contour_lm"}), {"front": MOUNTING})
-    mapper._stages = replace(mapper._stages, graph=TalkingGraph())
+    mapper._components = replace(mapper._components, graph=TalkingGraph())
     frames = iter(drive(ROOM, standing, 0.6).frames)
     before = next(output for frame in frames if (output := mapper.process(frame)) is not None)
     assert before.geo_reference is None
@@ -62,7 +62,7 @@ class KnowingGraph(NoGraph):
 
 def test_how_well_a_pose_is_known_goes_on_from_what_the_graph_says_and_drift_is_not_ok():
     mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
-    mapper._stages = replace(mapper._stages, graph=KnowingGraph())
+    mapper._components = replace(mapper._components, graph=KnowingGraph())
     frames = iter(drive(ROOM, standing, 0.6).frames)
     before = next(output for frame in frames if (output := mapper.process(frame)) is not None)
     assert before.state == "ok"
@@ -96,7 +96,7 @@ def test_nothing_is_rendered_while_lost_and_a_piece_is_mapped_apart():
         states.append(output.state)
     assert states.count("lost") == len(states) > 10
     assert mapper.changed_tiles() == []
-    local_map = mapper._stages.local_map
+    local_map = mapper._components.local_map
     assert local_map.detached is not None
     assert local_map.detached.scan_count > 5
     assert np.isfinite(output.covariance).all()
@@ -194,7 +194,7 @@ def test_a_laser_that_sits_wrong_is_not_mapped_when_the_others_fall_silent():
         elif output is not None and alone_ns < frame.stamp_ns < alone_ns + 450_000_000:
             states["silent"].add(output.state)
     assert states == {"silent": {"degraded"}, "alone": {"lost"}}
-    assert "rear" not in mapper._stages.local_map._last_of  # nothing of it stands in the map
+    assert "rear" not in mapper._components.local_map._last_of  # nothing of it stands in the map
 
 
 def test_a_laser_that_hangs_is_named_while_another_sees_on():
@@ -217,6 +217,6 @@ def test_a_sweep_that_began_too_long_before_the_newest_pose_is_late():
         mapper.process(frame)
     newest_ns = max(frame.stamp_ns for frame in frames[:20])
     lux = replace(last, sensor="rear2", stamp_ns=newest_ns - MOST_BEHIND_NS - 1, arrived_ns=newest_ns)
-    mapper._stages.deskew._mountings["rear2"] = REAR
+    mapper._components.deskew._mountings["rear2"] = REAR
     assert mapper.process(lux) is None
     assert mapper.counters["scans_dropped_late"] == 1

@@ -107,7 +107,7 @@ def test_a_turn_that_nobody_announced_is_found_again(room_drive: Drive) -> None:
     mapper = new_mapper()
     scans = [f for f in room_drive.frames if isinstance(f, LaserScan)][:30]
     outputs = run(scans, mapper)
-    stages = mapper._stages
+    components = mapper._components
     truth = outputs[-1].pose_odom_base
     for off in (SE2(0.5, -0.3, 0.55), SE2(-0.4, 0.4, -0.6)):
         spread = np.diag([0.2**2, 0.2**2, 0.25**2])
@@ -121,7 +121,9 @@ def test_a_turn_that_nobody_announced_is_found_again(room_drive: Drive) -> None:
             travel_m=0.0,
             is_measured=False,
         )
-        match = stages.matcher.match(stages.deskew(scans[-1], predicted), predicted, stages.local_map)
+        match = components.matcher.match(
+            components.deskew(scans[-1], predicted), predicted, components.local_map
+        )
         away = truth.inverse() @ match.motion.pose_odom_base
         assert match.state == "ok"
         assert math.hypot(away.x_m, away.y_m) < 0.02
@@ -347,26 +349,26 @@ def test_only_what_the_chosen_profile_stands_on_is_imported(chosen: str) -> None
     assert not kernels & set().union(*(OWN_KERNELS[name] for name in METHODS if name != chosen))
 
 
-def test_a_stage_of_another_profile_is_found_when_it_is_chosen() -> None:
-    settings = mapping_config({"stages": {"motion_model": "inertial_motion"}}).settings
+def test_a_component_of_another_profile_is_found_when_it_is_chosen() -> None:
+    settings = mapping_config({"components": {"motion_model": "inertial_motion"}}).settings
     assert settings.motion_model.__class__.__name__ == "InertialMotionConfig"
 
 
-def test_a_stage_that_is_not_there_is_refused_with_those_that_are() -> None:
+def test_a_component_that_is_not_there_is_refused_with_those_that_are() -> None:
     with pytest.raises(
         ValidationError, match=r'surfel_gaus is no matcher; did you mean "surfel_gauss_newton"'
     ):
-        mapping_config({"stages": {"matcher": "surfel_gaus"}})
+        mapping_config({"components": {"matcher": "surfel_gaus"}})
 
 
 def test_a_matcher_that_cannot_read_the_local_map_is_refused_with_words(monkeypatch) -> None:
     class RenderedMap: ...
 
     rendered_map = ComponentKind("rendered_map", NoSettings, lambda _, __: RenderedMap(), makes=RenderedMap)
-    other = Method("other", {**METHODS["corridor"]().stages, "local_map": rendered_map}, {})
+    other = Method("other", {**METHODS["corridor"]().components, "local_map": rendered_map}, {})
     monkeypatch.setitem(METHODS, "other", lambda: other)
     with pytest.raises(ValidationError) as refused:
-        mapping_config({"stages": {"local_map": "rendered_map"}})
+        mapping_config({"components": {"local_map": "rendered_map"}})
     assert (
         "the matcher surfel_gauss_newton cannot read the local_map rendered_map; it reads surfel_submaps. "
         "What reads rendered_map as matcher: nothing"
@@ -376,7 +378,7 @@ def test_a_matcher_that_cannot_read_the_local_map_is_refused_with_words(monkeypa
 def test_a_method_may_have_other_defaults_than_its_stages(monkeypatch) -> None:
     corridor = METHODS["corridor"]()
     settings = {"local_map": {"spacing_m": 7.0, "dynamic_filter": {"behind_m": 0.5}}}
-    monkeypatch.setitem(METHODS, "other", lambda: Method("other", corridor.stages, settings))
+    monkeypatch.setitem(METHODS, "other", lambda: Method("other", corridor.components, settings))
     local_map = mapping_config(
         {"profile": "other", "settings": {"local_map": {"cell_m": 0.2}}}
     ).settings.local_map
@@ -394,10 +396,10 @@ def test_the_example_names_every_parameter_with_its_default() -> None:
 
 def test_every_parameter_is_documented() -> None:
     page = (ROOT / "docs/mapping.md").read_text()
-    for stage, settings in mapping_config().settings.model_dump().items():
-        section = page.split(f"### `{stage}`")[1].split("###")[0]
+    for slot, settings in mapping_config().settings.model_dump().items():
+        section = page.split(f"### `{slot}`")[1].split("###")[0]
         for key in settings:
-            assert f"`{key}`" in section, f"{stage}.{key} is missing in docs/mapping.md"
+            assert f"`{key}`" in section, f"{slot}.{key} is missing in docs/mapping.md"
 
 
 def test_forty_settings_are_enough_and_each_says_when_to_touch_it() -> None:

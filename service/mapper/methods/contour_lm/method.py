@@ -24,7 +24,7 @@ CONTOUR_MAP = ComponentKind(
 
 METHOD = Method(
     "contour_lm",
-    stages={
+    components={
         "motion_model": ESTIMATOR,
         "deskew": DESKEW_BY_TWIST,
         "matcher": CONTOUR_LM,

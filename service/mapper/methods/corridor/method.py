@@ -44,7 +44,7 @@ LOOP_CLOSING = ComponentKind(
 
 METHOD = Method(
     "corridor",
-    stages={
+    components={
         "motion_model": ESTIMATOR,
         "deskew": DESKEW_BY_TWIST,
         "matcher": SURFEL_GAUSS_NEWTON,

@@ -35,7 +35,7 @@ MONTE_CARLO = ComponentKind(
 
 METHOD = Method(
     "imle",
-    stages={
+    components={
         "motion_model": ESTIMATOR,
         "deskew": DESKEW_BY_TWIST,
         "matcher": ICP_THEN_SEARCH,

@@ -23,7 +23,7 @@ ORTHOGONAL_MAP = ComponentKind(
 
 METHOD = Method(
     "owolm_eskf",
-    stages={
+    components={
         "motion_model": INERTIAL_MOTION,
         "deskew": DESKEW_BY_TWIST,
         "matcher": BRUTE_SEARCH,

@@ -33,7 +33,7 @@ LANDMARK_GRAPH = ComponentKind(
 
 METHOD = Method(
     "submap_graph",
-    stages={
+    components={
         "motion_model": ESTIMATOR,
         "deskew": DESKEW_BY_TWIST,
         "matcher": PARTICLE_FILTER,

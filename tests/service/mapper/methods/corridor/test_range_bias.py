@@ -35,7 +35,7 @@ def test_ranges_that_err_in_waves_are_learnt_and_taken_out(honest: Drive) -> Non
     ]
     done = run(mapping_config(), replace(honest, frames=biased))
     assert done.position_rmse_m < 0.03
-    curve_m = done.mapper._stages.matcher.bias_m("front")
+    curve_m = done.mapper._components.matcher.bias_m("front")
     known = (RANGE_M >= 1.0) & (RANGE_M <= 4.0)
     off_m = (curve_m - wave_m(RANGE_M))[known]
     assert np.std(off_m) < 0.004  # a constant does not show
@@ -46,7 +46,7 @@ def test_ranges_that_err_in_waves_are_learnt_and_taken_out(honest: Drive) -> Non
 def test_nothing_much_is_learnt_of_ranges_without_bias(honest: Drive) -> None:
     done = run(mapping_config(), honest)
     assert done.position_rmse_m < 0.03
-    curve_m = done.mapper._stages.matcher.bias_m("front")
+    curve_m = done.mapper._components.matcher.bias_m("front")
     assert np.abs(curve_m[(RANGE_M >= 0.75) & (RANGE_M <= 2.0)]).max() < 0.008
 
 

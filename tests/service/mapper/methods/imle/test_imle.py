@@ -24,7 +24,7 @@ def room_drive() -> Drive:
 
 
 def new_mapper(matcher: str = "icp_then_search", **settings: object) -> Mapper:
-    section = {"profile": "imle", "stages": {"matcher": matcher}, "settings": {"matcher": settings}}
+    section = {"profile": "imle", "components": {"matcher": matcher}, "settings": {"matcher": settings}}
     return build_mapper(mapping_config(section), {"front": MOUNTING})
 
 
@@ -79,7 +79,7 @@ def test_the_window_is_three_times_the_error_of_icp_between_its_bounds(room_driv
     windows = []
     for frames in (scans, rough):
         mapper = new_mapper()
-        matcher = mapper._stages.matcher
+        matcher = mapper._components.matcher
         assert isinstance(matcher, IcpThenSearch)
         run(mapper, frames[:8])
         windows.append(matcher.window_m)
@@ -93,11 +93,11 @@ def test_narrowing_asks_a_fraction_of_the_candidates_of_the_literal_search() -> 
     for search in ("narrowing", "exhaustive"):
         mapper = new_mapper(search=search, least_window_m=0.2, refine=False)
         run(mapper, still.frames[:1])
-        stages = mapper._stages
-        predicted = stages.motion_model.predict(still.frames[1].stamp_ns)
-        points = stages.deskew(still.frames[1], predicted)
-        measured = stages.matcher.match(points, predicted, stages.local_map).measured
-        counts.append(stages.matcher.evaluated)
+        components = mapper._components
+        predicted = components.motion_model.predict(still.frames[1].stamp_ns)
+        points = components.deskew(still.frames[1], predicted)
+        measured = components.matcher.match(points, predicted, components.local_map).measured
+        counts.append(components.matcher.evaluated)
         poses.append(measured.pose_odom_base)
     assert counts[1] >= 41 * 41 * 81
     assert counts[0] < counts[1] / 30
@@ -133,7 +133,7 @@ def test_the_example_names_every_parameter_with_its_default() -> None:
 def test_every_parameter_of_its_own_is_documented() -> None:
     page = (ROOT / "docs/profiles/imle.md").read_text()
     for matcher in ("icp_then_search", "icp_scan_to_scan", "monte_carlo"):
-        config = mapping_config({"profile": "imle", "stages": {"matcher": matcher}})
+        config = mapping_config({"profile": "imle", "components": {"matcher": matcher}})
         sections = {matcher: config.settings.matcher, "patch_map": config.settings.local_map}
         for name, settings in sections.items():
             section = page.split(f"`{name}`\n")[1].split("###")[0]
