@@ -89,6 +89,7 @@ class Undo(_Asked):
     to: Number | None = None
 
 
+ContentChange = Annotated[Erase | Wall | Cut | AddPairs | RemovePair | Optimize, Field(discriminator="what")]
 ChangeAsked = Annotated[
     Erase | Wall | Cut | AddPairs | RemovePair | Optimize | Undo, Field(discriminator="what")
 ]
@@ -100,6 +101,21 @@ class Edit(_Asked):
     version: Number
     who: Annotated[str, Field(max_length=LONGEST_NAME)] = ""
     change: ChangeAsked
+
+
+class KeyframeOfSession(_Asked):
+    """The points that a key frame saw. seen: what the look was told, see service.offline.copy_desk"""
+
+    seen: str
+    keyframe: Number
+
+
+class EditOfCopy(_Asked):
+    """One change. seen: as above; "" where nobody has looked, which suffices for areas and walls"""
+
+    seen: str = ""
+    who: Annotated[str, Field(max_length=LONGEST_NAME)] = ""
+    change: ContentChange
 
 
 Asked = Look | LookAtKeyframe | Edit
@@ -115,11 +131,16 @@ def read_asked(verb: str, payload: bytes) -> Asked:
     """What a page asks. Raises InputError, which names what is wrong."""
     if verb not in REQUESTS:
         raise InputError(f"this is a stored map; it knows {', '.join(VERBS)}")
+    asked: Asked = read_as(REQUESTS[verb], payload)
+    return asked
+
+
+def read_as(kind: TypeAdapter[Any], payload: bytes) -> Any:
+    """Raises InputError, which names what is wrong."""
     try:
-        asked: Asked = REQUESTS[verb].validate_json(payload)
+        return kind.validate_json(payload)
     except ValidationError as error:
         fault = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(map(str, fault["loc"]))
         words = fault["msg"].removeprefix("Value error, ")
         raise InputError(f"{where}: {words}" if where else words) from error
-    return asked

@@ -55,16 +55,9 @@ class MapDesk:
         return Answer(True, json.dumps({"ok": True, **told}).encode())
 
     def _look(self) -> dict[str, Any]:
-        stored, log = self._stored, map_log(self._folder)
-        graph = stored.graph
-        return {
-            "version": stored.number,
-            "versions": log["versions"][-MOST_VERSIONS:],
-            "problems": log["problems"],
-            "user": self._user,
-            "pairs": [] if graph is None else pairs_of(graph),
-            "keyframes": None if graph is None else _keyframes(graph),
-        }
+        log = map_log(self._folder)
+        versions = {"versions": log["versions"][-MOST_VERSIONS:], "problems": log["problems"]}
+        return {**look(self._stored), **versions, "user": self._user}
 
     def _keyframe(self, asked: asked_for.LookAtKeyframe) -> dict[str, Any]:
         stored = self._stored
@@ -73,13 +66,7 @@ class MapDesk:
                 f"the map is at version {stored.number}, and this is of version {asked.version}; "
                 "look at it again"
             )
-        if stored.graph is None or asked.keyframe >= len(stored.graph):
-            raise InputError(f"there is no key frame {asked.keyframe} in this map")
-        graph, k = stored.graph, asked.keyframe
-        first = int(graph.point_count[:k].sum())
-        seen = graph.xy_base[first : first + int(graph.point_count[k])].astype(np.float64)
-        points = se2.points_from(graph.map[k], seen)
-        return {"keyframe": k, "pose": graph.map[k].tolist(), "points": np.round(points, 4).ravel().tolist()}
+        return look_at_keyframe(stored, asked.keyframe)
 
     def _edit(self, asked: asked_for.Edit) -> dict[str, Any]:
         if not self._changing.acquire(blocking=False):
@@ -98,7 +85,7 @@ class MapDesk:
         if isinstance(change, asked_for.Undo):
             told = map_edit.undo(self._folder, change.to, who, now_ns, asked.version)
         else:
-            edit = _as_edit(change)
+            edit = as_edit(change)
             told = map_edit.edit_map(self._folder, change.what, edit, who, now_ns, asked.version)
         self._take(load_map(self._folder))
         return told
@@ -108,7 +95,28 @@ class MapDesk:
         self._show(stored)
 
 
-def _as_edit(change: asked_for.ChangeAsked) -> map_edit.Change:
+def look(stored: StoredMap) -> dict[str, Any]:
+    """What a page is told of a version: its number, its pairs, and when and where its key frames were."""
+    graph = stored.graph
+    return {
+        "version": stored.number,
+        "pairs": [] if graph is None else pairs_of(graph),
+        "keyframes": None if graph is None else _keyframes(graph),
+    }
+
+
+def look_at_keyframe(stored: StoredMap, k: int) -> dict[str, Any]:
+    """Its pose and its points in the map. Raises InputError where there is none."""
+    graph = stored.graph
+    if graph is None or k >= len(graph):
+        raise InputError(f"there is no key frame {k} in this map")
+    first = int(graph.point_count[:k].sum())
+    seen = graph.xy_base[first : first + int(graph.point_count[k])].astype(np.float64)
+    points = se2.points_from(graph.map[k], seen)
+    return {"keyframe": k, "pose": graph.map[k].tolist(), "points": np.round(points, 4).ravel().tolist()}
+
+
+def as_edit(change: asked_for.ChangeAsked) -> map_edit.Change:
     match change:
         case asked_for.Erase():
             return map_edit.erase(np.ravel(change.corners).tolist(), change.free)

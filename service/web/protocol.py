@@ -39,11 +39,9 @@ from service.outputs import GraphPicture, Grid, TileUpdate
 TILES, SCAN, PATH, GRAPH, STANDING, CHANGED = 1, 2, 3, 4, 5, 6
 RANGE_STEP_M = 0.005  # a tenth of a cell; 16 bits reach 327 m
 LARGEST_ASKED = 65_536  # bytes of one message from a browser
-MOST_CORNERS = 500  # of an area or a wall
 DEFLATE_LEVEL = 1  # tiles are mostly of one value; higher levels cost more than they save
 
 FloatArray = npt.NDArray[np.float32]
-Metres = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class TokenShown(BaseModel):
@@ -66,38 +64,22 @@ class CommandAsked(BaseModel):
     request: dict[str, Any] = {}
 
 
-class ChangeAsked(BaseModel):
-    """What a person erases, or the wall that they draw.
-
-    corners    x, y, m, in the map
-    free       of an area: it is free afterwards, not unknown
-    who        makes the change; "" for the user of the service
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    what: Literal["erase", "wall"]
-    corners: Annotated[list[tuple[Metres, Metres]], Field(min_length=2, max_length=MOST_CORNERS)]
-    free: bool = False
-    who: Annotated[str, Field(max_length=100)] = ""
-
-
 class ResourceAsked(BaseModel):
     """Something about stored sessions and maps, see resources.py; only to list them needs no token.
 
     to        rename: the new name; download: the format; undo: the number that delete gave
-    change    edit: of a map
+    request   keyframe and edit: what service.offline.copy_desk is asked
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     type: Literal["resource"]
     n: Annotated[int, Field(ge=0, lt=2**53)]
-    action: Literal["list", "rename", "delete", "undo", "download", "edit"]
+    action: Literal["list", "rename", "delete", "undo", "download", "look", "keyframe", "edit"]
     kind: Literal["session", "map"] = "session"
     name: Annotated[str, Field(max_length=255)] = ""
     to: Annotated[str, Field(max_length=255)] = ""
-    change: ChangeAsked | None = None
+    request: dict[str, Any] = {}
 
 
 Asked = TokenShown | CommandAsked | ResourceAsked

@@ -3,19 +3,18 @@
 What is deleted goes to `.deleted/` beside it, from where `undo` brings it back; `purge` erases it for good.
 """
 
-import json
 import os
 import re
 import secrets
 import shutil
-import subprocess
-import sys
 import threading
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
+
+from service.web.work import Desk, ResourceError, run
 
 Kind = Literal["session", "map"]
 
@@ -25,13 +24,8 @@ FORMATS: Mapping[Kind, tuple[str, ...]] = {  # the first is what is stored; the 
 }
 SUFFIXES = {"geotiff": "tif"}  # of formats that are called otherwise than their files
 MOST_LISTED = 500  # of a kind, newest first
-WORK_TIMEOUT_S = 300.0  # of an export or an edit
 DELETED = ".deleted"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
-
-
-class ResourceError(Exception):
-    """Why something is not done, in words for who asked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +58,7 @@ class Resources:
         self._lock = threading.Lock()
         self._working = threading.Lock()  # one export or edit at a time: the vehicle has other work
         self._deleted: dict[str, tuple[Kind, str]] = {}
+        self._desk = Desk()
 
     def listing(self) -> dict[str, Any]:
         """By kind, newest first: name, bytes, time of the last change (Unix, s), whether it is in use."""
@@ -137,12 +132,22 @@ class Resources:
         with self._alone():
             return self._export(path, to)
 
-    def edit(self, name: str, arguments: Sequence[str]) -> str:
-        """Change a stored map by `corridor map edit`; what came of it, in words. Raises ResourceError."""
+    def look(self, name: str) -> dict[str, Any]:
+        """Key frames and pairs of a stored map, which a session may go on extending. Raises ResourceError."""
+        return self._desk.ask("look", self._own("map", name, is_changed=False), {})
+
+    def keyframe(self, name: str, request: dict[str, Any]) -> dict[str, Any]:
+        """The points of a key frame of the map that was looked at. Raises ResourceError."""
+        return self._desk.ask("keyframe", self._own("map", name, is_changed=False), request)
+
+    def edit(self, name: str, request: dict[str, Any]) -> dict[str, Any]:
+        """Change a stored map as `corridor map edit` does. Raises ResourceError."""
         path = self._own("map", name)
         with self._alone():
-            told = _run("map", "edit", str(path), *arguments, "--json")
-        return str(json.loads(told)["done"])
+            return self._desk.ask("edit", path, request)
+
+    def close(self) -> None:
+        self._desk.close()
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
@@ -163,7 +168,7 @@ class Resources:
                 shutil.copytree(path, made, dirs_exist_ok=True, symlinks=False)
             else:
                 out = made / f"{stem}.{SUFFIXES.get(to, to)}"
-                _run("export", str(path), "--format", to, "--out", str(out))
+                run("export", str(path), "--format", to, "--out", str(out))
             files = list(made.iterdir())
             if len(files) == 1 and files[0].is_file():
                 return Download(files[0], files[0].name, scratch)
@@ -214,18 +219,3 @@ class Resources:
             os.rename(path, target)
         except OSError as error:
             raise ResourceError(f"{path.name} cannot be moved to {target}: {error}") from error
-
-
-def _run(*arguments: str) -> str:
-    """Stdout of `corridor ...`, in a process of its own that gives way to the readers of devices."""
-    command = [sys.executable, "-m", "service", *arguments]
-    if nice := shutil.which("nice"):
-        command = [nice, "-n", "10", *command]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=WORK_TIMEOUT_S, check=False)
-    except subprocess.TimeoutExpired as error:
-        raise ResourceError(f"it took longer than {WORK_TIMEOUT_S:.0f} s and was ended") from error
-    if done.returncode != 0:
-        said = done.stderr.strip().splitlines()
-        raise ResourceError(said[-1] if said else f"{arguments[0]} ended with exit code {done.returncode}")
-    return done.stdout

@@ -171,6 +171,7 @@ class WebServer:
             self._thread.join(CLOSE_TIMEOUT_S)
             if self._thread.is_alive():
                 log.error("web: still serving after %.0f s; the page is left behind", CLOSE_TIMEOUT_S)
+        self._shelf.close()
         self._workers.shutdown(wait=False, cancel_futures=True)
 
     def _resources(self, folders: Mapping[Kind, Path]) -> Resources:

@@ -13,8 +13,9 @@ from typing import Any
 
 from aiohttp import web
 
-from service.web.protocol import ChangeAsked, ResourceAsked
-from service.web.resources import Download, ResourceError, Resources
+from service.web.protocol import ResourceAsked
+from service.web.resources import Download, Resources
+from service.web.work import ResourceError
 
 TICKET_S = 60.0
 MOST_TICKETS = 16
@@ -31,6 +32,10 @@ class Shelf:
         """Erase what was deleted before this run."""
         if self._resources is not None:
             workers.submit(self._resources.purge)
+
+    def close(self) -> None:
+        if self._resources is not None:
+            self._resources.close()
 
     async def carry_out(self, asked: ResourceAsked, workers: Executor) -> dict[str, Any]:
         if self._resources is None:
@@ -66,7 +71,11 @@ class Shelf:
             case "undo":
                 return lambda: {"name": resources.undo(asked.to)}
             case "edit":
-                return lambda: {"done": resources.edit(asked.name, _arguments(asked.change))}
+                return lambda: resources.edit(asked.name, asked.request)
+            case "look":
+                return lambda: resources.look(asked.name)
+            case "keyframe":
+                return lambda: resources.keyframe(asked.name, asked.request)
             case "download":
                 loop = asyncio.get_running_loop()
                 return partial(self._prepare, resources, asked, loop)
@@ -88,15 +97,3 @@ class Shelf:
     def _withdraw(self, ticket: str) -> None:
         if (download := self._tickets.pop(ticket, None)) is not None:
             download.clean_up()
-
-
-def _arguments(change: ChangeAsked | None) -> list[str]:
-    """Of `corridor map edit`. Raises ResourceError."""
-    if change is None:
-        raise ResourceError("an edit needs a change")
-    metres = [f"{metre:.4f}" for corner in change.corners for metre in corner]
-    return [f"--{change.what}", *metres, *(["--free"] if change.free else []), *_who(change.who.strip())]
-
-
-def _who(name: str) -> list[str]:
-    return [f"--who={name}"] if name else []

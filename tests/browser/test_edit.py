@@ -288,6 +288,23 @@ def test_a_time_span_is_cut_out_by_clicking_the_way(page, view, folder, bent):
     assert len(graph_in(folder)) == len(bent.graph) - 11
 
 
+def test_what_came_of_a_change_is_said_when_the_next_one_can_be_made(page, view):
+    """Who reads it may click at once; a click on what is still disabled would be lost."""
+    page.run(
+        "const ask = corridor.connection.command.bind(corridor.connection);"
+        "const held = new Promise((settle) => { window.letLook = settle; });"
+        "corridor.connection.command = async (verb, request) => {"
+        "  if (verb === 'map_look') { window.looks = true; await held; }"
+        "  return ask(verb, request); };"
+        "corridor.edit.change({what: 'wall', corners: [[6, 0], [7, 0]]}, 'Wall')"
+    )
+    page.wait_for("return window.looks")
+    assert page.text("edit-note") == "Wall: the map is being changed \u2026"
+    page.run("window.letLook()")
+    page.wait_for_text("edit-note", "drew a wall")
+    assert page.element("draw-rectangle").is_enabled()
+
+
 def test_without_the_right_token_nothing_is_changed(page, view, folder):
     page.run("sessionStorage.clear()")
     page.driver.get("about:blank")
@@ -376,7 +393,7 @@ def test_the_path_goes_with_the_map_that_is_bent(page, opened, tmp_path, bent):
 
 def test_what_cannot_load_a_map_offers_no_editing_and_says_how_it_is_done(page, live):
     assert not page.element("tab-edit").is_displayed()
-    assert "To cut the map of this session or to join its places: Save as" in page.text("resources")
+    assert "corridor view of its folder shows a stored map, and edits it" in page.text("resources")
 
 
 def test_every_control_can_be_reached_with_the_keyboard(page, view):

@@ -1,5 +1,5 @@
-// The area Edit: what a person changes in a stored map. Each change is a version; the service makes it. Of the map of
-// a running session, areas are erased and walls drawn.
+// The area Edit: what a person changes in a stored map, or in that of a running session. Of a stored map each change is
+// a version. The service makes the change.
 
 import { BeforeAfter } from "./before_after.js";
 import { byId, card, confirmed, element, notice, setText } from "./dom.js";
@@ -7,13 +7,15 @@ import { EditCut, EditDraw } from "./edit_draw.js";
 import { EditPairs } from "./edit_pairs.js";
 import { KeyframeTool, PairTool } from "./edit_tools.js";
 import { LiveEdit } from "./edit_live.js";
+import { clockTime } from "./format.js";
 import { Keyframes } from "./keyframes.js";
 import { chooseTab } from "./tabs.js";
 
 const SHOWN = 8; // versions; the rest on demand
 const LIVE_VERBS = ["save_map", "load_map", "set_pose"]; // by which the map of a running session is changed
 const LIVE_WORDS = "A change is made in a copy of the map, in which the mapping then goes on. The vehicle is lost until it is found there, "
-  + "and what it maps while the copy is changed is not in it. An area that is erased is mapped anew when it is driven past.";
+  + "and what it maps while the copy is changed is not in it. Stop it before.";
+const FETCH_WORDS = "To join places and to cut, the map is saved, and its key frames are fetched: this takes some seconds. Later ones are not among them.";
 
 export class Edit {
   /** setTool(tool): put a tool to work on the map, null: none. lastPose(): of the vehicle, null if not known now. */
@@ -41,11 +43,13 @@ export class Edit {
     this.versionsCard = versions.node;
     this.undoRow = element("div", { className: "row" }, this.undoButton, this.compare.toggle, this.compare.flicker);
     this.count = versions.aside;
+    this.fetchButton = element("button", { type: "button", id: "fetch-keyframes", onclick: () => this.#fetch() });
+    this.fetched = card("Key frames", element("p", { className: "note" }, FETCH_WORDS), element("div", { className: "row" }, this.fetchButton));
     versions.node.append(
       element("div", { className: "row" }, element("label", { for: "edit-who" }, "Your name"), this.who), this.list);
     this.all = element("fieldset", { className: "areas", "aria-label": "Changes of the map" },
       element("div", { className: "edit-head" }, this.note, this.undoRow),
-      element("div", { className: "cards" }, this.pairs.card.node, this.drawing.card.node, this.cut.card.node, versions.node));
+      element("div", { className: "cards" }, this.fetched.node, this.pairs.card.node, this.drawing.card.node, this.cut.card.node, versions.node));
     root.append(this.all);
     this.update();
   }
@@ -53,6 +57,7 @@ export class Edit {
   putVerbs({ verbs }) {
     this.isOffered = verbs.includes("map_edit");
     this.isLive = !this.isOffered && LIVE_VERBS.every((verb) => verbs.includes(verb));
+    if (this.isLive) this.forget();
     byId("tab-edit").hidden = !this.isOffered && !this.isLive;
     this.update();
   }
@@ -70,56 +75,108 @@ export class Edit {
   }
 
   update() {
-    const may = this.connection.mayControl;
-    this.all.disabled = !may || this.isBusy || !(this.version || this.isLive);
+    const may = this.connection.mayControl, isSeen = this.version > 0, hasKeyframes = this.keyframes.count > 0;
+    this.all.disabled = !may || this.isBusy || !(isSeen || this.isLive);
     if (!this.isBusy) this.#showNote(may);
-    this.versionsCard.hidden = this.undoRow.hidden = this.isLive;
-    this.pairs.card.node.hidden = this.cut.card.node.hidden = this.isLive || (this.version > 0 && this.keyframes.count === 0);
+    this.versionsCard.hidden = this.isLive;
+    this.fetched.node.hidden = !this.isLive;
+    setText(this.fetched.aside, hasKeyframes && this.isLive ? `${this.keyframes.count}, ${clockTime(this.fetchedAt_s)}` : "");
+    setText(this.fetchButton, hasKeyframes ? "Fetch them again" : "Fetch them");
+    this.pairs.card.node.hidden = this.cut.card.node.hidden = this.isLive ? !hasKeyframes : isSeen && !hasKeyframes;
     this.pairs.update();
     this.drawing.update();
     this.cut.update();
     this.#showVersions();
   }
 
-  /** Hear how the map is now. */
+  /** What was looked at is of the map no more. */
+  forget() {
+    this.version = 0;
+    this.keyframes = new Keyframes();
+    this.live.clear();
+    this.pairs.clear();
+    this.pairs.put([]);
+  }
+
+  async #fetch() {
+    this.forget();
+    this.isBusy = true;
+    this.update();
+    this.note.dataset.level = "none";
+    setText(this.note, "Key frames: the map is saved, and they are read \u2026");
+    const told = await this.live.look(), isGraph = told.ok && told.keyframes;
+    this.isBusy = false;
+    this.#take(told);
+    this.say(isGraph ? `${told.keyframes.count} key frames are fetched` : `Key frames: ${told.error ?? "a map of this profile has none"}`, isGraph ? "ok" : "error");
+    this.update();
+  }
+
+  /** Of a running session: what it was told of its map. */
+  #take(told) {
+    if (!told?.ok || !told.keyframes) {
+      this.forget();
+      return;
+    }
+    [this.version, this.keyframes, this.fetchedAt_s] = [told.version, new Keyframes(told.keyframes), Date.now() / 1000];
+    this.pairs.put(told.pairs);
+    this.view.invalidate();
+  }
+
+  /** Hear how the map is now; whether that was told. */
   async look() {
     const told = await this.connection.command("map_look");
     if (!told.ok) {
       this.say(told.error, "error");
-      return;
+      return false;
     }
     [this.version, this.versions, this.keyframes] = [told.version, told.versions, new Keyframes(told.keyframes)];
     if (!this.who.value) this.who.value = told.user;
     this.update();
     this.pairs.put(told.pairs);
     this.view.invalidate();
+    return true;
+  }
+
+  /** The points of a key frame; resolves to {ok, pose?, points?, error?}. */
+  keyframe(keyframe) {
+    return this.isLive ? this.live.keyframe(keyframe) : this.connection.command("map_keyframe", { version: this.version, keyframe });
   }
 
   /** Make a change; whether it was made. */
-  async change(change, label) {
+  change(change, label) {
+    const who = this.who.value.trim();
+    if (!this.isLive) return this.#carryOut(label, () => this.connection.command("map_edit", { version: this.version, who, change }));
+    return this.#carryOut(label, (busy) => this.live.change(change, who, busy));
+  }
+
+  /** make(busy): resolves to {ok, done?, error?, told?}; busy(words) says how far it is. */
+  async #carryOut(label, make) {
     this.endTool();
     this.isBusy = true;
     this.update();
     this.note.dataset.level = "none";
     const busy = (words) => setText(this.note, `${label}: ${words} \u2026`);
     busy("the map is being changed");
-    const answer = await (this.isLive ? this.live.change(change, busy) : this.#changeStored(change));
-    this.isBusy = false;
-    this.say(`${label}: ${answer.ok ? answer.done : answer.error}`, answer.ok ? "ok" : "error");
-    if (!this.isLive) await this.look();
+    this.compare.keep();
+    const answer = await make(busy);
+    if (answer.ok) this.compare.made();
+    const isSeen = this.isLive || await this.look();
+    if (this.isLive && answer.ok) this.#take(answer.told);
+    this.isBusy = false; // what came of it is said when the next change can be made, not before
+    if (isSeen || !answer.ok) this.say(`${label}: ${answer.ok ? answer.done : answer.error}`, answer.ok ? "ok" : "error");
     this.update();
     return answer.ok;
   }
 
-  async #changeStored(change) {
-    this.compare.keep();
-    const answer = await this.connection.command("map_edit", { version: this.version, who: this.who.value.trim(), change });
-    if (answer.ok) this.compare.made();
-    return answer;
+  async undo() {
+    if (!this.isLive) return this.change({ what: "undo" }, "Undo");
+    const isSure = await confirmed("Undo the change?", "The mapping goes on in the map before the change; what was mapped since is not in it. Undo again goes on in the changed one.", "Undo");
+    return isSure && this.#carryOut("Undo", () => this.live.undo());
   }
 
-  undo() {
-    return this.change({ what: "undo" }, "Undo");
+  /** Of a question before a change: what Undo does. */
+  undoWords(what) {
+    return `Undo ${what}${this.isLive ? ", and loses what was mapped since" : ""}.`;
   }
 
   /** On top of the area, until the next change; as a notice where the area is not shown. */
@@ -172,7 +229,7 @@ export class Edit {
   #showVersions() {
     const newest = [...this.versions].reverse(), shown = this.showsAll ? newest : newest.slice(0, SHOWN);
     setText(this.count, this.version ? `now ${this.version}` : "");
-    this.undoButton.disabled = !newest.some((version) => version.is_current && version.what !== "saved");
+    this.undoButton.disabled = this.isLive ? !this.live.before : !newest.some((version) => version.is_current && version.what !== "saved");
     this.list.replaceChildren(...shown.map((version) => this.#entry(version)));
     if (newest.length <= shown.length) return;
     const all = () => { this.showsAll = true; this.#showVersions(); };

@@ -58,19 +58,15 @@ export class EditDraw {
   async #erase() {
     const { corners } = this, free = this.free.checked;
     const isSure = await confirmed("Erase the area?",
-      `What stands within ${fixed(area(corners), 2, " m\u00b2")} is gone: from the map, and from what vehicles are localised against. ${this.#undoWords("brings it back")}`, "Erase");
+      `What stands within ${fixed(area(corners), 2, " m\u00b2")} is gone: from the map, and from what vehicles are localised against. ${this.edit.undoWords("brings it back")}`, "Erase");
     if (isSure) this.#change({ what: "erase", corners, free }, "Erase");
   }
 
   async #wall() {
     const { corners } = this;
     const isSure = await confirmed("Put up the wall?",
-      `${fixed(length(corners), 2, " m")} are occupied from now on, whatever lasers see there. ${this.#undoWords("takes it down")}`, "Put up");
+      `${fixed(length(corners), 2, " m")} are occupied from now on, whatever lasers see there. ${this.edit.undoWords("takes it down")}`, "Put up");
     if (isSure) this.#change({ what: "wall", corners }, "Wall");
-  }
-
-  #undoWords(what) {
-    return `Undo ${what}${this.edit.isLive ? ", and loses what was mapped since" : ""}.`;
   }
 
   #change(change, label) {
@@ -126,7 +122,7 @@ export class EditCut {
   async #cut() {
     const { span } = this;
     const isSure = await confirmed("Cut out the time span?",
-      `About ${this.#count(span)} key frames from ${fixed(span.from_s, 2)} to ${fixed(span.to_s, 2, " s")} are gone, with their points and loops. Undo brings them back.`, "Cut out");
+      `About ${this.#count(span)} key frames from ${fixed(span.from_s, 2)} to ${fixed(span.to_s, 2, " s")} are gone, with their points and loops. ${this.edit.undoWords("brings them back")}`, "Cut out");
     if (!isSure || !await this.edit.change({ what: "cut", ...span, bridge: this.bridge.checked }, "Cut")) return;
     this.from.input.value = this.to.input.value = "";
     this.update();

@@ -1,6 +1,5 @@
 // Changes the map of a running session: a copy is saved, changed, and the mapping goes on in it.
 
-import { notice } from "./dom.js";
 import { compose } from "./geometry.js";
 
 const STEPS = ["a copy of the map is saved", "the copy is changed", "the mapping goes on in the copy"];
@@ -9,18 +8,45 @@ const POSE_WAIT_MS = 5000; // for the first pose in the copy
 /** Of map.directory: what no other copy is called, such as edited-20261123T053000Z. */
 const copyName = () => `edited-${new Date().toISOString().replace(/[-:]|\.\d+/g, "")}`;
 
+const lastName = (folder) => folder.split("/").at(-1);
+
 export class LiveEdit {
   /** lastPose(): of the vehicle, null where it is not known now. */
   constructor(connection, lastPose) {
     this.connection = connection;
     this.lastPose = lastPose;
+    this.before = null; // folder of the map before the newest change
+    this.clear();
   }
 
-  /** say(words): how far it is. Resolves to {ok, done?, error?}; where it is refused, the session goes on as before. */
-  async change(change, say) {
+  /** Forget what was looked at. */
+  clear() {
+    this.seen = ""; // which look the key frames are of
+    this.map = ""; // name of the map they are of
+  }
+
+  /** Key frames and pairs of the map as it is now; resolves to {ok, keyframes?, pairs?, user?, error?}. */
+  async look() {
+    const saved = await this.connection.command("save_map");
+    return saved.ok ? this.#lookAt(lastName(saved.folder)) : saved;
+  }
+
+  async #lookAt(map) {
+    const told = await this.connection.resource({ action: "look", kind: "map", name: map });
+    if (told.ok) [this.seen, this.map] = [told.seen, map];
+    return told;
+  }
+
+  keyframe(keyframe) {
+    return this.connection.resource({ action: "keyframe", kind: "map", name: this.map, request: { seen: this.seen, keyframe } });
+  }
+
+  /** say(words): how far it is. Resolves to {ok, done?, error?, told?}; where it is refused, the session goes on as before.
+   * told: what look() would say of the copy, where somebody has looked before. */
+  async change(change, who, say) {
     const copy = copyName(), steps = [
       () => this.connection.command("save_map", { name: copy }),
-      () => this.connection.resource({ action: "edit", kind: "map", name: copy, change }),
+      () => this.connection.resource({ action: "edit", kind: "map", name: copy, request: { seen: this.seen, who, change } }),
       () => this.#load(copy),
     ];
     let done = "";
@@ -29,9 +55,16 @@ export class LiveEdit {
       const answer = await step();
       if (!answer.ok) return { ok: false, error: `${answer.error}; the map of the session is as it was` };
       done = answer.done ?? done;
-      if (i + 1 === steps.length && answer.folder_before) this.#offerUndo(answer.folder_before);
     }
-    return { ok: true, done: `${done}; the mapping goes on in ${copy}` };
+    const told = this.seen ? await this.#lookAt(copy) : null;
+    return { ok: true, done: `${done}; the mapping goes on in ${copy}`, told };
+  }
+
+  /** Go on in the map before the newest change; resolves to {ok, done?, error?}. */
+  async undo() {
+    const answer = await this.#load(this.before);
+    this.clear();
+    return answer.ok ? { ok: true, done: "the mapping goes on in the map before" } : answer;
   }
 
   /** Somebody may wait for the next one. */
@@ -42,6 +75,7 @@ export class LiveEdit {
   /** The vehicle is looked for where it was before, and by as much farther as it has driven since: poses begin at (0, 0, 0). */
   async #load(map) {
     const before = this.lastPose(), answer = await this.connection.command("load_map", { map });
+    if (answer.ok) this.before = answer.folder_before ?? null;
     const since = answer.ok && before ? await this.#nextPose() : null;
     if (since) {
       const { x_m, y_m, theta_rad } = compose(before, since);
@@ -56,12 +90,5 @@ export class LiveEdit {
       this.poseCame = settle;
       setTimeout(() => settle(null), POSE_WAIT_MS);
     });
-  }
-
-  #offerUndo(folder) {
-    notice(`The map before the change is ${folder.split("/").at(-1)}.`, "none", { text: "Undo the change", act: async () => {
-      const answer = await this.#load(folder);
-      notice(answer.ok ? "The change is undone: the mapping goes on in the map before." : `Undo: ${answer.error}.`, answer.ok ? "ok" : "error");
-    } });
   }
 }

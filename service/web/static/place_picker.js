@@ -42,7 +42,7 @@ export class PlacePicker {
     for (let loaded = null; loaded !== this.keyframe;) {
       loaded = this.keyframe;
       if (loaded === null) break;
-      const answer = await this.edit.connection.command("map_keyframe", { version: this.edit.version, keyframe: loaded });
+      const answer = await this.edit.keyframe(loaded);
       if (!answer.ok) {
         this.keyframe = null;
         notice(`${LABELS[this.side]}: ${answer.error}.`, "error");

@@ -11,7 +11,8 @@ from service.mapstore.files import save_map
 from service.offline.export import Format
 from service.offline.map_log import map_log
 from service.outputs import TileUpdate
-from service.web.resources import DELETED, FORMATS, ResourceError, Resources
+from service.web.resources import DELETED, FORMATS, Resources
+from service.web.work import ResourceError
 
 KINDS = ("session", "map")
 
@@ -38,7 +39,9 @@ def used():
 
 @pytest.fixture
 def resources(folders, used, tmp_path):
-    return Resources(folders, lambda: used, tmp_path / "scratch")
+    made = Resources(folders, lambda: used, tmp_path / "scratch")
+    yield made
+    made.close()
 
 
 def names(resources, kind):
@@ -184,30 +187,33 @@ def test_a_format_that_there_is_not_is_refused(resources):
         resources.download("map", "office", "exe")
 
 
-AREA = ["--erase", "0", "0", "1", "0", "1", "1", "--who=Ann"]
+AREA = {"who": "Ann", "change": {"what": "erase", "corners": [[0, 0], [1, 0], [1, 1]]}}
+LINE = {"change": {"what": "erase", "corners": [[0, 0], [1, 0], [2, 0]]}}
 
 
-def test_a_map_is_edited_as_by_the_command_and_not_while_it_is_in_use(resources, folders, used):
-    assert resources.edit("office", AREA).startswith("erased 0.50 m2")
+def test_a_map_is_edited_as_by_the_command_and_only_looked_at_while_it_is_in_use(resources, folders, used):
+    assert resources.edit("office", AREA)["done"].startswith("erased 0.50 m2")
     newest = map_log(folders["map"] / "office")["versions"][-1]
     assert (newest["what"], newest["who"]) == ("erase", "Ann")
     with pytest.raises(ResourceError, match="no area"):
-        resources.edit("office", ["--erase", "0", "0", "1", "0", "2", "0"])
+        resources.edit("office", LINE)
     used.append(folders["map"] / "office")
     with pytest.raises(ResourceError, match="in use"):
         resources.edit("office", AREA)
-    assert len(map_log(folders["map"] / "office")["versions"]) == 2
+    assert resources.look("office")["version"] == 2
+    with pytest.raises(ResourceError, match=r"there is no map '\.\./office'"):
+        resources.look("../office")
 
 
 def test_one_edit_or_export_at_a_time(resources, monkeypatch):
     began, go_on = threading.Event(), threading.Event()
 
-    def run(*arguments):
+    def ask(desk, verb, folder, request):
         began.set()
         assert go_on.wait(20.0)
-        return '{"done": "erased"}'
+        return {"done": "erased"}
 
-    monkeypatch.setattr("service.web.resources._run", run)
+    monkeypatch.setattr("service.web.work.Desk.ask", ask)
     with ThreadPoolExecutor(1) as pool:
         first = pool.submit(resources.edit, "office", AREA)
         assert began.wait(20.0)
@@ -218,4 +224,4 @@ def test_one_edit_or_export_at_a_time(resources, monkeypatch):
             with pytest.raises(ResourceError, match="another export or edit"):
                 second()
         go_on.set()
-        assert first.result(20.0) == "erased"
+        assert first.result(20.0) == {"done": "erased"}

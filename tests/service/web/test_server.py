@@ -256,11 +256,12 @@ def test_stored_things_are_listed_for_all_and_handed_out_once_for_the_token(serv
             await client.ask(socket, type="resource", n=1, action="list")
             listed = (await client.next(socket, "answer"))["body"]
             assert [entry["name"] for entry in listed["session"]] == ["a.mcap"]
-            for n, action in enumerate(("download", "delete", "rename", "undo", "edit"), start=2):
+            changing = ("download", "delete", "rename", "undo", "look", "keyframe", "edit")
+            for n, action in enumerate(changing, start=2):
                 await client.ask(socket, type="resource", n=n, action=action, name="a.mcap", to="mcap")
                 assert "token" in (await client.next(socket, "answer"))["body"]["error"]
             await client.ask(socket, type="token", token=TOKEN)
-            await client.ask(socket, type="resource", n=9, action="download", name="a.mcap", to="mcap")
+            await client.ask(socket, type="resource", n=19, action="download", name="a.mcap", to="mcap")
             url = (await client.next(socket, "answer"))["body"]["url"]
             for status in (200, 404):  # a ticket is good for once
                 async with client.session.get(client.address.rstrip("/") + url) as response:
@@ -270,7 +271,7 @@ def test_stored_things_are_listed_for_all_and_handed_out_once_for_the_token(serv
                         assert content == b"a session"
                         assert response.headers["Content-Disposition"] == 'attachment; filename="a.mcap"'
                         assert response.headers["X-Content-Type-Options"] == "nosniff"
-            await client.ask(socket, type="resource", n=10, action="delete", name="a.mcap")
+            await client.ask(socket, type="resource", n=20, action="delete", name="a.mcap")
             number = (await client.next(socket, "answer"))["body"]["undo"]
             assert not (tmp_path / "a.mcap").exists()
             await client.ask(socket, type="resource", n=11, action="undo", to=number)

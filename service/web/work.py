@@ -1,0 +1,105 @@
+"""Work on stored maps and sessions in processes of their own, which give way to the readers of devices."""
+
+import json
+import select
+import shutil
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+WORK_TIMEOUT_S = 300.0  # of an export or an edit
+TURN_TIMEOUT_S = 20.0  # until the request before is answered
+CLOSE_TIMEOUT_S = 2.0
+
+
+class ResourceError(Exception):
+    """Why something is not done, in words for who asked."""
+
+
+def run(*arguments: str) -> str:
+    """Stdout of `corridor ...`. Raises ResourceError."""
+    command = _gentle("-m", "service", *arguments)
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=WORK_TIMEOUT_S, check=False)
+    except subprocess.TimeoutExpired as error:
+        raise ResourceError(f"it took longer than {WORK_TIMEOUT_S:.0f} s and was ended") from error
+    if done.returncode != 0:
+        said = done.stderr.strip().splitlines()
+        raise ResourceError(said[-1] if said else f"{arguments[0]} ended with exit code {done.returncode}")
+    return done.stdout
+
+
+class Desk:
+    """Asks service.offline.copy_desk, which is started by the first question. Thread-safe."""
+
+    def __init__(self) -> None:
+        self._turn = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def ask(self, verb: str, folder: Path, request: dict[str, Any]) -> dict[str, Any]:
+        """The answer. Raises ResourceError."""
+        line = json.dumps({"verb": verb, "map": str(folder), "request": request}).encode() + b"\n"
+        if not self._turn.acquire(timeout=TURN_TIMEOUT_S):
+            raise ResourceError("the request before is still being carried out; ask again when it is done")
+        try:
+            answer = self._talk(line)
+        finally:
+            self._turn.release()
+        if not answer.pop("ok"):
+            raise ResourceError(answer["error"])
+        return answer
+
+    def close(self) -> None:
+        """End the process, whatever it does."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        process.terminate()
+        try:
+            process.wait(CLOSE_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        for pipe in (process.stdin, process.stdout):
+            assert pipe is not None
+            pipe.close()
+
+    def _talk(self, line: bytes) -> dict[str, Any]:
+        if self._process is None or self._process.poll() is not None:
+            self.close()  # it has nothing to do for long, and has ended
+            command = _gentle("-m", "service.offline.copy_desk")
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
+            )
+        requests, answers = self._process.stdin, self._process.stdout
+        assert requests is not None
+        assert answers is not None
+        try:
+            requests.write(line)
+            if not select.select([answers], [], [], WORK_TIMEOUT_S)[0]:
+                self.close()
+                raise ResourceError(f"it took longer than {WORK_TIMEOUT_S:.0f} s and was ended")
+            told = _line(answers)
+        except (OSError, ValueError) as error:  # ended while it was asked
+            raise ResourceError(f"the process that works on maps was ended: {error}") from error
+        if not told:
+            raise ResourceError("the process that works on maps has ended; the log of the service says why")
+        answer: dict[str, Any] = json.loads(told)
+        return answer
+
+
+def _line(answers: Any) -> bytes:
+    """The rest of it, which comes at once."""
+    told = b""
+    while not told.endswith(b"\n") and (part := answers.read(65_536)):
+        told += part
+    return told
+
+
+def _gentle(*arguments: str) -> list[str]:
+    """Python with these, at low priority where that can be had."""
+    command = [sys.executable, *arguments]
+    nice = shutil.which("nice")
+    return [nice, "-n", "10", *command] if nice else command
