@@ -42,6 +42,7 @@ class GnssHealth:
         fixes = {name: count for name, count in counters.items() if name.startswith("fixes_")}
         if not fixes.keys() - {"fixes_passed_over"}:
             return None
+        self._rose_ns = {name: ns for name, ns in self._rose_ns.items() if name in fixes}  # of this map
         for name, count in fixes.items():
             if count > self._counted.get(name, 0):
                 self._rose_ns[name] = now_ns

@@ -3,6 +3,7 @@
 Named are those of the page of a running service: desktop-light, resources ...; left out, all are made.
 """
 
+import json
 import math
 import sys
 import tempfile
@@ -32,6 +33,7 @@ from service.encoding import (
 from service.geometry.poses import Floats, points_from, points_seen
 from service.geometry.se2 import SE2
 from service.mapper.profiles import METHODS, build_mapper, mapping_config
+from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import save_map
 from service.mapstore.tiles import TileStore
 from service.offline.recording_view import RecordingView
@@ -76,6 +78,7 @@ class Office(NamedTuple):
     frames: list[Frame]  # as they arrived
     outputs: list[MapperOutput]
     graph: GraphPicture
+    saved: SavedGraph  # with which mapping could go on
     maps: list[tuple[int, Grid]]  # by the time, ns, at which each was whole
 
     @property
@@ -99,10 +102,11 @@ def map_office(store: TileStore) -> Office:
             grid = store.grid()
             assert grid is not None
             maps.append((frame.arrived_ns, grid))
-    mapper.finish()
+    saved = mapper.finish().update.saved
     store.update(mapper.changed_tiles())
     assert mapper.graph_picture is not None
-    return Office(frames, outputs, mapper.graph_picture, maps)
+    assert isinstance(saved, SavedGraph)
+    return Office(frames, outputs, mapper.graph_picture, saved, maps)
 
 
 def record(frames: Sequence[Frame], folder: Path) -> Path:
@@ -324,6 +328,43 @@ def take(page: Page, name: str, area: str, size: tuple[int, int], is_dark: bool)
     page.driver.save_screenshot(str(IMAGES / f"operator-{name}.png"))
 
 
+def take_live_edit(page: Page) -> None:
+    """The map of the running session: an area about to be erased, and two places about to be joined."""
+    if not any(is_wanted(name) for name in ("edit-live", "edit-live-dark", "edit-live-phone")):
+        return
+    page.resize(DESKTOP)
+    page.choose("edit")
+    page.element("fetch-keyframes").click()
+    page.wait_for_text("edit-note", "are fetched")
+    x_m, y_m = page.run("return corridor.edit.keyframes.at(20)")
+    page.look_at(x_m, y_m, 38.0)
+    page.element("draw-area").click()
+    for dx_m, dy_m in ((1.0, 1.2), (3.4, 1.2), (3.4, 2.6), (1.0, 2.6)):
+        click_at(page, (x_m + dx_m, y_m + dy_m))
+    page.run("document.querySelector('#edit .cards').scrollTop = 0")
+    take(page, "edit-live", "edit", DESKTOP, False)
+    page.run("document.getElementById('map').focus(); corridor.edit.endTool()")
+    page.run("corridor.edit.pairs.places.a.choose(20)")
+    page.wait_for("return corridor.edit.pairs.places.a.points.length > 0")
+    page.element("other-pass").click()
+    page.wait_for("return corridor.edit.pairs.places.b.points.length > 0")
+    page.element("pick-pairs").click()
+    for side in ("a", "b"):
+        page.run(
+            "const {points} = corridor.edit.pairs.places[arguments[0]];"
+            "corridor.edit.tool.click(corridor.view.camera.toScreen(points[200], points[201]))",
+            side,
+        )
+    take(page, "edit-live-dark", "edit", DESKTOP, True)
+    page.element("forget-places").click()
+    page.resize(PHONE)
+    page.choose("edit")
+    page.run("document.querySelector('#edit .cards').scrollTop = 0")
+    take(page, "edit-live-phone", "edit", PHONE, False)
+    page.resize(DESKTOP)
+    page.element("fit").click()
+
+
 def main() -> None:
     store = TileStore()
     office = map_office(store)
@@ -331,7 +372,9 @@ def main() -> None:
         folders = {"session": Path(kept) / "sessions", "map": Path(kept) / "maps"}
         for folder in folders.values():
             folder.mkdir()
-        save_map(folders["map"] / "office_ground_floor", store.since(0), UNIX_NS)
+        stored = folders["map"] / "office_ground_floor"
+        save_map(stored, store.since(0), UNIX_NS, graph=office.saved)
+        answer = Answer(True, json.dumps({"ok": True, "folder": str(stored)}).encode())  # of save_map
         for number in (1, 2):
             (folders["session"] / f"veh1_20261118T061320Z_000{number}.mcap").write_bytes(
                 b"\0" * 7_340_032 * number
@@ -341,7 +384,7 @@ def main() -> None:
             WebConfig(listen="127.0.0.1:0"),
             about,
             store,
-            lambda verb, payload: Answer(True, b"{}"),
+            lambda verb, payload: answer,
             "t",
             folders,
         )
@@ -367,6 +410,7 @@ def main() -> None:
             for layer in ("graph", "path"):
                 page.run(f"document.getElementById('layer-{layer}').click()")
             take(page, "resources", "resources", DESKTOP, False)
+            take_live_edit(page)
             take(page, "phone-map", "map", PHONE, False)
             take(page, "phone-information", "information", PHONE, True)
         server.close()

@@ -70,7 +70,7 @@ export class EditPairs {
     this.forget.disabled = !a.isChosen && !b.isChosen && this.pairs.length === 0;
     setText(this.optimise, this.pairs.length ? `Optimise with ${this.pairs.length} new` : "Optimise");
     const total = this.stored.length + this.pairs.length;
-    setText(this.card.aside, total ? `${total} pairs` : "");
+    setText(this.card.aside, total ? `${total} ${total === 1 ? "pair" : "pairs"}` : "");
     this.list.replaceChildren(
       ...this.stored.map((pair) => this.#entry(`Pair ${pair.pair}`, pair.apart_mm / 1000, () => this.edit.change({ what: "remove-pair", pair: pair.pair }, "Remove pair"))),
       ...this.pairs.map((pair, i) => this.#entry(`New ${i + 1}`, apart_m(pair), () => this.#remove(i))));

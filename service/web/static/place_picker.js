@@ -73,7 +73,7 @@ export class PlacePicker {
   update() {
     const { keyframes } = this.edit;
     this.slider.max = String(Math.max(keyframes.count - 1, 0));
-    if (this.isChosen) this.slider.value = String(this.keyframe);
+    this.slider.value = String(this.keyframe ?? 0);
     const words = this.isChosen ? `key frame ${this.keyframe}, ${fixed(keyframes.seconds(this.keyframe), 1, " s")}` : "not chosen";
     this.slider.setAttribute("aria-valuetext", words);
     this.go.disabled = !this.isChosen;
