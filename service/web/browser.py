@@ -106,7 +106,7 @@ class Browser:
             try:
                 asked = read_asked(message.data)
             except AskedError as error:
-                self.mailbox.note(to_json("refused", error=str(error)))
+                self.mailbox.answer(to_json("refused", error=str(error)))
                 continue
             match asked:
                 case TokenShown(token=token):
@@ -126,7 +126,7 @@ class Browser:
         """False where it has tried too often and is let go."""
         self.may_control = is_token(token, self._token)
         words = "" if self.may_control else "this is not the token of this service"
-        self.mailbox.note(to_json("access", may_control=self.may_control, error=words))
+        self.mailbox.answer(to_json("access", may_control=self.may_control, error=words))
         if not self.may_control:
             self._wrong_tokens += 1
             log.warning("web: wrong token from %s", self._name)
@@ -151,4 +151,4 @@ class Browser:
         self._answer(asked.n, await self._carry_out(asked))
 
     def _answer(self, n: int, body: dict[str, Any]) -> None:
-        self.mailbox.note(to_json("answer", n=n, body=body))
+        self.mailbox.answer(to_json("answer", n=n, body=body))

@@ -5,7 +5,7 @@ from collections import deque
 
 Payload = str | bytes
 
-MOST_NOTES = 64  # answers and events; the oldest goes
+MOST_NOTES = 64  # the oldest goes
 
 
 class Mailbox:
@@ -15,6 +15,7 @@ class Mailbox:
         self.filled = asyncio.Event()
         self.dropped = 0  # payloads that a newer one replaced before they were sent
         self._newest: dict[str, Payload] = {}
+        self._answers: list[Payload] = []
         self._notes: deque[Payload] = deque()
 
     def put(self, key: str, payload: Payload) -> None:
@@ -24,8 +25,15 @@ class Mailbox:
         self._newest[key] = payload
         self.filled.set()
 
+    def answer(self, payload: Payload) -> None:
+        """What the browser waits for: none is left out. It grows by what the browser may ask within the time
+        after which one that does not read is let go.
+        """
+        self._answers.append(payload)
+        self.filled.set()
+
     def note(self, payload: Payload) -> None:
-        """Something that happened; each is sent, as long as the browser reads."""
+        """Something that happened; the newest are sent."""
         if len(self._notes) >= MOST_NOTES:
             self._notes.popleft()
             self.dropped += 1
@@ -37,9 +45,10 @@ class Mailbox:
         self.filled.set()
 
     def take(self) -> list[Payload]:
-        """All that waits, notes first; nothing waits afterwards."""
+        """All that waits, answers first, then notes; nothing waits afterwards."""
         self.filled.clear()
-        taken = [*self._notes, *self._newest.values()]
+        taken = [*self._answers, *self._notes, *self._newest.values()]
+        self._answers.clear()
         self._notes.clear()
         self._newest.clear()
         return taken

@@ -277,7 +277,7 @@ class WebServer:
         )
         await socket.prepare(request)
         browser = Browser(socket, str(request.remote), self._token, self._feed, self._carry_out)
-        browser.mailbox.note(self._hello())
+        browser.mailbox.answer(self._hello())
         for shown in self._view.snapshot():
             _post(browser, shown)
         self._browsers.add(browser)

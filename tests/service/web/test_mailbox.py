@@ -26,3 +26,13 @@ def test_notes_go_before_pictures():
     mailbox.put("pose", "picture")
     mailbox.note("hello")
     assert mailbox.take() == ["hello", "picture"]
+
+
+def test_no_answer_is_left_out_however_much_happens():
+    mailbox = Mailbox()
+    mailbox.answer("hello")
+    for number in range(2 * MOST_NOTES):
+        mailbox.note(str(number))
+    mailbox.answer("done")
+    assert mailbox.take()[:3] == ["hello", "done", str(MOST_NOTES)]
+    assert mailbox.take() == []

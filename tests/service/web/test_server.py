@@ -13,6 +13,8 @@ import pytest
 
 from service.encoding import encode_pose
 from service.web import browser
+from service.web.live_view import MOST_EVENTS
+from service.web.mailbox import MOST_NOTES
 from service.web.server import WebServer
 from tests.browser.scene import Scene, event, stamp
 from tests.service.mapstore.tile_makers import tile
@@ -246,6 +248,23 @@ def test_a_command_that_takes_long_holds_up_neither_poses_nor_others(serve, desk
             assert sorted(answered) == list(range(browser.MOST_COMMANDS))
 
     talk(server, ask)
+
+
+def test_who_comes_after_many_events_is_greeted_all_the_same(serve):
+    """Without the greeting the page would know no command, and not the vehicle."""
+    server = serve()
+    for number in range(MOST_EVENTS):
+        server.put(event(f"{number}", float(number)))
+
+    async def come(client):
+        async with client.socket() as socket:  # so that all of them are kept by now
+            while (await client.next(socket, "event"))["text"] != f"{MOST_EVENTS - 1}":
+                pass
+        async with client.socket() as socket:
+            assert json.loads((await socket.receive()).data)["type"] == "hello"
+            assert (await client.next(socket, "event"))["text"] == f"{MOST_EVENTS - MOST_NOTES}"
+
+    talk(server, come)
 
 
 def test_stored_things_are_listed_for_all_and_handed_out_once_for_the_token(serve, tmp_path):
