@@ -29,15 +29,22 @@ from service.offline.map_asked import (
     AddPairs,
     Cut,
     EditOfCopy,
+    Erase,
     KeyframeOfSession,
     Pair,
     RemovePair,
+    Wall,
     read_as,
 )
 from service.offline.map_desk import as_edit, look, look_at_keyframe
 
 IDLE_S = 900.0  # then the memory of the map is given back; the page looks again
 PAIR_WITHIN_M = 1e-6  # points of one pair in two versions, in the frames of its key frames
+
+NO_KEYFRAMES = (
+    "this map holds no key frames: its profile makes none, or the vehicle is not found in it yet; "
+    "areas can be erased and walls drawn"
+)
 
 _KEYFRAME, _EDIT = TypeAdapter[Any](KeyframeOfSession), TypeAdapter[Any](EditOfCopy)
 
@@ -75,6 +82,8 @@ class CopyDesk:
 
     def _edit(self, folder: Path, asked: EditOfCopy) -> dict[str, Any]:
         change, stored = asked.change, load_map(folder)
+        if not isinstance(change, Erase | Wall):
+            _graph(stored)
         if isinstance(change, AddPairs | Cut | RemovePair):
             change = moved_on(change, _graph(self._looked_at(asked.seen)), _graph(stored))
         who = asked.who.strip() or map_edit.user_name()
@@ -136,7 +145,7 @@ def _pair_number(number: int, seen: SavedGraph, now: SavedGraph) -> int:
 
 def _graph(stored: StoredMap) -> SavedGraph:
     if stored.graph is None:
-        raise InputError("this map holds no key frames; areas can be erased in it and walls drawn")
+        raise InputError(NO_KEYFRAMES)
     return stored.graph
 
 

@@ -21,6 +21,7 @@ from service.encoding import (
     GRAPH,
     STANDING,
     Message,
+    Pose,
     Status,
     decode_diagnostics,
     decode_event,
@@ -59,6 +60,8 @@ UNTOLD = (
 )  # events that are counted in health, many a second
 MOST_WAYS = 200  # that wait to be shown
 PATH_STEP_M = 0.05
+# A pose farther away than a vehicle can have come: it was found elsewhere, and the path begins anew there.
+JUMP_M, FASTEST_MPS = 1.0, 20.0  # map_view.js has them, too
 MOST_PATH_POINTS = 20_000  # 1 km at 5 cm; then every second point goes
 
 
@@ -71,7 +74,9 @@ class Shown:
 
 
 class DrivenPath:
-    """The way driven, thinned: points at least `step_m` apart, never more than `most`."""
+    """The way driven, thinned: points at least `step_m` apart, never more than `most`. A point of NaN stands
+    where the pose jumped, between two stretches.
+    """
 
     def __init__(self, step_m: float = PATH_STEP_M, most: int = MOST_PATH_POINTS) -> None:
         self._first_step_m = self._step_m = step_m
@@ -84,8 +89,13 @@ class DrivenPath:
             return
         self._points.append((x_m, y_m))
         if len(self._points) > self._most:
-            self._points = self._points[::2]
+            self._points = [xy for k, xy in enumerate(self._points) if k % 2 == 0 or math.isnan(xy[0])]
             self._step_m *= 2.0
+
+    def leave_off(self) -> None:
+        """What comes next is not joined to what was added."""
+        if self._points and not math.isnan(self._points[-1][0]):
+            self._points.append((math.nan, math.nan))
 
     def clear(self) -> None:
         self._points.clear()
@@ -126,6 +136,7 @@ class LiveView:
         self._events: deque[str] = deque(maxlen=MOST_EVENTS)
         self._kept: dict[str, Payload] = {}  # by key, for a browser that comes late
         self._path = DrivenPath()
+        self._pose_before: Pose | None = None
         self.map_folders: list[Path] = []  # to which the service writes its map now
         self.unreadable = 0  # messages that did not decode
 
@@ -193,6 +204,7 @@ class LiveView:
     def map_reset(self) -> list[Shown]:
         """The map begins anew, and with it the path, what stands and what has changed."""
         self._path.clear()
+        self._pose_before = None
         return [
             Shown("path", self._path.payload()),
             self._keep(STANDING, encode_standing(None)),
@@ -253,7 +265,10 @@ class LiveView:
                 return []
 
     def _pose(self, message: Message) -> list[Shown]:
-        pose = decode_pose(message.payload)
+        pose, before = decode_pose(message.payload), self._pose_before
+        if before is not None and _jumps(before, pose):
+            self._path.leave_off()
+        self._pose_before = pose
         self._path.add(pose.pose.x_m, pose.pose.y_m)
         return [self._keep("pose", pose_json(pose))]
 
@@ -299,3 +314,10 @@ class LiveView:
     def _keep(self, key: str, payload: Payload) -> Shown:
         self._kept[key] = payload
         return Shown(key, payload)
+
+
+def _jumps(before: Pose, pose: Pose) -> bool:
+    """Whether no vehicle came from the one to the other."""
+    seconds = abs(pose.stamp_ns - before.stamp_ns) / 1e9
+    away_m = math.hypot(pose.pose.x_m - before.pose.x_m, pose.pose.y_m - before.pose.y_m)
+    return away_m > JUMP_M + FASTEST_MPS * seconds

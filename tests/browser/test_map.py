@@ -118,6 +118,21 @@ def test_a_scan_of_a_moving_vehicle_is_laid_out_beam_by_beam(page, scene, live):
     assert moved == pytest.approx(0.36, abs=1e-6)
 
 
+def test_nothing_is_drawn_from_where_a_pose_jumps_away_to_where_it_goes_on(page, scene, live):
+    page.run("Object.assign(corridor.view.layers, {scans: 0, vehicle: 0, grid: 0})")
+    before = page.run("return corridor.view.path.length")
+    page.run(
+        "const v = corridor.view, last = v.track.last;"
+        "for (const [x_m, later_s] of [[-4, 0.1], [-3.5, 0.2], [3, 0.3], [3.5, 0.4]])"
+        " v.putPose({...last, x_m, y_m: 3, stamp_s: last.stamp_s + later_s})"
+    )
+    points = page.run("return corridor.view.path.slice(arguments[0])", before)
+    assert points == [None, None, -4, 3, -3.5, 3, None, None, 3, 3, 3.5, 3]
+    page.look_at(0.0, 3.0, 60.0)
+    driven, leapt = page.pixel(-3.75, 3.0), page.pixel(0.0, 3.0)
+    assert page.pixel(3.25, 3.0) == driven != leapt
+
+
 def test_poses_of_two_lasers_at_one_moment_are_of_one_run(page, live):
     kept = page.driver.execute_async_script(
         "const poses = arguments[0], done = arguments[1]; import('./geometry.js').then(({PoseTrack}) => {"

@@ -107,7 +107,7 @@ export class Edit {
     const told = await this.live.look(), isGraph = told.ok && told.keyframes;
     this.isBusy = false;
     this.#take(told);
-    this.say(isGraph ? `${told.keyframes.count} key frames are fetched` : `Key frames: ${told.error ?? "a map of this profile has none"}`, isGraph ? "ok" : "error");
+    this.say(isGraph ? `${told.keyframes.count} key frames are fetched` : `Key frames: ${told.error ?? "there are none; the profile makes none, or the vehicle is not found in the map yet"}`, isGraph ? "ok" : "error");
     this.update();
   }
 

@@ -12,6 +12,7 @@ import { TileMap } from "./tiles.js";
 
 const STALE_MS = 1500; // older scans and poses are not shown as live
 const PATH_STEP_M = 0.05, MOST_PATH_POINTS = 40_000;
+const JUMP_M = 1, FASTEST_MPS = 20; // farther than that no vehicle comes: its pose jumped
 const LASER_COLOURS = 5;
 const VEHICLE_M = 0.5; // length of the arrow; never smaller than VEHICLE_PIXELS
 const VEHICLE_PIXELS = 22;
@@ -31,7 +32,7 @@ export class MapView {
     this.camera = new Camera();
     this.tiles = new TileMap();
     this.track = new PoseTrack();
-    this.path = []; // [x_m, y_m, x_m, y_m ...]
+    this.path = []; // [x_m, y_m, x_m, y_m ...]; NaN, NaN where the pose jumped
     this.scans = new Map(); // sensor -> {scan, arrived_ms}
     this.sensors = []; // lasers in the order in which they were first seen: gives each its colour
     this.mountings = {};
@@ -138,13 +139,15 @@ export class MapView {
   }
 
   putPose(pose) {
+    const before = this.track.last;
     this.track.add(pose);
     this.poseArrived_ms = performance.now();
+    if (before && this.path.length && jumps(before, pose)) this.path.push(NaN, NaN);
     const n = this.path.length;
     const step_m = n ? Math.hypot(this.path[n - 2] - pose.x_m, this.path[n - 1] - pose.y_m) : Infinity;
-    if (step_m >= PATH_STEP_M) this.path.push(pose.x_m, pose.y_m);
+    if (!(step_m < PATH_STEP_M)) this.path.push(pose.x_m, pose.y_m);
     if (this.path.length > 2 * MOST_PATH_POINTS) {
-      this.path = this.path.filter((_, i) => i % 4 < 2);
+      this.path = this.path.filter((metres, i) => i % 4 < 2 || Number.isNaN(metres));
     }
     if (this.follows) this.camera.centreOn(pose.x_m, pose.y_m);
     this.isFitted = true;
@@ -286,12 +289,17 @@ export class MapView {
 
   #drawPath(path) {
     const { context, camera } = this;
-    if (path.length < 4) return;
-    const every = Math.max(1, Math.floor(1 / (camera.scale * PATH_STEP_M))); // points a pixel
+    const every = 2 * Math.max(1, Math.floor(1 / (camera.scale * PATH_STEP_M))); // of points a pixel
     context.beginPath();
-    context.moveTo(path[0], path[1]);
-    for (let i = 2 * every; i < path.length; i += 2 * every) context.lineTo(path[i], path[i + 1]);
-    context.lineTo(path.at(-2), path.at(-1));
+    for (let begin = 0, i = 0; i <= path.length; i += 2) {
+      if (i < path.length && !Number.isNaN(path[i])) continue;
+      if (i > begin) {
+        context.moveTo(path[begin], path[begin + 1]);
+        for (let k = begin + every; k < i; k += every) context.lineTo(path[k], path[k + 1]);
+        context.lineTo(path[i - 2], path[i - 1]);
+      }
+      begin = i + 2;
+    }
     context.strokeStyle = this.colours.path;
     context.lineWidth = 2 / camera.scale;
     context.lineJoin = "round";
@@ -404,3 +412,6 @@ export const scaleBar = (pixels_per_m, most) => {
     .find((length) => length * pixels_per_m <= most);
   return { pixels: length_m * pixels_per_m, text: length_m < 1 ? `${Math.round(100 * length_m)} cm` : metres(length_m).replace(".00", "") };
 };
+
+const jumps = (before, pose) => Math.hypot(pose.x_m - before.x_m, pose.y_m - before.y_m)
+  > JUMP_M + FASTEST_MPS * Math.abs(pose.stamp_s - before.stamp_s);

@@ -2,6 +2,7 @@ import json
 import math
 import struct
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -207,6 +208,36 @@ def test_a_long_path_keeps_its_shape_and_its_bound():
     assert points[0].tolist() == [0.0, 0.0]
     assert points[-1, 0] >= 80.0
     assert np.ptp(np.diff(points[:, 0])) <= 16.0
+
+
+def test_where_the_pose_jumps_another_stretch_of_path_begins(view):
+    """As when a vehicle is found in a map that was loaded: nobody drove straight there."""
+    for seconds, x_m in ((1.0, 0.0), (1.1, 0.5), (1.2, 30.0), (1.3, 30.5), (4.0, 80.0)):
+        pose = SE2(x_m, 0.0, 0.0)
+        output = replace(Scene().output(seconds), pose_odom_base=pose, pose_map_odom=SE2())
+        view.put(encode_pose(output, stamp(seconds)))
+        view.due()
+    nan = math.nan
+    assert path_of(view) == pytest.approx([0.0, 0.5, nan, 30.0, 30.5, 80.0], nan_ok=True)  # 18 m/s at last
+    view.map_reset()
+    assert path_of(view) == []
+
+
+def path_of(view):
+    """x of its points, m."""
+    payload = next(shown.payload for shown in view.snapshot() if shown.key == "path")
+    return np.frombuffer(payload, "<f4", offset=8).reshape(-1, 2)[:, 0].tolist()
+
+
+def test_gaps_of_a_path_stay_when_it_is_thinned():
+    path = DrivenPath(step_m=1.0, most=10)
+    for metre in range(9):
+        path.add(float(metre), 0.0)
+    path.leave_off()
+    path.leave_off()
+    path.add(50.0, 0.0)
+    points = np.frombuffer(path.payload(), "<f4", offset=8).reshape(-1, 2)
+    assert np.isnan(points[:, 0]).sum() == 1
 
 
 def test_bytes_that_are_no_pose_are_counted(view):
