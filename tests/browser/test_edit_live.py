@@ -3,6 +3,7 @@
 import json
 import math
 import shutil
+import threading
 
 import numpy as np
 import pytest
@@ -38,7 +39,7 @@ def maps(tmp_path, folder):
 def session(page, serve, scene, desk, folder, maps, monkeypatch):
     """A running session, open with the token at its area Edit; its map is that of `folder`."""
     server = serve(folders={"session": maps / "none", "map": maps})
-    poses = {"told": scene.messages(BEFORE_S)[1]}
+    poses, poses_come = {"told": scene.messages(BEFORE_S)[1]}, threading.Lock()
 
     def answer(verb, payload):
         desk.asked.append((verb, payload))
@@ -50,7 +51,10 @@ def session(page, serve, scene, desk, folder, maps, monkeypatch):
             told["folder"] = str(stored)
         if verb == "load_map":
             told["folder_before"] = f"/maps/before {request['map'].split('/')[-1]}"
-            poses["told"] = scene.messages(SINCE_S)[1]
+            with poses_come:
+                scene.store.begin_anew()
+                scene.map_all()
+                poses["told"] = scene.messages(SINCE_S)[1]
         return Answer(True, json.dumps(told).encode())
 
     monkeypatch.setattr(server, "_answer", answer)
@@ -64,7 +68,8 @@ def session(page, serve, scene, desk, folder, maps, monkeypatch):
 
     def drive(ended):
         while not ended.wait(0.1):
-            server.put(poses["told"])
+            with poses_come:
+                server.put(poses["told"])
 
     with in_background(drive):
         yield server
@@ -110,6 +115,23 @@ def test_an_area_is_erased_in_a_copy_in_which_the_mapping_goes_on(page, session,
     assert asked(desk)[3] == ("load_map", {"map": f"/maps/before {copy['map']}"})
 
 
+def test_a_pose_of_the_map_before_that_comes_late_is_not_taken_for_one_of_the_copy(page, session, scene):
+    """It may be on its way while the answer to load_map overtakes it."""
+    page.run(
+        "const {live} = corridor.edit, pose = {x_m: 0, y_m: 0, theta_rad: 0}; window.asked = [];"
+        "live.lastPose = () => ({x_m: 5, y_m: 1, theta_rad: 0}); live.putPose = () => {};"
+        "live.connection = {command: async (...told) => { asked.push(told); return {ok: true}; }};"
+        "live.before = 'ring'; const put = Object.getPrototypeOf(live).putPose.bind(live);"
+        "const undone = live.undo();"
+        "put({...pose, x_m: 9}); live.mapBegan(); put({...pose, x_m: 2}); put({...pose, x_m: 3});"
+        "undone.then(() => { window.isDone = true; });"
+    )
+    page.wait_for("return window.isDone")
+    loaded, posed = page.run("return asked")
+    assert loaded == ["load_map", {"map": "ring"}]
+    assert posed == ["set_pose", {"x_m": 7, "y_m": 1, "theta_rad": 0}]
+
+
 def occupied(stored):
     """Cells of a wall within the rectangle."""
     (x0, y0), (x1, y1) = ERASED
@@ -124,7 +146,7 @@ def occupied(stored):
 
 def test_a_change_that_is_refused_leaves_the_session_as_it_was(page, session, desk):
     page.run("corridor.edit.change({what: 'erase', corners: [[0, 0], [1, 0], [2, 0]], free: false}, 'Erase')")
-    page.wait_for_text("edit-note", "no area")
+    wait_for_change(page, "no area")
     assert "the map of the session is as it was" in page.text("edit-note")
     assert [verb for verb, _ in asked(desk)] == ["save_map"]
     page.wait_for("return !corridor.edit.all.disabled")
@@ -139,7 +161,7 @@ def titles(page):
 
 def fetch(page, bent):
     page.element("fetch-keyframes").click()
-    page.wait_for_text("edit-note", f"{len(bent.graph)} key frames are fetched")
+    wait_for_change(page, f"{len(bent.graph)} key frames are fetched")
 
 
 def test_places_and_times_are_offered_once_key_frames_are_fetched(page, session, bent):
@@ -193,7 +215,7 @@ def test_a_time_span_is_cut_out_while_the_session_runs(page, session, desk, maps
 
 
 def wait_for_change(page, words):
-    """Until that is said of it, or that it is refused."""
+    """Until that is said of it, or that it is refused; a process for it may have to be started."""
     WebDriverWait(page.driver, EDITED_WITHIN_S).until(
         lambda driver: driver.execute_script(
             "const note = document.getElementById('edit-note');"

@@ -16,6 +16,7 @@ export class LiveEdit {
     this.connection = connection;
     this.lastPose = lastPose;
     this.before = null; // folder of the map before the newest change
+    this.awaited = null; // first pose of a map that is being loaded: {settle, isBegun}
     this.clear();
   }
 
@@ -67,28 +68,29 @@ export class LiveEdit {
     return answer.ok ? { ok: true, done: "the mapping goes on in the map before" } : answer;
   }
 
-  /** Somebody may wait for the next one. */
+  /** The map that is shown begins anew: what comes from now on is of the new one. */
+  mapBegan() {
+    if (this.awaited) this.awaited.isBegun = true;
+  }
+
+  /** Somebody may wait for the first one of a map. */
   putPose(pose) {
-    this.poseCame?.(pose);
+    if (this.awaited?.isBegun) this.awaited.settle(pose);
   }
 
   /** The vehicle is looked for where it was before, and by as much farther as it has driven since: poses begin at (0, 0, 0). */
   async #load(map) {
-    const before = this.lastPose(), answer = await this.connection.command("load_map", { map });
+    const before = this.lastPose();
+    const first = new Promise((settle) => { this.awaited = { settle, isBegun: false }; });
+    const answer = await this.connection.command("load_map", { map });
     if (answer.ok) this.before = answer.folder_before ?? null;
-    const since = answer.ok && before ? await this.#nextPose() : null;
+    const late = new Promise((settle) => setTimeout(() => settle(null), POSE_WAIT_MS));
+    const since = answer.ok && before ? await Promise.race([first, late]) : null;
+    this.awaited = null;
     if (since) {
       const { x_m, y_m, theta_rad } = compose(before, since);
       await this.connection.command("set_pose", { x_m, y_m, theta_rad }); // refused where it was found already
     }
     return answer;
-  }
-
-  /** null where none comes. */
-  #nextPose() {
-    return new Promise((settle) => {
-      this.poseCame = settle;
-      setTimeout(() => settle(null), POSE_WAIT_MS);
-    });
   }
 }

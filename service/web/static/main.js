@@ -57,7 +57,10 @@ const connection = new Connection({
   graph: (message) => { view.putGraph(message); explainLayers(); },
   standing: (message) => { view.putStanding(message); explainStanding(); },
   changes: (message) => { view.putStoredChanges(message); explainStoredChanges(); },
-  path: (message) => view.putPath(message),
+  path: (message) => {
+    view.putPath(message);
+    if (!message.goesOn && !message.points.length) edit.live.mapBegan();
+  },
   scan: (message) => { if (view.putScan(message)) explainLayers(); },
   mountings: ({ pose_base_sensor }) => { view.mountings = pose_base_sensor; },
   moment: (moment) => {
