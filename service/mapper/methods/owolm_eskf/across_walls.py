@@ -1,4 +1,4 @@
-"""What a scan says of the pose where it lies on the map: across walls, and nothing along them.
+"""What a scan says of the pose where it lies on the map: across walls, and what its single dots say.
 
 The map holds dots. Far along a corridor those of one scan lie apart, the next scan sends its beams the same
 ways, and where it stands still on the map all its dots meet those of the scan before: slopes of the map along
@@ -21,6 +21,7 @@ Array = npt.NDArray[np.float64]
 # Normals of short pieces are off by 10 to 25 deg, and one wall then says so much of the way along it: a
 # direction of which the points in no segment say less than this share of what they say of the other.
 LEAST_SHARE = 0.2
+BESIDE_M = 0.3  # a dot so near to the line of a wall is of that wall: of a door in it, or of its frame
 NEAR_AXIS_RAD = math.radians(15.0)  # walls run along the axes of the map: a normal so near to one is that
 
 
@@ -54,6 +55,29 @@ def information_across(
     information = np.empty((3, 3))
     likelihood_normal_equations(points.xy_base, said, weights, pose, information, np.empty(3))
     return information
+
+
+def information_of_dots(
+    points: Points, values: Array, weights: Array, segment: npt.NDArray[np.int32], pose: Array
+) -> Array:
+    """The same, with each dot beside no wall counting in both directions: furniture, or a wall's far end."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    xy = points.xy_base @ np.array([[c, s], [-s, c]])
+    along_x, along_y = (segment != NO_SEGMENT).T
+    is_beside_x = along_x | _is_beside(xy[:, 1], segment[:, 0])
+    is_beside_y = along_y | _is_beside(xy[:, 0], segment[:, 1])
+    across = np.stack((along_y | ~is_beside_x, along_x | ~is_beside_y), axis=1)
+    said = np.concatenate((values[:, :1], values[:, 1:] * across), axis=1)
+    information = np.empty((3, 3))
+    likelihood_normal_equations(points.xy_base, said, weights, pose, information, np.empty(3))
+    return information
+
+
+def _is_beside(across_m: Array, segment: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
+    """(N,) whether a point is near the line of a segment; across_m: its place across those."""
+    lines_m = np.array([across_m[segment == k].mean() for k in np.unique(segment[segment != NO_SEGMENT])])
+    is_beside: npt.NDArray[np.bool_] = (np.abs(across_m[:, None] - lines_m) < BESIDE_M).any(axis=1)
+    return is_beside
 
 
 def _without_weak_direction(slopes: Array, weights: Array) -> Array:

@@ -14,11 +14,11 @@ from service.kernels.likelihood_search import LikelihoodLayer, search_exhaustive
 from service.mapper.components import Match, Points
 from service.mapper.judgement import JudgementConfig
 from service.mapper.matchers.covariances import diagonal, in_base_axes, inverse
-from service.mapper.matchers.field_align import align, information_at, values_at
+from service.mapper.matchers.field_align import align, values_at
 from service.mapper.matchers.judged import JudgedMatching, Laid
 from service.mapper.matchers.recovery import search_around, step_of
 from service.mapper.matchers.window_search import window_around
-from service.mapper.methods.owolm_eskf.across_walls import information_across
+from service.mapper.methods.owolm_eskf.across_walls import information_across, information_of_dots
 from service.mapper.methods.owolm_eskf.orthogonal_map import OrthogonalMap
 
 Array = npt.NDArray[np.float64]
@@ -69,16 +69,16 @@ class BruteSearch:
         x_m, y_m, theta_rad = pose.tolist()
         laid = SE2(x_m, y_m, theta_rad)
         every, weights = thin_evenly(points.xy_base, len(points.xy_base), config.residual_sigma)
-        if predicted.is_confirmed:
-            segment = local_map.segments(moved_by(laid, points.xy_base), local_map.gaps(points))
-            said = information_across(points, values_at(every, pose, field), weights, segment, pose)
-            least = BLIND
-        else:  # wheels alone may lie, and accelerations alone run away: what dots say is better than nothing
-            said = information_at(every, weights, pose, field)
+        segment = local_map.segments(moved_by(laid, points.xy_base), local_map.gaps(points))
+        values = values_at(every, pose, field)
+        across = information_across(points, values, weights, segment, pose)
+        sure = covariance = self._covariance(across, BLIND, theta_rad)
+        if not predicted.is_confirmed:  # one witness of the motion may be wrong: dots are asked as well
+            said = information_of_dots(points, values, weights, segment, pose)
             least = np.diag(1.0 / np.square([window_m, window_m, window_rad]))
-        covariance = self._covariance(said, least, theta_rad)
+            covariance = self._covariance(said, least, theta_rad)
         matched = local_map.pose_axes_odom.inverse() @ laid
-        information = inverse(covariance)
+        information = inverse(covariance if is_found else sure)
         return Laid(Measurement(matched, covariance, information, is_joined=False), points)
 
     def search(

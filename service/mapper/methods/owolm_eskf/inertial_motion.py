@@ -7,10 +7,11 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.frames import ImuSample, OdometrySample
-from service.fusion.motion import Matrix, Measurement, Motion, Prediction
+from service.fusion.motion import Measurement, Motion, Prediction
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.strapdown import ATTITUDE, FORCE_BIAS, RATE_BIAS, STATES, VELOCITY
 from service.mapper.methods.owolm_eskf.error_state import ErrorStateFilter
+from service.mapper.methods.owolm_eskf.filter_pair import FilterPair
 from service.mapper.methods.owolm_eskf.inertial_track import InertialTrack
 from service.mapper.methods.owolm_eskf.odometry_track import OdometryTrack
 
@@ -18,7 +19,7 @@ Twist = tuple[float, float, float]
 STILL_STEP_NS = 100_000_000  # while standing, the filter is told so at this interval
 STILL_SIGMA = (0.0005, 0.0005, 0.0001)  # m, m, rad: how still it stands
 LEAST_STILL_SAMPLES = 20
-BLIND_SIGMA = (100.0, 100.0, math.pi)  # m, m, rad: of what a scan says nothing about
+MOST_UNKNOWN_S = 0.3  # at 1 m/s no farther than scans of the map lie apart
 ODOMETRY_MAX_GUESS_S, ODOMETRY_WINDOW_S = 1.0, 0.05
 
 
@@ -59,17 +60,28 @@ class InertialMotionConfig(BaseModel):
 class InertialMotion:
     """MotionModel. The odom frame is the base at the first scan, levelled."""
 
-    fault = ""  # the filter weighs by its own covariances
-
     def __init__(self, config: InertialMotionConfig) -> None:
         self._config = config
         self._track = InertialTrack(config.imu_yaw_rad, config.max_hold_s)
         self._odometry = OdometryTrack(ODOMETRY_MAX_GUESS_S, ODOMETRY_WINDOW_S)
-        self._filter = self._new_filter()
+        self._filters = FilterPair(self._new_filter())
+        self._is_inertial = False  # the IMU made the newest prediction
         self._at_ns: int | None = None  # where the filter stands
         self._matched: tuple[int, SE2] | None = None
+        self._unknown_s = 0.0  # that neither walls nor a sensor said where the base was
         self._turn_radps = 0.0  # between the last two matches
+        self._turn = 0.0  # rad/s at the newest prediction, where the IMU is silent
         self._rate = np.zeros(3)  # of the body at the last prediction, bias included
+
+    @property
+    def fault(self) -> str:
+        """What a filter cannot weigh: a stretch of which nobody knows how long it was."""
+        if self._unknown_s <= MOST_UNKNOWN_S:
+            return ""
+        return (
+            f"neither IMU nor odometry measured the motion over {self._unknown_s:.1f} s in which walls did "
+            "not fix the position: the map may have slipped there. Are both connected?"
+        )
 
     def add(self, sample: ImuSample | OdometrySample) -> bool:
         if isinstance(sample, OdometrySample):
@@ -80,47 +92,50 @@ class InertialMotion:
         if self._at_ns is None:
             return self._first(stamp_ns)
         elapsed_s = (stamp_ns - self._at_ns) * 1e-9
-        before = self._filter.pose
+        before = self._filters.best.pose
         wheels = self._odometry.between(self._at_ns, stamp_ns)
         wheel_twist = self._odometry.twist_at(stamp_ns) if wheels is not None else None
-        is_inertial = self._track.covers(self._at_ns, stamp_ns)
-        if is_inertial:
-            for step in self._track.steps(self._at_ns, stamp_ns):
-                self._filter.advance(*step)
+        self._is_inertial = self._track.covers(self._at_ns, stamp_ns)
+        is_confirmed = self._is_inertial and wheel_twist is not None
+        self._filters.is_confirmed = is_confirmed
+        steps = list(self._track.steps(self._at_ns, stamp_ns)) if self._is_inertial else []
+        if self._is_inertial:
             self._rate = self._track.rate_at(stamp_ns)
-            self._filter.settle()
-            if wheel_twist is not None:
-                self._filter.observe_speed(wheel_twist[:2], self._rate, self._config.wheel_speed_sigma_mps)
-        else:
-            self._move(elapsed_s, wheels.motion if wheels is not None else None, wheel_twist)
-            self._filter.settle()
-        self._filter.observe_floor(self._config.floor_sigma_m, self._config.climb_sigma_mps)
+        for each in self._filters.all:
+            for step in steps:
+                each.advance(*step)
+            if not self._is_inertial:
+                self._move(each, elapsed_s, wheels.motion if wheels is not None else None, wheel_twist)
+            each.settle()
+            if is_confirmed and wheel_twist is not None:
+                each.observe_speed(wheel_twist[:2], self._rate, self._config.wheel_speed_sigma_mps)
+            each.observe_floor(self._config.floor_sigma_m, self._config.climb_sigma_mps)
         self._forget(stamp_ns)
-        pose, covariance = self._filter.pose, self._filter.pose_covariance()
+        if not self._is_inertial and wheels is None and not self._filters.is_fixed:
+            self._unknown_s += elapsed_s
+        pose = self._filters.best.pose
         return Prediction(
             pose_odom_base=pose,
             twist_base=self._twist(),
-            covariance=covariance,
-            local_covariance=covariance,
+            covariance=self._filters.covariance(),
+            local_covariance=self._filters.best.pose_covariance(),
             twist_gain=np.zeros((3, 3)),  # the filter learns speed itself
             elapsed_s=elapsed_s,
             travel_m=math.dist((before.x_m, before.y_m), (pose.x_m, pose.y_m)),
-            is_measured=is_inertial or wheels is not None,
-            is_confirmed=is_inertial and wheel_twist is not None,
+            is_measured=self._is_inertial or wheels is not None,
+            is_confirmed=is_confirmed,
         )
 
     def correct(self, measured: Measurement | None) -> Motion:
         if measured is not None and self._at_ns is not None:
-            if measured.prior_weight < 1.0:
-                self._filter.doubt_pose(measured.prior_weight)
-            self._filter.observe_pose(measured.pose_odom_base, _of_the_scan_alone(measured))
-            pose = self._filter.pose
+            self._filters.observe(measured)
+            pose = self._filters.best.pose
             if self._matched is not None and self._matched[0] < self._at_ns:
                 last_ns, last = self._matched
                 elapsed_s = (self._at_ns - last_ns) * 1e-9
                 self._turn_radps = wrap_angle(pose.theta_rad - last.theta_rad) / elapsed_s
             self._matched = (self._at_ns, pose)
-        return Motion(self._filter.pose, self._twist(), self._filter.pose_covariance())
+        return Motion(self._filters.best.pose, self._twist(), self._filters.covariance())
 
     def settle(self, share: float) -> None:
         """The filter has one pose, and its error against the map is its error."""
@@ -134,7 +149,7 @@ class InertialMotion:
     def _first(self, stamp_ns: int) -> Prediction:
         self._align(stamp_ns)
         if (twist := self._odometry.twist_at(stamp_ns)) is not None:
-            self._filter.velocity_mps = np.array([twist[0], twist[1], 0.0])
+            self._filters.across.velocity_mps = np.array([twist[0], twist[1], 0.0])
         self._forget(stamp_ns)
         self._matched = (stamp_ns, SE2())
         nothing = np.zeros((3, 3))
@@ -155,7 +170,7 @@ class InertialMotion:
             return
         ahead, left, up = felt[:, :3].mean(axis=0)
         roll, pitch = math.atan2(left, up), math.atan2(-ahead, math.hypot(left, up))
-        filter_ = self._filter
+        filter_ = self._filters.across
         filter_.rotation = _tilted(roll, pitch)
         filter_.position_m = filter_.rotation @ np.array([self._config.imu_x_m, self._config.imu_y_m, 0.0])
         filter_.covariance[VELOCITY:ATTITUDE, VELOCITY:ATTITUDE] = 1e-4 * np.eye(3)
@@ -170,15 +185,16 @@ class InertialMotion:
             filter_.observe_floor(self._config.floor_sigma_m, self._config.climb_sigma_mps)
             at_ns = until_ns
         filter_.place_at_origin()
-        self._rate = felt[-1, 3:]
+        self._rate, self._is_inertial = felt[-1, 3:], True
 
-    def _move(self, elapsed_s: float, way: SE2 | None, wheel_twist: Twist | None) -> None:
+    def _move(
+        self, filter_: ErrorStateFilter, elapsed_s: float, way: SE2 | None, wheel_twist: Twist | None
+    ) -> None:
         config = self._config
         guess = elapsed_s**2  # 0.5 a t^2 within the interval, and as much for the lag of the last speed
-        self._rate = self._filter.rate_bias + np.array([0.0, 0.0, self._turn_radps])
+        self._turn = self._turn_radps if wheel_twist is None else wheel_twist[2]
         if way is not None and wheel_twist is not None:
             d, a = math.hypot(way.x_m, way.y_m), abs(way.theta_rad)
-            self._rate[2] = self._filter.rate_bias[2] + wheel_twist[2]
             sigmas = (
                 config.position_sigma_m + config.position_sigma_per_m * d,
                 config.heading_sigma_rad
@@ -186,20 +202,24 @@ class InertialMotion:
                 + config.heading_sigma_per_m_rad * d,
                 config.wheel_speed_sigma_mps,
             )
-            self._filter.move(way, elapsed_s, wheel_twist, np.array(sigmas), is_measured=True)
+            filter_.move(way, elapsed_s, wheel_twist, np.array(sigmas), is_measured=True)
             return
-        twist = self._twist()
+        twist = self._twist_of(filter_)
         step = SE2.exp(*(rate * elapsed_s for rate in twist))
         sigmas = (
             config.position_sigma_m + config.acceleration_mps2 * guess,
             config.heading_sigma_rad + config.turn_acceleration_radps2 * guess,
             config.acceleration_mps2 * elapsed_s,
         )
-        self._filter.move(step, elapsed_s, twist, np.array(sigmas), is_measured=False)
+        filter_.move(step, elapsed_s, twist, np.array(sigmas), is_measured=False)
 
     def _twist(self) -> Twist:
-        forward, left, _ = self._filter.base_velocity(self._rate)
-        return float(forward), float(left), float(self._rate[2] - self._filter.rate_bias[2])
+        return self._twist_of(self._filters.best)
+
+    def _twist_of(self, filter_: ErrorStateFilter) -> Twist:
+        rate = self._rate if self._is_inertial else filter_.rate_bias + np.array([0.0, 0.0, self._turn])
+        forward, left, _ = filter_.base_velocity(rate)
+        return float(forward), float(left), float(rate[2] - filter_.rate_bias[2])
 
     def _new_filter(self) -> ErrorStateFilter:
         config = self._config
@@ -223,13 +243,6 @@ class InertialMotion:
         sigma[RATE_BIAS:] = config.rate_bias_radps
         new.covariance = np.diag(sigma**2)
         return new
-
-
-def _of_the_scan_alone(measured: Measurement) -> Matrix:
-    """(3, 3) covariance of what a scan says without any prediction, base axes; wide where it says nothing."""
-    if not measured.is_joined:
-        return measured.covariance
-    return np.asarray(np.linalg.inv(measured.information + np.diag(1.0 / np.square(BLIND_SIGMA))), np.float64)
 
 
 def _tilted(roll_rad: float, pitch_rad: float) -> npt.NDArray[np.float64]:

@@ -8,7 +8,7 @@ from service.geometry.se2 import SE2
 from service.kernels.blurred_segments import NO_SEGMENT
 from service.mapper.components import Points
 from service.mapper.matchers.field_align import information_at, values_at
-from service.mapper.methods.owolm_eskf.across_walls import information_across
+from service.mapper.methods.owolm_eskf.across_walls import information_across, information_of_dots
 from service.mapper.methods.owolm_eskf.orthogonal_map import OrthogonalMap, OrthogonalMapConfig
 from tests.service.mapper.drives import BEAMS, CORRIDOR, FIRST_RAD, ROOM, STEP_RAD, cast
 from tests.service.mapper.maps.points import match_at, points_of
@@ -72,3 +72,22 @@ def test_a_room_whose_walls_run_askew_to_the_map_fixes_the_pose() -> None:
     assert (segment == NO_SEGMENT).all()
     for axis in (0, 1):
         assert sigma_m(across, axis) < 2.0 * sigma_m(slopes, axis)
+
+
+def dots(walls: list, noise_m: float = 0.01) -> np.ndarray:
+    begun, laid = (seen(walls, 0.0, 0.1, 0.0, seed, noise_m) for seed in (1, 2))
+    local_map = OrthogonalMap(OrthogonalMapConfig(align_axes=False))
+    local_map.insert(begun, match_at(SE2(0.0, 0.1, 0.0), begun))
+    pose, weights = np.array([0.0, 0.1, 0.0]), np.ones(len(laid.xy_base))
+    segment = local_map.segments(laid.xy_base + pose[:2], local_map.gaps(laid))
+    return information_of_dots(laid, values_at(laid.xy_base, pose, local_map.field()), weights, segment, pose)
+
+
+def test_dots_of_a_bare_corridor_are_beside_its_walls() -> None:
+    assert sigma_m(dots(CORRIDOR), 0) > 50.0 * sigma_m(dots(CORRIDOR), 1)
+
+
+def test_dots_beside_no_wall_count_in_both_directions() -> None:
+    posts = [(x, y, x, y + 0.1) for x in (2.0, 3.0, 4.0, 6.0) for y in (0.4, -0.5)]
+    assert sigma_m(dots(CORRIDOR + posts), 0) < 1.0
+    assert sigma_m(informations(CORRIDOR + posts)[0], 0) > 100.0

@@ -132,6 +132,24 @@ def test_along_a_bare_corridor_wheels_and_imu_say_how_far_it_was_and_the_state_s
     assert "does not fix the position along the direction" in outputs[-1].reason
 
 
+@pytest.mark.parametrize("source", ["imu", "wheels", "nothing"])
+def test_along_a_bare_corridor_the_state_is_not_ok_and_the_covariance_covers_the_error(source):
+    """Without a second witness of the motion the dots of the walls may still hold the pose back."""
+    long = drive(CORRIDOR, down_the_corridor, 6.0)
+    frames = {
+        "imu": with_imu(long.frames, down_the_corridor, 6.0),
+        "wheels": long.frames,
+        "nothing": [frame for frame in long.frames if isinstance(frame, LaserScan)],
+    }[source]
+    outputs = run(frames, new_mapper())
+    away = errors(outputs, long.truth)
+    is_off = np.abs(away[:, 0]) > 0.15
+    assert not any(o.state == "ok" for o, off in zip(outputs, is_off, strict=True) if off)
+    along = np.array([math.sqrt(o.covariance[0, 0]) for o in outputs])
+    assert np.all(np.abs(away[:, 0]) < 3.0 * along + 0.05)
+    assert "ok" not in {o.state for o in outputs[100:]}
+
+
 def test_standing_still_the_pose_stays():
     still = drive(ROOM, standing, 2.0, wheel_scale=None)
     outputs = run(with_imu(still.frames, standing, 2.0), new_mapper())
