@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from rosbags.highlevel import AnyReader
 
 from drivers.frames import NO_INTENSITY, LaserScan, OdometrySample
@@ -16,11 +17,30 @@ T0_NS = 1_763_719_200_000_000_000  # 2025-11-21 10:00:00 UTC
 PLENTY = 1 << 40  # bytes free on a disk
 PERIOD_NS = 20_000_000  # 50 scans a second
 MOUNTINGS = {"front": SE2(0.2, 0.0, 0.3)}
+FIRST_RAD, STEP_RAD = -2.3, 0.0087
+ROOM_M = (-5.0, 7.0, -4.0, 6.0)  # x and y of the walls of the room that is driven through
+NOISE_M = 0.01
+
+
+def pose_at(index: int) -> SE2:
+    """Of the base, at scan `index`."""
+    return SE2(0.01 * index, 0.0, 0.001 * index)
+
+
+def ranges_in_room(index: int, beams: int) -> npt.NDArray[np.float32]:
+    """What the laser measures; where nothing fits the map, a mapper searches for seconds."""
+    laser = pose_at(index) @ MOUNTINGS["front"]
+    angle = laser.theta_rad + FIRST_RAD + STEP_RAD * np.arange(beams) + 1e-7  # none quite along a wall
+    x_low, x_high, y_low, y_high = ROOM_M
+    to_x = (np.where(np.cos(angle) > 0.0, x_high, x_low) - laser.x_m) / np.cos(angle)
+    to_y = (np.where(np.sin(angle) > 0.0, y_high, y_low) - laser.y_m) / np.sin(angle)
+    noise_m = np.random.default_rng(index).normal(0.0, NOISE_M, beams)
+    return (np.minimum(to_x, to_y) + noise_m).astype(np.float32)
 
 
 def scan_message(index: int, sensor: str = "front", beams: int = 541) -> Message:
     """Scan `index` of a 50 Hz laser; noisy, so it does not compress to nothing."""
-    ranges = np.random.default_rng(index).uniform(1.0, 20.0, beams).astype(np.float32)
+    ranges = ranges_in_room(index, beams)
     stamp_ns = T0_NS + index * PERIOD_NS
     return encode_frame(
         LaserScan(
@@ -29,8 +49,8 @@ def scan_message(index: int, sensor: str = "front", beams: int = 541) -> Message
             arrived_ns=stamp_ns + 5_000_000,
             beam_interval_ns=27_778,
             scan_period_ns=PERIOD_NS,
-            first_angle_rad=-2.3,
-            angle_step_rad=0.0087,
+            first_angle_rad=FIRST_RAD,
+            angle_step_rad=STEP_RAD,
             range_min_m=0.05,
             range_max_m=25.0,
             range_m=ranges,
@@ -41,7 +61,8 @@ def scan_message(index: int, sensor: str = "front", beams: int = 541) -> Message
 
 def odometry_message(index: int) -> Message:
     stamp_ns = T0_NS + index * PERIOD_NS + 1_000_000
-    pose = (0.01 * index, 0.0, 0.001 * index)
+    at = pose_at(index)
+    pose = (at.x_m, at.y_m, at.theta_rad)
     return encode_frame(
         OdometrySample("base", stamp_ns, stamp_ns + 1_000_000, *pose, (0.5, 0.0, 0.05), (0.0,) * 9)
     )
