@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from drivers.frames import NO_INTENSITY, Frame, ImuSample, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
+from service.mapper.mapping_session import MappingSession
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import MappingConfig, build_mapper
 from service.outputs import MapperOutput
@@ -88,7 +89,7 @@ class Run:
 
     outputs: list[MapperOutput]
     scan_ms: npt.NDArray[np.float64]
-    mapper: Mapper[Any]
+    mapper: Mapper[Any] | MappingSession
     errors: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))  # forward, left m; rad
 
     @property
@@ -273,11 +274,23 @@ def run(
     without_motion: bool = False,
 ) -> Run:
     """A fresh mapper through a drive. without_motion: sweeps are declared instants, so none is deskewed."""
-    mapper = build_mapper(config, mountings or {"front": FORWARD})
+    frames = what.frames
+    if without_motion:
+        frames = [replace(f, beam_interval_ns=0) if isinstance(f, LaserScan) else f for f in frames]
+    return _through(build_mapper(config, mountings or {"front": FORWARD}), frames, what)
+
+
+def run_session(config: MappingConfig, what: Drive) -> Run:
+    """A drive through a session, as `corridor replay` makes it: what the graph finds comes back half a second
+    later. Of a mapper alone, as in `run`, the graph only hears, until it is finished.
+    """
+    session = MappingSession(lambda: build_mapper(config, {"front": FORWARD}), ["front"])
+    return _through(session, what.frames, what)
+
+
+def _through(mapper: Mapper[Any] | MappingSession, frames: Sequence[Frame], what: Drive) -> Run:
     outputs, took_ms = [], []
-    for frame in what.frames:
-        if without_motion and isinstance(frame, LaserScan):
-            frame = replace(frame, beam_interval_ns=0)
+    for frame in frames:
         began_ns = time.thread_time_ns()
         output = mapper.process(frame)
         if output is not None:

@@ -88,15 +88,21 @@ class _Samples:
         return end - 1 if end > first else None
 
     def longest_pause_s(self, since_ns: int, until_ns: int) -> float:
-        """Between two moments, the longest time without a sample; 0 where it is no longer than PAUSE_NS, or
-        there are no samples at all.
-        """
+        """Between two moments, the longest time without a sample; 0 where it is no longer than PAUSE_NS."""
         first, end = self.track.span.tolist()
-        if until_ns - since_ns <= PAUSE_NS or first == end:
+        if until_ns - since_ns <= PAUSE_NS:
             return 0.0
         stamps = np.clip(self.track.stamp_ns[first:end], since_ns, until_ns)
         longest_ns = int(np.diff(np.r_[since_ns, stamps, until_ns]).max())
         return longest_ns * 1e-9 if longest_ns > PAUSE_NS else 0.0
+
+    def covered_ns(self, since_ns: int, until_ns: int) -> int:
+        """Of the time between two moments, from the first sample on, if there is one then or later."""
+        first, end = self.track.span.tolist()
+        row = first + int(np.searchsorted(self.track.stamp_ns[first:end], since_ns))
+        if row == end:
+            return 0
+        return max(min(until_ns, int(self.track.stamp_ns[end - 1])) - int(self.track.stamp_ns[row]), 0)
 
     def append(self, stamp_ns: int, value: tuple[float, ...]) -> None:
         end = int(self.track.span[1])
@@ -211,6 +217,9 @@ class Estimator:
             self._elapsed_s = (stamp_ns - int(state.stamp_ns[0])) * 1e-9
             pause_s = self._odometry.longest_pause_s(int(state.stamp_ns[0]), stamp_ns)
             predict_motion(state, self._odometry.track, self._gyro.track, stamp_ns, self._settings)
+            window_ns = round(self._settings.speed_window_s * 1e9)
+            if pause_s > 0.0 and self._odometry.covered_ns(stamp_ns - PAUSE_NS, stamp_ns) >= window_ns:
+                self._begin_twist(stamp_ns)
         self._odometry.forget_before(stamp_ns - KEEP_BEFORE_NS)
         self._gyro.forget_before(stamp_ns - KEEP_BEFORE_NS)
         covariance = state.covariance
@@ -265,13 +274,18 @@ class Estimator:
         self._filter.stamp_ns[0] = stamp_ns
         self._elapsed_s = 0.0
         begin_window(self._filter)
-        track = self._odometry.track
-        if self._odometry.last is None or track.span[1] - track.span[0] < 2:
-            return
+        first, end = self._odometry.track.span.tolist()
+        if end - first >= 2:
+            self._begin_twist(stamp_ns)
+
+    def _begin_twist(self, stamp_ns: int) -> None:
+        """The speed as odometry has it now, at the first scan and after a pause: what it was says nothing."""
         twist = np.zeros(3)
-        begin_twist(track, stamp_ns, self._settings, twist)
+        begin_twist(self._odometry.track, stamp_ns, self._settings, twist)
         self._filter.twist[:] = twist
         covariance = self._filter.covariance
+        covariance[TWIST : TWIST + 3, :] = 0.0
+        covariance[:, TWIST : TWIST + 3] = 0.0
         for k in range(3):
             covariance[TWIST + k, TWIST + k] = 0.1**2
 

@@ -31,8 +31,7 @@ class Prediction(Motion):
     travel_m: float  # since the last scan
     is_measured: bool  # wheels or an IMU measured the motion since then; else the last speed goes on
     is_confirmed: bool = False  # both did, and were weighed against each other
-    # the longest since the last scan in which odometry was silent; 0 where it is not used
-    pause_s: float = 0.0
+    pause_s: float = 0.0  # the longest since the last scan in which nobody measured the way
 
     def twist_at(self, pose_odom_base: SE2) -> tuple[float, float, float]:
         """The twist, were the base at this pose instead: m/s forward, m/s left, rad/s."""

@@ -88,6 +88,7 @@ class MappedScan:
     change: MapChange
     covariance: npt.NDArray[np.float64]  # (3, 3) of the pose against the local map, base axes
     elapsed_s: float = 0.0  # since the scan before
+    pause_s: float = 0.0  # in which nobody measured the way since then, the longest
 
 
 # Of a session in a stored map: nobody knows where it lies in it; one look says where; another one, too.
@@ -193,6 +194,19 @@ class LocalMap(Protocol):
 
     def join(self, piece: int) -> None:
         """The graph has found where a piece of the map lies in the rest."""
+        ...
+
+
+@runtime_checkable
+class HasPieces(Protocol):
+    """A local map that can begin anew where nobody knows the way, in a piece that is joined later."""
+
+    def detach(self, pause_s: float) -> None:
+        """Nobody measured the way for so long: what is seen from here on is a piece, until it is joined."""
+        ...
+
+    def attach(self) -> None:
+        """Nobody looks for the place of a piece any more: scans are matched to the rest again."""
         ...
 
 
@@ -310,6 +324,11 @@ class Graph(Protocol):
     @property
     def fault(self) -> str:
         """Why no work is done any more, "" while all is well. Mapping goes on without it."""
+        ...
+
+    @property
+    def finds_pieces(self) -> bool:
+        """Whether it looks for where a piece of the map lies in the rest."""
         ...
 
     def add(self, scan: MappedScan) -> SE2:

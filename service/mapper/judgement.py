@@ -27,6 +27,7 @@ LEAST_KNOWN = 0.02  # share of the returns on the map, and at least LEAST_RETURN
 CHANCE_SIGMAS = 2.0  # so many more returns than usual contradict the map by chance
 JUMP_CHI2 = 27.9  # 99.999 % of three degrees of freedom: a match this far from the prediction is no chance
 GAP_S = 2.5  # without a scan, after which a loose prediction is a gap in the way
+CARRIED_S = 4.0  # in which nobody measures the way: long enough to be lifted, carried some steps and set down
 
 
 class JudgementConfig(BaseModel):

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Generic
 
-from drivers.frames import Frame, GnssFix, LaserScan
+from drivers.frames import Frame, GnssFix, LaserScan, OdometrySample
 from service.fusion.motion import Motion, Prediction
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
@@ -14,6 +14,7 @@ from service.mapper.components import (
     FinishedGraph,
     Graph,
     GraphUpdate,
+    HasPieces,
     KnowsStanding,
     MappedScan,
     Match,
@@ -22,13 +23,13 @@ from service.mapper.components import (
     ReadableMap,
     Stopwatch,
 )
-from service.mapper.judgement import drift_of
+from service.mapper.judgement import CARRIED_S, drift_of
 from service.mapper.known_pose import KnownPose
 from service.mapper.map_changes import ChangeWatch, MapChanges
 from service.mapper.maps.standing import draw_standing
 from service.mapper.mounting_check import MountingCheck
 from service.mapper.saved_graph import KeptGraph, SavedGraph
-from service.mapper.scan_check import ScanCheck
+from service.mapper.scan_check import OdometryWait, ScanCheck
 from service.outputs import GraphPicture, Grid, MapperOutput, State, TileUpdate
 
 UNPROVEN = "localised in the stored map from one viewpoint; drive on some metres to confirm it"
@@ -72,6 +73,7 @@ class Mapper(Generic[ReadableMap]):
         self._last_ns: int | None = None  # moment of the newest pose
         self._newest: MapperOutput | None = None
         self._lasers: dict[str, LaserWatch] = {}
+        self._odometry_wait = OdometryWait()
         self._travelled_m = 0.0  # as predicted, from scan to scan
         self._state: tuple[State, str] = ("ok", "")  # and its reason, of the newest scan that was mapped
         self._pose_map_odom = SE2()
@@ -83,7 +85,8 @@ class Mapper(Generic[ReadableMap]):
         """Take the next frame in the order of arrival. None for anything but a scan that was mapped.
 
         A scan that is older than another of its laser is dropped and counted; time never runs backwards. So
-        is one whose stamp is seconds off those around it. Sweeps of several lasers overlap: one that began
+        is one whose stamp is seconds off those around it, and one that comes right before odometry after a
+        pause of both. Sweeps of several lasers overlap: one that began
         before the newest pose is brought to the moment right after that.
         """
         if isinstance(frame, GnssFix):
@@ -92,6 +95,8 @@ class Mapper(Generic[ReadableMap]):
         if not isinstance(frame, LaserScan):
             if not self._components.motion_model.add(frame):
                 self.counters["samples_dropped_late"] += 1
+            elif isinstance(frame, OdometrySample):
+                self._odometry_wait.add(frame.stamp_ns)
             return None
         laser = self._lasers.get(frame.sensor)
         if laser is None:
@@ -104,6 +109,9 @@ class Mapper(Generic[ReadableMap]):
         at_ns = self._moment_of(frame, laser)
         if at_ns is None:
             self.counters["scans_dropped_late"] += 1
+            return None
+        if self._odometry_wait.waits(at_ns, self._last_ns):
+            self.counters["scans_before_odometry"] += 1
             return None
         laser.stamp_ns, self._last_ns = frame.stamp_ns, at_ns
         self.counters["scans"] += 1
@@ -181,6 +189,8 @@ class Mapper(Generic[ReadableMap]):
             self._placed = update.placed
         if update.joined is not None:
             self._components.local_map.join(update.joined)
+        if self._components.graph.fault and isinstance(self._components.local_map, HasPieces):
+            self._components.local_map.attach()
         if update.rendered_map is not None:
             self._components.free_space.replace_by(update.rendered_map, update.since)
 
@@ -196,6 +206,8 @@ class Mapper(Generic[ReadableMap]):
         watch.lap("deskew")
         if laser.mounting.fault or (not laser.mounting.is_right and self._well_besides(scan.sensor, at_ns)):
             return self._compared(scan, at_ns, laser, points, predicted)
+        if predicted.pause_s > CARRIED_S and s.graph.finds_pieces and isinstance(s.local_map, HasPieces):
+            s.local_map.detach(predicted.pause_s)
         match = s.matcher.match(points, predicted, s.local_map)  # where we are
         match = replace(match, motion=s.motion_model.correct(match.measured))
         watch.lap("match")
@@ -210,7 +222,7 @@ class Mapper(Generic[ReadableMap]):
             s.motion_model.settle(change.error_left)
         covariance = predicted.local_covariance if match.measured is None else match.measured.covariance
         pose_map_odom = self._pose_map_odom = s.graph.add(
-            MappedScan(at_ns, match.points, match, change, covariance, predicted.elapsed_s)
+            MappedScan(at_ns, match.points, match, change, covariance, predicted.elapsed_s, predicted.pause_s)
         )
         if self._placed == "unknown":
             match = replace(match, state="lost", reason=self._unplaced(match.reason))

@@ -1,12 +1,17 @@
-"""Scans that cannot be: stamps far from those around them, and one scan sent again and again."""
+"""Scans that are not mapped: stamps far from those around them, one scan sent again and again, and those that
+come before the odometry that knows the way to them.
+"""
 
 import numpy as np
 import numpy.typing as npt
 
 from drivers.frames import LaserScan
+from service.mapper.judgement import GAP_S
 
 MOST_JUMP_NS = 1_000_000_000  # of the delay from stamp to arrival, between two scans
 NEW_CLOCK_SCANS = 10  # in a row whose delay has jumped by the same: then the clock was set
+ODOMETRY_WAIT_NS = 1_000_000_000  # after a pause of all: bases send odometry at 2 Hz and more often
+SPEED_NS = 50_000_000  # over which the motion model takes a speed from odometry
 REPEATED_TRAVEL_M = 0.02  # motion over which a laser cannot see the same to the last bit
 
 
@@ -51,6 +56,39 @@ class ScanCheck:
             return False
         self._travel_m += travel_m
         return self._travel_m > REPEATED_TRAVEL_M
+
+
+class OdometryWait:
+    """After a pause of laser and odometry, whichever comes first. What was driven meanwhile the first sample
+    of odometry tells, and how fast the vehicle is now the next ones: a scan that comes sooner would be
+    predicted and deskewed by a guess.
+    """
+
+    def __init__(self) -> None:
+        self._newest_ns: int | None = None  # stamp of the newest sample
+        self._since_ns = 0  # stamp of the first one after the newest pause
+        self._began_ns: int | None = None  # stamp of the first scan that was left out
+
+    def add(self, stamp_ns: int) -> None:
+        if self._newest_ns is None or stamp_ns - self._newest_ns > GAP_S * 1e9:
+            self._since_ns = stamp_ns
+        self._newest_ns = stamp_ns
+
+    def waits(self, stamp_ns: int, last_ns: int | None) -> bool:
+        """Whether a scan is to be left out. last_ns: of the scan before; None: there was none."""
+        if self._newest_ns is None or last_ns is None or self._knows(stamp_ns, last_ns, self._newest_ns):
+            self._began_ns = None
+            return False
+        if self._began_ns is None:
+            self._began_ns = stamp_ns
+        return stamp_ns - self._began_ns <= ODOMETRY_WAIT_NS
+
+    def _knows(self, stamp_ns: int, last_ns: int, newest_ns: int) -> bool:
+        if stamp_ns - last_ns <= GAP_S * 1e9:
+            return True
+        if self._since_ns <= last_ns:  # no pause of odometry has ended since the scan before
+            return stamp_ns - newest_ns <= GAP_S * 1e9
+        return min(stamp_ns, newest_ns) - self._since_ns >= SPEED_NS
 
 
 def _are_same(a: npt.NDArray[np.float32], b: npt.NDArray[np.float32]) -> bool:

@@ -30,6 +30,10 @@ class BackgroundGraph(ABC, Generic[ResultT]):
     def fault(self) -> str:
         return self._jobs.fault
 
+    @property
+    def finds_pieces(self) -> bool:
+        return False
+
     def apply_result(self) -> GraphUpdate:
         if not self.waiting:
             return GraphUpdate({})

@@ -303,7 +303,11 @@ def test_a_pause_of_odometry_between_two_scans_is_told_and_one_of_the_laser_is_n
     model.correct(None)
     model.add(odometry(9000, SE2(9.0, 0.0, 0.0)))
     assert model.predict(9000 * MS).pause_s == pytest.approx(5.0)
-    assert Estimator(EstimatorConfig()).predict(9000 * MS).pause_s == 0.0
+    alone = Estimator(EstimatorConfig())
+    assert alone.predict(1000 * MS).pause_s == 0.0
+    assert alone.predict(10_000 * MS).pause_s == pytest.approx(
+        9.0
+    )  # without odometry nobody measures the way
 
 
 def test_without_odometry_the_last_speed_goes_on_and_grows_vague() -> None:

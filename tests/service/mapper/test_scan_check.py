@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.frames import NO_INTENSITY, LaserScan
-from service.mapper.scan_check import NEW_CLOCK_SCANS, ScanCheck
+from service.mapper.scan_check import NEW_CLOCK_SCANS, ODOMETRY_WAIT_NS, SPEED_NS, OdometryWait, ScanCheck
 
 S = 1_000_000_000
 
@@ -68,3 +68,30 @@ def test_a_beam_that_comes_back_or_stays_away_makes_another_scan() -> None:
         check.is_repeated(one, 0.0)
         assert not check.is_repeated(other, 1.0)
         assert check.is_repeated(other, 1.0)
+
+
+def test_after_a_pause_of_both_a_scan_waits_for_odometry_and_not_for_ever() -> None:
+    wait = OdometryWait()
+    assert not wait.waits(9 * S, 1 * S)  # no odometry is used
+    for stamp_ns in (1 * S, 2 * S):
+        wait.add(stamp_ns)
+    assert not wait.waits(4 * S, 3 * S)
+    assert not wait.waits(9 * S, 8 * S)  # odometry alone is silent
+    assert wait.waits(9 * S, 4 * S)
+    assert wait.waits(9 * S + ODOMETRY_WAIT_NS, 4 * S)
+    assert not wait.waits(9 * S + ODOMETRY_WAIT_NS + 1, 4 * S)
+
+
+def test_after_a_pause_of_both_the_speed_is_waited_for_too() -> None:
+    wait = OdometryWait()
+    wait.add(1 * S)
+    wait.add(20 * S)
+    assert wait.waits(20 * S + 1, 2 * S)
+    wait.add(20 * S + SPEED_NS - 1)
+    assert wait.waits(20 * S + SPEED_NS, 2 * S)
+    wait.add(20 * S + SPEED_NS)
+    assert not wait.waits(20 * S + SPEED_NS + 1, 2 * S)
+    for stamp_s in (21, 22, 23, 24):
+        wait.add(stamp_s * S)
+    assert not wait.waits(25 * S, 21 * S)  # the laser alone was silent
+    assert wait.waits(40 * S, 25 * S)  # the next pause of both

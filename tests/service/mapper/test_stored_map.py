@@ -304,8 +304,8 @@ def test_a_place_that_the_map_contradicts_is_taken_back_and_found_anew(first, se
     pieces = mapper.graph._jobs._worker._back_end.pieces
     best_of, wrongly = pieces.best_of, []
 
-    def find_wrongly(found):
-        best = best_of(found)
+    def find_wrongly(found, prior):
+        best = best_of(found, prior)
         if best is None or wrongly:
             return best
         at, loop = best

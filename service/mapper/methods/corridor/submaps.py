@@ -168,9 +168,10 @@ class SurfelSubmaps:
 
     Where a scan is lost, a detached piece is begun at the pose that the prediction gives. The next scans are
     tried on the old map first: if they fit, the piece is dropped. Until then they are matched to the piece,
-    and the state stays lost, for nobody knows where it lies. Scans that fit neither begin another one. The
-    graph looks for the piece in all of the map; once it has joined it, the piece is what scans are matched
-    to.
+    and the state stays lost, for nobody knows where it lies. Scans that fit neither begin another one. Where
+    nobody measured the way, the old map is not tried: a place in it that fits proves nothing while others may
+    fit as well. The graph looks for the piece in all of the map; once it has joined it, the piece is what
+    scans are matched to.
     """
 
     def __init__(self, config: SubmapsConfig) -> None:
@@ -187,6 +188,7 @@ class SurfelSubmaps:
         self._pair: list[Submap] = []
         self._detached: Submap | None = None
         self._piece = self._joined_piece = 0  # number of the newest piece; of that which scans are matched to
+        self._pause_s = 0.0  # in which nobody measured the way to the piece; 0: it was measured
         self._misses = 0  # scans in a row that fitted neither the map nor the piece
         self._moved_m = self._turned = 0.0  # from the key frame before; turned: in fields of view
         self._travelled_m = 0.0  # since the younger of the pair was begun
@@ -203,6 +205,26 @@ class SurfelSubmaps:
         """The piece that is not joined to the map; None where there is none."""
         return self._detached
 
+    @property
+    def pause_s(self) -> float:
+        """For how long nobody measured the way, so that the map says nothing until the graph has found the
+        piece in it; 0: the way was measured.
+        """
+        return self._pause_s
+
+    def detach(self, pause_s: float) -> None:
+        """As HasPieces.detach."""
+        if not self._pair:
+            return
+        self._pause_s = pause_s
+        if self._detached is not None:
+            self._detached.release()
+            self._detached = None
+
+    def attach(self) -> None:
+        """As HasPieces.attach."""
+        self._pause_s = 0.0
+
     def standing(self) -> Standing | None:
         """As KnowsStanding.standing."""
         return None if self.matched_to is None else self.matched_to.standing()
@@ -213,7 +235,7 @@ class SurfelSubmaps:
             return
         for submap in self._pair:
             submap.release()
-        self._pair, self._detached = [self._detached], None
+        self._pair, self._detached, self._pause_s = [self._detached], None, 0.0
         self._joined_piece = self._piece
         self._travelled_m = 0.0
 

@@ -15,6 +15,7 @@ from service.kernels.match import MatchResult, MatchSettings, Prior, match_scan
 from service.kernels.normals import ROUGH_WEIGHT
 from service.mapper.components import Match, Points
 from service.mapper.judgement import (
+    CARRIED_S,
     GAP_S,
     JUMP_CHI2,
     Evidence,
@@ -139,20 +140,29 @@ class SurfelGaussNewton:
         prior = _prior_of(predicted, self._gap)
         normals = local_map.normals_of(points)
         attempt = _Attempt(points, normals, posts_of(points), predicted, prior, usual)
+        if local_map.pause_s:
+            return self._on_piece(attempt, local_map, _unmeasured(local_map.pause_s), 0.0)
         laid = self._searched(self._lay(attempt, attempt.prior.pose, submap), attempt)
         if laid.state != "lost" and self._is_found(laid, attempt):
             self._usual_ratios[points.scan.sensor] = usual + (laid.result.share - usual) / USUAL_SCANS
             self._learn_bias(laid, attempt)
             return self._as_match(laid, attempt, laid.state, laid.reason)
+        return self._on_piece(attempt, local_map, laid.reason, laid.result.share)
+
+    def _on_piece(
+        self, attempt: _Attempt, local_map: SurfelSubmaps, reason: str, inlier_ratio: float
+    ) -> Match:
+        """The match on the detached piece, if there is one; lost for a reason all the same."""
+        points, predicted = attempt.points, attempt.predicted
         self._began = _Gap(predicted.pose_odom_base, attempt.prior.covariance)
         if local_map.detached is None:
-            return held(points, predicted, laid.reason, laid.result.share)
+            return held(points, predicted, reason, inlier_ratio)
         attempt = replace(attempt, prior=_prior_of(predicted, None))
         detached = self._lay(attempt, attempt.prior.pose, local_map.detached)
         if detached.state == "lost":
-            return held(points, predicted, laid.reason, laid.result.share)
+            return held(points, predicted, reason, inlier_ratio)
         return self._as_match(
-            detached, attempt, "lost", f"{laid.reason}; a detached map begins here until its place is found"
+            detached, attempt, "lost", f"{reason}; a detached map begins here until its place is found"
         )
 
     def _is_found(self, laid: _Laid, attempt: _Attempt) -> bool:
@@ -291,6 +301,13 @@ def _with_posts(
         ),
         np.vstack((weighed, posts.normals(heading_rad, weight))),
         np.vstack((points.xy_base, np.repeat(posts.xy_base, 2, axis=0))),
+    )
+
+
+def _unmeasured(pause_s: float) -> str:
+    return (
+        f"neither laser nor odometry measured the motion for {pause_s:.1f} s (at most {CARRIED_S:g} s); "
+        "the vehicle may have been carried"
     )
 
 

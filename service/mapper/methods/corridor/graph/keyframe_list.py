@@ -31,6 +31,7 @@ class KeyFrame:
     range_sigma_m: float = 0.01
     gap_s: float = math.inf  # longest time without a scan since the key frame before
     motion_covariance: Floats | None = None  # (3, 3) against the first scan, base axes; None: not known
+    is_unmeasured: bool = False  # nobody measured the way from the newest key frame of a known place to here
 
 
 @dataclass(frozen=True, slots=True, eq=False)

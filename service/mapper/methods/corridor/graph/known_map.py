@@ -92,6 +92,13 @@ class KnownMap:
         self._asked = _asked_of(keyframes, known, clouds, self._walls.grid(), self._ground)
         self._weighed = 0
 
+    @property
+    def area_m2(self) -> float:
+        """Of the ground that it knows."""
+        slots = self._ground.tiles.slots
+        known = self._ground.evidence[slots[slots != NO_TILE]] != 0
+        return float(known.sum()) * CELL_M * CELL_M
+
     def candidates(self, cloud: PointCloud) -> list[Floats]:
         """Where the cloud may lie: poses (3,) of its frame in the map, the likeliest first; at most
         MOST_CANDIDATES.

@@ -22,6 +22,7 @@ from service.mapper.components import (
     ScanToRender,
 )
 from service.mapper.graph.background_graph import BackgroundGraph, add_counts
+from service.mapper.judgement import CARRIED_S
 from service.mapper.known_pose import KnownPose
 from service.mapper.methods.corridor.graph.fix_track import FixTrack
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
@@ -83,15 +84,21 @@ class LoopClosing(BackgroundGraph[Result]):
         self._spot: SE2 | None = None  # of the first key frame from where the vehicle stands
         self._standing = 0  # key frames after that one from there
         self._gap_s = 0.0 if stored is None else math.inf  # longest time without a scan since then
+        self._is_unmeasured = False  # nobody measured the way since the newest place that is known
         self._way_m = 0.0  # of those not yet sent
         self._last_result: Result | None = None
         self._pose_refused: tuple[float, float, float] | None = None
         self._loops = 0 if stored is None else len(stored.loop_ends)
         self._disabled = 0
 
+    @property
+    def finds_pieces(self) -> bool:
+        return not self.fault
+
     def add(self, scan: MappedScan) -> SE2:
         pose = scan.match.motion.pose_odom_base
         self._gap_s = max(self._gap_s, scan.elapsed_s)
+        self._is_unmeasured |= scan.pause_s > CARRIED_S
         is_detached = not self._is_placed or (scan.match.state == "lost" and scan.change.piece > 0)
         self._is_looking = is_detached
         wait_ns = DETACHED_INTERVAL_NS << min(max(self._standing - MOST_STANDING, 0), MOST_DOUBLED)
@@ -104,7 +111,7 @@ class LoopClosing(BackgroundGraph[Result]):
             self._standing += 1
             if self._is_step(pose, self._spot):
                 self._spot, self._standing = pose, 0
-            self._fresh.append(_key_frame(scan, self._gap_s))
+            self._fresh.append(_key_frame(scan, self._gap_s, self._is_unmeasured))
             self._keyframes += 1
             self._gap_s = 0.0
         self._fixes.add_scan(scan.stamp_ns, pose, self._keyframes - 1)
@@ -187,6 +194,8 @@ class LoopClosing(BackgroundGraph[Result]):
             counts["set_pose_given_up"] = 1
         self._pose_refused = result.pose_refused
         self._is_placed = result.placed != "unknown"
+        if result.joined is not None:
+            self._is_unmeasured = False
         if result.newest is not None:
             self._pose_map_odom = _pose_map_odom(result.newest)
             self._known = _known_pose(self._newest_back, result)
@@ -214,7 +223,7 @@ class LoopClosing(BackgroundGraph[Result]):
         return last is None or pose.is_step_from(last, config.keyframe_distance_m, config.keyframe_turn_rad)
 
 
-def _key_frame(scan: MappedScan, gap_s: float) -> KeyFrame:
+def _key_frame(scan: MappedScan, gap_s: float, is_unmeasured: bool) -> KeyFrame:
     points, match = scan.points, scan.match
     return KeyFrame(
         scan.stamp_ns,
@@ -229,6 +238,7 @@ def _key_frame(scan: MappedScan, gap_s: float) -> KeyFrame:
         points.range_sigma_m,
         gap_s,
         match.motion.covariance,
+        is_unmeasured,
     )
 
 

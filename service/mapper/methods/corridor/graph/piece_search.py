@@ -9,6 +9,7 @@ import numpy.typing as npt
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.mapper.graph.point_clouds import Fit, PointCloud
+from service.mapper.known_pose import covariance_added
 from service.mapper.methods.corridor.graph.candidate_submap import (
     LEAST_SCORE,
     CandidateSubmap,
@@ -18,8 +19,14 @@ from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
 from service.mapper.methods.corridor.graph.known_map import KnownMap, Laid, Weight
 from service.mapper.methods.corridor.graph.loops import Loop, loop_of
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
-from service.mapper.methods.corridor.graph.place_search import find_places, is_same_place, is_same_pose
+from service.mapper.methods.corridor.graph.place_search import (
+    BEHIND_NATS,
+    find_places,
+    is_same_place,
+    is_same_pose,
+)
 from service.mapper.methods.corridor.graph.seen_cloud import SeenCloud, seen_cloud
+from service.mapper.methods.corridor.graph.way_prior import WayPrior
 
 AROUND_M, MOST_AROUND = 6.0, 40  # key frames that what is seen where a person says is held against
 MOST_QUERY = 12  # key frames of a piece that are looked for together
@@ -27,12 +34,12 @@ MOST_STANDING = 3  # of them, besides the first, of one spot, which see the same
 # Nats by which the best place must beat every other one, as service.kernels.beam_likelihood weighs beams; and
 # a share of what it leaves unexplained, since then the true place may fit worse than one that looks alike.
 CLEARLY_LIKELIER, FOR_UNEXPLAINED = 20.0, 0.5
-CARRIED_S = 2.0  # without scans: a vehicle may have been carried
+AWAY_S = 2.0  # without scans: a vehicle whose wheels hung may be anywhere
 MOST_OFF_M, MOST_OFF_SHARE = 4.0, 0.2  # how far off dead reckoning may be else, and for each metre of a piece
 LEAST_APART_M = 4.0  # between two finds of a piece: standing, a room looks like any other of its kind
 PIECE_AGAINST = 0.06  # of the points may contradict the map: people do, and things that were moved
-# A session may begin where no key frame has stood, and see much that the map does not know. Of what it sees
-# on known ground so much must lie on walls.
+# A session may begin, and a vehicle may have been carried, where no key frame has stood, and see much that
+# the map does not know. Of what it sees on known ground so much must lie on walls.
 SESSION_SHARE, SESSION_AGREEMENT = 0.3, 0.90
 EXPECTED_REACH, EXPECTED_TRIES = (1.5, 0.35), 10  # m, rad about a pose that is said; batches of key frames
 PIECE_SHARE = 0.75  # of the drive's median share must lie on the map where a piece is found
@@ -45,6 +52,12 @@ class Place:
     pose: Floats  # (3,) of the reference key frame in the map
     weight: Weight
     loop: Loop | None  # that says so; None where too little fits
+    prior: float = 0.0  # nats: what the way there says, less that of a vehicle that may be anywhere
+
+    @property
+    def evidence(self) -> float:
+        """Nats: of what is seen and of the way there."""
+        return self.weight.evidence + self.prior
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,6 +81,7 @@ class PieceSearch:
         self._tries = 0
         self.pose_refused: tuple[float, float, float] | None = None  # was said, and the piece is not there
         self._refused_piece = 0
+        self.unmeasured: set[int] = set()  # numbers of the pieces to which nobody measured the way
         self._known_map: KnownMap | None = None
         self._is_session_placed = True  # False: of this session nothing is placed in the stored map
         self.alike: list[tuple[float, float]] = []  # m: the places that the newest piece fits equally well
@@ -90,7 +104,8 @@ class PieceSearch:
         known   (K,) numbers of the key frames whose place in the map is known
 
         All of the known map is searched, at every heading. One find is a hypothesis, since rooms look
-        alike: it must fit clearly better than any other place, and the next key frames must say the same.
+        alike: it must fit clearly better than any other place, and the next key frames must say the same,
+        or dead reckoning.
         """
         config, keyframes = self._config, self._keyframes
         self.alike = []
@@ -109,14 +124,19 @@ class PieceSearch:
         if not len(own) or not len(known):
             return None
         reference = int(own[-1])
-        best = self.best_of(self.places_of(own.tolist(), reference, known))
+        prior: WayPrior | None = None
+        if piece in self.unmeasured and self._is_session_placed:
+            prior = self._prior_of(reference, known)
+        best = self.best_of(self.places_of(own.tolist(), reference, known, prior), prior)
         if best is None or not self._could_be_at(best[0], piece, reference):
             self._hypothesis = None
             return None
         at, loop = best
         inverse = se2.between(keyframes.odom[reference], np.zeros(3))
         new = Hypothesis(se2.compose(at, inverse), loop, float(keyframes.way_m[reference]))
-        if not self._is_session_placed:  # one find says where, for the vehicle may stand; it is proven later
+        is_second = prior is not None and prior.explains(at)
+        # Of a session one find says where, for the vehicle may stand; it is proven later.
+        if is_second or not self._is_session_placed:
             self._place(piece, new.pose_map_odom)
             return (loop,)
         old = self._hypothesis
@@ -153,15 +173,40 @@ class PieceSearch:
         keyframes.map[mine] = se2.compose(pose_map_odom, keyframes.odom[mine])
         self._hypothesis = self._expected = self._known_map = None
 
-    def places_of(self, own: list[int], reference: int, known: npt.NDArray[np.int64]) -> list[Place]:
-        """Where in the known map the key frames `own` may lie, the likeliest first."""
+    def places_of(
+        self,
+        own: list[int],
+        reference: int,
+        known: npt.NDArray[np.int64],
+        prior: WayPrior | None = None,
+    ) -> list[Place]:
+        """Where in the known map the key frames `own` may lie, the likeliest by what is seen first."""
         seen = seen_cloud(self._keyframes, own, reference)
         self._asked = seen
+        found = (
+            find_places(self._map_of(known), seen)
+            if prior is None
+            else find_places(self._map_of(known), seen, [prior.pose], lambda one: _could_win(one, prior))
+        )
         self._places = [
-            Place(one.fit.pose, one.weight, self._loop_of(known, reference, one, seen.cloud))
-            for one in find_places(self._map_of(known), seen)
+            Place(
+                one.fit.pose,
+                one.weight,
+                self._loop_of(known, reference, one, seen.cloud, prior),
+                0.0 if prior is None else prior.nats(one.fit.pose),
+            )
+            for one in found
         ]
         return self._places
+
+    def _prior_of(self, reference: int, known: npt.NDArray[np.int64]) -> WayPrior:
+        """Of a key frame to which nobody measured the way, from the newest one of a known place."""
+        keyframes, last = self._keyframes, int(known[-1])
+        step = se2.between(keyframes.odom[last], keyframes.odom[reference])
+        then, now = keyframes.motion_covariance[last], keyframes.motion_covariance[reference]
+        region = 2.0 * math.pi * self._map_of(known).area_m2
+        pose = se2.compose(keyframes.map[last], step)
+        return WayPrior(pose, covariance_added(then, now, step), region)
 
     def is_likelier_elsewhere(self, pose_map: Floats) -> bool:
         """Whether the newest search found a place that is likelier than the pose (3,) in the map. Where that
@@ -176,17 +221,22 @@ class PieceSearch:
             for place in self._places
         )
 
-    def best_of(self, found: list[Place]) -> tuple[Floats, Loop] | None:
-        """The place that is clearly likelier than every other; None where there is none."""
+    def best_of(self, found: list[Place], prior: WayPrior | None = None) -> tuple[Floats, Loop] | None:
+        """The place that is clearly likelier than every other; None where there is none. After a way that
+        nobody measured, clearly likelier also than ground that the map does not hold: there nothing that is
+        seen speaks for or against.
+        """
         self.alike = []
         if not found:
             return None
-        best = max(found, key=lambda place: place.weight.evidence)
+        best = max(found, key=lambda place: place.evidence)
         if best.loop is None:
             return None
-        margin = CLEARLY_LIKELIER + FOR_UNEXPLAINED * best.weight.unexplained
+        margin = _margin(best.weight.unexplained, prior is not None and prior.explains(best.pose))
+        if prior is not None and best.weight.evidence < margin:
+            return None
         for other in found:
-            ahead = best.weight.evidence - other.weight.evidence
+            ahead = best.evidence - other.evidence
             # Beside the best place the same is unexplained, so it says nothing there.
             least = CLEARLY_LIKELIER if is_same_place(best.pose, other.pose) else margin
             if ahead < least and not is_same_pose(best.pose, other.pose):
@@ -238,14 +288,22 @@ class PieceSearch:
         )
 
     def _loop_of(
-        self, known: npt.NDArray[np.int64], reference: int, laid: Laid, cloud: PointCloud
+        self,
+        known: npt.NDArray[np.int64],
+        reference: int,
+        laid: Laid,
+        cloud: PointCloud,
+        prior: WayPrior | None,
     ) -> Loop | None:
         """The loop that says that a key frame lies where it fits the known map, if it fits well enough: with
-        the key frame of that map next to it.
+        the key frame of that map next to it. Where dead reckoning leads there, both say it.
         """
         fit, weight = laid.fit, laid.weight
-        share = fit.share if self._is_session_placed else weight.on_map
-        if not self._fits(share, weight.against):
+        is_anywhere = prior is not None or not self._is_session_placed
+        share = weight.on_map if is_anywhere else fit.share
+        if prior is not None and prior.explains(fit.pose):
+            fit = prior.joined(fit)
+        elif not (_fits_anywhere if prior is not None else self._fits)(share, weight.against):
             return None
         poses = self._keyframes.map
         of = int(known[np.argmin(np.hypot(*(poses[known, :2] - fit.pose[:2]).T))])
@@ -257,7 +315,7 @@ class PieceSearch:
 
     def _fits(self, share: float, against: float) -> bool:
         if not self._is_session_placed:
-            return share >= SESSION_SHARE and share >= SESSION_AGREEMENT * (share + against)
+            return _fits_anywhere(share, against)
         usual = float(np.median(self._keyframes.score))
         return share >= PIECE_SHARE * usual and against < PIECE_AGAINST
 
@@ -269,11 +327,30 @@ class PieceSearch:
         that puts it than it errs.
         """
         keyframes = self._keyframes
-        if not self._is_session_placed:
+        if not self._is_session_placed or piece in self.unmeasured:
             return True
         first = int(np.flatnonzero(keyframes.piece == piece)[0])
-        if keyframes.gap_s[first] > CARRIED_S:
+        if keyframes.gap_s[first] > AWAY_S:
             return True
         away = se2.between(keyframes.map[reference], at)
         way_m = float(keyframes.way_m[reference] - keyframes.way_m[first])
         return bool(np.hypot(away[0], away[1]) <= MOST_OFF_M + MOST_OFF_SHARE * way_m)
+
+
+def _fits_anywhere(on_map: float, against: float) -> bool:
+    """Of what is seen where no key frame may have stood, so much lies on the map, and contradicts it."""
+    return on_map >= SESSION_SHARE and on_map >= SESSION_AGREEMENT * (on_map + against)
+
+
+def _margin(unexplained: float, is_led: bool) -> float:
+    """Nats by which a place must be likelier than others. is_led: dead reckoning leads there, so what is not
+    explained is new ground.
+    """
+    return CLEARLY_LIKELIER + (0.0 if is_led else FOR_UNEXPLAINED * unexplained)
+
+
+def _could_win(one: Laid, prior: WayPrior) -> bool:
+    """Whether a candidate may be likelier than new ground, once refined: by BEHIND_NATS at most."""
+    unexplained = max(one.weight.unexplained - BEHIND_NATS, 0.0)
+    least = _margin(unexplained, is_same_place(prior.pose, one.fit.pose))
+    return one.weight.evidence + BEHIND_NATS >= least

@@ -1,6 +1,7 @@
 """Where in a known map a cloud may lie: candidates, each climbed to the likeliest pose near it."""
 
 import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -19,12 +20,23 @@ MOST_SLID, MOST_BESIDE = 8, 4  # places beside which others are looked for in a 
 MOST_ROUNDS = 3  # until none of these is ahead
 
 
-def find_places(known_map: KnownMap, seen: SeenCloud) -> list[Laid]:
+def find_places(
+    known_map: KnownMap,
+    seen: SeenCloud,
+    guesses: Sequence[Floats] = (),
+    could_win: Callable[[Laid], bool] = lambda _: True,
+) -> list[Laid]:
     """The likeliest first. Along walls that say nothing of a direction, places beside a candidate are told
     from it, too.
+
+    guesses     poses (3,) that are candidates besides those of the search
+    could_win   whether a candidate is worth to be refined; where none is they are given as they are
     """
     laid = _distinct(_laid(known_map, seen))
-    places = _refined(known_map, seen, laid[:MOST_REFINED], [])
+    guessed = [known_map.lay(seen, guess) for guess in guesses]
+    if not any(could_win(one) for one in [*laid, *guessed]):
+        return _by_evidence([*laid, *guessed])
+    places = _refined(known_map, seen, [*laid[:MOST_REFINED], *guessed], [])
     asked: list[Laid] = []
     for _ in range(MOST_ROUNDS):
         best, fresh = places[:1], [place for place in places[:MOST_SLID] if place not in asked]

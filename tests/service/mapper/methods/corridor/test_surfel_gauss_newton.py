@@ -109,6 +109,37 @@ def test_after_a_pause_in_which_nobody_saw_the_way_a_scan_has_to_lie_on_the_map(
     assert new_matcher().match(square(), unseen, mapped(square())).state == "ok"
 
 
+def test_where_nobody_measured_the_way_the_map_is_asked_again_when_the_graph_has_found_the_piece() -> None:
+    """The same walls prove nothing, for others may look alike."""
+    chain, matcher, points = mapped(square()), new_matcher(), square()
+    pieces = []
+    chain.detach(5.0)
+    for _ in range(3):
+        found = matcher.match(points, predicted(SE2(0.02, 0.0, 0.0)), chain)
+        assert found.state == "lost"
+        assert found.reason.startswith(
+            "neither laser nor odometry measured the motion for 5.0 s (at most 4 s)"
+        )
+        pieces.append(chain.insert(points, found).piece)
+    assert pieces == [1, 1, 1]
+    chain.detach(4.0)  # carried once more: another piece
+    assert chain.insert(points, matcher.match(points, predicted(SE2()), chain)).piece == 2
+    chain.join(1)
+    assert matcher.match(points, predicted(SE2()), chain).state == "lost"
+    chain.join(2)
+    assert matcher.match(points, predicted(SE2()), chain).state == "ok"
+
+
+def test_without_a_graph_that_looks_for_pieces_the_map_is_asked_at_once() -> None:
+    chain, points = mapped(square()), square()
+    chain.detach(5.0)
+    chain.attach()
+    assert new_matcher().match(points, predicted(SE2()), chain).state == "ok"
+    empty = SurfelSubmaps(SubmapsConfig())
+    empty.detach(5.0)  # before the first scan there is nothing that could have been left
+    assert new_matcher().match(points, predicted(SE2()), empty).state == "ok"
+
+
 def test_new_ground_is_degraded() -> None:
     """Most of the room opened up, so that the returns lie where the map knows nothing."""
     xy = square().xy_base

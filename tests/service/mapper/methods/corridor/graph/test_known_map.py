@@ -22,6 +22,7 @@ from service.mapper.methods.corridor.graph.piece_search import (
     Place,
 )
 from service.mapper.methods.corridor.graph.seen_cloud import seen_cloud
+from service.mapper.methods.corridor.graph.way_prior import WayPrior
 from tests.service.mapper.drives import cast
 
 Walls = list[tuple[float, float, float, float]]
@@ -163,6 +164,33 @@ def test_a_place_that_leaves_much_unexplained_must_be_much_likelier_than_every_o
     assert best_of(60.0, 1.01 * CLEARLY_LIKELIER, beside_m=0.3) is not None
     assert best_of(60.0, 0.99 * CLEARLY_LIKELIER, beside_m=0.3) is None
     assert best_of(60.0, 0.0, beside_m=0.05) is not None
+
+
+def test_after_an_unmeasured_way_a_place_must_beat_new_ground_and_dead_reckoning_counts() -> None:
+    keyframes, _ = rooms(pillar_in_first=False, pillar_in_second=False)
+    search = PieceSearch(LoopsConfig(), keyframes)
+    loop = loop_of(0, 1, np.zeros(3), np.eye(3), 0.9, 100, 0.0)
+    prior = WayPrior(np.zeros(3), np.diag([0.03, 0.03, 0.01]) ** 2, 5000.0)
+
+    def best_of(evidence: float, x_m: float, rival: float = -300.0) -> object:
+        places = [
+            Place(
+                np.array([x, 0.0, 0.0]), Weight(nats, 200.0, 0.0, 0.3), loop, prior.nats(np.array([x, 0, 0]))
+            )
+            for x, nats in ((x_m, evidence), (9.0, rival))
+        ]
+        return search.best_of(places, prior)
+
+    led, elsewhere = 1.01 * CLEARLY_LIKELIER, 1.01 * (CLEARLY_LIKELIER + FOR_UNEXPLAINED * 200.0)
+    assert best_of(0.98 * led, 0.05) is None  # new ground may look so, too
+    assert best_of(led, 0.05) is not None
+    assert best_of(led, 5.0) is None  # carried: what is not explained speaks against it
+    assert best_of(elsewhere, 5.0) is not None
+    # Against a rival what dead reckoning says of both places counts, too.
+    ahead = prior.nats(np.array([0.05, 0.0, 0.0])) - prior.nats(np.array([9.0, 0.0, 0.0]))
+    assert ahead > 10.0
+    assert best_of(200.0, 0.05, rival=199.0 + ahead - CLEARLY_LIKELIER) is not None
+    assert best_of(200.0, 0.05, rival=201.0 + ahead - CLEARLY_LIKELIER) is None
 
 
 def test_ground_that_the_map_does_not_know_says_little_in_the_search_and_free_ground_speaks_against():

@@ -1,0 +1,59 @@
+"""How likely places are after a way that nobody measured: as dead reckoning says, or anywhere."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.geometry import poses as se2
+from service.geometry.poses import Floats
+from service.geometry.se2 import wrap_angle
+from service.mapper.graph.point_clouds import Fit
+from service.mapper.judgement import JUMP_CHI2, is_loose, sigmas_of
+
+DROVE = 0.5  # probability that dead reckoning is right after a pause; the other hypothesis is equally likely
+# Of the place that a search finds, m, m, rad: what key frames of the map are off besides.
+FOUND_COVARIANCE = np.diag([0.05**2, 0.05**2, 0.01**2])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WayPrior:
+    """A mixture of two hypotheses: a normal distribution about dead reckoning, and all of the map alike.
+
+    pose         (3,) where dead reckoning puts a key frame, in the map
+    covariance   (3, 3) of it, base axes
+    region       m^2 rad: ground of the map times a full turn
+    """
+
+    pose: Floats
+    covariance: Floats
+    region: float
+
+    def nats(self, pose: Floats) -> float:
+        """Log-density at a pose (3,) of the map, less that of a vehicle that may be anywhere in it."""
+        spread = (2.0 * math.pi) ** 1.5 * math.sqrt(float(np.linalg.det(self._of_find())))
+        at = math.exp(-0.5 * self._chi2(pose)) / spread
+        return math.log(1.0 - DROVE + DROVE * self.region * at)
+
+    def explains(self, pose: Floats) -> bool:
+        """Whether a pose (3,) is where dead reckoning leads, but for chance; one that knows little says
+        nothing.
+        """
+        return not is_loose(sigmas_of(self.covariance)) and self._chi2(pose) <= JUMP_CHI2
+
+    def joined(self, fit: Fit) -> Fit:
+        """What a fit on the map and dead reckoning say together."""
+        c, s = math.cos(self.pose[2]), math.sin(self.pose[2])
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        said = np.linalg.inv(turn @ self._of_find() @ turn.T)
+        off = self.pose - fit.pose
+        off[2] = wrap_angle(float(off[2]))
+        information = fit.information + said
+        return Fit(fit.pose + np.linalg.solve(information, said @ off), information, fit.share)
+
+    def _chi2(self, pose: Floats) -> float:
+        away = se2.between(self.pose, pose)
+        return float(away @ np.linalg.solve(self._of_find(), away))
+
+    def _of_find(self) -> Floats:
+        return np.asarray(self.covariance + FOUND_COVARIANCE)
