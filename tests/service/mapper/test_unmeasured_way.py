@@ -1,13 +1,15 @@
 """All devices are silent for 5 s while the vehicle is driven on, or lifted and carried."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from drivers.frames import Frame, OdometrySample
 from service.geometry.se2 import SE2
-from service.mapper.profiles import build_mapper, mapping_config
+from service.mapper.background import BackEnd, ElsewhereWorker, InlineWorker
+from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
 from tests.service.mapper.offices import through
 from tests.simulated import FORWARD, Drive
 
@@ -37,11 +39,36 @@ def pose_of(sample: OdometrySample) -> SE2:
     return SE2(sample.x_m, sample.y_m, sample.theta_rad)
 
 
-def states_after(made: Drive, at_ns: int) -> tuple[list[str], np.ndarray, np.ndarray, list[str]]:
-    """State, m off, s since the pause and reason of each pose after it; results come at once."""
-    mapper = build_mapper(mapping_config(), {"front": FORWARD})
+class DeadWorker(InlineWorker):
+    """Does no work any more as soon as it is told to die."""
+
+    is_dead = False
+
+    def submit(self, batch: Any) -> Any:
+        return ElsewhereWorker(self._back_end).submit(batch) if self.is_dead else super().submit(batch)
+
+
+def states_after(
+    made: Drive,
+    at_ns: int,
+    config: MappingConfig | None = None,
+    dies_at_ns: int | None = None,
+) -> tuple[list[str], np.ndarray, np.ndarray, list[str]]:
+    """State, m off, s since the pause and reason of each pose after it; results come at once.
+
+    dies_at_ns   from when on the graph's worker gives no results
+    """
+    workers: list[DeadWorker] = []
+
+    def new_worker(back_end: BackEnd) -> DeadWorker:
+        workers.append(DeadWorker(back_end))
+        return workers[-1]
+
+    mapper = build_mapper(config or mapping_config(), {"front": FORWARD}, new_worker=new_worker)
     outputs = []
     for frame in made.frames:
+        if dies_at_ns is not None and frame.arrived_ns >= dies_at_ns:
+            workers[0].is_dead = True
         output = mapper.process(frame)
         while mapper.graph.waiting:
             mapper.apply_result()
@@ -74,3 +101,19 @@ def test_who_was_carried_to_walls_that_look_alike_is_never_ok_in_a_wrong_place(w
     assert off_m[0] > 3.0
     assert "the vehicle may have been carried" in reasons[0]
     assert not any(state != "lost" and off > 0.3 for state, off in zip(states, off_m, strict=True))
+
+
+def test_where_no_graph_looks_for_the_place_the_map_is_asked_at_once():
+    made = paused(through("library", 27.8, 2), 22 * S, is_carried=False)
+    states, off_m, since_s, _ = states_after(made, 22 * S, mapping_config({"stages": {"graph": "no_graph"}}))
+    assert "lost" not in states
+    assert since_s[0] < 0.2
+    assert off_m.max() < 0.05
+
+
+def test_a_graph_whose_worker_dies_while_a_place_is_looked_for_leaves_no_vehicle_lost():
+    made = paused(through("library", 27.8, 2), 22 * S, is_carried=False)
+    states, off_m, _, _ = states_after(made, 22 * S, dies_at_ns=24 * S)
+    assert states[:1] == ["lost"]  # the first scan goes out, and no answer comes
+    assert "lost" not in states[3:]
+    assert off_m[3:].max() < 0.05

@@ -59,6 +59,7 @@ class KeyframeList:
         self._numbers = np.zeros((64, 6))
         self._covariance = np.zeros((64, 3, 3))
         self._motion_covariance = np.zeros((64, 3, 3))
+        self.unmeasured: set[int] = set()  # numbers of the pieces to which nobody measured the way
         self.stamps_ns: list[int] = []
         self.thinned: list[ThinnedScan] = []
         self.by_hand = ByHand() if stored is None else stored.by_hand
@@ -161,6 +162,8 @@ class KeyframeList:
         self._covariance[k] = frame.covariance
         known = frame.motion_covariance
         self._motion_covariance[k] = np.nan if known is None else known
+        if frame.is_unmeasured:
+            self.unmeasured.add(frame.piece)
         self.stamps_ns.append(frame.stamp_ns)
         self.thinned.append(thinned)
         self.count += 1

@@ -124,7 +124,6 @@ class LoopBackEnd:
     def _work(self, batch: Batch) -> Result:
         for frame in batch.frames:
             self._append(frame)
-        self.pieces.unmeasured |= {frame.piece for frame in batch.frames if frame.is_unmeasured}
         self._anchoring.add(batch.fixes)
         if batch.request == "set_pose":
             self.pieces.expect_at(np.array(batch.pose))

@@ -81,7 +81,6 @@ class PieceSearch:
         self._tries = 0
         self.pose_refused: tuple[float, float, float] | None = None  # was said, and the piece is not there
         self._refused_piece = 0
-        self.unmeasured: set[int] = set()  # numbers of the pieces to which nobody measured the way
         self._known_map: KnownMap | None = None
         self._is_session_placed = True  # False: of this session nothing is placed in the stored map
         self.alike: list[tuple[float, float]] = []  # m: the places that the newest piece fits equally well
@@ -125,7 +124,7 @@ class PieceSearch:
             return None
         reference = int(own[-1])
         prior: WayPrior | None = None
-        if piece in self.unmeasured and self._is_session_placed:
+        if piece in keyframes.unmeasured and self._is_session_placed:
             prior = self._prior_of(reference, known)
         best = self.best_of(self.places_of(own.tolist(), reference, known, prior), prior)
         if best is None or not self._could_be_at(best[0], piece, reference):
@@ -327,7 +326,7 @@ class PieceSearch:
         that puts it than it errs.
         """
         keyframes = self._keyframes
-        if not self._is_session_placed or piece in self.unmeasured:
+        if not self._is_session_placed or piece in keyframes.unmeasured:
             return True
         first = int(np.flatnonzero(keyframes.piece == piece)[0])
         if keyframes.gap_s[first] > AWAY_S:
