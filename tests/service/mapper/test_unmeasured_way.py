@@ -105,7 +105,9 @@ def test_who_was_carried_to_walls_that_look_alike_is_never_ok_in_a_wrong_place(w
 
 def test_where_no_graph_looks_for_the_place_the_map_is_asked_at_once():
     made = paused(through("library", 27.8, 2), 22 * S, is_carried=False)
-    states, off_m, since_s, _ = states_after(made, 22 * S, mapping_config({"stages": {"graph": "no_graph"}}))
+    states, off_m, since_s, _ = states_after(
+        made, 22 * S, mapping_config({"components": {"graph": "no_graph"}})
+    )
     assert "lost" not in states
     assert since_s[0] < 0.2
     assert off_m.max() < 0.05
