@@ -112,9 +112,10 @@ def test_due_times_are_kept_without_drift():
     ticker = Ticker()
     with serve_tcp(ticker) as address, connect(address) as client:
         read_until(lambda: client.recv(4096), lambda data: data.count(b".") >= 200)
-    lateness_ms = sorted(late * 1e-6 for late in ticker.lateness_ns)
-    assert lateness_ms[0] >= 0.0
-    assert lateness_ms[len(lateness_ms) // 2] < 2.0  # measured 0.1; a drift of 0.1 ms a tick would give 10
+    assert min(ticker.lateness_ns) >= 0
+    # The best of a hundred: whatever else the machine does, one that is behind makes up for it at once. Measured
+    # 0.1 ms; a drift of 0.1 ms a tick gives 10 ms and more.
+    assert min(ticker.lateness_ns[100:200]) < 2.0 * PERIOD_NS
 
 
 def test_client_that_comes_again_at_once_is_served():
