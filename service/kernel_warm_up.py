@@ -24,7 +24,7 @@ from numba.core.registry import cpu_target
 from service.interruption import children_do_not_hear, end_with_parent
 from service.kernel_cache import forget_kernels
 from service.kernel_compiler import load_compiler
-from service.mapper.profiles import MappingConfig, mapping_config, warm_up_steps
+from service.mapper.profiles import MappingConfig, mapping_config, seldom_steps, warm_up_steps
 
 log = logging.getLogger(__name__)
 
@@ -85,7 +85,8 @@ def warm_up(
     config: MappingConfig | None = None,
     back_end_elsewhere: bool = False,
     progress: KernelProgress | None = None,
-) -> None:
+    leaves_seldom: bool = False,
+) -> bool:
     """Compile the kernels that a config needs (None: those of every profile), or load them from the cache.
 
     Half a second where the cache holds them. Call ensure_cache_dir first. A cache that cannot be read is
@@ -93,26 +94,35 @@ def warm_up(
 
     back_end_elsewhere   leave out what the graph's back end needs, see `warm_up_steps`
     progress             told of each kernel that is compiled; left out, the log says how far it is
+    leaves_seldom        where the cache is cold, leave out what not every scan needs
+    Returns whether that was left out.
     """
     progress = progress or KernelProgress(_Tell())
-    _start_compiler()
+    start_compiler()
     try:
-        _warm_up(config, back_end_elsewhere, progress)
+        return _warm_up(config, back_end_elsewhere, progress, leaves_seldom)
     except CUT_SHORT as error:
         if not forget_kernels():
             raise
         log.warning("compiled kernels could not be read (%r); all are compiled anew", error)
-        _warm_up(config, back_end_elsewhere, progress)
+        return _warm_up(config, back_end_elsewhere, progress, leaves_seldom)
 
 
-def _warm_up(config: MappingConfig | None, back_end_elsewhere: bool, progress: KernelProgress) -> None:
-    pieces = _Pieces(warm_up_steps(config, back_end_elsewhere))
+def _warm_up(
+    config: MappingConfig | None, back_end_elsewhere: bool, progress: KernelProgress, leaves_seldom: bool
+) -> bool:
+    steps = warm_up_steps(config, back_end_elsewhere)
+    seldom = seldom_steps(config, back_end_elsewhere) if leaves_seldom else []
+    pieces = _Pieces(steps[: len(steps) - len(seldom)])
     helpers = [
         _Helper((config, back_end_elsewhere), pieces, progress)
         for _ in range(len(os.sched_getaffinity(0)) - 1)
     ]
+    is_cold = False
 
     def help_out() -> None:
+        nonlocal is_cold
+        is_cold = True
         progress.expect(len(needed_kernels(back_end_elsewhere)))
         for helper in helpers:
             helper.start()
@@ -123,6 +133,11 @@ def _warm_up(config: MappingConfig | None, back_end_elsewhere: bool, progress: K
         for helper in helpers:
             for k in helper.finish():
                 pieces.do(k)
+        if is_cold and seldom:
+            return True
+        for step in seldom:
+            step()
+    return False
 
 
 def needed_kernels(back_end_elsewhere: bool = False) -> set[str]:
@@ -155,7 +170,7 @@ def _name_of(kernel: Dispatcher) -> str:
     return f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}"
 
 
-def _start_compiler() -> None:
+def start_compiler() -> None:
     """Have numba read its registries, without scipy.
 
     It would import scipy.linalg only to know whether np.dot can be had: half of the time that this takes. No
@@ -278,7 +293,7 @@ def _help(theirs: Connection, what: tuple[dict[str, Any] | None, bool]) -> None:
     """The process. What does not compile here does not compile there either, and is said there."""
     end_with_parent()
     section, back_end_elsewhere = what
-    _start_compiler()
+    start_compiler()
     work = warm_up_steps(None if section is None else mapping_config(section), back_end_elsewhere)
     try:
         with _listening(lambda: None, theirs.send):

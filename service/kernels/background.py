@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.contour_blur import BLURRED, HIT, PASSED, touch_cell
 from service.kernels.rays import begin_ray
 from service.kernels.surfels import TILE_BITS, TILE_CELLS, TILE_MASK
@@ -28,7 +28,7 @@ class LearningSettings(NamedTuple):
     scans: int = 1  # so many like it a scan stands for: those before it that were not learned
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mark_passed(xy_base, sensor_xy_m, pose, level, protect_count, free_range_m, cells):
     """Put the cells that beams passed through before their end on the scan's list, with value 0.
 
@@ -77,7 +77,7 @@ def mark_passed(xy_base, sensor_xy_m, pose, level, protect_count, free_range_m, 
                 next_row += per_row
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mark_unseen(level, protect_count, cells):
     """Put every cell of the map that the scan says nothing of on its list, with value 0: the printed rule.
 
@@ -97,19 +97,19 @@ def mark_unseen(level, protect_count, cells):
                         touch_cell(level, row + r, column + q, cells)
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def kept_rising(highest, settings):
     """Share of its old likelihood that a cell keeps while it rises. Source: paper 000, eq. 14: 1 - w_u."""
     return (1.0 - settings.rate * (1.0 + settings.control * highest)) ** settings.scans
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def kept_falling(highest, settings):
     """Share of its old likelihood that a cell keeps while it falls. Source: paper 000, eq. 16: 1 - w_d."""
     return (1.0 - settings.rate / (1.0 + settings.control * highest)) ** settings.scans
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def averaged(likelihood, highest, value, settings):
     """Likelihood of a cell beside a hit one, brought nearer to what the scan gives it.
 
@@ -120,7 +120,7 @@ def averaged(likelihood, highest, value, settings):
     return kept * likelihood + (1.0 - kept) * value
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def increase(likelihood, highest, value, settings):
     """Likelihood of a cell that is hit again, by a scan that gives it `value`.
 
@@ -131,13 +131,13 @@ def increase(likelihood, highest, value, settings):
     return 1.0 - kept_rising(highest, settings) * (1.0 - base)
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def decrease(likelihood, highest, settings):
     """Likelihood of a cell that nothing was seen in. Source: paper 000, eqs. 15 and 16."""
     return kept_falling(highest, settings) * likelihood
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def store(level, slot, r, q, likelihood, scans):
     """Put a new likelihood into a cell, keep the highest, and count so many scans."""
     level.likelihood[slot, r, q] = np.float32(likelihood)
@@ -145,7 +145,7 @@ def store(level, slot, r, q, likelihood, scans):
     level.seen[slot, r, q] = np.uint16(min(level.seen[slot, r, q] + scans, MOST_SEEN))
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def listed(level, row, column):
     """Row of a cell in the scan's list, -1 where it is not on it."""
     slot = find_tile(level.tiles, row >> TILE_BITS, column >> TILE_BITS)
@@ -154,7 +154,7 @@ def listed(level, row, column):
     return np.int64(level.mark[slot, row & TILE_MASK, column & TILE_MASK]) - 1
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def rise_at(level, k, old, settings, cells):
     """p_u of a cell: what the nearest hits say. Source: paper 000, eq. 17, a maximum where argmax is printed.
 
@@ -181,7 +181,7 @@ def rise_at(level, k, old, settings, cells):
     return best
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def spread_falls(level, settings, cells):
     """Fill p_d of the cells that are only blurred. Source: paper 000, eq. 17: the most negative."""
     radius = INTERPOLATION_SIGMAS * settings.sigma_cells
@@ -204,7 +204,7 @@ def spread_falls(level, settings, cells):
                 cells.fall[k] = min(cells.fall[k], np.float32(change))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def learn_scan(level, settings, cells):
     """Update the map with the cells of one scan.
 
@@ -245,7 +245,7 @@ def learn_scan(level, settings, cells):
         store(level, slot, r, q, new, settings.scans if settings.counts_blur else 0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def interpolated(level, k, old, value, settings, cells):
     """Likelihood of a cell that is blurred by a scan but not hit. Source: paper 000, eqs. 17 and 18.
 

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.occupancy import OccupancyGrid, evidence_at
 from service.kernels.rays import begin_ray
 from service.kernels.surfels import (
@@ -90,7 +91,7 @@ def goes_through(surfels, slot, row, column, side, u, v, du, dv):
     return x * x + y * y < THROUGH_REACH_M * THROUGH_REACH_M
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_looks(ends, sensor, walls, weight, looked):
     """Count the beams of one scan that go through surfels.
 
@@ -134,7 +135,7 @@ def cells_with_walls(walls: SurfelGrid) -> npt.NDArray[np.bool_]:
     return has_wall.reshape(rows * TILE_CELLS, columns * TILE_CELLS)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def splat_points(xy, first_row, first_column, points):
     """Likelihood of an end point near others: the most that any of them says, 255 at one of them.
 
@@ -155,7 +156,7 @@ def splat_points(xy, first_row, first_column, points):
                 points[at] = max(points[at], value)
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def openness(u, v, du, dv, known, number):
     """Log-probability that what a beam goes through is gone; what another beam of the pose `number` went
     through is gone already, and says nothing.
@@ -205,7 +206,7 @@ def openness(u, v, du, dv, known, number):
     return total
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def density_of_ground(ground, free, x, y):
     """Of beams that end where no wall of the map is, 1/m; free ground is known in the cells around, too."""
     column, row = math.floor(x / ground.cell_m), math.floor(y / ground.cell_m)
@@ -217,7 +218,7 @@ def density_of_ground(ground, free, x, y):
     return IN_FREE
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def weigh_ends(xy, normals, pose, known, at_end):
     """Log-likelihood of where each beam ends at a pose, less that on ground of which the map knows nothing.
 
@@ -255,7 +256,7 @@ def weigh_ends(xy, normals, pose, known, at_end):
         at_end[i] = math.log(density / NOT_KNOWN)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def weigh_ways(xy, sensors, pose, known, number, least, on_way):
     """Log-probability that what the beams go through is gone; gives up where it is less than `least` in sum.
 

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.ordering import order_rising
 
 NO_SEGMENT = -1
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def fullest_band(across, alive, may_begin, width_m):
     """The band [across[i], across[i] + width] with the most live points, by two pointers.
 
@@ -29,7 +29,7 @@ def fullest_band(across, alive, may_begin, width_m):
     return best_first, best_last, best_count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def segments_along(xy_map, axis, gap_m, limits, least_points, segment):
     """Blurred segments parallel to one axis of the map.
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.likelihood_search import SearchResult, result_of, turned_cells
 from service.kernels.ordering import order_rising
 from service.kernels.tiles import NO_TILE, find_tile
@@ -31,7 +31,7 @@ class MaxPyramid(NamedTuple):
     cell_m: float
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def build_pyramid(layer, first_row, first_column, levels):
     """Fill a max pyramid from the part of a layer that begins at a cell.
 
@@ -65,7 +65,7 @@ def build_pyramid(layer, first_row, first_column, levels):
     return MaxPyramid(levels, first_row, first_column, layer.empty, layer.offset, layer.scale, layer.cell_m)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pool_levels(levels, empty):
     """Fill levels 1 and up from level 0; beyond the upper borders all is `empty`."""
     height, width = levels.shape[1], levels.shape[2]
@@ -89,7 +89,7 @@ def padding_cells(level_count: int) -> int:
     return (1 << (level_count - 1)) - 1
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def block_sum(cells, counts, pyramid, level, shift_row, shift_column):
     """Sum of a level at shifted points: no less than that of any candidate in the block.
 
@@ -113,7 +113,7 @@ def block_sum(cells, counts, pyramid, level, shift_row, shift_column):
     return total
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def nearest_square(low, high):
     """Square of the number nearest to 0 in [low, high]."""
     if low > 0:
@@ -121,7 +121,7 @@ def nearest_square(low, high):
     return high * high if high < 0 else 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def search_branch_and_bound(xy_base, pyramid, window, least_score):
     """The candidate that search_exhaustive finds on the layer of the pyramid, without asking most of them.
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.contours import ALONE
 from service.kernels.surfels import TILE_BITS, TILE_MASK
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
@@ -64,7 +64,7 @@ class BlurSettings(NamedTuple):
     is_sub_cell: bool
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def touch_cell(level, row, column, cells):
     """Row of a cell in the scan's list, put there with value 0 if it was not; -1 where the list is full."""
     slot = find_tile(level.tiles, row >> TILE_BITS, column >> TILE_BITS)
@@ -94,7 +94,7 @@ def touch_cell(level, row, column, cells):
     return k
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def raise_cell(level, row, column, value, cells):
     """Let a cell be at least so likely in the scan's own map; the largest wins."""
     k = touch_cell(level, row, column, cells)
@@ -103,7 +103,7 @@ def raise_cell(level, row, column, value, cells):
         cells.value[k] = max(cells.value[k], np.float32(value))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def forget_scan(level, cells):
     """Take the marks of a scan off the map and empty its list."""
     for k in range(min(cells.rows[0], cells.value.shape[0])):
@@ -111,14 +111,14 @@ def forget_scan(level, cells):
     cells.rows[0] = 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def blur_reach_cells(settings):
     """How far from a contour, across it, anything is left of it."""
     log_least = -math.log(settings.least)
     return settings.across_cells * (math.sqrt(2.0 * log_least) if settings.is_squared else log_least)
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def blurred(along, across, settings):
     """Likelihood at a distance along a contour from its nearest point, and one from the contour; cells.
 
@@ -131,7 +131,7 @@ def blurred(along, across, settings):
     return math.exp(-u - v)
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def blur_segment(u0, v0, u1, v1, before, after, level, settings, cells):
     """Raise the cells beside one step of a contour.
 
@@ -192,7 +192,7 @@ def blur_segment(u0, v0, u1, v1, before, after, level, settings, cells):
                 values[k] = value
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def interval(slope, offset, low, high):
     """Where low <= slope x + offset <= high: (least x, greatest x), the wrong way round where nowhere."""
     if abs(slope) < 1e-9:
@@ -202,7 +202,7 @@ def interval(slope, offset, low, high):
     return min(a, b), max(a, b)
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def blur_point(u, v, level, settings, cells):
     """Raise the cells around a point without a direction, by the narrower of the two blurs."""
     cells_wide = min(settings.along_cells, settings.across_cells)
@@ -215,7 +215,7 @@ def blur_point(u, v, level, settings, cells):
                 raise_cell(level, row, column, value, cells)
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def blur_contour(nodes, reach, level, settings, cells):
     """Blur one contour.
 
@@ -238,7 +238,7 @@ def blur_contour(nodes, reach, level, settings, cells):
         before = after
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def draw_hits(nodes, level, settings, cells):
     """Call the cells of points HIT; on a traditional map every cell that the contour crosses.
 
@@ -261,7 +261,7 @@ def draw_hits(nodes, level, settings, cells):
                     cells.value[i] = np.float32(1.0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def blur_scan(xy_base, contour, pose, level, settings, cells):
     """The likelihood map of one scan, as a list of cells.
 

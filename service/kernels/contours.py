@@ -4,14 +4,14 @@ import math
 
 import numpy as np
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.ordering import order_rising
 
 ALONE = -1
 SHORTEST_STEP_M = 1e-6  # two points on the same spot still have a ratio
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def extract_contours(xy_base, longest_m, most_ratio, contour):
     """Grow contours from the closest pairs, at both ends, as long as steps are short and alike.
 
@@ -59,7 +59,7 @@ def extract_contours(xy_base, longest_m, most_ratio, contour):
     return found
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def _goes_on(step_m, last_m, longest_m, most_ratio):
     """Whether a step may follow the last one of a contour; eq. 5."""
     return step_m <= longest_m and max(step_m, last_m) <= most_ratio * min(step_m, last_m)

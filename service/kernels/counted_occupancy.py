@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.rays import begin_ray
 from service.kernels.surfels import TILE_BITS, TILE_MASK
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
@@ -44,7 +44,7 @@ class CountWeights(NamedTuple):
     passed: float
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def occupied_probability(hits, passes, weights):
     """p = O_o^c_o O_f^c_f / (O_o^c_o O_f^c_f + (1 - O_o)^c_o (1 - O_f)^c_f), by way of its log-odds.
 
@@ -55,7 +55,7 @@ def occupied_probability(hits, passes, weights):
     return 1.0 / (1.0 + math.exp(-(hits * weights.hit + passes * weights.passed)))
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def touch_counted(grid, tile_row, tile_column):
     """Slot of a tile, made where there was none."""
     slot = find_tile(grid.tiles, tile_row, tile_column)
@@ -69,7 +69,7 @@ def touch_counted(grid, tile_row, tile_column):
     return slot
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def count_beam(u, v, du, dv, grid, hits, passes, field, touched, weights, scan_number):
     """Count the cells between two points as seen through, that of the end point left out.
 
@@ -108,7 +108,7 @@ def count_beam(u, v, du, dv, grid, hits, passes, field, touched, weights, scan_n
             next_row += per_row
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_scan(xy_base, sensor_xy_m, pose, grid, weights, free_range_m, pass_stride, scan_number):
     """Count a scan, each cell once: end points first, so that no beam goes through what another one hit.
     Counts stay at their greatest value.
@@ -148,7 +148,7 @@ def count_scan(xy_base, sensor_xy_m, pose, grid, weights, free_range_m, pass_str
         count_beam(u, v, shrink * du, shrink * dv, grid, hits, passes, field, touched, weights, scan_number)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_overlap(xy_base, pose, grid, reach_cells):
     """How many points lie on walls, and how many where nothing stands.
 
@@ -186,7 +186,7 @@ def count_overlap(xy_base, pose, grid, reach_cells):
     return on_walls, in_free
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def weigh_scan(values, floor):
     """Log-likelihood of a scan: the sum over its beams of log(floor + (1 - floor) likelihood).
 

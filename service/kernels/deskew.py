@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import kernel
 
 
 class Returns(NamedTuple):
@@ -17,7 +17,7 @@ class Returns(NamedTuple):
     beam: npt.NDArray[np.int32]  # (N,) which beam of the scan
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def project_returns(range_m, direction_base, mount_xy_m, gate_m, beam_interval_s, returns):
     """End points of the beams that returned, each in the base frame of its own moment.
 
@@ -42,7 +42,7 @@ def project_returns(range_m, direction_base, mount_xy_m, gate_m, beam_interval_s
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def deskew_points(xy_raw, beam_time_s, twist, xy_base):
     """Bring points to the base frame of beam 0, for a base that moves with a constant twist.
 

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.pose_information import invert_3x3, wrap
 from service.kernels.se2 import between, compose, exponential, logarithm
 from service.kernels.tracks import bridge_s3, last_at_or_before, mean_twist, odometry_at, turned_to
@@ -83,7 +83,7 @@ class Filter(NamedTuple):
     window: npt.NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def observe(covariance, rows, residual, variance, gain, gate, correction):
     """One linear measurement: rows . error = residual + noise; changes covariance, adds to correction.
 
@@ -119,7 +119,7 @@ def observe(covariance, rows, residual, variance, gain, gate, correction):
     return chi2
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def predict_motion(state, odometry, gyro, stamp_ns, settings):
     """Go on to the moment of a scan: white-noise acceleration, then odometry and gyro as measurements.
 
@@ -192,7 +192,7 @@ def predict_motion(state, odometry, gyro, stamp_ns, settings):
     state.stamp_ns[0] = stamp_ns
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def gyro_turn(gyro, last_ns, stamp_ns, settings, turn):
     """Turn in rad and its variance, turn (2,), that the gyro said; False where it was silent."""
     first = gyro.span[0]
@@ -209,7 +209,7 @@ def gyro_turn(gyro, last_ns, stamp_ns, settings, turn):
     return True
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def odometry_step(state, odometry, last_ns, stamp_ns, settings, twists):
     """What odometry said of the way between two moments, into state.said; False where it was silent; [5].
 
@@ -266,7 +266,7 @@ def odometry_step(state, odometry, last_ns, stamp_ns, settings, twists):
     return True
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def add_to_state(state, step, correction):
     """Put a correction of a prediction into step, twist and what is learnt, and go on by the step."""
     moved = np.empty(3)
@@ -281,7 +281,7 @@ def add_to_state(state, step, correction):
     compose(state.pose, step, state.pose)
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def carry(P, step):
     """Errors of the pose in axes of the new base, with that of the step; [4]. The step's rows are cleared."""
     c = math.cos(step[2])
@@ -324,7 +324,7 @@ def carry(P, step):
             P[j, STEP + i] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def correct_motion(state, pose, local_covariance, prior_weight):
     """Take in where a scan puts the base, and how well it is then known against the local map; [9], [10].
 
@@ -388,14 +388,14 @@ def correct_motion(state, pose, local_covariance, prior_weight):
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def take_match(state, pose, local_covariance, prior_weight, information):
     """correct_motion, then learn_noise: to hand the filter over takes as long as either."""
     correct_motion(state, pose, local_covariance, prior_weight)
     learn_noise(state, information)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def lay_into_map(P, kept):
     """What a scan adds to the local map carries the pose's error into it: less is left against it; [11].
 
@@ -409,7 +409,7 @@ def lay_into_map(P, kept):
             P[j, LOCAL + i] *= kept
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def widen_window(state, travel_m, dt):
     """Add what the sources said of the last step to the window that they are judged over."""
     w = state.window
@@ -428,7 +428,7 @@ def widen_window(state, travel_m, dt):
     w[13] += dt
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def begin_window(state):
     state.window[:] = 0.0
     for i in range(3):
@@ -436,7 +436,7 @@ def begin_window(state):
     state.window[8] = state.window[11] = 1.0
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def learn_noise(state, information):
     """Hold what odometry and gyro said over a window against what scans say of it; [18].
 
@@ -474,7 +474,7 @@ def learn_noise(state, information):
     begin_window(state)
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def innovation(off, model, noise, alone):
     """What a source's innovation says of its noise.
 
@@ -489,7 +489,7 @@ def innovation(off, model, noise, alone):
     return share * share, (left_out * left_out - alone) / model
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def adapt(noise, k, weight, total):
     noise[k] += (total - weight * noise[k]) / NOISE_WINDOWS
     noise[k] = min(max(noise[k], LEAST_NOISE), MOST_NOISE)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.ordering import order_rising
 
 DIRECTIONS = 16  # in which walls face; a wall counts in the two beside its own, too
@@ -34,13 +34,13 @@ class FacingPyramid(NamedTuple):
     cell_m: float
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def direction_of(angle_rad):
     """Which of the DIRECTIONS is nearest to an angle."""
     return math.floor(angle_rad / (2.0 * math.pi) * DIRECTIONS + 0.5) % DIRECTIONS
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def splat_facing(xy, normals, pyramid, sigma_m):
     """Fill level 0: the most that any point says of a cell or one beside it, by the distance to its border.
 
@@ -70,7 +70,7 @@ def splat_facing(xy, normals, pyramid, sigma_m):
                         levels[d, 0, r, q] = max(levels[d, 0, r, q], value)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def facing_sum(cells, levels, level, row, column):
     """Sum of a level at points, moved by so many cells: no less than that of any place in the block.
 
@@ -86,7 +86,7 @@ def facing_sum(cells, levels, level, row, column):
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def turned_facing(xy_base, normals, theta_rad, cell_m, cells):
     """Row, column and layer (N, 3) of points at a heading, the base in the middle of the cell (0, 0)."""
     c = math.cos(theta_rad) / cell_m
@@ -99,7 +99,7 @@ def turned_facing(xy_base, normals, theta_rad, cell_m, cells):
             cells[n, 2] = direction_of(math.atan2(normals[n, 1], normals[n, 0]) + theta_rad)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def search_facing(xy_base, normals, pyramid, heading_count, least_score, behind):
     """The best place of each block of the map and each sector of headings, if it is good enough.
 

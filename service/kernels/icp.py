@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import kernel
 from service.kernels.ordering import order_rising
 from service.kernels.pose_information import wrap
 
@@ -26,7 +26,7 @@ class IcpResult(NamedTuple):
     iterations: int
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def closest_points(xy, others, bearing_rad, most_m, partner):
     """The nearest of some points for each of others: outwards by bearing until no nearer one is left.
 
@@ -73,7 +73,7 @@ def closest_points(xy, others, bearing_rad, most_m, partner):
                     left_open = bound * bound < nearest
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def icp_point_to_point(newer, older, start, most_m, iterations, settled):
     """The motion between two scans that brings each point of the newer one onto the nearest of the older.
 

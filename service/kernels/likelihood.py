@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.surfels import TILE_BITS, TILE_MASK, touch_tile
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile
 
@@ -26,7 +26,7 @@ class LikelihoodField(NamedTuple):
     cell_m: float
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def splat_likelihood(xy_base, pose, grid, sigma_m, enough):
     """Raise the field around each end point to exp(-d^2 / 2 sigma^2); the largest wins.
 
@@ -69,7 +69,7 @@ def splat_likelihood(xy_base, pose, grid, sigma_m, enough):
                     field[slot, r & TILE_MASK, q & TILE_MASK] = value
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def field_cell(field, tiles, row, column):
     """Likelihood in a cell; 0 where no tile lies."""
     slot = find_tile(tiles, row >> TILE_BITS, column >> TILE_BITS)
@@ -78,7 +78,7 @@ def field_cell(field, tiles, row, column):
     return np.float64(field[slot, row & TILE_MASK, column & TILE_MASK])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def read_field(xy_base, pose, likelihood, values):
     """Likelihood at points, bilinear between the centres of cells, and its gradient.
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import kernel
 from service.kernels.likelihood import read_field
 from service.kernels.linear3 import copy_matrix, copy_vector, solve_3x3
 from service.kernels.pose_information import add_prior
@@ -30,7 +30,7 @@ class LmSettings(NamedTuple):
     floor: float = 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def thin_evenly(xy_base, beams, sigma):
     """About so many of some points, and the weight of each, as if all had been asked.
 
@@ -50,7 +50,7 @@ def thin_evenly(xy_base, beams, sigma):
     return thin, weights
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def likelihood_normal_equations(xy_base, values, weights, pose, H, g):
     """Gauss-Newton system of sum w (1 - P)^2.
 
@@ -95,7 +95,7 @@ def likelihood_normal_equations(xy_base, values, weights, pose, H, g):
     return cost
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def align_points(
     xy_base, weights, prior_pose, prior_information, field, settings, most_steps, damping, pose, H
 ):  # fmt: skip

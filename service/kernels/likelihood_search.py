@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile
 
 
@@ -71,7 +71,7 @@ class SearchResult(NamedTuple):
     evaluated: int
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def turned_cells(xy_base, window, k, cell_m, cells, counts):
     """Cells of the points at heading k of a window, at its centre; neighbours in one cell are put together.
 
@@ -99,7 +99,7 @@ def turned_cells(xy_base, window, k, cell_m, cells, counts):
     return count
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def add_block(layer, values, row, column, weight, shape, sums, begin):
     """Add weight times the cells [row, row + J) x [column, column + I) of a layer to sums.
 
@@ -137,7 +137,7 @@ def add_block(layer, values, row, column, weight, shape, sums, begin):
         j += height
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def score_window(xy_base, layer, window):
     """Sum of cells at the points, for every candidate of a window.
 
@@ -184,7 +184,7 @@ def score_window(xy_base, layer, window):
     return sums
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def result_of(count, layer, window, total, k, j, i, evaluated):
     """SearchResult of a candidate with the sum `total` over so many points; layer: or MaxPyramid."""
     pose = np.empty(3)
@@ -195,7 +195,7 @@ def result_of(count, layer, window, total, k, j, i, evaluated):
     return SearchResult(pose, score, k, j, i, evaluated)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def search_exhaustive(xy_base, layer, window):
     """The best candidate of a window, by asking every one, and the sums of all.
 
@@ -219,7 +219,7 @@ def search_exhaustive(xy_base, layer, window):
     return result_of(xy_base.shape[0], layer, window, best, best_k, best_j, best_i, sums.size), sums
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cells_asked(xy_base, window, cell_m):
     """Cells of a layer that the points can come to lie in: rows [first, last], then columns, as 4 int."""
     nowhere = np.int64(2**62)
@@ -245,7 +245,7 @@ def cells_asked(xy_base, window, cell_m):
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def surface_moments(sums, best, temperature):
     """Mean and covariance of the candidates, each counted exp((sum - best) / temperature).
 

@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.tiles import NO_TILE, find_tile
 
 RINGS = 2  # around the cell that was hit
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def raise_cell(layer, changed, row, column, levels, ring_cells):
     """Raise a cell to the level of a hit, and two rings around it to theirs; a greater value stays.
 
@@ -54,7 +54,7 @@ def raise_cell(layer, changed, row, column, levels, ring_cells):
                 cells[slot, r, c] = level
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def draw_scan(xy_map, beam, layer, changed, levels, ring_cells, join_m):
     """Draw a scan: a cell for each point, and a line where two neighbouring beams end close to each other.
 
@@ -86,7 +86,7 @@ def draw_scan(xy_map, beam, layer, changed, levels, ring_cells, join_m):
             )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mean_value(xy_base, pose, layer):
     """Mean value of the cells at the points, in the unit of the cells.
 
@@ -106,7 +106,7 @@ def mean_value(xy_base, pose, layer):
     return total / xy_base.shape[0]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def monte_carlo_search(xy_base, layer, start, deviates, sigma_m, sigma_rad):
     """Climb by chance: try places around the best so far; look more closely once enough were tried in vain.
 
@@ -146,7 +146,7 @@ def monte_carlo_search(xy_base, layer, start, deviates, sigma_m, sigma_rad):
     return best, best_value, deviates.shape[0]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def smooth_lines(xy_map, beam, join_m, half_m, smooth):
     """Each point becomes the mean of as many neighbours on both sides as lie within reach on the same line.
 
@@ -180,12 +180,12 @@ def smooth_lines(xy_map, beam, join_m, half_m, smooth):
         smooth[n, 1] = y / taken
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def square_between(xy, a, b):
     return (xy[a, 0] - xy[b, 0]) ** 2 + (xy[a, 1] - xy[b, 1]) ** 2
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mark_patches(xy_map, margin_m, patch_m, first_row, first_column, marks):
     """Mark the patches within a margin, at most half a patch, of some points.
 

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def cholesky_3x3(A, L):
     """Lower Cholesky factor of a symmetric 3 x 3 matrix.
 
@@ -30,7 +30,7 @@ def cholesky_3x3(A, L):
     return True
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def solve_3x3(A, b, x):
     """Solve A x = b for a symmetric positive definite A.
 
@@ -56,14 +56,14 @@ def solve_3x3(A, b, x):
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def copy_vector(source, out):
     """source, out   (N,) float64. Instead of out[:] = source, whose shape check takes seconds to compile."""
     for i in range(source.shape[0]):
         out[i] = source[i]
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def copy_matrix(source, out):
     """source, out   (N, M) float64. See copy_vector."""
     for i in range(source.shape[0]):
@@ -71,7 +71,7 @@ def copy_matrix(source, out):
             out[i, k] = source[i, k]
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def diagonalise_3x3(A, V):
     """Eigenvalues and eigenvectors of a symmetric 3 x 3 matrix, by Jacobi's rotations.
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import kernel
 from service.kernels.linear3 import copy_matrix, solve_3x3
 from service.kernels.match import surfel_normal_equations
 from service.kernels.occupancy import TILE_BITS, TILE_MASK
@@ -16,7 +16,7 @@ from service.kernels.tiles import NO_TILE, find_tile
 SPLAT_CELLS = 2
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def splat_field(xy, first_row, first_column, cell_m, sigma_m, field):
     """Likelihood of an end point near others: the most that any of them says.
 
@@ -44,7 +44,7 @@ def splat_field(xy, first_row, first_column, cell_m, sigma_m, field):
                     field[r, q] = value
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fill_unknown(field, first_row, first_column, grid, likelihood):
     """Give cells of a likelihood field that a map knows nothing of at least a likelihood.
 
@@ -63,7 +63,7 @@ def fill_unknown(field, first_row, first_column, grid, likelihood):
                 field[r, q] = max(field[r, q], np.float32(likelihood))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def thin_points(xy, spacing_m, kept):
     """Leave out points that lie nearer than spacing_m to the last one kept.
 
@@ -77,7 +77,7 @@ def thin_points(xy, spacing_m, kept):
             last = i
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def align_surfels(xy, normals, grid, settings, pose, information):
     """Gauss-Newton on surfels without a prior; a direction that nothing fixes stays where it began.
 
@@ -121,7 +121,7 @@ def align_surfels(xy, normals, grid, settings, pose, information):
     return used, inliers
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def share_in_free_space(xy, pose, grid, free):
     """How many of some points lie where a map is sure that nothing is, of those that lie where it knows.
 
@@ -153,7 +153,7 @@ def share_in_free_space(xy, pose, grid, free):
     return against / known if known > 0 else 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def path_lengths(step_m, of, to, loop_m, start, length_m):
     """Shortest way through a chain with loops from one of its poses to all others.
 

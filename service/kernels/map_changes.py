@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.rays import begin_ray
 
 UNKNOWN, FREE, WALL = 0, 1, 2
@@ -54,7 +54,7 @@ class Moment(NamedTuple):
     now_ms: int
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def weigh_changes(xy_base, sensor_base, pose, farthest_m, votes, moment):
     """Let one scan speak of each cell once.
 
@@ -86,7 +86,7 @@ def weigh_changes(xy_base, sensor_base, pose, farthest_m, votes, moment):
         _weigh_way(u, v, ends[i, 0] - u, ends[i, 1] - v, far_m, votes, moment)
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def _weigh_end(row, column, votes, moment):
     """Something stands at the end of a beam."""
     height, width = votes.stored.shape
@@ -104,7 +104,7 @@ def _weigh_end(row, column, votes, moment):
         _contradict(row, column, votes, moment)
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def _weigh_way(u, v, du, dv, far_m, votes, moment):
     """Nothing stands on the way of a beam, up to BEHIND_M before its end."""
     height, width = votes.stored.shape
@@ -129,7 +129,7 @@ def _weigh_way(u, v, du, dv, far_m, votes, moment):
         next_row += 0.0 if is_column else per_row
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def _is_hit(row, column, votes, moment):
     """Whether this scan ended in a cell or in one of the eight around it."""
     for r in range(row - 1, row + 2):
@@ -139,7 +139,7 @@ def _is_hit(row, column, votes, moment):
     return False
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def _crosses(row, column, du, dv, votes):
     """Whether a beam goes across the wall of a cell, not along it."""
     height, width = votes.stored.shape
@@ -166,7 +166,7 @@ def _crosses(row, column, du, dv, votes):
     return sine >= LEAST_SINE
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def _contradict(row, column, votes, moment):
     if votes.changed[row, column] == 0:
         votes.first_ms[row, column] = moment.now_ms
@@ -177,7 +177,7 @@ def _contradict(row, column, votes, moment):
     _add_vote(votes.changed, votes.same, row, column)
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def _add_vote(mine, other, row, column):
     mine[row, column] += 1
     if mine[row, column] >= MOST_VOTES:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.deskew import deskew_points
 from service.kernels.likelihood import LikelihoodField
 from service.kernels.likelihood_lm import LmSettings, align_points, thin_evenly
@@ -67,7 +67,7 @@ class MatchResult(NamedTuple):
     weakest_direction_rad: float  # that direction, in base axes
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def point_information(weight, count, beside, settings):
     """What a point says of its distance to a surfel, 1/m^2; [13].
 
@@ -81,7 +81,7 @@ def point_information(weight, count, beside, settings):
     return 1.0 / (square / weight + beside * (settings.repeats * counted / count + wall))
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def surfel_cost(xy_base, normals, found, pose, unmatched_m, settings):
     """Half the cost whose gradient surfel_normal_equations gives; apart, for its logarithms take as long.
 
@@ -110,7 +110,7 @@ def surfel_cost(xy_base, normals, found, pose, unmatched_m, settings):
     return cost
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def surfel_normal_equations(xy_base, normals, found, pose, settings, H, shared, g, evidence):
     """Gauss-Newton system of the distances, along the surfels' normals, between points and their surfels.
 
@@ -186,7 +186,7 @@ def surfel_normal_equations(xy_base, normals, found, pose, settings, H, shared, 
     return used, inliers
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def fill_symmetric(A, xx, xy, yy, xt, yt, tt):
     A[0, 0] = xx
     A[0, 1] = A[1, 0] = xy
@@ -196,7 +196,7 @@ def fill_symmetric(A, xx, xy, yy, xt, yt, tt):
     A[2, 2] = tt
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def learn_twist(prior, pose, weight, twist):
     """Twist that goes with where the match ended, starting from the prior's.
 
@@ -221,7 +221,7 @@ def learn_twist(prior, pose, weight, twist):
         )
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def prior_weight_at(pose, prior_pose, information):
     """Weight of the prediction: its error has Student's distribution, so one that is far off gives way; [12].
 
@@ -240,7 +240,7 @@ def prior_weight_at(pose, prior_pose, information):
     return min(1.0, (STUDENT + 3.0) / (STUDENT + chi2))
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def fine_align(
     returns,
     normals,
@@ -319,7 +319,7 @@ def fine_align(
     return cost, used, inliers, weight
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def match_scan(returns, normals, prior, start, grid, settings, doubt_inlier_ratio, xy_base):
     """Pose of a scan in a sub-map.
 

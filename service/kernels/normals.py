@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 
 WALL_M = 0.004  # how even a wall is, at best
 BEAMS_EACH_SIDE, MOST_BEAMS_EACH_SIDE = 4, 32  # of a window
@@ -24,7 +24,7 @@ CLEAN = 1.0  # spread across, at most, over what noise explains
 LEAST_RUNS, MOST_BEAM_GAP = 30, 4  # of three beams, that noise is seen in; steps between the beams of a run
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazing_weight, normals):
     """Principal axes of each point and its contiguous neighbours.
 
@@ -93,7 +93,7 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazin
         normals[i, 2] = weight
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def plane_beside_edge(xy_base, sensor_xy_m, range_m, sums, i, first, end, reach, square_m2, grazing_weight):
     """Unit normal (2,) and weight of point i by the longest clean window to one side; ROUGH_WEIGHT: none is.
 
@@ -139,7 +139,7 @@ def plane_beside_edge(xy_base, sensor_xy_m, range_m, sums, i, first, end, reach,
     return nx, ny, weight
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def plane_at(xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazing_weight):
     """Unit normal (2,) of point i by the points low to high - 1, its weight, and their spread across.
 
@@ -203,7 +203,7 @@ def plane_at(xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazi
     return nx, ny, weight, excess
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def range_beside(range_m, first, i, end):
     """Mean range of the two points beside point i of a run, m: free of the error of its own."""
     total = 0.0
@@ -217,7 +217,7 @@ def range_beside(range_m, first, i, end):
     return total / count if count > 0 else range_m[i]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def range_noise(xy_raw, beam, sensor_xy_m):
     """Noise of a range as a scan shows it, m; 0.0 where it shows none: fewer than 30 runs of three beams.
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.rays import begin_ray
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
 
@@ -41,7 +41,7 @@ class Evidence(NamedTuple):
     most: int
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def touch_tile(grid, tile_row, tile_column):
     """Slot of a tile, made where there was none."""
     slot = find_tile(grid.tiles, tile_row, tile_column)
@@ -53,7 +53,7 @@ def touch_tile(grid, tile_row, tile_column):
     return slot
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def weigh_cell(old, amount, evidence):
     """Evidence of a cell, by what it was and what a scan says to it; 0 is kept for "never seen"."""
     new = min(max(old + amount, evidence.least), evidence.most)
@@ -62,13 +62,13 @@ def weigh_cell(old, amount, evidence):
     return new
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def cell_in_tiles(slot, row, column):
     """Number of a cell among those of all tiles, one after the other; row and column in the map."""
     return (slot << 2 * TILE_BITS) | ((row & TILE_MASK) << TILE_BITS) | (column & TILE_MASK)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def trace_scan(xy_base, sensor_xy_m, pose, grid, evidence, free_range_m, scan_number):
     """Weigh the cells that a scan saw: end points first, so that no beam clears what another one hit.
 
@@ -142,7 +142,7 @@ def trace_scan(xy_base, sensor_xy_m, pose, grid, evidence, free_range_m, scan_nu
             next_row += 0.0 if is_column else per_row
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def evidence_at(grid, row, column):
     """Evidence of a cell, 0 where no tile is."""
     slot = find_tile(grid.tiles, row >> TILE_BITS, column >> TILE_BITS)
@@ -151,7 +151,7 @@ def evidence_at(grid, row, column):
     return np.int64(grid.evidence[slot, row & TILE_MASK, column & TILE_MASK])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_overlap(xy_base, pose, grid):
     """How many points lie on walls, and how many where nothing stands.
 
@@ -182,7 +182,7 @@ def count_overlap(xy_base, pose, grid):
     return on_walls, in_free
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def to_per_cent(evidence, per_step, cells):
     """Log-odds -> occupancy in per cent; -1 where never seen.
 
@@ -204,7 +204,7 @@ def to_per_cent(evidence, per_step, cells):
     return differs
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def write_tiles(tile_row, tile_column, laid, grid):
     """Put other tiles in the place of all that a map holds; those that it holds besides become unknown.
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def order_rising(values, order):
     """Where the smallest value stands, the next one and so on; of equal ones the first comes first.
 
@@ -36,7 +36,7 @@ def order_rising(values, order):
         width *= 2
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def kth_smallest(values, count, k):
     """The value that stands at place k, from 0, among the first `count` once they are sorted.
 

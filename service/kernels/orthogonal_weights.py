@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import kernel
 from service.kernels.surfels import TILE_BITS, TILE_MASK  # read_field knows tiles of this size
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
 
@@ -29,7 +29,7 @@ class WeightedLayer(NamedTuple):
     cell_m: float
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def shares_of_three(offset, sigma, shares):
     """How a Gaussian is spread over the cell of its point and those on both sides, along one axis.
 
@@ -46,7 +46,7 @@ def shares_of_three(offset, sigma, shares):
         below = above
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def insert_weighted(xy_map, segment, sigma_cells, about_point, rule, layer):
     """Blur the points of a scan into 3 x 3 cells each.
 

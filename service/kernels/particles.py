@@ -2,10 +2,10 @@
 
 import math
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def normalise_weights(log_weights, weights):
     """Weights that add up to 1, and how many particles they are worth.
 
@@ -29,7 +29,7 @@ def normalise_weights(log_weights, weights):
     return 1.0 / squares
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def resample(weights, first, chosen):
     """Low-variance resampling: one random number for all.
 

@@ -4,17 +4,17 @@ import math
 
 import numpy as np
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.linear3 import solve_3x3
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def wrap(theta):
     """The same direction in [-pi, pi)."""
     return (theta + math.pi) % (2.0 * math.pi) - math.pi
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def invert_3x3(A, inverse):
     """Inverse of a symmetric positive definite matrix; False, and `inverse` undefined, where it is not.
 
@@ -32,7 +32,7 @@ def invert_3x3(A, inverse):
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rotate_information(information, theta, rotated):
     """Information of (x, y, theta) from axes that are turned by theta into the axes they are turned in.
 
@@ -56,7 +56,7 @@ def rotate_information(information, theta, rotated):
             rotated[i, j] = total
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def add_prior(pose, prior_pose, information, H, g):
     """Add the prior to the normal equations; returns its cost.
 
@@ -79,7 +79,7 @@ def add_prior(pose, prior_pose, information, H, g):
     return cost
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def weakest_direction(H):
     """How well a Hessian over x, y, theta fixes the position where it fixes it least.
 

@@ -2,12 +2,12 @@
 
 import math
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import kernel
 
 SLACK = 1e-9  # relative, for sums in another order
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def may_see_posts_mostly(xy, beam, gap, sensor_xy, step_rad, most_width_m, least_step_m, least_share):
     """Whether points in narrow runs are at least `least_share` of all. Never False where they are.
 

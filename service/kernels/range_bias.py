@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import kernel
 from service.kernels.linear3 import solve_3x3
 from service.kernels.match import point_information
 from service.kernels.surfels import find_surfels
@@ -12,7 +12,7 @@ from service.kernels.surfels import find_surfels
 LEAST_COSINE = 0.1  # of the incidence: beams that graze more say nothing of a range
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def bias_at(curve_m, node_m, range_m):
     """Value of a curve between its nodes, m; beyond the last one that of the last.
 
@@ -25,7 +25,7 @@ def bias_at(curve_m, node_m, range_m):
     return curve_m[k] + (at - k) * (curve_m[k + 1] - curve_m[k])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def shorten_ranges(xy, sensor_xy_m, curve_m, node_m, shortened):
     """Take the bias out of points, each along its beam.
 
@@ -44,7 +44,7 @@ def shorten_ranges(xy, sensor_xy_m, curve_m, node_m, shortened):
         shortened[i, 1] = xy[i, 1] - share * y
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def see_bias(xy_base, normals, pose, sensor_xy_m, grid, settings, node_m, information, weighted_m):
     """What a matched scan says of the bias at the nodes, whatever its pose; [21].
 

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 
 NO_HIT = -1
 CORNER_SLACK = 1e-9  # how far beyond its ends a segment still stops a ray, in its own lengths: closes corners
@@ -17,7 +17,7 @@ BORDER_SLACK_M = (
 )
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def _touches_cell(segment, left, bottom, cell_m):
     """Whether a segment (4,) comes within BORDER_SLACK_M of the square with this lower left corner."""
     t_in, t_out = 0.0, 1.0
@@ -34,7 +34,7 @@ def _touches_cell(segment, left, bottom, cell_m):
     return t_in <= t_out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def index_segments(segments, grid_frame, rows, columns):
     """Sort segments into the cells of a grid.
 
@@ -76,7 +76,7 @@ def index_segments(segments, grid_frame, rows, columns):
     return cell_span, cell_items
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def _segment_distance(x, y, c, s, segment):
     """Way along the ray from (x, y) in direction (c, s) to a segment (4,), m; inf where it misses."""
     ex, ey = segment[2] - segment[0], segment[3] - segment[1]
@@ -91,7 +91,7 @@ def _segment_distance(x, y, c, s, segment):
     return along
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def _disc_distance(x, y, c, s, time_s, disc):
     """Way along the ray to a disc (5,) at that time, m; 0 from inside it, inf where it misses."""
     dx, dy = disc[0] + time_s * disc[2] - x, disc[1] + time_s * disc[3] - y
@@ -105,7 +105,7 @@ def _disc_distance(x, y, c, s, time_s, disc):
     return along - math.sqrt(square)
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def _clip(start, way, low, high, t_in, t_out):
     """The part of [t_in, t_out] for which low <= start + t * way <= high."""
     if abs(way) < 1e-12:
@@ -114,7 +114,7 @@ def _clip(start, way, low, high, t_in, t_out):
     return max(t_in, min(t_a, t_b)), min(t_out, max(t_a, t_b))
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def _walk(x, y, c, s, segments, grid_frame, cell_span, cell_items, nearest_m):
     """Nearest segment on a ray closer than nearest_m: (way to it in m, its index), or (nearest_m, NO_HIT)."""
     x0, y0, cell_m = grid_frame
@@ -149,7 +149,7 @@ def _walk(x, y, c, s, segments, grid_frame, cell_span, cell_items, nearest_m):
     return nearest_m, hit
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cast_rays(rays, segments, discs, grid_frame, cell_span, cell_items, range_max_m):
     """Where rays end.
 

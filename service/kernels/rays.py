@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def begin_ray(u, v, du, dv):
     """Where the walk through the cells between two points begins, and how it goes on.
 

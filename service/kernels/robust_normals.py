@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.ordering import kth_smallest
 
 MOST_NEIGHBOURS = 21
@@ -14,7 +14,7 @@ CHI2_MEDIAN = 1.386
 LEAST_VARIANCE_M2 = 1e-12  # keeps a perfect line from having no covariance
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def estimate_orientations(
     xy_base, sensor_xy_m, angle_step_rad, beams_each_side, half_length_m, thin_m, angle
 ):
@@ -60,7 +60,7 @@ def estimate_orientations(
             angle[i] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def moments(window, chosen, n):
     """Mean and covariance (xx, xy, yy) of the chosen ones of n points."""
     size = 0
@@ -83,7 +83,7 @@ def moments(window, chosen, n):
     return mx, my, a / size + LEAST_VARIANCE_M2, b / size, d / size + LEAST_VARIANCE_M2
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def concentrate(window, n, distance, chosen):
     """Choose the points that are no outliers, by the subset of least covariance determinant.
 
@@ -126,7 +126,7 @@ def concentrate(window, n, distance, chosen):
         chosen[k] = distance[k] <= CHI2_975 * scale
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def mahalanobis(window, n, mx, my, a, b, d, distance):
     """Squared Mahalanobis distance of n points from a mean under the covariance ((a, b), (b, d))."""
     determinant = a * d - b * b
@@ -136,7 +136,7 @@ def mahalanobis(window, n, mx, my, a, b, d, distance):
         distance[k] = (d * x * x - 2.0 * b * x * y + a * y * y) / determinant
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def balance_weights(angle, middle_count, slope_count, histogram, weight):
     """Weight of each point by how many share its orientation: together a small group counts for little, a
     large one for 1, however large.

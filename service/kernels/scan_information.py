@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel
 from service.kernels.linear3 import diagonalise_3x3
 
 CLUSTER_BEAMS = 16  # neighbours whose normals share most of their points
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def chance_variance(evidence, along):
     """Variance, by chance alone, of what `shared` says along a direction; [22].
 
@@ -35,7 +35,7 @@ def chance_variance(evidence, along):
     return variance + total * total
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def scan_information(H, shared, evidence, chance_chi2, damping, information):
     """What a scan says of the pose, and how much of its gradient to follow; [15].
 

@@ -2,11 +2,11 @@
 
 import math
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel
 from service.kernels.pose_information import wrap
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def compose(a, b, out):
     """a * b of poses (3,); out may be either."""
     c = math.cos(a[2])
@@ -18,7 +18,7 @@ def compose(a, b, out):
     out[1] = y
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def between(a, b, out):
     """a^-1 * b of poses (3,)."""
     c = math.cos(a[2])
@@ -30,7 +30,7 @@ def between(a, b, out):
     out[2] = wrap(b[2] - a[2])
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def exponential(x, y, turn, out):
     """Pose reached by a constant twist times duration."""
     if abs(turn) < 1e-6:
@@ -45,7 +45,7 @@ def exponential(x, y, turn, out):
     out[2] = wrap(turn)
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def logarithm(pose, out):
     """Twist times duration that leads to a pose; inverse of exponential."""
     half = 0.5 * pose[2]

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.rays import begin_ray
 from service.kernels.surfels import (
     COUNT,
@@ -79,7 +80,7 @@ def looks_through(surfels, slot, row, column, reach_m, u, v, du, dv, behind_m):
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks):
     """Count the cells in which a key frame has end points; points where it was free until now get weight 0.
 
@@ -118,7 +119,7 @@ def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks)
             normals[i, 2] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, sightings, settings, number, ticks):
     """Take away surfels that beams of a key frame look through, and remember which cells are free.
 
@@ -179,7 +180,7 @@ def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, sightings, settings, nu
                 next_row += per_row
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def score_at(slots, first_row, first_column, score, row, column):
     """Score of a cell, 0 where no tile is; slots, first_row and first_column as in TileIndex."""
     slot = slot_at(slots, (row >> TILE_BITS) - first_row, (column >> TILE_BITS) - first_column)
@@ -188,7 +189,7 @@ def score_at(slots, first_row, first_column, score, row, column):
     return np.int64(score[slot, row & TILE_MASK, column & TILE_MASK])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def weigh_static_score(xy_base, pose, grid, sightings, settings, normals):
     """Let points count by how long something stands where they lie, against what stands longest in the scan.
 
@@ -245,7 +246,7 @@ def weigh_static_score(xy_base, pose, grid, sightings, settings, normals):
             normals[i, 2] *= gain
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_contradicting(xy_base, sensor_xy_m, normals, pose, grid, sightings, behind_m):
     """How many points lie where key frames looked through and nothing stands in the 3 x 3 cells around, and
     how many clearly behind something that stands, on ground that nobody knows.

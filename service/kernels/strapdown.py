@@ -4,14 +4,14 @@ import math
 
 import numpy as np
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import kernel
 
 # Rows of the 15 error states: position, velocity, attitude, biases of accelerometer and gyroscope.
 POSITION, VELOCITY, ATTITUDE, FORCE_BIAS, RATE_BIAS = 0, 3, 6, 9, 12
 STATES = 15
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rotation_of(vector, rotation):
     """Rotation by a rotation vector (Rodrigues).
 
@@ -31,7 +31,7 @@ def rotation_of(vector, rotation):
     rotation[2, 0], rotation[2, 1], rotation[2, 2] = k * x * z - s * y, k * y * z + s * x, c + k * z * z
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def strapdown_step(position, velocity, rotation, force_mps2, rate_radps, gravity_mps2, time_s, transition):
     """Move the navigation state by one step, and write how its error goes on.
 

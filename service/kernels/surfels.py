@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
 
 TILE_BITS = 5
@@ -52,7 +52,7 @@ class Around(NamedTuple):
     used: npt.NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def nothing_around(count):
     """Around for so many points, before the first search."""
     cell = np.empty((count, 2), np.int64)
@@ -66,7 +66,7 @@ def nothing_around(count):
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def touch_tile(grid, tile_row, tile_column):
     """Slot of a tile of the grid; made, and cleared, where there was none."""
     slot = find_tile(grid.tiles, tile_row, tile_column)
@@ -78,7 +78,7 @@ def touch_tile(grid, tile_row, tile_column):
     return slot
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def insert_surfels(xy_base, normals, pose, grid, count_limit, point_count):
     """Merge the points of a scan into the surfels of a sub-map whose index covers them.
 
@@ -138,13 +138,13 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit, point_count):
         surfels[slot, r, q, side, COUNT] = n + own
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
     """The wall beside each point, searched for once: see find_surfels_again."""
     find_surfels_again(xy_base, normals, pose, grid, least_cosine, nothing_around(xy_base.shape[0]), found)
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def find_surfels_again(xy_base, normals, pose, grid, least_cosine, around, found):
     """The wall beside each point: mean of the surfels in the 3 x 3 cells around it that face the same way.
 

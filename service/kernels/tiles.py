@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 
 NO_TILE = -1
 
@@ -25,7 +25,7 @@ class TileIndex(NamedTuple):
     counts: npt.NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def slot_at(slots, row, column):
     """Slot at a place of TileIndex.slots, NO_TILE outside; for loops, where a TileIndex costs a reference."""
     if row < 0 or column < 0 or row >= slots.shape[0] or column >= slots.shape[1]:
@@ -33,13 +33,13 @@ def slot_at(slots, row, column):
     return slots[row, column]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_tile(index, tile_row, tile_column):
     """Slot of a tile, NO_TILE where there is none or where it lies outside the index."""
     return slot_at(index.slots, tile_row - index.origin[0], tile_column - index.origin[1])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def take_slot(index, tile_row, tile_column):
     """Give a tile that has none a slot. The caller has made sure that index and pool have room.
 
@@ -56,7 +56,7 @@ def take_slot(index, tile_row, tile_column):
     return slot, used_before
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def farthest_m2(xy):
     """Square of the distance of the farthest of some points, (N, 2) float64 m, from the origin, m^2."""
     farthest = 0.0

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.se2 import between, compose, exponential, logarithm
 
 LAG_WINDOW_NS = 200_000_000  # over which a speed is taken that a lag of the stamps is multiplied by
@@ -28,7 +28,7 @@ class Track(NamedTuple):
     span: npt.NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def last_at_or_before(track, stamp_ns):
     """Row of the newest sample that is not after a moment; span[0] - 1 where all are."""
     low = track.span[0]
@@ -42,7 +42,7 @@ def last_at_or_before(track, stamp_ns):
     return low - 1
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def odometry_twist(track, row, window_ns, twist):
     """Speed between a sample and an earlier one at least window_ns away, so that ticks average out.
 
@@ -66,7 +66,7 @@ def odometry_twist(track, row, window_ns, twist):
     return True
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def odometry_at(track, stamp_ns, settings, pose, twist):
     """Pose (3,) and twist (3,) that odometry gives at a moment.
 
@@ -98,7 +98,7 @@ def odometry_at(track, stamp_ns, settings, pose, twist):
     return track.value[row, 3], track.value[row, 4], abs(elapsed_s), 0.0
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def mean_twist(track, stamp_ns, settings, twist):
     """Mean speed (3,) over LAG_WINDOW_NS about a moment: what a lag of the stamps is multiplied by.
 
@@ -115,7 +115,7 @@ def mean_twist(track, stamp_ns, settings, twist):
         twist[i] /= LAG_WINDOW_NS * 1e-9
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def bridge_s3(since_s, gap_s):
     """Variance of a pose between two samples, over the density of acceleration; [8]."""
     if gap_s <= 0.0:
@@ -124,7 +124,7 @@ def bridge_s3(since_s, gap_s):
     return (since_s * left_s / gap_s) ** 3 / 3.0
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def turned_to(track, stamp_ns):
     """Angle that the gyro has turned up to a moment since the first sample; it goes on at its last rate."""
     row = last_at_or_before(track, stamp_ns)
@@ -133,7 +133,7 @@ def turned_to(track, stamp_ns):
     return track.value[row, 0] + share * (track.value[row + 1, 0] - track.value[row, 0])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def begin_twist(track, stamp_ns, settings, twist):
     """Speed (3,) that odometry gives at the first scan."""
     pose = np.empty(3)

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import kernel
 
 MOST_GAP = 64  # beams; returns farther apart are no neighbours
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def usual_gap(beam):
     """From one return to the next, in beams, where they are neighbours: the most common gap; 1 where none is.
 

@@ -2,13 +2,13 @@
 
 import math
 
-from service.kernel_compiler import njit
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.deskew import deskew_points
 from service.kernels.likelihood_lm import align_points
 from service.kernels.pose_information import wrap
 
 
-@njit(cache=True, nogil=True)
+@inner_kernel
 def log_motion(dx, dy, turn, motion):
     """Twist times duration that leads to a pose (dx, dy, turn) seen from the start.
 
@@ -22,7 +22,7 @@ def log_motion(dx, dy, turn, motion):
     motion[2] = turn
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def velocity_between(start, pose, elapsed_s, twist):
     """Constant body twist that leads from one pose to the next.
 
@@ -40,7 +40,7 @@ def velocity_between(start, pose, elapsed_s, twist):
         twist[k] /= elapsed_s
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def align_level(
     returns, weights, prior_pose, prior_information, start, elapsed_s, twist_gain,
     field, settings, most_steps, xy_base, pose, twist, H,

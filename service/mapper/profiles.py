@@ -53,6 +53,9 @@ def _imported(name: str) -> Method:
     return method
 
 
+# of what is compiled apart, by how long it takes; the drive that needs all of it comes last
+LONGEST_FIRST: tuple[Slot, ...] = ("matcher", "motion_model", "local_map", "deskew", "free_space", "graph")
+
 METHODS: dict[str, Callable[[], Method]] = {
     name: partial(_imported, name)
     for name in ("corridor", "contour_lm", "imle", "submap_graph", "owolm_eskf")
@@ -290,19 +293,35 @@ def warm_up_steps(
     back_end_elsewhere   the graph's back end works in another process, which compiles or loads its kernels
         itself: they are left out here, and the solver is not imported
     """
-    configs = [mapping_config({"profile": name}) for name in METHODS] if config is None else [config]
-    kinds = {
-        kind.name: kind
-        for c in configs
-        for slot, kind in chosen_components(c.profile, c.components).items()
-        if not (back_end_elsewhere and slot == "graph")
-    }
-    first = [kind.warm_up_core for kind in kinds.values() if kind.warm_up_core is not None]
-    last = [kind.warm_up for kind in kinds.values() if kind.warm_up is not None]
+    configs, kinds = _warmed_up(config, back_end_elsewhere)
+    first = [kind.warm_up_core for kind in kinds if kind.warm_up_core is not None]
+    worker = ElsewhereWorker if back_end_elsewhere else InlineWorker
+    drives = [partial(_drive, c, worker) for c in configs]
+    return [*first, *drives, *seldom_steps(config, back_end_elsewhere)]
+
+
+def seldom_steps(
+    config: MappingConfig | None = None, back_end_elsewhere: bool = False
+) -> list[Callable[[], Any]]:
+    """The last of warm_up_steps: what not every scan calls."""
+    _, kinds = _warmed_up(config, back_end_elsewhere)
+    last = [kind.warm_up for kind in kinds if kind.warm_up is not None]
     if config is None or config.mode == "localization":
         last.append(warm_up_changes)
-    worker = ElsewhereWorker if back_end_elsewhere else InlineWorker
-    return [*first, *(partial(_drive, c, worker) for c in configs), *last]
+    return last
+
+
+def _warmed_up(
+    config: MappingConfig | None, back_end_elsewhere: bool
+) -> tuple[list[MappingConfig], list[ComponentKind]]:
+    configs = [mapping_config({"profile": name}) for name in METHODS] if config is None else [config]
+    kinds: dict[str, ComponentKind] = {}
+    for c in configs:
+        chosen = chosen_components(c.profile, c.components)
+        for slot in LONGEST_FIRST:
+            if slot in chosen and not (back_end_elsewhere and slot == "graph"):
+                kinds.setdefault(chosen[slot].name, chosen[slot])
+    return configs, list(kinds.values())
 
 
 def _drive(config: MappingConfig, new_worker: NewWorker) -> None:

@@ -55,6 +55,7 @@ from service.runtime.mapper_messages import (
 )
 from service.runtime.mapping import MapperError, MappingLoop
 from service.runtime.standby_schedule import StandbySchedule
+from service.seldom_kernels import SeldomKernels
 
 log = logging.getLogger(__name__)
 
@@ -66,10 +67,14 @@ MOST_AT_ONCE = 100  # samples taken without a look at what else there is to do
 class MapperProcess:
     """One mapper, and what it needs to be there twice."""
 
-    def __init__(self, folder: Path, setup: Setup, channel: Channel) -> None:
+    def __init__(
+        self, folder: Path, setup: Setup, channel: Channel, seldom: SeldomKernels | None = None
+    ) -> None:
+        """seldom: kernels that another process compiles still."""
         self._folder = folder
         self._setup = setup
         self._channel = channel
+        self._seldom = seldom
         self._can_copy = True
         self._stays = False  # where the back end dies: then no loops are closed any more
         self._back_end = BackEndProcess(
@@ -127,6 +132,7 @@ class MapperProcess:
                     self._told_can_copy = self._can_copy
                     self._send(CanCopy(self._can_copy))
                 self._loop.keep_up(is_idle=not self._items)
+                self._load_seldom()
                 if self._is_copy_due():
                     self._copy()
             self._loop.finish()
@@ -171,6 +177,13 @@ class MapperProcess:
             self._schedule.make_next_at_once()
         else:
             self._items.append(message)
+
+    def _load_seldom(self) -> None:
+        if self._seldom is None or self._items:
+            return
+        self._seldom.load_next()
+        if self._seldom.is_done:
+            self._seldom = None
 
     def _send(self, message: Any) -> None:
         self._channel.send(message)
@@ -263,9 +276,10 @@ def _told() -> MappingConfig | None:
         return None  # ingest refuses it
 
 
-def _load(config: MappingConfig, channel: Channel) -> None:
+def _load(config: MappingConfig, channel: Channel) -> bool:
+    """Whether kernels are left to be compiled that not every scan needs."""
     warm_up_encoding()
-    warm_up_kernels(config, back_end_elsewhere=True, progress=_progress(channel))
+    return warm_up_kernels(config, back_end_elsewhere=True, progress=_progress(channel), leaves_seldom=True)
 
 
 def main() -> int:
@@ -276,20 +290,21 @@ def main() -> int:
         told = _told()
         channel = connect(folder)
         channel.send(Hello(os.getpid(), 0, is_standby=False))
+        is_left = False
         if told is not None:  # while ingest imports, and checks the config
             set_up_logging(logging.INFO)
-            _load(told, channel)
+            is_left = _load(told, channel)
         while not (messages := channel.receive_within(CONNECT_S)):
             pass  # ingest is on its way, or gone, which ends this
         (setup,) = messages
         set_up_logging(setup.log_level)
         config = mapping_config(dict(setup.mapping))
         if config != told:
-            _load(config, channel)
+            is_left = _load(config, channel)
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # stand-bys end when nobody needs them any more
         gc.collect()
         gc.freeze()  # what stands now stands for the whole run; a full collection would stall a scan
-        process = MapperProcess(folder, setup, channel)
+        process = MapperProcess(folder, setup, channel, SeldomKernels(config) if is_left else None)
         process.run()
     except ChannelClosedError:
         return 0  # ingest is gone

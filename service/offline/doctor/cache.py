@@ -9,6 +9,8 @@ from service.offline.doctor.findings import Finding, fault, note, ok
 from service.offline.doctor.folders import cannot_write, nearest_parent
 from service.offline.doctor.machine import Machine
 
+KERNEL_DECORATORS = ("kernel", "inner_kernel")  # of service/kernels/compiled.py
+
 
 def look_at_cache(machine: Machine) -> Finding:
     """Where numba keeps machine code, whether it can, and how many kernels are there already."""
@@ -54,13 +56,11 @@ def _cold_kernels(place: Path) -> tuple[int, int]:
 
 
 def _cached_functions(source: Path) -> list[tuple[str, int]]:
-    """Name and first line, that of the decorator, of every function with `cache=True`."""
+    """Name and first line, that of the decorator, of every kernel; and of what says `cache=True` itself."""
     found = []
     for node in ast.parse(source.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.FunctionDef):
-            cached = [
-                d for d in node.decorator_list if isinstance(d, ast.Call) and "cache=True" in ast.unparse(d)
-            ]
-            if cached:
+            words = [ast.unparse(decorator) for decorator in node.decorator_list]
+            if any(word in KERNEL_DECORATORS or "cache=True" in word for word in words):
                 found.append((node.name, min(d.lineno for d in node.decorator_list)))
     return found

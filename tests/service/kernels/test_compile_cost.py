@@ -5,13 +5,19 @@ from pathlib import Path
 
 import pytest
 
-KERNELS = Path(__file__).parents[3] / "service" / "kernels"
+TREE = Path(__file__).parents[3]
+KERNELS = TREE / "service" / "kernels"
+PACKAGE = "service.kernels."
+
+
+def is_of_kernel(decorator: str) -> bool:
+    return decorator in ("kernel", "inner_kernel") or "njit" in decorator
 
 
 def checked_copies(source: str) -> list[int]:
     """Lines of kernels with `a[:] = b`: a copy by slice brings in numba's shape errors, 8 to 12 s each."""
     functions = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
-    kernels = [f for f in functions if any("njit" in ast.unparse(by) for by in f.decorator_list)]
+    kernels = [f for f in functions if any(is_of_kernel(ast.unparse(by)) for by in f.decorator_list)]
     lines = []
     for node in (node for kernel in kernels for node in ast.walk(kernel)):
         if not isinstance(node, ast.Assign) or isinstance(node.value, ast.Constant):
@@ -28,7 +34,8 @@ def checked_copies(source: str) -> list[int]:
 
 def test_a_copy_by_slice_is_seen() -> None:
     body = "    a[:] = b\n    a[0] = b\n    a[:] = 0.0\n    a[:, 1] = c\n"
-    assert checked_copies(f"@njit(cache=True)\ndef f(a, b, c):\n{body}") == [3, 6]
+    for decorator in ("kernel", "inner_kernel", "njit(cache=True)"):
+        assert checked_copies(f"@{decorator}\ndef f(a, b, c):\n{body}") == [3, 6]
     assert checked_copies(f"def f(a, b, c):\n{body}") == []  # numpy's
 
 
@@ -36,3 +43,47 @@ def test_a_copy_by_slice_is_seen() -> None:
 def test_kernels_copy_by_loop(module: Path) -> None:
     lines = checked_copies(module.read_text(encoding="utf-8"))
     assert not lines, f"{module.name}: lines {lines}; use linear3.copy_vector or copy_matrix"
+
+
+def decorated(module: Path, name: str) -> set[str]:
+    functions = [n for n in ast.parse(module.read_text("utf-8")).body if isinstance(n, ast.FunctionDef)]
+    return {f.name for f in functions if name in map(ast.unparse, f.decorator_list)}
+
+
+def imported(source: str) -> set[tuple[str, str]]:
+    """Module and name of every kernel that Python code takes by its name."""
+    return {
+        (node.module.removeprefix(PACKAGE), alias.name)
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(PACKAGE)
+        for alias in node.names
+    }
+
+
+def called_by_kernels(module: Path) -> set[str]:
+    return {
+        node.func.id
+        for node in ast.walk(ast.parse(module.read_text("utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+    }
+
+
+def test_an_import_of_a_kernel_is_seen() -> None:
+    assert imported("from service.kernels.match import wrap, match_scan as m\nfrom service import x\n") == {
+        ("match", "wrap"),
+        ("match", "match_scan"),
+    }
+
+
+def test_python_calls_no_inner_kernel_and_every_inner_kernel_is_called() -> None:
+    """Python that calls one ends with a segmentation fault."""
+    modules = sorted(KERNELS.glob("*.py"))
+    inner = {(module.stem, name) for module in modules for name in decorated(module, "inner_kernel")}
+    assert ("match", "fine_align") in inner
+    for package in ("drivers", "service", "simulators", "tests"):
+        for source in (TREE / package).rglob("*.py"):
+            if source.parent != KERNELS:
+                taken = imported(source.read_text("utf-8")) & inner
+                assert not taken, f"{source.relative_to(TREE)} takes {taken}"
+    called = set().union(*map(called_by_kernels, modules))
+    assert {name for _, name in inner} <= called

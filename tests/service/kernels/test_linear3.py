@@ -1,6 +1,11 @@
 import numpy as np
 
-from service.kernels.linear3 import cholesky_3x3, diagonalise_3x3, solve_3x3
+from service.kernels import linear3
+from tests.service.kernels.inner import from_python
+
+cholesky_3x3 = from_python(linear3.cholesky_3x3)
+diagonalise_3x3 = from_python(linear3.diagonalise_3x3)
+solve_3x3 = from_python(linear3.solve_3x3)
 
 
 def test_solutions_agree_with_numpy() -> None:

@@ -3,25 +3,28 @@ import math
 import numpy as np
 import pytest
 
+from service.kernels import match, pose_information
+from service.kernels import scan_information as information_of_scans
 from service.kernels.deskew import Returns
 from service.kernels.likelihood import LikelihoodField, splat_likelihood
 from service.kernels.likelihood_lm import thin_evenly
-from service.kernels.match import (
-    MatchSettings,
-    Prior,
-    learn_twist,
-    match_scan,
-    point_information,
-    prior_weight_at,
-    surfel_cost,
-    surfel_normal_equations,
-)
+from service.kernels.match import MatchSettings, Prior, match_scan
 from service.kernels.normals import estimate_normals
-from service.kernels.pose_information import add_prior, invert_3x3, rotate_information, weakest_direction
-from service.kernels.scan_information import scan_information
+from service.kernels.pose_information import rotate_information
 from service.kernels.surfels import SurfelGrid, find_surfels, insert_surfels
 from service.mapper.matchers.field_align import align
+from tests.service.kernels.inner import from_python
 from tests.service.kernels.surfel_grids import empty_grid
+
+learn_twist = from_python(match.learn_twist)
+point_information = from_python(match.point_information)
+prior_weight_at = from_python(match.prior_weight_at)
+surfel_cost = from_python(match.surfel_cost)
+surfel_normal_equations = from_python(match.surfel_normal_equations)
+add_prior = from_python(pose_information.add_prior)
+invert_3x3 = from_python(pose_information.invert_3x3)
+weakest_direction = from_python(pose_information.weakest_direction)
+scan_information = from_python(information_of_scans.scan_information)
 
 SIGMA_M = 0.01  # of a range
 SETTINGS = MatchSettings(

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from service.kernels import surfels
 from service.kernels.surfels import (
     MOST_AROUND,
     REACH_CELLS,
@@ -10,13 +11,14 @@ from service.kernels.surfels import (
     TILE_MASK,
     SurfelGrid,
     find_surfels,
-    find_surfels_again,
     insert_surfels,
-    nothing_around,
 )
 from service.kernels.tiles import find_tile
+from tests.service.kernels.inner import from_python
 from tests.service.kernels.surfel_grids import empty_grid
 
+find_surfels_again = from_python(surfels.find_surfels_again)
+nothing_around = from_python(surfels.nothing_around)
 POSE = np.array([0.3, -0.4, 0.7])
 
 

@@ -6,8 +6,6 @@ import numpy as np
 
 from service.kernels.deskew import Returns
 from service.kernels.match import MatchSettings, Prior, match_scan
-from service.kernels.range_bias import see_bias, shorten_ranges
-from service.kernels.static_score import Sightings, count_contradicting
 from service.kernels.surfels import TILE_CELLS, SurfelGrid
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 
@@ -18,14 +16,7 @@ def warm_up_match() -> None:
     prior = Prior(np.zeros(3), np.zeros(3), np.eye(3), np.eye(3))
     settings = MatchSettings(*(kind(1) for kind in get_type_hints(MatchSettings).values()))
     returns = Returns(xy.copy(), np.zeros(1), np.zeros(1, np.int32))
-    grid, normals = _empty_grid(), np.ones((1, 3))
-    match_scan(returns, normals, prior, prior.pose.copy(), grid, settings, 1.0, xy)
-    see_bias(xy, normals, np.zeros(3), np.zeros(2), grid, settings, 1.0, np.empty((2, 2)), np.empty(2))
-    shorten_ranges(xy, np.zeros(2), np.zeros(2), 1.0, xy)
-    tile = np.zeros((1, TILE_CELLS, TILE_CELLS))
-    sightings = Sightings(tile.astype(np.int8), tile.astype(np.uint16))
-    # a scan that fits needs it not
-    count_contradicting(xy, np.zeros(2), normals, np.zeros(3), grid, sightings, 1.0)
+    match_scan(returns, np.ones((1, 3)), prior, prior.pose.copy(), _empty_grid(), settings, 1.0, xy)
 
 
 def _empty_grid() -> SurfelGrid:

@@ -5,6 +5,7 @@ from service.mapper.matchers.search_warm_up import warm_up_search
 from service.mapper.methods.corridor.graph.loop_closing import LoopClosing
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
 from service.mapper.methods.corridor.graph.warm_up import warm_up
+from service.mapper.methods.corridor.insert_warm_up import warm_up_insert
 from service.mapper.methods.corridor.match_warm_up import warm_up_match
 from service.mapper.methods.corridor.submaps import SubmapsConfig, SurfelSubmaps
 from service.mapper.methods.corridor.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
@@ -24,7 +25,11 @@ SURFEL_GAUSS_NEWTON = ComponentKind(
     warm_up_core=warm_up_match,
 )
 SURFEL_SUBMAPS = ComponentKind(
-    "surfel_submaps", SubmapsConfig, lambda config, _: SurfelSubmaps(config), makes=SurfelSubmaps
+    "surfel_submaps",
+    SubmapsConfig,
+    lambda config, _: SurfelSubmaps(config),
+    makes=SurfelSubmaps,
+    warm_up_core=warm_up_insert,
 )
 LOOP_CLOSING = ComponentKind(
     "loop_closing",

@@ -288,7 +288,7 @@ class SurfelSubmaps:
         if self._detached is None or self._misses >= MOST_MISSES:
             if self._detached is not None:
                 self._detached.release()
-            self._detached = self._new_submap()
+            self._detached = self.new_submap()
             self._begin_keyframes()
             self._misses = 0
             self._piece += 1
@@ -334,13 +334,14 @@ class SurfelSubmaps:
         for submap in submaps:
             submap.insert(points, normals, posts, pose)
 
-    def _new_submap(self) -> Submap:
+    def new_submap(self) -> Submap:
+        """An empty one, which belongs to nothing yet."""
         self._next_number += 1
         return Submap(self._next_number - 1, self._pool, self._config)
 
     def _begin_submap(self) -> int | None:
         """Start a sub-map; of three the oldest is closed. Returns its number."""
-        self._pair.append(self._new_submap())
+        self._pair.append(self.new_submap())
         self._travelled_m = 0.0
         if len(self._pair) <= 2:
             return None

@@ -12,8 +12,8 @@ from tests.service.offline.doctor.conftest import FakeTree
 
 COMPILE_ONE = """
 import numpy as np
-from service.kernels.linear3 import cholesky_3x3
-cholesky_3x3(np.eye(3), np.zeros((3, 3)))
+from service.kernels.deskew import deskew_points
+deskew_points(np.zeros((1, 2)), np.zeros(1), np.zeros(3), np.zeros((1, 2)))
 """
 
 
@@ -66,6 +66,7 @@ def test_only_functions_that_numba_keeps_are_counted(tmp_path: Path):
     source.write_text(
         "@njit(cache=True,\n      nogil=True)\ndef kept(x):\n    return x\n\n\n"
         "@njit(nogil=True)\ndef compiled_anew(x):\n    return x\n\n\n"
+        "@kernel\ndef called(x):\n    return x\n\n\n@inner_kernel\ndef inner(x):\n    return x\n\n\n"
         "@vectorised\ndef other(x):\n    return x\n\n\ndef plain(x):\n    return x\n"
     )
-    assert cache._cached_functions(source) == [("kept", 1)]
+    assert cache._cached_functions(source) == [("kept", 1), ("called", 12), ("inner", 17)]
