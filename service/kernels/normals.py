@@ -9,6 +9,9 @@ from service.kernels.compiled import inner_kernel, kernel
 WALL_M = 0.004  # how even a wall is, at best
 BEAMS_EACH_SIDE, MOST_BEAMS_EACH_SIDE = 4, 32  # of a window
 GAP_M, GAP_STEPS = 0.06, 5.0  # points farther apart than GAP_M and so many steps between beams: a gap
+# Beams that graze a wall hit it in steps so long, each longer than the one before by at most so much.
+MOST_STEP_M, MOST_GROWTH = 1.0, 1.5
+IN_LINE_SIGMAS = 3.0
 THICK_SIGMAS = 2.0  # of its spread: a piece thicker than noise by more is no plane
 ANGLE_SIGMA_RAD = 0.1  # a window grows until the wall's direction is known so well
 MOST_ANGLE = 2.0  # times the direction's sigma that is asked for: known worse, a piece is rough
@@ -43,6 +46,7 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazin
     sums = np.zeros((count + 1, 5))  # of x, y, xx, xy, yy up to each point, relative to the sensor
     range_m = np.empty(count)
     first = np.empty(count, np.int64)  # of the run of points without a gap that each belongs to
+    square_m2 = range_sigma_m * range_sigma_m
     for i in range(count):
         x = xy_base[i, 0] - sensor_xy_m[0]
         y = xy_base[i, 1] - sensor_xy_m[1]
@@ -57,9 +61,10 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazin
             gap_m = GAP_M + GAP_STEPS * angle_step_rad * min(range_m[i - 1], range_m[i])
             dx = xy_base[i, 0] - xy_base[i - 1, 0]
             dy = xy_base[i, 1] - xy_base[i - 1, 1]
-            if dx * dx + dy * dy < gap_m * gap_m:
+            if dx * dx + dy * dy < gap_m * gap_m or is_grazed(
+                xy_base, sensor_xy_m, i, angle_step_rad, square_m2
+            ):
                 first[i] = first[i - 1]
-    square_m2 = range_sigma_m * range_sigma_m
     # [16] 12 sigma^2 / (n L^2) is the variance of the direction of n points over the length L: as many beams
     # are wanted each side as make beams^3 spacing^2 this much
     wanted_m2 = 1.5 * (range_sigma_m / ANGLE_SIGMA_RAD) ** 2
@@ -91,6 +96,61 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazin
         normals[i, 0] = nx
         normals[i, 1] = ny
         normals[i, 2] = weight
+
+
+@inner_kernel
+def is_grazed(xy_base, sensor_xy_m, i, angle_step_rad, square_m2):
+    """Whether points i - 1 and i, though far apart, lie on one wall that the beams graze: with two points
+    beside them they are in line.
+
+    Three are not enough: at the edge of a door the beam that lies on both walls ends somewhere between them.
+    """
+    if is_in_line(xy_base, sensor_xy_m, i - 1, angle_step_rad, square_m2):
+        return is_in_line(xy_base, sensor_xy_m, i - 2, angle_step_rad, square_m2) or is_in_line(
+            xy_base, sensor_xy_m, i, angle_step_rad, square_m2
+        )
+    return is_in_line(xy_base, sensor_xy_m, i, angle_step_rad, square_m2) and is_in_line(
+        xy_base, sensor_xy_m, i + 1, angle_step_rad, square_m2
+    )
+
+
+@inner_kernel
+def is_in_line(xy_base, sensor_xy_m, k, angle_step_rad, square_m2):
+    """Whether point k and the two beside it are in line within noise: beams side by side, steps alike."""
+    if k < 1 or k + 1 >= xy_base.shape[0]:
+        return False
+    x = xy_base[k, 0] - sensor_xy_m[0]
+    y = xy_base[k, 1] - sensor_xy_m[1]
+    ax = xy_base[k - 1, 0] - xy_base[k, 0]
+    ay = xy_base[k - 1, 1] - xy_base[k, 1]
+    bx = xy_base[k + 1, 0] - xy_base[k, 0]
+    by = xy_base[k + 1, 1] - xy_base[k, 1]
+    before = ax * ax + ay * ay
+    after = bx * bx + by * by
+    if max(before, after) > min(MOST_STEP_M * MOST_STEP_M, MOST_GROWTH * MOST_GROWTH * min(before, after)):
+        return False
+    if not is_beside(x, y, x + ax, y + ay, angle_step_rad) or not is_beside(
+        x, y, x + bx, y + by, angle_step_rad
+    ):
+        return False
+    # Of the three, the one between is off their line by `off` over the length between the outer two.
+    dx = bx - ax
+    dy = by - ay
+    square = dx * dx + dy * dy
+    off = ax * by - ay * bx
+    across = x * dy - y * dx
+    share = math.sqrt(before / square)
+    variance = square_m2 * across * across / (x * x + y * y)  # of the noise across the line, times `square`
+    variance = variance * (1.0 + share * share + (1.0 - share) * (1.0 - share)) + WALL_M * WALL_M * square
+    return off * off < IN_LINE_SIGMAS * IN_LINE_SIGMAS * variance
+
+
+@inner_kernel
+def is_beside(x, y, other_x, other_y, angle_step_rad):
+    """Whether two points (m, from the sensor) are of beams side by side: no beam between them was lost."""
+    sine = abs(x * other_y - y * other_x)
+    squares = (x * x + y * y) * (other_x * other_x + other_y * other_y)
+    return sine * sine < (1.5 * angle_step_rad) ** 2 * squares
 
 
 @inner_kernel

@@ -117,11 +117,69 @@ def test_a_wall_faces_the_sensor() -> None:
     np.testing.assert_allclose(normals[:, 2], 1.0 / (0.2 + 0.8 * cosine**2), rtol=1e-4)
 
 
+def along_a_corridor(depth_m: float, sigma_m: float = 0.0, end_m: float = 8.0) -> np.ndarray:
+    """The wall 1 m beside the sensor up to 14 m ahead, as beams see it; from 7 to `end_m` it lies deeper."""
+    angles = np.arange(math.pi / 2.0 - STEP_RAD, math.atan2(1.0, 14.0), -STEP_RAD)
+    range_m = 1.0 / np.sin(angles)
+    deeper_m = (1.0 + depth_m) / np.sin(angles)
+    at_m = deeper_m * np.cos(angles)
+    range_m = np.where((at_m > 7.0) & (at_m < end_m), deeper_m, range_m)
+    range_m += np.random.default_rng(3).normal(0.0, sigma_m, len(angles))
+    return range_m[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+def test_beams_that_graze_a_wall_see_it_in_long_steps() -> None:
+    """From 6 m on their points are as far apart as those of two walls elsewhere; up to 1 m it is one wall."""
+    xy = along_a_corridor(0.0, SIGMA_M)
+    normals = normals_of(xy)
+    step_m = np.hypot(*np.diff(xy, axis=0).T)
+    is_far = (xy[:-1, 0] > 6.5) & (step_m < 0.85)
+    assert is_far.sum() == 5
+    assert (normals[:-1][is_far, 2] > 1.0).all()
+    np.testing.assert_allclose(normals[:-1][is_far, :2], [[0.0, -1.0]] * is_far.sum(), atol=0.01)
+    assert (normals[1:][step_m > 1.05, 2] == ROUGH_WEIGHT).all()
+
+
+def test_grazed_points_with_lost_beams_between_are_of_no_known_wall() -> None:
+    xy = along_a_corridor(0.0)
+    every_second = np.delete(xy, np.flatnonzero(xy[:, 0] > 3.0)[1::2], axis=0)
+    step_m = np.hypot(*np.diff(every_second, axis=0).T)
+    is_far = (every_second[:-1, 0] > 4.5) & (step_m < 0.9)
+    assert is_far.sum() >= 4
+    assert (normals_of(every_second)[:-1][is_far, 2] == ROUGH_WEIGHT).all()
+
+
 def test_a_recess_is_no_plane_however_long_the_row_of_points() -> None:
-    """Beams far ahead along a corridor, 30 cm apart, over a door that lies 20 cm deeper."""
-    x = np.arange(3.0, 6.0, 0.3)
-    xy = np.column_stack([x, np.where((x > 4.0) & (x < 5.0), 1.2, 1.0)])
-    assert (normals_of(xy)[:, 2] <= ROUGH_WEIGHT).all()
+    """A sunk door far ahead along a corridor: none of its points turns the wall, nor is turned by it."""
+    xy = along_a_corridor(0.2)
+    normals = normals_of(xy)
+    across_m = np.abs(xy[:, 1] - 1.0)
+    assert (across_m > 0.1).sum() >= 2
+    assert (normals[across_m > 0.1, 2] <= ROUGH_WEIGHT).all()
+    planar = normals[:, 2] >= 1.0
+    np.testing.assert_allclose(normals[planar, :2], [[0.0, -1.0]] * planar.sum(), atol=0.03)
+
+
+def test_a_wall_that_ends_far_ahead_is_not_joined_to_the_next() -> None:
+    """Where it lies 18 cm deeper, its last points and the first of the other wall come in steps alike."""
+    xy = along_a_corridor(0.18, end_m=10.3)
+    normals = normals_of(xy)
+    is_deep = xy[:, 1] > 1.1
+    assert is_deep.sum() >= 4
+    assert (normals[is_deep, 2] > 1.0).all()
+    np.testing.assert_allclose(normals[is_deep, :2], [[0.0, -1.0]] * is_deep.sum(), atol=0.01)
+
+
+def test_a_beam_that_ends_between_two_walls_does_not_join_them() -> None:
+    """At the edge of a door close by, beside the wall's points and in line with the first of the door's."""
+    angles = np.arange(-1.35, -0.9, STEP_RAD)
+    range_m = np.where(angles > -1.15, 1.0, 1.25) / np.sin(-angles)
+    edge = int(np.flatnonzero(angles > -1.15)[0])
+    range_m[edge] = 0.5 * (range_m[edge - 1] + range_m[edge + 1])
+    normals = normals_of(range_m[:, None] * np.column_stack([np.cos(angles), np.sin(angles)]))
+    beside = np.r_[normals[edge - 12 : edge - 1], normals[edge + 2 : edge + 12]]
+    np.testing.assert_allclose(beside[:, :2], [[0.0, 1.0]] * len(beside), atol=0.1)
+    assert (beside[:, 2] >= 1.0).all()
 
 
 def test_the_side_that_is_seen_decides_the_normal() -> None:

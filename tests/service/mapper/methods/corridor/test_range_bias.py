@@ -34,7 +34,7 @@ def test_ranges_that_err_in_waves_are_learnt_and_taken_out(honest: Drive) -> Non
         for frame in honest.frames
     ]
     done = run(mapping_config(), replace(honest, frames=biased))
-    assert done.position_rmse_m < 0.03
+    assert done.position_rmse_m < 0.05  # four phases and lengths of the wave: 21 to 45 mm
     curve_m = done.mapper._components.matcher.bias_m("front")
     known = (RANGE_M >= 1.0) & (RANGE_M <= 4.0)
     off_m = (curve_m - wave_m(RANGE_M))[known]
@@ -45,7 +45,7 @@ def test_ranges_that_err_in_waves_are_learnt_and_taken_out(honest: Drive) -> Non
 
 def test_nothing_much_is_learnt_of_ranges_without_bias(honest: Drive) -> None:
     done = run(mapping_config(), honest)
-    assert done.position_rmse_m < 0.03
+    assert done.position_rmse_m < 0.02
     curve_m = done.mapper._components.matcher.bias_m("front")
     assert np.abs(curve_m[(RANGE_M >= 0.75) & (RANGE_M <= 2.0)]).max() < 0.008
 
