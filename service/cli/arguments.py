@@ -33,20 +33,33 @@ def new_parser() -> Parser:
     parser.add_argument("--version", action="version", version=f"corridor {VERSION}")
     parser.add_argument("-v", "--verbose", action="store_true", help="log every detail")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    _add_live(commands)
-    _add_offline(commands)
+    _add_run(commands)
+    _add_demo(commands)
+    _add_simulate(commands)
+    _add_replay(commands)
+    _add_import(commands)
+    _add_export(commands)
+    _add_calibrate(commands)
+    _add_view(commands)
+    _add_score(commands)
     add_maps(commands, _add)
-    _add_upkeep(commands)
+    _add_check_and_doctor(commands)
+    _add_recover(commands)
+    _add_init(commands)
+    _add_install_unit(commands)
+    _add(commands, "warmup", "compile the kernels and keep them in the cache")
     return parser
 
 
-def _add_live(commands: Any) -> None:
+def _add_run(commands: Any) -> None:
     run = _add(
         commands, "run", "the live service: drivers, mapping, Zenoh, recording, until SIGTERM or Ctrl-C"
     )
     _add_config(run)
     _add_no_web(run)
 
+
+def _add_demo(commands: Any) -> None:
     demo = _add(commands, "demo", "fake devices and the service on this machine, until Ctrl-C")
     demo.add_argument("--seconds", type=_positive, metavar="S", help="end after S seconds")
     demo.add_argument(
@@ -77,13 +90,15 @@ def _add_live(commands: Any) -> None:
     )
     _add_no_web(demo)
 
+
+def _add_simulate(commands: Any) -> None:
     simulate = commands.add_parser(
         "simulate", help="only the fake devices; takes what `python -m simulators` takes", add_help=False
     )
     simulate.add_argument("arguments", nargs=argparse.REMAINDER)
 
 
-def _add_offline(commands: Any) -> None:
+def _add_replay(commands: Any) -> None:
     replay = _add(
         commands, "replay", "recordings through the same mapper; same input, same output, bit for bit"
     )
@@ -131,6 +146,8 @@ def _add_offline(commands: Any) -> None:
     replay.add_argument("--paused", action="store_true", help="with --web: begin when the page says so")
     _add_listen(replay)
 
+
+def _add_import(commands: Any) -> None:
     import_ = commands.add_parser("import", help="a foreign log to a session")
     kinds = import_.add_subparsers(dest="kind", metavar="KIND", required=True)
     carmen = _add(kinds, "carmen", "a CARMEN log, plain or .gz")
@@ -147,11 +164,15 @@ def _add_offline(commands: Any) -> None:
     rosbag.add_argument("log", type=Path, metavar="BAG")
     rosbag.add_argument("out", type=Path, metavar="OUT.mcap")
 
+
+def _add_export(commands: Any) -> None:
     export = _add(commands, "export", "a session, a map or a replay's folder to a file other programs read")
     export.add_argument("input", type=Path, metavar="INPUT")
     export.add_argument("--format", choices=FORMATS, required=True)
     export.add_argument("--out", type=Path, required=True, metavar="PATH")
 
+
+def _add_calibrate(commands: Any) -> None:
     calibrate = _add(
         commands, "calibrate", "mountings, wheel scale, time offsets and latencies of a recorded drive"
     )
@@ -169,6 +190,8 @@ def _add_offline(commands: Any) -> None:
         "--reference", metavar="LASER", help="whose clock and place the others' are compared with"
     )
 
+
+def _add_view(commands: Any) -> None:
     view = _add(
         commands, "view", "a stored map, a result or a recording on the operator's page, until Ctrl-C"
     )
@@ -187,6 +210,8 @@ def _add_offline(commands: Any) -> None:
         "--save", type=Path, metavar="FILE.rrd", help="with --rerun: write a recording for it, open nothing"
     )
 
+
+def _add_score(commands: Any) -> None:
     score = _add(commands, "score", "a trajectory against the truth: ATE, RPE, closure, relations")
     score.add_argument("estimate", type=Path, metavar="EST.tum")
     score.add_argument(
@@ -203,7 +228,7 @@ def _add_offline(commands: Any) -> None:
     )
 
 
-def _add_upkeep(commands: Any) -> None:
+def _add_check_and_doctor(commands: Any) -> None:
     check = _add(commands, "check", "validate a config; every fault with its place and what to write instead")
     _add_config(check)
 
@@ -218,9 +243,13 @@ def _add_upkeep(commands: Any) -> None:
         help="measure each device so long once it streams (default: 3)",
     )
 
+
+def _add_recover(commands: Any) -> None:
     recover = _add(commands, "recover", "a session whose writer died, to a valid MCAP")
     recover.add_argument("file", type=Path, metavar="FILE.mcap.active")
 
+
+def _add_init(commands: Any) -> None:
     init = _add(commands, "init", "write a commented config for the devices that answer")
     init.add_argument(
         "wires",
@@ -244,14 +273,14 @@ def _add_upkeep(commands: Any) -> None:
         "--seconds", type=_positive, default=8.0, metavar="S", help="for each type's answer (default: 8)"
     )
 
+
+def _add_install_unit(commands: Any) -> None:
     install = _add(commands, "install-unit", "systemd unit, sysusers, tmpfiles, udev rules, example config")
     install.add_argument(
         "--root", type=Path, default=Path("/"), metavar="DIR", help="of the system to set up (default: /)"
     )
     install.add_argument("--program", metavar="PATH", help="that the unit starts (default: this command)")
     install.add_argument("--force", action="store_true", help="replace files that were changed there")
-
-    _add(commands, "warmup", "compile the kernels and keep them in the cache")
 
 
 def _add(commands: Any, name: str, help_text: str) -> argparse.ArgumentParser:

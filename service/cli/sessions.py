@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 def replay(parsed: argparse.Namespace) -> int:
     ensure_cache_dir()
-    from service.offline.replay import ReplayOptions, group_sessions, replay_all, result_folders
+    from service.offline.replay import group_sessions, replay_all, result_folders
+    from service.offline.replay_setup import ReplayOptions
 
     sessions = group_sessions(parsed.files)
     folders = result_folders(sessions, parsed.out)

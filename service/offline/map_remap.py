@@ -16,7 +16,9 @@ from service.mapper.methods.corridor.graph.remapping import scans_of, with_area_
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import StoredMap
 from service.offline.map_edit import Change, Changed, edit_map, points_of
-from service.offline.replay import Progress, ReplayOptions, replay
+from service.offline.replay import replay
+from service.offline.replay_run import Progress
+from service.offline.replay_setup import ReplayOptions
 from service.outputs import UNKNOWN, TileUpdate
 
 

@@ -1,9 +1,30 @@
 """Figures of a replay: how long scans took, and how much memory."""
 
+import time
+from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+
+
+class StageTimes:
+    """Stopwatch of the mapper's stages."""
+
+    def __init__(self) -> None:
+        self.laps_ns: defaultdict[str, list[int]] = defaultdict(list)
+        self._at_ns = 0
+
+    def start(self) -> None:
+        self._at_ns = time.perf_counter_ns()
+
+    def lap(self, stage: str) -> None:
+        now_ns = time.perf_counter_ns()
+        self.laps_ns[stage].append(now_ns - self._at_ns)
+        self._at_ns = now_ns
+
+    def p50_ms(self) -> dict[str, float]:
+        return {stage: round(float(np.median(laps)) / 1e6, 3) for stage, laps in self.laps_ns.items()}
 
 
 def percentiles_ms(durations_ns: Sequence[int]) -> dict[str, float]:

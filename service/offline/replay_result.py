@@ -1,0 +1,87 @@
+"""What came out of a replay, and the files of it."""
+
+import json
+import shutil
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from service.encoding import pose_on_wire
+from service.errors import StorageError
+from service.geometry.geo_reference import GeoReference
+from service.geometry.geodesy import UTM_MOST_LATITUDE_DEG
+from service.geometry.se2 import SE2
+from service.mapper.map_changes import MapChanges
+from service.mapper.saved_graph import SavedGraph
+from service.mapstore.annotated import PALETTE, annotated
+from service.mapstore.files import is_map_folder, save_map
+from service.mapstore.geo_file import GEO_FILE, write_geo
+from service.mapstore.picture import picture_of_tiles
+from service.mapstore.png import write_png
+from service.mapstore.ros_map import write_ros_map
+from service.offline.geo_export import write_world_file
+from service.offline.map_change_file import CHANGES_FILE, write_changes
+from service.offline.trajectory import write_tum
+from service.outputs import MapperOutput, TileUpdate
+
+
+@dataclass(slots=True)
+class Replay:
+    """What came out of one recording."""
+
+    outputs: list[MapperOutput]  # as they would have been published
+    poses_map_base: list[SE2]  # of each output, by all that was known in the end
+    tiles: list[TileUpdate]  # of the map at the end; after a reset, of the newest
+    g2o: str  # its graph; "" where the profile has none
+    summary: dict[str, Any]
+    notes: list[str] = field(default_factory=list)
+    geo: GeoReference | None = None  # where its map lies on the earth; None: that is not known
+    graph: SavedGraph | None = None  # with which a later session goes on; None: it cannot
+    changes: MapChanges | None = None  # since the map was stored in which it was localised; None: it was not
+    session: SavedGraph | None = None  # key frames of that map and of the drive behind them; None likewise
+
+
+def write_replay(done: Replay, out: Path) -> None:
+    """trajectory.tum, trajectory_live.tum, map.pgm + map.yaml, map.png, graph.g2o, geo.json, summary.json,
+    and map/, the map as it is stored: `--map` and map.load begin in it. Where it was localised in a stored
+    map, changes.csv: what has changed since.
+
+    There is no graph.g2o where the profile has no graph. Where fixes do not anchor the map there is no
+    geo.json, and none of an earlier replay stays; where they do, map.png has a world file beside it, as far
+    as UTM reaches. Raises StorageError.
+
+    map.png is for people: cropped, with the way, the origin and a scale bar.
+    Poses are written as a subscriber or an export of the live session has them, to the last digit.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        stamps = [output.stamp_ns for output in done.outputs]
+        live = [pose_on_wire(output.pose_map_base) for output in done.outputs]
+        write_tum(out / "trajectory_live.tum", zip(stamps, live, strict=True))
+        write_tum(out / "trajectory.tum", zip(stamps, map(pose_on_wire, done.poses_map_base), strict=True))
+        if done.g2o:
+            (out / "graph.g2o").write_text(done.g2o, encoding="ascii")
+        picture = picture_of_tiles(done.tiles)
+        write_ros_map(out / "map.pgm", out / "map.yaml", picture)
+        shown = annotated(picture, done.poses_map_base)
+        write_png(out / "map.png", shown, PALETTE)
+        for name in (GEO_FILE, "map.pgw", "map.prj"):
+            (out / name).unlink(missing_ok=True)
+        if done.geo is not None:
+            write_geo(out / GEO_FILE, done.geo)
+            if abs(done.geo.origin.latitude_deg) < UTM_MOST_LATITUDE_DEG:
+                write_world_file(out / "map.png", shown, done.geo)
+        write_changes(out / CHANGES_FILE, done.changes)
+        _store_map(done, out / "map")
+        (out / "summary.json").write_text(json.dumps(done.summary, indent=1) + "\n", encoding="ascii")
+    except OSError as error:
+        raise StorageError(f"cannot write to {out}: {error}") from error
+
+
+def _store_map(done: Replay, folder: Path) -> None:
+    """In the place of one of an earlier replay; none where a session could not go on in it."""
+    if is_map_folder(folder):
+        shutil.rmtree(folder)
+    if done.graph is not None and len(done.graph):
+        about = {"profile": str(done.summary["profile"])}
+        save_map(folder, done.tiles, done.outputs[-1].stamp_ns, about, done.geo, done.graph)

@@ -1,0 +1,112 @@
+"""What a replay maps, and how: by --config, else by the recording's own config, else by defaults."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from service.config import (
+    ReplayConfig,
+    laser_names,
+    load_replay_config,
+    mapped_lasers,
+    mountings,
+    parse_replay_config,
+)
+from service.errors import ConfigError, InputError
+from service.geometry.se2 import SE2
+from service.mapper.profiles import MappingConfig, mapping_config, with_profile
+from service.offline.raw_replay import FROM_RAW
+from service.recording.mcap_source import Session
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayOptions:
+    """How to replay. Each None leaves it to the recording, which holds the config it was made with."""
+
+    config: Path | None = None
+    profile: str | None = None
+    rate: float = 0.0  # times real time; 0: as fast as it goes
+    map: Path | None = None  # a stored map to begin in
+    localize: bool = False  # ... which stays as it is
+    from_raw: bool = False  # map what the drivers make of the recorded bytes, not the recorded frames
+
+
+@dataclass(frozen=True, slots=True)
+class ReplaySetup:
+    """How a recording is mapped.
+
+    poses_base_sensor   mountings of lasers, lever arms of antennas
+    lasers              whose scans are mapped
+    is_as_live          all is as it was live: what the mapper left out and when it applied results is
+                        repeated from the recording
+    """
+
+    mapping: MappingConfig
+    poses_base_sensor: Mapping[str, SE2]
+    lasers: Sequence[str]
+    is_as_live: bool
+
+
+def set_up(session: Session, options: ReplayOptions) -> ReplaySetup:
+    """Raises ConfigError where the config cannot be used, and InputError where it maps no laser of these."""
+    recorded = _recorded_config(session, is_needed=options.config is None)
+    config = recorded if options.config is None else load_replay_config(options.config)
+    mapping = _mapping(config, options)
+    configured = mountings(config.sensors) if config is not None else {}
+    poses = {name: configured.get(name, pose) for name, pose in session.mountings.items()}
+    poses |= session.antennas | {name: pose for name, pose in configured.items() if name not in poses}
+    is_as_live = (
+        recorded is not None
+        and mapping == recorded.mapping
+        and (recorded.begin_in is None) == (options.map is None)
+        and FROM_RAW not in session.metadata
+    )
+    if options.localize:
+        mapping = mapping.model_copy(update={"mode": "localization"})
+    if mapping.mode == "localization" and options.map is None:
+        raise ConfigError(["mapping.mode is localization: give the map to localise in by --map"])
+    return ReplaySetup(mapping, poses, _lasers(session, config), is_as_live)
+
+
+def _recorded_config(session: Session, is_needed: bool) -> ReplayConfig | None:
+    """None where the recording holds none, or none that this version reads and --config replaces it."""
+    text = session.metadata.get("config", {}).get("yaml")
+    if text is None:
+        return None
+    try:
+        return parse_replay_config(text, "recorded config")
+    except ConfigError as error:
+        if not is_needed:
+            return None
+        raise ConfigError(
+            [*error.faults, "the recorded config is of another version; give one by --config"]
+        ) from error
+
+
+def _mapping(config: ReplayConfig | None, options: ReplayOptions) -> MappingConfig:
+    mapping = config.mapping if config is not None else mapping_config()
+    if options.profile is None or options.profile == mapping.profile:
+        return mapping
+    try:
+        return with_profile(options.profile, mapping)
+    except ValueError as error:
+        raise ConfigError([f"--profile: {error}"]) from error
+
+
+def _lasers(session: Session, config: ReplayConfig | None) -> Sequence[str]:
+    """Whose scans are mapped: as the config says. Where that knows none of them, those of every laser whose
+    mounting is known; where none is, of the one with most scans.
+    """
+    scans = session.scan_counts
+    if config is None or (config.mapping.lasers is None and not scans.keys() & laser_names(config.sensors)):
+        mounted = sorted(scans.keys() - session.unmounted)
+        return mounted or [min(scans, key=lambda name: (-scans[name], name))]
+    wanted = mapped_lasers(config)
+    lasers = [name for name in wanted if name in scans]
+    if not lasers or (config.mapping.lasers is not None and len(lasers) < len(wanted)):
+        raise InputError(
+            f"{session.recording.paths[0]}: the config maps {' and '.join(wanted) or 'no laser'}, but the "
+            f"scans here are of {' and '.join(scans)}; name some of these in mapping.lasers of a config and "
+            "give it by --config"
+        )
+    return lasers
