@@ -25,10 +25,6 @@ MOST_DESCRIPTORS = 4096
 CONNECT_S = 5.0  # that a copy may take to reach its stand-by: it first ends the work that it has begun
 
 
-class _Begin(NamedTuple):
-    back_end: BackEnd
-
-
 class _Work(NamedTuple):
     number: int
     batch: Any
@@ -53,9 +49,10 @@ class _Failed(NamedTuple):
 class BackEndProcess:
     """Does the work of one back end after the other; waits for nothing but `result`. Needs no thread.
 
-    The process begins with the first back end, so a profile without a graph has none. When it dies where
-    nothing can replace it, that is said once in the log, and all work from then on is lost; it ends when this
-    process ends, however it ends.
+    Each back end gets a process that is forked from this one, so it comes there whatever its size: what a
+    vehicle looks for itself in is 280 MB for an office. A profile without a graph has none. The process
+    before ends once it has done what it was told. When one dies where nothing can replace it, that is said
+    once in the log, and all work from then on is lost; it ends when this process ends, however it ends.
 
     patience_s       how long result() of all its work may keep others waiting, taken together
     is_replaceable   whether a copy of this process could go on with a copy of the back end. Then every call
@@ -66,6 +63,7 @@ class BackEndProcess:
         self.patience_s = self._left_s = patience_s
         self._is_replaceable = is_replaceable
         self._channel: Channel | None = None
+        self._former: list[Channel] = []  # of processes before, which have not taken all that they were told
         self._listener: socket.socket | None = None  # of a stand-by, until its back end is needed
         self._submitted = 0
         self._answers: dict[int, Any] = {}
@@ -90,11 +88,11 @@ class BackEndProcess:
         self._receive(0.0)
 
     def new_worker(self, back_end: BackEnd) -> "ProcessWorker":
-        if self._channel is None and self._listener is None and not self.fault:
-            self._begin()
-        self._unwanted = self._submitted
+        self._unwanted = self._answered = self._submitted
         self._answers.clear()
-        self._send(_Begin(back_end))
+        if not self.fault:
+            self._leave()
+            self._begin(back_end)
         return ProcessWorker(self)
 
     def stop(self) -> None:
@@ -122,6 +120,10 @@ class BackEndProcess:
 
     def forked(self, is_copy: bool) -> None:
         """After the fork: in the copy the back end is the other one, in the parent all is as it was."""
+        if is_copy:
+            for channel in self._former:
+                channel.close()
+            self._former.clear()
         if self._listener is None:
             return
         if is_copy:
@@ -153,11 +155,30 @@ class BackEndProcess:
             return self._answers.pop(number)
         raise WorkLostError(self.fault or f"the back end did not finish within {self.patience_s:g} s")
 
-    def _begin(self) -> None:
+    def _leave(self) -> None:
+        """Tell the process nothing more. A copy that it was told to make is still somebody's."""
+        if self._listener is not None:
+            self._close_listener()
+        if self._channel is not None:
+            self._former.append(self._channel)
+            self._channel = None
+        self._flush_former()
+
+    def _flush_former(self) -> None:
+        for channel in self._former[:]:
+            try:
+                is_over = channel.flush()
+            except ChannelClosedError:
+                is_over = True
+            if is_over:
+                channel.close()
+                self._former.remove(channel)
+
+    def _begin(self, back_end: BackEnd) -> None:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
         pid = os.fork()
         if pid == 0:
-            _live(theirs)
+            _live(theirs, back_end)
         theirs.close()
         self.pid, self._channel = pid, Channel(ours)
 
@@ -187,6 +208,7 @@ class BackEndProcess:
             self._died(error)
 
     def _receive(self, timeout_s: float) -> None:
+        self._flush_former()
         channel = self._connected()
         if channel is None:
             return
@@ -256,7 +278,7 @@ def _kill(pid: int) -> None:
         return  # it has ended, and the system has taken it away
 
 
-def _live(connection: socket.socket) -> None:
+def _live(connection: socket.socket, back_end: BackEnd) -> None:
     """The process, from its fork to its end: when the other side is gone."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD):
         signal.signal(number, signal.SIG_IGN)  # who stops the service stops it too; copies need no burial
@@ -266,7 +288,7 @@ def _live(connection: socket.socket) -> None:
     gc.unfreeze()
     os.nice(NICENESS)
     try:
-        _Server(Channel(connection)).run()
+        _Server(Channel(connection), back_end).run()
     except ChannelClosedError:
         pass
     finally:
@@ -274,9 +296,9 @@ def _live(connection: socket.socket) -> None:
 
 
 class _Server:
-    def __init__(self, channel: Channel) -> None:
+    def __init__(self, channel: Channel, back_end: BackEnd) -> None:
         self._channel = channel
-        self._back_end: BackEnd | None = None
+        self._back_end = back_end
         self._kept: list[_Done] = []  # answers since the last copy: one of the next may still need them
 
     def run(self) -> None:
@@ -288,14 +310,11 @@ class _Server:
                     break  # this is the copy: what came behind is for the one that it was made of
 
     def _take(self, message: Any) -> None:
-        if isinstance(message, _Begin):
-            self._back_end = message.back_end
-        elif isinstance(message, _Copy):
+        if isinstance(message, _Copy):
             self._kept = [done for done in self._kept if done.number > message.answered]
             if os.fork() == 0:
                 self._move_to(message.path)
         else:
-            assert self._back_end is not None
             try:
                 done = _Done(message.number, self._back_end.work(message.batch))
             except Exception as error:  # whatever it is, the state of the back end is unknown now

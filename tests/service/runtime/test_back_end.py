@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from service.mapper.background import BackEndDiedError, WorkLostError
-from service.runtime import back_end
+from service.runtime import back_end, channel
 from service.runtime.back_end import BackEndProcess, ProcessJob, ProcessWorker
 
 
@@ -17,6 +17,7 @@ class Adder:
 
     def __init__(self) -> None:
         self.total = 0
+        self.known_ground = b""
 
     def work(self, batch: object) -> tuple[int, int]:
         if batch == "raise":
@@ -53,6 +54,38 @@ def test_a_new_back_end_takes_the_place_of_one_that_is_closed(process: BackEndPr
     assert first.submit(1).result()[0] == 1
     first.close()
     assert process.new_worker(Adder()).submit(2).result()[0] == 2
+
+
+def test_a_back_end_comes_to_its_process_whatever_its_size(
+    process: BackEndProcess, monkeypatch: pytest.MonkeyPatch
+):
+    """What the place of a vehicle is looked for in is large, and goes with it."""
+    monkeypatch.setattr(channel, "MOST_WAITING_BYTES", 1_000_000)
+    for total in (1, 2):  # the first one, and one of a map that is loaded later
+        large = Adder()
+        large.known_ground = bytes(5_000_000)
+        worker = process.new_worker(large)
+        assert worker.submit(total).result()[0] == total
+
+
+def test_the_process_before_ends_and_a_copy_that_it_was_to_make_is_made(
+    process: BackEndProcess, tmp_path: Path
+):
+    worker = process.new_worker(Adder())
+    assert worker.submit(1).result()[0] == 1
+    first_pid = process.pid
+    assert first_pid is not None
+    process.copy(tmp_path / "copy.sock")
+    copy = BackEndProcess(patience_s=30.0)
+    copy.__dict__.update(process.__dict__)  # as a fork has it
+    copy._answers, copy._former, copy.pid = {}, [], None
+    process._listener, copy._channel = None, None
+    try:
+        assert process.new_worker(Adder()).submit(5).result()[0] == 5
+        assert os.waitpid(first_pid, 0)[0] == first_pid
+        assert ProcessWorker(copy).submit(1000).result()[0] == 1001
+    finally:
+        copy.stop()
 
 
 def test_when_the_process_is_killed_all_work_is_lost_and_nothing_hangs(
