@@ -90,12 +90,24 @@ def mark_warm() -> None:
         (_place() / WARM_NAME).write_text(_compiled_for(), encoding="utf-8")
 
 
-def is_warm() -> bool:
-    """Whether nothing is left to compile, whatever profile maps. Call it after ensure_cache_dir."""
+def is_warm(place: Path | None = None) -> bool:
+    """Whether nothing is left to compile, whatever profile maps. Call it after ensure_cache_dir.
+
+    place   where the kernels are kept; None: where this process keeps them
+    """
     try:
-        return (_place() / WARM_NAME).read_text(encoding="utf-8") == _compiled_for()
+        return ((place or _place()) / WARM_NAME).read_text(encoding="utf-8") == _compiled_for()
     except OSError:
         return False
+
+
+def kernels_in(place: Path) -> int:
+    """How many kernels of the present sources are kept there."""
+    try:
+        is_fresh = (place / DIGEST_NAME).read_text(encoding="ascii") == _digest()
+    except OSError:
+        return 0
+    return sum(path.suffix == ".nbi" for path in _compiled_in(place)) if is_fresh else 0
 
 
 def _place() -> Path:
