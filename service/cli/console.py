@@ -20,7 +20,7 @@ SILENCE_S = 5.0  # the longest
 
 
 def print_result(result: dict[str, Any], as_json: bool) -> None:
-    """The result of a command: one JSON object, or one `name: value` a line."""
+    """The result of a command: one JSON object, or one `name: value` a line, without what is None."""
     if as_json:
         print(json.dumps(result, allow_nan=False))
     else:
@@ -39,7 +39,7 @@ def _lines(result: dict[str, Any], prefix: str) -> Iterator[str]:
     for key, value in result.items():
         if isinstance(value, dict) and value:
             yield from _lines(value, f"{prefix}{key}.")
-        else:
+        elif value is not None:
             shown = f"{value:.6g}" if isinstance(value, float) else value
             yield f"{prefix}{key}: {shown}"
 

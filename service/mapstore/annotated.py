@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from service.geometry.se2 import SE2
+from service.geometry.poses import Floats
 from service.mapstore.picture import GREY_UNKNOWN, Picture, Pixels
 
 WAY, AXIS_X, AXIS_Y, INK = 1, 2, 3, 4
@@ -51,10 +51,10 @@ def scale_bar_m(width_m: float) -> float:
     return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= most)
 
 
-def annotated(picture: Picture, way: Sequence[SE2] = ()) -> Picture:
+def annotated(picture: Picture, ways: Sequence[Floats] = ()) -> Picture:
     """The part of a map that is known, with marks; to be written with PALETTE.
 
-    way    pose_map_base, in the order driven; may be empty
+    ways    (N, 2) m in the map each, N > 0: where the base was, in the order driven. A line each
     """
     left, right, top, bottom = _known(picture)
     width = max(right - left + 2 * MARGIN, LEAST_WIDTH)
@@ -69,8 +69,8 @@ def annotated(picture: Picture, way: Sequence[SE2] = ()) -> Picture:
         return row, np.floor((x_m - x_min_m) / cell_m).astype(np.int64)
 
     marks = []
-    if way:
-        row, column = pixels_of(*_line(np.array([(pose.x_m, pose.y_m) for pose in way]), cell_m / 2.0).T)
+    for way in ways:
+        row, column = pixels_of(*_line(way, cell_m / 2.0).T)
         marks.append(_Mark(WAY, np.concatenate((row, row + 1)), np.concatenate((column, column))))
     for colour, end in ((AXIS_X, (AXIS_M, 0.0)), (AXIS_Y, (0.0, AXIS_M))):
         row, column = pixels_of(*_line(np.array([(0.0, 0.0), end]), cell_m / 2.0).T)

@@ -34,8 +34,8 @@ from service.mapstore.annotated import PALETTE, annotated
 from service.mapstore.arrays import write_arrays
 from service.mapstore.edits import Edit, Version, edit_from_json, edit_to_json, kept_for_ever
 from service.mapstore.geo_file import GEO_FILE, read_geo, write_geo
-from service.mapstore.graph_files import GRAPH_FILE, link_graph, read_graph, write_graph
-from service.mapstore.picture import picture_of_tiles
+from service.mapstore.graph_files import GRAPH_FILE, link_graph, read_graph, ways_of, write_graph
+from service.mapstore.picture import Picture, picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
 from service.outputs import TileUpdate
@@ -87,12 +87,13 @@ def save_map(
         return None
 
     def write(new: Path) -> list[str]:
-        _write_content(new, tiles, saved_ns, dict(about or {}), geo)
+        picture = _write_content(new, tiles, geo)
         names = [*_CONTENT, *([GEO_FILE] if geo is not None else [])]
         if isinstance(graph, Path):
             names += link_graph(graph, new)
         elif graph is not None:
             names += write_graph(new, graph, folder / _name(max(_versions(folder), default=0)))
+        write_png(new / "map.png", annotated(picture, ways_of(new)), PALETTE)
         return names
 
     return _publish(folder, write, saved_ns, dict(about or {}), edit)
@@ -260,10 +261,9 @@ def _too_old(folder: Path) -> list[int]:
 def _write_content(
     new: Path,
     tiles: Sequence[TileUpdate],
-    saved_ns: int,
-    about: dict[str, str],
     geo: GeoReference | None,
-) -> None:
+) -> Picture:
+    """The picture of the map, which other programs read."""
     if geo is not None:
         write_geo(new / GEO_FILE, geo)
     with (new / "tiles.npz").open("wb") as file:
@@ -275,7 +275,7 @@ def _write_content(
         write_arrays(file, arrays)
     picture = picture_of_tiles(tiles)
     write_ros_map(new / "map.pgm", new / "map.yaml", picture)
-    write_png(new / "map.png", annotated(picture), PALETTE)
+    return picture
 
 
 def _write_manifest(

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from service.errors import InputError
+from service.geometry.poses import Floats
 from service.mapper.saved_graph import (
     KeptGraph,
     SavedGraph,
@@ -58,6 +59,17 @@ def write_graph(
     with (folder / GRAPH_FILE).open("wb") as file:
         write_arrays(file, small_arrays(graph) | {"points": np.array(names, np.str_)})
     return [GRAPH_FILE, *names]
+
+
+def ways_of(folder: Path) -> list[Floats]:
+    """(N, 2) m in the map each: the key frames of each stretch of the way that odometry holds together, in
+    the order driven; none where the folder holds no graph.
+    """
+    if not (folder / GRAPH_FILE).exists():
+        return []
+    with np.load(folder / GRAPH_FILE, allow_pickle=False) as arrays:
+        xy, piece = arrays["map"][:, :2], arrays["piece"]
+    return [way for way in np.split(xy, np.flatnonzero(np.diff(piece)) + 1) if len(way)]
 
 
 class GraphFolder:

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from service.encoding import pose_on_wire
 from service.errors import StorageError
 from service.geometry.geo_reference import GeoReference
@@ -63,7 +65,7 @@ def write_replay(done: Replay, out: Path) -> None:
             (out / "graph.g2o").write_text(done.g2o, encoding="ascii")
         picture = picture_of_tiles(done.tiles)
         write_ros_map(out / "map.pgm", out / "map.yaml", picture)
-        shown = annotated(picture, done.poses_map_base)
+        shown = annotated(picture, [np.array([(pose.x_m, pose.y_m) for pose in done.poses_map_base])])
         write_png(out / "map.png", shown, PALETTE)
         for name in (GEO_FILE, "map.pgw", "map.prj"):
             (out / name).unlink(missing_ok=True)

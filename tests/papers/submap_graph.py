@@ -207,12 +207,12 @@ def memory(seeds: Sequence[int]) -> Section:
             Row("D8", "tiles of the particles: last lap by second", [ratio], "times", at_most=1.1),
             Row(
                 "D8",
-                "the graph keeps for 100 m of way, second lap to last",
+                "the graph keeps for 100 m of path, second lap to last",
                 [100.0 * grown_mb / driven_m],
                 "MB",
                 digits=2,
             ),
-            Row("D8", "walls of the 8 sub-maps, whatever the way", [walls_mb], "MB", digits=1),
+            Row("D8", "walls of the 8 sub-maps, whatever the path", [walls_mb], "MB", digits=1),
             Row(
                 "D8",
                 "both for two hours at 1 m/s, by this",

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from service.geometry.se2 import SE2
 from service.mapstore.annotated import AXIS_X, AXIS_Y, INK, PALETTE, WAY, annotated, scale_bar_m
 from service.mapstore.picture import GREY_UNKNOWN, WHITE_FREE, picture_of_grid, picture_of_tiles
 from service.mapstore.png import write_png
@@ -45,10 +44,12 @@ def test_what_is_unknown_around_is_cut_off_and_the_rest_keeps_its_place(picture)
 
 
 def test_the_way_the_origin_and_the_bar_are_where_they_belong(picture):
-    way = [SE2(-2.0, 2.0), SE2(-2.0, -2.0), SE2(6.0, -2.0)]
-    shown = annotated(picture, way)
+    way = np.array([(-2.0, 2.0), (-2.0, -2.0), (6.0, -2.0)])
+    other = np.array([(4.0, 2.0), (6.0, 2.0)])
+    shown = annotated(picture, [way, other])
     pixels = pixels_of(shown)
-    for x_m, y_m in ((-2.0, 1.0), (-2.0, -1.9), (0.0, -2.0), (5.9, -2.0)):
+    assert WAY not in pixels[:, at(shown, 1.5, 0.0)[1]][: at(shown, 0.0, -1.5)[0]]  # no line joins the two
+    for x_m, y_m in ((-2.0, 1.0), (-2.0, -1.9), (0.0, -2.0), (5.9, -2.0), (5.0, 2.0)):
         row, column = at(shown, x_m, y_m)
         assert WAY in pixels[row - 1 : row + 2, column - 1 : column + 2]
     row, column = at(shown, 0.9, 0.0)
@@ -62,7 +63,7 @@ def test_the_way_the_origin_and_the_bar_are_where_they_belong(picture):
 
 def test_marks_lie_in_the_right_band_of_tiles():
     tiles = [tile(x, y, 1, value=FREE, edge=32) for x in range(-1, 2) for y in range(-1, 2)]
-    by_bands = annotated(picture_of_tiles(tiles), [SE2(-10.0, -10.0), SE2(20.0, 20.0)])
+    by_bands = annotated(picture_of_tiles(tiles), [np.array([(-10.0, -10.0), (20.0, 20.0)])])
     pixels = pixels_of(by_bands)
     for x_m in (-9.0, 0.0, 7.0, 19.0):
         row, column = at(by_bands, x_m, x_m)
@@ -70,7 +71,7 @@ def test_marks_lie_in_the_right_band_of_tiles():
 
 
 def test_it_reads_as_a_picture_in_colour(picture, tmp_path):
-    shown = annotated(picture, [SE2(-2.0, 2.0), SE2(-2.0, -2.0)])
+    shown = annotated(picture, [np.array([(-2.0, 2.0), (-2.0, -2.0)])])
     write_png(tmp_path / "map.png", shown, PALETTE)
     with Image.open(tmp_path / "map.png") as image:
         colours = np.asarray(image.convert("RGB"))

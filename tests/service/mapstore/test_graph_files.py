@@ -4,14 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from service.errors import ConfigError, InputError
 from service.mapper.profiles import mapping_config
 from service.mapstore import files, graph_files
+from service.mapstore.annotated import PALETTE, WAY
 from service.mapstore.begin_in import begin_in
 from service.mapstore.files import load_map, save_map
+from service.outputs import FREE
 from tests.service.mapstore.graphs import graph_of
-from tests.service.mapstore.tile_makers import tile
+from tests.service.mapstore.tile_makers import CELL_M, tile
 
 TILES = [tile(0, 0, 3), tile(-1, 2, 4)]
 
@@ -27,6 +30,17 @@ def test_a_graph_comes_back_with_its_map(tmp_path):
     assert back is not None
     np.testing.assert_array_equal(back.map, graph.map)
     np.testing.assert_allclose(back.xy_base, graph.xy_base, atol=1e-6)
+
+
+def test_the_picture_shows_each_stretch_of_the_way_and_joins_none(tmp_path):
+    xy = [(8.0, 4.0), (8.0, 16.0), (13.0, 16.0), (13.0, 4.0)]
+    graph = replace(graph_of(4), map=np.array([(*place, 0.0) for place in xy]), piece=np.array([0, 0, 7, 7]))
+    save_map(tmp_path, [tile(0, 0, 1, value=FREE, edge=64)], 1, graph=graph)
+    with Image.open(tmp_path / "map.png") as image:
+        is_way = (np.asarray(image.convert("RGB")) == PALETTE[WAY]).all(axis=2)
+    columns = np.flatnonzero(is_way.sum(axis=0) >= 12.0 / CELL_M)
+    assert columns[-1] - columns[0] == 5.0 / CELL_M  # two lines along y
+    assert not is_way[:, columns[0] + 1 : columns[-1]].any()
 
 
 def test_full_files_of_points_are_taken_over_and_not_written_again(tmp_path, monkeypatch):
