@@ -66,6 +66,7 @@ LASERS = (
     Laser(LMS100, 541, 25.0, -135.0, 0.5, MOUNTINGS["front"], "front"),
     Laser(UTM30LX, 1081, 10.0, -135.0, 0.25, MOUNTINGS["rear"], "rear"),
 )
+LIVE_EDIT = ("edit-live", "edit-live-dark", "edit-live-phone", "edit-live-phone-dark")
 VERBS = [
     *("pause", "resume", "save_map", "reset_map", "load_map", "switch_profile"),
     *("start_recording", "stop_recording", "mark", "set_pose"),
@@ -330,7 +331,7 @@ def take(page: Page, name: str, area: str, size: tuple[int, int], is_dark: bool)
 
 def take_live_edit(page: Page) -> None:
     """The map of the running session: an area about to be erased, and two places about to be joined."""
-    if not any(is_wanted(name) for name in ("edit-live", "edit-live-dark", "edit-live-phone")):
+    if not any(is_wanted(name) for name in LIVE_EDIT):
         return
     page.resize(DESKTOP)
     page.choose("edit")
@@ -349,18 +350,26 @@ def take_live_edit(page: Page) -> None:
     page.element("other-pass").click()
     page.wait_for("return corridor.edit.pairs.places.b.points.length > 0")
     page.element("pick-pairs").click()
-    for side in ("a", "b"):
-        page.run(
-            "const {points} = corridor.edit.pairs.places[arguments[0]];"
-            "corridor.edit.tool.click(corridor.view.camera.toScreen(points[200], points[201]))",
-            side,
-        )
+    for number in (200, 500):  # of A; of B the point nearest to it
+        for side in ("a", "b"):
+            page.run(
+                "const {places} = corridor.edit.pairs, {points} = places[arguments[0]];"
+                "const at = places.a.points.slice(arguments[1], arguments[1] + 2);"
+                "let best = 0, least = Infinity;"
+                "for (let i = 0; i < points.length; i += 2) {"
+                " const away = Math.hypot(points[i] - at[0], points[i + 1] - at[1]);"
+                " if (away < least) [best, least] = [i, away]; }"
+                "corridor.edit.tool.click(corridor.view.camera.toScreen(points[best], points[best + 1]))",
+                side,
+                number,
+            )
     take(page, "edit-live-dark", "edit", DESKTOP, True)
     page.element("forget-places").click()
     page.resize(PHONE)
     page.choose("edit")
     page.run("document.querySelector('#edit .cards').scrollTop = 0")
     take(page, "edit-live-phone", "edit", PHONE, False)
+    take(page, "edit-live-phone-dark", "edit", PHONE, True)
     page.resize(DESKTOP)
     page.element("fit").click()
 
@@ -416,9 +425,10 @@ def main() -> None:
         server.close()
         if sys.argv[1:]:
             return
-        take_replay(page, office.frames, Path(kept) / "recorded")
-        take_past(page, office, Path(kept))
-        take_edit(page, Path(kept) / "ring")
+        with chromium() as fresh:  # the first one has had a phone's scroll bars, which lie on the page
+            take_replay(fresh, office.frames, Path(kept) / "recorded")
+            take_past(fresh, office, Path(kept))
+            take_edit(fresh, Path(kept) / "ring")
 
 
 if __name__ == "__main__":

@@ -112,7 +112,7 @@ def statuses(state: str = "ok", reason: str = "") -> Sequence[Status]:
     level = {"ok": 0, "degraded": 1, "lost": 2, "paused": 1}[state]
     sensor = {"state": "streaming", "rate_hz": "50.0", "age_s": "0.02", "dropped": "0", "frames": "512"}
     mapping = {"state": state, "inlier_ratio": "0.930", "scan_rate_hz": "50.0", "scans_dropped": "3",
-               "scan_cpu_ms_p50": "0.912"}  # fmt: skip
+               "scan_cpu_ms_p50": "0.912", "scans": "18808"}  # fmt: skip
     recording = {"state": "recording", "file": "/tmp/veh1_20260101T000000Z_0001.mcap", "messages": "12345",
                  "free_gb": "41.2"}  # fmt: skip
     return [

@@ -393,7 +393,7 @@ def test_the_path_goes_with_the_map_that_is_bent(page, opened, tmp_path, bent):
 
 def test_what_cannot_load_a_map_offers_no_editing_and_says_how_it_is_done(page, live):
     assert not page.element("tab-edit").is_displayed()
-    assert "corridor view of its folder shows a stored map, and edits it" in page.text("resources")
+    assert "corridor view shows a stored map, and edits it" in page.text("resources")
 
 
 def test_every_control_can_be_reached_with_the_keyboard(page, view):

@@ -39,6 +39,34 @@ def test_each_sensor_has_its_row_and_a_fault_its_words(page, live):
     assert cells == ["front", "50.0", "0.02", "5.0", "0", "12.3", "ms"]
 
 
+def test_the_mapping_of_now_is_told_a_second_and_a_scan(page, live):
+    facts = page.run(
+        "return [...document.querySelectorAll('#information .facts dt')]"
+        ".map((name) => `${name.textContent}: ${name.nextSibling.textContent}`)"
+    )
+    for fact in ("Scans mapped a second: 50.0", "Scans not mapped: 3", "Processor a scan, median: 0.9 ms"):
+        assert fact in facts
+    assert not any(fact.startswith("Scans mapped: ") for fact in facts)  # of a replay only
+
+
+def test_all_that_a_sensor_tells_is_shown_while_its_name_is_pressed(page, live):
+    rear = page.driver.find_element("xpath", "//section[@id='information']//button[contains(., 'rear')]")
+    rear.send_keys(Keys.ENTER)
+    assert rear.get_attribute("aria-expanded") == "true"
+    shown = page.driver.find_element("css selector", ".details:not([hidden])").text
+    assert shown.splitlines()[:3] == ["no route to 192.168.0.10", "state: down", "rate_hz: 0.0"]
+    rear.send_keys(Keys.ENTER)
+    assert page.driver.find_elements("css selector", ".details:not([hidden])") == []
+
+
+def test_no_zero_has_a_sign(page, live):
+    said = page.driver.execute_async_script(
+        "const done = arguments[0]; import('./format.js').then(({fixed, degrees}) =>"
+        " done([fixed(-0.0004, 3, ' m'), fixed(-0.0006, 3, ' m'), degrees(-0.0001), degrees(-0.01)]))"
+    )
+    assert said == ["0.000 m", "-0.001 m", "0.0\u00b0", "-0.6\u00b0"]
+
+
 def test_a_clock_that_counts_from_long_ago_is_said_in_days(page, live):
     said = page.driver.execute_async_script(
         "const offsets = ['', '12.34', '-40000', '7.2e6', '-4.0e8'], done = arguments[0];"
@@ -84,6 +112,30 @@ def test_a_reset_asks_first(page, live, desk):
     page.element("confirm-yes").click()
     page.wait_for_text("notices", "Reset map: done.")
     assert asked(desk) == [("reset_map", {})]
+
+
+def test_a_name_that_cannot_be_is_refused_before_it_is_sent(page, live, desk):
+    page.choose("control")
+    page.run("corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: ['save_map']})")
+    page.element("save-as").click()
+    name = page.element("confirm-input")
+    for wrong in ("../lap", "lap 1", ""):
+        name.clear()
+        name.send_keys(wrong, Keys.ENTER)
+        assert page.run("return document.getElementById('confirm').open")
+    name.send_keys("lap_1", Keys.ENTER)
+    page.wait_for_text("notices", "done")
+    assert asked(desk) == [("save_map", {"name": "lap_1"})]
+
+
+def test_what_is_said_again_stands_there_once(page, live):
+    page.run("corridor.connection.command = async () => ({ok: false, error: 'the disk is full'})")
+    page.choose("control")
+    page.run("corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: ['save_map', 'mark']})")
+    for _ in range(3):
+        page.element("do-save_map").click()
+        page.wait_for_text("notices", "the disk is full")
+    assert len(page.driver.find_elements("css selector", ".notice")) == 1
 
 
 def test_a_question_waits_for_the_answer_to_the_one_before(page, live, desk):
@@ -216,8 +268,9 @@ def test_everything_can_be_reached_with_the_keyboard(page, live):
     assert {"theme", "map", "follow", "measure", "tab-information", "information"} <= set(reached)
 
 
-def test_long_figures_of_sensors_stay_within_their_card_on_a_phone(page, live):
-    page.resize(PHONE)
+@pytest.mark.parametrize("width", [PHONE[0], 320])
+def test_long_figures_of_sensors_stay_within_their_card_on_a_phone(page, live, width):
+    page.resize((width, PHONE[1]))
     page.choose("information")
     values = {"rate_hz": "201.7", "age_s": "0.02", "dropped": "12345", "clock_offset_ms": "-4004380800000"}
     named = [Status(f"sensor/{name}", 0, "ok", values) for name in ("front", "rear", "lux")]
@@ -260,6 +313,11 @@ def test_nothing_is_wider_than_a_phone(page, live):
 @pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
 def test_axe_finds_nothing_serious(page, live, axe, size, is_dark):
     page.resize(size, is_dark)
+    for number in range(40):
+        live.put(event(f'{{"event": "mark", "text": "{number}"}}', 2.0 + number))
+    page.wait_for_text("information", "mark, 39")
+    page.choose("information")
+    [name.click() for name in page.driver.find_elements("css selector", "#information button.name")]
     page.run(axe)
     for area in ("information", "control", "resources"):
         page.choose(area)

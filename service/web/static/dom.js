@@ -71,6 +71,7 @@ export const notice = (text, level = "none", offer = null) => {
     close.before(button);
   }
   close.addEventListener("click", () => node.remove());
+  for (const said of byId("notices").children) if (!offer && said.firstChild.textContent === text) said.remove(); // once is enough
   byId("notices").append(node);
   if (level !== "error") setTimeout(() => node.remove(), offer ? 4 * NOTICE_MS : NOTICE_MS);
   while (byId("notices").children.length > 4) byId("notices").firstChild.remove();
@@ -78,7 +79,7 @@ export const notice = (text, level = "none", offer = null) => {
 
 let answered = Promise.resolve();
 
-/** Ask before something happens; resolves to true or false, or, where a text is to be changed, to the new one.
+/** Ask before something happens; resolves to true or false, or, where a name is to be changed, to the new one.
  * A question waits for the answer to the one before: `close` comes some time after the dialog has closed. */
 export const confirmed = (...question) => (answered = answered.then(() => ask(...question)));
 
@@ -90,10 +91,11 @@ const ask = (title, text, yes, given = null) => new Promise((settle) => {
   const input = byId("confirm-input");
   input.hidden = given === null;
   input.value = given ?? "";
+  input.required = given !== null;
   dialog.returnValue = "no";
   dialog.addEventListener("close", () => {
     const isYes = dialog.returnValue === "yes";
-    settle(given === null ? isYes : isYes && input.value.trim());
+    settle(given === null ? isYes : isYes && input.value);
   }, { once: true });
   dialog.showModal();
   if (given !== null) input.select();

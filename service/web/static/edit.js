@@ -14,7 +14,7 @@ import { chooseTab } from "./tabs.js";
 const SHOWN = 8; // versions; the rest on demand
 const LIVE_VERBS = ["save_map", "load_map", "set_pose"]; // by which the map of a running session is changed
 const LIVE_WORDS = "A change is made in a copy of the map, in which the mapping then goes on. The vehicle is lost until it is found there, "
-  + "and what it maps while the copy is changed is not in it. Stop it before.";
+  + "and what it maps while the copy is changed is not in it. Stop the vehicle first.";
 const FETCH_WORDS = "To join places and to cut, the map is saved, and its key frames are fetched: this takes some seconds. Later ones are not among them.";
 
 export class Edit {

@@ -2,12 +2,15 @@
 
 const isNumber = (value) => typeof value === "number" && Number.isFinite(value);
 
-export const fixed = (value, digits, unit = "") => (isNumber(value) ? `${value.toFixed(digits)}${unit}` : "\u2013");
+/** No zero has a sign: it would come and go. */
+const decimal = (value, digits) => value.toFixed(digits).replace(/^-(?=[0.]+$)/, "");
+
+export const fixed = (value, digits, unit = "") => (isNumber(value) ? `${decimal(value, digits)}${unit}` : "\u2013");
 
 /** A figure that came as text; "" means that it is not known. */
 export const figure = (text, digits, unit = "") => fixed(text === undefined || text === "" ? NaN : Number(text), digits, unit);
 
-export const degrees = (rad, digits = 1) => (isNumber(rad) ? `${((rad * 180) / Math.PI).toFixed(digits)}\u00b0` : "\u2013");
+export const degrees = (rad, digits = 1) => (isNumber(rad) ? `${decimal((rad * 180) / Math.PI, digits)}\u00b0` : "\u2013");
 
 /** A length in the unit in which one would say it. */
 export const metres = (m) => {

@@ -37,13 +37,13 @@ export class Information {
     this.latency = card("From a scan to its pose");
     this.plot = new LatencyPlot();
     this.latency.node.append(this.plot.node, element("p", { className: "note" }, "Blue: median of a second. Amber: its longest."));
-    this.parts = card("Parts of the service");
+    this.parts = new Map(); // rows by their names
     this.partRows = element("tbody");
-    this.parts.node.append(element("table", {}, this.partRows));
+    const partsCard = card("Parts of the service", element("table", {}, this.partRows));
     this.events = card("Events");
-    this.eventList = element("ul", { className: "events" });
+    this.eventList = element("ul", { className: "events", tabIndex: 0, "aria-label": "Events, the newest first" }); // it scrolls
     this.events.node.append(this.eventList);
-    root.append(this.old, ...[this.mapping, this.sensors, this.recording, this.latency, this.parts, this.events].map((c) => c.node));
+    root.append(this.old, ...[this.mapping, this.sensors, this.recording, this.latency, partsCard, this.events].map((c) => c.node));
   }
 
   /** The connection is lost: figures that stand still look like those of now. */
@@ -60,6 +60,7 @@ export class Information {
     for (const node of [this.words, this.mapping.aside, this.sensors.aside, this.recording.aside, this.latency.aside]) setText(node, "");
     for (const list of [this.rows, this.partRows, this.eventList]) list.replaceChildren();
     this.sensorRows.clear();
+    this.parts.clear();
     this.plot.set([]);
   }
 
@@ -121,15 +122,15 @@ export class Information {
 
   #mapping(mapping, now_s) {
     if (!mapping) return;
-    const { values } = mapping;
+    const { values } = mapping, isLive = "scan_rate_hz" in values;
     setText(this.mapping.aside, `for ${duration(now_s - mapping.since_s)}`);
     setText(this.words, mapping.message === "ok" ? "Everything is well." : mapping.message);
     this.pose.set({
       "Agreement with the map": figure(values.inlier_ratio && 100 * values.inlier_ratio, 0, " %"),
-      "Scans mapped": values.scans ?? null, // of a replay, which has no rate of its own
-      "Scans mapped a second": values.scans ? null : figure(values.scan_rate_hz, 1),
-      "Scans not mapped": values.scans ? null : values.scans_dropped ?? "\u2013",
-      "Processor a scan, median": values.scans ? null : figure(values.scan_cpu_ms_p50, 1, " ms"),
+      "Scans mapped": isLive ? null : values.scans ?? null, // of a replay, which has no rate of its own
+      "Scans mapped a second": isLive ? figure(values.scan_rate_hz, 1) : null,
+      "Scans not mapped": isLive ? values.scans_dropped ?? "\u2013" : null,
+      "Processor a scan, median": isLive ? figure(values.scan_cpu_ms_p50, 1, " ms") : null,
       "Loops closed": values.loop_closures ?? null,
     });
   }
@@ -149,7 +150,7 @@ export class Information {
       figures.forEach((text, i) => setText(row.cells[i], text));
       row.words.hidden = status.level === 0;
       setText(row.words.firstChild, `${status.message} (for ${duration(health.stamp_s - status.since_s)})`);
-      row.name.title = details(values);
+      row.details.put(status.message, values);
     }
     setText(this.sensors.aside, `${streaming} of ${sensors.length} well`);
   }
@@ -158,11 +159,11 @@ export class Information {
     let row = this.sensorRows.get(name);
     if (!row) {
       const dot = element("span", { className: "dot" }), swatch = element("span", { className: "swatch" });
-      const label = element("span", { className: "name" }, dot, name, swatch);
+      const details = new Details(COLUMNS.length, dot, name, swatch);
       const cells = COLUMNS.slice(1).map(() => element("td"));
       const words = element("tr", { className: "words", hidden: true }, element("td", { colSpan: COLUMNS.length }));
-      this.rows.append(element("tr", {}, element("td", {}, label), ...cells), words);
-      row = { dot, swatch, cells, words, name: label };
+      this.rows.append(element("tr", {}, element("td", {}, details.button), ...cells), words, details.row);
+      row = { dot, swatch, cells, words, details };
       this.sensorRows.set(name, row);
     }
     return row;
@@ -184,22 +185,38 @@ export class Information {
 
   #parts(statuses) {
     const parts = statuses.filter((status) => !status.name.startsWith("sensor/"));
-    const known = new Map([...this.partRows.children].map((row) => [row.dataset.name, row]));
     for (const status of parts) {
-      const row = known.get(status.name) ?? this.#partRow(status.name);
-      row.firstChild.firstChild.firstChild.dataset.level = LEVELS[status.level];
-      setText(row.lastChild, status.message);
-      row.title = details(status.values);
+      const row = this.parts.get(status.name) ?? this.#partRow(status.name);
+      row.dot.dataset.level = LEVELS[status.level];
+      setText(row.words, status.message);
+      row.details.put("", status.values);
     }
   }
 
   #partRow(name) {
-    const label = element("span", { className: "name" }, element("span", { className: "dot" }), name);
-    const row = element("tr", { className: "words", "data-name": name }, element("td", {}, label), element("td"));
-    this.partRows.append(row);
-    return row;
+    const dot = element("span", { className: "dot" }), words = element("td"), details = new Details(2, dot, name);
+    this.partRows.append(element("tr", { className: "words" }, element("td", {}, details.button), words), details.row);
+    this.parts.set(name, { dot, words, details });
+    return this.parts.get(name);
   }
 }
 
-const details = (values) => Object.entries(values).filter(([, text]) => text !== "")
-  .map(([key, text]) => `${key}: ${text}`).join("\n");
+/** All that is told of a sensor or a part, in a row of its own below it, while its name is pressed. */
+class Details {
+  constructor(columns, ...name) {
+    this.text = "";
+    this.button = element("button", { type: "button", className: "name", "aria-expanded": "false", onclick: () => this.#toggle() }, ...name);
+    this.row = element("tr", { className: "words details", hidden: true }, element("td", { colSpan: columns }));
+  }
+
+  put(message, values) {
+    this.text = [message, ...Object.entries(values).filter(([, text]) => text !== "").map(([key, text]) => `${key}: ${text}`)].filter(Boolean).join("\n");
+    if (!this.row.hidden) setText(this.row.firstChild, this.text);
+  }
+
+  #toggle() {
+    this.row.hidden = !this.row.hidden;
+    this.button.setAttribute("aria-expanded", String(!this.row.hidden));
+    setText(this.row.firstChild, this.text || "Nothing more is told.");
+  }
+}

@@ -93,6 +93,9 @@ export class PlacePicker {
     context.arc(x, y, 6, 0, 2 * Math.PI);
     context.stroke();
     context.font = "bold 14px system-ui, sans-serif";
-    context.fillText(this.side.toUpperCase(), x + 9, y - 7);
+    const isA = this.side === "a"; // A and B may be at one spot
+    context.textAlign = isA ? "right" : "left";
+    context.fillText(this.side.toUpperCase(), isA ? x - 9 : x + 9, y - 7);
+    context.textAlign = "left";
   }
 }

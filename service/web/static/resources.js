@@ -20,7 +20,7 @@ export class Resources {
     for (const [kind, title] of Object.entries(KINDS)) {
       const { node, aside } = card(title);
       const list = element("ul", { className: "stored" });
-      if (kind === "map") node.append(element("p", { className: "note" }, "corridor view of its folder shows a stored map, and edits it."));
+      if (kind === "map") node.append(element("p", { className: "note" }, "The command corridor view shows a stored map, and edits it."));
       node.append(list);
       root.append(node);
       this.lists[kind] = { list, aside };
