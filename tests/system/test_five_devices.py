@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from drivers.frames import Frame
 from service.encoding import decode_diagnostics, decode_frame, encode_pose, read
@@ -79,8 +81,38 @@ def test_the_layout_for_foxglove_shows_what_the_recording_holds(demo_run: DemoRu
         for name in names:
             value = getattr(value, name)
         assert isinstance(value, float | str), field
-    frames = {message.channel for message in recording.messages(["/graph"])}
-    assert frames == {"graph"}
+    assert {topic: recorded[topic] for topic in scene} == {
+        **{topic: "sensor_msgs/msg/LaserScan" for topic in scene},
+        "/map": "nav_msgs/msg/OccupancyGrid",
+        "/graph": "visualization_msgs/msg/MarkerArray",
+        "/pose": "nav_msgs/msg/Odometry",
+    }
+
+
+def test_another_reader_finds_the_frames_and_lines_of_the_layout_in_the_recording(demo_run: DemoRun):
+    """Decoded by rosbags, with the definitions that are in the file alone."""
+    view = json.loads((CONFIG / "layouts" / "foxglove.json").read_text())["configById"]["3D!corridor-map"]
+    frames, lines, types = set(), set(), get_typestore(Stores.EMPTY)
+    wanted = {*view["topics"], "/tf", "/tf_static", "/diagnostics", "/events"}
+    decoded = set()
+    for path in Path(demo_run.summary["session"]).parent.glob("*.mcap"):
+        with path.open("rb") as file:
+            for schema, channel, message in make_reader(file).iter_messages(topics=wanted):
+                assert schema is not None
+                if schema.name not in types.fielddefs:
+                    types.register(get_types_from_msg(schema.data.decode(), schema.name))
+                content = types.deserialize_cdr(message.data, schema.name)
+                decoded.add(channel.topic)
+                if channel.topic in ("/tf", "/tf_static"):
+                    frames |= {edge.header.frame_id for edge in content.transforms}
+                    frames |= {edge.child_frame_id for edge in content.transforms}
+                if channel.topic == "/graph":
+                    lines |= {marker.ns for marker in content.markers} - {""}
+    assert decoded == wanted
+    named = {frame.removeprefix("frame:") for frame in view["transforms"]}
+    assert named | {view["followTf"], view["fixedFrame"]} <= frames
+    assert lines
+    assert lines <= view["topics"]["/graph"]["namespaces"].keys()
 
 
 @pytest.mark.soak
