@@ -19,6 +19,7 @@ from service.mapper.background import BackEnd, InlineWorker
 from service.mapper.corrections import corrected
 from service.mapper.maps.occupancy import rendered_of
 from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
+from service.mapper.methods.corridor.graph.piece_search import CLEARLY_LIKELIER, PieceSearch
 from service.mapper.profiles import BeginIn, build_mapper, mapping_config
 from service.outputs import FREE, MapperOutput
 from service.recording.mcap_source import open_session
@@ -70,7 +71,8 @@ class Look:
     is_right: bool  # at its end
     is_wrong: bool  # said to be found, and is not there, at its end
     was_wrong_ok: bool  # at any moment
-    is_likelier_elsewhere: bool  # and lost
+    is_alike: bool  # lost between two places that fit about as well, and one of those told is the true one
+    is_likelier_elsewhere: bool  # lost, and not alike
     found_s: float  # from the first scan on; nan: not
     cpu_s: float  # of the scan that took longest
     off_mm: float  # at its end
@@ -88,6 +90,7 @@ class Looks:
             return []
         right = [look for look in self.all if look.is_right]
         lost = [look for look in self.all if not look.is_right and not look.is_wrong]
+        alike = sum(look.is_alike for look in lost)
         elsewhere = sum(look.is_likelier_elsewhere for look in lost)
         wrong_ok = sum(look.was_wrong_ok for look in self.all)
 
@@ -95,16 +98,18 @@ class Looks:
             return Row(case, f"{how}: {what}", [value], unit, digits=0, **bounds)  # type: ignore[arg-type]
 
         return [
+            one(f"right, of {count}", 100.0 * len(right) / count, "%"),
             Row(
                 case,
-                f"{how}: right, of {count}",
-                [100.0 * len(right) / count],
+                f"{how}: right, or lost between two that are alike",
+                [100.0 * (len(right) + alike) / count],
                 "%",
                 at_least=at_least,
                 digits=0,
                 cause=cause,
             ),
             one("lost", float(len(lost)), "places"),
+            one("lost between two that are alike, the true one told", float(alike), "places"),
             one("lost, and likelier elsewhere", float(elsewhere), "places"),
             one("wrong", float(sum(look.is_wrong for look in self.all)), "places", at_most=0.0),
             one("`ok` and wrong", float(wrong_ok), "places", at_most=0.0),
@@ -148,8 +153,11 @@ def relocalisation(seeds: Sequence[int]) -> Section:
         f"drive, driving on for {MOVE_S:.0f} s with another noise. Of recordings, moments of the second half "
         f"in the map of the first, within {ON_WAY_M:.0f} m of its way; the truth is the map of the whole. "
         f"Right: at the end within {RIGHT_M} m and {RIGHT_DEG:.0f} deg of where the nearest key frame of the "
-        "map has the place; wrong: placed, and farther off. What is neither stays lost. Likelier elsewhere: "
-        "another place of the map fits what is seen better than the true one does.",
+        "map has the place; wrong: placed, and farther off. What is neither stays lost. Alike: the two "
+        f"likeliest places are within {CLEARLY_LIKELIER:.0f} nats, the true one is one of them, and the "
+        "reason names both. Likelier elsewhere: another place of the map fits what is seen better than the "
+        "true one does. A scan without any return, as where a simulated person walks over the laser, is not "
+        "asked.",
         rows,
     )
 
@@ -238,6 +246,12 @@ def places(world: World, known: Known, first: SE2, seed: int, count: int) -> tup
     return near, far
 
 
+def is_told(pieces: PieceSearch, true: Floats) -> bool:
+    """Whether the true place is one of two that are told, and neither is clearly likelier."""
+    is_told = any(math.hypot(x - true[0], y - true[1]) < RIGHT_M for x, y in pieces.alike)
+    return is_told and abs(pieces.ahead_of_others(true)) < CLEARLY_LIKELIER
+
+
 def look(known: Known, frames: Sequence[Frame], truth: Mapping[int, Floats]) -> Look:
     """Begin in a map with these frames.
 
@@ -261,6 +275,8 @@ def look(known: Known, frames: Sequence[Frame], truth: Mapping[int, Floats]) -> 
             mapper.apply_result()
         if not isinstance(frame, LaserScan) or output is None or output.stamp_ns not in truth:
             continue
+        if not np.isfinite(frame.range_m).any():  # a person stands on the laser: it says nothing
+            continue
         longest_s = max(longest_s, time.thread_time() - began_s)
         true = known.in_map(truth[output.stamp_ns])
         off_m, off_deg = _off(true, output)
@@ -269,11 +285,12 @@ def look(known: Known, frames: Sequence[Frame], truth: Mapping[int, Floats]) -> 
         was_wrong_ok |= is_wrong and output.state == "ok"
         if is_placed and math.isnan(found_s):
             found_s = 1e-9 * (output.stamp_ns - frames[0].stamp_ns)
-    elsewhere = not is_placed and back_ends[0].pieces.is_likelier_elsewhere(true)
+    pieces = back_ends[0].pieces
+    is_alike = not is_placed and is_told(pieces, true)
+    elsewhere = not is_placed and not is_alike and pieces.ahead_of_others(true) <= 0.0
     mapper.graph.close()
-    return Look(
-        is_placed and not is_wrong, is_wrong, was_wrong_ok, elsewhere, found_s, longest_s, 1e3 * off_m
-    )
+    is_right = is_placed and not is_wrong
+    return Look(is_right, is_wrong, was_wrong_ok, is_alike, elsewhere, found_s, longest_s, 1e3 * off_m)
 
 
 def _off(true: Floats, output: MapperOutput) -> tuple[float, float]:

@@ -7,7 +7,15 @@ import pytest
 
 from service.geometry.se2 import SE2
 from service.mapper.profiles import BeginIn
-from tests.accuracy.relocalisation import Known, Look, Looks, look
+from tests.accuracy.relocalisation import Known, Look, Looks, is_told, look
+from tests.service.mapper.methods.corridor.graph.test_known_map import (
+    APART_M,
+    STOOD,
+    append,
+    looked_for,
+    room,
+    rooms,
+)
 from tests.service.mapper.offices import mapped_office, through
 from tests.simulated import FORWARD, Drive
 
@@ -41,14 +49,38 @@ def test_of_a_vehicle_that_is_lost_it_is_told_whether_another_place_is_likelier(
     assert math.isnan(found.found_s)
 
 
+def test_of_two_places_that_are_alike_the_true_one_is_told():
+    keyframes, noise = rooms(pillar_in_first=False, pillar_in_second=False)
+    search, _ = looked_for(keyframes, append(keyframes, room(0.0, with_pillar=False), STOOD, 1, noise))
+    truth = np.array([STOOD.x_m, STOOD.y_m, STOOD.theta_rad])
+    assert is_told(search, truth)
+    assert is_told(search, truth + np.array([APART_M, 0.0, 0.0]))
+    assert not is_told(search, truth + np.array([0.5 * APART_M, 0.0, 0.0]))
+
+
+def test_of_two_places_of_which_one_has_a_pillar_none_is_told():
+    keyframes, noise = rooms(pillar_in_first=True, pillar_in_second=False)
+    search, _ = looked_for(keyframes, append(keyframes, room(0.0, with_pillar=True), STOOD, 1, noise))
+    assert not is_told(search, np.array([STOOD.x_m, STOOD.y_m, STOOD.theta_rad]))
+
+
 def test_rows_count_each_start_once():
-    right = Look(True, False, False, False, 0.1, 0.2, 5.0)
-    wrong = Look(False, True, True, False, 0.1, 1.2, 500.0)
-    alike = Look(False, False, False, True, math.nan, 0.3, 900.0)
-    rows = {row.what: row for row in Looks([right, right, wrong, alike]).rows("office", "standing")}
-    assert rows["standing: right, of 4"].values == [50.0]
-    assert rows["standing: right, of 4"].met is False
-    for what, count in (("lost", 1.0), ("lost, and likelier elsewhere", 1.0), ("wrong", 1.0)):
+    right = Look(True, False, False, False, False, 0.1, 0.2, 5.0)
+    wrong = Look(False, True, True, False, False, 0.1, 1.2, 500.0)
+    alike = Look(False, False, False, True, False, math.nan, 0.3, 900.0)
+    elsewhere = Look(False, False, False, False, True, math.nan, 0.3, 900.0)
+    looks = [right, right, wrong, alike, elsewhere]
+    rows = {row.what: row for row in Looks(looks).rows("office", "standing")}
+    assert rows["standing: right, of 5"].values == [40.0]
+    assert rows["standing: right, or lost between two that are alike"].values == [60.0]
+    assert rows["standing: right, or lost between two that are alike"].met is False
+    counts = {
+        "lost": 2.0,
+        "lost between two that are alike, the true one told": 1.0,
+        "lost, and likelier elsewhere": 1.0,
+        "wrong": 1.0,
+    }
+    for what, count in counts.items():
         assert rows[f"standing: {what}"].values == [count]
     assert rows["standing: `ok` and wrong"].values == [1.0]
     assert rows["standing: off where right"].values == [5.0, 5.0]

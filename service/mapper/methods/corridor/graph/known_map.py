@@ -44,7 +44,8 @@ from service.mapper.methods.corridor.graph.seen_cloud import SeenCloud
 COARSE_CELL_M, LEVELS = 0.2, 5  # blocks of 3.2 m, of which one place each is a candidate
 HEADINGS = 210  # 0.03 rad apart: 0.22 m at REACH_M, a cell
 SEARCH_POINTS = 80
-# Of a point on ground that the map does not know, which says nothing: free ground contradicts, and scores 0.
+# Of a point where something may stand that the map has not seen, as on the back of a wall: it says nothing.
+# Free ground contradicts, and scores 0.
 UNKNOWN_LIKELIHOOD = 0.5
 LEAST_SCORE = 0.45  # mean likelihood of the points
 BEHIND = 0.2  # a place whose score is so far behind the best is no candidate
@@ -198,28 +199,28 @@ def _facing_pyramid(cloud: PointCloud, ground: OccupancyGrid) -> FacingPyramid:
     levels = np.zeros((LAYERS, LEVELS, rows, columns), np.uint8)
     pyramid = FacingPyramid(levels, int(low[1]), int(low[0]), COARSE_CELL_M)
     splat_facing(cloud.xy, cloud.normals, pyramid, FIELD_SIGMA_M)
-    unknown = np.uint8(FULL * UNKNOWN_LIKELIHOOD) * ~_is_known(ground, pyramid)
+    unknown = np.uint8(FULL * UNKNOWN_LIKELIHOOD) * ~_is_free(ground, pyramid)
     np.maximum(levels[:, 0], unknown, out=levels[:, 0])
     for layer in levels:
         pool_levels(layer, 0.0)
     return pyramid
 
 
-def _is_known(ground: OccupancyGrid, pyramid: FacingPyramid) -> npt.NDArray[np.bool_]:
-    """(H, W) cells of level 0 of which the ground knows something."""
+def _is_free(ground: OccupancyGrid, pyramid: FacingPyramid) -> npt.NDArray[np.bool_]:
+    """(H, W) cells of level 0 in which nothing stands, as far as the ground knows all of them."""
     rows, columns = pyramid.levels.shape[2:]
     times = round(COARSE_CELL_M / CELL_M)
-    known = np.zeros((times * rows, times * columns), np.bool_)
+    free = np.zeros((times * rows, times * columns), np.bool_)
     edge = occupancy.TILE_CELLS
     for i, j in np.argwhere(ground.tiles.slots != NO_TILE).tolist():
         row = (i + int(ground.tiles.origin[0])) * edge - times * pyramid.first_row
         column = (j + int(ground.tiles.origin[1])) * edge - times * pyramid.first_column
-        of = ground.evidence[ground.tiles.slots[i, j]] != 0
+        of = ground.evidence[ground.tiles.slots[i, j]] <= LOOKED_THROUGH
         low_row, low_column = max(row, 0), max(column, 0)
         part = of[low_row - row :, low_column - column :]
-        to = known[low_row : row + edge, low_column : column + edge]
+        to = free[low_row : row + edge, low_column : column + edge]
         to[:] = part[: to.shape[0], : to.shape[1]]
-    coarser: npt.NDArray[np.bool_] = np.any(known.reshape(rows, times, columns, times), axis=(1, 3))
+    coarser: npt.NDArray[np.bool_] = np.all(free.reshape(rows, times, columns, times), axis=(1, 3))
     return coarser
 
 

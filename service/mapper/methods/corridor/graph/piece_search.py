@@ -207,18 +207,17 @@ class PieceSearch:
         pose = se2.compose(keyframes.map[last], step)
         return WayPrior(pose, covariance_added(then, now, step), region)
 
-    def is_likelier_elsewhere(self, pose_map: Floats) -> bool:
-        """Whether the newest search found a place that is likelier than the pose (3,) in the map. Where that
-        is the truth, what was seen cannot tell it. False before the first search.
+    def ahead_of_others(self, pose_map: Floats) -> float:
+        """Nats by which the pose (3,) in the map is likelier than every other place that the newest search
+        found; inf where it found none, nan before the first. Where the pose is the truth and this is below 0,
+        what was seen cannot tell it.
         """
         if self._asked is None or self._known_map is None:
-            return False
+            return math.nan
         seen, known_map = self._asked, self._known_map
         here = known_map.refine(seen, known_map.lay(seen, pose_map)).weight
-        return any(
-            place.weight.evidence >= here.evidence and not is_same_place(place.pose, pose_map)
-            for place in self._places
-        )
+        others = [p.weight.evidence for p in self._places if not is_same_place(p.pose, pose_map)]
+        return here.evidence - max(others, default=-math.inf)
 
     def best_of(self, found: list[Place], prior: WayPrior | None = None) -> tuple[Floats, Loop] | None:
         """The place that is clearly likelier than every other; None where there is none. After a way that

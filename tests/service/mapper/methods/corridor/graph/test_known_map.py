@@ -91,9 +91,9 @@ def test_a_pillar_tells_two_rooms_apart_whichever_of_them_has_it(stands_in_secon
         away = se2.between(truth, best[0])
         assert math.hypot(away[0], away[1]) < 0.02
         assert abs(away[2]) < 0.005
-        assert not search.is_likelier_elsewhere(truth)
+        assert search.ahead_of_others(truth) > CLEARLY_LIKELIER
         in_the_other = truth + np.array([-APART_M if stands_in_second else APART_M, 0.0, 0.0])
-        assert search.is_likelier_elsewhere(in_the_other)
+        assert search.ahead_of_others(in_the_other) < -CLEARLY_LIKELIER
 
 
 def test_of_two_rooms_that_are_alike_none_is_taken_and_both_are_told():
@@ -203,5 +203,27 @@ def test_ground_that_the_map_does_not_know_says_little_in_the_search_and_free_gr
 
     assert set(likelihoods(15.0, 2.0)) == {int(255 * UNKNOWN_LIKELIHOOD)}  # between the rooms
     assert set(likelihoods(3.0, 2.0)) == {0}
-    wall = likelihoods(3.0, 0.05)
-    assert (wall.min(), wall.max()) == (0, 255)  # by the way that it faces
+    wall = likelihoods(3.0, 0.05)  # by the way that it faces; of its back the map knows nothing
+    assert (wall.min(), wall.max()) == (int(255 * UNKNOWN_LIKELIHOOD), 255)
+
+
+def test_the_room_behind_a_wall_of_the_map_is_a_candidate():
+    """Who stands there sees the wall from its back, and through the door the room that the map holds; a hall
+    elsewhere looks more like what he sees.
+    """
+    first = [(0.0, 0.0), (7.0, 0.0), (7.0, 3.0), (5.5, 3.0), (5.5, 4.0), (0.0, 4.0), (0.0, 0.0)]
+    next_to_it = [(4.2, 4.1), (9.0, 4.1), (9.0, 9.0), (-1.0, 9.0), (-1.0, 4.1), (2.8, 4.1)]
+    walls = [(*a, *b) for a, b in [*pairwise(first), *pairwise(next_to_it)] if (a, b) != (first[4], first[5])]
+    walls += [(5.5, 4.0, 4.2, 4.0), (2.8, 4.0, 0.0, 4.0), (4.2, 4.0, 4.2, 4.1), (2.8, 4.0, 2.8, 4.1)]
+    noise, keyframes = np.random.default_rng(5), KeyframeList()
+    for x_m in np.arange(1.0, 5.5, 0.3):
+        append(keyframes, walls, SE2(x_m, 1.2, 0.0), 0, noise)
+    hall = [(29.0, 4.1), (39.0, 4.1), (39.0, 9.0), (29.0, 9.0), (29.0, 4.1)]
+    for x_m in np.arange(31.0, 36.0, 0.5):
+        append(keyframes, [(*a, *b) for a, b in pairwise(hall)], SE2(x_m, 5.5, 0.0), 0, noise)
+    pose = np.array([3.4, 5.5, -0.4 * math.pi])
+    own = append(keyframes, walls, SE2(*pose.tolist()), 1, noise)
+    known_map = KnownMap(keyframes, np.arange(own))
+    cloud = seen_cloud(keyframes, [own], own).cloud
+    away = se2.between(pose, np.array(known_map.candidates(cloud)))
+    assert (np.hypot(away[:, 0], away[:, 1]) + np.abs(away[:, 2])).min() < 0.3
