@@ -37,11 +37,23 @@ def print_report(report: Any, as_json: bool) -> None:
 
 def _lines(result: dict[str, Any], prefix: str) -> Iterator[str]:
     for key, value in result.items():
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            value = {str(number): one for number, one in enumerate(value, 1)}
         if isinstance(value, dict) and value:
             yield from _lines(value, f"{prefix}{key}.")
         elif value is not None:
-            shown = f"{value:.6g}" if isinstance(value, float) else value
-            yield f"{prefix}{key}: {shown}"
+            yield f"{prefix}{key}: {_shown(value)}"
+
+
+def _shown(value: Any) -> str:
+    match value:
+        case bool():
+            return "yes" if value else "no"
+        case float():
+            return f"{value:.6g}"
+        case list() | tuple() | dict():
+            return ", ".join(map(_shown, value)) or "none"
+    return str(value)
 
 
 class Progress:

@@ -261,9 +261,26 @@ def test_a_table_has_words_to_the_left_and_figures_to_the_right(capsys: pytest.C
 
 
 def test_results_are_words_or_one_json_object(capsys: pytest.CaptureFixture[str]):
-    result = {"scans": 3, "scan_ms": {"p50": 0.12345678}, "map": None}
+    result = {
+        "scans": 3,
+        "scan_ms": {"p50": 0.12345678},
+        "map": None,
+        "is_whole": True,
+        "problems": [],
+        "versions": [1, 2],
+        "merged": [{"map": "a", "residual_mm": {"rms": 0.7}}, {"map": "b"}],
+    }
     console.print_result(result, as_json=False)
-    assert capsys.readouterr().out == "scans: 3\nscan_ms.p50: 0.123457\n"
+    assert capsys.readouterr().out.splitlines() == [
+        "scans: 3",
+        "scan_ms.p50: 0.123457",
+        "is_whole: yes",
+        "problems: none",
+        "versions: 1, 2",
+        "merged.1.map: a",
+        "merged.1.residual_mm.rms: 0.7",
+        "merged.2.map: b",
+    ]
     console.print_result(result, as_json=True)
     assert json.loads(capsys.readouterr().out) == result
 

@@ -181,6 +181,11 @@ class KeyframeList:
         self.thinned[k] = ThinnedScan(NO_POINTS, NO_NORMALS, self.thinned[k].sensor_xy_m)
         self._numbers[k, 3] = False
 
+    def forget_all(self, first: int, last: int) -> None:
+        """Forget the key frames first..last - 1."""
+        for k in first + np.flatnonzero(self.has_points[first : max(first, last)]):
+            self.forget(int(k))
+
     def forget_one_standing(self, most: int, config: LoopsConfig) -> None:
         """Forget the one before the newest `most`, if the one kept before it is of the same spot and piece.
 

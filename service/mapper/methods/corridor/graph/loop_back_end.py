@@ -129,8 +129,7 @@ class LoopBackEnd:
             self.pieces.expect_at(np.array(batch.pose))
         joined = self._look_for_piece() if self._is_detached() else None
         moved = joined is not None or self._look_for_loops()
-        if self._anchoring.is_due:
-            moved |= self._find_anchors()
+        moved |= self._anchoring.is_due and self._find_anchors()
         if batch.request == "undo" and self._accepted:
             gone = self._accepted.pop()
             self._loops = [loop for loop in self._loops if loop not in gone]
@@ -341,8 +340,7 @@ class LoopBackEnd:
         return found
 
     def _is_good(self, fit: Fit) -> bool:
-        usual = float(np.median(self._keyframes.score))
-        return fit.share >= LEAST_SHARE * usual
+        return fit.share >= LEAST_SHARE * float(np.median(self._keyframes.score))
 
     def _lengths_from(self, k: int) -> Floats:
         way = self._keyframes.way_m
@@ -480,18 +478,20 @@ class LoopBackEnd:
         return self._renderer.render(to_render(self._keyframes, self._joined))
 
     def _forget_session(self) -> None:
-        """Of a vehicle that is only localised no more of the way is kept than loops are found over."""
+        """Of a vehicle that is only localised a stretch of the way is kept; of a lost one the poses, too."""
         keyframes, held = self._keyframes, self._held
+        if self._is_detached():
+            keyframes.forget_all(held, keyframes.count - MOST_SESSION)
+            return
         last = held + (keyframes.count - held) // 2
-        if keyframes.count - held < MOST_SESSION or self._is_detached():
+        if keyframes.count - held < MOST_SESSION:
             return
         keyframes.drop(held, last)
         self._loops = [*moved_loops(self._loops, held, last), anchor_loop(keyframes, held)]
         self._candidates = moved_loops(self._candidates, held, last)
         self._disabled, self._accepted = [], []
         self._refusals.clear()
-        for k in [k for k in self._submaps if k >= held]:
-            del self._submaps[k]
+        self._submaps = OrderedDict((k, one) for k, one in self._submaps.items() if k < held)
 
     def _correction(self, k: int) -> Correction:
         keyframes = self._keyframes

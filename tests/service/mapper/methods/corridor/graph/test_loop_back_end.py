@@ -149,6 +149,29 @@ def test_who_is_only_localised_forgets_nothing_of_the_stored_map(ring_fed: tuple
     assert keyframes.has_points[: len(stored)].all()
 
 
+def test_who_is_lost_in_a_stored_map_keeps_what_it_saw_last(
+    ring_fed: tuple[bytes, list[Result]], monkeypatch: pytest.MonkeyPatch
+):
+    """Of what fits nowhere; of the way before it keeps the poses."""
+    most = 2 * BATCH
+    monkeypatch.setattr("service.mapper.methods.corridor.graph.loop_back_end.MOST_SESSION", most)
+    stored = pickle.loads(ring_fed[0]).work(Batch([], is_last=True)).saved
+    assert stored is not None
+    back_end = LoopBackEnd(LoopsConfig(), None, stored, is_localizing=True)
+    noise = np.random.default_rng(1)
+    lost = [
+        replace(frame, piece=0, xy_base=noise.uniform(-4.0, 4.0, (60, 2)).astype(np.float32))
+        for frame in key_frames(1.4)[0][: 6 * BATCH]
+    ]
+    results = [back_end.work(Batch(lost[k : k + BATCH])) for k in range(0, len(lost), BATCH)]
+    assert {result.joined for result in results} == {None}
+    has_points = back_end._keyframes.has_points[len(stored) :]
+    assert len(has_points) == len(lost)
+    assert not has_points[:-most].any()
+    assert has_points[-most:].sum() > most // 2  # besides those of one spot
+    assert back_end._keyframes.has_points[: len(stored)].all()
+
+
 def test_the_same_batches_give_the_same_result_and_a_pickled_back_end_too(
     ring: tuple[list[KeyFrame], list[SE2]], ring_fed: tuple[bytes, list[Result]]
 ):
