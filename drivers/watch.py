@@ -1,4 +1,4 @@
-"""What every session watches for: a device that sends nothing usable, or only malformed messages."""
+"""What every session watches for: silence, only malformed messages, stamps that cannot be."""
 
 from collections import Counter
 
@@ -28,6 +28,28 @@ class SilenceWatch:
 
     def exceeds(self, limit_s: float) -> bool:
         return self._silent_ns > limit_s * 1e9
+
+
+class StampGate:
+    """Which frames are handed on: stamped no later than their arrival, and later than the one before.
+
+    Others are counted as `<what>_ahead_of_arrival` and `<what>_out_of_order`.
+    """
+
+    def __init__(self, counters: Counter[str], what: str) -> None:
+        self._counters = counters
+        self._what = what
+        self.last_ns: int | None = None  # stamp of the newest frame that passed
+
+    def passes(self, stamp_ns: int, arrived_ns: int) -> bool:
+        if stamp_ns > arrived_ns:
+            self._counters[f"{self._what}_ahead_of_arrival"] += 1
+            return False
+        if self.last_ns is not None and stamp_ns <= self.last_ns:
+            self._counters[f"{self._what}_out_of_order"] += 1
+            return False
+        self.last_ns = stamp_ns
+        return True
 
 
 class MalformedRun:

@@ -27,7 +27,7 @@ from drivers.hokuyo_utm30lx.protocol import (
 )
 from drivers.hokuyo_utm30lx.scan_clock import ScanClock
 from drivers.hokuyo_utm30lx.scans import NO_ECHO, Scan, ScanRequest, read_scan
-from drivers.watch import MalformedRun, SilenceWatch
+from drivers.watch import MalformedRun, SilenceWatch, StampGate
 
 FIRST_SCAN_TIMEOUT_S = 10.0  # the motor may have to come to speed
 MALFORMED_LIMIT = 40  # scans in a row
@@ -56,11 +56,11 @@ class HokuyoUtm30lxSession:
         self._silence = SilenceWatch()
         self._clock: ScanClock | None = None
         self._last_ms: int | None = None
-        self._last_stamp_ns: int | None = None
         self._verifying = ""
         self.outbox = bytearray(b"\n")  # ends a command that an earlier client left incomplete
         self.counters: Counter[str] = self._dialogue.counters
         self._malformed = MalformedRun(self.counters, "scans", MALFORMED_LIMIT)
+        self._gate = StampGate(self.counters, "scans")
         self.identity: dict[str, str] = self._dialogue.identity
         self.status = self._dialogue.phase
 
@@ -185,18 +185,13 @@ class HokuyoUtm30lxSession:
         step_ns = clock.period_ns / (1 + request.skip) / geometry.steps_per_turn
         first_beam_ns = (geometry.first_beam_step(request) - self._stamped_step(geometry)) * step_ns
         stamp_ns = moment_ns + round(first_beam_ns) - round(self._config.latency_ms * 1e6)
-        if stamp_ns > arrived_ns:
-            self.counters["scans_ahead_of_arrival"] += 1
+        last_ns = self._gate.last_ns
+        if not self._gate.passes(stamp_ns, arrived_ns):
             return None
-        if self._last_stamp_ns is not None:
-            since_ns = stamp_ns - self._last_stamp_ns
-            if since_ns <= 0:
-                self.counters["scans_out_of_order"] += 1
-                return None
-            missed = round(since_ns / clock.period_ns) - 1
-            if missed > 0 and clock.resets == resets:
+        if last_ns is not None and clock.resets == resets:
+            missed = round((stamp_ns - last_ns) / clock.period_ns) - 1
+            if missed > 0:
                 self.counters["scans_missed"] += missed
-        self._last_stamp_ns = stamp_ns
         self._silence.heard()
         range_m, intensity = self._convert(scan, geometry)
         cluster = max(request.cluster, 1)

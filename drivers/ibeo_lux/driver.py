@@ -33,7 +33,7 @@ from drivers.ibeo_lux.messages import (
 )
 from drivers.ibeo_lux.protocol import FOREIGN_SCANS, DataType, Decoder, Message, encode, ntp_difference_ns
 from drivers.ibeo_lux.reduction import LayerReduction
-from drivers.watch import MalformedRun, SilenceWatch
+from drivers.watch import MalformedRun, SilenceWatch, StampGate
 
 FIRST_SCAN_TIMEOUT_S = 20.0  # a recorded dialogue has its first scan 5 s after Start
 REPORT_SHOWN_NS = 15_000_000_000  # an error stays in the status for so long after the device last told it
@@ -78,7 +78,6 @@ class IbeoLuxSession:
         self._clock = DeviceClock(self._latency_ns)
         self._clock_stands = False  # the newest scan has the time of the one before
         self._last: Scan | None = None
-        self._last_stamp_ns: int | None = None
         self._repeated_in_a_row = 0
         self._other_in_a_row = 0
         self._was_as_configured = False
@@ -87,6 +86,7 @@ class IbeoLuxSession:
         self.outbox = bytearray()
         self.counters: Counter[str] = self._dialogue.counters
         self._malformed = MalformedRun(self.counters, "scans", MALFORMED_LIMIT)
+        self._gate = StampGate(self.counters, "scans")
         self.identity: dict[str, str] = self._dialogue.identity
         self.status = self._dialogue.phase
         self._reduction = LayerReduction(config, self.counters)
@@ -289,13 +289,8 @@ class IbeoLuxSession:
             else self._clock.to_host_ns(scan.start_ntp)
         )
         stamp_ns -= round((beams.first_ticks - scan.start_ticks) * tick_ns)
-        if stamp_ns > arrived_ns:
-            self.counters["scans_ahead_of_arrival"] += 1
+        if not self._gate.passes(stamp_ns, arrived_ns):
             return None
-        if self._last_stamp_ns is not None and stamp_ns <= self._last_stamp_ns:
-            self.counters["scans_out_of_order"] += 1
-            return None
-        self._last_stamp_ns = stamp_ns
         self._silence.heard()
         radians_per_tick = 2.0 * math.pi / scan.ticks_per_turn
         return LaserScan(

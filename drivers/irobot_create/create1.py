@@ -211,20 +211,11 @@ class Create1Session:
                 ds_m, dth_rad = self._roll(values, expected_left_m, expected_right_m)
         self._way_lost = False
         self._last_mps = (left_mps, right_mps)
-        self._odometry.stamp_ns = stamp_ns
         self._health.observe(values)
         self.counters["answers_received"] += 1
         self.status = f"polling; {self._health.words()}"
-        return OdometrySample(
-            sensor=self._config.name,
-            stamp_ns=stamp_ns,
-            arrived_ns=arrived_ns,
-            x_m=self._odometry.x_m,
-            y_m=self._odometry.y_m,
-            theta_rad=self._odometry.theta_rad,
-            twist_mps_radps=self._twist.add(stamp_ns, ds_m, dth_rad),
-            covariance=self._odometry.covariance,
-        )
+        twist = self._twist.add(stamp_ns, ds_m, dth_rad)
+        return self._odometry.sample(self._config.name, stamp_ns, arrived_ns, twist)
 
     def _roll(
         self, values: dict[int, int], expected_left_m: float, expected_right_m: float

@@ -173,19 +173,10 @@ class IrobotCreateSession:
             missing_at_most=-(-frame.damaged_bytes_before // self._frame_bytes),
         )
         ds_m, dth_rad = self._roll(frame, stamp_ns, arrived_ns)
-        self._odometry.stamp_ns = stamp_ns
         self._health.observe(frame.values)
         self.status = f"streaming; {self._health.words()}"
-        return OdometrySample(
-            sensor=self._config.name,
-            stamp_ns=stamp_ns,
-            arrived_ns=arrived_ns,
-            x_m=self._odometry.x_m,
-            y_m=self._odometry.y_m,
-            theta_rad=self._odometry.theta_rad,
-            twist_mps_radps=self._twist.add(stamp_ns, ds_m, dth_rad),
-            covariance=self._odometry.covariance,
-        )
+        twist = self._twist.add(stamp_ns, ds_m, dth_rad)
+        return self._odometry.sample(self._config.name, stamp_ns, arrived_ns, twist)
 
     def _ended_ns(self, frame: StreamFrame, arrived_ns: int) -> int:
         """When the frame's last byte was on the line; never too early.

@@ -9,6 +9,8 @@ from collections import deque
 import numpy as np
 import numpy.typing as npt
 
+from drivers.frames import OdometrySample
+
 COUNTER_MODULUS = 1 << 16
 TWIST_SAMPLES = 7  # six intervals of 15 ms: a count more or less is then 5 mm/s, not 30
 FASTEST_MPS = 0.5  # of a wheel, by the manual's range of opcode 145
@@ -64,6 +66,22 @@ class DeadReckoning:
     def covariance(self) -> tuple[float, ...]:
         """9 values, row-major (x, y, theta) in the frame's axes; m^2, m rad, rad^2."""
         return tuple(self._covariance.ravel().tolist())
+
+    def sample(
+        self, sensor: str, stamp_ns: int, arrived_ns: int, twist_mps_radps: tuple[float, float, float]
+    ) -> OdometrySample:
+        """The pose, which is that of stamp_ns, as a frame."""
+        self.stamp_ns = stamp_ns
+        return OdometrySample(
+            sensor=sensor,
+            stamp_ns=stamp_ns,
+            arrived_ns=arrived_ns,
+            x_m=self.x_m,
+            y_m=self.y_m,
+            theta_rad=self.theta_rad,
+            twist_mps_radps=twist_mps_radps,
+            covariance=self.covariance,
+        )
 
     def roll(self, left_m: float, right_m: float, reading_variance_rad2: float = 0.0) -> tuple[float, float]:
         """Take in what both wheels rolled since the last call; returns (ds in m, dth in rad).

@@ -29,7 +29,7 @@ from drivers.sick_lms100.telegrams import (
     ScanTelegram,
     read_scan,
 )
-from drivers.watch import MalformedRun, SilenceWatch
+from drivers.watch import MalformedRun, SilenceWatch, StampGate
 
 FIRST_SCAN_TIMEOUT_S = 45.0  # after a change of the scan rate data flow again after some 30 s
 MALFORMED_LIMIT = 20  # scan telegrams in a row
@@ -56,11 +56,11 @@ class Lms100Session:
         self._clock = ClockMap(1_000.0, CLOCK_MODULUS, round(config.latency_ms * 1e6))
         self._start_before_zero_us: int | None = None
         self._last: ScanTelegram | None = None
-        self._last_stamp_ns: int | None = None
         self._flagged_in_a_row = 0
         self.outbox = bytearray()
         self.counters: Counter[str] = self._dialogue.counters
         self._malformed = MalformedRun(self.counters, "scans", MALFORMED_LIMIT)
+        self._gate = StampGate(self.counters, "scans")
         self.identity: dict[str, str] = self._dialogue.identity
         self.status = self._dialogue.phase
 
@@ -199,13 +199,8 @@ class Lms100Session:
         self._count("clock_resets", self._clock.resets)
         shift_us = self._first_beam_before_zero_us(scan, geometry)
         stamp_ns = self._clock.to_host_ns((scan.start_us - shift_us) % CLOCK_MODULUS)
-        if stamp_ns > arrived_ns:
-            self.counters["scans_ahead_of_arrival"] += 1
+        if not self._gate.passes(stamp_ns, arrived_ns):
             return None
-        if self._last_stamp_ns is not None and stamp_ns <= self._last_stamp_ns:
-            self.counters["scans_out_of_order"] += 1
-            return None
-        self._last_stamp_ns = stamp_ns
         self._silence.heard()
         range_m, intensity = (
             self._last_echo(echoes) if self._config.echo == "last" else self._convert(*echoes[0])

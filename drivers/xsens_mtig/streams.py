@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 
 from drivers.errors import ProtocolError
 from drivers.frames import Frame, GnssFix, ImuSample
+from drivers.watch import StampGate
 from drivers.xsens_mtig.config import XsensMtigConfig
 from drivers.xsens_mtig.health import GNSS_FIX, DeviceHealth
 from drivers.xsens_mtig.mtdata import LegacyCodec, LegacyData, RawGps, Settings
@@ -79,8 +80,8 @@ class _Stream:
         self._axes = axes_of(config.forward_axis, config.up_axis)
         self._device = device_from_axes(self._axes)
         self._latency_ns = round(config.latency_ms * 1e6)
-        self._last_stamp_ns: int | None = None
-        self._last_fix_ns: int | None = None
+        self._sample_gate = StampGate(counters, "samples")
+        self._fix_gate = StampGate(counters, "fixes")
         self.utc_minus_host_ns: int | None = None  # None: the device does not know UTC (yet)
 
     def _sample(
@@ -95,13 +96,8 @@ class _Stream:
         if not all(map(math.isfinite, (*rate, *force))):
             self._counters["samples_not_finite"] += 1
             return []
-        if stamp_ns > arrived_ns:
-            self._counters["samples_ahead_of_arrival"] += 1
+        if not self._sample_gate.passes(stamp_ns, arrived_ns):
             return []
-        if self._last_stamp_ns is not None and stamp_ns <= self._last_stamp_ns:
-            self._counters["samples_out_of_order"] += 1
-            return []
-        self._last_stamp_ns = stamp_ns
         enu_from_sensor = None
         if orientation is not None and all(map(math.isfinite, orientation)):
             enu_from_sensor = to_enu(local, orientation, self._device)
@@ -128,13 +124,8 @@ class _Stream:
         accuracy_m: tuple[float, float] | None,
     ) -> list[Frame]:
         """accuracy_m: horizontal and vertical, one sigma; None: not told."""
-        if stamp_ns > arrived_ns:
-            self._counters["fixes_ahead_of_arrival"] += 1
+        if not self._fix_gate.passes(stamp_ns, arrived_ns):
             return []
-        if self._last_fix_ns is not None and stamp_ns <= self._last_fix_ns:
-            self._counters["fixes_out_of_order"] += 1
-            return []
-        self._last_fix_ns = stamp_ns
         self._counters["fixes_good" if status >= 0 else "fixes_none"] += 1
         covariance = UNKNOWN_COVARIANCE
         if status >= 0 and accuracy_m is not None:

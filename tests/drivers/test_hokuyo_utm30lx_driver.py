@@ -415,7 +415,7 @@ def test_a_clock_set_between_time_sync_and_stream_costs_the_calibration_alone(by
 
 def test_a_device_whose_scans_all_come_out_of_order_is_a_silent_one():
     t = talk().run(4.0)
-    t.session._last_stamp_ns = t.now_ns + 1_000_000_000_000
+    t.session._gate.last_ns = t.now_ns + 1_000_000_000_000
     with pytest.raises(TransportError, match="no scan for 2 s"):
         t.run(2.5)
 

@@ -5,7 +5,7 @@ from collections import Counter
 import pytest
 
 from drivers.errors import ProtocolError
-from drivers.watch import LOOK_NS, MalformedRun, SilenceWatch
+from drivers.watch import LOOK_NS, MalformedRun, SilenceWatch, StampGate
 
 TICK_NS = 20_000_000
 
@@ -42,3 +42,19 @@ def test_malformed_messages_are_borne_up_to_the_limit_and_a_good_one_begins_anew
     with pytest.raises(ProtocolError, match="4 malformed scans in a row: no sense") as raised:
         run.bad(ProtocolError("no sense"))
     assert isinstance(raised.value.__cause__, ProtocolError)
+
+
+def test_a_stamp_after_its_arrival_or_not_after_the_one_before_is_counted_and_does_not_pass():
+    counters: Counter[str] = Counter()
+    gate = StampGate(counters, "scans")
+    passed = [
+        gate.passes(stamp_ns, arrived_ns) for stamp_ns, arrived_ns in ((9, 9), (9, 12), (13, 12), (10, 12))
+    ]
+    assert passed == [
+        True,
+        False,
+        False,
+        True,
+    ]  # the one from the future is not what the next is compared with
+    assert counters == {"scans_ahead_of_arrival": 1, "scans_out_of_order": 1}
+    assert gate.last_ns == 10
