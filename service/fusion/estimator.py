@@ -235,6 +235,7 @@ class Estimator:
             elapsed_s=self._elapsed_s,
             travel_m=math.hypot(x_m - x0_m, y_m - y0_m) + TURN_M * abs(wrap_angle(theta_rad - theta0_rad)),
             is_measured=bool(state.said[3]),
+            odometry_noise=float(state.noise[0]),
             pause_s=pause_s,
         )
 

@@ -31,6 +31,7 @@ class Prediction(Motion):
     travel_m: float  # since the last scan
     is_measured: bool  # wheels or an IMU measured the motion since then; else the last speed goes on
     is_confirmed: bool = False  # both did, and were weighed against each other
+    odometry_noise: float = 1.0  # variance of odometry's way over that of its model, as learnt
     pause_s: float = 0.0  # the longest since the last scan in which nobody measured the way
 
     def twist_at(self, pose_odom_base: SE2) -> tuple[float, float, float]:

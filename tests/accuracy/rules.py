@@ -23,7 +23,7 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     (
         "information of a scan reduced by what chance gives ([22])",
         f"{METHOD}.surfel_gauss_newton",
-        {"SURE_M": 0.0},
+        {"HONEST_NOISE": 0.0},
     ),
     (
         "unknown ground neutral in the loop search",

@@ -45,7 +45,7 @@ COARSE_SIGMA, COARSE_BEAMS, COARSE_ITERATIONS = 0.3, 180, 15  # sigma of 1 - lik
 SAME_WALL_M = 0.05  # scans within one key frame's distance are matched to the same noise of the map
 CHANCE_M = 1.0  # of travel: what its scans say by chance along an open direction adds up
 MOST_CHANCES = 50.0  # scans that count in it
-SURE_M = 0.02  # a prediction by honest odometry is known as well as that
+HONEST_NOISE = 20.0  # odometry is wrong whose errors have more than that times the variance of its model
 MOST_REPEATS = 100.0
 USUAL_SCANS = 50  # over which the usual inlier ratio is taken
 DOUBT_RATIO = 0.9  # of the usual inlier ratio: with less, other starts are tried
@@ -322,7 +322,7 @@ def _chance_chi2(predicted: Prediction) -> float:
     Chance misleads where the prediction knows better. Without odometry, or where odometry was found wrong,
     the scan is asked for the little that it says.
     """
-    if not predicted.is_measured or max(sigmas_of(predicted.local_covariance)[:2]) > SURE_M:
+    if not predicted.is_measured or predicted.odometry_noise > HONEST_NOISE:
         return 0.0
     return 2.0 * math.log(min(max(CHANCE_M / _apart_m(predicted), 1.0), MOST_CHANCES))
 

@@ -1,0 +1,51 @@
+"""Real recordings as frames."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
+
+
+def frames_of(path: Path, scans: int) -> list[Frame]:
+    """So many scans, and odometry, by stamp; of equal stamps odometry first, as a vehicle would have it."""
+    frames: list[Frame] = []
+    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        for connection, _, raw in reader.messages():
+            if connection.topic not in ("/scan", "/odom"):
+                continue
+            if scans == 0:
+                break
+            message = reader.deserialize(raw, connection.msgtype)
+            stamp_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+            if connection.topic == "/odom":
+                place, turn = message.pose.pose.position, message.pose.pose.orientation
+                theta_rad = 2.0 * math.atan2(turn.z, turn.w)
+                frames.append(
+                    OdometrySample(
+                        "base", stamp_ns, stamp_ns, place.x, place.y, theta_rad, (0.0, 0.0, 0.0), (0.0,) * 9
+                    )
+                )
+                continue
+            scans -= 1
+            range_m = np.array(message.ranges, np.float32)
+            range_m[~np.isfinite(range_m)] = np.nan
+            frames.append(
+                LaserScan(
+                    "laser",
+                    stamp_ns,
+                    stamp_ns,
+                    round(message.time_increment * 1e9),
+                    round(message.scan_time * 1e9),
+                    message.angle_min,
+                    message.angle_increment,
+                    message.range_min,
+                    message.range_max,
+                    range_m,
+                    NO_INTENSITY,
+                )
+            )
+    return sorted(frames, key=lambda frame: (frame.stamp_ns, isinstance(frame, LaserScan)))
