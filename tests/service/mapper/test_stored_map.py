@@ -180,7 +180,7 @@ def test_what_is_nowhere_in_the_stored_map_stays_lost(first):
 
 def test_who_stands_where_no_map_is_keeps_no_more_the_longer_it_stands(first):
     _, begin = first
-    elsewhere = through("library", 40.0, 1, stand_s=50.0)
+    elsewhere = through("library", 40.0, 1, stand_s=50.0, laser=COARSE)
     mapper = new_mapper(begin)
     assert {output.state for output in outputs_of(mapper, elsewhere.frames)} == {"lost"}
     keyframes = mapper.graph._jobs._worker._back_end._keyframes
