@@ -19,8 +19,6 @@ from service.mapper.graph.pose_graph import (
 class Solution:
     """poses (N, 3), landmarks (L, 2); chi2 of each edge and sighting without its kernel, (E,) and (S,).
 
-    islands       how many groups of poses hang together with the fixed one by nothing. Nothing can move such
-                  a group against the rest, so its first pose is held where it was
     covariances   by pose asked for: (3, 3), in the axes of that pose, against the fixed pose
     """
 
@@ -29,7 +27,6 @@ class Solution:
     edge_chi2: Floats
     sighting_chi2: Floats
     iterations: int
-    islands: int
     covariances: dict[int, Floats]
 
 
@@ -38,7 +35,8 @@ def solve(
 ) -> Solution:
     """Levenberg-Marquardt from the first guess. Raises GraphError, never what GTSAM raises.
 
-    A direction that nothing measures stays where the guess had it; only a covariance asked of it is refused.
+    A direction that nothing measures stays where the guess had it, and so does a group of poses that no edge
+    joins with the fixed one; only a covariance asked of it is refused.
     """
     config = config or SolverConfig()
     _check(graph)
@@ -58,7 +56,6 @@ def solve(
         edge_chi2(graph.edges, poses),
         sighting_chi2(graph.sightings, poses, landmarks),
         iterations,
-        len(held) - 1,
         covariances,
     )
 

@@ -162,7 +162,6 @@ def test_groups_that_hang_together_by_nothing_stay_where_they_were():
         edges.of[keep], edges.to[keep], edges.measured[keep], edges.covariance[keep], edges.kernel_width[keep]
     )
     solution = solve(PoseGraph(graph.poses, cut, fixed=2))
-    assert solution.islands == 1
     np.testing.assert_allclose(solution.poses, graph.poses, atol=1e-4)
 
 
