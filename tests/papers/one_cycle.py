@@ -322,7 +322,8 @@ def owolm_boxes(cycle: Cycle, seed: int) -> tuple[Boxes, tuple[str, str]] | None
             f"{1000.0 * math.hypot(innovation.x_m, innovation.y_m):.1f} mm and "
             f"{math.degrees(abs(innovation.theta_rad)):.3f}° that it says the filter takes "
             f"{1000.0 * math.hypot(taken.x_m, taken.y_m):.1f} mm and "
-            f"{math.degrees(abs(taken.theta_rad)):.3f}°; then {sigmas_told(motion.covariance)}",
+            f"{math.degrees(abs(taken.theta_rad)):.3f}°; then, by walls alone, "
+            f"{sigmas_told(motion.covariance)}",
             cycle.off(motion.pose_odom_base),
         ),
         (
