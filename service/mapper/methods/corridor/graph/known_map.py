@@ -154,14 +154,35 @@ class KnownMap:
 
     def weigh(self, seen: SeenCloud, pose: Floats, least: float = -math.inf) -> Weight:
         """What speaks for a cloud at a pose (3,); of evidence below `least` no more than a bound."""
-        cloud, shares = seen.cloud, seen.shares
+        shares = seen.shares
+        evidence, at_end, on_way = self._asked_at(seen, pose, least)
+        whole = max(float(shares.sum()), 1e-9)
+        against = float(shares @ (at_end + on_way < AGAINST_RATIO)) / whole
+        on_map = float(shares @ (at_end > ON_MAP_RATIO)) / whole
+        return Weight(evidence, max(0.0, FULL_RATIO * whole - evidence), against, on_map)
+
+    def ahead_where_known(self, seen: SeenCloud, pose: Floats, rival: Floats) -> float:
+        """Nats by which a pose (3,) is likelier than a rival, by the beams that end there on what the map
+        knows: what it does not know may look as at the pose, where rooms of a building are alike.
+        """
+        _, at_end, on_way = self._asked_at(seen, pose)
+        _, at_end_of_rival, on_way_of_rival = self._asked_at(seen, rival)
+        is_known = (at_end_of_rival < 0.0) | (at_end_of_rival > ON_MAP_RATIO)
+        ends = (seen.shares * (at_end - at_end_of_rival))[is_known]
+        return float(ends.sum() + on_way.sum() - on_way_of_rival.sum())
+
+    def _asked_at(
+        self, seen: SeenCloud, pose: Floats, least: float = -math.inf
+    ) -> tuple[float, Floats, Floats]:
+        """The evidence of a cloud at a pose, and what end (N,) and way (N,) of each beam say, nats."""
+        cloud = seen.cloud
         at_end, on_way = np.empty(len(cloud.xy)), np.empty(len(cloud.xy))
         self._weighed += 1
         evidence = evidence_of_beams(
             cloud.xy,
             cloud.normals,
             seen.sensors,
-            shares,
+            seen.shares,
             pose,
             self._asked,
             self._weighed,
@@ -169,10 +190,7 @@ class KnownMap:
             at_end,
             on_way,
         )
-        whole = max(float(shares.sum()), 1e-9)
-        against = float(shares @ (at_end + on_way < AGAINST_RATIO)) / whole
-        on_map = float(shares @ (at_end > ON_MAP_RATIO)) / whole
-        return Weight(evidence, max(0.0, FULL_RATIO * whole - evidence), against, on_map)
+        return evidence, at_end, on_way
 
     def _aligned(self, seen: SeenCloud, pose: Floats, least: float = -math.inf) -> Laid:
         fit = self._walls.align(seen.cloud, pose)

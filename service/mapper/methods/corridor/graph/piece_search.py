@@ -237,10 +237,21 @@ class PieceSearch:
             ahead = best.evidence - other.evidence
             # Beside the best place the same is unexplained, so it says nothing there.
             least = CLEARLY_LIKELIER if is_same_place(best.pose, other.pose) else margin
+            if ahead >= least and other.loop is not None:
+                ahead, least = self._ahead_where_known(best, other), CLEARLY_LIKELIER
             if ahead < least and not is_same_pose(best.pose, other.pose):
                 self.alike = [(float(place.pose[0]), float(place.pose[1])) for place in (best, other)]
                 return None
         return best.pose, best.loop
+
+    def _ahead_where_known(self, best: Place, other: Place) -> float:
+        """Nats by which a place is likelier than another one at which enough fits; inf where both are of one
+        room, or nothing was searched for.
+        """
+        if self._asked is None or self._known_map is None or is_same_place(best.pose, other.pose):
+            return math.inf
+        ahead = self._known_map.ahead_where_known(self._asked, best.pose, other.pose)
+        return ahead + best.prior - other.prior
 
     def _find_expected(self, piece: int, known: npt.NDArray[np.int64]) -> tuple[Loop, ...] | None:
         """Place the newest piece where a person has said, if it fits there; gives up after some tries."""

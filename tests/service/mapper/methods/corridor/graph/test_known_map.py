@@ -105,6 +105,24 @@ def test_of_two_rooms_that_are_alike_none_is_taken_and_both_are_told():
     assert told[1] == pytest.approx((STOOD.x_m + APART_M, STOOD.y_m), abs=0.05)
 
 
+@pytest.mark.parametrize("stands_in_second", [False, True])
+def test_a_room_that_is_known_whole_does_not_win_against_one_like_it_that_is_known_in_part(stands_in_second):
+    """What the map does not know of the second may look as in the first."""
+    noise, keyframes = np.random.default_rng(5), KeyframeList()
+    for at_m, walls in ((0.0, room(0.0, with_pillar=False)), (APART_M, room(APART_M, with_pillar=False)[:5])):
+        for x_m in np.arange(1.0, 5.5, 0.3):
+            append(keyframes, walls, SE2(at_m + x_m, 1.2, 0.0), 0, noise)
+    at_m = APART_M if stands_in_second else 0.0
+    pose = SE2(at_m + STOOD.x_m, STOOD.y_m, STOOD.theta_rad)
+    own = append(keyframes, room(at_m, with_pillar=False), pose, 1, noise)
+    search, best = looked_for(keyframes, own)
+    assert best is None
+    told = sorted(search.alike)
+    assert told[0] == pytest.approx((STOOD.x_m, STOOD.y_m), abs=0.05)
+    assert told[1] == pytest.approx((STOOD.x_m + APART_M, STOOD.y_m), abs=0.05)
+    assert search.ahead_of_others(np.array([STOOD.x_m, STOOD.y_m, STOOD.theta_rad])) > CLEARLY_LIKELIER
+
+
 def test_what_the_map_does_not_know_at_all_is_found_nowhere():
     keyframes, noise = rooms(pillar_in_first=True, pillar_in_second=False)
     hall = [(-9.0, -8.0, 9.0, -8.0), (9.0, -8.0, 9.0, 8.0), (9.0, 8.0, -9.0, 8.0), (-9.0, 8.0, -9.0, -8.0)]
