@@ -10,8 +10,8 @@ from rosbags.typesys import Stores, get_typestore
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
 
 
-def frames_of(path: Path, scans: int) -> list[Frame]:
-    """So many scans, and odometry, by stamp; of equal stamps odometry first, as a vehicle would have it."""
+def frames_of(path: Path, scans: int = -1) -> list[Frame]:
+    """So many scans (-1: all), and odometry, by stamp; of equal stamps odometry first, as on a vehicle."""
     frames: list[Frame] = []
     with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
         for connection, _, raw in reader.messages():
