@@ -96,7 +96,7 @@ class SerialTransport:
         except OSError as error:
             self._port.close()
             raise TransportError(
-                f"cannot open {self._where}: nobody can wait for such a port; write socket://host:port, and "
+                f"cannot open {self._where}: such a port cannot be polled; write socket://host:port, and "
                 "set the device server to raw TCP"
             ) from error
 

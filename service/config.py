@@ -265,7 +265,7 @@ class _Reader:
             self._fault(path, "a sensor is a mapping; write {type: sick_lms100, host: 192.168.0.1}, say")
             return None
         if "name" in settings:
-            self._fault((*path, "name"), f"the name stands in front already ({name}); take this line out")
+            self._fault((*path, "name"), f"the key is the name already ({name}); take this line out")
         settings = {**settings, "name": name}
         kind = settings.get("type")
         if isinstance(kind, str) and kind in SENSOR_KINDS:

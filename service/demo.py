@@ -285,7 +285,7 @@ def _void(left_out: dict[str, int]) -> str | None:
     if not left_out:
         return None
     missing = ", ".join(f"{count} of {name}" for name, count in left_out.items())
-    return f"the fake devices had no processor to send {missing}; latency and error say nothing"
+    return f"the fake devices had no processor to send {missing}; latency and error are void"
 
 
 def free_port(wanted: int | None, usual: int, option: str) -> int:

@@ -238,7 +238,7 @@ class _Reader:
         elif kind == "restart" and not isinstance(device, Restartable):
             self._refuse((*path, "kind"), f"{name} cannot be restarted; take cut")
         elif kind == "clock_jump" and not isinstance(device, HasClock):
-            self._refuse((*path, "kind"), f"{name} shows no clock on its wire, so nobody would see it jump")
+            self._refuse((*path, "kind"), f"{name} sends no clock reading; a jump has no effect")
 
     def _refuse_value(self, model: type[Fault], path: KeyPath, detail: ErrorDetails) -> None:
         at = path

@@ -251,7 +251,7 @@ class Faulty:
                 case Drop():
                     harmed = []
                 case _:
-                    raise AssertionError(f"nobody knows what {fault.kind} does to a message")
+                    raise AssertionError(f"{fault.kind} is no fault of a message")
         if harmed != [message]:
             self.counters[f"messages_hit_by_{fault.kind}"] += 1
         return harmed

@@ -236,7 +236,7 @@ class Create1Session:
         seconds = GIVE_UP_NS / 1e9
         if self._bytes_heard:
             return (
-                f"{self._bytes_heard} bytes came but no believable answer for {seconds:.0f} s; is "
+                f"{self._bytes_heard} bytes came but no valid answer for {seconds:.0f} s; is "
                 f"{self._config.baud} the robot's baud rate, and is another program reading this port?"
             )
         return (

@@ -61,7 +61,7 @@ def _add_edit(edit: argparse.ArgumentParser) -> None:
         type=float,
         nargs="+",
         metavar="M",
-        help="X Y X Y X Y ...: corners of an area, m in the map; what stands in it is gone",
+        help="X Y X Y X Y ...: corners of an area, m in the map; its content is erased",
     )
     change.add_argument(
         "--wall",

@@ -119,12 +119,12 @@ def _needed_reference(source: Path, to: str) -> GeoReference:
         return reference
     if not source.is_dir():
         raise InputError(
-            f"{source}: a session does not say where its map lies on the earth, which {to} needs; "
+            f"{source}: a session holds no geo-reference of its map, which {to} needs; "
             f"corridor replay {source} --out DIR, then export DIR"
         )
     raise InputError(
-        f"{source}: no {GEO_FILE} in it, so nobody knows where the map lies on the earth, which {to} needs. "
-        "GNSS fixes anchor a map once they agree with some 100 m of way; summary.json counts them (fixes). "
+        f"{source}: no {GEO_FILE} in it: the map is not geo-referenced, which {to} needs. "
+        "GNSS fixes anchor a map once they agree with some 100 m of path; summary.json counts them (fixes). "
         "--format csv or tum writes the same poses in metres of the map"
     )
 

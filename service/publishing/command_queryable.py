@@ -53,7 +53,7 @@ class CommandQueryable:
                     thread.start()  # to leave the others it needs the lock
                 except RuntimeError as error:  # the system gives no more threads
                     self._threads.discard(thread)
-                    refused = f"nobody can work on it: {error}; ask again in a moment"
+                    refused = f"no thread for it: {error}; ask again in a moment"
         if refused:
             with query:
                 _refuse(query, refused)
@@ -71,7 +71,7 @@ class CommandQueryable:
                 else:
                     query.reply_err(answer.body, encoding=zenoh.Encoding.APPLICATION_JSON)
         except zenoh.ZError as error:
-            log.error("%s was answered, but nobody hears: %s", key, error)
+            log.error("%s was answered, but the reply was not delivered: %s", key, error)
         finally:
             with self._lock:
                 self._threads.discard(threading.current_thread())

@@ -65,7 +65,7 @@ class Notifier:
             notify.connect(address)
         except OSError as error:
             notify.close()
-            self._tell(f"NOTIFY_SOCKET is set to {self._address!r}, but nobody listens there: {error}")
+            self._tell(f"NOTIFY_SOCKET is set to {self._address!r}, but nothing receives there: {error}")
             return False
         notify.settimeout(SEND_TIMEOUT_S)
         self._socket = notify

@@ -311,7 +311,7 @@ class Service:
     def _feed_watchdog(self) -> None:
         turn = self._link.turns
         if turn == self._last_turn:
-            log.error("nobody has listened to the mapper for %.1f s", self._notifier.watchdog_s)
+            log.error("the mapper's messages were not read for %.1f s", self._notifier.watchdog_s)
         else:
             self._notifier.alive()
         self._last_turn = turn

@@ -54,7 +54,7 @@ class StopSignals:
         except BlockingIOError:
             pass  # it is awake already
         except OSError as error:
-            log.debug("nobody waits any more: %s", error)
+            log.debug("wake-up not sent: %s", error)
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         if not self.received:

@@ -190,7 +190,7 @@ class MapSaver(Sink):
         while len(self._unsaved) > MOST_UNSAVED:
             lost = self._unsaved.pop(0)
             self._given_up = (
-                f"map {lost.number} of this run is given up: more than {MOST_UNSAVED} ended maps wait to be "
+                f"map {lost.number} of this run is not saved: more than {MOST_UNSAVED} ended maps wait to be "
                 f"saved under {self._folder.parent}; make room there, or change map.directory"
             )
             log.error("%s", self._given_up)

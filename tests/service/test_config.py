@@ -99,7 +99,7 @@ def test_an_antenna_lies_where_mounting_axes_and_lever_arm_put_it():
         (with_line("  front:", 3), "c.yaml:3:3: sensors.front: a sensor is a mapping"),
         (
             with_line("  front: {type: sick_lms100, name: front, host: a}", 3),
-            "c.yaml:3:30: sensors.front.name: the name stands in front already (front)",
+            "c.yaml:3:30: sensors.front.name: the key is the name already (front)",
         ),
         (
             with_line("  front: {type: sick_lms100}", 3),

@@ -164,6 +164,6 @@ def test_a_folder_that_cannot_be_made_is_wrong_usage(tmp_path: Path):
 def test_figures_of_a_demo_whose_devices_had_no_processor_are_called_void():
     words = b'{"ready": true}\n{"left_out": {"front": 12, "rear": 3}}\n'
     assert demo._void(demo._left_out(words)) == (
-        "the fake devices had no processor to send 12 of front, 3 of rear; latency and error say nothing"
+        "the fake devices had no processor to send 12 of front, 3 of rear; latency and error are void"
     )
     assert demo._void(demo._left_out(b'{"left_out": {}}\n')) is None

@@ -108,7 +108,7 @@ def test_every_kind_there_is_can_be_written():
             "4 s with up to 1.125 s of jitter do not fit into every_s 4.5",
         ),
         ("{device: front, kind: clock_jump, by_s: 1, for_s: 2}", "2:48: faults.0.for_s", "unknown key"),
-        ("{device: base, kind: clock_jump, by_s: 1}", "2:20: faults.0.kind", "base shows no clock"),
+        ("{device: base, kind: clock_jump, by_s: 1}", "2:20: faults.0.kind", "base sends no clock"),
         ("{device: plain, kind: restart}", "2:21: faults.0.kind", "plain cannot be restarted; take cut"),
         ("{device: hub, kind: cut}", "2:6: faults.0.device", "hub serves several clients"),
         ("{device: front, kind: drop, for_s: 012}", "2:40: faults.0.for_s", "YAML takes 012 for octal"),

@@ -120,7 +120,7 @@ def test_a_stored_map_keeps_its_reference_for_its_picture(tmp_path):
 @pytest.mark.parametrize("to", ["geojson", "kml"])
 def test_without_a_reference_the_way_on_the_earth_is_refused_in_words(replayed, tmp_path, to):
     (replayed / "geo.json").unlink()
-    with pytest.raises(InputError, match=rf"no geo.json in it, .* which {to} needs.*summary\.json"):
+    with pytest.raises(InputError, match=rf"no geo.json in it: .* which {to} needs.*summary\.json"):
         export(replayed, to, tmp_path / "way")
     assert not (tmp_path / "way").exists()
 

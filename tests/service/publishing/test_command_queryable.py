@@ -149,5 +149,5 @@ def test_a_command_for_which_there_is_no_thread_is_refused_and_the_next_is_done(
         exhausted.setattr(threading.Thread, "start", start)
         ((good, _, text),) = ask(client, "cmd/mark")
     assert not good
-    assert "nobody can work on it: can't start new thread; ask again" in text
+    assert "no thread for it: can't start new thread; ask again" in text
     assert ask(client, "cmd/mark")[0][0]

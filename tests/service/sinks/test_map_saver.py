@@ -215,10 +215,10 @@ def test_unsaved_maps_do_not_pile_up_without_end(tmp_path: Path, caplog: pytest.
         kept.tiles.update([tile(kept.tiles.version + 1)])
         kept.tiles.begin_anew()
     kept.saver._try_to_save()
-    assert "map 1 of this run is given up" in caplog.text
+    assert "map 1 of this run is not saved" in caplog.text
     assert len(kept.saver._unsaved) == 0  # only the first had something in its way
-    assert "map 1 of this run is given up" in kept.saver.health().message
-    with pytest.raises(StorageError, match="map 1 of this run is given up"):
+    assert "map 1 of this run is not saved" in kept.saver.health().message
+    with pytest.raises(StorageError, match="map 1 of this run is not saved"):
         kept.saver.flush()
 
 
