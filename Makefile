@@ -35,7 +35,7 @@ $(STAMP): pyproject.toml
 		test $$((seconds % 5)) -ne 0 || echo "    $$seconds s, $$(du -sm $(VENV) | cut -f1) MB:" \
 			"$$(grep -E 'Collecting|Downloading|Installing' $(VENV)/pip.log | tail -n 1 | cut -c 1-70)"; done; \
 	wait $$pip || { tail -n 30 $(VENV)/pip.log; echo "pip failed; all of its words: $(VENV)/pip.log"; exit 1; }
-	@echo "3/3 kernels: compiled once for this processor, half a minute to two minutes"
+	@echo "3/3 kernels: compiled once for this processor, half a minute to two minutes, five where others take the cores"
 	@$(BIN)/corridor warmup # so that the first start and the first test find every kernel compiled
 	@touch $(STAMP)
 
