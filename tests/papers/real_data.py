@@ -43,7 +43,7 @@ STEP_OFF = (
 )
 TURNS = (
     "the paper's filter predicts the heading by a gyro, and there is none: wheels that turn wrong by 475 deg "
-    "in 640 s take its place, and a third of that enters each new scan's heading and stays in the map "
+    "in 640 s take its place, and a quarter of that enters each new scan's heading and stays in the map "
     "(section Where intel bends)"
 )
 STEPS = (
