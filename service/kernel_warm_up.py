@@ -5,6 +5,7 @@ its own. The work falls into pieces; each process takes the next one until none 
 compiled is read from the cache that all share, and what they have not is compiled here.
 """
 
+import gc
 import logging
 import os
 import pickle
@@ -127,7 +128,7 @@ def _warm_up(
         for helper in helpers:
             helper.start()
 
-    with _listening(help_out, progress.compiled):
+    with _collecting_last(), _listening(help_out, progress.compiled):
         while (k := pieces.claim()) is not None:
             pieces.do(k)
         for helper in helpers:
@@ -185,6 +186,20 @@ def start_compiler() -> None:
         cpu_target.target_context.refresh()
     finally:
         del sys.modules["scipy.linalg"]
+
+
+@contextmanager
+def _collecting_last() -> Iterator[None]:
+    """The compiler's objects are looked through for garbage when all are compiled: sought meanwhile, it takes
+    a tenth of the time. Without it, a process that compiles takes 200 MB more.
+    """
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 @contextmanager
@@ -296,7 +311,7 @@ def _help(theirs: Connection, what: tuple[dict[str, Any] | None, bool]) -> None:
     start_compiler()
     work = warm_up_steps(None if section is None else mapping_config(section), back_end_elsewhere)
     try:
-        with _listening(lambda: None, theirs.send):
+        with _collecting_last(), _listening(lambda: None, theirs.send):
             while True:
                 theirs.send(None)
                 if (k := theirs.recv()) is None:

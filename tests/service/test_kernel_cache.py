@@ -1,5 +1,7 @@
 import logging
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -68,6 +70,37 @@ def test_kernels_of_other_sources_are_forgotten(folder: str, monkeypatch: pytest
     kernel_cache.ensure_cache_dir()
     assert not compiled.exists()
     assert foreign.exists()
+
+
+CALLS_ANOTHER_FILE = """
+import sys
+from pathlib import Path
+from service import kernel_cache
+kernel_cache.KERNELS = Path(sys.argv[1])
+kernel_cache.ensure_cache_dir()
+sys.path.insert(0, sys.argv[1])
+import caller
+print(caller.answer(), sum(caller.answer.stats.cache_hits.values()))
+"""
+
+
+def test_a_kernel_whose_callee_changed_in_another_file_is_compiled_anew(tmp_path: Path):
+    sources = tmp_path / "kernels"
+    sources.mkdir()
+    head = "from numba import njit\n"
+    (sources / "caller.py").write_text(
+        head + "from called import one\n@njit(cache=True)\ndef answer():\n    return one()\n"
+    )
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+
+    def answer(value: int) -> str:
+        (sources / "called.py").write_text(head + f"@njit(cache=True)\ndef one():\n    return {value}  #\n")
+        command = [sys.executable, "-c", CALLS_ANOTHER_FILE, str(sources)]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+
+    assert answer(1) == "1 0\n"
+    assert answer(1) == "1 1\n"  # from the cache
+    assert answer(22) == "22 0\n"
 
 
 def test_a_cache_is_warm_until_sources_or_compiler_change(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):

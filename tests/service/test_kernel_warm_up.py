@@ -1,3 +1,4 @@
+import gc
 import os
 import pickle
 import subprocess
@@ -81,6 +82,25 @@ def test_nobody_helps_where_all_is_in_the_cache(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(kernel_warm_up, "get_context", lambda method: pytest.fail("a process was begun"))
     warm_up()
     assert done == [0, 0]
+
+
+@pytest.mark.parametrize("is_enabled", [True, False])
+def test_garbage_is_not_sought_while_kernels_are_compiled(is_enabled: bool, monkeypatch: pytest.MonkeyPatch):
+    sought: list[bool] = []
+
+    def broken() -> None:
+        sought.append(gc.isenabled())
+        raise TypeError("cannot lower")
+
+    monkeypatch.setattr(kernel_warm_up, "warm_up_steps", lambda *_: [broken])
+    try:
+        (gc.enable if is_enabled else gc.disable)()
+        with pytest.raises(TypeError, match="cannot lower"):
+            warm_up()
+        assert gc.isenabled() == is_enabled
+    finally:
+        gc.enable()
+    assert sought == [False]
 
 
 def test_what_does_not_compile_is_raised(monkeypatch: pytest.MonkeyPatch):

@@ -13,7 +13,7 @@ from service.mapper.methods.corridor.submaps import SubmapsConfig, SurfelSubmaps
 
 
 def warm_up_insert() -> None:
-    """A key frame's points laid down; weighed and doubted by what stands; asked for the bias of ranges."""
+    """A key frame's points asked for the bias of ranges; laid down; weighed and doubted by what stands."""
     xy = np.ones((1, 2))
     scan = LaserScan(
         sensor="laser",
@@ -32,8 +32,8 @@ def warm_up_insert() -> None:
     points = bias.without(Points(xy, xy.copy(), np.zeros(1), np.zeros(1, np.int32), SE2(), scan))
     normals = np.array([[-1.0, 0.0, 1.0]])
     submap = SurfelSubmaps(SubmapsConfig()).new_submap()
+    settings = MatchSettings(*(kind(1) for kind in get_type_hints(MatchSettings).values()))
+    bias.learn(points, normals, np.zeros(3), submap, settings)  # first: the drive soon needs it
     submap.insert(points, normals, None, SE2())
     submap.weighed(points, normals, np.zeros(3))
     submap.contradicting(points, points.xy_base, normals, np.zeros(3))
-    settings = MatchSettings(*(kind(1) for kind in get_type_hints(MatchSettings).values()))
-    bias.learn(points, normals, np.zeros(3), submap, settings)
