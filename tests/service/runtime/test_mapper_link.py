@@ -295,7 +295,9 @@ def test_a_mapper_begins_in_a_stored_map_on_the_way_and_so_does_its_stand_by(dri
     assert len(drive.heard.takeovers) == 1
     states = [m.state for m in drive.heard.messages if isinstance(m, Mapped)]
     assert set(states[:10]) == {"ok"}
-    assert set(states[10:]) == {"lost"}  # in the map that was loaded: the room looks the same turned round
+    # In the map that was loaded it is not found at once, and what is found is seen from one place alone.
+    assert states[10] == "lost"
+    assert set(states[10:]) <= {"lost", "degraded"}
     assert len(states) == 25
 
 
