@@ -70,9 +70,8 @@ class Match:
 
 @dataclass(frozen=True, slots=True)
 class MapChange:
-    """What an insert did: the sub-map it closed, if any, and whether the scan entered as a key frame."""
+    """What an insert did."""
 
-    closed_submap: int | None = None
     is_keyframe: bool = False
     error_left: float = 1.0  # share of the pose's error against the map that is left after the insert
     piece: int = 0  # connected piece of the map that the scan belongs to

@@ -48,7 +48,7 @@ CLOSES = "the plain map closes as well: what blurs the map costs it little of it
 
 
 @dataclass(frozen=True)
-class Laid:
+class Aligned:
     """A map after the best fit of its check points to the true ones (x, y, rotation), as table 1 has it."""
 
     xy: Array  # (N, 2) m, cells
@@ -342,12 +342,12 @@ def far_share(xy: Array, likelihood: Array) -> float:
     return float(likelihood[nearest_m > FAR_M].sum() / likelihood.sum())
 
 
-def _aligned(what: Run, ride: Drive) -> Laid:
+def _aligned(what: Run, ride: Drive) -> Aligned:
     xy, likelihood = _map_of(what).occupied()
     return _fitted(xy + np.array([ride.world_first.x_m, ride.world_first.y_m]), likelihood)
 
 
-def _fitted(xy: Array, likelihood: Array) -> Laid:
+def _fitted(xy: Array, likelihood: Array) -> Aligned:
     """A map, from the start of the world, laid on the true check points."""
     true = library_check_points()
     read = np.array([_corner(xy, likelihood, point) for point in true])
@@ -355,14 +355,16 @@ def _fitted(xy: Array, likelihood: Array) -> Laid:
     middle, to = read[seen].mean(axis=0), true[seen].mean(axis=0)
     a, b = read[seen] - middle, true[seen] - to
     turn = math.atan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
-    return Laid(_turned_by(xy - middle, turn) + to, likelihood, _turned_by(read - middle, turn) + to - true)
+    return Aligned(
+        _turned_by(xy - middle, turn) + to, likelihood, _turned_by(read - middle, turn) + to - true
+    )
 
 
-def _medians_cm(maps: Sequence[Laid]) -> list[float]:
+def _medians_cm(maps: Sequence[Aligned]) -> list[float]:
     return [100.0 * float(np.nanmedian(laid.residuals_m)) for laid in maps]
 
 
-def _rms_cm(maps: Sequence[Laid]) -> list[float]:
+def _rms_cm(maps: Sequence[Aligned]) -> list[float]:
     return [100.0 * math.sqrt(float(np.nanmean(laid.residuals_m**2))) for laid in maps]
 
 

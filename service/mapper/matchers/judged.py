@@ -46,7 +46,7 @@ KnownMap_contra = TypeVar("KnownMap_contra", bound=KnownMap, contravariant=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Laid:
+class Aligned:
     """Where a matcher has put a scan, before anybody has said what it is worth."""
 
     measured: Measurement
@@ -58,7 +58,7 @@ class Laying(Protocol[KnownMap_contra]):
 
     def align(
         self, points: Points, predicted: Prediction, local_map: KnownMap_contra, is_found: bool
-    ) -> Laid:
+    ) -> Aligned:
         """Put a scan on a map that is not empty; is_found: a search led to the prediction, not the way."""
         ...
 
@@ -147,7 +147,7 @@ class JudgedMatching:
         return found or held(points, predicted, reason, verdict.inlier_ratio)
 
     def _judged(
-        self, laid: Laid, predicted: Prediction, local_map: KnownMap, is_found: bool = False
+        self, laid: Aligned, predicted: Prediction, local_map: KnownMap, is_found: bool = False
     ) -> _Verdict:
         """is_found: a search led there, so that the prediction says nothing for it."""
         measured, prior = laid.measured, predicted.local_covariance
@@ -223,7 +223,7 @@ class JudgedMatching:
         self._widening = min(2.0 * self._widening, MOST_WIDENING)
         return None
 
-    def _is_confirmed(self, laid: Laid, predicted: Prediction) -> bool:
+    def _is_confirmed(self, laid: Aligned, predicted: Prediction) -> bool:
         """Whether the find before, carried on by the prediction, says the same."""
         found, here = laid.measured.pose_odom_base, predicted.pose_odom_base
         last, self._hypothesis = self._hypothesis, found @ here.inverse()
@@ -245,7 +245,7 @@ class JudgedMatching:
         )
 
 
-def judged_alone(laid: Laid, predicted: Prediction, inliers: int, limits: JudgementConfig) -> Match:
+def judged_alone(laid: Aligned, predicted: Prediction, inliers: int, limits: JudgementConfig) -> Match:
     """The match of a matcher that is neither searched for nor asked about free ground.
 
     inliers   of the points: those that the matcher found a place for
@@ -261,14 +261,14 @@ def judged_alone(laid: Laid, predicted: Prediction, inliers: int, limits: Judgem
     return _matched(laid, predicted, verdict)
 
 
-def _matched(laid: Laid, predicted: Prediction, verdict: _Verdict) -> Match:
+def _matched(laid: Aligned, predicted: Prediction, verdict: _Verdict) -> Match:
     measured = laid.measured
     pose = measured.pose_odom_base
     motion = Motion(pose, predicted.twist_at(pose), measured.covariance)
     return Match(motion, laid.points, verdict.inlier_ratio, verdict.state, verdict.reason, measured=measured)
 
 
-def _alone(laid: Laid, chi2: float) -> Laid:
+def _alone(laid: Aligned, chi2: float) -> Aligned:
     """A find: what the scan says alone, to be joined with a prediction with that much less weight."""
     measured = replace(
         laid.measured,
@@ -279,7 +279,7 @@ def _alone(laid: Laid, chi2: float) -> Laid:
     return replace(laid, measured=measured)
 
 
-def _chi2(laid: Laid, predicted: Prediction, covariance: Matrix) -> float:
+def _chi2(laid: Aligned, predicted: Prediction, covariance: Matrix) -> float:
     """How far a scan was laid from the prediction; covariance: besides that of the prediction."""
     return chi2_between(
         predicted.pose_odom_base, laid.measured.pose_odom_base, predicted.local_covariance + covariance

@@ -21,7 +21,7 @@ from service.mapper.components import Match, Points
 from service.mapper.judgement import JudgementConfig
 from service.mapper.matchers.covariances import diagonal, inverse
 from service.mapper.matchers.field_align import values_at
-from service.mapper.matchers.judged import JudgedMatching, Laid
+from service.mapper.matchers.judged import Aligned, JudgedMatching
 from service.mapper.matchers.recovery import search_around, step_of
 from service.mapper.matchers.window_search import thinned
 from service.mapper.methods.contour_lm.contour_map import ContourMap
@@ -101,7 +101,7 @@ class ContourLm:
 
     def align(
         self, points: Points, predicted: Prediction, local_map: ContourMap, is_found: bool = False
-    ) -> Laid:
+    ) -> Aligned:
         returns = Returns(points.xy_raw, self._beam_times_s(points), points.beam)
         twist = np.array(predicted.twist_base)
         xy_base = points.xy_base.copy()
@@ -113,7 +113,7 @@ class ContourLm:
         covariance = self._covariance(hessian, pose[2])
         x_m, y_m, theta_rad = pose.tolist()
         measured = self._measurement(SE2(x_m, y_m, theta_rad), covariance, predicted)
-        return Laid(measured, replace(points, xy_base=xy_base))
+        return Aligned(measured, replace(points, xy_base=xy_base))
 
     def search(
         self, points: Points, local_map: ContourMap, pose: SE2, reach: tuple[float, float]

@@ -263,21 +263,17 @@ class SurfelSubmaps:
         pose = match.motion.pose_odom_base
         if match.state == "lost" and self._pair:
             return self._insert_detached(points, match)
-        closed = None
         if self._detached is not None:
             self._detached.release()
             self._detached = None
             self._begin_keyframes()
         if self._pair and not self._is_keyframe(points, pose, self._pair[0]):
-            return MapChange(closed, piece=self._joined_piece)
+            return MapChange(piece=self._joined_piece)
         self._advance(points, pose)
         if not self._pair or self._travelled_m >= self._config.spacing_m:
-            retired = self._begin_submap()
-            closed = closed if retired is None else retired
+            self._begin_submap()
         self._insert_keyframe(self._pair, points, pose)
-        return MapChange(
-            closed, is_keyframe=True, error_left=self._error_left(match), piece=self._joined_piece
-        )
+        return MapChange(is_keyframe=True, error_left=self._error_left(match), piece=self._joined_piece)
 
     def _insert_detached(self, points: Points, match: Match) -> MapChange:
         """Put a lost scan into the piece, if it was matched to it, or begins one; few returns do neither."""
@@ -339,12 +335,9 @@ class SurfelSubmaps:
         self._next_number += 1
         return Submap(self._next_number - 1, self._pool, self._config)
 
-    def _begin_submap(self) -> int | None:
-        """Start a sub-map; of three the oldest is closed. Returns its number."""
+    def _begin_submap(self) -> None:
+        """Start a sub-map; of three the oldest is closed."""
         self._pair.append(self.new_submap())
         self._travelled_m = 0.0
-        if len(self._pair) <= 2:
-            return None
-        oldest = self._pair.pop(0)
-        oldest.release()
-        return oldest.number
+        if len(self._pair) > 2:
+            self._pair.pop(0).release()

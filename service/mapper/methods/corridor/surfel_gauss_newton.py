@@ -71,7 +71,7 @@ class _Attempt:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Laid:
+class _Aligned:
     """Where it ended on one sub-map."""
 
     result: MatchResult
@@ -165,7 +165,7 @@ class SurfelGaussNewton:
             detached, attempt, "lost", f"{reason}; a detached map begins here until its place is found"
         )
 
-    def _is_found(self, laid: _Laid, attempt: _Attempt) -> bool:
+    def _is_found(self, laid: _Aligned, attempt: _Attempt) -> bool:
         """Whether a scan that was mapped apart is accepted as lying on the map again.
 
         One find far from the prediction is a hypothesis, since rooms look alike; the next one must say the
@@ -181,7 +181,7 @@ class SurfelGaussNewton:
         last, self._hypothesis = self._hypothesis, found @ predicted.inverse()
         return last is not None and agree(last @ predicted, found)
 
-    def _as_match(self, laid: _Laid, attempt: _Attempt, state: State, reason: str) -> Match:
+    def _as_match(self, laid: _Aligned, attempt: _Attempt, state: State, reason: str) -> Match:
         result = laid.result
         x_m, y_m, theta_rad = result.pose.tolist()
         forward, left, turn = result.twist.tolist()
@@ -194,7 +194,7 @@ class SurfelGaussNewton:
         deskewed = replace(attempt.points, xy_base=laid.xy_base)
         return Match(motion, deskewed, result.share, state, reason, laid.submap.number, measured)
 
-    def _learn_bias(self, laid: _Laid, attempt: _Attempt) -> None:
+    def _learn_bias(self, laid: _Aligned, attempt: _Attempt) -> None:
         if self._gap is not None or laid.result.share < DOUBT_RATIO * attempt.usual_ratio:
             return
         if not self._bias.is_due(attempt.points.scan.sensor, attempt.predicted.travel_m):
@@ -207,7 +207,7 @@ class SurfelGaussNewton:
             self._settings._replace(range_sigma_m=attempt.points.range_sigma_m),
         )
 
-    def _lay(self, attempt: _Attempt, start: Matrix, submap: Submap) -> _Laid:
+    def _lay(self, attempt: _Attempt, start: Matrix, submap: Submap) -> _Aligned:
         """The match on a sub-map, begun at `start`, a pose as in the prior, and what to think of it."""
         points = attempt.points
         xy_base, normals = points.xy_base.copy(), submap.weighed(points, attempt.normals, start)
@@ -229,7 +229,7 @@ class SurfelGaussNewton:
             xy_base,
         )
         xy_base = xy_base[: len(points.xy_base)]
-        return _Laid(result, xy_base, submap, *self._judge(result, xy_base, attempt, submap))
+        return _Aligned(result, xy_base, submap, *self._judge(result, xy_base, attempt, submap))
 
     def _judge(
         self, result: MatchResult, xy_base: Matrix, attempt: _Attempt, submap: Submap
@@ -257,7 +257,7 @@ class SurfelGaussNewton:
         )
         return judge(evidence, self._config)
 
-    def _searched(self, laid: _Laid, attempt: _Attempt) -> _Laid:
+    def _searched(self, laid: _Aligned, attempt: _Attempt) -> _Aligned:
         """The best pose of a window around the prediction, if clearly more of the scan lies on the map there.
 
         A poor recovery is worse than none: a prediction that goes on is found again, a jump is not.

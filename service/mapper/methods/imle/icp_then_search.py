@@ -20,7 +20,7 @@ from service.kernels.likelihood_search import (
 from service.mapper.components import Match, Points
 from service.mapper.judgement import JudgementConfig, too_few
 from service.mapper.matchers.covariances import diagonal, in_base_axes, inverse
-from service.mapper.matchers.judged import JudgedMatching, Laid
+from service.mapper.matchers.judged import Aligned, JudgedMatching
 from service.mapper.matchers.recovery import search_around, step_of
 from service.mapper.matchers.window_search import search_bounded, window_around
 from service.mapper.methods.imle.patch_map import PatchMap
@@ -72,7 +72,7 @@ class IcpThenSearch:
 
     def align(
         self, points: Points, predicted: Prediction, local_map: PatchMap, is_found: bool = False
-    ) -> Laid:
+    ) -> Aligned:
         """Found by a search, the scan before has no say: it lies elsewhere."""
         config = self._config
         begin, rms_m = predicted.pose_odom_base, 0.0
@@ -102,7 +102,7 @@ class IcpThenSearch:
         covariance = in_base_axes(covariance, theta_rad) + self._floor
         information = inverse(covariance)
         measured = Measurement(SE2(x_m, y_m, wrap_angle(theta_rad)), covariance, information, is_joined=False)
-        return Laid(measured, deskewed(points, predicted, measured.pose_odom_base))
+        return Aligned(measured, deskewed(points, predicted, measured.pose_odom_base))
 
     def search(
         self, points: Points, local_map: PatchMap, pose: SE2, reach: tuple[float, float]

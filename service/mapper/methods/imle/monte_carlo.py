@@ -10,7 +10,7 @@ from service.kernels.line_likelihood import monte_carlo_search
 from service.mapper.components import Match, Points
 from service.mapper.judgement import JudgementConfig, begun, held, too_few
 from service.mapper.matchers.covariances import diagonal, inverse
-from service.mapper.matchers.judged import Laid, judged_alone
+from service.mapper.matchers.judged import Aligned, judged_alone
 from service.mapper.methods.imle.patch_map import PatchMap
 from service.mapper.methods.imle.scan_icp import deskewed
 
@@ -54,7 +54,7 @@ class MonteCarloSearch:
         )
         x_m, y_m, theta_rad = found.tolist()
         pose = SE2(x_m, y_m, wrap_angle(theta_rad))
-        laid = Laid(
+        laid = Aligned(
             Measurement(pose, self._covariance, self._information, is_joined=False),
             deskewed(points, predicted, pose),
         )

@@ -14,7 +14,7 @@ from service.kernels.icp import icp_point_to_point
 from service.mapper.components import Match, Points
 from service.mapper.judgement import JudgementConfig, begun, held, too_few
 from service.mapper.matchers.covariances import diagonal, inverse
-from service.mapper.matchers.judged import Laid, judged_alone
+from service.mapper.matchers.judged import Aligned, judged_alone
 from service.mapper.methods.imle.patch_map import PatchMap
 
 Array = npt.NDArray[np.float64]
@@ -117,7 +117,7 @@ class IcpScanToScan:
             match = held(points, predicted, "the scan has too little in common with the one before")
         else:
             measured = Measurement(step.pose, self._covariance, self._information)
-            laid = Laid(measured, deskewed(points, predicted, step.pose))
+            laid = Aligned(measured, deskewed(points, predicted, step.pose))
             match = judged_alone(laid, predicted, round(step.share * len(points.xy_base)), self._config)
         self._icp.remember(match)
         return match

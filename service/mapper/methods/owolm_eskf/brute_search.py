@@ -15,7 +15,7 @@ from service.mapper.components import Match, Points
 from service.mapper.judgement import JudgementConfig
 from service.mapper.matchers.covariances import diagonal, in_base_axes, inverse
 from service.mapper.matchers.field_align import align, values_at
-from service.mapper.matchers.judged import JudgedMatching, Laid
+from service.mapper.matchers.judged import Aligned, JudgedMatching
 from service.mapper.matchers.recovery import search_around, step_of
 from service.mapper.matchers.window_search import window_around
 from service.mapper.methods.owolm_eskf.across_walls import information_across, information_of_dots
@@ -56,7 +56,7 @@ class BruteSearch:
 
     def align(
         self, points: Points, predicted: Prediction, local_map: OrthogonalMap, is_found: bool = False
-    ) -> Laid:
+    ) -> Aligned:
         config = self._config
         window_m, window_rad = self._window(predicted)
         begin = local_map.pose_axes_odom @ predicted.pose_odom_base
@@ -79,7 +79,7 @@ class BruteSearch:
             covariance = self._covariance(said, least, theta_rad)
         matched = local_map.pose_axes_odom.inverse() @ laid
         information = inverse(covariance if is_found else sure)
-        return Laid(Measurement(matched, covariance, information, is_joined=False), points)
+        return Aligned(Measurement(matched, covariance, information, is_joined=False), points)
 
     def search(
         self, points: Points, local_map: OrthogonalMap, pose: SE2, reach: tuple[float, float]

@@ -236,11 +236,11 @@ class CountedSubmaps:
             particle.track.append(particle.pose.copy())
         if self._broken_off is not None:
             closed, self._broken_off = self._broken_off, None
-            return CountedChange(closed.number, is_keyframe=True, closed=closed)
+            return CountedChange(is_keyframe=True, closed=closed)
         if self._travelled_m < self.config.length_m:
             return CountedChange(is_keyframe=True)
         closed = self._close(best, self.config.overlap_m)
-        return CountedChange(closed.number, is_keyframe=True, closed=closed)
+        return CountedChange(is_keyframe=True, closed=closed)
 
     def _is_keyframe(self, best: Particle) -> bool:
         last = SE2(*best.track[-1].tolist())

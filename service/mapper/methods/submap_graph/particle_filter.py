@@ -24,7 +24,7 @@ from service.mapper.components import Match, Points
 from service.mapper.judgement import LEAST_AGREEMENT_FAR, JudgementConfig
 from service.mapper.matchers.covariances import diagonal, in_base_axes, inverse
 from service.mapper.matchers.field_align import align, information_at, values_at
-from service.mapper.matchers.judged import JudgedMatching, Laid
+from service.mapper.matchers.judged import Aligned, JudgedMatching
 from service.mapper.matchers.recovery import search_around, step_of
 from service.mapper.matchers.window_search import layer_of, thinned, window_around
 from service.mapper.methods.submap_graph.counted_submaps import CountedSubmaps, Particle
@@ -82,7 +82,7 @@ class ParticleFilter:
 
     def align(
         self, points: Points, predicted: Prediction, local_map: CountedSubmaps, is_found: bool = False
-    ) -> Laid:
+    ) -> Aligned:
         """Prediction and scan together: the particles are drawn from the one and weighed by the other."""
         if is_found:
             local_map.gather(predicted.pose_odom_base)
@@ -93,7 +93,7 @@ class ParticleFilter:
         self._move(way, predicted.local_covariance, local_map)
         self._lay_or_search(points, predicted, local_map)
         normalise_weights(local_map.log_weights, local_map.weights)
-        return Laid(self._mean(local_map), points)
+        return Aligned(self._mean(local_map), points)
 
     def search(
         self, points: Points, local_map: CountedSubmaps, pose: SE2, reach: tuple[float, float]

@@ -11,7 +11,7 @@ from service.geometry.se2 import SE2
 from service.mapper.components import MapChange, Match, Overlap, Points
 from service.mapper.judgement import JudgementConfig
 from service.mapper.maps.known_ground import KnownGround
-from service.mapper.matchers.judged import ANEW_M, UNCONFIRMED, JudgedMatching, Laid
+from service.mapper.matchers.judged import ANEW_M, UNCONFIRMED, Aligned, JudgedMatching
 from tests.service.mapper.maps.points import points_of, square
 
 ORIGIN = SE2()
@@ -46,9 +46,9 @@ class Told:
     finds: list[SE2] = field(default_factory=list)
     asked: list[tuple[float, float]] = field(default_factory=list)
 
-    def align(self, points: Points, predicted: Prediction, local_map: Ground, is_found: bool) -> Laid:
+    def align(self, points: Points, predicted: Prediction, local_map: Ground, is_found: bool) -> Aligned:
         pose = predicted.pose_odom_base if is_found else predicted.pose_odom_base @ self.off
-        return Laid(Measurement(pose, SURE, np.linalg.inv(SURE), is_joined=False), points)
+        return Aligned(Measurement(pose, SURE, np.linalg.inv(SURE), is_joined=False), points)
 
     def search(self, points: Points, local_map: Ground, pose: SE2, reach: tuple[float, float]) -> SE2 | None:
         self.asked.append(reach)

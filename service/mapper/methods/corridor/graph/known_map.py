@@ -71,7 +71,7 @@ class Weight:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Laid:
+class Aligned:
     """A cloud laid on the map."""
 
     fit: Fit
@@ -111,7 +111,7 @@ class KnownMap:
         order = np.argsort(-places[:, 3], kind="stable")[:MOST_CANDIDATES]
         return list(places[order, :3])
 
-    def lay(self, seen: SeenCloud, near: Floats, least: float = -math.inf) -> Laid:
+    def lay(self, seen: SeenCloud, near: Floats, least: float = -math.inf) -> Aligned:
         """The cloud laid on all walls there are, from a candidate. least: as of weigh."""
         window = window_around(near, REFINED[:2], self._field, REFINED[2])
         near = (seen.cloud.xy**2).sum(axis=1) < REACH_M**2
@@ -119,7 +119,7 @@ class KnownMap:
         found = search_branch_and_bound(thin, self._field, window, -math.inf)
         return self._aligned(seen, found.pose, least)
 
-    def refine(self, seen: SeenCloud, laid: Laid) -> Laid:
+    def refine(self, seen: SeenCloud, laid: Aligned) -> Aligned:
         """The likeliest pose near that at which the cloud was laid: walls alone lead astray where there are
         few.
         """
@@ -139,9 +139,9 @@ class KnownMap:
         again = self._aligned(seen, pose)
         if again.weight.evidence >= evidence:
             return again
-        return Laid(Fit(pose, again.fit.information, again.fit.share), self.weigh(seen, pose))
+        return Aligned(Fit(pose, again.fit.information, again.fit.share), self.weigh(seen, pose))
 
-    def along(self, seen: SeenCloud, laid: Laid) -> list[Laid]:
+    def along(self, seen: SeenCloud, laid: Aligned) -> list[Aligned]:
         """Where else the cloud can be laid beside a place, in the direction in which it is known worst."""
         of_pose = laid.fit.information
         turning = np.outer(of_pose[:2, 2], of_pose[2, :2]) / max(float(of_pose[2, 2]), 1e-9)
@@ -150,7 +150,7 @@ class KnownMap:
         steps = np.arange(ALONG_STEP_M, ALONG_M + 0.5 * ALONG_STEP_M, ALONG_STEP_M)
         beside = [self._walls.align(seen.cloud, laid.fit.pose + off_m * axis) for off_m in [*-steps, *steps]]
         least = ALONG_SHARE * laid.fit.share
-        return [Laid(fit, self.weigh(seen, fit.pose)) for fit in beside if fit.share >= least]
+        return [Aligned(fit, self.weigh(seen, fit.pose)) for fit in beside if fit.share >= least]
 
     def weigh(self, seen: SeenCloud, pose: Floats, least: float = -math.inf) -> Weight:
         """What speaks for a cloud at a pose (3,); of evidence below `least` no more than a bound."""
@@ -192,9 +192,9 @@ class KnownMap:
         )
         return evidence, at_end, on_way
 
-    def _aligned(self, seen: SeenCloud, pose: Floats, least: float = -math.inf) -> Laid:
+    def _aligned(self, seen: SeenCloud, pose: Floats, least: float = -math.inf) -> Aligned:
         fit = self._walls.align(seen.cloud, pose)
-        return Laid(fit, self.weigh(seen, fit.pose, least))
+        return Aligned(fit, self.weigh(seen, fit.pose, least))
 
 
 def _one_of_each_cell(cloud: PointCloud) -> PointCloud:

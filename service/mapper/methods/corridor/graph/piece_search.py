@@ -16,7 +16,7 @@ from service.mapper.methods.corridor.graph.candidate_submap import (
     cloud_of,
 )
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
-from service.mapper.methods.corridor.graph.known_map import KnownMap, Laid, Weight
+from service.mapper.methods.corridor.graph.known_map import Aligned, KnownMap, Weight
 from service.mapper.methods.corridor.graph.loops import Loop, loop_of
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
 from service.mapper.methods.corridor.graph.place_search import (
@@ -300,7 +300,7 @@ class PieceSearch:
         self,
         known: npt.NDArray[np.int64],
         reference: int,
-        laid: Laid,
+        laid: Aligned,
         cloud: PointCloud,
         prior: WayPrior | None,
     ) -> Loop | None:
@@ -358,7 +358,7 @@ def _margin(unexplained: float, is_led: bool) -> float:
     return CLEARLY_LIKELIER + (0.0 if is_led else FOR_UNEXPLAINED * unexplained)
 
 
-def _could_win(one: Laid, prior: WayPrior) -> bool:
+def _could_win(one: Aligned, prior: WayPrior) -> bool:
     """Whether a candidate may be likelier than new ground, once refined: by BEHIND_NATS at most."""
     unexplained = max(one.weight.unexplained - BEHIND_NATS, 0.0)
     least = _margin(unexplained, is_same_place(prior.pose, one.fit.pose))

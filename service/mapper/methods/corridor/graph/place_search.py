@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
-from service.mapper.methods.corridor.graph.known_map import KnownMap, Laid
+from service.mapper.methods.corridor.graph.known_map import Aligned, KnownMap
 from service.mapper.methods.corridor.graph.seen_cloud import SeenCloud
 
 SAME_PLACE_M, SAME_PLACE_RAD = 0.5, 0.1
@@ -24,8 +24,8 @@ def find_places(
     known_map: KnownMap,
     seen: SeenCloud,
     guesses: Sequence[Floats] = (),
-    could_win: Callable[[Laid], bool] = lambda _: True,
-) -> list[Laid]:
+    could_win: Callable[[Aligned], bool] = lambda _: True,
+) -> list[Aligned]:
     """The likeliest first. Along walls that say nothing of a direction, places beside a candidate are told
     from it, too.
 
@@ -37,7 +37,7 @@ def find_places(
     if not any(could_win(one) for one in [*laid, *guessed]):
         return _by_evidence([*laid, *guessed])
     places = _refined(known_map, seen, [*laid[:MOST_REFINED], *guessed], [])
-    asked: list[Laid] = []
+    asked: list[Aligned] = []
     for _ in range(MOST_ROUNDS):
         best, fresh = places[:1], [place for place in places[:MOST_SLID] if place not in asked]
         asked += fresh
@@ -49,9 +49,9 @@ def find_places(
     return _by_evidence(places + others)
 
 
-def _laid(known_map: KnownMap, seen: SeenCloud) -> list[Laid]:
+def _laid(known_map: KnownMap, seen: SeenCloud) -> list[Aligned]:
     """All candidates; of those FAR_BEHIND_NATS behind one before, the most that can speak for them."""
-    laid: list[Laid] = []
+    laid: list[Aligned] = []
     best = -math.inf
     for guess in known_map.candidates(seen.cloud):
         laid.append(known_map.lay(seen, guess, best - FAR_BEHIND_NATS))
@@ -59,7 +59,9 @@ def _laid(known_map: KnownMap, seen: SeenCloud) -> list[Laid]:
     return laid
 
 
-def _refined(known_map: KnownMap, seen: SeenCloud, laid: list[Laid], places: list[Laid]) -> list[Laid]:
+def _refined(
+    known_map: KnownMap, seen: SeenCloud, laid: list[Aligned], places: list[Aligned]
+) -> list[Aligned]:
     """Places with these, refined, among them, the likeliest first."""
     for one in laid:
         least = places[0].weight.evidence - BEHIND_NATS if places else -math.inf
@@ -84,7 +86,7 @@ def _are_near(pose: Floats, others: Floats, near_m: float, near_rad: float) -> n
     return near & (np.abs(away[..., 2]) <= near_rad)
 
 
-def _distinct(laid: list[Laid]) -> list[Laid]:
+def _distinct(laid: list[Aligned]) -> list[Aligned]:
     """The likeliest of each pose, the likeliest first."""
     ordered, kept = _by_evidence(laid), []
     poses = np.array([one.fit.pose for one in ordered]).reshape(-1, 3)
@@ -96,5 +98,5 @@ def _distinct(laid: list[Laid]) -> list[Laid]:
     return kept
 
 
-def _by_evidence(laid: list[Laid]) -> list[Laid]:
+def _by_evidence(laid: list[Aligned]) -> list[Aligned]:
     return sorted(laid, key=lambda one: -one.weight.evidence)

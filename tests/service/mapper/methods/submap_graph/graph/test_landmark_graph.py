@@ -229,9 +229,7 @@ def graph_of(closed: list[ClosedSubmap]) -> LandmarkGraph:
             motion = Motion(SE2(*pose), (0.0, 0.0, 0.0), np.eye(3))
             is_last = k == len(one.scans) - 1
             change = (
-                CountedChange(one.number, is_keyframe=True, closed=one)
-                if is_last
-                else CountedChange(is_keyframe=True)
+                CountedChange(is_keyframe=True, closed=one) if is_last else CountedChange(is_keyframe=True)
             )
             graph.add(MappedScan(scan.stamp_ns, points, Match(motion, points, 1.0), change, np.eye(3)))
         graph.apply_result()
