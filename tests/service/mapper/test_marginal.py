@@ -5,7 +5,7 @@ import pytest
 
 from service.geometry import poses as se2
 from service.mapper.graph.marginal import covariance_of_last
-from service.mapper.graph.pose_graph import Edges, GraphError, PoseGraph
+from service.mapper.graph.pose_graph import Edges, GraphError, PoseGraph, Sightings
 from service.mapper.graph.pose_graph_solver import solve
 
 COUNT = 40
@@ -38,6 +38,39 @@ def test_it_is_what_a_solver_gives(loops: list[tuple[int, int]]):
         expected = solve(within, covariances_of=[last]).covariances[last]
         found = covariance_of_last(graph, last)
         np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-9)
+
+
+def pairs_of(graph: PoseGraph, ends: list[tuple[int, int]], seed: int = 2) -> PoseGraph:
+    """The graph with points that both poses of each pair saw, in front of and beside them."""
+    random = np.random.default_rng(seed)
+    landmarks = np.array([graph.poses[a, :2] + random.normal(0.0, 4.0, 2) for a, _ in ends])
+    of, which = np.array(ends).ravel(), np.repeat(np.arange(len(ends)), 2)
+    roots = random.normal(0.0, 0.02, (len(of), 2, 2))
+    covariance = roots @ np.swapaxes(roots, 1, 2) + 1e-4 * np.eye(2)
+    xy = se2.points_seen(graph.poses[of], landmarks[which])
+    seen = Sightings(of, which, xy, covariance, np.zeros(len(of)))
+    return PoseGraph(graph.poses, graph.edges, landmarks, seen)
+
+
+@pytest.mark.parametrize("loops", [[], [(3, 30)]])
+@pytest.mark.parametrize("pairs", [[(0, 39)], [(2, 25), (0, 20), (7, 39)]])
+def test_points_that_two_poses_saw_say_how_well_the_last_is_known(
+    loops: list[tuple[int, int]], pairs: list[tuple[int, int]]
+):
+    graph = pairs_of(chain(loops), pairs)
+    expected = solve(graph, covariances_of=[COUNT - 1]).covariances[COUNT - 1]
+    np.testing.assert_allclose(covariance_of_last(graph, COUNT - 1), expected, rtol=1e-3, atol=1e-9)
+    assert np.trace(expected) < 0.9 * np.trace(covariance_of_last(chain(loops), COUNT - 1))
+
+
+def test_two_pairs_of_points_join_what_nothing_else_does():
+    whole = chain([])
+    kept = [k for k in range(len(whole.edges.of)) if k != 20]
+    cut = PoseGraph(whole.poses, rows(whole.edges, kept))
+    assert np.trace(covariance_of_last(cut, 39)[:2, :2]) > 1e3
+    joined = covariance_of_last(pairs_of(cut, [(2, 38), (10, 39)]), 39)
+    assert np.trace(joined[:2, :2]) < 0.1
+    assert joined[2, 2] < 0.01
 
 
 def test_a_loop_over_a_step_that_nothing_measures_says_how_well_the_pose_is_known():
