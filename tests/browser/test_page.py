@@ -29,6 +29,17 @@ def test_the_state_and_its_reason_stand_on_top(page, scene, live):
     page.wait_for_text("information", "for 0:07 min")
 
 
+def test_a_long_reason_moves_no_figure(page, scene, live):
+    where = "return document.querySelector('#information .facts').getBoundingClientRect().top"
+    before = page.run(where)
+    reason = (
+        "mapping is overloaded: 9 scans of the last second were not mapped, having waited up to 103 ms; " * 3
+    )
+    live.put(scene.messages(2.0, "degraded", reason)[-1])
+    page.wait_for_text("information", "having waited")
+    assert page.run(where) == before
+
+
 def test_each_sensor_has_its_row_and_a_fault_its_words(page, live):
     rows = page.text("information")
     assert "no route to 192.168.0.10" in rows

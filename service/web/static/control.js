@@ -118,8 +118,8 @@ export class Control {
   }
 
   async #saveAs() {
-    const name = await confirmed("Save the map as", "Name of the copy: letters, digits, _ . and -. Mapping goes on in the map that it is in; "
-      + "the copy can be edited (corridor view) and loaded again under Resources.", "Save", "map");
+    const name = await confirmed("Save the map as", "Name of the copy: letters, digits, _ . and -. A map of that name gets a new version; its older ones stay. "
+      + "Mapping goes on in the map that it is in; the copy can be edited (corridor view) and loaded again under Resources.", "Save", "map");
     if (name) this.ask("save_map", { name });
   }
 

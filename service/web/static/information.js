@@ -21,11 +21,11 @@ export class Information {
     this.old = element("p", { id: "information-old", role: "status", hidden: true });
     this.isPast = false; // whether moments of a recording are shown
     this.mapping = card("Mapping");
-    this.words = element("p", { className: "note" });
+    this.words = element("p", { className: "note below" }); // below what must not move when they get longer
     this.pose = new Facts();
     const inOrder = ["x", "y", "Heading", "Speed", "Agreement with the map", "Scans mapped a second"];
     this.pose.set(Object.fromEntries(inOrder.map((name) => [name, "\u2013"])));
-    this.mapping.node.append(this.words, this.pose.node);
+    this.mapping.node.append(this.pose.node, this.words);
     this.sensors = card("Sensors");
     this.rows = element("tbody");
     const heads = COLUMNS.map(([text, title]) => element("th", { scope: "col", title }, text));
