@@ -11,7 +11,6 @@ The wire knows no protocol. It hands bytes and the host's monotonic time to the 
 device returns, each return value with one write. A reader that is too slow loses whole messages, counted.
 """
 
-import errno
 import logging
 import os
 import select
@@ -24,6 +23,7 @@ import tty
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -394,11 +394,14 @@ class PtyWire(_Wire):
         return any(events & select.POLLHUP for _, events in poll.poll(0))
 
     def _close_link(self, fd: int) -> None:
-        try:
-            termios.tcflush(fd, termios.TCIOFLUSH)  # bytes nobody read are lost, as on a real line
-        except (termios.error, OSError) as error:
-            if error.args[0] != errno.EIO:
-                raise
+        """Bytes that nobody read are lost, as on a real line: those on the way, and those that are there."""
+        with suppress(OSError):  # the line was cut
+            line = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            try:
+                termios.tcflush(fd, termios.TCIOFLUSH)
+                termios.tcflush(line, termios.TCIOFLUSH)
+            finally:
+                os.close(line)
 
 
 def serve_tcp(device: FakeDevice | ManyClients, host: str = "127.0.0.1", port: int = 0) -> TcpWire:
