@@ -190,8 +190,8 @@ def start_compiler() -> None:
 
 @contextmanager
 def _collecting_last() -> Iterator[None]:
-    """The compiler's objects are looked through for garbage when all are compiled: sought meanwhile, it takes
-    a tenth of the time. Without it, a process that compiles takes 200 MB more.
+    """Searches the objects of the compiler for garbage when all is compiled. Searches meanwhile take a tenth
+    of the time; without any, the process needs 200 MB more.
     """
     was_enabled = gc.isenabled()
     gc.disable()

@@ -264,7 +264,7 @@ class FakeIbeoLux:
         return self._message(DataType.SCAN, write_scan(self._measure(index)), now_ns)
 
     def _measure(self, index: int) -> Scan:
-        """Cast the rays of one sweep and lay them down as points."""
+        """Cast the rays of one sweep and write them as points."""
         begins_ns = self._begins_ns(index)
         ends_ns = begins_ns + self._sweep_ns()
         start, end = self._angles_ticks()

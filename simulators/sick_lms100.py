@@ -38,7 +38,7 @@ from drivers.sick_lms100.telegrams import (
     write_scan,
 )
 from simulators.device import TURNS_SKIPPED, SweepSource, turns_to_skip
-from simulators.sick_optics import lay_down
+from simulators.sick_optics import channels_of
 
 FULL_RANGE = OutputRange(FULL_FIRST_E4DEG, FULL_LAST_E4DEG)
 LEGAL_PAIRS = {(2500, 2500), (2500, 5000), (5000, 5000)}  # 1/100 Hz, 1/10000 deg
@@ -255,7 +255,7 @@ class FakeLms100:
         return Calendar(t.year, t.month, t.day, t.hour, t.minute, t.second, t.microsecond // 1000 * 1000)
 
     def _measure(self, index: int) -> ScanTelegram:
-        """Cast the rays of one scan and lay them down in a telegram."""
+        """Cast the rays of one scan and write them into a telegram."""
         begins_ns, leaves_ns = self._first_beam_ns(index), self._leaves_ns(index)
         step_e4deg, first_e4deg = self._scan.step_e4deg, self._range.first_e4deg
         beam_count = (self._range.last_e4deg - first_e4deg + step_e4deg // 2) // step_e4deg + 1
@@ -273,7 +273,7 @@ class FakeLms100:
         zero_ns = leaves_ns - ZERO_TO_SENDING_NS if self.setup.zero_index_after_sweep else begins_ns
         sent_ns = leaves_ns + round(self._jitter.uniform(-SENDING_JITTER_NS, SENDING_JITTER_NS))
         error = self.failed or index < FLAGGED_SCANS
-        channels_16bit, channels_8bit = lay_down(
+        channels_16bit, channels_8bit = channels_of(
             sweep, self._scan_data, first_e4deg, step_e4deg, self.setup.scale, self.setup.reach_m
         )
         number = self._telegram_base + index

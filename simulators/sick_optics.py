@@ -8,7 +8,7 @@ from simulators.device import Sweep
 Channels = tuple[Channel, ...]
 
 
-def lay_down(
+def channels_of(
     sweep: Sweep, layout: ScanDataConfig, first_e4deg: int, step_e4deg: int, scale: float, reach_m: float
 ) -> tuple[Channels, Channels]:
     """Channels of 16 and of 8 bits. scale in mm per digit; beyond reach_m there is no echo.

@@ -4,9 +4,9 @@ Which points count: those of the layers chosen, without the labels to be left ou
 and, where the mounting height is known, above the ground. A label is used only where the scan's flag says
 that this labelling ran: in real scans the bits of the others are set at random.
 
-Of the echoes of one shot one is chosen. Its end point is laid into the horizontal plane: range times cosine
-of the elevation, under the mounting's pitch and roll. It then belongs to the beam of the grid that its
-horizontal angle is nearest to; of several points one is chosen:
+Of the echoes of one shot one is chosen. Its end point is projected into the horizontal plane: range times
+cosine of the elevation, under the mounting's pitch and roll. It then belongs to the beam of the grid that
+its horizontal angle is nearest to; of several points one is chosen:
 
     horizon   that of the layer that points nearest to the horizon, of equals the nearest range
     nearest   the nearest range

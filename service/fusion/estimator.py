@@ -27,9 +27,9 @@ from service.kernels.estimator import (
     Filter,
     MotionSettings,
     begin_window,
-    lay_into_map,
     predict_motion,
     take_match,
+    transfer_into_map,
 )
 from service.kernels.tracks import Track, begin_twist
 
@@ -269,7 +269,7 @@ class Estimator:
         return predicted @ SE2.exp(*(covariance @ measured.information @ off).tolist()), covariance
 
     def settle(self, share: float) -> None:
-        lay_into_map(self._filter.covariance, share)
+        transfer_into_map(self._filter.covariance, share)
 
     def _begin(self, stamp_ns: int) -> None:
         self._filter.stamp_ns[0] = stamp_ns

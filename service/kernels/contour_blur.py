@@ -1,4 +1,4 @@
-"""The likelihood map of one scan: contours blurred along and across, laid over the cells of a tiled map."""
+"""The likelihood map of one scan: contours blurred along and across, in the cells of a tiled map."""
 
 import math
 from typing import NamedTuple

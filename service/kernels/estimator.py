@@ -3,7 +3,7 @@
 Errors are in base axes of the newest pose: true pose = pose * exp(error). Rows of the covariance:
 
     MAP    0:3    pose against the first scan
-    LOCAL  3:6    pose against the local map, which was laid down from earlier poses
+    LOCAL  3:6    pose against the local map, which was built from earlier poses
     STEP   6:9    motion since the last scan; in use within a prediction only
     TWIST  9:12   velocity
     SCALE 12, TURN_SCALE 13   of odometry: true way = (1 + scale) * way said
@@ -396,7 +396,7 @@ def take_match(state, pose, local_covariance, prior_weight, information):
 
 
 @kernel
-def lay_into_map(P, kept):
+def transfer_into_map(P, kept):
     """What a scan adds to the local map carries the pose's error into it: less is left against it; [11].
 
     kept   float   share of the error that is left, 0..1

@@ -14,7 +14,7 @@ SPLAT_REACH_CELLS = 4
 
 
 class LikelihoodField(NamedTuple):
-    """What a scan can be laid on: how likely an end point is in each cell.
+    """What a scan can be aligned with: how likely an end point is in each cell.
 
     tiles    TileIndex                       tiles of TILE_CELLS a side
     field    (capacity, T, T) float32        0 to 1

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on a likelihood map: how every matcher that lays points on one goes uphill."""
+"""Levenberg-Marquardt on a likelihood map: how every matcher climbs on one."""
 
 import math
 from typing import NamedTuple

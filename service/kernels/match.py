@@ -60,7 +60,7 @@ class MatchResult(NamedTuple):
         np.float64
     ]  # (3, 3) of the pose against the map, in its base axes: prior and scan
     information: npt.NDArray[np.float64]  # (3, 3) of the scan alone, in base axes
-    prior_weight: float  # 1: scan and prediction agree; less: so much less was the prediction believed
+    prior_weight: float  # 1: scan and prediction agree; less: so much less did the prediction count
     share: float  # of the points used that lie on the map
     used: int  # points that were asked
     weakest_sigma_m: float  # along the direction that the scan alone fixes least; inf: not at all
@@ -202,7 +202,7 @@ def learn_twist(prior, pose, weight, twist):
 
     prior   Prior
     pose    (3,) float64   matched
-    weight  float          of the prior: what was not believed of it says nothing of the twist
+    weight  float          of the prior: the part of it that did not count says nothing of the twist
     twist   (3,) float64   out
     """
     c = math.cos(prior.pose[2])

@@ -205,11 +205,11 @@ def to_per_cent(evidence, per_step, cells):
 
 
 @kernel
-def write_tiles(tile_row, tile_column, laid, grid):
+def write_tiles(tile_row, tile_column, evidence, grid):
     """Put other tiles in the place of all that a map holds; those that it holds besides become unknown.
 
     tile_row, tile_column   (T,)        int64
-    laid                    (T, W, W)   int8            evidence
+    evidence                (T, W, W)   int8            evidence
     grid                    OccupancyGrid               in and out; its tiles' index covers them
     """
     slots = grid.tiles.slots
@@ -219,8 +219,8 @@ def write_tiles(tile_row, tile_column, laid, grid):
         kept[tile_row[k] - grid.tiles.origin[0], tile_column[k] - grid.tiles.origin[1]] = 1
         for row in range(TILE_CELLS):
             for column in range(TILE_CELLS):
-                if grid.evidence[slot, row, column] != laid[k, row, column]:
-                    grid.evidence[slot, row, column] = laid[k, row, column]
+                if grid.evidence[slot, row, column] != evidence[k, row, column]:
+                    grid.evidence[slot, row, column] = evidence[k, row, column]
                     grid.changed[slot] = np.uint8(1)
     for i in range(slots.shape[0]):
         for j in range(slots.shape[1]):

@@ -1,4 +1,4 @@
-"""How long something stands in each cell of a sub-map: what moves gets little say, and is forgotten.
+"""How long something stands in each cell of a sub-map: moving objects get little weight, and are removed.
 
 Time is counted in ticks, those of a key frame being the time since the one before.
 """

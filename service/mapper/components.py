@@ -105,7 +105,7 @@ class Correction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedMap:
-    """The shown map drawn anew, to be laid in the place of the old. Can be pickled."""
+    """The shown map drawn anew, to replace the old. Can be pickled."""
 
     tile_row: npt.NDArray[np.int64]  # (T,)
     tile_column: npt.NDArray[np.int64]  # (T,)
@@ -359,10 +359,10 @@ class Graph(Protocol):
 
 
 class Stopwatch(Protocol):
-    """Times the stages of a scan for the reader of a summary; has no say in any result."""
+    """Times the components of a scan for the reader of a summary; has no say in any result."""
 
     def start(self) -> None: ...
-    def lap(self, stage: str) -> None: ...
+    def lap(self, component: str) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)

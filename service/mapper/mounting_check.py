@@ -1,9 +1,9 @@
 """Whether a laser is mounted as configured: its scans against a map that other lasers have made.
 
 A mounting that is wrong by some degrees cannot be seen in that laser's own map: it agrees with itself. Taken
-for right it tears the map of the others. So a laser that joins others is laid on their map first, without a
-say in pose and map, until its offset from the configured mounting is known. The offset is estimated by least
-squares over scans; the mounting is expected to be right within TOLERANCE.
+for right it tears the map of the others. So a laser that joins others is aligned with their map first, with
+no say in pose and map, until its offset from the configured mounting is known. The offset is estimated by
+least squares over scans; the mounting is expected to be right within TOLERANCE.
 """
 
 import math
@@ -47,7 +47,7 @@ class MountingCheck:
         )
 
     def add(self, looked_for: Prediction, measured: Measurement) -> None:
-        """A scan, laid on the map from `where_to_look`.
+        """A scan, aligned with the map from `where_to_look`.
 
         Prediction and scan together lie C I e from the prediction, with C their covariance, I the scan's
         information and e where the scan alone lies; so I e is found without inverting I.

@@ -40,7 +40,7 @@ WELL_NS = 500_000_000  # so long a scan that lay on the map vouches for the plac
 
 class NoStopwatch:
     def start(self) -> None: ...
-    def lap(self, stage: str) -> None: ...
+    def lap(self, component: str) -> None: ...
 
 
 class Mapper(Generic[ReadableMap]):
@@ -260,7 +260,7 @@ class Mapper(Generic[ReadableMap]):
     def _compared(
         self, scan: LaserScan, at_ns: int, laser: "LaserWatch", points: Points, predicted: Prediction
     ) -> MapperOutput:
-        """A scan of a laser whose mounting is to be checked: laid on the map, without a say in anything."""
+        """A scan of a laser whose mounting is to be checked: aligned with the map, with no say in it."""
         self.counters[f"scans_compared_{scan.sensor}"] += 1
         looked_for = laser.mounting.where_to_look(predicted)
         match = self._components.matcher.match(points, looked_for, self._components.local_map)

@@ -9,7 +9,7 @@ import numpy as np
 
 
 class StageTimes:
-    """Stopwatch of the mapper's stages."""
+    """Stopwatch of the mapper's components."""
 
     def __init__(self) -> None:
         self.laps_ns: defaultdict[str, list[int]] = defaultdict(list)
@@ -18,13 +18,13 @@ class StageTimes:
     def start(self) -> None:
         self._at_ns = time.perf_counter_ns()
 
-    def lap(self, stage: str) -> None:
+    def lap(self, component: str) -> None:
         now_ns = time.perf_counter_ns()
-        self.laps_ns[stage].append(now_ns - self._at_ns)
+        self.laps_ns[component].append(now_ns - self._at_ns)
         self._at_ns = now_ns
 
     def p50_ms(self) -> dict[str, float]:
-        return {stage: round(float(np.median(laps)) / 1e6, 3) for stage, laps in self.laps_ns.items()}
+        return {component: round(float(np.median(laps)) / 1e6, 3) for component, laps in self.laps_ns.items()}
 
 
 def percentiles_ms(durations_ns: Sequence[int]) -> dict[str, float]:

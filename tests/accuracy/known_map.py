@@ -1,4 +1,4 @@
-"""One scan laid on a known map, against the Cramer-Rao bound of that very scene."""
+"""One scan aligned with a known map, against the Cramer-Rao bound of that very scene."""
 
 import math
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""YAML blocks: whole configs, pieces of one laid into a whole one, and files of faults."""
+"""YAML blocks: whole configs, pieces of one put into a whole one, and files of faults."""
 
 import pytest
 import yaml

@@ -80,7 +80,7 @@ def same_place(scans: list[tuple[Points, Match]], local_map: ContourMap) -> floa
 def brought_back(
     scans: list[tuple[Points, Match]], away: list[SE2], local_map: ContourMap, window_sigmas: float
 ) -> float:
-    """% of scans that the matcher lays where they belong, begun so far away."""
+    """% of scans that the matcher aligns where they belong, begun so far away."""
     matcher = ContourLm(ContourLmConfig(search=SearchConfig(window_sigmas=window_sigmas)))
     wide = np.diag([0.25, 0.25, 0.175]) ** 2
     back = 0

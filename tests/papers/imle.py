@@ -50,7 +50,7 @@ LUX_25HZ = Laser(MODEL, 441, 25.0, -55.0, 0.25, SE2())
 RECORDED = ("fgi_s1", "fgi_ccw_s1")
 FIRST_SCANS = (
     "the first scan knows the far wall to 1 cm only, by which alone the worst of ten is beyond in 37 % of "
-    "cases, and a scan that is laid off by more is drawn there and stays: nothing is averaged or forgotten"
+    "cases, and a scan that is off by more is drawn there and stays: nothing is averaged or forgotten"
 )
 BY_CHANCE = "in some seeds the search by chance happens to stay near"
 MOUNTINGS = {"front": SE2()}

@@ -380,11 +380,11 @@ def draw_cycle(
 ) -> tuple[str, str]:
     window = around(cycle.truth)
     figure, panels = plt.subplots(1, 3, figsize=(9.6, 3.4), dpi=90, sharey=True)
-    laid = (
+    aligned = (
         ("previous map, scan as predicted", maps[0], cycle.points, cycle.predicted.pose_odom_base),
         ("map after, scan as matched", maps[1], match.points, match.motion.pose_odom_base),
     )
-    for panel, (title, likelihood, points, pose) in zip(panels, laid, strict=False):
+    for panel, (title, likelihood, points, pose) in zip(panels, aligned, strict=False):
         draw_likelihood(panel, beside, likelihood, CELL_M, window)
         panel.plot(*moved_by(pose, points.xy_base).T, ".", color="tab:red", ms=1.5)
         panel.plot(pose.x_m, pose.y_m, "^", color="tab:green", ms=6)

@@ -91,7 +91,7 @@ def _against_plain(seeds: Sequence[int]) -> Section:
     rides = _rides(seeds)
     weighed = _weighed(seeds)
     maps = [_aligned(ran, ride) for ran, ride in zip(weighed, rides, strict=True)]
-    far, closure = [laid.far_share for laid in maps], [r.end_error[0] for r in weighed]
+    far, closure = [aligned.far_share for aligned in maps], [r.end_error[0] for r in weighed]
     shown = {"weighed": (maps[0].xy, maps[0].likelihood)}
     rows = [Row("B28", "share of the map's mass farther than 5 cm from the structure", far, "of 1")]
     runs_of, far_of = {}, {}
@@ -100,7 +100,7 @@ def _against_plain(seeds: Sequence[int]) -> Section:
             _mapped(ride, {"weigh_segments": False, "other_sigma_cells": cells}) for ride in rides
         ]
         maps_plain = [_aligned(ran, ride) for ran, ride in zip(runs_of[cells], rides, strict=True)]
-        far_of[cells] = [laid.far_share for laid in maps_plain]
+        far_of[cells] = [aligned.far_share for aligned in maps_plain]
         shown[f"plain, {cells} cells"] = (maps_plain[0].xy, maps_plain[0].likelihood)
         rows.append(Row("B28", f"the same of the plain map, blurred by {cells} cells", far_of[cells], "of 1"))
     best = min(PLAIN_CELLS, key=lambda cells: float(np.median(far_of[cells])))
@@ -154,7 +154,7 @@ def _check_points(seeds: Sequence[int]) -> Section:
     """B30 B34."""
     maps = [_aligned(ran, ride) for ran, ride in zip(_weighed(seeds), _rides(seeds), strict=True)]
     true = [_fitted(*_at_true_poses(ride, TRUE_EVERY)) for ride in _rides(seeds)]
-    found = [int(np.isfinite(laid.residuals_m).sum()) for laid in maps]
+    found = [int(np.isfinite(aligned.residuals_m).sum()) for aligned in maps]
     return Section(
         "18 check points",
         "Corners of the hall, the offices, bookcases and the cabinet, looked for in the map up to 50 cm from "
@@ -348,7 +348,7 @@ def _aligned(what: Run, ride: Drive) -> Aligned:
 
 
 def _fitted(xy: Array, likelihood: Array) -> Aligned:
-    """A map, from the start of the world, laid on the true check points."""
+    """A map, from the start of the world, aligned with the true check points."""
     true = library_check_points()
     read = np.array([_corner(xy, likelihood, point) for point in true])
     seen = np.isfinite(read).all(axis=1)
@@ -361,11 +361,11 @@ def _fitted(xy: Array, likelihood: Array) -> Aligned:
 
 
 def _medians_cm(maps: Sequence[Aligned]) -> list[float]:
-    return [100.0 * float(np.nanmedian(laid.residuals_m)) for laid in maps]
+    return [100.0 * float(np.nanmedian(aligned.residuals_m)) for aligned in maps]
 
 
 def _rms_cm(maps: Sequence[Aligned]) -> list[float]:
-    return [100.0 * math.sqrt(float(np.nanmean(laid.residuals_m**2))) for laid in maps]
+    return [100.0 * math.sqrt(float(np.nanmean(aligned.residuals_m**2))) for aligned in maps]
 
 
 def _turned_by(xy: Array, turn_rad: float) -> Array:

@@ -103,13 +103,13 @@ def weights(seeds: Sequence[int]) -> Section:
     """D2."""
     rows, rides = [], seeds[:3]
     for place in (OFFICE, FLOOR):
-        laid = [in_one_map(place, seed) for seed in rides], [in_submaps(place, seed) for seed in rides]
+        aligned = [in_one_map(place, seed) for seed in rides], [in_submaps(place, seed) for seed in rides]
         drawn = (
             [run(driven(place, seed), SINGLE | AROUND, graph=False) for seed in rides],
             [run(driven(place, seed), AROUND) for seed in rides],
         )
         for name, (single, whole) in (
-            ("aligned, weighted by the scan", laid),
+            ("aligned, weighted by the scan", aligned),
             ("around the scan, p / q", drawn),
         ):
             rows += [
@@ -330,8 +330,8 @@ def fitted(xy: np.ndarray, truth: np.ndarray) -> np.ndarray:
     a, b = xy - xy.mean(axis=0), truth - truth.mean(axis=0)
     turn = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
     c, s = np.cos(turn), np.sin(turn)
-    laid: np.ndarray = a @ np.array([[c, s], [-s, c]]) + truth.mean(axis=0)
-    return laid
+    aligned: np.ndarray = a @ np.array([[c, s], [-s, c]]) + truth.mean(axis=0)
+    return aligned
 
 
 SCENARIOS = {

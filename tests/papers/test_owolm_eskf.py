@@ -1,4 +1,4 @@
-"""How a map is laid on the true check points."""
+"""How a map is aligned with the true check points."""
 
 import numpy as np
 
@@ -16,6 +16,6 @@ def test_a_map_of_the_structure_moved_and_turned_lies_on_it_again() -> None:
     )
     moved = _turned_by(true, 0.005) + np.array([0.06, -0.08])
     assert far_share(moved, np.ones(len(moved))) > 0.25
-    laid = _fitted(moved, np.ones(len(moved)))
-    assert laid.far_share == 0.0
-    assert np.nanmedian(laid.residuals_m) < 0.01
+    aligned = _fitted(moved, np.ones(len(moved)))
+    assert aligned.far_share == 0.0
+    assert np.nanmedian(aligned.residuals_m) < 0.01

@@ -1,4 +1,4 @@
-"""Points with the directions of the walls they lie on, and surfels to lay such clouds on."""
+"""Points with the directions of the walls they lie on, and surfels to align such clouds with."""
 
 import math
 from collections.abc import Sequence
@@ -87,7 +87,7 @@ class SurfelSet:
             insert_surfels(cloud.xy, cloud.normals, np.zeros(3), self.grid(), COUNT_LIMIT, 1.0)
 
     def align(self, cloud: PointCloud, pose: Floats) -> Fit:
-        """Another cloud laid on it, from a pose near enough."""
+        """Another cloud aligned with it, from a pose near enough."""
         aligned, information = pose.copy(), np.zeros((3, 3))
         used, inliers = align_surfels(cloud.xy, cloud.normals, self.grid(), SETTINGS, aligned, information)
         return Fit(aligned, information, inliers / used if used else 0.0)

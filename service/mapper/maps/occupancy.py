@@ -149,7 +149,7 @@ class Canvas:
     def rendered_map(self) -> RenderedMap:
         """A copy of all there is."""
         tiles = np.array(self.tiles.tiles(), np.int64).reshape(-1, 3)
-        # Contiguous, as they come out of another process: else the kernel that lays them is compiled twice.
+        # Contiguous, as they come out of another process: else the kernel that takes them is compiled twice.
         row, column = np.ascontiguousarray(tiles[:, 0]), np.ascontiguousarray(tiles[:, 1])
         evidence = self.pool.arrays[0][tiles[:, 2]]
         return RenderedMap(row, column, evidence, self.wall_cells)  # type: ignore[arg-type]

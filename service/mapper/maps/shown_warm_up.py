@@ -13,7 +13,7 @@ CELL_M = 0.05
 
 
 def warm_up_replacing() -> None:
-    """A map drawn anew is laid in the place of the shown one, with a person's wall in a tile of its own."""
+    """A map rendered anew replaces the shown one, with a person's wall in a tile of its own."""
     wall = np.full((1, 2), TILE_CELLS, np.int64)
     shown = OccupancyTiles(OccupancyConfig(), CELL_M)
     shown.replace_by(_one_tile(wall), ())

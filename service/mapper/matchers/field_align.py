@@ -1,4 +1,4 @@
-"""Points laid on a likelihood map, and what it says of them there, for matchers that ask for no speed."""
+"""Points aligned with a likelihood map, and what it says of them there, where speed does not matter."""
 
 import numpy as np
 

@@ -53,7 +53,7 @@ class Aligned:
     points: Points  # deskewed with the twist found
 
 
-class Laying(Protocol[KnownMap_contra]):
+class Aligner(Protocol[KnownMap_contra]):
     """What a matcher does itself."""
 
     def align(
@@ -77,7 +77,7 @@ class _Verdict:
 
 
 class JudgedMatching:
-    """Has scans laid on a map, judges where they came to lie, and has lost ones searched for.
+    """Has scans aligned with a map, judges where they came to lie, and has lost ones searched for.
 
     What little lies on the map does not say where: on new ground the prediction stands, if it was measured
     and nothing contradicts it. A search in vain makes the next twice as wide. A find that is far from the
@@ -100,14 +100,14 @@ class JudgedMatching:
         points: Points,
         predicted: Prediction,
         local_map: SomeKnownMap,
-        laying: Laying[SomeKnownMap],
+        aligner: Aligner[SomeKnownMap],
     ) -> Match:
         if reason := too_few(points):
             self._is_lost = True
             return held(points, predicted, reason)
         if local_map.is_empty:
             return begun(points, predicted)
-        match = self._placed(points, predicted, local_map, laying)
+        match = self._placed(points, predicted, local_map, aligner)
         if match.state == "lost" and self._begins_anew(points, predicted):
             local_map.begin_anew()
             match = Match(
@@ -128,40 +128,40 @@ class JudgedMatching:
         points: Points,
         predicted: Prediction,
         local_map: SomeKnownMap,
-        laying: Laying[SomeKnownMap],
+        aligner: Aligner[SomeKnownMap],
     ) -> Match:
-        laid = laying.align(points, predicted, local_map, is_found=False)
-        verdict = self._judged(laid, predicted, local_map)
+        aligned = aligner.align(points, predicted, local_map, is_found=False)
+        verdict = self._judged(aligned, predicted, local_map)
         if verdict.state != "lost" and (
-            laid.measured.is_joined or verdict.inlier_ratio >= self._limits.lost_ratio
+            aligned.measured.is_joined or verdict.inlier_ratio >= self._limits.lost_ratio
         ):
             is_doubtful = self._is_lost and is_loose(sigmas_of(predicted.local_covariance))
-            if is_doubtful and not self._is_confirmed(laid, predicted):
+            if is_doubtful and not self._is_confirmed(aligned, predicted):
                 return held(points, predicted, UNCONFIRMED, verdict.inlier_ratio)
-            return _matched(laid, predicted, verdict)
+            return _matched(aligned, predicted, verdict)
         stands = self._judged_as_predicted(points, predicted, local_map)
         if stands.state != "lost":
             return Match(predicted, points, stands.inlier_ratio, "degraded", stands.reason or STANDS)
-        found = self._found(points, predicted, local_map, laying, verdict.inlier_ratio)
+        found = self._found(points, predicted, local_map, aligner, verdict.inlier_ratio)
         reason = verdict.reason if verdict.state == "lost" else stands.reason
         return found or held(points, predicted, reason, verdict.inlier_ratio)
 
     def _judged(
-        self, laid: Aligned, predicted: Prediction, local_map: KnownMap, is_found: bool = False
+        self, aligned: Aligned, predicted: Prediction, local_map: KnownMap, is_found: bool = False
     ) -> _Verdict:
         """is_found: a search led there, so that the prediction says nothing for it."""
-        measured, prior = laid.measured, predicted.local_covariance
+        measured, prior = aligned.measured, predicted.local_covariance
         alone: Matrix = np.asarray(np.linalg.inv(measured.information), np.float64)
         joined: Matrix = measured.covariance
         if not measured.is_joined:
             joined = prior - prior @ np.linalg.solve(prior + measured.covariance, prior)
         is_far = is_found or (
-            _chi2(laid, predicted, measured.covariance) > JUMP_CHI2
+            _chi2(aligned, predicted, measured.covariance) > JUMP_CHI2
             or (is_loose(sigmas_of(prior)) and (self._is_lost or predicted.elapsed_s > GAP_S))
         )
-        overlap = local_map.overlap(laid.points.xy_base, measured.pose_odom_base)
+        overlap = local_map.overlap(aligned.points.xy_base, measured.pose_odom_base)
         evidence = Evidence(
-            used=len(laid.points.xy_base),
+            used=len(aligned.points.xy_base),
             on_map=overlap.on_map,
             in_free=overlap.in_free,
             sigma=sigmas_of(alone if is_found else joined),
@@ -195,7 +195,7 @@ class JudgedMatching:
         points: Points,
         predicted: Prediction,
         local_map: SomeKnownMap,
-        laying: Laying[SomeKnownMap],
+        aligner: Aligner[SomeKnownMap],
         ratio: float,
     ) -> Match | None:
         """A match elsewhere, with clearly more than `ratio` of the scan on the map; None: there is none."""
@@ -209,23 +209,23 @@ class JudgedMatching:
                 reach_of(sigmas_of(predicted.local_covariance)), FIRST, MOST, strict=True
             )
         )
-        start = laying.search(points, local_map, predicted.pose_odom_base, (reach_m, reach_rad))
+        start = aligner.search(points, local_map, predicted.pose_odom_base, (reach_m, reach_rad))
         if start is not None:
             there = replace(predicted, pose_odom_base=start, local_covariance=FOUND_COVARIANCE)
-            laid = laying.align(points, there, local_map, is_found=True)
-            verdict = self._judged(laid, predicted, local_map, is_found=True)
+            aligned = aligner.align(points, there, local_map, is_found=True)
+            verdict = self._judged(aligned, predicted, local_map, is_found=True)
             if verdict.state != "lost" and verdict.inlier_ratio >= ratio + GAIN:
-                chi2 = _chi2(laid, predicted, LEAST_COVARIANCE)
-                if chi2 > JUMP_CHI2 and not self._is_confirmed(laid, predicted):
+                chi2 = _chi2(aligned, predicted, LEAST_COVARIANCE)
+                if chi2 > JUMP_CHI2 and not self._is_confirmed(aligned, predicted):
                     self._rest_until_ns = stamp_ns + round(CONFIRM_S * 1e9)
                     return None
-                return _matched(_alone(laid, chi2), predicted, verdict)
+                return _matched(_alone(aligned, chi2), predicted, verdict)
         self._widening = min(2.0 * self._widening, MOST_WIDENING)
         return None
 
-    def _is_confirmed(self, laid: Aligned, predicted: Prediction) -> bool:
+    def _is_confirmed(self, aligned: Aligned, predicted: Prediction) -> bool:
         """Whether the find before, carried on by the prediction, says the same."""
-        found, here = laid.measured.pose_odom_base, predicted.pose_odom_base
+        found, here = aligned.measured.pose_odom_base, predicted.pose_odom_base
         last, self._hypothesis = self._hypothesis, found @ here.inverse()
         return last is not None and agree(last @ here, found)
 
@@ -245,42 +245,44 @@ class JudgedMatching:
         )
 
 
-def judged_alone(laid: Aligned, predicted: Prediction, inliers: int, limits: JudgementConfig) -> Match:
+def judged_alone(aligned: Aligned, predicted: Prediction, inliers: int, limits: JudgementConfig) -> Match:
     """The match of a matcher that is neither searched for nor asked about free ground.
 
     inliers   of the points: those that the matcher found a place for
     """
-    count = len(laid.points.xy_base)
+    count = len(aligned.points.xy_base)
     prior = sigmas_of(predicted.local_covariance)
-    sigma = sigmas_of(laid.measured.covariance)
+    sigma = sigmas_of(aligned.measured.covariance)
     evidence = Evidence(count, inliers, 0, sigma, prior, is_measured=False, is_far=False)
     state, reason = judge(evidence, limits)
     verdict = _Verdict(state, reason, evidence.inlier_ratio)
     if verdict.state == "lost":
-        return held(laid.points, predicted, verdict.reason, verdict.inlier_ratio)
-    return _matched(laid, predicted, verdict)
+        return held(aligned.points, predicted, verdict.reason, verdict.inlier_ratio)
+    return _matched(aligned, predicted, verdict)
 
 
-def _matched(laid: Aligned, predicted: Prediction, verdict: _Verdict) -> Match:
-    measured = laid.measured
+def _matched(aligned: Aligned, predicted: Prediction, verdict: _Verdict) -> Match:
+    measured = aligned.measured
     pose = measured.pose_odom_base
     motion = Motion(pose, predicted.twist_at(pose), measured.covariance)
-    return Match(motion, laid.points, verdict.inlier_ratio, verdict.state, verdict.reason, measured=measured)
+    return Match(
+        motion, aligned.points, verdict.inlier_ratio, verdict.state, verdict.reason, measured=measured
+    )
 
 
-def _alone(laid: Aligned, chi2: float) -> Aligned:
+def _alone(aligned: Aligned, chi2: float) -> Aligned:
     """A find: what the scan says alone, to be joined with a prediction with that much less weight."""
     measured = replace(
-        laid.measured,
-        covariance=np.asarray(np.linalg.inv(laid.measured.information), np.float64),
+        aligned.measured,
+        covariance=np.asarray(np.linalg.inv(aligned.measured.information), np.float64),
         prior_weight=min(1.0, (STUDENT + 3.0) / (STUDENT + chi2)),
         is_joined=False,
     )
-    return replace(laid, measured=measured)
+    return replace(aligned, measured=measured)
 
 
-def _chi2(laid: Aligned, predicted: Prediction, covariance: Matrix) -> float:
-    """How far a scan was laid from the prediction; covariance: besides that of the prediction."""
+def _chi2(aligned: Aligned, predicted: Prediction, covariance: Matrix) -> float:
+    """How far a scan was aligned from the prediction; covariance: besides that of the prediction."""
     return chi2_between(
-        predicted.pose_odom_base, laid.measured.pose_odom_base, predicted.local_covariance + covariance
+        predicted.pose_odom_base, aligned.measured.pose_odom_base, predicted.local_covariance + covariance
     )

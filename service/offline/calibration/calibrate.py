@@ -76,7 +76,7 @@ class SensorCalibration:
 
 @dataclass(slots=True)
 class Calibration:
-    """What a drive tells. patch is YAML to be laid over a config; config that config, laid over already."""
+    """What a drive tells. patch is YAML to be merged into a config; config that config, merged already."""
 
     session: str
     reference: str  # the laser whose clock the others' offsets are counted against

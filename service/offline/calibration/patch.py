@@ -1,4 +1,4 @@
-"""What a calibration changes in a config: as a patch, and laid over the config with its comments kept."""
+"""What a calibration changes in a config: as a patch, and merged into the config with its comments kept."""
 
 import io
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ from ruamel.yaml import YAML
 from service.config import ServiceConfig, parse_config
 from service.offline.calibration.fit import Fit
 
-Changes = dict[str, dict[str, Any]]  # sensor -> key -> value; a mapping is laid over the one that is there
+Changes = dict[str, dict[str, Any]]  # sensor -> key -> value; a mapping is merged into the one that is there
 
 
 def wheel_settings(fit: Fit, wheel_base_m: float, left_scale: float, right_scale: float) -> dict[str, float]:
@@ -45,16 +45,16 @@ def patched(changes: Changes, config: ServiceConfig | None) -> tuple[str, str]:
     document = editor.load(config.text)
     for name, values in changes.items():
         if name in document["sensors"]:
-            _lay_over(document["sensors"][name], values)
+            _overlay(document["sensors"][name], values)
     stream = io.StringIO()
     editor.dump(document, stream)
     parse_config(stream.getvalue(), "the calibrated config")
     return patch, stream.getvalue()
 
 
-def _lay_over(settings: Any, values: Mapping[str, Any]) -> None:
+def _overlay(settings: Any, values: Mapping[str, Any]) -> None:
     for key, value in values.items():
         if isinstance(value, Mapping):
-            _lay_over(settings.setdefault(key, {}), value)
+            _overlay(settings.setdefault(key, {}), value)
         else:
             settings[key] = value

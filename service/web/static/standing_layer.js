@@ -1,4 +1,4 @@
-// For how long things stand around the vehicle: the static score, by which what moves is told from what stays.
+// For how long things stand around the vehicle: the static score, by which moving objects are told from what stays.
 
 export class StandingLayer {
   constructor() {

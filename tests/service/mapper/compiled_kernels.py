@@ -1,7 +1,7 @@
 """Warm up, map a drive, print as JSON how many kernels numba compiled, and how many signatures each has.
 
 With the argument `live` as the live service does: the graph's back end works elsewhere. A map that it has
-drawn is then laid in the place of the shown one; with `localizing`, scans are compared with it besides.
+drawn then replaces the shown one; with `localizing`, scans are compared with it besides.
 
 In a process of its own, because other tests call kernels in their own ways.
 """

@@ -26,7 +26,7 @@ TURNED_RAD, SHIFTED_M = math.radians(6.0), (0.5, -0.4)  # of the second round, a
 
 @dataclass(frozen=True)
 class BentMap:
-    """A ring of corridors driven 1.4 times without an error; then the second round was laid wrongly."""
+    """A ring of corridors driven 1.4 times without an error; then the second round was placed wrongly."""
 
     graph: SavedGraph
     truth: Floats  # (N, 3) pose_map_base

@@ -61,7 +61,7 @@ class SearchConfig(BaseModel):
 
 
 class ContourLmConfig(JudgementConfig):
-    """How a scan is laid on the learned map, and when the result is accepted."""
+    """How a scan is aligned with the learned map, and when the result is accepted."""
 
     RENAMED: ClassVar = {"covariance_scale": "residual_sigma"}
 

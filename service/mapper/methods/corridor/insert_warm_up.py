@@ -13,7 +13,7 @@ from service.mapper.methods.corridor.submaps import SubmapsConfig, SurfelSubmaps
 
 
 def warm_up_insert() -> None:
-    """A key frame's points asked for the bias of ranges; laid down; weighed and doubted by what stands."""
+    """A key frame's points asked for the bias of ranges; inserted; weighed and doubted by what stands."""
     xy = np.ones((1, 2))
     scan = LaserScan(
         sensor="laser",

@@ -52,7 +52,7 @@ DOUBT_RATIO = 0.9  # of the usual inlier ratio: with less, other starts are trie
 
 
 class SurfelMatcherConfig(JudgementConfig):
-    """How a scan is laid on the sub-map, and when the result is accepted."""
+    """How a scan is aligned with the sub-map, and when the result is accepted."""
 
     wall_sigma_m: float = Field(default=0.004, gt=0.0)  # how even walls are
     cauchy_m: float = Field(default=0.10, gt=0.0)  # a point so far off counts half
@@ -60,7 +60,7 @@ class SurfelMatcherConfig(JudgementConfig):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Attempt:
-    """A scan that is to be laid on a map, and where the prediction puts it there."""
+    """A scan that is to be aligned with a map, and where the prediction puts it there."""
 
     points: Points
     normals: Matrix  # (N, 3) from estimate_normals
@@ -142,12 +142,12 @@ class SurfelGaussNewton:
         attempt = _Attempt(points, normals, posts_of(points), predicted, prior, usual)
         if local_map.pause_s:
             return self._on_piece(attempt, local_map, _unmeasured(local_map.pause_s), 0.0)
-        laid = self._searched(self._lay(attempt, attempt.prior.pose, submap), attempt)
-        if laid.state != "lost" and self._is_found(laid, attempt):
-            self._usual_ratios[points.scan.sensor] = usual + (laid.result.share - usual) / USUAL_SCANS
-            self._learn_bias(laid, attempt)
-            return self._as_match(laid, attempt, laid.state, laid.reason)
-        return self._on_piece(attempt, local_map, laid.reason, laid.result.share)
+        aligned = self._searched(self._align(attempt, attempt.prior.pose, submap), attempt)
+        if aligned.state != "lost" and self._is_found(aligned, attempt):
+            self._usual_ratios[points.scan.sensor] = usual + (aligned.result.share - usual) / USUAL_SCANS
+            self._learn_bias(aligned, attempt)
+            return self._as_match(aligned, attempt, aligned.state, aligned.reason)
+        return self._on_piece(attempt, local_map, aligned.reason, aligned.result.share)
 
     def _on_piece(
         self, attempt: _Attempt, local_map: SurfelSubmaps, reason: str, inlier_ratio: float
@@ -158,14 +158,14 @@ class SurfelGaussNewton:
         if local_map.detached is None:
             return held(points, predicted, reason, inlier_ratio)
         attempt = replace(attempt, prior=_prior_of(predicted, None))
-        detached = self._lay(attempt, attempt.prior.pose, local_map.detached)
+        detached = self._align(attempt, attempt.prior.pose, local_map.detached)
         if detached.state == "lost":
             return held(points, predicted, reason, inlier_ratio)
         return self._as_match(
             detached, attempt, "lost", f"{reason}; a detached map begins here until its place is found"
         )
 
-    def _is_found(self, laid: _Aligned, attempt: _Attempt) -> bool:
+    def _is_found(self, aligned: _Aligned, attempt: _Attempt) -> bool:
         """Whether a scan that was mapped apart is accepted as lying on the map again.
 
         One find far from the prediction is a hypothesis, since rooms look alike; the next one must say the
@@ -173,16 +173,16 @@ class SurfelGaussNewton:
         """
         if self._gap is None:
             return True
-        if _chi2(laid.result.pose, attempt.prior) > JUMP_CHI2:
+        if _chi2(aligned.result.pose, attempt.prior) > JUMP_CHI2:
             return False
         if not is_loose(sigmas_of(attempt.prior.covariance)):
             return True
-        found, predicted = SE2(*laid.result.pose.tolist()), attempt.predicted.pose_odom_base
+        found, predicted = SE2(*aligned.result.pose.tolist()), attempt.predicted.pose_odom_base
         last, self._hypothesis = self._hypothesis, found @ predicted.inverse()
         return last is not None and agree(last @ predicted, found)
 
-    def _as_match(self, laid: _Aligned, attempt: _Attempt, state: State, reason: str) -> Match:
-        result = laid.result
+    def _as_match(self, aligned: _Aligned, attempt: _Attempt, state: State, reason: str) -> Match:
+        result = aligned.result
         x_m, y_m, theta_rad = result.pose.tolist()
         forward, left, turn = result.twist.tolist()
         pose = SE2(x_m, y_m, theta_rad)
@@ -191,23 +191,23 @@ class SurfelGaussNewton:
             gap = attempt.prior.covariance - attempt.predicted.local_covariance
         measured = Measurement(pose, result.covariance, result.information, result.prior_weight, gap)
         motion = Motion(pose, (forward, left, turn), result.covariance)
-        deskewed = replace(attempt.points, xy_base=laid.xy_base)
-        return Match(motion, deskewed, result.share, state, reason, laid.submap.number, measured)
+        deskewed = replace(attempt.points, xy_base=aligned.xy_base)
+        return Match(motion, deskewed, result.share, state, reason, aligned.submap.number, measured)
 
-    def _learn_bias(self, laid: _Aligned, attempt: _Attempt) -> None:
-        if self._gap is not None or laid.result.share < DOUBT_RATIO * attempt.usual_ratio:
+    def _learn_bias(self, aligned: _Aligned, attempt: _Attempt) -> None:
+        if self._gap is not None or aligned.result.share < DOUBT_RATIO * attempt.usual_ratio:
             return
         if not self._bias.is_due(attempt.points.scan.sensor, attempt.predicted.travel_m):
             return
         self._bias.learn(
-            replace(attempt.points, xy_base=laid.xy_base),
+            replace(attempt.points, xy_base=aligned.xy_base),
             attempt.normals,
-            laid.result.pose,
-            laid.submap,
+            aligned.result.pose,
+            aligned.submap,
             self._settings._replace(range_sigma_m=attempt.points.range_sigma_m),
         )
 
-    def _lay(self, attempt: _Attempt, start: Matrix, submap: Submap) -> _Aligned:
+    def _align(self, attempt: _Attempt, start: Matrix, submap: Submap) -> _Aligned:
         """The match on a sub-map, begun at `start`, a pose as in the prior, and what to think of it."""
         points = attempt.points
         xy_base, normals = points.xy_base.copy(), submap.weighed(points, attempt.normals, start)
@@ -257,30 +257,30 @@ class SurfelGaussNewton:
         )
         return judge(evidence, self._config)
 
-    def _searched(self, laid: _Aligned, attempt: _Attempt) -> _Aligned:
+    def _searched(self, aligned: _Aligned, attempt: _Attempt) -> _Aligned:
         """The best pose of a window around the prediction, if clearly more of the scan lies on the map there.
 
         A poor recovery is worse than none: a prediction that goes on is found again, a jump is not.
         """
         prior = sigmas_of(attempt.prior.covariance)
-        share = laid.result.share
-        if laid.state != "lost" and (not is_loose(prior) or share >= DOUBT_RATIO * attempt.usual_ratio):
-            return laid
+        share = aligned.result.share
+        if aligned.state != "lost" and (not is_loose(prior) or share >= DOUBT_RATIO * attempt.usual_ratio):
+            return aligned
         reach_m, reach_rad = reach_of(prior)
-        if laid.state == "lost":
+        if aligned.state == "lost":
             if attempt.points.scan.stamp_ns < self._rest_until_ns:
-                return laid
+                return aligned
             self._rest_until_ns = attempt.points.scan.stamp_ns + round(REST_S * 1e9)
             reach_m, reach_rad = max(reach_m, FIRST[0]), max(reach_rad, FIRST[1])
-        grid = laid.submap.grid()
+        grid = aligned.submap.grid()
         layer = layer_of(LikelihoodField(grid.tiles, grid.field, grid.cell_m))
         start = search_around(
             attempt.points.xy_base, attempt.predicted.pose_odom_base, (reach_m, reach_rad), layer
         )
         if start is None:
-            return laid
-        found = self._lay(attempt, np.array([start.x_m, start.y_m, start.theta_rad]), laid.submap)
-        return found if found.state != "lost" and found.result.share >= share + GAIN else laid
+            return aligned
+        found = self._align(attempt, np.array([start.x_m, start.y_m, start.theta_rad]), aligned.submap)
+        return found if found.state != "lost" and found.result.share >= share + GAIN else aligned
 
 
 def _with_posts(

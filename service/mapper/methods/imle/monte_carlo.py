@@ -54,9 +54,9 @@ class MonteCarloSearch:
         )
         x_m, y_m, theta_rad = found.tolist()
         pose = SE2(x_m, y_m, wrap_angle(theta_rad))
-        laid = Aligned(
+        aligned = Aligned(
             Measurement(pose, self._covariance, self._information, is_joined=False),
             deskewed(points, predicted, pose),
         )
-        on_map = local_map.overlap(laid.points.xy_base, pose).on_map
-        return judged_alone(laid, predicted, on_map, config)
+        on_map = local_map.overlap(aligned.points.xy_base, pose).on_map
+        return judged_alone(aligned, predicted, on_map, config)

@@ -117,7 +117,7 @@ class IcpScanToScan:
             match = held(points, predicted, "the scan has too little in common with the one before")
         else:
             measured = Measurement(step.pose, self._covariance, self._information)
-            laid = Aligned(measured, deskewed(points, predicted, step.pose))
-            match = judged_alone(laid, predicted, round(step.share * len(points.xy_base)), self._config)
+            aligned = Aligned(measured, deskewed(points, predicted, step.pose))
+            match = judged_alone(aligned, predicted, round(step.share * len(points.xy_base)), self._config)
         self._icp.remember(match)
         return match

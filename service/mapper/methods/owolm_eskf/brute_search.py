@@ -67,9 +67,9 @@ class BruteSearch:
         prior = pose, np.diag(1.0 / np.square(steps))
         pose = align(thin, weights, prior, field, pose, config.refine_iterations)
         x_m, y_m, theta_rad = pose.tolist()
-        laid = SE2(x_m, y_m, theta_rad)
+        aligned = SE2(x_m, y_m, theta_rad)
         every, weights = thin_evenly(points.xy_base, len(points.xy_base), config.residual_sigma)
-        segment = local_map.segments(moved_by(laid, points.xy_base), local_map.gaps(points))
+        segment = local_map.segments(moved_by(aligned, points.xy_base), local_map.gaps(points))
         values = values_at(every, pose, field)
         across = information_across(points, values, weights, segment, pose)
         sure = covariance = self._covariance(across, BLIND, theta_rad)
@@ -77,7 +77,7 @@ class BruteSearch:
             said = information_of_dots(points, values, weights, segment, pose)
             least = np.diag(1.0 / np.square([window_m, window_m, window_rad]))
             covariance = self._covariance(said, least, theta_rad)
-        matched = local_map.pose_axes_odom.inverse() @ laid
+        matched = local_map.pose_axes_odom.inverse() @ aligned
         information = inverse(covariance if is_found else sure)
         return Aligned(Measurement(matched, covariance, information, is_joined=False), points)
 

@@ -1,7 +1,7 @@
-"""A Rao-Blackwellised particle filter: every particle is laid on the map that it drew itself.
+"""A Rao-Blackwellised particle filter: every particle is aligned with the map that it drew itself.
 
 Sample, weigh, resample, as paper 004 section 1.2; the maps are drawn by CountedSubmaps. A step of a particle
-is drawn from the motion model and then laid on its map: without odometry the sample alone would miss it.
+is drawn from the motion model and then aligned with its map: without odometry the sample alone would miss it.
 What it is weighed by is then not p / q of eq. 2, for nobody knows the q of a sample that was moved;
 `draw: around_scan` has a q and that weight.
 """
@@ -34,14 +34,14 @@ SEARCH_STEP_RAD = 0.02  # turns a point at 5 m by two cells
 
 
 class ParticleFilterConfig(JudgementConfig):
-    """How particles are drawn, laid on their maps and weighed."""
+    """How particles are drawn, aligned with their maps and weighed."""
 
     RENAMED: ClassVar = {"doubt_ratio": "least_agreement"}
 
     seed: int = Field(default=1, ge=0)
-    # laid: from the motion model, then laid on the map, weighed by the likelihood of the scan
+    # aligned: from the motion model, then aligned with the map, weighed by the likelihood of the scan
     # around_scan: around where it lies best, weighed by p / q (eq. 2)
-    draw: Literal["laid", "around_scan"] = "laid"
+    draw: Literal["aligned", "around_scan"] = "aligned"
     align_sigma: float = Field(default=0.5, gt=0.0)  # of 1 - likelihood, against the motion model
     align_beams: int = Field(default=180, ge=10)
     align_iterations: int = Field(default=8, ge=0, le=100)
@@ -65,7 +65,7 @@ class ParticleFilter:
         self._random = np.random.Generator(np.random.Philox(key=config.seed))
         self._floor = diagonal(config.floor_position_m, config.floor_heading_rad)
         self._last = SE2()  # where the motion model had the base at the scan before
-        self._deviates: Array = np.zeros((0, 3))  # of the scan being laid, a row a particle
+        self._deviates: Array = np.zeros((0, 3))  # of the scan being aligned, a row a particle
 
     def match(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> Match:
         """A lost scan neither weighs the particles nor leaves them where it drew them."""
@@ -91,7 +91,7 @@ class ParticleFilter:
         else:
             way = self._last.inverse() @ predicted.pose_odom_base
         self._move(way, predicted.local_covariance, local_map)
-        self._lay_or_search(points, predicted, local_map)
+        self._align_or_search(points, predicted, local_map)
         normalise_weights(local_map.log_weights, local_map.weights)
         return Aligned(self._mean(local_map), points)
 
@@ -113,32 +113,32 @@ class ParticleFilter:
         """Move each particle by a way and an error of it, drawn anew; the latter where it is drawn from."""
         step = np.array([way.x_m, way.y_m, way.theta_rad])
         self._deviates = self._random.standard_normal((len(local_map.particles), 3))
-        root = _root(covariance) if self._config.draw == "laid" else np.zeros((3, 3))
+        root = _root(covariance) if self._config.draw == "aligned" else np.zeros((3, 3))
         for particle, error in zip(local_map.particles, self._deviates @ root.T, strict=True):
             particle.pose = se2.compose(se2.compose(particle.pose, step), error)
 
-    def _lay_or_search(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> None:
-        """Lay each particle on its map.
+    def _align_or_search(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> None:
+        """Align each particle with its map.
 
         Where returns end in what the best particle's map knows to be free, wheels may have said what is not
-        so: then that map is searched around, all particles are moved alike, and laid from there. A scan that
-        merely meets little of the map, as on new ground, is not searched for: where the far walls of a
+        so: then that map is searched around, all particles are moved alike, and aligned from there. A scan
+        that merely meets little of the map, as on new ground, is not searched for: where the far walls of a
         corridor are dots, a search finds the place of the scan before.
         """
         weights = local_map.log_weights.copy()
-        likelihood, best = self._lay(points, predicted, local_map)
+        likelihood, best = self._align(points, predicted, local_map)
         searched = local_map.particles[best]
         if local_map.overlap_of(searched, points.xy_base).agreement >= self._config.least_agreement:
             return
-        laid = local_map.log_weights.copy(), [particle.pose for particle in local_map.particles]
+        aligned = local_map.log_weights.copy(), [particle.pose for particle in local_map.particles]
         moved = self._search(points, searched)
         for particle in local_map.particles:
             particle.pose = se2.compose(particle.pose, moved)
         local_map.log_weights[:] = weights
-        found, _ = self._lay(points, predicted, local_map)
+        found, _ = self._align(points, predicted, local_map)
         if found <= likelihood:
-            local_map.log_weights[:] = laid[0]
-            for particle, pose in zip(local_map.particles, laid[1], strict=True):
+            local_map.log_weights[:] = aligned[0]
+            for particle, pose in zip(local_map.particles, aligned[1], strict=True):
                 particle.pose = pose
 
     def _search(self, points: Points, particle: Particle) -> Array:
@@ -149,21 +149,21 @@ class ParticleFilter:
         found, _ = search_exhaustive(thinned(points.xy_base, config.align_beams), layer, window)
         return se2.between(particle.pose, found.pose)
 
-    def _lay(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> tuple[float, int]:
-        """Lay each particle on its map and weigh it; the mean likelihood of the best, and which it is."""
+    def _align(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> tuple[float, int]:
+        """Align each particle with its map and weigh it; the mean likelihood of the best, and which it is."""
         information = inverse(predicted.local_covariance + 1e-12 * np.eye(3))
         means = np.empty(len(local_map.particles))
         thin = thin_evenly(points.xy_base, self._config.align_beams, self._config.align_sigma)
         for k, particle in enumerate(local_map.particles):
-            log_weight, means[k] = self._lay_one(thin, particle, information, self._deviates[k])
+            log_weight, means[k] = self._align_one(thin, particle, information, self._deviates[k])
             local_map.log_weights[k] += log_weight
         best = int(np.argmax(means))
         return float(means[best]), best
 
-    def _lay_one(
+    def _align_one(
         self, thin: tuple[Array, Array], particle: Particle, information: Array, deviates: Array
     ) -> tuple[float, float]:
-        """Lay a particle on its map, or draw it around where it lies.
+        """Align a particle with its map, or draw it around where it lies.
 
         thin          points (M, 2) and weights (M,) of thin_evenly
         information   (3, 3) of the motion, base axes

@@ -31,7 +31,7 @@ TRACED_EVERY = 3  # key frames of a place: neighbours see the same free space
 def cloud_of(
     keyframes: KeyframeList, members: Iterable[int], reference: int, poses: Floats | None = None
 ) -> PointCloud:
-    """Key frames as odometry lays them, in the frame of `reference`; or as `poses`, (N, 3) of all, does."""
+    """Key frames as odometry places them, in the frame of `reference`; or as `poses`, (N, 3) of all, does."""
     poses = keyframes.odom if poses is None else poses
     return joined(
         [seen_by(keyframes, k).transformed(se2.between(poses[reference], poses[k])) for k in members]
@@ -97,7 +97,7 @@ class CandidateSubmap:
         return found.pose if found.score >= least else None
 
     def align(self, cloud: PointCloud, pose: Floats) -> Fit:
-        """The cloud laid on the surfels, from a pose near enough."""
+        """The cloud aligned with the surfels, from a pose near enough."""
         return self._surfels.align(cloud, pose)
 
     def against(self, cloud: PointCloud, pose: Floats) -> float:

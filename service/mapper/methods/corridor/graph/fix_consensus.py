@@ -113,7 +113,7 @@ def fix_edges(
 
 
 def align(points: Floats, enu: Floats) -> Floats:
-    """(3,) pose_odom_enu that lays (M, 2) points of odom on their (M, 2) east and north best.
+    """(3,) pose_odom_enu that aligns (M, 2) points of odom with their (M, 2) east and north best.
 
     Source: Umeyama 1991, in the plane, without scale.
     """

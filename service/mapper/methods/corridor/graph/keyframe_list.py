@@ -131,7 +131,7 @@ class KeyframeList:
 
     @property
     def is_usable(self) -> npt.NDArray[np.bool_]:
-        """(N,) whether others can be laid on it: its pose is a match, and its points are there."""
+        """(N,) whether others can be aligned with it: its pose is a match, and its points are there."""
         return self.has_points & ~self.is_lost
 
     @property

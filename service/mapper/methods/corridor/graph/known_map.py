@@ -72,7 +72,7 @@ class Weight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Aligned:
-    """A cloud laid on the map."""
+    """A cloud aligned with the map."""
 
     fit: Fit
     weight: Weight
@@ -111,19 +111,17 @@ class KnownMap:
         order = np.argsort(-places[:, 3], kind="stable")[:MOST_CANDIDATES]
         return list(places[order, :3])
 
-    def lay(self, seen: SeenCloud, near: Floats, least: float = -math.inf) -> Aligned:
-        """The cloud laid on all walls there are, from a candidate. least: as of weigh."""
+    def align(self, seen: SeenCloud, near: Floats, least: float = -math.inf) -> Aligned:
+        """The cloud aligned with all walls there are, from a candidate. least: as of weigh."""
         window = window_around(near, REFINED[:2], self._field, REFINED[2])
         near = (seen.cloud.xy**2).sum(axis=1) < REACH_M**2
         thin = thinned(seen.cloud.xy[near], REFINING_POINTS)
         found = search_branch_and_bound(thin, self._field, window, -math.inf)
         return self._aligned(seen, found.pose, least)
 
-    def refine(self, seen: SeenCloud, laid: Aligned) -> Aligned:
-        """The likeliest pose near that at which the cloud was laid: walls alone lead astray where there are
-        few.
-        """
-        pose = laid.fit.pose.copy()
+    def refine(self, seen: SeenCloud, aligned: Aligned) -> Aligned:
+        """The likeliest pose near that of the alignment: walls alone lead astray where there are few."""
+        pose = aligned.fit.pose.copy()
         evidence, count = climb(
             seen.cloud.xy,
             seen.cloud.normals,
@@ -141,15 +139,17 @@ class KnownMap:
             return again
         return Aligned(Fit(pose, again.fit.information, again.fit.share), self.weigh(seen, pose))
 
-    def along(self, seen: SeenCloud, laid: Aligned) -> list[Aligned]:
-        """Where else the cloud can be laid beside a place, in the direction in which it is known worst."""
-        of_pose = laid.fit.information
+    def along(self, seen: SeenCloud, aligned: Aligned) -> list[Aligned]:
+        """Where else the cloud fits beside a place, in the direction in which it is known worst."""
+        of_pose = aligned.fit.information
         turning = np.outer(of_pose[:2, 2], of_pose[2, :2]) / max(float(of_pose[2, 2]), 1e-9)
         known = of_pose[:2, :2] - turning
         axis = np.append(np.linalg.eigh(known)[1][:, 0], 0.0)
         steps = np.arange(ALONG_STEP_M, ALONG_M + 0.5 * ALONG_STEP_M, ALONG_STEP_M)
-        beside = [self._walls.align(seen.cloud, laid.fit.pose + off_m * axis) for off_m in [*-steps, *steps]]
-        least = ALONG_SHARE * laid.fit.share
+        beside = [
+            self._walls.align(seen.cloud, aligned.fit.pose + off_m * axis) for off_m in [*-steps, *steps]
+        ]
+        least = ALONG_SHARE * aligned.fit.share
         return [Aligned(fit, self.weigh(seen, fit.pose)) for fit in beside if fit.share >= least]
 
     def weigh(self, seen: SeenCloud, pose: Floats, least: float = -math.inf) -> Weight:

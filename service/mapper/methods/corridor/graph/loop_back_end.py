@@ -175,7 +175,7 @@ class LoopBackEnd:
         return self._anchoring.find(self._keyframes, self._steps().covariance, is_known)
 
     def _usable(self) -> npt.NDArray[np.bool_]:
-        """(N,) key frames that others can be laid on: matched, with points, in a place that is known."""
+        """(N,) key frames that others can be aligned with: matched, with points, in a place that is known."""
         return self._keyframes.is_usable & np.isin(self._keyframes.piece, list(self._joined))
 
     def _look_for_piece(self) -> int | None:
@@ -416,10 +416,10 @@ class LoopBackEnd:
             moving[:] = poses[self._held > 0 :][: len(moving)]
             if self._anchoring.reference is not None and not self._held:
                 self._anchoring.solved(poses[-1])
-            if not self._lay_aside():
+            if not self._disable_refuted():
                 return
 
-    def _lay_aside(self) -> bool:
+    def _disable_refuted(self) -> bool:
         """Whether a loop had to go."""
         chi2 = edge_chi2(as_edges(self._loops), self._keyframes.map)
         go = [loop for loop, c in zip(self._loops, chi2, strict=True) if c > CONTRADICTION_CHI2]

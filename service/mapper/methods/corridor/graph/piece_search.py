@@ -46,7 +46,7 @@ PIECE_SHARE = 0.75  # of the drive's median share must lie on the map where a pi
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Place:
+class CandidatePose:
     """Where key frames may lie in the known map."""
 
     pose: Floats  # (3,) of the reference key frame in the map
@@ -85,7 +85,7 @@ class PieceSearch:
         self._is_session_placed = True  # False: of this session nothing is placed in the stored map
         self.alike: list[tuple[float, float]] = []  # m: the places that the newest piece fits equally well
         self._asked: SeenCloud | None = None  # of the newest search
-        self._places: list[Place] = []  # that it found
+        self._places: list[CandidatePose] = []  # that it found
 
     def expect_at(self, pose_map_base: Floats) -> None:
         """A person says where the vehicle is now, (3,) m, m, rad: looked at before all other places."""
@@ -178,7 +178,7 @@ class PieceSearch:
         reference: int,
         known: npt.NDArray[np.int64],
         prior: WayPrior | None = None,
-    ) -> list[Place]:
+    ) -> list[CandidatePose]:
         """Where in the known map the key frames `own` may lie, the likeliest by what is seen first."""
         seen = seen_cloud(self._keyframes, own, reference)
         self._asked = seen
@@ -188,7 +188,7 @@ class PieceSearch:
             else find_places(self._map_of(known), seen, [prior.pose], lambda one: _could_win(one, prior))
         )
         self._places = [
-            Place(
+            CandidatePose(
                 one.fit.pose,
                 one.weight,
                 self._loop_of(known, reference, one, seen.cloud, prior),
@@ -215,11 +215,13 @@ class PieceSearch:
         if self._asked is None or self._known_map is None:
             return math.nan
         seen, known_map = self._asked, self._known_map
-        here = known_map.refine(seen, known_map.lay(seen, pose_map)).weight
+        here = known_map.refine(seen, known_map.align(seen, pose_map)).weight
         others = [p.weight.evidence for p in self._places if not is_same_place(p.pose, pose_map)]
         return here.evidence - max(others, default=-math.inf)
 
-    def best_of(self, found: list[Place], prior: WayPrior | None = None) -> tuple[Floats, Loop] | None:
+    def best_of(
+        self, found: list[CandidatePose], prior: WayPrior | None = None
+    ) -> tuple[Floats, Loop] | None:
         """The place that is clearly likelier than every other; None where there is none. After a way that
         nobody measured, clearly likelier also than ground that the map does not hold: there nothing that is
         seen speaks for or against.
@@ -244,7 +246,7 @@ class PieceSearch:
                 return None
         return best.pose, best.loop
 
-    def _ahead_where_known(self, best: Place, other: Place) -> float:
+    def _ahead_where_known(self, best: CandidatePose, other: CandidatePose) -> float:
         """Nats by which a place is likelier than another one at which enough fits; inf where both are of one
         room, or nothing was searched for.
         """
@@ -300,14 +302,14 @@ class PieceSearch:
         self,
         known: npt.NDArray[np.int64],
         reference: int,
-        laid: Aligned,
+        aligned: Aligned,
         cloud: PointCloud,
         prior: WayPrior | None,
     ) -> Loop | None:
         """The loop that says that a key frame lies where it fits the known map, if it fits well enough: with
         the key frame of that map next to it. Where dead reckoning leads there, both say it.
         """
-        fit, weight = laid.fit, laid.weight
+        fit, weight = aligned.fit, aligned.weight
         is_anywhere = prior is not None or not self._is_session_placed
         share = weight.on_map if is_anywhere else fit.share
         if prior is not None and prior.explains(fit.pose):

@@ -32,11 +32,11 @@ def find_places(
     guesses     poses (3,) that are candidates besides those of the search
     could_win   whether a candidate is worth to be refined; where none is they are given as they are
     """
-    laid = _distinct(_laid(known_map, seen))
-    guessed = [known_map.lay(seen, guess) for guess in guesses]
-    if not any(could_win(one) for one in [*laid, *guessed]):
-        return _by_evidence([*laid, *guessed])
-    places = _refined(known_map, seen, [*laid[:MOST_REFINED], *guessed], [])
+    aligned = _distinct(_aligned(known_map, seen))
+    guessed = [known_map.align(seen, guess) for guess in guesses]
+    if not any(could_win(one) for one in [*aligned, *guessed]):
+        return _by_evidence([*aligned, *guessed])
+    places = _refined(known_map, seen, [*aligned[:MOST_REFINED], *guessed], [])
     asked: list[Aligned] = []
     for _ in range(MOST_ROUNDS):
         best, fresh = places[:1], [place for place in places[:MOST_SLID] if place not in asked]
@@ -45,25 +45,25 @@ def find_places(
         places = _refined(known_map, seen, _distinct(beside), places)
         if places[:1] == best:
             break
-    others = [one for one in laid[MOST_REFINED:] if not is_same_place(one.fit.pose, places[0].fit.pose)]
+    others = [one for one in aligned[MOST_REFINED:] if not is_same_place(one.fit.pose, places[0].fit.pose)]
     return _by_evidence(places + others)
 
 
-def _laid(known_map: KnownMap, seen: SeenCloud) -> list[Aligned]:
+def _aligned(known_map: KnownMap, seen: SeenCloud) -> list[Aligned]:
     """All candidates; of those FAR_BEHIND_NATS behind one before, the most that can speak for them."""
-    laid: list[Aligned] = []
+    aligned: list[Aligned] = []
     best = -math.inf
     for guess in known_map.candidates(seen.cloud):
-        laid.append(known_map.lay(seen, guess, best - FAR_BEHIND_NATS))
-        best = max(best, laid[-1].weight.evidence)
-    return laid
+        aligned.append(known_map.align(seen, guess, best - FAR_BEHIND_NATS))
+        best = max(best, aligned[-1].weight.evidence)
+    return aligned
 
 
 def _refined(
-    known_map: KnownMap, seen: SeenCloud, laid: list[Aligned], places: list[Aligned]
+    known_map: KnownMap, seen: SeenCloud, aligned: list[Aligned], places: list[Aligned]
 ) -> list[Aligned]:
     """Places with these, refined, among them, the likeliest first."""
-    for one in laid:
+    for one in aligned:
         least = places[0].weight.evidence - BEHIND_NATS if places else -math.inf
         if one.weight.evidence > least and not any(is_same_pose(one.fit.pose, p.fit.pose) for p in places):
             places = _distinct([*places, known_map.refine(seen, one)])
@@ -86,9 +86,9 @@ def _are_near(pose: Floats, others: Floats, near_m: float, near_rad: float) -> n
     return near & (np.abs(away[..., 2]) <= near_rad)
 
 
-def _distinct(laid: list[Aligned]) -> list[Aligned]:
+def _distinct(aligned: list[Aligned]) -> list[Aligned]:
     """The likeliest of each pose, the likeliest first."""
-    ordered, kept = _by_evidence(laid), []
+    ordered, kept = _by_evidence(aligned), []
     poses = np.array([one.fit.pose for one in ordered]).reshape(-1, 3)
     is_taken = np.zeros(len(ordered), np.bool_)
     for k, one in enumerate(ordered):
@@ -98,5 +98,5 @@ def _distinct(laid: list[Aligned]) -> list[Aligned]:
     return kept
 
 
-def _by_evidence(laid: list[Aligned]) -> list[Aligned]:
-    return sorted(laid, key=lambda one: -one.weight.evidence)
+def _by_evidence(aligned: list[Aligned]) -> list[Aligned]:
+    return sorted(aligned, key=lambda one: -one.weight.evidence)

@@ -32,7 +32,7 @@ class SeenCloud:
 
 
 def seen_cloud(keyframes: KeyframeList, members: Sequence[int], reference: int) -> SeenCloud:
-    """Key frames as odometry lays them, in the frame of `reference`."""
+    """Key frames as odometry places them, in the frame of `reference`."""
     odom = keyframes.odom
     clouds, sensors, number = [], [], []
     for n, k in enumerate(members):

@@ -1,7 +1,8 @@
 """The graph of track points and virtual landmarks: what is done with each closed sub-map, and on request.
 
 Paper 004: a track point every few metres, odometry terms between them, and landmark terms to points that two
-sub-maps share. Landmarks come from laying sub-maps on each other, or from a person who names pairs of points.
+sub-maps share. Landmarks come from aligning sub-maps with each other, or from a person who names pairs of
+points.
 """
 
 import math
@@ -40,7 +41,7 @@ from service.mapper.methods.submap_graph.graph.submap_realignment import (
 from service.mapper.methods.submap_graph.key_scan import DrawnScan, KeptScan
 from service.outputs import GraphPicture
 
-SURFEL_POINTS = 2000  # of a sub-map, laid on the surfels of another
+SURFEL_POINTS = 2000  # of a sub-map, aligned with the surfels of another
 MOST_WALLS = 8  # sub-maps whose walls are kept: they take two to four times as much as all their scans
 
 
@@ -48,7 +49,7 @@ Ints = npt.NDArray[np.int64]
 
 
 class LandmarkGraphConfig(BaseModel):
-    """Which sub-maps are laid on each other, and how far odometry is trusted between track points."""
+    """Which sub-maps are aligned with each other, and how far odometry is trusted between track points."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     RENAMED: ClassVar = {"redraw_m": "render_again_m"}
@@ -56,13 +57,13 @@ class LandmarkGraphConfig(BaseModel):
     match: SubmapMatchConfig = SubmapMatchConfig()
     least_on_surfels: float = Field(
         default=0.4, ge=0.0, le=1.0
-    )  # share of points, when a scan or a sub-map is laid anew
+    )  # share of points, when a scan or a sub-map is aligned anew
     node_spacing_m: float = Field(default=2.0, gt=0.0)  # between track points
     drift_m_per_sqrt_m: float = Field(default=0.005, gt=0.0)
     drift_rad_per_sqrt_m: float = Field(default=0.001, gt=0.0)
     neighbour_m: float = Field(
         default=6.0, gt=0.0
-    )  # sub-maps whose ways come this near are laid on each other
+    )  # sub-maps whose paths come this near are aligned with each other
     most_neighbours: int = Field(default=3, ge=1)
     search_m: float = Field(default=0.5, gt=0.0)  # to each side of where the graph says the neighbour is
     search_per_m: float = Field(default=0.01, ge=0.0)  # more for each metre driven between the two
@@ -121,7 +122,7 @@ class Result:
 
 @dataclass(slots=True, eq=False)
 class _Submap:
-    closed: ClosedSubmap  # laid anew, of kept scans
+    closed: ClosedSubmap  # aligned anew, of kept scans
     end_odom: Floats  # (3,) of its last scan, as the particle drew it
     begin_m: float  # way driven before it
     border: Floats  # (4, 2) corners around its walls, as it was drawn
@@ -135,7 +136,7 @@ class _Submap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Match:
-    """A sub-map laid on another. What it errs by, all landmarks found in it have in common.
+    """A sub-map aligned with another. What it errs by, all landmarks found in it have in common.
 
     submaps      the new one and the old one
     middle       (3,) of the landmarks, in the drawing of the new one
@@ -162,7 +163,7 @@ class _Landmark:
 
 @dataclass(slots=True, eq=False)
 class LandmarkBackEnd:
-    """BackEnd. Track points stand in two frames: `drawn` in odom, as scans were laid anew; `poses` in map."""
+    """BackEnd. Track points are in two frames: `drawn` in odom, with scans aligned anew; `poses` in map."""
 
     config: LandmarkGraphConfig
     renderer: MapRenderer | None
@@ -200,13 +201,13 @@ class LandmarkBackEnd:
     def _add(self, closed: ClosedSubmap) -> bool:
         """Take in a sub-map; whether landmarks were found in others."""
         begin_m = self.way_m[-1] if self.way_m else 0.0
-        laid = self.realignment.realign(closed)
+        aligned = self.realignment.realign(closed)
         scans: tuple[DrawnScan, ...] = tuple(KeptScan.of(scan) for scan in closed.scans[closed.carried :])
         if closed.carried:  # the very scans of the sub-map before: kept once
             scans = self.submaps[-1].closed.scans[-closed.carried :] + scans
-        submap = _Submap(replace(laid, scans=scans), closed.track[-1], begin_m, _corners(laid))
+        submap = _Submap(replace(aligned, scans=scans), closed.track[-1], begin_m, _corners(aligned))
         self.submaps.append(submap)
-        for pose in laid.track[submap.own]:
+        for pose in aligned.track[submap.own]:
             away_m = math.dist(pose[:2], self.drawn[-1][:2]) if self.drawn else 0.0
             if not self.drawn:
                 self._add_node(submap, pose, pose, 0.0)
@@ -223,7 +224,7 @@ class LandmarkBackEnd:
         self.way_m.append(way_m)
 
     def _tie_again(self) -> bool:
-        """Lay sub-maps on each other that lie close by now, and were not tied yet."""
+        """Align sub-maps with each other that lie close by now, and were not tied yet."""
         ties = [self._tie(k, widely=False) for k in range(len(self.submaps))]
         return any(ties)
 
@@ -254,7 +255,7 @@ class LandmarkBackEnd:
         return tied
 
     def _on_surfels(self, new: int, old: int, found: Found) -> Found | None:
-        """The same, laid point to line; None where too little of what both have seen lies on walls."""
+        """The same, aligned point to line; None where too little of what both have seen lies on walls."""
         config = self.config
         cloud, other = self._cloud(new), self._walls(old)
         common = is_seen(other, se2.points_from(found.pose, cloud.xy))
@@ -355,11 +356,11 @@ class LandmarkBackEnd:
         edges = Edges(np.arange(count - 1), np.arange(1, count), measured, covariance, np.zeros(count - 1))
         if self.matches:
             holds = np.array([self._nearest(match.submaps[1], match.there) for match in self.matches])
-            laid = se2.between(drawn[holds], np.array([match.there for match in self.matches]))
+            aligned = se2.between(drawn[holds], np.array([match.there for match in self.matches]))
             known = np.array([match.covariance for match in self.matches])
             widths = np.full(len(holds), self.config.kernel_width)
-            edges = edges.and_also(Edges(holds, count + np.arange(len(holds)), laid, known, widths))
-            poses = np.concatenate((poses, se2.compose(poses[holds], laid)))
+            edges = edges.and_also(Edges(holds, count + np.arange(len(holds)), aligned, known, widths))
+            poses = np.concatenate((poses, se2.compose(poses[holds], aligned)))
         of, seen, guess = [], [], []
         for mark in self.landmarks:
             for side in (0, 1):

@@ -17,7 +17,7 @@ SCANS = 4  # a sub-map
 
 
 def warm_up() -> Result:
-    """Three sub-maps along a room: the third is laid on the first."""
+    """Three sub-maps along a room: the third is aligned with the first."""
     match = SubmapMatchConfig(
         least_common=10, common_part=0.1, least_inlier_ratio=0.1, landmark_probability=0.6
     )

@@ -116,7 +116,7 @@ def draw_walls(closed: ClosedSubmap, match: SubmapMatchConfig) -> WallPoints:
 def find(
     new: WallPoints, old: WallPoints, guess: Floats, reach: tuple[float, float], config: SubmapMatchConfig
 ) -> Found | None:
-    """Lay a sub-map on another: an exhaustive search (by branch and bound), then to a fraction of a cell.
+    """Align a sub-map with another: an exhaustive search (by branch and bound), then to a fraction of a cell.
 
     guess   (3,) pose of the new drawing in the old one;  reach   m and rad searched to each side of it
     None where they do not show the same place, or not enough of it.

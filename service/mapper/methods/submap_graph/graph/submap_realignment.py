@@ -1,4 +1,4 @@
-"""Closed sub-maps on surfels: their scans laid anew, point to line, and one sub-map laid on another.
+"""Closed sub-maps on surfels: their scans aligned anew, point to line, and one sub-map aligned with another.
 
 A particle lies on cells, and what cells of 5 cm say of a wall is off by millimetres, always to the same side:
 that made ways of 12 m 5 mm too short. Surfels hold where in its cell a wall is.
@@ -23,15 +23,15 @@ INFLATION = 16.0  # beams share errors, so as many count as one
 
 
 class SubmapRealignment:
-    """Lays sub-map after sub-map anew; all drawings stay in one frame, that of the first scan."""
+    """Aligns sub-map after sub-map anew; all drawings stay in one frame, that of the first scan."""
 
     def __init__(self, least_inlier_ratio: float) -> None:
         self._least_share = least_inlier_ratio
-        self._before: dict[int, Floats] = {}  # by stamp: where the scans of the sub-map before were laid
-        self._last: tuple[Floats, Floats] | None = None  # the newest scan: as it was drawn, and as laid
+        self._before: dict[int, Floats] = {}  # by stamp: where the scans of the sub-map before were put
+        self._last: tuple[Floats, Floats] | None = None  # the newest scan: as it was drawn, and as aligned
 
     def realign(self, closed: ClosedSubmap) -> ClosedSubmap:
-        """The same sub-map with another track: each scan laid on the surfels of those before it."""
+        """The same sub-map with another track: each scan aligned with the surfels of those before it."""
         map_ = SurfelSet()
         track = closed.track.copy()
         for k, scan in enumerate(closed.scans):
@@ -39,8 +39,10 @@ class SubmapRealignment:
             if k < closed.carried:
                 track[k] = self._before[scan.stamp_ns]
             elif self._last is not None:
-                drawn, laid = self._last
-                track[k] = self._aligned(map_, cloud, se2.compose(laid, se2.between(drawn, closed.track[k])))
+                drawn, aligned = self._last
+                track[k] = self._aligned(
+                    map_, cloud, se2.compose(aligned, se2.between(drawn, closed.track[k]))
+                )
             map_.insert(cloud.transformed(track[k]))
             self._last = closed.track[k], track[k]
         self._before = {scan.stamp_ns: pose for scan, pose in zip(closed.scans, track, strict=True)}
@@ -63,8 +65,8 @@ def cloud_of(scans: Sequence[DrawnScan], track: Floats) -> PointCloud:
 
 
 def align_cloud(cloud: PointCloud, surfels: SurfelSet, shift: Floats, most_points: int) -> tuple[Fit, Floats]:
-    """A cloud laid on surfels from the pose (3,) `shift` of its frame in theirs: how it lies about the middle
-    of the cloud, where a turn and a shift stay apart; and the pose of its frame then."""
+    """A cloud aligned with surfels from the pose (3,) `shift` of its frame in theirs: how it lies about its
+    middle, where a turn and a shift stay apart; and the pose of its frame then."""
     middle = np.array([*cloud.xy.mean(axis=0), 0.0])
     every = max(1, len(cloud.xy) // most_points)
     thin = PointCloud(cloud.xy[::every] - middle[:2], cloud.normals[::every])

@@ -11,7 +11,7 @@ SETTINGS = {"floor_position_m": 1e-6, "floor_heading_rad": 1e-6, "estimate_veloc
 
 
 def test_prediction_and_scan_share_the_pose_by_the_covariances_that_are_reported() -> None:
-    """A prediction as sure as the scan, 8 mm beside where the scan alone is laid, draws it about half-way."""
+    """A prediction as sure as the scan, 8 mm beside where the scan alone fits, draws it about half-way."""
     along_m = np.arange(-2.0, 2.0, 0.05) + 0.025
     side = np.stack((along_m, np.full(80, 2.0)), axis=1)
     quarter = np.array([[0.0, -1.0], [1.0, 0.0]])
@@ -22,13 +22,13 @@ def test_prediction_and_scan_share_the_pose_by_the_covariances_that_are_reported
         drawn.insert(seen, match_at(SE2(), seen))
     scan = points_of(walls + random.normal(0.0, 0.02, walls.shape))
 
-    def laid(prior: str, at: SE2, covariance: np.ndarray) -> tuple[SE2, np.ndarray]:
+    def aligned(prior: str, at: SE2, covariance: np.ndarray) -> tuple[SE2, np.ndarray]:
         matcher = ContourLm(ContourLmConfig(prior=prior, **SETTINGS))  # type: ignore[arg-type]
         still = Prediction(at, (0.0, 0.0, 0.0), covariance, covariance, np.zeros((3, 3)), 0.1, 0.0, True)
         measured = matcher.align(scan, still, drawn).measured
         return measured.pose_odom_base, measured.information
 
-    alone, information = laid("never", SE2(), 1e-8 * np.eye(3))
+    alone, information = aligned("never", SE2(), 1e-8 * np.eye(3))
     beside = SE2(alone.x_m + 0.008, alone.y_m, alone.theta_rad)
-    joined, _ = laid("always", beside, np.linalg.inv(information))
+    joined, _ = aligned("always", beside, np.linalg.inv(information))
     assert (joined.x_m - alone.x_m) / 0.008 == pytest.approx(0.5, abs=0.2)

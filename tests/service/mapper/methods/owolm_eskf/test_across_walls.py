@@ -29,20 +29,20 @@ def seen(walls: list, x_m: float, y_m: float, theta_rad: float, seed: int, sigma
 
 
 def informations(walls: list, theta_rad: float = 0.0, sigma_m: float = 0.01, **config: object) -> tuple:
-    """Of a scan laid on the map of another from the same place: across walls, and as the slopes of the map
-    have it, (3, 3) each, in the axes of the map; and which segments its points are in.
+    """Of a scan aligned with the map of another from the same place: across walls, and as the slopes of the
+    map have it, (3, 3) each, in the axes of the map; and which segments its points are in.
     """
-    begun, laid = (seen(walls, 0.0, 0.1, theta_rad, seed, sigma_m) for seed in (1, 2))
+    begun, aligned = (seen(walls, 0.0, 0.1, theta_rad, seed, sigma_m) for seed in (1, 2))
     local_map = OrthogonalMap(OrthogonalMapConfig.model_validate({"align_axes": False, **config}))
     at = SE2(0.0, 0.1, theta_rad)
     local_map.insert(begun, match_at(at, begun))
-    pose, weights = np.array([0.0, 0.1, theta_rad]), np.ones(len(laid.xy_base))
+    pose, weights = np.array([0.0, 0.1, theta_rad]), np.ones(len(aligned.xy_base))
     c, s = math.cos(theta_rad), math.sin(theta_rad)
-    xy_map = laid.xy_base @ np.array([[c, s], [-s, c]]) + pose[:2]
-    segment = local_map.segments(xy_map, local_map.gaps(laid))
+    xy_map = aligned.xy_base @ np.array([[c, s], [-s, c]]) + pose[:2]
+    segment = local_map.segments(xy_map, local_map.gaps(aligned))
     field = local_map.field()
-    across = information_across(laid, values_at(laid.xy_base, pose, field), weights, segment, pose)
-    return across, information_at(laid.xy_base, weights, pose, field), segment
+    across = information_across(aligned, values_at(aligned.xy_base, pose, field), weights, segment, pose)
+    return across, information_at(aligned.xy_base, weights, pose, field), segment
 
 
 def sigma_m(information: np.ndarray, axis: int) -> float:
@@ -75,12 +75,14 @@ def test_a_room_whose_walls_run_askew_to_the_map_fixes_the_pose() -> None:
 
 
 def dots(walls: list, noise_m: float = 0.01) -> np.ndarray:
-    begun, laid = (seen(walls, 0.0, 0.1, 0.0, seed, noise_m) for seed in (1, 2))
+    begun, aligned = (seen(walls, 0.0, 0.1, 0.0, seed, noise_m) for seed in (1, 2))
     local_map = OrthogonalMap(OrthogonalMapConfig(align_axes=False))
     local_map.insert(begun, match_at(SE2(0.0, 0.1, 0.0), begun))
-    pose, weights = np.array([0.0, 0.1, 0.0]), np.ones(len(laid.xy_base))
-    segment = local_map.segments(laid.xy_base + pose[:2], local_map.gaps(laid))
-    return information_of_dots(laid, values_at(laid.xy_base, pose, local_map.field()), weights, segment, pose)
+    pose, weights = np.array([0.0, 0.1, 0.0]), np.ones(len(aligned.xy_base))
+    segment = local_map.segments(aligned.xy_base + pose[:2], local_map.gaps(aligned))
+    return information_of_dots(
+        aligned, values_at(aligned.xy_base, pose, local_map.field()), weights, segment, pose
+    )
 
 
 def test_dots_of_a_bare_corridor_are_beside_its_walls() -> None:

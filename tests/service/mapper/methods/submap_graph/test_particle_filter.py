@@ -24,7 +24,7 @@ from tests.service.mapper.maps.points import match_at, points_of, square
 
 
 def mapper(
-    seed: int = 1, particles: int = 8, draw: Literal["laid", "around_scan"] = "laid"
+    seed: int = 1, particles: int = 8, draw: Literal["aligned", "around_scan"] = "aligned"
 ) -> Mapper[CountedSubmaps]:
     return Mapper(
         Components(
@@ -74,7 +74,7 @@ def test_where_a_map_says_nothing_particles_are_drawn_from_motion_and_weigh_alik
         particle.pose[2] = 0.7
     still = Prediction(SE2(), (0.0, 0.0, 0.0), covariance, covariance, np.zeros((3, 3)), 0.1, 0.0, True)
     matcher._move(SE2(0.1, 0.0, 0.0), covariance, submaps)
-    matcher._lay(square(), still, submaps)
+    matcher._align(square(), still, submaps)
     weights = submaps.log_weights
     np.testing.assert_allclose(weights, weights[0], atol=1e-6)
     poses = np.array([particle.pose for particle in submaps.particles])
@@ -103,10 +103,10 @@ def test_a_particle_weighs_as_much_as_the_scan_is_likely_on_its_map() -> None:
         particle.pose[:] = x_m, 0.0, 0.0
     nothing = np.zeros((3, 3))
     matcher._move(SE2(), nothing, submaps)
-    matcher._lay(square(), standing(nothing), submaps)
+    matcher._align(square(), standing(nothing), submaps)
     once = submaps.log_weights.copy()
     assert (np.diff(once) < -0.5).all()
-    matcher._lay(square(), standing(nothing), submaps)
+    matcher._align(square(), standing(nothing), submaps)
     np.testing.assert_allclose(submaps.log_weights, 2.0 * once)  # scan by scan, until they are drawn anew
 
 
@@ -123,7 +123,7 @@ def test_drawn_around_the_scan_particles_weigh_by_p_over_q() -> None:
     matcher, submaps = ParticleFilter(config), with_a_room(20)
     covariance = np.diag([0.02**2, 0.03**2, 0.02**2])
     matcher._move(SE2(), covariance, submaps)
-    matcher._lay(square(), standing(covariance), submaps)
+    matcher._align(square(), standing(covariance), submaps)
     field = submaps.particles[0].map.likelihood()
     xy, weights = thin_evenly(square().xy_base, config.align_beams, config.align_sigma)
     around = align(
@@ -168,12 +168,12 @@ def test_a_room_is_followed_without_wheels() -> None:
     away = [what.truth[o.stamp_ns].inverse() @ o.pose_map_base for o in outputs]
     assert (
         max(np.hypot(e.x_m, e.y_m) for e in away) < 0.04
-    )  # 0.08 where particles are not laid, but searched for
+    )  # 0.08 where particles are not aligned, but searched for
     assert max(abs(e.theta_rad) for e in away) < 0.02
 
 
 def test_wheels_that_say_forwards_for_backwards_are_found_out() -> None:
-    """Three scans a second: so far off that laying alone does not lead back."""
+    """Three scans a second: so far off that aligning alone does not lead back."""
     what = drive(ROOM, round_the_room, 4.0, wheel_scale=-1.0)
     scans = [frame for frame in what.frames if isinstance(frame, LaserScan)][::18]
     wheels = [frame for frame in what.frames if isinstance(frame, OdometrySample)]

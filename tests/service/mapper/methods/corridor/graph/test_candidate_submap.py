@@ -82,7 +82,7 @@ def test_a_corridor_is_found_where_it_is_though_each_pass_saw_what_lay_before_it
 def test_points_on_ground_that_was_not_seen_would_drag_it_along(
     out_and_back: KeyframeList, monkeypatch: pytest.MonkeyPatch
 ):
-    """Counted against a place, unknown ground lays the two passes over each other."""
+    """Counted against a place, unknown ground puts the two passes on top of each other."""
     monkeypatch.setattr(candidate_submap, "UNKNOWN_LIKELIHOOD", 0.0)
     off_m = [found_m(out_and_back, last) for last in BACK]
     assert max(map(abs, off_m)) > 0.1, off_m

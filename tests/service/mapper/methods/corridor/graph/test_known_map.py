@@ -18,8 +18,8 @@ from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
 from service.mapper.methods.corridor.graph.piece_search import (
     CLEARLY_LIKELIER,
     FOR_UNEXPLAINED,
+    CandidatePose,
     PieceSearch,
-    Place,
 )
 from service.mapper.methods.corridor.graph.seen_cloud import seen_cloud
 from service.mapper.methods.corridor.graph.way_prior import WayPrior
@@ -136,9 +136,9 @@ def test_a_pillar_that_is_seen_where_nothing_stands_counts_against_a_place():
     known_map = KnownMap(keyframes, np.arange(own))
     seen = seen_cloud(keyframes, [own], own)
     cloud = seen.cloud
-    laid = known_map.lay(seen, np.array([STOOD.x_m + 0.1, STOOD.y_m - 0.1, STOOD.theta_rad]))
-    weight = laid.weight
-    on_pillar = np.hypot(*(se2.points_from(laid.fit.pose, cloud.xy) - (3.2, 2.4)).T) < 0.4
+    aligned = known_map.align(seen, np.array([STOOD.x_m + 0.1, STOOD.y_m - 0.1, STOOD.theta_rad]))
+    weight = aligned.weight
+    on_pillar = np.hypot(*(se2.points_from(aligned.fit.pose, cloud.xy) - (3.2, 2.4)).T) < 0.4
     assert 0.03 < on_pillar.mean() < 0.3
     assert weight.against == pytest.approx(on_pillar.mean(), abs=0.03)
     count = len(cloud.xy)
@@ -168,8 +168,10 @@ def test_a_place_that_leaves_much_unexplained_must_be_much_likelier_than_every_o
     loop = loop_of(0, 1, np.zeros(3), np.eye(3), 0.9, 100, 0.0)
 
     def best_of(unexplained: float, ahead: float, beside_m: float = 5.0) -> object:
-        best = Place(np.zeros(3), Weight(500.0, unexplained, 0.0, 1.0), loop)
-        other = Place(np.array([beside_m, 0.0, 0.0]), Weight(500.0 - ahead, unexplained, 0.0, 1.0), loop)
+        best = CandidatePose(np.zeros(3), Weight(500.0, unexplained, 0.0, 1.0), loop)
+        other = CandidatePose(
+            np.array([beside_m, 0.0, 0.0]), Weight(500.0 - ahead, unexplained, 0.0, 1.0), loop
+        )
         return search.best_of([other, best])
 
     for unexplained in (0.0, 60.0):
@@ -192,7 +194,7 @@ def test_after_an_unmeasured_way_a_place_must_beat_new_ground_and_dead_reckoning
 
     def best_of(evidence: float, x_m: float, rival: float = -300.0) -> object:
         places = [
-            Place(
+            CandidatePose(
                 np.array([x, 0.0, 0.0]), Weight(nats, 200.0, 0.0, 0.3), loop, prior.nats(np.array([x, 0, 0]))
             )
             for x, nats in ((x_m, evidence), (9.0, rival))

@@ -67,8 +67,8 @@ def test_beside_a_place_others_are_found_along_the_walls_and_none_where_a_niche_
         known_map = KnownMap(keyframes, np.arange(keyframes.count))
         own = append(keyframes, within(walls, pose.x_m), pose, 1, noise)
         seen = seen_cloud(keyframes, [own], own)
-        laid = known_map.lay(seen, np.array([pose.x_m, pose.y_m, pose.theta_rad]))
-        off_m = [one.fit.pose - laid.fit.pose for one in known_map.along(seen, laid)]
+        aligned = known_map.align(seen, np.array([pose.x_m, pose.y_m, pose.theta_rad]))
+        off_m = [one.fit.pose - aligned.fit.pose for one in known_map.along(seen, aligned)]
         assert all(abs(off[1]) < 0.02 and abs(off[2]) < 0.01 for off in off_m)
         assert (max((abs(off[0]) for off in off_m), default=0.0) > 1.5) == are_there_others
         best, *others = find_places(known_map, seen)

@@ -71,7 +71,7 @@ def trip() -> tuple[list[ClosedSubmap], np.ndarray]:
 
 
 def furthest_m(found: np.ndarray, truth: np.ndarray) -> float:
-    """After laying the first pose of one on that of the other."""
+    """With the first pose of one on that of the other."""
     moved = se2.compose(truth[0], se2.between(found[0], found))
     return float(np.hypot(*(moved - truth).T[:2]).max())
 
@@ -111,9 +111,9 @@ def test_scans_are_laid_on_walls_and_what_is_carried_stays_where_it_was_laid() -
     first = replace(whole, scans=whole.scans[:6], track=drawn[:6])
     second = replace(whole, number=1, carried=2, scans=whole.scans[4:], track=drawn[4:])
     realignment = SubmapRealignment(CONFIG.least_on_surfels)
-    laid = [realignment.realign(first).track, realignment.realign(second).track]
-    np.testing.assert_array_equal(laid[1][:2], laid[0][4:])
-    found = np.concatenate((laid[0], laid[1][2:]))
+    aligned = [realignment.realign(first).track, realignment.realign(second).track]
+    np.testing.assert_array_equal(aligned[1][:2], aligned[0][4:])
+    found = np.concatenate((aligned[0], aligned[1][2:]))
     assert furthest_m(drawn, way) > 0.02
     assert furthest_m(found, way) < 0.008
     blind = SubmapRealignment(1.0)
