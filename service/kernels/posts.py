@@ -2,17 +2,42 @@
 
 import math
 
-from service.kernels.compiled import kernel
+import numpy as np
+
+from service.kernels.compiled import inner_kernel, kernel
 
 SLACK = 1e-9  # relative, for sums in another order
 
 
-@kernel
-def may_see_posts_mostly(xy, beam, gap, sensor_xy, step_rad, most_width_m, least_step_m, least_share):
-    """Whether points in narrow runs are at least `least_share` of all. Never False where they are.
+@inner_kernel
+def missing_by_chance(range_m, beam, gap, least_step_m):
+    """The most returns in a row that a scan of so many beams loses, if it loses each with the probability
+    with which one is missing between two of the same surface; 0 where that is never so.
 
-    A run ends where a return is missing or the range steps. Cut too often, its pieces are narrow all the
-    more, so rounding can only make this True.
+    range_m        (N,) float64   m
+    beam           (N,) int32     which beam of the scan
+    gap            int            beams from one return to the next
+    least_step_m   float          a step of the range between two surfaces
+    """
+    whole = lost = 0
+    for i in range(1, range_m.shape[0]):
+        if abs(range_m[i] - range_m[i - 1]) <= least_step_m:
+            whole += beam[i] - beam[i - 1] == gap
+            lost += beam[i] - beam[i - 1] == 2 * gap
+    if lost == 0:
+        return 0
+    probability = lost / (lost + whole)
+    # N p^n, the runs of n that are expected, is above a half up to this n.
+    return int(math.log(2.0 * range_m.shape[0]) / -math.log(probability)) if whole > 0 else range_m.shape[0]
+
+
+@kernel
+def look_for_posts(xy, beam, gap, sensor_xy, step_rad, most_width_m, least_step_m, least_share):
+    """Whether points in narrow runs are at least `least_share` of all, never False where they are; and how
+    many returns in a row the laser loses by chance.
+
+    A run ends where more returns are missing than that, or where the range steps. Cut too often, its pieces
+    are narrow all the more, so rounding can only make this True.
 
     xy             (N, 2) float64   m, in order of the beams
     beam           (N,)   int32     which beam of the scan
@@ -23,21 +48,24 @@ def may_see_posts_mostly(xy, beam, gap, sensor_xy, step_rad, most_width_m, least
     least_step_m   float            of the range, where a run ends
     least_share    float            0 to 1
     """
-    narrow = 0
-    in_run = 0
-    sum_m = last_m = 0.0
-    last_beam = -gap
-    for i in range(xy.shape[0]):
-        range_m = math.hypot(xy[i, 0] - sensor_xy[0], xy[i, 1] - sensor_xy[1])
-        is_break = beam[i] - last_beam > gap or abs(range_m - last_m) > least_step_m * (1.0 - SLACK)
-        if is_break and in_run > 0:
-            if step_rad * sum_m <= most_width_m * (1.0 + SLACK):
-                narrow += in_run
-            in_run = 0
+    count = xy.shape[0]
+    range_m = np.empty(count)
+    for i in range(count):
+        range_m[i] = math.hypot(xy[i, 0] - sensor_xy[0], xy[i, 1] - sensor_xy[1])
+    most_missing = missing_by_chance(range_m, beam, gap, least_step_m)
+    narrow = begin = 0
+    sum_m = 0.0
+    for i in range(count + 1):
+        is_end = i == count
+        if i > 0 and not is_end:
+            is_end = beam[i] - beam[i - 1] > gap * (most_missing + 1)
+            is_end = is_end or abs(range_m[i] - range_m[i - 1]) > least_step_m * (1.0 - SLACK)
+        if is_end:
+            steps = (beam[i - 1] - beam[begin]) / gap + 1.0
+            if steps * step_rad * sum_m <= most_width_m * (i - begin) * (1.0 + SLACK):
+                narrow += i - begin
+            begin = i
             sum_m = 0.0
-        in_run += 1
-        sum_m += range_m
-        last_m, last_beam = range_m, beam[i]
-    if step_rad * sum_m <= most_width_m * (1.0 + SLACK):
-        narrow += in_run
-    return narrow >= least_share * xy.shape[0]
+        if i < count:
+            sum_m += range_m[i]
+    return narrow >= least_share * count, most_missing

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from service.kernels.posts import may_see_posts_mostly
+from service.kernels.posts import look_for_posts
 from service.mapper.components import Points
 
 Matrix = npt.NDArray[np.float64]
@@ -54,7 +54,7 @@ def posts_of(points: Points) -> Posts | None:
     """The posts that a scan sees whole; None where it does not see posts mostly.
 
     A post is a run of points side by side, at most MOST_WIDTH_M wide, before what is farther away on both
-    sides. Half its width is its radius.
+    sides. Half its width is its radius. Returns that the laser loses by chance end no run.
     """
     count = len(points.xy_raw)
     if count < 3:
@@ -62,22 +62,24 @@ def posts_of(points: Points) -> Posts | None:
     sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
     gap, step_rad = points.usual_gap, points.spacing_rad
     bounds = (MOST_WIDTH_M, LEAST_STEP_M, LEAST_SHARE)
-    if not may_see_posts_mostly(points.xy_raw, points.beam, gap, sensor, step_rad, *bounds):
+    is_possible, most_missing = look_for_posts(points.xy_raw, points.beam, gap, sensor, step_rad, *bounds)
+    if not is_possible:
         return None  # as below, in a twentieth of the time: so it is with nearly every scan
     away = points.xy_raw - sensor
     range_m = np.hypot(away[:, 0], away[:, 1])
-    is_break = (np.diff(points.beam) > gap) | (np.abs(np.diff(range_m)) > LEAST_STEP_M)
+    is_apart = np.diff(points.beam) > gap * (most_missing + 1)
+    is_break = is_apart | (np.abs(np.diff(range_m)) > LEAST_STEP_M)
     begin = np.concatenate(([0], np.flatnonzero(is_break) + 1))
     end = np.concatenate((begin[1:], [count]))
     mean_m = np.add.reduceat(range_m, begin) / (end - begin)
     spacing_m = step_rad * mean_m
-    width_m = (end - begin) * spacing_m
+    width_m = ((points.beam[end - 1] - points.beam[begin]) / gap + 1.0) * spacing_m
     is_narrow = width_m <= MOST_WIDTH_M
     if (end - begin)[is_narrow].sum() < LEAST_SHARE * count:
         return None
     # what is beside it: the point next to it, or nothing in reach
-    before = (begin > 0) & (points.beam[begin] - points.beam[begin - 1] <= gap)
-    after = (end < count) & (points.beam[np.minimum(end, count - 1)] - points.beam[end - 1] <= gap)
+    before = (begin > 0) & ~is_apart[begin - 1]
+    after = (end < count) & ~is_apart[np.minimum(end, count - 1) - 1]
     is_before = ~before | (range_m[begin - 1] > range_m[begin] + LEAST_STEP_M)
     is_after = ~after | (range_m[np.minimum(end, count - 1)] > range_m[end - 1] + LEAST_STEP_M)
     is_inside = (points.beam[begin] >= gap) & (points.beam[end - 1] < len(points.scan.range_m) - gap)

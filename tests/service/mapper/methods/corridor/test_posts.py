@@ -82,6 +82,32 @@ def test_a_wall_seen_on_each_second_beam_is_no_row_of_posts():
     assert posts_of(on_each_second_beam(seen([], wall_m=3.0))) is None
 
 
+def with_lost(points: Points, share: float, seed: int = 5) -> Points:
+    """Without a share of its returns, here and there, as dark walls and the sun have it."""
+    kept = np.random.default_rng(seed).random(len(points.beam)) >= share
+    range_m = points.scan.range_m.copy()
+    range_m[points.beam[~kept]] = np.nan
+    fewer = replace(points.scan, range_m=range_m)
+    arrays = (points.xy_raw, points.xy_base, points.beam_time_s, points.beam)
+    return Points(*(array[kept] for array in arrays), SE2(), fewer, SIGMA_M)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
+@pytest.mark.parametrize("wall_m", [1.0, 3.0, 8.0])
+def test_a_wall_of_which_returns_are_lost_is_no_row_of_posts(share: float, wall_m: float):
+    assert posts_of(with_lost(seen([], wall_m=wall_m), share)) is None
+
+
+def test_the_middles_of_posts_are_found_where_returns_are_lost():
+    middles = 3.0 * np.array(
+        [(math.cos(bearing), math.sin(bearing)) for bearing in np.arange(-1.5, 1.6, 0.5)]
+    )
+    xy = found(with_lost(seen([(x, y, 0.2) for x, y in middles.tolist()]), 0.3))
+    assert len(xy) >= 6
+    off_m = np.hypot(*(xy[:, None] - middles).transpose(2, 0, 1)).min(axis=1)
+    assert off_m.max() < 0.08
+
+
 def test_posts_seen_on_each_second_beam_are_those_of_a_laser_that_has_no_others():
     points = seen([(3.0, 0.5, 0.2), (4.0, -2.0, 0.12)])
     every, second = posts_of(points), posts_of(on_each_second_beam(points))
@@ -100,10 +126,12 @@ def test_the_quick_look_at_a_scan_refuses_none_that_sees_posts_mostly(monkeypatc
             for _ in range(int(rng.integers(1, 25)))
         ]
         points = seen(stand, wall_m=float(rng.choice([math.inf, 5.0, 12.0])))
+        points = with_lost(points, float(rng.choice([0.0, 0.3])))
         if len(points.xy_raw) >= 3:
             scans.append(points)
     quick = [posts_of(points) is not None for points in scans]
-    monkeypatch.setattr(posts, "may_see_posts_mostly", lambda *_: True)
+    quick_look = posts.look_for_posts
+    monkeypatch.setattr(posts, "look_for_posts", lambda *given: (True, quick_look(*given)[1]))
     assert quick == [posts_of(points) is not None for points in scans]
     assert 20 < sum(quick) < len(scans) - 20
 
