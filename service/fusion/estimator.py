@@ -31,6 +31,7 @@ from service.kernels.estimator import (
     take_match,
     transfer_into_map,
 )
+from service.kernels.sweep import sweep_deviation
 from service.kernels.tracks import Track, begin_twist
 
 log = logging.getLogger(__name__)
@@ -45,6 +46,8 @@ KEEP_BEFORE_NS = 2_000_000_000  # of samples before the last scan: for the large
 PAUSE_NS = 1_000_000_000  # of odometry; shorter ones are bridged without a word
 MOST_SPEED_MPS, MOST_TURN_RADPS = 30.0, 30.0  # of any vehicle: odometry that says more has begun anew
 LEAST_ELAPSED_S = 0.05  # stamps that came in a burst may lie closer together than what they stand for
+NODE_S = 0.01  # of a sweep, from one moment at which the motion is asked to the next
+MOST_NODES = 65
 TELL_AGAIN_NS = 10_000_000_000
 LOCAL_BLOCK = slice(LOCAL, LOCAL + 3)
 MAP_BLOCK = slice(MAP, MAP + 3)
@@ -237,7 +240,15 @@ class Estimator:
             is_measured=bool(state.said[3]),
             odometry_noise=float(state.noise[0]),
             pause_s=pause_s,
+            deviation=self._deviation,
         )
+
+    def _deviation(self, begin_s: float, end_s: float) -> Matrix | None:
+        nodes = min(2 + int((end_s - begin_s) / NODE_S), MOST_NODES)
+        deviation = np.empty((nodes, 3))
+        tracks = self._odometry.track, self._gyro.track
+        is_known = sweep_deviation(self._filter, *tracks, begin_s, end_s, self._settings, deviation)
+        return deviation if is_known else None
 
     def correct(self, measured: Measurement | None) -> Motion:
         state = self._filter

@@ -1,5 +1,6 @@
 """The estimate of the vehicle's motion, and the interface of who holds it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -33,6 +34,9 @@ class Prediction(Motion):
     is_confirmed: bool = False  # both did, and were weighed against each other
     odometry_noise: float = 1.0  # variance of odometry's way over that of its model, as learnt
     pause_s: float = 0.0  # the longest since the last scan in which nobody measured the way
+    # (begin_s, end_s) from this moment -> what was measured there beyond the twist: (K, 3) m, m, rad at K
+    # moments evenly between, see service/kernels/sweep.py; None: nothing. Only until the next prediction.
+    deviation: Callable[[float, float], Matrix | None] | None = None
 
     def twist_at(self, pose_odom_base: SE2) -> tuple[float, float, float]:
         """The twist, were the base at this pose instead: m/s forward, m/s left, rad/s."""

@@ -25,9 +25,8 @@ class Points:
     """End points of one scan, those without a return left out, in beam order."""
 
     xy_base: npt.NDArray[np.float64]  # (N, 2) m, base frame at one moment: the sweep's motion is taken out
-    xy_raw: npt.NDArray[
-        np.float64
-    ]  # (N, 2) m, base frame at each beam's own moment: a matcher may deskew anew
+    # (N, 2) m, base frame at each beam's own moment, had the twist been constant: a matcher may deskew anew
+    xy_raw: npt.NDArray[np.float64]
     beam_time_s: npt.NDArray[np.float64]  # (N,) since that moment; that of beam 0 where one laser is mapped
     beam: npt.NDArray[np.int32]  # (N,) which beam of the scan
     sensor_base: SE2  # pose of the sensor in the base frame (pose_base_sensor)

@@ -329,8 +329,11 @@ def _drive(config: MappingConfig, new_worker: NewWorker) -> None:
     for k in range(-1, 4):  # samples come before the first scan: from them it has its speed
         stamp_ns = k * 100_000_000
         x_m = 0.4 * k
-        mapper.process(ImuSample("imu", stamp_ns, stamp_ns, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81)))
-        mapper.process(OdometrySample("base", stamp_ns, stamp_ns, x_m, 0.0, 0.0, (4.0, 0.0, 0.0), (0.0,) * 9))
+        within_ns = stamp_ns + 1_000_000  # the sweep
+        mapper.process(ImuSample("imu", within_ns, within_ns, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81)))
+        mapper.process(
+            OdometrySample("base", within_ns, within_ns, x_m, 0.0, 0.0, (4.0, 0.0, 0.0), (0.0,) * 9)
+        )
         if k >= 0:
             mapper.process(_room_scan(stamp_ns, x_m))
     mapper.finish()

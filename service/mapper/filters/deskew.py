@@ -8,10 +8,11 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.frames import LaserScan
 from service.errors import InputError
-from service.fusion.motion import Motion
+from service.fusion.motion import Motion, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns, deskew_points, project_returns
 from service.kernels.normals import range_noise
+from service.kernels.sweep import bend_returns
 from service.mapper.components import Points
 
 NOISE_SCANS = 100  # over which the noise of a sensor's ranges is taken
@@ -75,11 +76,17 @@ class DeskewByTwist:
         xy_raw, beam_time_s = returns.xy_raw[:count], returns.beam_time_s[:count]
         if at_ns is not None and at_ns != scan.stamp_ns:
             beam_time_s -= (at_ns - scan.stamp_ns) * 1e-9
-        xy_base = np.empty((count, 2))
-        deskew_points(xy_raw, beam_time_s, np.array(motion.twist_base), xy_base)
         sensor_xy_m = np.array([mounting.x_m, mounting.y_m])
         sigma_m = self._noise_of(scan.sensor, range_noise(xy_raw, returns.beam[:count], sensor_xy_m))
+        self._take_out_deviation(xy_raw, beam_time_s, motion)
+        xy_base = np.empty((count, 2))
+        deskew_points(xy_raw, beam_time_s, np.array(motion.twist_base), xy_base)
         return Points(xy_base, xy_raw, beam_time_s, returns.beam[:count], mounting, scan, sigma_m)
+
+    def _take_out_deviation(
+        self, xy_raw: npt.NDArray[np.float64], beam_time_s: npt.NDArray[np.float64], motion: Motion
+    ) -> None:
+        """Nothing: the twist is all that is known of the motion."""
 
     def _leave_out_itself(self, returns: Returns, count: int) -> int:
         """Close up the returns that lie outside of the vehicle; how many there are."""
@@ -103,6 +110,19 @@ class DeskewByTwist:
             angle = mounting.theta_rad + scan.first_angle_rad + np.arange(key[3]) * scan.angle_step_rad
             self._directions[key] = np.ascontiguousarray(np.stack([np.cos(angle), np.sin(angle)], axis=1))
         return self._directions[key]
+
+
+class DeskewByMotion(DeskewByTwist):
+    """By the twist, and by what odometry and gyro measured beyond it during the sweep; [23]."""
+
+    def _take_out_deviation(
+        self, xy_raw: npt.NDArray[np.float64], beam_time_s: npt.NDArray[np.float64], motion: Motion
+    ) -> None:
+        if not (isinstance(motion, Prediction) and motion.deviation and len(beam_time_s)):
+            return
+        begin_s, end_s = float(beam_time_s[0]), float(beam_time_s[-1])
+        if end_s > begin_s and (deviation := motion.deviation(begin_s, end_s)) is not None:
+            bend_returns(beam_time_s, begin_s, end_s, deviation, xy_raw)
 
 
 def _within(xy_m: npt.NDArray[np.float64], corners_m: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:

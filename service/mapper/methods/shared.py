@@ -3,7 +3,7 @@
 from service.fusion.estimator import Estimator, EstimatorConfig
 from service.fusion.warm_up import warm_up_estimator
 from service.mapper.components import ComponentKind, NoSettings
-from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist
+from service.mapper.filters.deskew import BeamsConfig, DeskewByMotion, DeskewByTwist
 from service.mapper.graph.no_graph import NoGraph
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapper.maps.shown_warm_up import warm_up_replacing
@@ -15,6 +15,11 @@ DESKEW_BY_TWIST = ComponentKind(
     "deskew_by_twist",
     BeamsConfig,
     lambda config, around: DeskewByTwist(config, around.mountings, around.outline_m),
+)
+DESKEW_BY_MOTION = ComponentKind(
+    "deskew_by_motion",
+    BeamsConfig,
+    lambda config, around: DeskewByMotion(config, around.mountings, around.outline_m),
 )
 NO_GRAPH = ComponentKind("no_graph", NoSettings, lambda _, __: NoGraph())
 OCCUPANCY_TILES = ComponentKind(

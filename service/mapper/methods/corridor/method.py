@@ -10,6 +10,7 @@ from service.mapper.methods.corridor.match_warm_up import warm_up_match
 from service.mapper.methods.corridor.submaps import SubmapsConfig, SurfelSubmaps
 from service.mapper.methods.corridor.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
 from service.mapper.methods.shared import (
+    DESKEW_BY_MOTION,
     DESKEW_BY_TWIST,
     ESTIMATOR,
     NO_GRAPH,
@@ -51,12 +52,12 @@ METHOD = Method(
     "corridor",
     components={
         "motion_model": ESTIMATOR,
-        "deskew": DESKEW_BY_TWIST,
+        "deskew": DESKEW_BY_MOTION,
         "matcher": SURFEL_GAUSS_NEWTON,
         "local_map": SURFEL_SUBMAPS,
         "graph": LOOP_CLOSING,
         "free_space": OCCUPANCY_TILES,
     },
     settings={},
-    others={"graph": (NO_GRAPH,)},
+    others={"graph": (NO_GRAPH,), "deskew": (DESKEW_BY_TWIST,)},
 )

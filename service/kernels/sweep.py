@@ -1,0 +1,125 @@
+"""The motion within a sweep as odometry and gyro measure it, beyond the twist; docs/estimator.md, [23]."""
+
+import math
+
+import numpy as np
+
+from service.kernels.compiled import inner_kernel, kernel
+from service.kernels.estimator import TWIST
+from service.kernels.se2 import between, compose, exponential
+from service.kernels.tracks import odometry_at, turned_to
+
+
+@inner_kernel
+def gain_of(state, axis, seconds, variance, settings):
+    """Part of a measured deviation that is motion, not noise: 0 to 1; [23].
+
+    axis       0, 1: x, y; 2: theta
+    variance   m^2 or rad^2, of what was measured over these seconds
+    """
+    density = settings.turn_acceleration if axis == 2 else settings.acceleration
+    t = abs(seconds)
+    expected = density * density * t * t * t / 3.0
+    expected += state.covariance[TWIST + axis, TWIST + axis] * t * t
+    return expected / (expected + variance) if expected > 0.0 else 0.0
+
+
+@inner_kernel
+def covers(track, at_ns, begin_s, end_s):
+    """Whether a track has samples before a moment, and some of the time from begin_s to end_s about it."""
+    first, end = track.span[0], track.span[1]
+    if end - first < 2 or track.stamp_ns[first] > at_ns + np.int64(min(begin_s, 0.0) * 1e9):
+        return False
+    return track.stamp_ns[end - 1] > at_ns + np.int64(max(begin_s, 0.0) * 1e9)
+
+
+@kernel
+def sweep_deviation(state, odometry, gyro, begin_s, end_s, settings, deviation):
+    """Where the base was at moments of a sweep, seen from where the twist alone would have brought it; [23].
+
+    state       Filter           after a prediction: its moment is 0 s
+    odometry    Track
+    gyro        Track
+    begin_s     float            of the sweep
+    end_s       float
+    settings    MotionSettings
+    deviation   (K, 3) float64   out: m, m, rad at K moments evenly from begin_s to end_s; K > 1
+    Returns whether anything was measured.
+    """
+    at_ns = state.stamp_ns[0]
+    lag_ns = np.int64(state.learnt[2] * 1e9)
+    twist = state.twist
+    knows_way = covers(odometry, at_ns + lag_ns, begin_s, end_s)
+    knows_turn = covers(gyro, at_ns, begin_s, end_s)
+    if not (knows_way or knows_turn):
+        return False
+    steady, step, rest = np.empty(3), np.empty(3), np.empty(3)
+    origin, pose, scratch = np.empty(3), np.empty(3), np.empty(3)
+    odometry_s = gyro_s = begun_rad = 0.0
+    if knows_way:
+        odometry_at(odometry, at_ns + lag_ns, settings, origin, scratch)
+        odometry_s = (odometry.stamp_ns[odometry.span[1] - 1] - at_ns - lag_ns) * 1e-9
+    if knows_turn:
+        begun_rad = turned_to(gyro, at_ns)
+        gyro_s = (gyro.stamp_ns[gyro.span[1] - 1] - at_ns) * 1e-9
+    speed = math.hypot(twist[0], twist[1])
+    rate = abs(twist[2])
+    for k in range(deviation.shape[0]):
+        t = begin_s + (end_s - begin_s) * k / (deviation.shape[0] - 1)
+        exponential(t * twist[0], t * twist[1], t * twist[2], steady)
+        deviation[k] = 0.0
+        if knows_way:
+            known_s = min(t, odometry_s)
+            odometry_at(odometry, at_ns + lag_ns + np.int64(known_s * 1e9), settings, pose, scratch)
+            between(origin, pose, step)
+            step[0] *= 1.0 + state.learnt[0]
+            step[1] *= 1.0 + state.learnt[0]
+            step[2] *= 1.0 + state.learnt[1]
+            left_s = t - known_s  # beyond its newest sample the twist goes on
+            exponential(left_s * twist[0], left_s * twist[1], left_s * twist[2], rest)
+            compose(step, rest, step)
+            between(steady, step, deviation[k])
+            way_m, turn_rad = speed * abs(t), rate * abs(t)
+            of_way = settings.position_walk**2 * way_m + settings.resolution_m**2
+            of_way = state.noise[0] * (of_way + (settings.jitter_s * speed) ** 2)
+            of_turn = settings.heading_walk**2 * way_m + settings.turn_walk**2 * turn_rad
+            of_turn = state.noise[1] * (
+                of_turn + settings.resolution_rad**2 + (settings.jitter_s * rate) ** 2
+            )
+            deviation[k, 0] *= gain_of(state, 0, known_s, of_way, settings)
+            deviation[k, 1] *= gain_of(state, 1, known_s, of_way, settings)
+            deviation[k, 2] *= gain_of(state, 2, known_s, of_turn, settings)
+        if knows_turn:
+            known_s = min(t, gyro_s)
+            turned = turned_to(gyro, at_ns + np.int64(known_s * 1e9)) - begun_rad
+            turned -= (state.learnt[3] + twist[2]) * known_s
+            variance = state.gyro_noise[0] * (
+                settings.gyro_walk**2 * abs(known_s) + (0.005 * rate * known_s) ** 2
+            )
+            kept = gain_of(state, 2, known_s, variance, settings)
+            deviation[k, 2] += kept * (turned - deviation[k, 2])
+    return True
+
+
+@kernel
+def bend_returns(beam_time_s, begin_s, end_s, deviation, xy_raw):
+    """Move each point as the base deviated from the constant twist at its moment: then the twist is all.
+
+    beam_time_s    (N,)   float64   s, within begin_s to end_s
+    deviation      (K, 3) float64   of sweep_deviation
+    xy_raw         (N, 2) float64   in: m, base frame at each point's moment; out: base frame at that moment,
+                                    had the twist been constant
+    """
+    last = deviation.shape[0] - 1
+    per_s = last / (end_s - begin_s)
+    for i in range(xy_raw.shape[0]):
+        place = min(max((beam_time_s[i] - begin_s) * per_s, 0.0), float(last))
+        k = min(int(place), last - 1)
+        share = place - k
+        turn = deviation[k, 2] + share * (deviation[k + 1, 2] - deviation[k, 2])
+        c = math.cos(turn)
+        s = math.sin(turn)
+        x = xy_raw[i, 0]
+        y = xy_raw[i, 1]
+        xy_raw[i, 0] = deviation[k, 0] + share * (deviation[k + 1, 0] - deviation[k, 0]) + c * x - s * y
+        xy_raw[i, 1] = deviation[k, 1] + share * (deviation[k + 1, 1] - deviation[k, 1]) + s * x + c * y

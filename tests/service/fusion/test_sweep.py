@@ -1,0 +1,134 @@
+"""The motion within a sweep: what odometry and gyro measure of it beyond a constant twist."""
+
+import math
+
+import numpy as np
+import pytest
+
+from drivers.frames import NO_INTENSITY, LaserScan
+from service.fusion.estimator import Estimator, EstimatorConfig
+from service.fusion.motion import Motion, Prediction
+from service.geometry.se2 import SE2
+from service.mapper.filters.deskew import BeamsConfig, DeskewByMotion, DeskewByTwist
+from tests.service.fusion.samples import MS, gyro, matched, odometry
+
+SWEEP_MS, BEAMS = 150, 301
+AT_MS = 1000  # of the scan; until then the vehicle stands
+TURNS_RADPS2, DRIVES_MPS2 = 4.0, 1.0
+TIGHT = np.diag([1e-6, 1e-6, 1e-8])
+
+
+def begun_to_move(stamp_ms: float) -> SE2:
+    """Standing, then turning and driving faster and faster."""
+    t = max(stamp_ms - AT_MS, 0.0) * 1e-3
+    way_m, turn_rad = 0.5 * DRIVES_MPS2 * t * t, 0.5 * TURNS_RADPS2 * t * t
+    return SE2.exp(way_m, 0.0, turn_rad)
+
+
+def at_speed(stamp_ms: float) -> SE2:
+    t = stamp_ms * 1e-3
+    return SE2.exp(0.8 * t, 0.0, 0.6 * t)
+
+
+def predicted(
+    motion,
+    until_ms: int = AT_MS + SWEEP_MS + 20,
+    has_odometry: bool = True,
+    has_gyro: bool = False,
+    wheels=None,
+) -> Prediction:
+    """Of a model that knows the way up to `until_ms`, at AT_MS, with a tight scan each 100 ms before."""
+    model = Estimator(EstimatorConfig())
+    for stamp_ms in range(0, until_ms + 1, 10):
+        pose = (wheels or motion)(stamp_ms)
+        if has_odometry:
+            model.add(odometry(stamp_ms, pose))
+        if has_gyro:
+            model.add(
+                gyro(stamp_ms, (motion(stamp_ms + 5).theta_rad - motion(stamp_ms - 5).theta_rad) / 0.01)
+            )
+    for stamp_ms in range(0, AT_MS, 100):
+        model.predict(stamp_ms * MS)
+        model.correct(matched(motion(0).inverse() @ motion(stamp_ms), TIGHT))
+    return model.predict(AT_MS * MS)
+
+
+def seen_by(motion) -> tuple[LaserScan, np.ndarray]:
+    """A scan of a wall 4 m around where it begins, and its points as they are, (N, 2) m."""
+    bearing = np.linspace(-2.3, 2.3, BEAMS)
+    range_m = np.empty(BEAMS)
+    points = np.empty((BEAMS, 2))
+    for i, angle in enumerate(bearing):
+        base = motion(AT_MS).inverse() @ motion(AT_MS + SWEEP_MS * i / (BEAMS - 1))
+        c, s = math.cos(base.theta_rad + angle), math.sin(base.theta_rad + angle)
+        ahead = base.x_m * c + base.y_m * s
+        range_m[i] = -ahead + math.sqrt(ahead**2 + 16.0 - base.x_m**2 - base.y_m**2)
+        points[i] = base.x_m + range_m[i] * c, base.y_m + range_m[i] * s
+    scan = LaserScan(
+        "front", AT_MS * MS, (AT_MS + SWEEP_MS) * MS, SWEEP_MS * MS // (BEAMS - 1), 200 * MS, -2.3,
+        4.6 / (BEAMS - 1), 0.05, 20.0, range_m.astype(np.float32), NO_INTENSITY,
+    )  # fmt: skip
+    return scan, points
+
+
+def off_m(prediction: Motion, motion, deskew=DeskewByMotion) -> float:
+    """How far the farthest point ends from where it is."""
+    scan, points = seen_by(motion)
+    found = deskew(BeamsConfig(), {"front": SE2()})(scan, prediction, AT_MS * MS)
+    return float(np.hypot(*(found.xy_base - points).T).max())
+
+
+def test_a_turn_that_begins_within_the_sweep_bends_no_wall():
+    prediction = predicted(begun_to_move)
+    assert off_m(prediction, begun_to_move, DeskewByTwist) > 0.15
+    assert off_m(prediction, begun_to_move) < 0.01
+
+
+def test_a_gyro_alone_tells_the_turn():
+    prediction = predicted(begun_to_move, has_odometry=False, has_gyro=True)
+    assert off_m(prediction, begun_to_move, DeskewByTwist) > 0.15
+    assert off_m(prediction, begun_to_move) < 0.03  # the way, 11 mm at the end, it does not tell
+
+
+def test_at_a_constant_twist_there_is_nothing_to_take_out():
+    assert off_m(predicted(at_speed), at_speed) < 2e-3
+
+
+def test_beyond_the_newest_sample_the_twist_goes_on():
+    until_ms = AT_MS + 60
+    half_known = predicted(begun_to_move, until_ms)
+    left_s = 1e-3 * (AT_MS + SWEEP_MS - until_ms)
+    left_rad = 0.5 * TURNS_RADPS2 * ((1e-3 * SWEEP_MS) ** 2 - (1e-3 * SWEEP_MS - left_s) ** 2)
+    assert 0.5 * 4.0 * left_rad < off_m(half_known, begun_to_move) < 4.3 * left_rad
+
+
+def test_without_a_sample_the_scan_is_as_by_the_twist_to_the_last_bit():
+    prediction = predicted(begun_to_move, has_odometry=False)
+    scan, _ = seen_by(begun_to_move)
+    kinds = (DeskewByMotion, DeskewByTwist)
+    one, other = (kind(BeamsConfig(), {"front": SE2()})(scan, prediction) for kind in kinds)
+    np.testing.assert_array_equal(one.xy_base, other.xy_base)
+    assert prediction.deviation is not None
+    assert prediction.deviation(0.0, 0.15) is None
+
+
+def test_odometry_that_was_found_wrong_bends_little():
+    """Wheels that stand while the scans go on: their noise is learnt, and the sweep is left alone."""
+    prediction = predicted(at_speed, wheels=lambda _: SE2())
+    assert prediction.deviation is not None
+    deviation = prediction.deviation(0.0, 0.15)
+    assert deviation is not None
+    assert np.abs(deviation[-1, 2]) < 0.2 * 0.6 * 0.15
+    assert off_m(prediction, at_speed) < 1.2 * off_m(prediction, at_speed, DeskewByTwist)
+
+
+@pytest.mark.parametrize("begin_s", [-0.2, 0.0])
+def test_moments_are_even_and_the_first_scan_of_the_sweep_may_lie_before(begin_s: float):
+    """Of two lasers the one is brought to the moment of the other."""
+    prediction = predicted(begun_to_move)
+    assert prediction.deviation is not None
+    deviation = prediction.deviation(begin_s, begin_s + 0.3)
+    assert deviation is not None
+    moments_s = np.linspace(begin_s, begin_s + 0.3, len(deviation))
+    expected_rad = [begun_to_move(AT_MS + 1e3 * t).theta_rad for t in np.minimum(moments_s, 0.17)]
+    assert deviation[:, 2] == pytest.approx(expected_rad, abs=6e-3)
