@@ -5,23 +5,27 @@ import math
 import numpy as np
 
 from service.kernels.compiled import inner_kernel, kernel
-from service.kernels.estimator import TWIST
+from service.kernels.estimator import GATE_CHI2_GYRO, TWIST
 from service.kernels.se2 import between, compose, exponential
 from service.kernels.tracks import odometry_at, turned_to
 
 
 @inner_kernel
-def gain_of(state, axis, seconds, variance, settings):
-    """Part of a measured deviation that is motion, not noise: 0 to 1; [23].
+def gain_of(state, axis, seconds, measured, variance, settings):
+    """Part of a measured deviation that is motion, not noise or a lie: 0 to 1; [23].
 
     axis       0, 1: x, y; 2: theta
-    variance   m^2 or rad^2, of what was measured over these seconds
+    measured   m or rad, over these seconds
+    variance   m^2 or rad^2, of that measurement
     """
     density = settings.turn_acceleration if axis == 2 else settings.acceleration
     t = abs(seconds)
     expected = density * density * t * t * t / 3.0
     expected += state.covariance[TWIST + axis, TWIST + axis] * t * t
-    return expected / (expected + variance) if expected > 0.0 else 0.0
+    total = expected + variance
+    if expected <= 0.0:
+        return 0.0
+    return expected / total * min(1.0, GATE_CHI2_GYRO * total / max(measured * measured, 1e-12))
 
 
 @inner_kernel
@@ -86,9 +90,9 @@ def sweep_deviation(state, odometry, gyro, begin_s, end_s, settings, deviation):
             of_turn = state.noise[1] * (
                 of_turn + settings.resolution_rad**2 + (settings.jitter_s * rate) ** 2
             )
-            deviation[k, 0] *= gain_of(state, 0, known_s, of_way, settings)
-            deviation[k, 1] *= gain_of(state, 1, known_s, of_way, settings)
-            deviation[k, 2] *= gain_of(state, 2, known_s, of_turn, settings)
+            deviation[k, 0] *= gain_of(state, 0, known_s, deviation[k, 0], of_way, settings)
+            deviation[k, 1] *= gain_of(state, 1, known_s, deviation[k, 1], of_way, settings)
+            deviation[k, 2] *= gain_of(state, 2, known_s, deviation[k, 2], of_turn, settings)
         if knows_turn:
             known_s = min(t, gyro_s)
             turned = turned_to(gyro, at_ns + np.int64(known_s * 1e9)) - begun_rad
@@ -96,7 +100,7 @@ def sweep_deviation(state, odometry, gyro, begin_s, end_s, settings, deviation):
             variance = state.gyro_noise[0] * (
                 settings.gyro_walk**2 * abs(known_s) + (0.005 * rate * known_s) ** 2
             )
-            kept = gain_of(state, 2, known_s, variance, settings)
+            kept = gain_of(state, 2, known_s, turned, variance, settings)
             deviation[k, 2] += kept * (turned - deviation[k, 2])
     return True
 

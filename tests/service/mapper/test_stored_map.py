@@ -340,5 +340,7 @@ def test_who_is_switched_on_where_the_map_knows_nothing_is_found_later(first, se
     last = outputs[-1]
     true = drove.world_first.inverse() @ second.world_first @ second.truth[last.stamp_ns - later_ns]
     away = true.inverse() @ last.pose_map_base
-    assert last.state == "ok"
+    # `ok` as soon as it is confirmed; far from the last loop the pose may be uncertain again
+    assert "ok" in {output.state for output in outputs}
+    assert last.state != "lost"
     assert math.hypot(away.x_m, away.y_m) < 0.05
