@@ -17,6 +17,7 @@ from service.fusion.motion import Matrix, Measurement, Motion, Prediction
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.estimator import (
     BIAS,
+    FAULT_NOISE,
     LAG,
     LOCAL,
     MAP,
@@ -38,7 +39,6 @@ log = logging.getLogger(__name__)
 
 CAPACITY = 4096
 MOST_SAMPLES = 200_000  # that wait for a scan; then those between the oldest and the newest are dropped
-FAULT_NOISE = 1000.0  # times the variance of its model, 30 sigmas: honest odometry of fr079 reaches 23
 GYRO_PAUSE_S = 0.05  # between two samples
 FADE_S = 1.0  # in which a speed fades that neither scans nor odometry confirm
 TURN_M = 0.5  # a turn of a radian shows as much new as so many metres
@@ -237,7 +237,7 @@ class Estimator:
             twist_gain=gain,
             elapsed_s=self._elapsed_s,
             travel_m=math.hypot(x_m - x0_m, y_m - y0_m) + TURN_M * abs(wrap_angle(theta_rad - theta0_rad)),
-            is_measured=bool(state.said[3]),
+            is_measured=bool(state.said[3]) and max(state.noise.tolist()) <= FAULT_NOISE,
             odometry_noise=float(state.noise[0]),
             pause_s=pause_s,
             deviation=self._deviation,

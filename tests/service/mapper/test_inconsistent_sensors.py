@@ -10,6 +10,7 @@ import pytest
 from drivers.frames import Frame, ImuSample, OdometrySample
 from service.mapper.profiles import mapping_config
 from simulators.worlds import WORLDS
+from tests.accuracy.driving import Trip, ate_m
 from tests.simulated import LMS100_50HZ, Drive, Imu, Run, Wheels, drives, run
 
 SECONDS = 32.0
@@ -46,6 +47,16 @@ def frozen(sample: OdometrySample) -> OdometrySample:
 def driven(drive: Drive, kind: type, lie: Callable[..., Frame] | None) -> Run:
     frames = [lie(frame) if lie is not None and isinstance(frame, kind) else frame for frame in drive.frames]
     return run(mapping_config(), replace(drive, frames=frames))
+
+
+def test_odometry_that_stands_still_is_left_out_once_a_turn_has_shown_it() -> None:
+    """A dead encoder: the first turn on the spot says so, and the corridors are mapped without odometry."""
+    trip = Trip(WORLDS["ring"], replace(LMS100_50HZ, rate_hz=10.0), None, Wheels())
+    (made,) = trip.drives([1])
+    done = driven(made, OdometrySample, frozen)
+    assert diagnostics(done) == {"odometry"}
+    assert "lost" not in {output.state for output in done.outputs}
+    assert ate_m(made, done, [output.pose_map_base for output in done.outputs]) < 0.06  # 13.7 where it counts
 
 
 def diagnostics(done: Run) -> set[str]:
