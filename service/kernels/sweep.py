@@ -5,23 +5,27 @@ import math
 import numpy as np
 
 from service.kernels.compiled import inner_kernel, kernel
-from service.kernels.estimator import GATE_CHI2_GYRO, TWIST
+from service.kernels.estimator import GATE_CHI2_GYRO, GYRO_SCALE, TWIST
 from service.kernels.se2 import between, compose, exponential
 from service.kernels.tracks import odometry_at, turned_to
 
 
 @inner_kernel
-def gain_of(state, axis, seconds, measured, variance, settings):
-    """Part of a measured deviation that is motion, not noise or a lie: 0 to 1; [23].
-
-    axis       0, 1: x, y; 2: theta
-    measured   m or rad, over these seconds
-    variance   m^2 or rad^2, of that measurement
-    """
+def expected_variance(state, axis, seconds, settings):
+    """What the model expects of a deviation after some seconds, m^2 or rad^2; axis 0, 1: x, y; 2: theta."""
     density = settings.turn_acceleration if axis == 2 else settings.acceleration
     t = abs(seconds)
-    expected = density * density * t * t * t / 3.0
-    expected += state.covariance[TWIST + axis, TWIST + axis] * t * t
+    return density * density * t * t * t / 3.0 + state.covariance[TWIST + axis, TWIST + axis] * t * t
+
+
+@inner_kernel
+def gain_of(expected, measured, variance):
+    """Part of a measured deviation that is motion, not noise or a lie: 0 to 1; [23].
+
+    expected   m^2 or rad^2, by the model
+    measured   m or rad
+    variance   m^2 or rad^2, of that measurement
+    """
     total = expected + variance
     if expected <= 0.0:
         return 0.0
@@ -68,39 +72,57 @@ def sweep_deviation(state, odometry, gyro, begin_s, end_s, settings, deviation):
         gyro_s = (gyro.stamp_ns[gyro.span[1] - 1] - at_ns) * 1e-9
     speed = math.hypot(twist[0], twist[1])
     rate = abs(twist[2])
-    for k in range(deviation.shape[0]):
-        t = begin_s + (end_s - begin_s) * k / (deviation.shape[0] - 1)
-        exponential(t * twist[0], t * twist[1], t * twist[2], steady)
+    count = deviation.shape[0]
+    known, variance, said_rad = np.zeros(count), np.zeros((count, 2)), np.zeros(count)
+    for k in range(count):
+        t = begin_s + (end_s - begin_s) * k / (count - 1)
         deviation[k] = 0.0
-        if knows_way:
-            known_s = min(t, odometry_s)
-            odometry_at(odometry, at_ns + lag_ns + np.int64(known_s * 1e9), settings, pose, scratch)
-            between(origin, pose, step)
-            step[0] *= 1.0 + state.learnt[0]
-            step[1] *= 1.0 + state.learnt[0]
-            step[2] *= 1.0 + state.learnt[1]
-            left_s = t - known_s  # beyond its newest sample the twist goes on
-            exponential(left_s * twist[0], left_s * twist[1], left_s * twist[2], rest)
-            compose(step, rest, step)
-            between(steady, step, deviation[k])
-            way_m, turn_rad = speed * abs(t), rate * abs(t)
-            of_way = settings.position_walk**2 * way_m + settings.resolution_m**2
-            of_way = state.noise[0] * (of_way + (settings.jitter_s * speed) ** 2)
-            of_turn = settings.heading_walk**2 * way_m + settings.turn_walk**2 * turn_rad
-            of_turn = state.noise[1] * (
-                of_turn + settings.resolution_rad**2 + (settings.jitter_s * rate) ** 2
-            )
-            deviation[k, 0] *= gain_of(state, 0, known_s, deviation[k, 0], of_way, settings)
-            deviation[k, 1] *= gain_of(state, 1, known_s, deviation[k, 1], of_way, settings)
-            deviation[k, 2] *= gain_of(state, 2, known_s, deviation[k, 2], of_turn, settings)
-        if knows_turn:
+        if not knows_way:
+            continue
+        exponential(t * twist[0], t * twist[1], t * twist[2], steady)
+        known[k] = min(t, odometry_s)
+        odometry_at(odometry, at_ns + lag_ns + np.int64(known[k] * 1e9), settings, pose, scratch)
+        between(origin, pose, step)
+        step[0] *= 1.0 + state.learnt[0]
+        step[1] *= 1.0 + state.learnt[0]
+        step[2] *= 1.0 + state.learnt[1]
+        left_s = t - known[k]  # beyond its newest sample the twist goes on
+        exponential(left_s * twist[0], left_s * twist[1], left_s * twist[2], rest)
+        compose(step, rest, step)
+        between(steady, step, deviation[k])
+        way_m, turn_rad = speed * abs(t), rate * abs(t)
+        of_way = settings.position_walk**2 * way_m + settings.resolution_m**2
+        variance[k, 0] = state.noise[0] * (of_way + (settings.jitter_s * speed) ** 2)
+        of_turn = settings.heading_walk**2 * way_m + settings.turn_walk**2 * turn_rad
+        of_turn += settings.resolution_rad**2 + (settings.jitter_s * rate) ** 2
+        variance[k, 1] = state.noise[1] * of_turn
+        said_rad[k] = deviation[k, 2]
+    if knows_way:
+        for axis in range(3):
+            # Of what the sweep shows its noise is no acceleration (Efron, Morris, JASA 1973).
+            part = 0.0
+            for end in (0, count - 1):
+                expected = expected_variance(state, axis, known[end], settings)
+                shown = deviation[end, axis] ** 2 - variance[end, axis // 2]
+                if expected > 0.0:
+                    part = max(part, min(shown / expected, 1.0))
+            for k in range(count):
+                expected = part * expected_variance(state, axis, known[k], settings)
+                deviation[k, axis] *= gain_of(expected, deviation[k, axis], variance[k, axis // 2])
+    if knows_turn:
+        for k in range(count):
+            t = begin_s + (end_s - begin_s) * k / (count - 1)
             known_s = min(t, gyro_s)
             turned = turned_to(gyro, at_ns + np.int64(known_s * 1e9)) - begun_rad
             turned -= (state.learnt[3] + twist[2]) * known_s
-            variance = state.gyro_noise[0] * (
-                settings.gyro_walk**2 * abs(known_s) + (0.005 * rate * known_s) ** 2
-            )
-            kept = gain_of(state, 2, known_s, turned, variance, settings)
+            of_gyro = settings.gyro_walk**2 * abs(known_s) + (GYRO_SCALE * rate * known_s) ** 2
+            expected = expected_variance(state, 2, known_s, settings)
+            of_gyro *= state.gyro_noise[0]
+            kept = gain_of(expected, turned, of_gyro)
+            if knows_way:  # where both speak and contradict each other, the gyro may be dead
+                apart = turned - said_rad[k]
+                both = of_gyro + variance[k, 1]
+                kept *= min(1.0, GATE_CHI2_GYRO * both / max(apart * apart, 1e-12))
             deviation[k, 2] += kept * (turned - deviation[k, 2])
     return True
 
