@@ -11,6 +11,7 @@ The wire knows no protocol. It hands bytes and the host's monotonic time to the 
 device returns, each return value with one write. A reader that is too slow loses whole messages, counted.
 """
 
+import errno
 import logging
 import os
 import select
@@ -23,7 +24,6 @@ import tty
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -395,13 +395,18 @@ class PtyWire(_Wire):
 
     def _close_link(self, fd: int) -> None:
         """Bytes that nobody read are lost, as on a real line: those on the way, and those that are there."""
-        with suppress(OSError):  # the line was cut
+        try:
             line = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-            try:
-                termios.tcflush(fd, termios.TCIOFLUSH)
-                termios.tcflush(line, termios.TCIOFLUSH)
-            finally:
-                os.close(line)
+        except OSError:  # the line was cut
+            return
+        try:
+            for end in (fd, line):
+                termios.tcflush(end, termios.TCIOFLUSH)
+        except termios.error as error:
+            if error.args[0] != errno.EIO:
+                raise
+        finally:
+            os.close(line)
 
 
 def serve_tcp(device: FakeDevice | ManyClients, host: str = "127.0.0.1", port: int = 0) -> TcpWire:

@@ -35,9 +35,6 @@ GYRO_SCALE = 0.005  # error of the gyro's scale
 GRACE_NS = 50_000_000  # odometry may begin so much later than the last scan
 GATE_CHI2 = 11.3  # 99 % of three degrees of freedom: beyond, a measurement widens until it fits
 GATE_CHI2_GYRO = 6.6  # 99 % of one
-# Times the variance of its model, 30 sigmas: that is no noise but a fault, of all samples alike, and they are
-# judged but not used. fr079's odometry reaches 580, csail's 1150 where one sample is 46 deg late.
-FAULT_NOISE = 1000.0
 
 
 class MotionSettings(NamedTuple):
@@ -53,6 +50,7 @@ class MotionSettings(NamedTuple):
     turn_acceleration: float  # rad/s^2 sqrt(s)
     jitter_s: float
     speed_window_s: float
+    fault_noise: float  # times the variance of its model: such odometry is judged but not used
 
 
 class Filter(NamedTuple):
@@ -165,7 +163,7 @@ def predict_motion(state, odometry, gyro, stamp_ns, settings):
     twists = np.empty((2, 3))
     knows_turn = gyro_turn(gyro, last_ns, stamp_ns, settings, turn)
     knows_way = odometry_step(state, odometry, last_ns, stamp_ns, settings, twists)
-    knows_way = knows_way and max(state.noise[0], state.noise[1]) <= FAULT_NOISE
+    knows_way = knows_way and max(state.noise[0], state.noise[1]) <= settings.fault_noise
     if knows_way:
         # errors are counted from what odometry said: over a long gap the last speed is far from anything
         for i in range(3):

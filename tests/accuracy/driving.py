@@ -31,6 +31,7 @@ class Trip:
     seconds: float | None = None  # None: one lap
     wheels: Wheels | None = field(default_factory=lambda: WHEELS)
     imu: Imu | None = None
+    change: Change | None = None  # of what the sensors say
 
     def drives(self, seeds: Sequence[int]) -> list[Drive]:
         """Once for each seed, each begun at a heading of its own against the walls."""
@@ -40,7 +41,8 @@ class Trip:
         world = begun_at(self.world(), heading_rad(seed))
         longer_s = world.drive.duration_s - self.world().drive.duration_s
         seconds = world.drive.duration_s if self.seconds is None else self.seconds + longer_s
-        return drive(world, self.laser, seconds, seed, self.wheels, self.imu)
+        made = drive(world, self.laser, seconds, seed, self.wheels, self.imu)
+        return made if self.change is None else self.change(made)
 
     def runs(self, seeds: Sequence[int], config: MappingConfig | None = None) -> Iterator[tuple[Drive, Run]]:
         """One after the other, so that memory holds the maps of one."""
@@ -69,6 +71,15 @@ def ate_m(made: Drive, done: Run, poses: Sequence[SE2]) -> float:
 
 def lost_share(done: Run) -> float:
     return float(np.mean([output.state == "lost" for output in done.outputs]))
+
+
+def ok_and_wrong(done: Run) -> float:
+    """Scans that are `ok` and more than 0.3 m and 3 sigma off."""
+    off_m = np.hypot(done.errors[:, 0], done.errors[:, 1])
+    covariance = np.array([output.covariance for output in done.outputs])
+    sigma_m = np.sqrt(np.linalg.eigvalsh(covariance[:, :2, :2])[:, 1])
+    is_ok = np.array([output.state == "ok" for output in done.outputs])
+    return float(np.sum(is_ok & (off_m > 0.3) & (off_m > 3.0 * sigma_m)))
 
 
 @dataclass

@@ -1,9 +1,10 @@
 """What single rules of the default profile are worth, on own drives and on given recordings."""
 
+import math
 import tempfile
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -13,6 +14,7 @@ from service.offline.score import RelationsScore, score
 from simulators.worlds import WORLDS
 from tests.accuracy.driving import Errors, Trip
 from tests.accuracy.given import DATASETS, SHARED
+from tests.accuracy.sensors import LMS100_10HZ, MIRRORS, WRONG
 from tests.papers.report import Section
 from tests.simulated import LMS100_50HZ
 
@@ -30,12 +32,32 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         f"{METHOD}.graph.candidate_submap",
         {"UNKNOWN_LIKELIHOOD": 0.0},
     ),
+    (
+        "motion within a sweep ([23])",
+        "service.fusion.estimator",
+        {"sweep_deviation": lambda *_: False},
+    ),
+    (
+        "odometry with a fault does not count",
+        "service.fusion.estimator",
+        {"FAULT_NOISE": math.inf},
+    ),
+    (
+        "returns missing by chance are no gaps beside posts",
+        f"{METHOD}.posts",
+        {"look_for_posts": lambda *_: (True, 0)},
+    ),
 )
 TRIPS = {
     "corridor100": Trip(WORLDS["corridor100"], LMS100_50HZ),
     "bare corridor, at its end": Trip(WORLDS["featureless"], LMS100_50HZ, 100.0),
     "ring": Trip(WORLDS["ring"], LMS100_50HZ),
     "office": Trip(WORLDS["office"], LMS100_50HZ),
+    "office, 30 % of the beams lost": Trip(
+        WORLDS["office"], replace(LMS100_50HZ, model=replace(LMS100_50HZ.model, dropout_share=0.3))
+    ),
+    "office, mirror of 5 Hz": Trip(WORLDS["office"], MIRRORS["5 Hz"]),
+    "library, 10 Hz, odometry dead": Trip(WORLDS["library"], LMS100_10HZ, change=WRONG["dead"]),
 }
 SYNTHETIC = ("corridor100d_s1", "fgi_s1", "ring_s3")
 REAL = ("fr079", "intel", "csail", "aces")

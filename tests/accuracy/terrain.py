@@ -15,7 +15,7 @@ from service.mapper.profiles import mapping_config
 from simulators.trajectory import Follow, Limits, Pause, plan_drive
 from simulators.truth import LMS100
 from simulators.world import Plan, Point, World, make_world
-from tests.accuracy.driving import Errors
+from tests.accuracy.driving import Errors, ok_and_wrong
 from tests.papers.report import Row, Section
 from tests.simulated import LMS100_50HZ, Drive, Laser, Run, Wheels, begun_at, drive, heading_rad, run
 
@@ -84,7 +84,7 @@ def _rows(places: Sequence[Place], seeds: Sequence[int]) -> list[Row]:
         for seed in seeds:
             made, done = _driven(place, seed)
             errors.add(made, done)
-            wrong.append(_ok_and_wrong(done))
+            wrong.append(ok_and_wrong(done))
             gc.collect()
         rows += [
             Row("", f"{place.name}: ATE after the finish", errors.finished_mm, "mm", digits=1),
@@ -108,14 +108,6 @@ def _driven(place: Place, seed: int) -> tuple[Drive, Run]:
     seconds = min(world.drive.duration_s, LONGEST_S)
     made = drive(world, place.laser, seconds, seed, place.wheels)
     return made, run(mapping_config(), made)
-
-
-def _ok_and_wrong(done: Run) -> float:
-    off_m = np.hypot(done.errors[:, 0], done.errors[:, 1])
-    covariance = np.array([output.covariance for output in done.outputs])
-    sigma_m = np.sqrt(np.linalg.eigvalsh(covariance[:, :2, :2])[:, 1])
-    is_ok = np.array([output.state == "ok" for output in done.outputs])
-    return float(np.sum(is_ok & (off_m > 0.3) & (off_m > 3.0 * sigma_m)))
 
 
 def campus(rng: np.random.Generator) -> World:

@@ -18,6 +18,7 @@ from tests.accuracy import (
     recorded,
     relocalisation,
     rules,
+    sensors,
     terrain,
     trials,
 )
@@ -36,6 +37,8 @@ SCENARIOS: dict[str, Callable[[Sequence[int]], Section]] = {
     "mall": buildings.big_mall,
     "coarse_laser": terrain.coarse_laser,
     "terrain": terrain.terrain,
+    "slow_mirrors": sensors.slow_mirrors,
+    "wrong_odometry": sensors.wrong_odometry,
     "anchored": anchored.anchored,
     "parked": trials.parked,
     "lasers": lasers.lasers,

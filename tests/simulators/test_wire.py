@@ -288,6 +288,22 @@ def test_terminal_is_raw_and_clients_come_and_go():
     assert ticker.events == ["connected", "disconnected"] * 3
 
 
+def test_a_new_client_of_a_terminal_reads_nothing_that_was_meant_for_the_one_before():
+    """What nobody read lies in the terminal itself, which the master's flush does not reach."""
+    ticker = Ticker()
+    with serve_pty(ticker) as path:
+        fd = open_terminal(path)
+        assert read_until(lambda: read_terminal(fd), lambda data: b"." in data)
+        unread, _, _ = select.select([fd], [], [], PATIENCE_S)
+        assert unread
+        os.close(fd)
+        ticker.wait_for_events(2)
+        fd = open_terminal(path)
+        data = read_until(lambda: read_terminal(fd), lambda data: b"." in data)
+        assert data.startswith(b"hello ")
+        os.close(fd)
+
+
 def test_unplugged_terminal_fails_its_reader_and_comes_back_under_its_link(tmp_path: Path):
     ticker = Ticker()
     wire = serve_pty(ticker, tmp_path / "create")

@@ -94,6 +94,26 @@ def test_at_a_constant_twist_there_is_nothing_to_take_out():
     assert off_m(predicted(at_speed), at_speed) < 2e-3
 
 
+def test_noise_of_poor_odometry_at_a_constant_twist_is_taken_for_motion_in_small_part():
+    """What odometry says within a sweep beyond the twist is noise there, and walls stay straight."""
+    noise = np.random.default_rng(5)
+    left_rad, said_rad = [], []
+    for _ in range(30):
+        wander_rad = np.cumsum(0.002 * noise.standard_normal(200))  # each 10 ms, as the model has it
+
+        def wandering(stamp_ms, wander_rad=wander_rad):
+            true = at_speed(stamp_ms)
+            return SE2(true.x_m, true.y_m, true.theta_rad + wander_rad[int(stamp_ms) // 10])
+
+        prediction = predicted(at_speed, wheels=wandering)
+        assert prediction.deviation is not None
+        deviation = prediction.deviation(0.0, 1e-3 * SWEEP_MS)
+        assert deviation is not None
+        left_rad.append(deviation[-1, 2])
+        said_rad.append(wander_rad[(AT_MS + SWEEP_MS) // 10] - wander_rad[AT_MS // 10])
+    assert np.median(np.abs(left_rad)) < 0.25 * np.median(np.abs(said_rad))
+
+
 def test_beyond_the_newest_sample_the_twist_goes_on():
     until_ms = AT_MS + 60
     half_known = predicted(begun_to_move, until_ms)

@@ -76,7 +76,7 @@ def known(reason: str) -> list[pytest.MarkDecorator]:
             ImuSample,
             upside_down,
             {"the IMU's turns"},
-            marks=known("heading 0.23 deg, 0.2 wanted; position 0.008 m"),
+            marks=known("heading 0.26 to 0.28 deg, 0.2 wanted; position 0.004 to 0.017 m"),
         ),
         (ImuSample, in_degrees, {"the IMU's turns"}),
         (ImuSample, silent, {"the IMU's turns"}),
