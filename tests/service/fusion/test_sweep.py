@@ -94,12 +94,12 @@ def test_at_a_constant_twist_there_is_nothing_to_take_out():
     assert off_m(predicted(at_speed), at_speed) < 2e-3
 
 
-def test_noise_of_poor_odometry_at_a_constant_twist_is_taken_for_motion_in_small_part():
-    """What odometry says within a sweep beyond the twist is noise there, and walls stay straight."""
+def test_what_the_noise_of_odometry_explains_is_not_taken_for_motion():
+    """At a constant twist, with the noise of the model: in a third of the sweeps or more nothing is left."""
     noise = np.random.default_rng(5)
-    left_rad, said_rad = [], []
-    for _ in range(30):
-        wander_rad = np.cumsum(0.002 * noise.standard_normal(200))  # each 10 ms, as the model has it
+    left_rad = []
+    for _ in range(40):
+        wander_rad = np.cumsum(0.002 * noise.standard_normal(200))  # each 10 ms
 
         def wandering(stamp_ms, wander_rad=wander_rad):
             true = at_speed(stamp_ms)
@@ -110,8 +110,7 @@ def test_noise_of_poor_odometry_at_a_constant_twist_is_taken_for_motion_in_small
         deviation = prediction.deviation(0.0, 1e-3 * SWEEP_MS)
         assert deviation is not None
         left_rad.append(deviation[-1, 2])
-        said_rad.append(wander_rad[(AT_MS + SWEEP_MS) // 10] - wander_rad[AT_MS // 10])
-    assert np.median(np.abs(left_rad)) < 0.25 * np.median(np.abs(said_rad))
+    assert np.mean(np.array(left_rad) == 0.0) > 0.33
 
 
 def test_beyond_the_newest_sample_the_twist_goes_on():
