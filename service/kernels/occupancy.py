@@ -191,13 +191,14 @@ def to_per_cent(evidence, per_step, cells):
     cells      (T, T) int8   out
     Returns True where any cell differs from what `cells` held.
     """
+    per_cent = np.empty(256, np.int8)
+    for value in range(-128, 128):
+        per_cent[value + 128] = math.floor(100.0 / (1.0 + math.exp(-per_step * value)) + 0.5)
+    per_cent[128] = -1
     differs = False
     for row in range(evidence.shape[0]):
         for column in range(evidence.shape[1]):
-            value = evidence[row, column]
-            shown = np.int8(-1)
-            if value != 0:
-                shown = np.int8(math.floor(100.0 / (1.0 + math.exp(-per_step * value)) + 0.5))
+            shown = per_cent[np.int64(evidence[row, column]) + 128]
             if cells[row, column] != shown:
                 cells[row, column] = shown
                 differs = True

@@ -280,8 +280,10 @@ class FreeSpaceMap(Protocol):
         """Show the rendered map in place of all there is, and render `since` into it soon. Versions rise."""
         ...
 
-    def changed_tiles(self) -> list[TileUpdate]:
-        """Tiles that changed since the last call, each with a new version."""
+    def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:
+        """Tiles that changed since the last call, each with a new version; at most so many, the rest with the
+        next call.
+        """
         ...
 
     def tiles(self) -> list[TileUpdate]:

@@ -136,9 +136,9 @@ class Mapper(Generic[ReadableMap]):
             return scan.stamp_ns
         return self._last_ns + 1 if self._last_ns - scan.stamp_ns <= MOST_BEHIND_NS else None
 
-    def changed_tiles(self) -> list[TileUpdate]:
-        """Tiles of the shown map that changed since the last call."""
-        return self._components.free_space.changed_tiles()
+    def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:
+        """Tiles of the shown map that changed since the last call; at most so many."""
+        return self._components.free_space.changed_tiles(most)
 
     def tiles(self) -> list[TileUpdate]:
         """All tiles of the shown map as they are now, for who only looks on."""

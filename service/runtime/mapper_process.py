@@ -126,7 +126,7 @@ class MapperProcess:
             if not self._copy():
                 self._send(Ready(self._can_copy))
             while self._items or not self._is_finishing:
-                self._hear(0.0 if self._items else IDLE_S)
+                self._hear(0.0 if self._items or self._loop.has_tiles else IDLE_S)
                 self._take_up_to_scan()
                 if self._can_copy != self._told_can_copy:
                     self._told_can_copy = self._can_copy

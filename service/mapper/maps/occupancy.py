@@ -267,11 +267,13 @@ class OccupancyTiles:
         self._canvas.replace_by(rendered_map)
         self._to_draw = deque(since)
 
-    def changed_tiles(self) -> list[TileUpdate]:
+    def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:
         self._canvas.stand_walls()
         evidence, _touched, changed = self._canvas.pool.arrays
-        updates = []
+        updates: list[TileUpdate] = []
         for row, column, slot in self._canvas.tiles.tiles():
+            if len(updates) == most:
+                break
             if not changed[slot]:
                 continue
             changed[slot] = 0

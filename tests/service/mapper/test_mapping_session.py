@@ -64,7 +64,7 @@ class FakeMapper:
     def skip(self, scan: LaserScan) -> None:
         self.skipped.append(scan)
 
-    def changed_tiles(self) -> list[TileUpdate]:
+    def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:
         return []
 
 

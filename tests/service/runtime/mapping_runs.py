@@ -80,7 +80,7 @@ class FakeMapper:
     pose_refused: tuple[float, float, float] | None = None
     changes_told: MapChanges | None = None
 
-    def changed_tiles(self) -> list[TileUpdate]:
+    def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:
         version, self._changed = self._changed, 0
         return [TileUpdate(0, 0, 0, version, 0.05, np.zeros((4, 4), np.int8))] if version else []
 

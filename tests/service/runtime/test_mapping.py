@@ -19,11 +19,9 @@ from service.encoding import (
 )
 from service.mapper.map_changes import MapChanges
 from service.mapper.mapping_session import ApplyResult, LeftOut, MappingSession
-from service.outputs import UNKNOWN, GraphPicture, Grid
-from service.runtime.mapper_messages import (
-    Status,
-)
-from service.runtime.mapping import MOST_AGE_NS, MapperError, MappingLoop
+from service.outputs import UNKNOWN, GraphPicture, Grid, TileUpdate
+from service.runtime.mapper_messages import Status, Tiles
+from service.runtime.mapping import MOST_AGE_NS, MOST_TILES, TILE_INTERVAL_NS, MapperError, MappingLoop
 from tests.service.runtime.mapping_runs import (
     FRAMES,
     MS,
@@ -105,6 +103,40 @@ def test_the_last_tiles_are_there_at_the_end():
     run.link.finish()
     assert run.tiles.version == 2
     assert run.handed_over[-1] == (2, 40)
+
+
+class Redrawn(FakeMapper):
+    """A loop has closed: many tiles change at once."""
+
+    left = 3 * MOST_TILES + 1
+
+    def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:
+        count = self.left if most is None else min(most, self.left)
+        self.left -= count
+        return [TileUpdate(0, k, 0, 1, 0.05, np.zeros((4, 4), np.int8)) for k in range(count)]
+
+
+def test_a_map_drawn_anew_is_handed_over_in_parts_between_items():
+    said, now_ns = [], [0]
+    mapper = Redrawn()
+    loop = MappingLoop(MappingSession(lambda: mapper, ["front"], None), said.append, (), lambda: now_ns[0])
+
+    def handed_over(later_ns: int) -> int:
+        now_ns[0] += later_ns
+        said.clear()
+        loop.keep_up(is_idle=True)
+        return sum(len(message.tiles) for message in said if isinstance(message, Tiles))
+
+    assert handed_over(10**9) == MOST_TILES
+    assert loop.has_tiles
+    assert [handed_over(1), handed_over(1)] == [MOST_TILES, MOST_TILES]
+    assert handed_over(1) == 1
+    assert not loop.has_tiles
+    mapper.left = 2
+    assert handed_over(1) == 0  # now and then is enough
+    assert handed_over(TILE_INTERVAL_NS) == 2
+    mapper.left = 5 * MOST_TILES
+    assert loop.hand_over_tiles() == 5 * MOST_TILES  # before another map begins, and at the end
 
 
 def test_the_graph_is_shown_when_it_was_drawn_anew_and_taken_away_by_a_reset():

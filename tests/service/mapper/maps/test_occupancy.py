@@ -55,6 +55,20 @@ def test_only_what_changed_is_handed_out_with_rising_versions() -> None:
     assert not second.cells.flags.writeable
 
 
+def test_the_rest_is_handed_out_with_the_next_call() -> None:
+    sliced, whole = new_map(), new_map()
+    for shown in (sliced, whole):
+        shown.insert(square(8.01), SE2())
+    slices = [sliced.changed_tiles(7)]
+    while slices[-1]:
+        slices.append(sliced.changed_tiles(7))
+    handed_out = [tile for tiles in slices for tile in tiles]
+    assert {len(tiles) for tiles in slices[:-2]} == {7}
+    assert [(t.ix, t.iy, t.version, t.cells.tolist()) for t in handed_out] == [
+        (t.ix, t.iy, t.version, t.cells.tolist()) for t in whole.changed_tiles()
+    ]
+
+
 def test_who_only_looks_on_changes_nothing_of_what_is_handed_out() -> None:
     watched, alone = new_map(), new_map()
     for k in range(6):
