@@ -21,6 +21,7 @@ from service.kernels.pose_information import (
 from service.kernels.scan_information import scan_information
 from service.kernels.surfels import find_surfels_again, nothing_around
 
+COARSE_RAD = 0.05  # headings that the coarse map tells apart: a cell of 0.1 m at 2 m
 STUDENT = 5.0  # degrees of freedom of the prediction's error: now and then it is far larger than usual
 
 
@@ -340,7 +341,16 @@ def match_scan(returns, normals, prior, start, grid, settings, doubt_inlier_rati
     if invert_3x3(prior.covariance, rotated):
         rotate_information(rotated, prior.pose[2], prior_information)
     # The prediction may lie outside the catchment of the surfels: then let the coarse map lead there, from
-    # the predicted heading and from two beside it. What costs least is kept.
+    # the predicted heading and from two beside it. What costs least is kept. The coarse map is held to the
+    # prediction no better than it tells places apart: odometry that errs and is sure of it would else hold
+    # each start where it is, and its own cost, which grows slowly, would never be asked.
+    loose = prior.covariance.copy()
+    loose[0, 0] += grid.cell_m * grid.cell_m
+    loose[1, 1] += grid.cell_m * grid.cell_m
+    loose[2, 2] += COARSE_RAD * COARSE_RAD
+    coarse_information = np.zeros((3, 3))
+    if invert_3x3(loose, rotated):
+        rotate_information(rotated, prior.pose[2], coarse_information)
     field = LikelihoodField(grid.tiles, grid.field, grid.cell_m)
     coarse = LmSettings(settings.coarse_iterations, 1e-3, 1e-4, 1e-3, 1e3, 0.0)
     around = nothing_around(xy_base.shape[0])
@@ -364,7 +374,7 @@ def match_scan(returns, normals, prior, start, grid, settings, doubt_inlier_rati
                 thin,
                 weights,
                 prior.pose,
-                prior_information,
+                coarse_information,
                 field,
                 coarse,
                 coarse.trials,

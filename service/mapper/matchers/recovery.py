@@ -1,6 +1,7 @@
 """Where a scan lies on a map when the prediction was far off: a whole window, by branch and bound."""
 
 import math
+from collections import deque
 
 import numpy as np
 
@@ -18,6 +19,34 @@ LEAST = (0.3, 0.2)  # m, rad: windows of a search, half their width
 MOST = (8.0, math.pi)
 FIRST = (2.0, 1.6)  # of a scan that is lost though the prediction is good
 SAME_FIND_M, SAME_FIND_RAD = 0.3, 0.06  # two finds of a lost vehicle agree
+LEAST_STEP_NS, LONGEST_STEP_NS = 20_000_000, 1_000_000_000  # between poses that say how the vehicle moves
+
+
+class SteadyMotion:
+    """Where the vehicle would be had it gone on as between the last matches, whatever odometry says."""
+
+    def __init__(self) -> None:
+        self._matched: deque[tuple[int, SE2]] = (
+            deque()
+        )  # stamp and pose; the first LEAST_STEP_NS before the last
+
+    def matched(self, stamp_ns: int, pose: SE2) -> None:
+        """The scan of that stamp was matched there."""
+        self._matched.append((stamp_ns, pose))
+        while len(self._matched) > 2 and stamp_ns - self._matched[1][0] >= LEAST_STEP_NS:
+            self._matched.popleft()
+
+    def pose_at(self, stamp_ns: int) -> SE2 | None:
+        """None where that is not known, or for a moment too far ahead."""
+        if len(self._matched) < 2:
+            return None
+        (before_ns, before), (last_ns, last) = self._matched[0], self._matched[-1]
+        step_ns, ahead_ns = last_ns - before_ns, stamp_ns - last_ns
+        if not (LEAST_STEP_NS <= step_ns <= LONGEST_STEP_NS and 0 < ahead_ns <= LONGEST_STEP_NS):
+            return None
+        steps = ahead_ns / step_ns
+        forward_m, left_m, turn_rad = (before.inverse() @ last).log()
+        return last @ SE2.exp(steps * forward_m, steps * left_m, steps * turn_rad)
 
 
 def search_around(

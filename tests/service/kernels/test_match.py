@@ -243,6 +243,15 @@ def test_the_coarse_map_leads_where_the_surfels_are_out_of_reach() -> None:
     np.testing.assert_allclose(led.pose, truth, atol=2e-3)
 
 
+@pytest.mark.parametrize("turn_rad", [-0.15, -0.05, 0.05, 0.15])
+def test_a_prediction_that_is_wrong_and_sure_of_it_holds_no_scan(turn_rad: float) -> None:
+    """As by odometry that stands still while the vehicle begins to turn; sigma 0.2 mm and 0.01 deg."""
+    truth = (0.0, 0.0, turn_rad)
+    result = match(room_scan(truth), prior_at((0.0, 0.0, 0.0), sigma=2e-4), room_grid())
+    np.testing.assert_allclose(result.pose, truth, atol=2e-3)
+    assert result.prior_weight < 0.01
+
+
 def test_the_coarse_step_alone_comes_within_centimetres() -> None:
     truth = np.array([0.3, -0.2, 0.1])
     grid = room_grid()

@@ -28,7 +28,15 @@ from service.mapper.judgement import (
     sigmas_of,
     too_few,
 )
-from service.mapper.matchers.recovery import FIRST, GAIN, REST_S, agree, reach_of, search_around
+from service.mapper.matchers.recovery import (
+    FIRST,
+    GAIN,
+    REST_S,
+    SteadyMotion,
+    agree,
+    reach_of,
+    search_around,
+)
 from service.mapper.matchers.window_search import layer_of
 from service.mapper.methods.corridor.posts import Posts, posts_of
 from service.mapper.methods.corridor.range_bias import RangeBias
@@ -113,6 +121,7 @@ class SurfelGaussNewton:
         )
         self._bias = RangeBias()
         self._usual_ratios: dict[str, float] = {}  # by laser: each sees other things
+        self._steady = SteadyMotion()
         self._rest_until_ns = 0  # no wide search before
         self._gap: _Gap | None = None
         self._began: _Gap | None = None  # the gap of a piece that would begin with this scan
@@ -142,7 +151,8 @@ class SurfelGaussNewton:
         attempt = _Attempt(points, normals, posts_of(points), predicted, prior, usual)
         if local_map.pause_s:
             return self._on_piece(attempt, local_map, _unmeasured(local_map.pause_s), 0.0)
-        aligned = self._searched(self._align(attempt, attempt.prior.pose, submap), attempt)
+        aligned = self._gone_on(self._align(attempt, attempt.prior.pose, submap), attempt)
+        aligned = self._searched(aligned, attempt)
         if aligned.state != "lost" and self._is_found(aligned, attempt):
             self._usual_ratios[points.scan.sensor] = usual + (aligned.result.share - usual) / USUAL_SCANS
             self._learn_bias(aligned, attempt)
@@ -186,6 +196,7 @@ class SurfelGaussNewton:
         x_m, y_m, theta_rad = result.pose.tolist()
         forward, left, turn = result.twist.tolist()
         pose = SE2(x_m, y_m, theta_rad)
+        self._steady.matched(attempt.points.scan.stamp_ns, pose)
         gap = None
         if state != "lost" and self._gap is not None:
             gap = attempt.prior.covariance - attempt.predicted.local_covariance
@@ -256,6 +267,22 @@ class SurfelGaussNewton:
             weakest=(result.weakest_sigma_m, result.weakest_direction_rad),
         )
         return judge(evidence, self._config)
+
+    def _gone_on(self, aligned: _Aligned, attempt: _Attempt) -> _Aligned:
+        """Where little of the scan lies on the map: the match begun where the vehicle would be had it gone on
+        as before, if clearly more lies on the map there. Odometry may have died.
+        """
+        share = aligned.result.share
+        if share >= DOUBT_RATIO * attempt.usual_ratio:
+            return aligned
+        start = self._steady.pose_at(attempt.points.scan.stamp_ns)
+        if start is None:
+            return aligned
+        begun = np.array([start.x_m, start.y_m, start.theta_rad])
+        if _chi2(begun, attempt.prior) < JUMP_CHI2:
+            return aligned  # that is where the match began
+        found = self._align(attempt, begun, aligned.submap)
+        return found if found.state != "lost" and found.result.share >= share + GAIN else aligned
 
     def _searched(self, aligned: _Aligned, attempt: _Attempt) -> _Aligned:
         """The best pose of a window around the prediction, if clearly more of the scan lies on the map there.
