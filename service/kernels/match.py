@@ -21,7 +21,6 @@ from service.kernels.pose_information import (
 from service.kernels.scan_information import scan_information
 from service.kernels.surfels import find_surfels_again, nothing_around
 
-COARSE_RAD = 0.05  # headings that the coarse map tells apart: a cell of 0.1 m at 2 m
 STUDENT = 5.0  # degrees of freedom of the prediction's error: now and then it is far larger than usual
 
 
@@ -48,6 +47,8 @@ class MatchSettings(NamedTuple):
     deskew_rounds: int
     inlier_m: float
     coarse_sigma: float
+    coarse_m: float
+    coarse_rad: float
     coarse_beams: int
     coarse_iterations: int
     settled_m: float
@@ -345,9 +346,9 @@ def match_scan(returns, normals, prior, start, grid, settings, doubt_inlier_rati
     # prediction no better than it tells places apart: odometry that errs and is sure of it would else hold
     # each start where it is, and its own cost, which grows slowly, would never be asked.
     loose = prior.covariance.copy()
-    loose[0, 0] += grid.cell_m * grid.cell_m
-    loose[1, 1] += grid.cell_m * grid.cell_m
-    loose[2, 2] += COARSE_RAD * COARSE_RAD
+    loose[0, 0] += settings.coarse_m * settings.coarse_m
+    loose[1, 1] += settings.coarse_m * settings.coarse_m
+    loose[2, 2] += settings.coarse_rad * settings.coarse_rad
     coarse_information = np.zeros((3, 3))
     if invert_3x3(loose, rotated):
         rotate_information(rotated, prior.pose[2], coarse_information)

@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
+from unittest.mock import Mock, patch
 
 from service.offline.replay import ReplayOptions, replay, write_replay
 from service.offline.score import RelationsScore, score
@@ -19,6 +19,7 @@ from tests.papers.report import Section
 from tests.simulated import LMS100_50HZ
 
 METHOD = "service.mapper.methods.corridor"
+NEVER_KNOWN = Mock(pose_at=lambda stamp_ns: None)  # in place of a SteadyMotion
 # what is switched off, where, and the value that does it
 RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("nothing", METHOD, {}),
@@ -43,6 +44,16 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         {"FAULT_NOISE": math.inf},
     ),
     (
+        "coarse start held to the prediction by no more than it tells apart",
+        f"{METHOD}.surfel_gauss_newton",
+        {"COARSE_M": 0.0, "COARSE_RAD": 0.0},
+    ),
+    (
+        "match tried where the vehicle would be had it gone on",
+        f"{METHOD}.surfel_gauss_newton",
+        {"SteadyMotion": lambda: NEVER_KNOWN},
+    ),
+    (
         "returns missing by chance are no gaps beside posts",
         f"{METHOD}.posts",
         {"look_for_posts": lambda *_: (True, 0)},
@@ -57,7 +68,10 @@ TRIPS = {
         WORLDS["office"], replace(LMS100_50HZ, model=replace(LMS100_50HZ.model, dropout_share=0.3))
     ),
     "office, mirror of 5 Hz": Trip(WORLDS["office"], MIRRORS["5 Hz"]),
-    "library, 10 Hz, odometry dead": Trip(WORLDS["library"], LMS100_10HZ, change=WRONG["dead"]),
+    "office, 10 Hz, odometry dead": Trip(WORLDS["office"], LMS100_10HZ, change=WRONG["dead"]),
+    "library, 10 Hz, odometry dead after 20 s": Trip(
+        WORLDS["library"], LMS100_10HZ, change=WRONG["dead after 20 s"]
+    ),
 }
 SYNTHETIC = ("corridor100d_s1", "fgi_s1", "ring_s3")
 REAL = ("fr079", "intel", "csail", "aces")

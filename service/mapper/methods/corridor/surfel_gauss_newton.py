@@ -50,6 +50,7 @@ LEAST_NORMAL_COSINE = 0.6  # between a point and a surfel of the same wall
 ITERATIONS, DESKEW_ROUNDS = 15, 8
 SETTLED_M, SETTLED_RAD = 5e-4, 1e-4
 COARSE_SIGMA, COARSE_BEAMS, COARSE_ITERATIONS = 0.3, 180, 15  # sigma of 1 - likelihood
+COARSE_M, COARSE_RAD = 0.1, 0.05  # what it tells apart: a cell, and that at 2 m
 SAME_WALL_M = 0.05  # scans within one key frame's distance are matched to the same noise of the map
 CHANCE_M = 1.0  # of travel: what its scans say by chance along an open direction adds up
 MOST_CHANCES = 50.0  # scans that count in it
@@ -114,6 +115,8 @@ class SurfelGaussNewton:
             deskew_rounds=DESKEW_ROUNDS,
             inlier_m=INLIER_M,
             coarse_sigma=COARSE_SIGMA,
+            coarse_m=COARSE_M,
+            coarse_rad=COARSE_RAD,
             coarse_beams=COARSE_BEAMS,
             coarse_iterations=COARSE_ITERATIONS,
             settled_m=SETTLED_M,
