@@ -41,9 +41,8 @@ from service.runtime.mapper_messages import (
 
 TILE_INTERVAL_NS = 200_000_000
 TILES_OVERDUE_NS = 1_000_000_000  # then they are handed over though items wait
-MOST_TILES = (
-    64  # handed over between two items, which takes 1 to 2 ms: a loop that closes may change them all
-)
+# Handed over between two items, which takes 1 to 2 ms. A loop that closes may change all tiles of a map.
+MOST_TILES = 64
 STATUS_INTERVAL_NS = 200_000_000
 STANDING_INTERVAL_NS = 2_000_000_000
 STANDING_OVERDUE_NS = 8_000_000_000  # then it is drawn though items wait, which takes 1 to 3 ms
@@ -107,7 +106,7 @@ class MappingLoop:
         self._done_number = 0  # up to here nothing is decided anew, and nothing is told twice
         self._decided = Decisions({}, frozenset(), frozenset())
         self.number = 0  # the last item taken
-        self.has_tiles = False  # that wait to be handed over, with nothing else to do before
+        self.has_tiles = False  # more may wait to be handed over: the next call of keep_up gives some
 
     @property
     def is_up_to_date(self) -> bool:
@@ -146,7 +145,7 @@ class MappingLoop:
         """Hand over tiles and tell the status where they are due; between two items."""
         now_ns = self._monotonic_ns()
         if self.is_up_to_date and now_ns >= self._tiles_due_ns + (0 if is_idle else TILES_OVERDUE_NS):
-            self.has_tiles = self.hand_over_tiles(MOST_TILES) == MOST_TILES
+            self.hand_over_tiles(MOST_TILES)
             self._tiles_due_ns = now_ns + (0 if self.has_tiles else TILE_INTERVAL_NS)
         if now_ns >= self._standing_due_ns + (0 if is_idle else STANDING_OVERDUE_NS):
             self._standing_due_ns = now_ns + STANDING_INTERVAL_NS
@@ -157,15 +156,16 @@ class MappingLoop:
             self._show_changes()
             self.tell_status()
 
-    def hand_over_tiles(self, most: int | None = None) -> int:
-        """Those that changed since the last call, at most so many; how many they were. While items come again
-        they wait: they would be old.
+    def hand_over_tiles(self, most: int | None = None) -> None:
+        """Those that changed since the last call, at most so many. While items come again they wait: they
+        would be old.
         """
+        self.has_tiles = False
         if not self.is_up_to_date:
-            return 0
+            return
         if changed := self.mapper.changed_tiles(most):
             self._send(Tiles(changed, self._map_stamp_ns))
-        return len(changed)
+            self.has_tiles = len(changed) == most
 
     def _tell_graph(self) -> None:
         kept = self.mapper.saved

@@ -82,6 +82,13 @@ def ok_and_wrong(done: Run) -> float:
     return float(np.sum(is_ok & (off_m > 0.3) & (off_m > 3.0 * sigma_m)))
 
 
+def ok_and_wrong_row(what: str, scans: list[float]) -> Row:
+    """Of what ok_and_wrong gives for each seed: none may be."""
+    return Row(
+        "", f"{what}: scans `ok`, 0.3 m and 3 sigma off", scans, "scans", at_most=0.0, by_worst=True, digits=0
+    )
+
+
 @dataclass
 class Errors:
     """Of the runs of one trip, a value a seed."""

@@ -15,7 +15,7 @@ from service.mapper.profiles import mapping_config
 from simulators.trajectory import Follow, Limits, Pause, plan_drive
 from simulators.truth import LMS100
 from simulators.world import Plan, Point, World, make_world
-from tests.accuracy.driving import Errors, ok_and_wrong
+from tests.accuracy.driving import Errors, ok_and_wrong, ok_and_wrong_row
 from tests.papers.report import Row, Section
 from tests.simulated import LMS100_50HZ, Drive, Laser, Run, Wheels, begun_at, drive, heading_rad, run
 
@@ -90,15 +90,7 @@ def _rows(places: Sequence[Place], seeds: Sequence[int]) -> list[Row]:
             Row("", f"{place.name}: ATE after the finish", errors.finished_mm, "mm", digits=1),
             Row("", f"{place.name}: ATE live", errors.ate_mm, "mm", digits=1),
             Row("", f"{place.name}: scans lost", errors.lost_percent, "%", digits=1),
-            Row(
-                "",
-                f"{place.name}: scans `ok`, 0.3 m and 3 sigma off",
-                wrong,
-                "scans",
-                at_most=0.0,
-                by_worst=True,
-                digits=0,
-            ),
+            ok_and_wrong_row(place.name, wrong),
         ]
     return rows
 

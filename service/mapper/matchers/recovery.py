@@ -19,16 +19,15 @@ LEAST = (0.3, 0.2)  # m, rad: windows of a search, half their width
 MOST = (8.0, math.pi)
 FIRST = (2.0, 1.6)  # of a scan that is lost though the prediction is good
 SAME_FIND_M, SAME_FIND_RAD = 0.3, 0.06  # two finds of a lost vehicle agree
-LEAST_STEP_NS, LONGEST_STEP_NS = 20_000_000, 1_000_000_000  # between poses that say how the vehicle moves
+LEAST_STEP_NS, LONGEST_STEP_NS = 20_000_000, 1_000_000_000  # between poses that tell the motion
 
 
 class SteadyMotion:
     """Where the vehicle would be had it gone on as between the last matches, whatever odometry says."""
 
     def __init__(self) -> None:
-        self._matched: deque[tuple[int, SE2]] = (
-            deque()
-        )  # stamp and pose; the first LEAST_STEP_NS before the last
+        # Stamps and poses; first and last are LEAST_STEP_NS apart, for lasers follow one another closely.
+        self._matched: deque[tuple[int, SE2]] = deque()
 
     def matched(self, stamp_ns: int, pose: SE2) -> None:
         """The scan of that stamp was matched there."""

@@ -136,7 +136,11 @@ def test_a_map_drawn_anew_is_handed_over_in_parts_between_items():
     assert handed_over(1) == 0  # now and then is enough
     assert handed_over(TILE_INTERVAL_NS) == 2
     mapper.left = 5 * MOST_TILES
-    assert loop.hand_over_tiles() == 5 * MOST_TILES  # before another map begins, and at the end
+    assert handed_over(TILE_INTERVAL_NS) == MOST_TILES
+    said.clear()
+    loop.hand_over_tiles()  # before another map begins, and at the end
+    assert sum(len(message.tiles) for message in said) == 4 * MOST_TILES
+    assert not loop.has_tiles
 
 
 def test_the_graph_is_shown_when_it_was_drawn_anew_and_taken_away_by_a_reset():
