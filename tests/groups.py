@@ -26,8 +26,10 @@ LOOK_S = 0.5
 WITHOUT_BYTECODE = "PYTHONDONTWRITEBYTECODE"
 EXPECTED = "some five minutes on two cores, ten on slow ones"
 MACHINES = ("tests/docs", "tests/system")  # services with all their devices, in real time
+DOCTOR = "tests/service/offline/doctor"
+REMAP = "tests/service/offline/test_map_remap.py"
 PAGES = (  # against clocks and browsers, and mostly waiting
-    *("tests/browser", "tests/service/offline/doctor"),
+    *("tests/browser", DOCTOR),
     *(f"tests/service/{folder}" for folder in ("publishing", "sinks", "web")),
 )
 PARTS = (  # each on its own: drivers, fake devices, kernels
@@ -36,8 +38,9 @@ PARTS = (  # each on its own: drivers, fake devices, kernels
 )
 MAPPING = (
     *("tests/accuracy", "tests/service/mapper"),
-    "tests/service/offline/test_map_remap.py",  # which begins with a map of the others'
+    REMAP,  # which begins with a map of the others'
 )
+OFFLINE = ("tests/service/offline", *(f"--ignore={path}" for path in (DOCTOR, REMAP)))  # of other groups
 _SHARE = re.compile(r"\[ *(\d+)%\]")
 _SKIP = re.compile(r"^SKIPPED \[(\d+)\] (.*)$", re.MULTILINE)
 
@@ -48,14 +51,20 @@ class Group:
     arguments: tuple[str, ...]
     niceness: int
 
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """Those of the arguments that are not options."""
+        return tuple(one for one in self.arguments if not one.startswith("-"))
+
 
 NAMED = (
     Group("machines", MACHINES, niceness=0),
     Group("pages", PAGES, niceness=5),
     Group("parts", PARTS, niceness=10),
     Group("mapping", MAPPING, niceness=10),
+    Group("offline", OFFLINE, niceness=10),
 )
-REST = tuple(f"--ignore={path}" for group in NAMED for path in group.arguments)
+REST = tuple(f"--ignore={path}" for group in NAMED for path in group.paths)
 GROUPS = (*NAMED, Group("service", REST, niceness=10))
 
 
