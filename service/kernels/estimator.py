@@ -279,47 +279,39 @@ def add_to_state(state, step, correction):
     for i in range(4):
         state.learnt[i] += correction[SCALE + i]
     exponential(correction[LOCAL], correction[LOCAL + 1], correction[LOCAL + 2], moved)
+    move_axes(state.covariance, MAP, moved)
     compose(state.pose, moved, state.pose)
     compose(state.pose, step, state.pose)
 
 
 @inner_kernel
-def carry(P, step):
-    """Errors of the pose in axes of the new base, with that of the step; [4]. The step's rows are cleared."""
+def move_axes(P, k, step):
+    """Errors k to k + 2, of a pose, in axes of a base that lies a step from it: P <- F P F'; [4]."""
     c = math.cos(step[2])
     s = math.sin(step[2])
-    F = np.zeros((6, STATES))
-    for block in range(2):
-        k = 3 * block
-        F[k, k] = c
-        F[k, k + 1] = s
-        F[k, k + 2] = s * step[0] - c * step[1]
-        F[k + 1, k] = -s
-        F[k + 1, k + 1] = c
-        F[k + 1, k + 2] = c * step[0] + s * step[1]
-        F[k + 2, k + 2] = 1.0
+    x_turn = s * step[0] - c * step[1]
+    y_turn = c * step[0] + s * step[1]
+    for j in range(STATES):
+        x = c * P[k, j] + s * P[k + 1, j] + x_turn * P[k + 2, j]
+        P[k + 1, j] = c * P[k + 1, j] - s * P[k, j] + y_turn * P[k + 2, j]
+        P[k, j] = x
+    for j in range(STATES):
+        x = c * P[j, k] + s * P[j, k + 1] + x_turn * P[j, k + 2]
+        P[j, k + 1] = c * P[j, k + 1] - s * P[j, k] + y_turn * P[j, k + 2]
+        P[j, k] = x
+
+
+@inner_kernel
+def carry(P, step):
+    """Errors of the pose in axes of the new base, with that of the step; [4]. The step's rows are cleared."""
+    for k in (MAP, LOCAL):
+        move_axes(P, k, step)
         for i in range(3):
-            F[k + i, STEP + i] = 1.0
-    carried = np.zeros((6, STATES))
-    for i in range(6):
-        for m in range(9):
-            f = F[i, m]
-            if f != 0.0:
-                for j in range(STATES):
-                    carried[i, j] += f * P[m, j]
-    square = np.zeros((6, 6))
-    for i in range(6):
-        for j in range(6):
-            total = 0.0
-            for m in range(9):
-                total += carried[i, m] * F[j, m]
-            square[i, j] = total
-    for i in range(6):
-        for j in range(TWIST, STATES):
-            P[i, j] = carried[i, j]
-            P[j, i] = carried[i, j]
-        for j in range(6):
-            P[i, j] = square[i, j]
+            for j in range(STATES):
+                P[k + i, j] += P[STEP + i, j]
+        for i in range(3):
+            for j in range(STATES):
+                P[j, k + i] += P[j, STEP + i]
     for i in range(3):
         for j in range(STATES):
             P[STEP + i, j] = 0.0
@@ -351,9 +343,10 @@ def correct_motion(state, pose, local_covariance, prior_weight):
     inverse = np.zeros((3, 3))
     if not invert_3x3(prior, inverse):
         return False
+    step = np.empty(3)
     moved = np.empty(3)
-    between(state.pose, pose, moved)
-    logarithm(moved, moved)
+    between(state.pose, pose, step)
+    logarithm(step, moved)
     gain = np.zeros((STATES, 3))
     for i in range(STATES):
         for j in range(3):
@@ -382,6 +375,7 @@ def correct_motion(state, pose, local_covariance, prior_weight):
                 total += taken[i, k] * (gain[j, k] - used[j, k]) + spent[i, k] * used[j, k]
             P[i, j] -= total
             P[j, i] = P[i, j]
+    move_axes(P, MAP, step)
     for i in range(3):
         state.twist[i] += correction[TWIST + i]
         state.pose[i] = pose[i]

@@ -10,6 +10,7 @@ from service.fusion.estimator import (
     FAULT_NOISE,
     FIRST_TWIST_SIGMA,
     LEAST_SIGMA,
+    MAP_BLOCK,
     MOST_SAMPLES,
     Estimator,
     EstimatorConfig,
@@ -18,6 +19,7 @@ from service.fusion.estimator import (
 from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.estimator import LOCAL, TWIST
+from service.mapper.known_pose import carried
 from tests.service.fusion.samples import MS, gyro, matched, odometry
 
 TIGHT = np.diag([1e-6, 1e-6, 1e-8])  # 1 mm, 0.1 mrad
@@ -156,6 +158,26 @@ def test_the_scale_of_odometry_is_learnt_from_sharp_scans() -> None:
     model = Estimator(EstimatorConfig())
     driven(model, 20_000, wheel_scale=1.05)
     assert 1.05 * (1.0 + model.learnt[0]) == pytest.approx(1.0, abs=0.005)
+
+
+def test_what_a_step_adds_is_the_same_however_far_the_pose_has_drifted() -> None:
+    """Scans correct odometry that turns too much: what was off before is so in axes of the corrected base."""
+    added = []
+    for drift in (np.zeros(3), (2.0, 1.0, 0.2)):
+        model, before, began = Estimator(EstimatorConfig()), np.zeros((3, 3)), SE2()
+        pose, wheels = SE2(), SE2()
+        for k in range(20):
+            model.add(odometry(100 * k, wheels))
+            model.predict(100 * k * MS)
+            motion = model.correct(matched(pose, TIGHT))
+            if k == 10:
+                model._filter.covariance[MAP_BLOCK, MAP_BLOCK] += np.diag(np.square(drift))
+                before, began = model._filter.covariance[MAP_BLOCK, MAP_BLOCK].copy(), motion.pose_odom_base
+            pose, wheels = pose @ SE2.exp(0.1, 0.0, 0.02), wheels @ SE2.exp(0.1, 0.01, 0.05)
+        step = began.inverse() @ motion.pose_odom_base
+        away = np.array([step.x_m, step.y_m, step.theta_rad])
+        added.append(motion.covariance - carried(before, away))
+    np.testing.assert_allclose(added[1], added[0], atol=1e-9)
 
 
 def test_a_way_that_scans_do_not_see_teaches_nothing_of_the_scale() -> None:
