@@ -28,6 +28,7 @@ from service.mapper.known_pose import KnownPose
 from service.mapper.map_changes import ChangeWatch, MapChanges
 from service.mapper.maps.standing import draw_standing
 from service.mapper.mounting_check import MountingCheck
+from service.mapper.odometry_mounting import OdometryMounting
 from service.mapper.saved_graph import KeptGraph, SavedGraph
 from service.mapper.scan_check import OdometryWait, ScanCheck
 from service.outputs import GraphPicture, Grid, MapperOutput, State, TileUpdate
@@ -74,6 +75,7 @@ class Mapper(Generic[ReadableMap]):
         self._newest: MapperOutput | None = None
         self._lasers: dict[str, LaserWatch] = {}
         self._odometry_wait = OdometryWait()
+        self._odometry_mounting = OdometryMounting()
         self._travelled_m = 0.0  # as predicted, from scan to scan
         self._state: tuple[State, str] = ("ok", "")  # and its reason, of the newest scan that was mapped
         self._pose_map_odom = SE2()
@@ -97,6 +99,7 @@ class Mapper(Generic[ReadableMap]):
                 self.counters["samples_dropped_late"] += 1
             elif isinstance(frame, OdometrySample):
                 self._odometry_wait.add(frame.stamp_ns)
+                self._odometry_mounting.add_odometry(frame)
             return None
         laser = self._lasers.get(frame.sensor)
         if laser is None:
@@ -211,10 +214,12 @@ class Mapper(Generic[ReadableMap]):
         match = s.matcher.match(points, predicted, s.local_map)  # where we are
         match = replace(match, motion=s.motion_model.correct(match.measured))
         watch.lap("match")
+        if match.state == "lost":
+            self._odometry_mounting.interrupt()
         if match.state == "lost" and (well := self._well_besides(scan.sensor, at_ns)):
             return self._contradicted(scan, at_ns, match, well)
         laser.well_ns = at_ns if match.state != "lost" else None
-        if match.state == "ok" and (fault := s.motion_model.fault):
+        if match.state == "ok" and (fault := self._motion_fault(match, at_ns)):
             match = replace(match, state="degraded", reason=fault)
         change = s.local_map.insert(match.points, match)
         self.counters["keyframes"] += change.is_keyframe
@@ -240,6 +245,11 @@ class Mapper(Generic[ReadableMap]):
         watch.lap("insert")
         self._state = match.state, match.reason
         return self._output(at_ns, match.motion, match.state, match.reason, match.inlier_ratio)
+
+    def _motion_fault(self, match: Match, at_ns: int) -> str:
+        """What contradicts a scan that lay on the map: by odometry, the mounting; or a source of motion."""
+        self._odometry_mounting.add_pose(at_ns, match.motion.pose_odom_base)
+        return self._odometry_mounting.fault or self._components.motion_model.fault
 
     def _tell_changes(self, changes: ChangeWatch, at_ns: int) -> None:
         if at_ns - self._changes_told_ns < CHANGES_TOLD_NS:

@@ -39,6 +39,7 @@ SCENARIOS: dict[str, Callable[[Sequence[int]], Section]] = {
     "terrain": terrain.terrain,
     "slow_mirrors": sensors.slow_mirrors,
     "wrong_odometry": sensors.wrong_odometry,
+    "wrong_mounting": sensors.wrong_mounting,
     "anchored": anchored.anchored,
     "parked": trials.parked,
     "lasers": lasers.lasers,

@@ -1,0 +1,157 @@
+"""Whether the vehicle drives along its heading, by odometry: else its lasers are mounted otherwise than said.
+
+The map of one laser agrees with itself however that is mounted: a mounting that is wrong shows only where the
+motion that scans measure is held against that of odometry. With E the pose of the base as configured in the
+base of odometry, a step B of scan matching is E^-1 O E for a step O of odometry. With o, b the translations,
+R the rotation of both, t the translation of E and s the scale of odometry, that is linear in what is unknown:
+s o = E b - (R - I) t (Censi, Franchi, Marchionni, Oriolo: Simultaneous calibration of odometry and sensor
+parameters for mobile robots, IEEE Transactions on Robotics 29, 2013). `corridor calibrate` does the same with
+more care, after the drive.
+"""
+
+import math
+from collections import deque
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.frames import OdometrySample
+from service.geometry.se2 import SE2, wrap_angle
+
+Floats = npt.NDArray[np.float64]
+STEP_M, STEP_RAD = 0.4, 0.15  # one of both ends a step
+LEAST_TURN_RAD = 0.1  # of a step that tells where the laser sits: in less, noise of headings looks the same
+LONGEST_STEP_NS = 3_000_000_000
+LONGEST_GAP_NS = 1_000_000_000  # between samples of odometry, within which it counts as known
+SAMPLES = 512  # of odometry that are kept
+STEPS = 200  # the newest count: 80 m and more
+JUDGED_EACH = 25  # steps
+# Of a step: what scan matching errs by, and odometry, per root metre and per radian; more is estimated.
+MATCH_M, WALK_M, TURN_M = 0.01, 0.02, 0.02
+MEDIAN_CHI2 = math.log(4.0)  # of two degrees of freedom
+ROBUST_CHI2 = 9.0  # of a step that counts half
+UNTOLD = 1e-6 * np.eye(4)  # information of what no step tells
+LEAST_SCALE, MOST_SCALE = 0.5, 2.0  # odometry beyond is not what shows a mounting
+TOLERANCE = np.diag([0.05, 0.05, math.radians(0.5)]) ** 2  # m, m, rad: how well people know axle and mounting
+MOST_CHI2 = 16.3  # 99.9 % of three degrees of freedom
+
+
+class OdometryMounting:
+    """Compares steps of scan matching with those of odometry; `fault` is "" while they go together."""
+
+    def __init__(self) -> None:
+        self.fault = ""
+        self._samples: deque[tuple[int, SE2]] = deque(maxlen=SAMPLES)
+        self._waiting: tuple[int, SE2] | None = None  # a pose that is newer than odometry
+        self._last: tuple[int, SE2, SE2] | None = None  # end of the last step: stamp, by scans, by odometry
+        self._steps: deque[tuple[float, ...]] = deque(maxlen=STEPS)  # x, y, theta by scans; x, y by odometry
+        self._new = 0
+
+    def add_odometry(self, sample: OdometrySample) -> None:
+        """The next sample, in the order of stamps."""
+        self._samples.append((sample.stamp_ns, SE2(sample.x_m, sample.y_m, sample.theta_rad)))
+        if self._waiting is not None and sample.stamp_ns >= self._waiting[0]:
+            stamp_ns, pose = self._waiting
+            self._waiting = None
+            self.add_pose(stamp_ns, pose)
+
+    def add_pose(self, stamp_ns: int, pose_odom_base: SE2) -> None:
+        """Where a scan that lay on the map was found; in the order of stamps."""
+        if not self._samples:
+            return
+        if stamp_ns > self._samples[-1][0]:
+            self._waiting = stamp_ns, pose_odom_base
+            return
+        odometry = self._odometry_at(stamp_ns)
+        if odometry is None:
+            self._last = None
+            return
+        last = self._last
+        if last is None or stamp_ns - last[0] > LONGEST_STEP_NS:
+            self._last = stamp_ns, pose_odom_base, odometry
+            return
+        matched, driven = last[1].inverse() @ pose_odom_base, last[2].inverse() @ odometry
+        way_m = max(math.hypot(matched.x_m, matched.y_m), math.hypot(driven.x_m, driven.y_m))
+        if way_m < STEP_M and abs(matched.theta_rad) < STEP_RAD:
+            return
+        self._last = stamp_ns, pose_odom_base, odometry
+        self._steps.append((matched.x_m, matched.y_m, matched.theta_rad, driven.x_m, driven.y_m))
+        self._new += 1
+        if self._new == JUDGED_EACH:
+            self._new = 0
+            self.fault = fault_of(np.array(self._steps))
+
+    def interrupt(self) -> None:
+        """The place was lost: what comes next is no step from what was before."""
+        self._last = self._waiting = None
+
+    def _odometry_at(self, stamp_ns: int) -> SE2 | None:
+        """Interpolated; None where it was silent."""
+        newest_first = reversed(self._samples)
+        for (after_ns, after), (before_ns, before) in pairwise(newest_first):
+            if before_ns <= stamp_ns <= after_ns:
+                if after_ns - before_ns > LONGEST_GAP_NS:
+                    return None
+                share = (stamp_ns - before_ns) / (after_ns - before_ns)
+                turn_rad = wrap_angle(after.theta_rad - before.theta_rad)
+                return SE2(
+                    before.x_m + share * (after.x_m - before.x_m),
+                    before.y_m + share * (after.y_m - before.y_m),
+                    before.theta_rad + share * turn_rad,
+                )
+        return None
+
+
+def fault_of(steps: Floats) -> str:
+    """steps   (K, 5) x, y m and theta rad by scan matching, x, y m by odometry, in the base at their begin"""
+    found = offset_of(steps)
+    if found is None:
+        return ""
+    offset, covariance = found
+    if float(offset @ np.linalg.solve(covariance + TOLERANCE, offset)) <= MOST_CHI2:
+        return ""
+    axle = SE2(*offset.tolist()).inverse()
+    yaw_deg = math.degrees(axle.theta_rad)
+    side = "left" if yaw_deg > 0 else "right"
+    sigma_m, sigma_deg = math.sqrt(covariance[:2, :2].trace() / 2), math.degrees(math.sqrt(covariance[2, 2]))
+    return (
+        f"by odometry the vehicle drives {abs(yaw_deg):.1f} deg to the {side} of "
+        f"its heading (sigma {sigma_deg:.1f}) and turns around a point {axle.x_m:+.2f} m ahead and "
+        f"{axle.y_m:+.2f} m left of its base (sigma {sigma_m:.2f}); are the lasers mounted as configured, "
+        "are the signs of odometry right? corridor calibrate measures mountings"
+    )
+
+
+def offset_of(steps: Floats) -> tuple[Floats, Floats] | None:
+    """(3,) the base as configured in the base of odometry, x, y m and yaw rad; and its covariance (3, 3).
+
+    None where odometry does not show it: it is dead, or its scale is nowhere near 1.
+    """
+    x, y, turn, driven = steps[:, 0], steps[:, 1], steps[:, 2], steps[:, 3:]
+    turned = np.where(np.abs(turn) < LEAST_TURN_RAD, 0.0, turn)
+    c, s = np.cos(turned), np.sin(turned)
+    # (K, 2, 4) of yaw's cosine and sine and the translation, all over the scale
+    jacobian = np.stack([np.stack([x, -y, 1 - c, s], axis=1), np.stack([y, x, -s, 1 - c], axis=1)], axis=1)
+    way_m = np.hypot(driven[:, 0], driven[:, 1])
+    weight = 1.0 / (MATCH_M**2 + WALK_M**2 * way_m + (TURN_M * turn) ** 2)
+    counts, excess = np.ones(len(steps)), 1.0
+    unknown, covariance = np.zeros(4), np.eye(4)
+    for _ in range(4):
+        w = weight * counts / excess
+        covariance = np.linalg.inv(np.einsum("k,kia,kib->ab", w, jacobian, jacobian) + UNTOLD)
+        unknown = covariance @ np.einsum("k,kia,ki->a", w, jacobian, driven)
+        chi2 = weight * ((jacobian @ unknown - driven) ** 2).sum(axis=1)
+        excess = max(
+            float(np.median(chi2)) / math.log(4.0), 1.0
+        )  # log 4: the median of two degrees of freedom
+        counts = 1.0 / (1.0 + chi2 / (ROBUST_CHI2 * excess))
+    inverse_scale = math.hypot(unknown[0], unknown[1])
+    if not LEAST_SCALE <= inverse_scale <= MOST_SCALE:
+        return None
+    yaw_rad = math.atan2(unknown[1], unknown[0])
+    offset = np.array([*(unknown[2:] / inverse_scale), yaw_rad])
+    to_offset = np.zeros((3, 4))
+    to_offset[0, 2] = to_offset[1, 3] = 1.0 / inverse_scale
+    to_offset[2, :2] = -math.sin(yaw_rad) / inverse_scale, math.cos(yaw_rad) / inverse_scale
+    return offset, to_offset @ covariance @ to_offset.T

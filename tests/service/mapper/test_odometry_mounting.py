@@ -1,0 +1,172 @@
+"""What odometry says of the mounting of the lasers."""
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.frames import OdometrySample
+from service.geometry.se2 import SE2
+from service.mapper.odometry_mounting import JUDGED_EACH, STEPS, OdometryMounting, fault_of, offset_of
+from service.mapper.profiles import mapping_config
+from simulators.worlds import WORLDS
+from tests.accuracy.driving import Trip
+from tests.simulated import LMS100_50HZ, Wheels, run
+
+SCAN_NS, LATE_NS = 20_000_000, 7_000_000  # odometry is sampled between scans
+
+
+def way(seconds: float) -> Callable[[float], SE2]:
+    """0.5 m/s, turning to one side and the other."""
+    at_s = np.arange(0.0, seconds + 0.1, 0.001)
+    heading = 1.2 * np.sin(0.4 * at_s)
+    x_m, y_m = 0.0005 * np.cumsum(np.cos(heading)), 0.0005 * np.cumsum(np.sin(heading))
+    return lambda t_s: SE2(*(float(np.interp(t_s, at_s, one)) for one in (x_m, y_m, heading)))
+
+
+def drive(
+    offset: SE2,
+    seconds: float,
+    check: OdometryMounting,
+    first_s: float = 0.0,
+    noise_m: float = 0.0,
+    sample_each: int = 1,
+) -> None:
+    """Scans and odometry of a vehicle whose base as configured sits at the offset in that of odometry."""
+    true, random = way(seconds), np.random.default_rng(1)
+    for k in range(int(seconds * 1e9 / SCAN_NS)):
+        stamp_ns = round(first_s * 1e9) + k * SCAN_NS
+        at = true(k * SCAN_NS * 1e-9)
+        off = SE2(*random.normal(0.0, noise_m, 2).tolist(), 0.0)
+        check.add_pose(stamp_ns, at @ offset @ off)
+        if k % sample_each == 0:
+            check.add_odometry(sample(stamp_ns + LATE_NS, true((k * SCAN_NS + LATE_NS) * 1e-9)))
+
+
+def sample(stamp_ns: int, pose: SE2) -> OdometrySample:
+    twist, covariance = (0.0, 0.0, 0.0), (0.0,) * 9
+    return OdometrySample("base", stamp_ns, stamp_ns, pose.x_m, pose.y_m, pose.theta_rad, twist, covariance)
+
+
+@pytest.mark.parametrize(
+    ("offset", "said"),
+    [
+        (SE2(0.0, 0.0, math.radians(-3.0)), r"drives 3\.0 deg to the left"),
+        (SE2(0.0, 0.0, math.radians(4.0)), r"drives 4\.0 deg to the right"),
+        (SE2(-0.3, 0.0, 0.0), r"around a point \+0\.30 m ahead and [+-]0\.00 m left"),
+        (SE2(0.0, 0.25, 0.0), r"around a point [+-]0\.00 m ahead and -0\.25 m left"),
+    ],
+)
+def test_a_wrong_mounting_is_told_with_its_figures(offset: SE2, said: str):
+    check = OdometryMounting()
+    drive(offset, 60.0, check)
+    assert re.search(said, check.fault), check.fault
+    assert "corridor calibrate" in check.fault
+
+
+@pytest.mark.parametrize("offset", [SE2(), SE2(0.03, -0.03, math.radians(0.5))])
+def test_a_mounting_as_people_measure_it_is_not(offset: SE2):
+    check = OdometryMounting()
+    drive(offset, 90.0, check)
+    assert check.fault == ""
+
+
+def test_between_samples_odometry_goes_on():
+    check = OdometryMounting()
+    drive(SE2(0.0, 0.0, math.radians(3.0)), 60.0, check, sample_each=10)
+    assert "drives 3.0 deg to the right of its heading (sigma 0.3)" in check.fault, check.fault
+
+
+def test_what_scans_err_by_makes_no_fault():
+    check = OdometryMounting()
+    drive(SE2(), 60.0, check, noise_m=0.03)
+    assert check.fault == ""
+
+
+def test_a_mounting_that_is_right_again_is_believed():
+    check = OdometryMounting()
+    drive(SE2(0.0, 0.0, math.radians(10.0)), STEPS * 0.8, check)
+    assert check.fault
+    check.interrupt()
+    drive(SE2(), STEPS * 0.8, check, first_s=1000.0)
+    assert check.fault == ""
+
+
+def test_who_was_carried_makes_no_step():
+    """A metre to the side, again and again, which odometry does not see: the place was lost each time."""
+    check = OdometryMounting()
+    check.add_odometry(sample(-1, SE2()))
+    for k in range(4 * JUDGED_EACH):
+        if k % 2 == 0:
+            check.interrupt()
+        stamp_ns = k * 200_000_000
+        check.add_odometry(sample(stamp_ns, SE2(0.5 * k, 0.0, 0.0)))
+        check.add_pose(stamp_ns, SE2(0.5 * k, float(k // 2), 0.0))
+    assert len(check._steps) == 2 * JUDGED_EACH
+    assert check.fault == ""
+
+
+def test_a_pause_of_odometry_or_scans_makes_no_step():
+    check = OdometryMounting()
+    for k in range(2 * JUDGED_EACH):  # a metre to the side in each pause of odometry
+        stamp_ns = k * 2_000_000_000
+        check.add_odometry(sample(stamp_ns, SE2(float(k), 0.0, 0.0)))
+        check.add_pose(stamp_ns - 1_000_000_000, SE2(float(k), float(k), 0.0))
+    assert check.fault == ""
+    for k in range(16 * JUDGED_EACH):  # and in one of the scans
+        stamp_ns = 1_000_000_000_000 + k * 500_000_000
+        check.add_odometry(sample(stamp_ns, SE2(float(k), 0.0, 0.0)))
+        if k % 8 == 0:
+            check.add_pose(stamp_ns, SE2(float(k), float(k), 0.0))
+    assert check.fault == ""
+
+
+def test_wheels_that_slip_now_and_then_show_no_mounting():
+    random = np.random.default_rng(3)
+    driven = np.column_stack([np.full(200, 0.2), random.normal(0.0, 0.005, 200)])
+    matched = np.column_stack([driven, random.uniform(-0.3, 0.3, 200)])
+    matched[::10, 1] -= 0.2  # each tenth step slides to the right
+    assert fault_of(np.column_stack([matched, driven])) == ""
+
+
+def test_who_drives_straight_finds_no_place_of_the_laser():
+    """Headings of neighbouring steps err with opposite signs, and what lies aside errs with them."""
+    random = np.random.default_rng(4)
+    heading = random.normal(0.0, 0.004, 401)
+    matched = np.column_stack([np.full(400, 3.0), -3.0 * heading[:-1], np.diff(heading)])
+    assert fault_of(np.column_stack([matched, np.full(400, 3.0), np.zeros(400)])) == ""
+
+
+def test_dead_odometry_shows_no_mounting():
+    steps = np.column_stack([np.full(50, 0.2), np.zeros(50), np.full(50, 0.1), np.zeros(50), np.zeros(50)])
+    assert offset_of(steps) is None
+
+
+def test_the_covariance_is_that_of_repeated_drives():
+    random = np.random.default_rng(2)
+    found = []
+    for _ in range(200):
+        turn = random.uniform(-0.3, 0.3, 100)
+        matched = np.column_stack([np.full(100, 0.2), random.normal(0.0, 0.02, 100), turn])
+        noise = random.normal(0.0, 0.02, (100, 2))
+        result = offset_of(np.column_stack([matched, matched[:, :2] + noise]))
+        assert result is not None
+        found.append(result)
+    spread = np.std([offset for offset, _ in found], axis=0)
+    said = np.sqrt(np.mean([np.diag(covariance) for _, covariance in found], axis=0))
+    np.testing.assert_allclose(said, spread, rtol=0.25)
+
+
+def test_a_laser_that_is_turned_by_three_degrees_is_named_within_a_lap():
+    laser = replace(LMS100_50HZ, rate_hz=10.0)
+    (made,) = Trip(WORLDS["office"], laser, 30.0, Wheels()).drives([11])
+    right = run(mapping_config(), made)
+    assert {output.state for output in right.outputs} == {"ok"}
+    turned = replace(laser.mounting, theta_rad=laser.mounting.theta_rad + math.radians(3.0))
+    wrong = run(mapping_config(), made, mountings={laser.name: turned})
+    last = wrong.outputs[-1]
+    assert last.state == "degraded"
+    assert re.search(r"drives (2\.[89]|3\.[012]) deg to the left of its heading", last.reason), last.reason
