@@ -24,12 +24,13 @@ TELL_S = 10.0  # no silence for longer
 LOOK_S = 0.5
 # Set, each of some hundred processes would compile every file anew: a third of their processor time.
 WITHOUT_BYTECODE = "PYTHONDONTWRITEBYTECODE"
-EXPECTED = "some five minutes on two cores, ten on slow ones"
+EXPECTED = "some four minutes on two cores, eight on slow ones"
 MACHINES = ("tests/docs", "tests/system")  # services with all their devices, in real time
 DOCTOR = "tests/service/offline/doctor"
 REMAP = "tests/service/offline/test_map_remap.py"
-PAGES = (  # against clocks and browsers, and mostly waiting
-    *("tests/browser", DOCTOR),
+BROWSER = ("tests/browser",)
+PAGES = (  # against clocks, and mostly waiting, as those of the browser
+    DOCTOR,
     *(f"tests/service/{folder}" for folder in ("publishing", "sinks", "web")),
 )
 PARTS = (  # each on its own: drivers, fake devices, kernels
@@ -59,6 +60,7 @@ class Group:
 
 NAMED = (
     Group("machines", MACHINES, niceness=0),
+    Group("browser", BROWSER, niceness=5),
     Group("pages", PAGES, niceness=5),
     Group("parts", PARTS, niceness=10),
     Group("mapping", MAPPING, niceness=10),
