@@ -61,7 +61,7 @@ def test_a_good_device_is_named_with_rate_identity_and_clock(on_tcp: OnTcp):
     assert "serial 18090362" in finding.measured
     assert finding.values["identity.dialect"] == "CoLa-A"
     assert SLOW < float(finding.values["rate_hz"]) / 49.8 < BURST
-    assert 3.0 < float(finding.values["delay_ms_p50"])
+    assert float(finding.values["delay_ms_p50"]) > 3.0
 
 
 def test_a_good_robot_is_named_with_rate_and_battery():
@@ -128,7 +128,7 @@ def test_a_rate_below_the_configured_one_is_a_fault(on_tcp: OnTcp):
     assert first.severity == "ok"
     assert second.severity == "fault"
     assert second.expected == "50 frames/s as configured"
-    assert float(second.measured.split()[0]) == pytest.approx(40.0, rel=0.1)
+    assert SLOW < float(second.measured.split()[0]) / 40.0 < BURST
 
 
 def test_a_stream_that_dries_up_is_a_fault(serial_line: SerialLine):
