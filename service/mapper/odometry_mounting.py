@@ -117,8 +117,8 @@ def fault_of(steps: Floats) -> str:
     sigma_m, sigma_deg = math.sqrt(covariance[:2, :2].trace() / 2), math.degrees(math.sqrt(covariance[2, 2]))
     return (
         f"by odometry the vehicle drives {abs(yaw_deg):.1f} deg to the {side} of "
-        f"its heading (sigma {sigma_deg:.1f}) and turns around a point {axle.x_m:+.2f} m ahead and "
-        f"{axle.y_m:+.2f} m left of its base (sigma {sigma_m:.2f}); are the lasers mounted as configured, "
+        f"its heading (sigma {sigma_deg:.1f}) and turns around a point {axle.x_m:+z.2f} m ahead and "
+        f"{axle.y_m:+z.2f} m left of its base (sigma {sigma_m:.2f}); are the lasers mounted as configured, "
         "are the signs of odometry right? corridor calibrate measures mountings"
     )
 
@@ -142,9 +142,7 @@ def offset_of(steps: Floats) -> tuple[Floats, Floats] | None:
         covariance = np.linalg.inv(np.einsum("k,kia,kib->ab", w, jacobian, jacobian) + UNTOLD)
         unknown = covariance @ np.einsum("k,kia,ki->a", w, jacobian, driven)
         chi2 = weight * ((jacobian @ unknown - driven) ** 2).sum(axis=1)
-        excess = max(
-            float(np.median(chi2)) / math.log(4.0), 1.0
-        )  # log 4: the median of two degrees of freedom
+        excess = max(float(np.median(chi2)) / MEDIAN_CHI2, 1.0)
         counts = 1.0 / (1.0 + chi2 / (ROBUST_CHI2 * excess))
     inverse_scale = math.hypot(unknown[0], unknown[1])
     if not LEAST_SCALE <= inverse_scale <= MOST_SCALE:

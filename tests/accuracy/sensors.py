@@ -84,19 +84,10 @@ def wrong_mounting(seeds: Sequence[int]) -> Section:
                 first_m.append(float(way_m[is_told.argmax()]) if is_told.any() else math.nan)
             is_wrong = off != SE2()
             bounds = {"at_least": 50.0} if is_wrong else {"at_most": 0.0}
-            rows.append(
-                Row(
-                    "",
-                    f"{place}, {what}: scans with its reason",
-                    told,
-                    "%",
-                    by_worst=True,
-                    digits=0,
-                    **bounds,
-                )
-            )
+            case = f"{place}, {what}"
+            rows.append(Row("", f"{case}: scans that say so", told, "%", by_worst=True, digits=0, **bounds))
             if is_wrong:
-                rows.append(Row("", f"{place}, {what}: first said after", first_m, "m", digits=0))
+                rows.append(Row("", f"{case}: first said after", first_m, "m", digits=0))
     return Section(
         "A mounting that is wrong",
         "One LMS-100 at 50 Hz, a lap, odometry; the mounting that the mapper is given is off the true one. "
