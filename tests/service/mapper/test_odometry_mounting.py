@@ -34,6 +34,7 @@ def drive(
     first_s: float = 0.0,
     noise_m: float = 0.0,
     sample_each: int = 1,
+    late_s: float = 0.0,
 ) -> None:
     """Scans and odometry of a vehicle whose base as configured sits at the offset in that of odometry."""
     true, random = way(seconds), np.random.default_rng(1)
@@ -43,7 +44,7 @@ def drive(
         off = SE2(*random.normal(0.0, noise_m, 2).tolist(), 0.0)
         check.add_pose(stamp_ns, at @ offset @ off)
         if k % sample_each == 0:
-            check.add_odometry(sample(stamp_ns + LATE_NS, true((k * SCAN_NS + LATE_NS) * 1e-9)))
+            check.add_odometry(sample(stamp_ns + LATE_NS, true((k * SCAN_NS + LATE_NS) * 1e-9 - late_s)))
 
 
 def sample(stamp_ns: int, pose: SE2) -> OdometrySample:
@@ -78,6 +79,12 @@ def test_between_samples_odometry_goes_on():
     check = OdometryMounting()
     drive(SE2(0.0, 0.0, math.radians(3.0)), 60.0, check, sample_each=10)
     assert "drives 3.0 deg to the right of its heading (sigma 0.3)" in check.fault, check.fault
+
+
+def test_odometry_whose_stamps_are_late_shows_no_mounting():
+    check = OdometryMounting()
+    drive(SE2(), 90.0, check, late_s=0.3)
+    assert check.fault == ""
 
 
 def test_what_scans_err_by_makes_no_fault():

@@ -83,6 +83,7 @@ def test_nothing_is_rendered_while_lost_and_a_piece_is_mapped_apart():
     for frame in here.frames:
         mapper.process(frame)
     assert mapper.changed_tiles()
+    assert mapper._odometry_mounting._last is not None
     last_ns = max(frame.stamp_ns for frame in here.frames)
     states = []
     for frame in there.frames:
@@ -96,6 +97,7 @@ def test_nothing_is_rendered_while_lost_and_a_piece_is_mapped_apart():
         states.append(output.state)
     assert states.count("lost") == len(states) > 10
     assert mapper.changed_tiles() == []
+    assert mapper._odometry_mounting._last is None  # no step from there to here tells a mounting
     local_map = mapper._components.local_map
     assert local_map.detached is not None
     assert local_map.detached.scan_count > 5
