@@ -10,6 +10,7 @@ import select
 import signal
 import subprocess
 import sys
+import threading
 from contextlib import suppress
 from typing import Any
 
@@ -25,6 +26,7 @@ class Nursery:
     TimeoutExpired = subprocess.TimeoutExpired
 
     def __init__(self) -> None:
+        self._lock = threading.Lock()
         self._process = subprocess.Popen(
             [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
@@ -32,11 +34,18 @@ class Nursery:
     def Popen(self, command: list[str], **_: object) -> "Forked":  # noqa: N802 - in the place of subprocess
         """What `python -m MODULE FOLDER` would do, in a session of its own."""
         _, _, module, folder = command
+        return Forked(self._ask(module=module, folder=folder, how=os.environ.get(HOW, "")), self)
+
+    def bury(self, pid: int) -> None:
+        """Wait until a mapper that has ended is no zombie any more."""
+        self._ask(bury=pid)
+
+    def _ask(self, **what: Any) -> int:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        wanted = {"module": module, "folder": folder, "how": os.environ.get(HOW, "")}
-        print(json.dumps(wanted), file=self._process.stdin, flush=True)
-        return Forked(int(self._process.stdout.readline()))
+        with self._lock:
+            print(json.dumps(what), file=self._process.stdin, flush=True)
+            return int(self._process.stdout.readline())
 
     def close(self) -> None:
         assert self._process.stdin is not None
@@ -49,8 +58,8 @@ class Nursery:
 class Forked:
     """As much of a Popen as the mapper's link uses."""
 
-    def __init__(self, pid: int) -> None:
-        self.pid = pid
+    def __init__(self, pid: int, nursery: Nursery) -> None:
+        self.pid, self._nursery = pid, nursery
         try:
             self._ends: int | None = os.pidfd_open(pid)
         except ProcessLookupError:
@@ -64,6 +73,7 @@ class Forked:
             raise subprocess.TimeoutExpired(str(self.pid), timeout_s)
         os.close(self._ends)
         self._ends = None
+        self._nursery.bury(self.pid)
 
 
 def main() -> None:
@@ -79,8 +89,13 @@ def main() -> None:
     warm_up_encoding()
     signal.signal(signal.SIGCHLD, lambda number, frame: _reap())
     for line in sys.stdin:
-        if (pid := os.fork()) == 0:
-            _be_a_mapper(**json.loads(line))
+        wanted = json.loads(line)
+        pid = wanted.get("bury")
+        if pid:
+            with suppress(ChildProcessError):
+                os.waitpid(pid, 0)
+        elif (pid := os.fork()) == 0:
+            _be_a_mapper(**wanted)
         print(pid, flush=True)
 
 
