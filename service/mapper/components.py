@@ -142,6 +142,20 @@ ToRender = ScanToRender | AreaToErase | WallToRender
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class FoundOnce:
+    """Where a piece of the map lies in the rest by one find, which nothing has confirmed yet.
+
+    piece           its number
+    pose_map_odom   for scans that are matched to it
+    known           how well a key frame of it is known in the map, if the find is right
+    """
+
+    piece: int
+    pose_map_odom: SE2
+    known: KnownPose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class GraphUpdate:
     """What a piece of finished work changed, besides pose_map_odom.
 
@@ -156,6 +170,7 @@ class GraphUpdate:
     geo      where the map lies on the earth; None: that is not known, or not news
     picture  the graph, for people to look at; None: that of before stands
     known    how well a key frame is known in the map; None: the motion model alone says how well
+    found_once   where a piece was found; None: nowhere, or it is joined
     """
 
     counts: Mapping[str, int]
@@ -169,6 +184,7 @@ class GraphUpdate:
     saved: SavedGraph | KeptGraph | None = None
     picture: GraphPicture | None = None
     known: KnownPose | None = None
+    found_once: FoundOnce | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

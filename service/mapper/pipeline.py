@@ -12,6 +12,7 @@ from service.geometry.se2 import SE2
 from service.mapper.components import (
     Components,
     FinishedGraph,
+    FoundOnce,
     Graph,
     GraphUpdate,
     HasPieces,
@@ -34,6 +35,7 @@ from service.mapper.scan_check import OdometryWait, ScanCheck
 from service.outputs import GraphPicture, Grid, MapperOutput, State, TileUpdate
 
 UNPROVEN = "localised in the stored map from one viewpoint; drive on some metres to confirm it"
+FOUND_ONCE = "found again in the map from one viewpoint; drive on some metres to confirm it"
 MOST_BEHIND_NS = 250_000_000  # that a sweep may have begun before the newest pose: a slow laser beside a fast
 CHANGES_TOLD_NS = 5_000_000_000  # between two counts of the cells that have changed
 WELL_NS = 500_000_000  # so long a scan that lay on the map vouches for the place
@@ -80,6 +82,8 @@ class Mapper(Generic[ReadableMap]):
         self._state: tuple[State, str] = ("ok", "")  # and its reason, of the newest scan that was mapped
         self._pose_map_odom = SE2()
         self._known: KnownPose | None = None  # a key frame that the graph has corrected
+        self._found_once: FoundOnce | None = None  # the piece that is looked for
+        self._known_here: KnownPose | None = None  # what the newest scan's place in the map rests on
         self.geo_reference = geo_reference  # None: where the map lies on the earth is not known
         self.counters: Counter[str] = Counter()  # scans, scans_dropped_late, samples_dropped_late ...
 
@@ -188,6 +192,7 @@ class Mapper(Generic[ReadableMap]):
             self.graph_picture = update.picture
         if update.known is not None:
             self._known = update.known
+        self._found_once = update.found_once
         if update.placed is not None:
             self._placed = update.placed
         if update.joined is not None:
@@ -229,15 +234,21 @@ class Mapper(Generic[ReadableMap]):
         pose_map_odom = self._pose_map_odom = s.graph.add(
             MappedScan(at_ns, match.points, match, change, covariance, predicted.elapsed_s, predicted.pause_s)
         )
+        is_known, once, self._known_here = match.state != "lost", self._found_once, self._known
+        if once is not None and not is_known and match.measured is not None and change.piece == once.piece:
+            match = replace(match, state="degraded", reason=FOUND_ONCE)
+            self._pose_map_odom, self._known_here = once.pose_map_odom, once.known
         if self._placed == "unknown":
             match = replace(match, state="lost", reason=self._unplaced(match.reason))
+        elif match.state == "lost" and self._alike:
+            match = replace(match, reason=f"{match.reason}; {self._between()}")
         elif self._placed == "unproven" and match.state == "ok":
             match = replace(match, state="degraded", reason=UNPROVEN)
         if match.state == "lost" and self.pose_refused is not None:
             x_m, y_m, _ = self.pose_refused
             said = f"the pose set at ({x_m:.1f}, {y_m:.1f}) m is rejected: no scan matches the map there; "
             match = replace(match, reason=said + match.reason)
-        if match.state != "lost" and not self._is_localizing:  # nothing is drawn where nobody knows the place
+        if is_known and self._placed != "unknown" and not self._is_localizing:  # else nothing is drawn
             s.free_space.insert(match.points, pose_map_odom @ match.motion.pose_odom_base)
         if match.state == "ok" and self._placed == "proven" and self._changes is not None:
             self._changes.add(match.points, pose_map_odom @ match.motion.pose_odom_base, at_ns)
@@ -263,9 +274,12 @@ class Mapper(Generic[ReadableMap]):
     def _unplaced(self, reason: str) -> str:
         """Why a session in a stored map is `lost`."""
         if self._alike:
-            places = " and ".join(f"({x_m:.1f}, {y_m:.1f}) m" for x_m, y_m in self._alike)
-            return f"the scans match the stored map equally well at {places}; drive on, or set the pose"
+            return f"{self._between()}; drive on, or set the pose"
         return reason or "not localised in the stored map yet; drive on, or set the pose"
+
+    def _between(self) -> str:
+        places = " and ".join(f"({x_m:.1f}, {y_m:.1f}) m" for x_m, y_m in self._alike)
+        return f"the scans match the map equally well at {places}"
 
     def _compared(
         self, scan: LaserScan, at_ns: int, laser: "LaserWatch", points: Points, predicted: Prediction
@@ -315,7 +329,7 @@ class Mapper(Generic[ReadableMap]):
         return self._output(at_ns, motion, state, reason, 0.0)
 
     def _output(self, at_ns: int, motion: Motion, state: State, reason: str, share: float) -> MapperOutput:
-        covariance = motion.covariance if self._known is None else self._known.covariance_at(motion)
+        covariance = motion.covariance if self._known_here is None else self._known_here.covariance_at(motion)
         if state == "ok" and (drift := drift_of(covariance)):
             state, reason = "degraded", drift
         self._newest = MapperOutput(

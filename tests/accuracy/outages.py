@@ -5,20 +5,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
-from drivers.frames import Frame, LaserScan, OdometrySample
-from service.geometry.se2 import SE2
+from drivers.frames import Frame, LaserScan
 from service.mapper.profiles import mapping_config
 from simulators.worlds import WORLDS
 from tests.accuracy.trials import ghost_cells
+from tests.carried import carried_back, carried_on, silent
 from tests.papers.report import Row, Section
-from tests.simulated import LMS100_50HZ, Drive, Run, Wheels, begun_at, drive, heading_rad, run_session
+from tests.simulated import LMS100_50HZ, Drive, Run, Wheels, begun_at, drives, heading_rad, run_session
 
 MOMENTS = 12  # a world, spread over the lap
 OUTAGE_NS = 5_000_000_000
 AFTER_NS = 6_000_000_000  # that a run goes on after the fault
 WRONG_M, SIGMAS = 0.3, 3.0
 FOUND_M = 0.05
+OTHER_NOISE = 100  # added to a seed: the same drive once more
+ONTO_NEW = "lifted, carried on for 5 s with everything off"
 LEAST_COVARIANCE = np.diag([1e-8, 1e-8, 1e-10])  # the first scan of a map knows its pose without error
 Fault = Callable[[Drive, int], Drive]
 
@@ -28,7 +31,9 @@ class Outcome:
     """Of the runs of one fault in one world, a value a moment."""
 
     wrong_ok: list[float] = field(default_factory=list)  # scans `ok` and farther off than WRONG_M or SIGMAS
+    wrong_degraded: list[float] = field(default_factory=list)  # scans `degraded` and farther off than WRONG_M
     found_s: list[float] = field(default_factory=list)  # from the end of the outage to the right place
+    ok_s: list[float] = field(default_factory=list)  # the same, confirmed
     end_mm: list[float] = field(default_factory=list)
     ghosts: list[float] = field(default_factory=list)  # more than in the drive without the fault
 
@@ -44,26 +49,38 @@ class Outcome:
         stamp_ns = np.array([output.stamp_ns for output in done.outputs])
         # Of three coordinates a distance of 3.76 is as rare as 3 sigma of one.
         self.wrong_ok.append(float(np.sum(ok & ((off_m > WRONG_M) | ((normed > 3.76) & (off_m > FOUND_M))))))
-        right = ok & (off_m < FOUND_M) & (stamp_ns >= after_ns)
-        self.found_s.append(1e-9 * (stamp_ns[right][0] - after_ns) if right.any() else np.inf)
+        degraded = np.array([output.state == "degraded" for output in done.outputs])
+        self.wrong_degraded.append(float(np.sum(degraded & (off_m > WRONG_M))))
+        right = (off_m < FOUND_M) & (stamp_ns >= after_ns)
+        self.found_s.append(_first_s(stamp_ns[right & (ok | degraded)], after_ns))
+        self.ok_s.append(_first_s(stamp_ns[right & ok], after_ns))
         self.end_mm.append(1e3 * float(off_m[-1]))
         self.ghosts.append(float(ghosts))
 
+    def rows(self, where: str, is_known_ground: bool) -> list[Row]:
+        """is_known_ground: the vehicle can be found where it is after the fault."""
+        found_s, end_mm = (2.0, 50.0) if is_known_ground else (None, None)
+        return [
+            Row(where, "`ok` and wrong", self.wrong_ok, "scans", at_most=0.0, by_worst=True, digits=0),
+            Row(where, f"`degraded` and {WRONG_M} m off", self.wrong_degraded, "scans", digits=0),
+            Row(where, "found again after", self.found_s, "s", at_most=found_s, by_worst=True),
+            Row(where, "`ok` again after", self.ok_s, "s"),
+            Row(where, "off at the end", self.end_mm, "mm", at_most=end_mm, by_worst=True, digits=1),
+            Row(where, "ghost cells added", self.ghosts, "cells", at_most=20.0, by_worst=True, digits=0),
+        ]
+
+
+def _first_s(stamp_ns: npt.NDArray[np.int64], after_ns: int) -> float:
+    return 1e-9 * float(stamp_ns[0] - after_ns) if len(stamp_ns) else np.inf
+
 
 def outages(seeds: Sequence[int]) -> Section:
-    faults: dict[str, Fault] = {
-        "laser and odometry silent for 5 s, driven on": _silent,
-        "laser silent for 5 s": _laser_silent,
-        "one scan repeated for 5 s": _hung,
-        "lifted, carried on for 5 s with everything off": _carried,
-        "one stamp 5 s ahead": lambda made, at_ns: _ahead(made, at_ns, OUTAGE_NS),
-        "one stamp 1000 s ahead": lambda made, at_ns: _ahead(made, at_ns, 1_000_000_000_000),
-    }
     rows = []
     for name in ("office", "library"):
         world = begun_at(WORLDS[name](), heading_rad(seeds[0]))
         seconds = world.drive.duration_s
-        made = drive(world, LMS100_50HZ, seconds, seeds[0], Wheels())
+        made, again = drives(world, LMS100_50HZ, seconds, [seeds[0], seeds[0] + OTHER_NOISE], Wheels())
+        faults = _faults(again, seeds[0])
         outcomes = {what: Outcome() for what in faults}
         for share in (np.arange(MOMENTS) + 0.5) / MOMENTS:
             at_ns = round((0.1 + 0.7 * share) * seconds * 1e9)
@@ -76,24 +93,36 @@ def outages(seeds: Sequence[int]) -> Section:
                 outcomes[what].add(done, after_ns, ghost_cells(world, faulty, done) - clean)
                 gc.collect()
         for what, outcome in outcomes.items():
-            where = f"{name}, {what}"
-            rows += [
-                Row(where, "`ok` and wrong", outcome.wrong_ok, "scans", at_most=0.0, by_worst=True, digits=0),
-                Row(where, "found again after", outcome.found_s, "s", at_most=2.0, by_worst=True),
-                Row(where, "off at the end", outcome.end_mm, "mm", at_most=50.0, by_worst=True, digits=1),
-                Row(
-                    where, "ghost cells added", outcome.ghosts, "cells", at_most=20.0, by_worst=True, digits=0
-                ),
-            ]
+            rows += outcome.rows(f"{name}, {what}", is_known_ground=what != ONTO_NEW)
     return Section(
         "Outages",
         f"Each fault at {MOMENTS} moments of a lap; median and worst are over the moments. Each run ends "
         f"{AFTER_NS * 1e-9:.0f} s after the fault. LMS-100 at 50 Hz, odometry; what the graph finds comes "
-        f"back half a second later. Wrong: `ok` while farther off than {WRONG_M} m, or than {SIGMAS:.0f} "
-        f"sigma and {FOUND_M} m. Found again: `ok` within {FOUND_M} m of the truth. Ghost cells: more than "
-        "without the fault.",
+        f"back half a second later. Carried on: most of what lies ahead is not mapped yet, so that nothing "
+        "can be found there, and in places it looks like what is mapped. `ok` and wrong: farther off than "
+        f"{WRONG_M} m, or than {SIGMAS:.0f} sigma and {FOUND_M} m. Found again: `ok` or `degraded` within "
+        f"{FOUND_M} m of the truth. Ghost cells: more than without the fault.",
         rows,
     )
+
+
+def _faults(again: Drive, seed: int) -> dict[str, Fault]:
+    """again: the same drive with other noise."""
+    places = np.random.default_rng(seed)
+
+    def back(made: Drive, at_ns: int) -> Drive:
+        to_ns = round(places.uniform(0.1, 0.7) * at_ns)
+        return carried_back(made, again, at_ns, OUTAGE_NS, to_ns, AFTER_NS)
+
+    return {
+        "laser and odometry silent for 5 s, driven on": lambda made, at_ns: silent(made, at_ns, OUTAGE_NS),
+        "laser silent for 5 s": _laser_silent,
+        "one scan repeated for 5 s": _hung,
+        "lifted, carried back within 5 s with everything off": back,
+        ONTO_NEW: lambda made, at_ns: carried_on(made, at_ns, OUTAGE_NS),
+        "one stamp 5 s ahead": lambda made, at_ns: _ahead(made, at_ns, OUTAGE_NS),
+        "one stamp 1000 s ahead": lambda made, at_ns: _ahead(made, at_ns, 1_000_000_000_000),
+    }
 
 
 def _until(made: Drive, end_ns: int) -> Drive:
@@ -106,11 +135,6 @@ def _until(made: Drive, end_ns: int) -> Drive:
 
 def _within(frame: Frame, at_ns: int) -> bool:
     return at_ns <= frame.arrived_ns < at_ns + OUTAGE_NS
-
-
-def _silent(made: Drive, at_ns: int) -> Drive:
-    """Odometry counts on while nobody listens: its next pose knows the way."""
-    return replace(made, frames=[frame for frame in made.frames if not _within(frame, at_ns)])
 
 
 def _laser_silent(made: Drive, at_ns: int) -> Drive:
@@ -128,26 +152,6 @@ def _hung(made: Drive, at_ns: int) -> Drive:
             for f in made.frames
         ],
     )
-
-
-def _carried(made: Drive, at_ns: int) -> Drive:
-    """Everything off for 5 s, and odometry counts nothing of the way."""
-    left = _silent(made, at_ns).frames
-    odometry = [f for f in left if isinstance(f, OdometrySample)]
-    before = _pose(next(f for f in reversed(odometry) if f.arrived_ns < at_ns))
-    after = _pose(next(f for f in odometry if f.arrived_ns >= at_ns))
-    jump = before @ after.inverse()
-    frames: list[Frame] = []
-    for f in left:
-        if isinstance(f, OdometrySample) and f.arrived_ns >= at_ns:
-            pose = jump @ _pose(f)
-            f = replace(f, x_m=pose.x_m, y_m=pose.y_m, theta_rad=pose.theta_rad)
-        frames.append(f)
-    return replace(made, frames=frames)
-
-
-def _pose(sample: OdometrySample) -> SE2:
-    return SE2(sample.x_m, sample.y_m, sample.theta_rad)
 
 
 def _ahead(made: Drive, at_ns: int, by_ns: int) -> Drive:

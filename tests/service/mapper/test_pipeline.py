@@ -1,5 +1,6 @@
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -9,11 +10,12 @@ from drivers.frames import Frame, GnssFix, LaserScan
 from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
-from service.mapper.components import GraphUpdate
+from service.mapper.components import FoundOnce, GraphUpdate
 from service.mapper.graph.no_graph import NoGraph
 from service.mapper.known_pose import KnownPose
-from service.mapper.pipeline import MOST_BEHIND_NS, Mapper
+from service.mapper.pipeline import FOUND_ONCE, MOST_BEHIND_NS, Mapper
 from service.mapper.profiles import build_mapper, mapping_config
+from service.outputs import MapperOutput
 from tests.service.mapper.drives import MOUNTING, ROOM, drive, standing
 
 
@@ -74,34 +76,90 @@ def test_how_well_a_pose_is_known_goes_on_from_what_the_graph_says_and_drift_is_
     assert "uncertain by 1.00 m" in after.reason
 
 
-def test_nothing_is_rendered_while_lost_and_a_piece_is_mapped_apart():
-    """The laser is carried into another room, where the vehicle is said to stand still."""
-    mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
+NOISE = np.random.default_rng(1).uniform(0.5, 15.0, 541).astype(np.float32)  # m, ranges of no room
+
+
+def carried_into_another_room(mapper: Mapper, noise_at: int | None = None) -> Iterator[MapperOutput]:
+    """The vehicle is said to stand still. What comes out in the other room, where one scan may be noise."""
     here = drive(ROOM, standing, 1.2)
     other = [tuple(2.5 * v for v in wall) for wall in ROOM[:6]]
-    there = drive(other, lambda t: SE2(3.0, 3.0, 2.0), 0.6)
+    there = drive(other, lambda t: SE2(3.0, 3.0, 2.0), 1.2)
     for frame in here.frames:
         mapper.process(frame)
     assert mapper.changed_tiles()
     assert mapper._odometry_mounting._last is not None
     last_ns = max(frame.stamp_ns for frame in here.frames)
-    states = []
-    for frame in there.frames:
-        if not isinstance(frame, LaserScan):
-            continue
+    scans = [frame for frame in there.frames if isinstance(frame, LaserScan)]
+    for k, frame in enumerate(scans):
         scan = replace(
-            frame, stamp_ns=frame.stamp_ns - 10**9 + last_ns, arrived_ns=frame.arrived_ns - 10**9 + last_ns
+            frame,
+            stamp_ns=frame.stamp_ns - 10**9 + last_ns,
+            arrived_ns=frame.arrived_ns - 10**9 + last_ns,
+            range_m=NOISE if k == noise_at else frame.range_m,
         )
         output = mapper.process(scan)
         assert output is not None
-        states.append(output.state)
+        yield output
+
+
+def test_nothing_is_rendered_while_lost_and_a_piece_is_mapped_apart():
+    mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
+    outputs = carried_into_another_room(mapper)
+    first = next(outputs)
+    states = [first.state, *(output.state for output in outputs)]
     assert states.count("lost") == len(states) > 10
     assert mapper.changed_tiles() == []
     assert mapper._odometry_mounting._last is None  # no step from there to here tells a mounting
     local_map = mapper._components.local_map
     assert local_map.detached is not None
     assert local_map.detached.scan_count > 5
-    assert np.isfinite(output.covariance).all()
+    assert np.isfinite(first.covariance).all()
+
+
+class FindingGraph(NoGraph):
+    """Says where a piece lies, by one find."""
+
+    pose_map_odom, covariance = SE2(5.0, -2.0, 0.7), np.diag([0.02, 0.02, 0.001])
+
+    def __init__(self, piece: int) -> None:
+        self.piece: int | None = piece
+
+    def apply_result(self):
+        if self.piece is None:
+            return GraphUpdate({}, alike=[(1.0, 2.0), (-3.04, 4.0)])
+        known = KnownPose(SE2(), np.zeros((3, 3)), self.covariance)
+        return GraphUpdate({}, found_once=FoundOnce(self.piece, self.pose_map_odom, known))
+
+
+def test_a_piece_that_was_found_once_gives_the_pose_which_is_degraded_and_draws_nothing():
+    mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
+    graph = FindingGraph(piece=1)
+    mapper._components = replace(mapper._components, graph=graph)
+    outputs = carried_into_another_room(mapper, noise_at=40)
+    assert [next(outputs).state for _ in range(3)] == ["lost"] * 3
+    mapper.apply_result()
+    for _ in range(37):  # longer than the shown map waits for the next scan
+        output = next(outputs)
+        assert (output.state, output.reason) == ("degraded", FOUND_ONCE)
+        assert output.pose_map_odom == graph.pose_map_odom
+        assert graph.covariance[2, 2] < output.covariance[2, 2] < 2.0 * graph.covariance[2, 2]
+    assert mapper.changed_tiles() == []
+    assert next(outputs).state == "lost"  # this scan lies nowhere, not in the piece either
+    graph.piece = None  # the find was wrong
+    mapper.apply_result()
+    withdrawn = next(outputs)
+    assert (withdrawn.state, withdrawn.pose_map_odom) == ("lost", SE2())
+    assert "the scans match the map equally well at (1.0, 2.0) m and (-3.0, 4.0) m" in withdrawn.reason
+    assert withdrawn.covariance[2, 2] != pytest.approx(output.covariance[2, 2])
+
+
+def test_where_another_piece_was_found_says_nothing_of_this_one():
+    mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
+    mapper._components = replace(mapper._components, graph=FindingGraph(piece=2))
+    outputs = carried_into_another_room(mapper)
+    next(outputs)
+    mapper.apply_result()
+    assert {(output.state, output.pose_map_odom) for output in outputs} == {("lost", SE2())}
 
 
 def two_lasers(seconds: float = 1.6) -> list[Frame]:

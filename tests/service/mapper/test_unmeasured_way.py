@@ -1,42 +1,19 @@
 """All devices are silent for 5 s while the vehicle is driven on, or lifted and carried."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from drivers.frames import Frame, OdometrySample
-from service.geometry.se2 import SE2
 from service.mapper.background import BackEnd, ElsewhereWorker, InlineWorker
+from service.mapper.pipeline import FOUND_ONCE
 from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
+from tests.carried import carried_back, carried_on, silent
 from tests.service.mapper.offices import through
 from tests.simulated import FORWARD, Drive
 
 PAUSE_NS = 5_000_000_000
 S = 1_000_000_000
-
-
-def paused(made: Drive, at_ns: int, is_carried: bool) -> Drive:
-    """Odometry counts the way, or nothing of it where the vehicle is carried."""
-    left = [frame for frame in made.frames if not at_ns <= frame.arrived_ns < at_ns + PAUSE_NS]
-    if is_carried:
-        odometry = [frame for frame in left if isinstance(frame, OdometrySample)]
-        before = next(f for f in reversed(odometry) if f.arrived_ns < at_ns)
-        after = next(f for f in odometry if f.arrived_ns >= at_ns)
-        left = [moved(frame, pose_of(before) @ pose_of(after).inverse(), at_ns) for frame in left]
-    return replace(made, frames=left)
-
-
-def moved(frame: Frame, by: SE2, from_ns: int) -> Frame:
-    if not isinstance(frame, OdometrySample) or frame.arrived_ns < from_ns:
-        return frame
-    pose = by @ pose_of(frame)
-    return replace(frame, x_m=pose.x_m, y_m=pose.y_m, theta_rad=pose.theta_rad)
-
-
-def pose_of(sample: OdometrySample) -> SE2:
-    return SE2(sample.x_m, sample.y_m, sample.theta_rad)
 
 
 class DeadWorker(InlineWorker):
@@ -85,7 +62,7 @@ def states_after(
 
 @pytest.mark.parametrize(("world", "at_s"), [("office", 10), ("library", 22)])
 def test_who_drove_on_is_found_where_odometry_leads_on_ground_that_is_known_in_part(world, at_s):
-    made = paused(through(world, at_s + 6.5, 2), at_s * S, is_carried=False)
+    made = silent(through(world, at_s + 6.5, 2), at_s * S, PAUSE_NS)
     states, off_m, since_s, reasons = states_after(made, at_s * S)
     assert states[0] == "lost"
     assert reasons[0].startswith("neither laser nor odometry measured the motion for 5.0 s")
@@ -96,15 +73,28 @@ def test_who_drove_on_is_found_where_odometry_leads_on_ground_that_is_known_in_p
 
 @pytest.mark.parametrize(("world", "at_s"), [("office", 10), ("library", 22)])
 def test_who_was_carried_to_walls_that_look_alike_is_never_ok_in_a_wrong_place(world, at_s):
-    made = paused(through(world, at_s + 5.8, 2), at_s * S, is_carried=True)
+    made = carried_on(through(world, at_s + 5.8, 2), at_s * S, PAUSE_NS)
     states, off_m, _, reasons = states_after(made, at_s * S)
     assert off_m[0] > 3.0
     assert "the vehicle may have been carried" in reasons[0]
     assert not any(state != "lost" and off > 0.3 for state, off in zip(states, off_m, strict=True))
 
 
+def test_who_was_carried_back_is_told_where_it_is_and_ok_once_that_is_confirmed():
+    made, again = through("office", 22.0, 2), through("office", 22.0, 3)
+    carried = carried_back(made, again, 22 * S, PAUSE_NS, 14 * S, 6 * S)
+    states, off_m, since_s, reasons = states_after(carried, 22 * S)
+    assert states[0] == "lost"
+    found, confirmed = states.index("degraded"), states.index("ok")
+    assert since_s[found] < 1.0
+    assert reasons[found] == FOUND_ONCE
+    assert set(states[found:confirmed]) == {"degraded"}
+    assert since_s[confirmed] > 3.0  # 4 m at 1 m/s
+    assert off_m[found:].max() < 0.05
+
+
 def test_where_no_graph_looks_for_the_place_the_map_is_asked_at_once():
-    made = paused(through("library", 27.8, 2), 22 * S, is_carried=False)
+    made = silent(through("library", 27.8, 2), 22 * S, PAUSE_NS)
     states, off_m, since_s, _ = states_after(
         made, 22 * S, mapping_config({"components": {"graph": "no_graph"}})
     )
@@ -114,7 +104,7 @@ def test_where_no_graph_looks_for_the_place_the_map_is_asked_at_once():
 
 
 def test_a_graph_whose_worker_dies_while_a_place_is_looked_for_leaves_no_vehicle_lost():
-    made = paused(through("library", 27.8, 2), 22 * S, is_carried=False)
+    made = silent(through("library", 27.8, 2), 22 * S, PAUSE_NS)
     states, off_m, _, _ = states_after(made, 22 * S, dies_at_ns=24 * S)
     assert states[:1] == ["lost"]  # the first scan goes out, and no answer comes
     assert "lost" not in states[3:]

@@ -110,8 +110,9 @@ class LoopBackEnd:
             geo=anchoring.reference,
             fixes=dict(anchoring.counts),
             placed=self._placement.state,
-            alike=self.pieces.alike,
+            alike=self.pieces.alike if self._is_detached() else (),
             pose_refused=self.pieces.pose_refused,
+            found_once=self.pieces.found_once,
             picture=self._drawing.picture(
                 self._keyframes, self._joined, self._loops, self._refusals, is_asked
             ),
@@ -135,7 +136,8 @@ class LoopBackEnd:
             self._loops = [loop for loop in self._loops if loop not in gone]
             self._refusals.add(gone, BY_HAND)
             moved = True
-        if batch.request == "optimize" and (self._loops or self._anchoring.reference or self._has_pairs):
+        has_pairs = len(self._keyframes.by_hand.pair_ends) > 0
+        if batch.request == "optimize" and (self._loops or self._anchoring.reference or has_pairs):
             moved = True
         if batch.is_last:
             return self._finish()
@@ -151,10 +153,6 @@ class LoopBackEnd:
         return Result(
             len(self._loops), len(self._disabled), joined, self._correction(-1), known, self.render()
         )
-
-    @property
-    def _has_pairs(self) -> bool:
-        return len(self._keyframes.by_hand.pair_ends) > 0
 
     @property
     def loops(self) -> Sequence[Loop]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from service.geometry.geo_reference import GeoReference
 from service.geometry.poses import Floats
-from service.mapper.components import Correction, Placed, RenderedMap
+from service.mapper.components import Correction, FoundOnce, Placed, RenderedMap
 from service.mapper.methods.corridor.graph.fix_track import PlacedFix
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
 from service.mapper.saved_graph import KeptGraph, SavedGraph
@@ -45,3 +45,4 @@ class Result:
     alike: Sequence[tuple[float, float]] = ()  # m, of the map: places that a piece fits equally well
     pose_refused: tuple[float, float, float] | None = None  # m, m, rad: was said, and does not fit there
     picture: GraphPicture | None = None  # where one was due
+    found_once: FoundOnce | None = None  # where a piece was found, not yet confirmed

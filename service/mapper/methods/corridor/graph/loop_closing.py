@@ -216,6 +216,7 @@ class LoopClosing(BackgroundGraph[Result]):
             result.saved,
             result.picture,
             self._known,
+            result.found_once,
         )
 
     def _is_step(self, pose: SE2, last: SE2 | None) -> bool:

@@ -8,8 +8,10 @@ import numpy.typing as npt
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
+from service.geometry.se2 import SE2
+from service.mapper.components import FoundOnce
 from service.mapper.graph.point_clouds import Fit, PointCloud
-from service.mapper.known_pose import covariance_added
+from service.mapper.known_pose import KnownPose, covariance_added
 from service.mapper.methods.corridor.graph.candidate_submap import (
     LEAST_SCORE,
     CandidateSubmap,
@@ -26,7 +28,7 @@ from service.mapper.methods.corridor.graph.place_search import (
     is_same_pose,
 )
 from service.mapper.methods.corridor.graph.seen_cloud import SeenCloud, seen_cloud
-from service.mapper.methods.corridor.graph.way_prior import WayPrior
+from service.mapper.methods.corridor.graph.way_prior import FOUND_COVARIANCE, WayPrior
 
 AROUND_M, MOST_AROUND = 6.0, 40  # key frames that what is seen where a person says is held against
 MOST_QUERY = 12  # key frames of a piece that are looked for together
@@ -67,6 +69,7 @@ class Hypothesis:
     pose_map_odom: Floats  # (3,)
     loop: Loop
     way_m: float
+    piece: int
 
 
 class PieceSearch:
@@ -96,6 +99,20 @@ class PieceSearch:
         """Make what places are looked for in; else the first search does. known (K,) as of find."""
         if len(known):
             self._map_of(known)
+
+    @property
+    def found_once(self) -> FoundOnce | None:
+        """Where a piece lies if the newest find is right; None: there is none, or the piece is placed."""
+        keyframes, one = self._keyframes, self._hypothesis
+        if one is None:
+            return None
+        k = one.loop.to
+        known = KnownPose(
+            SE2(*keyframes.odom[k].tolist()),
+            keyframes.motion_covariance[k].copy(),
+            one.loop.covariance + FOUND_COVARIANCE,
+        )
+        return FoundOnce(one.piece, SE2(*one.pose_map_odom.tolist()), known)
 
     def find(self, known: npt.NDArray[np.int64]) -> tuple[Loop, ...] | None:
         """Move the newest piece to where it lies, and give the loops that say so; None: nothing is sure.
@@ -132,7 +149,7 @@ class PieceSearch:
             return None
         at, loop = best
         inverse = se2.between(keyframes.odom[reference], np.zeros(3))
-        new = Hypothesis(se2.compose(at, inverse), loop, float(keyframes.way_m[reference]))
+        new = Hypothesis(se2.compose(at, inverse), loop, float(keyframes.way_m[reference]), piece)
         is_second = prior is not None and prior.explains(at)
         # Of a session one find says where, for the vehicle may stand; it is proven later.
         if is_second or not self._is_session_placed:

@@ -1,5 +1,6 @@
 """Loops in a ring of corridors: found, accepted only in company, taken back when the rest says otherwise."""
 
+import math
 import pickle
 from dataclasses import replace
 from itertools import pairwise
@@ -287,6 +288,26 @@ def test_a_piece_that_is_found_twice_four_metres_apart_is_joined(
         away = first.pose_map_base.inverse() @ second.pose_map_base
         assert np.hypot(away.x_m, away.y_m) < 0.05
         assert abs(away.theta_rad) < 0.01
+
+
+def test_where_a_piece_was_found_is_told_from_the_first_find_until_it_is_joined(
+    ring: tuple[list[KeyFrame], list[SE2]],
+):
+    known = ring[0][:SIDE]
+    back_end = LoopBackEnd(LoopsConfig(), None)
+    assert back_end.work(Batch(known)).found_once is None
+    again = piece_after(known, known[5:-5])
+    results = [back_end.work(Batch(again[k : k + 4])) for k in range(0, len(again), 4)]
+    is_told = [result.found_once is not None for result in results]
+    first, joined = is_told.index(True), [result.joined for result in results].index(1)
+    assert is_told == [first <= k < joined for k in range(len(results))]
+    for once in (result.found_once for result in results[first:joined]):
+        assert once is not None
+        assert once.piece == 1
+        off = once.pose_map_odom @ ELSEWHERE
+        assert np.hypot(off.x_m, off.y_m) < 0.1
+        assert abs(off.theta_rad) < 0.02
+        assert 0.05 < math.sqrt(once.known.covariance[0, 0]) < 0.2
 
 
 def test_a_piece_seen_from_one_place_only_is_not_joined(ring: tuple[list[KeyFrame], list[SE2]]):
