@@ -70,6 +70,7 @@ class Hypothesis:
     loop: Loop
     way_m: float
     piece: int
+    is_disputed: bool  # the vehicle may as well be where dead reckoning leads
 
 
 class PieceSearch:
@@ -102,9 +103,13 @@ class PieceSearch:
 
     @property
     def found_once(self) -> FoundOnce | None:
-        """Where a piece lies if the newest find is right; None: there is none, or the piece is placed."""
+        """Where a piece lies if the newest find is right; None: there is none, or the piece is placed.
+
+        Nor is it told where dead reckoning leads elsewhere and what is seen does not contradict that: new
+        ground may look like any place of the map.
+        """
         keyframes, one = self._keyframes, self._hypothesis
-        if one is None:
+        if one is None or one.is_disputed:
             return None
         k = one.loop.to
         known = KnownPose(
@@ -149,7 +154,7 @@ class PieceSearch:
             return None
         at, loop = best
         inverse = se2.between(keyframes.odom[reference], np.zeros(3))
-        new = Hypothesis(se2.compose(at, inverse), loop, float(keyframes.way_m[reference]), piece)
+        new = Hypothesis(se2.compose(at, inverse), loop, float(keyframes.way_m[reference]), piece, self._may_be_at(prior))
         is_second = prior is not None and prior.explains(at)
         # Of a session one find says where, for the vehicle may stand; it is proven later.
         if is_second or not self._is_session_placed:
@@ -166,6 +171,12 @@ class PieceSearch:
             return None
         self._place(piece, new.pose_map_odom)
         return old.loop, new.loop
+
+    def _may_be_at(self, prior: WayPrior | None) -> bool:
+        """Whether what was asked for last does not contradict where dead reckoning leads."""
+        if prior is None or prior.is_vague or self._asked is None or self._known_map is None:
+            return False
+        return self._known_map.align(self._asked, prior.pose).weight.evidence > -CLEARLY_LIKELIER
 
     def _around(self, known: npt.NDArray[np.int64], pose: Floats) -> CandidateSubmap:
         """What key frames of all passes have seen around a pose (3,) of the map."""

@@ -35,11 +35,16 @@ class WayPrior:
         at = math.exp(-0.5 * self._chi2(pose)) / spread
         return math.log(1.0 - DROVE + DROVE * self.region * at)
 
+    @property
+    def is_vague(self) -> bool:
+        """Whether dead reckoning knows too little to lead anywhere."""
+        return is_loose(sigmas_of(self.covariance))
+
     def explains(self, pose: Floats) -> bool:
         """Whether a pose (3,) is where dead reckoning leads, but for chance; one that knows little says
         nothing.
         """
-        return not is_loose(sigmas_of(self.covariance)) and self._chi2(pose) <= JUMP_CHI2
+        return not self.is_vague and self._chi2(pose) <= JUMP_CHI2
 
     def joined(self, fit: Fit) -> Fit:
         """What a fit on the map and dead reckoning say together."""
