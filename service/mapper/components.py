@@ -156,6 +156,22 @@ class FoundOnce:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PlaceNews:
+    """What a graph knows of the vehicle's place in the map.
+
+    placed         how sure the place of the session in its stored map is
+    alike          m, in the map: places that a piece that is looked for fits equally well
+    pose_refused   m, m, rad: where a person said the vehicle is, and what is seen does not fit; None: nothing
+    found_once     where a piece was found; None: nowhere, or it is joined
+    """
+
+    placed: Placed = "proven"
+    alike: Sequence[tuple[float, float]] = ()
+    pose_refused: tuple[float, float, float] | None = None
+    found_once: FoundOnce | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class GraphUpdate:
     """What a piece of finished work changed, besides pose_map_odom.
 
@@ -163,14 +179,12 @@ class GraphUpdate:
     rendered_map    the shown map from now on; None: it stays
     since    what to draw into it besides: scans that the rendered map does not hold
     joined   number of a piece of the map that was found in the rest; None: none
-    placed   how sure the place of the session in its stored map is; None: no news
-    alike    m, in the map: places that a piece that is looked for fits equally well
-    pose_refused   m, m, rad: where a person said the vehicle is, and what is seen does not fit; None: nothing
+    place    where in the map the vehicle is, as far as the graph knows; None: no news
     saved    what a later session needs to go on, where a checkpoint was asked for
     geo      where the map lies on the earth; None: that is not known, or not news
     picture  the graph, for people to look at; None: that of before stands
-    known    how well a key frame is known in the map; None: the motion model alone says how well
-    found_once   where a piece was found; None: nowhere, or it is joined
+    known    how well a key frame is known in the map; None: no news, and at first the motion model alone
+             says how well
     """
 
     counts: Mapping[str, int]
@@ -178,13 +192,10 @@ class GraphUpdate:
     since: Sequence[ScanToRender] = ()
     joined: int | None = None
     geo: GeoReference | None = None
-    placed: Placed | None = None
-    alike: Sequence[tuple[float, float]] = ()
-    pose_refused: tuple[float, float, float] | None = None
+    place: PlaceNews | None = None
     saved: SavedGraph | KeptGraph | None = None
     picture: GraphPicture | None = None
     known: KnownPose | None = None
-    found_once: FoundOnce | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -355,8 +366,8 @@ class Graph(Protocol):
         """Take a fix of a GNSS receiver; the name of the counter that it falls under. Does not wait."""
         ...
 
-    def apply_result(self) -> GraphUpdate:
-        """Bring in the oldest piece of work, waiting for it; nothing changes where none is out."""
+    def apply_result(self) -> GraphUpdate | None:
+        """Bring in the oldest piece of work, waiting for it; None where none is out."""
         ...
 
     def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -1,18 +1,15 @@
 """The mapper: one frame in, at most one MapperOutput out. Read this file first."""
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Generic
 
 from drivers.frames import Frame, GnssFix, LaserScan, OdometrySample
 from service.fusion.motion import Motion, Prediction
 from service.geometry.geo_reference import GeoReference
-from service.geometry.se2 import SE2
 from service.mapper.components import (
     Components,
     FinishedGraph,
-    FoundOnce,
     Graph,
     GraphUpdate,
     HasPieces,
@@ -25,17 +22,15 @@ from service.mapper.components import (
     Stopwatch,
 )
 from service.mapper.judgement import CARRIED_S, drift_of
-from service.mapper.known_pose import KnownPose
 from service.mapper.map_changes import ChangeWatch, MapChanges
 from service.mapper.maps.standing import draw_standing
 from service.mapper.mounting_check import MountingCheck
 from service.mapper.odometry_mounting import OdometryMounting
+from service.mapper.place_in_map import PlaceInMap
 from service.mapper.saved_graph import KeptGraph, SavedGraph
 from service.mapper.scan_check import OdometryWait, ScanCheck
 from service.outputs import GraphPicture, Grid, MapperOutput, State, TileUpdate
 
-UNPROVEN = "localised in the stored map from one viewpoint; drive on some metres to confirm it"
-FOUND_ONCE = "found again in the map from one viewpoint; drive on some metres to confirm it"
 MOST_BEHIND_NS = 250_000_000  # that a sweep may have begun before the newest pose: a slow laser beside a fast
 CHANGES_TOLD_NS = 5_000_000_000  # between two counts of the cells that have changed
 WELL_NS = 500_000_000  # so long a scan that lay on the map vouches for the place
@@ -67,9 +62,8 @@ class Mapper(Generic[ReadableMap]):
         self._changes_told_ns = 0
         self.changes_told: MapChanges | None = None  # as of some seconds ago, see map_changes
         self._components = components
-        self._placed, self._is_localizing = placed, is_localizing
-        self.pose_refused: tuple[float, float, float] | None = None  # set by a person; nothing seen fits it
-        self._alike: Sequence[tuple[float, float]] = ()  # places that what is seen fits equally well
+        self._place = PlaceInMap(placed)
+        self._is_localizing = is_localizing
         self.saved: SavedGraph | KeptGraph | None = None  # of the newest checkpoint that was asked for
         self.graph_picture: GraphPicture | None = None  # the newest, for people to look at
         self._stopwatch = stopwatch if stopwatch is not None else NoStopwatch()
@@ -80,10 +74,6 @@ class Mapper(Generic[ReadableMap]):
         self._odometry_mounting = OdometryMounting()
         self._travelled_m = 0.0  # as predicted, from scan to scan
         self._state: tuple[State, str] = ("ok", "")  # and its reason, of the newest scan that was mapped
-        self._pose_map_odom = SE2()
-        self._known: KnownPose | None = None  # a key frame that the graph has corrected
-        self._found_once: FoundOnce | None = None  # the piece that is looked for
-        self._known_here: KnownPose | None = None  # what the newest scan's place in the map rests on
         self.geo_reference = geo_reference  # None: where the map lies on the earth is not known
         self.counters: Counter[str] = Counter()  # scans, scans_dropped_late, samples_dropped_late ...
 
@@ -162,13 +152,20 @@ class Mapper(Generic[ReadableMap]):
         return None if standing is None else draw_standing(standing, self._newest)
 
     @property
+    def pose_refused(self) -> tuple[float, float, float] | None:
+        """As PlaceInMap.pose_refused."""
+        return self._place.pose_refused
+
+    @property
     def graph(self) -> Graph:
         """To be asked and told; what comes back goes through apply_result and finish of the mapper."""
         return self._components.graph
 
     def apply_result(self) -> None:
         """Bring in the oldest piece of work of the graph, between two frames; waits for it."""
-        self._bring_in(self._components.graph.apply_result())
+        update = self._components.graph.apply_result()
+        if update is not None:
+            self._bring_in(update)
 
     @property
     def map_changes(self) -> MapChanges | None:
@@ -185,20 +182,17 @@ class Mapper(Generic[ReadableMap]):
         self.counters.update(update.counts)
         if update.geo is not None:
             self.geo_reference = update.geo
-        self._alike, self.pose_refused = update.alike, update.pose_refused
+        self._place.take(update)
         if update.saved is not None:
             self.saved = update.saved
         if update.picture is not None:
             self.graph_picture = update.picture
-        if update.known is not None:
-            self._known = update.known
-        self._found_once = update.found_once
-        if update.placed is not None:
-            self._placed = update.placed
         if update.joined is not None:
             self._components.local_map.join(update.joined)
-        if self._components.graph.fault and isinstance(self._components.local_map, HasPieces):
-            self._components.local_map.attach()
+        if self._components.graph.fault:
+            self._place.graph_ended()
+            if isinstance(self._components.local_map, HasPieces):
+                self._components.local_map.attach()
         if update.rendered_map is not None:
             self._components.free_space.replace_by(update.rendered_map, update.since)
 
@@ -231,26 +225,14 @@ class Mapper(Generic[ReadableMap]):
         if change.is_keyframe:
             s.motion_model.settle(change.error_left)
         covariance = predicted.local_covariance if match.measured is None else match.measured.covariance
-        pose_map_odom = self._pose_map_odom = s.graph.add(
+        pose_map_odom = s.graph.add(
             MappedScan(at_ns, match.points, match, change, covariance, predicted.elapsed_s, predicted.pause_s)
         )
-        is_known, once, self._known_here = match.state != "lost", self._found_once, self._known
-        if once is not None and not is_known and match.measured is not None and change.piece == once.piece:
-            match = replace(match, state="degraded", reason=FOUND_ONCE)
-            self._pose_map_odom, self._known_here = once.pose_map_odom, once.known
-        if self._placed == "unknown":
-            match = replace(match, state="lost", reason=self._unplaced(match.reason))
-        elif match.state == "lost" and self._alike:
-            match = replace(match, reason=f"{match.reason}; {self._between()}")
-        elif self._placed == "unproven" and match.state == "ok":
-            match = replace(match, state="degraded", reason=UNPROVEN)
-        if match.state == "lost" and self.pose_refused is not None:
-            x_m, y_m, _ = self.pose_refused
-            said = f"the pose set at ({x_m:.1f}, {y_m:.1f}) m is rejected: no scan matches the map there; "
-            match = replace(match, reason=said + match.reason)
-        if is_known and self._placed != "unknown" and not self._is_localizing:  # else nothing is drawn
+        is_drawn = match.state != "lost" and self._place.is_found and not self._is_localizing
+        match = self._place.judged(match, change, pose_map_odom)
+        if is_drawn:  # nothing is where nobody knows the place
             s.free_space.insert(match.points, pose_map_odom @ match.motion.pose_odom_base)
-        if match.state == "ok" and self._placed == "proven" and self._changes is not None:
+        if match.state == "ok" and self._place.is_proven and self._changes is not None:
             self._changes.add(match.points, pose_map_odom @ match.motion.pose_odom_base, at_ns)
             self._tell_changes(self._changes, at_ns)
         watch.lap("insert")
@@ -270,16 +252,6 @@ class Mapper(Generic[ReadableMap]):
         is_new = self.changes_told.is_new
         self.counters["changed_cells_new"] = int(is_new.sum())
         self.counters["changed_cells_gone"] = int((~is_new).sum())
-
-    def _unplaced(self, reason: str) -> str:
-        """Why a session in a stored map is `lost`."""
-        if self._alike:
-            return f"{self._between()}; drive on, or set the pose"
-        return reason or "not localised in the stored map yet; drive on, or set the pose"
-
-    def _between(self) -> str:
-        places = " and ".join(f"({x_m:.1f}, {y_m:.1f}) m" for x_m, y_m in self._alike)
-        return f"the scans match the map equally well at {places}"
 
     def _compared(
         self, scan: LaserScan, at_ns: int, laser: "LaserWatch", points: Points, predicted: Prediction
@@ -329,13 +301,13 @@ class Mapper(Generic[ReadableMap]):
         return self._output(at_ns, motion, state, reason, 0.0)
 
     def _output(self, at_ns: int, motion: Motion, state: State, reason: str, share: float) -> MapperOutput:
-        covariance = motion.covariance if self._known_here is None else self._known_here.covariance_at(motion)
+        covariance = self._place.covariance_of(motion)
         if state == "ok" and (drift := drift_of(covariance)):
             state, reason = "degraded", drift
         self._newest = MapperOutput(
             stamp_ns=at_ns,
             pose_odom_base=motion.pose_odom_base,
-            pose_map_odom=self._pose_map_odom,
+            pose_map_odom=self._place.pose_map_odom,
             twist_base=motion.twist_base,
             covariance=covariance,
             state=state,

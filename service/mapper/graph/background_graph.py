@@ -34,9 +34,9 @@ class BackgroundGraph(ABC, Generic[ResultT]):
     def finds_pieces(self) -> bool:
         return False
 
-    def apply_result(self) -> GraphUpdate:
+    def apply_result(self) -> GraphUpdate | None:
         if not self.waiting:
-            return GraphUpdate({})
+            return None
         try:
             result: ResultT = self._jobs.take()
         except WorkLostError:
@@ -49,11 +49,11 @@ class BackgroundGraph(ABC, Generic[ResultT]):
 
     def _apply_all(self, counts: dict[str, int]) -> GraphUpdate:
         """Apply everything that is out, waiting for it, and count what it changed; the last update."""
-        update = GraphUpdate({})
-        while self.waiting:
-            update = self.apply_result()
+        last = GraphUpdate({})
+        while (update := self.apply_result()) is not None:
             add_counts(counts, update.counts)
-        return update
+            last = update
+        return last
 
     @abstractmethod
     def _bring_in(self, result: ResultT) -> GraphUpdate:

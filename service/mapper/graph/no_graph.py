@@ -5,7 +5,7 @@ from typing import Any
 
 from drivers.frames import GnssFix
 from service.geometry.se2 import SE2
-from service.mapper.components import FinishedGraph, GraphRequestError, GraphUpdate, MappedScan
+from service.mapper.components import FinishedGraph, GraphRequestError, MappedScan
 
 
 class NoGraph:
@@ -20,8 +20,8 @@ class NoGraph:
     def add_fix(self, fix: GnssFix) -> str:
         return "fixes_passed_over"
 
-    def apply_result(self) -> GraphUpdate:
-        return GraphUpdate({})
+    def apply_result(self) -> None:
+        return None
 
     def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
         raise GraphRequestError(f"{name}: this profile has no graph; submap_graph and corridor have one")

@@ -10,10 +10,11 @@ from drivers.frames import Frame, GnssFix, LaserScan
 from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
-from service.mapper.components import FoundOnce, GraphUpdate
+from service.mapper.components import FoundOnce, GraphUpdate, PlaceNews
 from service.mapper.graph.no_graph import NoGraph
 from service.mapper.known_pose import KnownPose
-from service.mapper.pipeline import FOUND_ONCE, MOST_BEHIND_NS, Mapper
+from service.mapper.pipeline import MOST_BEHIND_NS, Mapper
+from service.mapper.place_in_map import FOUND_ONCE
 from service.mapper.profiles import build_mapper, mapping_config
 from service.outputs import MapperOutput
 from tests.service.mapper.drives import MOUNTING, ROOM, drive, standing
@@ -126,9 +127,10 @@ class FindingGraph(NoGraph):
 
     def apply_result(self):
         if self.piece is None:
-            return GraphUpdate({}, alike=[(1.0, 2.0), (-3.04, 4.0)])
+            return GraphUpdate({}, place=PlaceNews(alike=[(1.0, 2.0), (-3.04, 4.0)]))
         known = KnownPose(SE2(), np.zeros((3, 3)), self.covariance)
-        return GraphUpdate({}, found_once=FoundOnce(self.piece, self.pose_map_odom, known))
+        once = FoundOnce(self.piece, self.pose_map_odom, known)
+        return GraphUpdate({}, place=PlaceNews(found_once=once))
 
 
 def test_a_piece_that_was_found_once_gives_the_pose_which_is_degraded_and_draws_nothing():

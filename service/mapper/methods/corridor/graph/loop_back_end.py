@@ -13,7 +13,7 @@ from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.kernels.loops import path_lengths, thin_points
 from service.kernels.normals import estimate_normals
-from service.mapper.components import Correction, MapRenderer, RenderedMap
+from service.mapper.components import Correction, MapRenderer, PlaceNews, RenderedMap
 from service.mapper.graph.marginal import covariance_of_last
 from service.mapper.graph.point_clouds import Fit, PointCloud
 from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, to_g2o
@@ -109,10 +109,7 @@ class LoopBackEnd:
             result,
             geo=anchoring.reference,
             fixes=dict(anchoring.counts),
-            placed=self._placement.state,
-            alike=self.pieces.alike if self._is_detached() else (),
-            pose_refused=self.pieces.pose_refused,
-            found_once=self.pieces.found_once,
+            place=self._place(),
             picture=self._drawing.picture(
                 self._keyframes, self._joined, self._loops, self._refusals, is_asked
             ),
@@ -121,6 +118,11 @@ class LoopBackEnd:
             saved = saved_graph(self._keyframes, self._loops, self._joined, self._refusals)
             result = replace(result, saved=self._keep_graph(saved) if self._keep_graph else saved)
         return result
+
+    def _place(self) -> PlaceNews:
+        pieces = self.pieces
+        alike = pieces.alike if self._is_detached() else ()
+        return PlaceNews(self._placement.state, alike, pieces.pose_refused, pieces.found_once)
 
     def _work(self, batch: Batch) -> Result:
         for frame in batch.frames:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from service.geometry.geo_reference import GeoReference
 from service.geometry.poses import Floats
-from service.mapper.components import Correction, FoundOnce, Placed, RenderedMap
+from service.mapper.components import Correction, PlaceNews, RenderedMap
 from service.mapper.methods.corridor.graph.fix_track import PlacedFix
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
 from service.mapper.saved_graph import KeptGraph, SavedGraph
@@ -41,8 +41,5 @@ class Result:
     geo: GeoReference | None = None
     fixes: Mapping[str, int] = field(default_factory=dict)
     saved: SavedGraph | KeptGraph | None = None  # where a checkpoint was asked for, and at the end
-    placed: Placed = "proven"  # in the stored map
-    alike: Sequence[tuple[float, float]] = ()  # m, of the map: places that a piece fits equally well
-    pose_refused: tuple[float, float, float] | None = None  # m, m, rad: was said, and does not fit there
+    place: PlaceNews = field(default_factory=PlaceNews)
     picture: GraphPicture | None = None  # where one was due
-    found_once: FoundOnce | None = None  # where a piece was found, not yet confirmed

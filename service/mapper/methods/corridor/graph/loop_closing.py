@@ -190,10 +190,11 @@ class LoopClosing(BackgroundGraph[Result]):
         add_counts(counts, self._fixes.take_counts())
         add_counts(counts, {name: n - self._fix_counts.get(name, 0) for name, n in result.fixes.items()})
         self._fix_counts = result.fixes
-        if result.pose_refused not in (None, self._pose_refused):
+        refused = result.place.pose_refused
+        if refused not in (None, self._pose_refused):
             counts["set_pose_given_up"] = 1
-        self._pose_refused = result.pose_refused
-        self._is_placed = result.placed != "unknown"
+        self._pose_refused = refused
+        self._is_placed = result.place.placed != "unknown"
         if result.joined is not None:
             self._is_unmeasured = False
         if result.newest is not None:
@@ -206,17 +207,14 @@ class LoopClosing(BackgroundGraph[Result]):
         ]
         return GraphUpdate(
             counts,
-            result.rendered_map,
-            drawn,
-            result.joined,
-            result.geo,
-            result.placed,
-            result.alike,
-            result.pose_refused,
-            result.saved,
-            result.picture,
-            self._known,
-            result.found_once,
+            rendered_map=result.rendered_map,
+            since=drawn,
+            joined=result.joined,
+            geo=result.geo,
+            place=result.place,
+            saved=result.saved,
+            picture=result.picture,
+            known=self._known,
         )
 
     def _is_step(self, pose: SE2, last: SE2 | None) -> bool:
@@ -227,19 +225,19 @@ class LoopClosing(BackgroundGraph[Result]):
 def _key_frame(scan: MappedScan, gap_s: float, is_unmeasured: bool) -> KeyFrame:
     points, match = scan.points, scan.match
     return KeyFrame(
-        scan.stamp_ns,
-        match.motion.pose_odom_base,
-        scan.covariance,
-        scan.change.piece,
-        match.inlier_ratio,
-        match.measured is None and scan.change.piece == 0 and match.state == "lost",
-        points.xy_base.astype(np.float32),
-        (points.sensor_base.x_m, points.sensor_base.y_m),
-        points.spacing_rad,
-        points.range_sigma_m,
-        gap_s,
-        match.motion.covariance,
-        is_unmeasured,
+        stamp_ns=scan.stamp_ns,
+        pose_odom_base=match.motion.pose_odom_base,
+        covariance=scan.covariance,
+        piece=scan.change.piece,
+        score=match.inlier_ratio,
+        is_lost=match.measured is None and scan.change.piece == 0 and match.state == "lost",
+        xy_base=points.xy_base.astype(np.float32),
+        sensor_xy_m=(points.sensor_base.x_m, points.sensor_base.y_m),
+        angle_step_rad=points.spacing_rad,
+        range_sigma_m=points.range_sigma_m,
+        gap_s=gap_s,
+        motion_covariance=match.motion.covariance,
+        is_unmeasured=is_unmeasured,
     )
 
 

@@ -154,7 +154,8 @@ class PieceSearch:
             return None
         at, loop = best
         inverse = se2.between(keyframes.odom[reference], np.zeros(3))
-        new = Hypothesis(se2.compose(at, inverse), loop, float(keyframes.way_m[reference]), piece, self._may_be_at(prior))
+        way_m, is_disputed = float(keyframes.way_m[reference]), self._may_be_at(prior)
+        new = Hypothesis(se2.compose(at, inverse), loop, way_m, piece, is_disputed)
         is_second = prior is not None and prior.explains(at)
         # Of a session one find says where, for the vehicle may stand; it is proven later.
         if is_second or not self._is_session_placed:

@@ -146,7 +146,7 @@ def test_who_is_only_localised_forgets_nothing_of_the_stored_map(ring_fed: tuple
     session = [replace(frame, piece=0) for frame in frames]
     results = [back_end.work(Batch(session[k : k + BATCH])) for k in range(0, len(session), BATCH)]
     keyframes = back_end._keyframes
-    assert results[-1].placed == "proven"
+    assert results[-1].place.placed == "proven"
     assert keyframes.has_points[: len(stored)].all()
 
 
@@ -295,13 +295,13 @@ def test_where_a_piece_was_found_is_told_from_the_first_find_until_it_is_joined(
 ):
     known = ring[0][:SIDE]
     back_end = LoopBackEnd(LoopsConfig(), None)
-    assert back_end.work(Batch(known)).found_once is None
+    assert back_end.work(Batch(known)).place.found_once is None
     again = piece_after(known, known[5:-5])
     results = [back_end.work(Batch(again[k : k + 4])) for k in range(0, len(again), 4)]
-    is_told = [result.found_once is not None for result in results]
+    is_told = [result.place.found_once is not None for result in results]
     first, joined = is_told.index(True), [result.joined for result in results].index(1)
     assert is_told == [first <= k < joined for k in range(len(results))]
-    for once in (result.found_once for result in results[first:joined]):
+    for once in (result.place.found_once for result in results[first:joined]):
         assert once is not None
         assert once.piece == 1
         off = once.pose_map_odom @ ELSEWHERE

@@ -1,0 +1,89 @@
+"""Where odom lies in the map, and what that makes of a match: the newest that the graph has said."""
+
+from dataclasses import replace
+
+from service.fusion.motion import Matrix, Motion
+from service.geometry.se2 import SE2
+from service.mapper.components import GraphUpdate, MapChange, Match, Placed, PlaceNews
+from service.mapper.known_pose import KnownPose
+
+UNPROVEN = "localised in the stored map from one viewpoint; drive on some metres to confirm it"
+FOUND_ONCE = "found again in the map from one viewpoint; drive on some metres to confirm it"
+NOT_PLACED = "not localised in the stored map yet; drive on, or set the pose"
+
+
+class PlaceInMap:
+    """Takes what the graph says; says of each scan that was matched whether its place in the map is known."""
+
+    def __init__(self, placed: Placed) -> None:
+        """placed: "unknown" where the session begins in a stored map, in which the vehicle is to be found."""
+        self.pose_map_odom = SE2()  # of the newest scan
+        self._news = PlaceNews(placed)
+        self._known: KnownPose | None = None  # a key frame that the graph has corrected
+        self._known_here: KnownPose | None = None  # what the newest scan's place rests on
+
+    @property
+    def is_found(self) -> bool:
+        """False: of this session nothing is placed in the stored map."""
+        return self._news.placed != "unknown"
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether what is seen may be compared with the stored map."""
+        return self._news.placed == "proven"
+
+    @property
+    def pose_refused(self) -> tuple[float, float, float] | None:
+        """m, m, rad: where a person said that the vehicle is, and nothing seen fits it; None: nothing."""
+        return self._news.pose_refused
+
+    def take(self, update: GraphUpdate) -> None:
+        """What a piece of work of the graph says of the place."""
+        if update.known is not None:
+            self._known = update.known
+        if update.place is not None:
+            self._news = update.place
+
+    def graph_ended(self) -> None:
+        """No graph looks for a piece any more."""
+        self._news = PlaceNews(self._news.placed)
+
+    def judged(self, match: Match, change: MapChange, pose_map_odom: SE2) -> Match:
+        """The match with the state that its place in the map allows.
+
+        change          what the local map made of it: the number of the piece that it lies in
+        pose_map_odom   of the graph
+        """
+        self.pose_map_odom, self._known_here = pose_map_odom, self._known
+        once = self._news.found_once
+        if (
+            once is not None
+            and match.state == "lost"
+            and match.measured is not None  # it lies on the piece
+            and change.piece == once.piece
+        ):
+            self.pose_map_odom, self._known_here = once.pose_map_odom, once.known
+            match = replace(match, state="degraded", reason=FOUND_ONCE)
+        if not self.is_found:
+            match = replace(match, state="lost", reason=match.reason or NOT_PLACED)
+        elif not self.is_proven and match.state == "ok":
+            match = replace(match, state="degraded", reason=UNPROVEN)
+        if match.state == "lost":
+            match = replace(match, reason=self._why_lost(match.reason))
+        return match
+
+    def covariance_of(self, motion: Motion) -> Matrix:
+        """(3, 3) of a pose of the newest scan in the map, base axes."""
+        return motion.covariance if self._known_here is None else self._known_here.covariance_at(motion)
+
+    def _why_lost(self, reason: str) -> str:
+        """With the places that a person could choose between, and the one that was refused."""
+        if self._news.alike:
+            places = " and ".join(f"({x_m:.1f}, {y_m:.1f}) m" for x_m, y_m in self._news.alike)
+            alike = f"the scans match the map equally well at {places}"
+            reason = f"{reason}; {alike}" if self.is_found else f"{alike}; drive on, or set the pose"
+        if self.pose_refused is not None:
+            x_m, y_m, _ = self.pose_refused
+            refused = f"the pose set at ({x_m:.1f}, {y_m:.1f}) m is rejected: no scan matches the map there"
+            reason = f"{refused}; {reason}"
+        return reason

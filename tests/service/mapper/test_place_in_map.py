@@ -1,0 +1,84 @@
+import numpy as np
+import pytest
+
+from drivers.frames import NO_INTENSITY, LaserScan
+from service.fusion.motion import Measurement, Motion
+from service.geometry.se2 import SE2
+from service.mapper.components import FoundOnce, GraphUpdate, MapChange, Match, Placed, PlaceNews, Points
+from service.mapper.known_pose import KnownPose
+from service.mapper.place_in_map import FOUND_ONCE, NOT_PLACED, UNPROVEN, PlaceInMap
+from service.outputs import State
+
+SCAN = LaserScan("front", 1, 1, 0, 1, 0.0, 0.1, 0.1, 20.0, np.zeros(0, np.float32), NO_INTENSITY)
+POINTS = Points(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.int32), SE2(), SCAN)
+MOTION = Motion(SE2(1.0, 0.0, 0.0), (0.0, 0.0, 0.0), np.diag([0.04, 0.04, 0.01]))
+MEASURED = Measurement(MOTION.pose_odom_base, MOTION.covariance, np.eye(3), 1.0)
+OF_GRAPH, OF_FIND = SE2(0.1, 0.2, 0.0), SE2(5.0, 0.0, 0.5)
+KNOWN = KnownPose(MOTION.pose_odom_base, MOTION.covariance, np.diag([0.01, 0.01, 0.001]))
+FOUND = PlaceNews(found_once=FoundOnce(2, OF_FIND, KNOWN))
+
+
+def judged(
+    news: PlaceNews,
+    state: State,
+    reason: str = "",
+    piece: int = 2,
+    measured: Measurement | None = MEASURED,
+) -> tuple[PlaceInMap, State, str]:
+    place = PlaceInMap("proven")
+    place.take(GraphUpdate({}, place=news))
+    match = place.judged(
+        Match(MOTION, POINTS, 0.9, state, reason, measured=measured), MapChange(piece=piece), OF_GRAPH
+    )
+    return place, match.state, match.reason
+
+
+def test_a_scan_on_a_piece_that_was_found_has_the_pose_of_the_find_and_its_covariance():
+    place, *told = judged(FOUND, "lost", "contradicted")
+    assert told == ["degraded", FOUND_ONCE]
+    assert place.pose_map_odom == OF_FIND
+    np.testing.assert_allclose(place.covariance_of(MOTION), KNOWN.covariance)
+
+
+@pytest.mark.parametrize(
+    ("state", "piece", "measured"), [("lost", 1, MEASURED), ("lost", 2, None), ("ok", 2, MEASURED)]
+)
+def test_a_find_says_nothing_of_another_piece_of_a_scan_beside_it_and_of_one_on_the_map(
+    state: State, piece: int, measured: Measurement | None
+):
+    place, *told = judged(FOUND, state, "", piece, measured)
+    assert told == [state, ""]
+    assert place.pose_map_odom == OF_GRAPH
+    assert place.covariance_of(MOTION) is MOTION.covariance
+
+
+@pytest.mark.parametrize(
+    ("placed", "told"),
+    [
+        ("unknown", ["lost", NOT_PLACED]),
+        ("unproven", ["degraded", UNPROVEN]),
+        ("proven", ["ok", ""]),
+    ],
+)
+def test_in_a_stored_map_only_a_proven_place_is_ok(placed: Placed, told: list[str]):
+    assert list(judged(PlaceNews(placed), "ok")[1:]) == told
+
+
+def test_who_is_lost_is_told_between_which_places_and_that_the_pose_a_person_set_is_not_one():
+    between = "the scans match the map equally well at (1.0, 2.0) m and (-3.0, 4.0) m"
+    alike = [(1.0, 2.0), (-3.04, 4.0)]
+    assert judged(PlaceNews(alike=alike), "lost", "why")[2] == f"why; {between}"
+    assert judged(PlaceNews("unknown", alike), "ok")[2] == f"{between}; drive on, or set the pose"
+    assert judged(PlaceNews(alike=alike), "ok")[2] == ""
+    refused = "the pose set at (7.0, 8.0) m is rejected: no scan matches the map there"
+    assert judged(PlaceNews(pose_refused=(7.0, 8.0, 0.5)), "lost", "why")[2] == f"{refused}; why"
+
+
+def test_what_the_graph_has_said_holds_until_it_says_else_or_ends():
+    place, *_ = judged(FOUND, "lost")
+    lost = Match(MOTION, POINTS, 0.9, "lost", "why", measured=MEASURED)
+    place.take(GraphUpdate({"loop_closures": 1}))
+    assert place.judged(lost, MapChange(piece=2), OF_GRAPH).state == "degraded"
+    place.graph_ended()
+    assert place.judged(lost, MapChange(piece=2), OF_GRAPH).state == "lost"
+    assert place.pose_map_odom == OF_GRAPH
