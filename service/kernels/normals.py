@@ -8,7 +8,9 @@ from service.kernels.compiled import inner_kernel, kernel
 
 WALL_M = 0.004  # how even a wall is, at best
 BEAMS_EACH_SIDE, MOST_BEAMS_EACH_SIDE = 4, 32  # of a window
-GAP_M, GAP_STEPS = 0.06, 5.0  # points farther apart than GAP_M and so many steps between beams: a gap
+# Points farther apart than noise explains, GAP_M at least, and so many steps between beams: a gap. Noise that
+# parted a wall seen aslant would part it where the next point is farther, and turn what is left of it.
+GAP_M, GAP_STEPS, GAP_SIGMAS = 0.06, 5.0, 5.0
 # Beams that graze a wall hit it in steps so long, each longer than the one before by at most so much.
 MOST_STEP_M, MOST_GROWTH = 1.0, 1.5
 IN_LINE_SIGMAS = 3.0
@@ -28,7 +30,7 @@ LEAST_RUNS, MOST_BEAM_GAP = 30, 4  # of three beams, that noise is seen in; step
 
 
 @kernel
-def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazing_weight, normals):
+def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazing_weight, normals, aside_m):
     """Principal axes of each point and its contiguous neighbours.
 
     xy_base          (N, 2) float64   end points in beam order, m, base frame
@@ -41,12 +43,16 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazin
                                       where the beam grazes too much. An error of the range moves the point
                                       along its beam, so across a wall it counts by the cosine of the
                                       incidence: the weight is 1 head-on, grazing_weight at most
+    aside_m          (N,)   float64   out: how far along its wall, to the left of the normal, a point has to
+                                      be moved to where its beam meets the wall, for noise has moved it along
+                                      the beam; 0 where it lies on no plane; [24]
     """
     count = xy_base.shape[0]
     sums = np.zeros((count + 1, 5))  # of x, y, xx, xy, yy up to each point, relative to the sensor
     range_m = np.empty(count)
     first = np.empty(count, np.int64)  # of the run of points without a gap that each belongs to
     square_m2 = range_sigma_m * range_sigma_m
+    least_gap_m = max(GAP_M, GAP_SIGMAS * range_sigma_m)
     for i in range(count):
         x = xy_base[i, 0] - sensor_xy_m[0]
         y = xy_base[i, 1] - sensor_xy_m[1]
@@ -58,7 +64,7 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazin
         range_m[i] = math.sqrt(x * x + y * y)
         first[i] = i
         if i > 0:
-            gap_m = GAP_M + GAP_STEPS * angle_step_rad * min(range_m[i - 1], range_m[i])
+            gap_m = least_gap_m + GAP_STEPS * angle_step_rad * min(range_m[i - 1], range_m[i])
             dx = xy_base[i, 0] - xy_base[i - 1, 0]
             dy = xy_base[i, 1] - xy_base[i - 1, 1]
             if dx * dx + dy * dy < gap_m * gap_m or is_grazed(
@@ -81,18 +87,19 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazin
             reach -= 1
         low = max(first[i], i - reach)
         high = min(end, i + reach + 1)
-        nx, ny, weight, _ = plane_at(
+        nx, ny, weight, _, aside_m[i] = plane_at(
             xy_base, sensor_xy_m, range_m[i], sums, i, low, high, square_m2, grazing_weight
         )
         is_edge = reach * spacing_m > LEAST_REACH_M and (end - first[i]) * spacing_m > LEAST_WIDTH_M
         if weight == ROUGH_WEIGHT and is_edge:
-            ex, ey, of_side = plane_beside_edge(
+            ex, ey, of_side, aside = plane_beside_edge(
                 xy_base, sensor_xy_m, range_m[i], sums, i, first[i], end, reach, square_m2, grazing_weight
             )
             if of_side != ROUGH_WEIGHT:
                 nx = ex
                 ny = ey
                 weight = of_side
+                aside_m[i] = aside
         normals[i, 0] = nx
         normals[i, 1] = ny
         normals[i, 2] = weight
@@ -155,7 +162,8 @@ def is_beside(x, y, other_x, other_y, angle_step_rad):
 
 @inner_kernel
 def plane_beside_edge(xy_base, sensor_xy_m, range_m, sums, i, first, end, reach, square_m2, grazing_weight):
-    """Unit normal (2,) and weight of point i by the longest clean window to one side; ROUGH_WEIGHT: none is.
+    """Normal (2,), weight and way aside of point i by the longest clean window to one side, as plane_at gives
+    them; ROUGH_WEIGHT: none is.
 
     first, end   the run of the point
     reach        points of the longest window besides the point
@@ -165,6 +173,7 @@ def plane_beside_edge(xy_base, sensor_xy_m, range_m, sums, i, first, end, reach,
     nx = 1.0
     ny = 0.0
     weight = ROUGH_WEIGHT
+    aside_m = 0.0
     for side in range(reach, LEAST_SIDE - 1, -1):
         least = CLEAN
         for k in range(2):
@@ -176,7 +185,7 @@ def plane_beside_edge(xy_base, sensor_xy_m, range_m, sums, i, first, end, reach,
             y = xy_base[low, 1] - xy_base[high - 1, 1]
             if x * x + y * y > MOST_SPACING_M * MOST_SPACING_M * side * side:
                 continue
-            ex, ey, of_window, excess = plane_at(
+            ex, ey, of_window, excess, aside = plane_at(
                 xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazing_weight
             )
             ahead_m = ex * (sensor_xy_m[0] - xy_base[i, 0]) + ey * (sensor_xy_m[1] - xy_base[i, 1])
@@ -186,7 +195,7 @@ def plane_beside_edge(xy_base, sensor_xy_m, range_m, sums, i, first, end, reach,
             if side > LEAST_SIDE:
                 low += k
                 high -= 1 - k
-                ex, ey, of_window, _ = plane_at(
+                ex, ey, of_window, _, aside = plane_at(
                     xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazing_weight
                 )
             if of_window != ROUGH_WEIGHT:
@@ -194,16 +203,16 @@ def plane_beside_edge(xy_base, sensor_xy_m, range_m, sums, i, first, end, reach,
                 nx = ex
                 ny = ey
                 weight = of_window
+                aside_m = aside
         if least < CLEAN:
             break
-    return nx, ny, weight
+    return nx, ny, weight, aside_m
 
 
 @inner_kernel
 def plane_at(xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazing_weight):
-    """Unit normal (2,) of point i by the points low to high - 1, its weight, and their spread across.
-
-    The spread is in units of what noise explains.
+    """Unit normal (2,) of point i by the points low to high - 1, its weight, their spread across in units of
+    what noise explains, and how far point i is to be moved along the wall, m; see estimate_normals.
     """
     most_rad2 = (MOST_ANGLE * ANGLE_SIGMA_RAD) ** 2
     n = high - low
@@ -214,6 +223,7 @@ def plane_at(xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazi
         ny = (sensor_xy_m[1] - xy_base[i, 1]) / range_m
     weight = ROUGH_WEIGHT
     excess = 0.0
+    aside_m = 0.0
     if n >= 3:
         sx = sums[high, 0] - sums[low, 0]
         sy = sums[high, 1] - sums[low, 1]
@@ -242,10 +252,12 @@ def plane_at(xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazi
             ex /= length
             ey /= length
             cosine = ex * nx + ey * ny
+            sine = nx * ey - ny * ex  # of the beam, to the left of the normal
             if cosine < 0.0:
                 ex = -ex
                 ey = -ey
                 cosine = -cosine
+                sine = -sine
             nx = ex
             ny = ey
             # [17] the spread across a plane has n - 2 degrees of freedom
@@ -260,7 +272,10 @@ def plane_at(xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazi
                 if cosine >= LEAST_COS_INCIDENCE:
                     square = cosine * cosine
                     weight = 1.0 / (square + (1.0 - square) / grazing_weight)
-    return nx, ny, weight, excess
+                    # [24] what noise explains of how far the point is off the line
+                    off = (nx * x + ny * y) * square_m2 * square / expected
+                    aside_m = off * sine / cosine
+    return nx, ny, weight, excess, aside_m
 
 
 @inner_kernel

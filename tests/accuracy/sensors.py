@@ -12,8 +12,9 @@ from service.mapper.profiles import MappingConfig, mapping_config
 from simulators.truth import LaserModel
 from simulators.worlds import WORLDS
 from tests.accuracy.driving import Errors, Trip, ok_and_wrong, ok_and_wrong_row
+from tests.accuracy.lasers import LUX
 from tests.papers.report import Row, Section
-from tests.simulated import LMS100_50HZ, Drive, Imu, Laser, run
+from tests.simulated import FORWARD, LMS100_50HZ, Drive, Imu, Laser, run
 
 LMS100_10HZ = replace(LMS100_50HZ, rate_hz=10.0)
 # Of the size of what small robots carry: 360 deg in 400 beams, 12 m, noise of 1 cm and 0.5 % of the range.
@@ -30,6 +31,7 @@ MOUNTINGS = {
     "0.3 m farther back": SE2(-0.3, 0.0, 0.0),
 }
 BY_ODOMETRY = "by odometry the vehicle drives"
+LUX_AHEAD = replace(LUX, name=LMS100_50HZ.name, mounting=FORWARD)
 PLACES = ("ring", "office", "library")
 STOPS_AFTER_S = 20.0
 BY_TWIST = {"components": {"deskew": "deskew_by_twist"}}
@@ -48,6 +50,20 @@ def slow_mirrors(seeds: Sequence[int]) -> Section:
         "another rate, and a laser of 360 deg in 400 beams with 12 m; odometry. By the twist alone: without "
         "the motion within the sweep that odometry measures ([23] of estimator.md). That was made with the "
         "ring (seeds 21 to 23) at these rates in view.",
+        rows,
+    )
+
+
+def lux_alone(seeds: Sequence[int]) -> Section:
+    rows = []
+    for place, bound_mm in (("glass_corridor", 50.0), ("corridor100", None), ("office", None)):
+        rows += _rows(place, Trip(WORLDS[place], LUX_AHEAD, imu=Imu()), seeds, bound_mm=bound_mm)
+    return Section(
+        "A LUX alone",
+        "220 beams over 110 deg at 25 Hz, noise of 4 cm; odometry that errs by 1 cm and 0.3 deg per square "
+        "root of a metre, and an IMU. `glass_corridor` 38 m towards a glass wall, `corridor100` 100 m there and "
+        "back, each begun with a turn on the spot. That points are moved to where their beams meet walls "
+        "([24] of estimator.md) was made with both corridors, seeds 11, 12 and 14, in view.",
         rows,
     )
 
@@ -98,7 +114,11 @@ def wrong_mounting(seeds: Sequence[int]) -> Section:
 
 
 def _rows(
-    what: str, trip: Trip, seeds: Sequence[int], settings: dict[str, object] | None = None
+    what: str,
+    trip: Trip,
+    seeds: Sequence[int],
+    settings: dict[str, object] | None = None,
+    bound_mm: float | None = None,
 ) -> list[Row]:
     errors, wrong = Errors(), []
     config: MappingConfig = mapping_config(settings or {})
@@ -106,7 +126,7 @@ def _rows(
         errors.add(made, done)
         wrong.append(ok_and_wrong(done))
     return [
-        Row("", f"{what}: ATE after the finish", errors.finished_mm, "mm", digits=1),
+        Row("", f"{what}: ATE after the finish", errors.finished_mm, "mm", at_most=bound_mm, digits=1),
         Row("", f"{what}: scans lost", errors.lost_percent, "%", digits=1),
         ok_and_wrong_row(what, wrong),
     ]

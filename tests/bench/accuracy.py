@@ -40,6 +40,7 @@ SCENARIOS: dict[str, Callable[[Sequence[int]], Section]] = {
     "slow_mirrors": sensors.slow_mirrors,
     "wrong_odometry": sensors.wrong_odometry,
     "wrong_mounting": sensors.wrong_mounting,
+    "lux_alone": sensors.lux_alone,
     "anchored": anchored.anchored,
     "parked": trials.parked,
     "lasers": lasers.lasers,

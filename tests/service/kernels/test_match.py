@@ -62,7 +62,7 @@ def room_scan(pose: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
 
 def normals_of(xy: np.ndarray) -> np.ndarray:
     normals = np.empty((len(xy), 3))
-    estimate_normals(xy, np.zeros(2), STEP_RAD, SIGMA_M, 5.0, normals)
+    estimate_normals(xy, np.zeros(2), STEP_RAD, SIGMA_M, 5.0, normals, np.empty(len(xy)))
     return normals
 
 

@@ -12,9 +12,19 @@ SIGMA_M = 0.01
 def normals_of(
     xy: np.ndarray, sensor: tuple[float, float] = (0.0, 0.0), sigma_m: float = SIGMA_M
 ) -> np.ndarray:
-    normals = np.full((len(xy), 3), np.nan)
-    estimate_normals(np.ascontiguousarray(xy), np.array(sensor), STEP_RAD, sigma_m, 5.0, normals)
-    return normals
+    return walls_at(xy, sensor, sigma_m)[0]
+
+
+def walls_at(
+    xy: np.ndarray,
+    sensor: tuple[float, float] = (0.0, 0.0),
+    sigma_m: float = SIGMA_M,
+    step_rad: float = STEP_RAD,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Normals, and how far aside the points are moved, m."""
+    normals, aside_m = np.full((len(xy), 3), np.nan), np.full(len(xy), np.nan)
+    estimate_normals(np.ascontiguousarray(xy), np.array(sensor), step_rad, sigma_m, 5.0, normals, aside_m)
+    return normals, aside_m
 
 
 def wall(distance_m: float, angles: np.ndarray) -> np.ndarray:
@@ -322,8 +332,7 @@ def test_the_side_of_a_door_is_a_plane_for_a_laser_of_one_degree() -> None:
         xy, is_side = sunk_door(0.2, step_rad)
         towards = xy / np.hypot(*xy.T)[:, None]
         xy = xy + towards * np.random.default_rng(seed).normal(0.0, SIGMA_M, len(xy))[:, None]
-        normals = np.full((len(xy), 3), np.nan)
-        estimate_normals(np.ascontiguousarray(xy), np.zeros(2), step_rad, SIGMA_M, 5.0, normals)
+        normals, _ = walls_at(xy, step_rad=step_rad)
         of_side = normals[is_side & (normals[:, 2] > 0.5)]
         planar += len(of_side)
         off_rad += list(np.arctan2(of_side[:, 1], -of_side[:, 0]))
@@ -337,6 +346,45 @@ def test_few_far_points_make_no_plane_beside_an_edge() -> None:
     angles = np.arange(-0.5, 0.5, math.radians(2.0))
     range_m = 4.0 + 0.5 * (np.arange(len(angles)) % 2) * np.linspace(0.2, 1.0, len(angles))
     xy = np.column_stack([range_m * np.cos(angles), range_m * np.sin(angles)])
-    normals = np.full((len(xy), 3), np.nan)
-    estimate_normals(np.ascontiguousarray(xy), np.zeros(2), math.radians(2.0), SIGMA_M, 5.0, normals)
+    normals, _ = walls_at(xy, step_rad=math.radians(2.0))
     assert (normals[:, 2] <= ROUGH_WEIGHT).all()
+
+
+@pytest.mark.parametrize(("sigma_m", "least"), [(0.012, 0.25), (0.04, 0.6)])
+def test_noise_along_the_beam_is_taken_out_along_the_wall_and_left_across_it(
+    sigma_m: float, least: float
+) -> None:
+    """The bearing says where along the wall a beam ends."""
+    angles = np.radians(np.arange(-60.0, 60.0, 0.5))
+    noise_m = np.random.default_rng(4).normal(0.0, sigma_m, (40, len(angles)))
+    along, moved, across = [], [], []
+    for of_scan_m in noise_m:
+        range_m = 1.5 / np.cos(angles) + of_scan_m
+        xy = range_m[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+        normals, aside_m = walls_at(xy, sigma_m=sigma_m)
+        there = xy + aside_m[:, None] * np.column_stack([-normals[:, 1], normals[:, 0]])
+        assert (aside_m[normals[:, 2] < 0.5] == 0.0).all()
+        aslant = (np.abs(angles) > 0.6) & (normals[:, 2] >= 1.0)
+        along += list((xy[:, 1] - 1.5 * np.tan(angles))[aslant])
+        moved += list((there[:, 1] - 1.5 * np.tan(angles))[aslant])
+        across += list((there - xy)[aslant, 0])
+    assert len(along) > 1500
+    assert np.var(moved) < (1.0 - least) * np.var(along)
+    assert np.std(across) < 0.1 * np.std(along)
+
+
+def test_a_point_without_noise_stays_where_it_is() -> None:
+    _, aside_m = walls_at(wall(2.0, np.arange(-1.0, 1.0, STEP_RAD)), sigma_m=1e-4)
+    np.testing.assert_allclose(aside_m, 0.0, atol=1e-6)
+
+
+def test_noise_parts_no_wall_that_is_seen_aslant() -> None:
+    """A LUX errs by 4 cm, so by 12 cm between two beams now and then; a wall in pieces is known worse."""
+    angles = np.radians(np.arange(-55.0, 55.0, 0.5))
+    noise = np.random.default_rng(5)
+    planar = []
+    for _ in range(20):
+        range_m = 1.1 / np.cos(angles) + noise.normal(0.0, 0.04, len(angles))
+        xy = range_m[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+        planar.append((normals_of(xy, sigma_m=0.04)[:, 2] >= 1.0).mean())
+    assert np.mean(planar) > 0.95  # 0.8 where 6 cm are a gap

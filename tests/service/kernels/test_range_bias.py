@@ -39,7 +39,7 @@ def seen_from(x_m: float, bias_m: np.ndarray, rng: np.random.Generator) -> tuple
         range_m[:, None] * np.column_stack([np.cos(ANGLES), np.sin(ANGLES)]),
         np.empty((len(ANGLES), 3)),
     )
-    estimate_normals(xy, np.zeros(2), STEP_RAD, SIGMA_M, 5.0, normals)
+    estimate_normals(xy, np.zeros(2), STEP_RAD, SIGMA_M, 5.0, normals, np.empty(len(xy)))
     return xy, normals
 
 

@@ -1,6 +1,7 @@
 """What scans are matched to: two overlapping sub-maps of surfels, of which the older one is read."""
 
 import math
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -9,7 +10,6 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.likelihood import SPLAT_REACH_CELLS, splat_likelihood
-from service.kernels.normals import estimate_normals
 from service.kernels.static_score import (
     Sightings,
     count_contradicting,
@@ -24,6 +24,7 @@ from service.mapper.judgement import too_few
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
 from service.mapper.methods.corridor.dynamic_filter import DynamicFilterConfig, ticks_in
 from service.mapper.methods.corridor.posts import Posts, posts_of
+from service.mapper.walls import walls_of
 
 FIRST_SCANS = 25  # all of the first ones of a map are taken, even standing: half a second of a 50 Hz laser
 COUNT_LIMIT = 1000.0  # points of one laser that a surfel stands for at most: it forgets what was moved
@@ -243,19 +244,18 @@ class SurfelSubmaps:
     def tile_count(self) -> int:
         return self._pool.used_count
 
-    def normals_of(self, points: Points) -> npt.NDArray[np.float64]:
-        """(N, 3) of each point: normal towards the sensor, and its weight; as estimate_normals gives it."""
-        normals = np.empty((len(points.xy_base), 3))
-        sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
-        estimate_normals(
+    def on_walls(self, points: Points) -> tuple[Points, npt.NDArray[np.float64]]:
+        """The points, moved to where their beams meet walls, and the (N, 3) normals there; see walls_of."""
+        sensor = points.sensor_base
+        xy_base, normals = walls_of(
             points.xy_base,
-            sensor,
+            (sensor.x_m, sensor.y_m),
             points.spacing_rad,
             points.range_sigma_m,
             GRAZING_WEIGHT,
-            normals,
         )
-        return normals
+        xy_raw = points.xy_raw + (xy_base - points.xy_base)  # some cm, turned by what a sweep turns by
+        return replace(points, xy_base=xy_base, xy_raw=xy_raw), normals
 
     def insert(self, points: Points, match: Match) -> MapChange:
         if not len(points.xy_base):
@@ -325,8 +325,8 @@ class SurfelSubmaps:
         self._last_keyframe = pose
 
     def _insert_keyframe(self, submaps: list[Submap], points: Points, pose: SE2) -> None:
-        normals = self.normals_of(points)
         posts = posts_of(points)
+        points, normals = self.on_walls(points)
         for submap in submaps:
             submap.insert(points, normals, posts, pose)
 

@@ -71,7 +71,8 @@ class SurfelMatcherConfig(JudgementConfig):
 class _Attempt:
     """A scan that is to be aligned with a map, and where the prediction puts it there."""
 
-    points: Points
+    points: Points  # where their beams meet walls
+    unmoved: Points  # as they were measured
     normals: Matrix  # (N, 3) from estimate_normals
     posts: Posts | None  # where there are few walls
     predicted: Prediction
@@ -150,8 +151,8 @@ class SurfelGaussNewton:
             self._gap, self._hypothesis = self._began, None
         usual = self._usual_ratios.get(points.scan.sensor, 1.0)
         prior = _prior_of(predicted, self._gap)
-        normals = local_map.normals_of(points)
-        attempt = _Attempt(points, normals, posts_of(points), predicted, prior, usual)
+        on_walls, normals = local_map.on_walls(points)
+        attempt = _Attempt(on_walls, points, normals, posts_of(points), predicted, prior, usual)
         if local_map.pause_s:
             return self._on_piece(attempt, local_map, _unmeasured(local_map.pause_s), 0.0)
         aligned = self._gone_on(self._align(attempt, attempt.prior.pose, submap), attempt)
@@ -205,7 +206,8 @@ class SurfelGaussNewton:
             gap = attempt.prior.covariance - attempt.predicted.local_covariance
         measured = Measurement(pose, result.covariance, result.information, result.prior_weight, gap)
         motion = Motion(pose, (forward, left, turn), result.covariance)
-        deskewed = replace(attempt.points, xy_base=aligned.xy_base)
+        moved_m = attempt.points.xy_base - attempt.unmoved.xy_base
+        deskewed = replace(attempt.unmoved, xy_base=aligned.xy_base - moved_m)
         return Match(motion, deskewed, result.share, state, reason, aligned.submap.number, measured)
 
     def _learn_bias(self, aligned: _Aligned, attempt: _Attempt) -> None:

@@ -12,9 +12,10 @@ import numpy.typing as npt
 
 from service.kernels.blurred_segments import NO_SEGMENT
 from service.kernels.likelihood_lm import likelihood_normal_equations
-from service.kernels.normals import ROUGH_WEIGHT, estimate_normals
+from service.kernels.normals import ROUGH_WEIGHT
 from service.mapper.components import Points
 from service.mapper.methods.owolm_eskf.building_axes import QUARTER_RAD
+from service.mapper.walls import walls_of
 
 Array = npt.NDArray[np.float64]
 
@@ -38,11 +39,9 @@ def information_across(
     A point in a segment counts across that. Another counts along the normal of the piece that it lies on; on
     no piece, as the single returns far along a wall are, it says nothing.
     """
-    count = len(points.xy_base)
-    normals = np.empty((count, 3))
-    sensor_xy_m = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
+    sensor_xy_m = (points.sensor_base.x_m, points.sensor_base.y_m)
     step_rad = abs(points.scan.angle_step_rad)
-    estimate_normals(points.xy_base, sensor_xy_m, step_rad, points.range_sigma_m, 1.0, normals)
+    normals = walls_of(points.xy_base, sensor_xy_m, step_rad, points.range_sigma_m).normals
     c, s = math.cos(pose[2]), math.sin(pose[2])
     across = _along_axes(normals[:, :2] @ np.array([[c, s], [-s, c]]))
     along_x, along_y = (segment != NO_SEGMENT).T

@@ -12,7 +12,6 @@ from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.kernels.loops import path_lengths, thin_points
-from service.kernels.normals import estimate_normals
 from service.mapper.components import Correction, MapRenderer, PlaceNews, RenderedMap
 from service.mapper.graph.marginal import covariance_of_last
 from service.mapper.graph.point_clouds import Fit, PointCloud
@@ -42,6 +41,7 @@ from service.mapper.methods.corridor.graph.stored_graph import (
 from service.mapper.methods.corridor.graph.way_drift import WayDrift
 from service.mapper.refused_loops import ALONE, BY_HAND, CONTRADICTED, IN_FREE_SPACE, TOO_FAR, TOO_FEW_POINTS
 from service.mapper.saved_graph import KeepGraph, SavedGraph
+from service.mapper.walls import walls_of
 
 SAME_SPOT_M, SAME_VIEW_RAD = 0.5, 0.5  # key frames so near see the same
 LOST_M, DOUBTFUL_M = 60.0, 30.0  # way that such a step counts for, where loops are looked for
@@ -195,15 +195,15 @@ class LoopBackEnd:
         odom = np.array([pose.x_m, pose.y_m, pose.theta_rad])
         if keyframes.count > keyframes.stored:
             odom = se2.compose(keyframes.map[-1], se2.between(keyframes.odom[-1], odom))
-        xy = frame.xy_base.astype(np.float64)
-        normals, kept = np.empty((len(xy), 3)), np.empty(len(xy), np.bool_)
-        estimate_normals(
-            xy, np.array(frame.sensor_xy_m), frame.angle_step_rad, frame.range_sigma_m, 1.0, normals
+        xy, normals = walls_of(
+            frame.xy_base.astype(np.float64), frame.sensor_xy_m, frame.angle_step_rad, frame.range_sigma_m
         )
+        kept = np.empty(len(xy), np.bool_)
         thin_points(xy, self._config.thin_m, kept)
-        keyframes.append(
-            frame, odom, ThinnedScan(frame.xy_base[kept], normals[kept].astype(np.float32), frame.sensor_xy_m)
+        thinned = ThinnedScan(
+            xy[kept].astype(np.float32), normals[kept].astype(np.float32), frame.sensor_xy_m
         )
+        keyframes.append(frame, odom, thinned)
         if self._is_detached():
             keyframes.forget_one_standing(MOST_STANDING, self._config)
 

@@ -11,10 +11,10 @@ import numpy as np
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
-from service.kernels.normals import estimate_normals
 from service.mapper.graph.point_clouds import Fit, PointCloud, SurfelSet, joined
 from service.mapper.methods.submap_graph.counted_submaps import ClosedSubmap
 from service.mapper.methods.submap_graph.key_scan import DrawnScan
+from service.mapper.walls import walls_of
 
 # How sure the step of a particle is from key scan to key scan, m, m, rad. It says where a scan lies along
 # walls that say nothing.
@@ -76,6 +76,4 @@ def align_cloud(cloud: PointCloud, surfels: SurfelSet, shift: Floats, most_point
 
 def _cloud(scan: DrawnScan) -> PointCloud:
     xy = scan.xy_base.astype(np.float64)
-    normals = np.zeros((len(xy), 3))
-    estimate_normals(xy, np.array(scan.sensor_xy_m), scan.angle_step_rad, 0.01, 1.0, normals)
-    return PointCloud(xy, normals)
+    return PointCloud(xy, walls_of(xy, scan.sensor_xy_m, scan.angle_step_rad, 0.01).normals)
