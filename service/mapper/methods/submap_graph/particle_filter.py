@@ -1,7 +1,8 @@
 """A Rao-Blackwellised particle filter: every particle is aligned with the map that it drew itself.
 
-Sample, weigh, resample, as paper 004 section 1.2; the maps are drawn by CountedSubmaps. A step of a particle
-is drawn from the motion model and then aligned with its map: without odometry the sample alone would miss it.
+Sample, weigh, resample, as in Zhang et al. 2016, section 1.2; the maps are drawn by CountedSubmaps. A step of
+a particle is drawn from the motion model and then aligned with its map: without odometry the sample alone
+would miss it.
 What it is weighed by is then not p / q of eq. 2, for nobody knows the q of a sample that was moved;
 `draw: around_scan` has a q and that weight.
 """

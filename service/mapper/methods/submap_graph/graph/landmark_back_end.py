@@ -1,8 +1,8 @@
 """The graph of track points and virtual landmarks: what is done with each closed sub-map, and on request.
 
-Paper 004: a track point every few metres, odometry terms between them, and landmark terms to points that two
-sub-maps share. Landmarks come from aligning sub-maps with each other, or from a person who names pairs of
-points.
+Zhang et al. 2016: a track point every few metres, odometry terms between them, and landmark terms to points
+that two sub-maps share. Landmarks come from aligning sub-maps with each other, or from a person who names
+pairs of points.
 """
 
 import math

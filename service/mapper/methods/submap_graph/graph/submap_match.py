@@ -181,7 +181,7 @@ def _search(
 def _landmarks(new: WallPoints, old: WallPoints, shift: Floats, config: SubmapMatchConfig) -> Floats:
     """The likeliest points that both have, corners first, apart from each other.
 
-    Source: paper 004, eq. 9; of the many cells that are equally certain those are taken that fix most.
+    Source: Zhang et al. 2016, eq. 9; of many cells that are equally certain those are taken that fix most.
     """
     certain = np.flatnonzero(new.probability > config.landmark_probability)
     both = certain[values_at(new.xy[certain], shift, old.field)[:, 0] > ON_MAP]
