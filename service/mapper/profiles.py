@@ -13,7 +13,7 @@ from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import (
@@ -109,7 +109,6 @@ class MappingConfig(BaseModel):
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    RENAMED: ClassVar = {"stages": "components"}
 
     profile: str = "corridor"
     cell_m: float = Field(default=0.05, ge=0.01, le=0.5)

@@ -1,7 +1,6 @@
 """What scans are matched to: two overlapping sub-maps of surfels, of which the older one is read."""
 
 import math
-from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -41,8 +40,6 @@ class SubmapsConfig(BaseModel):
     """How sub-maps are cut and filled."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    FIXED: ClassVar = ("first_scans", "count_limit", "field_sigma_m", "field_enough")  # in older configs
-    RENAMED: ClassVar = {"permanence": "dynamic_filter"}
 
     dynamic_filter: DynamicFilterConfig = DynamicFilterConfig()
     cell_m: float = Field(default=0.10, ge=0.02, le=0.5)

@@ -7,7 +7,7 @@ What it is weighed by is then not p / q of eq. 2, for nobody knows the q of a sa
 `draw: around_scan` has a q and that weight.
 """
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -36,8 +36,6 @@ SEARCH_STEP_RAD = 0.02  # turns a point at 5 m by two cells
 
 class ParticleFilterConfig(JudgementConfig):
     """How particles are drawn, aligned with their maps and weighed."""
-
-    RENAMED: ClassVar = {"doubt_ratio": "least_agreement"}
 
     seed: int = Field(default=1, ge=0)
     # aligned: from the motion model, then aligned with the map, weighed by the likelihood of the scan

@@ -8,7 +8,7 @@ pairs of points.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -52,7 +52,6 @@ class LandmarkGraphConfig(BaseModel):
     """Which sub-maps are aligned with each other, and how far odometry is trusted between track points."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    RENAMED: ClassVar = {"redraw_m": "render_again_m"}
 
     match: SubmapMatchConfig = SubmapMatchConfig()
     least_on_surfels: float = Field(
