@@ -26,7 +26,7 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     (
         "information of a scan reduced by what chance gives ([22])",
         f"{METHOD}.surfel_gauss_newton",
-        {"HONEST_NOISE": 0.0},
+        {"WRONG_ODOMETRY_NOISE": 0.0},
     ),
     (
         "unknown ground neutral in the loop search",
