@@ -352,13 +352,7 @@ class _Reader:
                 key = str(detail["loc"][-1])
                 models = _models_at(model, detail["loc"][:-1])
                 known = sorted({name for found in models for name in found.model_fields} - {"name"})
-                renamed = [new for found in models if (new := getattr(found, "RENAMED", {}).get(key))]
-                if renamed:
-                    self._fault(at, f"is called {renamed[0]} now; write {renamed[0]}, with the same value")
-                elif any(key in getattr(found, "FIXED", ()) for found in models):
-                    self._fault(at, "no setting any more, its value is fixed; leave it out")
-                else:
-                    self._fault(at, _unknown_key(key, detail["input"], known))
+                self._fault(at, _unknown_key(key, detail["input"], known))
             case "missing":
                 self._fault((*at, str(detail["loc"][-1])), "missing, and there is no sensible default")
             case _:

@@ -13,6 +13,7 @@ import hypothesis
 import pytest
 
 from service.kernel_cache import ensure_cache_dir, is_warm
+from tests.shared_data import SHARED
 from tests.soaked import FEW_EXAMPLES, MANY_EXAMPLES
 
 gc.disable()  # until all is imported, which makes no garbage but would be looked through over and over
@@ -62,11 +63,10 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """Folder of real captures and recordings, $CORRIDOR_SHARED or ../shared; else a skip says so."""
-    root = Path(os.environ.get("CORRIDOR_SHARED", Path(__file__).parents[2] / "shared"))
-    if not (root / "captures").is_dir():
-        pytest.skip(f"no real recordings at {root}; set CORRIDOR_SHARED to the folder that holds them")
-    return root
+    """Folder of real captures and recordings, else a skip says so."""
+    if not (SHARED / "captures").is_dir():
+        pytest.skip(f"no real recordings at {SHARED}; set CORRIDOR_SHARED to the folder that holds them")
+    return SHARED
 
 
 @pytest.fixture(autouse=True)

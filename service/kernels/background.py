@@ -99,13 +99,13 @@ def mark_unseen(level, protect_count, cells):
 
 @inner_kernel
 def kept_rising(highest, settings):
-    """Share of its old likelihood that a cell keeps while it rises. Source: paper 000, eq. 14: 1 - w_u."""
+    """Share of its old likelihood that a rising cell keeps. Source: Li et al. 2016, eq. 14: 1 - w_u."""
     return (1.0 - settings.rate * (1.0 + settings.control * highest)) ** settings.scans
 
 
 @inner_kernel
 def kept_falling(highest, settings):
-    """Share of its old likelihood that a cell keeps while it falls. Source: paper 000, eq. 16: 1 - w_d."""
+    """Share of its old likelihood that a falling cell keeps. Source: Li et al. 2016, eq. 16: 1 - w_d."""
     return (1.0 - settings.rate / (1.0 + settings.control * highest)) ** settings.scans
 
 
@@ -124,8 +124,9 @@ def averaged(likelihood, highest, value, settings):
 def increase(likelihood, highest, value, settings):
     """Likelihood of a cell that is hit again, by a scan that gives it `value`.
 
-    Source: paper 000, eqs. 13 and 14. Where settings.is_printed is false, max() with the scan is left out:
-    with it one hit is as good as a hundred, and noise adds up to a wall as thick as the worst scan makes it.
+    Source: Li et al. 2016, eqs. 13 and 14. Where settings.is_printed is false, max() with the scan is left
+    out: with it one hit is as good as a hundred, and noise adds up to a wall as thick as the worst scan
+    makes it.
     """
     base = max(likelihood, value) if settings.is_printed else likelihood
     return 1.0 - kept_rising(highest, settings) * (1.0 - base)
@@ -133,7 +134,7 @@ def increase(likelihood, highest, value, settings):
 
 @inner_kernel
 def decrease(likelihood, highest, settings):
-    """Likelihood of a cell that nothing was seen in. Source: paper 000, eqs. 15 and 16."""
+    """Likelihood of a cell that nothing was seen in. Source: Li et al. 2016, eqs. 15 and 16."""
     return kept_falling(highest, settings) * likelihood
 
 
@@ -156,8 +157,9 @@ def listed(level, row, column):
 
 @inner_kernel
 def rise_at(level, k, old, settings, cells):
-    """p_u of a cell: what the nearest hits say. Source: paper 000, eq. 17, a maximum where argmax is printed.
+    """p_u of a cell: what the nearest hits say.
 
+    Source: Li et al. 2016, eq. 17, a maximum where argmax is printed.
     k     int     its row in the list
     old   float   its likelihood before
     """
@@ -183,7 +185,7 @@ def rise_at(level, k, old, settings, cells):
 
 @kernel
 def spread_falls(level, settings, cells):
-    """Fill p_d of the cells that are only blurred. Source: paper 000, eq. 17: the most negative."""
+    """Fill p_d of the cells that are only blurred. Source: Li et al. 2016, eq. 17: the most negative."""
     radius = INTERPOLATION_SIGMAS * settings.sigma_cells
     reach = math.floor(radius)
     for i in range(cells.rows[0]):
@@ -214,7 +216,7 @@ def learn_scan(level, settings, cells):
     A cell that was never seen takes the scan's own likelihood, as the whole map does at the first scan.
     Others are increased where hit, decreased where passed, and where only blurred interpolated between those
     (as printed) or brought nearer to the scan's own likelihood, upwards and downwards at their own rates.
-    Source: paper 000, section 2.4, eqs. 13 to 18.
+    Source: Li et al. 2016, section 2.4, eqs. 13 to 18.
     """
     for k in range(cells.rows[0]):
         slot, r, q = cells.place[k, 0], cells.place[k, 1] & TILE_MASK, cells.place[k, 2] & TILE_MASK
@@ -247,7 +249,7 @@ def learn_scan(level, settings, cells):
 
 @kernel
 def interpolated(level, k, old, value, settings, cells):
-    """Likelihood of a cell that is blurred by a scan but not hit. Source: paper 000, eqs. 17 and 18.
+    """Likelihood of a cell that is blurred by a scan but not hit. Source: Li et al. 2016, eqs. 17 and 18.
 
     k       int     its row in the list, p_d filled in
     old     float   its likelihood before

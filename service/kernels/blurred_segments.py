@@ -41,7 +41,7 @@ def segments_along(xy_map, axis, gap_m, limits, least_points, segment):
     least_points   int              the search ends with a band of no more points (n)
     segment        (N, 2) int32     column `axis` out: number of the segment of each point, or NO_SEGMENT
     Returns the number of segments.
-    Source: paper 002, algorithm 1. As printed it never ends where no piece of the fullest band is long
+    Source: Qian et al. 2019, algorithm 1. As printed it never ends where no piece of the fullest band is long
     enough; here no band may begin again within half a width of such a one.
     """
     width_m, length_m = limits[0], limits[1]

@@ -122,7 +122,7 @@ def blur_reach_cells(settings):
 def blurred(along, across, settings):
     """Likelihood at a distance along a contour from its nearest point, and one from the contour; cells.
 
-    Source: paper 000, eq. 6; with is_squared the Gaussian that its exponent is not.
+    Source: Li et al. 2016, eq. 6; with is_squared the Gaussian that its exponent is not.
     """
     u = along / settings.along_cells
     v = across / settings.across_cells
@@ -138,7 +138,7 @@ def blur_segment(u0, v0, u1, v1, before, after, level, settings, cells):
     u0, v0, u1, v1   float   its ends, in cells of the level
     before, after    float   how far beyond each end cells still belong to this step, cells
     Distances are those of the centre of a cell. Inside, d_x is the way to the nearer end and d_y the distance
-    to the step; beyond an end d_y is the distance to that end. Source: paper 000, eqs. 6 and 7.
+    to the step; beyond an end d_y is the distance to that end. Source: Li et al. 2016, eqs. 6 and 7.
     """
     reach = blur_reach_cells(settings)
     length = math.hypot(u1 - u0, v1 - v0)

@@ -21,7 +21,7 @@ def extract_contours(xy_base, longest_m, most_ratio, contour):
     contour      (N,)   int32     out: number of the contour of each point, in the order they were found;
                                   ALONE where it belongs to none. The points of a contour lie in a row.
     Returns the number of contours.
-    Source: paper 000, section 2.2, eq. 5. A seed is a pair of which neither point is taken; a new step
+    Source: Li et al. 2016, section 2.2, eq. 5. A seed is a pair of which neither point is taken; a new step
     is compared with the last one of its end.
     """
     count = xy_base.shape[0]

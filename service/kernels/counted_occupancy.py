@@ -50,7 +50,7 @@ def occupied_probability(hits, passes, weights):
 
     hits, passes   int
     weights        CountWeights
-    Source: paper 004, eqs. 6 to 8; the lost eq. 8 is the normalised product of the odds.
+    Source: Zhang et al. 2016, eqs. 6 to 8; the lost eq. 8 is the normalised product of the odds.
     """
     return 1.0 / (1.0 + math.exp(-(hits * weights.hit + passes * weights.passed)))
 
@@ -121,7 +121,7 @@ def count_scan(xy_base, sensor_xy_m, pose, grid, weights, free_range_m, pass_str
     free_range_m   float            beams clear cells up to here
     pass_stride    int              every so many beams clear cells; all of them hit
     scan_number    uint16           differs from that of the last scan, and is not 0
-    Source: paper 004, section 2.1.1.
+    Source: Zhang et al. 2016, section 2.1.1.
     """
     hits, passes, field, touched = grid.hits, grid.passes, grid.field, grid.touched
     cell_m = grid.cell_m

@@ -84,7 +84,7 @@ def icp_point_to_point(newer, older, start, most_m, iterations, settled):
     iterations   int              at most so many
     settled      float            m and rad: ends with a step below it
     Returns an IcpResult.
-    Source: paper 003, section 2.2; closed form in the plane as in Lu and Milios 1997, appendix B.
+    Source: Tang et al. 2014, section 2.2; closed form in the plane as in Lu and Milios 1997, appendix B.
     """
     step = start.copy()
     partner = np.empty(newer.shape[0], np.int64)

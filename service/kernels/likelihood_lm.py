@@ -60,7 +60,7 @@ def likelihood_normal_equations(xy_base, values, weights, pose, H, g):
     pose      (3,)   float64   base in the frame of the map
     H, g      (3, 3), (3,) float64   out: Hessian, and gradient of half the cost, over x, y, theta
     Returns half the cost.
-    Source: Kohlbrecher et al. 2011, eqs. (7) to (13); paper 000, eq. 8.
+    Source: Kohlbrecher et al. 2011, eqs. (7) to (13); Li et al. 2016, eq. 8.
     """
     c = math.cos(pose[2])
     s = math.sin(pose[2])

@@ -18,7 +18,7 @@ def raise_cell(layer, changed, row, column, levels, ring_cells):
     changed   (capacity,) uint8   set to 1 for the tiles touched
     levels    (3,) uint8   value of the hit, of the first ring, of the second
     ring_cells   int   width of a ring
-    Source: paper 003, section 2.3 and fig. 4a, 4b.
+    Source: Tang et al. 2014, section 2.3 and fig. 4a, 4b.
     """
     cells = layer.cells
     tile_cells = cells.shape[1]
@@ -65,7 +65,7 @@ def draw_scan(xy_map, beam, layer, changed, levels, ring_cells, join_m):
     levels    (3,)   uint8     as in raise_cell, and
     ring_cells   int
     join_m    (N,) float64     "a certain distance": a line from the point before is no longer than this
-    Source: paper 003, section 2.3 and fig. 4c.
+    Source: Tang et al. 2014, section 2.3 and fig. 4c.
     """
     cell_m = layer.cell_m
     for n in range(xy_map.shape[0]):
@@ -116,7 +116,7 @@ def monte_carlo_search(xy_base, layer, start, deviates, sigma_m, sigma_rad):
     deviates    (3 T, 3) float64 normal deviates, a row a trial; it ends after T trials in vain
     sigma_m, sigma_rad   float   of the first trials
     Returns (pose (3,), mean value there, trials).
-    Source: Steux and El Hamzaoui 2010, tinySLAM, ts_monte_carlo_search; reference 28 of paper 003.
+    Source: Steux and El Hamzaoui 2010, tinySLAM, ts_monte_carlo_search; reference 28 of Tang et al. 2014.
     """
     stop = deviates.shape[0] // 3
     best = start.copy()

@@ -36,7 +36,7 @@ def shares_of_three(offset, sigma, shares):
     offset   float          mean, from the centre of the middle cell, cells
     sigma    float          cells
     shares   (3,) float64   out: integral over [-1.5, -0.5], [-0.5, 0.5], [0.5, 1.5]; their sum is below 1
-    Source: paper 002, eqs. 17 and 18.
+    Source: Qian et al. 2019, eqs. 17 and 18.
     """
     scale = 1.0 / (sigma * math.sqrt(2.0))
     below = math.erf((-1.5 - offset) * scale)
@@ -57,7 +57,7 @@ def insert_weighted(xy_map, segment, sigma_cells, about_point, rule, layer):
     about_point   bool             mean at the point; else at the centre of its cell, as eq. 17 is printed
     rule          int              NOISY_OR: p' = 1 - (1 - p)(1 - P); MAXIMUM: p' = max(p, P)
     layer         WeightedLayer    in and out
-    Source: paper 002, section 2.4; the rule of its figure 4 is not in the text.
+    Source: Qian et al. 2019, section 2.4; the rule of its figure 4 is not in the text.
     """
     along_x = np.empty(3)
     along_y = np.empty(3)

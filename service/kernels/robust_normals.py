@@ -28,8 +28,8 @@ def estimate_orientations(
     thin_m            float            neighbours that spread no wider than this across their line have no
                                        outlier worth a robust estimate
     angle             (N,)   float64   out: rad in [0, pi), base axes; NaN where fewer than 3 points are there
-    Source: paper 000, section 2.3: robust diagnostic PCA after Nurunnabi et al., by the minimum covariance
-    determinant: outliers beyond the 97.5 % quantile of the robust distance are left out, then PCA.
+    Source: Li et al. 2016, section 2.3: robust diagnostic PCA after Nurunnabi et al., by the minimum
+    covariance determinant: outliers beyond the 97.5 % quantile of the robust distance are left out, then PCA.
     """
     count = xy_base.shape[0]
     window = np.empty((MOST_NEIGHBOURS, 2))
@@ -146,7 +146,8 @@ def balance_weights(angle, middle_count, slope_count, histogram, weight):
     slope_count    float          50 is printed
     histogram      (B,) int64     out: points in each of B bins of pi / B
     weight         (N,) float64   out: scaled to a mean of 1; 1 for all where no orientation is known
-    Source: paper 000, eq. 9, over 180 deg since normals have no sign. A point without an orientation gets 0.
+    Source: Li et al. 2016, eq. 9, over 180 deg since normals have no sign.
+    A point without an orientation gets 0.
     """
     bins = histogram.shape[0]
     histogram[:] = 0

@@ -45,7 +45,7 @@ def strapdown_step(position, velocity, rotation, force_mps2, rate_radps, gravity
     transition     (15, 15)  float64   out: Phi = I + F dt for errors "believed less true"
     Errors: position and velocity in the navigation frame, attitude as the rotation vector e with
     R_believed = exp(e) R_true, biases in the body.
-    Source: paper 002, eqs. 6 to 10; Groves, Principles of GNSS, Inertial and Multisensor
+    Source: Qian et al. 2019, eqs. 6 to 10; Groves, Principles of GNSS, Inertial and Multisensor
     Integrated Navigation Systems, sections 5.2 and 14.2.3; the earth turns by 15 deg/h, far less than a
     MEMS gyro is off, and is left out.
     """

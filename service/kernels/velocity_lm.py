@@ -13,7 +13,7 @@ def log_motion(dx, dy, turn, motion):
     """Twist times duration that leads to a pose (dx, dy, turn) seen from the start.
 
     motion   (3,) float64   out: m forward, m left, rad
-    Source: logarithm of SE(2) in closed form; paper 000, eq. 11.
+    Source: logarithm of SE(2) in closed form; Li et al. 2016, eq. 11.
     """
     half = 0.5 * turn
     k = 1.0 - half * half / 3.0 if abs(half) < 1e-4 else half / math.tan(half)
@@ -29,7 +29,7 @@ def velocity_between(start, pose, elapsed_s, twist):
     start, pose   (3,) float64   m, m, rad in one frame
     elapsed_s     float          > 0
     twist         (3,) float64   out: m/s forward, m/s left, rad/s
-    Source: paper 000, eq. 11: V = log(T_{t-1}^-1 T_t) / dt.
+    Source: Li et al. 2016, eq. 11: V = log(T_{t-1}^-1 T_t) / dt.
     """
     c = math.cos(start[2])
     s = math.sin(start[2])
@@ -61,7 +61,7 @@ def align_level(
     pose                (3,)   float64    in: where to start; out: where it ended
     twist               (3,)   float64    in and out: m/s forward, m/s left, rad/s
     H                   (3, 3) float64    out: Hessian of the points alone, where the last step began
-    Source: paper 000, algorithm 1: one damped step, new speed, deskew anew, until the step is small.
+    Source: Li et al. 2016, algorithm 1: one damped step, new speed, deskew anew, until the step is small.
     """
     damping = settings.first_damping
     before = twist.copy()

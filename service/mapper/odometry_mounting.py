@@ -31,7 +31,7 @@ JUDGED_EACH = 25  # steps
 MATCH_M, WALK_M, TURN_M = 0.01, 0.02, 0.02
 MEDIAN_CHI2 = math.log(4.0)  # of two degrees of freedom
 ROBUST_CHI2 = 9.0  # of a step that counts half
-UNTOLD = 1e-6 * np.eye(4)  # information of what no step tells
+WEAK_PRIOR_INFORMATION = 1e-6 * np.eye(4)  # so that what no step measures can be inverted, too
 LEAST_SCALE, MOST_SCALE = 0.5, 2.0  # odometry beyond is not what shows a mounting
 TOLERANCE = np.diag([0.05, 0.05, math.radians(0.5)]) ** 2  # m, m, rad: how well people know axle and mounting
 MOST_CHI2 = 16.3  # 99.9 % of three degrees of freedom
@@ -139,7 +139,7 @@ def offset_of(steps: Floats) -> tuple[Floats, Floats] | None:
     unknown, covariance = np.zeros(4), np.eye(4)
     for _ in range(4):
         w = weight * counts / excess
-        covariance = np.linalg.inv(np.einsum("k,kia,kib->ab", w, jacobian, jacobian) + UNTOLD)
+        covariance = np.linalg.inv(np.einsum("k,kia,kib->ab", w, jacobian, jacobian) + WEAK_PRIOR_INFORMATION)
         unknown = covariance @ np.einsum("k,kia,ki->a", w, jacobian, driven)
         chi2 = weight * ((jacobian @ unknown - driven) ** 2).sum(axis=1)
         excess = max(float(np.median(chi2)) / MEDIAN_CHI2, 1.0)

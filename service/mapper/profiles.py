@@ -13,7 +13,7 @@ from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import (
@@ -62,7 +62,7 @@ METHODS: dict[str, Callable[[], Method]] = {
 }
 
 
-def stage_kinds(slot: Slot, profiles: Iterable[str] | None = None) -> dict[str, ComponentKind]:
+def component_kinds(slot: Slot, profiles: Iterable[str] | None = None) -> dict[str, ComponentKind]:
     """What can fill a slot, by name: of these profiles, or of all."""
     methods = [METHODS[name]() for name in (METHODS if profiles is None else profiles)]
     kinds = [kind for method in methods for kind in (method.components[slot], *method.others.get(slot, ()))]
@@ -76,16 +76,16 @@ def chosen_components(profile: str, components: Mapping[Slot, str]) -> dict[Slot
     """
     chosen = dict(METHODS[profile]().components)
     for slot, name in components.items():
-        kinds = stage_kinds(slot, [profile])
-        if name not in kinds and name not in (kinds := stage_kinds(slot)):
+        kinds = component_kinds(slot, [profile])
+        if name not in kinds and name not in (kinds := component_kinds(slot)):
             raise ValueError(f"{name} is no {slot}; {_choose(name, kinds)}")
         chosen[slot] = kinds[name]
     local_map = chosen["local_map"]
     for slot, kind in chosen.items():
         if _fits(kind, local_map):
             continue
-        maps = [other.name for other in stage_kinds("local_map").values() if _fits(kind, other)]
-        readers = [other.name for other in stage_kinds(slot).values() if _fits(other, local_map)]
+        maps = [other.name for other in component_kinds("local_map").values() if _fits(kind, other)]
+        readers = [other.name for other in component_kinds(slot).values() if _fits(other, local_map)]
         raise ValueError(
             f"the {slot} {kind.name} cannot read the local_map {local_map.name}; it reads {', '.join(maps)}. "
             f"What reads {local_map.name} as {slot}: {', '.join(readers) or 'nothing'}"
@@ -109,7 +109,6 @@ class MappingConfig(BaseModel):
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    RENAMED: ClassVar = {"stages": "components"}
 
     profile: str = "corridor"
     cell_m: float = Field(default=0.05, ge=0.01, le=0.5)

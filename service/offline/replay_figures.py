@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 
-class StageTimes:
+class ComponentTimes:
     """Stopwatch of the mapper's components."""
 
     def __init__(self) -> None:

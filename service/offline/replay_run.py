@@ -31,7 +31,7 @@ from service.mapstore.begin_in import begin_in
 from service.mapstore.patch_files import PatchFiles
 from service.offline.pace import Watch
 from service.offline.profile_switches import ProfileSwitches
-from service.offline.replay_figures import StageTimes, peak_rss_mb, percentiles_ms
+from service.offline.replay_figures import ComponentTimes, peak_rss_mb, percentiles_ms
 from service.offline.replay_result import Replay
 from service.offline.replay_setup import ReplaySetup
 from service.outputs import MapperOutput, TileUpdate
@@ -72,7 +72,7 @@ class ReplayRun:
         # Maps to begin in. A reset begins a new map, but for a vehicle that is only localised.
         self._begins = [begin]
         self._switches = ProfileSwitches(setup.mapping, is_profile_followed)
-        self._stages = StageTimes()
+        self._times = ComponentTimes()
         self._mapper = MappingSession(
             self._new_mapper, setup.lasers, apply_after=None if setup.is_as_live else APPLY_AFTER_SCANS
         )
@@ -119,7 +119,7 @@ class ReplayRun:
         present, begins = self._switches.present, self._begins
         begin = begins[0] if present.mode == "localization" else begins.pop() if begins else None
         return build_mapper(
-            present, self._setup.poses_base_sensor, self._stages, new_patch_store=PatchFiles, begin_in=begin
+            present, self._setup.poses_base_sensor, self._times, new_patch_store=PatchFiles, begin_in=begin
         )
 
     def _begin_anew(self, step: LoadMap | SwitchProfile) -> None:
@@ -207,7 +207,7 @@ class ReplayRun:
             "realtime_factor": round(duration_s / wall_s, 1),
             "scan_ms": percentiles_ms(self._scan_ns),
             "scan_cpu_ms": percentiles_ms(self._scan_cpu_ns),
-            "stage_ms_p50": self._stages.p50_ms(),
+            "stage_ms_p50": self._times.p50_ms(),
             "loop_closures": counters["loop_closures"],
             "keyframes": counters["keyframes"],
             "peak_rss_mb": peak_rss_mb(),

@@ -1,4 +1,4 @@
-"""The places of paper 003: a T-shaped room, a corridor that ends in glass, and halls of 100 m and more."""
+"""The places of Tang et al. 2014: a T-shaped room, a corridor that ends in glass, halls of 100 m and more."""
 
 import math
 

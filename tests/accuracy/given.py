@@ -1,6 +1,5 @@
 """Every given recording, real and synthetic, through the default profile; none is left out."""
 
-import os
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,8 +14,8 @@ from service.offline.trajectory import read_tum, write_tum
 from tests.accuracy.between_scans import with_odometry
 from tests.papers.report import Row, Section
 from tests.recorded_drive import frames_of
+from tests.shared_data import SHARED
 
-SHARED = Path(os.environ.get("CORRIDOR_SHARED", "../shared"))
 WRONG_M = 0.3  # a pose that is farther off must not be `ok`
 # synthetic recording, largest ATE in m after the finish
 WORLDS = (

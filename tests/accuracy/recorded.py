@@ -1,6 +1,5 @@
 """Freiburg 079 against its official relations: as recorded, and with odometry spoilt or scans missing."""
 
-import os
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -18,8 +17,9 @@ from service.offline.replay import ReplayOptions, replay, write_replay
 from service.offline.score import NEAR_NS, RelationsScore, compose, invert, read_relations, score
 from service.offline.trajectory import read_tum
 from tests.papers.report import Row, Section
+from tests.shared_data import SHARED
 
-FR079 = Path(os.environ.get("CORRIDOR_SHARED", "../shared")) / "datasets" / "fr079"
+FR079 = SHARED / "datasets" / "fr079"
 RELATIONS = FR079 / "official.relations"
 OFFSET_X_M = 0.038  # of the relations' frame before ours; fitted on this very set
 Indices = npt.NDArray[np.int64]

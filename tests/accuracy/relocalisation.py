@@ -2,11 +2,9 @@
 
 import gc
 import math
-import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -28,9 +26,9 @@ from simulators.world import World
 from simulators.worlds import WORLDS
 from tests.accuracy.buildings import FAST_MALL, LMS100_25HZ, MALL_WAY_M, seconds_for
 from tests.papers.report import Row, Section
+from tests.shared_data import SHARED
 from tests.simulated import LMS100_50HZ, Laser, Wheels, begun_at, drive, heading_rad
 
-SHARED = Path(os.environ.get("CORRIDOR_SHARED", "../shared"))
 PLACES = 100  # of each kind, over all seeds; of each recording
 CLEARANCE_M = 0.4  # of a place from every wall
 ON_WAY_M = 2.0  # from a key frame of the map: as near the way was driven

@@ -13,9 +13,10 @@ from service.offline.replay import ReplayOptions, replay, write_replay
 from service.offline.score import RelationsScore, score
 from simulators.worlds import WORLDS
 from tests.accuracy.driving import Errors, Trip
-from tests.accuracy.given import DATASETS, SHARED
+from tests.accuracy.given import DATASETS
 from tests.accuracy.sensors import LMS100_10HZ, MIRRORS, WRONG
 from tests.papers.report import Section
+from tests.shared_data import SHARED
 from tests.simulated import LMS100_50HZ
 
 METHOD = "service.mapper.methods.corridor"
@@ -26,7 +27,7 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     (
         "information of a scan reduced by what chance gives ([22])",
         f"{METHOD}.surfel_gauss_newton",
-        {"HONEST_NOISE": 0.0},
+        {"WRONG_ODOMETRY_NOISE": 0.0},
     ),
     (
         "unknown ground neutral in the loop search",

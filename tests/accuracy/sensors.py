@@ -61,8 +61,8 @@ def lux_alone(seeds: Sequence[int]) -> Section:
     return Section(
         "A LUX alone",
         "220 beams over 110 deg at 25 Hz, noise of 4 cm; odometry that errs by 1 cm and 0.3 deg per square "
-        "root of a metre, and an IMU. `glass_corridor` 38 m towards a glass wall, `corridor100` 100 m there and "
-        "back, each begun with a turn on the spot. That points are moved to where their beams meet walls "
+        "root of a metre, and an IMU. `glass_corridor` 38 m towards a glass wall, `corridor100` 100 m there "
+        "and back, each begun with a turn on the spot. That points are moved to where their beams meet walls "
         "([24] of estimator.md) was made with both corridors, seeds 11, 12 and 14, in view.",
         rows,
     )

@@ -1,11 +1,9 @@
 """How much faster than real time a real building is replayed."""
 
-import os
-from pathlib import Path
-
 from service.offline.replay import ReplayOptions, replay
+from tests.shared_data import SHARED
 
-FR079 = Path(os.environ.get("CORRIDOR_SHARED", "../shared")) / "datasets" / "fr079" / "fr079.mcap"
+FR079 = SHARED / "datasets" / "fr079" / "fr079.mcap"
 
 
 def measure() -> list[tuple[str, float, str]]:

@@ -12,8 +12,7 @@ FORMER = {  # as they were written -> what it is called
     r"rehears\w*": "warm-up",
     r"permanence|what moves|looked through": "dynamic-object filter, static score, ray-cast removal",
     r"usual share|share of hits": "inlier ratio",
-    r"complaint": "diagnostic",
-    r"la(?:id|y|ys|ying) aside|(?<!\")believed?\b": "disabled, accepted, rejected",
+    r"la(?:id|y|ys|ying) aside": "disabled, accepted, rejected",
     r"redrawing": "sub-map re-alignment",
     r"voices|command ?desk|map ?keeper|farewell": (
         "protocol identification, command dispatcher, map saver, shutdown request"
@@ -21,7 +20,7 @@ FORMER = {  # as they were written -> what it is called
     r"(?:scans?|points?|maps?) laid\b|lays? each|laid (?:where|on)": "at the pose, aligned with",
     r"what \w+ is weighed|weighed by": "weight, weighted by",
     r"never fades|forgets (?:people|them)": "is not decreased, removes",
-    r"the walls say|the wheels say|stands? in for": "scan matching, odometry, component",
+    r"the walls say|the wheels say": "scan matching, odometry",
 }
 
 

@@ -275,10 +275,17 @@ def test_scans_of_another_device_are_named():
         session.tick(1001 * 20_000_000)
 
 
+def look_on(session, now_ns, seconds):
+    for k in range(50 * seconds):
+        session.tick(now_ns + k * SECOND_NS // 50)
+
+
 def test_silence_counts_only_while_we_look():
     t = talk().run(3.0)
     t.now_ns += 60 * SECOND_NS
     t.session.tick(t.now_ns)
+    with pytest.raises(TransportError, match="no scan for 2 s"):
+        look_on(t.session, t.now_ns, seconds=3)
 
 
 def test_one_mirror_side_of_an_eight_layer_unit_has_half_the_rate():

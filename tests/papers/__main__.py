@@ -11,10 +11,10 @@ from tests.papers.report import FOLDER, Scenario, below_title, told, write_page
 
 FIRST_SEED = 11  # of the pages
 PAPERS = {
-    "contour_lm": "Contours and learning: profile `contour_lm` (paper 000)",
-    "owolm_eskf": "Orthogonal weights and an IMU: profile `owolm_eskf` (paper 002)",
-    "imle": "Exhaustive search: profile `imle` (paper 003)",
-    "submap_graph": "Sub-maps and a graph: profile `submap_graph` (paper 004)",
+    "contour_lm": "Contours and learning: profile `contour_lm` (Li et al. 2016)",
+    "owolm_eskf": "Orthogonal weights and an IMU: profile `owolm_eskf` (Qian et al. 2019)",
+    "imle": "Exhaustive search: profile `imle` (Tang et al. 2014)",
+    "submap_graph": "Sub-maps and a graph: profile `submap_graph` (Zhang et al. 2016)",
     "one_cycle": "One cycle of a profile, box by box",
     "real_data": "Every profile on recorded data",
 }

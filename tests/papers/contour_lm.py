@@ -1,4 +1,4 @@
-"""Paper 000: niches, people who walk through, a ring with and without deskewing, a long corridor and back.
+"""Li et al. 2016: niches, people who walk through, a ring with and without deskewing, a long corridor.
 
 The maps of niches and people are fed with true poses, so their figures are their own and not the matcher's.
 """

@@ -1,4 +1,4 @@
-"""Maps of paper 000 fed with true poses: what they show is their own doing and not the matcher's."""
+"""Maps of Li et al. 2016 fed with true poses: what they show is their own doing and not the matcher's."""
 
 import numpy as np
 

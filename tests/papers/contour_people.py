@@ -1,4 +1,4 @@
-"""Paper 000: people who walk through a map that is learned."""
+"""Li et al. 2016: people who walk through a map that is learned."""
 
 from collections.abc import Sequence
 from dataclasses import replace

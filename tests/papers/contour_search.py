@@ -1,4 +1,4 @@
-"""Paper 000: sum against product in the rough search, and from how far off a scan is brought back."""
+"""Li et al. 2016: sum against product in the rough search, and from how far off a scan is brought back."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Paper 003: accuracy in a T-shaped room and along a corridor that ends in glass, cost, and memory."""
+"""Tang et al. 2014: accuracy in a T-shaped room and along a corridor that ends in glass, cost, and memory."""
 
 import json
 import math

@@ -238,7 +238,7 @@ def contour_cycle(seeds: Sequence[int]) -> Section:
     return Section(
         "Contours, optimisation with the speed inside, learning: `contour_lm`",
         "The simulated office, LMS100 at 50 Hz, laser alone; the scan at which the vehicle turns fastest. "
-        "Boxes as in the flow chart of paper 000 (A45).",
+        "Boxes as in the flow chart of Li et al. 2016 (A45).",
         tables=[log_of(boxes)],
         pictures=[picture],
         ran_on=told(seeds[:1]),
@@ -252,7 +252,7 @@ def owolm_cycle(seeds: Sequence[int]) -> Section:
     return Section(
         "Mechanisation, search down the pyramid, fusion: `owolm_eskf`",
         "The same corner, UTM-30LX at 40 Hz and an IMU at 200 Hz; the first scan there that is inserted. "
-        "Boxes as in the flow chart of paper 002 (B33).",
+        "Boxes as in the flow chart of Qian et al. 2019 (B33).",
         tables=[log_of(boxes)],
         pictures=[picture],
         ran_on=told(seeds[:1]),

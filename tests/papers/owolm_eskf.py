@@ -1,4 +1,4 @@
-"""Paper 002 on the simulated library: orthogonal weights against the plain map, closure, check points."""
+"""Qian et al. 2019 on the simulated library: orthogonal weights against the plain map, closure, points."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Pictures of paper 002: segments of one scan, both maps, and the map over the surveyed building."""
+"""Pictures of Qian et al. 2019: segments of one scan, both maps, and the map over the surveyed building."""
 
 import numpy as np
 import numpy.typing as npt

@@ -1,7 +1,6 @@
 """Every profile on recordings of real buildings: how far from the relations, the map, what a scan costs."""
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -22,6 +21,7 @@ from tests.papers.headings import bends, path_of, path_of_wheels
 from tests.papers.recorded import RELATIONS as RELATIONS_OF
 from tests.papers.recorded import scored
 from tests.papers.report import FOLDER, Row, Scenario, Section, told
+from tests.shared_data import SHARED
 
 SETS = ("fr079", "csail", "mines1", "pioneer_lgfloor", "wean1")
 RELATIONS = {"fr079": "official.relations", "csail": "derived_nearby.relations"}
@@ -30,7 +30,6 @@ LIMIT_S = 900.0  # of one replay
 TILE_PX = 300
 NEW_GROUND_S = 640.0  # in intel
 CORRIDOR = str(Path(sys.executable).with_name("corridor"))
-SHARED = Path(os.environ.get("CORRIDOR_SHARED", "../shared"))
 
 
 SPARSE = (

@@ -1,7 +1,6 @@
 """What a profile makes of recordings: of another simulator, with exact truth, and of real buildings."""
 
 import json
-import os
 import tempfile
 from dataclasses import dataclass
 from functools import cache
@@ -11,8 +10,8 @@ from typing import Any
 from service.offline.replay import ReplayOptions, replay, write_replay
 from service.offline.score import RelationsScore, score
 from tests.papers.report import Row
+from tests.shared_data import SHARED
 
-SHARED = Path(os.environ.get("CORRIDOR_SHARED", "../shared"))
 # recording: its relations, and the shift of its stamps to theirs in s; `derived` ones are good to 5 to 10 cm
 RELATIONS = {
     "fr079": ("official", 0.0),

@@ -1,4 +1,4 @@
-"""Paper 004: one precision in worlds of 300, 2000 and 12 000 m2; a single map beside. It has no figures."""
+"""Zhang et al. 2016: one precision in worlds of 300, 2000 and 12 000 m2; a single map beside."""
 
 import json
 import pickle

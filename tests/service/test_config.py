@@ -157,18 +157,6 @@ def test_an_antenna_lies_where_mounting_axes_and_lever_arm_put_it():
         (GOOD + "publishing: {listen: [7447]}\n", "c.yaml:9:23: publishing.listen.0: should be a valid"),
         (GOOD + "mapping: {settings: {matcher: {cauchy_n: 3}}}\n", 'did you mean "cauchy_m"?'),
         (
-            GOOD + "mapping: {settings: {local_map: {dynamic_filter: {free_s: 1}}}}\n",
-            "local_map.dynamic_filter.free_s: no setting any more, its value is fixed; leave it out",
-        ),
-        (
-            GOOD + "mapping: {settings: {graph: {group_span_m: 5}}}\n",
-            "graph.group_span_m: is called consensus_span_m now; write consensus_span_m, with the same value",
-        ),
-        (
-            GOOD + "mapping: {stages: {matcher: icp_scan_to_scan}}\n",
-            "c.yaml:9:11: mapping.stages: is called components now; write components, with the same value",
-        ),
-        (
             GOOD + "mapping: {mode: localization}\n",
             "c.yaml:9:11: mapping.mode: localization is in a stored map; name its folder in map: {load",
         ),

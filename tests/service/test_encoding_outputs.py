@@ -8,7 +8,7 @@ import pytest
 
 from drivers.frames import OdometrySample
 from service import encoding
-from service.encoding import LogClock, Status, encode_frame
+from service.encoding import LogClock, Status, encode_frame, wire
 from service.errors import InputError
 from service.geometry.se2 import SE2
 from service.mapper.mapping_session import ApplyResult, SessionRequest
@@ -202,8 +202,12 @@ def test_type_hashes_are_those_of_ros_2_jazzy():
     assert "MSG: std_msgs/Header" in encoding.schema_text(encoding.LASER_SCAN)
 
 
-def test_warm_up_reads_and_writes_every_type():
+def test_warm_up_reads_every_type_that_the_service_writes(monkeypatch):
+    types = {value for value in vars(wire).values() if isinstance(value, str) and "/msg/" in value}
+    read = []
+    monkeypatch.setattr(encoding, "read", lambda type_name, payload: read.append(type_name))
     encoding.warm_up()
+    assert sorted(read) == sorted(types - {wire.INITIAL_POSE})  # which is in recordings of others only
 
 
 def test_log_times_rise_strictly_and_follow_the_clock():

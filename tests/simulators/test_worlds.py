@@ -5,6 +5,7 @@ from simulators.world import World
 from simulators.worlds import WORLDS, build_world
 
 VEHICLE_RADIUS_M = 0.3
+PEOPLED = ("crowd", "mall", "office")
 
 
 @pytest.fixture(scope="module", params=sorted(WORLDS))
@@ -26,7 +27,13 @@ def test_vehicle_never_touches_a_wall(world: World):
         assert nearest_m > VEHICLE_RADIUS_M, here
 
 
-def test_people_keep_clear_of_the_vehicle(world: World):
+def test_people_walk_where_they_are_told_of():
+    assert {name for name in WORLDS if build_world(name).people} == set(PEOPLED)
+
+
+@pytest.mark.parametrize("name", PEOPLED)
+def test_people_keep_clear_of_the_vehicle(name: str):
+    world = build_world(name)
     time_s = np.arange(-10.0, 2 * world.drive.duration_s, 0.2)
     places = world.drive.poses(time_s)[:, :2]
     for person in world.people:

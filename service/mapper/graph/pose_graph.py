@@ -3,7 +3,7 @@
 Plain arrays in, plain arrays out, nothing kept between two calls. The same arrays give the same result, bit
 for bit, in every process: GTSAM's wheels have no threads, and factors and unknowns are ordered by the arrays.
 
-Source: paper 004, eq. 3-5 (odometry and landmark terms); Dellaert and Kaess, Factor graphs for robot
+Source: Zhang et al. 2016, eq. 3-5 (odometry and landmark terms); Dellaert and Kaess, Factor graphs for robot
 perception, 2017.
 """
 

@@ -3,7 +3,6 @@
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -41,7 +40,6 @@ class OccupancyConfig(BaseModel):
     """When a scan is drawn, and how far its beams clear."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    FIXED: ClassVar = ("hit_log_odds", "miss_log_odds", "most_log_odds")  # in older configs
 
     insert_distance_m: float = Field(default=0.10, gt=0.0)
     insert_turn_rad: float = Field(default=0.08, gt=0.0)

@@ -375,7 +375,7 @@ def test_a_matcher_that_cannot_read_the_local_map_is_refused_with_words(monkeypa
     ) in str(refused.value)
 
 
-def test_a_method_may_have_other_defaults_than_its_stages(monkeypatch) -> None:
+def test_a_method_may_have_other_defaults_than_its_components(monkeypatch) -> None:
     corridor = METHODS["corridor"]()
     settings = {"local_map": {"spacing_m": 7.0, "dynamic_filter": {"behind_m": 0.5}}}
     monkeypatch.setitem(METHODS, "other", lambda: Method("other", corridor.components, settings))

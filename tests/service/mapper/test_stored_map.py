@@ -237,6 +237,11 @@ def test_a_pose_that_is_no_pose_is_refused_by_its_key(first):
         new_mapper(first[1]).graph.request("set_pose", {"x_m": 0.0, "y_m": 0.0, "theta_rad": math.inf})
 
 
+def test_what_a_graph_does_not_do_is_refused_with_all_that_it_does(first):
+    with pytest.raises(GraphRequestError, match="knows optimize, undo, checkpoint, set_pose"):
+        new_mapper(first[1]).graph.request("add_landmark", {})
+
+
 def test_who_is_only_localised_keeps_no_more_than_a_stretch_of_the_way(first, second, monkeypatch):
     monkeypatch.setattr("service.mapper.methods.corridor.graph.loop_back_end.MOST_SESSION", 16)
     drove, begin = first

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -62,8 +62,6 @@ class SearchConfig(BaseModel):
 
 class ContourLmConfig(JudgementConfig):
     """How a scan is aligned with the learned map, and when the result is accepted."""
-
-    RENAMED: ClassVar = {"covariance_scale": "residual_sigma"}
 
     weights: WeightsConfig = WeightsConfig()
     search: SearchConfig = SearchConfig()

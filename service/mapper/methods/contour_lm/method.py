@@ -1,4 +1,4 @@
-"""Scans matched to a learned map of blurred contours, the speed of the laser found on the way; paper 000."""
+"""Li et al. 2016: scans matched to a learned map of blurred contours, the laser's speed found on the way."""
 
 from service.mapper.components import ComponentKind, Method
 from service.mapper.matchers.search_warm_up import warm_up_search

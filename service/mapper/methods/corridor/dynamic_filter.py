@@ -1,7 +1,5 @@
 """Settings of how things that move are told from things that stay."""
 
-from typing import ClassVar
-
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.kernels.static_score import StaticScoreSettings
@@ -21,7 +19,6 @@ class DynamicFilterConfig(BaseModel):
     """When something counts in full, and when it is forgotten."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    FIXED: ClassVar = ("free_s", "passed_gain", "least_weight", "most_gain", "beam_step")  # in older configs
 
     enough_s: float = Field(default=1.0, ge=0.0, le=6.0)  # 0: all things count alike, and stay
     behind_m: float = Field(default=0.2, gt=0.0)

@@ -29,7 +29,7 @@ class Posts:
     beam              (M,) int32
     point             (M,) number of that beam's point
     variance_m2       (M,) of the middle, in each direction
-    is_of_one         (N,) which points of the scan lie on one of them: their normals are those of chords
+    is_on_post        (N,) which points of the scan lie on one of them: their normals are those of chords
     """
 
     xy_raw: Matrix
@@ -38,7 +38,7 @@ class Posts:
     beam: npt.NDArray[np.int32]
     point: npt.NDArray[np.int64]
     variance_m2: Matrix
-    is_of_one: npt.NDArray[np.bool_]
+    is_on_post: npt.NDArray[np.bool_]
 
     def normals(self, heading_rad: float, weight: Matrix) -> Matrix:
         """(2 M, 3) of each post twice: the axes of the map in those of the base, and what the post weighs."""
@@ -84,9 +84,9 @@ def posts_of(points: Points) -> Posts | None:
     is_after = ~after | (range_m[np.minimum(end, count - 1)] > range_m[end - 1] + LEAST_STEP_M)
     is_inside = (points.beam[begin] >= gap) & (points.beam[end - 1] < len(points.scan.range_m) - gap)
     is_post = is_narrow & is_before & is_after & is_inside
-    is_of_one = np.repeat(is_post, end - begin)
+    is_on_post = np.repeat(is_post, end - begin)
     which = np.flatnonzero(is_post)
-    if np.count_nonzero(is_of_one) < max(LEAST_SHARE * count, 1):
+    if np.count_nonzero(is_on_post) < max(LEAST_SHARE * count, 1):
         return None
     begin, end, spacing_m = begin[which], end[which], spacing_m[which]
     of_each = (end - begin).astype(np.float64)
@@ -106,5 +106,5 @@ def posts_of(points: Points) -> Posts | None:
         points.beam[middle],
         middle,
         variance_m2,
-        is_of_one,
+        is_on_post,
     )

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -42,8 +41,6 @@ class SubmapsConfig(BaseModel):
     """How sub-maps are cut and filled."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    FIXED: ClassVar = ("first_scans", "count_limit", "field_sigma_m", "field_enough")  # in older configs
-    RENAMED: ClassVar = {"permanence": "dynamic_filter"}
 
     dynamic_filter: DynamicFilterConfig = DynamicFilterConfig()
     cell_m: float = Field(default=0.10, ge=0.02, le=0.5)

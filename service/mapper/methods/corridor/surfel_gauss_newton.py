@@ -52,9 +52,9 @@ SETTLED_M, SETTLED_RAD = 5e-4, 1e-4
 COARSE_SIGMA, COARSE_BEAMS, COARSE_ITERATIONS = 0.3, 180, 15  # sigma of 1 - likelihood
 COARSE_M, COARSE_RAD = 0.1, 0.05  # what it tells apart: a cell, and that at 2 m
 SAME_WALL_M = 0.05  # scans within one key frame's distance are matched to the same noise of the map
-CHANCE_M = 1.0  # of travel: what its scans say by chance along an open direction adds up
-MOST_CHANCES = 50.0  # scans that count in it
-HONEST_NOISE = 20.0  # odometry is wrong whose errors have more than that times the variance of its model
+CHANCE_M = 1.0  # of travel, over which what scans say by chance along an open direction adds up
+MOST_CHANCE_SCANS = 50.0  # scans within CHANCE_M that count in it
+WRONG_ODOMETRY_NOISE = 20.0  # times the variance of its model: odometry with larger errors is wrong
 MOST_REPEATS = 100.0
 USUAL_SCANS = 50  # over which the usual inlier ratio is taken
 DOUBT_RATIO = 0.9  # of the usual inlier ratio: with less, other starts are tried
@@ -155,7 +155,7 @@ class SurfelGaussNewton:
         attempt = _Attempt(on_walls, points, normals, posts_of(points), predicted, prior, usual)
         if local_map.pause_s:
             return self._on_piece(attempt, local_map, _unmeasured(local_map.pause_s), 0.0)
-        aligned = self._gone_on(self._align(attempt, attempt.prior.pose, submap), attempt)
+        aligned = self._matched_as_if_driven_on(self._align(attempt, attempt.prior.pose, submap), attempt)
         aligned = self._searched(aligned, attempt)
         if aligned.state != "lost" and self._is_found(aligned, attempt):
             self._usual_ratios[points.scan.sensor] = usual + (aligned.result.share - usual) / USUAL_SCANS
@@ -273,7 +273,7 @@ class SurfelGaussNewton:
         )
         return judge(evidence, self._config)
 
-    def _gone_on(self, aligned: _Aligned, attempt: _Attempt) -> _Aligned:
+    def _matched_as_if_driven_on(self, aligned: _Aligned, attempt: _Attempt) -> _Aligned:
         """Where little of the scan lies on the map: the match begun where the vehicle would be had it gone on
         as before, if clearly more lies on the map there. Odometry may have died.
         """
@@ -323,7 +323,7 @@ def _with_posts(
     weighed = weighed.copy()
     with np.errstate(divide="ignore", invalid="ignore"):
         static = np.nan_to_num(weighed[posts.point, 2] / attempt.normals[posts.point, 2], nan=0.0)
-    weighed[posts.is_of_one, 2] = np.minimum(weighed[posts.is_of_one, 2], ROUGH_WEIGHT)
+    weighed[posts.is_on_post, 2] = np.minimum(weighed[posts.is_on_post, 2], ROUGH_WEIGHT)
     weight = static * points.range_sigma_m**2 / posts.variance_m2
     return (
         Returns(
@@ -354,9 +354,9 @@ def _chance_chi2(predicted: Prediction) -> float:
     Chance misleads where the prediction knows better. Without odometry, or where odometry was found wrong,
     the scan is asked for the little that it says.
     """
-    if not predicted.is_measured or predicted.odometry_noise > HONEST_NOISE:
+    if not predicted.is_measured or predicted.odometry_noise > WRONG_ODOMETRY_NOISE:
         return 0.0
-    return 2.0 * math.log(min(max(CHANCE_M / _apart_m(predicted), 1.0), MOST_CHANCES))
+    return 2.0 * math.log(min(max(CHANCE_M / _apart_m(predicted), 1.0), MOST_CHANCE_SCANS))
 
 
 def _chi2(pose: Matrix, prior: Prior) -> float:

@@ -1,4 +1,4 @@
-"""Paper 003: ICP narrows the window, exhaustive search on a likelihood map in patches finds the pose."""
+"""Tang et al. 2014: ICP narrows the window, exhaustive search on a likelihood map in patches decides."""
 
 from service.mapper.components import ComponentKind, Method
 from service.mapper.matchers.search_warm_up import warm_up_byte_search

@@ -24,7 +24,7 @@ from service.mapper.patch_store import NewPatchStore, PatchKey
 
 Array = npt.NDArray[np.float64]
 
-# Paper 003, section 2.3: what nothing was seen of, the two rings and the hit, outwards in.
+# Tang et al. 2014, section 2.3: what nothing was seen of, the two rings and the hit, outwards in.
 BACKGROUND, OUTER, INNER, HIT = 0.1, 0.3, 0.6, 0.9
 HIT_CODE = {"product": 250, "mean": 8}  # 8 is 0.8 in tenths, exactly; with 250, ln 3 is exact, ln 6 to 0.1 %
 

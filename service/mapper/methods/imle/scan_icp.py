@@ -1,7 +1,7 @@
 """Scan to scan by iterative closest points: the start of a search, or a matcher by itself."""
 
 from dataclasses import replace
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +24,6 @@ class IcpConfig(BaseModel):
     """Which points are pairs, and when it ends."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    RENAMED: ClassVar = {"least_share": "least_inlier_ratio"}
 
     pair_m: float = Field(default=1.0, gt=0.0)  # points farther apart are no pair
     points: int = Field(default=180, ge=20)  # of the newer scan that look for a partner, evenly chosen

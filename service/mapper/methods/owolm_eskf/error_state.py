@@ -32,8 +32,9 @@ def cross_matrix(v: Array) -> Array:
 class ErrorStateFilter:
     """Navigation state and its error: 3 each of position, velocity, attitude, force bias, rate bias.
 
-    Errors are "believed less true" (paper 002, eq. 16: r = r_IMU - dr). After each observation the error is
-    taken out of the state, so the filter always predicts an error of zero; only its covariance is carried.
+    Errors are "believed less true" (Qian et al. 2019, eq. 16: r = r_IMU - dr). After each observation the
+    error is taken out of the state, so the filter always predicts an error of zero; only its covariance is
+    carried.
     Transitions and noise are gathered over the steps since the last observation and handed to filterpy
     together (Phi = ... Phi_2 Phi_1): the same covariance as step by step, for a tenth of the time.
 

@@ -1,4 +1,4 @@
-"""Paper 002: an IMU predicts, brute search on an orthogonally weighted likelihood map corrects it."""
+"""Qian et al. 2019: an IMU predicts, brute search on an orthogonally weighted likelihood map corrects it."""
 
 from service.mapper.components import ComponentKind, Method
 from service.mapper.matchers.search_warm_up import warm_up_byte_search

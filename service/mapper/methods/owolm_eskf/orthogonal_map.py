@@ -2,7 +2,7 @@
 
 import logging
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -50,7 +50,6 @@ class OrthogonalMapConfig(BaseModel):
     """The pyramid, and how a point is blurred."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    RENAMED: ClassVar = {"insert_share": "insert_inlier_ratio"}
 
     cell_m: float = Field(default=0.025, ge=0.005, le=0.5)  # of the finest level
     ratio: Literal[2, 4, 5] = 4

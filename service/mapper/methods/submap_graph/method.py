@@ -1,4 +1,4 @@
-"""Paper 004: particle-filtered sub-maps of counts, virtual landmarks between them, a graph that ties them."""
+"""Zhang et al. 2016: particle-filtered sub-maps of counts, joined by virtual landmarks in a graph."""
 
 from service.mapper.components import ComponentKind, Method
 from service.mapper.matchers.search_warm_up import warm_up_search

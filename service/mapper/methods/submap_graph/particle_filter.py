@@ -1,12 +1,13 @@
 """A Rao-Blackwellised particle filter: every particle is aligned with the map that it drew itself.
 
-Sample, weigh, resample, as paper 004 section 1.2; the maps are drawn by CountedSubmaps. A step of a particle
-is drawn from the motion model and then aligned with its map: without odometry the sample alone would miss it.
+Sample, weigh, resample, as in Zhang et al. 2016, section 1.2; the maps are drawn by CountedSubmaps. A step of
+a particle is drawn from the motion model and then aligned with its map: without odometry the sample alone
+would miss it.
 What it is weighed by is then not p / q of eq. 2, for nobody knows the q of a sample that was moved;
 `draw: around_scan` has a q and that weight.
 """
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -35,8 +36,6 @@ SEARCH_STEP_RAD = 0.02  # turns a point at 5 m by two cells
 
 class ParticleFilterConfig(JudgementConfig):
     """How particles are drawn, aligned with their maps and weighed."""
-
-    RENAMED: ClassVar = {"doubt_ratio": "least_agreement"}
 
     seed: int = Field(default=1, ge=0)
     # aligned: from the motion model, then aligned with the map, weighed by the likelihood of the scan

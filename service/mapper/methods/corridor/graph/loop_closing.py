@@ -36,6 +36,8 @@ from service.mapper.saved_graph import KeepGraph, SavedGraph
 # is to tell: each one after them comes twice as late as the one before.
 DETACHED_INTERVAL_NS, MOST_DOUBLED = 500_000_000, 4
 
+REQUESTS = ("optimize", "undo", "checkpoint", "set_pose")
+
 
 class PoseRequest(BaseModel):
     """What set_pose takes: pose_map_base as a person sees it."""
@@ -127,8 +129,8 @@ class LoopClosing(BackgroundGraph[Result]):
         return self._fixes.add_fix(fix, (antenna.x_m, antenna.y_m))
 
     def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
-        if name not in ("optimize", "undo", "checkpoint", "set_pose"):
-            raise GraphRequestError(f"{name}: the graph of this profile knows optimize, undo and set_pose")
+        if name not in REQUESTS:
+            raise GraphRequestError(f"{name}: the graph of this profile knows {', '.join(REQUESTS)}")
         if self.fault:
             raise GraphRequestError(f"{name}: no loops are closed any more: {self.fault}")
         if name == "set_pose":

@@ -1,7 +1,5 @@
 """Settings of the default profile's graph."""
 
-from typing import ClassVar
-
 from pydantic import BaseModel, ConfigDict, Field
 
 
@@ -9,17 +7,6 @@ class LoopsConfig(BaseModel):
     """How finely the way is kept, how far it may have drifted, and over which way loops are looked for."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    # fmt: off
-    FIXED: ClassVar = (  # in older configs
-        "query_m", "passes", "window_m", "window_growth", "most_window_m", "window_rad",
-        "window_growth_radpm", "most_window_rad", "least_score", "least_inlier_ratio", "doubtful_share",
-        "most_against", "group", "group_within_m", "agree_m", "agree_growth", "agree_rad",
-        "agree_growth_radpm", "contradiction_chi2", "reinstated_chi2",
-        "finish_window_m", "finish_window_rad",
-        "dense_m", "dense_passes", "dense_most_m", "dense_most_rad", "dense_most",
-    )
-    # fmt: on
-    RENAMED: ClassVar = {"group_span_m": "consensus_span_m"}
 
     keyframe_distance_m: float = Field(default=0.3, gt=0.0)
     keyframe_turn_rad: float = Field(default=0.15, gt=0.0)

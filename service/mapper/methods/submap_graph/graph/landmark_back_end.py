@@ -1,14 +1,14 @@
 """The graph of track points and virtual landmarks: what is done with each closed sub-map, and on request.
 
-Paper 004: a track point every few metres, odometry terms between them, and landmark terms to points that two
-sub-maps share. Landmarks come from aligning sub-maps with each other, or from a person who names pairs of
-points.
+Zhang et al. 2016: a track point every few metres, odometry terms between them, and landmark terms to points
+that two sub-maps share. Landmarks come from aligning sub-maps with each other, or from a person who names
+pairs of points.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -52,7 +52,6 @@ class LandmarkGraphConfig(BaseModel):
     """Which sub-maps are aligned with each other, and how far odometry is trusted between track points."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    RENAMED: ClassVar = {"redraw_m": "render_again_m"}
 
     match: SubmapMatchConfig = SubmapMatchConfig()
     least_on_surfels: float = Field(

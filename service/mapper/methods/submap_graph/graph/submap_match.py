@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +26,6 @@ class SubmapMatchConfig(BaseModel):
     """When two sub-maps are said to show the same place, and which points are landmarks."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    RENAMED: ClassVar = {"least_share": "least_inlier_ratio"}
 
     search_cell_m: float = Field(default=0.10, ge=0.02, le=0.5)
     most_points: int = Field(default=400, ge=50)
@@ -181,7 +179,7 @@ def _search(
 def _landmarks(new: WallPoints, old: WallPoints, shift: Floats, config: SubmapMatchConfig) -> Floats:
     """The likeliest points that both have, corners first, apart from each other.
 
-    Source: paper 004, eq. 9; of the many cells that are equally certain those are taken that fix most.
+    Source: Zhang et al. 2016, eq. 9; of many cells that are equally certain those are taken that fix most.
     """
     certain = np.flatnonzero(new.probability > config.landmark_probability)
     both = certain[values_at(new.xy[certain], shift, old.field)[:, 0] > ON_MAP]

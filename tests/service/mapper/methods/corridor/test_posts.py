@@ -145,7 +145,7 @@ def test_a_post_is_asked_twice_along_the_axes_of_the_map():
     c, s = math.cos(heading), math.sin(heading)
     in_map = normals[:, :2] @ np.array([[c, s], [-s, c]])
     np.testing.assert_allclose(in_map, np.eye(2), atol=1e-12)
-    assert posts.is_of_one.all()
+    assert posts.is_on_post.all()
     assert posts.variance_m2[0] > SIGMA_M**2
 
 

@@ -1,0 +1,7 @@
+"""The folder of real captures and recordings that tests, benchmarks and the papers' experiments read."""
+
+import os
+from pathlib import Path
+
+# $CORRIDOR_SHARED, else the folder `shared` beside that of the project
+SHARED = Path(os.environ.get("CORRIDOR_SHARED", Path(__file__).parents[2] / "shared"))
