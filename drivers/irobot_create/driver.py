@@ -40,6 +40,7 @@ KEEP_ALIVE_NS = 60_000_000_000
 UNSTICKING_STARTS = 4  # a robot that waits for the rest of a command takes the first ones for its data
 REACH_MARGIN = 3.0  # over the fastest the wheels turn by themselves, for a vehicle may roll along faster
 REACH_SLACK_NS = 80_000_000  # stamps may be so late: USB adapters hold frames back
+NEAR_ZERO_COUNTS = 1_000  # 0.44 m: a robot that was reset counts from 0, and has hardly rolled since
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +77,7 @@ class IrobotCreateSession:
         self._heard_ns: int | None = None
         self._backdated = False  # the read at hand: its bytes had the time to come one after the other
         self._last_heard_ns: int | None = None  # frame or banner; None before the first tick
+        self._was_silent = False  # for a second or more, and no reading came since
         self._started_ns: int | None = None  # 128 went out
         self._start_at_ns: int | None = None
         self._request_at_ns: int | None = None
@@ -106,6 +108,7 @@ class IrobotCreateSession:
         if self._start_at_ns is None and silence_ns > RETRY_START_NS:
             self.status = "no stream; starting the robot again"
             self.counters["silences"] += 1
+            self._was_silent = True
             self._start_at_ns = now_ns
         if self._start_at_ns is not None and now_ns >= self._start_at_ns:
             self._start(now_ns)
@@ -197,6 +200,10 @@ class IrobotCreateSession:
         """Integrate the counts since the last reading; (m, rad), zeros where they are implausible."""
         counts = (frame.values[PacketId.LEFT_ENCODER], frame.values[PacketId.RIGHT_ENCODER])
         reading = Reading(*counts, stamp_ns)
+        if self._was_silent and self._read is not None and _began_anew(self._read, reading):
+            self.counters["robot_resets"] += 1
+            self._read = self._doubtful = None
+        self._was_silent = False
         for before in (self._read, self._doubtful):
             if before is not None and (ways_m := self._ways_m(before, reading, arrived_ns)) is not None:
                 self._read, self._doubtful = reading, None
@@ -247,6 +254,17 @@ def _reach_m(since: Reading, arrived_ns: int) -> float:
     """How far a wheel can have turned until a reading that arrived then; its stamp may not know yet of
     frames that were lost."""
     return REACH_MARGIN * FASTEST_MPS * (arrived_ns - since.stamp_ns + REACH_SLACK_NS) * 1e-9
+
+
+def _began_anew(before: Reading, now: Reading) -> bool:
+    """Whether the robot was reset in the silence between the two: not all of them send a banner then.
+
+    One that did roll to where both counters are near 0 is taken for one that was reset: its way is not
+    counted, the covariance takes it in.
+    """
+    near_zero = all(abs(counts_between(0, count)) <= NEAR_ZERO_COUNTS for count in (now.left, now.right))
+    steps = (counts_between(before.left, now.left), counts_between(before.right, now.right))
+    return near_zero and max(map(abs, steps)) > NEAR_ZERO_COUNTS
 
 
 def session_maker(config: IrobotCreateConfig) -> Callable[[], Session]:
