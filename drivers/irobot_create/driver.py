@@ -13,7 +13,7 @@ from drivers.frames import OdometrySample
 from drivers.irobot_create.config import GIVE_UP_NS, RETRY_START_NS, IrobotCreateConfig
 from drivers.irobot_create.create1 import Create1Session
 from drivers.irobot_create.frame_clock import FrameClock
-from drivers.irobot_create.health import HEALTH_IDS, RobotHealth
+from drivers.irobot_create.health import HEALTH_IDS, EncoderFaults, RobotHealth
 from drivers.irobot_create.odometry import FASTEST_MPS, DeadReckoning, TwistWindow, counts_between
 from drivers.irobot_create.protocol import (
     BANNER_END_NS,
@@ -67,6 +67,7 @@ class IrobotCreateSession:
         self.identity: dict[str, str] = {"model": config.model}
         self._decoder = StreamDecoder(STREAM_IDS)
         self._health = RobotHealth(self.counters)
+        self._encoder_faults = EncoderFaults()
         self._odometry = odometry or DeadReckoning(config.wheel_base_m, config.travel_variance_m2_per_m)
         self._twist = TwistWindow()
         self._byte_ns = 10e9 / config.baud
@@ -177,7 +178,8 @@ class IrobotCreateSession:
         )
         ds_m, dth_rad = self._roll(frame, stamp_ns, arrived_ns)
         self._health.observe(frame.values)
-        self.status = f"streaming; {self._health.words()}"
+        parts = ("streaming", self._encoder_faults.words(arrived_ns), self._health.words())
+        self.status = "; ".join(text for text in parts if text)
         twist = self._twist.add(stamp_ns, ds_m, dth_rad)
         return self._odometry.sample(self._config.name, stamp_ns, arrived_ns, twist)
 
@@ -212,25 +214,39 @@ class IrobotCreateSession:
             self._read = reading
         else:
             self._doubtful = reading
-            self.counters["encoder_faults"] += 1
-            log.warning(
-                "%s: encoders jumped from %d, %d to %d, %d, at most %.3f m are possible; way not counted",
-                self._config.name,
-                self._read.left,
-                self._read.right,
-                *counts,
-                _reach_m(self._read, arrived_ns),
-            )
+            self._note_fault(self._read, reading, arrived_ns)
         if self._odometry.stamp_ns is not None:
             self._odometry.lose((stamp_ns - self._odometry.stamp_ns) * 1e-9)
         return 0.0, 0.0
 
     def _ways_m(self, before: Reading, now: Reading, arrived_ns: int) -> tuple[float, float] | None:
         """Of the left and the right wheel; None where they cannot have turned so far."""
-        left_m = counts_between(before.left, now.left) * self._config.left_m_per_count
-        right_m = counts_between(before.right, now.right) * self._config.right_m_per_count
+        left_m, right_m = self._steps_m(before, now)
         possible = max(abs(left_m), abs(right_m)) <= _reach_m(before, arrived_ns)
         return (left_m, right_m) if possible else None
+
+    def _steps_m(self, before: Reading, now: Reading) -> tuple[float, float]:
+        return (
+            counts_between(before.left, now.left) * self._config.left_m_per_count,
+            counts_between(before.right, now.right) * self._config.right_m_per_count,
+        )
+
+    def _note_fault(self, before: Reading, now: Reading, arrived_ns: int) -> None:
+        self.counters["encoder_faults"] += 1
+        reach_m = _reach_m(before, arrived_ns)
+        left, right = (abs(step_m) > reach_m for step_m in self._steps_m(before, now))
+        wheel = "both" if left and right else "left" if left else "right"
+        if faults := self._encoder_faults.add(wheel, arrived_ns):
+            log.warning(
+                "%s: encoders jumped from %d, %d to %d, %d, at most %.3f m are possible; way not counted%s",
+                self._config.name,
+                before.left,
+                before.right,
+                now.left,
+                now.right,
+                reach_m,
+                f"; {faults} jumps since the last such line" if faults > 1 else "",
+            )
 
     def _explain_silence(self) -> str:
         seconds = GIVE_UP_NS / 1e9
