@@ -116,7 +116,7 @@ def run_link(
 
     `tee` hears of everything on the wire, before the session does; it must not wait.
     """
-    retry_s = FIRST_RETRY_S
+    retry_s, log_of_errors = FIRST_RETRY_S, ErrorLog(health.name)
     while not stop.is_set():
         health.state = "connecting"
         began_s = time.monotonic()
@@ -132,18 +132,30 @@ def run_link(
             if time.monotonic() - began_s > PROVEN_AFTER_S:
                 retry_s = FIRST_RETRY_S
             wait_s, retry_s = retry_s, min(2.0 * retry_s, LAST_RETRY_S)
-            _report(health, error, wait_s)
+            _report(health, error, wait_s, log_of_errors)
         except DeviceError as error:
             wait_s = DEVICE_ERROR_RETRY_S
-            _report(health, error, wait_s)
+            _report(health, error, wait_s, log_of_errors)
         stop.wait(wait_s)
 
 
-def _report(health: LinkHealth, error: Exception, wait_s: float) -> None:
-    message = f"{error}; reconnecting in {wait_s:.2g} s"
-    level = logging.WARNING if message != health.last_error else logging.DEBUG  # once, not each retry
-    log.log(level, "%s: %s", health.name, message)
-    health.state, health.last_error = "down", message
+class ErrorLog:
+    """Warns of each loss of a link that worked, and of each new error; not of the same one at each retry."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._said = ""
+
+    def add(self, text: str, wait_s: float, worked: bool) -> None:
+        """worked: frames came on the connection that ended so."""
+        level = logging.WARNING if worked or text != self._said else logging.DEBUG
+        log.log(level, "%s: %s; reconnecting in %.2g s", self._name, text, wait_s)
+        self._said = text
+
+
+def _report(health: LinkHealth, error: Exception, wait_s: float, log_of_errors: ErrorLog) -> None:
+    log_of_errors.add(str(error), wait_s, worked=health.state == "streaming")
+    health.state, health.last_error = "down", f"{error}; reconnecting in {wait_s:.2g} s"
 
 
 def _pump(

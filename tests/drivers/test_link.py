@@ -161,11 +161,28 @@ def test_waits_grow_from_retry_to_retry_and_are_logged_once(caplog):
                 self.set()
             return self.is_set()
 
-    run([TransportError("refused")] * 7, [], ImpatientEvent())
+    health, _ = run([TransportError("refused")] * 7, [], ImpatientEvent())
     assert waits == [0.25, 0.5, 1.0, 2.0, 4.0, 5.0, 5.0]
     warnings = [record for record in caplog.records if record.levelname == "WARNING"]
-    assert [record.getMessage() for record in warnings][-1].startswith("front: refused; reconnecting in 5 s")
-    assert len(warnings) == 6  # the seventh says nothing new
+    assert [record.getMessage() for record in warnings] == ["front: refused; reconnecting in 0.25 s"]
+    assert health.last_error == "refused; reconnecting in 5 s"
+
+
+def test_each_loss_of_a_link_that_worked_is_logged_though_the_error_is_the_same(quick_retries, caplog):
+    stop, gone = threading.Event(), TransportError("closed")
+    transports = [
+        *(TransportError("closed"), TransportError("refused"), TransportError("refused")),
+        *(ScriptedTransport([b"a", b"b"]), TransportError("closed"), ScriptedTransport([b"a", b"b"])),
+        StoppableTransport([b"d"], stop),
+    ]
+    health, frames = run(transports, [*(EchoSession(fails_with=gone) for _ in range(2)), EchoSession()], stop)
+    warned = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert [text.partition(";")[0] for text in warned] == [
+        *("front: closed", "front: refused"),
+        *("front: closed", "front: closed"),  # of the two that had worked, not of the retry in between
+    ]
+    assert len(frames) == 3
+    assert health.last_error.startswith("closed")
 
 
 def test_status_follows_the_session_while_the_wire_is_silent():
