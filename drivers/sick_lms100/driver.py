@@ -31,7 +31,7 @@ from drivers.sick_lms100.telegrams import (
     ScanTelegram,
     read_scan,
 )
-from drivers.watch import MalformedRun, SilenceWatch, StampGate
+from drivers.watch import SAME_STAMP, MalformedRun, SilenceWatch, StampGate
 
 FIRST_SCAN_TIMEOUT_S = 45.0  # after a change of the scan rate data flow again after some 30 s
 MALFORMED_LIMIT = 20  # scan telegrams in a row
@@ -66,7 +66,7 @@ class Lms100Session:
         self.outbox = bytearray()
         self.counters: Counter[str] = self._dialogue.counters
         self._malformed = MalformedRun(self.counters, "scans", MALFORMED_LIMIT)
-        self._gate = StampGate(self.counters, "scans")
+        self._gate = StampGate(self.counters, "scans", self._silence)
         self.identity: dict[str, str] = self._dialogue.identity
         self.status = self._dialogue.phase
 
@@ -101,7 +101,8 @@ class Lms100Session:
         limit_s = FIRST_SCAN_TIMEOUT_S if self._last is None else self._config.silence_timeout_s
         if self._silence.exceeds(limit_s):
             raise TransportError(
-                f"no scan for {limit_s:g} s; is the device in standby, rebooting or is the cable out?"
+                self._silence.what_came("scans", limit_s)
+                or f"no scan for {limit_s:g} s; is the device in standby, rebooting or is the cable out?"
             )
         self._set_status()
 
@@ -165,6 +166,7 @@ class Lms100Session:
             return True
         if scan.scan_counter == last.scan_counter and scan.start_us == last.start_us:
             self.counters["scans_duplicate"] += 1
+            self._silence.dropped(SAME_STAMP)
             return False
         gap = (scan.scan_counter - last.scan_counter) % COUNTER_MODULUS
         if 1 <= gap <= COUNTER_GAP_IS_A_RESTART:
