@@ -1,18 +1,25 @@
-"""Errors of drivers. One base, three kinds, one reaction each.
+"""Errors of drivers. One base, four kinds, one reaction each.
 
     DriverError
      |- TransportError   the bytes stopped: refused, reset, silent       -> reconnect
      |- ProtocolError    the bytes are not the protocol                  -> drop the link, fresh session
-     `- DeviceError      the device understood and refused, or reports a fault
-                                                                         -> report, retry at long intervals
+     |- DeviceError      the device understood and refused, or reports a fault
+     |                                                                   -> report, retry at long intervals
+     `- UnforeseenError  the driver failed at what nobody thought of     -> the same, with the traceback
 
 A message says what was measured, what was expected and what to look at; the link adds the sensor's name
 and what happens next.
 """
 
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
 
 class DriverError(Exception):
-    """Base of everything a driver raises on purpose."""
+    """Base of everything a driver raises on purpose, and of what `contained` makes of the rest."""
 
 
 class TransportError(DriverError):
@@ -25,3 +32,21 @@ class ProtocolError(DriverError):
 
 class DeviceError(DriverError):
     """The device understood us and refused. Reaction: report; retry seldom, somebody has to mend it."""
+
+
+class UnforeseenError(DriverError):
+    """A mistake of ours in a driver; the cause is the exception. Reaction: as to a DeviceError."""
+
+
+def contained(call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+    """What a driver's function returns. Raises DriverError alone: an UnforeseenError for every exception that
+    the driver did not raise on purpose, so that one sensor's bytes cannot end the service of all."""
+    try:
+        return call(*args, **kwargs)
+    except DriverError:
+        raise
+    except Exception as error:
+        raise UnforeseenError(
+            f"the driver failed: {type(error).__name__}: {str(error)[:200]}; this is a mistake of corridor: "
+            "report it, with the traceback in the log of `corridor run`"
+        ) from error

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
-from drivers.errors import DeviceError, ProtocolError, TransportError
+from drivers.errors import DeviceError, ProtocolError, TransportError, UnforeseenError, contained
 from drivers.frames import Frame, GnssFix
 from drivers.transport import Transport
 
@@ -112,16 +112,17 @@ def run_link(
     stop: threading.Event,
     tee: RawTee | None = None,
 ) -> None:
-    """Keep one device talking until `stop` is set; never raises for what a device or a cable does.
+    """Keep one device talking until `stop` is set; never raises for what a device, a cable or its driver
+    does. What `sink` and `tee` raise passes.
 
     `tee` hears of everything on the wire, before the session does; it must not wait.
     """
-    retry_s = FIRST_RETRY_S
+    retry_s, log_of_errors = FIRST_RETRY_S, ErrorLog(health.name)
     while not stop.is_set():
         health.state = "connecting"
         began_s = time.monotonic()
         try:
-            with open_transport() as transport:
+            with contained(open_transport) as transport:
                 health.connects += 1
                 health.state = "starting"
                 _pump(transport, new_session(), health, sink, stop, tee)
@@ -132,18 +133,38 @@ def run_link(
             if time.monotonic() - began_s > PROVEN_AFTER_S:
                 retry_s = FIRST_RETRY_S
             wait_s, retry_s = retry_s, min(2.0 * retry_s, LAST_RETRY_S)
-            _report(health, error, wait_s)
-        except DeviceError as error:
+            _report(health, error, wait_s, log_of_errors)
+        except (DeviceError, UnforeseenError) as error:
             wait_s = DEVICE_ERROR_RETRY_S
-            _report(health, error, wait_s)
+            if isinstance(error, UnforeseenError):
+                health.counters = health.counters + Counter(driver_faults=1)
+            _report(health, error, wait_s, log_of_errors)
         stop.wait(wait_s)
 
 
-def _report(health: LinkHealth, error: Exception, wait_s: float) -> None:
-    message = f"{error}; reconnecting in {wait_s:.2g} s"
-    level = logging.WARNING if message != health.last_error else logging.DEBUG  # once, not each retry
-    log.log(level, "%s: %s", health.name, message)
-    health.state, health.last_error = "down", message
+class ErrorLog:
+    """Warns of each loss of a link that worked, and of each new error; not of the same one at each retry."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._said = ""
+
+    def add(self, error: Exception, wait_s: float, worked: bool) -> None:
+        """worked: frames came on the connection that ended so."""
+        text, cause = str(error), None
+        if not worked and text == self._said:
+            level = logging.DEBUG
+        elif isinstance(error, UnforeseenError):
+            level, cause = logging.ERROR, error.__cause__
+        else:
+            level = logging.WARNING
+        log.log(level, "%s: %s; reconnecting in %.2g s", self._name, text, wait_s, exc_info=cause)
+        self._said = text
+
+
+def _report(health: LinkHealth, error: Exception, wait_s: float, log_of_errors: ErrorLog) -> None:
+    log_of_errors.add(error, wait_s, worked=health.state == "streaming")
+    health.state, health.last_error = "down", f"{error}; reconnecting in {wait_s:.2g} s"
 
 
 def _pump(
@@ -161,19 +182,19 @@ def _pump(
         tee(RawChunk(now_ns, "connected"))
     try:
         while not stop.is_set():
-            session.tick(now_ns)
+            contained(session.tick, now_ns)
             if session.outbox:
                 if tee is not None:
                     tee(RawChunk(now_ns, "sent", bytes(session.outbox)))
-                transport.write(bytes(session.outbox))
+                contained(transport.write, bytes(session.outbox))
                 session.outbox.clear()
-            data = transport.read(READ_TIMEOUT_S)
+            data = contained(transport.read, READ_TIMEOUT_S)
             now_ns = time.monotonic_ns()
             if tee is not None:
                 tee(RawChunk(now_ns, "received" if data else "waited", data))
             if data:
                 health.bytes_read += len(data)
-                for frame in session.receive_data(data, now_ns):
+                for frame in contained(session.receive_data, data, now_ns):
                     if health.state != "streaming":
                         health.state = "streaming"
                         log.info("%s: streaming%s", health.name, _identity_text(session.identity))

@@ -1,21 +1,44 @@
 """What every session watches for: silence, only malformed messages, stamps that cannot be."""
 
 from collections import Counter
+from typing import NamedTuple
 
 from drivers.errors import ProtocolError
 
 LOOK_NS = 200_000_000  # of the time between two looks no more counts as silence: the host may have stalled
 
 
+class DropReason(NamedTuple):
+    """Why a whole frame is not handed on, and what to do where all are dropped so."""
+
+    words: str
+    remedy: str
+
+
+SAME_STAMP = DropReason("with the same stamp", "the sensor stalls: switch its power off and on")
+OUT_OF_ORDER = DropReason(
+    "stamped no later than the one before", "its clock stalls or was set: switch its power off and on"
+)
+AHEAD_OF_ARRIVAL = DropReason(
+    "stamped later than they arrived", "its clock is damaged or was set: switch its power off and on"
+)
+NOT_FINITE = DropReason(
+    "with values that are no numbers", "switch its power off and on; if they stay so, have it repaired"
+)
+
+
 class SilenceWatch:
     """How long a device has sent no usable frame, counted over the time that it was watched.
 
-    Call `look` at every tick, and `heard` for each frame that is handed on; dropped frames do not count.
+    Call `look` at every tick, `heard` for each frame that is handed on, and `dropped` for each that came
+    whole and is not: those do not end the silence, but tell it from that of a cable that is out.
     """
 
     def __init__(self) -> None:
         self._looked_at_ns: int | None = None
         self._silent_ns = 0
+        self._dropped: Counter[DropReason] = Counter()  # since the last frame that was handed on
+        self._silent_at_drop_ns = 0  # at the newest of them
 
     def look(self, now_ns: int, waiting: bool) -> None:
         """waiting: the device should be sending; time before it was asked to does not count."""
@@ -24,32 +47,61 @@ class SilenceWatch:
         self._looked_at_ns = now_ns
 
     def heard(self) -> None:
-        self._silent_ns = 0
+        self._silent_ns = self._silent_at_drop_ns = 0
+        self._dropped.clear()
+
+    def dropped(self, reason: DropReason) -> None:
+        self._dropped[reason] += 1
+        self._silent_at_drop_ns = self._silent_ns
 
     def exceeds(self, limit_s: float) -> bool:
         return self._silent_ns > limit_s * 1e9
+
+    def what_came(self, what: str, limit_s: float) -> str:
+        """For the error where `limit_s` is exceeded: which frames came all the same, and the remedy; empty
+        where none came in the later half of that time.
+
+        what    plural, as in the counters: scans
+        """
+        count = self._dropped.total()
+        if count < 2 or self._silent_ns - self._silent_at_drop_ns > limit_s * 0.5e9:
+            return ""
+        ranked = self._dropped.most_common()
+        words = (
+            f"all {ranked[0][0].words}"
+            if len(ranked) == 1
+            else "none usable: " + ", ".join(f"{number} {reason.words}" for reason, number in ranked)
+        )
+        return f"{count} {what} came in {limit_s:g} s, {words}; {ranked[0][0].remedy}"
 
 
 class StampGate:
     """Which frames are handed on: stamped no later than their arrival, and later than the one before.
 
-    Others are counted as `<what>_ahead_of_arrival` and `<what>_out_of_order`.
+    Others are counted as `<what>_ahead_of_arrival` and `<what>_out_of_order`, and `silence` is told, where
+    there is one.
     """
 
-    def __init__(self, counters: Counter[str], what: str) -> None:
+    def __init__(self, counters: Counter[str], what: str, silence: SilenceWatch | None = None) -> None:
         self._counters = counters
         self._what = what
+        self._silence = silence
         self.last_ns: int | None = None  # stamp of the newest frame that passed
 
     def passes(self, stamp_ns: int, arrived_ns: int) -> bool:
         if stamp_ns > arrived_ns:
-            self._counters[f"{self._what}_ahead_of_arrival"] += 1
+            self._drop("ahead_of_arrival", AHEAD_OF_ARRIVAL)
             return False
         if self.last_ns is not None and stamp_ns <= self.last_ns:
-            self._counters[f"{self._what}_out_of_order"] += 1
+            self._drop("out_of_order", OUT_OF_ORDER)
             return False
         self.last_ns = stamp_ns
         return True
+
+    def _drop(self, name: str, reason: DropReason) -> None:
+        self._counters[f"{self._what}_{name}"] += 1
+        if self._silence is not None:
+            self._silence.dropped(reason)
 
 
 class MalformedRun:

@@ -27,7 +27,7 @@ from drivers.hokuyo_utm30lx.protocol import (
 )
 from drivers.hokuyo_utm30lx.scan_clock import ScanClock
 from drivers.hokuyo_utm30lx.scans import NO_ECHO, Scan, ScanRequest, read_scan
-from drivers.watch import MalformedRun, SilenceWatch, StampGate
+from drivers.watch import SAME_STAMP, MalformedRun, SilenceWatch, StampGate
 
 FIRST_SCAN_TIMEOUT_S = 10.0  # the motor may have to come to speed
 MALFORMED_LIMIT = 40  # scans in a row
@@ -60,7 +60,7 @@ class HokuyoUtm30lxSession:
         self.outbox = bytearray(b"\n")  # ends a command that an earlier client left incomplete
         self.counters: Counter[str] = self._dialogue.counters
         self._malformed = MalformedRun(self.counters, "scans", MALFORMED_LIMIT)
-        self._gate = StampGate(self.counters, "scans")
+        self._gate = StampGate(self.counters, "scans", self._silence)
         self.identity: dict[str, str] = self._dialogue.identity
         self.status = self._dialogue.phase
 
@@ -97,7 +97,10 @@ class HokuyoUtm30lxSession:
         self._silence.look(now_ns, waiting=self._dialogue.request is not None)
         limit_s = FIRST_SCAN_TIMEOUT_S if self._last_ms is None else self._config.silence_timeout_s
         if self._silence.exceeds(limit_s):
-            raise TransportError(f"no scan for {limit_s:g} s; did it lose power or reboot?")
+            raise TransportError(
+                self._silence.what_came("scans", limit_s)
+                or f"no scan for {limit_s:g} s; did it lose power or reboot?"
+            )
         self._set_status()
 
     def shutdown_request(self) -> bytes:
@@ -175,7 +178,8 @@ class HokuyoUtm30lxSession:
         assert geometry is not None
         assert clock is not None
         if scan.stamp_ms == self._last_ms:
-            self.counters["scans_with_a_stamp_twice"] += 1  # a stalled device is a silent one
+            self.counters["scans_with_a_stamp_twice"] += 1
+            self._silence.dropped(SAME_STAMP)
             return None
         resets = clock.resets
         moment_ns = clock.stamp(scan.stamp_ms, arrived_ns)

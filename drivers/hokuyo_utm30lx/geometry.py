@@ -7,7 +7,15 @@ from dataclasses import dataclass
 from drivers.errors import ProtocolError
 from drivers.hokuyo_utm30lx.scans import ScanRequest
 
-PP_KEYS = ("DMIN", "DMAX", "ARES", "AMIN", "AMAX", "AFRT", "SCAN")
+PP_LIMITS = {  # key: lowest and highest; wider than any Hokuyo laser, and what the arithmetic bears
+    "DMIN": (0, 262_143),  # mm; three characters of six bits carry no more
+    "DMAX": (0, 262_143),
+    "ARES": (4, 100_000),
+    "AMIN": (0, 9_999),  # four digits in a request
+    "AMAX": (0, 9_999),
+    "AFRT": (0, 9_999),
+    "SCAN": (60, 12_000),  # rpm
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,15 +34,21 @@ class Geometry:
     def of(cls, pairs: Mapping[str, str]) -> "Geometry":
         """From PP's lines. Raises ProtocolError where one is missing or senseless."""
         try:
-            values = [int(pairs[key]) for key in PP_KEYS]
+            values = {key: int(pairs[key]) for key in PP_LIMITS}
         except (KeyError, ValueError) as error:
-            raise ProtocolError(f"PP: {error} among {dict(pairs)}; expected numbers for {PP_KEYS}") from error
-        geometry = cls(*values)
-        steps_in_order = 0 <= geometry.first_step < geometry.last_step <= 9999
-        if not steps_in_order or min(geometry.steps_per_turn, geometry.speed_rpm) <= 0:
             raise ProtocolError(
-                f"PP: {dict(pairs)} describes no laser; expected AMIN < AMAX, ARES and SCAN > 0"
-            )
+                f"PP: {error} among {dict(pairs)}; expected numbers for {tuple(PP_LIMITS)}"
+            ) from error
+        for key, (lowest, highest) in PP_LIMITS.items():
+            if not lowest <= values[key] <= highest:
+                raise ProtocolError(
+                    f"PP: {key} is {pairs[key][:20]}, expected {lowest} to {highest}; is it a Hokuyo laser?"
+                )
+        geometry = cls(*values.values())
+        distances_in_order = geometry.distance_min_mm < geometry.distance_max_mm
+        steps_in_order = geometry.first_step < geometry.last_step
+        if not distances_in_order or not steps_in_order:
+            raise ProtocolError(f"PP: {dict(pairs)} describes no laser; expected DMIN < DMAX, AMIN < AMAX")
         return geometry
 
     @property

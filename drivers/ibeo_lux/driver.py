@@ -86,7 +86,7 @@ class IbeoLuxSession:
         self.outbox = bytearray()
         self.counters: Counter[str] = self._dialogue.counters
         self._malformed = MalformedRun(self.counters, "scans", MALFORMED_LIMIT)
-        self._gate = StampGate(self.counters, "scans")
+        self._gate = StampGate(self.counters, "scans", self._silence)
         self.identity: dict[str, str] = self._dialogue.identity
         self.status = self._dialogue.phase
         self._reduction = LayerReduction(config, self.counters)
@@ -156,6 +156,8 @@ class IbeoLuxSession:
             )
         if self._repeated_in_a_row > REPEATED_LIMIT:
             raise TransportError(f"no new scan for {silent_s:g} s: it repeats the same one")
+        if came := self._silence.what_came("scans", silent_s):
+            raise TransportError(came)
         raise TransportError(
             f"no scan for {silent_s:g} s{''.join(f', it reported {text}' for text in told)}; is the device "
             "rebooting, was it stopped, or is the cable out?"

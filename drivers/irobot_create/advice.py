@@ -31,7 +31,7 @@ ADVICE = Advice(
     rate_hz=rate_hz,
     recognise=recognise,
     bauds=(115_200, 57_600, 38_400, 28_800, 19_200),
-    worries=("low battery", "wheel dropped", "charging fault"),
+    worries=("low battery", "wheel dropped", "charging fault", "jump"),
     start_up_s=9.0,
     silence="press the robot's Clean button: asleep it answers nothing; is it off, is the level shifter "
     "powered, is baud what the robot was set to?",

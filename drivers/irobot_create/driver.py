@@ -13,7 +13,7 @@ from drivers.frames import OdometrySample
 from drivers.irobot_create.config import GIVE_UP_NS, RETRY_START_NS, IrobotCreateConfig
 from drivers.irobot_create.create1 import Create1Session
 from drivers.irobot_create.frame_clock import FrameClock
-from drivers.irobot_create.health import HEALTH_IDS, RobotHealth
+from drivers.irobot_create.health import HEALTH_IDS, EncoderFaults, RobotHealth
 from drivers.irobot_create.odometry import FASTEST_MPS, DeadReckoning, TwistWindow, counts_between
 from drivers.irobot_create.protocol import (
     BANNER_END_NS,
@@ -40,6 +40,7 @@ KEEP_ALIVE_NS = 60_000_000_000
 UNSTICKING_STARTS = 4  # a robot that waits for the rest of a command takes the first ones for its data
 REACH_MARGIN = 3.0  # over the fastest the wheels turn by themselves, for a vehicle may roll along faster
 REACH_SLACK_NS = 80_000_000  # stamps may be so late: USB adapters hold frames back
+NEAR_ZERO_COUNTS = 1_000  # 0.44 m: a robot that was reset counts from 0, and has hardly rolled since
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +67,7 @@ class IrobotCreateSession:
         self.identity: dict[str, str] = {"model": config.model}
         self._decoder = StreamDecoder(STREAM_IDS)
         self._health = RobotHealth(self.counters)
+        self._encoder_faults = EncoderFaults()
         self._odometry = odometry or DeadReckoning(config.wheel_base_m, config.travel_variance_m2_per_m)
         self._twist = TwistWindow()
         self._byte_ns = 10e9 / config.baud
@@ -76,6 +78,7 @@ class IrobotCreateSession:
         self._heard_ns: int | None = None
         self._backdated = False  # the read at hand: its bytes had the time to come one after the other
         self._last_heard_ns: int | None = None  # frame or banner; None before the first tick
+        self._was_silent = False  # for a second or more, and no reading came since
         self._started_ns: int | None = None  # 128 went out
         self._start_at_ns: int | None = None
         self._request_at_ns: int | None = None
@@ -106,6 +109,7 @@ class IrobotCreateSession:
         if self._start_at_ns is None and silence_ns > RETRY_START_NS:
             self.status = "no stream; starting the robot again"
             self.counters["silences"] += 1
+            self._was_silent = True
             self._start_at_ns = now_ns
         if self._start_at_ns is not None and now_ns >= self._start_at_ns:
             self._start(now_ns)
@@ -174,7 +178,8 @@ class IrobotCreateSession:
         )
         ds_m, dth_rad = self._roll(frame, stamp_ns, arrived_ns)
         self._health.observe(frame.values)
-        self.status = f"streaming; {self._health.words()}"
+        parts = ("streaming", self._encoder_faults.words(arrived_ns), self._health.words())
+        self.status = "; ".join(text for text in parts if text)
         twist = self._twist.add(stamp_ns, ds_m, dth_rad)
         return self._odometry.sample(self._config.name, stamp_ns, arrived_ns, twist)
 
@@ -197,6 +202,10 @@ class IrobotCreateSession:
         """Integrate the counts since the last reading; (m, rad), zeros where they are implausible."""
         counts = (frame.values[PacketId.LEFT_ENCODER], frame.values[PacketId.RIGHT_ENCODER])
         reading = Reading(*counts, stamp_ns)
+        if self._was_silent and self._read is not None and _began_anew(self._read, reading):
+            self.counters["robot_resets"] += 1
+            self._read = self._doubtful = None
+        self._was_silent = False
         for before in (self._read, self._doubtful):
             if before is not None and (ways_m := self._ways_m(before, reading, arrived_ns)) is not None:
                 self._read, self._doubtful = reading, None
@@ -205,25 +214,39 @@ class IrobotCreateSession:
             self._read = reading
         else:
             self._doubtful = reading
-            self.counters["encoder_faults"] += 1
-            log.warning(
-                "%s: encoders jumped from %d, %d to %d, %d, at most %.3f m are possible; way not counted",
-                self._config.name,
-                self._read.left,
-                self._read.right,
-                *counts,
-                _reach_m(self._read, arrived_ns),
-            )
+            self._note_fault(self._read, reading, arrived_ns)
         if self._odometry.stamp_ns is not None:
             self._odometry.lose((stamp_ns - self._odometry.stamp_ns) * 1e-9)
         return 0.0, 0.0
 
     def _ways_m(self, before: Reading, now: Reading, arrived_ns: int) -> tuple[float, float] | None:
         """Of the left and the right wheel; None where they cannot have turned so far."""
-        left_m = counts_between(before.left, now.left) * self._config.left_m_per_count
-        right_m = counts_between(before.right, now.right) * self._config.right_m_per_count
+        left_m, right_m = self._steps_m(before, now)
         possible = max(abs(left_m), abs(right_m)) <= _reach_m(before, arrived_ns)
         return (left_m, right_m) if possible else None
+
+    def _steps_m(self, before: Reading, now: Reading) -> tuple[float, float]:
+        return (
+            counts_between(before.left, now.left) * self._config.left_m_per_count,
+            counts_between(before.right, now.right) * self._config.right_m_per_count,
+        )
+
+    def _note_fault(self, before: Reading, now: Reading, arrived_ns: int) -> None:
+        self.counters["encoder_faults"] += 1
+        reach_m = _reach_m(before, arrived_ns)
+        left, right = (abs(step_m) > reach_m for step_m in self._steps_m(before, now))
+        wheel = "both" if left and right else "left" if left else "right"
+        if faults := self._encoder_faults.add(wheel, arrived_ns):
+            log.warning(
+                "%s: encoders jumped from %d, %d to %d, %d, at most %.3f m are possible; way not counted%s",
+                self._config.name,
+                before.left,
+                before.right,
+                now.left,
+                now.right,
+                reach_m,
+                f"; {faults} jumps since the last such line" if faults > 1 else "",
+            )
 
     def _explain_silence(self) -> str:
         seconds = GIVE_UP_NS / 1e9
@@ -247,6 +270,17 @@ def _reach_m(since: Reading, arrived_ns: int) -> float:
     """How far a wheel can have turned until a reading that arrived then; its stamp may not know yet of
     frames that were lost."""
     return REACH_MARGIN * FASTEST_MPS * (arrived_ns - since.stamp_ns + REACH_SLACK_NS) * 1e-9
+
+
+def _began_anew(before: Reading, now: Reading) -> bool:
+    """Whether the robot was reset in the silence between the two: not all of them send a banner then.
+
+    One that did roll to where both counters are near 0 is taken for one that was reset: its way is not
+    counted, the covariance takes it in.
+    """
+    near_zero = all(abs(counts_between(0, count)) <= NEAR_ZERO_COUNTS for count in (now.left, now.right))
+    steps = (counts_between(before.left, now.left), counts_between(before.right, now.right))
+    return near_zero and max(map(abs, steps)) > NEAR_ZERO_COUNTS
 
 
 def session_maker(config: IrobotCreateConfig) -> Callable[[], Session]:

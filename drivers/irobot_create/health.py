@@ -14,6 +14,7 @@ CHARGING = (
     "charging fault",
 )
 LOW_BATTERY_SHARE = 0.2
+FAULT_RECENT_NS = 10_000_000_000  # so long it is in the status, and so seldom in the log
 _WHEEL_DROPS = 0b11100  # right, left, caster (Create 1)
 _BUMPS = 0b00011
 _CLIFFS = (
@@ -94,6 +95,31 @@ class RobotHealth:
     def _mode(self, values: Mapping[int, int]) -> Mode | int:
         mode = values[PacketId.OI_MODE] - self.mode_offset
         return Mode(mode) if mode in list(Mode) else mode
+
+
+class EncoderFaults:
+    """Readings that a wheel cannot have turned to: whose, and when to say so in the log."""
+
+    def __init__(self) -> None:
+        self._wheel = ""
+        self._last_ns = self._logged_ns = -FAULT_RECENT_NS
+        self._unsaid = 0
+
+    def add(self, wheel: str, now_ns: int) -> int:
+        """Take in a fault of the `left`, the `right` or `both` wheels' encoders. How many to log, this one
+        and those since the last time; 0: it is too soon to say so again."""
+        self._wheel, self._last_ns = wheel, now_ns
+        self._unsaid += 1
+        if now_ns - self._logged_ns < FAULT_RECENT_NS:
+            return 0
+        unsaid, self._unsaid, self._logged_ns = self._unsaid, 0, now_ns
+        return unsaid
+
+    def words(self, now_ns: int) -> str:
+        """For the status; empty where none was recent."""
+        if now_ns - self._last_ns >= FAULT_RECENT_NS:
+            return ""
+        return "both encoders jump" if self._wheel == "both" else f"{self._wheel} encoder jumps"
 
 
 def _wheel_drops(values: Mapping[int, int]) -> bool:

@@ -26,14 +26,17 @@ from drivers.sick_lms100.telegrams import (
     FULL_LAST_E4DEG,
     LOW_CODES,
     Channel,
+    OutputRange,
+    ScanConfig,
     ScanTelegram,
     read_scan,
 )
-from drivers.watch import MalformedRun, SilenceWatch, StampGate
+from drivers.watch import SAME_STAMP, MalformedRun, SilenceWatch, StampGate
 
 FIRST_SCAN_TIMEOUT_S = 45.0  # after a change of the scan rate data flow again after some 30 s
 MALFORMED_LIMIT = 20  # scan telegrams in a row
 FLAGGED_SCANS_ARE_A_FAULT = 50  # the first 7 or so after a start carry the error flag and are good
+OTHER_LIMIT = 10  # scans in a row that are not as configured
 COUNTER_GAP_IS_A_RESTART = 1_000
 COUNTER_MODULUS = 1 << 16
 CLOCK_MODULUS = 1 << 32
@@ -57,10 +60,13 @@ class Lms100Session:
         self._start_before_zero_us: int | None = None
         self._last: ScanTelegram | None = None
         self._flagged_in_a_row = 0
+        self._other_in_a_row = 0
+        self._other_scans = ""  # how they differ from the config
+        self._was_as_configured = False
         self.outbox = bytearray()
         self.counters: Counter[str] = self._dialogue.counters
         self._malformed = MalformedRun(self.counters, "scans", MALFORMED_LIMIT)
-        self._gate = StampGate(self.counters, "scans")
+        self._gate = StampGate(self.counters, "scans", self._silence)
         self.identity: dict[str, str] = self._dialogue.identity
         self.status = self._dialogue.phase
 
@@ -95,7 +101,8 @@ class Lms100Session:
         limit_s = FIRST_SCAN_TIMEOUT_S if self._last is None else self._config.silence_timeout_s
         if self._silence.exceeds(limit_s):
             raise TransportError(
-                f"no scan for {limit_s:g} s; is the device in standby, rebooting or is the cable out?"
+                self._silence.what_came("scans", limit_s)
+                or f"no scan for {limit_s:g} s; is the device in standby, rebooting or is the cable out?"
             )
         self._set_status()
 
@@ -132,6 +139,8 @@ class Lms100Session:
         if self._flagged_in_a_row >= FLAGGED_SCANS_ARE_A_FAULT:
             flags = self._last.status[0] | self._last.status[1]
             faults += [text for bit, text in STATUS_BITS.items() if flags & bit]
+        if self._other_in_a_row > OTHER_LIMIT:
+            faults.append(f"scans at {self._other_scans}")
         self.status = "; ".join(dict.fromkeys(["streaming", *faults]))
 
     def _to_frame(self, telegram: Telegram, arrived_ns: int) -> LaserScan | None:
@@ -157,6 +166,7 @@ class Lms100Session:
             return True
         if scan.scan_counter == last.scan_counter and scan.start_us == last.start_us:
             self.counters["scans_duplicate"] += 1
+            self._silence.dropped(SAME_STAMP)
             return False
         gap = (scan.scan_counter - last.scan_counter) % COUNTER_MODULUS
         if 1 <= gap <= COUNTER_GAP_IS_A_RESTART:
@@ -206,9 +216,7 @@ class Lms100Session:
             self._last_echo(echoes) if self._config.echo == "last" else self._convert(*echoes[0])
         )
         self._count_codes(echoes[0][0].values)
-        expected = self._dialogue.scan_config
-        if geometry.step_e4deg != expected.step_e4deg or scan.frequency_chz != expected.frequency_chz:
-            self.counters["scans_not_as_configured"] += 1
+        self._check_against_config(scan, geometry)
         return LaserScan(
             sensor=self._config.name,
             stamp_ns=stamp_ns,
@@ -222,6 +230,25 @@ class Lms100Session:
             range_m=range_m,
             intensity=intensity,
         )
+
+    def _check_against_config(self, scan: ScanTelegram, geometry: Channel) -> None:
+        """Raises TransportError where a device that was as configured no longer is: the next connection
+        writes what differs."""
+        wanted, wanted_range = self._dialogue.scan_config, self._dialogue.output_range
+        found = ScanConfig(scan.frequency_chz, geometry.step_e4deg)
+        found_range = OutputRange(geometry.first_e4deg, geometry.last_e4deg)
+        if found == wanted and found_range.agrees(wanted_range, slack_e4deg=wanted.step_e4deg):
+            self._other_in_a_row, self._was_as_configured = 0, True
+            return
+        self.counters["scans_not_as_configured"] += 1
+        self._other_in_a_row += 1
+        found_words, set_words = _words(found, found_range), _words(wanted, wanted_range)
+        self._other_scans = f"{found_words}, configured {set_words}"
+        if self._was_as_configured and self._other_in_a_row > OTHER_LIMIT:
+            raise TransportError(
+                f"{self._other_in_a_row} scans in a row at {found_words}, set was {set_words}; "
+                "another host changed it, or it restarted"
+            )
 
     def _beam_interval_ns(self, scan: ScanTelegram, geometry: Channel) -> int:
         """From the measurement frequency where it fits the rotation, else from the rotation."""
@@ -240,8 +267,7 @@ class Lms100Session:
         e4deg_per_us = scan.frequency_chz / 100.0 * 3_600_000 / 1e6
         if self._start_before_zero_us is None:
             sweep_us = round((FULL_LAST_E4DEG - FULL_FIRST_E4DEG) / e4deg_per_us)
-            last_e4deg = geometry.first_e4deg + geometry.step_e4deg * (len(geometry.values) - 1)
-            last_us = round((last_e4deg - FULL_FIRST_E4DEG) / e4deg_per_us)
+            last_us = round((geometry.last_e4deg - FULL_FIRST_E4DEG) / e4deg_per_us)
             sending_us = (scan.sent_us - scan.start_us) % CLOCK_MODULUS
             self._start_before_zero_us = sweep_us - sending_us if sending_us < last_us else 0
         return self._start_before_zero_us - round((geometry.first_e4deg - FULL_FIRST_E4DEG) / e4deg_per_us)
@@ -272,3 +298,10 @@ class Lms100Session:
         if len(low):
             for code, count in zip(*np.unique(low, return_counts=True), strict=True):
                 self.counters["beams_" + LOW_CODES.get(int(code), "reserved_code")] += int(count)
+
+
+def _words(scan: ScanConfig, part: OutputRange) -> str:
+    """Angles as in the config: 0 straight ahead, left positive."""
+    first_deg, last_deg = part.first_e4deg / 1e4 - 90.0, part.last_e4deg / 1e4 - 90.0
+    rate_hz, step_deg = scan.frequency_chz / 100.0, scan.step_e4deg / 1e4
+    return f"{rate_hz:g} Hz and {step_deg:g} deg from {first_deg:g} to {last_deg:g} deg"

@@ -87,11 +87,12 @@ class OutputRange:
         step_e4deg = r.u32()
         return cls(r.i32(), r.i32(), step_e4deg)
 
-    def agrees(self, other: "OutputRange") -> bool:
-        """Same angles to 0.01 deg: SOPAS ET stores -449997 where -450000 was meant."""
+    def agrees(self, other: "OutputRange", slack_e4deg: int = 0) -> bool:
+        """Same angles to 0.01 deg and the slack: SOPAS ET stores -449997 where -450000 was meant."""
+        most_e4deg = 100 + slack_e4deg
         return (
-            abs(self.first_e4deg - other.first_e4deg) <= 100
-            and abs(self.last_e4deg - other.last_e4deg) <= 100
+            abs(self.first_e4deg - other.first_e4deg) <= most_e4deg
+            and abs(self.last_e4deg - other.last_e4deg) <= most_e4deg
         )
 
 
@@ -159,6 +160,10 @@ class Channel:
     step_e4deg: int
     scale: float = 1.0
     offset: float = 0.0
+
+    @property
+    def last_e4deg(self) -> int:
+        return self.first_e4deg + self.step_e4deg * (len(self.values) - 1)
 
 
 @dataclass(frozen=True, slots=True)

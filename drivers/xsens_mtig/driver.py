@@ -77,7 +77,10 @@ class XsensMtigSession:
         self._silence.look(now_ns, waiting=self._dialogue.measuring)
         limit_s = self._config.silence_timeout_s if self._streaming else FIRST_SAMPLE_TIMEOUT_S
         if self._silence.exceeds(limit_s):
-            raise TransportError(f"no sample for {limit_s:g} s; did it lose power, or is the cable out?")
+            raise TransportError(
+                self._silence.what_came("samples", limit_s)
+                or f"no sample for {limit_s:g} s; did it lose power, or is the cable out?"
+            )
         self._set_status(now_ns)
 
     def shutdown_request(self) -> bytes:
@@ -137,9 +140,11 @@ class XsensMtigSession:
         self._byte_ns = BITS_A_BYTE * 1e9 / dialogue.baud if dialogue.baud else 0.0
         self._silence.heard()
         if dialogue.legacy is None:
-            self._stream = Mtdata2Stream(self._config, self.counters, self._health)
+            self._stream = Mtdata2Stream(self._config, self.counters, self._health, self._silence)
         else:
-            self._stream = LegacyStream(self._config, self.counters, self._health, dialogue.legacy)
+            self._stream = LegacyStream(
+                self._config, self.counters, self._health, self._silence, dialogue.legacy
+            )
 
     def _take_data(self, message: Message, arrived_ns: int) -> list[Frame]:
         assert self._stream is not None

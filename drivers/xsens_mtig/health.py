@@ -3,10 +3,12 @@
 from collections import Counter
 
 SELFTEST_OK, FILTER_VALID, GNSS_FIX = 0x1, 0x2, 0x4
-NO_ROTATION_SHIFT, NO_ROTATION = (
-    3,
-    {1: "gyro bias not learnt, it moved", 3: "learning the gyro bias: keep still"},
-)
+NO_ROTATION_SHIFT = 3
+NO_ROTATION = {  # bits 0x08 and 0x10, by Xsens' xsstatusflag.h
+    1: "learning the gyro bias, some samples rejected: keep still",
+    2: "gyro bias not learnt, it moved",
+    3: "learning the gyro bias: keep still",
+}
 CLIPPED = {
     0x0700: "samples_clipped_acceleration",
     0x3800: "samples_clipped_rate",

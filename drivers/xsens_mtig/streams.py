@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 
 from drivers.errors import ProtocolError
 from drivers.frames import Frame, GnssFix, ImuSample
-from drivers.watch import StampGate
+from drivers.watch import NOT_FINITE, SilenceWatch, StampGate
 from drivers.xsens_mtig.config import XsensMtigConfig
 from drivers.xsens_mtig.health import GNSS_FIX, DeviceHealth
 from drivers.xsens_mtig.mtdata import LegacyCodec, LegacyData, RawGps, Settings
@@ -73,14 +73,17 @@ def utc_ns(utc: Utc | GnssPvt) -> int:
 class _Stream:
     """What both protocols share."""
 
-    def __init__(self, config: XsensMtigConfig, counters: Counter[str], health: DeviceHealth) -> None:
+    def __init__(
+        self, config: XsensMtigConfig, counters: Counter[str], health: DeviceHealth, silence: SilenceWatch
+    ) -> None:
         self._config = config
         self._counters = counters
         self._health = health
+        self._silence = silence  # of the inertial samples
         self._axes = axes_of(config.forward_axis, config.up_axis)
         self._device = device_from_axes(self._axes)
         self._latency_ns = round(config.latency_ms * 1e6)
-        self._sample_gate = StampGate(counters, "samples")
+        self._sample_gate = StampGate(counters, "samples", silence)
         self._fix_gate = StampGate(counters, "fixes")
         self.utc_minus_host_ns: int | None = None  # None: the device does not know UTC (yet)
 
@@ -95,6 +98,7 @@ class _Stream:
     ) -> list[Frame]:
         if not all(map(math.isfinite, (*rate, *force))):
             self._counters["samples_not_finite"] += 1
+            self._silence.dropped(NOT_FINITE)
             return []
         if not self._sample_gate.passes(stamp_ns, arrived_ns):
             return []
@@ -138,8 +142,10 @@ class _Stream:
 class Mtdata2Stream(_Stream):
     """One connection's MTData2."""
 
-    def __init__(self, config: XsensMtigConfig, counters: Counter[str], health: DeviceHealth) -> None:
-        super().__init__(config, counters, health)
+    def __init__(
+        self, config: XsensMtigConfig, counters: Counter[str], health: DeviceHealth, silence: SilenceWatch
+    ) -> None:
+        super().__init__(config, counters, health, silence)
         self._clock = FineClock(self._latency_ns)
         self._last_packet: int | None = None
         self._last_itow_ms: int | None = None
@@ -285,9 +291,10 @@ class LegacyStream(_Stream):
         config: XsensMtigConfig,
         counters: Counter[str],
         health: DeviceHealth,
+        silence: SilenceWatch,
         output: LegacyOutput,
     ) -> None:
-        super().__init__(config, counters, health)
+        super().__init__(config, counters, health, silence)
         self._codec = LegacyCodec(output.layout)
         self._local = output.layout.local_frame
         self._period_ns = 1e9 / output.rate_hz

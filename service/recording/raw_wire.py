@@ -7,7 +7,7 @@ frames = list(frames_from_wire(raw_chunks(recording, "front"), lambda: Lms100Ses
 import logging
 from collections.abc import Callable, Iterable, Iterator
 
-from drivers.errors import DriverError
+from drivers.errors import DriverError, contained
 from drivers.frames import Frame
 from drivers.link import ClockGate, RawChunk, Session
 from service.encoding import BYTES, decode_raw
@@ -95,7 +95,7 @@ class WireReplay:
             if chunk.kind == "received":
                 frames = self._received(session, chunk)
             if chunk.kind != "sent":
-                session.tick(chunk.at_ns)
+                contained(session.tick, chunk.at_ns)
         except DriverError as error:
             log.info("the session ends at %d ns: %s", chunk.at_ns, error)
             self._session = None
@@ -105,6 +105,6 @@ class WireReplay:
     def _received(self, session: Session, chunk: RawChunk) -> list[Frame]:
         return [
             frame
-            for frame in session.receive_data(chunk.data, chunk.at_ns)
+            for frame in contained(session.receive_data, chunk.data, chunk.at_ns)
             if self._gate.lets_through(session.clock_sigma_ns, chunk.at_ns)
         ]

@@ -281,7 +281,7 @@ def test_power_loss_is_noticed_within_the_silence_timeout():
 def test_a_stalled_device_that_repeats_a_scan_is_a_silent_one():
     t = talk().run(4.0)
     t.device.stalled, before = True, len(t.frames)
-    with pytest.raises(TransportError, match="no scan for 2 s"):
+    with pytest.raises(TransportError, match=r"8\d scans came in 2 s, all with the same stamp; "):
         t.run(3.0)
     assert len(t.frames) == before
     assert t.session.counters["scans_with_a_stamp_twice"] > 50
@@ -416,7 +416,7 @@ def test_a_clock_set_between_time_sync_and_stream_costs_the_calibration_alone(by
 def test_a_device_whose_scans_all_come_out_of_order_is_a_silent_one():
     t = talk().run(4.0)
     t.session._gate.last_ns = t.now_ns + 1_000_000_000_000
-    with pytest.raises(TransportError, match="no scan for 2 s"):
+    with pytest.raises(TransportError, match="all stamped no later than the one before; its clock"):
         t.run(2.5)
 
 

@@ -16,7 +16,7 @@ from drivers.irobot_create.driver import STREAM_IDS, IrobotCreateSession, sessio
 from drivers.irobot_create.port import open_port, wake_line_low
 from drivers.irobot_create.protocol import CommandDecoder, Mode, Opcode, PacketId, data_bytes, encode_frame
 from drivers.link import LinkHealth, run_link
-from simulators.irobot_create import FakeCreate
+from simulators.irobot_create import BANNER, FakeCreate
 from simulators.wire import serve_pty
 from tests.drivers.irobot_bench import (
     CONFIG,
@@ -255,6 +255,23 @@ def test_reset_robot_is_started_again_without_a_jump():
     assert table.session.identity["firmware"].startswith("3.3.0")
     assert len(samples) > 100
     assert largest_step_m([before, *samples]) < 0.006
+    gap_s = (samples[0].stamp_ns - before.stamp_ns) / S
+    assert samples[0].covariance[0] - before.covariance[0] == pytest.approx((0.5 * gap_s) ** 2 / 3, rel=0.01)
+
+
+@pytest.mark.parametrize("counts", [(3_000, 2_800), (-200, -1_500), (30_000, 31_000)])
+def test_a_reset_without_a_banner_is_not_taken_for_a_way(counts: tuple[int, int]):
+    def spoil(data: bytes, now_ns: int) -> bytes:
+        return b"\xb1\xff\xb1\xff\xff\xff" if BANNER in data else data  # as a Roomba 690 says it
+
+    table = Bench(FakeCreate(STANDING, start_counts=counts), IrobotCreateSession(CONFIG), spoil=spoil)
+    table.run(3.0)
+    before = table.samples[-1]
+    table.robot.reset(table.now_ns)
+    samples = table.run(4.0)
+    counters = table.session.counters
+    assert (counters["silences"], counters["robot_resets"], counters["encoder_faults"]) == (1, 1, 0)
+    assert largest_step_m([before, *samples]) == 0.0
     gap_s = (samples[0].stamp_ns - before.stamp_ns) / S
     assert samples[0].covariance[0] - before.covariance[0] == pytest.approx((0.5 * gap_s) ** 2 / 3, rel=0.01)
 

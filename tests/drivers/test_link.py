@@ -130,6 +130,31 @@ def test_every_kind_of_driver_error_is_followed_by_a_new_connection_with_a_new_s
     assert str(error) in health.last_error
 
 
+def test_an_exception_that_a_driver_did_not_mean_is_the_fault_of_this_sensor_alone(quick_retries, caplog):
+    stop = threading.Event()
+    faults = [OverflowError("int too large"), OverflowError("int too large")]
+    transports = [ValueError("no such port"), *(ScriptedTransport([b"a"]) for _ in faults)]
+    transports.append(StoppableTransport([b"d"], stop))
+    sessions = [*(EchoSession(fails_in_tick=fault) for fault in faults), EchoSession()]
+    health, frames = run(transports, sessions, stop)
+    assert len(frames) == 1
+    assert health.counters == {"chunks": 1, "driver_faults": 3}
+    assert health.last_error.startswith("the driver failed: OverflowError: int too large; this is a mistake")
+    errors = [record for record in caplog.records if record.levelname == "ERROR"]
+    assert [record.exc_info[0] for record in errors] == [ValueError, OverflowError]  # each kind once
+
+
+@pytest.mark.parametrize("taker", ["sink", "tee"])
+def test_what_the_takers_of_frames_and_bytes_raise_is_no_fault_of_the_driver(taker):
+    def fails(_):
+        raise OSError("the disk is full")
+
+    takers = {"sink": lambda frame: None, "tee": None} | {taker: fails}
+    open_transport, stop = (lambda: ScriptedTransport([b"a"])), threading.Event()
+    with pytest.raises(OSError, match="the disk is full"):
+        run_link(LinkHealth("front"), open_transport, EchoSession, stop=stop, **takers)
+
+
 def test_counters_are_summed_while_the_second_connection_still_runs(quick_retries):
     stop, seen = threading.Event(), []
     broken = ScriptedTransport([b"a", b"x"])
@@ -161,11 +186,28 @@ def test_waits_grow_from_retry_to_retry_and_are_logged_once(caplog):
                 self.set()
             return self.is_set()
 
-    run([TransportError("refused")] * 7, [], ImpatientEvent())
+    health, _ = run([TransportError("refused")] * 7, [], ImpatientEvent())
     assert waits == [0.25, 0.5, 1.0, 2.0, 4.0, 5.0, 5.0]
     warnings = [record for record in caplog.records if record.levelname == "WARNING"]
-    assert [record.getMessage() for record in warnings][-1].startswith("front: refused; reconnecting in 5 s")
-    assert len(warnings) == 6  # the seventh says nothing new
+    assert [record.getMessage() for record in warnings] == ["front: refused; reconnecting in 0.25 s"]
+    assert health.last_error == "refused; reconnecting in 5 s"
+
+
+def test_each_loss_of_a_link_that_worked_is_logged_though_the_error_is_the_same(quick_retries, caplog):
+    stop, gone = threading.Event(), TransportError("closed")
+    transports = [
+        *(TransportError("closed"), TransportError("refused"), TransportError("refused")),
+        *(ScriptedTransport([b"a", b"b"]), TransportError("closed"), ScriptedTransport([b"a", b"b"])),
+        StoppableTransport([b"d"], stop),
+    ]
+    health, frames = run(transports, [*(EchoSession(fails_with=gone) for _ in range(2)), EchoSession()], stop)
+    warned = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert [text.partition(";")[0] for text in warned] == [
+        *("front: closed", "front: refused"),
+        *("front: closed", "front: closed"),  # of the two that had worked, not of the retry in between
+    ]
+    assert len(frames) == 3
+    assert health.last_error.startswith("closed")
 
 
 def test_status_follows_the_session_while_the_wire_is_silent():

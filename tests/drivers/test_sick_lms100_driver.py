@@ -165,7 +165,7 @@ def test_scan_from_the_future_is_refused_and_does_not_stop_the_next():
 def test_device_whose_scans_all_come_out_of_order_is_a_silent_one():
     t = talk().run(4.0)
     t.session._gate.last_ns = t.now_ns + 1_000 * SECOND_NS
-    with pytest.raises(TransportError, match="no scan for 2 s"):
+    with pytest.raises(TransportError, match="all stamped no later than the one before; its clock"):
         t.run(2.5)
 
 
@@ -193,6 +193,56 @@ def test_garbage_between_telegrams_is_counted():
     session.receive_data(b"junk" + bytes(wire), 1)
     assert session.counters["checksum_errors"] == 1
     assert session.counters["bytes_skipped"] >= 4
+
+
+def part_of_the_view(counter, first_e4deg=-450_000, count=541):
+    """Scan number `counter`, of `count` beams of half a degree."""
+    channel = Channel("DIST1", np.full(count, 1500, np.uint16), first_e4deg, 5000)
+    return telegram(counter, counter * 20_060, channels_16bit=(channel,))
+
+
+NARROWED = {"first_e4deg": 450_000, "count": 181}
+
+
+@pytest.mark.parametrize("changed", [NARROWED, {"count": 361}, {"first_e4deg": -400_000, "count": 531}])
+def test_field_of_view_that_another_host_changed_ends_the_connection_after_eleven_scans(changed):
+    session = Lms100Session(config())
+    frames_of(*(part_of_the_view(k) for k in range(1, 6)), session=session)
+    frames_of(*(part_of_the_view(k, **changed) for k in range(6, 16)), session=session)
+    assert session.counters["scans_not_as_configured"] == 10
+    assert session.status == "streaming"
+    words = r"11 scans in a row at 50 Hz and 0\.5 deg from .* deg, set was 50 Hz .* from -135 to 135 deg"
+    with pytest.raises(TransportError, match=words):
+        frames_of(part_of_the_view(16, **changed), session=session)
+
+
+def test_device_that_never_was_as_configured_is_read_all_the_same_and_the_status_says_so():
+    frames, session = frames_of(*(part_of_the_view(k, **NARROWED) for k in range(1, 51)))
+    assert len(frames) == session.counters["scans_not_as_configured"] == 50
+    assert session.status == (
+        "streaming; scans at 50 Hz and 0.5 deg from -45 to 45 deg, "
+        "configured 50 Hz and 0.5 deg from -135 to 135 deg"
+    )
+    frames_of(part_of_the_view(51), session=session)
+    assert session.status == "streaming"
+
+
+def test_angles_that_fall_between_two_beams_are_as_configured():
+    scans = [part_of_the_view(k, first_e4deg=450_000, count=181) for k in range(1, 51)]
+    frames, session = frames_of(*scans, first_angle_deg=-45.3, last_angle_deg=45.3)
+    assert (len(frames), session.counters["scans_not_as_configured"]) == (50, 0)
+
+
+def test_field_of_view_that_another_host_changed_is_set_again():
+    t = talk().run(4.0)
+    t.device._range = OutputRange(450_000, 1_350_000)
+    with pytest.raises(TransportError, match="another host"):
+        t.run(1.0)
+    t.device.disconnected(t.now_ns)
+    t.session = Lms100Session(config())  # as the link makes one
+    t.connect().run(8.0)
+    assert t.session.status == "streaming"
+    assert len(t.frames[-1].range_m) == 541
 
 
 # Time, with a device whose truth is known

@@ -5,7 +5,7 @@ from collections import Counter
 import pytest
 
 from drivers.errors import ProtocolError
-from drivers.watch import LOOK_NS, MalformedRun, SilenceWatch, StampGate
+from drivers.watch import LOOK_NS, NOT_FINITE, SAME_STAMP, MalformedRun, SilenceWatch, StampGate
 
 TICK_NS = 20_000_000
 
@@ -27,6 +27,34 @@ def test_a_host_that_did_not_look_heard_no_silence():
     watch.look(30_000_000_000, waiting=True)
     assert watch.exceeds(LOOK_NS / 1e9 - 0.001)
     assert not watch.exceeds(LOOK_NS / 1e9)
+
+
+def watched(reasons, seconds):
+    """A watch after a frame, then a frame dropped at each tick while there are reasons, then nothing."""
+    watch = SilenceWatch()
+    for tick in range(round(seconds * 50) + 1):
+        watch.look(tick * TICK_NS, waiting=True)
+        if tick == 0:
+            watch.dropped(NOT_FINITE)
+            watch.heard()  # what was dropped before this frame is forgotten
+        elif tick <= len(reasons):
+            watch.dropped(reasons[tick - 1])
+    return watch
+
+
+def test_frames_that_came_and_were_dropped_are_told_with_the_remedy():
+    assert watched([SAME_STAMP] * 80, 2.0).what_came("scans", 2.0) == (
+        "80 scans came in 2 s, all with the same stamp; the sensor stalls: switch its power off and on"
+    )
+    assert watched([NOT_FINITE] * 20 + [SAME_STAMP] * 60, 2.0).what_came("scans", 2.0) == (
+        "80 scans came in 2 s, none usable: 60 with the same stamp, 20 with values that are no numbers; "
+        "the sensor stalls: switch its power off and on"
+    )
+
+
+@pytest.mark.parametrize("dropped", [0, 1, 49])
+def test_a_device_that_sends_nothing_any_more_is_silent_whatever_was_dropped_before(dropped):
+    assert watched([SAME_STAMP] * dropped, 2.0).what_came("scans", 2.0) == ""
 
 
 def test_malformed_messages_are_borne_up_to_the_limit_and_a_good_one_begins_anew():

@@ -258,6 +258,8 @@ def test_errors_warnings_and_clipping_are_told_and_forgotten():
         (0b00010, "self-test failed: have it repaired, filter valid"),
         (0b00001, "filter not settled"),
         (0b11011, "filter valid, learning the gyro bias: keep still"),
+        (0b01011, "filter valid, learning the gyro bias, some samples rejected: keep still"),
+        (0b10011, "filter valid, gyro bias not learnt, it moved"),
     ],
 )
 def test_status_bits_are_told_in_words(status, words):

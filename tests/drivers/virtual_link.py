@@ -29,7 +29,7 @@ class VirtualLink:
     frames     scans and samples; fixes, which come in between and late, are left out
     passed_on  what drivers.link would hand on: fixes too, nothing before the device's clock is known
     chunks     what happened on the wire, as drivers.link tees it
-    errors     what ended sessions, with the time; what drivers.link does not catch is raised
+    errors     what ended sessions, with the time; a fault of the driver itself is raised
     sent       with the time, what the device sent, as the session read it
     """
 

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from drivers.errors import DriverError, TransportError
+from drivers.errors import DriverError, TransportError, contained
 from drivers.frames import Frame
 from drivers.link import Session
 from drivers.transport import Transport
@@ -140,7 +140,7 @@ def _talk(
 
 
 def _step(seen: Probe, transport: Transport, session: Session) -> list[Frame]:
-    session.tick(time.monotonic_ns())
+    contained(session.tick, time.monotonic_ns())
     if session.outbox:
         seen.bytes_written += len(session.outbox)
         transport.write(bytes(session.outbox))
@@ -151,7 +151,7 @@ def _step(seen: Probe, transport: Transport, session: Session) -> list[Frame]:
     arrived_ns = time.monotonic_ns()
     seen.bytes_read += len(data)
     seen.first_bytes += data[: KEPT_BYTES - len(seen.first_bytes)]
-    return list(session.receive_data(data, arrived_ns))
+    return list(contained(session.receive_data, data, arrived_ns))
 
 
 def listen(open_transport: Callable[[], Transport], seconds: float, stop: threading.Event) -> bytes:

@@ -159,11 +159,12 @@ def test_a_driver_that_sends_otherwise_than_then_is_noticed():
     assert wire.requests_not_repeated == 2
 
 
-def test_a_session_that_gives_up_in_a_tick_is_replaced_at_the_next_connection():
+@pytest.mark.parametrize("error", [TransportError("silent"), OverflowError("int too large")])
+def test_a_session_that_gives_up_in_a_tick_is_replaced_at_the_next_connection(error: Exception):
     class Impatient(AskingSession):
         def tick(self, now_ns: int) -> None:
             if now_ns == 13:
-                raise TransportError("silent")
+                raise error
             super().tick(now_ns)
 
     chunks = [

@@ -3,7 +3,7 @@ from collections import Counter
 
 import pytest
 
-from drivers.errors import ProtocolError, TransportError
+from drivers.errors import ProtocolError, TransportError, UnforeseenError
 from drivers.frames import OdometrySample
 from drivers.transport import ScriptedTransport
 from service.offline.doctor.probe import KEPT_BYTES, Probe, listen, probe
@@ -14,19 +14,20 @@ MS = 1_000_000
 class Echo:
     """A session that makes a frame of every read, 10 ms apart, and counts."""
 
-    def __init__(self, fail_at: int = 0) -> None:
+    def __init__(self, fail_at: int = 0, error: Exception | None = None) -> None:
         self.outbox = bytearray(b"start")
         self.counters: Counter[str] = Counter()
         self.status, self.identity = "streaming; warm", {"serial": "7"}
         self.clock_offset_ns = 5
         self.clock_sigma_ns = None
-        self._fail_at = fail_at
+        self._fail_at, self._error = fail_at, error
 
     def receive_data(self, data: bytes, arrived_ns: int) -> list[OdometrySample]:
         self.counters["frames_received"] += 1
         self.counters["bytes_skipped"] += 3
         if self.counters["frames_received"] == self._fail_at:
-            raise ProtocolError("what is this?")
+            assert self._error is not None
+            raise self._error
         stamp_ns = self.counters["frames_received"] * 10 * MS
         return [
             OdometrySample("base", stamp_ns, stamp_ns + 2 * MS, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), (0.0,) * 9)
@@ -71,9 +72,13 @@ def test_the_device_is_left_with_the_sessions_shutdown_request():
     assert transport.written == b"startstop"
 
 
-def test_an_error_of_the_protocol_ends_the_look_and_is_kept():
-    seen = run(ScriptedTransport([b"abc"] * 5), Echo(fail_at=3))
-    assert isinstance(seen.error, ProtocolError)
+@pytest.mark.parametrize(
+    ("error", "kept"),
+    [(ProtocolError("what is this?"), ProtocolError), (OverflowError("n"), UnforeseenError)],
+)
+def test_an_error_of_the_session_ends_the_look_and_is_kept(error: Exception, kept: type[Exception]):
+    seen = run(ScriptedTransport([b"abc"] * 5), Echo(3, error))
+    assert isinstance(seen.error, kept)
     assert seen.frames == 2
 
 

@@ -1,0 +1,51 @@
+"""What PP says of the device: taken where it can be a laser, refused where not."""
+
+import pytest
+
+from drivers.errors import ProtocolError
+from drivers.hokuyo_utm30lx.geometry import Geometry
+from drivers.hokuyo_utm30lx.protocol import encode_info
+from simulators.hokuyo_utm30lx import FakeUtm30lx
+from tests.drivers import utm30lx
+
+REAL = {
+    "MODL": "UTM-30LX(Hokuyo Automatic Co.,Ltd.)",
+    **{"DMIN": "23", "DMAX": "60000", "ARES": "1440", "AMIN": "0", "AMAX": "1080", "AFRT": "540"},
+    "SCAN": "2400",
+}
+
+
+@pytest.mark.parametrize("turned", [{}, {"SCAN": "60"}, {"SCAN": "12000"}, {"ARES": "4"}, {"DMAX": "262143"}])
+def test_real_and_extreme_lasers_are_taken(turned: dict[str, str]):
+    geometry = Geometry.of(REAL | turned)
+    assert geometry.turn_ns == 60e9 / int((REAL | turned)["SCAN"])
+    assert geometry.step_at(0.0) == 540
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *(("SCAN", "0"), ("SCAN", "59"), ("SCAN", "12001"), ("SCAN", "9" * 400)),
+        *(("ARES", "3"), ("ARES", "100001"), ("ARES", "1" + "0" * 400), ("DMIN", "-1"), ("DMAX", "262144")),
+        *(("AMIN", "-1"), ("AMAX", "10000"), ("AFRT", "-1"), ("AFRT", "9" * 400)),
+    ],
+)
+def test_a_value_that_no_laser_has_is_refused_by_its_name(key: str, value: str):
+    with pytest.raises(ProtocolError, match=f"PP: {key} is {value[:20]}, expected"):
+        Geometry.of(REAL | {key: value})
+
+
+@pytest.mark.parametrize("turned", [{"DMIN": "60000"}, {"AMIN": "1080"}])
+def test_limits_in_the_wrong_order_are_refused(turned: dict[str, str]):
+    with pytest.raises(ProtocolError, match="describes no laser"):
+        Geometry.of(REAL | turned)
+
+
+@pytest.mark.parametrize("value", ["1" + "0" * 15, "9" * 400])
+def test_a_device_with_a_senseless_speed_ends_the_connection_in_plain_words(
+    value: str, monkeypatch: pytest.MonkeyPatch
+):
+    said = list((REAL | {"SCAN": value}).items())
+    monkeypatch.setattr(FakeUtm30lx, "_parameters", lambda *_: encode_info("PP", said))
+    with pytest.raises(ProtocolError, match=r"PP: SCAN is \d{16,20}, expected 60 to 12000"):
+        utm30lx.talk().run(10.0)
