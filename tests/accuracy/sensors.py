@@ -9,12 +9,11 @@ import numpy as np
 from drivers.frames import OdometrySample
 from service.geometry.se2 import SE2
 from service.mapper.profiles import MappingConfig, mapping_config
-from simulators.truth import LaserModel
+from simulators.truth import IBEO_LUX, LaserModel
 from simulators.worlds import WORLDS
 from tests.accuracy.driving import Errors, Trip, ok_and_wrong, ok_and_wrong_row
-from tests.accuracy.lasers import LUX
 from tests.papers.report import Row, Section
-from tests.simulated import FORWARD, LMS100_50HZ, Drive, Imu, Laser, run
+from tests.simulated import LMS100_50HZ, Drive, Imu, Laser, Wheels, run
 
 LMS100_10HZ = replace(LMS100_50HZ, rate_hz=10.0)
 # Of the size of what small robots carry: 360 deg in 400 beams, 12 m, noise of 1 cm and 0.5 % of the range.
@@ -31,7 +30,8 @@ MOUNTINGS = {
     "0.3 m farther back": SE2(-0.3, 0.0, 0.0),
 }
 BY_ODOMETRY = "by odometry the vehicle drives"
-LUX_AHEAD = replace(LUX, name=LMS100_50HZ.name, mounting=FORWARD)
+LUX_AHEAD = Laser(IBEO_LUX, 441, 25.0, -55.0, 0.25)
+GOOD_WHEELS = Wheels(sigma_m_per_sqrt_m=0.005, sigma_rad_per_sqrt_m=0.003)
 PLACES = ("ring", "office", "library")
 STOPS_AFTER_S = 20.0
 BY_TWIST = {"components": {"deskew": "deskew_by_twist"}}
@@ -57,10 +57,19 @@ def slow_mirrors(seeds: Sequence[int]) -> Section:
 def lux_alone(seeds: Sequence[int]) -> Section:
     rows = []
     for place, bound_mm in (("glass_corridor", 50.0), ("corridor100", None), ("office", None)):
-        rows += _rows(place, Trip(WORLDS[place], LUX_AHEAD, imu=Imu()), seeds, bound_mm=bound_mm)
+        errors, wrong = Errors(), []
+        for made, done in Trip(WORLDS[place], LUX_AHEAD, wheels=GOOD_WHEELS, imu=Imu()).runs(seeds):
+            errors.add(made, done)
+            wrong.append(ok_and_wrong(done))
+        rows += [
+            Row("", f"{place}: ATE after the finish", errors.finished_mm, "mm", at_most=bound_mm, digits=1),
+            Row("", f"{place}: live, as is", errors.as_is_mm, "mm", digits=1),
+            Row("", f"{place}: heading, RMS", errors.heading_deg, "deg"),
+            ok_and_wrong_row(place, wrong),
+        ]
     return Section(
         "A LUX alone",
-        "220 beams over 110 deg at 25 Hz, noise of 4 cm; odometry that errs by 1 cm and 0.3 deg per square "
+        "441 beams over 110 deg at 25 Hz, noise of 4 cm; odometry that errs by 5 mm and 0.17 deg per square "
         "root of a metre, and an IMU. `glass_corridor` 38 m towards a glass wall, `corridor100` 100 m there "
         "and back, each begun with a turn on the spot. That points are moved to where their beams meet walls "
         "([24] of estimator.md) was made with both corridors, seeds 11, 12 and 14, in view.",
@@ -114,11 +123,7 @@ def wrong_mounting(seeds: Sequence[int]) -> Section:
 
 
 def _rows(
-    what: str,
-    trip: Trip,
-    seeds: Sequence[int],
-    settings: dict[str, object] | None = None,
-    bound_mm: float | None = None,
+    what: str, trip: Trip, seeds: Sequence[int], settings: dict[str, object] | None = None
 ) -> list[Row]:
     errors, wrong = Errors(), []
     config: MappingConfig = mapping_config(settings or {})
@@ -126,7 +131,7 @@ def _rows(
         errors.add(made, done)
         wrong.append(ok_and_wrong(done))
     return [
-        Row("", f"{what}: ATE after the finish", errors.finished_mm, "mm", at_most=bound_mm, digits=1),
+        Row("", f"{what}: ATE after the finish", errors.finished_mm, "mm", digits=1),
         Row("", f"{what}: scans lost", errors.lost_percent, "%", digits=1),
         ok_and_wrong_row(what, wrong),
     ]
