@@ -7,6 +7,7 @@ from typing import Any, NoReturn
 
 from service.cli.choices import PROFILES, WORLDS, one_of
 from service.cli.map_arguments import add_maps
+from service.cli.map_names import map_and_version
 from service.errors import UsageError
 from service.version import VERSION
 
@@ -124,7 +125,13 @@ def _add_replay(commands: Any) -> None:
         metavar="max|N",
         help="N times real time, or as fast as it goes (default: max)",
     )
-    replay.add_argument("--map", type=Path, metavar="MAP", help="begin in this stored map")
+    replay.add_argument(
+        "--map",
+        type=map_and_version,
+        metavar="MAP[@VERSION]",
+        help="begin in this stored map (default: in the version that the recording began in, where it began "
+        "in this map, else in the newest)",
+    )
     replay.add_argument("--localize", action="store_true", help="only localise in it: it stays as it is")
     replay.add_argument(
         "--from-raw",

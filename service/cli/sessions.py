@@ -28,8 +28,9 @@ def replay(parsed: argparse.Namespace) -> int:
     folders = result_folders(sessions, parsed.out)
     if parsed.out is None:
         print(f"results go to {' and '.join(map(str, folders))}; --out names another folder", file=sys.stderr)
+    folder, version = parsed.map or (None, None)
     options = ReplayOptions(
-        parsed.config, parsed.profile, parsed.rate, parsed.map, parsed.localize, parsed.from_raw
+        parsed.config, parsed.profile, parsed.rate, folder, version, parsed.localize, parsed.from_raw
     )
     with _page_of(parsed, sessions) as page:
         with progress("mapping") as shown:

@@ -7,8 +7,8 @@
                where mapping can go on, and manifest.json: SHA-256 of these and of itself
 
 A version is written beside the others under a name that nobody reads, synced to the disk, then renamed. So a
-kill or a power cut at any moment leaves the last good one. The newest few are kept, and each that an edit by
-hand made or began with.
+kill or a power cut at any moment leaves the last good one. The newest few are kept, each that an edit by hand
+made or began with, and each with a file "kept" in it: a session began there, whose replay needs it.
 """
 
 import fcntl
@@ -51,6 +51,7 @@ FOR_OTHERS = ("map.yaml", "map.pgm", "map.png")
 _CONTENT = (*FOR_OTHERS, "tiles.npz")
 _VERSION_NAME = re.compile(r"v(\d{6,})")
 _UNFINISHED = ".unfinished-"
+_KEPT = "kept"  # in the folder of a version: why it is never removed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,6 +66,7 @@ class StoredMap:
     geo: GeoReference | None = None  # where it lies on the earth; None: that is not known
     graph: SavedGraph | None = None  # with which mapping goes on; None: it cannot
     edit: Edit | None = None  # that made this version; None: a session, a replay or a merge did
+    digest: str = ""  # SHA-256 of its manifest, so of all its content
 
 
 def save_map(
@@ -189,6 +191,24 @@ def is_map_folder(folder: Path) -> bool:
     return folder.is_dir() and bool(_versions(folder))
 
 
+def keep_version(folder: Path, number: int, why: str) -> None:
+    """Never remove this version when later ones are saved. Raises StorageError."""
+    kept = folder / _name(number) / _KEPT
+    try:
+        if not kept.exists():
+            kept.write_text(f"{why}\n", encoding="utf-8")
+    except OSError as error:
+        raise StorageError(f"{kept}: {error.strerror}") from error
+
+
+def has_version(folder: Path, number: int, digest: str) -> bool:
+    """Whether version `number` is there and is the one of that digest."""
+    try:
+        return _digest(_checked_manifest(folder / _name(number))) == digest
+    except InputError:
+        return False
+
+
 def _publish(
     folder: Path,
     write: Callable[[Path], list[str]],
@@ -246,7 +266,8 @@ def _publish_alone(
 
 
 def _too_old(folder: Path) -> list[int]:
-    """Numbers of the versions that go: neither among the newest, nor made or begun with by an edit.
+    """Numbers of the versions that go: neither among the newest, nor made or begun with by an edit, nor kept
+    by keep_version.
 
     One whose manifest cannot be read stays: nobody knows what it was.
     """
@@ -255,7 +276,8 @@ def _too_old(folder: Path) -> list[int]:
         return []
     known, _, _ = versions_of(folder)
     kept = kept_for_ever(known)
-    return [version.number for version in known if version.number in old and version.number not in kept]
+    gone = [version.number for version in known if version.number in old and version.number not in kept]
+    return [number for number in gone if not (folder / _name(number) / _KEPT).exists()]
 
 
 def _write_content(
@@ -332,6 +354,7 @@ def _load(version: Path, problems: list[str]) -> StoredMap:
         geo,
         graph,
         _edit_of(version, manifest),
+        _digest(manifest),
     )
 
 

@@ -111,7 +111,7 @@ def replay(
         log.info("%s", note)
     setup = set_up(session, options)
     compiling = KernelProgress(lambda k: progress(k.share, "compiling kernels"))
-    begin = None if options.map is None else begin_in(options.map, setup.mapping)
+    begin = None if options.map is None else begin_in(options.map, setup.mapping, setup.map_version)
     log.info("mapping the scans of %s", ", ".join(setup.lasers))
     warm_up_encoding()
     compile_kernels = partial(warm_up_kernels, progress=compiling)

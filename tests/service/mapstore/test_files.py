@@ -13,7 +13,7 @@ from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
 from service.mapstore import files
-from service.mapstore.files import load_map, save_map
+from service.mapstore.files import check_versions, has_version, keep_version, load_map, save_map
 from service.mapstore.geo_file import read_geo
 from service.mapstore.ros_map import read_ros_map
 from tests.service.mapstore.tile_makers import same, tile
@@ -42,6 +42,19 @@ def test_only_the_last_versions_are_kept(tmp_path):
         assert save_map(tmp_path, [tile(0, 0, version)], version) == version
     assert sorted(path.name for path in tmp_path.glob("v*")) == ["v000004", "v000005", "v000006"]
     assert not list(tmp_path.glob(".unfinished-*"))
+
+
+def test_a_version_that_a_session_began_in_is_kept(tmp_path):
+    save_map(tmp_path, [tile(0, 0, 1)], 1)
+    save_map(tmp_path, [tile(0, 0, 2)], 2)
+    keep_version(tmp_path, 2, "a session of veh1 began in it")
+    digest = load_map(tmp_path, 2).digest
+    for version in range(3, 8):
+        save_map(tmp_path, [tile(0, 0, version)], version)
+    assert check_versions(tmp_path) == ([2, 5, 6, 7], [])
+    assert has_version(tmp_path, 2, digest)
+    assert not has_version(tmp_path, 5, digest)
+    assert not has_version(tmp_path, 1, digest)
 
 
 def test_an_empty_map_is_not_saved_over_a_good_one(tmp_path):
