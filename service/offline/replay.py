@@ -23,6 +23,7 @@ from service.offline.raw_replay import FROM_RAW, remake_frames
 from service.offline.replay_result import Replay, write_replay
 from service.offline.replay_run import MAPPING, Progress, ReplayRun
 from service.offline.replay_setup import ReplayOptions, set_up
+from service.offline.writing import refuse_unwritable_folder
 from service.recording.mcap_source import open_session
 
 log = logging.getLogger(__name__)
@@ -137,6 +138,7 @@ def _replay_to(
     progress: Progress = lambda share, phase: None,
     watch: Watch | None = None,
 ) -> dict[str, Any]:
+    refuse_unwritable_folder(out)
     done = replay(session, options, progress, watch)
     write_replay(done, out)
     return done.summary
