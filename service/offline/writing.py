@@ -1,4 +1,4 @@
-"""Files that a command writes: that it cannot is known before the work, and no half takes the place of a whole."""
+"""Files that a command writes: a fault of their place shows before the work, and none is left half done."""
 
 import errno
 import os
@@ -28,8 +28,8 @@ def refuse_unwritable_file(path: Path) -> None:
 
 @contextmanager
 def whole_files(out: Path) -> Iterator[Path]:
-    """A path of the same name in a folder of its own: what is written there, and beside it, takes its place at
-    `out` and beside `out` at the end, each file whole. Where the work is broken off, all stays as it was.
+    """A path of the same name in a folder of its own: what is written there and beside it takes its place at
+    the end, each file whole, at `out` and beside it. Where the work is broken off, all stays as it was.
 
     The folder of `out` is made where it is missing. What is no ordinary file, as /dev/stdout, is written
     directly. Raises OSError.

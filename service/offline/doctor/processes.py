@@ -21,8 +21,8 @@ class Process:
 
     @property
     def is_service(self) -> bool:
-        """Whether this is `corridor run` or `corridor demo`, by whatever path it was started, also as a module
-        of Python (`python -m service run`), and with options ahead of the command.
+        """Whether this is `corridor run` or `corridor demo`, by whatever path it was started, as a module of
+        Python too (`python -m service run`), and with options ahead of the command.
         """
         for at, argument in enumerate(self.arguments):
             is_module = argument == "service" and at > 0 and self.arguments[at - 1] == "-m"
