@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from service.cli.console import print_report, print_result, print_table, progress
-from service.errors import UsageError
+from service.errors import CorridorError, UsageError
 from service.interruption import leave_signals_alone
 from service.kernel_cache import ensure_cache_dir
 
 if TYPE_CHECKING:
     from service.offline.recording_view import RecordingView
+    from service.offline.replay import Outcome
     from service.offline.replay_page import ReplayPage
     from service.offline.view import View
 
@@ -34,23 +35,35 @@ def replay(parsed: argparse.Namespace) -> int:
     )
     with _page_of(parsed, sessions) as page:
         with progress("mapping") as shown:
-            summaries = replay_all(sessions, options, folders, parsed.jobs, shown, page)
-        told = [summary | {"out": str(out)} for summary, out in zip(summaries, folders, strict=True)]
-        if not parsed.json:
-            print_table(_table(told))
-        elif len(told) == 1:
-            print_result(told[0], as_json=True)
-        else:
-            print_result(
-                {str(session[0]): one for session, one in zip(sessions, told, strict=True)}, as_json=True
-            )
-        if page is not None:
+            outcomes = replay_all(sessions, options, folders, parsed.jobs, shown, page)
+        failed = [outcome for outcome in outcomes if isinstance(outcome, CorridorError)]
+        if failed and len(sessions) == 1:
+            raise failed[0]
+        _tell_outcomes([str(session[0]) for session in sessions], outcomes, folders, parsed.json)
+        if page is not None and len(failed) < len(sessions):
             sys.stdout.flush()
             leave_signals_alone()  # all is written: from here on Ctrl-C is how one leaves
             with suppress(KeyboardInterrupt):
                 print(f"{page.address} stays until Ctrl-C", file=sys.stderr, flush=True)
                 threading.Event().wait()
-    return 0
+    return failed[0].exit_code if failed else 0
+
+
+def _tell_outcomes(
+    names: Sequence[str], outcomes: Sequence["Outcome"], folders: Sequence[Path], as_json: bool
+) -> None:
+    """A table of what was mapped and, on stderr, why the others were not; or all of it as JSON."""
+    told: dict[str, dict[str, Any]] = {}
+    for name, outcome, folder in zip(names, outcomes, folders, strict=True):
+        if isinstance(outcome, CorridorError):
+            print(f"corridor: {outcome}", file=sys.stderr)
+            told[name] = {"error": str(outcome)}
+        else:
+            told[name] = outcome | {"out": str(folder)}
+    if as_json:
+        print_result(told if len(told) > 1 else told[names[0]], as_json=True)
+    elif mapped := [summary for summary in told.values() if "out" in summary]:
+        print_table(_table(mapped))
 
 
 @contextmanager

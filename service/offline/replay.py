@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from service.encoding import warm_up as warm_up_encoding
-from service.errors import InputError
+from service.errors import CorridorError, InputError
 from service.interruption import children_do_not_hear
 from service.kernel_warm_up import KernelProgress
 from service.kernel_warm_up import warm_up as warm_up_kernels
@@ -67,6 +67,9 @@ def result_folders(sessions: Sequence[Sequence[Path]], out: Path | None) -> list
     return folders
 
 
+Outcome = dict[str, Any] | CorridorError  # of one session: its summary, or why there is none
+
+
 def replay_all(
     sessions: Sequence[Sequence[Path]],
     options: ReplayOptions,
@@ -74,22 +77,22 @@ def replay_all(
     jobs: int,
     progress: Progress,
     watch: Watch | None = None,
-) -> list[dict[str, Any]]:
-    """Replay each session and write what `write_replay` says to its folder; their summaries, in order.
+) -> list[Outcome]:
+    """Replay each session and write what `write_replay` says to its folder; their outcomes, in order. One
+    that fails keeps none of the others back.
 
-    With `jobs` above 1 so many at a time, each in a process of its own; then nobody can watch. Raises
-    InputError, ConfigError, StorageError of the first that fails.
+    With `jobs` above 1 so many at a time, each in a process of its own; then nobody can watch.
     """
     if jobs == 1 or len(sessions) == 1:
         return [
-            _replay_to(session, options, folder, _part_of(progress, k, len(sessions)), watch)
+            _try_replay_to(session, options, folder, _part_of(progress, k, len(sessions)), watch)
             for k, (session, folder) in enumerate(zip(sessions, folders, strict=True))
         ]
     # spawn: a forked child would inherit locks of numba's and of threads that it does not have
     with ProcessPoolExecutor(min(jobs, len(sessions)), mp_context=get_context("spawn")) as pool:
         with children_do_not_hear():
             futures = [
-                pool.submit(_replay_to, session, options, folder)
+                pool.submit(_try_replay_to, session, options, folder)
                 for session, folder in zip(sessions, folders, strict=True)
             ]
         for done, _ in enumerate(as_completed(futures), start=1):
@@ -129,6 +132,13 @@ def _replay_from_raw(
         done = replay([made], replace(options, from_raw=False), progress, watch)
     done.summary[FROM_RAW] = {name: asdict(counts) for name, counts in remade.items()}
     return done
+
+
+def _try_replay_to(*arguments: Any) -> Outcome:
+    try:
+        return _replay_to(*arguments)
+    except CorridorError as error:
+        return error
 
 
 def _replay_to(
