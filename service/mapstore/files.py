@@ -222,9 +222,8 @@ def _publish(
         with _only_writer(folder):
             return _publish_alone(folder, write, saved_ns, about, edit)
     except OSError as error:
-        raise StorageError(
-            f"cannot save the map to {folder}: {error}; the version before is untouched"
-        ) from error
+        before = "; the version before is untouched" if _versions(folder) else ""
+        raise StorageError(f"cannot save the map to {folder}: {error}{before}") from error
 
 
 def _publish_alone(

@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import NamedTuple
 
 from service.encoding import ERROR, OK, Message, Status, encode_grid
@@ -136,9 +137,13 @@ class MapSaver(Sink):
             self._wake.notify()
 
     def start(self) -> None:
-        """Raises StorageError where another session goes on in the same map, or somebody edits it."""
+        """Raises StorageError where the map cannot be stored, where another session goes on in it or somebody
+        edits it.
+        """
         if self._goes_on_in is not None:
             self.hold(*self._goes_on_in)
+        if not self._is_localizing:
+            _try_to_write(self._folder.parent)
         self._thread.start()
 
     def put(self, message: Message, arrived_ns: int | None = None) -> None:
@@ -349,3 +354,13 @@ def _is_alive(graph_folder: Path) -> bool:
     """Whether the process that a graph folder is named by is there."""
     number = graph_folder.name.rpartition("-")[2]
     return number.isdigit() and Path("/proc", number).exists()
+
+
+def _try_to_write(directory: Path) -> None:
+    """Make the directory of the maps, and see that a file can be made in it. Raises StorageError."""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=directory):
+            return
+    except OSError as error:
+        raise StorageError(f"cannot store maps in {directory}: {error.strerror}") from error

@@ -118,13 +118,16 @@ def test_two_writers_do_not_meet(tmp_path):
 
 
 def test_a_full_disk_leaves_the_version_before(tmp_path, monkeypatch):
-    save_map(tmp_path, TILES, 1)
-
     def no_room(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "write_png", no_room)
+        with pytest.raises(StorageError, match=r"No space left on device$"):
+            save_map(tmp_path, TILES, 1)
+    save_map(tmp_path, TILES, 1)
     monkeypatch.setattr(files, "write_png", no_room)
-    with pytest.raises(StorageError, match="No space left on device"):
+    with pytest.raises(StorageError, match="No space left on device; the version before is untouched"):
         save_map(tmp_path, TILES, 2)
     assert load_map(tmp_path).saved_ns == 1
     assert sorted(path.name for path in tmp_path.glob("*v*")) == ["v000001"]

@@ -103,7 +103,7 @@ def test_nothing_mapped_is_no_error_and_leaves_no_map(open_service: Callable[...
     service.tick()
     summary = service.stop()
     assert (summary.scans, summary.map_folder, service.failure) == (0, None, "")
-    assert not (tmp_path / "maps").exists()
+    assert list((tmp_path / "maps").iterdir()) == []
     events = [decode_event(m.payload) for m in Recording(summary.sessions).messages(["/events"])]
     assert events[0] == '{"event": "start"}'
     assert events[-1] == '{"event": "stop", "reason": "asked to"}'
@@ -261,9 +261,10 @@ def test_a_start_that_was_called_off_while_the_sinks_opened_begins_no_mapper(
 def test_a_map_that_cannot_be_saved_is_raised_after_everything_ended(
     open_service: Callable[..., Service], tmp_path: Path
 ):
-    (tmp_path / "maps").write_text("in the way")
     service = open_service()
     service.start()
+    (tmp_path / "maps").rmdir()
+    (tmp_path / "maps").write_text("in the way")
     for k in range(40):
         stamp_ns = time.monotonic_ns()
         service.frame_sink(scan(stamp_ns + k, stamp_ns + k, [2.0] * 60))
@@ -274,12 +275,15 @@ def test_a_map_that_cannot_be_saved_is_raised_after_everything_ended(
     assert any(t.name == "/pose" for t in Recording([session]).topics)
 
 
+@pytest.mark.parametrize(
+    ("folder", "words"), [("sessions", "cannot record"), ("maps", "cannot store maps")]
+)
 def test_a_folder_that_cannot_be_written_stops_the_start(
-    open_service: Callable[..., Service], tmp_path: Path
+    folder: str, words: str, open_service: Callable[..., Service], tmp_path: Path
 ):
-    (tmp_path / "sessions").write_text("in the way")
+    (tmp_path / folder).write_text("in the way")
     service = open_service()
-    with pytest.raises(StorageError, match="cannot record"):
+    with pytest.raises(StorageError, match=words):
         service.start()
 
 
