@@ -147,7 +147,7 @@ def export(parsed: argparse.Namespace) -> int:
 
 def view(parsed: argparse.Namespace) -> int:
     first, *more = parsed.source
-    is_recording = first.suffix == ".mcap"
+    is_recording = first.is_file() or first.suffix == ".mcap"
     if more and not is_recording:
         raise UsageError("several files are one recording, all of them *.mcap; of folders give one")
     if parsed.rerun:
