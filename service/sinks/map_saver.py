@@ -11,7 +11,6 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import NamedTuple
 
 from service.encoding import ERROR, OK, Message, Status, encode_grid
@@ -21,6 +20,7 @@ from service.mapstore.files import keep_version, save_map
 from service.mapstore.in_use import InUse
 from service.mapstore.tiles import NumberedMap
 from service.sinks.sink import SavedHeard, SavedMap, Sink, SinkContext
+from service.writable import make_writable
 
 log = logging.getLogger(__name__)
 
@@ -143,7 +143,7 @@ class MapSaver(Sink):
         if self._goes_on_in is not None:
             self.hold(*self._goes_on_in)
         if not self._is_localizing:
-            _try_to_write(self._folder.parent)
+            make_writable(self._folder.parent)
         self._thread.start()
 
     def put(self, message: Message, arrived_ns: int | None = None) -> None:
@@ -354,13 +354,3 @@ def _is_alive(graph_folder: Path) -> bool:
     """Whether the process that a graph folder is named by is there."""
     number = graph_folder.name.rpartition("-")[2]
     return number.isdigit() and Path("/proc", number).exists()
-
-
-def _try_to_write(directory: Path) -> None:
-    """Make the directory of the maps, and see that a file can be made in it. Raises StorageError."""
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        with TemporaryFile(dir=directory):
-            return
-    except OSError as error:
-        raise StorageError(f"cannot store maps in {directory}: {error.strerror}") from error
