@@ -23,16 +23,17 @@ if TYPE_CHECKING:
 def replay(parsed: argparse.Namespace) -> int:
     ensure_cache_dir()
     from service.offline.replay import group_sessions, replay_all, result_folders
-    from service.offline.replay_setup import ReplayOptions
+    from service.offline.replay_setup import ReplayOptions, refuse_contradictions
 
-    sessions = group_sessions(parsed.files)
-    folders = result_folders(sessions, parsed.out)
-    if parsed.out is None:
-        print(f"results go to {' and '.join(map(str, folders))}; --out names another folder", file=sys.stderr)
     folder, version = parsed.map or (None, None)
     options = ReplayOptions(
         parsed.config, parsed.profile, parsed.rate, folder, version, parsed.localize, parsed.from_raw
     )
+    refuse_contradictions(options)
+    sessions = group_sessions(parsed.files)
+    folders = result_folders(sessions, parsed.out)
+    if parsed.out is None:
+        print(f"results go to {' and '.join(map(str, folders))}; --out names another folder", file=sys.stderr)
     with _page_of(parsed, sessions) as page:
         with progress("mapping") as shown:
             outcomes = replay_all(sessions, options, folders, parsed.jobs, shown, page)

@@ -13,9 +13,9 @@ from service.config import (
     mountings,
     parse_replay_config,
 )
-from service.errors import ConfigError, InputError
+from service.errors import ConfigError, InputError, UsageError
 from service.geometry.se2 import SE2
-from service.mapper.profiles import MappingConfig, mapping_config, with_profile
+from service.mapper.profiles import METHODS, MappingConfig, begins_in_stored, mapping_config, with_profile
 from service.mapstore.begin_in import MapVersion, recorded_version
 from service.mapstore.files import has_version
 from service.offline.raw_replay import FROM_RAW
@@ -53,6 +53,19 @@ class ReplaySetup:
     lasers: Sequence[str]
     map_version: int | None
     is_as_live: bool
+
+
+def refuse_contradictions(options: ReplayOptions) -> None:
+    """Raises UsageError where options do not go together, whatever the recording holds."""
+    if options.localize and options.map is None:
+        raise UsageError("--localize is in a stored map; name it by --map")
+    if options.map is not None and options.profile is not None:
+        fitting = [name for name in METHODS if begins_in_stored(mapping_config({"profile": name}))]
+        if options.profile not in fitting:
+            raise UsageError(
+                f"--map: the profile {options.profile} cannot begin in a stored map; take --profile "
+                f"{' or '.join(fitting)}, or leave one of the two out"
+            )
 
 
 def set_up(session: Session, options: ReplayOptions) -> ReplaySetup:

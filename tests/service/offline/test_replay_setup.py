@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from service.cli import main
 from service.cli.arguments import new_parser
-from service.errors import InputError
+from service.errors import InputError, UsageError
 from service.mapstore.begin_in import MapVersion, begin_in
 from service.mapstore.files import load_map, save_map
 from service.offline.replay_setup import ReplayOptions, set_up
@@ -108,3 +109,20 @@ def test_a_version_that_is_not_there_is_refused_with_those_there_are(session: Se
     setup = set_up(session, ReplayOptions(map=office, version=9))
     with pytest.raises(InputError, match="no version 9; there are 1, 2"):
         begin_in(office, setup.mapping, setup.map_version)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--localize"], "--localize is in a stored map; name it by --map"),
+        (
+            ["--profile", "submap_graph", "--map", "m"],
+            "profile submap_graph cannot begin in a stored map",
+        ),
+    ],
+)
+def test_options_that_do_not_go_together_are_wrong_usage(
+    options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+):
+    assert main(["replay", "nowhere.mcap", *options]) == UsageError.exit_code
+    assert words in capsys.readouterr().err
