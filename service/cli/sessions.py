@@ -12,6 +12,7 @@ from service.cli.console import print_report, print_result, print_table, progres
 from service.errors import CorridorError, UsageError
 from service.interruption import leave_signals_alone
 from service.kernel_cache import ensure_cache_dir
+from service.readable import refuse_unreadable
 
 if TYPE_CHECKING:
     from service.offline.recording_view import RecordingView
@@ -148,6 +149,7 @@ def export(parsed: argparse.Namespace) -> int:
 
 def view(parsed: argparse.Namespace) -> int:
     first, *more = parsed.source
+    refuse_unreadable(first)
     is_recording = first.is_file() or first.suffix == ".mcap"
     if more and not is_recording:
         raise UsageError("several files are one recording, all of them *.mcap; of folders give one")

@@ -39,6 +39,7 @@ from service.mapstore.picture import Picture, picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
 from service.outputs import TileUpdate
+from service.readable import refuse_unreadable
 from service.version import VERSION
 
 log = logging.getLogger(__name__)
@@ -134,7 +135,7 @@ def versions_of(folder: Path) -> tuple[list[Version], int, list[str]]:
             edit = _edit_of(folder / _name(number), manifest)
             versions.append(Version(number, manifest["saved_ns"], manifest["about"], edit))
     if not versions:
-        raise InputError("\n  ".join([f"{folder}: no stored map that can be read", *problems]))
+        raise _no_map(folder, problems)
     at = _number(_by_preference(folder)[0])
     return versions, at if at in {v.number for v in versions} else versions[-1].number, problems
 
@@ -160,8 +161,7 @@ def load_map(folder: Path, number: int | None = None) -> StoredMap:
             problems.append(str(error))
             continue
         return stored
-    damage = "".join(f"\n  {problem}" for problem in problems)
-    raise InputError(f"{folder}: no stored map that can be read{damage}")
+    raise _no_map(folder, problems)
 
 
 def check_versions(folder: Path) -> tuple[list[int], list[str]]:
@@ -179,8 +179,20 @@ def check_versions(folder: Path) -> tuple[list[int], list[str]]:
         else:
             whole.append(number)
     if not whole and not problems:
-        raise InputError(f"{folder}: no stored map")
+        raise _no_map(folder, [])
     return whole, problems
+
+
+def _no_map(folder: Path, problems: Sequence[str]) -> InputError:
+    """Why no map can be read in `folder`: what is damaged, or what stands there instead."""
+    why = ""
+    try:
+        refuse_unreadable(folder)
+        if is_map_folder(folder / "map"):
+            why = f"; the map of this result is {folder / 'map'}"
+    except InputError as error:
+        why = str(error).removeprefix(str(folder))
+    return InputError("\n  ".join([f"{folder}: no stored map that can be read{why}", *problems]))
 
 
 def version_folder(folder: Path, number: int) -> Path:

@@ -28,6 +28,7 @@ from service.offline.point_cloud import write_pcd, write_ply
 from service.offline.session_file import refuse_to_overwrite
 from service.offline.trajectory import read_tum, write_tum
 from service.offline.writing import whole_files
+from service.readable import refuse_unreadable
 from service.recording.mcap_reader import Recording
 
 Format = Literal[
@@ -52,8 +53,7 @@ def export(source: Path, to: Format, out: Path) -> None:
         raise UsageError(
             f"--out {out}: a map becomes NAME.pgm and NAME.yaml; write --out {out.with_suffix('.pgm')}"
         )
-    if not source.exists():
-        raise InputError(f"{source}: no such file or folder")
+    refuse_unreadable(source)
     if source.is_file():
         refuse_to_overwrite(source, out)
     if is_map_folder(source) and source.resolve() in out.resolve().parents:

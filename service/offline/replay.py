@@ -24,6 +24,7 @@ from service.offline.replay_result import Replay, write_replay
 from service.offline.replay_run import MAPPING, Progress, ReplayRun
 from service.offline.replay_setup import ReplayOptions, set_up
 from service.offline.writing import refuse_unwritable_folder
+from service.readable import refuse_unreadable
 from service.recording.mcap_source import open_session
 
 log = logging.getLogger(__name__)
@@ -36,10 +37,11 @@ _SESSION_FILE = re.compile(r"(.+_\d{8}T\d{6}Z)_\d{4}\.mcap")
 def group_sessions(paths: Sequence[Path]) -> list[list[Path]]:
     """Files that belong to one drive, oldest first: a session may have been cut into several. Folders too.
 
-    Raises InputError for a folder without recordings.
+    Raises InputError for what is not there or may not be read, and for a folder without recordings.
     """
     files: list[Path] = []
     for path in paths:
+        refuse_unreadable(path)
         found = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
         if not found:
             raise InputError(f"{path}: no *.mcap in this folder")

@@ -95,6 +95,14 @@ def test_a_folder_with_nothing_whole_in_it_is_refused_with_all_reasons(tmp_path)
         load_map(tmp_path / "nowhere")
 
 
+def test_the_map_of_a_result_is_named(tmp_path):
+    save_map(tmp_path / "map", TILES, 1)
+    with pytest.raises(InputError, match=r"no stored map .*; the map of this result is .*/map$"):
+        load_map(tmp_path)
+    with pytest.raises(InputError, match=r"nowhere: no stored map that can be read: no such file or folder"):
+        check_versions(tmp_path / "nowhere")
+
+
 def test_a_later_format_is_refused_by_name(tmp_path):
     save_map(tmp_path, TILES, 1)
     path = tmp_path / "v000001" / "manifest.json"
