@@ -138,11 +138,11 @@ def test_a_way_is_thinned_evenly():
     assert thinned(np.empty((0, 2)), 0.05, 10) == []
 
 
-def test_a_port_that_is_taken_is_said(shown, files, monkeypatch):
-    monkeypatch.setattr("service.offline.view.SERVED_WITHIN_S", 0.5)
+def test_a_port_that_is_taken_is_said(shown, files, caplog):
     taken = shown.address.partition("#")[0].removeprefix("http://").rstrip("/")
     with pytest.raises(StorageError, match="--listen"):
         RecordingView(files, taken)
+    assert caplog.text == ""  # said once, by the error
 
 
 def test_the_command_says_where_it_shows_until_it_is_interrupted(files):
