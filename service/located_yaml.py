@@ -185,7 +185,7 @@ def _scalar(node: yaml.ScalarNode, path: Path, document: Document) -> Any:
             return _fault(
                 document, node, path, f'YAML takes {shown} for a base-60 number; quote it: "{shown}"'
             )
-        case "int" if "_" in text or text.lower().lstrip("+-").startswith("0b"):
+        case "int" if "_" in text or text.lower().lstrip("+-").startswith(("0b", "0x")):
             return _fault(document, node, path, f'write {_plain(text)}, or quote it: "{shown}"')
         case "int" if _OCTAL.fullmatch(text):
             meant = text.lstrip("+-").lstrip("0") or "0"
