@@ -83,7 +83,8 @@ def load(text: str) -> Document:
         mark = error.problem_mark or error.context_mark
         position = Position(mark.line + 1, mark.column + 1) if mark else Position(1, 1)
         problem = ", ".join(part for part in (error.context, error.problem) if part)
-        document.faults.append(Fault(position, (), f"not YAML: {problem}"))
+        advice = "; write spaces in place of the tab" if "\\t" in problem else ""
+        document.faults.append(Fault(position, (), f"not YAML: {problem}{advice}"))
         return document
     except (ValueError, OverflowError) as error:  # PyYAML lets those of chr() and int() through
         mark = loader.get_mark()
