@@ -15,8 +15,9 @@ from service.interruption import (  # noqa: E402
     leave_signals_alone,
 )
 
-# These compile or begin processes: a signal ends them at once. The others raise KeyboardInterrupt.
-ENDED_AT_ONCE = ("run", "demo", "replay", "warmup")
+# These compile, run long in kernels, which no exception may leave, or begin processes: a signal ends them at
+# once. What they write, an end at any moment leaves whole. The others raise KeyboardInterrupt.
+ENDED_AT_ONCE = ("run", "demo", "replay", "warmup", "calibrate", "map")
 LIVE = ("run", "demo")
 
 

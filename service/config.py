@@ -368,7 +368,7 @@ class _Reader:
                     if got is None or isinstance(got, bool | int | float | str)
                     else ""
                 )
-                self._fault(at, message + shown)
+                self._fault(at, message + shown + _correction(model, detail))
 
     def _fault(self, path: KeyPath, message: str) -> None:
         if any(fault.path == path for fault in self._document.faults):
@@ -433,6 +433,25 @@ def _choose(key: str, known: typing.Sequence[str]) -> str:
     if near := difflib.get_close_matches(key, known, n=1, cutoff=0.6):
         return f'did you mean "{near[0]}"?'
     return f"known here: {', '.join(known)}"
+
+
+def _correction(model: type[BaseModel], detail: ErrorDetails) -> str:
+    """What to write instead of a value of the wrong kind, where that can be told."""
+    got = detail["input"]
+    match detail["type"]:
+        case "int_type" | "float_type" if isinstance(got, str) and re.fullmatch(r"[-+]?[\d.]+", got):
+            return f"; write {got} without quotes"
+        case "int_type" | "float_type":
+            return "; write a number"
+        case "bool_type":
+            return "; write true or false"
+        case "string_type" if isinstance(got, int | float) and not isinstance(got, bool):
+            for found in _models_at(model, detail["loc"][:-1]):
+                info = found.model_fields.get(str(detail["loc"][-1]))
+                if info is not None and isinstance(info.default, str):
+                    return f'; write "{info.default}", say'
+            return f'; write it in quotes: "{got}"'
+    return ""
 
 
 def _models_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[type[BaseModel]]:

@@ -21,7 +21,7 @@ from pydantic import ValidationError
 
 from service.config import ServiceConfig, parse_config
 from service.encoding import decode_pose
-from service.errors import ConfigError, CorridorError, StorageError, UsageError
+from service.errors import ConfigError, CorridorError, StorageError
 from service.geometry.se2 import SE2
 from service.kernel_warm_up import KernelProgress
 from service.mapper.profiles import MappingConfig, mapping_config
@@ -31,6 +31,7 @@ from service.runtime.run import run
 from service.runtime.service import Service
 from service.runtime.summary import Summary
 from service.web.access import token_from_file
+from service.writable import make_writable
 
 log = logging.getLogger(__name__)
 
@@ -98,10 +99,7 @@ def demo(
     compiling   opened while kernels are compiled, and told of each; left out, the log says how far it is
     watch       called several times a second while the service starts and runs
     """
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"--out {options.out}: {error}") from error
+    make_writable(options.out)
     zenoh_port = free_port(options.port, ZENOH_PORT, "--port")
     page = _page(options) if options.web else None
     if page is not None:

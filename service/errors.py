@@ -66,3 +66,7 @@ class ConfigError(CorridorError):
     def __init__(self, faults: list[str]) -> None:
         super().__init__("\n".join(faults))
         self.faults = faults
+
+    def __reduce__(self) -> tuple[type["ConfigError"], tuple[list[str]]]:
+        """For the way from another process: not made of the joined lines, as other exceptions are."""
+        return type(self), (self.faults,)

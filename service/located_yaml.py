@@ -83,7 +83,8 @@ def load(text: str) -> Document:
         mark = error.problem_mark or error.context_mark
         position = Position(mark.line + 1, mark.column + 1) if mark else Position(1, 1)
         problem = ", ".join(part for part in (error.context, error.problem) if part)
-        document.faults.append(Fault(position, (), f"not YAML: {problem}"))
+        advice = "; write spaces in place of the tab" if "\\t" in problem else ""
+        document.faults.append(Fault(position, (), f"not YAML: {problem}{advice}"))
         return document
     except (ValueError, OverflowError) as error:  # PyYAML lets those of chr() and int() through
         mark = loader.get_mark()
@@ -185,7 +186,7 @@ def _scalar(node: yaml.ScalarNode, path: Path, document: Document) -> Any:
             return _fault(
                 document, node, path, f'YAML takes {shown} for a base-60 number; quote it: "{shown}"'
             )
-        case "int" if "_" in text or text.lower().lstrip("+-").startswith("0b"):
+        case "int" if "_" in text or text.lower().lstrip("+-").startswith(("0b", "0x")):
             return _fault(document, node, path, f'write {_plain(text)}, or quote it: "{shown}"')
         case "int" if _OCTAL.fullmatch(text):
             meant = text.lstrip("+-").lstrip("0") or "0"

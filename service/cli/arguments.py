@@ -3,15 +3,18 @@
 import argparse
 import sys
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 from service.cli.choices import PROFILES, WORLDS, one_of
 from service.cli.map_arguments import add_maps
+from service.cli.map_names import map_and_version
 from service.errors import UsageError
 from service.version import VERSION
 
 EPILOG = """exit codes: 0 done, 1 failed, 64 wrong usage, 65 bad input file, 74 I/O error, 78 bad config.
 Results go to stdout, progress and logs to stderr."""
+MOST = 1e9  # seconds, or times real time: a slip of the finger
+Number = TypeVar("Number", int, float)
 FORMATS = ("pgm", "png", "geotiff", "svg", "dxf", "geojson", "kml", "tum", "csv", "g2o", "ply", "pcd")
 
 
@@ -124,7 +127,13 @@ def _add_replay(commands: Any) -> None:
         metavar="max|N",
         help="N times real time, or as fast as it goes (default: max)",
     )
-    replay.add_argument("--map", type=Path, metavar="MAP", help="begin in this stored map")
+    replay.add_argument(
+        "--map",
+        type=map_and_version,
+        metavar="MAP[@VERSION]",
+        help="begin in this stored map (default: in the version that the recording began in, where it began "
+        "in this map, else in the newest)",
+    )
     replay.add_argument("--localize", action="store_true", help="only localise in it: it stays as it is")
     replay.add_argument(
         "--from-raw",
@@ -320,26 +329,40 @@ def _add_no_web(parser: argparse.ArgumentParser) -> None:
 
 
 def _positive(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    value = _number(text, float)
+    if not 0.0 < value < MOST:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0 and below {MOST:.0e}")
     return value
 
 
 def _positive_int(text: str) -> int:
-    value = int(text)
+    value = _number(text, int)
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text} is not above 0")
     return value
 
 
 def _port(text: str) -> int:
-    value = int(text)
+    value = _number(text, int)
     if not 1 <= value <= 65535:
         raise argparse.ArgumentTypeError(f"{text} is no port; 1 to 65535")
     return value
 
 
+def _number(text: str, kind: type[Number]) -> Number:
+    """Without it argparse would name the function that failed."""
+    try:
+        return kind(text)
+    except ValueError as error:
+        what = "whole number" if kind is int else "number"
+        raise argparse.ArgumentTypeError(f"{text!r} is no {what}") from error
+
+
 def _rate(text: str) -> float:
     """0 stands for as fast as it goes."""
-    return 0.0 if text == "max" else _positive(text)
+    if text == "max":
+        return 0.0
+    try:
+        return _positive(text)
+    except argparse.ArgumentTypeError as error:
+        raise argparse.ArgumentTypeError(f"{error}; give one, or max") from error

@@ -13,15 +13,18 @@ def calibrate(parsed: argparse.Namespace) -> int:
     ensure_cache_dir()
     from service.offline.calibration.calibrate import calibrate as calibrate_by
     from service.offline.session_file import refuse_to_overwrite
+    from service.offline.writing import refuse_unwritable_file, whole_files
 
     if parsed.out is not None:
         for path in parsed.files:
             refuse_to_overwrite(path, parsed.out)
+        refuse_unwritable_file(parsed.out)
     with progress("calibrate") as shown:
         done = calibrate_by(parsed.files, parsed.config, parsed.reference, shown)
     if parsed.out is not None:
         try:
-            parsed.out.write_text(done.config or done.patch, encoding="utf-8")
+            with whole_files(parsed.out) as path:
+                path.write_text(done.config or done.patch, encoding="utf-8")
         except OSError as error:
             raise StorageError(f"cannot write {parsed.out}: {error.strerror}") from error
     print(json.dumps(asdict(done), allow_nan=False) if parsed.json else done)

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any, TextIO
 
 if TYPE_CHECKING:  # it imports numba
@@ -30,9 +30,18 @@ def print_result(result: dict[str, Any], as_json: bool) -> None:
 def print_report(report: Any, as_json: bool) -> None:
     """A dataclass that knows how to say itself: its fields as one JSON object, or its words."""
     if as_json:
-        print(json.dumps(asdict(report), allow_nan=False, default=str))
+        print(json.dumps(_fields(report), allow_nan=False, default=_plain))
     else:
         print(report)
+
+
+def _fields(report: Any) -> dict[str, Any]:
+    """Not dataclasses.asdict, which of a Counter makes one of its pairs (Python 3.11)."""
+    return {one.name: getattr(report, one.name) for one in fields(report)}
+
+
+def _plain(value: Any) -> Any:
+    return _fields(value) if is_dataclass(value) else str(value)
 
 
 def _lines(result: dict[str, Any], prefix: str) -> Iterator[str]:

@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from service.cli.console import print_report, print_result, print_table, progress
-from service.errors import UsageError
+from service.errors import CorridorError, UsageError
 from service.interruption import leave_signals_alone
 from service.kernel_cache import ensure_cache_dir
+from service.readable import refuse_unreadable
 
 if TYPE_CHECKING:
     from service.offline.recording_view import RecordingView
+    from service.offline.replay import Outcome
     from service.offline.replay_page import ReplayPage
     from service.offline.view import View
 
@@ -22,34 +24,48 @@ if TYPE_CHECKING:
 def replay(parsed: argparse.Namespace) -> int:
     ensure_cache_dir()
     from service.offline.replay import group_sessions, replay_all, result_folders
-    from service.offline.replay_setup import ReplayOptions
+    from service.offline.replay_setup import ReplayOptions, refuse_contradictions
 
+    folder, version = parsed.map or (None, None)
+    options = ReplayOptions(
+        parsed.config, parsed.profile, parsed.rate, folder, version, parsed.localize, parsed.from_raw
+    )
+    refuse_contradictions(options)
     sessions = group_sessions(parsed.files)
     folders = result_folders(sessions, parsed.out)
     if parsed.out is None:
         print(f"results go to {' and '.join(map(str, folders))}; --out names another folder", file=sys.stderr)
-    options = ReplayOptions(
-        parsed.config, parsed.profile, parsed.rate, parsed.map, parsed.localize, parsed.from_raw
-    )
     with _page_of(parsed, sessions) as page:
         with progress("mapping") as shown:
-            summaries = replay_all(sessions, options, folders, parsed.jobs, shown, page)
-        told = [summary | {"out": str(out)} for summary, out in zip(summaries, folders, strict=True)]
-        if not parsed.json:
-            print_table(_table(told))
-        elif len(told) == 1:
-            print_result(told[0], as_json=True)
-        else:
-            print_result(
-                {str(session[0]): one for session, one in zip(sessions, told, strict=True)}, as_json=True
-            )
-        if page is not None:
+            outcomes = replay_all(sessions, options, folders, parsed.jobs, shown, page)
+        failed = [outcome for outcome in outcomes if isinstance(outcome, CorridorError)]
+        if failed and len(sessions) == 1:
+            raise failed[0]
+        _tell_outcomes([str(session[0]) for session in sessions], outcomes, folders, parsed.json)
+        if page is not None and len(failed) < len(sessions):
             sys.stdout.flush()
             leave_signals_alone()  # all is written: from here on Ctrl-C is how one leaves
             with suppress(KeyboardInterrupt):
                 print(f"{page.address} stays until Ctrl-C", file=sys.stderr, flush=True)
                 threading.Event().wait()
-    return 0
+    return failed[0].exit_code if failed else 0
+
+
+def _tell_outcomes(
+    names: Sequence[str], outcomes: Sequence["Outcome"], folders: Sequence[Path], as_json: bool
+) -> None:
+    """A table of what was mapped and, on stderr, why the others were not; or all of it as JSON."""
+    told: dict[str, dict[str, Any]] = {}
+    for name, outcome, folder in zip(names, outcomes, folders, strict=True):
+        if isinstance(outcome, CorridorError):
+            print(f"corridor: {outcome}", file=sys.stderr)
+            told[name] = {"error": str(outcome)}
+        else:
+            told[name] = outcome | {"out": str(folder)}
+    if as_json:
+        print_result(told if len(told) > 1 else told[names[0]], as_json=True)
+    elif mapped := [summary for summary in told.values() if "out" in summary]:
+        print_table(_table(mapped))
 
 
 @contextmanager
@@ -133,7 +149,8 @@ def export(parsed: argparse.Namespace) -> int:
 
 def view(parsed: argparse.Namespace) -> int:
     first, *more = parsed.source
-    is_recording = first.suffix == ".mcap"
+    refuse_unreadable(first)
+    is_recording = first.is_file() or first.suffix == ".mcap"
     if more and not is_recording:
         raise UsageError("several files are one recording, all of them *.mcap; of folders give one")
     if parsed.rerun:

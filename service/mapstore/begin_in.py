@@ -1,6 +1,8 @@
 """A stored map, made ready for a session to begin in."""
 
 import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from service.errors import ConfigError, InputError
@@ -12,12 +14,48 @@ from service.mapstore.files import StoredMap, load_map
 log = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True, slots=True)
+class MapVersion:
+    """The version of a stored map that a session began in, as its recording says it.
+
+    digest   of the version's manifest: another version never has it, and a copy of the map does
+    """
+
+    folder: Path
+    number: int
+    digest: str
+
+    def __str__(self) -> str:
+        return f"{self.folder}@{self.number}"
+
+    def as_metadata(self) -> dict[str, str]:
+        return {"folder": str(self.folder), "version": str(self.number), "sha256": self.digest}
+
+
+def recorded_version(metadata: Mapping[str, str]) -> MapVersion | None:
+    """What as_metadata gave; None where there is nothing of it."""
+    try:
+        return MapVersion(Path(metadata["folder"]), int(metadata["version"]), metadata["sha256"])
+    except (KeyError, ValueError):
+        return None
+
+
+def version_to_begin_in(folder: Path, config: MappingConfig) -> MapVersion:
+    """The version that a session of this config begins in now, checked as by begin_in, which it raises as."""
+    stored = stored_for(folder, config)
+    _made_ready(folder, stored)
+    return MapVersion(folder.resolve(), stored.number, stored.digest)
+
+
 def begin_in(folder: Path, config: MappingConfig, version: int | None = None) -> BeginIn:
     """A version of the map in `folder` (None: the current one), for a session of this config.
 
     Raises as stored_for.
     """
-    stored = stored_for(folder, config, version)
+    return _made_ready(folder, stored_for(folder, config, version))
+
+
+def _made_ready(folder: Path, stored: StoredMap) -> BeginIn:
     assert stored.graph is not None
     try:
         walls = walls_of(stored.graph.by_hand, stored.graph.map)

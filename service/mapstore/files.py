@@ -7,8 +7,8 @@
                where mapping can go on, and manifest.json: SHA-256 of these and of itself
 
 A version is written beside the others under a name that nobody reads, synced to the disk, then renamed. So a
-kill or a power cut at any moment leaves the last good one. The newest few are kept, and each that an edit by
-hand made or began with.
+kill or a power cut at any moment leaves the last good one. The newest few are kept, each that an edit by hand
+made or began with, and each with a file "kept" in it: a session began there, whose replay needs it.
 """
 
 import fcntl
@@ -39,6 +39,7 @@ from service.mapstore.picture import Picture, picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
 from service.outputs import TileUpdate
+from service.readable import refuse_unreadable
 from service.version import VERSION
 
 log = logging.getLogger(__name__)
@@ -51,6 +52,7 @@ FOR_OTHERS = ("map.yaml", "map.pgm", "map.png")
 _CONTENT = (*FOR_OTHERS, "tiles.npz")
 _VERSION_NAME = re.compile(r"v(\d{6,})")
 _UNFINISHED = ".unfinished-"
+_KEPT = "kept"  # in the folder of a version: why it is never removed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,6 +67,7 @@ class StoredMap:
     geo: GeoReference | None = None  # where it lies on the earth; None: that is not known
     graph: SavedGraph | None = None  # with which mapping goes on; None: it cannot
     edit: Edit | None = None  # that made this version; None: a session, a replay or a merge did
+    digest: str = ""  # SHA-256 of its manifest, so of all its content
 
 
 def save_map(
@@ -132,7 +135,7 @@ def versions_of(folder: Path) -> tuple[list[Version], int, list[str]]:
             edit = _edit_of(folder / _name(number), manifest)
             versions.append(Version(number, manifest["saved_ns"], manifest["about"], edit))
     if not versions:
-        raise InputError("\n  ".join([f"{folder}: no stored map that can be read", *problems]))
+        raise _no_map(folder, problems)
     at = _number(_by_preference(folder)[0])
     return versions, at if at in {v.number for v in versions} else versions[-1].number, problems
 
@@ -158,8 +161,7 @@ def load_map(folder: Path, number: int | None = None) -> StoredMap:
             problems.append(str(error))
             continue
         return stored
-    damage = "".join(f"\n  {problem}" for problem in problems)
-    raise InputError(f"{folder}: no stored map that can be read{damage}")
+    raise _no_map(folder, problems)
 
 
 def check_versions(folder: Path) -> tuple[list[int], list[str]]:
@@ -177,8 +179,20 @@ def check_versions(folder: Path) -> tuple[list[int], list[str]]:
         else:
             whole.append(number)
     if not whole and not problems:
-        raise InputError(f"{folder}: no stored map")
+        raise _no_map(folder, [])
     return whole, problems
+
+
+def _no_map(folder: Path, problems: Sequence[str]) -> InputError:
+    """Why no map can be read in `folder`: what is damaged, or what stands there instead."""
+    why = ""
+    try:
+        refuse_unreadable(folder)
+        if is_map_folder(folder / "map"):
+            why = f"; the map of this result is {folder / 'map'}"
+    except InputError as error:
+        why = str(error).removeprefix(str(folder))
+    return InputError("\n  ".join([f"{folder}: no stored map that can be read{why}", *problems]))
 
 
 def version_folder(folder: Path, number: int) -> Path:
@@ -187,6 +201,24 @@ def version_folder(folder: Path, number: int) -> Path:
 
 def is_map_folder(folder: Path) -> bool:
     return folder.is_dir() and bool(_versions(folder))
+
+
+def keep_version(folder: Path, number: int, why: str) -> None:
+    """Never remove this version when later ones are saved. Raises StorageError."""
+    kept = folder / _name(number) / _KEPT
+    try:
+        if not kept.exists():
+            kept.write_text(f"{why}\n", encoding="utf-8")
+    except OSError as error:
+        raise StorageError(f"{kept}: {error.strerror}") from error
+
+
+def has_version(folder: Path, number: int, digest: str) -> bool:
+    """Whether version `number` is there and is the one of that digest."""
+    try:
+        return _digest(_checked_manifest(folder / _name(number))) == digest
+    except InputError:
+        return False
 
 
 def _publish(
@@ -202,9 +234,8 @@ def _publish(
         with _only_writer(folder):
             return _publish_alone(folder, write, saved_ns, about, edit)
     except OSError as error:
-        raise StorageError(
-            f"cannot save the map to {folder}: {error}; the version before is untouched"
-        ) from error
+        before = "; the version before is untouched" if _versions(folder) else ""
+        raise StorageError(f"cannot save the map to {folder}: {error}{before}") from error
 
 
 def _publish_alone(
@@ -246,7 +277,8 @@ def _publish_alone(
 
 
 def _too_old(folder: Path) -> list[int]:
-    """Numbers of the versions that go: neither among the newest, nor made or begun with by an edit.
+    """Numbers of the versions that go: neither among the newest, nor made or begun with by an edit, nor kept
+    by keep_version.
 
     One whose manifest cannot be read stays: nobody knows what it was.
     """
@@ -255,7 +287,8 @@ def _too_old(folder: Path) -> list[int]:
         return []
     known, _, _ = versions_of(folder)
     kept = kept_for_ever(known)
-    return [version.number for version in known if version.number in old and version.number not in kept]
+    gone = [version.number for version in known if version.number in old and version.number not in kept]
+    return [number for number in gone if not (folder / _name(number) / _KEPT).exists()]
 
 
 def _write_content(
@@ -332,6 +365,7 @@ def _load(version: Path, problems: list[str]) -> StoredMap:
         geo,
         graph,
         _edit_of(version, manifest),
+        _digest(manifest),
     )
 
 

@@ -27,6 +27,8 @@ from service.offline.outlines import outlines
 from service.offline.point_cloud import write_pcd, write_ply
 from service.offline.session_file import refuse_to_overwrite
 from service.offline.trajectory import read_tum, write_tum
+from service.offline.writing import whole_files
+from service.readable import refuse_unreadable
 from service.recording.mcap_reader import Recording
 
 Format = Literal[
@@ -51,50 +53,57 @@ def export(source: Path, to: Format, out: Path) -> None:
         raise UsageError(
             f"--out {out}: a map becomes NAME.pgm and NAME.yaml; write --out {out.with_suffix('.pgm')}"
         )
-    if not source.exists():
-        raise InputError(f"{source}: no such file or folder")
+    refuse_unreadable(source)
     if source.is_file():
         refuse_to_overwrite(source, out)
     if is_map_folder(source) and source.resolve() in out.resolve().parents:
         raise UsageError(f"--out {out} lies inside the stored map {source}, which would damage it")
-    write = _writer(source, to, out)
+    write = _writer(source, to)
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        write()
+        with whole_files(out) as path:
+            write(path)
     except OSError as error:
         raise StorageError(f"cannot write {out}: {error}") from error
 
 
-def _writer(source: Path, to: Format, out: Path) -> Callable[[], object]:
+def _writer(source: Path, to: Format) -> Callable[[Path], object]:
     """All is read before anything is written."""
     match to:
         case "pgm":
-            return partial(write_ros_map, out, out.with_suffix(".yaml"), _picture(source))
+            return _to_path(_write_pgm, _picture(source))
         case "png":
-            return partial(_write_png, out, _picture(source), _reference(source))
+            return _to_path(_write_png, _picture(source), _reference(source))
         case "geotiff":
-            return partial(write_geotiff, out, _picture(source), _reference(source))
+            return _to_path(write_geotiff, _picture(source), _reference(source))
         case "svg":
-            return partial(write_svg, out, _picture(source), _way(source), _reference(source))
+            return _to_path(write_svg, _picture(source), _way(source), _reference(source))
         case "dxf":
-            return partial(write_dxf, out, _picture(source), _way(source))
+            return _to_path(write_dxf, _picture(source), _way(source))
         case "ply":
-            return partial(write_ply, out, _picture(source))
+            return _to_path(write_ply, _picture(source))
         case "pcd":
-            return partial(write_pcd, out, _picture(source))
+            return _to_path(write_pcd, _picture(source))
         case "tum":
-            return partial(write_tum, out, list(_poses(source)))
+            return _to_path(write_tum, list(_poses(source)))
         case "csv":
-            return partial(write_csv, out, list(_poses(source)), _reference(source))
+            return _to_path(write_csv, list(_poses(source)), _reference(source))
         case "kml":
-            return partial(write_kml, out, list(_poses(source)), _needed_reference(source, to))
+            return _to_path(write_kml, list(_poses(source)), _needed_reference(source, to))
         case "geojson":
             reference = _needed_reference(source, to)
             poses = list(_poses(source)) if _has_poses(source) else []
             walls = outlines(_picture(source)) if _has_picture(source) else []
-            return partial(write_geojson, out, poses, walls, reference)
+            return _to_path(write_geojson, poses, walls, reference)
         case "g2o":
-            return partial(out.write_text, _graph(source), encoding="ascii")
+            return _to_path(partial(Path.write_text, encoding="ascii"), _graph(source))
+
+
+def _to_path(write: Callable[..., object], *content: object) -> Callable[[Path], object]:
+    return lambda path: write(path, *content)
+
+
+def _write_pgm(out: Path, picture: Picture) -> None:
+    write_ros_map(out, out.with_suffix(".yaml"), picture)
 
 
 def _write_png(out: Path, picture: Picture, reference: GeoReference | None) -> None:

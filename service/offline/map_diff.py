@@ -13,6 +13,7 @@ from service.mapstore.annotated import PALETTE, annotated
 from service.mapstore.difference import COLOURS, Difference
 from service.mapstore.files import StoredMap, load_map
 from service.mapstore.png import write_png
+from service.offline.writing import whole_files
 
 MOVED_M, MOVED_RAD = 0.001, 0.0002  # a key frame that went so far has moved
 _ROWS = {  # what is counted both ways
@@ -52,7 +53,8 @@ def map_diff(first: Named, second: Named, out: Path | None) -> dict[str, Any]:
         if out.suffix != ".png":
             raise InputError(f"{out}: the picture is a PNG; name a file that ends in .png")
         try:
-            write_png(out, annotated(difference.picture()), {**PALETTE, **COLOURS})
+            with whole_files(out) as path:
+                write_png(path, annotated(difference.picture()), {**PALETTE, **COLOURS})
         except OSError as error:
             raise StorageError(f"{out}: {error.strerror}") from error
         told["picture"] = str(out)

@@ -28,7 +28,7 @@ from service.mapper.methods.corridor.graph.editing import (
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.drawn_tiles import with_area, with_line
 from service.mapstore.edits import Edit, undone_by
-from service.mapstore.files import StoredMap, load_map, restore_version, save_map, versions_of
+from service.mapstore.files import StoredMap, is_map_folder, load_map, restore_version, save_map, versions_of
 from service.mapstore.in_use import InUse
 from service.outputs import UNKNOWN
 
@@ -65,7 +65,7 @@ def edit_map(
     is not current any more, StorageError where the folder cannot be written or a session goes on in the map;
     then nothing is changed.
     """
-    with InUse(folder, "corridor map edit"):
+    with _held(folder):
         before = load_map(folder)
         _refuse_if_overtaken(folder, before.number, seen)
         try:
@@ -90,7 +90,7 @@ def undo(folder: Path, to: int | None, who: str, now_ns: int, seen: int | None =
 
     Raises InputError where there is nothing to go back to, OvertakenError and StorageError as edit_map.
     """
-    with InUse(folder, "corridor map edit"):
+    with _held(folder):
         versions, current, _ = versions_of(folder)
         _refuse_if_overtaken(folder, current, seen)
         if to is None:
@@ -101,6 +101,13 @@ def undo(folder: Path, to: int | None, who: str, now_ns: int, seen: int | None =
             back_to, words = to, f"went back to version {to}"
         number = restore_version(folder, back_to, now_ns, Edit(who, "undo", words, current, back_to))
     return {"map": str(folder), "version": number, "version_before": current, "done": words}
+
+
+def _held(folder: Path) -> InUse:
+    """Raises InputError where `folder` holds no map: nothing is written there then; StorageError as InUse."""
+    if not is_map_folder(folder):
+        load_map(folder)  # it says why
+    return InUse(folder, "corridor map edit")
 
 
 def erase(corners: Sequence[float], is_free: bool) -> Change:

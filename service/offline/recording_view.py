@@ -37,7 +37,9 @@ class RecordingView:
         self._tiles = ShownTiles(store)
         desk = MomentDesk(moments, self._show)
         about = About(moments.name, "recorded", lambda: desk.verbs)
-        self._server = WebServer(WebConfig(listen=listen), about, store, desk.answer, self.token)
+        self._server = WebServer(
+            WebConfig(listen=listen), about, store, desk.answer, self.token, retry_s=None
+        )
         self._server.put_ready({"path": encode_path(moments.path_map.astype(np.float32))})
         desk.go_to(moments.last_ns)
         start_serving(self._server)

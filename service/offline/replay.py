@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from service.encoding import warm_up as warm_up_encoding
-from service.errors import InputError
+from service.errors import CorridorError, InputError
 from service.interruption import children_do_not_hear
 from service.kernel_warm_up import KernelProgress
 from service.kernel_warm_up import warm_up as warm_up_kernels
@@ -23,6 +23,8 @@ from service.offline.raw_replay import FROM_RAW, remake_frames
 from service.offline.replay_result import Replay, write_replay
 from service.offline.replay_run import MAPPING, Progress, ReplayRun
 from service.offline.replay_setup import ReplayOptions, set_up
+from service.offline.writing import refuse_unwritable_folder
+from service.readable import refuse_unreadable
 from service.recording.mcap_source import open_session
 
 log = logging.getLogger(__name__)
@@ -35,10 +37,11 @@ _SESSION_FILE = re.compile(r"(.+_\d{8}T\d{6}Z)_\d{4}\.mcap")
 def group_sessions(paths: Sequence[Path]) -> list[list[Path]]:
     """Files that belong to one drive, oldest first: a session may have been cut into several. Folders too.
 
-    Raises InputError for a folder without recordings.
+    Raises InputError for what is not there or may not be read, and for a folder without recordings.
     """
     files: list[Path] = []
     for path in paths:
+        refuse_unreadable(path)
         found = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
         if not found:
             raise InputError(f"{path}: no *.mcap in this folder")
@@ -66,6 +69,9 @@ def result_folders(sessions: Sequence[Sequence[Path]], out: Path | None) -> list
     return folders
 
 
+Outcome = dict[str, Any] | CorridorError  # of one session: its summary, or why there is none
+
+
 def replay_all(
     sessions: Sequence[Sequence[Path]],
     options: ReplayOptions,
@@ -73,22 +79,22 @@ def replay_all(
     jobs: int,
     progress: Progress,
     watch: Watch | None = None,
-) -> list[dict[str, Any]]:
-    """Replay each session and write what `write_replay` says to its folder; their summaries, in order.
+) -> list[Outcome]:
+    """Replay each session and write what `write_replay` says to its folder; their outcomes, in order. One
+    that fails keeps none of the others back.
 
-    With `jobs` above 1 so many at a time, each in a process of its own; then nobody can watch. Raises
-    InputError, ConfigError, StorageError of the first that fails.
+    With `jobs` above 1 so many at a time, each in a process of its own; then nobody can watch.
     """
     if jobs == 1 or len(sessions) == 1:
         return [
-            _replay_to(session, options, folder, _part_of(progress, k, len(sessions)), watch)
+            _try_replay_to(session, options, folder, _part_of(progress, k, len(sessions)), watch)
             for k, (session, folder) in enumerate(zip(sessions, folders, strict=True))
         ]
     # spawn: a forked child would inherit locks of numba's and of threads that it does not have
     with ProcessPoolExecutor(min(jobs, len(sessions)), mp_context=get_context("spawn")) as pool:
         with children_do_not_hear():
             futures = [
-                pool.submit(_replay_to, session, options, folder)
+                pool.submit(_try_replay_to, session, options, folder)
                 for session, folder in zip(sessions, folders, strict=True)
             ]
         for done, _ in enumerate(as_completed(futures), start=1):
@@ -111,7 +117,7 @@ def replay(
         log.info("%s", note)
     setup = set_up(session, options)
     compiling = KernelProgress(lambda k: progress(k.share, "compiling kernels"))
-    begin = None if options.map is None else begin_in(options.map, setup.mapping)
+    begin = None if options.map is None else begin_in(options.map, setup.mapping, setup.map_version)
     log.info("mapping the scans of %s", ", ".join(setup.lasers))
     warm_up_encoding()
     compile_kernels = partial(warm_up_kernels, progress=compiling)
@@ -130,6 +136,13 @@ def _replay_from_raw(
     return done
 
 
+def _try_replay_to(*arguments: Any) -> Outcome:
+    try:
+        return _replay_to(*arguments)
+    except CorridorError as error:
+        return error
+
+
 def _replay_to(
     session: Sequence[Path],
     options: ReplayOptions,
@@ -137,6 +150,7 @@ def _replay_to(
     progress: Progress = lambda share, phase: None,
     watch: Watch | None = None,
 ) -> dict[str, Any]:
+    refuse_unwritable_folder(out)
     done = replay(session, options, progress, watch)
     write_replay(done, out)
     return done.summary

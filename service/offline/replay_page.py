@@ -109,7 +109,9 @@ class ReplayPage:
         self._speed_from: tuple[float, int] | None = None  # moment and log time of the last status
         self._token = new_token()
         about = About(name, "", lambda: VERBS if self._moments is None else (*VERBS, GO_TO))
-        self._server = WebServer(WebConfig(listen=listen), about, self._store, self._answer, self._token)
+        self._server = WebServer(
+            WebConfig(listen=listen), about, self._store, self._answer, self._token, retry_s=None
+        )
         start_serving(self._server)
 
     @property

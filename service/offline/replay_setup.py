@@ -1,5 +1,6 @@
 """What a replay maps, and how: by --config, else by the recording's own config, else by defaults."""
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +13,15 @@ from service.config import (
     mountings,
     parse_replay_config,
 )
-from service.errors import ConfigError, InputError
+from service.errors import ConfigError, InputError, UsageError
 from service.geometry.se2 import SE2
-from service.mapper.profiles import MappingConfig, mapping_config, with_profile
+from service.mapper.profiles import METHODS, MappingConfig, begins_in_stored, mapping_config, with_profile
+from service.mapstore.begin_in import MapVersion, recorded_version
+from service.mapstore.files import has_version
 from service.offline.raw_replay import FROM_RAW
 from service.recording.mcap_source import Session
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +32,7 @@ class ReplayOptions:
     profile: str | None = None
     rate: float = 0.0  # times real time; 0: as fast as it goes
     map: Path | None = None  # a stored map to begin in
+    version: int | None = None  # of it; None: that in which the recording began, else the newest
     localize: bool = False  # ... which stays as it is
     from_raw: bool = False  # map what the drivers make of the recorded bytes, not the recorded frames
 
@@ -37,6 +43,7 @@ class ReplaySetup:
 
     poses_base_sensor   mountings of lasers, lever arms of antennas
     lasers              whose scans are mapped
+    map_version         of the stored map to begin in; None: the current one
     is_as_live          all is as it was live: what the mapper left out and when it applied results is
                         repeated from the recording
     """
@@ -44,7 +51,21 @@ class ReplaySetup:
     mapping: MappingConfig
     poses_base_sensor: Mapping[str, SE2]
     lasers: Sequence[str]
+    map_version: int | None
     is_as_live: bool
+
+
+def refuse_contradictions(options: ReplayOptions) -> None:
+    """Raises UsageError where options do not go together, whatever the recording holds."""
+    if options.localize and options.map is None:
+        raise UsageError("--localize is in a stored map; name it by --map")
+    if options.map is not None and options.profile is not None:
+        fitting = [name for name in METHODS if begins_in_stored(mapping_config({"profile": name}))]
+        if options.profile not in fitting:
+            raise UsageError(
+                f"--map: the profile {options.profile} cannot begin in a stored map; take --profile "
+                f"{' or '.join(fitting)}, or leave one of the two out"
+            )
 
 
 def set_up(session: Session, options: ReplayOptions) -> ReplaySetup:
@@ -54,18 +75,50 @@ def set_up(session: Session, options: ReplayOptions) -> ReplaySetup:
     mapping = _mapping(config, options)
     configured = mountings(config.sensors) if config is not None else {}
     poses = {name: configured.get(name, pose) for name, pose in session.mountings.items()}
+    begun_in = recorded_version(session.metadata.get("map", {}))
+    version = _version(options, begun_in)
     poses |= session.antennas | {name: pose for name, pose in configured.items() if name not in poses}
     is_as_live = (
         recorded is not None
         and mapping == recorded.mapping
-        and (recorded.begin_in is None) == (options.map is None)
+        and _begins_as_live(recorded, begun_in, options, version)
         and FROM_RAW not in session.metadata
     )
     if options.localize:
         mapping = mapping.model_copy(update={"mode": "localization"})
     if mapping.mode == "localization" and options.map is None:
         raise ConfigError(["mapping.mode is localization: give the map to localise in by --map"])
-    return ReplaySetup(mapping, poses, _lasers(session, config), is_as_live)
+    if recorded is not None and recorded.begin_in is not None and options.map is None:
+        log.warning(
+            "the recording began in the stored map %s; this replay begins a new one. --map %s begins there",
+            *(2 * [begun_in or recorded.begin_in]),
+        )
+    return ReplaySetup(mapping, poses, _lasers(session, config), version, is_as_live)
+
+
+def _version(options: ReplayOptions, begun_in: MapVersion | None) -> int | None:
+    """Of the stored map to begin in; None: the current one, or none at all."""
+    if options.map is None or options.version is not None or begun_in is None:
+        return options.version
+    if has_version(options.map, begun_in.number, begun_in.digest):
+        log.info("beginning in version %d of %s, as the recording did", begun_in.number, options.map)
+        return begun_in.number
+    if options.map.resolve() == begun_in.folder:
+        log.warning(
+            "version %d of %s, in which the recording began, is not there any more: the newest takes its "
+            "place, and poses will not be those of the recording",
+            *(begun_in.number, options.map),
+        )
+    return None
+
+
+def _begins_as_live(
+    recorded: ReplayConfig, begun_in: MapVersion | None, options: ReplayOptions, version: int | None
+) -> bool:
+    """Older recordings do not say in which version they began: any passes for it then."""
+    if begun_in is None or options.map is None:
+        return (recorded.begin_in is None) == (options.map is None)
+    return version == begun_in.number and has_version(options.map, version, begun_in.digest)
 
 
 def _recorded_config(session: Session, is_needed: bool) -> ReplayConfig | None:

@@ -60,7 +60,9 @@ class View:
             self._mapped = _before_edits(folder, stored)
             self._desk = MapDesk(folder, stored, self._show_stored)
         about = About(source.resolve().name, "stored", self._verbs)
-        self._server = WebServer(WebConfig(listen=listen), about, self._store, self._answer, self.token)
+        self._server = WebServer(
+            WebConfig(listen=listen), about, self._store, self._answer, self.token, retry_s=None
+        )
         if folder is not None:
             self._show_stored(stored)
         else:

@@ -103,7 +103,12 @@ def _open(path: Path) -> _File:
     except InputError:
         raise
     except Exception as error:  # a broken index may fail in any way inside the library
-        raise InputError(f"{path} is damaged: {error}; try `corridor recover {path}`") from error
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: Exception) -> InputError:
+    why = str(error) or type(error).__name__  # some errors of the library have no words
+    return InputError(f"{path} is damaged: {why}; try `corridor recover {path}`")
 
 
 def _check_ends(path: Path, stream: BinaryIO) -> None:
@@ -188,4 +193,4 @@ def _messages(
                     payload=record.data,
                 )
     except Exception as error:  # bad bytes may fail in any way inside the library
-        raise InputError(f"{path} is damaged: {error}; try `corridor recover {path}`") from error
+        raise _damaged(path, error) from error

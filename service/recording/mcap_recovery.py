@@ -91,14 +91,19 @@ class InUseError(InputError):
 def recover(source: Path) -> RecoveryReport:
     """Recover `x.mcap.active` to `x.mcap`, or a broken `x.mcap` in its place.
 
-    Raises InputError where the file is no MCAP, in use, or without one readable message, StorageError where
-    the disk refuses, CorridorError where the result does not read back. The source is untouched in all cases.
+    Raises InputError where the file cannot be read, is no MCAP, in use, or without one readable message,
+    StorageError where the disk refuses, CorridorError where the result does not read back. The source is
+    untouched in all cases.
     """
     path = source.with_name(source.name.removesuffix(ACTIVE_SUFFIX))
     folder = path.with_name(path.name + WORKING_SUFFIX)
     report = RecoveryReport(source, path)
     try:
-        with source.open("rb") as stream:
+        stream = source.open("rb")
+    except OSError as error:
+        raise InputError(f"cannot read {source}: {error.strerror}") from error
+    try:
+        with stream:
             _lock(source, stream)
             shutil.rmtree(folder, ignore_errors=True)  # of a recovery that was killed
             folder.mkdir()
@@ -106,8 +111,6 @@ def recover(source: Path) -> RecoveryReport:
                 _recover(stream, folder / path.name, report)
             finally:
                 shutil.rmtree(folder)
-    except (FileNotFoundError, IsADirectoryError) as error:
-        raise InputError(f"{source}: {error.strerror}") from error
     except OSError as error:
         raise StorageError(f"cannot recover {source}: {error}") from error
     return report

@@ -197,7 +197,7 @@ class Commands:
             with self._loading:
                 folder, version = self._find_map(request.map, request.version)
                 try:
-                    self._storage.hold(folder)
+                    self._storage.hold(folder, version)
                 except StorageError as error:
                     raise CommandError(str(error)) from error
             inner.start(request.model_copy(update={"map": str(folder), "version": version}), outcome)

@@ -111,6 +111,7 @@ class Setup:
     graph_patience_s: float  # how long it may wait for the graph, all waits taken together
     log_level: int
     begin_in: str = ""  # folder of the stored map to begin in; "": a new map
+    begin_version: int | None = None  # of that map; None: the current one
     graph_folder: str = ""  # where the graph is put away at each checkpoint; "": nowhere
 
 

@@ -82,7 +82,8 @@ class MapperProcess:
         )
         config = mapping_config(dict(setup.mapping))
 
-        begins = [begin_in(Path(setup.begin_in), config) if setup.begin_in else None]
+        load = Path(setup.begin_in) if setup.begin_in else None
+        begins = [None if load is None else begin_in(load, config, setup.begin_version)]
         maps = count(1)
 
         def new_mapper() -> Mapper[Any]:

@@ -21,9 +21,9 @@ from drivers.link import LinkHealth
 from service.config import ServiceConfig, mapped_lasers, mounted_upside_down, mountings, tf_static
 from service.encoding import encode_event
 from service.encoding import warm_up as warm_up_encoding
-from service.errors import CorridorError, OutputLostError
+from service.errors import CorridorError, InputError, OutputLostError
 from service.mapper.profiles import begins_in_stored
-from service.mapstore.begin_in import begin_in, stored_for
+from service.mapstore.begin_in import MapVersion, stored_for, version_to_begin_in
 from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
 from service.publishing.commands import Answer, CommandDispatcher, CommandError
@@ -64,7 +64,8 @@ class Service:
     map_folder    where this run's map goes; left out, a folder named by vehicle and time in map.directory
     on_failure    called from any thread when `failure` gets its text
 
-    Raises StorageError where a sink cannot be opened.
+    Raises InputError where the stored map to begin in cannot be read, StorageError where a sink cannot be
+    opened.
     """
 
     def __init__(
@@ -76,6 +77,7 @@ class Service:
         early: EarlyMapper | None = None,
     ) -> None:
         self._config = config
+        self._begun_in = _begun_in(config)  # refused here, before anything runs
         self._notifier = notifier
         self.host_time = HostTime.now()
         self._workers = Workers(on_failure)
@@ -93,6 +95,7 @@ class Service:
             is_localizing=config.mapping.mode == "localization",
             start_unix_ns=self._unix_ns(),
             map_folder=map_folder,
+            load_version=None if self._begun_in is None else self._begun_in.number,
             folders={
                 key: model.directory for key, model in config.sinks.items() if hasattr(model, "directory")
             },
@@ -100,6 +103,7 @@ class Service:
                 "corridor": {"version": VERSION, "vehicle": config.vehicle},
                 "config": {"yaml": config.text},
                 "clock": self._clock_metadata(0),
+                **({} if self._begun_in is None else {"map": self._begun_in.as_metadata()}),
             },
             tiles=self._tiles,
             links=links,
@@ -189,14 +193,11 @@ class Service:
     def start(self, cancelled: Callable[[], bool] = lambda: False) -> bool:
         """Bring everything up, the mapper first and drivers last; False if `cancelled` said so on the way.
 
-        Raises InputError where the stored map to begin in cannot be read, StorageError where a sink cannot
-        begin, CorridorError where the mapper does not start.
+        Raises StorageError where a sink cannot begin, CorridorError where the mapper does not start.
         """
         threading.excepthook = self._thread_died
         if cancelled():  # the sinks may have taken half a second to open
             return False
-        if self._config.begin_in is not None:
-            begin_in(self._config.begin_in, self._config.mapping)  # refused here, before anything runs
         if not self._start_mapper(cancelled):
             return False
         self._event("start")
@@ -290,6 +291,7 @@ class Service:
             lasers=mapped_lasers(config),
             upside_down=mounted_upside_down(config.sensors),
             begin_in=str(config.begin_in or ""),
+            begin_version=None if self._begun_in is None else self._begun_in.number,
             graph_folder=str(self._sinks.map_storage().graph_folder),
             graph_patience_s=GRAPH_FINISH_S,
             log_level=logging.getLogger().getEffectiveLevel(),
@@ -369,3 +371,13 @@ class Service:
         log.error("thread %s failed", name, exc_info=(died.exc_type, error, died.exc_traceback))
         if not self._sinks.thread_died(name, error):
             self._workers.fail(name, error)
+
+
+def _begun_in(config: ServiceConfig) -> MapVersion | None:
+    """The version of the stored map that a session begins in; None: it begins a new map."""
+    if config.begin_in is None:
+        return None
+    try:
+        return version_to_begin_in(config.begin_in, config.mapping)
+    except InputError as error:
+        raise InputError(f"map.load: {error}") from error

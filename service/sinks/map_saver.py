@@ -16,10 +16,11 @@ from typing import NamedTuple
 from service.encoding import ERROR, OK, Message, Status, encode_grid
 from service.errors import StorageError
 from service.mapstore.config import MapConfig
-from service.mapstore.files import save_map
+from service.mapstore.files import keep_version, save_map
 from service.mapstore.in_use import InUse
 from service.mapstore.tiles import NumberedMap
 from service.sinks.sink import SavedHeard, SavedMap, Sink, SinkContext
+from service.writable import make_writable
 
 log = logging.getLogger(__name__)
 
@@ -57,11 +58,12 @@ class MapSaver(Sink):
 
     def __init__(self, config: MapConfig, context: SinkContext) -> None:
         started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime(context.start_unix_ns / 1e9))
+        self._started = started
         new = config.directory / f"{context.vehicle}_{started}"
         self._folder = context.map_folder or config.load or new
         self.graph_folder = self._folder.with_name(f".{self._folder.name}.graph-{os.getpid()}")
         is_going_on = self._folder == config.load and not context.is_localizing
-        self._goes_on_in = self._folder if is_going_on else None
+        self._goes_on_in = (self._folder, context.load_version) if is_going_on else None
         self._in_use: dict[Path, InUse] = {}  # stored maps that this session goes on in
         self._begun_in: dict[int, Path] = {}  # numbers of maps of this run -> the stored one each began in
         self._directory = config.directory
@@ -104,10 +106,17 @@ class MapSaver(Sink):
         new = self._folder if number == 1 else self._folder.with_name(f"{self._folder.name}_{number}")
         return self._begun_in.get(number, new)
 
-    def hold(self, folder: Path) -> None:
-        """Keep others from changing a stored map that is about to be begun in. Raises StorageError."""
-        if not self._is_localizing and folder not in self._in_use:
-            self._in_use[folder] = InUse(folder, f"a session of {self._vehicle}")
+    def hold(self, folder: Path, version: int | None) -> None:
+        """Keep others from changing a stored map that is about to be begun in, and keep the version for
+        replays of this session; None: it is not known. Raises StorageError.
+        """
+        if self._is_localizing:
+            return
+        who = f"a session of {self._vehicle}"
+        if folder not in self._in_use:
+            self._in_use[folder] = InUse(folder, who)
+        if version is not None:
+            keep_version(folder, version, f"{who} began in it, {self._started}")
 
     def begun_in(self, folder: Path) -> None:
         """The present map is that of this folder from now on; call it when the one before has ended."""
@@ -128,9 +137,13 @@ class MapSaver(Sink):
             self._wake.notify()
 
     def start(self) -> None:
-        """Raises StorageError where another session goes on in the same map, or somebody edits it."""
+        """Raises StorageError where the map cannot be stored, where another session goes on in it or somebody
+        edits it.
+        """
         if self._goes_on_in is not None:
-            self.hold(self._goes_on_in)
+            self.hold(*self._goes_on_in)
+        if not self._is_localizing:
+            make_writable(self._folder.parent)
         self._thread.start()
 
     def put(self, message: Message, arrived_ns: int | None = None) -> None:

@@ -28,6 +28,7 @@ class SinkContext:
     stores_graph: bool  # whether a later session can go on in the map
     is_localizing: bool  # whether the map is a stored one that stays as it is
     start_unix_ns: int  # Unix time at which the service was constructed
+    load_version: int | None  # of the stored map that the session begins in; None: it begins a new one
     map_folder: Path | None  # where this run's map is to be stored, if the caller asked for a folder
     folders: Mapping[str, Path]  # section of the config -> its directory, of those that have one
     metadata: Mapping[str, Mapping[str, str]]  # name -> key -> text: version, config as YAML, clock
@@ -158,8 +159,10 @@ class MapStorage(Protocol):
         ...
 
     def folder_of(self, number: int) -> Path: ...
-    def hold(self, folder: Path) -> None:
-        """Keep others from changing a stored map that is about to be begun in. Raises StorageError."""
+    def hold(self, folder: Path, version: int) -> None:
+        """Keep others from changing a stored map in which this version is about to be begun in, and keep that
+        version for replays. Raises StorageError.
+        """
         ...
 
     def begun_in(self, folder: Path) -> None:

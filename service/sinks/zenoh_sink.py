@@ -3,13 +3,15 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from service.encoding import OK, WARNING, Message, Status
+from service.encoding import OK, WARNING, Message, Status, decode_diagnostics
 from service.outputs import TileUpdate
 from service.publishing.config import PublishingConfig
 from service.publishing.zenoh_publisher import ZenohPublisher
 from service.sinks.sink import Sink, SinkContext
 
 KEYS = {"diagnostics": "health"}  # channels that have another name on Zenoh
+SERVICE, MAPPING = "service", "mapping"  # components beside the sensors that have a token
+NOT_AT_WORK = ("waiting", "stale")  # states of the mapping without fresh poses
 NOT_SENT = frozenset({"events", "map"})  # the publisher makes the map itself, when somebody listens
 
 
@@ -37,7 +39,11 @@ class ZenohSink(Sink):
         if channel in KEYS:
             message = replace(message, channel=KEYS[channel])
             self._publisher.show_alive(
-                {name: link.state == "streaming" for name, link in self._context.links.items()}
+                {
+                    SERVICE: True,
+                    MAPPING: _is_mapping(message),
+                    **{name: link.state == "streaming" for name, link in self._context.links.items()},
+                }
             )
         self._publisher.put(message, arrived_ns)
 
@@ -68,3 +74,9 @@ class ZenohSink(Sink):
 
     def close(self) -> None:
         self._publisher.close()
+
+
+def _is_mapping(diagnostics: Message) -> bool:
+    """Whether poses come, be they good or bad; a pause is no failure."""
+    rows = {row.name: row.values for row in decode_diagnostics(diagnostics.payload)}
+    return rows.get(MAPPING, {}).get("state", "waiting") not in NOT_AT_WORK

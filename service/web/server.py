@@ -82,6 +82,7 @@ class WebServer:
     answer    carries out a command: verb, JSON -> JSON; may wait, in bounded time
     token     who shows it may give commands
     folders   where sessions and maps are stored; None: the page shows none
+    retry_s   until a place to serve at is tried again; None: one try is all, and health says why it failed
     """
 
     def __init__(
@@ -92,7 +93,7 @@ class WebServer:
         answer: Callable[[str, bytes], CommandAnswer],
         token: str,
         folders: Mapping[Kind, Path] | None = None,
-        retry_s: float = RETRY_S,
+        retry_s: float | None = RETRY_S,
     ) -> None:
         self._config = config
         self._about = about
@@ -113,6 +114,7 @@ class WebServer:
         self._dropped = self._refused = 0
         self._doorway = Doorway(config.most_browsers, self._refuse)
         self._fault = "not started"
+        self._has_failed = False
         self._address = ""
         self._changed = threading.Condition()  # of _address and _fault; and guards _ending and _is_closed
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -130,9 +132,12 @@ class WebServer:
         self._thread.start()
 
     def wait_served(self, timeout_s: float) -> bool:
-        """Whether the page is up, at the latest after `timeout_s`."""
+        """Whether the page is up, at the latest after `timeout_s`, or when a single try has failed."""
         with self._changed:
-            return self._changed.wait_for(lambda: bool(self._address), timeout_s)
+            self._changed.wait_for(
+                lambda: self._address or (self._has_failed and not self._retry_s), timeout_s
+            )
+            return bool(self._address)
 
     def put(self, message: Message, origin_ns: int | None = None) -> None:
         """Take a message in; never waits. origin_ns: of a pose, when its scan's last byte was read."""
@@ -210,8 +215,9 @@ class WebServer:
             self._listening = await self._doorway.open(runner, host, port, self._tls())
         except (OSError, ssl.SSLError) as error:
             words = f"the page cannot be served at {self._config.listen}: {error}"
-            if words != self._fault:
+            if words != self._fault and self._retry_s is not None:
                 log.error("web: %s; tried again each %.0f s, mapping goes on", words, self._retry_s)
+            self._has_failed = True
             self._say("", words)
             return False
         bound_port = self._listening.sockets[0].getsockname()[1]
@@ -219,7 +225,7 @@ class WebServer:
         self._say(f"{self._scheme}://{shown_host}:{bound_port}/", "")
         return True
 
-    async def _ends_within(self, timeout_s: float) -> bool:
+    async def _ends_within(self, timeout_s: float | None) -> bool:
         assert self._ending is not None
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._ending.wait(), timeout_s)

@@ -13,7 +13,7 @@ import yaml
 from service.cli import main
 from service.mapstore.ros_map import read_ros_map
 from service.outputs import FREE, OCCUPIED
-from tests.docs.blocks import written_in
+from tests.docs.blocks import ROOT, written_in
 from tests.docs.test_shell import commands_of
 from tests.system.machine import START_TIMEOUT_S, STOP_TIMEOUT_S, FakeVehicle, Subscriber, free_port
 
@@ -26,6 +26,7 @@ COMMANDS = [
     for words in commands_of(block.text)
     if words[0] == "corridor"
 ]
+WRITTEN = next(yaml.safe_load(block.text) for block in written_in("yaml") if block.page == PAGE)  # by init
 ELSEWHERE = ("demo", "calibrate")  # need half a minute and more; tests of their own
 
 
@@ -90,8 +91,13 @@ def test_the_page_leads_from_the_wires_to_a_map_for_nav2(vehicle, tmp_path, caps
         else:
             assert code == 0, f"{command}: {said.out}{said.err}"
         if words[0] == "init":
-            sensors = yaml.safe_load((tmp_path / "vehicle.yaml").read_text())["sensors"]
-            assert {sensor["type"] for sensor in sensors.values()} == {"sick_lms100", "irobot_create"}
+            assert "Rename the laser to where it sits, `front`" in (ROOT / PAGE).read_text()
+            config = tmp_path / "vehicle.yaml"
+            config.write_text(config.read_text().replace("\n  lms:", "\n  front:"))
+            sensors = yaml.safe_load(config.read_text())["sensors"]
+            assert {name: sensor["type"] for name, sensor in sensors.items()} == {
+                name: sensor["type"] for name, sensor in WRITTEN["sensors"].items()
+            }
     summary = json.loads((tmp_path / "result" / "summary.json").read_text())
     assert summary["scans"] >= SCANS
     cells = read_ros_map(tmp_path / "hall.yaml").cells

@@ -106,6 +106,19 @@ def test_a_signal_at_any_moment_ends_a_command_at_once(
     )
 
 
+@pytest.mark.parametrize("command", ["calibrate", "map"])
+def test_ctrl_c_unwinds_nothing_that_may_be_in_a_kernel(command: str):
+    work = (
+        "import signal, sys, service.cli\n"
+        "service.cli.main = lambda: signal.raise_signal(signal.SIGINT)\n"
+        "from service.command import main\n"
+        f"sys.argv = ['corridor', '-v', {command!r}, 'x']\n"
+        "main()\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", work], capture_output=True, timeout=PATIENCE_S, check=False)
+    assert (ended.returncode, ended.stderr) == (130, b"")
+
+
 @pytest.mark.timeout(300)
 def test_what_an_interrupted_warm_up_has_compiled_is_used_by_the_next(
     tmp_path: Path, begin: Callable[[str], subprocess.Popen[bytes]]

@@ -120,12 +120,26 @@ def test_an_antenna_lies_where_mounting_axes_and_lever_arm_put_it():
         ),
         (
             with_line('  front: {type: sick_lms100, host: a, port: "2111"}', 3),
-            'c.yaml:3:39: sensors.front.port: should be a valid integer (got "2111")',
+            'c.yaml:3:39: sensors.front.port: should be a valid integer (got "2111"); '
+            "write 2111 without quotes",
         ),
         (
             with_line("  front: {type: sick_lms100, host: a, port: true}", 3),
-            "c.yaml:3:39: sensors.front.port: should be a valid integer (got true)",
+            "c.yaml:3:39: sensors.front.port: should be a valid integer (got true); write a number",
         ),
+        (
+            with_line("web: {listen: 8080}", 9),
+            'c.yaml:9:7: web.listen: should be a valid string (got 8080); write "127.0.0.1:8080", say',
+        ),
+        (
+            with_line("web: {enabled: 1}", 9),
+            "c.yaml:9:7: web.enabled: should be a valid boolean (got 1); write true or false",
+        ),
+        (
+            with_line("  front: {type: sick_lms100, host: 5}", 3),
+            'sensors.front.host: should be a valid string (got 5); write it in quotes: "5"',
+        ),
+        (with_line("\tfront: {type: sick_lms100, host: a}", 3), "write spaces in place of the tab"),
         (
             with_line("  front: {type: sick_lms100, host: a, scan_rate_hz: 40}", 3),
             "c.yaml:3:39: sensors.front.scan_rate_hz: should be 25 or 50 (got 40)",

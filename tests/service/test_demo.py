@@ -12,7 +12,7 @@ from service import demo
 from service.config import mapped_lasers
 from service.demo import WEB_PORT, DemoOptions, Simulators, _page, demo_config, interpolate, pose_error
 from service.encoding import encode_pose
-from service.errors import ConfigError, CorridorError, StorageError, UsageError
+from service.errors import ConfigError, CorridorError, StorageError
 from service.geometry.se2 import SE2
 from service.outputs import MapperOutput
 from service.recording.mcap_recorder import McapRecorder
@@ -155,15 +155,22 @@ def test_simulators_that_end_on_the_way_end_the_demo():
         assert Simulators(process, []).fault() == "the simulators ended with exit code 3"
 
 
-def test_a_folder_that_cannot_be_made_is_wrong_usage(tmp_path: Path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(UsageError, match="--out"):
-        demo.demo(options(tmp_path / "file" / "out"))
-
-
 def test_figures_of_a_demo_whose_devices_had_no_processor_are_called_void():
     words = b'{"ready": true}\n{"left_out": {"front": 12, "rear": 3}}\n'
     assert demo._void(demo._left_out(words)) == (
         "the fake devices had no processor to send 12 of front, 3 of rear; latency and error are void"
     )
     assert demo._void(demo._left_out(b'{"left_out": {}}\n')) is None
+
+
+def test_a_folder_that_cannot_be_written_ends_it_before_anything_begins(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def begin(*_: object) -> None:
+        raise AssertionError("begun")
+
+    monkeypatch.setattr(demo, "free_port", begin)
+    (tmp_path / "file").touch()
+    for out in (tmp_path / "file" / "x", tmp_path / "file", Path("/proc/1")):  # no file can be made there
+        with pytest.raises(StorageError, match=f"cannot write to {out}"):
+            demo.demo(options(out))

@@ -23,6 +23,8 @@ def faults(text: str) -> list[str]:
         ("25e-4", "YAML takes 25e-4 for text; write 0.0025, or quote it"),
         ("1_000", 'write 1000, or quote it: "1_000"'),
         ("0b11", 'write 3, or quote it: "0b11"'),
+        ("0x10", 'write 16, or quote it: "0x10"'),
+        ("-0x1F", 'write -31, or quote it: "-0x1F"'),
         ("0o17", "YAML takes 0o17 for text; write 15, or quote it"),
         ("2024-05-01", 'YAML takes 2024-05-01 for a date; quote it: "2024-05-01"'),
         (".inf", ".inf is not a finite number in plain decimals"),
@@ -50,7 +52,7 @@ def test_what_is_quoted_is_text():
 
 
 def test_plain_values_have_their_plain_meaning():
-    document = load("a: -3\nb: 0x10\nc: 2.5\nd: true\ne:\nf: tcp/127.0.0.1:7447\ng: [1, {x: y}]\n")
+    document = load("a: -3\nb: 16\nc: 2.5\nd: true\ne:\nf: tcp/127.0.0.1:7447\ng: [1, {x: y}]\n")
     expected = {
         "a": -3,
         "b": 16,

@@ -61,6 +61,7 @@ def _with_config(
         *zenoh,
         *devices,
         *folders.look_at_folders(machine, config),
+        *folders.look_at_map_to_load(machine, config),
         folders.look_at_disk(machine, config),
         *folders.look_at_leftovers(machine, config),
     )

@@ -4,6 +4,8 @@ import tempfile
 from pathlib import Path
 
 from service.config import ServiceConfig
+from service.errors import CorridorError
+from service.mapstore.begin_in import stored_for
 from service.offline.doctor.findings import Finding, fault, note, ok
 from service.offline.doctor.machine import Machine
 from service.recording.mcap_file import is_locked
@@ -32,6 +34,24 @@ def _folder(machine: Machine, who: str, key: str, folder: Path) -> Finding:
             f"sudo install -d -o {machine.user} {folder}{unit}, or change {key}",
         )
     return ok(who, f"{folder} can be written" if there == path else f"{folder} can be made in {there}")
+
+
+def look_at_map_to_load(machine: Machine, config: ServiceConfig) -> list[Finding]:
+    """That of map.load, read as a session that begins in it reads it; nothing where there is none."""
+    if config.begin_in is None:
+        return []
+    try:
+        stored = stored_for(machine.path(config.begin_in), config.mapping)
+    except CorridorError as error:
+        return [
+            fault(
+                "map",
+                f"map.load: {error}",
+                "the folder of a stored map that a session can begin in",
+                "name such a folder in map.load (corridor map info FOLDER shows one), or take map.load out",
+            )
+        ]
+    return [ok("map", f"a session begins in version {stored.number} of {config.begin_in}")]
 
 
 def look_at_disk(machine: Machine, config: ServiceConfig) -> Finding:

@@ -21,9 +21,14 @@ class Process:
 
     @property
     def is_service(self) -> bool:
-        """Whether this is `corridor run` or `corridor demo`, by whatever path it was started."""
-        for at, argument in enumerate(self.arguments[:-1]):
-            if Path(argument).name == "corridor" and self.arguments[at + 1] in _LIVE_COMMANDS:
+        """Whether this is `corridor run` or `corridor demo`, by whatever path it was started, as a module of
+        Python too (`python -m service run`), and with options ahead of the command.
+        """
+        for at, argument in enumerate(self.arguments):
+            is_module = argument == "service" and at > 0 and self.arguments[at - 1] == "-m"
+            words = (word for word in self.arguments[at + 1 :] if not word.startswith("-"))
+            is_program = is_module or Path(argument).name == "corridor"
+            if is_program and next(words, "") in _LIVE_COMMANDS:
                 return True
         return False
 

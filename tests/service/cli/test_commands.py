@@ -77,6 +77,21 @@ def test_wrong_usage_exits_with_64(wrong: list[str], capsys: pytest.CaptureFixtu
     assert "usage: corridor" in said.err
 
 
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (["demo", "--seconds", "soon"], "argument --seconds: 'soon' is no number"),
+        (["demo", "--seconds", "1e9"], "argument --seconds: 1e9 is not above 0 and below 1e+09"),
+        (["demo", "--port", "http"], "argument --port: 'http' is no whole number"),
+        (["replay", "a.mcap", "--jobs", "1.5"], "argument --jobs: '1.5' is no whole number"),
+        (["replay", "a.mcap", "--rate", "fast"], "argument --rate: 'fast' is no number; give one, or max"),
+    ],
+)
+def test_wrong_usage_is_said_in_plain_words(wrong: list[str], words: str, capsys: pytest.CaptureFixture[str]):
+    assert code_of(wrong) == UsageError.exit_code
+    assert capsys.readouterr().err.endswith(f": {words}\n")
+
+
 @pytest.mark.parametrize("wrong", [["drive"], ["simulate", "--world", "nowhere at all"]])
 def test_the_command_itself_ends_with_this_code_and_without_a_traceback(wrong: list[str]):
     done = subprocess.run([CORRIDOR, *wrong], capture_output=True, text=True, timeout=60, check=False)

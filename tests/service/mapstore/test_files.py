@@ -13,7 +13,7 @@ from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
 from service.mapstore import files
-from service.mapstore.files import load_map, save_map
+from service.mapstore.files import check_versions, has_version, keep_version, load_map, save_map
 from service.mapstore.geo_file import read_geo
 from service.mapstore.ros_map import read_ros_map
 from tests.service.mapstore.tile_makers import same, tile
@@ -42,6 +42,19 @@ def test_only_the_last_versions_are_kept(tmp_path):
         assert save_map(tmp_path, [tile(0, 0, version)], version) == version
     assert sorted(path.name for path in tmp_path.glob("v*")) == ["v000004", "v000005", "v000006"]
     assert not list(tmp_path.glob(".unfinished-*"))
+
+
+def test_a_version_that_a_session_began_in_is_kept(tmp_path):
+    save_map(tmp_path, [tile(0, 0, 1)], 1)
+    save_map(tmp_path, [tile(0, 0, 2)], 2)
+    keep_version(tmp_path, 2, "a session of veh1 began in it")
+    digest = load_map(tmp_path, 2).digest
+    for version in range(3, 8):
+        save_map(tmp_path, [tile(0, 0, version)], version)
+    assert check_versions(tmp_path) == ([2, 5, 6, 7], [])
+    assert has_version(tmp_path, 2, digest)
+    assert not has_version(tmp_path, 5, digest)
+    assert not has_version(tmp_path, 1, digest)
 
 
 def test_an_empty_map_is_not_saved_over_a_good_one(tmp_path):
@@ -82,6 +95,14 @@ def test_a_folder_with_nothing_whole_in_it_is_refused_with_all_reasons(tmp_path)
         load_map(tmp_path / "nowhere")
 
 
+def test_the_map_of_a_result_is_named(tmp_path):
+    save_map(tmp_path / "map", TILES, 1)
+    with pytest.raises(InputError, match=r"no stored map .*; the map of this result is .*/map$"):
+        load_map(tmp_path)
+    with pytest.raises(InputError, match=r"nowhere: no stored map that can be read: no such file or folder"):
+        check_versions(tmp_path / "nowhere")
+
+
 def test_a_later_format_is_refused_by_name(tmp_path):
     save_map(tmp_path, TILES, 1)
     path = tmp_path / "v000001" / "manifest.json"
@@ -105,13 +126,16 @@ def test_two_writers_do_not_meet(tmp_path):
 
 
 def test_a_full_disk_leaves_the_version_before(tmp_path, monkeypatch):
-    save_map(tmp_path, TILES, 1)
-
     def no_room(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "write_png", no_room)
+        with pytest.raises(StorageError, match=r"No space left on device$"):
+            save_map(tmp_path, TILES, 1)
+    save_map(tmp_path, TILES, 1)
     monkeypatch.setattr(files, "write_png", no_room)
-    with pytest.raises(StorageError, match="No space left on device"):
+    with pytest.raises(StorageError, match="No space left on device; the version before is untouched"):
         save_map(tmp_path, TILES, 2)
     assert load_map(tmp_path).saved_ns == 1
     assert sorted(path.name for path in tmp_path.glob("*v*")) == ["v000001"]

@@ -1,4 +1,5 @@
 import gzip
+import json
 import math
 
 import numpy as np
@@ -64,6 +65,17 @@ def test_a_raw_log_becomes_scans_odometry_and_mounting(imported):
     assert samples[1].twist_mps_radps == (0.5, 0.0, 0.0)
     assert (report.corrected, report.odometry_source) == ("", "2 ODOM lines")
     assert str(report).startswith(f"{report.path}: 2 scans of front, 2 odometry samples over 0.3 s")
+
+
+def test_an_import_reports_as_json_what_it_counted(tmp_path, capsys):
+    log = tmp_path / "run.log"
+    log.write_text(HEAD + odom(10.0, 0, 0, 0) + flaser(10.1, (0, 0, 0)) + "FLASER broken\nTRUEPOS 0 0 0\n")
+    assert main(["import", "carmen", str(log), str(tmp_path / "out.mcap"), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["scans"] == {"front": 1}
+    assert told["malformed"] == {"FLASER": 1}
+    assert told["ignored"] == {"TRUEPOS": 1}
+    assert told["mountings"]["front"] == {"x_m": 0.0, "y_m": 0.0, "theta_rad": 0.0}
 
 
 def test_today_s_stamps_keep_their_microseconds(imported):

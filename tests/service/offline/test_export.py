@@ -10,6 +10,7 @@ from service.mapstore.files import load_map, save_map
 from service.mapstore.picture import picture_of_grid, picture_of_tiles, to_pixels
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import read_pgm, read_ros_map, write_ros_map
+from service.offline import export as export_module
 from service.offline.export import export
 from service.offline.trajectory import read_tum, write_tum
 from service.outputs import Grid, MapperOutput
@@ -151,3 +152,19 @@ def test_a_place_that_cannot_be_written_is_named(stored, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(StorageError, match=r"cannot write .*file/a\.png"):
         export(stored, "png", tmp_path / "file" / "a.png")
+
+
+def test_an_export_that_is_broken_off_leaves_the_file_of_before(stored, tmp_path, monkeypatch):
+    export(stored, "pgm", tmp_path / "a.pgm")
+    before = (tmp_path / "a.pgm").read_bytes()
+    there = set(tmp_path.iterdir())
+
+    def half(path: Path, *_: object) -> None:
+        path.write_bytes(b"P5")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(export_module, "write_ros_map", half)
+    with pytest.raises(KeyboardInterrupt):
+        export(stored, "pgm", tmp_path / "a.pgm")
+    assert (tmp_path / "a.pgm").read_bytes() == before
+    assert set(tmp_path.iterdir()) == there

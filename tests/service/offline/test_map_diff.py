@@ -93,4 +93,7 @@ def test_the_command_prints_a_table_or_json(tmp_path, capsys):
     assert main(["map", "diff", *names, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["wall_cells_new"] == 1
     assert main(["map", "diff", *names, "--out", str(tmp_path / "diff.jpg")]) == 65
-    assert main(["map", "diff", *names, "--out", str(tmp_path / "no" / "diff.png")]) == 74
+    assert main(["map", "diff", *names, "--out", str(tmp_path / "new" / "diff.png")]) == 0
+    assert (tmp_path / "new" / "diff.png").exists()
+    (tmp_path / "file").touch()
+    assert main(["map", "diff", *names, "--out", str(tmp_path / "file" / "diff.png")]) == 74

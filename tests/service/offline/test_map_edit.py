@@ -15,7 +15,7 @@ from service.mapstore import files
 from service.mapstore.begin_in import begin_in
 from service.mapstore.files import load_map, save_map
 from service.mapstore.in_use import InUse
-from service.offline.map_edit import edit_map, erase, optimize, stamp_of, undo, wall
+from service.offline.map_edit import edit_map, erase, stamp_of, undo, wall
 from service.offline.map_log import map_log
 from service.outputs import TileUpdate
 from tests.service.mapper.methods.corridor.graph.test_editing import CABINET, ROUND, saved_of
@@ -206,13 +206,6 @@ def test_nothing_is_changed_under_a_session_that_goes_on_in_the_map(picture):
     edit_map(picture, "wall", wall([0, 0, 1, 0]), "ada", 1)
 
 
-def test_where_there_is_no_map_nothing_is_made(tmp_path):
-    with pytest.raises(StorageError, match="No such file"):
-        edit_map(tmp_path / "nowhere", "optimize", optimize(), "ada", 1)
-    with pytest.raises(InputError, match="no stored map"):
-        edit_map(tmp_path, "optimize", optimize(), "ada", 1)
-
-
 def test_an_older_map_is_edited_and_the_older_version_kept(ring, graph):
     """Of format 2: nothing by hand in it, and no word of edits."""
     path = ring / "v000001" / "manifest.json"
@@ -223,3 +216,13 @@ def test_an_older_map_is_edited_and_the_older_version_kept(ring, graph):
     assert load_map(ring).number == 2
     assert load_map(ring, 1).edit is None
     assert load_map(ring, 1).graph is not None
+
+
+@pytest.mark.parametrize("change", [["--optimize"], ["--undo"]])
+def test_what_is_no_map_is_refused_as_by_info_and_left_as_it_is(change, tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "text.mcap").touch()
+    for name in ("empty", "text.mcap", "nowhere"):
+        edit(tmp_path / name, *change, code=InputError.exit_code)
+        assert f"{name}: no stored map" in capsys.readouterr().err
+    assert list((tmp_path / "empty").iterdir()) == []

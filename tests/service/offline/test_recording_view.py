@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from service.cli import main
-from service.errors import StorageError
+from service.errors import InputError, StorageError
 from service.offline.moments import GO_TO, Moment, MomentDesk, thinned
 from service.offline.recording_view import RecordingView
 from tests.browser.scene import Scene, stamp
 from tests.service.offline.past_recordings import LASTS_S, write_past
+from tests.service.recording.sessions import drive, write_file
 from tests.service.web.conftest import TIMEOUT_S, talk
 
 SCAN, PATH = 2, 3
@@ -137,11 +138,11 @@ def test_a_way_is_thinned_evenly():
     assert thinned(np.empty((0, 2)), 0.05, 10) == []
 
 
-def test_a_port_that_is_taken_is_said(shown, files, monkeypatch):
-    monkeypatch.setattr("service.offline.view.SERVED_WITHIN_S", 0.5)
+def test_a_port_that_is_taken_is_said(shown, files, caplog):
     taken = shown.address.partition("#")[0].removeprefix("http://").rstrip("/")
     with pytest.raises(StorageError, match="--listen"):
         RecordingView(files, taken)
+    assert caplog.text == ""  # said once, by the error
 
 
 def test_the_command_says_where_it_shows_until_it_is_interrupted(files):
@@ -164,3 +165,11 @@ def test_the_command_says_where_it_shows_until_it_is_interrupted(files):
 def test_what_does_not_go_together_is_refused(arguments, words, capsys):
     assert main(arguments) == 64
     assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["v.mcap.active", "v.mcap.damaged"])
+def test_a_recording_that_was_never_finished_is_sent_to_recover(name, tmp_path, capsys):
+    write_file(tmp_path / "v.mcap", drive(3))
+    (tmp_path / name).write_bytes((tmp_path / "v.mcap").read_bytes()[:-100])
+    assert main(["view", str(tmp_path / name)]) == InputError.exit_code
+    assert f"{name} was never finished; make it whole with `corridor recover" in capsys.readouterr().err

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.frames import NO_INTENSITY, LaserScan, OdometrySample
+from service.cli import main
 from service.encoding import encode_event, encode_frame, encode_tf_static
 from service.errors import ConfigError, InputError, StorageError
 from service.geometry.se2 import SE2
@@ -265,6 +266,23 @@ def test_the_same_recording_gives_the_same_bytes_alone_and_among_others(
     for path in written:
         if path.name != "summary.json":
             assert (tmp_path / "1" / path).read_bytes() == (tmp_path / "2" / path).read_bytes()
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_a_session_that_cannot_be_read_keeps_no_other_back(
+    jobs: str, record_drive: RecordDrive, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+):
+    bad, good, old = tmp_path / "bad.mcap", record_drive(), record_drive("old", config="sensors: {}")
+    bad.write_text("no recording")
+    asked = ["replay", *map(str, (bad, good, old)), "--out", str(tmp_path / "out"), "--jobs", jobs]
+    assert main([*asked, "--json"]) == InputError.exit_code
+    said = capfd.readouterr()
+    told = json.loads(said.out)
+    assert "bad.mcap is not an MCAP file" in told[str(bad)]["error"]
+    assert told[str(good)]["scans"] == 40
+    assert (Path(told[str(good)]["out"]) / "map.png").exists()
+    assert "recorded config:1:" in told[str(old)]["error"]
+    assert told[str(bad)]["error"] in said.err
 
 
 def test_the_recorded_config_counts_unless_another_is_given(record_drive: RecordDrive, tmp_path: Path):

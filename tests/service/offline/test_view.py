@@ -184,13 +184,13 @@ def test_a_folder_without_a_map_is_refused(tmp_path):
         View(tmp_path, ANY_PORT)
 
 
-def test_a_port_that_is_taken_is_said(show, tmp_path, monkeypatch):
-    monkeypatch.setattr("service.offline.view.SERVED_WITHIN_S", 0.5)
+def test_a_port_that_is_taken_is_said(show, tmp_path, caplog):
     save_map(tmp_path / "m", [TileUpdate(0, 0, 0, 1, 0.05, np.zeros((64, 64), np.int8))], 1)
     first = show(tmp_path / "m")
     taken = first.address.partition("#")[0].removeprefix("http://").rstrip("/")
     with pytest.raises(StorageError, match="--listen"):
         View(tmp_path / "m", taken)
+    assert caplog.text == ""  # said once, by the error
 
 
 def test_the_command_says_where_it_shows_until_it_is_interrupted(tmp_path):

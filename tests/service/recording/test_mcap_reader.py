@@ -1,5 +1,5 @@
 import pytest
-from mcap.writer import IndexType, Writer
+from mcap.writer import MCAP0_MAGIC, IndexType, Writer
 
 from service.errors import InputError
 from service.recording.mcap_reader import Recording
@@ -98,3 +98,9 @@ def test_damage_is_met_with_the_command_that_mends_it(tmp_path):
     damage(path, chunk_offsets(path)[1] + 5_000)
     with pytest.raises(InputError, match=r"is damaged: .*; try `corridor recover"):
         list(Recording([path]).messages())
+
+
+def test_damage_without_words_of_the_library_is_named_by_its_kind(tmp_path):
+    (tmp_path / "a.mcap").write_bytes(MCAP0_MAGIC)
+    with pytest.raises(InputError, match=r"a\.mcap is damaged: \w+; try `corridor recover"):
+        Recording([tmp_path / "a.mcap"])

@@ -215,3 +215,12 @@ def test_a_file_that_is_not_ros_2_is_refused(tmp_path):
         writer.flush()
     with pytest.raises(InputError, match='profile "protobuf"'):
         recover(path)
+
+
+def test_a_file_that_may_not_be_read_is_a_bad_input_as_for_every_command(tmp_path, monkeypatch):
+    def refuse(*_: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(type(tmp_path), "open", refuse)
+    with pytest.raises(InputError, match=r"cannot read .*x\.mcap: Permission denied"):
+        recover(tmp_path / "x.mcap")

@@ -5,13 +5,19 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from service.config import ServiceConfig, parse_config
 from service.encoding import ERROR, OK, Message, Status, decode_diagnostics, decode_event
-from service.errors import CorridorError, OutputLostError, StorageError
+from service.errors import CorridorError, InputError, OutputLostError, StorageError
+from service.mapstore.begin_in import MapVersion, recorded_version
+from service.mapstore.files import load_map, save_map, version_folder
+from service.outputs import TileUpdate
 from service.recording.mcap_reader import Recording
 from service.runtime import service as service_module
 from service.runtime.mapper_link import MOST_DEATHS, MapperLink
@@ -19,6 +25,7 @@ from service.runtime.notify import Notifier
 from service.runtime.service import Service
 from service.sinks.registry import SinkKind
 from service.sinks.sink import Sink, SinkContext
+from tests.service.mapstore.graphs import graph_of
 from tests.service.runtime.mappers import FATAL_RANGE_M
 from tests.service.runtime.mapping_runs import scan
 
@@ -66,13 +73,19 @@ def open_service(config: ServiceConfig) -> Iterator[Callable[..., Service]]:
 
     def open_one(**settings: object) -> Service:
         settings.setdefault("notifier", Words())
-        opened.append(Service(config, **settings))  # type: ignore[arg-type]
+        opened.append(Service(_with_map(config, settings.pop("changes", {})), **settings))  # type: ignore[arg-type]
         return opened[-1]
 
     yield open_one
     for service in opened:
         if not service.stopped:
             service.stop()
+
+
+def _with_map(config: ServiceConfig, changes: Any) -> ServiceConfig:
+    """The same with other settings in its section "map"."""
+    section = config.sinks["map"].model_copy(update=changes)
+    return replace(config, sinks={**config.sinks, "map": section}, begin_in=section.load)
 
 
 def tick_until(service: Service, what: Callable[[], bool], timeout_s: float = 60.0) -> None:
@@ -90,10 +103,33 @@ def test_nothing_mapped_is_no_error_and_leaves_no_map(open_service: Callable[...
     service.tick()
     summary = service.stop()
     assert (summary.scans, summary.map_folder, service.failure) == (0, None, "")
-    assert not (tmp_path / "maps").exists()
+    assert list((tmp_path / "maps").iterdir()) == []
     events = [decode_event(m.payload) for m in Recording(summary.sessions).messages(["/events"])]
     assert events[0] == '{"event": "start"}'
     assert events[-1] == '{"event": "stop", "reason": "asked to"}'
+
+
+def test_a_recording_says_which_version_of_a_stored_map_it_began_in(
+    config: ServiceConfig, open_service: Callable[..., Service], tmp_path: Path
+):
+    office = tmp_path / "maps" / "office"
+    for version in (1, 2):
+        tiles = [TileUpdate(0, 0, 0, version, 0.05, np.zeros((64, 64), np.int8))]
+        save_map(office, tiles, version, graph=graph_of(4))
+    service = open_service(changes={"load": office})
+    assert service.start()
+    save_map(office, [TileUpdate(0, 0, 0, 3, 0.05, np.zeros((64, 64), np.int8))], 3, graph=graph_of(4))
+    recorded = Recording(service.stop().sessions).metadata["map"]
+    assert recorded_version(recorded) == MapVersion(office, 2, load_map(office, 2).digest)
+    assert "a session of veh1" in (version_folder(office, 2) / "kept").read_text()
+    assert service._setup().begin_version == 2
+
+
+def test_a_stored_map_that_is_not_there_is_refused_by_its_key(
+    open_service: Callable[..., Service], tmp_path: Path
+):
+    with pytest.raises(InputError, match=r"map\.load: .*nowhere: no stored map"):
+        open_service(changes={"load": tmp_path / "nowhere"})
 
 
 def test_systemd_hears_ready_once_everything_runs(open_service: Callable[..., Service]):
@@ -225,9 +261,10 @@ def test_a_start_that_was_called_off_while_the_sinks_opened_begins_no_mapper(
 def test_a_map_that_cannot_be_saved_is_raised_after_everything_ended(
     open_service: Callable[..., Service], tmp_path: Path
 ):
-    (tmp_path / "maps").write_text("in the way")
     service = open_service()
     service.start()
+    (tmp_path / "maps").rmdir()
+    (tmp_path / "maps").write_text("in the way")
     for k in range(40):
         stamp_ns = time.monotonic_ns()
         service.frame_sink(scan(stamp_ns + k, stamp_ns + k, [2.0] * 60))
@@ -238,12 +275,15 @@ def test_a_map_that_cannot_be_saved_is_raised_after_everything_ended(
     assert any(t.name == "/pose" for t in Recording([session]).topics)
 
 
+@pytest.mark.parametrize(
+    ("folder", "words"), [("sessions", "cannot record"), ("maps", "cannot write to .*maps")]
+)
 def test_a_folder_that_cannot_be_written_stops_the_start(
-    open_service: Callable[..., Service], tmp_path: Path
+    folder: str, words: str, open_service: Callable[..., Service], tmp_path: Path
 ):
-    (tmp_path / "sessions").write_text("in the way")
+    (tmp_path / folder).write_text("in the way")
     service = open_service()
-    with pytest.raises(StorageError, match="cannot record"):
+    with pytest.raises(StorageError, match=words):
         service.start()
 
 

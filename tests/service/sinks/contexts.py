@@ -15,6 +15,7 @@ def sink_context(**parts: Any) -> SinkContext:
         "stores_graph": False,
         "is_localizing": False,
         "start_unix_ns": 1_700_000_000_000_000_000,
+        "load_version": None,
         "map_folder": None,
         "folders": {},
         "metadata": {},

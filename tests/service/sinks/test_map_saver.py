@@ -14,7 +14,7 @@ from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
 from service.mapstore.config import MapConfig
-from service.mapstore.files import load_map, save_map
+from service.mapstore.files import check_versions, load_map, save_map
 from service.mapstore.graph_files import GraphFolder
 from service.mapstore.tiles import TileStore
 from service.offline.map_edit import edit_map, erase
@@ -247,6 +247,24 @@ def test_a_map_that_a_session_goes_on_in_is_not_edited_meanwhile(tmp_path: Path)
     finally:
         saver.flush()
     assert edit_map(tmp_path / "office", "erase", change, "ada", 2)["version"] == 2
+
+
+def test_the_version_that_a_session_began_in_outlives_its_checkpoints(tmp_path: Path):
+    folder = tmp_path / "office"
+    save_map(folder, [tile(1)], 1)
+    config = MapConfig.model_construct(directory=tmp_path, load=folder, checkpoint_s=30.0)
+    tiles = TileStore()
+    saver = MapSaver(config, sink_context(tiles=tiles, load_version=1))
+    saver.start()
+    for version in range(2, 7):
+        tiles.update([tile(version)])
+        saver.save()
+    saver.hold(folder, 5)  # load_map goes back to one
+    for version in range(7, 12):
+        tiles.update([tile(version)])
+        saver.save()
+    saver.flush()
+    assert check_versions(folder)[0] == [1, 5, 9, 10, 11]
 
 
 def test_a_map_that_somebody_asks_for_is_saved_with_the_graph_of_now(tmp_path: Path):

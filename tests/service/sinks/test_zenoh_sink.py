@@ -72,12 +72,26 @@ def test_only_what_subscribers_have_use_for_goes_out(sink: ZenohSink, client: ze
     assert [key for key in sink.health().values if key.startswith("sent.")] == ["sent.front/scan"]
 
 
+def test_service_and_mapping_have_tokens_while_they_work(sink: ZenohSink, client: zenoh.Session):
+    tokens = Inbox()
+    watcher = client.liveliness().declare_subscriber(f"{ROOT}/alive/*", tokens, history=True)
+    heard = []
+    for number, state in enumerate(("waiting", "lost", "stale"), start=1):
+        row = Status("mapping", OK, "", {"state": state})
+        sink.put(encode_diagnostics("diagnostics", [row], 1, 1))
+        heard = tokens.wait_for(number)
+    told = [(str(token.key_expr).removeprefix(f"{ROOT}/alive/"), token.kind) for token in heard]
+    put, delete = zenoh.SampleKind.PUT, zenoh.SampleKind.DELETE
+    assert told == [("service", put), ("mapping", put), ("mapping", delete)]
+    watcher.undeclare()  # type: ignore[no-untyped-call]
+
+
 def test_diagnostics_are_called_health_and_bring_the_tokens_of_sensors_up_to_date(
     sink: ZenohSink, client: zenoh.Session, link: LinkHealth
 ):
     health, tokens = Inbox(), Inbox()
     subscriber = client.declare_subscriber(f"{ROOT}/health", health)
-    watcher = client.liveliness().declare_subscriber(f"{ROOT}/alive/*", tokens, history=True)
+    watcher = client.liveliness().declare_subscriber(f"{ROOT}/alive/front", tokens, history=True)
     rows = encode_diagnostics("diagnostics", [Status("x", OK, "", {})], 1, 1)
     link.state = "streaming"
     heard = put_until_heard(lambda: sink.put(rows), health)

@@ -14,6 +14,12 @@ from tests.service.offline.doctor.conftest import FakeTree
     [
         (("/opt/corridor/venv/bin/python", "/opt/corridor/venv/bin/corridor", "run", "v.yaml"), True),
         (("corridor", "demo"), True),
+        (("python", "/opt/corridor/venv/bin/corridor", "-v", "run", "v.yaml"), True),
+        (("sudo", "-u", "corridor", "corridor", "run", "v.yaml"), True),
+        (("python", "-m", "service", "run", "v.yaml"), True),
+        (("python", "-m", "service", "--verbose", "demo"), True),
+        (("python", "-m", "service", "-v", "check", "run"), False),
+        (("python", "-m", "pytest", "service", "run"), False),
         (("corridor", "doctor", "v.yaml"), False),
         (("vi", "run", "corridor"), False),
         (("corridor",), False),

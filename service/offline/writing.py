@@ -1,0 +1,44 @@
+"""Files that a command writes: a fault of their place shows before the work, and none is left half done."""
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from service.errors import StorageError
+
+
+def refuse_unwritable_folder(folder: Path) -> None:
+    """Raises StorageError where `folder` cannot be made, or no file in it. Nothing is made here."""
+    nearest = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
+    if not nearest.is_dir():
+        raise StorageError(f"cannot write to {folder}: {nearest} is no folder")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise StorageError(f"cannot write to {folder}: no right to write in {nearest}")
+
+
+def refuse_unwritable_file(path: Path) -> None:
+    """The same for a file, whose folder is made where it is missing."""
+    if path.is_dir():
+        raise StorageError(f"cannot write {path}: {os.strerror(errno.EISDIR)}")
+    refuse_unwritable_folder(path.parent)
+
+
+@contextmanager
+def whole_files(out: Path) -> Iterator[Path]:
+    """A path of the same name in a folder of its own: what is written there and beside it takes its place at
+    the end, each file whole, at `out` and beside it. Where the work is broken off, all stays as it was.
+
+    The folder of `out` is made where it is missing. What is no ordinary file, as /dev/stdout, is written
+    directly. Raises OSError.
+    """
+    if out.is_symlink() or (out.exists() and not out.is_file()):
+        yield out
+        return
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=".corridor-", dir=out.parent) as folder:
+        yield Path(folder) / out.name
+        for made in sorted(Path(folder).iterdir()):
+            made.replace(out.with_name(made.name))

@@ -1,0 +1,70 @@
+import os
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from service.cli import main
+from service.errors import StorageError
+from service.offline import replay as replay_module
+from service.offline.calibration import calibrate as calibrate_module
+from service.offline.writing import refuse_unwritable_file, refuse_unwritable_folder, whole_files
+
+
+def test_a_folder_that_can_be_made_passes_and_is_not_made(tmp_path: Path):
+    refuse_unwritable_folder(tmp_path / "a" / "b")
+    refuse_unwritable_file(tmp_path / "a" / "b.yaml")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_where_a_folder_is_needed_is_named(tmp_path: Path):
+    (tmp_path / "file").touch()
+    with pytest.raises(StorageError, match=r"file/x: .*file is no folder"):
+        refuse_unwritable_folder(tmp_path / "file" / "x")
+    with pytest.raises(StorageError, match="Is a directory"):
+        refuse_unwritable_file(tmp_path)
+
+
+def test_a_folder_without_rights_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    with pytest.raises(StorageError, match=f"no right to write in {tmp_path}"):
+        refuse_unwritable_folder(tmp_path / "x")
+
+
+def test_files_come_whole_or_not_at_all(tmp_path: Path):
+    (tmp_path / "a.pgm").write_text("before")
+    with suppress(KeyboardInterrupt), whole_files(tmp_path / "a.pgm") as path:
+        path.write_text("half")
+        raise KeyboardInterrupt
+    assert (tmp_path / "a.pgm").read_text() == "before"
+    with whole_files(tmp_path / "a.pgm") as path:
+        path.write_text("after")
+        path.with_suffix(".yaml").write_text(path.name)
+    assert (tmp_path / "a.pgm").read_text() == "after"
+    assert (tmp_path / "a.yaml").read_text() == "a.pgm"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.pgm", "a.yaml"]
+
+
+def test_what_is_no_ordinary_file_is_written_directly(tmp_path: Path):
+    (tmp_path / "link").symlink_to(tmp_path / "target")
+    with whole_files(tmp_path / "link") as path:
+        path.write_text("content")
+    assert (tmp_path / "target").read_text() == "content"
+    with whole_files(Path("/dev/null")) as path:
+        assert path == Path("/dev/null")
+
+
+def test_an_output_that_cannot_be_written_is_refused_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def work(*_: object) -> None:
+        raise AssertionError("begun")
+
+    monkeypatch.setattr(replay_module, "replay", work)
+    monkeypatch.setattr(calibrate_module, "calibrate", work)
+    (tmp_path / "file").touch()
+    session, out = tmp_path / "s.mcap", str(tmp_path / "file" / "x")
+    session.touch()
+    assert main(["replay", str(session), "--out", out]) == StorageError.exit_code
+    assert main(["calibrate", str(session), "--out", out]) == StorageError.exit_code
+    assert capsys.readouterr().err.count("file is no folder") == 2

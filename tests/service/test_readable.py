@@ -1,0 +1,40 @@
+"""Folders without rights, given to commands. Root may read all, so the system is told to refuse."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from service.cli import main
+from service.errors import InputError
+from service.readable import refuse_unreadable
+
+
+def test_what_is_there_passes_and_what_is_not_is_named(tmp_path: Path):
+    (tmp_path / "file").touch()
+    refuse_unreadable(tmp_path)
+    refuse_unreadable(tmp_path / "file")
+    with pytest.raises(InputError, match="nowhere: no such file or folder"):
+        refuse_unreadable(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["replay", "{}"],
+        ["map", "info", "{}"],
+        ["view", "{}"],
+        ["export", "{}", "--format", "png", "--out", "x.png"],
+    ],
+)
+def test_a_folder_without_rights_is_said_by_every_command(
+    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def refuse(path: object) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(os, "listdir", refuse)
+    assert main([word.format(tmp_path) for word in command]) == InputError.exit_code
+    said = capsys.readouterr().err
+    assert "Permission denied" in said
+    assert "Errno" not in said
