@@ -399,7 +399,9 @@ class MapperLink:
 
     def _fatal(self, failed: Failed) -> None:
         """The mapper raised: its stand-by goes on without that frame."""
-        item = next((item for item in self._kept if item.number == failed.number), None)
+        with self._lock:
+            kept = list(self._kept)  # readers add to it meanwhile
+        item = next((item for item in kept if item.number == failed.number), None)
         if isinstance(item, FrameItem):
             self._refused.add(failed.number)
             self._listener.refused(item)

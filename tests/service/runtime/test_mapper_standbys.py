@@ -4,6 +4,7 @@ import logging
 import socket
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar
@@ -13,7 +14,17 @@ import pytest
 from service.geometry.se2 import SE2
 from service.runtime.channel import Channel, ChannelClosedError
 from service.runtime.mapper_link import MapperLink
-from service.runtime.mapper_messages import CanCopy, Go, Hello, Item, MakeStandby, Ready, Setup, TilesItem
+from service.runtime.mapper_messages import (
+    CanCopy,
+    Failed,
+    Go,
+    Hello,
+    Item,
+    MakeStandby,
+    Ready,
+    Setup,
+    TilesItem,
+)
 from tests.service.runtime.test_mapper_link import Heard
 
 TIMEOUT_S = 10.0
@@ -176,3 +187,22 @@ def test_a_copy_that_would_need_items_from_before_they_were_kept_again_is_sent_a
     mapper.channel.close()
     third.until(3)
     assert third.numbers() == [6, 7]
+
+
+def test_readers_add_no_item_while_the_one_that_a_mapper_died_of_is_looked_for(link: MapperLink):
+    was_locked: list[bool] = []
+
+    class Watched(deque[Item]):
+        def __iter__(self) -> Iterator[Item]:
+            was_locked.append(link._lock.locked())
+            return super().__iter__()
+
+    mapper = first_mapper(link)
+    link._kept = Watched()
+    submit(link, 3)
+    second = standby(link, SECOND, 1, of_pid=FIRST)
+    until_standby(link, SECOND)
+    mapper.say(Failed(3, "no such tile"))
+    second.until(3)
+    assert len(was_locked) == 2  # looked for, and handed on
+    assert all(was_locked)
