@@ -26,27 +26,25 @@ from service.runtime.mapper_messages import (
     Answer,
     BackEndDied,
     CanCopy,
-    ChangesDrawn,
     Decisions,
     Failed,
+    Fatal,
     Finish,
     Finished,
     FrameItem,
+    FromMapper,
     Go,
-    GraphDrawn,
+    Heard,
     Hello,
     Item,
     MakeStandby,
     Mapped,
     PassedOver,
-    PoseRefused,
     Progress,
     Ready,
     ResultApplied,
     Setup,
-    StandingDrawn,
     Status,
-    Tiles,
     Unusable,
     is_sample,
 )
@@ -61,19 +59,6 @@ HOLD_NS = 25_000_000  # that a sample may wait for the scan that it goes to the 
 MOST_HELD = 64  # samples; then they go without one
 MOST_BACK_END_DEATHS, BACK_END_DEATHS_WITHIN_S = 3, 60.0  # then the stand-by stays where its own one dies
 STANDBY_S = 5.0  # that a stand-by which has just been made may take to come here
-
-Heard = (
-    Mapped
-    | PassedOver
-    | ResultApplied
-    | Unusable
-    | Tiles
-    | Status
-    | GraphDrawn
-    | StandingDrawn
-    | ChangesDrawn
-    | PoseRefused
-)
 
 
 class MapperListener(Protocol):
@@ -305,7 +290,7 @@ class MapperLink:
 
     def _hear(self, active: Channel) -> None:
         try:
-            messages = active.receive()
+            messages: list[FromMapper | Fatal] = active.receive()
         except ChannelClosedError:
             self._lost("ended")
             return
@@ -320,7 +305,7 @@ class MapperLink:
                 return
             self._take(message)
 
-    def _take(self, message: Any) -> None:
+    def _take(self, message: FromMapper) -> None:
         if isinstance(message, Ready):
             self._begin(message)
             return
