@@ -98,7 +98,8 @@ class MapperLink:
         self._answers: dict[int, Callable[[Answer], None]] = {}
 
         self._process: subprocess.Popen[bytes] | None = None
-        self._pid = 0  # of the active mapper
+        self._pid = 0  # of the active mapper; 0 once it is killed: another process may get its number
+        self._last_pid = 0  # of the active mapper, or of the one before: copies of it are welcome
         self._unidentified: list[Channel] = []  # connected, and have not said who they are
         self._standby: tuple[Channel, Hello] | None = None
         self._done_number = 0
@@ -227,9 +228,11 @@ class MapperLink:
             if channel is not None:
                 channel.close()
         self._active = self._standby = None
-        for pid in (self._pid, self._process.pid if self._process is not None else 0):
-            _kill(pid)
-        self._bury()
+        _kill(self._pid)
+        self._pid = 0
+        if self._process is not None:
+            _kill(self._process.pid)
+            self._bury()
         self._meeting.close()
 
     def _listen(self) -> None:
@@ -267,10 +270,10 @@ class MapperLink:
         hello = hellos[0]
         if not hello.is_standby:
             with self._lock:
-                self._active, self._pid = channel, hello.pid
+                self._active, self._pid, self._last_pid = channel, hello.pid, hello.pid
             channel.send(self._setup)  # where it is gone by now, that is read next
             return
-        if hello.of_pid != self._pid or hello.number < self._forgotten_number:
+        if hello.of_pid != self._last_pid or hello.number < self._forgotten_number:
             # A copy of a mapper that is lost by now, which may have decided what it never told; or one that a
             # newer copy has overtaken, for which items that it would need are forgotten.
             channel.close()  # it ends by that
@@ -393,7 +396,10 @@ class MapperLink:
         self._lost(f"failed at {failed.words}")
 
     def _lost(self, how: str) -> None:
-        if self._finished.is_set() or self._closed.is_set():
+        if self._closed.is_set():
+            return
+        self._end_active()
+        if self._finished.is_set():
             return
         if not self._ready.is_set():
             raise MapperLostError(f"the mapper's process {how} before it was ready; its log stands above")
@@ -404,7 +410,6 @@ class MapperLink:
                 f"the mapper's process {how}, {MOST_DEATHS} times after item {self._done_number}"
             )
         self.restarts += 1
-        self._end_active()
         self._orphaned = (how, time.monotonic())
         self._take_over()
 
@@ -429,7 +434,8 @@ class MapperLink:
         decisions = Decisions(self._applied, frozenset(self._passed_over), frozenset(self._refused))
         self._listener.taken_over(how)
         with self._lock:
-            self._active, self._pid, self._heard_s = channel, hello.pid, time.monotonic()
+            self._active, self._pid, self._last_pid = channel, hello.pid, hello.pid
+            self._heard_s = time.monotonic()
             self._held.clear()  # they are among those kept
             for message in (
                 Go(self._done_number, decisions, self._back_end_dies_again_and_again()),
@@ -450,14 +456,14 @@ class MapperLink:
                     channel.close()
             self._active = None
             self._given_up.clear()
-        _kill(self._pid)
-        if self._process is not None and self._process.pid == self._pid:
+        pid, self._pid = self._pid, 0
+        _kill(pid)
+        if self._process is not None and self._process.pid == pid:
             self._bury()
 
     def _bury(self) -> None:
         """Wait for the process that was started here, which has been killed; not for ever."""
-        if self._process is None:
-            return
+        assert self._process is not None
         try:
             self._process.wait(END_S)
         except subprocess.TimeoutExpired:
@@ -466,6 +472,8 @@ class MapperLink:
                 "for memory that hangs, `cat /proc/%d/wchan` says where. It is left behind",
                 *(self._process.pid, END_S, self._process.pid),
             )
+        else:
+            self._process = None
 
 
 def _kill(pid: int) -> None:

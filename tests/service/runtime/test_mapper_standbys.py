@@ -133,6 +133,18 @@ def test_a_copy_of_a_lost_mapper_that_comes_late_is_sent_away(link: MapperLink):
     assert third.numbers() == [3, 4, 5]
 
 
+def test_a_copy_of_a_lost_mapper_that_is_on_its_way_still_goes_on(link: MapperLink):
+    mapper = first_mapper(link)
+    submit(link, 3)
+    assert link.pid == FIRST
+    mapper.channel.close()
+    until(lambda: link.pid == 0, "lost mapper has a number still")
+    second = standby(link, SECOND, 1, of_pid=FIRST)
+    second.until(3)
+    assert second.numbers() == [2, 3]
+    assert link.pid == SECOND
+
+
 def test_a_copy_that_a_newer_one_has_overtaken_is_sent_away(link: MapperLink):
     mapper = first_mapper(link)
     submit(link, 5)
