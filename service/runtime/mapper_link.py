@@ -436,7 +436,6 @@ class MapperLink:
         with self._lock:
             self._active, self._pid, self._last_pid = channel, hello.pid, hello.pid
             self._heard_s = time.monotonic()
-            self._held.clear()  # they are among those kept
             for message in (
                 Go(self._done_number, decisions, self._back_end_dies_again_and_again()),
                 *self._kept,
@@ -456,6 +455,7 @@ class MapperLink:
                     channel.close()
             self._active = None
             self._given_up.clear()
+            self._held.clear()  # they are among those kept
         pid, self._pid = self._pid, 0
         _kill(pid)
         if self._process is not None and self._process.pid == pid:

@@ -11,12 +11,15 @@ from typing import Any, ClassVar
 
 import pytest
 
+from service.encoding import ODOMETRY
 from service.geometry.se2 import SE2
+from service.runtime import mapper_link
 from service.runtime.channel import Channel, ChannelClosedError
 from service.runtime.mapper_link import MapperLink
 from service.runtime.mapper_messages import (
     CanCopy,
     Failed,
+    FrameItem,
     Go,
     Hello,
     Item,
@@ -143,6 +146,23 @@ def test_a_copy_of_a_lost_mapper_that_is_on_its_way_still_goes_on(link: MapperLi
     second.until(3)
     assert second.numbers() == [2, 3]
     assert link.pid == SECOND
+
+
+def test_samples_that_wait_for_a_scan_wait_for_the_stand_by_too(
+    link: MapperLink, monkeypatch: pytest.MonkeyPatch
+):
+    """No mapper is there to send them to when they have waited long enough."""
+    monkeypatch.setattr(mapper_link, "HOLD_NS", 10**18)
+    mapper = first_mapper(link)
+    link.submit(FrameItem(1, 1, time.monotonic_ns(), "base", ODOMETRY, b""))
+    mapper.channel.close()
+    until(lambda: link.pid == 0, "lost mapper has a number still")
+    monkeypatch.setattr(mapper_link, "HOLD_NS", 0)
+    turns = link.turns
+    until(lambda: link.turns > turns + 1, "link stands still")
+    second = standby(link, SECOND, 0, of_pid=FIRST)
+    second.until(2)
+    assert second.numbers() == [1]
 
 
 def test_a_copy_that_a_newer_one_has_overtaken_is_sent_away(link: MapperLink):
