@@ -37,7 +37,7 @@ from service.kernels.tracks import Track, begin_twist
 log = logging.getLogger(__name__)
 
 CAPACITY = 4096
-MOST_SAMPLES = 200_000  # that wait for a scan; then those between the oldest and the newest are dropped
+MOST_SAMPLES = 200_000  # that wait for a scan; then those between the oldest and newest quarter are dropped
 # Times the variance of its model, 30 sigmas: that is no noise but a fault, the same in all samples. fr079's
 # odometry reaches 580, csail's 1150 where one sample is 46 deg late.
 FAULT_NOISE = 1000.0
@@ -80,6 +80,7 @@ class _Samples:
 
     width: int
     track: Track = field(init=False)
+    dropped: int = 0  # because too many waited, as long as nobody has asked
 
     def __post_init__(self) -> None:
         self.track = Track(
@@ -130,12 +131,18 @@ class _Samples:
         keep = first + int(np.searchsorted(self.track.stamp_ns[first:end], stamp_ns)) - 2
         self.track.span[0] = min(max(first, keep), max(end - 2, 0))
 
+    def take_dropped(self) -> int:
+        """How many were dropped since the last call because too many waited."""
+        dropped, self.dropped = self.dropped, 0
+        return dropped
+
     def _make_room(self) -> None:
         first, end = self.track.span.tolist()
         old = self.track
         if end - first >= MOST_SAMPLES:  # the laser may be silent for a day
             rows = np.r_[first : first + MOST_SAMPLES // 4, end - MOST_SAMPLES // 4 : end]
             old = Track(old.stamp_ns[rows], old.value[rows], np.array([0, len(rows)]))
+            self.dropped += end - first - len(rows)
             first, end = 0, len(rows)
         size = len(old.stamp_ns) if first > len(old.stamp_ns) // 2 else 2 * len(old.stamp_ns)
         self.track = Track(np.zeros(size, np.int64), np.zeros((size, self.width)), np.array([0, end - first]))
@@ -243,6 +250,7 @@ class Estimator:
             is_measured=bool(state.said[3]) and max(state.noise.tolist()) <= FAULT_NOISE,
             odometry_noise=float(state.noise[0]),
             pause_s=pause_s,
+            samples_dropped=self._odometry.take_dropped() + self._gyro.take_dropped(),
             deviation=self._deviation,
         )
 

@@ -34,6 +34,7 @@ class Prediction(Motion):
     is_confirmed: bool = False  # both did, and were weighed against each other
     odometry_noise: float = 1.0  # variance of odometry's way over that of its model, as learnt
     pause_s: float = 0.0  # the longest since the last scan in which nobody measured the way
+    samples_dropped: int = 0  # since the last prediction: too many waited for it
     # (begin_s, end_s) from this moment -> what was measured there beyond the twist: (K, 3) m, m, rad at K
     # moments evenly between, see service/kernels/sweep.py; None: nothing. Only until the next prediction.
     deviation: Callable[[float, float], Matrix | None] | None = None

@@ -1,6 +1,5 @@
 """What has changed since a map was stored, as a vehicle sees it that is only localised in it."""
 
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +13,7 @@ from service.outputs import OCCUPIED as GRID_OCCUPIED
 from service.outputs import UNKNOWN as GRID_UNKNOWN
 from service.outputs import Grid
 
+Rows = npt.NDArray[np.int64]
 COARSER = 2  # cells of the map along an edge of one of these: 0.1 m
 WALL_EVIDENCE, FREE_EVIDENCE = 13, -20  # log-odds in steps of 0.05: 66 %; and two beams passed
 FARTHEST_M = 12.0
@@ -125,25 +125,29 @@ class ChangeWatch:
     def changes(self) -> MapChanges:
         """What is sure by now."""
         votes = self._votes
-        changed, same = votes.changed.astype(np.int64), votes.same.astype(np.int64)
+        at = np.flatnonzero(votes.poses >= LEAST_POSES)  # few cells; all else is asked of these alone
+        changed, same = (of.ravel()[at].astype(np.int64) for of in (votes.changed, votes.same))
         is_sure = (
-            (votes.poses >= LEAST_POSES)
-            & (changed >= LEAST_VOTES)
-            & (votes.last_ms - votes.first_ms >= LEAST_MS)
+            (changed >= LEAST_VOTES)
+            & (votes.last_ms.ravel()[at] - votes.first_ms.ravel()[at] >= LEAST_MS)
             & (changed >= LEAST_SHARE * (changed + same))
         )
-        is_new = votes.stored == FREE
-        row, column = np.nonzero(_in_groups(is_sure & is_new) | _in_groups(is_sure & ~is_new))
-        at = row, column
+        at, changed = at[is_sure], changed[is_sure]
+        row, column = np.divmod(at, votes.stored.shape[1])
+        is_new = votes.stored.ravel()[at] == FREE
+        is_told = np.zeros(len(at), np.bool_)
+        for alike in (is_new, ~is_new):
+            is_told[alike] = group_sizes(row[alike], column[alike]) >= LEAST_CELLS
+        at, row, column = at[is_told], row[is_told], column[is_told]
         began_ns = self._began_ns or 0
         cells = np.column_stack((column + votes.first_column, row + votes.first_row)).astype(np.float64)
         return MapChanges(
             votes.cell_m,
             (cells + 0.5) * votes.cell_m,
-            is_new[at],
-            began_ns + votes.first_ms[at].astype(np.int64) * 1_000_000,
-            began_ns + votes.last_ms[at].astype(np.int64) * 1_000_000,
-            changed[at],
+            is_new[is_told],
+            began_ns + votes.first_ms.ravel()[at].astype(np.int64) * 1_000_000,
+            began_ns + votes.last_ms.ravel()[at].astype(np.int64) * 1_000_000,
+            changed[is_told],
         )
 
 
@@ -164,19 +168,31 @@ def _stored(shown: RenderedMap) -> tuple[npt.NDArray[np.uint8], int, int]:
     return stored, low_row * edge // COARSER, low_column * edge // COARSER
 
 
-def _in_groups(cells: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Without cells that hang together with too few others, by edges or corners."""
-    kept = np.zeros_like(cells)
-    left = set(zip(*(axis.tolist() for axis in np.nonzero(cells)), strict=True))
-    while left:
-        group, ends = [], deque([left.pop()])
-        while ends:
-            row, column = ends.popleft()
-            group.append((row, column))
-            for near in [(row + dr, column + dc) for dr in (-1, 0, 1) for dc in (-1, 0, 1)]:
-                if near in left:
-                    left.remove(near)
-                    ends.append(near)
-        if len(group) >= LEAST_CELLS:
-            kept[tuple(np.array(group).T)] = True
-    return kept
+def group_sizes(row: Rows, column: Rows) -> Rows:
+    """(N,) how many cells hang together with each, itself included, by edges or corners.
+
+    row, column   (N,) no cell twice; sorted by rows, then by columns
+    """
+    if not len(row):
+        return np.empty(0, np.int64)
+    stride = int(column.max()) + 2  # the last column and the first one of the next row are no neighbours
+    cell = row * stride + column
+    first, second = [], []  # of each two that touch, indices
+    for step in (1, stride - 1, stride, stride + 1):
+        index = np.minimum(np.searchsorted(cell, cell + step), len(cell) - 1)
+        touches = np.flatnonzero(cell[index] == cell + step)
+        first.append(touches)
+        second.append(index[touches])
+    group = _joined(np.concatenate(first), np.concatenate(second), len(cell))
+    return np.bincount(group, minlength=len(cell))[group]
+
+
+def _joined(first: Rows, second: Rows, count: int) -> Rows:
+    """(count,) the lowest index of those that are joined, over others too, by pairs of indices."""
+    group = np.arange(count)
+    while (apart := group[first] != group[second]).any():
+        one, other = group[first[apart]], group[second[apart]]
+        np.minimum.at(group, np.maximum(one, other), np.minimum(one, other))
+        while not np.array_equal(group, lower := group[group]):
+            group = lower
+    return group

@@ -122,7 +122,7 @@ class Mapper(Generic[ReadableMap]):
         if self._last_ns is None or scan.stamp_ns <= self._last_ns:
             return
         self._last_ns = scan.stamp_ns
-        self._components.motion_model.predict(scan.stamp_ns)
+        self._predict(scan.stamp_ns)
         self._components.motion_model.correct(None)
 
     def _moment_of(self, scan: LaserScan, laser: "LaserWatch") -> int | None:
@@ -196,10 +196,16 @@ class Mapper(Generic[ReadableMap]):
         if update.rendered_map is not None:
             self._components.free_space.replace_by(update.rendered_map, update.since)
 
+    def _predict(self, stamp_ns: int) -> Prediction:
+        predicted = self._components.motion_model.predict(stamp_ns)
+        if predicted.samples_dropped:
+            self.counters["samples_dropped_waiting"] += predicted.samples_dropped
+        return predicted
+
     def _process_scan(self, scan: LaserScan, at_ns: int, laser: "LaserWatch") -> MapperOutput:
         s, watch = self._components, self._stopwatch
         watch.start()
-        predicted = s.motion_model.predict(at_ns)  # where we should be, and how fast
+        predicted = self._predict(at_ns)  # where we should be, and how fast
         self._travelled_m += predicted.travel_m
         moved_m, laser.travelled_m = self._travelled_m - laser.travelled_m, self._travelled_m
         if laser.check.is_repeated(scan, moved_m):

@@ -1,6 +1,8 @@
 """A session that goes on in a stored map, and who changes it by hand, keep each other out."""
 
 import fcntl
+import threading
+from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 from typing import IO
@@ -49,3 +51,36 @@ class InUse:
 
     def __exit__(self, *_: object) -> None:
         self.release()
+
+
+class MapsInUse:
+    """Stored maps that one session holds, each for as long as it is needed. From any thread."""
+
+    def __init__(self, who: str) -> None:
+        self._who = who
+        self._lock = threading.Lock()  # of what follows
+        self._in_use: dict[Path, InUse] = {}
+        self._needed: Counter[Path] = Counter()  # how many times it is held
+
+    def hold(self, folder: Path) -> None:
+        """To be let go once for each time. Raises StorageError where another one holds it."""
+        with self._lock:
+            if folder not in self._in_use:
+                self._in_use[folder] = InUse(folder, self._who)
+            self._needed[folder] += 1
+
+    def let_go(self, folder: Path) -> None:
+        """Others may change it when it was let go as often as it was held."""
+        with self._lock:
+            if folder not in self._in_use:  # the session has ended
+                return
+            self._needed[folder] -= 1
+            if self._needed[folder] == 0:
+                self._in_use.pop(folder).release()
+
+    def let_all_go(self) -> None:
+        with self._lock:
+            for in_use in self._in_use.values():
+                in_use.release()
+            self._in_use.clear()
+            self._needed.clear()

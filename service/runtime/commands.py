@@ -200,7 +200,11 @@ class Commands:
                     self._storage.hold(folder, version)
                 except StorageError as error:
                     raise CommandError(str(error)) from error
-            inner.start(request.model_copy(update={"map": str(folder), "version": version}), outcome)
+            try:
+                inner.start(request.model_copy(update={"map": str(folder), "version": version}), outcome)
+            except Exception:
+                self._storage.let_go(folder)
+                raise
 
         return Verb(MapRequest, start)
 
@@ -219,6 +223,7 @@ class Commands:
 
         def answered(answer: Answer) -> None:
             if answer.error:
+                self._storage.let_go(folder)
                 outcome.failed(f"the map before stays: {answer.error}")
                 return
             number = self._tiles.number

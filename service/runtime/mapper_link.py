@@ -26,27 +26,25 @@ from service.runtime.mapper_messages import (
     Answer,
     BackEndDied,
     CanCopy,
-    ChangesDrawn,
     Decisions,
     Failed,
+    Fatal,
     Finish,
     Finished,
     FrameItem,
+    FromMapper,
     Go,
-    GraphDrawn,
+    Heard,
     Hello,
     Item,
     MakeStandby,
     Mapped,
     PassedOver,
-    PoseRefused,
     Progress,
     Ready,
     ResultApplied,
     Setup,
-    StandingDrawn,
     Status,
-    Tiles,
     Unusable,
     is_sample,
 )
@@ -61,19 +59,6 @@ HOLD_NS = 25_000_000  # that a sample may wait for the scan that it goes to the 
 MOST_HELD = 64  # samples; then they go without one
 MOST_BACK_END_DEATHS, BACK_END_DEATHS_WITHIN_S = 3, 60.0  # then the stand-by stays where its own one dies
 STANDBY_S = 5.0  # that a stand-by which has just been made may take to come here
-
-Heard = (
-    Mapped
-    | PassedOver
-    | ResultApplied
-    | Unusable
-    | Tiles
-    | Status
-    | GraphDrawn
-    | StandingDrawn
-    | ChangesDrawn
-    | PoseRefused
-)
 
 
 class MapperListener(Protocol):
@@ -113,7 +98,8 @@ class MapperLink:
         self._answers: dict[int, Callable[[Answer], None]] = {}
 
         self._process: subprocess.Popen[bytes] | None = None
-        self._pid = 0  # of the active mapper
+        self._pid = 0  # of the active mapper; 0 once it is killed: another process may get its number
+        self._last_pid = 0  # of the active mapper, or of the one before: copies of it are welcome
         self._unidentified: list[Channel] = []  # connected, and have not said who they are
         self._standby: tuple[Channel, Hello] | None = None
         self._done_number = 0
@@ -242,9 +228,11 @@ class MapperLink:
             if channel is not None:
                 channel.close()
         self._active = self._standby = None
-        for pid in (self._pid, self._process.pid if self._process is not None else 0):
-            _kill(pid)
-        self._bury()
+        _kill(self._pid)
+        self._pid = 0
+        if self._process is not None:
+            _kill(self._process.pid)
+            self._bury()
         self._meeting.close()
 
     def _listen(self) -> None:
@@ -282,10 +270,10 @@ class MapperLink:
         hello = hellos[0]
         if not hello.is_standby:
             with self._lock:
-                self._active, self._pid = channel, hello.pid
+                self._active, self._pid, self._last_pid = channel, hello.pid, hello.pid
             channel.send(self._setup)  # where it is gone by now, that is read next
             return
-        if hello.of_pid != self._pid or hello.number < self._forgotten_number:
+        if hello.of_pid != self._last_pid or hello.number < self._forgotten_number:
             # A copy of a mapper that is lost by now, which may have decided what it never told; or one that a
             # newer copy has overtaken, for which items that it would need are forgotten.
             channel.close()  # it ends by that
@@ -305,7 +293,7 @@ class MapperLink:
 
     def _hear(self, active: Channel) -> None:
         try:
-            messages = active.receive()
+            messages: list[FromMapper | Fatal] = active.receive()
         except ChannelClosedError:
             self._lost("ended")
             return
@@ -320,7 +308,7 @@ class MapperLink:
                 return
             self._take(message)
 
-    def _take(self, message: Any) -> None:
+    def _take(self, message: FromMapper) -> None:
         if isinstance(message, Ready):
             self._begin(message)
             return
@@ -399,14 +387,19 @@ class MapperLink:
 
     def _fatal(self, failed: Failed) -> None:
         """The mapper raised: its stand-by goes on without that frame."""
-        item = next((item for item in self._kept if item.number == failed.number), None)
+        with self._lock:
+            kept = list(self._kept)  # readers add to it meanwhile
+        item = next((item for item in kept if item.number == failed.number), None)
         if isinstance(item, FrameItem):
             self._refused.add(failed.number)
             self._listener.refused(item)
         self._lost(f"failed at {failed.words}")
 
     def _lost(self, how: str) -> None:
-        if self._finished.is_set() or self._closed.is_set():
+        if self._closed.is_set():
+            return
+        self._end_active()
+        if self._finished.is_set():
             return
         if not self._ready.is_set():
             raise MapperLostError(f"the mapper's process {how} before it was ready; its log stands above")
@@ -417,7 +410,6 @@ class MapperLink:
                 f"the mapper's process {how}, {MOST_DEATHS} times after item {self._done_number}"
             )
         self.restarts += 1
-        self._end_active()
         self._orphaned = (how, time.monotonic())
         self._take_over()
 
@@ -442,8 +434,8 @@ class MapperLink:
         decisions = Decisions(self._applied, frozenset(self._passed_over), frozenset(self._refused))
         self._listener.taken_over(how)
         with self._lock:
-            self._active, self._pid, self._heard_s = channel, hello.pid, time.monotonic()
-            self._held.clear()  # they are among those kept
+            self._active, self._pid, self._last_pid = channel, hello.pid, hello.pid
+            self._heard_s = time.monotonic()
             for message in (
                 Go(self._done_number, decisions, self._back_end_dies_again_and_again()),
                 *self._kept,
@@ -463,14 +455,15 @@ class MapperLink:
                     channel.close()
             self._active = None
             self._given_up.clear()
-        _kill(self._pid)
-        if self._process is not None and self._process.pid == self._pid:
+            self._held.clear()  # they are among those kept
+        pid, self._pid = self._pid, 0
+        _kill(pid)
+        if self._process is not None and self._process.pid == pid:
             self._bury()
 
     def _bury(self) -> None:
         """Wait for the process that was started here, which has been killed; not for ever."""
-        if self._process is None:
-            return
+        assert self._process is not None
         try:
             self._process.wait(END_S)
         except subprocess.TimeoutExpired:
@@ -479,6 +472,8 @@ class MapperLink:
                 "for memory that hangs, `cat /proc/%d/wchan` says where. It is left behind",
                 *(self._process.pid, END_S, self._process.pid),
             )
+        else:
+            self._process = None
 
 
 def _kill(pid: int) -> None:

@@ -258,3 +258,21 @@ class Status:
     graph_fault: str = ""
     geo_reference: GeoReference | None = None  # where the map lies on the earth
     cpu_s: float = 0.0  # of the process since its start
+
+
+# Told to the MapperListener.
+Heard = (
+    Mapped
+    | PassedOver
+    | ResultApplied
+    | Unusable
+    | Tiles
+    | Status
+    | GraphKept
+    | GraphDrawn
+    | StandingDrawn
+    | ChangesDrawn
+    | PoseRefused
+)
+FromMapper = Heard | Answer | Ready | CanCopy | Progress | Finished
+Fatal = Failed | BackEndDied  # the process ends by it, and its stand-by goes on

@@ -41,9 +41,11 @@ from service.runtime.mapper_messages import (
     BackEndDied,
     CanCopy,
     Failed,
+    Fatal,
     Finish,
     Finished,
     FrameItem,
+    FromMapper,
     Go,
     Hello,
     Item,
@@ -186,10 +188,10 @@ class MapperProcess:
         if self._seldom.is_done:
             self._seldom = None
 
-    def _send(self, message: Any) -> None:
+    def _send(self, message: FromMapper) -> None:
         self._channel.send(message)
 
-    def _say_last(self, word: Any) -> None:
+    def _say_last(self, word: FromMapper | Fatal) -> None:
         self._channel.send(word)
         while not self._channel.flush():
             self._channel.wait(IDLE_S)

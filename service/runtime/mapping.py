@@ -24,6 +24,7 @@ from service.runtime.mapper_messages import (
     GraphDrawn,
     GraphItem,
     GraphKept,
+    Heard,
     Item,
     LoadItem,
     Mapped,
@@ -84,7 +85,7 @@ class MappingLoop:
     def __init__(
         self,
         mapper: MappingSession,
-        send: Callable[[Any], None],
+        send: Callable[[Heard | Answer], None],
         upside_down: Collection[str] = (),
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
         prepare_map: PrepareMap = no_stored_maps,
@@ -310,6 +311,6 @@ class MappingLoop:
         except GraphRequestError as error:
             return Answer(item.number, None, str(error))
 
-    def _tell(self, number: int, message: Any) -> None:
+    def _tell(self, number: int, message: Heard | Answer) -> None:
         if number > self._done_number:
             self._send(message)

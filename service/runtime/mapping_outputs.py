@@ -7,18 +7,18 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, assert_never
 
 from service.encoding import APPLY_RESULT, CHANGES, STANDING, Message, encode_event, encode_graph, encode_grid
 from service.geometry.geo_reference import GeoReference
 from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
-from service.runtime.mapper_link import Heard
 from service.runtime.mapper_messages import (
     ChangesDrawn,
     FrameItem,
     GraphDrawn,
     GraphKept,
+    Heard,
     Mapped,
     PassedOver,
     PoseRefused,
@@ -102,6 +102,8 @@ class MappingOutputs:
             case Unusable():
                 self.unusable[message.sensor] += 1
                 self.unusable_scans += message.is_mapped_scan
+            case _:
+                assert_never(message)
 
     def taken_over(self, words: str) -> None:
         self.restarts += 1

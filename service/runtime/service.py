@@ -231,21 +231,19 @@ class Service:
         self._notifier.stopping()
         seconds = (time.monotonic_ns() - self._ready_ns) / 1e9 if self._ready_ns else 0.0
         cpu_s = self._processor_s() - self._cpu_s
-        try:
-            self._readers.stop()
-            self._stop_mapping()
-        except Exception as error:  # recording and map are finished all the same
-            log.exception("drivers and mapper did not end in good order")
-            self._workers.fail("the end of drivers and mapper", error)
+        self._end("the end of drivers", self._readers.stop)
+        self._end("the end of the mapper", self._stop_mapping)
         self._notifier.need_more_time(FLUSH_S + CLOSE_S)
-        lost = self._sinks.flush()
-        if self._ready_ns:
-            self._tell_health(time.monotonic_ns())
-            self._event("stop", reason=self.failure or "asked to")
-        self._commands.close()
-        self._sinks.close()
-        threading.excepthook = self._excepthook
-        gc.unfreeze()
+        try:
+            lost = self._sinks.flush()
+            if self._ready_ns:
+                self._end("the last health", lambda: self._tell_health(time.monotonic_ns()))
+                self._end("the event stop", lambda: self._event("stop", reason=self.failure or "asked to"))
+            self._end("the end of commands", self._commands.close)
+        finally:
+            self._sinks.close()
+            threading.excepthook = self._excepthook
+            gc.unfreeze()
         if lost:
             raise OutputLostError("; ".join(lost))
         return Summary(
@@ -260,6 +258,14 @@ class Service:
             written=self._sinks.written(),
             utc_offset_ns=self.host_time.offset_ns,
         )
+
+    def _end(self, name: str, end: Callable[[], None]) -> None:
+        """Where it fails, that is a failure of the service; recording and map are finished all the same."""
+        try:
+            end()
+        except Exception as error:
+            log.exception("%s failed", name)
+            self._workers.fail(name, error)
 
     def _start_mapper(self, cancelled: Callable[[], bool]) -> bool:
         """Start the mapper's process, which compiles or loads the kernels; systemd hears that it goes on."""

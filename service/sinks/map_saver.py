@@ -17,7 +17,7 @@ from service.encoding import ERROR, OK, Message, Status, encode_grid
 from service.errors import StorageError
 from service.mapstore.config import MapConfig
 from service.mapstore.files import keep_version, save_map
-from service.mapstore.in_use import InUse
+from service.mapstore.in_use import InUse, MapsInUse
 from service.mapstore.tiles import NumberedMap
 from service.sinks.sink import SavedHeard, SavedMap, Sink, SinkContext
 from service.writable import make_writable
@@ -64,7 +64,7 @@ class MapSaver(Sink):
         self.graph_folder = self._folder.with_name(f".{self._folder.name}.graph-{os.getpid()}")
         is_going_on = self._folder == config.load and not context.is_localizing
         self._goes_on_in = (self._folder, context.load_version) if is_going_on else None
-        self._in_use: dict[Path, InUse] = {}  # stored maps that this session goes on in
+        self._in_use = MapsInUse(f"a session of {context.vehicle}")
         self._begun_in: dict[int, Path] = {}  # numbers of maps of this run -> the stored one each began in
         self._directory = config.directory
         self._present: NumberedMap | None = None  # as it was at the last save
@@ -112,15 +112,25 @@ class MapSaver(Sink):
         """
         if self._is_localizing:
             return
-        who = f"a session of {self._vehicle}"
-        if folder not in self._in_use:
-            self._in_use[folder] = InUse(folder, who)
+        self._in_use.hold(folder)
         if version is not None:
-            keep_version(folder, version, f"{who} began in it, {self._started}")
+            keep_version(folder, version, f"a session of {self._vehicle} began in it, {self._started}")
+
+    def let_go(self, folder: Path) -> None:
+        """It was held, and is not begun in. A map of this run that is saved there keeps it."""
+        self._in_use.let_go(folder)
 
     def begun_in(self, folder: Path) -> None:
-        """The present map is that of this folder from now on; call it when the one before has ended."""
+        """The present map is that of this folder, which was held; call it when the one before has ended.
+
+        Others may change the folder again when this map has ended and is saved.
+        """
+        self._let_go_of(self._tiles.number)  # it has no tile
         self._begun_in[self._tiles.number] = folder
+
+    def _let_go_of(self, number: int) -> None:
+        if number in self._begun_in:
+            self._in_use.let_go(self._begun_in[number])
 
     def mapped_by(self, profile: str, stores_graph: bool) -> None:
         """The present map is made by this profile; call it when the one before has ended."""
@@ -142,6 +152,7 @@ class MapSaver(Sink):
         """
         if self._goes_on_in is not None:
             self.hold(*self._goes_on_in)
+            self._begun_in[1] = self._goes_on_in[0]
         if not self._is_localizing:
             make_writable(self._folder.parent)
         self._thread.start()
@@ -176,19 +187,13 @@ class MapSaver(Sink):
             raise
         finally:
             shutil.rmtree(self.graph_folder, ignore_errors=True)
-            self._leave()
+            self._in_use.let_all_go()
         if self._given_up:
             raise StorageError(self._given_up)
 
     def close(self) -> None:
         self._stop()
-        self._leave()
-
-    def _leave(self) -> None:
-        """Others may change the map from now on."""
-        for in_use in self._in_use.values():
-            in_use.release()
-        self._in_use.clear()
+        self._in_use.let_all_go()
 
     def save(self) -> SavedMap | None:
         """Store what is not yet: maps that a reset ended, then the present one, which is returned.
@@ -202,6 +207,7 @@ class MapSaver(Sink):
         self._present = present
         while len(self._unsaved) > MOST_UNSAVED:
             lost = self._unsaved.pop(0)
+            self._let_go_of(lost.number)
             self._given_up = (
                 f"map {lost.number} of this run is not saved: more than {MOST_UNSAVED} ended maps wait to be "
                 f"saved under {self._folder.parent}; make room there, or change map.directory"
@@ -209,7 +215,7 @@ class MapSaver(Sink):
             log.error("%s", self._given_up)
         while self._unsaved:
             self._store(self._unsaved[0])
-            self._unsaved.pop(0)
+            self._let_go_of(self._unsaved.pop(0).number)
         self._store(present)
         self.fault = ""
         return self._newest[1] if self._newest is not None and self._newest[0] == present.number else None

@@ -165,8 +165,15 @@ class MapStorage(Protocol):
         """
         ...
 
+    def let_go(self, folder: Path) -> None:
+        """It was held, and is not begun in. A map of this run that is saved there keeps it."""
+        ...
+
     def begun_in(self, folder: Path) -> None:
-        """The present map is that of this folder from now on; call it when the one before has ended."""
+        """The present map is that of this folder, which was held; call it when the one before has ended.
+
+        Others may change the folder again when this map has ended and is saved.
+        """
         ...
 
     def mapped_by(self, profile: str, stores_graph: bool) -> None:

@@ -197,9 +197,9 @@ class WebServer:
         self._shelf.purge(self._workers)
         try:
             while not await self._listen(runner):
-                if await self._ends_within(self._retry_s):
+                if await self._ends_within(self._retry_s, showing):
                     return
-            await self._ending.wait()
+            await self._ends_within(None, showing)
         finally:
             self._say("", "stopped")
             if self._listening is not None:
@@ -225,10 +225,14 @@ class WebServer:
         self._say(f"{self._scheme}://{shown_host}:{bound_port}/", "")
         return True
 
-    async def _ends_within(self, timeout_s: float | None) -> bool:
+    async def _ends_within(self, timeout_s: float | None, showing: asyncio.Task[None]) -> bool:
+        """Whether the page is to end; None: wait until it is. Raises what `showing` raised."""
         assert self._ending is not None
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._ending.wait(), timeout_s)
+        ending = asyncio.create_task(self._ending.wait())
+        await asyncio.wait((ending, showing), timeout=timeout_s, return_when=asyncio.FIRST_COMPLETED)
+        ending.cancel()
+        if showing.done():
+            showing.result()  # the thread ends by it, which the fan-out reports
         return self._ending.is_set()
 
     def _refuse(self) -> None:

@@ -269,11 +269,9 @@ class OccupancyTiles:
         self._canvas.stand_walls()
         evidence, _touched, changed = self._canvas.pool.arrays
         updates: list[TileUpdate] = []
-        for row, column, slot in self._canvas.tiles.tiles():
+        for row, column, slot in self._canvas.tiles.tiles(changed):
             if len(updates) == most:
                 break
-            if not changed[slot]:
-                continue
             changed[slot] = 0
             before = self._shown.get(slot)
             cells = np.full((TILE_CELLS,) * 2, UNKNOWN, np.int8) if before is None else before.copy()

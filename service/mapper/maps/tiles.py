@@ -175,13 +175,18 @@ class TileMap:
         """The view a kernel works on; valid until the next cover()."""
         return TileIndex(self.slots, self.origin, self.pool.free, self.pool.counts)
 
-    def tiles(self) -> list[tuple[int, int, int]]:
-        """(tile row, tile column, slot) of every tile, by row and column."""
+    def tiles(self, marked: npt.NDArray[np.generic] | None = None) -> list[tuple[int, int, int]]:
+        """(tile row, tile column, slot) of every tile, by row and column.
+
+        marked   by slot; given, only tiles whose slot is not 0 there
+        """
         rows, columns = np.nonzero(self.slots != NO_TILE)
-        return [
-            (int(row + self.origin[0]), int(column + self.origin[1]), int(self.slots[row, column]))
-            for row, column in zip(rows, columns, strict=True)
-        ]
+        slots = self.slots[rows, columns]
+        if marked is not None:
+            is_meant = marked[slots] != 0
+            rows, columns, slots = rows[is_meant], columns[is_meant], slots[is_meant]
+        rows, columns = rows + self.origin[0], columns + self.origin[1]
+        return list(zip(rows.tolist(), columns.tolist(), slots.tolist(), strict=True))
 
     def take(self, row: int, column: int) -> tuple[int, bool]:
         """Give a tile that cover() made ready, and that has none, a slot: (slot, used before)."""

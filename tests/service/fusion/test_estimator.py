@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from drivers.frames import ImuSample, OdometrySample
+from service.fusion import estimator
 from service.fusion.estimator import (
+    CAPACITY,
     FADE_S,
     FAULT_NOISE,
     FIRST_TWIST_SIGMA,
@@ -358,6 +360,18 @@ def test_samples_that_wait_for_a_scan_for_a_day_do_not_fill_memory() -> None:
     assert stamps[0] == 0  # where the way since the last scan begins
     np.testing.assert_array_equal(stamps[-1000:], np.arange(2 * MOST_SAMPLES - 1000, 2 * MOST_SAMPLES))
     np.testing.assert_array_equal(samples.track.value[first:end, 0], stamps)
+    assert samples.take_dropped() == 2 * MOST_SAMPLES - (end - first)
+    assert samples.take_dropped() == 0
+
+
+def test_samples_that_are_dropped_while_they_wait_are_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(estimator, "MOST_SAMPLES", CAPACITY)
+    model = Estimator(EstimatorConfig())
+    for stamp_ms in range(CAPACITY + 1):
+        assert model.add(odometry(stamp_ms, SE2()))
+        assert model.add(gyro(stamp_ms, 0.0))
+    assert model.predict(CAPACITY * MS).samples_dropped == 2 * (CAPACITY // 2)
+    assert model.predict((CAPACITY + 10) * MS).samples_dropped == 0
 
 
 def test_a_source_far_beyond_its_noise_is_named() -> None:

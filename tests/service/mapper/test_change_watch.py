@@ -7,8 +7,18 @@ import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
+from service.kernels.map_changes import FREE
 from service.mapper.components import RenderedMap
-from service.mapper.map_changes import ChangeWatch, MapChanges
+from service.mapper.map_changes import (
+    LEAST_CELLS,
+    LEAST_MS,
+    LEAST_POSES,
+    LEAST_SHARE,
+    LEAST_VOTES,
+    ChangeWatch,
+    MapChanges,
+    group_sizes,
+)
 from tests.service.mapper.maps.points import points_of
 
 CELL_M, EDGE = 0.05, 64
@@ -148,3 +158,71 @@ def test_beams_along_a_wall_say_nothing_of_it() -> None:
     ends = [(3.0, 1.5 - 0.01 * k) for k in range(2, 12)]
     room.see_from(ends, 3, scans=8, over_ms=1600.0)
     assert told(room) == []
+
+
+def sure_cells(watch: ChangeWatch, is_new: bool) -> set[tuple[int, int]]:
+    """Row and column, asked one by one."""
+    votes = watch._votes
+    return {
+        at
+        for at in np.ndindex(votes.stored.shape)
+        if (votes.stored[at] == FREE) == is_new
+        and votes.poses[at] >= LEAST_POSES
+        and votes.changed[at] >= LEAST_VOTES
+        and votes.last_ms[at] - votes.first_ms[at] >= LEAST_MS
+        and int(votes.changed[at]) >= LEAST_SHARE * (int(votes.changed[at]) + int(votes.same[at]))
+    }
+
+
+def in_groups(cells: set[tuple[int, int]]) -> set[tuple[int, int]]:
+    """Without those that hang together with too few others, found from cell to cell."""
+    kept: set[tuple[int, int]] = set()
+    left = set(cells)
+    while left:
+        group, ends = [], [left.pop()]
+        while ends:
+            row, column = ends.pop()
+            group.append((row, column))
+            near = {(row + dr, column + dc) for dr in (-1, 0, 1) for dc in (-1, 0, 1)} & left
+            left -= near
+            ends += near
+        if len(group) >= LEAST_CELLS:
+            kept |= set(group)
+    return kept
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.35, 0.6])
+@pytest.mark.parametrize("seed", range(4))
+def test_cells_are_told_as_if_each_were_asked_by_itself(seed: int, share: float) -> None:
+    """Groups of all shapes, also at the edges of the map; rows first."""
+    watch, random = Room().watch, np.random.default_rng(seed)
+    votes, shape = watch._votes, watch._votes.stored.shape
+    votes.stored[:] = random.integers(0, 3, shape)
+    votes.poses[:] = np.where(random.random(shape) < share, 3, random.integers(0, 3, shape))
+    votes.changed[:], votes.same[:] = random.integers(4, 200, shape), random.integers(0, 30, shape)
+    votes.first_ms[:], votes.last_ms[:] = random.integers(0, 50, shape), random.integers(1000, 9000, shape)
+    new, gone = in_groups(sure_cells(watch, is_new=True)), in_groups(sure_cells(watch, is_new=False))
+    expected = sorted(new | gone)
+    row, column = np.array(expected, np.int64).reshape(-1, 2).T
+    changes = watch.changes()
+    np.testing.assert_array_equal(changes.xy_map, (np.column_stack((column, row)) + 0.5) * votes.cell_m)
+    assert [bool(is_new) for is_new in changes.is_new] == [at in new for at in expected]
+    for found, of, unit in (
+        (changes.first_ns, votes.first_ms, MS),
+        (changes.last_ns, votes.last_ms, MS),
+        (changes.scans, votes.changed, 1),
+    ):
+        assert found.dtype == np.int64
+        np.testing.assert_array_equal(found, of[row, column].astype(np.int64) * unit)
+
+
+def test_a_group_that_winds_is_one() -> None:
+    """A spiral, of which neighbours are joined in many steps."""
+    row, column, spiral = 20, 20, [(20, 20)]
+    for k in range(1, 18):
+        dr, dc = ((0, 1), (1, 0), (0, -1), (-1, 0))[k % 4]
+        for _ in range(2 * ((k + 1) // 2)):
+            row, column = row + dr, column + dc
+            spiral.append((row, column))
+    rows, columns = np.array(sorted(spiral)).T
+    assert group_sizes(rows, columns).tolist() == [len(spiral)] * len(spiral)

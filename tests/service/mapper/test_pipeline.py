@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.frames import Frame, GnssFix, LaserScan
+from drivers.frames import Frame, GnssFix, ImuSample, LaserScan
+from service.fusion import estimator
 from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
@@ -27,6 +28,19 @@ def test_fixes_are_counted_and_passed_over_where_no_graph_takes_them(profile):
     for fix in (GnssFix("imu", 1, 2, 0, 60.1, 24.5, 51.0, (0.0,) * 9), lost):
         assert mapper.process(fix) is None
     assert mapper.counters == {"fixes_passed_over": 2}
+
+
+@pytest.mark.parametrize("is_paused", [False, True])
+def test_samples_that_are_dropped_while_no_scan_comes_are_counted(is_paused, monkeypatch):
+    monkeypatch.setattr(estimator, "MOST_SAMPLES", estimator.CAPACITY)
+    mapper = build_mapper(mapping_config(), {"front": MOUNTING})
+    scans = [frame for frame in drive(ROOM, standing, 0.2).frames if isinstance(frame, LaserScan)]
+    mapper.process(scans[0])
+    for k in range(estimator.CAPACITY + 1):
+        mapper.process(ImuSample("imu", k + 1, k + 1, (0.0,) * 3, (0.0, 0.0, 9.81)))
+    for scan in scans[1:3]:
+        (mapper.skip if is_paused else mapper.process)(scan)
+    assert mapper.counters["samples_dropped_waiting"] == estimator.CAPACITY // 2
 
 
 class TalkingGraph(NoGraph):

@@ -284,6 +284,40 @@ def test_a_map_that_cannot_be_begun_in_is_refused_and_the_present_one_stays(mach
     assert told["error"] == "the map before stays: v000001/graph.npz: damaged"
     assert machine.saver.folder == tmp_path / "map"
     assert machine.tiles.number == 1
+    is_free(tmp_path / "office")
+    machine.intake.close()
+    machine.mapper_fault = ""
+    assert machine.ask("load_map", map="office")["error"] == "the service is stopping"
+    is_free(tmp_path / "office")
+
+
+def is_free(folder: Path) -> None:
+    """Raises StorageError where it is not."""
+    with InUse(folder, "corridor map edit"):
+        pass
+
+
+def test_others_may_change_a_stored_map_again_when_another_is_loaded_and_it_is_saved(
+    machine: Machine, tmp_path: Path
+):
+    for name in ("office", "hall"):
+        save_map(tmp_path / name, [tile(1)], 1)
+    machine.ask("load_map", map="office")
+    machine.mapper_fault = "v000001/graph.npz: damaged"
+    machine.ask("load_map", map="office")
+    with pytest.raises(StorageError, match="a session of veh1"):  # it is mapped in still
+        is_free(tmp_path / "office")
+    machine.mapper_fault = ""
+    machine.scan(2)
+    machine.ask("load_map", map="hall")
+    assert load_map(tmp_path / "office").number == 2
+    is_free(tmp_path / "office")
+    with pytest.raises(StorageError, match="a session of veh1"):
+        is_free(tmp_path / "hall")
+    machine.ask("load_map", map="office")  # before the hall has a tile
+    is_free(tmp_path / "hall")
+    with pytest.raises(StorageError, match="a session of veh1"):
+        is_free(tmp_path / "office")
 
 
 def test_a_map_that_another_session_goes_on_in_is_not_loaded(machine: Machine, tmp_path: Path):

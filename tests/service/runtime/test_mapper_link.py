@@ -401,6 +401,28 @@ def test_a_mapper_that_does_not_start_is_told(strange: Callable[[str], None]):
         drive.stop()
 
 
+def test_a_process_that_has_ended_is_killed_once_and_not_again(drive: Drive, monkeypatch: pytest.MonkeyPatch):
+    """By then its number may be that of another process."""
+    killed: list[int] = []
+    kill = mapper_link._kill
+
+    def note_and_kill(pid: int) -> None:
+        killed.append(pid)
+        kill(pid)
+
+    monkeypatch.setattr(mapper_link, "_kill", note_and_kill)
+    drive.start().scan(3)
+    drive.until_mapped()
+    first = drive.link.pid
+    os.kill(first, signal.SIGKILL)
+    drive.until(lambda: drive.link.pid not in (0, first))
+    second = drive.link.pid
+    assert drive.link.finish(TIMEOUT_S)
+    drive.until(lambda: drive.link.pid == 0)
+    drive.stop()
+    assert [pid for pid in killed if pid] == [first, second]
+
+
 def test_everything_ends_with_the_link(drive: Drive):
     drive.start().scan(3)
     drive.until_mapped()

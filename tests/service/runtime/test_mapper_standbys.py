@@ -4,16 +4,30 @@ import logging
 import socket
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
 
+from service.encoding import ODOMETRY
 from service.geometry.se2 import SE2
+from service.runtime import mapper_link
 from service.runtime.channel import Channel, ChannelClosedError
 from service.runtime.mapper_link import MapperLink
-from service.runtime.mapper_messages import CanCopy, Go, Hello, Item, MakeStandby, Ready, Setup, TilesItem
+from service.runtime.mapper_messages import (
+    CanCopy,
+    Failed,
+    FrameItem,
+    Go,
+    Hello,
+    Item,
+    MakeStandby,
+    Ready,
+    Setup,
+    TilesItem,
+)
 from tests.service.runtime.test_mapper_link import Heard
 
 TIMEOUT_S = 10.0
@@ -122,6 +136,35 @@ def test_a_copy_of_a_lost_mapper_that_comes_late_is_sent_away(link: MapperLink):
     assert third.numbers() == [3, 4, 5]
 
 
+def test_a_copy_of_a_lost_mapper_that_is_on_its_way_still_goes_on(link: MapperLink):
+    mapper = first_mapper(link)
+    submit(link, 3)
+    assert link.pid == FIRST
+    mapper.channel.close()
+    until(lambda: link.pid == 0, "lost mapper has a number still")
+    second = standby(link, SECOND, 1, of_pid=FIRST)
+    second.until(3)
+    assert second.numbers() == [2, 3]
+    assert link.pid == SECOND
+
+
+def test_samples_that_wait_for_a_scan_wait_for_the_stand_by_too(
+    link: MapperLink, monkeypatch: pytest.MonkeyPatch
+):
+    """No mapper is there to send them to when they have waited long enough."""
+    monkeypatch.setattr(mapper_link, "HOLD_NS", 10**18)
+    mapper = first_mapper(link)
+    link.submit(FrameItem(1, 1, time.monotonic_ns(), "base", ODOMETRY, b""))
+    mapper.channel.close()
+    until(lambda: link.pid == 0, "lost mapper has a number still")
+    monkeypatch.setattr(mapper_link, "HOLD_NS", 0)
+    turns = link.turns
+    until(lambda: link.turns > turns + 1, "link stands still")
+    second = standby(link, SECOND, 0, of_pid=FIRST)
+    second.until(2)
+    assert second.numbers() == [1]
+
+
 def test_a_copy_that_a_newer_one_has_overtaken_is_sent_away(link: MapperLink):
     mapper = first_mapper(link)
     submit(link, 5)
@@ -176,3 +219,22 @@ def test_a_copy_that_would_need_items_from_before_they_were_kept_again_is_sent_a
     mapper.channel.close()
     third.until(3)
     assert third.numbers() == [6, 7]
+
+
+def test_readers_add_no_item_while_the_one_that_a_mapper_died_of_is_looked_for(link: MapperLink):
+    was_locked: list[bool] = []
+
+    class Watched(deque[Item]):
+        def __iter__(self) -> Iterator[Item]:
+            was_locked.append(link._lock.locked())
+            return super().__iter__()
+
+    mapper = first_mapper(link)
+    link._kept = Watched()
+    submit(link, 3)
+    second = standby(link, SECOND, 1, of_pid=FIRST)
+    until_standby(link, SECOND)
+    mapper.say(Failed(3, "no such tile"))
+    second.until(3)
+    assert len(was_locked) == 2  # looked for, and handed on
+    assert all(was_locked)

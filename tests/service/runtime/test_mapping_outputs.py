@@ -1,8 +1,10 @@
+import pytest
+
 from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
 from service.mapstore.tiles import TileStore
-from service.runtime.mapper_messages import Status
+from service.runtime.mapper_messages import Hello, Status
 from service.runtime.mapping_outputs import MappingOutputs
 from tests.service.mapstore.tile_makers import tile
 
@@ -22,3 +24,9 @@ def test_where_the_map_lies_goes_to_the_tiles_and_ends_with_the_map():
     assert (ended.geo, present.geo) == (GEO, None)
     outputs.heard(Status(2))
     assert tiles.take()[1].geo is None
+
+
+def test_a_message_that_nobody_takes_is_not_lost_in_silence():
+    outputs = MappingOutputs(["front"], TileStore(), lambda *_: None, lambda *_: None, lambda: 0)
+    with pytest.raises(AssertionError, match="Hello"):
+        outputs.heard(Hello(1, 0, is_standby=False))

@@ -1,5 +1,7 @@
 """The service in this process: what ends it, and what it leaves behind. Its devices answer nothing."""
 
+import gc
+import json
 import os
 import socket
 import threading
@@ -20,6 +22,8 @@ from service.mapstore.files import load_map, save_map, version_folder
 from service.outputs import TileUpdate
 from service.recording.mcap_reader import Recording
 from service.runtime import service as service_module
+from service.runtime.commands import Commands
+from service.runtime.health import HealthReport
 from service.runtime.mapper_link import MOST_DEATHS, MapperLink
 from service.runtime.notify import Notifier
 from service.runtime.service import Service
@@ -202,8 +206,27 @@ def test_a_mapper_that_does_not_end_in_good_order_costs_neither_recording_nor_ma
     service.start()
     summary = service.stop()
     events = [decode_event(m.payload) for m in Recording(summary.sessions).messages(["/events"])]
-    assert service.failure == "the end of drivers and mapper: OSError: the disk hangs"
+    assert service.failure == "the end of the mapper: OSError: the disk hangs"
     assert "the disk hangs" in events[-1]
+
+
+def test_what_cannot_be_told_at_the_end_costs_neither_recording_nor_hooks(
+    open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    def fail(self: HealthReport, unix_ns: int) -> Message:
+        raise ValueError("a rate that is no number")
+
+    hook = threading.excepthook
+    service = open_service()
+    service.start()
+    monkeypatch.setattr(HealthReport, "message", fail)
+    monkeypatch.setattr(Commands, "close", lambda self: [][0])
+    summary = service.stop()
+    assert service.failure == "the last health: ValueError: a rate that is no number"
+    assert not list((tmp_path / "sessions").glob("*.active"))
+    events = [decode_event(m.payload) for m in Recording(summary.sessions).messages(["/events"])]
+    assert events[-1] == json.dumps({"event": "stop", "reason": service.failure})
+    assert (threading.excepthook, gc.get_freeze_count()) == (hook, 0)
 
 
 def test_a_thread_nobody_watches_brings_the_service_down_too(

@@ -46,6 +46,18 @@ def test_a_map_grows_in_all_directions_without_moving_a_cell() -> None:
     assert np.isnan(read(tile_map, 2, 2))
 
 
+def test_tiles_whose_slots_are_marked_come_in_the_same_order() -> None:
+    tile_map = TileMap(TilePool(LAYERS, 5000))
+    for row, column in ((3, -2), (-1, 4), (3, 5), (0, 0), (-1, -1)):
+        put(tile_map, row, column, 1.0)
+    every = tile_map.tiles()
+    assert [(row, column) for row, column, _ in every] == [(-1, -1), (-1, 4), (0, 0), (3, -2), (3, 5)]
+    marked = np.zeros(8, np.uint8)
+    assert tile_map.tiles(marked) == []
+    marked[[every[k][2] for k in (1, 3, 4)]] = 1, 2, 255
+    assert tile_map.tiles(marked) == [every[1], every[3], every[4]]
+
+
 def test_a_pickled_map_is_the_same_and_weighs_what_its_tiles_do() -> None:
     tile_map = TileMap(TilePool(LAYERS, 1 << 20))
     slots = [put(tile_map, 0, column, float(column)) for column in range(6)]
