@@ -53,7 +53,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return CorridorError.exit_code
     except OSError as error:
-        print(f"corridor: {error}", file=sys.stderr)
+        words = f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
+        print(f"corridor: {words}", file=sys.stderr)
         return StorageError.exit_code
     except KeyboardInterrupt:
         return INTERRUPTED

@@ -37,12 +37,15 @@ _SESSION_FILE = re.compile(r"(.+_\d{8}T\d{6}Z)_\d{4}\.mcap")
 def group_sessions(paths: Sequence[Path]) -> list[list[Path]]:
     """Files that belong to one drive, oldest first: a session may have been cut into several. Folders too.
 
-    Raises InputError for what is not there or may not be read, and for a folder without recordings.
+    Raises InputError for a folder that may not be read, or without recordings.
     """
     files: list[Path] = []
     for path in paths:
+        if not path.is_dir():
+            files.append(path)
+            continue
         refuse_unreadable(path)
-        found = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+        found = sorted(path.glob("*.mcap"))
         if not found:
             raise InputError(f"{path}: no *.mcap in this folder")
         files += found

@@ -201,6 +201,17 @@ def test_each_error_has_its_exit_code(
     assert main(["run", str(good)]) == code
 
 
+def test_an_error_of_the_system_is_said_without_its_number(
+    good: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def fail(path: Path) -> None:
+        raise PermissionError(13, "Permission denied", "maps/office")
+
+    monkeypatch.setattr("service.config.load_config", fail)
+    assert main(["run", str(good)]) == StorageError.exit_code
+    assert "corridor: maps/office: Permission denied\n" in capsys.readouterr().err
+
+
 def test_a_file_that_is_no_recording_is_a_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     (tmp_path / "x.mcap").write_text("not MCAP")
     assert main(["replay", str(tmp_path / "x.mcap")]) == InputError.exit_code
