@@ -3,11 +3,12 @@
 import math
 
 import numpy as np
+import pytest
 
 from service.fusion.motion import Motion
 from service.geometry.se2 import SE2
 from service.mapper.judgement import MOST_DRIFT_M, drift_of
-from service.mapper.known_pose import KnownPose, covariance_added
+from service.mapper.known_pose import KnownPose, carried, covariance_added
 
 BY_STEP = np.diag([4e-4, 1e-4, 1e-5])
 
@@ -52,6 +53,20 @@ def test_after_a_correction_the_covariance_is_that_of_the_graph_and_of_the_way_s
     found = known.covariance_at(Motion(pose, (0.0, 0.0, 0.0), now))
     np.testing.assert_allclose(found, walked(10, by_graph, step), atol=1e-9)
     assert np.trace(found) < 0.1 * np.trace(now)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_is_asked_with_every_scan_is_what_the_arrays_say(seed):
+    """Whether motion has added something in all directions, or seems to have taken some."""
+    random = np.random.default_rng(seed)
+    roots = random.normal(size=(3, 40, 3, 3)) * (0.1, 0.1, 0.01)
+    before, after, by_graph = roots @ np.swapaxes(roots, -1, -2)
+    steps = random.normal(size=(40, 3)) * (3.0, 3.0, 2.0)
+    expected = carried(by_graph, steps) + covariance_added(before, after, steps)
+    for k, step in enumerate(steps):
+        known = KnownPose(SE2(2.0, -1.0, 0.3), before[k], by_graph[k])
+        motion = Motion(known.pose_odom_base @ SE2(*step), (0.0, 0.0, 0.0), after[k])
+        np.testing.assert_allclose(known.covariance_at(motion), expected[k], rtol=0.0, atol=1e-12)
 
 
 def test_a_pose_that_has_drifted_is_not_ok_and_the_reason_tells_how_far():
