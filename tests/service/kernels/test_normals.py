@@ -327,17 +327,19 @@ def sunk_door(depth_m: float, step_rad: float) -> tuple[np.ndarray, np.ndarray]:
 def test_the_side_of_a_door_is_a_plane_for_a_laser_of_one_degree() -> None:
     """It alone fixes the position along a corridor; a window around its points holds the walls beside too."""
     step_rad = math.radians(1.0)
-    planar, off_rad = 0, []
+    planar, moved, off_rad = 0, 0, []
     for seed in range(20):
         xy, is_side = sunk_door(0.2, step_rad)
         towards = xy / np.hypot(*xy.T)[:, None]
         xy = xy + towards * np.random.default_rng(seed).normal(0.0, SIGMA_M, len(xy))[:, None]
-        normals, _ = walls_at(xy, step_rad=step_rad)
+        normals, aside_m = walls_at(xy, step_rad=step_rad)
         of_side = normals[is_side & (normals[:, 2] > 0.5)]
+        moved += int((aside_m[is_side & (normals[:, 2] > 0.5)] != 0.0).sum())
         planar += len(of_side)
         off_rad += list(np.arctan2(of_side[:, 1], -of_side[:, 0]))
     assert is_side.sum() == 3
     assert planar >= 0.5 * 20 * is_side.sum()
+    assert moved == planar
     assert np.mean(np.abs(off_rad) < 0.5) > 0.8
 
 

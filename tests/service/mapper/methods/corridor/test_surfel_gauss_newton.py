@@ -324,3 +324,17 @@ def test_a_far_jump_needs_more_than_a_near_one() -> None:
     assert new_matcher().match(half_a_nook(), far, chain).state == "lost"
     bold = SurfelGaussNewton(SurfelMatcherConfig(degraded_ratio=0.3))
     assert bold.match(half_a_nook(), far, chain).state != "lost"
+
+
+def test_points_are_matched_where_their_beams_meet_walls_and_come_back_as_they_were_measured() -> None:
+    room, noise = square(), np.random.default_rng(6)
+    beams = room.xy_base / np.hypot(*room.xy_base.T)[:, None]
+    noisy = replace(
+        points_of(room.xy_base + 0.04 * noise.standard_normal((len(beams), 1)) * beams), range_sigma_m=0.04
+    )
+    chain = mapped(room)
+    assert np.abs(chain.on_walls(noisy)[0].xy_base - noisy.xy_base).max() > 0.02
+    found = match(noisy, SE2(), chain)
+    assert found.state == "ok"
+    np.testing.assert_allclose(found.points.xy_base, noisy.xy_base, atol=1e-9)
+    np.testing.assert_array_equal(found.points.xy_raw, noisy.xy_raw)
