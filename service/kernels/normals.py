@@ -10,7 +10,7 @@ WALL_M = 0.004  # how even a wall is, at best
 BEAMS_EACH_SIDE, MOST_BEAMS_EACH_SIDE = 4, 32  # of a window
 # Points farther apart than noise explains, GAP_M at least, and so many steps between beams: a gap. Noise that
 # parted a wall seen aslant would part it where the next point is farther, and turn what is left of it.
-GAP_M, GAP_STEPS, GAP_SIGMAS = 0.06, 5.0, 5.0
+GAP_M, GAP_STEPS, GAP_SIGMAS = 0.06, 5.0, 3.5
 # Beams that graze a wall hit it in steps so long, each longer than the one before by at most so much.
 MOST_STEP_M, MOST_GROWTH = 1.0, 1.5
 IN_LINE_SIGMAS = 3.0
