@@ -149,13 +149,13 @@ def export(parsed: argparse.Namespace) -> int:
 
 def view(parsed: argparse.Namespace) -> int:
     first, *more = parsed.source
-    refuse_unreadable(first)
     is_recording = first.is_file() or first.suffix == ".mcap"
     if more and not is_recording:
         raise UsageError("several files are one recording, all of them *.mcap; of folders give one")
+    if parsed.rerun and is_recording:
+        raise UsageError("--rerun shows maps and results; a recording is opened by rerun itself")
+    refuse_unreadable(first)
     if parsed.rerun:
-        if is_recording:
-            raise UsageError("--rerun shows maps and results; a recording is opened by rerun itself")
         from service.offline.rerun_view import show_in_rerun
 
         show_in_rerun(first, parsed.save)

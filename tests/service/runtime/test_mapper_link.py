@@ -201,7 +201,19 @@ def back_end_of(drive: Drive) -> int:
 
 
 def back_ends_of(mapper: int) -> list[int]:
-    """Back ends give way to the mapper; that of a stand-by, which is left out, is the child of another."""
+    """Those that are not copies of another one for a stand-by."""
+    parents = all_back_ends_of(mapper)
+    return [pid for pid, parent in parents.items() if parent not in parents]
+
+
+def has_copied_back_end(mapper: int) -> bool:
+    """Whether the back end has a copy, which is its child, for the stand-by."""
+    parents = all_back_ends_of(mapper)
+    return any(parent in parents for parent in parents.values())
+
+
+def all_back_ends_of(mapper: int) -> dict[int, int]:
+    """Process -> its parent. Back ends give way to the mapper."""
     session, niceness = os.getsid(mapper), os.getpriority(os.PRIO_PROCESS, mapper)
     parents: dict[int, int] = {}
     for entry in Path("/proc").glob("[0-9]*"):
@@ -211,7 +223,7 @@ def back_ends_of(mapper: int) -> list[int]:
             is_back_end = os.getpriority(os.PRIO_PROCESS, pid) > niceness
             if is_back_end and state != "Z" and os.getsid(pid) == session:
                 parents[pid] = int(parent)
-    return [pid for pid, parent in parents.items() if parent not in parents]
+    return parents
 
 
 def test_a_back_end_that_dies_is_replaced_with_all_that_it_knew_until_it_dies_again_and_again(drive: Drive):
@@ -226,7 +238,9 @@ def test_a_back_end_that_dies_is_replaced_with_all_that_it_knew_until_it_dies_ag
         drive.scan(10)
         drive.until_mapped()
         pid = drive.link.pid
-        os.kill(back_end_of(drive), signal.SIGKILL)
+        back_end = back_end_of(drive)
+        drive.until(lambda pid=pid: has_copied_back_end(pid))  # else there is none to go on with
+        os.kill(back_end, signal.SIGKILL)
         drive.until(lambda pid=pid: drive.link.pid not in (0, pid))
         assert len(drive.heard.takeovers) == deaths
         assert "without its graph: the back end's process died" in drive.heard.takeovers[-1]
