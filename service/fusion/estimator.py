@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.frames import ImuSample, OdometrySample
 from service.fusion.motion import Matrix, Measurement, Motion, Prediction
+from service.geometry import poses
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.estimator import (
     BIAS,
@@ -26,13 +27,14 @@ from service.kernels.estimator import (
     TWIST,
     Filter,
     MotionSettings,
-    begin_window,
     predict_motion,
     take_match,
+    tie_to_scale,
     transfer_into_map,
 )
+from service.kernels.source_noise import begin_window
 from service.kernels.sweep import sweep_deviation
-from service.kernels.tracks import Track, begin_twist
+from service.kernels.tracks import PATH_POSES, Track, begin_twist
 
 log = logging.getLogger(__name__)
 
@@ -186,6 +188,9 @@ class Estimator:
             said=np.zeros(8),
             last_odom=np.zeros(8),
             window=np.zeros(14),
+            mean_twist=np.zeros(3),
+            tied_twist=np.zeros(3),
+            path=Track(np.zeros(PATH_POSES, np.int64), np.zeros((PATH_POSES, 3)), np.zeros(2, np.int64)),
         )
         self._has_begun = False
         self._elapsed_s = 0.0
@@ -264,6 +269,7 @@ class Estimator:
     def correct(self, measured: Measurement | None) -> Motion:
         state = self._filter
         if measured is not None and measured.gap is not None:
+            state.path.span[:] = 0  # it was found elsewhere: that is no motion
             for rows in (LOCAL_BLOCK, MAP_BLOCK):
                 for columns in (LOCAL_BLOCK, MAP_BLOCK):
                     state.covariance[rows, columns] += measured.gap
@@ -283,12 +289,14 @@ class Estimator:
         return Motion(SE2(*state.pose.tolist()), self._twist(), state.covariance[MAP_BLOCK, MAP_BLOCK].copy())
 
     def _joined(self, measured: Measurement) -> tuple[SE2, Matrix]:
-        """The mean of the newest prediction and what a scan says alone, and its covariance in base axes."""
+        """The mean of the newest prediction and what a scan says alone, and its covariance."""
         predicted = SE2(*self._filter.pose.tolist())
         prior = measured.prior_weight * np.linalg.inv(self._filter.covariance[LOCAL_BLOCK, LOCAL_BLOCK])
         covariance = np.asarray(np.linalg.inv(prior + measured.information), np.float64)
         off = (predicted.inverse() @ measured.pose_odom_base).log()
-        return predicted @ SE2.exp(*(covariance @ measured.information @ off).tolist()), covariance
+        step = SE2.exp(*(covariance @ measured.information @ off).tolist())
+        axes = poses.adjoint(poses.between(np.array([step.x_m, step.y_m, step.theta_rad]), np.zeros(3)))
+        return predicted @ step, axes @ covariance @ axes.T
 
     def settle(self, share: float) -> None:
         transfer_into_map(self._filter.covariance, share)
@@ -305,12 +313,14 @@ class Estimator:
         """The speed as odometry has it now, at the first scan and after a pause: what it was says nothing."""
         twist = np.zeros(3)
         begin_twist(self._odometry.track, stamp_ns, self._settings, twist)
-        self._filter.twist[:] = twist
-        covariance = self._filter.covariance
+        state = self._filter
+        state.twist[:] = state.mean_twist[:] = state.tied_twist[:] = twist
+        covariance = state.covariance
         covariance[TWIST : TWIST + 3, :] = 0.0
         covariance[:, TWIST : TWIST + 3] = 0.0
         for k in range(3):
             covariance[TWIST + k, TWIST + k] = 0.1**2
+        tie_to_scale(covariance, twist, 1.0, 0.0)
 
     def _twist(self) -> tuple[float, float, float]:
         forward, left, turn = self._filter.twist.tolist()

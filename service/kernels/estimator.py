@@ -23,18 +23,28 @@ import numpy as np
 import numpy.typing as npt
 
 from service.kernels.compiled import inner_kernel, kernel
-from service.kernels.pose_information import invert_3x3, wrap
+from service.kernels.pose_information import invert_3x3
 from service.kernels.se2 import between, compose, exponential, logarithm
-from service.kernels.tracks import bridge_s3, last_at_or_before, mean_twist, odometry_at, turned_to
+from service.kernels.source_noise import learn_noise, widen_window
+from service.kernels.tracks import (
+    LAG_WINDOW_NS,
+    Track,
+    acceleration_of,
+    add_to_path,
+    bridge_s3,
+    last_at_or_before,
+    mean_twist,
+    odometry_at,
+    turned_to,
+)
 
 MAP, LOCAL, STEP, TWIST, SCALE, TURN_SCALE, LAG, BIAS, STATES = 0, 3, 6, 9, 12, 13, 14, 15, 16
-NOISE_WINDOWS = 10.0  # over which the noise of a source is learnt
-WINDOW_M, WINDOW_S = 0.3, 1.0  # a radian counts as a metre
-LEAST_NOISE, MOST_NOISE = 0.25, 1e6
 GYRO_SCALE = 0.005  # error of the gyro's scale
 GRACE_NS = 50_000_000  # odometry may begin so much later than the last scan
 GATE_CHI2 = 11.3  # 99 % of three degrees of freedom: beyond, a measurement widens until it fits
 GATE_CHI2_GYRO = 6.6  # 99 % of one
+MEAN_S = 0.5  # over which the twist is averaged that an error of scale is multiplied by; [25]
+LEAST_CHANGE_SIGMAS = 3.0  # a change of speed that noise explains says nothing of a lag; [26]
 
 
 class MotionSettings(NamedTuple):
@@ -70,6 +80,9 @@ class Filter(NamedTuple):
     window      (14,)    float64   since sources were judged last: pose then (3); step that odometry said (3),
                                    its variances (2), whether it always said one; turn that the gyro said, its
                                    variance, whether it always did; way in m, time in s
+    mean_twist  (3,)     float64   that odometry said, of the last half second
+    tied_twist  (3,)     float64   that an error of scale is multiplied by in the errors of twist and pose
+    path        Track              poses at the last scans
     """
 
     stamp_ns: npt.NDArray[np.int64]
@@ -82,6 +95,9 @@ class Filter(NamedTuple):
     said: npt.NDArray[np.float64]
     last_odom: npt.NDArray[np.float64]
     window: npt.NDArray[np.float64]
+    mean_twist: npt.NDArray[np.float64]
+    tied_twist: npt.NDArray[np.float64]
+    path: Track
 
 
 @inner_kernel
@@ -93,18 +109,23 @@ def observe(covariance, rows, residual, variance, gain, gate, correction):
     The pose is one, so its error against the first scan moves as that against the local map does, and its
     covariance follows by Joseph's form; [7].
     """
-    projected = np.zeros(STATES)
-    for j in range(STATES):
-        if rows[j] != 0.0:
-            for i in range(STATES):
-                projected[i] += covariance[i, j] * rows[j]
-    expected = 0.0
-    innovation = residual
-    for j in range(STATES):
-        expected += rows[j] * projected[j]
-        innovation -= rows[j] * correction[j]
-    total = expected + variance
-    chi2 = innovation * innovation / total
+    projected = np.empty(STATES)
+    while True:
+        projected[:] = 0.0
+        expected = 0.0
+        innovation = residual
+        for j in range(STATES):
+            if rows[j] != 0.0:
+                for i in range(STATES):
+                    projected[i] += covariance[i, j] * rows[j]
+        for j in range(STATES):
+            expected += rows[j] * projected[j]
+            innovation -= rows[j] * correction[j]
+        total = expected + variance
+        chi2 = innovation * innovation / total
+        if chi2 <= gate or rows[LAG] == 0.0:
+            break
+        rows[LAG] = 0.0  # no lag that is at all likely explains it: it is a fault, and says nothing of one
     if chi2 > gate:
         # Huber: variance grows so that the weight falls with 1 / |innovation| beyond the gate
         total = expected + variance * chi2 / gate
@@ -159,24 +180,28 @@ def predict_motion(state, odometry, gyro, stamp_ns, settings):
     gain = np.empty(STATES)
     rows = np.zeros(STATES)
     turn = np.empty(2)
-    guessed = step.copy()
-    twists = np.empty((2, 3))
+    said = np.empty(3)
+    change = np.empty(3)
+    tied = state.tied_twist
+    new = 1.0 - math.exp(-dt / MEAN_S)
     knows_turn = gyro_turn(gyro, last_ns, stamp_ns, settings, turn)
-    knows_way = odometry_step(state, odometry, last_ns, stamp_ns, settings, twists)
+    knows_way = odometry_step(state, odometry, last_ns, stamp_ns, settings, change)
     knows_way = knows_way and max(state.noise[0], state.noise[1]) <= settings.fault_noise
     if knows_way:
         # errors are counted from what odometry said: over a long gap the last speed is far from anything
         for i in range(3):
             step[i] = state.said[i]
         # (turns are not wrapped: a speed that is wrong by a turn a scan would go on for ever)
-        said = np.empty(3)
         logarithm(step, said)
         for i in range(3):
             correction[STEP + i] = dt * state.twist[i] - said[i]
+        change_of_speed(state, odometry, dt, new * new, settings, change)
+        tie_to_scale(P, tied, -1.0, dt)
     if knows_turn:
         state.said[6] = turn[0] - state.learnt[3] * dt
         state.said[7] = turn[1]
         rows[STEP + 2] = 1.0
+        rows[TURN_SCALE] = dt * tied[2] if knows_way else 0.0
         rows[BIAS] = dt
         residual = state.said[6] - (step[2] if knows_way else dt * state.twist[2])
         observe(P, rows, residual, turn[1] * state.gyro_noise[0], gain, GATE_CHI2_GYRO, correction)
@@ -184,14 +209,66 @@ def predict_motion(state, odometry, gyro, stamp_ns, settings):
         for axis in range(2, -1, -1):
             rows[:] = 0.0
             rows[STEP + axis] = 1.0
-            rows[SCALE if axis < 2 else TURN_SCALE] = -guessed[axis] if dt < 1.0 else -step[axis]
-            rows[LAG] = -(twists[1, axis] - twists[0, axis])
+            rows[LAG] = -change[axis]
             variance = state.said[4] * state.noise[0] if axis < 2 else state.said[5] * state.noise[1]
             observe(P, rows, 0.0, variance, gain, GATE_CHI2, correction)
+        for i in range(3):
+            of_scale = tied[i] * correction[SCALE if i < 2 else TURN_SCALE]
+            correction[TWIST + i] += of_scale
+            correction[STEP + i] += dt * of_scale
+            # over a long step the speed before says little; the noise of a short one must not be in it
+            newer = said[i] / dt - state.mean_twist[i]
+            tied[i] = state.mean_twist[i] + new * new * newer
+            state.mean_twist[i] += new * newer
+        tie_to_scale(P, tied, 1.0, dt)
     add_to_state(state, step, correction)
     carry(P, step)
     widen_window(state, math.hypot(step[0], step[1]) + abs(step[2]), dt)
     state.stamp_ns[0] = stamp_ns
+
+
+@kernel
+def tie_to_scale(P, tied, times, dt):
+    """Add to the errors of twist and step what an error of scale does to them: `times` so much; [25].
+
+    tied   (3,) float64   the twist that it is multiplied by
+    """
+    for i in range(3):
+        k = SCALE if i < 2 else TURN_SCALE
+        for row in (TWIST + i, STEP + i):
+            by = times * tied[i] * (dt if row < TWIST else 1.0)
+            for j in range(STATES):
+                P[row, j] += by * P[k, j]
+            for j in range(STATES):
+                P[j, row] += by * P[j, k]
+
+
+@inner_kernel
+def change_of_speed(state, odometry, dt, of_step, settings, change):
+    """The change of speed that a lag of odometry's stamps is multiplied by; [26].
+
+    odometry   Track
+    dt         float          s, of the step
+    of_step    float          0..1: how much of it is the change over the step; the rest is that before
+    settings   MotionSettings
+    change     (3,) float64   in: over the step, as odometry says; out
+    """
+    acceleration = np.empty(3)
+    add_to_path(state.path, state.stamp_ns[0], state.pose)
+    lag_ns = np.int64(round(state.learnt[2] * 1e9))
+    window_s = acceleration_of(state.path, odometry, lag_ns, settings, acceleration)
+    for i in range(3):
+        change[i] *= of_step
+        if window_s > 0.0:
+            seen = acceleration[i] * dt
+            said = state.said[4] * state.noise[0] if i < 2 else state.said[5] * state.noise[1]
+            noise = min(
+                2.0 * said * dt / window_s**3,
+                6.0 * state.covariance[LOCAL + i, LOCAL + i] * dt**2 / window_s**4,
+            )
+            least = LEAST_CHANGE_SIGMAS**2 * noise
+            if seen * seen > least:
+                change[i] += (1.0 - of_step) * (seen - least / seen)
 
 
 @inner_kernel
@@ -212,10 +289,10 @@ def gyro_turn(gyro, last_ns, stamp_ns, settings, turn):
 
 
 @inner_kernel
-def odometry_step(state, odometry, last_ns, stamp_ns, settings, twists):
+def odometry_step(state, odometry, last_ns, stamp_ns, settings, change):
     """What odometry said of the way between two moments, into state.said; False where it was silent; [5].
 
-    twists   (2, 3) float64   out: mean speeds at both moments, which a lag of its stamps is multiplied by
+    change   (3,) float64   out: of the mean speed that it said
     """
     lag_ns = np.int64(round(state.learnt[2] * 1e9))
     first = odometry.span[0]
@@ -230,6 +307,7 @@ def odometry_step(state, odometry, last_ns, stamp_ns, settings, twists):
     before = np.empty(3)
     after = np.empty(3)
     scratch = np.empty(3)
+    twists = np.empty((2, 3))
     own0, own_turn0, since0, gap0 = odometry_at(odometry, last_ns + lag_ns, settings, before, scratch)
     own1, own_turn1, since1, gap1 = odometry_at(odometry, stamp_ns + lag_ns, settings, after, scratch)
     mean_twist(odometry, last_ns + lag_ns, settings, twists[0])
@@ -253,15 +331,22 @@ def odometry_step(state, odometry, last_ns, stamp_ns, settings, twists):
     scale = 1.0 + state.learnt[0]
     exponential(scale * scratch[0], scale * scratch[1], (1.0 + state.learnt[1]) * scratch[2], way)
     d = math.hypot(way[0], way[1])
+    turned = abs(way[2])
+    dt = (stamp_ns - last_ns) * 1e-9
+    if stamp_ns - last_ns < LAG_WINDOW_NS:
+        # not of the step itself: one that is too long by chance would weigh less than one that is too short
+        d = 0.5 * dt * math.hypot(twists[0, 0] + twists[1, 0], twists[0, 1] + twists[1, 1])
+        turned = 0.5 * dt * abs(twists[0, 2] + twists[1, 2])
     bridged = bridge_s3(since0, gap0) + bridge_s3(since1, gap1)
     late_m = settings.jitter_s * math.hypot(twists[1, 0] - twists[0, 0], twists[1, 1] - twists[0, 1])
     late_rad = settings.jitter_s * (twists[1, 2] - twists[0, 2])
     square_m2 = settings.position_walk**2 * d + settings.resolution_m**2
     square_m2 += settings.acceleration**2 * bridged + late_m**2
-    square_rad2 = settings.heading_walk**2 * d + settings.turn_walk**2 * abs(way[2])
+    square_rad2 = settings.heading_walk**2 * d + settings.turn_walk**2 * turned
     square_rad2 += settings.resolution_rad**2 + settings.turn_acceleration**2 * bridged + late_rad**2
     for i in range(3):
         state.said[i] = way[i]
+        change[i] = twists[1, i] - twists[0, i]
     state.said[3] = 1.0
     state.said[4] = max(square_m2, 0.5 * (own1 - own0))  # the device's own, where it grows
     state.said[5] = max(square_rad2, own_turn1 - own_turn0)
@@ -279,7 +364,8 @@ def add_to_state(state, step, correction):
     for i in range(4):
         state.learnt[i] += correction[SCALE + i]
     exponential(correction[LOCAL], correction[LOCAL + 1], correction[LOCAL + 2], moved)
-    move_axes(state.covariance, MAP, moved)
+    for k in (MAP, LOCAL):
+        move_axes(state.covariance, k, moved)
     compose(state.pose, moved, state.pose)
     compose(state.pose, step, state.pose)
 
@@ -330,6 +416,12 @@ def correct_motion(state, pose, local_covariance, prior_weight):
     Everything else moves by what it has in common with the pose.
     """
     P = state.covariance
+    step = np.empty(3)
+    moved = np.empty(3)
+    between(state.pose, pose, step)
+    logarithm(step, moved)
+    for k in (MAP, LOCAL):
+        move_axes(P, k, step)
     prior = P[LOCAL : LOCAL + 3, LOCAL : LOCAL + 3].copy()
     if prior_weight < 1.0:
         for i in range(3):
@@ -343,10 +435,6 @@ def correct_motion(state, pose, local_covariance, prior_weight):
     inverse = np.zeros((3, 3))
     if not invert_3x3(prior, inverse):
         return False
-    step = np.empty(3)
-    moved = np.empty(3)
-    between(state.pose, pose, step)
-    logarithm(step, moved)
     gain = np.zeros((STATES, 3))
     for i in range(STATES):
         for j in range(3):
@@ -375,7 +463,6 @@ def correct_motion(state, pose, local_covariance, prior_weight):
                 total += taken[i, k] * (gain[j, k] - used[j, k]) + spent[i, k] * used[j, k]
             P[i, j] -= total
             P[j, i] = P[i, j]
-    move_axes(P, MAP, step)
     for i in range(3):
         state.twist[i] += correction[TWIST + i]
         state.pose[i] = pose[i]
@@ -403,89 +490,3 @@ def transfer_into_map(P, kept):
     for i in range(3):
         for j in range(STATES):
             P[j, LOCAL + i] *= kept
-
-
-@inner_kernel
-def widen_window(state, travel_m, dt):
-    """Add what the sources said of the last step to the window that they are judged over."""
-    w = state.window
-    if state.said[3] > 0.0:
-        compose(w[3:6], state.said[:3], w[3:6])
-        w[6] += state.said[4] + w[7] * (state.said[0] ** 2 + state.said[1] ** 2)
-        w[7] += state.said[5]
-    else:
-        w[8] = 0.0
-    if state.said[7] > 0.0:
-        w[9] += state.said[6]
-        w[10] += state.said[7]
-    else:
-        w[11] = 0.0
-    w[12] += travel_m
-    w[13] += dt
-
-
-@kernel
-def begin_window(state):
-    state.window[:] = 0.0
-    for i in range(3):
-        state.window[i] = state.pose[i]
-    state.window[8] = state.window[11] = 1.0
-
-
-@inner_kernel
-def learn_noise(state, information):
-    """Hold what odometry and gyro said over a window against what scans say of it; [18].
-
-    The mean of squared innovations, less what the scan does not know, over the variance of the model is how
-    many times that variance is. It is learnt by as much as the scan knows better than the source.
-
-    state         Filter           in and out
-    information   (3, 3) float64   of the scan alone, base axes
-    Source: Mehra, On the identification of variances and adaptive Kalman filtering, 1970.
-    """
-    w = state.window
-    if w[12] < WINDOW_M and w[13] < WINDOW_S:
-        return
-    bounded = information.copy()
-    for i in range(3):
-        bounded[i, i] += 1e-6
-    alone = np.zeros((3, 3))
-    if invert_3x3(bounded, alone):
-        step = np.empty(3)
-        between(w[:3], state.pose, step)
-        if w[8] > 0.0:
-            off = np.empty(3)
-            between(w[3:6], step, off)
-            weight = total = 0.0
-            for axis in range(2):
-                known, squared = innovation(off[axis], w[6], state.noise[0], 2.0 * alone[axis, axis])
-                weight += 0.5 * known
-                total += 0.5 * known * squared
-            adapt(state.noise, 0, weight, total)
-            known, squared = innovation(off[2], w[7], state.noise[1], 2.0 * alone[2, 2])
-            adapt(state.noise, 1, known, known * squared)
-        if w[11] > 0.0:
-            known, squared = innovation(wrap(step[2] - w[9]), w[10], state.gyro_noise[0], 2.0 * alone[2, 2])
-            adapt(state.gyro_noise, 0, known, known * squared)
-    begin_window(state)
-
-
-@inner_kernel
-def innovation(off, model, noise, alone):
-    """What a source's innovation says of its noise.
-
-    off     m or rad that the pose, made with the source, is off from what the source said
-    model   variance of the source by its model;   noise   factor on it, as learnt
-    alone   variance of the step by the scan alone
-    Returns (weight 0..1 of this sample, squared innovation less the scan's own variance, over the model).
-    """
-    variance = model * noise
-    left_out = off * (variance + alone) / variance  # as if the source had had no say
-    share = model / (model + alone)
-    return share * share, (left_out * left_out - alone) / model
-
-
-@inner_kernel
-def adapt(noise, k, weight, total):
-    noise[k] += (total - weight * noise[k]) / NOISE_WINDOWS
-    noise[k] = min(max(noise[k], LEAST_NOISE), MOST_NOISE)

@@ -238,7 +238,7 @@ def plane_at(xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazi
         x = xy_base[i, 0] - sensor_xy_m[0] - sx / n
         y = xy_base[i, 1] - sensor_xy_m[1] - sy / n
         own = n / (n - 1.0)
-        noise = (n - 2) * square_m2
+        noise = (n - 4) * square_m2
         tilt = b - own * x * y - noise * nx * ny
         lean = half - 0.5 * own * (x * x - y * y) - 0.5 * noise * (nx * nx - ny * ny)
         if lean >= 0.0:  # eigenvector of the small eigenvalue, from the form that cancels nothing

@@ -12,6 +12,9 @@ from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.se2 import between, compose, exponential, logarithm
 
 LAG_WINDOW_NS = 200_000_000  # over which a speed is taken that a lag of the stamps is multiplied by
+ACCELERATION_NS = 100_000_000  # two such windows tell the acceleration of a path
+LONGEST_WINDOW_NS = 500_000_000  # scans farther apart tell none
+PATH_POSES = 256
 
 
 class Track(NamedTuple):
@@ -113,6 +116,70 @@ def mean_twist(track, stamp_ns, settings, twist):
     logarithm(scratch, twist)
     for i in range(3):
         twist[i] /= LAG_WINDOW_NS * 1e-9
+
+
+@inner_kernel
+def add_to_path(path, stamp_ns, pose):
+    """Append a pose (3,) to a track of PATH_POSES rows; of a full one the older half is forgotten."""
+    end = path.span[1]
+    if end == path.stamp_ns.shape[0]:
+        kept = end // 2
+        for i in range(kept):
+            path.stamp_ns[i] = path.stamp_ns[end - kept + i]
+            for k in range(3):
+                path.value[i, k] = path.value[end - kept + i, k]
+        path.span[0] = max(path.span[0] - (end - kept), 0)
+        end = kept
+    path.stamp_ns[end] = stamp_ns
+    for k in range(3):
+        path.value[end, k] = pose[k]
+    path.span[1] = end + 1
+
+
+@inner_kernel
+def acceleration_of(path, odometry, lag_ns, settings, acceleration):
+    """Acceleration (3,) at the end of a path that odometry shows, too: the smaller one, 0 where signs differ.
+
+    Each is that between the mean speeds of two windows. Where a wheel slips odometry's speed changes and that
+    of the path does not; where an encoder is dead it is the other way round.
+    Returns the length of a window in s; 0.0 where the path does not reach so far back.
+    """
+    newest = path.span[1] - 1
+    middle = last_at_or_before(path, path.stamp_ns[newest] - ACCELERATION_NS)
+    if middle < path.span[0]:
+        return 0.0
+    oldest = last_at_or_before(path, path.stamp_ns[middle] - ACCELERATION_NS)
+    if oldest < path.span[0] or path.stamp_ns[newest] - path.stamp_ns[oldest] > 2 * LONGEST_WINDOW_NS:
+        return 0.0
+    new_s = (path.stamp_ns[newest] - path.stamp_ns[middle]) * 1e-9
+    old_s = (path.stamp_ns[middle] - path.stamp_ns[oldest]) * 1e-9
+    said = np.empty((3, 3))
+    scratch = np.empty(3)
+    for i, row in enumerate((oldest, middle, newest)):
+        odometry_at(odometry, path.stamp_ns[row] + lag_ns, settings, said[i], scratch)
+    of_odometry = np.empty(3)
+    change_of_mean(said[0], said[1], said[2], old_s, new_s, of_odometry)
+    change_of_mean(path.value[oldest], path.value[middle], path.value[newest], old_s, new_s, acceleration)
+    for i in range(3):
+        if of_odometry[i] * acceleration[i] <= 0.0:
+            acceleration[i] = 0.0
+        elif abs(of_odometry[i]) < abs(acceleration[i]):
+            acceleration[i] = of_odometry[i]
+    return 0.5 * (new_s + old_s)
+
+
+@inner_kernel
+def change_of_mean(first, middle, last, old_s, new_s, acceleration):
+    """Acceleration (3,) between the mean speeds from a first pose to a middle one, and on to a last."""
+    step = np.empty(3)
+    new = np.empty(3)
+    old = np.empty(3)
+    between(middle, last, step)
+    logarithm(step, new)
+    between(first, middle, step)
+    logarithm(step, old)
+    for i in range(3):
+        acceleration[i] = (new[i] / new_s - old[i] / old_s) / (0.5 * (new_s + old_s))
 
 
 @inner_kernel

@@ -54,7 +54,9 @@ def later(sample, offset_ns: int):
 
 def test_a_straight_way_is_the_least_squares_solution_over_all_of_it() -> None:
     """Along x everything is linear: positions and speeds of all scans at once, solved by QR, say the same."""
-    config = EstimatorConfig(odometry_scale_sigma=0.0, odometry_lag_sigma_s=0.0, odometry_jitter_s=0.0)
+    config = EstimatorConfig(
+        odometry_scale_sigma=0.0, odometry_lag_sigma_s=0.0, odometry_jitter_s=0.0, odometry_position_walk=1e-9
+    )
     noise, count, dt = np.random.default_rng(3), 24, 0.04  # ends before the noise of odometry is judged
     true_m = np.cumsum(
         np.r_[0.0, np.full(count - 1, 0.006)] + np.r_[0.0, 1e-3 * noise.standard_normal(count - 1)]
@@ -91,8 +93,7 @@ def test_a_straight_way_is_the_least_squares_solution_over_all_of_it() -> None:
         for a, b in root:
             say({x0: -a, v0: -a * dt - b, x1: a, v1: b}, 0.0, 1.0)
         said_m = wheels_m[k] - wheels_m[k - 1]
-        variance = config.odometry_position_walk**2 * abs(said_m) + RESOLUTION_M**2
-        say({x0: -1.0, x1: 1.0}, said_m, math.sqrt(variance))
+        say({x0: -1.0, x1: 1.0}, said_m, RESOLUTION_M)
         if math.isfinite(sigma_m[k]):
             say({x1: 1.0}, scans_m[k], sigma_m[k])
     system = np.array(rows)
@@ -117,7 +118,9 @@ def test_a_scan_alone_and_the_same_scan_joined_by_hand_are_one() -> None:
         prior.pose_odom_base @ SE2.exp(*off), np.linalg.inv(information), information, is_joined=False
     )
     covariance = np.linalg.inv(np.linalg.inv(prior.local_covariance) + information)
-    mean = prior.pose_odom_base @ SE2.exp(*(covariance @ information @ off))
+    step = SE2.exp(*(covariance @ information @ off))
+    mean = prior.pose_odom_base @ step
+    covariance = carried(covariance, np.array([step.x_m, step.y_m, step.theta_rad]))
     first = alone.correct(scan)
     second = joined.correct(Measurement(mean, covariance, information))
     for got in (first, second):

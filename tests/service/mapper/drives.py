@@ -116,13 +116,14 @@ def drive(
     wheel_scale: float | None = 1.01,
     mounting: SE2 = MOUNTING,
     every: int = 1,
+    seed: int = 1,
 ) -> Drive:
     """Scans at 50 Hz and odometry at 67 Hz, by arrival.
 
     wheel_scale: what the wheels make of a metre; None where there are none.
     every: so many turns of the laser make one scan; the others are left out.
     """
-    noise = np.random.default_rng(1)
+    noise = np.random.default_rng(seed)
     frames: list[Frame] = []
     truth = {}
     if wheel_scale is not None:

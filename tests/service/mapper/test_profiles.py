@@ -174,16 +174,21 @@ def test_the_free_direction_of_a_corridor_is_held_on_odometry() -> None:
 
 
 def test_without_wheels_the_little_that_a_corridor_shows_is_used() -> None:
-    """A stop in the middle: a prediction that is only the last speed gone on would roll on."""
+    """A stop in the middle: a prediction that is only the last speed gone on would roll on. One drive in thirty
+    is lost there whatever the estimator does, so it is the median of five."""
 
     def stopping(time_s: float) -> SE2:
         return down_the_corridor(min(time_s, 3.0))
 
-    corridor = drive(DOORS, stopping, 5.0, wheel_scale=None)
-    away = errors(run(corridor.frames), corridor.truth)
-    assert np.abs(away[:, 0]).max() < 0.10
-    assert np.abs(away[-25:, 0]).mean() < 0.05
-    assert np.abs(away[:, 1]).max() < 0.01
+    farthest_m, end_m = [], []
+    for seed in range(1, 6):
+        corridor = drive(DOORS, stopping, 5.0, wheel_scale=None, seed=seed)
+        away = np.abs(errors(run(corridor.frames), corridor.truth))
+        farthest_m.append(away[:, 0].max())
+        end_m.append(away[-25:, 0].mean())
+        assert away[:, 1].max() < 0.01
+    assert np.median(farthest_m) < 0.06
+    assert np.median(end_m) < 0.03
 
 
 def test_standing_still_the_pose_stays() -> None:

@@ -1,0 +1,97 @@
+"""How many times the variance of its model the noise of odometry and gyro is; docs/estimator.md, [18]."""
+
+import numpy as np
+
+from service.kernels.compiled import inner_kernel, kernel
+from service.kernels.pose_information import invert_3x3, wrap
+from service.kernels.se2 import between, compose
+
+NOISE_WINDOWS = 10.0  # over which the noise of a source is learnt
+WINDOW_M, WINDOW_S = 0.3, 1.0  # a radian counts as a metre
+LEAST_NOISE, MOST_NOISE = 0.25, 1e6
+
+
+@inner_kernel
+def widen_window(state, travel_m, dt):
+    """Add what the sources said of the last step to the window that they are judged over."""
+    w = state.window
+    if state.said[3] > 0.0:
+        compose(w[3:6], state.said[:3], w[3:6])
+        w[6] += state.said[4] + w[7] * (state.said[0] ** 2 + state.said[1] ** 2)
+        w[7] += state.said[5]
+    else:
+        w[8] = 0.0
+    if state.said[7] > 0.0:
+        w[9] += state.said[6]
+        w[10] += state.said[7]
+    else:
+        w[11] = 0.0
+    w[12] += travel_m
+    w[13] += dt
+
+
+@kernel
+def begin_window(state):
+    state.window[:] = 0.0
+    for i in range(3):
+        state.window[i] = state.pose[i]
+    state.window[8] = state.window[11] = 1.0
+
+
+@inner_kernel
+def learn_noise(state, information):
+    """Hold what odometry and gyro said over a window against what scans say of it; [18].
+
+    The mean of squared innovations, less what the scan does not know, over the variance of the model is how
+    many times that variance is. It is learnt by as much as the scan knows better than the source.
+
+    state         Filter           in and out
+    information   (3, 3) float64   of the scan alone, base axes
+    Source: Mehra, On the identification of variances and adaptive Kalman filtering, 1970.
+    """
+    w = state.window
+    if w[12] < WINDOW_M and w[13] < WINDOW_S:
+        return
+    bounded = information.copy()
+    for i in range(3):
+        bounded[i, i] += 1e-6
+    alone = np.zeros((3, 3))
+    if invert_3x3(bounded, alone):
+        step = np.empty(3)
+        between(w[:3], state.pose, step)
+        if w[8] > 0.0:
+            off = np.empty(3)
+            between(w[3:6], step, off)
+            weight = total = 0.0
+            for axis in range(2):
+                known, squared = innovation(off[axis], w[6], state.noise[0], 2.0 * alone[axis, axis])
+                weight += 0.5 * known
+                total += 0.5 * known * squared
+            adapt(state.noise, 0, weight, total)
+            known, squared = innovation(off[2], w[7], state.noise[1], 2.0 * alone[2, 2])
+            adapt(state.noise, 1, known, known * squared)
+        if w[11] > 0.0:
+            known, squared = innovation(wrap(step[2] - w[9]), w[10], state.gyro_noise[0], 2.0 * alone[2, 2])
+            adapt(state.gyro_noise, 0, known, known * squared)
+    begin_window(state)
+
+
+@inner_kernel
+def innovation(off, model, noise, alone):
+    """What a source's innovation says of its noise.
+
+    off     m or rad that the pose, made with the source, is off from what the source said
+    model   variance of the source by its model;   noise   factor on it, as learnt
+    alone   variance of the step by the scan alone
+    Returns (weight 0..1 of this sample, squared innovation less the scan's own variance, over the model).
+    """
+    variance = model * noise
+    left_out = off * (variance + alone) / variance  # as if the source had had no say
+    share = model / (model + alone)
+    return share * share, (left_out * left_out - alone) / model
+
+
+@inner_kernel
+def adapt(noise, k, weight, total):
+    noise[k] += (total - weight * noise[k]) / NOISE_WINDOWS
+    noise[k] = min(max(noise[k], LEAST_NOISE), MOST_NOISE)

@@ -1,0 +1,139 @@
+"""What the estimator learns of odometry on drives with noise: right within what it believes, no more."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from service.fusion.estimator import Estimator, EstimatorConfig
+from service.fusion.motion import Measurement
+from service.geometry.se2 import SE2
+from service.kernels.estimator import LAG, SCALE, TURN_SCALE
+from tests.service.fusion.samples import odometry
+
+DT_S = 1e-3
+SCAN_S, ODOMETRY_S = 0.02, 0.015
+SETTLE_M = 0.1
+SIGMA_M, SIGMA_RAD = 1e-3, 3e-4  # of a scan
+EVERYWHERE = (SIGMA_M**-2, SIGMA_M**-2, SIGMA_RAD**-2)  # 1/m^2, 1/m^2, 1/rad^2
+CORRIDOR = (0.0, SIGMA_M**-2, SIGMA_RAD**-2)  # nothing along the walls, which lie along x
+SEEDS = (0, 1, 2)
+
+
+@dataclass(frozen=True)
+class Wheels:
+    """Odometry's errors; noise grows with the root of the way."""
+
+    scale: float = 1.0
+    turn_scale: float = 1.0
+    lag_s: float = 0.0
+    walk_m: float = 0.01
+    walk_rad: float = 0.005
+    slip_radps: float = 0.0  # for 0.7 s, 8 s after the start
+    dies_s: float = math.inf  # says from then on that the vehicle stands
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """Errors of scale, turn scale and lag (s), what the estimator believes of them, and the last pose's."""
+
+    error: npt.NDArray[np.float64]
+    sigma: npt.NDArray[np.float64]
+    along_m: float
+
+    @property
+    def over_sigma(self) -> npt.NDArray[np.float64]:
+        return np.abs(self.error) / self.sigma
+
+
+def turn_rate_radps(t_s: npt.NDArray[np.float64], has_corners: bool) -> npt.NDArray[np.float64]:
+    """A corner of 90 deg within 2 s, each 8 s."""
+    phase_s = t_s % 8.0
+    is_corner = has_corners & (phase_s > 5.0) & (phase_s < 7.0)
+    return np.where(is_corner, 0.5 * math.pi * np.sin(0.5 * math.pi * (phase_s - 5.0)) ** 2, 0.0)
+
+
+def learnt_on(
+    seed: int, seconds: float, information: tuple[float, ...], wheels: Wheels, has_corners: bool = False
+) -> Learnt:
+    noise = np.random.default_rng(seed)
+    t_s = np.arange(0.0, seconds + 0.1, DT_S)
+    speed_mps = np.minimum(t_s, 1.0) * (1.0 + 0.05 * np.sin(2.0 * math.pi * t_s / 7.0 + seed))
+    way_m = np.cumsum(speed_mps) * DT_S
+    heading_rad = np.cumsum(turn_rate_radps(t_s, has_corners)) * DT_S
+    x_m = np.cumsum(speed_mps * np.cos(heading_rad)) * DT_S
+    y_m = np.cumsum(speed_mps * np.sin(heading_rad)) * DT_S
+
+    rows = np.arange(0, len(t_s), round(ODOMETRY_S / DT_S))
+    steps_m = np.diff(way_m[rows], prepend=0.0)
+    root = np.sqrt(steps_m) * noise.standard_normal((2, len(rows)))
+    slip_rad = wheels.slip_radps * ODOMETRY_S * ((t_s[rows] > 8.0) & (t_s[rows] < 8.7))
+    turned_rad = wheels.turn_scale * np.diff(heading_rad[rows], prepend=0.0)
+    turned_rad += wheels.walk_rad * root[1] + slip_rad
+    turned_rad = np.where(t_s[rows] < wheels.dies_s, turned_rad, 0.0)
+    said_rad = np.cumsum(turned_rad)
+    said_m = np.where(t_s[rows] < wheels.dies_s, wheels.scale * steps_m + wheels.walk_m * root[0], 0.0)
+    said_x_m = np.cumsum(said_m * np.cos(said_rad - 0.5 * turned_rad))
+    said_y_m = np.cumsum(said_m * np.sin(said_rad - 0.5 * turned_rad))
+
+    model, along_map, settled_m, sent = Estimator(EstimatorConfig()), np.diag(information), 0.0, 0
+    root_information = np.sqrt(np.where(along_map > 0.0, 1.0 / np.maximum(along_map, 1e-9), 0.0))
+    for k in range(round(0.2 / DT_S), len(t_s), round(SCAN_S / DT_S)):
+        while sent < len(rows) and rows[sent] <= k + round(SCAN_S / DT_S):
+            stamp_ms = 1e3 * (t_s[rows[sent]] + wheels.lag_s) + 1000.0
+            model.add(odometry(stamp_ms, SE2(said_x_m[sent], said_y_m[sent], said_rad[sent])))
+            sent += 1
+        predicted = model.predict(round((t_s[k] + 1.0) * 1e9))
+        true = SE2(x_m[k], y_m[k], heading_rad[k])
+        if k == round(0.2 / DT_S):
+            first = true
+        true = first.inverse() @ true
+        turn = 0.0 if has_corners else -predicted.pose_odom_base.theta_rad
+        c, s = math.cos(turn), math.sin(turn)
+        axes = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])  # of the walls, in the base
+        seen = true @ SE2.exp(*(axes @ root_information @ noise.standard_normal(3)).tolist())
+        said = axes @ along_map @ axes.T
+        off = np.array((predicted.pose_odom_base.inverse() @ seen).log())
+        chi2 = float(off @ np.linalg.solve(predicted.local_covariance, off))
+        weight = min(1.0, 8.0 / (5.0 + chi2))  # as the matcher weighs a prediction, [12]
+        motion = model.correct(Measurement(seen, np.eye(3), said, weight, is_joined=False))
+        if way_m[k] - settled_m > SETTLE_M:
+            model.settle(math.exp(-SETTLE_M / 4.0))
+            settled_m = way_m[k]
+    truth = np.array([1.0 / wheels.scale - 1.0, 1.0 / wheels.turn_scale - 1.0, wheels.lag_s])
+    sigma = np.sqrt(np.diag(model._filter.covariance)[[SCALE, TURN_SCALE, LAG]])
+    return Learnt(model.learnt[:3] - truth, sigma, motion.pose_odom_base.x_m - true.x_m)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_corridor_teaches_no_scale(seed: int) -> None:
+    """Nothing there tells an error of scale from one of the speed: noise must not seem to."""
+    learnt = learnt_on(seed, 60.0, CORRIDOR, Wheels())
+    assert abs(learnt.error[0]) < 1e-3
+    assert learnt.sigma[0] == pytest.approx(EstimatorConfig().odometry_scale_sigma, rel=0.01)
+    assert abs(learnt.along_m) < 3.0 * 0.01 * math.sqrt(60.0)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_straight_way_teaches_neither_turn_scale_nor_lag(seed: int) -> None:
+    learnt = learnt_on(seed, 60.0, EVERYWHERE, Wheels())
+    assert (learnt.over_sigma < 3.0).all()
+    assert (learnt.sigma[1:] > 0.5 * np.array([0.02, 0.05])).all()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("wheels", [Wheels(), Wheels(scale=0.95, turn_scale=1.05), Wheels(lag_s=0.03)])
+def test_corners_teach_what_is_true(wheels: Wheels, seed: int) -> None:
+    learnt = learnt_on(seed, 48.0, EVERYWHERE, wheels, has_corners=True)
+    assert (learnt.over_sigma < 3.0).all()
+    assert (learnt.sigma < (0.003, 0.007, 0.004)).all()
+
+
+@pytest.mark.parametrize("wheels", [Wheels(slip_radps=0.08), Wheels(dies_s=4.0), Wheels(dies_s=0.0)])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_fault_is_no_lag(wheels: Wheels, seed: int) -> None:
+    """Where a wheel slips odometry's speed changes, where an encoder is dead that of the path."""
+    learnt = learnt_on(seed, 14.0, EVERYWHERE, wheels, has_corners=True)
+    assert abs(learnt.error[2]) < 0.05
