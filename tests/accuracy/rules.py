@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import Mock, patch
 
+from service.kernels.normals import estimate_normals
 from service.offline.replay import ReplayOptions, replay, write_replay
 from service.offline.score import RelationsScore, score
 from simulators.worlds import WORLDS
@@ -21,6 +22,14 @@ from tests.simulated import LMS100_50HZ
 
 METHOD = "service.mapper.methods.corridor"
 NEVER_KNOWN = Mock(pose_at=lambda stamp_ns: None)  # in place of a SteadyMotion
+
+
+def normals_of_points_as_they_are(*arguments: Any) -> None:
+    """As estimate_normals, whose last argument is how far each point is to be moved."""
+    estimate_normals(*arguments)
+    arguments[-1][:] = 0.0
+
+
 # what is switched off, where, and the value that does it
 RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("nothing", METHOD, {}),
@@ -58,6 +67,11 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         "returns missing by chance are no gaps beside posts",
         f"{METHOD}.posts",
         {"look_for_posts": lambda *_: (True, 0)},
+    ),
+    (
+        "points moved along their walls ([24])",
+        "service.mapper.walls",
+        {"estimate_normals": normals_of_points_as_they_are},
     ),
 )
 TRIPS = {

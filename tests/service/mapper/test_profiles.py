@@ -174,8 +174,10 @@ def test_the_free_direction_of_a_corridor_is_held_on_odometry() -> None:
 
 
 def test_without_wheels_the_little_that_a_corridor_shows_is_used() -> None:
-    """A stop in the middle: a prediction that is only the last speed gone on would roll on. One drive in thirty
-    is lost there whatever the estimator does, so it is the median of five."""
+    """A stop in the middle: a prediction that is only the last speed gone on would roll on.
+
+    One drive in thirty is lost there, so it is the median of five.
+    """
 
     def stopping(time_s: float) -> SE2:
         return down_the_corridor(min(time_s, 3.0))
