@@ -233,14 +233,14 @@ def tie_to_scale(P, tied, times, dt):
 
     tied   (3,) float64   the twist that it is multiplied by
     """
-    for i in range(3):
-        k = SCALE if i < 2 else TURN_SCALE
-        for row in (TWIST + i, STEP + i):
-            by = times * tied[i] * (dt if row < TWIST else 1.0)
-            for j in range(STATES):
-                P[row, j] += by * P[k, j]
-            for j in range(STATES):
-                P[j, row] += by * P[j, k]
+    for i in range(6):
+        row = STEP + i  # and TWIST
+        k = TURN_SCALE if i % 3 == 2 else SCALE
+        by = times * tied[i % 3] * (dt if i < 3 else 1.0)
+        for j in range(STATES):
+            P[row, j] += by * P[k, j]
+        for j in range(STATES):
+            P[j, row] += by * P[j, k]
 
 
 @inner_kernel

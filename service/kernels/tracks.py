@@ -153,12 +153,15 @@ def acceleration_of(path, odometry, lag_ns, settings, acceleration):
         return 0.0
     new_s = (path.stamp_ns[newest] - path.stamp_ns[middle]) * 1e-9
     old_s = (path.stamp_ns[middle] - path.stamp_ns[oldest]) * 1e-9
-    said = np.empty((3, 3))
+    first = np.empty(3)
+    mid = np.empty(3)
+    last = np.empty(3)
     scratch = np.empty(3)
-    for i, row in enumerate((oldest, middle, newest)):
-        odometry_at(odometry, path.stamp_ns[row] + lag_ns, settings, said[i], scratch)
     of_odometry = np.empty(3)
-    change_of_mean(said[0], said[1], said[2], old_s, new_s, of_odometry)
+    odometry_at(odometry, path.stamp_ns[oldest] + lag_ns, settings, first, scratch)
+    odometry_at(odometry, path.stamp_ns[middle] + lag_ns, settings, mid, scratch)
+    odometry_at(odometry, path.stamp_ns[newest] + lag_ns, settings, last, scratch)
+    change_of_mean(first, mid, last, old_s, new_s, of_odometry)
     change_of_mean(path.value[oldest], path.value[middle], path.value[newest], old_s, new_s, acceleration)
     for i in range(3):
         if of_odometry[i] * acceleration[i] <= 0.0:
