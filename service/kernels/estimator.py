@@ -184,6 +184,7 @@ def predict_motion(state, odometry, gyro, stamp_ns, settings):
     change = np.empty(3)
     tied = state.tied_twist
     new = 1.0 - math.exp(-dt / MEAN_S)
+    of_step = 1.0 - math.exp(-((dt / MEAN_S) ** 2))
     knows_turn = gyro_turn(gyro, last_ns, stamp_ns, settings, turn)
     knows_way = odometry_step(state, odometry, last_ns, stamp_ns, settings, change)
     knows_way = knows_way and max(state.noise[0], state.noise[1]) <= settings.fault_noise
@@ -195,7 +196,7 @@ def predict_motion(state, odometry, gyro, stamp_ns, settings):
         logarithm(step, said)
         for i in range(3):
             correction[STEP + i] = dt * state.twist[i] - said[i]
-        change_of_speed(state, odometry, dt, new * new, settings, change)
+        change_of_speed(state, odometry, dt, of_step, settings, change)
         tie_to_scale(P, tied, -1.0, dt)
     if knows_turn:
         state.said[6] = turn[0] - state.learnt[3] * dt
@@ -218,7 +219,7 @@ def predict_motion(state, odometry, gyro, stamp_ns, settings):
             correction[STEP + i] += dt * of_scale
             # over a long step the speed before says little; the noise of a short one must not be in it
             newer = said[i] / dt - state.mean_twist[i]
-            tied[i] = state.mean_twist[i] + new * new * newer
+            tied[i] = state.mean_twist[i] + of_step * newer
             state.mean_twist[i] += new * newer
         tie_to_scale(P, tied, 1.0, dt)
     add_to_state(state, step, correction)
