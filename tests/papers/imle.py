@@ -48,6 +48,10 @@ SIMULATED = Sampled(MODEL, 361, 1.0, -90.0, 0.5, SE2())
 LUX = Sampled(MODEL, 441, 1.0, -55.0, 0.25, SE2())
 LUX_25HZ = Laser(MODEL, 441, 25.0, -55.0, 0.25, SE2())
 RECORDED = ("fgi_s1", "fgi_ccw_s1")
+SLIP = (
+    "the whole error is along the corridor: between 12 and 17 m the search, which has no prior, slips by 0.25 m "
+    "against the scans drawn before, and nothing takes that out later"
+)
 FIRST_SCANS = (
     "the first scan knows the far wall to 1 cm only, by which alone the worst of ten is beyond in 37 % of "
     "cases, and a scan that is off by more is drawn there and stays: nothing is averaged or forgotten"
@@ -158,7 +162,7 @@ def every_scan(seeds: Sequence[int]) -> Section:
         Row("C26", f"every scan drawn, seed {seeds[0]}: RMS of the position", [drawn], "m"),
     ]
     for name in RECORDED:
-        rows += error_row("C26", "IMLE: ATE of the recording ", "imle", name, at_most=0.09)
+        rows += error_row("C26", "IMLE: ATE of the recording ", "imle", name, at_most=0.09, cause=SLIP)
     return Section(
         "The corridor at 25 scans a second",
         "The same, all scans of the scanner instead of one a second, with wheels 1 % off and an IMU; and two "
