@@ -49,8 +49,8 @@ LUX = Sampled(MODEL, 441, 1.0, -55.0, 0.25, SE2())
 LUX_25HZ = Laser(MODEL, 441, 25.0, -55.0, 0.25, SE2())
 RECORDED = ("fgi_s1", "fgi_ccw_s1")
 SLIP = (
-    "the whole error is along the corridor: between 12 and 17 m the search, which has no prior, slips by 0.25 m "
-    "against the scans drawn before, and nothing takes that out later"
+    "the whole error is along the corridor: between 12 and 17 m the search, which has no prior, slips by "
+    "0.25 m against the scans drawn before, and nothing takes that out later"
 )
 FIRST_SCANS = (
     "the first scan knows the far wall to 1 cm only, by which alone the worst of ten is beyond in 37 % of "
