@@ -104,7 +104,8 @@ class Filter(NamedTuple):
 def observe(covariance, rows, residual, variance, gain, gate, correction):
     """One linear measurement: rows . error = residual + noise; changes covariance, adds to correction.
 
-    rows   (16,) float64     gain   (16,) float64   scratch
+    rows   (16,) float64     that of the lag is set to 0 where the innovation is beyond the gate
+    gain   (16,) float64     scratch
     gate   chi2 beyond which the noise is widened until the innovation fits: a Huber weight; [6]
     The pose is one, so its error against the first scan moves as that against the local map does, and its
     covariance follows by Joseph's form; [7].

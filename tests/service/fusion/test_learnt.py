@@ -12,6 +12,7 @@ from service.fusion.motion import Measurement
 from service.geometry.se2 import SE2
 from service.kernels.estimator import LAG, SCALE, TURN_SCALE
 from tests.service.fusion.samples import odometry
+from tests.simulated import Wheels
 
 DT_S = 1e-3
 SCAN_S, ODOMETRY_S = 0.02, 0.015
@@ -23,14 +24,10 @@ SEEDS = (0, 1, 2)
 
 
 @dataclass(frozen=True)
-class Wheels:
-    """Odometry's errors; noise grows with the root of the way."""
+class FaultyWheels(Wheels):
+    """Odometry whose stamps lag, that slips or that dies."""
 
-    scale: float = 1.0
-    turn_scale: float = 1.0
     lag_s: float = 0.0
-    walk_m: float = 0.01
-    walk_rad: float = 0.005
     slip_radps: float = 0.0  # for 0.7 s, 8 s after the start
     dies_s: float = math.inf  # says from then on that the vehicle stands
 
@@ -56,7 +53,7 @@ def turn_rate_radps(t_s: npt.NDArray[np.float64], has_corners: bool) -> npt.NDAr
 
 
 def learnt_on(
-    seed: int, seconds: float, information: tuple[float, ...], wheels: Wheels, has_corners: bool = False
+    seed: int, seconds: float, information: tuple[float, ...], wheels: FaultyWheels, has_corners: bool = False
 ) -> Learnt:
     noise = np.random.default_rng(seed)
     t_s = np.arange(0.0, seconds + 0.1, DT_S)
@@ -71,10 +68,12 @@ def learnt_on(
     root = np.sqrt(steps_m) * noise.standard_normal((2, len(rows)))
     slip_rad = wheels.slip_radps * ODOMETRY_S * ((t_s[rows] > 8.0) & (t_s[rows] < 8.7))
     turned_rad = wheels.turn_scale * np.diff(heading_rad[rows], prepend=0.0)
-    turned_rad += wheels.walk_rad * root[1] + slip_rad
+    turned_rad += wheels.sigma_rad_per_sqrt_m * root[1] + slip_rad
     turned_rad = np.where(t_s[rows] < wheels.dies_s, turned_rad, 0.0)
     said_rad = np.cumsum(turned_rad)
-    said_m = np.where(t_s[rows] < wheels.dies_s, wheels.scale * steps_m + wheels.walk_m * root[0], 0.0)
+    said_m = np.where(
+        t_s[rows] < wheels.dies_s, wheels.scale * steps_m + wheels.sigma_m_per_sqrt_m * root[0], 0.0
+    )
     said_x_m = np.cumsum(said_m * np.cos(said_rad - 0.5 * turned_rad))
     said_y_m = np.cumsum(said_m * np.sin(said_rad - 0.5 * turned_rad))
 
@@ -110,7 +109,7 @@ def learnt_on(
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_corridor_teaches_no_scale(seed: int) -> None:
     """Nothing there tells an error of scale from one of the speed: noise must not seem to."""
-    learnt = learnt_on(seed, 60.0, CORRIDOR, Wheels())
+    learnt = learnt_on(seed, 60.0, CORRIDOR, FaultyWheels())
     assert abs(learnt.error[0]) < 1e-3
     assert learnt.sigma[0] == pytest.approx(EstimatorConfig().odometry_scale_sigma, rel=0.01)
     assert abs(learnt.along_m) < 3.0 * 0.01 * math.sqrt(60.0)
@@ -118,22 +117,26 @@ def test_a_corridor_teaches_no_scale(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_straight_way_teaches_neither_turn_scale_nor_lag(seed: int) -> None:
-    learnt = learnt_on(seed, 60.0, EVERYWHERE, Wheels())
+    learnt = learnt_on(seed, 60.0, EVERYWHERE, FaultyWheels())
     assert (learnt.over_sigma < 3.0).all()
     assert (learnt.sigma[1:] > 0.5 * np.array([0.02, 0.05])).all()
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("wheels", [Wheels(), Wheels(scale=0.95, turn_scale=1.05), Wheels(lag_s=0.03)])
-def test_corners_teach_what_is_true(wheels: Wheels, seed: int) -> None:
+@pytest.mark.parametrize(
+    "wheels", [FaultyWheels(), FaultyWheels(scale=0.95, turn_scale=1.05), FaultyWheels(lag_s=0.03)]
+)
+def test_corners_teach_what_is_true(wheels: FaultyWheels, seed: int) -> None:
     learnt = learnt_on(seed, 48.0, EVERYWHERE, wheels, has_corners=True)
     assert (learnt.over_sigma < 3.0).all()
     assert (learnt.sigma < (0.003, 0.007, 0.004)).all()
 
 
-@pytest.mark.parametrize("wheels", [Wheels(slip_radps=0.08), Wheels(dies_s=4.0), Wheels(dies_s=0.0)])
+@pytest.mark.parametrize(
+    "wheels", [FaultyWheels(slip_radps=0.08), FaultyWheels(dies_s=4.0), FaultyWheels(dies_s=0.0)]
+)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_fault_is_no_lag(wheels: Wheels, seed: int) -> None:
+def test_a_fault_is_no_lag(wheels: FaultyWheels, seed: int) -> None:
     """Where a wheel slips odometry's speed changes, where an encoder is dead that of the path."""
     learnt = learnt_on(seed, 14.0, EVERYWHERE, wheels, has_corners=True)
     assert abs(learnt.error[2]) < 0.05
