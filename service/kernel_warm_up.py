@@ -95,7 +95,7 @@ def warm_up(
 
     back_end_elsewhere   leave out what the graph's back end needs, see `warm_up_steps`
     progress             told of each kernel that is compiled; left out, the log says how far it is
-    leaves_seldom        where the cache is cold, leave out what not every scan needs
+    leaves_seldom        leave out what not every scan needs and the cache does not hold
     Returns whether that was left out.
     """
     progress = progress or KernelProgress(_Tell())
@@ -128,17 +128,34 @@ def _warm_up(
         for helper in helpers:
             helper.start()
 
-    with _collecting_last(), _listening(help_out, progress.compiled):
-        while (k := pieces.claim()) is not None:
-            pieces.do(k)
-        for helper in helpers:
-            for k in helper.finish():
+    with _collecting_last():
+        with _listening(help_out, progress.compiled):
+            while (k := pieces.claim()) is not None:
                 pieces.do(k)
-        if is_cold and seldom:
-            return True
-        for step in seldom:
+            for helper in helpers:
+                for k in helper.finish():
+                    pieces.do(k)
+        if is_cold:
+            return bool(seldom)
+        return sum(not _is_cached(step) for step in seldom) > 0  # a start that was cut short leaves a part
+
+
+class _NotCachedError(Exception):
+    """A kernel would have to be compiled."""
+
+
+def _is_cached(step: Callable[[], Any]) -> bool:
+    """Load what it calls, up to the first kernel that the cache does not hold; whether it held all."""
+
+    def give_up() -> None:
+        raise _NotCachedError
+
+    with _listening(give_up, lambda name: None):
+        try:
             step()
-    return False
+        except _NotCachedError:
+            return False
+    return True
 
 
 def needed_kernels(back_end_elsewhere: bool = False) -> set[str]:
@@ -315,7 +332,9 @@ def _help(theirs: Connection, what: tuple[dict[str, Any] | None, bool]) -> None:
             while True:
                 theirs.send(None)
                 if (k := theirs.recv()) is None:
-                    return
+                    break
                 work[k]()
     except (EOFError, OSError):
         return
+    theirs.close()
+    os._exit(0)  # the interpreter would take half a second to let go of what the compiler has made

@@ -302,7 +302,7 @@ def main() -> int:
         (setup,) = messages
         set_up_logging(setup.log_level)
         config = mapping_config(dict(setup.mapping))
-        if config != told:
+        if told is None or config.model_dump() != told.model_dump():  # == compares classes, made for each
             is_left = _load(config, channel)
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # stand-bys end when nobody needs them any more
         gc.collect()

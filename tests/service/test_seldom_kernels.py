@@ -124,3 +124,20 @@ def test_seldom_kernels_are_left_out_of_a_start_only_where_the_cache_is_cold(
     assert done == (["soon"] if left_out else ["soon", "seldom"])
     assert not warm_up()
     assert done[-2:] == ["soon", "seldom"]
+
+
+def test_a_start_leaves_what_an_earlier_one_had_no_time_to_compile(monkeypatch: pytest.MonkeyPatch):
+    done: list[str] = []
+
+    def cut_short() -> None:
+        done.append("begun")
+        compile_something()
+        done.append("compiled")
+
+    steps: list[Callable[[], None]] = [lambda: None, cut_short, lambda: done.append("cached")]
+    monkeypatch.setattr(kernel_warm_up, "warm_up_steps", lambda *_: steps)
+    monkeypatch.setattr(kernel_warm_up, "seldom_steps", lambda *_: steps[1:])
+    assert warm_up(leaves_seldom=True)
+    assert done == ["begun", "cached"]
+    assert not warm_up()
+    assert done[2:] == ["begun", "compiled", "cached"]

@@ -2,7 +2,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from service.runtime import mapper_link
+from service.runtime import early_mapper, mapper_link
 from tests.service.runtime.mappers import HOW
 from tests.service.runtime.mappers.forked import Nursery
 
@@ -23,11 +23,12 @@ def forked_mappers(nursery: Nursery, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def strange(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     """Sets up how the mapper misbehaves: "raises", "hangs", "does not compile", "compiles for ever"; or
-    "not at all", with a new stand-by every 0.3 s.
+    "says what it loads", "not at all", with a new stand-by every 0.3 s.
     """
 
     def set_up(how: str) -> None:
-        monkeypatch.setattr(mapper_link, "MODULE", "tests.service.runtime.mappers.strange")
+        for module in (mapper_link, early_mapper):
+            monkeypatch.setattr(module, "MODULE", "tests.service.runtime.mappers.strange")
         monkeypatch.setenv(HOW, how)
 
     return set_up

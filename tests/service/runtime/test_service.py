@@ -23,6 +23,7 @@ from service.outputs import TileUpdate
 from service.recording.mcap_reader import Recording
 from service.runtime import service as service_module
 from service.runtime.commands import Commands
+from service.runtime.early_mapper import EarlyMapper
 from service.runtime.health import HealthReport
 from service.runtime.mapper_link import MOST_DEATHS, MapperLink
 from service.runtime.notify import Notifier
@@ -30,7 +31,7 @@ from service.runtime.service import Service
 from service.sinks.registry import SinkKind
 from service.sinks.sink import Sink, SinkContext
 from tests.service.mapstore.graphs import graph_of
-from tests.service.runtime.mappers import FATAL_RANGE_M
+from tests.service.runtime.mappers import FATAL_RANGE_M, LOADED
 from tests.service.runtime.mapping_runs import scan
 
 pytestmark = pytest.mark.usefixtures("forked_mappers")
@@ -270,6 +271,25 @@ def test_a_start_that_compiles_says_that_it_goes_on_and_can_be_called_off(
     if pid:
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
+
+
+def test_what_was_loaded_before_the_config_was_checked_is_not_loaded_again(
+    open_service: Callable[..., Service],
+    strange: Callable[[str], None],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+):
+    """A second load with a cold cache compiles before READY what was left for after it."""
+    strange("says what it loads")
+    loaded = tmp_path / "loaded"
+    monkeypatch.setenv(LOADED, str(loaded))
+    for told in ("corridor", "imle"):
+        with EarlyMapper() as early:
+            early.tell({"profile": told})
+            service = open_service(early=early)
+            assert service.start()
+            service.stop()
+    assert loaded.read_text().split() == ["corridor", "imle", "corridor"]
 
 
 def test_a_start_that_was_called_off_while_the_sinks_opened_begins_no_mapper(

@@ -7,9 +7,10 @@ from typing import Any
 from drivers.frames import Frame, LaserScan
 from service.kernel_warm_up import KernelProgress
 from service.mapper.pipeline import Mapper
+from service.mapper.profiles import MappingConfig
 from service.outputs import MapperOutput
 from service.runtime import mapper_process, standby_schedule
-from tests.service.runtime.mappers import FATAL_RANGE_M, HOW
+from tests.service.runtime.mappers import FATAL_RANGE_M, HOW, LOADED
 
 STANDBY_EVERY_NS = 300_000_000  # one comes soon
 
@@ -27,7 +28,7 @@ def strange(self: Mapper[Any], frame: Frame) -> MapperOutput | None:
 
 
 def no_kernels(
-    config: object, back_end_elsewhere: bool, progress: KernelProgress, leaves_seldom: bool = False
+    config: MappingConfig, back_end_elsewhere: bool, progress: KernelProgress, leaves_seldom: bool = False
 ) -> bool:
     if os.environ[HOW] == "does not compile":
         raise TypeError("cannot lower")
@@ -35,6 +36,9 @@ def no_kernels(
         progress.expect(2)
         progress.compiled("service.kernels.match.match_scan")
         os.read(os.pipe()[0], 1)
+    if os.environ[HOW] == "says what it loads":
+        with open(os.environ[LOADED], "a", encoding="utf-8") as loaded:
+            loaded.write(f"{config.profile}\n")
     return False
 
 
