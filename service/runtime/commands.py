@@ -185,6 +185,7 @@ class Commands:
             number = self._tiles.number
             self._outputs.map_reset()
             before = self._storage.folder_of(number) if self._tiles.number != number else None
+            self._storage.begun_new()
             self._storage.ask_to_save(partial(saved, before))
 
         self._intake.request_session("reset_map", event.log_ns, answered)

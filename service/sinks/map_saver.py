@@ -59,8 +59,8 @@ class MapSaver(Sink):
     def __init__(self, config: MapConfig, context: SinkContext) -> None:
         started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime(context.start_unix_ns / 1e9))
         self._started = started
-        new = config.directory / f"{context.vehicle}_{started}"
-        self._folder = context.map_folder or config.load or new
+        self._anew = config.directory / f"{context.vehicle}_{started}"
+        self._folder = context.map_folder or config.load or self._anew
         self.graph_folder = self._folder.with_name(f".{self._folder.name}.graph-{os.getpid()}")
         is_going_on = self._folder == config.load and not context.is_localizing
         self._goes_on_in = (self._folder, context.load_version) if is_going_on else None
@@ -128,12 +128,21 @@ class MapSaver(Sink):
         self._let_go_of(self._tiles.number)  # it has no tile
         self._begun_in[self._tiles.number] = folder
 
+    def begun_new(self) -> None:
+        """The present map is a new one, also where what was begun in had no tile yet when it was reset."""
+        number = self._tiles.number
+        if number == 1 and self._begun_in.get(number) == self._folder:
+            self._folder = self._anew
+        self._let_go_of(number)
+        self._begun_in.pop(number, None)
+
     def _let_go_of(self, number: int) -> None:
         if number in self._begun_in:
             self._in_use.let_go(self._begun_in[number])
 
     def mapped_by(self, profile: str, stores_graph: bool) -> None:
-        """The present map is made by this profile; call it when the one before has ended."""
+        """The present map is a new one, made by this profile; call it when the one before has ended."""
+        self.begun_new()
         self._made_by[self._tiles.number] = _Profile(profile, stores_graph)
 
     def ask_to_save(self, saved: SavedHeard, name: str = "", with_graph: bool = False) -> None:

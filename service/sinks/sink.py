@@ -176,8 +176,12 @@ class MapStorage(Protocol):
         """
         ...
 
+    def begun_new(self) -> None:
+        """The present map is a new one; call it when the one before has ended, had it a tile or not."""
+        ...
+
     def mapped_by(self, profile: str, stores_graph: bool) -> None:
-        """The present map is made by this profile; call it when the one before has ended.
+        """The present map is a new one, made by this profile; call it when the one before has ended.
 
         stores_graph   whether a later session can go on in it
         """

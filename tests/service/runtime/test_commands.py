@@ -15,7 +15,7 @@ from service.errors import InputError, StorageError
 from service.mapper.mapping_session import GraphRequest, LoadMap, MappingSession
 from service.mapper.profiles import mapping_config
 from service.mapstore.config import MapConfig
-from service.mapstore.files import load_map, save_map
+from service.mapstore.files import check_versions, load_map, save_map
 from service.mapstore.in_use import InUse
 from service.mapstore.tiles import TileStore
 from service.publishing.commands import CommandDispatcher, CommandError
@@ -341,6 +341,25 @@ def test_reset_map_answers_when_the_map_before_is_on_disk(machine: Machine, tmp_
         "ok": True, "folder": str(tmp_path / "map_2"), "version": 1, "map_version": 6,
     }  # fmt: skip
     assert machine.link.loop.mapper.counters["map_resets"] == 2
+
+
+def test_a_stored_map_that_is_reset_before_its_first_scan_gets_no_version_of_another_room(
+    machine: Machine, tmp_path: Path
+):
+    save_map(tmp_path / "office", [tile(1)], 1)
+    machine.scan()
+    machine.ask("load_map", map="office")
+    told = machine.ask("reset_map")
+    assert (told["folder"], told["folder_before"]) == (str(tmp_path / "map_2"), None)
+    is_free(tmp_path / "office")
+    machine.scan()
+    assert machine.ask("save_map")["folder"] == str(tmp_path / "map_2")
+    machine.ask("load_map", map="office")
+    switched = machine.ask("switch_profile", profile="imle")
+    assert switched["folder"] == str(tmp_path / "map_3")
+    machine.scan()
+    machine.ask("save_map")
+    assert check_versions(tmp_path / "office")[0] == [1]
 
 
 def test_recording_stops_and_starts_between_two_frames(machine: Machine):

@@ -267,6 +267,22 @@ def test_the_version_that_a_session_began_in_outlives_its_checkpoints(tmp_path: 
     assert check_versions(folder)[0] == [1, 5, 9, 10, 11]
 
 
+def test_a_run_that_began_in_a_stored_map_and_is_reset_at_once_has_a_folder_of_its_own(tmp_path: Path):
+    folder = tmp_path / "office"
+    save_map(folder, [tile(1)], 1)
+    config = MapConfig.model_construct(directory=tmp_path, load=folder, checkpoint_s=30.0)
+    tiles = TileStore()
+    saver = MapSaver(config, sink_context(tiles=tiles, load_version=1))
+    saver.start()
+    assert saver.folder == folder
+    saver.begun_new()
+    assert saver.folder.name.startswith("veh1_")
+    tiles.update([tile(2)])
+    saver.flush()
+    assert check_versions(folder)[0] == [1]
+    assert load_map(saver.folder).number == 1
+
+
 def test_a_map_that_somebody_asks_for_is_saved_with_the_graph_of_now(tmp_path: Path):
     """The mapper puts it away a moment after it was asked to."""
     tiles = TileStore()
