@@ -12,7 +12,7 @@ from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns, deskew_points
 from service.kernels.likelihood import LikelihoodField
-from service.kernels.likelihood_lm import LmSettings
+from service.kernels.likelihood_lm import LmSettings, likelihood_normal_equations
 from service.kernels.likelihood_search import SearchWindow, search_exhaustive
 from service.kernels.pose_information import rotate_information
 from service.kernels.robust_normals import balance_weights, estimate_orientations
@@ -105,9 +105,12 @@ class ContourLm:
         xy_base = points.xy_base.copy()
         if self._config.beam_time == "printed":
             deskew_points(returns.xy_raw, returns.beam_time_s, twist, xy_base)
-        weights = self.weights_of(xy_base, points)
+        normal_rad = self._normals_of(xy_base, points)
+        weights = self._weights_of(normal_rad, points)
         pose = self._search(xy_base, predicted, local_map)
         hessian = self._align(returns, weights, predicted, local_map, xy_base, pose, twist)
+        if not self._has_prior(predicted):
+            self._across_walls(xy_base, weights, normal_rad, local_map.field(0), pose, hessian)
         covariance = self._covariance(hessian, pose[2])
         x_m, y_m, theta_rad = pose.tolist()
         measured = self._measurement(SE2(x_m, y_m, theta_rad), covariance, predicted)
@@ -118,12 +121,9 @@ class ContourLm:
     ) -> SE2 | None:
         return search_around(points.xy_base, pose, reach, local_map.search_layer(), step_of(reach))
 
-    def weights_of(self, xy_base: Array, points: Points) -> Array:
-        """(N,) weight of each point, 1 in the mean."""
+    def _normals_of(self, xy_base: Array, points: Points) -> Array:
+        """(N,) rad, base axes; NaN where too few points are beside one."""
         config = self._config.weights
-        weights = np.ones(len(xy_base))
-        if not config.balance:
-            return weights
         angle = np.empty(len(xy_base))
         estimate_orientations(
             xy_base,
@@ -134,9 +134,18 @@ class ContourLm:
             config.thin_m,
             angle,
         )
+        return angle
+
+    def _weights_of(self, normal_rad: Array, points: Points) -> Array:
+        """(N,) weight of each point, 1 in the mean."""
+        config = self._config.weights
+        weights = np.ones(len(normal_rad))
+        if not config.balance:
+            return weights
         scale = len(points.scan.range_m) / PRINTED_BEAMS
         histogram = np.empty(config.bins, np.int64)
-        balance_weights(angle, config.middle_count * scale, config.slope_count * scale, histogram, weights)
+        middle, slope = config.middle_count * scale, config.slope_count * scale
+        balance_weights(normal_rad, middle, slope, histogram, weights)
         return weights
 
     def _beam_times_s(self, points: Points) -> Array:
@@ -235,6 +244,27 @@ class ContourLm:
             costs.append(float(weights @ np.square(1.0 - values_at(xy_base, at, field)[:, 0])))
         if costs[0] <= costs[1]:
             pose[:] = predicted
+
+    def _across_walls(
+        self,
+        xy_base: Array,
+        weights: Array,
+        normal_rad: Array,
+        field: LikelihoodField,
+        pose: Array,
+        hessian: Array,
+    ) -> None:
+        """The Hessian (3, 3) with each point counting across the wall it lies on, if any.
+
+        Along a wall the slope of the map is noise of its cells. Its squares add up to knowledge that nobody
+        has of the way down a corridor, and the prediction would be overruled by it.
+        """
+        values = values_at(xy_base, pose, field)
+        angle = np.where(np.isnan(normal_rad), 0.0, normal_rad + pose[2])
+        normal = np.stack((np.cos(angle), np.sin(angle)), axis=1) * ~np.isnan(normal_rad)[:, None]
+        values[:, 1:] = np.sum(values[:, 1:] * normal, axis=1)[:, None] * normal
+        scaled = 1.0 / self._config.residual_sigma**2 * weights
+        likelihood_normal_equations(xy_base, values, scaled, pose, hessian, np.empty(3))
 
     def _covariance(self, hessian: Array, theta_rad: float) -> Array:
         """(3, 3) in base axes: what the slope of the map at the points says, no wider than a metre or so."""
