@@ -3,28 +3,43 @@
 How fast this machine is just now stands beside: what a fixed loop of Python and a fixed kernel take.
 """
 
+import select
+import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import numpy as np
 
+from service.demo import WEB_PORT
 from service.kernels.deskew import deskew_points
 from tests.demo_run import DemoRun, run_demo
 
 SECONDS = 30
 SPIN = "while True: pass"
+SILENT = 4
+HANDSHAKE = (
+    f"GET /ws HTTP/1.1\r\nHost: 127.0.0.1:{WEB_PORT}\r\nOrigin: http://127.0.0.1:{WEB_PORT}\r\n"
+    "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==\r\n"
+    "Sec-WebSocket-Version: 13\r\n\r\n"
+).encode()
 Row = tuple[str, float, str]
 
 
 def measure() -> list[Row]:
     rows = speed()
-    for what, programs in (("alone", 0), ("one core taken", 1), ("both cores taken", 2)):
-        with tempfile.TemporaryDirectory() as folder, spinning(programs):
+    for what, load in (
+        ("alone", nullcontext()),
+        (f"{SILENT} browsers that never read", silent_browsers(SILENT)),
+        ("one core taken", spinning(1)),
+        ("both cores taken", spinning(2)),
+    ):
+        with tempfile.TemporaryDirectory() as folder, load:
             rows += _rows(what, run_demo(SECONDS, Path(folder)))
     return rows
 
@@ -59,6 +74,40 @@ def spinning(programs: int) -> Iterator[None]:
         for spinner in spinners:
             spinner.kill()
             spinner.wait()
+
+
+@contextmanager
+def silent_browsers(count: int) -> Iterator[None]:
+    """So many browsers that open the demo's page as soon as it is there and read nothing. Whoever is let go
+    opens it again. Raises AssertionError where none was let in.
+    """
+    ended = threading.Event()
+    let_in = [0] * count
+
+    def open_again(k: int) -> None:
+        while not ended.is_set():
+            try:
+                with socket.create_connection(("127.0.0.1", WEB_PORT), 1.0) as silent:
+                    silent.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+                    silent.sendall(HANDSHAKE)
+                    let_in[k] += silent.recv(12) == b"HTTP/1.1 101"
+                    gone = select.poll()
+                    gone.register(silent, select.POLLRDHUP)
+                    while not ended.is_set() and not gone.poll(200):
+                        pass
+            except OSError:  # the page is not there yet, or not any more
+                ended.wait(0.2)
+
+    threads = [threading.Thread(target=open_again, args=(k,), name=f"silent-{k}") for k in range(count)]
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        for thread in threads:
+            thread.join()
+    assert all(let_in), f"browsers let in: {let_in}; is port {WEB_PORT} taken?"
 
 
 def _rows(what: str, run: DemoRun) -> list[Row]:
