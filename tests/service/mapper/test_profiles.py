@@ -176,7 +176,7 @@ def test_the_free_direction_of_a_corridor_is_held_on_odometry() -> None:
 def test_without_wheels_the_little_that_a_corridor_shows_is_used() -> None:
     """A stop in the middle: a prediction that is only the last speed gone on would roll on.
 
-    One drive in thirty is lost there, so it is the median of five.
+    Over 120 seeds the worst is 0.19 m off on the way and 0.13 m at the end, the median 0.04 and 0.015 m.
     """
 
     def stopping(time_s: float) -> SE2:
@@ -191,6 +191,7 @@ def test_without_wheels_the_little_that_a_corridor_shows_is_used() -> None:
         assert away[:, 1].max() < 0.01
     assert np.median(farthest_m) < 0.06
     assert np.median(end_m) < 0.03
+    assert max(farthest_m) < 0.2
 
 
 def test_standing_still_the_pose_stays() -> None:
