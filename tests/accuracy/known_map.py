@@ -96,37 +96,46 @@ def match_errors(world: World, laser: Laser, pose: SE2, seed: int) -> npt.NDArra
     for _ in range(MAP_SCANS):
         along_m, aside_m, turn_rad = noise.standard_normal(3) * (0.3, 0.05, 0.2)
         beside = pose @ SE2(float(along_m), float(aside_m), float(turn_rad))
-        points = _points(world, laser, beside, noise)
-        local_map.insert(points, Match(_motion(beside, 1e-6, 1e-6), points, 1.0, submap=0))
+        insert_at(local_map, points_from(world, laser, beside, noise), beside)
     errors = np.empty((SCANS, 3))
     for k in range(SCANS):
         off_m, off_rad = START_OFF_M * noise.standard_normal(2), START_OFF_RAD * noise.standard_normal()
         start = pose @ SE2(float(off_m[0]), float(off_m[1]), float(off_rad))
-        points = _points(world, laser, pose, noise)
-        prior = _motion(start, PRIOR_SIGMA_M, PRIOR_SIGMA_RAD)
-        predicted = Prediction(
-            pose_odom_base=prior.pose_odom_base,
-            twist_base=STILL,
-            covariance=prior.covariance,
-            local_covariance=prior.covariance,
-            twist_gain=np.zeros((3, 3)),
-            elapsed_s=1.0,
-            travel_m=1.0,
-            is_measured=False,
-        )
-        found = matcher.match(points, predicted, local_map).motion.pose_odom_base
+        points = points_from(world, laser, pose, noise)
+        found = matcher.match(points, hardly_known(start), local_map).motion.pose_odom_base
         away = pose.inverse() @ found
         errors[k] = away.x_m, away.y_m, away.theta_rad
     return errors
+
+
+def hardly_known(pose: SE2) -> Prediction:
+    """Of a vehicle that stands near this pose: the scan decides."""
+    prior = _motion(pose, PRIOR_SIGMA_M, PRIOR_SIGMA_RAD)
+    return Prediction(
+        pose_odom_base=pose,
+        twist_base=STILL,
+        covariance=prior.covariance,
+        local_covariance=prior.covariance,
+        twist_gain=np.zeros((3, 3)),
+        elapsed_s=1.0,
+        travel_m=1.0,
+        is_measured=False,
+    )
+
+
+def insert_at(local_map: SurfelSubmaps, points: Points, pose: SE2) -> None:
+    """Put a scan into a map at its true pose."""
+    local_map.insert(points, Match(_motion(pose, 1e-6, 1e-6), points, 1.0, submap=0))
 
 
 def _motion(pose: SE2, sigma_m: float, sigma_rad: float) -> Motion:
     return Motion(pose, STILL, np.diag([sigma_m**2, sigma_m**2, sigma_rad**2]))
 
 
-def _points(world: World, laser: Laser, pose: SE2, noise: np.random.Generator) -> Points:
+def points_from(world: World, laser: Laser, pose: SE2, noise: np.random.Generator) -> Points:
     """A scan from `pose`, the vehicle standing, with the noise of the laser and nothing else."""
     range_m, _ = _cast(world, laser, pose)
+    range_m = np.where(np.isfinite(range_m), range_m, np.nan)
     model = laser.model
     range_m = range_m + (model.sigma_m + model.sigma_per_m * range_m) * noise.standard_normal(laser.beams)
     scan = LaserScan(
@@ -139,7 +148,7 @@ def _points(world: World, laser: Laser, pose: SE2, noise: np.random.Generator) -
         angle_step_rad=math.radians(laser.step_deg),
         range_min_m=model.range_min_m,
         range_max_m=model.range_max_m,
-        range_m=np.where(np.isfinite(range_m), range_m, np.nan).astype(np.float32),
+        range_m=range_m.astype(np.float32),
         intensity=NO_INTENSITY,
     )
     return DeskewByTwist(BeamsConfig(), {laser.name: laser.mounting})(scan, _motion(pose, 1.0, 1.0))

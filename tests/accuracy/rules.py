@@ -10,6 +10,8 @@ from typing import Any
 from unittest.mock import Mock, patch
 
 from service.kernels.normals import estimate_normals
+from service.mapper.components import Points
+from service.mapper.methods.corridor.narrow_walls import Matrix, NarrowWalls
 from service.offline.replay import ReplayOptions, replay, write_replay
 from service.offline.score import RelationsScore, score
 from simulators.worlds import WORLDS
@@ -28,6 +30,11 @@ def normals_of_points_as_they_are(*arguments: Any) -> None:
     """As estimate_normals, whose last argument is how far each point is to be moved."""
     estimate_normals(*arguments)
     arguments[-1][:] = 0.0
+
+
+def by_single_scans(walls: NarrowWalls, points: Points, normals: Matrix, pose: Matrix) -> Matrix:
+    """In place of both methods of NarrowWalls."""
+    return normals
 
 
 # what is switched off, where, and the value that does it
@@ -72,6 +79,11 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         "points moved along their walls ([24])",
         "service.mapper.walls",
         {"estimate_normals": normals_of_points_as_they_are},
+    ),
+    (
+        "directions of walls by several key frames ([27])",
+        f"{METHOD}.narrow_walls.NarrowWalls",
+        {"directed": by_single_scans, "insert": by_single_scans},
     ),
 )
 TRIPS = {

@@ -22,6 +22,7 @@ from service.mapper.components import MapChange, Match, Points, Standing
 from service.mapper.judgement import too_few
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
 from service.mapper.methods.corridor.dynamic_filter import DynamicFilterConfig, ticks_in
+from service.mapper.methods.corridor.narrow_walls import NarrowWalls, narrow_wall_pool
 from service.mapper.methods.corridor.posts import Posts, posts_of
 from service.mapper.walls import walls_of
 
@@ -53,8 +54,9 @@ class SubmapsConfig(BaseModel):
 class Submap:
     """One sub-map of surfels, in the odom frame."""
 
-    def __init__(self, number: int, pool: TilePool, config: SubmapsConfig) -> None:
+    def __init__(self, number: int, pool: TilePool, narrow: TilePool, config: SubmapsConfig) -> None:
         self.number = number
+        self.narrow_walls = NarrowWalls(narrow, config.cell_m, GRAZING_WEIGHT)
         self.scan_count = 0
         self._last_ns: int | None = None  # of its newest key frame
         self._config = config
@@ -104,6 +106,8 @@ class Submap:
         pose_vector = np.array([pose.x_m, pose.y_m, pose.theta_rad])
         if self._dynamic_filter.enough > 0:
             normals = self._sight(points, normals, pose_vector, grid)
+        if posts is None:  # what is round has another direction from each side
+            normals = self.narrow_walls.insert(points, normals, pose_vector)
         point_count = (SURFEL_SIGMA_M / points.range_sigma_m) ** 2
         insert_surfels(points.xy_base, normals, pose_vector, grid, COUNT_LIMIT, point_count)
         if posts is not None:
@@ -159,6 +163,7 @@ class Submap:
         for sighted in self._sightings():
             sighted[slots] = 0
         self._tiles.release()
+        self.narrow_walls.release()
 
 
 class SurfelSubmaps:
@@ -182,6 +187,7 @@ class SurfelSubmaps:
             ),
             POOL_TILES,
         )
+        self._narrow_pool = narrow_wall_pool()
         self._next_number = 0
         self._pair: list[Submap] = []
         self._detached: Submap | None = None
@@ -330,7 +336,7 @@ class SurfelSubmaps:
     def new_submap(self) -> Submap:
         """An empty one, which belongs to nothing yet."""
         self._next_number += 1
-        return Submap(self._next_number - 1, self._pool, self._config)
+        return Submap(self._next_number - 1, self._pool, self._narrow_pool, self._config)
 
     def _begin_submap(self) -> None:
         """Start a sub-map; of three the oldest is closed."""

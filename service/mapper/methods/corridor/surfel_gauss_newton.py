@@ -226,7 +226,10 @@ class SurfelGaussNewton:
     def _align(self, attempt: _Attempt, start: Matrix, submap: Submap) -> _Aligned:
         """The match on a sub-map, begun at `start`, a pose as in the prior, and what to think of it."""
         points = attempt.points
-        xy_base, normals = points.xy_base.copy(), submap.weighed(points, attempt.normals, start)
+        xy_base, normals = points.xy_base.copy(), attempt.normals
+        if attempt.posts is None:
+            normals = submap.narrow_walls.directed(points, normals, start)
+        normals = submap.weighed(points, normals, start)
         returns = Returns(points.xy_raw, points.beam_time_s, points.beam)
         if attempt.posts is not None:
             returns, normals, xy_base = _with_posts(attempt, attempt.posts, normals, start[2])

@@ -1,0 +1,89 @@
+"""Walls of a sub-map that a scan hits with too few beams to know their direction: key frames together do."""
+
+import numpy as np
+import numpy.typing as npt
+
+from service.kernels.cell_moments import (
+    HALVES,
+    MOMENTS,
+    TILE_BITS,
+    TILE_CELLS,
+    MomentGrid,
+    add_to_moments,
+    direct_by_moments,
+)
+from service.kernels.normals import ROUGH_WEIGHT
+from service.mapper.components import Points
+from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
+
+Matrix = npt.NDArray[np.float64]
+
+POOL_TILES = 65_536  # 1.2 GB of address space: a laser that sees 200 m all around
+FOR_THE_MAP, FOR_THE_MATCH = range(HALVES)  # directions of its surfels, of the scan that is matched to them
+
+
+def narrow_wall_pool() -> TilePool:
+    """For all sub-maps of a session."""
+    return TilePool((Layer((TILE_CELLS, TILE_CELLS, HALVES, MOMENTS), np.float32),), POOL_TILES)
+
+
+class NarrowWalls:
+    """Of one sub-map; see service/kernels/cell_moments.py."""
+
+    def __init__(self, pool: TilePool, cell_m: float, grazing_weight: float) -> None:
+        self._tiles = TileMap(pool)
+        self._cell_m = cell_m
+        self._grazing_weight = grazing_weight
+        self._next_half: dict[str, int] = {}  # by laser: each sees other walls
+
+    def directed(self, points: Points, normals: Matrix, pose: Matrix) -> Matrix:
+        """The normals (N, 3) of a scan that is to be matched from a pose (3,)."""
+        return self._directed(points, normals, pose, FOR_THE_MATCH, ROUGH_WEIGHT)
+
+    def insert(self, points: Points, normals: Matrix, pose: Matrix) -> Matrix:
+        """Take in a key frame at a pose (3,); its normals (N, 3) as they are to be put into the map."""
+        directed = self._directed(points, normals, pose, FOR_THE_MAP, 0.0)
+        half = self._next_half.get(points.scan.sensor, 0)
+        self._next_half[points.scan.sensor] = (half + 1) % HALVES
+        reach_m = reach_of(points.xy_base)
+        self._tiles.cover_around((float(pose[0]), float(pose[1])), reach_m, self._cell_m, TILE_BITS)
+        add_to_moments(
+            points.xy_base,
+            _sensor_xy_m(points),
+            points.range_sigma_m,
+            normals,
+            directed,
+            pose,
+            self._grid(),
+            half,
+        )
+        return directed
+
+    def release(self) -> None:
+        """Hand the tiles back; who takes one clears it."""
+        self._tiles.release()
+
+    def _directed(
+        self, points: Points, normals: Matrix, pose: Matrix, half: int, weight_off_plane: float
+    ) -> Matrix:
+        normals = normals.copy()
+        direct_by_moments(
+            points.xy_base,
+            _sensor_xy_m(points),
+            points.range_sigma_m,
+            pose,
+            self._grid(),
+            half,
+            self._grazing_weight,
+            weight_off_plane,
+            normals,
+        )
+        return normals
+
+    def _grid(self) -> MomentGrid:
+        (moments,) = self._tiles.pool.arrays
+        return MomentGrid(self._tiles.index(), moments, self._cell_m)  # type: ignore[arg-type]
+
+
+def _sensor_xy_m(points: Points) -> Matrix:
+    return np.array([points.sensor_base.x_m, points.sensor_base.y_m])
