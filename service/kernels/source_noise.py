@@ -7,6 +7,7 @@ from service.kernels.pose_information import invert_3x3, wrap
 from service.kernels.se2 import between, compose
 
 NOISE_WINDOWS = 10.0  # over which the noise of a source is learnt
+CHANGE_CHI2 = 10.8  # 99.9 % of one degree of freedom: noise that explains less has changed
 WINDOW_M, WINDOW_S = 0.3, 1.0  # a radian counts as a metre
 LEAST_NOISE, MOST_NOISE = 0.25, 1e6
 
@@ -93,5 +94,7 @@ def innovation(off, model, noise, alone):
 
 @inner_kernel
 def adapt(noise, k, weight, total):
-    noise[k] += (total - weight * noise[k]) / NOISE_WINDOWS
+    """Of a source that suddenly errs by more than chance the newest window counts alone, of another ten do."""
+    windows = NOISE_WINDOWS if total <= CHANGE_CHI2 * weight * noise[k] else 1.0
+    noise[k] += (total - weight * noise[k]) / windows
     noise[k] = min(max(noise[k], LEAST_NOISE), MOST_NOISE)

@@ -377,6 +377,25 @@ def test_samples_that_are_dropped_while_they_wait_are_told_once(monkeypatch: pyt
     assert model.predict((CAPACITY + 10) * MS).samples_dropped == 0
 
 
+@pytest.mark.parametrize("slip", [1.0, 1.5, -1.0])
+def test_odometry_that_suddenly_errs_loses_its_weight_within_two_windows(slip: float) -> None:
+    """Driven at 1 m/s; from 4 s on odometry says `slip` of that: a slow loss would let it carry the pose off
+    where the next scans see little.
+    """
+    model, said_m = Estimator(EstimatorConfig()), 0.0
+    for stamp_ms in range(0, 5001, 100):
+        said_m += 0.1 * (slip if stamp_ms > 4000 else 1.0)
+        model.add(odometry(stamp_ms, SE2(said_m, 0.0, 0.0)))
+        model.predict(stamp_ms * MS)
+        model.correct(matched(SE2(1e-3 * stamp_ms, 0.0, 0.0)))
+        if stamp_ms == 4000:
+            assert model._filter.noise[0] < 1.5
+        if stamp_ms == 4700:
+            noise_m = 0.02 * math.sqrt(0.3) * math.sqrt(model._filter.noise[0])
+            assert noise_m > 0.5 * 0.3 * abs(slip - 1.0)  # of a window of 0.3 m
+    assert (model._filter.noise[0] < 1.5) == (slip == 1.0)
+
+
 def test_a_source_far_beyond_its_noise_is_named() -> None:
     model = Estimator(EstimatorConfig())
     assert model.fault == ""
