@@ -29,6 +29,7 @@ def widen_window(state, travel_m, dt):
         w[11] = 0.0
     w[12] += travel_m
     w[13] += dt
+    w[14] += 1.0
 
 
 @kernel
@@ -40,7 +41,7 @@ def begin_window(state):
 
 
 @inner_kernel
-def learn_noise(state, information):
+def learn_noise(state, information, is_clear):
     """Hold what odometry and gyro said over a window against what scans say of it; [18].
 
     The mean of squared innovations, less what the scan does not know, over the variance of the model is how
@@ -48,11 +49,13 @@ def learn_noise(state, information):
 
     state         Filter           in and out
     information   (3, 3) float64   of the scan alone, base axes
+    is_clear      bool             the newest match is beyond doubt: who contradicts it clearly is wrong
     Source: Mehra, On the identification of variances and adaptive Kalman filtering, 1970.
     """
     w = state.window
     if w[12] < WINDOW_M and w[13] < WINDOW_S:
         return
+    may_change = is_clear and w[14] > 1.0  # a single step may err by its stamps alone
     bounded = information.copy()
     for i in range(3):
         bounded[i, i] += 1e-6
@@ -68,12 +71,12 @@ def learn_noise(state, information):
                 known, squared = innovation(off[axis], w[6], state.noise[0], 2.0 * alone[axis, axis])
                 weight += 0.5 * known
                 total += 0.5 * known * squared
-            adapt(state.noise, 0, weight, total)
+            adapt(state.noise, 0, weight, total, may_change)
             known, squared = innovation(off[2], w[7], state.noise[1], 2.0 * alone[2, 2])
-            adapt(state.noise, 1, known, known * squared)
+            adapt(state.noise, 1, known, known * squared, may_change)
         if w[11] > 0.0:
             known, squared = innovation(wrap(step[2] - w[9]), w[10], state.gyro_noise[0], 2.0 * alone[2, 2])
-            adapt(state.gyro_noise, 0, known, known * squared)
+            adapt(state.gyro_noise, 0, known, known * squared, may_change)
     begin_window(state)
 
 
@@ -93,8 +96,8 @@ def innovation(off, model, noise, alone):
 
 
 @inner_kernel
-def adapt(noise, k, weight, total):
-    """Of a source that suddenly errs by more than chance the newest window counts alone, of another ten do."""
-    windows = NOISE_WINDOWS if total <= CHANGE_CHI2 * weight * noise[k] else 1.0
-    noise[k] += (total - weight * noise[k]) / windows
+def adapt(noise, k, weight, total, may_change):
+    """Learn over ten windows; from the newest alone where the source errs by more than chance, clearly."""
+    has_changed = may_change and total > CHANGE_CHI2 * weight * noise[k]
+    noise[k] += (total - weight * noise[k]) / (1.0 if has_changed else NOISE_WINDOWS)
     noise[k] = min(max(noise[k], LEAST_NOISE), MOST_NOISE)

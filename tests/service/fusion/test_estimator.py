@@ -387,12 +387,14 @@ def test_odometry_that_suddenly_errs_loses_its_weight_within_two_windows(slip: f
         said_m += 0.1 * (slip if stamp_ms > 4000 else 1.0)
         model.add(odometry(stamp_ms, SE2(said_m, 0.0, 0.0)))
         model.predict(stamp_ms * MS)
-        model.correct(matched(SE2(1e-3 * stamp_ms, 0.0, 0.0)))
+        model.correct(replace(matched(SE2(1e-3 * stamp_ms, 0.0, 0.0)), is_clear=True))
         if stamp_ms == 4000:
             assert model._filter.noise[0] < 1.5
         if stamp_ms == 4700:
             noise_m = 0.02 * math.sqrt(0.3) * math.sqrt(model._filter.noise[0])
-            assert noise_m > 0.5 * 0.3 * abs(slip - 1.0)  # of a window of 0.3 m
+            assert noise_m > 0.3 * 0.3 * abs(
+                slip - 1.0
+            )  # of a window of 0.3 m, in which it was 0.3 x (slip - 1) off
     assert (model._filter.noise[0] < 1.5) == (slip == 1.0)
 
 

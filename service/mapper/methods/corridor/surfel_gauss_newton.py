@@ -204,7 +204,14 @@ class SurfelGaussNewton:
         gap = None
         if state != "lost" and self._gap is not None:
             gap = attempt.prior.covariance - attempt.predicted.local_covariance
-        measured = Measurement(pose, result.covariance, result.information, result.prior_weight, gap)
+        measured = Measurement(
+            pose,
+            result.covariance,
+            result.information,
+            result.prior_weight,
+            gap,
+            is_clear=result.share >= DOUBT_RATIO * attempt.usual_ratio,
+        )
         motion = Motion(pose, (forward, left, turn), result.covariance)
         moved_m = attempt.points.xy_base - attempt.unmoved.xy_base
         deskewed = replace(attempt.unmoved, xy_base=aligned.xy_base - moved_m)
