@@ -48,7 +48,7 @@ class SubmapsConfig(BaseModel):
     spacing_m: float = Field(default=20.0, gt=0.0)  # a new sub-map each time so far was travelled
     keyframe_distance_m: float = Field(default=0.05, gt=0.0)
     keyframe_turn_rad: float = Field(default=0.05, gt=0.0)
-    memory_m: float = Field(default=0.3, gt=0.0)
+    memory_m: float = Field(default=0.5, gt=0.0)
 
 
 class Submap:
