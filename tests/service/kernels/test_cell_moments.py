@@ -139,7 +139,7 @@ def test_a_cell_that_is_no_plane_begins_anew_and_finds_it() -> None:
     """Points behind a corner came first: the cell would never be a plane with them in it."""
     noise, grid = np.random.default_rng(6), empty_moments()
     corner = np.array([[FACE_X_M, 1.2], [FACE_X_M, 1.3]])
-    add(grid, np.array([[FACE_X_M + d, 1.25] for d in (0.05, 0.04, 0.05)]), 0)
+    add(grid, np.array([[FACE_X_M + d, 1.25] for d in (0.05, 0.04, 0.05, 0.05, 0.04, 0.05)]), 0)
     for _ in range(60):
         add(grid, seen(noise, corner), 0)
     nx, ny, weight = directed(grid, np.array([[FACE_X_M, 1.24]]), 0)[0]

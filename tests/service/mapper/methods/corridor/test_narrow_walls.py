@@ -46,8 +46,9 @@ def test_doors_far_ahead_fix_the_position_along_a_corridor(monkeypatch: pytest.M
 
 
 def rough_face(noise: np.random.Generator, name: str) -> Points:
-    """Three points on a wall across the way, 6 m ahead, of a laser with this name."""
+    """Three points on a wall across the way, 6 m ahead or, of the laser `rear`, behind."""
     xy = np.column_stack((6.04 + 0.01 * noise.uniform(-1.0, 1.0, 3), noise.uniform(1.0, 1.25, 3)))
+    xy *= -1.0 if name == "rear" else 1.0
     points = points_of(xy)
     return replace(points, scan=replace(points.scan, sensor=name))
 
@@ -63,9 +64,10 @@ def test_each_laser_goes_into_both_halves(lasers: tuple[str, ...]) -> None:
     for k in range(30 * len(lasers)):
         points = rough_face(noise, lasers[k % len(lasers)])
         walls.insert(points, rough(points), np.zeros(3))
-    points = rough_face(noise, "front")
-    assert np.all(walls.directed(points, rough(points), np.zeros(3))[:, 2] >= 1.0)
-    assert np.all(walls.insert(points, rough(points), np.zeros(3))[:, 2] >= 1.0)
+    for name in lasers:
+        points = rough_face(noise, name)
+        assert np.all(walls.directed(points, rough(points), np.zeros(3))[:, 2] >= 1.0)
+        assert np.all(walls.insert(points, rough(points), np.zeros(3))[:, 2] >= 1.0)
 
 
 def test_a_sub_map_that_is_dropped_leaves_nothing_to_the_next() -> None:
@@ -80,3 +82,15 @@ def test_a_sub_map_that_is_dropped_leaves_nothing_to_the_next() -> None:
     points = rough_face(noise, "front")
     after.insert(points, rough(points), np.zeros(3))
     assert np.all(after.directed(points, rough(points), np.zeros(3))[:, 2] == ROUGH_WEIGHT)
+
+
+def test_map_and_match_take_directions_from_different_key_frames() -> None:
+    """Else the noise of one direction would be in both, and pass for information."""
+    noise, walls = np.random.default_rng(3), NarrowWalls(narrow_wall_pool(), 0.1, 5.0)
+    xy = np.column_stack((6.04 + 0.01 * noise.uniform(-1.0, 1.0, 30), noise.uniform(1.05, 1.2, 30)))
+    points = points_of(xy)
+    walls.insert(points, rough(points), np.zeros(3))
+    assert np.all(walls.directed(points, rough(points), np.zeros(3))[:, 2] == ROUGH_WEIGHT)
+    for_the_map = walls.insert(points, rough(points), np.zeros(3))
+    assert np.all(for_the_map[:, 2] >= 1.0)
+    assert np.all(walls.directed(points, rough(points), np.zeros(3))[:, 2] >= 1.0)
