@@ -187,7 +187,7 @@ class Estimator:
             gyro_noise=np.ones(1),
             said=np.zeros(8),
             last_odom=np.zeros(8),
-            window=np.zeros(15),
+            window=np.zeros(14),
             mean_twist=np.zeros(3),
             tied_twist=np.zeros(3),
             path=Track(np.zeros(PATH_POSES, np.int64), np.zeros((PATH_POSES, 3)), np.zeros(2, np.int64)),
@@ -283,7 +283,6 @@ class Estimator:
                 covariance,
                 measured.prior_weight,
                 measured.information,
-                measured.is_clear,
             )
         elif not state.said[3]:
             state.twist[:] = state.twist * math.exp(-self._elapsed_s / FADE_S)

@@ -59,7 +59,6 @@ class Measurement:
                       was matched to another piece of the map than those before it; None: not so
     is_joined         False: pose and covariance are those of the scan alone; the motion model joins them with
                       its prediction
-    is_clear          as much of the scan lies on the map as usual: a source that contradicts it is wrong
     """
 
     pose_odom_base: SE2
@@ -68,7 +67,6 @@ class Measurement:
     prior_weight: float = 1.0
     gap: Matrix | None = None
     is_joined: bool = True
-    is_clear: bool = False
 
 
 class MotionModel(Protocol):

@@ -77,9 +77,9 @@ class Filter(NamedTuple):
                                    gyro's turn less bias, its variance (0: there was none)
     last_odom   (8,)     float64   odometry at the newest pose: pose (3), mean speed up to then (3), lag in s
                                    that they were taken with, whether there was one
-    window      (15,)    float64   since sources were judged last: pose then (3); step that odometry said (3),
+    window      (14,)    float64   since sources were judged last: pose then (3); step that odometry said (3),
                                    its variances (2), whether it always said one; turn that the gyro said, its
-                                   variance, whether it always did; way in m, time in s, steps
+                                   variance, whether it always did; way in m, time in s
     mean_twist  (3,)     float64   that odometry said, of the last half second
     tied_twist  (3,)     float64   that an error of scale is multiplied by in the errors of twist and pose
     path        Track              poses at the last scans
@@ -474,10 +474,10 @@ def correct_motion(state, pose, local_covariance, prior_weight):
 
 
 @kernel
-def take_match(state, pose, local_covariance, prior_weight, information, is_clear):
+def take_match(state, pose, local_covariance, prior_weight, information):
     """correct_motion, then learn_noise: to hand the filter over takes as long as either."""
     correct_motion(state, pose, local_covariance, prior_weight)
-    learn_noise(state, information, is_clear)
+    learn_noise(state, information)
 
 
 @kernel

@@ -7,7 +7,6 @@ from service.kernels.pose_information import invert_3x3, wrap
 from service.kernels.se2 import between, compose
 
 NOISE_WINDOWS = 10.0  # over which the noise of a source is learnt
-CHANGE_CHI2 = 10.8  # 99.9 % of one degree of freedom: noise that explains less has changed
 WINDOW_M, WINDOW_S = 0.3, 1.0  # a radian counts as a metre
 LEAST_NOISE, MOST_NOISE = 0.25, 1e6
 
@@ -29,7 +28,6 @@ def widen_window(state, travel_m, dt):
         w[11] = 0.0
     w[12] += travel_m
     w[13] += dt
-    w[14] += 1.0
 
 
 @kernel
@@ -41,7 +39,7 @@ def begin_window(state):
 
 
 @inner_kernel
-def learn_noise(state, information, is_clear):
+def learn_noise(state, information):
     """Hold what odometry and gyro said over a window against what scans say of it; [18].
 
     The mean of squared innovations, less what the scan does not know, over the variance of the model is how
@@ -49,13 +47,11 @@ def learn_noise(state, information, is_clear):
 
     state         Filter           in and out
     information   (3, 3) float64   of the scan alone, base axes
-    is_clear      bool             the newest match is beyond doubt: who contradicts it clearly is wrong
     Source: Mehra, On the identification of variances and adaptive Kalman filtering, 1970.
     """
     w = state.window
     if w[12] < WINDOW_M and w[13] < WINDOW_S:
         return
-    may_change = is_clear and w[14] > 1.0  # a single step may err by its stamps alone
     bounded = information.copy()
     for i in range(3):
         bounded[i, i] += 1e-6
@@ -71,12 +67,12 @@ def learn_noise(state, information, is_clear):
                 known, squared = innovation(off[axis], w[6], state.noise[0], 2.0 * alone[axis, axis])
                 weight += 0.5 * known
                 total += 0.5 * known * squared
-            adapt(state.noise, 0, weight, total, may_change)
+            adapt(state.noise, 0, weight, total)
             known, squared = innovation(off[2], w[7], state.noise[1], 2.0 * alone[2, 2])
-            adapt(state.noise, 1, known, known * squared, may_change)
+            adapt(state.noise, 1, known, known * squared)
         if w[11] > 0.0:
             known, squared = innovation(wrap(step[2] - w[9]), w[10], state.gyro_noise[0], 2.0 * alone[2, 2])
-            adapt(state.gyro_noise, 0, known, known * squared, may_change)
+            adapt(state.gyro_noise, 0, known, known * squared)
     begin_window(state)
 
 
@@ -96,8 +92,6 @@ def innovation(off, model, noise, alone):
 
 
 @inner_kernel
-def adapt(noise, k, weight, total, may_change):
-    """Learn over ten windows; from the newest alone where the source errs by more than chance, clearly."""
-    has_changed = may_change and total > CHANGE_CHI2 * weight * noise[k]
-    noise[k] += (total - weight * noise[k]) / (1.0 if has_changed else NOISE_WINDOWS)
+def adapt(noise, k, weight, total):
+    noise[k] += (total - weight * noise[k]) / NOISE_WINDOWS
     noise[k] = min(max(noise[k], LEAST_NOISE), MOST_NOISE)

@@ -377,41 +377,6 @@ def test_samples_that_are_dropped_while_they_wait_are_told_once(monkeypatch: pyt
     assert model.predict((CAPACITY + 10) * MS).samples_dropped == 0
 
 
-@pytest.mark.parametrize("slip", [1.0, 1.5, -1.0])
-def test_odometry_that_suddenly_errs_loses_its_weight_within_two_windows(slip: float) -> None:
-    """Driven at 1 m/s; from 4 s on odometry says `slip` of that: a slow loss would let it carry the pose off
-    where the next scans see little.
-    """
-    model, said_m = Estimator(EstimatorConfig()), 0.0
-    for stamp_ms in range(0, 5001, 100):
-        said_m += 0.1 * (slip if stamp_ms > 4000 else 1.0)
-        model.add(odometry(stamp_ms, SE2(said_m, 0.0, 0.0)))
-        model.predict(stamp_ms * MS)
-        model.correct(replace(matched(SE2(1e-3 * stamp_ms, 0.0, 0.0)), is_clear=True))
-        if stamp_ms == 4000:
-            assert model._filter.noise[0] < 1.5
-        if stamp_ms == 4700:
-            noise_m = 0.02 * math.sqrt(0.3) * math.sqrt(model._filter.noise[0])
-            assert noise_m > 0.3 * 0.3 * abs(
-                slip - 1.0
-            )  # of a window of 0.3 m, in which it was 0.3 x (slip - 1) off
-    assert (model._filter.noise[0] < 1.5) == (slip == 1.0)
-
-
-@pytest.mark.parametrize(("is_clear", "step_ms"), [(False, 100), (True, 1000)])
-def test_a_doubted_match_or_a_single_step_takes_no_weight_at_once(is_clear: bool, step_ms: int) -> None:
-    """The match may be the wrong one, and where scans are a second apart so may the stamps."""
-    model, said_m = Estimator(EstimatorConfig()), 0.0
-    for stamp_ms in range(0, 10_001, step_ms):
-        said_m += step_ms * (-1e-3 if stamp_ms > 9000 else 1e-3) if stamp_ms else 0.0
-        model.add(odometry(stamp_ms, SE2(said_m, 0.0, 0.0)))
-        model.predict(stamp_ms * MS)
-        model.correct(replace(matched(SE2(1e-3 * stamp_ms, 0.0, 0.0)), is_clear=is_clear))
-        if stamp_ms == (9400 if step_ms == 100 else 10_000):  # after the first window that contradicts
-            assert 20.0 < model._filter.noise[0] < 300.0  # 580 and 2500 by that window alone
-            return
-
-
 def test_a_source_far_beyond_its_noise_is_named() -> None:
     model = Estimator(EstimatorConfig())
     assert model.fault == ""

@@ -46,6 +46,7 @@ from service.outputs import State
 Matrix = npt.NDArray[np.float64]
 
 INLIER_M = 0.10  # a point this near to its surfel lies on the map
+LEAST_PRIOR_WEIGHT = 0.5  # of [12], at a chi2 of 11, 99 % of three degrees: the prediction was contradicted
 LEAST_NORMAL_COSINE = 0.6  # between a point and a surfel of the same wall
 ITERATIONS, DESKEW_ROUNDS = 15, 8
 SETTLED_M, SETTLED_RAD = 5e-4, 1e-4
@@ -126,6 +127,7 @@ class SurfelGaussNewton:
         self._bias = RangeBias()
         self._usual_ratios: dict[str, float] = {}  # by laser: each sees other things
         self._steady = SteadyMotion()
+        self._was_contradicted = False  # the prediction, by the scan before
         self._rest_until_ns = 0  # no wide search before
         self._gap: _Gap | None = None
         self._began: _Gap | None = None  # the gap of a piece that would begin with this scan
@@ -160,6 +162,7 @@ class SurfelGaussNewton:
         if aligned.state != "lost" and self._is_found(aligned, attempt):
             self._usual_ratios[points.scan.sensor] = usual + (aligned.result.share - usual) / USUAL_SCANS
             self._learn_bias(aligned, attempt)
+            self._was_contradicted = aligned.result.prior_weight < LEAST_PRIOR_WEIGHT
             return self._as_match(aligned, attempt, aligned.state, aligned.reason)
         return self._on_piece(attempt, local_map, aligned.reason, aligned.result.share)
 
@@ -204,14 +207,7 @@ class SurfelGaussNewton:
         gap = None
         if state != "lost" and self._gap is not None:
             gap = attempt.prior.covariance - attempt.predicted.local_covariance
-        measured = Measurement(
-            pose,
-            result.covariance,
-            result.information,
-            result.prior_weight,
-            gap,
-            is_clear=result.share >= DOUBT_RATIO * attempt.usual_ratio,
-        )
+        measured = Measurement(pose, result.covariance, result.information, result.prior_weight, gap)
         motion = Motion(pose, (forward, left, turn), result.covariance)
         moved_m = attempt.points.xy_base - attempt.unmoved.xy_base
         deskewed = replace(attempt.unmoved, xy_base=aligned.xy_base - moved_m)
@@ -285,10 +281,11 @@ class SurfelGaussNewton:
 
     def _matched_as_if_driven_on(self, aligned: _Aligned, attempt: _Attempt) -> _Aligned:
         """Where little of the scan lies on the map: the match begun where the vehicle would be had it gone on
-        as before, if clearly more lies on the map there. Odometry may have died.
+        as before, if clearly more lies on the map there. Odometry may have died. Where the scan before
+        contradicted its prediction, this one is asked always, and any more is enough.
         """
         share = aligned.result.share
-        if share >= DOUBT_RATIO * attempt.usual_ratio:
+        if share >= DOUBT_RATIO * attempt.usual_ratio and not self._was_contradicted:
             return aligned
         start = self._steady.pose_at(attempt.points.scan.stamp_ns)
         if start is None:
@@ -297,7 +294,8 @@ class SurfelGaussNewton:
         if _chi2(begun, attempt.prior) < JUMP_CHI2:
             return aligned  # that is where the match began
         found = self._align(attempt, begun, aligned.submap)
-        return found if found.state != "lost" and found.result.share >= share + GAIN else aligned
+        gain = 0.0 if self._was_contradicted else GAIN
+        return found if found.state != "lost" and found.result.share > share + gain else aligned
 
     def _searched(self, aligned: _Aligned, attempt: _Attempt) -> _Aligned:
         """The best pose of a window around the prediction, if clearly more of the scan lies on the map there.
