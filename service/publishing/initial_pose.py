@@ -33,7 +33,9 @@ class InitialPoseSubscriber:
         self.refused = ""  # why the newest one was not taken, "" if it was
         self._thread = threading.Thread(target=self._run, name="zenoh-initialpose", daemon=True)
         self._thread.start()
-        self._subscriber = session.declare_subscriber(vehicle_key(vehicle, CHANNEL), self._take)
+        # Called where Zenoh reads: its thread of callbacks can still hold a pose when close() ends it.
+        taken = zenoh.handlers.Callback(self._take, indirect=False)
+        self._subscriber = session.declare_subscriber(vehicle_key(vehicle, CHANNEL), taken)
 
     def close(self) -> None:
         """Take no more, and let what was taken be answered."""
@@ -44,7 +46,7 @@ class InitialPoseSubscriber:
         self._thread.join(CLOSE_TIMEOUT_S)
 
     def _take(self, sample: zenoh.Sample) -> None:
-        """Zenoh's thread: hand the pose on."""
+        """Hand the pose on; Zenoh's own thread, which waits for it."""
         with self._changed:
             self._waiting = sample.payload.to_bytes()
             self._changed.notify()
