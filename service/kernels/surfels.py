@@ -19,6 +19,8 @@ SAME_WALL_COSINE = np.float32(0.7)  # a point that faces farther from a surfel b
 MOST_AROUND = 18  # surfels in 3 x 3 cells
 NOWHERE = -(2**62)  # row of no cell
 REACH_CELLS = 1.25  # surfels farther than this from a point say nothing of the wall beside it
+# Of the way from the plane through the mean of surfels to their own planes: where a round wall is; [28]
+ROUND_SHARE = 0.5 * (1.0 + 7.0 / (12.0 * REACH_CELLS * REACH_CELLS))
 
 
 class SurfelGrid(NamedTuple):
@@ -159,11 +161,14 @@ def find_surfels_again(xy_base, normals, pose, grid, least_cosine, around, found
     grid           SurfelGrid
     least_cosine   float            between the two normals; -2 takes any
     around         Around           in and out: from nothing_around, then from the search before
-    found          (N, 6) float64   out: mean x, mean y (m, frame of the grid), normal x, normal y, how many
+    found          (N, 6) float64   out: x, y of the wall (m, frame of the grid), normal x, normal y, how many
                                     points it stands for near by; 0 where there is none, and the rest then
                                     means nothing; and how many consecutive points of this scan lie in the
                                     same cell: they share the errors of its wall
-    Source: moving least squares, Kolluri 2008; for scans, Deschaud, IMLS-SLAM, 2018, eq. (1).
+    What is round bulges out of the plane through the mean of its surfels, and falls short of their own
+    planes: the wall is ROUND_SHARE of the way from the one to the others, [28].
+    Source: moving least squares, Kolluri 2008; for scans, Deschaud, IMLS-SLAM, 2018, eq. (1); of second
+    order by the normals, as the spheres of Guennebaud, Gross, Algebraic point set surfaces, 2007.
     """
     # Neighbouring points mostly lie in one cell: what is around it is gathered once for them and kept. Arrays
     # are taken out of the tuples once, and cells are read by scalars: a reference costs more than a surfel.
@@ -241,7 +246,7 @@ def find_surfels_again(xy_base, normals, pose, grid, least_cosine, around, found
                 used = end
         dx = x - (column + 0.5) * cell_m
         dy = y - (row + 0.5) * cell_m
-        total = sum_x = sum_y = sum_nx = sum_ny = 0.0
+        total = sum_x = sum_y = sum_nx = sum_ny = sum_off = 0.0
         for k in range(first, end):
             mx = near_surfels[k, MEAN_X]
             my = near_surfels[k, MEAN_Y]
@@ -258,12 +263,17 @@ def find_surfels_again(xy_base, normals, pose, grid, least_cosine, around, found
             sum_y += weight * my
             sum_nx += weight * sx
             sum_ny += weight * sy
+            sum_off += weight * (sx * (dx - mx) + sy * (dy - my))
         length = math.sqrt(sum_nx * sum_nx + sum_ny * sum_ny)
         if length > 0.0:
-            found[i, 0] = sum_x / total + (column + 0.5) * cell_m
-            found[i, 1] = sum_y / total + (row + 0.5) * cell_m
-            found[i, 2] = sum_nx / length
-            found[i, 3] = sum_ny / length
+            nx = sum_nx / length
+            ny = sum_ny / length
+            off_mean = nx * (dx - sum_x / total) + ny * (dy - sum_y / total)  # of the point from that plane
+            behind = ROUND_SHARE * (sum_off / total - off_mean)
+            found[i, 0] = sum_x / total - behind * nx + (column + 0.5) * cell_m
+            found[i, 1] = sum_y / total - behind * ny + (row + 0.5) * cell_m
+            found[i, 2] = nx
+            found[i, 3] = ny
             found[i, 4] = total
     for k in range(run, xy_base.shape[0]):
         found[k, 5] = xy_base.shape[0] - run
