@@ -14,6 +14,7 @@ from service.mapper.refused_loops import RefusedLoops
 POINT_STEP_M = 0.001  # of the stored coordinates: a tenth of what a range errs by
 MAY_BE_NO_NUMBER = ("gap_s", "loop_against")
 NORMAL_STEP = 1e-4  # of the stored normals and their weight
+USUAL_RANGE_SIGMA_M = 0.012  # of the key frames of a file that does not say: an LMS-100
 
 
 class KeptGraph(NamedTuple):
@@ -48,6 +49,7 @@ class SavedGraph:
     gap_s: Floats  # (N,) longest time without a scan since the key frame before
     piece: npt.NDArray[np.int64]  # (N,)
     is_lost: npt.NDArray[np.bool_]  # (N,) the odom pose is a prediction
+    range_sigma_m: Floats  # (N,) noise of its ranges
     sensor_xy_m: Floats  # (N, 2) base frame
     point_count: npt.NDArray[np.int64]  # (N,) points kept of each
     xy_base: npt.NDArray[np.float32]  # (M, 2) m, those of the first key frame first
@@ -68,7 +70,8 @@ class SavedGraph:
         """Itself. Raises SavedGraphError where its arrays do not fit each other or hold what is no number."""
         n, m, loops = len(self.stamp_ns), int(self.point_count.sum()), len(self.loop_ends)
         expected = {
-            **dict.fromkeys(("way_m", "score", "gap_s", "piece", "is_lost", "point_count"), (n,)),
+            **dict.fromkeys(("way_m", "score", "gap_s", "piece", "is_lost", "range_sigma_m"), (n,)),
+            "point_count": (n,),
             **dict.fromkeys(("odom", "map"), (n, 3)),
             "covariance": (n, 3, 3),
             "sensor_xy_m": (n, 2),
@@ -117,7 +120,7 @@ def from_arrays(
     small: Mapping[str, npt.NDArray[Any]], points: Sequence[Mapping[str, npt.NDArray[Any]]]
 ) -> SavedGraph:
     """What small_arrays and packed_points gave. Raises SavedGraphError."""
-    small = _unknown_before_format_3(small) | dict(small)
+    small = _not_in_older_files(small) | dict(small)
     try:
         xy = [np.asarray(part["xy"]) for part in points] or [np.zeros((0, 2), np.int32)]
         normals = [np.asarray(part["normals"]) for part in points] or [np.zeros((0, 3), np.int32)]
@@ -133,7 +136,11 @@ def from_arrays(
     return graph.checked()
 
 
-def _unknown_before_format_3(small: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
-    """What a file of format 2 does not say of its loops."""
+def _not_in_older_files(small: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
+    """What a file of format 2 does not say of its loops, nor every one of format 3 of its key frames."""
     loops = len(small.get("loop_score", ()))
-    return {"loop_points": np.zeros(loops, np.int64), "loop_against": np.full(loops, np.nan)}
+    return {
+        "loop_points": np.zeros(loops, np.int64),
+        "loop_against": np.full(loops, np.nan),
+        "range_sigma_m": np.full(len(small.get("score", ())), USUAL_RANGE_SIGMA_M),
+    }

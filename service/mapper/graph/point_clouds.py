@@ -19,9 +19,11 @@ from service.mapper.maps.tiles import Layer, TileMap, TilePool
 CELL_M = 0.10
 COUNT_LIMIT = 50.0
 POOL_TILES = 4096
+UNIT_SIGMA_M = 0.012  # of the points that surfels count in
+SIGMA_STEP_M = 0.001  # noise is told apart by this
 SETTINGS = MatchSettings(
-    range_sigma_m=0.012,
-    surfel_sigma_m=0.012,
+    range_sigma_m=UNIT_SIGMA_M,
+    surfel_sigma_m=UNIT_SIGMA_M,
     wall_sigma_m=0.006,
     repeats=1.0,
     chance_chi2=0.0,
@@ -47,6 +49,7 @@ class PointCloud:
 
     xy: Floats  # (N, 2) m
     normals: Floats  # (N, 3) as estimate_normals gives them
+    sigma_m: Floats  # (N,) noise of each one's range, in whole SIGMA_STEP_M
 
     def transformed(self, pose: Floats) -> "PointCloud":
         """The cloud in the frame that its own has the pose (3,) in."""
@@ -54,13 +57,21 @@ class PointCloud:
         normals = self.normals.copy()
         normals[:, 0] = c * self.normals[:, 0] - s * self.normals[:, 1]
         normals[:, 1] = s * self.normals[:, 0] + c * self.normals[:, 1]
-        return PointCloud(se2.points_from(pose, self.xy), normals)
+        return PointCloud(se2.points_from(pose, self.xy), normals, self.sigma_m)
+
+
+def cloud_with_noise(xy: Floats, normals: Floats, range_sigma_m: float = UNIT_SIGMA_M) -> PointCloud:
+    """A cloud whose points all have the noise of one range."""
+    sigma_m = max(round(range_sigma_m / SIGMA_STEP_M), 1) * SIGMA_STEP_M
+    return PointCloud(xy, normals, np.full(len(xy), sigma_m))
 
 
 def joined(clouds: Sequence[PointCloud]) -> PointCloud:
     """Clouds of one frame as one."""
     return PointCloud(
-        np.concatenate([cloud.xy for cloud in clouds]), np.concatenate([cloud.normals for cloud in clouds])
+        np.concatenate([cloud.xy for cloud in clouds]),
+        np.concatenate([cloud.normals for cloud in clouds]),
+        np.concatenate([cloud.sigma_m for cloud in clouds]),
     )
 
 
@@ -86,12 +97,20 @@ class SurfelSet:
         """More points of the same frame."""
         if len(cloud.xy):
             cover(self._tiles, surfels.TILE_BITS, cloud.xy)
-            insert_surfels(cloud.xy, cloud.normals, np.zeros(3), self.grid(), COUNT_LIMIT, 1.0)
+            for sigma_m in np.unique(cloud.sigma_m).tolist():
+                of = cloud.sigma_m == sigma_m
+                point_count = (UNIT_SIGMA_M / sigma_m) ** 2
+                insert_surfels(
+                    cloud.xy[of], cloud.normals[of], np.zeros(3), self.grid(), COUNT_LIMIT, point_count
+                )
 
-    def align(self, cloud: PointCloud, pose: Floats) -> Fit:
-        """Another cloud aligned with it, from a pose near enough."""
+    def align(self, cloud: PointCloud, pose: Floats, chance_chi2: float = 0.0) -> Fit:
+        """Another cloud aligned with it, from a pose near enough. chance_chi2: see scan_information."""
         aligned, information = pose.copy(), np.zeros((3, 3))
-        used, inliers = align_surfels(cloud.xy, cloud.normals, self.grid(), SETTINGS, aligned, information)
+        normals = cloud.normals.copy()
+        normals[:, 2] *= (UNIT_SIGMA_M / cloud.sigma_m) ** 2
+        settings = SETTINGS._replace(chance_chi2=chance_chi2)
+        used, inliers = align_surfels(cloud.xy, normals, self.grid(), settings, aligned, information)
         return Fit(aligned, information, inliers / used if used else 0.0)
 
     def grid(self) -> SurfelGrid:

@@ -8,7 +8,7 @@ from service.kernels.loops import (
     splat_field,
     thin_points,
 )
-from service.mapper.graph.point_clouds import PointCloud, SurfelSet
+from service.mapper.graph.point_clouds import SurfelSet, cloud_with_noise
 from service.mapper.maps.occupancy import OccupancyRenderer
 
 
@@ -88,7 +88,7 @@ def test_alignment_finds_a_corner_again():
     side = np.linspace(-2.0, 1.95, 80)
     xy = np.vstack((np.column_stack((np.full(80, 2.05), side)), np.column_stack((side, np.full(80, 2.05)))))
     normals = np.vstack((np.tile([-1.0, 0.0, 1.0], (80, 1)), np.tile([0.0, -1.0, 1.0], (80, 1))))
-    corner = PointCloud(xy, normals)
+    corner = cloud_with_noise(xy, normals)
     fit = SurfelSet(corner).align(corner, np.array([0.06, -0.05, 0.02]))
     assert fit.share == 1.0
     np.testing.assert_allclose(fit.pose, 0.0, atol=2e-3)

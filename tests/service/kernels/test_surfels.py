@@ -197,7 +197,7 @@ def test_the_wall_beside_a_point_is_by_the_surfels_near_it() -> None:
 
 @pytest.mark.parametrize("radius_m", [0.25, 0.5, -0.5])
 def test_a_round_wall_is_found_where_it_is(radius_m: float) -> None:
-    """A column bulges, a niche (negative) recedes: the plane through the mean of surfels lies 6 and 3 mm off."""
+    """A column bulges, a niche (negative) recedes: the plane through the mean lies 6 and 3 mm off."""
     rng = np.random.default_rng(6)
     bearing = rng.uniform(0.0, 2.0 * math.pi, 200_000)
     outwards = np.column_stack([np.cos(bearing), np.sin(bearing)])

@@ -19,6 +19,7 @@ def graph_of(count: int, points_each: int = 3) -> SavedGraph:
         gap_s=np.full(count, np.inf),
         piece=np.zeros(count, np.int64),
         is_lost=np.zeros(count, np.bool_),
+        range_sigma_m=np.full(count, 0.012),
         sensor_xy_m=np.zeros((count, 2)),
         point_count=np.full(count, points_each),
         xy_base=np.round(_random(points_each * count, 3, 2), 3).astype(np.float32),

@@ -46,6 +46,7 @@ def test_a_stored_graph_shows_its_key_frames_and_its_loops() -> None:
         stamp_ns=np.arange(n) + 5, odom=np.zeros((n, 3)), map=np.arange(3.0 * n).reshape(n, 3),
         way_m=np.arange(n, dtype=float), covariance=np.zeros((n, 3, 3)), score=np.ones(n), gap_s=np.zeros(n),
         piece=np.zeros(n, np.int64), is_lost=np.array([False, False, False, True]),
+        range_sigma_m=np.full(n, 0.01),
         sensor_xy_m=np.zeros((n, 2)), point_count=np.zeros(n, np.int64),
         xy_base=np.zeros((0, 2), np.float32), normals=np.zeros((0, 3), np.float32),
         loop_ends=np.array([(0, 2)]), loop_measured=np.zeros((1, 3)), loop_covariance=np.zeros((1, 3, 3)),

@@ -75,8 +75,8 @@ def without_time(graph: SavedGraph, from_ns: int, to_ns: int, is_bridged: bool) 
     number = np.cumsum(is_kept) - 1
     loops_kept = is_kept[graph.loop_ends].all(axis=1)
     points_kept = np.repeat(is_kept, graph.point_count)
-    per_frame = (
-        "stamp_ns odom map way_m covariance score gap_s is_lost sensor_xy_m point_count"  # piece: below
+    per_frame = (  # but for piece: below
+        "stamp_ns odom map way_m covariance score gap_s is_lost range_sigma_m sensor_xy_m point_count"
     )
     less = replace(
         graph,

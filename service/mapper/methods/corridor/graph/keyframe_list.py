@@ -56,7 +56,7 @@ class KeyframeList:
     def __init__(self, stored: SavedGraph | None = None) -> None:
         self.count = self.stored = 0
         self._poses = np.zeros((64, 6))
-        self._numbers = np.zeros((64, 6))
+        self._numbers = np.zeros((64, 7))
         self._covariance = np.zeros((64, 3, 3))
         self._motion_covariance = np.zeros((64, 3, 3))
         self.unmeasured: set[int] = set()  # numbers of the pieces to which nobody measured the way
@@ -71,7 +71,15 @@ class KeyframeList:
         _, piece = np.unique(stored.piece, return_inverse=True)
         self._poses = np.column_stack((stored.odom, stored.map))
         self._numbers = np.column_stack(
-            (stored.way_m, stored.score, stored.is_lost, stored.point_count > 0, -1 - piece, stored.gap_s)
+            (
+                stored.way_m,
+                stored.score,
+                stored.is_lost,
+                stored.point_count > 0,
+                -1 - piece,
+                stored.gap_s,
+                stored.range_sigma_m,
+            )
         ).astype(np.float64)
         self._covariance = stored.covariance.copy()
         self._motion_covariance = np.full_like(stored.covariance, np.nan)
@@ -130,6 +138,11 @@ class KeyframeList:
         return self._numbers[: self.count, 5]
 
     @property
+    def range_sigma_m(self) -> Floats:
+        """(N,) noise of the ranges of each."""
+        return self._numbers[: self.count, 6]
+
+    @property
     def is_usable(self) -> npt.NDArray[np.bool_]:
         """(N,) whether others can be aligned with it: its pose is a match, and its points are there."""
         return self.has_points & ~self.is_lost
@@ -158,7 +171,15 @@ class KeyframeList:
         elif k:
             before = self._poses[k - 1]
             way_m = self._numbers[k - 1, 0] + float(np.hypot(pose.x_m - before[0], pose.y_m - before[1]))
-        self._numbers[k] = way_m, frame.score, frame.is_lost, True, frame.piece, frame.gap_s
+        self._numbers[k] = (
+            way_m,
+            frame.score,
+            frame.is_lost,
+            True,
+            frame.piece,
+            frame.gap_s,
+            frame.range_sigma_m,
+        )
         self._covariance[k] = frame.covariance
         known = frame.motion_covariance
         self._motion_covariance[k] = np.nan if known is None else known

@@ -206,7 +206,7 @@ def _one_of_each_cell(cloud: PointCloud) -> PointCloud:
     one_of = np.full((high[1] - low[1], high[0] - low[0], DIRECTIONS), -1, np.int32)
     one_of[cells[:, 1] - low[1], cells[:, 0] - low[0], direction] = np.arange(len(cells))
     few = one_of[one_of >= 0]
-    return PointCloud(np.ascontiguousarray(cloud.xy[few]), np.ascontiguousarray(cloud.normals[few]))
+    return PointCloud(cloud.xy[few], cloud.normals[few], cloud.sigma_m[few])
 
 
 def _facing_pyramid(cloud: PointCloud, ground: OccupancyGrid) -> FacingPyramid:

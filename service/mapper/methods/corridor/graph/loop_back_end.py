@@ -325,7 +325,7 @@ class LoopBackEnd:
             pose = submap.search(cloud, guess, float(reach_m[k]), float(reach_rad), LEAST_SCORE)
             if pose is None:
                 continue
-            fit = submap.align(cloud, pose)
+            fit = submap.align_about(cloud, pose, guess, float(reach_m[k]), float(reach_rad))
             is_good = self._is_good(fit)
             against = submap.against(cloud, fit.pose) if is_good else math.nan
             loop = loop_of(

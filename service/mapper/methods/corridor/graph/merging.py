@@ -87,8 +87,8 @@ def together(first: SavedGraph, second: SavedGraph) -> SavedGraph:
         return np.concatenate((getattr(first, name), getattr(second, name)))
 
     names = (
-        "stamp_ns odom map covariance score gap_s is_lost sensor_xy_m point_count xy_base normals "
-        "loop_measured loop_covariance loop_score loop_points loop_against"
+        "stamp_ns odom map covariance score gap_s is_lost range_sigma_m sensor_xy_m point_count xy_base "
+        "normals loop_measured loop_covariance loop_score loop_points loop_against"
     )
     way_m = second.way_m - second.way_m[0] + first.way_m[-1] + SESSION_APART_M
     piece = second.piece - second.piece.min() + first.piece.max() + 1

@@ -25,6 +25,7 @@ _PER_FRAME = [
     "score",
     "gap_s",
     "is_lost",
+    "range_sigma_m",
     "sensor_xy_m",
 ]  # without way and points
 

@@ -57,6 +57,7 @@ def saved_graph(
         gap_s=keyframes.gap_s[kept],
         piece=keyframes.piece[kept],
         is_lost=keyframes.is_lost[kept],
+        range_sigma_m=keyframes.range_sigma_m[kept],
         sensor_xy_m=np.array([one.sensor_xy_m for one in thinned], np.float64).reshape(-1, 2),
         point_count=np.array([len(one.xy_base) for one in thinned], np.int64),
         xy_base=np.concatenate([np.zeros((0, 2), np.float32), *(one.xy_base for one in thinned)]),

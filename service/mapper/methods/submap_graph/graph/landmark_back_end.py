@@ -258,7 +258,7 @@ class LandmarkBackEnd:
         config = self.config
         cloud, other = self._cloud(new), self._walls(old)
         common = is_seen(other, se2.points_from(found.pose, cloud.xy))
-        shared = PointCloud(cloud.xy[common], cloud.normals[common])
+        shared = PointCloud(cloud.xy[common], cloud.normals[common], cloud.sigma_m[common])
         fit, shift = align_cloud(shared, SurfelSet(self._cloud(old)), found.pose, SURFEL_POINTS)
         if fit.share < config.least_on_surfels:
             return None

@@ -11,7 +11,7 @@ import numpy as np
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
-from service.mapper.graph.point_clouds import Fit, PointCloud, SurfelSet, joined
+from service.mapper.graph.point_clouds import Fit, PointCloud, SurfelSet, cloud_with_noise, joined
 from service.mapper.methods.submap_graph.counted_submaps import ClosedSubmap
 from service.mapper.methods.submap_graph.key_scan import DrawnScan
 from service.mapper.walls import walls_of
@@ -69,11 +69,11 @@ def align_cloud(cloud: PointCloud, surfels: SurfelSet, shift: Floats, most_point
     middle, where a turn and a shift stay apart; and the pose of its frame then."""
     middle = np.array([*cloud.xy.mean(axis=0), 0.0])
     every = max(1, len(cloud.xy) // most_points)
-    thin = PointCloud(cloud.xy[::every] - middle[:2], cloud.normals[::every])
+    thin = PointCloud(cloud.xy[::every] - middle[:2], cloud.normals[::every], cloud.sigma_m[::every])
     fit = surfels.align(thin, se2.compose(shift, middle))
     return fit, se2.compose(fit.pose, -middle)
 
 
 def _cloud(scan: DrawnScan) -> PointCloud:
     xy = scan.xy_base.astype(np.float64)
-    return PointCloud(xy, walls_of(xy, scan.sensor_xy_m, scan.angle_step_rad, 0.01).normals)
+    return cloud_with_noise(xy, walls_of(xy, scan.sensor_xy_m, scan.angle_step_rad, 0.01).normals)
