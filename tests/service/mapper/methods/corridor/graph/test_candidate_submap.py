@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from service.geometry import poses as se2
+from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.kernels.loops import thin_points
 from service.kernels.normals import estimate_normals
+from service.mapper.graph.point_clouds import PointCloud, SurfelSet, cloud_with_noise
 from service.mapper.methods.corridor.graph import candidate_submap
 from service.mapper.methods.corridor.graph.candidate_submap import LEAST_SCORE, CandidateSubmap, cloud_of
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
+from service.mapper.methods.corridor.graph.loops import loop_of
 from tests.service.mapper.drives import cast
 
 DOORS_M = (4.0, 11.5, 17.0, 25.5, 31.0, 38.5)  # each 0.9 m wide, its leaf sunk by 0.15 m
@@ -21,7 +24,10 @@ STEP_M = 0.3
 OFF_M, WINDOW_M = 0.2, 1.0  # by how much odometry is wrong, and what is searched
 
 
-def corridor() -> list[tuple[float, float, float, float]]:
+Walls = list[tuple[float, float, float, float]]
+
+
+def corridor() -> Walls:
     walls = [(0.0, -HALF_M, END_M, -HALF_M)]
     x = 0.0
     for door in DOORS_M:
@@ -32,10 +38,9 @@ def corridor() -> list[tuple[float, float, float, float]]:
     return [*walls, (x, HALF_M, END_M, HALF_M)]
 
 
-@pytest.fixture(scope="module")
-def out_and_back() -> KeyframeList:
+def out_and_back_in(walls: Walls, sigma_m: float) -> KeyframeList:
     """From x = 8 to 34 m and back, in key frames whose poses in odom are true."""
-    noise, walls = np.random.default_rng(7), corridor()
+    noise = np.random.default_rng(7)
     there = np.arange(8.0, 34.0, STEP_M)
     poses = [SE2(x, 0.0, 0.0) for x in there] + [SE2(x, 0.0, math.pi) for x in there[::-1]]
     keyframes = KeyframeList()
@@ -44,27 +49,43 @@ def out_and_back() -> KeyframeList:
         ways = np.column_stack((np.cos(angle + pose.theta_rad), np.sin(angle + pose.theta_rad)))
         range_m = cast(walls, np.tile([pose.x_m, pose.y_m], (BEAMS, 1)), ways)
         seen = range_m < 20.0
-        range_m = range_m[seen] + 0.012 * noise.standard_normal(int(seen.sum()))
+        range_m = range_m[seen] + sigma_m * noise.standard_normal(int(seen.sum()))
         xy = np.column_stack((range_m * np.cos(angle[seen]), range_m * np.sin(angle[seen])))
         normals, kept = np.empty((len(xy), 3)), np.empty(len(xy), np.bool_)
-        estimate_normals(xy, np.zeros(2), STEP_RAD, 0.012, 1.0, normals, np.empty(len(xy)))
+        estimate_normals(xy, np.zeros(2), STEP_RAD, sigma_m, 1.0, normals, np.empty(len(xy)))
         thin_points(xy, 0.04, kept)
         nothing = np.zeros((0, 2), np.float32)
-        frame = KeyFrame(k * 10**8, pose, np.eye(3), 0, 0.9, False, nothing, (0.0, 0.0), STEP_RAD)
+        frame = KeyFrame(k * 10**8, pose, np.eye(3), 0, 0.9, False, nothing, (0.0, 0.0), STEP_RAD, sigma_m)
         thinned = ThinnedScan(xy[kept].astype(np.float32), normals[kept].astype(np.float32), (0.0, 0.0))
         keyframes.append(frame, np.array([pose.x_m, pose.y_m, pose.theta_rad]), thinned)
     return keyframes
 
 
-def found_m(keyframes: KeyframeList, last: int) -> float:
-    """How far along the corridor the 5 m of the way back up to a key frame are found from where they are."""
+@pytest.fixture(scope="module")
+def out_and_back() -> KeyframeList:
+    return out_and_back_in(corridor(), 0.012)
+
+
+@pytest.fixture(scope="module")
+def in_a_bare_corridor() -> KeyframeList:
+    bare = [(-40.0, -HALF_M, 80.0, -HALF_M), (-40.0, HALF_M, 80.0, HALF_M)]
+    return out_and_back_in(bare, 0.04)
+
+
+def places_of(keyframes: KeyframeList, last: int) -> tuple[CandidateSubmap, PointCloud, Floats]:
+    """The way out, the 5 m of the way back up to a key frame, and where they lie in it."""
     reach = round(5.0 / STEP_M)
     reference = last - reach // 2
     outward = np.arange(keyframes.count // 2)
     near = int(outward[np.argmin(abs(keyframes.odom[outward, 0] - keyframes.odom[reference, 0]))])
     submap = CandidateSubmap(keyframes, range(near - reach, near + reach + 1), near)
     cloud = cloud_of(keyframes, range(last - reach, last + 1), reference)
-    true = se2.between(keyframes.odom[near], keyframes.odom[reference])
+    return submap, cloud, se2.between(keyframes.odom[near], keyframes.odom[reference])
+
+
+def found_m(keyframes: KeyframeList, last: int) -> float:
+    """How far along the corridor they are found from where they are."""
+    submap, cloud, true = places_of(keyframes, last)
     guess = true + np.array([OFF_M, 0.0, 0.0])
     pose = submap.search(cloud, guess, WINDOW_M, 0.06, LEAST_SCORE)
     assert pose is not None
@@ -86,3 +107,27 @@ def test_points_on_ground_that_was_not_seen_would_drag_it_along(
     monkeypatch.setattr(candidate_submap, "UNKNOWN_LIKELIHOOD", 0.0)
     off_m = [found_m(out_and_back, last) for last in BACK]
     assert max(map(abs, off_m)) > 0.1, off_m
+
+
+def test_along_a_bare_corridor_a_place_is_where_it_is_expected(in_a_bare_corridor: KeyframeList):
+    """Wherever a search has put it: the walls say how far across, nothing along, and that nothing is said."""
+    for last in BACK:
+        submap, cloud, true = places_of(in_a_bare_corridor, last)
+        expected = true + np.array([OFF_M, 0.01, 0.002])
+        chosen = true + np.array([-0.9, 0.0, 0.0])
+        fit = submap.align_about(cloud, chosen, expected, WINDOW_M, 0.06)
+        assert abs(fit.pose[0] - expected[0]) < 0.03
+        assert abs(fit.pose[1] - true[1]) < 0.006
+        loop = loop_of(submap.reference, last, fit.pose, fit.information, fit.share)
+        assert loop.covariance[0, 0] > 1.0, "the walls say how far along"
+
+
+def test_of_a_noisy_laser_walls_say_less():
+    side = np.linspace(-2.0, 2.0, 81)
+    wall = np.column_stack((np.full(81, 2.0), side))
+    facing = np.tile([-1.0, 0.0, 1.0], (81, 1))
+    said = {}
+    for sigma_m in (0.012, 0.036):
+        cloud = cloud_with_noise(wall, facing, sigma_m)
+        said[sigma_m] = SurfelSet(cloud).align(cloud, np.zeros(3)).information[0, 0]
+    assert 4.0 < said[0.012] / said[0.036] <= 9.0  # 9, but for how even a wall is
