@@ -21,6 +21,7 @@ COUNT_LIMIT = 50.0
 POOL_TILES = 4096
 UNIT_SIGMA_M = 0.012  # of the points that surfels count in
 SIGMA_STEP_M = 0.001  # noise is told apart by this
+BLOCK_CELLS = 10.0  # a side, whose points stand together
 SETTINGS = MatchSettings(
     range_sigma_m=UNIT_SIGMA_M,
     surfel_sigma_m=UNIT_SIGMA_M,
@@ -58,6 +59,16 @@ class PointCloud:
         normals[:, 0] = c * self.normals[:, 0] - s * self.normals[:, 1]
         normals[:, 1] = s * self.normals[:, 0] + c * self.normals[:, 1]
         return PointCloud(se2.points_from(pose, self.xy), normals, self.sigma_m)
+
+    def by_cell(self, pose: Floats) -> "PointCloud":
+        """The points that fall into one cell of surfels one behind the other, with the cloud at a pose (3,).
+
+        Whatever key frames they are of, they share the errors of that wall: [13] and [22] count them so.
+        """
+        row, column = np.floor(se2.points_from(pose, self.xy) / CELL_M).T
+        block_row, block_column = np.floor(row / BLOCK_CELLS), np.floor(column / BLOCK_CELLS)
+        order = np.lexsort((column, row, block_column, block_row))
+        return PointCloud(self.xy[order], self.normals[order], self.sigma_m[order])
 
 
 def cloud_with_noise(xy: Floats, normals: Floats, range_sigma_m: float = UNIT_SIGMA_M) -> PointCloud:

@@ -10,7 +10,7 @@ from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.kernels.loops import thin_points
 from service.kernels.normals import estimate_normals
-from service.mapper.graph.point_clouds import PointCloud, SurfelSet, cloud_with_noise
+from service.mapper.graph.point_clouds import PointCloud, SurfelSet, cloud_with_noise, joined
 from service.mapper.methods.corridor.graph import candidate_submap
 from service.mapper.methods.corridor.graph.candidate_submap import LEAST_SCORE, CandidateSubmap, cloud_of
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
@@ -131,3 +131,17 @@ def test_of_a_noisy_laser_walls_say_less():
         cloud = cloud_with_noise(wall, facing, sigma_m)
         said[sigma_m] = SurfelSet(cloud).align(cloud, np.zeros(3)).information[0, 0]
     assert 4.0 < said[0.012] / said[0.036] <= 9.0  # 9, but for how even a wall is
+
+
+def test_several_key_frames_that_see_one_wall_share_the_errors_of_its_surfels():
+    side = np.linspace(-1.98, 1.98, 100)
+    wall = np.column_stack((np.full(100, 2.05), side))
+    once = cloud_with_noise(wall, np.tile([-1.0, 0.0, 1.0], (100, 1)))
+    surfels, origin = SurfelSet(once), np.zeros(3)
+
+    def said(cloud: PointCloud) -> float:
+        return float(surfels.align(cloud, origin).information[0, 0])
+
+    often = joined([once] * 16)
+    assert said(often) > 8.0 * said(once)
+    assert said(often.by_cell(origin)) < 3.0 * said(once)
