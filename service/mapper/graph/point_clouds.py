@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -117,10 +117,18 @@ class SurfelSet:
 
     def align(self, cloud: PointCloud, pose: Floats, chance_chi2: float = 0.0) -> Fit:
         """Another cloud aligned with it, from a pose near enough. chance_chi2: see scan_information."""
+        return self._fit(cloud, pose, SETTINGS._replace(chance_chi2=chance_chi2))
+
+    def align_with_shared_errors(self, cloud: PointCloud, pose: Floats, chance_chi2: float) -> Fit:
+        """The same of a cloud of several key frames: points in one cell share the errors of its wall."""
+        fit = self.align(cloud, pose, chance_chi2)
+        as_it_lies = SETTINGS._replace(chance_chi2=chance_chi2, iterations=0)
+        return replace(fit, information=self._fit(cloud.by_cell(fit.pose), fit.pose, as_it_lies).information)
+
+    def _fit(self, cloud: PointCloud, pose: Floats, settings: MatchSettings) -> Fit:
         aligned, information = pose.copy(), np.zeros((3, 3))
         normals = cloud.normals.copy()
         normals[:, 2] *= (UNIT_SIGMA_M / cloud.sigma_m) ** 2
-        settings = SETTINGS._replace(chance_chi2=chance_chi2)
         used, inliers = align_surfels(cloud.xy, normals, self.grid(), settings, aligned, information)
         return Fit(aligned, information, inliers / used if used else 0.0)
 

@@ -38,7 +38,6 @@ LEAST_SCORE = 0.5  # mean likelihood of the points that a search must reach: hal
 # [22] Squared sigmas of chance in what walls say of a loop: of the loops along 30 m of a corridor, one each
 # 2 m, the largest counts.
 CHANCE_CHI2 = 2.0 * math.log(30.0 / 2.0)
-SAME_CELL_M = 0.02  # moved so little, most points fall into the same cells
 REACH_SIGMAS = 3.5
 MOST_MOVES, SETTLED_SIGMAS = 3, 0.02  # towards the expected pose; of its sigma, that no move is worth
 TRACED_EVERY = 3  # key frames of a place: neighbours see the same free space
@@ -115,10 +114,7 @@ class CandidateSubmap:
 
     def align(self, cloud: PointCloud, pose: Floats) -> Fit:
         """The cloud aligned with the surfels, from a pose near enough."""
-        fit = self._surfels.align(cloud.by_cell(pose), pose, CHANCE_CHI2)
-        if math.hypot(fit.pose[0] - pose[0], fit.pose[1] - pose[1]) > SAME_CELL_M:
-            fit = self._surfels.align(cloud.by_cell(fit.pose), fit.pose, CHANCE_CHI2)
-        return fit
+        return self._surfels.align_with_shared_errors(cloud, pose, CHANCE_CHI2)
 
     def align_about(
         self, cloud: PointCloud, pose: Floats, expected: Floats, reach_m: float, reach_rad: float
