@@ -96,12 +96,13 @@ def test_what_was_refused_is_known_to_the_session_after(graph):
 
 
 def test_a_graph_of_before_tells_what_it_has(graph):
-    new = ("refused_", "loop_points", "loop_against")
+    new = ("refused_", "loop_points", "loop_against", "range_sigma_m")
     old = {name: array for name, array in small_arrays(graph).items() if not name.startswith(new)}
     back = from_arrays(old, [packed_points(graph, 0, len(graph))])
     assert len(back.refused.ends) == 0
     assert back.loop_points.tolist() == [0] * len(graph.loop_ends)
     assert np.isnan(back.loop_against).all()
+    np.testing.assert_array_equal(back.range_sigma_m, np.full(len(graph), 0.012))
 
 
 def test_refusals_do_not_fill_memory():
