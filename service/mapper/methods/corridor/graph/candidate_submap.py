@@ -38,7 +38,7 @@ LEAST_SCORE = 0.5  # mean likelihood of the points that a search must reach: hal
 # [22] Squared sigmas of chance in what walls say of a loop: of the loops along 30 m of a corridor, one each
 # 2 m, the largest counts.
 CHANCE_CHI2 = 2.0 * math.log(30.0 / 2.0)
-REACH_SIGMAS = 3.5
+REACH_SIGMAS = 3.5  # of the drift between two passes, that half a window is: DRIFTS of the back end
 MOST_MOVES, SETTLED_SIGMAS = 3, 0.02  # towards the expected pose; of its sigma, that no move is worth
 TRACED_EVERY = 3  # key frames of a place: neighbours see the same free space
 
