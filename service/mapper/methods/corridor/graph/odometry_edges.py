@@ -9,7 +9,9 @@ from service.mapper.known_pose import covariance_added
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
 
 STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: of a step between key frames, at best
-LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])  # of a step that only a prediction vouches for; m^2, rad^2
+LOST_COVARIANCE = np.diag(
+    [1.0, 1.0, 0.5]
+)  # of a step that was not matched, where no motion model says more; m^2, rad^2
 DOUBTFUL_COVARIANCE = np.diag([0.09, 0.09, 0.09])  # ... added where an end hardly lies on the map
 UNKNOWN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # ... into a piece that nobody knows the place of
 LEAST_COVARIANCE = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: of a step that nothing was added in
@@ -34,20 +36,22 @@ def odometry_edges(keyframes: KeyframeList, step_m: float, is_by_motion: bool = 
     """From each key frame to the next.
 
     step_m         the way after which a key frame is due
-    is_by_motion   a step is known as well as the motion model says, where it says so
+    is_by_motion   a step is known as well as the motion model says, where it says so; one to or from a key
+                   frame that was not matched always is
     """
     of, is_unknown = _before(keyframes)
     to = np.arange(1, keyframes.count, dtype=np.int64)
     step = se2.between(keyframes.odom[of], keyframes.odom[to])
     covariance = keyframes.covariance[1:] + STEP_FLOOR
-    covariance = np.where(lost_steps(keyframes)[:, None, None], LOST_COVARIANCE, covariance)
+    is_lost = lost_steps(keyframes)
+    covariance = np.where(is_lost[:, None, None], LOST_COVARIANCE, covariance)
     covariance = covariance + doubtful_steps(keyframes)[:, None, None] * DOUBTFUL_COVARIANCE
     gap_m = np.maximum(np.diff(keyframes.way_m) - 2.0 * step_m, 0.0)
     covariance = covariance + (GAP_SHARE * gap_m[:, None, None]) ** 2 * np.eye(3)
-    if is_by_motion:
-        then, now = keyframes.motion_covariance[of], keyframes.motion_covariance[to]
-        said = np.isfinite(then + now).all(axis=(1, 2))
-        covariance[said] = covariance_added(then[said], now[said], step[said]) + LEAST_COVARIANCE
+    then, now = keyframes.motion_covariance[of], keyframes.motion_covariance[to]
+    said = np.isfinite(then + now).all(axis=(1, 2)) & (is_lost | is_by_motion)
+    covariance[said] = covariance_added(then[said], now[said], step[said])
+    covariance[said] += LEAST_COVARIANCE if is_by_motion else STEP_FLOOR
     covariance[is_unknown] = UNKNOWN_COVARIANCE
     return Edges(of, to, step, covariance, np.zeros(keyframes.count - 1))
 

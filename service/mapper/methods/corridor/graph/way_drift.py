@@ -1,18 +1,13 @@
 """How far the way between two key frames can have drifted: it tells a loop from a place that looks alike."""
 
 import numpy as np
+import numpy.typing as npt
 
 from service.geometry import poses as se2
-from service.geometry.poses import Floats
 from service.mapper.known_pose import carried
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
 from service.mapper.methods.corridor.graph.loops import Loop
-from service.mapper.methods.corridor.graph.odometry_edges import (
-    LOST_COVARIANCE,
-    UNKNOWN_COVARIANCE,
-    lost_steps,
-    odometry_edges,
-)
+from service.mapper.methods.corridor.graph.odometry_edges import UNKNOWN_COVARIANCE, odometry_edges
 
 # Of three degrees of freedom, of a loop against the way between its ends: at most 20 in 1054 loops of seven
 # recordings, 390 and more of those between shelves that look alike.
@@ -23,13 +18,19 @@ UNMODELLED_SHARE = 0.003
 
 
 class WayDrift:
-    """The way by the motion model alone: other loops do not count."""
+    """The way by the motion model alone: other loops do not count.
+
+    Where nothing was seen the way is known as odometry knows it. A vehicle that was carried there, and put down
+    on new ground, gets no loop; but to allow for it would allow rows that look alike, for at their ends little
+    is seen.
+    """
 
     def __init__(self, keyframes: KeyframeList, step_m: float) -> None:
         """step_m: the way after which a key frame is due."""
         self._keyframes = keyframes
         self._step_m = step_m
-        self._covariance = np.zeros((0, 3, 3))  # of the steps between key frames, as last asked
+        self._before = np.zeros(0, np.int64)  # (N - 1,) the key frame that each step begins at
+        self._covariance = np.zeros((0, 3, 3))  # of the steps, as last asked
 
     def allows(self, loop: Loop) -> bool:
         """Whether the way can have drifted to where the loop is."""
@@ -39,19 +40,32 @@ class WayDrift:
         """How far a loop is from where the way from `of` to a later `to` leads, in squared sigmas."""
         odom = self._keyframes.odom
         if len(self._covariance) != len(odom) - 1:
-            self._covariance = self._of_steps()
-        ends = odom[loop.of + 1 : loop.to + 1]
-        way = carried(self._covariance[loop.of : loop.to], se2.between(ends, odom[loop.to])).sum(axis=0)
-        steps = odom[loop.of + 1 : loop.to + 1, :2] - odom[loop.of : loop.to, :2]
-        unmodelled_m = UNMODELLED_SHARE * np.hypot(steps[:, 0], steps[:, 1]).sum()
+            self._ask_steps()
+        ends, begun_at = self._way_back(loop.of, loop.to)
+        steps = ends - 1
+        way = carried(self._covariance[steps], se2.between(odom[ends], odom[loop.to])).sum(axis=0)
+        way += (begun_at != loop.of) * UNKNOWN_COVARIANCE
+        driven = odom[ends, :2] - odom[self._before[steps], :2]
+        unmodelled_m = UNMODELLED_SHARE * np.hypot(driven[:, 0], driven[:, 1]).sum()
         way += unmodelled_m**2 * np.diag([1.0, 1.0, 0.0])
         off = se2.between(se2.between(odom[loop.of], odom[loop.to]), loop.measured)
         return float(off @ np.linalg.solve(way + loop.covariance, off))
 
-    def _of_steps(self) -> Floats:
-        """(N - 1, 3, 3)."""
-        steps = odometry_edges(self._keyframes, self._step_m, is_by_motion=True).covariance
-        steps[lost_steps(self._keyframes)] += LOST_COVARIANCE  # odometry knows of no vehicle that is carried
+    def _way_back(self, of: int, to: int) -> tuple[npt.NDArray[np.int64], int]:
+        """Key frames that the steps from `of` to `to` end at, and the one that the first of them begins at.
+
+        Pieces beside the way are none of it; where `of` lies in one of them, the way begins before it.
+        """
+        ends = []
+        while to > of:
+            ends.append(to)
+            to = int(self._before[to - 1])
+        return np.array(ends[::-1], np.int64), to
+
+    def _ask_steps(self) -> None:
+        edges = odometry_edges(self._keyframes, self._step_m, is_by_motion=True)
         motion = self._keyframes.motion_covariance
-        steps[~np.isfinite(motion[1:] + motion[:-1]).all(axis=(1, 2))] = UNKNOWN_COVARIANCE
-        return steps
+        is_known = np.isfinite(motion[edges.of] + motion[edges.to]).all(axis=(1, 2))
+        self._before = edges.of
+        self._covariance = edges.covariance
+        self._covariance[~is_known] = UNKNOWN_COVARIANCE

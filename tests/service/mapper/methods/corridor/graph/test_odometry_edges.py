@@ -55,8 +55,16 @@ def test_a_matched_step_is_known_as_well_as_its_match_at_best_to_the_floor() -> 
     check(edges(), SOUND, SOUND)
 
 
-def test_steps_at_a_key_frame_that_was_not_matched_are_given_a_wide_covariance() -> None:
-    check(edges(is_lost=True), LOST_COVARIANCE, LOST_COVARIANCE)
+def test_steps_at_a_key_frame_that_was_not_matched_are_known_as_the_motion_model_says() -> None:
+    added = np.diag([0.04, 0.04, 0.0])
+    found = edges(is_lost=True, motion_covariance=added + 1e-6 * ODD * np.eye(3))
+    np.testing.assert_allclose(found.covariance[ODD - 1], added + 1e-6 * np.eye(3) + STEP_FLOOR, atol=2e-6)
+    np.testing.assert_allclose(found.covariance[ODD], STEP_FLOOR, atol=2e-6)
+    np.testing.assert_allclose(found.covariance[[0, -1]], [SOUND, SOUND])
+
+
+def test_where_it_says_nothing_they_are_given_a_wide_covariance() -> None:
+    check(edges(is_lost=True, motion_covariance=None), LOST_COVARIANCE, LOST_COVARIANCE)
 
 
 @pytest.mark.parametrize(("score", "added"), [(0.55, 0.0), (0.53, 1.0)])

@@ -1,6 +1,8 @@
 """Whether a loop lies where the way between its ends can have drifted to."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,15 +24,20 @@ BESIDE_M = 1.5
 BATCH = 10
 
 
-def straight(is_known: bool = True, lost: int | None = None, variance: np.ndarray = VARIANCE) -> WayDrift:
-    """Ten metres ahead, each step known as well as the one before."""
+def straight(
+    is_known: bool = True,
+    lost: int | None = None,
+    variance: np.ndarray = VARIANCE,
+    beside: Sequence[int] = (),
+) -> WayDrift:
+    """Ten metres ahead, each step known as well as the one before; key frames `beside` are another piece."""
     back_end = LoopBackEnd(LoopsConfig(), None)
     frames = [
         KeyFrame(
             k * 10**8,
             SE2(STEP_M * k, 0.0, 0.0),
             np.diag([1e-4, 1e-4, 1e-6]),
-            0,
+            int(k in beside),
             0.9,
             k == lost,
             np.zeros((0, 2), np.float32),
@@ -44,8 +51,8 @@ def straight(is_known: bool = True, lost: int | None = None, variance: np.ndarra
     return WayDrift(back_end._keyframes, STEP_M)
 
 
-def loop(x_m: float, y_m: float, theta_rad: float) -> Loop:
-    return Loop(0, STEPS, np.array([x_m, y_m, theta_rad]), SURE, 0.5)
+def loop(x_m: float, y_m: float, theta_rad: float, of: int = 0) -> Loop:
+    return Loop(of, STEPS, np.array([x_m, y_m, theta_rad]), SURE, 0.5)
 
 
 def test_the_drift_of_a_way_is_the_sum_of_its_steps():
@@ -59,8 +66,23 @@ def test_a_loop_beyond_that_is_not_allowed_unless_nobody_knows_the_way():
     off_m = 1.1 * np.sqrt(MOST_DRIFT_CHI2 * (STEPS * VARIANCE[0, 0] + (UNMODELLED_SHARE * 10.0) ** 2))
     assert straight().allows(loop(10.0 + 0.8 * off_m, 0.0, 0.0))
     assert not straight().allows(loop(10.0 + off_m, 0.0, 0.0))
-    assert straight(lost=20).allows(loop(10.0 + off_m, 0.0, 0.0))
     assert straight(is_known=False).allows(loop(10.0 + off_m, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("odd", [{"lost": 20}, {"beside": (20, 21, 22)}], ids=["unseen", "beside"])
+def test_a_row_that_looks_like_another_is_refused_where_less_was_seen_on_the_way(odd: dict[str, Any]):
+    """At the end of a row of vines nothing may be seen for a scan, or a piece be begun and left again."""
+    drift = straight(**odd)
+    assert drift.chi2(loop(10.0, BESIDE_M, 0.0)) == pytest.approx(
+        straight().chi2(loop(10.0, BESIDE_M, 0.0)), rel=0.05
+    )
+    assert not drift.allows(loop(10.0, 4.0 * BESIDE_M, 0.0))
+
+
+def test_nobody_knows_the_way_from_a_piece_beside_it():
+    drift = straight(beside=(20, 21, 22))
+    assert drift.allows(loop(0.25 * (STEPS - 21), 4.0 * BESIDE_M, 0.0, of=21))
+    assert not drift.allows(loop(0.25 * (STEPS - 19), 4.0 * BESIDE_M, 0.0, of=19))
 
 
 def test_a_slip_that_nobody_noticed_does_not_keep_loops_away():
