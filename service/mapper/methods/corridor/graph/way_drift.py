@@ -20,9 +20,9 @@ UNMODELLED_SHARE = 0.003
 class WayDrift:
     """The way by the motion model alone: other loops do not count.
 
-    Where nothing was seen the way is known as odometry knows it. A vehicle that was carried there, and put down
-    on new ground, gets no loop; but to allow for it would allow rows that look alike, for at their ends little
-    is seen.
+    Where nothing was seen the way is known as odometry knows it. A vehicle that was carried there, and put
+    down on new ground, gets no loop; but to allow for it would allow rows that look alike, for at their ends
+    little is seen.
     """
 
     def __init__(self, keyframes: KeyframeList, step_m: float) -> None:
