@@ -9,9 +9,8 @@ from service.mapper.known_pose import covariance_added
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
 
 STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: of a step between key frames, at best
-LOST_COVARIANCE = np.diag(
-    [1.0, 1.0, 0.5]
-)  # of a step that was not matched, where no motion model says more; m^2, rad^2
+# m^2, rad^2: of a step that was not matched, where no motion model says how well it is known
+LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])
 DOUBTFUL_COVARIANCE = np.diag([0.09, 0.09, 0.09])  # ... added where an end hardly lies on the map
 UNKNOWN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # ... into a piece that nobody knows the place of
 LEAST_COVARIANCE = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: of a step that nothing was added in
