@@ -18,6 +18,7 @@ ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 _cleanups: list[Callable[[], object]] = []
+_ends = threading.RLock()  # never let go: of two threads that hear one signal the first ends the process
 
 
 def before_ending(cleanup: Callable[[], object]) -> None:
@@ -27,13 +28,14 @@ def before_ending(cleanup: Callable[[], object]) -> None:
 
 def end_at_once(code: int) -> None:
     """Kill the children, clean up, end this process. Does not return."""
+    _ends.acquire()
     for pid in set(_children()) - _left_to_end_by_themselves():
         try:
             os.kill(pid, signal.SIGKILL)
         except ProcessLookupError:
             continue
-    for cleanup in _cleanups:
-        cleanup()
+    while _cleanups:
+        _cleanups.pop(0)()
     os._exit(code)
 
 
