@@ -1,7 +1,7 @@
 """The estimate of the vehicle's motion, and the interface of who holds it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -38,6 +38,12 @@ class Prediction(Motion):
     # (begin_s, end_s) from this moment -> what was measured there beyond the twist: (K, 3) m, m, rad at K
     # moments evenly between, see service/kernels/sweep.py; None: nothing. Only until the next prediction.
     deviation: Callable[[float, float], Matrix | None] | None = None
+
+    def less_known(self, more: Matrix) -> "Prediction":
+        """With so much more covariance of the pose, (3, 3), that has nothing to do with the twist."""
+        covariance = self.local_covariance + more
+        gain = self.twist_gain @ self.local_covariance @ np.linalg.inv(covariance)
+        return replace(self, local_covariance=covariance, twist_gain=gain)
 
     def twist_at(self, pose_odom_base: SE2) -> tuple[float, float, float]:
         """The twist, were the base at this pose instead: m/s forward, m/s left, rad/s."""

@@ -41,9 +41,8 @@ class MountingCheck:
     def where_to_look(self, predicted: Prediction) -> Prediction:
         """Where its scan is looked for on the map, and how wide around."""
         return replace(
-            predicted,
+            predicted.less_known(SEARCHED),
             pose_odom_base=predicted.pose_odom_base @ SE2.exp(*self._offset.tolist()),
-            local_covariance=predicted.local_covariance + SEARCHED,
         )
 
     def add(self, looked_for: Prediction, measured: Measurement) -> None:
