@@ -375,7 +375,6 @@ def _chi2(pose: Matrix, prior: Prior) -> float:
 def _prior_of(predicted: Prediction, gap: _Gap | None) -> Prior:
     """The prediction as the kernel wants it; gap: of a piece that it is carried through, against the map."""
     pose = predicted.pose_odom_base
-    covariance = predicted.local_covariance
     if gap is not None:
         step = gap.pose.inverse() @ pose
         c, s = math.cos(step.theta_rad), math.sin(step.theta_rad)
@@ -386,10 +385,10 @@ def _prior_of(predicted: Prediction, gap: _Gap | None) -> Prior:
                 [0.0, 0.0, 1.0],
             ]
         )
-        covariance = covariance + carry @ gap.covariance @ carry.T
+        predicted = predicted.less_known(carry @ gap.covariance @ carry.T)
     return Prior(
         np.array([pose.x_m, pose.y_m, pose.theta_rad]),
         np.array(predicted.twist_base),
-        covariance,
+        predicted.local_covariance,
         predicted.twist_gain,
     )
