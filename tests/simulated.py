@@ -5,6 +5,7 @@ For experiments and benchmarks of the mapper. What the wire does to a frame is t
 
 import math
 import time
+from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -81,6 +82,14 @@ class Drive:
     frames: list[Frame]
     truth: dict[int, SE2]
     world_first: SE2 = ORIGIN  # the base at the first scan, in the frame of the world
+
+    def at(self, stamp_ns: int) -> SE2:
+        """Where the base was between two scans, seen from the first: in the middle of a sweep, say."""
+        stamps = sorted(self.truth)
+        k = min(max(bisect_right(stamps, stamp_ns), 1), len(stamps) - 1)
+        before, after = self.truth[stamps[k - 1]], self.truth[stamps[k]]
+        share = (stamp_ns - stamps[k - 1]) / (stamps[k] - stamps[k - 1])
+        return before @ SE2.exp(*(share * way for way in (before.inverse() @ after).log()))
 
 
 @dataclass

@@ -17,6 +17,7 @@ from service.fusion.motion import Matrix, Measurement, Motion, Prediction
 from service.geometry import poses
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.estimator import (
+    ACCELERATION,
     BIAS,
     LAG,
     LOCAL,
@@ -33,7 +34,7 @@ from service.kernels.estimator import (
     transfer_into_map,
 )
 from service.kernels.source_noise import begin_window
-from service.kernels.sweep import sweep_deviation
+from service.kernels.sweep import motion_at, sweep_deviation
 from service.kernels.tracks import PATH_POSES, Track, begin_twist
 
 log = logging.getLogger(__name__)
@@ -44,6 +45,7 @@ MOST_SAMPLES = 200_000  # that wait for a scan; then those between the oldest an
 # odometry reaches 580, csail's 1150 where one sample is 46 deg late.
 FAULT_NOISE = 1000.0
 GYRO_PAUSE_S = 0.05  # between two samples
+ACCELERATION_S = 0.2  # in which an acceleration fades: a drive reaches its speed in some tenths
 FADE_S = 1.0  # in which a speed fades that neither scans nor odometry confirm
 TURN_M = 0.5  # a turn of a radian shows as much new as so many metres
 KEEP_BEFORE_NS = 2_000_000_000  # of samples before the last scan: for the largest lag, and for a speed
@@ -72,7 +74,7 @@ class EstimatorConfig(BaseModel):
     odometry_jitter_s: float = Field(default=0.01, ge=0.0)  # of each stamp
     gyro_walk: float = Field(default=0.002, gt=0.0)  # rad per root second
     gyro_bias_sigma_radps: float = Field(default=0.02, ge=0.0)
-    acceleration: float = Field(default=1.0, gt=0.0)  # m/s^2, white: root of the density, m/s per root second
+    acceleration: float = Field(default=1.0, gt=0.0)  # root of its density, m/s per root second
     turn_acceleration: float = Field(default=2.0, gt=0.0)  # rad/s per root second
 
 
@@ -165,6 +167,7 @@ class Estimator:
             gyro_walk=config.gyro_walk,
             acceleration=config.acceleration,
             turn_acceleration=config.turn_acceleration,
+            acceleration_s=ACCELERATION_S,
             jitter_s=config.odometry_jitter_s,
             speed_window_s=0.05,
             fault_noise=FAULT_NOISE,
@@ -181,6 +184,7 @@ class Estimator:
             stamp_ns=np.zeros(1, np.int64),
             pose=np.zeros(3),
             twist=np.zeros(3),
+            acceleration=np.zeros(3),
             learnt=np.zeros(4),
             covariance=np.diag(sigma**2),
             noise=np.ones(2),
@@ -192,7 +196,9 @@ class Estimator:
             tied_twist=np.zeros(3),
             path=Track(np.zeros(PATH_POSES, np.int64), np.zeros((PATH_POSES, 3)), np.zeros(2, np.int64)),
         )
+        self._begin_acceleration()
         self._has_begun = False
+        self._origin_ns: int | None = None
         self._elapsed_s = 0.0
 
     @property
@@ -223,6 +229,9 @@ class Estimator:
         if isinstance(sample, OdometrySample):
             return self._add_odometry(sample)
         return self._add_gyro(sample)
+
+    def begin_at(self, stamp_ns: int) -> None:
+        self._origin_ns = stamp_ns
 
     def predict(self, stamp_ns: int) -> Prediction:
         state = self._filter
@@ -288,6 +297,13 @@ class Estimator:
             state.twist[:] = state.twist * math.exp(-self._elapsed_s / FADE_S)
         return Motion(SE2(*state.pose.tolist()), self._twist(), state.covariance[MAP_BLOCK, MAP_BLOCK].copy())
 
+    def moved(self, seconds: float) -> Motion:
+        pose, twist, covariance = np.empty(3), np.empty(3), np.empty((3, 3))
+        tracks = self._odometry.track, self._gyro.track
+        motion_at(self._filter, *tracks, seconds, self._settings, pose, twist, covariance)
+        forward, left, turn = twist.tolist()
+        return Motion(SE2(*pose.tolist()), (forward, left, turn), covariance)
+
     def _joined(self, measured: Measurement) -> tuple[SE2, Matrix]:
         """The mean of the newest prediction and what a scan says alone, and its covariance."""
         predicted = SE2(*self._filter.pose.tolist())
@@ -308,6 +324,9 @@ class Estimator:
         first, end = self._odometry.track.span.tolist()
         if end - first >= 2:
             self._begin_twist(stamp_ns)
+        if self._origin_ns is not None:
+            origin = self.moved((self._origin_ns - stamp_ns) * 1e-9).pose_odom_base.inverse()
+            self._filter.pose[:] = origin.x_m, origin.y_m, origin.theta_rad
 
     def _begin_twist(self, stamp_ns: int) -> None:
         """The speed as odometry has it now, at the first scan and after a pause: what it was says nothing."""
@@ -321,6 +340,17 @@ class Estimator:
         for k in range(3):
             covariance[TWIST + k, TWIST + k] = 0.1**2
         tie_to_scale(covariance, twist, 1.0, 0.0)
+        self._begin_acceleration()
+
+    def _begin_acceleration(self) -> None:
+        """None is known, but for how large one is; [2]."""
+        state = self._filter
+        rows = slice(ACCELERATION, ACCELERATION + 3)
+        state.acceleration[:] = 0.0
+        state.covariance[rows, :] = 0.0
+        state.covariance[:, rows] = 0.0
+        density = np.square([self._settings.acceleration] * 2 + [self._settings.turn_acceleration])
+        state.covariance[rows, rows] = np.diag(density / (2.0 * self._settings.acceleration_s))
 
     def _twist(self) -> tuple[float, float, float]:
         forward, left, turn = self._filter.twist.tolist()

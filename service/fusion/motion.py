@@ -35,7 +35,7 @@ class Prediction(Motion):
     odometry_noise: float = 1.0  # variance of odometry's way over that of its model, as learnt
     pause_s: float = 0.0  # the longest since the last scan in which nobody measured the way
     samples_dropped: int = 0  # since the last prediction: too many waited for it
-    # (begin_s, end_s) from this moment -> what was measured there beyond the twist: (K, 3) m, m, rad at K
+    # (begin_s, end_s) from this moment -> what is known there beyond the twist: (K, 3) m, m, rad at K
     # moments evenly between, see service/kernels/sweep.py; None: nothing. Only until the next prediction.
     deviation: Callable[[float, float], Matrix | None] | None = None
 
@@ -76,7 +76,7 @@ class Measurement:
 
 
 class MotionModel(Protocol):
-    """Predicts where the vehicle is when a scan begins, from whatever moves with it."""
+    """Predicts where the vehicle is at a moment of a scan, from whatever moves with it."""
 
     @property
     def fault(self) -> str:
@@ -87,10 +87,18 @@ class MotionModel(Protocol):
         """Take in a sample; False if it came out of order, or was not a number, and was left out."""
         ...
 
+    def begin_at(self, stamp_ns: int) -> None:
+        """`odom` is the base at this moment, at most a sweep before the first prediction; without it, then."""
+        ...
+
     def predict(self, stamp_ns: int) -> Prediction: ...
 
     def correct(self, measured: Measurement | None) -> Motion:
         """Take in what a match says of the newest prediction; None: nothing. Gives the estimate then."""
+        ...
+
+    def moved(self, seconds: float) -> Motion:
+        """The newest estimate, carried on by so many seconds, or back: within the sweep that it is of."""
         ...
 
     def settle(self, share: float) -> None:

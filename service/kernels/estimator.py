@@ -9,9 +9,10 @@ Errors are in base axes of the newest pose: true pose = pose * exp(error). Rows 
     SCALE 12, TURN_SCALE 13   of odometry: true way = (1 + scale) * way said
     LAG   14      of odometry's stamps behind the scans', s
     BIAS  15      of the gyro, rad/s
+    ACCELERATION 16:19   of the twist
 
 docs/estimator.md derives every equation; numbers in brackets are those of that page.
-Sources: Barfoot, State Estimation for Robotics, 2017, sections 3.4 (white-noise acceleration), 4.2 and 7.3;
+Sources: Barfoot, State Estimation for Robotics, 2017, sections 3.4 (motion priors), 4.2 and 7.3;
 Roumeliotis and Burdick, Stochastic cloning, ICRA 2002; Sola, Quaternion kinematics for the error-state
 Kalman filter, 2017, chapter 5.
 """
@@ -22,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from service.kernels.acceleration import transition_over
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.pose_information import invert_3x3
 from service.kernels.se2 import between, compose, exponential, logarithm
@@ -38,7 +40,8 @@ from service.kernels.tracks import (
     turned_to,
 )
 
-MAP, LOCAL, STEP, TWIST, SCALE, TURN_SCALE, LAG, BIAS, STATES = 0, 3, 6, 9, 12, 13, 14, 15, 16
+MAP, LOCAL, STEP, TWIST, SCALE, TURN_SCALE, LAG, BIAS = 0, 3, 6, 9, 12, 13, 14, 15
+ACCELERATION, STATES = 16, 19
 GYRO_SCALE = 0.005  # error of the gyro's scale
 GRACE_NS = 50_000_000  # odometry may begin so much later than the last scan
 GATE_CHI2 = 11.3  # 99 % of three degrees of freedom: beyond, a measurement widens until it fits
@@ -58,6 +61,7 @@ class MotionSettings(NamedTuple):
     gyro_walk: float  # rad / sqrt(s)
     acceleration: float  # m/s^2 sqrt(s)
     turn_acceleration: float  # rad/s^2 sqrt(s)
+    acceleration_s: float  # in which an acceleration fades
     jitter_s: float
     speed_window_s: float
     fault_noise: float  # times the variance of its model: such odometry is judged but not used
@@ -69,8 +73,9 @@ class Filter(NamedTuple):
     stamp_ns    (1,)     int64     of the newest pose
     pose        (3,)     float64   base in odom
     twist       (3,)     float64   m/s forward, m/s left, rad/s
+    acceleration (3,)    float64   of the twist
     learnt      (4,)     float64   scale, turn scale, lag s, gyro bias rad/s
-    covariance  (16, 16) float64
+    covariance  (19, 19) float64
     noise       (2,)     float64   how many times its model odometry's variance is: position, heading
     gyro_noise  (1,)     float64   the same of the gyro
     said        (8,)     float64   odometry's step (3) and whether there was one; its variances (2);
@@ -88,6 +93,7 @@ class Filter(NamedTuple):
     stamp_ns: npt.NDArray[np.int64]
     pose: npt.NDArray[np.float64]
     twist: npt.NDArray[np.float64]
+    acceleration: npt.NDArray[np.float64]
     learnt: npt.NDArray[np.float64]
     covariance: npt.NDArray[np.float64]
     noise: npt.NDArray[np.float64]
@@ -104,8 +110,8 @@ class Filter(NamedTuple):
 def observe(covariance, rows, residual, variance, gain, gate, correction):
     """One linear measurement: rows . error = residual + noise; changes covariance, adds to correction.
 
-    rows   (16,) float64     that of the lag is set to 0 where the innovation is beyond the gate
-    gain   (16,) float64     scratch
+    rows   (19,) float64     that of the lag is set to 0 where the innovation is beyond the gate
+    gain   (19,) float64     scratch
     gate   chi2 beyond which the noise is widened until the innovation fits: a Huber weight; [6]
     The pose is one, so its error against the first scan moves as that against the local map does, and its
     covariance follows by Joseph's form; [7].
@@ -144,7 +150,7 @@ def observe(covariance, rows, residual, variance, gain, gate, correction):
 
 @kernel
 def predict_motion(state, odometry, gyro, stamp_ns, settings):
-    """Go on to the moment of a scan: white-noise acceleration, then odometry and gyro as measurements.
+    """Go on to the moment of a scan: the acceleration fades, then odometry and gyro as measurements.
 
     state      Filter           in and out
     odometry   Track
@@ -158,25 +164,10 @@ def predict_motion(state, odometry, gyro, stamp_ns, settings):
     state.said[:] = 0.0
     if dt <= 0.0:
         return
+    way = np.empty(3)
     step = np.empty(3)
-    exponential(dt * state.twist[0], dt * state.twist[1], dt * state.twist[2], step)
-    # [3] the step's error is that of the twist over dt, and what acceleration adds to both
-    for i in range(3):
-        for j in range(STATES):
-            P[STEP + i, j] = dt * P[TWIST + i, j]
-    for i in range(3):
-        for j in range(STATES):
-            if j < STEP or j >= TWIST:
-                P[j, STEP + i] = P[STEP + i, j]
-    for i in range(3):
-        for j in range(3):
-            P[STEP + i, STEP + j] = dt * dt * P[TWIST + i, TWIST + j]
-    for i in range(3):
-        q = settings.acceleration**2 if i < 2 else settings.turn_acceleration**2
-        P[STEP + i, STEP + i] += q * dt * dt * dt / 3.0
-        P[STEP + i, TWIST + i] += q * dt * dt / 2.0
-        P[TWIST + i, STEP + i] += q * dt * dt / 2.0
-        P[TWIST + i, TWIST + i] += q * dt
+    accelerate(state, dt, settings, way)
+    exponential(way[0], way[1], way[2], step)
     correction = np.zeros(STATES)
     gain = np.empty(STATES)
     rows = np.zeros(STATES)
@@ -196,7 +187,7 @@ def predict_motion(state, odometry, gyro, stamp_ns, settings):
         # (turns are not wrapped: a speed that is wrong by a turn a scan would go on for ever)
         logarithm(step, said)
         for i in range(3):
-            correction[STEP + i] = dt * state.twist[i] - said[i]
+            correction[STEP + i] = way[i] - said[i]
         change_of_speed(state, odometry, dt, of_step, settings, change)
         tie_to_scale(P, tied, -1.0, dt)
     if knows_turn:
@@ -205,7 +196,7 @@ def predict_motion(state, odometry, gyro, stamp_ns, settings):
         rows[STEP + 2] = 1.0
         rows[TURN_SCALE] = dt * tied[2] if knows_way else 0.0
         rows[BIAS] = dt
-        residual = state.said[6] - (step[2] if knows_way else dt * state.twist[2])
+        residual = state.said[6] - (step[2] if knows_way else way[2])
         observe(P, rows, residual, turn[1] * state.gyro_noise[0], gain, GATE_CHI2_GYRO, correction)
     if knows_way:
         for axis in range(2, -1, -1):
@@ -227,6 +218,51 @@ def predict_motion(state, odometry, gyro, stamp_ns, settings):
     carry(P, step)
     widen_window(state, math.hypot(step[0], step[1]) + abs(step[2]), dt)
     state.stamp_ns[0] = stamp_ns
+
+
+@inner_kernel
+def accelerate(state, dt, settings, way):
+    """Twist, acceleration and their errors dt later, and the error of the step until then; [3].
+
+    way   (3,) float64   out: m, m, rad on the way, whose exponential is the step
+    """
+    P = state.covariance
+    over = transition_over(dt, settings.acceleration_s)
+    for i in range(3):
+        for j in range(STATES):
+            P[STEP + i, j] = dt * P[TWIST + i, j] + over.to_step_s2 * P[ACCELERATION + i, j]
+    for i in range(3):
+        for j in range(STATES):
+            if j < STEP or j >= TWIST:
+                P[j, STEP + i] = P[STEP + i, j]
+    for i in range(3):
+        for j in range(3):
+            P[STEP + i, STEP + j] = (
+                dt * P[STEP + i, TWIST + j] + over.to_step_s2 * P[STEP + i, ACCELERATION + j]
+            )
+    for i in range(3):
+        for j in range(STATES):
+            P[TWIST + i, j] += over.to_twist_s * P[ACCELERATION + i, j]
+            P[ACCELERATION + i, j] *= over.kept
+    for j in range(STATES):
+        for i in range(3):
+            P[j, TWIST + i] += over.to_twist_s * P[j, ACCELERATION + i]
+            P[j, ACCELERATION + i] *= over.kept
+    for i in range(3):
+        q2 = settings.acceleration**2 if i < 2 else settings.turn_acceleration**2
+        P[STEP + i, STEP + i] += q2 * over.step_step
+        P[TWIST + i, TWIST + i] += q2 * over.twist_twist
+        P[ACCELERATION + i, ACCELERATION + i] += q2 * over.acceleration_acceleration
+        for row, column, noise in (
+            (STEP + i, TWIST + i, over.step_twist),
+            (STEP + i, ACCELERATION + i, over.step_acceleration),
+            (TWIST + i, ACCELERATION + i, over.twist_acceleration),
+        ):
+            P[row, column] += q2 * noise
+            P[column, row] += q2 * noise
+        way[i] = dt * state.twist[i] + over.to_step_s2 * state.acceleration[i]
+        state.twist[i] += over.to_twist_s * state.acceleration[i]
+        state.acceleration[i] *= over.kept
 
 
 @kernel
@@ -363,6 +399,7 @@ def add_to_state(state, step, correction):
     compose(step, moved, step)
     for i in range(3):
         state.twist[i] += correction[TWIST + i]
+        state.acceleration[i] += correction[ACCELERATION + i]
     for i in range(4):
         state.learnt[i] += correction[SCALE + i]
     exponential(correction[LOCAL], correction[LOCAL + 1], correction[LOCAL + 2], moved)
@@ -467,6 +504,7 @@ def correct_motion(state, pose, local_covariance, prior_weight):
             P[j, i] = P[i, j]
     for i in range(3):
         state.twist[i] += correction[TWIST + i]
+        state.acceleration[i] += correction[ACCELERATION + i]
         state.pose[i] = pose[i]
     for i in range(4):
         state.learnt[i] += correction[SCALE + i]

@@ -284,7 +284,7 @@ def fine_align(
     found = np.empty((count, 6))
     evidence = np.empty((count, 7))
     asked = np.empty(3)
-    moves = count > 0 and returns.beam_time_s[count - 1] > 0.0
+    moves = count > 0 and (returns.beam_time_s[0] != 0.0 or returns.beam_time_s[count - 1] != 0.0)
     cost = 0.0
     used = 0
     inliers = 0

@@ -1,18 +1,35 @@
-"""The motion within a sweep as odometry and gyro measure it, beyond the twist; docs/estimator.md, [23]."""
+"""The motion within a sweep beyond the twist, as expected and as measured; docs/estimator.md, [23]."""
 
 import math
 
 import numpy as np
 
+from service.kernels.acceleration import transition_over
 from service.kernels.compiled import inner_kernel, kernel
-from service.kernels.estimator import GATE_CHI2_GYRO, GYRO_SCALE, TWIST
+from service.kernels.estimator import ACCELERATION, GATE_CHI2_GYRO, GYRO_SCALE, MAP, STATES, TWIST, move_axes
 from service.kernels.se2 import between, compose, exponential
 from service.kernels.tracks import odometry_at, turned_to
 
 
 @inner_kernel
+def expected_step(state, seconds, settings, step):
+    """Where the base is expected after some seconds (or before the moment of the prediction); [23].
+
+    An acceleration fades backwards in time as it does forwards.
+    """
+    to_step_s2 = transition_over(abs(seconds), settings.acceleration_s).to_step_s2
+    twist, acceleration = state.twist, state.acceleration
+    exponential(
+        seconds * twist[0] + to_step_s2 * acceleration[0],
+        seconds * twist[1] + to_step_s2 * acceleration[1],
+        seconds * twist[2] + to_step_s2 * acceleration[2],
+        step,
+    )
+
+
+@inner_kernel
 def expected_variance(state, axis, seconds, settings):
-    """What the model expects of a deviation after some seconds, m^2 or rad^2; axis 0, 1: x, y; 2: theta."""
+    """How far the base may be from there, m^2 or rad^2, by white acceleration; axis 0, 1: x, y; 2: theta."""
     density = settings.turn_acceleration if axis == 2 else settings.acceleration
     t = abs(seconds)
     return density * density * t * t * t / 3.0 + state.covariance[TWIST + axis, TWIST + axis] * t * t
@@ -52,16 +69,16 @@ def sweep_deviation(state, odometry, gyro, begin_s, end_s, settings, deviation):
     end_s       float
     settings    MotionSettings
     deviation   (K, 3) float64   out: m, m, rad at K moments evenly from begin_s to end_s; K > 1
-    Returns whether anything was measured.
+    Returns False where nothing is known of it, and leaves deviation as it is.
     """
     at_ns = state.stamp_ns[0]
     lag_ns = np.int64(state.learnt[2] * 1e9)
     twist = state.twist
     knows_way = covers(odometry, at_ns + lag_ns, begin_s, end_s)
     knows_turn = covers(gyro, at_ns, begin_s, end_s)
-    if not (knows_way or knows_turn):
+    if not (knows_way or knows_turn or np.any(state.acceleration != 0.0)):
         return False
-    steady, step, rest = np.empty(3), np.empty(3), np.empty(3)
+    step, rest = np.empty(3), np.empty(3)
     origin, pose, scratch = np.empty(3), np.empty(3), np.empty(3)
     odometry_s = gyro_s = begun_rad = 0.0
     if knows_way:
@@ -73,48 +90,50 @@ def sweep_deviation(state, odometry, gyro, begin_s, end_s, settings, deviation):
     speed = math.hypot(twist[0], twist[1])
     rate = abs(twist[2])
     count = deviation.shape[0]
+    expected_at = np.empty((count, 3))
+    off = np.zeros((count, 3))  # from there
     known, variance, said_rad = np.zeros(count), np.zeros((count, 2)), np.zeros(count)
     for k in range(count):
         t = begin_s + (end_s - begin_s) * k / (count - 1)
-        deviation[k] = 0.0
+        expected_step(state, t, settings, expected_at[k])
         if not knows_way:
             continue
-        exponential(t * twist[0], t * twist[1], t * twist[2], steady)
         known[k] = min(t, odometry_s)
         odometry_at(odometry, at_ns + lag_ns + np.int64(known[k] * 1e9), settings, pose, scratch)
         between(origin, pose, step)
         step[0] *= 1.0 + state.learnt[0]
         step[1] *= 1.0 + state.learnt[0]
         step[2] *= 1.0 + state.learnt[1]
-        left_s = t - known[k]  # beyond its newest sample the twist goes on
-        exponential(left_s * twist[0], left_s * twist[1], left_s * twist[2], rest)
+        expected_step(state, known[k], settings, scratch)
+        between(scratch, expected_at[k], rest)  # beyond its newest sample it goes on as expected
         compose(step, rest, step)
-        between(steady, step, deviation[k])
+        between(expected_at[k], step, off[k])
         way_m, turn_rad = speed * abs(t), rate * abs(t)
         of_way = settings.position_walk**2 * way_m + settings.resolution_m**2
         variance[k, 0] = state.noise[0] * (of_way + (settings.jitter_s * speed) ** 2)
         of_turn = settings.heading_walk**2 * way_m + settings.turn_walk**2 * turn_rad
         of_turn += settings.resolution_rad**2 + (settings.jitter_s * rate) ** 2
         variance[k, 1] = state.noise[1] * of_turn
-        said_rad[k] = deviation[k, 2]
+        said_rad[k] = off[k, 2]
     if knows_way:
         for axis in range(3):
             # Of what the sweep shows its noise is no acceleration (Efron, Morris, JASA 1973).
             part = 0.0
             for end in (0, count - 1):
                 expected = expected_variance(state, axis, known[end], settings)
-                shown = deviation[end, axis] ** 2 - variance[end, axis // 2]
+                shown = off[end, axis] ** 2 - variance[end, axis // 2]
                 if expected > 0.0:
                     part = max(part, min(shown / expected, 1.0))
             for k in range(count):
                 expected = part * expected_variance(state, axis, known[k], settings)
-                deviation[k, axis] *= gain_of(expected, deviation[k, axis], variance[k, axis // 2])
+                off[k, axis] *= gain_of(expected, off[k, axis], variance[k, axis // 2])
     if knows_turn:
         for k in range(count):
             t = begin_s + (end_s - begin_s) * k / (count - 1)
             known_s = min(t, gyro_s)
             turned = turned_to(gyro, at_ns + np.int64(known_s * 1e9)) - begun_rad
-            turned -= (state.learnt[3] + twist[2]) * known_s
+            to_step_s2 = transition_over(abs(known_s), settings.acceleration_s).to_step_s2
+            turned -= (state.learnt[3] + twist[2]) * known_s + to_step_s2 * state.acceleration[2]
             of_gyro = settings.gyro_walk**2 * abs(known_s) + (GYRO_SCALE * rate * known_s) ** 2
             expected = expected_variance(state, 2, known_s, settings)
             of_gyro *= state.gyro_noise[0]
@@ -123,8 +142,48 @@ def sweep_deviation(state, odometry, gyro, begin_s, end_s, settings, deviation):
                 apart = turned - said_rad[k]
                 both = of_gyro + variance[k, 1]
                 kept *= min(1.0, GATE_CHI2_GYRO * both / max(apart * apart, 1e-12))
-            deviation[k, 2] += kept * (turned - deviation[k, 2])
+            off[k, 2] += kept * (turned - off[k, 2])
+    for k in range(count):
+        t = begin_s + (end_s - begin_s) * k / (count - 1)
+        exponential(t * twist[0], t * twist[1], t * twist[2], step)
+        compose(expected_at[k], off[k], pose)
+        between(step, pose, deviation[k])
     return True
+
+
+@kernel
+def motion_at(state, odometry, gyro, seconds, settings, pose, twist, covariance):
+    """Where the base was some seconds from the newest estimate, within its sweep; [23].
+
+    state        Filter           after a correction: its moment is 0 s
+    odometry     Track
+    gyro         Track
+    seconds      float            not 0
+    settings     MotionSettings
+    pose         (3,)   float64   out: base in odom
+    twist        (3,)   float64   out
+    covariance   (3, 3) float64   out: of the pose against the first scan, base axes
+    """
+    deviation = np.zeros((2, 3))
+    sweep_deviation(state, odometry, gyro, seconds, 0.0, settings, deviation)
+    step = np.empty(3)
+    exponential(seconds * state.twist[0], seconds * state.twist[1], seconds * state.twist[2], step)
+    compose(step, deviation[0], step)
+    compose(state.pose, step, pose)
+    over = transition_over(abs(seconds), settings.acceleration_s)
+    to_twist_s = math.copysign(over.to_twist_s, seconds)
+    P = state.covariance.copy()
+    move_axes(P, MAP, step)
+    for i in range(3):
+        twist[i] = state.twist[i] + to_twist_s * state.acceleration[i]
+        for j in range(STATES):
+            P[MAP + i, j] += seconds * P[TWIST + i, j] + over.to_step_s2 * P[ACCELERATION + i, j]
+    for i in range(3):
+        for j in range(STATES):
+            P[j, MAP + i] += seconds * P[j, TWIST + i] + over.to_step_s2 * P[j, ACCELERATION + i]
+    for i in range(3):
+        for j in range(3):
+            covariance[i, j] = P[MAP + i, MAP + j]
 
 
 @kernel

@@ -27,7 +27,7 @@ class Points:
     xy_base: npt.NDArray[np.float64]  # (N, 2) m, base frame at one moment: the sweep's motion is taken out
     # (N, 2) m, base frame at each beam's own moment, had the twist been constant: a matcher may deskew anew
     xy_raw: npt.NDArray[np.float64]
-    beam_time_s: npt.NDArray[np.float64]  # (N,) since that moment; that of beam 0 where one laser is mapped
+    beam_time_s: npt.NDArray[np.float64]  # (N,) since that moment; below 0 before it
     beam: npt.NDArray[np.int32]  # (N,) which beam of the scan
     sensor_base: SE2  # pose of the sensor in the base frame (pose_base_sensor)
     scan: LaserScan
@@ -210,6 +210,18 @@ class FinishedGraph:
     corrections: Sequence[Correction] = ()
     g2o: str = ""
     update: GraphUpdate = GraphUpdate({})
+
+
+class Deskew(Protocol):
+    """Scan -> points, all at one moment."""
+
+    def moment_of(self, scan: LaserScan) -> int:
+        """At which the pose of the base says most of where its points are, ns."""
+        ...
+
+    def __call__(self, scan: LaserScan, motion: Motion, at_ns: int) -> Points:
+        """at_ns   moment of the motion, to which the points are brought"""
+        ...
 
 
 class LocalMap(Protocol):
@@ -398,7 +410,7 @@ class Components(Generic[ReadableMap]):
     """What fills the slots of one mapper."""
 
     motion_model: MotionModel
-    deskew: Callable[[LaserScan, Motion, int], Points]  # to the moment of the motion, ns
+    deskew: Deskew
     matcher: Matcher[ReadableMap]
     local_map: ReadableMap
     graph: Graph

@@ -119,19 +119,21 @@ class Mapper(Generic[ReadableMap]):
 
         Dead reckoning goes from scan to scan, for the motion model forgets samples after a while.
         """
-        if self._last_ns is None or scan.stamp_ns <= self._last_ns:
+        at_ns = self._components.deskew.moment_of(scan)
+        if self._last_ns is None or at_ns <= self._last_ns:
             return
-        self._last_ns = scan.stamp_ns
-        self._predict(scan.stamp_ns)
+        self._last_ns = at_ns
+        self._predict(at_ns)
         self._components.motion_model.correct(None)
 
     def _moment_of(self, scan: LaserScan, laser: "LaserWatch") -> int | None:
         """To which moment its points are brought, ns; None: it is too old."""
         if laser.stamp_ns is not None and scan.stamp_ns <= laser.stamp_ns:
             return None
-        if self._last_ns is None or scan.stamp_ns > self._last_ns:
-            return scan.stamp_ns
-        return self._last_ns + 1 if self._last_ns - scan.stamp_ns <= MOST_BEHIND_NS else None
+        at_ns = self._components.deskew.moment_of(scan)
+        if self._last_ns is None or at_ns > self._last_ns:
+            return at_ns
+        return self._last_ns + 1 if self._last_ns - at_ns <= MOST_BEHIND_NS else None
 
     def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:
         """Tiles of the shown map that changed since the last call; at most so many."""
@@ -205,6 +207,8 @@ class Mapper(Generic[ReadableMap]):
     def _process_scan(self, scan: LaserScan, at_ns: int, laser: "LaserWatch") -> MapperOutput:
         s, watch = self._components, self._stopwatch
         watch.start()
+        if self._newest is None and scan.stamp_ns < at_ns:
+            s.motion_model.begin_at(scan.stamp_ns)
         predicted = self._predict(at_ns)  # where we should be, and how fast
         self._travelled_m += predicted.travel_m
         moved_m, laser.travelled_m = self._travelled_m - laser.travelled_m, self._travelled_m
@@ -243,7 +247,7 @@ class Mapper(Generic[ReadableMap]):
             self._tell_changes(self._changes, at_ns)
         watch.lap("insert")
         self._state = match.state, match.reason
-        return self._output(at_ns, match.motion, match.state, match.reason, match.inlier_ratio)
+        return self._output(scan, at_ns, match.motion, match.state, match.reason, match.inlier_ratio)
 
     def _motion_fault(self, match: Match, at_ns: int) -> str:
         """What contradicts a scan that lay on the map: by odometry, the mounting; or a source of motion."""
@@ -276,7 +280,7 @@ class Mapper(Generic[ReadableMap]):
             is_alone = not self._well_besides(scan.sensor, at_ns)
             if is_alone or state == "ok":
                 state, reason = "lost" if is_alone else "degraded", f"{scan.sensor} {laser.mounting.fault}"
-        return self._output(at_ns, motion, state, reason, match.inlier_ratio)
+        return self._output(scan, at_ns, motion, state, reason, match.inlier_ratio)
 
     def _well_besides(self, sensor: str, at_ns: int) -> str:
         """Another laser whose scans lay on the map just now; "" where there is none."""
@@ -294,7 +298,7 @@ class Mapper(Generic[ReadableMap]):
             f"{scan.sensor} contradicts the map that {well} confirms ({match.reason}); its scan is not "
             "mapped. Is its mounting as configured, is its window clean?"
         )
-        return self._output(at_ns, match.motion, "degraded", reason, match.inlier_ratio)
+        return self._output(scan, at_ns, match.motion, "degraded", reason, match.inlier_ratio)
 
     def _passed_over(self, scan: LaserScan, at_ns: int) -> MapperOutput:
         """A scan that equals the one before: the pose follows the prediction, and nothing is mapped."""
@@ -304,14 +308,25 @@ class Mapper(Generic[ReadableMap]):
             f"{scan.sensor}: identical scans although the vehicle moves; has the laser stopped measuring?"
         )
         state: State = "degraded" if self._well_besides(scan.sensor, at_ns) else "lost"
-        return self._output(at_ns, motion, state, reason, 0.0)
+        return self._output(scan, at_ns, motion, state, reason, 0.0)
 
-    def _output(self, at_ns: int, motion: Motion, state: State, reason: str, share: float) -> MapperOutput:
+    def _output(
+        self, scan: LaserScan, at_ns: int, motion: Motion, state: State, reason: str, share: float
+    ) -> MapperOutput:
+        """Where the base was when the scan began; right after the output before, where it began sooner.
+
+        at_ns   moment of the motion
+        """
+        stamp_ns = scan.stamp_ns
+        if self._newest is not None:
+            stamp_ns = max(stamp_ns, self._newest.stamp_ns + 1)
+        if stamp_ns != at_ns:
+            motion = self._components.motion_model.moved((stamp_ns - at_ns) * 1e-9)
         covariance = self._place.covariance_of(motion)
         if state == "ok" and (drift := drift_of(covariance)):
             state, reason = "degraded", drift
         self._newest = MapperOutput(
-            stamp_ns=at_ns,
+            stamp_ns=stamp_ns,
             pose_odom_base=motion.pose_odom_base,
             pose_map_odom=self._place.pose_map_odom,
             twist_base=motion.twist_base,

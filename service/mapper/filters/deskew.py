@@ -47,6 +47,10 @@ class DeskewByTwist:
         self._noise: dict[str, tuple[int, float]] = {}
         self._directions: dict[tuple[str, float, float, int], npt.NDArray[np.float64]] = {}
 
+    def moment_of(self, scan: LaserScan) -> int:
+        """That of the first beam."""
+        return scan.stamp_ns
+
     def __call__(self, scan: LaserScan, motion: Motion, at_ns: int | None = None) -> Points:
         """Points at the moment of the motion, at_ns; None: that of the first beam. Raises InputError."""
         mounting = self._mountings.get(scan.sensor)
@@ -113,7 +117,13 @@ class DeskewByTwist:
 
 
 class DeskewByMotion(DeskewByTwist):
-    """By the twist, and by what odometry and gyro measured beyond it during the sweep; [23]."""
+    """By the twist, and by what is known of the motion during the sweep beyond it; [23]."""
+
+    def moment_of(self, scan: LaserScan) -> int:
+        """The middle of the sweep: an error of the twist then turns its two halves against each other, and
+        not the scan against the map.
+        """
+        return scan.stamp_ns + scan.beam_interval_ns * (len(scan.range_m) - 1) // 2
 
     def _take_out_deviation(
         self, xy_raw: npt.NDArray[np.float64], beam_time_s: npt.NDArray[np.float64], motion: Motion

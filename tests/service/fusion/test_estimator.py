@@ -3,10 +3,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from drivers.frames import ImuSample, OdometrySample
 from service.fusion import estimator
 from service.fusion.estimator import (
+    ACCELERATION_S,
     CAPACITY,
     FADE_S,
     FAULT_NOISE,
@@ -20,7 +22,7 @@ from service.fusion.estimator import (
 )
 from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
-from service.kernels.estimator import LOCAL, TWIST
+from service.kernels.estimator import ACCELERATION, LOCAL, TWIST
 from service.mapper.known_pose import carried
 from tests.service.fusion.samples import MS, gyro, matched, odometry
 
@@ -48,6 +50,36 @@ def driven(
     return predicted
 
 
+@pytest.mark.parametrize("speed_mps", [1.0, -0.5])
+def test_odom_is_the_base_when_the_first_sweep_began(speed_mps: float) -> None:
+    """And not in its middle, of which the first prediction is; the map is laid from there without an error."""
+    model = Estimator(EstimatorConfig())
+    for stamp_ms in range(-100, 21, 20):
+        model.add(odometry(stamp_ms, SE2(speed_mps * stamp_ms * 1e-3, 0.0, 0.0)))
+    model.begin_at(0)
+    first = model.predict(15 * MS)
+    assert first.pose_odom_base.x_m == pytest.approx(15e-3 * speed_mps, abs=1e-5)
+    assert model.moved(-0.015).pose_odom_base.x_m == pytest.approx(0.0, abs=1e-12)
+    assert first.local_covariance.max() < 1e-7
+    for stamp_ms in range(30, 101, 20):
+        model.add(odometry(stamp_ms, SE2(speed_mps * stamp_ms * 1e-3, 0.0, 0.0)))
+    assert model.predict(55 * MS).pose_odom_base.x_m == pytest.approx(55e-3 * speed_mps, abs=1e-3)
+
+
+def over_a_step(root_density: float, tau_s: float, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Way, speed and acceleration dt later, (3, 3), and the noise added, (3, 3), by one matrix exponential.
+
+    Source: Van Loan, Computing integrals involving the matrix exponential, IEEE TAC 23, 1978.
+    """
+    rates = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0 / tau_s]])
+    both = np.zeros((6, 6))
+    both[:3, :3], both[3:, 3:] = -rates, rates.T
+    both[2, 5] = (root_density / tau_s) ** 2
+    whole = expm(dt * both)
+    goes_on = whole[3:, 3:].T
+    return goes_on, goes_on @ whole[:3, 3:]
+
+
 def later(sample, offset_ns: int):
     return replace(sample, stamp_ns=sample.stamp_ns + offset_ns, arrived_ns=sample.arrived_ns + offset_ns)
 
@@ -59,7 +91,7 @@ def test_a_straight_way_is_the_least_squares_solution_over_all_of_it() -> None:
     )
     noise, count, dt = np.random.default_rng(3), 24, 0.04  # ends before the noise of odometry is judged
     true_m = np.cumsum(
-        np.r_[0.0, np.full(count - 1, 0.006)] + np.r_[0.0, 1e-3 * noise.standard_normal(count - 1)]
+        np.r_[0.0, np.full(count - 1, 0.006)] + np.r_[0.0, 2e-4 * noise.standard_normal(count - 1)]
     )
     wheels_m = np.r_[0.0, np.diff(true_m) + 3e-4 * noise.standard_normal(count - 1)].cumsum()
     scans_m = true_m + 2e-3 * noise.standard_normal(count)
@@ -77,32 +109,34 @@ def test_a_straight_way_is_the_least_squares_solution_over_all_of_it() -> None:
     rows, right = [], []
 
     def say(columns: dict[int, float], value: float, sigma: float) -> None:
-        row = np.zeros(2 * count)  # x_0, v_0, x_1, ...
+        row = np.zeros(3 * count)  # x_0, v_0, a_0, x_1, ...
         row[list(columns)] = list(columns.values())
         rows.append(row / sigma)
         right.append(value / sigma)
 
     say({0: 1.0}, 0.0, LEAST_SIGMA[0])
     say({1: 1.0}, 0.0, FIRST_TWIST_SIGMA[0])
-    density = config.acceleration**2
-    root = np.linalg.inv(
-        np.linalg.cholesky(density * np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]]))
-    )
+    say({2: 1.0}, 0.0, config.acceleration / math.sqrt(2.0 * ACCELERATION_S))
+    goes_on, noise_of_step = over_a_step(config.acceleration, ACCELERATION_S, dt)
+    root = np.linalg.inv(np.linalg.cholesky(noise_of_step))
     for k in range(1, count):
-        x0, v0, x1, v1 = range(2 * k - 2, 2 * k + 2)
-        for a, b in root:
-            say({x0: -a, v0: -a * dt - b, x1: a, v1: b}, 0.0, 1.0)
+        x0, x1 = 3 * k - 3, 3 * k
+        for row in root:
+            before, after = -row @ goes_on, row
+            say({x0 + i: before[i] for i in range(3)} | {x1 + i: after[i] for i in range(3)}, 0.0, 1.0)
         said_m = wheels_m[k] - wheels_m[k - 1]
         say({x0: -1.0, x1: 1.0}, said_m, RESOLUTION_M)
         if math.isfinite(sigma_m[k]):
             say({x1: 1.0}, scans_m[k], sigma_m[k])
     system = np.array(rows)
     solution = np.linalg.lstsq(system, np.array(right), rcond=None)[0]
-    spread = np.linalg.inv(system.T @ system)[-2:, -2:]
+    spread = np.linalg.inv(system.T @ system)[-3:, -3:]
 
-    assert motion.pose_odom_base.x_m == pytest.approx(solution[-2], abs=1e-9)
-    assert motion.twist_base[0] == pytest.approx(solution[-1], abs=1e-9)
-    believed = model._filter.covariance[np.ix_((LOCAL, TWIST), (LOCAL, TWIST))]
+    assert motion.pose_odom_base.x_m == pytest.approx(solution[-3], abs=1e-9)
+    assert motion.twist_base[0] == pytest.approx(solution[-2], abs=1e-9)
+    assert model._filter.acceleration[0] == pytest.approx(solution[-1], abs=1e-9)
+    rows = (LOCAL, TWIST, ACCELERATION)
+    believed = model._filter.covariance[np.ix_(rows, rows)]
     np.testing.assert_allclose(believed, spread, rtol=1e-9, atol=1e-9 * spread[0, 0])
     assert abs(motion.pose_odom_base.x_m - scans_m[-1]) > 1e-5  # it is not the last scan
 
@@ -349,7 +383,53 @@ def test_without_odometry_the_last_speed_goes_on_and_grows_vague() -> None:
     late = model.predict(3100 * MS)
     fades = math.exp(-soon.elapsed_s / FADE_S)  # once: one scan confirmed nothing
     assert late.pose_odom_base.x_m == pytest.approx(soon.pose_odom_base.x_m + fades, abs=0.02)
-    assert late.local_covariance[0, 0] > soon.local_covariance[0, 0] + 1.0 / 3.0
+    added = over_a_step(EstimatorConfig().acceleration, ACCELERATION_S, 1.0)[1]
+    assert late.local_covariance[0, 0] > soon.local_covariance[0, 0] + added[0, 0]
+
+
+def speeding_up(at_s: float) -> SE2:
+    """Straight on for a second, then turning faster and faster, by 4 rad/s^2, and driving by 1 m/s^2."""
+    t = max(at_s - 1.0, 0.0)
+    return SE2.exp(at_s + 0.5 * t * t, 0.0, 2.0 * t * t)
+
+
+def seen_speeding_up(until_s: float) -> tuple[Estimator, Prediction]:
+    """By tight scans each 40 ms alone, but for the last, which is predicted."""
+    model = Estimator(EstimatorConfig())
+    for k in range(round(until_s / 0.04)):
+        model.predict(40 * k * MS)
+        model.correct(matched(speeding_up(0.04 * k), TIGHT))
+    return model, model.predict(round(until_s * 1e3) * MS)
+
+
+def test_a_turn_that_grows_is_foreseen() -> None:
+    """Were the last twist to go on, the heading would be 5 mrad behind, and the rate 0.2 rad/s."""
+    _, predicted = seen_speeding_up(1.28)
+    away = speeding_up(1.28).inverse() @ predicted.pose_odom_base
+    assert abs(away.theta_rad) < 1e-3
+    assert predicted.twist_base[2] == pytest.approx(4.0 * 0.28, abs=0.05)
+
+
+def test_the_estimate_is_carried_back_with_its_acceleration() -> None:
+    """To where the sweep of the newest scan began; by the twist alone 0.8 mrad would be missing."""
+    model, _ = seen_speeding_up(1.28)
+    motion = model.correct(matched(speeding_up(1.28), TIGHT))
+    begun = model.moved(-0.02)
+    away = speeding_up(1.26).inverse() @ begun.pose_odom_base
+    assert (away.x_m, away.y_m, away.theta_rad) == pytest.approx((0.0, 0.0, 0.0), abs=1e-4)
+    assert begun.twist_base[2] == pytest.approx(4.0 * 0.26, abs=0.02)
+    assert motion.covariance[2, 2] < begun.covariance[2, 2] < 10.0 * motion.covariance[2, 2]
+
+
+def test_an_acceleration_that_nothing_confirms_fades() -> None:
+    model, _ = seen_speeding_up(1.28)
+    assert model._filter.acceleration[2] > 2.0
+    model.correct(None)
+    model.predict(3280 * MS)
+    assert np.abs(model._filter.acceleration).max() < 1e-3
+    rows = slice(ACCELERATION, ACCELERATION + 3)
+    sigma = np.array([1.0, 1.0, 2.0]) / math.sqrt(2.0 * ACCELERATION_S)
+    np.testing.assert_allclose(model._filter.covariance[rows, rows], np.diag(sigma**2), atol=1e-6)
 
 
 def test_samples_that_wait_for_a_scan_for_a_day_do_not_fill_memory() -> None:

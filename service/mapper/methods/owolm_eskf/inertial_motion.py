@@ -88,6 +88,9 @@ class InertialMotion:
             return self._odometry.add(sample)
         return self._track.add(sample)
 
+    def begin_at(self, stamp_ns: int) -> None:
+        self._first(stamp_ns)
+
     def predict(self, stamp_ns: int) -> Prediction:
         if self._at_ns is None:
             return self._first(stamp_ns)
@@ -136,6 +139,11 @@ class InertialMotion:
                 self._turn_radps = wrap_angle(pose.theta_rad - last.theta_rad) / elapsed_s
             self._matched = (self._at_ns, pose)
         return Motion(self._filters.best.pose, self._twist(), self._filters.covariance())
+
+    def moved(self, seconds: float) -> Motion:
+        twist = self._twist()
+        step = SE2.exp(*(seconds * speed for speed in twist))
+        return Motion(self._filters.best.pose @ step, twist, self._filters.covariance())
 
     def settle(self, share: float) -> None:
         """The filter has one pose, and its error against the map is its error."""

@@ -7,7 +7,7 @@ from drivers.frames import NO_INTENSITY, LaserScan
 from service.errors import InputError
 from service.fusion.motion import Motion
 from service.geometry.se2 import SE2
-from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist
+from service.mapper.filters.deskew import BeamsConfig, DeskewByMotion, DeskewByTwist
 
 
 def scan(
@@ -28,6 +28,17 @@ def test_points_stand_in_the_base_frame_of_beam_zero() -> None:
     np.testing.assert_allclose(points.xy_raw, raw, atol=1e-9)
     np.testing.assert_allclose(points.xy_base[1], [raw[1][0] + 0.001, raw[1][1]], atol=1e-9)
     np.testing.assert_allclose(points.beam_time_s, [0.0, 0.001])
+
+
+def test_a_sweep_is_brought_to_its_middle() -> None:
+    seen = scan([2.0, 2.0, 2.0], beam_ns=1_000_000)
+    deskew = DeskewByMotion(BeamsConfig(), {"front": SE2()})
+    at_ns = deskew.moment_of(seen)
+    assert at_ns == seen.stamp_ns + 1_000_000
+    points = deskew(seen, moving(1.0, 0.0, 0.0), at_ns)
+    np.testing.assert_allclose(points.beam_time_s, [-0.001, 0.0, 0.001])
+    np.testing.assert_allclose(points.xy_base - points.xy_raw, [[-0.001, 0.0], [0.0, 0.0], [0.001, 0.0]])
+    assert DeskewByTwist(BeamsConfig(), {"front": SE2()}).moment_of(seen) == seen.stamp_ns
 
 
 def test_beams_that_cannot_be_used_are_left_out() -> None:

@@ -1,3 +1,4 @@
+import math
 from dataclasses import replace
 from typing import Literal
 
@@ -178,10 +179,14 @@ def test_wheels_that_say_forwards_for_backwards_are_found_out() -> None:
     scans = [frame for frame in what.frames if isinstance(frame, LaserScan)][::18]
     wheels = [frame for frame in what.frames if isinstance(frame, OdometrySample)]
     few = replace(what, frames=sorted([*wheels, *scans], key=lambda frame: frame.arrived_ns))
-    outputs = outputs_of(mapper(particles=4), few)
-    last = what.truth[outputs[-1].stamp_ns].inverse() @ outputs[-1].pose_map_base
-    assert np.hypot(last.x_m, last.y_m) < 0.10
-    assert abs(last.theta_rad) < 0.05
+    off_m, off_rad = [], []
+    for seed in range(1, 4):
+        outputs = outputs_of(mapper(seed, particles=4), few)
+        last = what.truth[outputs[-1].stamp_ns].inverse() @ outputs[-1].pose_map_base
+        off_m.append(math.hypot(last.x_m, last.y_m))
+        off_rad.append(abs(last.theta_rad))
+    assert np.median(off_m) < 0.05  # by a particle more or less one of ten seeds is 0.11 m off
+    assert max(off_rad) < 0.05
 
 
 def test_far_walls_of_a_corridor_do_not_hold_a_scan_back() -> None:

@@ -45,7 +45,7 @@ def test_the_second_lands_where_it_lies_in_the_first(first, second):
     assert len(saved) == len(a) + len(b)
     for k in range(0, len(b), 7):
         stamp_ns = int(b.stamp_ns[k])
-        true = drove.world_first.inverse() @ drove_later.world_first @ drove_later.truth[stamp_ns]
+        true = drove.world_first.inverse() @ drove_later.world_first @ drove_later.at(stamp_ns)
         off_m, off_rad = away(true, saved.map[len(a) + k])
         assert off_m < 0.04
         assert off_rad < 0.01
