@@ -220,7 +220,11 @@ def stored(world: World, laser: Laser, seconds: float, seed: int) -> tuple[Known
 
 
 def _true_of(begin: BeginIn, truth: Mapping[int, Floats]) -> Floats:
-    return np.array([truth[stamp_ns] for stamp_ns in begin.graph.stamp_ns.tolist()])
+    """Of its key frames, whose poses are those of the middle of their sweeps: between two scans."""
+    stamps = np.array(sorted(truth))
+    x_m, y_m, theta_rad = np.array([truth[stamp_ns] for stamp_ns in stamps.tolist()]).T
+    at = [np.interp(begin.graph.stamp_ns, stamps, of) for of in (x_m, y_m, np.unwrap(theta_rad))]
+    return np.column_stack(at)
 
 
 def places(world: World, known: Known, first: SE2, seed: int, count: int) -> tuple[list[SE2], list[SE2]]:

@@ -52,7 +52,7 @@ def driven(
 
 @pytest.mark.parametrize("speed_mps", [1.0, -0.5])
 def test_odom_is_the_base_when_the_first_sweep_began(speed_mps: float) -> None:
-    """And not in its middle, of which the first prediction is; the map is laid from there without an error."""
+    """And not in its middle, of which the first prediction is; the map is laid from there."""
     model = Estimator(EstimatorConfig())
     for stamp_ms in range(-100, 21, 20):
         model.add(odometry(stamp_ms, SE2(speed_mps * stamp_ms * 1e-3, 0.0, 0.0)))

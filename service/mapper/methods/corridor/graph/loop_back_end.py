@@ -14,7 +14,7 @@ from service.geometry.se2 import SE2
 from service.kernels.loops import path_lengths, thin_points
 from service.mapper.components import Correction, MapRenderer, PlaceNews, RenderedMap
 from service.mapper.graph.marginal import covariance_of_last
-from service.mapper.graph.point_clouds import Fit, PointCloud
+from service.mapper.graph.point_clouds import PointCloud
 from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, to_g2o
 from service.mapper.graph.pose_graph_solver import solve
 from service.mapper.methods.corridor.graph.anchoring import Anchoring
@@ -131,7 +131,8 @@ class LoopBackEnd:
         if batch.request == "set_pose":
             self.pieces.expect_at(np.array(batch.pose))
         joined = self._look_for_piece() if self._is_detached() else None
-        moved = joined is not None or self._look_for_loops()
+        every_m = self._config.keyframe_distance_m if batch.is_last else self._config.search_every_m
+        moved = joined is not None or self._look_for_loops(every_m)
         moved |= self._anchoring.is_due and self._find_anchors()
         if batch.request == "undo" and self._accepted:
             gone = self._accepted.pop()
@@ -207,10 +208,10 @@ class LoopBackEnd:
         if self._is_detached():
             keyframes.forget_one_standing(MOST_STANDING, self._config)
 
-    def _look_for_loops(self) -> bool:
+    def _look_for_loops(self, every_m: float) -> bool:
         """Search if it is time; whether what came to be accepted is worth a solution now."""
-        config, keyframes = self._config, self._keyframes
-        if not keyframes.count or keyframes.way_m[-1] - self._searched_m < config.search_every_m:
+        keyframes = self._keyframes
+        if not keyframes.count or keyframes.way_m[-1] - self._searched_m < every_m:
             return False
         self._searched_m = float(keyframes.way_m[-1])
         self._prove()
@@ -235,9 +236,8 @@ class LoopBackEnd:
         cloud = cloud_of(keyframes, [last], last)
         expected = se2.between(keyframes.map[submap.reference], keyframes.map[last])
         fit = submap.align(cloud, expected)
-        off = fit.pose - expected
-        is_near = float(np.hypot(off[0], off[1])) < WINDOW_M
-        agrees = self._is_good(fit) and is_near and submap.against(cloud, fit.pose) < MOST_AGAINST
+        is_near = math.dist(fit.pose[:2], expected[:2]) < WINDOW_M
+        agrees = self._is_good(fit.share) and is_near and submap.against(cloud, fit.pose) < MOST_AGAINST
         if self._placement.seen(float(keyframes.way_m[last]), agrees):
             self._take_back(int(keyframes.piece[last]))
 
@@ -326,7 +326,7 @@ class LoopBackEnd:
             if pose is None:
                 continue
             fit = submap.align_about(cloud, pose, guess, float(reach_m[k]), float(reach_rad))
-            is_good = self._is_good(fit)
+            is_good = self._is_good(fit.share) or self._is_good(submap.share_seen(cloud, fit.pose))
             against = submap.against(cloud, fit.pose) if is_good else math.nan
             loop = loop_of(
                 submap.reference, reference, fit.pose, fit.information, fit.share, len(cloud.xy), against
@@ -339,8 +339,8 @@ class LoopBackEnd:
                 found.append(loop)
         return found
 
-    def _is_good(self, fit: Fit) -> bool:
-        return fit.share >= LEAST_SHARE * float(np.median(self._keyframes.score))
+    def _is_good(self, share: float) -> bool:
+        return share >= LEAST_SHARE * float(np.median(self._keyframes.score))
 
     def _lengths_from(self, k: int) -> Floats:
         way = self._keyframes.way_m
@@ -370,7 +370,7 @@ class LoopBackEnd:
         return self._submaps[k]
 
     def _accept(self, found: Loop) -> None:
-        """Believe all candidates that say the same as this one, if they are not of one spot."""
+        """Believe all that say the same as this one: if they are not of one spot, or the way leads there."""
         config, way = self._config, self._keyframes.way_m
         base, growth = (AGREE_M, AGREE_RAD), (config.drift, config.drift_radpm)
         group = [
@@ -380,8 +380,8 @@ class LoopBackEnd:
             and abs(way[loop.of] - way[found.of]) <= 2.0 * WITHIN_M
             and agree(self._keyframes, found, loop, base, growth)
         ]
-        ends_m = [float(way[loop.to]) for loop in group]
-        if max(ends_m) - min(ends_m) < config.consensus_span_m:
+        is_one_spot = np.ptp([way[loop.to] for loop in group]) < config.consensus_span_m
+        if is_one_spot and not self._drift.confirms(found):
             return
         new = [loop for loop in group if loop not in self._loops and loop not in self._disabled]
         if new:

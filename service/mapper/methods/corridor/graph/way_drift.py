@@ -4,6 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.geometry import poses as se2
+from service.geometry.poses import Floats
 from service.mapper.known_pose import carried
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
 from service.mapper.methods.corridor.graph.loops import Loop
@@ -15,6 +16,13 @@ MOST_DRIFT_CHI2 = 60.0
 # Of the way: what the covariance of the motion model leaves out, as a scan that is matched a metre off along
 # a corridor and gives 1.6 m after 71 m of way. Aisles of shelves that look alike lie 9 % of the way apart.
 UNMODELLED_SHARE = 0.003
+
+
+# A loop that is this near to where the way leads is believed alone, 99 % of three degrees of freedom: were it
+# wrong, it would bend the map by no more than the way may have drifted by.
+NEAR_CHI2 = 11.3
+# and the way is known this well, for that things that look alike lie farther apart than 3.5 sigma
+NEAR_SIGMA_M = 0.3
 
 
 class WayDrift:
@@ -36,8 +44,21 @@ class WayDrift:
         """Whether the way can have drifted to where the loop is."""
         return loop.of > loop.to or self.chi2(loop) <= MOST_DRIFT_CHI2
 
+    def confirms(self, loop: Loop) -> bool:
+        """Whether it is where the way leads, and the way is known so well that it can hardly be elsewhere."""
+        if loop.of > loop.to:
+            return False
+        way = self.covariance(loop)
+        return bool(np.sqrt(way[:2, :2].diagonal().max()) <= NEAR_SIGMA_M) and self.chi2(loop) <= NEAR_CHI2
+
     def chi2(self, loop: Loop) -> float:
         """How far a loop is from where the way from `of` to a later `to` leads, in squared sigmas."""
+        odom = self._keyframes.odom
+        off = se2.between(se2.between(odom[loop.of], odom[loop.to]), loop.measured)
+        return float(off @ np.linalg.solve(self.covariance(loop) + loop.covariance, off))
+
+    def covariance(self, loop: Loop) -> Floats:
+        """(3, 3) of the way from `of` to a later `to`, in the axes of `to`."""
         odom = self._keyframes.odom
         if len(self._covariance) != len(odom) - 1:
             self._ask_steps()
@@ -47,9 +68,7 @@ class WayDrift:
         way += (begun_at != loop.of) * UNKNOWN_COVARIANCE
         driven = odom[ends, :2] - odom[self._before[steps], :2]
         unmodelled_m = UNMODELLED_SHARE * np.hypot(driven[:, 0], driven[:, 1]).sum()
-        way += unmodelled_m**2 * np.diag([1.0, 1.0, 0.0])
-        off = se2.between(se2.between(odom[loop.of], odom[loop.to]), loop.measured)
-        return float(off @ np.linalg.solve(way + loop.covariance, off))
+        return np.asarray(way + unmodelled_m**2 * np.diag([1.0, 1.0, 0.0]))
 
     def _way_back(self, of: int, to: int) -> tuple[npt.NDArray[np.int64], int]:
         """Key frames that the steps from `of` to `to` end at, and the one that the first of them begins at.

@@ -192,6 +192,21 @@ def test_without_company_no_loop_is_believed(ring: tuple[list[KeyFrame], list[SE
     assert back_end.work(Batch([], is_last=True)).loops == 0
 
 
+@pytest.mark.parametrize("is_known", [True, False], ids=["known", "unknown"])
+def test_a_lap_that_ends_where_it_began_is_closed_where_the_way_is_known(is_known: bool):
+    """The last metres see the ground ahead of the start, and most of what they see lies behind it."""
+    frames, truth = key_frames(1.0, turn_error_radpm=2e-4)
+    known = [
+        replace(frame, motion_covariance=k * np.diag([1e-4, 1e-4, 6e-7]) if is_known else None)
+        for k, frame in enumerate(frames)
+    ]
+    back_end, _ = fed(known)
+    finished = back_end.work(Batch([], is_last=True))
+    end_m = errors_m(list(finished.all), truth)[-1]
+    assert bool(finished.loops) is is_known
+    assert bool(end_m < 0.03) is is_known, end_m
+
+
 def test_what_was_never_seen_twice_stays_as_odometry_has_it(ring: tuple[list[KeyFrame], list[SE2]]):
     frames = ring[0][:100]
     back_end, results = fed(frames)

@@ -13,7 +13,12 @@ from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
 from service.mapper.methods.corridor.graph.loop_batches import Batch
 from service.mapper.methods.corridor.graph.loops import Loop
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
-from service.mapper.methods.corridor.graph.way_drift import MOST_DRIFT_CHI2, UNMODELLED_SHARE, WayDrift
+from service.mapper.methods.corridor.graph.way_drift import (
+    MOST_DRIFT_CHI2,
+    NEAR_SIGMA_M,
+    UNMODELLED_SHARE,
+    WayDrift,
+)
 from service.mapper.refused_loops import TOO_FAR
 from tests.service.mapper.methods.corridor.graph.rings import key_frames
 
@@ -83,6 +88,17 @@ def test_nobody_knows_the_way_from_a_piece_beside_it():
     drift = straight(beside=(20, 21, 22))
     assert drift.allows(loop(0.25 * (STEPS - 21), 4.0 * BESIDE_M, 0.0, of=21))
     assert not drift.allows(loop(0.25 * (STEPS - 19), 4.0 * BESIDE_M, 0.0, of=19))
+
+
+def test_a_loop_is_where_the_way_leads_if_that_is_known_well_and_says_so():
+    sigma_m = np.hypot(np.sqrt(STEPS * VARIANCE[0, 0]), UNMODELLED_SHARE * 10.0)
+    there, aside = loop(10.0 + 3.0 * sigma_m, 0.0, 0.0), loop(10.0 + 4.0 * sigma_m, 0.0, 0.0)
+    assert straight().confirms(there)
+    assert not straight().confirms(aside)
+    assert straight().allows(aside)
+    assert not straight(is_known=False).confirms(there)
+    doubtful = (1.1 * NEAR_SIGMA_M / sigma_m) ** 2 * VARIANCE
+    assert not straight(variance=doubtful).confirms(there)  # something alike may lie nearer
 
 
 def test_a_slip_that_nobody_noticed_does_not_keep_loops_away():
