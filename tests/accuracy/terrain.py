@@ -45,16 +45,7 @@ def coarse_laser(seeds: Sequence[int]) -> Section:
         "trees and cars, where a scan has 10 to 90 returns. The windows beside edges were chosen "
         "with `campus` in view (seeds 11 to 14), what is done on new ground and with few returns with "
         "`courtyard` (seeds 11 to 15); no parameter with the other three.",
-        _rows(
-            [
-                Place("campus", campus, COARSE, POOR_WHEELS),
-                Place("car park", car_park, COARSE, POOR_WHEELS),
-                Place("warehouse", warehouse, COARSE, POOR_WHEELS),
-                Place("vines", vines, COARSE, POOR_WHEELS),
-                Place("courtyard", courtyard, COARSE, POOR_WHEELS),
-            ],
-            seeds,
-        ),
+        _rows(COARSE_PLACES, seeds),
     )
 
 
@@ -66,14 +57,7 @@ def terrain(seeds: Sequence[int]) -> Section:
         "ellipse of 60 x 36 m, 2.5 m wide, with odometry that errs by 1 cm and 0.3 deg per square root of a "
         "metre. Matching by posts and the limit of drift for loops were chosen with `wood` and `shelves` "
         "in view.",
-        _rows(
-            [
-                Place("wood", wood, LMS100_25HZ, POOR_WHEELS),
-                Place("shelves", shelves, LMS100_25HZ, Wheels()),
-                Place("tunnel", tunnel, LMS100_25HZ, Wheels()),
-            ],
-            seeds,
-        ),
+        _rows(OTHER_PLACES, seeds),
     )
 
 
@@ -82,7 +66,7 @@ def _rows(places: Sequence[Place], seeds: Sequence[int]) -> list[Row]:
     for place in places:
         errors, wrong = Errors(), []
         for seed in seeds:
-            made, done = _driven(place, seed)
+            made, done = driven(place, seed)
             errors.add(made, done)
             wrong.append(ok_and_wrong(done))
             gc.collect()
@@ -95,7 +79,7 @@ def _rows(places: Sequence[Place], seeds: Sequence[int]) -> list[Row]:
     return rows
 
 
-def _driven(place: Place, seed: int) -> tuple[Drive, Run]:
+def driven(place: Place, seed: int) -> tuple[Drive, Run]:
     world = begun_at(place.world(np.random.default_rng(seed)), heading_rad(seed))
     seconds = min(world.drive.duration_s, LONGEST_S)
     made = drive(world, place.laser, seconds, seed, place.wheels)
@@ -249,3 +233,17 @@ def _driven_along(name: str, plan: Plan, way: Sequence[Point], speed_mps: float 
     heading = math.atan2(next_y_m - y_m, next_x_m - x_m)
     legs = [Follow([(float(x), float(y)) for x, y in way[1:]]), Pause(1.0)]
     return make_world(name, plan, [], plan_drive(SE2(x_m, y_m, heading), legs, Limits(speed_mps=speed_mps)))
+
+
+COARSE_PLACES = (
+    Place("campus", campus, COARSE, POOR_WHEELS),
+    Place("car park", car_park, COARSE, POOR_WHEELS),
+    Place("warehouse", warehouse, COARSE, POOR_WHEELS),
+    Place("vines", vines, COARSE, POOR_WHEELS),
+    Place("courtyard", courtyard, COARSE, POOR_WHEELS),
+)
+OTHER_PLACES = (
+    Place("wood", wood, LMS100_25HZ, POOR_WHEELS),
+    Place("shelves", shelves, LMS100_25HZ, Wheels()),
+    Place("tunnel", tunnel, LMS100_25HZ, Wheels()),
+)

@@ -14,6 +14,7 @@ from tests.accuracy import (
     given,
     known_map,
     lasers,
+    loop_rules,
     outages,
     recorded,
     relocalisation,
@@ -53,6 +54,7 @@ SCENARIOS: dict[str, Callable[[Sequence[int]], Section]] = {
     "start": cost.start,
     "ablations": ablations.ablations,
     "rules": rules.rules,
+    "loop_rules": loop_rules.loop_rules,
 }
 
 

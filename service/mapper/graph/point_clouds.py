@@ -125,10 +125,6 @@ class SurfelSet:
         as_it_lies = SETTINGS._replace(chance_chi2=chance_chi2, iterations=0)
         return replace(fit, information=self._fit(cloud.by_cell(fit.pose), fit.pose, as_it_lies).information)
 
-    def share(self, cloud: PointCloud, pose: Floats) -> float:
-        """Share of the points that lie on it from this pose, 0..1."""
-        return self._fit(cloud, pose, SETTINGS._replace(iterations=0)).share
-
     def _fit(self, cloud: PointCloud, pose: Floats, settings: MatchSettings) -> Fit:
         aligned, information = pose.copy(), np.zeros((3, 3))
         normals = cloud.normals.copy()

@@ -139,11 +139,6 @@ class CandidateSubmap:
             fit = self.align(cloud, fit.pose + move)
         return fit
 
-    def share_seen(self, cloud: PointCloud, pose: Floats) -> float:
-        """Share of the points of the place that lie on the cloud, 0..1."""
-        here = se2.between(pose, np.zeros(3))
-        return SurfelSet(cloud).share(joined(self._clouds), here)
-
     def against(self, cloud: PointCloud, pose: Floats) -> float:
         """Share of the points that would lie in free space of the place, 0..1."""
         return float(share_in_free_space(cloud.xy, pose, self._free(), FREE))

@@ -14,7 +14,7 @@ from service.geometry.se2 import SE2
 from service.kernels.loops import path_lengths, thin_points
 from service.mapper.components import Correction, MapRenderer, PlaceNews, RenderedMap
 from service.mapper.graph.marginal import covariance_of_last
-from service.mapper.graph.point_clouds import PointCloud
+from service.mapper.graph.point_clouds import Fit, PointCloud
 from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, to_g2o
 from service.mapper.graph.pose_graph_solver import solve
 from service.mapper.methods.corridor.graph.anchoring import Anchoring
@@ -237,7 +237,7 @@ class LoopBackEnd:
         expected = se2.between(keyframes.map[submap.reference], keyframes.map[last])
         fit = submap.align(cloud, expected)
         is_near = math.dist(fit.pose[:2], expected[:2]) < WINDOW_M
-        agrees = self._is_good(fit.share) and is_near and submap.against(cloud, fit.pose) < MOST_AGAINST
+        agrees = self._is_good(fit) and is_near and submap.against(cloud, fit.pose) < MOST_AGAINST
         if self._placement.seen(float(keyframes.way_m[last]), agrees):
             self._take_back(int(keyframes.piece[last]))
 
@@ -326,7 +326,7 @@ class LoopBackEnd:
             if pose is None:
                 continue
             fit = submap.align_about(cloud, pose, guess, float(reach_m[k]), float(reach_rad))
-            is_good = self._is_good(fit.share) or self._is_good(submap.share_seen(cloud, fit.pose))
+            is_good = self._is_good(fit)
             against = submap.against(cloud, fit.pose) if is_good else math.nan
             loop = loop_of(
                 submap.reference, reference, fit.pose, fit.information, fit.share, len(cloud.xy), against
@@ -339,8 +339,8 @@ class LoopBackEnd:
                 found.append(loop)
         return found
 
-    def _is_good(self, share: float) -> bool:
-        return share >= LEAST_SHARE * float(np.median(self._keyframes.score))
+    def _is_good(self, fit: Fit) -> bool:
+        return fit.share >= LEAST_SHARE * float(np.median(self._keyframes.score))
 
     def _lengths_from(self, k: int) -> Floats:
         way = self._keyframes.way_m

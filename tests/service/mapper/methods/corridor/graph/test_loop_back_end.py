@@ -194,7 +194,7 @@ def test_without_company_no_loop_is_believed(ring: tuple[list[KeyFrame], list[SE
 
 @pytest.mark.parametrize("is_known", [True, False], ids=["known", "unknown"])
 def test_a_lap_that_ends_where_it_began_is_closed_where_the_way_is_known(is_known: bool):
-    """The last metres see the ground ahead of the start, and most of what they see lies behind it."""
+    """What the last metres see again is one spot: there is no company."""
     frames, truth = key_frames(1.0, turn_error_radpm=2e-4)
     known = [
         replace(frame, motion_covariance=k * np.diag([1e-4, 1e-4, 6e-7]) if is_known else None)
