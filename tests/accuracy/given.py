@@ -69,6 +69,24 @@ def given(seeds: Sequence[int]) -> Section:  # recordings: seeds change nothing
     )
 
 
+def recording_of(name: str) -> Path:
+    folder = SHARED / ("datasets" if name in {row[0] for row in DATASETS} else "worlds") / name
+    return folder / f"{name}.mcap"
+
+
+def error_mm(name: str, trajectory: Path) -> float:
+    """Of a trajectory of one of them: RMS against the truth, or the mean of its relations."""
+    recording = recording_of(name)
+    for of, relations, shift_s, *_ in DATASETS:
+        if of == name:
+            report = score(trajectory, recording.with_name(f"{relations}.relations"), shift_s=shift_s)
+            assert isinstance(report, RelationsScore)
+            return 1e3 * report.errors[0].translation_m.mean
+    of_truth = score(trajectory, recording.with_suffix(".tum"))
+    assert not isinstance(of_truth, RelationsScore)
+    return 1e3 * of_truth.ate_aligned_m.rms
+
+
 def _world(name: str, bound_m: float | None, out: Path) -> list[Row]:
     truth = SHARED / "worlds" / name / f"{name}.tum"
     done = _mapped(SHARED / "worlds" / name / f"{name}.mcap", out)

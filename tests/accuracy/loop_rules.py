@@ -21,14 +21,13 @@ from service.mapper.methods.corridor.graph.loop_batches import Batch
 from service.mapper.methods.corridor.graph.loops import agree
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
 from service.offline.replay import ReplayOptions, replay
-from service.offline.score import RelationsScore, score
 from service.offline.trajectory import write_tum
 from service.outputs import MapperOutput
 from simulators.truth import LMS100
 from simulators.worlds import WORLDS
 from tests.accuracy import terrain
 from tests.accuracy.driving import Trip, ate_m
-from tests.accuracy.given import DATASETS
+from tests.accuracy.given import error_mm, recording_of
 from tests.accuracy.sensors import GOOD_WHEELS, LUX_AHEAD
 from tests.papers.report import Section
 from tests.shared_data import SHARED
@@ -181,23 +180,13 @@ def cells_of_drive(drive: Callable[[int], tuple[Drive, Run]], seeds: Sequence[in
 
 
 def cells_of_recording(name: str) -> list[str]:
-    relations = {row[0]: row[1:3] for row in DATASETS}
-    folder = SHARED / ("datasets" if name in relations else "worlds") / name
     with listening() as found:
-        done = replay([folder / f"{name}.mcap"], ReplayOptions())
+        done = replay([recording_of(name)], ReplayOptions())
+    stamps = [output.stamp_ns for output in done.outputs]
     cells = []
     with tempfile.TemporaryDirectory() as out:
         path = Path(out) / "trajectory.tum"
         for rule in RULES:
-            poses = rule.poses(done.outputs, of_drive(found))
-            write_tum(path, [(o.stamp_ns, pose) for o, pose in zip(done.outputs, poses, strict=True)])
-            if name in relations:
-                kind, shift_s = relations[name]
-                report = score(path, folder / f"{kind}.relations", shift_s=shift_s)
-                assert isinstance(report, RelationsScore)
-                cells.append(f"{1e3 * report.errors[0].translation_m.mean:.1f}")
-            else:
-                of_truth = score(path, folder / f"{name}.tum")
-                assert not isinstance(of_truth, RelationsScore)
-                cells.append(f"{1e3 * of_truth.ate_aligned_m.rms:.1f}")
+            write_tum(path, list(zip(stamps, rule.poses(done.outputs, of_drive(found)), strict=True)))
+            cells.append(f"{error_mm(name, path):.1f}")
     return cells

@@ -13,10 +13,9 @@ from service.kernels.normals import estimate_normals
 from service.mapper.components import Points
 from service.mapper.methods.corridor.narrow_walls import Matrix, NarrowWalls
 from service.offline.replay import ReplayOptions, replay, write_replay
-from service.offline.score import RelationsScore, score
 from simulators.worlds import WORLDS
 from tests.accuracy.driving import Errors, Trip
-from tests.accuracy.given import DATASETS
+from tests.accuracy.given import error_mm, recording_of
 from tests.accuracy.sensors import LMS100_10HZ, MIRRORS, WRONG
 from tests.papers.report import Section
 from tests.shared_data import SHARED
@@ -124,19 +123,9 @@ class Rule:
         return f"{values[len(values) // 2]:.1f} ({values[-1]:.1f})"
 
     def recording_mm(self, name: str) -> str:
-        relations = {row[0]: row[1:3] for row in DATASETS}
-        folder = SHARED / ("datasets" if name in relations else "worlds") / name
         with tempfile.TemporaryDirectory() as out, self._switched:
-            write_replay(replay([folder / f"{name}.mcap"], ReplayOptions()), Path(out))
-            found = Path(out) / "trajectory.tum"
-            if name not in relations:
-                of_truth = score(found, folder / f"{name}.tum")
-                assert not isinstance(of_truth, RelationsScore)
-                return f"{1e3 * of_truth.ate_aligned_m.rms:.1f}"
-            kind, shift_s = relations[name]
-            report = score(found, folder / f"{kind}.relations", shift_s=shift_s)
-            assert isinstance(report, RelationsScore)
-            return f"{1e3 * report.errors[0].translation_m.mean:.1f}"
+            write_replay(replay([recording_of(name)], ReplayOptions()), Path(out))
+            return f"{error_mm(name, Path(out) / 'trajectory.tum'):.1f}"
 
 
 def rules(seeds: Sequence[int]) -> Section:
