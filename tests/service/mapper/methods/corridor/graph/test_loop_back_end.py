@@ -1,4 +1,4 @@
-"""Loops in a ring of corridors: found, accepted in company or where the way leads, taken back when the rest says otherwise."""
+"""Loops in a ring of corridors: found, accepted in company or where the way leads, taken back when wrong."""
 
 import math
 import pickle
