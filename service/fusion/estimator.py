@@ -16,7 +16,8 @@ from drivers.frames import ImuSample, OdometrySample
 from service.fusion.motion import Matrix, Measurement, Motion, Prediction
 from service.geometry import poses
 from service.geometry.se2 import SE2, wrap_angle
-from service.kernels.estimator import (
+from service.kernels.estimator import predict_motion, take_match, tie_to_scale, transfer_into_map
+from service.kernels.filter_state import (
     ACCELERATION,
     BIAS,
     LAG,
@@ -28,10 +29,6 @@ from service.kernels.estimator import (
     TWIST,
     Filter,
     MotionSettings,
-    predict_motion,
-    take_match,
-    tie_to_scale,
-    transfer_into_map,
 )
 from service.kernels.source_noise import begin_window
 from service.kernels.sweep import motion_at, sweep_deviation

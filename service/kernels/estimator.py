@@ -1,15 +1,6 @@
 """The error-state filter of the vehicle's motion: one prediction and one correction a scan.
 
-Errors are in base axes of the newest pose: true pose = pose * exp(error). Rows of the covariance:
-
-    MAP    0:3    pose against the first scan
-    LOCAL  3:6    pose against the local map, which was built from earlier poses
-    STEP   6:9    motion since the last scan; in use within a prediction only
-    TWIST  9:12   velocity
-    SCALE 12, TURN_SCALE 13   of odometry: true way = (1 + scale) * way said
-    LAG   14      of odometry's stamps behind the scans', s
-    BIAS  15      of the gyro, rad/s
-    ACCELERATION 16:19   of the twist
+Errors and the rows of the covariance are those of filter_state.py.
 
 docs/estimator.md derives every equation; numbers in brackets are those of that page.
 Sources: Barfoot, State Estimation for Robotics, 2017, sections 3.4 (motion priors), 4.2 and 7.3;
@@ -18,19 +9,28 @@ Kalman filter, 2017, chapter 5.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from service.kernels.acceleration import transition_over
 from service.kernels.compiled import inner_kernel, kernel
+from service.kernels.filter_state import (
+    ACCELERATION,
+    BIAS,
+    LAG,
+    LOCAL,
+    MAP,
+    SCALE,
+    STATES,
+    STEP,
+    TURN_SCALE,
+    TWIST,
+)
 from service.kernels.pose_information import invert_3x3
 from service.kernels.se2 import between, compose, exponential, logarithm
 from service.kernels.source_noise import learn_noise, widen_window
 from service.kernels.tracks import (
     LAG_WINDOW_NS,
-    Track,
     acceleration_of,
     add_to_path,
     bridge_s3,
@@ -40,70 +40,12 @@ from service.kernels.tracks import (
     turned_to,
 )
 
-MAP, LOCAL, STEP, TWIST, SCALE, TURN_SCALE, LAG, BIAS = 0, 3, 6, 9, 12, 13, 14, 15
-ACCELERATION, STATES = 16, 19
 GYRO_SCALE = 0.005  # error of the gyro's scale
 GRACE_NS = 50_000_000  # odometry may begin so much later than the last scan
 GATE_CHI2 = 11.3  # 99 % of three degrees of freedom: beyond, a measurement widens until it fits
 GATE_CHI2_GYRO = 6.6  # 99 % of one
 MEAN_S = 0.5  # over which the twist is averaged that an error of scale is multiplied by; [25]
 LEAST_CHANGE_SIGMAS = 3.0  # a change of speed that noise explains says nothing of a lag; [26]
-
-
-class MotionSettings(NamedTuple):
-    """Documented where they are configured."""
-
-    position_walk: float  # m / sqrt(m)
-    heading_walk: float  # rad / sqrt(m)
-    turn_walk: float  # rad / sqrt(rad)
-    resolution_m: float
-    resolution_rad: float
-    gyro_walk: float  # rad / sqrt(s)
-    acceleration: float  # m/s^2 sqrt(s)
-    turn_acceleration: float  # rad/s^2 sqrt(s)
-    acceleration_s: float  # in which an acceleration fades
-    jitter_s: float
-    speed_window_s: float
-    fault_noise: float  # times the variance of its model: such odometry is judged but not used
-
-
-class Filter(NamedTuple):
-    """State and covariance; all arrays are changed in place.
-
-    stamp_ns    (1,)     int64     of the newest pose
-    pose        (3,)     float64   base in odom
-    twist       (3,)     float64   m/s forward, m/s left, rad/s
-    acceleration (3,)    float64   of the twist
-    learnt      (4,)     float64   scale, turn scale, lag s, gyro bias rad/s
-    covariance  (19, 19) float64
-    noise       (2,)     float64   how many times its model odometry's variance is: position, heading
-    gyro_noise  (1,)     float64   the same of the gyro
-    said        (8,)     float64   odometry's step (3) and whether there was one; its variances (2);
-                                   gyro's turn less bias, its variance (0: there was none)
-    last_odom   (8,)     float64   odometry at the newest pose: pose (3), mean speed up to then (3), lag in s
-                                   that they were taken with, whether there was one
-    window      (14,)    float64   since sources were judged last: pose then (3); step that odometry said (3),
-                                   its variances (2), whether it always said one; turn that the gyro said, its
-                                   variance, whether it always did; way in m, time in s
-    mean_twist  (3,)     float64   that odometry said, of the last half second
-    tied_twist  (3,)     float64   that an error of scale is multiplied by in the errors of twist and pose
-    path        Track              poses at the last scans
-    """
-
-    stamp_ns: npt.NDArray[np.int64]
-    pose: npt.NDArray[np.float64]
-    twist: npt.NDArray[np.float64]
-    acceleration: npt.NDArray[np.float64]
-    learnt: npt.NDArray[np.float64]
-    covariance: npt.NDArray[np.float64]
-    noise: npt.NDArray[np.float64]
-    gyro_noise: npt.NDArray[np.float64]
-    said: npt.NDArray[np.float64]
-    last_odom: npt.NDArray[np.float64]
-    window: npt.NDArray[np.float64]
-    mean_twist: npt.NDArray[np.float64]
-    tied_twist: npt.NDArray[np.float64]
-    path: Track
 
 
 @inner_kernel

@@ -6,7 +6,8 @@ import numpy as np
 
 from service.kernels.acceleration import transition_over
 from service.kernels.compiled import inner_kernel, kernel
-from service.kernels.estimator import ACCELERATION, GATE_CHI2_GYRO, GYRO_SCALE, MAP, STATES, TWIST, move_axes
+from service.kernels.estimator import GATE_CHI2_GYRO, GYRO_SCALE, move_axes
+from service.kernels.filter_state import ACCELERATION, MAP, STATES, TWIST
 from service.kernels.se2 import between, compose, exponential
 from service.kernels.tracks import odometry_at, turned_to
 

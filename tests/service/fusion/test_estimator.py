@@ -22,7 +22,7 @@ from service.fusion.estimator import (
 )
 from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
-from service.kernels.estimator import ACCELERATION, LOCAL, TWIST
+from service.kernels.filter_state import ACCELERATION, LOCAL, TWIST
 from service.mapper.known_pose import carried
 from tests.service.fusion.samples import MS, gyro, matched, odometry
 

@@ -10,7 +10,7 @@ import pytest
 from service.fusion.estimator import Estimator, EstimatorConfig
 from service.fusion.motion import Measurement
 from service.geometry.se2 import SE2
-from service.kernels.estimator import LAG, SCALE, TURN_SCALE
+from service.kernels.filter_state import LAG, SCALE, TURN_SCALE
 from tests.service.fusion.samples import odometry
 from tests.simulated import Wheels
 

@@ -1,0 +1,79 @@
+"""What the error-state filter of the vehicle's motion holds; service/kernels/estimator.py is its equations.
+
+Errors are in base axes of the newest pose: true pose = pose * exp(error). Rows of the covariance:
+
+    MAP    0:3    pose against the first scan
+    LOCAL  3:6    pose against the local map, which was built from earlier poses
+    STEP   6:9    motion since the last scan; in use within a prediction only
+    TWIST  9:12   velocity
+    SCALE 12, TURN_SCALE 13   of odometry: true way = (1 + scale) * way said
+    LAG   14      of odometry's stamps behind the scans', s
+    BIAS  15      of the gyro, rad/s
+    ACCELERATION 16:19   of the twist
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from service.kernels.tracks import Track
+
+MAP, LOCAL, STEP, TWIST, SCALE, TURN_SCALE, LAG, BIAS = 0, 3, 6, 9, 12, 13, 14, 15
+ACCELERATION, STATES = 16, 19
+
+
+class MotionSettings(NamedTuple):
+    """Documented where they are configured."""
+
+    position_walk: float  # m / sqrt(m)
+    heading_walk: float  # rad / sqrt(m)
+    turn_walk: float  # rad / sqrt(rad)
+    resolution_m: float
+    resolution_rad: float
+    gyro_walk: float  # rad / sqrt(s)
+    acceleration: float  # m/s^2 sqrt(s)
+    turn_acceleration: float  # rad/s^2 sqrt(s)
+    acceleration_s: float  # in which an acceleration fades
+    jitter_s: float
+    speed_window_s: float
+    fault_noise: float  # times the variance of its model: such odometry is judged but not used
+
+
+class Filter(NamedTuple):
+    """State and covariance; all arrays are changed in place.
+
+    stamp_ns    (1,)     int64     of the newest pose
+    pose        (3,)     float64   base in odom
+    twist       (3,)     float64   m/s forward, m/s left, rad/s
+    acceleration (3,)    float64   of the twist
+    learnt      (4,)     float64   scale, turn scale, lag s, gyro bias rad/s
+    covariance  (19, 19) float64
+    noise       (2,)     float64   how many times its model odometry's variance is: position, heading
+    gyro_noise  (1,)     float64   the same of the gyro
+    said        (8,)     float64   odometry's step (3) and whether there was one; its variances (2);
+                                   gyro's turn less bias, its variance (0: there was none)
+    last_odom   (8,)     float64   odometry at the newest pose: pose (3), mean speed up to then (3), lag in s
+                                   that they were taken with, whether there was one
+    window      (14,)    float64   since sources were judged last: pose then (3); step that odometry said (3),
+                                   its variances (2), whether it always said one; turn that the gyro said, its
+                                   variance, whether it always did; way in m, time in s
+    mean_twist  (3,)     float64   that odometry said, of the last half second
+    tied_twist  (3,)     float64   that an error of scale is multiplied by in the errors of twist and pose
+    path        Track              poses at the last scans
+    """
+
+    stamp_ns: npt.NDArray[np.int64]
+    pose: npt.NDArray[np.float64]
+    twist: npt.NDArray[np.float64]
+    acceleration: npt.NDArray[np.float64]
+    learnt: npt.NDArray[np.float64]
+    covariance: npt.NDArray[np.float64]
+    noise: npt.NDArray[np.float64]
+    gyro_noise: npt.NDArray[np.float64]
+    said: npt.NDArray[np.float64]
+    last_odom: npt.NDArray[np.float64]
+    window: npt.NDArray[np.float64]
+    mean_twist: npt.NDArray[np.float64]
+    tied_twist: npt.NDArray[np.float64]
+    path: Track
