@@ -299,6 +299,8 @@ class Estimator:
         tracks = self._odometry.track, self._gyro.track
         motion_at(self._filter, *tracks, seconds, self._settings, pose, twist, covariance)
         forward, left, turn = twist.tolist()
+        if self._origin_ns == int(self._filter.stamp_ns[0]) + round(seconds * 1e9):
+            pose[:] = 0.0  # `odom` itself, without what rounding leaves of it
         return Motion(SE2(*pose.tolist()), (forward, left, turn), covariance)
 
     def _joined(self, measured: Measurement) -> tuple[SE2, Matrix]:
@@ -322,8 +324,10 @@ class Estimator:
         if end - first >= 2:
             self._begin_twist(stamp_ns)
         if self._origin_ns is not None:
-            origin = self.moved((self._origin_ns - stamp_ns) * 1e-9).pose_odom_base.inverse()
+            origin_ns, self._origin_ns = self._origin_ns, None
+            origin = self.moved((origin_ns - stamp_ns) * 1e-9).pose_odom_base.inverse()
             self._filter.pose[:] = origin.x_m, origin.y_m, origin.theta_rad
+            self._origin_ns = origin_ns
 
     def _begin_twist(self, stamp_ns: int) -> None:
         """The speed as odometry has it now, at the first scan and after a pause: what it was says nothing."""

@@ -59,7 +59,7 @@ def test_odom_is_the_base_when_the_first_sweep_began(speed_mps: float) -> None:
     model.begin_at(0)
     first = model.predict(15 * MS)
     assert first.pose_odom_base.x_m == pytest.approx(15e-3 * speed_mps, abs=1e-5)
-    assert model.moved(-0.015).pose_odom_base.x_m == pytest.approx(0.0, abs=1e-12)
+    assert model.moved(-0.015).pose_odom_base == SE2()
     assert first.local_covariance.max() < 1e-7
     for stamp_ms in range(30, 101, 20):
         model.add(odometry(stamp_ms, SE2(speed_mps * stamp_ms * 1e-3, 0.0, 0.0)))
