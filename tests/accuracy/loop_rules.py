@@ -147,7 +147,6 @@ def in_place(name: str) -> Callable[[int], tuple[Drive, Run]]:
 DRIVES: dict[str, Callable[[int], tuple[Drive, Run]]] = {
     "corridor100, LUX": lux_corridor,
     "shelves": in_place("shelves"),
-    "campus": in_place("campus"),
     "vines": in_place("vines"),
 }
 

@@ -11,6 +11,7 @@ from unittest.mock import Mock, patch
 
 from service.kernels.normals import estimate_normals
 from service.mapper.components import Points
+from service.mapper.filters.deskew import DeskewByTwist
 from service.mapper.methods.corridor.narrow_walls import Matrix, NarrowWalls
 from service.offline.replay import ReplayOptions, replay, write_replay
 from simulators.worlds import WORLDS
@@ -53,6 +54,16 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         "motion within a sweep ([23])",
         "service.fusion.estimator",
         {"sweep_deviation": lambda *_: False},
+    ),
+    (
+        "acceleration that lasts",
+        "service.fusion.estimator",
+        {"ACCELERATION_S": 1e-4},  # of the same density: white
+    ),
+    (
+        "pose at the middle of a sweep",
+        "service.mapper.filters.deskew.DeskewByMotion",
+        {"moment_of": DeskewByTwist.moment_of},
     ),
     (
         "odometry with a fault does not count",
