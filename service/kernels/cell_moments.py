@@ -150,13 +150,136 @@ def add_to_moments(xy_base, sensor_xy_m, range_sigma_m, normals, directed, pose,
                         cell[k] *= np.float32(0.5)
 
 
+@inner_kernel
+def is_known(across, expected, along, count):
+    """Whether so many points show the direction of their plane, as MOST_ANGLE asks; see normal_of."""
+    most_rad2 = (MOST_ANGLE * ANGLE_SIGMA_RAD) ** 2
+    return max(across, expected) <= most_rad2 * along * count
+
+
+@inner_kernel
+def plane_near(pooled):
+    """Normal (2,) of moments about a point (9,), see pool_cells; whether they are a plane; whether they show
+    its direction; and the variance of the points along it, m^2.
+    """
+    w = pooled[WEIGHT]
+    wx = pooled[MEAN_X]
+    wy = pooled[MEAN_Y]
+    count = pooled[NOISE_XX] + pooled[NOISE_YY]
+    nx, ny, across, expected, along = normal_of(
+        pooled[XX] - wx * wx / w,
+        pooled[XY] - wx * wy / w,
+        pooled[YY] - wy * wy / w,
+        pooled[NOISE_XX],
+        pooled[NOISE_XY],
+        pooled[NOISE_YY],
+        w,
+    )
+    is_plane = is_thin(across, expected, count)
+    return nx, ny, is_plane, is_plane and is_known(across, expected, along, count), along / w
+
+
+@inner_kernel
+def most_off_m2(cosine, noise_m2):
+    """Square of how far noise brings a point off its plane, m^2; cosine: of the incidence."""
+    return OFF_SIGMAS * OFF_SIGMAS * (noise_m2 * cosine * cosine + WALL_M * WALL_M)
+
+
+@inner_kernel
+def is_within(nx, ny, along_m2, pooled, ux, uy, noise_m2):
+    """Whether a point lies within a wall, so far from its ends that it is of no other wall that begins there.
+
+    nx, ny     float   normal of the wall
+    along_m2   float   variance of its points along it, m^2: they are spread evenly
+    pooled     (9,)    from pool_cells
+    ux, uy     float   unit vector to the sensor: noise brings points along the beam from one wall to another
+    """
+    beside_m = abs(ny * pooled[MEAN_X] - nx * pooled[MEAN_Y]) / pooled[WEIGHT]
+    half_m = math.sqrt(3.0 * max(along_m2, 0.0))
+    return beside_m <= half_m - math.sqrt(most_off_m2(ny * ux - nx * uy, noise_m2))
+
+
+@inner_kernel
+def pool_cells(grid, half, x, y, ux, uy, noise_m2, only_planes, pooled):
+    """Moments about a point of the 3 x 3 cells around it.
+
+    grid, half    as in direct_by_moments
+    x, y          float   m, the point in the frame of the grid
+    ux, uy        float   unit vector to the sensor, in that frame
+    noise_m2      float   square of the noise of a range
+    only_planes   bool    cells alone that by themselves are a plane on which the point lies; else all, by
+                          their distance from the point
+    pooled        (9,) float64   out: columns as in a cell; MEAN_X, MEAN_Y are weighted sums
+    Returns how many points they are of.
+    """
+    moments = grid.moments
+    slots = grid.tiles.slots  # an index in a loop costs a reference
+    first_row = grid.tiles.origin[0]
+    first_column = grid.tiles.origin[1]
+    cell_m = grid.cell_m
+    per_square_reach = 1.0 / (REACH_CELLS * cell_m) ** 2
+    cells_per_m = 1.0 / cell_m
+    column = math.floor(x * cells_per_m)
+    row = math.floor(y * cells_per_m)
+    dx = x - (column + 0.5) * cell_m
+    dy = y - (row + 0.5) * cell_m
+    for k in range(MOMENTS):
+        pooled[k] = 0.0
+    for v in range(-1, 2):
+        for u in range(-1, 2):
+            slot = slot_at(
+                slots,
+                ((row + v) >> TILE_BITS) - first_row,
+                ((column + u) >> TILE_BITS) - first_column,
+            )
+            if slot == NO_TILE:
+                continue
+            cell = moments[slot, (row + v) & TILE_MASK, (column + u) & TILE_MASK, half]
+            if cell[WEIGHT] == 0.0:
+                continue
+            mx = u * cell_m + cell[MEAN_X] - dx  # from the point: nothing cancels
+            my = v * cell_m + cell[MEAN_Y] - dy
+            near = 1.0 - (mx * mx + my * my) * per_square_reach
+            if near <= 0.0:
+                continue
+            near *= near
+            if only_planes:
+                near = 1.0
+                count = cell[NOISE_XX] + cell[NOISE_YY]
+                if count < LEAST_POINTS:
+                    continue
+                nx, ny, across, expected, along = normal_of(
+                    cell[XX], cell[XY], cell[YY], cell[NOISE_XX], cell[NOISE_XY], cell[NOISE_YY], cell[WEIGHT]
+                )
+                off = nx * mx + ny * my
+                if (
+                    not is_thin(across, expected, count)
+                    or not is_known(across, expected, along, count)
+                    or off * off > most_off_m2(nx * ux + ny * uy, noise_m2)
+                ):
+                    continue
+            n = near * cell[WEIGHT]
+            pooled[WEIGHT] += n
+            pooled[MEAN_X] += n * mx
+            pooled[MEAN_Y] += n * my
+            pooled[XX] += near * cell[XX] + n * mx * mx
+            pooled[XY] += near * cell[XY] + n * mx * my
+            pooled[YY] += near * cell[YY] + n * my * my
+            pooled[NOISE_XX] += near * cell[NOISE_XX]
+            pooled[NOISE_XY] += near * cell[NOISE_XY]
+            pooled[NOISE_YY] += near * cell[NOISE_YY]
+    return pooled[NOISE_XX] + pooled[NOISE_YY]
+
+
 @kernel
 def direct_by_moments(
     xy_base, sensor_xy_m, range_sigma_m, pose, grid, half, grazing_weight, weight_off_plane, normals
 ):
     """Give points without a direction of their own that of the plane which key frames have shown there.
 
-    The moments of the 3 x 3 cells around a point count by their distance from it, as surfels do.
+    The moments of the 3 x 3 cells around a point count by their distance from it, as surfels do. Where two
+    walls meet they are no plane together: there those cells count that are one by themselves, for points
+    that lie on it, and not where the other wall may be meant.
 
     xy_base            (N, 2) float64   m, base frame
     sensor_xy_m        (2,)   float64   where the beams start, m, base frame
@@ -168,76 +291,40 @@ def direct_by_moments(
     weight_off_plane   float            of a point that lies beside such a plane by more than noise explains
     normals            (N, 3) float64   in and out: from estimate_normals; points of ROUGH_WEIGHT are asked
     """
-    moments = grid.moments
-    slots = grid.tiles.slots
-    first_row = grid.tiles.origin[0]
-    first_column = grid.tiles.origin[1]
-    cell_m = grid.cell_m
-    cells_per_m = 1.0 / cell_m
-    per_square_reach = 1.0 / (REACH_CELLS * cell_m) ** 2
-    most_rad2 = (MOST_ANGLE * ANGLE_SIGMA_RAD) ** 2
     noise_m2 = range_sigma_m * range_sigma_m
     c = math.cos(pose[2])
     s = math.sin(pose[2])
+    pooled = np.empty(MOMENTS)
     for i in range(xy_base.shape[0]):
         if normals[i, 2] != ROUGH_WEIGHT:
             continue
         x = pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]
         y = pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]
-        column = math.floor(x * cells_per_m)
-        row = math.floor(y * cells_per_m)
-        dx = x - (column + 0.5) * cell_m
-        dy = y - (row + 0.5) * cell_m
-        w = wx = wy = xx = xy = yy = noise_xx = noise_xy = noise_yy = 0.0
-        for v in range(-1, 2):
-            for u in range(-1, 2):
-                slot = slot_at(
-                    slots,
-                    ((row + v) >> TILE_BITS) - first_row,
-                    ((column + u) >> TILE_BITS) - first_column,
-                )
-                if slot == NO_TILE:
-                    continue
-                cell = moments[slot, (row + v) & TILE_MASK, (column + u) & TILE_MASK, half]
-                if cell[WEIGHT] == 0.0:
-                    continue
-                mx = u * cell_m + cell[MEAN_X] - dx  # from the point: nothing cancels
-                my = v * cell_m + cell[MEAN_Y] - dy
-                near = 1.0 - (mx * mx + my * my) * per_square_reach
-                if near <= 0.0:
-                    continue
-                near *= near
-                n = near * cell[WEIGHT]
-                w += n
-                wx += n * mx
-                wy += n * my
-                xx += near * cell[XX] + n * mx * mx
-                xy += near * cell[XY] + n * mx * my
-                yy += near * cell[YY] + n * my * my
-                noise_xx += near * cell[NOISE_XX]
-                noise_xy += near * cell[NOISE_XY]
-                noise_yy += near * cell[NOISE_YY]
-        count = noise_xx + noise_yy
-        if count < LEAST_POINTS:
+        bx = sensor_xy_m[0] - xy_base[i, 0]
+        by = sensor_xy_m[1] - xy_base[i, 1]
+        length = math.sqrt(bx * bx + by * by)
+        ux = (c * bx - s * by) / length  # to the sensor, in the frame of the grid
+        uy = (s * bx + c * by) / length
+        if pool_cells(grid, half, x, y, ux, uy, noise_m2, False, pooled) < LEAST_POINTS:
             continue
-        nx, ny, across, expected, along = normal_of(
-            xx - wx * wx / w, xy - wx * wy / w, yy - wy * wy / w, noise_xx, noise_xy, noise_yy, w
-        )
-        if not is_thin(across, expected, count) or max(across, expected) > most_rad2 * along * count:
+        nx, ny, is_plane, knows_direction, _ = plane_near(pooled)
+        if not is_plane:
+            if pool_cells(grid, half, x, y, ux, uy, noise_m2, True, pooled) < LEAST_POINTS:
+                continue
+            nx, ny, is_plane, knows_direction, along_m2 = plane_near(pooled)
+            if not is_within(nx, ny, along_m2, pooled, ux, uy, noise_m2):
+                continue
+        if not knows_direction:
             continue
-        ux = sensor_xy_m[0] - xy_base[i, 0]
-        uy = sensor_xy_m[1] - xy_base[i, 1]
-        bx = c * nx + s * ny
-        by = -s * nx + c * ny
-        cosine = (bx * ux + by * uy) / math.sqrt(ux * ux + uy * uy)
-        square = cosine * cosine
-        off = (nx * wx + ny * wy) / w
-        if off * off > OFF_SIGMAS * OFF_SIGMAS * (noise_m2 * square + WALL_M * WALL_M):
+        cosine = nx * ux + ny * uy
+        off_m = (nx * pooled[MEAN_X] + ny * pooled[MEAN_Y]) / pooled[WEIGHT]
+        if off_m * off_m > most_off_m2(cosine, noise_m2):
             normals[i, 2] = weight_off_plane
             continue
         if abs(cosine) < LEAST_COS_INCIDENCE:
             continue
         sign = 1.0 if cosine >= 0.0 else -1.0
-        normals[i, 0] = sign * bx
-        normals[i, 1] = sign * by
+        square = cosine * cosine
+        normals[i, 0] = sign * (c * nx + s * ny)
+        normals[i, 1] = sign * (-s * nx + c * ny)
         normals[i, 2] = 1.0 / (square + (1.0 - square) / grazing_weight)

@@ -24,13 +24,13 @@ def ring() -> World:
     )
 
 
-def corridor100() -> World:
+def corridor100(door_depth_m: float = 0.2) -> World:
     """A straight corridor of 100 x 2 m with sunk doors on both sides, driven out and back."""
     plan = Plan()
     south = [2.4 + 5.3 * k + 0.7 * math.sin(3.0 * k) for k in range(18)]
     north = [4.1 + 6.1 * k + 0.9 * math.sin(2.0 * k + 1.0) for k in range(16)]
-    plan.sunk_doors((0, -1), (100, -1), south, depth=-0.2)
-    plan.sunk_doors((0, 1), (100, 1), north, depth=0.2)
+    plan.sunk_doors((0, -1), (100, -1), south, depth=-door_depth_m)
+    plan.sunk_doors((0, 1), (100, 1), north, depth=door_depth_m)
     plan.line((0, -1), (0, 1))
     plan.line((100, -1), (100, 1))
     drive = plan_drive(

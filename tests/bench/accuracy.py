@@ -30,6 +30,7 @@ SCENARIOS: dict[str, Callable[[Sequence[int]], Section]] = {
     "given": given.given,
     "recorded": recorded.recorded,
     "buildings": buildings.buildings,
+    "laser_alone": buildings.laser_alone,
     "ring": buildings.ring,
     "known_map": known_map.known_map,
     "motion": trials.motion,

@@ -168,3 +168,23 @@ def test_a_tile_that_was_used_before_is_cleared() -> None:
     taken = grid.tiles.slots[grid.tiles.slots != NO_TILE]
     assert grid.moments[taken, :, :, 0, WEIGHT].sum() == pytest.approx(2.0 / SIGMA_M**2, rel=1e-5)
     assert np.all(grid.moments[taken, :, :, 1] == 0.0)
+
+
+def test_the_side_of_a_door_no_deeper_than_a_cell_has_a_direction_between_its_walls() -> None:
+    """10 cm deep: points of the walls before and behind it, by turns, lie in its cells, too."""
+    before = np.array([[FACE_X_M - 0.15, 1.1], [FACE_X_M, 1.1]])
+    side = np.array([[FACE_X_M, 1.0], [FACE_X_M, 1.1]])
+    behind = np.array([[FACE_X_M, 1.0], [FACE_X_M + 0.15, 1.0]])
+    middle = np.array([[FACE_X_M, 1.05]])
+    tilts, at_ends = [], 0
+    for seed in range(20):
+        noise, grid = np.random.default_rng(seed), empty_moments()
+        for k in range(60):
+            add(grid, np.vstack((seen(noise, side), seen(noise, (before, behind)[k % 2], 1))), 0)
+        nx, ny, weight = directed(grid, middle, 0)[0]
+        if weight >= 1.0:
+            tilts.append(abs(math.atan2(ny, -nx)))
+        at_ends += np.count_nonzero(directed(grid, side, 0)[:, 2] != ROUGH_WEIGHT)
+    assert len(tilts) >= 15
+    assert np.median(tilts) < 0.2
+    assert at_ends <= 0.15 * 20 * 2  # where another wall may be meant, none is taken

@@ -359,12 +359,12 @@ def _apart_m(predicted: Prediction) -> float:
 def _chance_chi2(predicted: Prediction) -> float:
     """Squared sigmas of chance that are taken off what a scan says; [22].
 
-    Chance misleads where the prediction knows better. Without odometry, or where odometry was found wrong,
-    the scan is asked for the little that it says.
+    Of N scans chance passes once by 2 ln N, and what it says then is weighed against odometry. Without, the
+    pose follows it: there it passes once in N^2.
     """
-    if not predicted.is_measured or predicted.odometry_noise > WRONG_ODOMETRY_NOISE:
-        return 0.0
-    return 2.0 * math.log(min(max(CHANCE_M / _apart_m(predicted), 1.0), MOST_CHANCE_SCANS))
+    scans = min(max(CHANCE_M / _apart_m(predicted), 1.0), MOST_CHANCE_SCANS)
+    has_odometry = predicted.is_measured and predicted.odometry_noise <= WRONG_ODOMETRY_NOISE
+    return (2.0 if has_odometry else 4.0) * math.log(scans)
 
 
 def _chi2(pose: Matrix, prior: Prior) -> float:
