@@ -35,8 +35,8 @@ def odometry_edges(keyframes: KeyframeList, step_m: float, is_by_motion: bool = 
     """From each key frame to the next.
 
     step_m         the way after which a key frame is due
-    is_by_motion   a step is known as well as the motion model says, where it says so; one to or from a key
-                   frame that was not matched always is
+    is_by_motion   a step is known as well as the motion model says, where it says so and the match is not
+                   in doubt; one to or from a key frame that was not matched always is
     """
     of, is_unknown = _before(keyframes)
     to = np.arange(1, keyframes.count, dtype=np.int64)
@@ -44,13 +44,16 @@ def odometry_edges(keyframes: KeyframeList, step_m: float, is_by_motion: bool = 
     covariance = keyframes.covariance[1:] + STEP_FLOOR
     is_lost = lost_steps(keyframes)
     covariance = np.where(is_lost[:, None, None], LOST_COVARIANCE, covariance)
-    covariance = covariance + doubtful_steps(keyframes)[:, None, None] * DOUBTFUL_COVARIANCE
     gap_m = np.maximum(np.diff(keyframes.way_m) - 2.0 * step_m, 0.0)
     covariance = covariance + (GAP_SHARE * gap_m[:, None, None]) ** 2 * np.eye(3)
     then, now = keyframes.motion_covariance[of], keyframes.motion_covariance[to]
     said = np.isfinite(then + now).all(axis=(1, 2)) & (is_lost | is_by_motion)
     covariance[said] = covariance_added(then[said], now[said], step[said])
     covariance[said] += LEAST_COVARIANCE if is_by_motion else STEP_FLOOR
+    may_be_wrong = doubtful_steps(keyframes) & ~(
+        said & is_lost
+    )  # what was not matched cannot be a wrong match
+    covariance += may_be_wrong[:, None, None] * DOUBTFUL_COVARIANCE
     covariance[is_unknown] = UNKNOWN_COVARIANCE
     return Edges(of, to, step, covariance, np.zeros(keyframes.count - 1))
 

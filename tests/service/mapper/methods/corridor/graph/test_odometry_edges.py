@@ -94,3 +94,13 @@ def test_nobody_knows_the_way_into_another_piece_and_back_it_is_counted_from_whe
     assert (found.of[ODD - 1], found.of[ODD]) == (ODD - 1, ODD - 1)  # out of the piece: from before it
     np.testing.assert_allclose(found.measured[ODD], [2.0 * STEP_M, 0.0, 0.0])
     np.testing.assert_allclose(found.covariance[ODD], SOUND)
+
+
+@pytest.mark.parametrize("is_lost", [False, True])
+def test_a_match_in_doubt_is_doubted_beside_the_motion_model_too(is_lost: bool) -> None:
+    """What was not matched cannot be a wrong match: odometry alone says how well it is known."""
+    odd = {"by_motion": True, "is_lost": is_lost, "motion_covariance": 1e-6 * ODD * np.eye(3)}
+    added = edges(score=0.5, **odd).covariance - edges(score=0.9, **odd).covariance
+    expected = np.zeros((COUNT - 1, 3, 3))
+    expected[[ODD - 1, ODD]] = 0.0 if is_lost else DOUBTFUL_COVARIANCE
+    np.testing.assert_allclose(added, expected, atol=1e-12)

@@ -34,8 +34,11 @@ def straight(
     lost: int | None = None,
     variance: np.ndarray = VARIANCE,
     beside: Sequence[int] = (),
+    doubtful: int | None = None,
 ) -> WayDrift:
-    """Ten metres ahead, each step known as well as the one before; key frames `beside` are another piece."""
+    """Ten metres ahead, each step known as well as the one before; key frames `beside` are another piece,
+    and of `doubtful` little lies on the map.
+    """
     back_end = LoopBackEnd(LoopsConfig(), None)
     frames = [
         KeyFrame(
@@ -43,7 +46,7 @@ def straight(
             SE2(STEP_M * k, 0.0, 0.0),
             np.diag([1e-4, 1e-4, 1e-6]),
             int(k in beside),
-            0.9,
+            0.4 if k == doubtful else 0.9,
             k == lost,
             np.zeros((0, 2), np.float32),
             (0.0, 0.0),
@@ -106,6 +109,13 @@ def test_a_slip_that_nobody_noticed_does_not_keep_loops_away():
     sure = straight(variance=1e-4 * VARIANCE)
     assert sure.allows(loop(10.0 * 1.02, 0.0, 0.0))
     assert not sure.allows(loop(10.0 * 1.04, 0.0, 0.0))
+
+
+def test_a_slip_where_little_lay_on_the_map_does_not_keep_loops_away():
+    """A turn onto new ground may be matched 0.3 rad off, with the covariance of a good match."""
+    turned = loop(10.0, 0.0, 0.6)
+    assert not straight().allows(turned)
+    assert straight(doubtful=30).allows(turned)
 
 
 @pytest.mark.parametrize("is_known", [True, False])
