@@ -360,11 +360,12 @@ def _chance_chi2(predicted: Prediction) -> float:
     """Squared sigmas of chance that are taken off what a scan says; [22].
 
     Of N scans chance passes once by 2 ln N, and what it says then is weighed against odometry. Without, the
-    pose follows it: there it passes once in N^2.
+    pose follows it: there it passes once in N^2. Odometry that was found wrong misleads more than chance.
     """
     scans = min(max(CHANCE_M / _apart_m(predicted), 1.0), MOST_CHANCE_SCANS)
-    has_odometry = predicted.is_measured and predicted.odometry_noise <= WRONG_ODOMETRY_NOISE
-    return (2.0 if has_odometry else 4.0) * math.log(scans)
+    if not predicted.is_measured:
+        return 4.0 * math.log(scans)
+    return 0.0 if predicted.odometry_noise > WRONG_ODOMETRY_NOISE else 2.0 * math.log(scans)
 
 
 def _chi2(pose: Matrix, prior: Prior) -> float:
