@@ -245,7 +245,7 @@ class SurfelGaussNewton:
             self._settings._replace(
                 range_sigma_m=points.range_sigma_m,
                 repeats=max(1.0, SAME_WALL_M / _apart_m(attempt.predicted)),
-                chance_chi2=_chance_chi2(attempt.predicted),
+                chance_chi2=chance_chi2_of(attempt.predicted),
             ),
             DOUBT_RATIO * attempt.usual_ratio,
             xy_base,
@@ -356,7 +356,7 @@ def _apart_m(predicted: Prediction) -> float:
     return max(predicted.travel_m, SAME_WALL_M / MOST_REPEATS)
 
 
-def _chance_chi2(predicted: Prediction) -> float:
+def chance_chi2_of(predicted: Prediction) -> float:
     """Squared sigmas of chance that are taken off what a scan says; [22].
 
     Of N scans chance passes once by 2 ln N, and what it says then is weighed against odometry. Without, the
