@@ -347,7 +347,7 @@ def test_points_are_matched_where_their_beams_meet_walls_and_come_back_as_they_w
 
 
 def test_chance_passes_more_rarely_where_no_odometry_holds_the_pose() -> None:
-    """One scan a metre has none; of scans 1 cm apart 50 count; odometry found wrong misleads more than chance."""
+    """One scan a metre has none; of scans 1 cm apart 50 count; wrong odometry misleads more than chance."""
     near = predicted(SE2())
     assert chance_chi2_of(near) == pytest.approx(2.0 * math.log(50.0))
     assert chance_chi2_of(replace(near, is_measured=False)) == pytest.approx(4.0 * math.log(50.0))
