@@ -54,7 +54,8 @@ COARSE_SIGMA, COARSE_BEAMS, COARSE_ITERATIONS = 0.3, 180, 15  # sigma of 1 - lik
 COARSE_M, COARSE_RAD = 0.1, 0.05  # what it tells apart: a cell, and that at 2 m
 SAME_WALL_M = 0.05  # scans within one key frame's distance are matched to the same noise of the map
 CHANCE_M = 1.0  # of travel, over which what scans say by chance along an open direction adds up
-MOST_CHANCE_SCANS = 50.0  # scans within CHANCE_M that count in it
+CHANCE_S = 1.0  # ... and of time, without odometry
+MOST_CHANCE_SCANS = 50.0  # scans within CHANCE_M or CHANCE_S that count in it
 WRONG_ODOMETRY_NOISE = 20.0  # times the variance of its model: odometry with larger errors is wrong
 MOST_REPEATS = 100.0
 USUAL_SCANS = 50  # over which the usual inlier ratio is taken
@@ -359,13 +360,20 @@ def _apart_m(predicted: Prediction) -> float:
 def chance_chi2_of(predicted: Prediction) -> float:
     """Squared sigmas of chance that are taken off what a scan says; [22].
 
-    Of N scans chance passes once by 2 ln N, and what it says then is weighed against odometry. Without, the
-    pose follows it: there it passes once in N^2. Odometry that was found wrong misleads more than chance.
+    Of N scans chance passes once by 2 ln N, and what it says then is weighed against odometry, whose errors
+    grow with the way. Without, the pose follows it, and errors grow with time: there it passes once in N^2.
+    Odometry that was found wrong misleads more than chance.
     """
-    scans = min(max(CHANCE_M / _apart_m(predicted), 1.0), MOST_CHANCE_SCANS)
     if not predicted.is_measured:
-        return 4.0 * math.log(scans)
-    return 0.0 if predicted.odometry_noise > WRONG_ODOMETRY_NOISE else 2.0 * math.log(scans)
+        return 4.0 * _log_scans(CHANCE_S, predicted.elapsed_s)
+    if predicted.odometry_noise > WRONG_ODOMETRY_NOISE:
+        return 0.0
+    return 2.0 * _log_scans(CHANCE_M, _apart_m(predicted))
+
+
+def _log_scans(within: float, apart: float) -> float:
+    """ln of how many scans there are, MOST_CHANCE_SCANS at most; both in m or in s."""
+    return math.log(max(within / max(apart, within / MOST_CHANCE_SCANS), 1.0))
 
 
 def _chi2(pose: Matrix, prior: Prior) -> float:

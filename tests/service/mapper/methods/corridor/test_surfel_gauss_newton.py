@@ -347,9 +347,14 @@ def test_points_are_matched_where_their_beams_meet_walls_and_come_back_as_they_w
 
 
 def test_chance_passes_more_rarely_where_no_odometry_holds_the_pose() -> None:
-    """One scan a metre has none; of scans 1 cm apart 50 count; wrong odometry misleads more than chance."""
-    near = predicted(SE2())
+    """Without odometry scans are counted by time: a laser of one scan a second says the little that it says,
+    standing too. Wrong odometry misleads more than chance.
+    """
+    near = predicted(SE2())  # 1 cm and 0.1 s after the scan before
+    alone = replace(near, is_measured=False)
     assert chance_chi2_of(near) == pytest.approx(2.0 * math.log(50.0))
-    assert chance_chi2_of(replace(near, is_measured=False)) == pytest.approx(4.0 * math.log(50.0))
+    assert chance_chi2_of(replace(near, travel_m=1.0)) == 0.0
+    assert chance_chi2_of(alone) == pytest.approx(4.0 * math.log(10.0))
+    assert chance_chi2_of(replace(alone, elapsed_s=1.0, travel_m=0.0)) == 0.0
+    assert chance_chi2_of(replace(alone, elapsed_s=0.0)) == pytest.approx(4.0 * math.log(50.0))
     assert chance_chi2_of(replace(near, odometry_noise=2.0 * WRONG_ODOMETRY_NOISE)) == 0.0
-    assert chance_chi2_of(replace(near, travel_m=1.0, is_measured=False)) == 0.0
