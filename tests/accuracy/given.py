@@ -58,7 +58,7 @@ def given(seeds: Sequence[int]) -> Section:  # recordings: seeds change nothing
         "Given recordings",
         "Recordings of another simulator against their truth, and recordings of real buildings against "
         "their relations (order expected^-1 * relative; the `derived` relations have an accuracy of 5 to "
-        "10 cm). One run each. NEES is the normalised squared error of the pose against the first scan, of "
+        "10 cm; `nearby` ones are of poses near each other, whenever they were). One run each. NEES is the normalised squared error of the pose against the first scan, of "
         "every tenth scan; 3 is expected. The parameters were chosen with all of these recordings in view. "
         "Small changes of the code move some figures, even another order of additions or another processor: "
         "corridor100d_s1 10 to 17 mm, csail 36 to 40 mm, fhw 1.6 to 1.8 % of scans lost; without the loop "
