@@ -58,14 +58,15 @@ def given(seeds: Sequence[int]) -> Section:  # recordings: seeds change nothing
         "Given recordings",
         "Recordings of another simulator against their truth, and recordings of real buildings against "
         "their relations (order expected^-1 * relative; the `derived` relations have an accuracy of 5 to "
-        "10 cm; `nearby` ones are of poses near each other, whenever they were). One run each. NEES is the normalised squared error of the pose against the first scan, of "
-        "every tenth scan; 3 is expected. The parameters were chosen with all of these recordings in view. "
-        "Small changes of the code move some figures, even another order of additions or another processor: "
-        "corridor100d_s1 10 to 17 mm, csail 36 to 40 mm, fhw 1.6 to 1.8 % of scans lost; without the loop "
-        "that closes their lap ring_s3 6 to 18 mm, ring_bias_s1 16 to 34 mm. Relations of fr079 and intel "
-        "have stamps between scans (intel: 0.2 s from the nearest one, at the median). `between scans by "
-        "odometry` is the same trajectory scored with the motion of odometry between two poses instead of a "
-        "straight line.",
+        "10 cm; `nearby` ones are of poses near each other, whenever they were). One run each. NEES is "
+        "the normalised squared error of the pose against the first scan, of every tenth scan; 3 is "
+        "expected. The parameters were chosen with all of these recordings in view. Small changes of the "
+        "code move some figures, even another order of additions or another processor: corridor100d_s1 10 "
+        "to 17 mm, csail 36 to 40 mm, fhw 1.6 to 1.8 % of scans lost; without the loop that closes their "
+        "lap ring_s3 6 to 18 mm, ring_bias_s1 16 to 34 mm. Relations of fr079 and intel have stamps "
+        "between scans (intel: 0.2 s from the nearest one, at the median). `between scans by odometry` is "
+        "the same trajectory scored with the motion of odometry between two poses instead of a straight "
+        "line.",
         rows,
     )
 
