@@ -54,8 +54,7 @@ COARSE_SIGMA, COARSE_BEAMS, COARSE_ITERATIONS = 0.3, 180, 15  # sigma of 1 - lik
 COARSE_M, COARSE_RAD = 0.1, 0.05  # what it tells apart: a cell, and that at 2 m
 SAME_WALL_M = 0.05  # scans within one key frame's distance are matched to the same noise of the map
 CHANCE_M = 1.0  # of travel, over which what scans say by chance along an open direction adds up
-CHANCE_S = 1.0  # ... and of time, without odometry
-MOST_CHANCE_SCANS = 50.0  # scans within CHANCE_M or CHANCE_S that count in it
+MOST_CHANCE_SCANS = 50.0  # scans within CHANCE_M that count in it
 WRONG_ODOMETRY_NOISE = 20.0  # times the variance of its model: odometry with larger errors is wrong
 MOST_REPEATS = 100.0
 USUAL_SCANS = 50  # over which the usual inlier ratio is taken
@@ -246,7 +245,7 @@ class SurfelGaussNewton:
             self._settings._replace(
                 range_sigma_m=points.range_sigma_m,
                 repeats=max(1.0, SAME_WALL_M / _apart_m(attempt.predicted)),
-                chance_chi2=chance_chi2_of(attempt.predicted),
+                chance_chi2=_chance_chi2(attempt.predicted),
             ),
             DOUBT_RATIO * attempt.usual_ratio,
             xy_base,
@@ -357,23 +356,15 @@ def _apart_m(predicted: Prediction) -> float:
     return max(predicted.travel_m, SAME_WALL_M / MOST_REPEATS)
 
 
-def chance_chi2_of(predicted: Prediction) -> float:
+def _chance_chi2(predicted: Prediction) -> float:
     """Squared sigmas of chance that are taken off what a scan says; [22].
 
-    Of N scans chance passes once by 2 ln N, and what it says then is weighed against odometry, whose errors
-    grow with the way. Without, the pose follows it, and errors grow with time: there it passes once in N^2.
-    Odometry that was found wrong misleads more than chance.
+    Chance misleads where the prediction knows better. Without odometry, or where odometry was found wrong,
+    the scan is asked for the little that it says.
     """
-    if not predicted.is_measured:
-        return 4.0 * _log_scans(CHANCE_S, predicted.elapsed_s)
-    if predicted.odometry_noise > WRONG_ODOMETRY_NOISE:
+    if not predicted.is_measured or predicted.odometry_noise > WRONG_ODOMETRY_NOISE:
         return 0.0
-    return 2.0 * _log_scans(CHANCE_M, _apart_m(predicted))
-
-
-def _log_scans(within: float, apart: float) -> float:
-    """ln of how many scans there are, MOST_CHANCE_SCANS at most; both in m or in s."""
-    return math.log(max(within / max(apart, within / MOST_CHANCE_SCANS), 1.0))
+    return 2.0 * math.log(min(max(CHANCE_M / _apart_m(predicted), 1.0), MOST_CHANCE_SCANS))
 
 
 def _chi2(pose: Matrix, prior: Prior) -> float:

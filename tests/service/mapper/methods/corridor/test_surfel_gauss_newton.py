@@ -1,4 +1,3 @@
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -8,12 +7,7 @@ from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
 from service.mapper.components import Match, Points
 from service.mapper.methods.corridor.submaps import SubmapsConfig, SurfelSubmaps
-from service.mapper.methods.corridor.surfel_gauss_newton import (
-    WRONG_ODOMETRY_NOISE,
-    SurfelGaussNewton,
-    SurfelMatcherConfig,
-    chance_chi2_of,
-)
+from service.mapper.methods.corridor.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
 from tests.service.mapper.maps.points import match_at, points_of, square
 
 
@@ -344,17 +338,3 @@ def test_points_are_matched_where_their_beams_meet_walls_and_come_back_as_they_w
     assert found.state == "ok"
     np.testing.assert_allclose(found.points.xy_base, noisy.xy_base, atol=1e-9)
     np.testing.assert_array_equal(found.points.xy_raw, noisy.xy_raw)
-
-
-def test_chance_passes_more_rarely_where_no_odometry_holds_the_pose() -> None:
-    """Without odometry scans are counted by time: a laser of one scan a second says the little that it says,
-    standing too. Wrong odometry misleads more than chance.
-    """
-    near = predicted(SE2())  # 1 cm and 0.1 s after the scan before
-    alone = replace(near, is_measured=False)
-    assert chance_chi2_of(near) == pytest.approx(2.0 * math.log(50.0))
-    assert chance_chi2_of(replace(near, travel_m=1.0)) == 0.0
-    assert chance_chi2_of(alone) == pytest.approx(4.0 * math.log(10.0))
-    assert chance_chi2_of(replace(alone, elapsed_s=1.0, travel_m=0.0)) == 0.0
-    assert chance_chi2_of(replace(alone, elapsed_s=0.0)) == pytest.approx(4.0 * math.log(50.0))
-    assert chance_chi2_of(replace(near, odometry_noise=2.0 * WRONG_ODOMETRY_NOISE)) == 0.0
