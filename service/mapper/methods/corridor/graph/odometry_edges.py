@@ -50,9 +50,8 @@ def odometry_edges(keyframes: KeyframeList, step_m: float, is_by_motion: bool = 
     said = np.isfinite(then + now).all(axis=(1, 2)) & (is_lost | is_by_motion)
     covariance[said] = covariance_added(then[said], now[said], step[said])
     covariance[said] += LEAST_COVARIANCE if is_by_motion else STEP_FLOOR
-    may_be_wrong = doubtful_steps(keyframes) & ~(
-        said & is_lost
-    )  # what was not matched cannot be a wrong match
+    # What was not matched cannot be a wrong match.
+    may_be_wrong = doubtful_steps(keyframes) & ~(said & is_lost)
     covariance += may_be_wrong[:, None, None] * DOUBTFUL_COVARIANCE
     covariance[is_unknown] = UNKNOWN_COVARIANCE
     return Edges(of, to, step, covariance, np.zeros(keyframes.count - 1))
