@@ -12,7 +12,6 @@ from service.kernels.likelihood import LikelihoodField
 from service.kernels.likelihood_lm import LmSettings, align_points, thin_evenly
 from service.kernels.linear3 import copy_matrix, copy_vector, solve_3x3
 from service.kernels.pose_information import (
-    add_prior,
     invert_3x3,
     rotate_information,
     weakest_direction,
@@ -22,6 +21,7 @@ from service.kernels.scan_information import scan_information
 from service.kernels.surfels import find_surfels_again, nothing_around
 
 STUDENT = 5.0  # degrees of freedom of the prediction's error: now and then it is far larger than usual
+MOST_HALVINGS = 4  # of a step that raises the cost; [12]
 
 
 class Prior(NamedTuple):
@@ -224,13 +224,8 @@ def learn_twist(prior, pose, weight, twist):
 
 
 @inner_kernel
-def prior_weight_at(pose, prior_pose, information):
-    """Weight of the prediction: its error has Student's distribution, so one that is far off gives way; [12].
-
-    pose, prior_pose   (3,)   float64
-    information        (3, 3) float64   of the prediction, in the axes of the grid
-    Source: Lange, Little, Taylor, Robust statistical modeling using the t distribution, 1989.
-    """
+def prior_chi2_at(pose, prior_pose, information):
+    """How far a pose lies from the prediction, in squared sigmas; arguments as those of prior_weight_at."""
     e = np.empty(3)
     e[0] = pose[0] - prior_pose[0]
     e[1] = pose[1] - prior_pose[1]
@@ -239,7 +234,30 @@ def prior_weight_at(pose, prior_pose, information):
     for i in range(3):
         for j in range(3):
             chi2 += e[i] * information[i, j] * e[j]
-    return min(1.0, (STUDENT + 3.0) / (STUDENT + chi2))
+    return chi2
+
+
+@inner_kernel
+def prior_weight_at(pose, prior_pose, information):
+    """Weight of the prediction: its error has Student's distribution, so one that is far off gives way; [12].
+
+    pose, prior_pose   (3,)   float64
+    information        (3, 3) float64   of the prediction, in the axes of the grid
+    Source: Lange, Little, Taylor, Robust statistical modeling using the t distribution, 1989.
+    """
+    return min(1.0, (STUDENT + 3.0) / (STUDENT + prior_chi2_at(pose, prior_pose, information)))
+
+
+@inner_kernel
+def cost_at(xy_base, normals, pose, prior, prior_information, grid, settings, around, found):
+    """Half the cost of points and prior at a pose, [12]; arguments as those of fine_align.
+
+    found   (N, 6) float64   out: from find_surfels, there
+    """
+    find_surfels_again(xy_base, normals, pose, grid, settings.least_normal_cosine, around, found)
+    cost = surfel_cost(xy_base, normals, found, pose, 1.5 * grid.cell_m, settings)
+    chi2 = prior_chi2_at(pose, prior.pose, prior_information)
+    return cost + 0.5 * (STUDENT + 3.0) * math.log1p(chi2 / STUDENT)
 
 
 @inner_kernel
@@ -285,10 +303,11 @@ def fine_align(
     evidence = np.empty((count, 7))
     asked = np.empty(3)
     moves = count > 0 and (returns.beam_time_s[0] != 0.0 or returns.beam_time_s[count - 1] != 0.0)
-    cost = 0.0
     used = 0
     inliers = 0
     weight = 1.0
+    last = pose.copy()
+    halvings = 0
     for k in range(settings.iterations + 1):
         if moves and 0 < k <= settings.deskew_rounds:
             learn_twist(prior, pose, weight, twist)
@@ -298,6 +317,19 @@ def fine_align(
         used, inliers = surfel_normal_equations(
             xy_base, normals, found, pose, settings, H, shared, g, evidence
         )
+        is_doubted = inliers < doubt_inlier_ratio * used
+        if is_doubted and 0 < k < settings.iterations and halvings < MOST_HALVINGS:
+            before = cost_at(xy_base, normals, last, prior, prior_information, grid, settings, around, found)
+            after = cost_at(xy_base, normals, pose, prior, prior_information, grid, settings, around, found)
+            if after > before:
+                halvings += 1
+                part = 0.5 if halvings < MOST_HALVINGS else 0.0
+                for i in range(3):
+                    pose[i] = last[i] + part * (pose[i] - last[i])
+                continue
+        is_stuck = halvings == MOST_HALVINGS
+        halvings = 0
+        copy_vector(pose, last)
         scan_information(H, shared, evidence, settings.chance_chi2, damping, information)
         weight = prior_weight_at(pose, prior.pose, prior_information)
         for i in range(3):
@@ -307,17 +339,16 @@ def fine_align(
                     pose[j] - prior.pose[j] if j < 2 else wrap(pose[2] - prior.pose[2])
                 )
                 system[i, j] = information[i, j] + weight * prior_information[i, j]
-        if k == settings.iterations or not solve_3x3(system, total, step):
+        if k == settings.iterations or is_stuck or not solve_3x3(system, total, step):
             break
         for i in range(3):
             pose[i] -= step[i]
         if math.hypot(step[0], step[1]) < settings.settled_m and abs(step[2]) < settings.settled_rad:
             break
-    pose[2] = wrap(pose[2])
+    cost = 0.0
     if inliers < doubt_inlier_ratio * used:
-        cost = surfel_cost(xy_base, normals, found, asked, 1.5 * grid.cell_m, settings)
-        chi2 = add_prior(asked, prior.pose, prior_information, system, g)
-        cost += 0.5 * (STUDENT + 3.0) * math.log1p(chi2 / STUDENT)
+        cost = cost_at(xy_base, normals, asked, prior, prior_information, grid, settings, around, found)
+    pose[2] = wrap(pose[2])
     return cost, used, inliers, weight
 
 

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from service.kernels import match, pose_information
+from service.kernels import match, pose_information, surfels
 from service.kernels import scan_information as information_of_scans
 from service.kernels.deskew import Returns
 from service.kernels.likelihood import LikelihoodField, splat_likelihood
@@ -16,7 +16,10 @@ from service.mapper.matchers.field_align import align
 from tests.service.kernels.inner import from_python
 from tests.service.kernels.surfel_grids import empty_grid
 
+cost_at = from_python(match.cost_at)
+fine_align = from_python(match.fine_align)
 learn_twist = from_python(match.learn_twist)
+nothing_around = from_python(surfels.nothing_around)
 point_information = from_python(match.point_information)
 prior_weight_at = from_python(match.prior_weight_at)
 surfel_cost = from_python(match.surfel_cost)
@@ -234,6 +237,31 @@ def test_a_scan_finds_its_pose_to_a_fifth_of_a_millimetre() -> None:
     np.testing.assert_allclose(result.pose, truth, atol=2e-4)
     assert result.share > 0.95
     assert result.used > 600
+
+
+def test_no_step_of_a_doubted_match_raises_the_cost() -> None:
+    """A step may take points to where the map knows nothing: without a surfel they pull no longer."""
+    grid, rng = room_grid(), np.random.default_rng(1)
+    for _ in range(40):
+        truth, start = rng.uniform(-0.5, 0.5, 3), rng.uniform(-0.8, 0.8, 3)
+        begun, ended = costs_of_match(room_scan(tuple(truth)), start, grid)
+        assert ended <= begun
+
+
+def costs_of_match(xy: np.ndarray, start: np.ndarray, grid: SurfelGrid) -> tuple[float, float]:
+    """Half the cost where a doubted match begins and where it ends; the prior is weak."""
+    prior, information = prior_at((0.0, 0.0, 0.0), sigma=1.0), np.eye(3)
+    normals, around, found = normals_of(xy), nothing_around(len(xy)), np.empty((len(xy), 6))
+
+    def cost(pose: np.ndarray) -> float:
+        return cost_at(xy, normals, pose, prior, information, grid, SETTINGS, around, found)
+
+    begun, pose = cost(start), start.copy()
+    returns = Returns(xy, np.zeros(len(xy)), np.arange(len(xy), dtype=np.int32))
+    fine_align(
+        returns, normals, prior, information, grid, SETTINGS, math.inf, around, xy.copy(), pose, np.eye(3)
+    )
+    return begun, cost(pose)
 
 
 def test_the_coarse_map_leads_where_the_surfels_are_out_of_reach() -> None:
