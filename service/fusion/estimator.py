@@ -186,9 +186,10 @@ class Estimator:
             covariance=np.diag(sigma**2),
             noise=np.ones(2),
             gyro_noise=np.ones(1),
+            motion_noise=np.ones(3),
             said=np.zeros(8),
             last_odom=np.zeros(8),
-            window=np.zeros(14),
+            window=np.zeros(20),
             mean_twist=np.zeros(3),
             tied_twist=np.zeros(3),
             path=Track(np.zeros(PATH_POSES, np.int64), np.zeros((PATH_POSES, 3)), np.zeros(2, np.int64)),
@@ -289,6 +290,7 @@ class Estimator:
                 covariance,
                 measured.prior_weight,
                 measured.information,
+                self._settings,
             )
         elif not state.said[3]:
             state.twist[:] = state.twist * math.exp(-self._elapsed_s / FADE_S)

@@ -28,7 +28,7 @@ from service.kernels.filter_state import (
 )
 from service.kernels.pose_information import invert_3x3
 from service.kernels.se2 import between, compose, exponential, logarithm
-from service.kernels.source_noise import learn_noise, widen_window
+from service.kernels.source_noise import learn_noise, motion_noise_over, widen_window
 from service.kernels.tracks import (
     LAG_WINDOW_NS,
     acceleration_of,
@@ -192,6 +192,7 @@ def accelerate(state, dt, settings, way):
             P[j, ACCELERATION + i] *= over.kept
     for i in range(3):
         q2 = settings.acceleration**2 if i < 2 else settings.turn_acceleration**2
+        q2 *= motion_noise_over(state.motion_noise[i], dt)
         P[STEP + i, STEP + i] += q2 * over.step_step
         P[TWIST + i, TWIST + i] += q2 * over.twist_twist
         P[ACCELERATION + i, ACCELERATION + i] += q2 * over.acceleration_acceleration
@@ -454,10 +455,10 @@ def correct_motion(state, pose, local_covariance, prior_weight):
 
 
 @kernel
-def take_match(state, pose, local_covariance, prior_weight, information):
+def take_match(state, pose, local_covariance, prior_weight, information, settings):
     """correct_motion, then learn_noise: to hand the filter over takes as long as either."""
     correct_motion(state, pose, local_covariance, prior_weight)
-    learn_noise(state, information)
+    learn_noise(state, information, settings)
 
 
 @kernel

@@ -51,13 +51,16 @@ class Filter(NamedTuple):
     covariance  (19, 19) float64
     noise       (2,)     float64   how many times its model odometry's variance is: position, heading
     gyro_noise  (1,)     float64   the same of the gyro
+    motion_noise (3,)    float64   the same of a change of twist, forward, left, rotation: 1 where odometry or
+                                   gyro measures it
     said        (8,)     float64   odometry's step (3) and whether there was one; its variances (2);
                                    gyro's turn less bias, its variance (0: there was none)
     last_odom   (8,)     float64   odometry at the newest pose: pose (3), mean speed up to then (3), lag in s
                                    that they were taken with, whether there was one
-    window      (14,)    float64   since sources were judged last: pose then (3); step that odometry said (3),
+    window      (20,)    float64   since sources were judged last: pose then (3); step that odometry said (3),
                                    its variances (2), whether it always said one; turn that the gyro said, its
-                                   variance, whether it always did; way in m, time in s
+                                   variance, whether it always did; way in m, time in s; twist then (3), its
+                                   variances (3)
     mean_twist  (3,)     float64   that odometry said, of the last half second
     tied_twist  (3,)     float64   that an error of scale is multiplied by in the errors of twist and pose
     path        Track              poses at the last scans
@@ -71,6 +74,7 @@ class Filter(NamedTuple):
     covariance: npt.NDArray[np.float64]
     noise: npt.NDArray[np.float64]
     gyro_noise: npt.NDArray[np.float64]
+    motion_noise: npt.NDArray[np.float64]
     said: npt.NDArray[np.float64]
     last_odom: npt.NDArray[np.float64]
     window: npt.NDArray[np.float64]

@@ -1,14 +1,21 @@
-"""How many times the variance of its model the noise of odometry and gyro is; docs/estimator.md, [18]."""
+"""How many times the variance of its model the noise of odometry, gyro and motion is.
+
+docs/estimator.md, [18] and [29].
+"""
+
+import math
 
 import numpy as np
 
 from service.kernels.compiled import inner_kernel, kernel
+from service.kernels.filter_state import TWIST
 from service.kernels.pose_information import invert_3x3, wrap
 from service.kernels.se2 import between, compose
 
 NOISE_WINDOWS = 10.0  # over which the noise of a source is learnt
 WINDOW_M, WINDOW_S = 0.3, 1.0  # a radian counts as a metre
 LEAST_NOISE, MOST_NOISE = 0.25, 1e6
+LEAST_MOTION_NOISE = 0.02  # speeds then change by 0.14 m/s and 0.28 rad/s within a second, 1 sigma
 
 
 @inner_kernel
@@ -35,11 +42,13 @@ def begin_window(state):
     state.window[:] = 0.0
     for i in range(3):
         state.window[i] = state.pose[i]
+        state.window[14 + i] = state.twist[i]
+        state.window[17 + i] = state.covariance[TWIST + i, TWIST + i]
     state.window[8] = state.window[11] = 1.0
 
 
 @inner_kernel
-def learn_noise(state, information):
+def learn_noise(state, information, settings):
     """Hold what odometry and gyro said over a window against what scans say of it; [18].
 
     The mean of squared innovations, less what the scan does not know, over the variance of the model is how
@@ -73,7 +82,42 @@ def learn_noise(state, information):
         if w[11] > 0.0:
             known, squared = innovation(wrap(step[2] - w[9]), w[10], state.gyro_noise[0], 2.0 * alone[2, 2])
             adapt(state.gyro_noise, 0, known, known * squared)
+    learn_motion(state, settings)
     begin_window(state)
+
+
+@inner_kernel
+def learn_motion(state, settings):
+    """How many times the variance of its model a change of speed has, where only scans measure it; [29].
+
+    The model is as wide as vehicles can drive. For one that drives steadily it is too wide: where scans say
+    little, along a corridor, their noise would move the speed. Standing teaches nothing of driving.
+
+    Source: Shumway, Stoffer, An approach to time series smoothing and forecasting using EM, 1982.
+    """
+    w = state.window
+    if w[6] > 0.0 or w[7] > 0.0:
+        state.motion_noise[:] = 1.0
+        return
+    lasting_s = w[13] + settings.acceleration_s * math.expm1(-w[13] / settings.acceleration_s)
+    moved = min(w[12] / WINDOW_M, 1.0)
+    for i in range(3):
+        if i == 2 and w[10] > 0.0:
+            state.motion_noise[i] = 1.0
+            continue
+        model = lasting_s * (settings.acceleration**2 if i < 2 else settings.turn_acceleration**2)
+        alone = w[17 + i] + state.covariance[TWIST + i, TWIST + i]
+        share = model / (model + alone)
+        sample = ((state.twist[i] - w[14 + i]) ** 2 + alone) / model
+        noise = state.motion_noise[i]
+        noise += moved * share * share * (sample - noise) / NOISE_WINDOWS
+        state.motion_noise[i] = min(max(noise, LEAST_MOTION_NOISE), 1.0)
+
+
+@inner_kernel
+def motion_noise_over(learnt, dt):
+    """The same over a step of dt: what was learnt over windows says nothing of what goes beyond one; [29]."""
+    return learnt + (1.0 - learnt) * max(0.0, 1.0 - WINDOW_S / dt)
 
 
 @inner_kernel

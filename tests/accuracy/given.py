@@ -12,6 +12,7 @@ from service.offline.replay import Replay, ReplayOptions, replay, write_replay
 from service.offline.score import RelationErrors, RelationsScore, score
 from service.offline.trajectory import read_tum, write_tum
 from tests.accuracy.between_scans import with_odometry
+from tests.accuracy.recorded import WithoutOdometry, rewrite
 from tests.papers.report import Row, Section
 from tests.recorded_drive import frames_of
 from tests.shared_data import SHARED
@@ -54,6 +55,7 @@ def given(seeds: Sequence[int]) -> Section:  # recordings: seeds change nothing
             rows += _world(name, bound_m, Path(folder) / name)
         for name, relations, shift_s, bound_m, bound_deg in DATASETS:
             rows += _dataset(name, relations, shift_s, (bound_m, bound_deg), Path(folder) / name)
+        rows += _without_odometry("intel", 0.045, Path(folder))
     return Section(
         "Given recordings",
         "Recordings of another simulator against their truth, and recordings of real buildings against "
@@ -141,6 +143,21 @@ def _dataset(
             Row("", what, [error.rotation_deg.mean], "deg"),
         ]
     return rows
+
+
+def _without_odometry(name: str, bound_m: float, folder: Path) -> list[Row]:
+    """A recording with official relations as it is, but for its odometry."""
+    spoilt, out = folder / "spoilt.mcap", folder / f"{name}_without_odometry"
+    rewrite(recording_of(name), spoilt, WithoutOdometry())
+    states = [output.state for output in _mapped(spoilt, out).outputs]
+    report = score(out / "trajectory.tum", recording_of(name).with_name("official.relations"))
+    assert isinstance(report, RelationsScore)
+    what, error = f"{name} without odometry", report.errors[0]
+    return [
+        Row("", f"{what}: scans lost", [100.0 * states.count("lost") / len(states)], "%", digits=1),
+        Row("", f"{what}: official", [error.translation_m.mean], "m", at_most=bound_m, digits=4),
+        Row("", f"{what}: official", [error.rotation_deg.mean], "deg"),
+    ]
 
 
 def _scored_between_scans(recording: Path, relations: Path, out: Path) -> RelationErrors:
