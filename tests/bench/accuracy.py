@@ -47,6 +47,7 @@ SCENARIOS: dict[str, Callable[[Sequence[int]], Section]] = {
     "parked": trials.parked,
     "lasers": lasers.lasers,
     "outages": outages.outages,
+    "outages_alone": outages.outages_alone,
     "relocalisation": relocalisation.relocalisation,
     "scans": cost.scans,
     "replay": cost.recording,
