@@ -112,16 +112,17 @@ def outages_alone(seeds: Sequence[int]) -> Section:
     for name in ("office", "library"):
         world = begun_at(WORLDS[name](), heading_rad(seeds[0]))
         (made,) = drives(world, LMS100_50HZ, world.drive.duration_s, [seeds[0]], None)
-        for outage_ns in ALONE_NS:
-            outcome = Outcome()
-            for share in (np.arange(MOMENTS) + 0.5) / MOMENTS:
-                at_ns = round((0.1 + 0.7 * share) * world.drive.duration_s * 1e9)
-                until = _until(made, at_ns + outage_ns + AFTER_NS)
-                clean = ghost_cells(world, until, run_session(mapping_config(), until))
+        outcomes = {outage_ns: Outcome() for outage_ns in ALONE_NS}
+        for share in (np.arange(MOMENTS) + 0.5) / MOMENTS:
+            at_ns = round((0.1 + 0.7 * share) * world.drive.duration_s * 1e9)
+            until = _until(made, at_ns + OUTAGE_NS + AFTER_NS)
+            clean = ghost_cells(world, until, run_session(mapping_config(), until))
+            for outage_ns, outcome in outcomes.items():
                 faulty = _laser_silent(until, at_ns, outage_ns)
                 done = run_session(mapping_config(), faulty)
                 outcome.add(done, at_ns + outage_ns, ghost_cells(world, faulty, done) - clean)
                 gc.collect()
+        for outage_ns, outcome in outcomes.items():
             rows += outcome.rows(f"{name}, silent for {outage_ns * 1e-9:.0f} s", is_known_ground=False)
     return Section(
         "Outages of a laser alone",
