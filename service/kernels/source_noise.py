@@ -56,6 +56,7 @@ def learn_noise(state, information, settings):
 
     state         Filter           in and out
     information   (3, 3) float64   of the scan alone, base axes
+    settings      MotionSettings
     Source: Mehra, On the identification of variances and adaptive Kalman filtering, 1970.
     """
     w = state.window
@@ -96,7 +97,7 @@ def learn_motion(state, settings):
     Source: Shumway, Stoffer, An approach to time series smoothing and forecasting using EM, 1982.
     """
     w = state.window
-    if w[6] > 0.0 or w[7] > 0.0:
+    if w[6] > 0.0 or w[7] > 0.0:  # variances: odometry said something
         state.motion_noise[:] = 1.0
         return
     lasting_s = w[13] + settings.acceleration_s * math.expm1(-w[13] / settings.acceleration_s)

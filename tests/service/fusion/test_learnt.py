@@ -11,7 +11,7 @@ from service.fusion.estimator import ACCELERATION_S, Estimator, EstimatorConfig
 from service.fusion.motion import Measurement
 from service.geometry.se2 import SE2
 from service.kernels.filter_state import LAG, SCALE, TURN_SCALE
-from tests.service.fusion.samples import matched, odometry
+from tests.service.fusion.samples import gyro, matched, odometry
 from tests.simulated import Wheels
 
 DT_S = 1e-3
@@ -144,10 +144,12 @@ def test_a_fault_is_no_lag(wheels: FaultyWheels, seed: int) -> None:
     assert abs(learnt.error[2]) < 0.05
 
 
-def motion_noise_learnt(noise: float, with_odometry: bool = False, seconds: float = 240.0) -> float:
-    """Mean of what is learnt of forward changes of speed, which have `noise` times the variance of the model.
+def motion_noise_learnt(
+    noise: float, with_odometry: bool = False, with_gyro: bool = False, seconds: float = 240.0
+) -> npt.NDArray[np.float64]:
+    """Mean of what is learnt of changes of twist; those forward have `noise` times the variance of the model.
 
-    Laser alone at 25 Hz, or with odometry; the first 60 s are left out.
+    (3,) forward, left, rotation. A laser at 25 Hz alone, or with others; the first 60 s are left out.
     """
     config, random, dt = EstimatorConfig(), np.random.default_rng(4), 0.04
     model, x_m, speed_mps, acceleration, learnt = Estimator(config), 0.0, 1.0, 0.0, []
@@ -156,23 +158,32 @@ def motion_noise_learnt(noise: float, with_odometry: bool = False, seconds: floa
     for k in range(round(seconds / dt)):
         if with_odometry:
             model.add(odometry(1e3 * dt * k, SE2(x_m, 0.0, 0.0)))
+        if with_gyro:
+            model.add(gyro(1e3 * dt * k, 0.0))
         model.predict(round(1e9 * dt * k))
         scan = SE2(x_m + SIGMA_M * random.standard_normal(), 0.0, 0.0)
         model.correct(matched(scan, np.diag(1.0 / np.array(EVERYWHERE))) if k else None)
-        learnt.append(float(model._filter.motion_noise[0]))
+        learnt.append(model._filter.motion_noise.copy())
         x_m, speed_mps = x_m + dt * speed_mps, speed_mps + dt * (acceleration + 0.2 * (1.0 - speed_mps))
         acceleration = kept * acceleration + pushed * random.standard_normal()
-    return float(np.mean(learnt[round(60.0 / dt) :]))
+    mean: npt.NDArray[np.float64] = np.mean(learnt[round(60.0 / dt) :], axis=0)
+    return mean
 
 
 @pytest.mark.parametrize("noise", [0.1, 0.3])
 def test_how_much_a_speed_changes_is_learnt_where_only_scans_measure_it(noise: float) -> None:
-    assert 0.6 * noise < motion_noise_learnt(noise) < 1.4 * noise
+    assert 0.6 * noise < motion_noise_learnt(noise)[0] < 1.4 * noise
 
 
 def test_a_steady_drive_is_believed_to_go_on_steadily() -> None:
-    assert motion_noise_learnt(0.0) < 0.03
+    assert motion_noise_learnt(0.0).max() < 0.03
 
 
 def test_where_odometry_measures_it_the_model_of_motion_stays_wide() -> None:
-    assert motion_noise_learnt(0.0, with_odometry=True) == 1.0
+    np.testing.assert_array_equal(motion_noise_learnt(0.0, with_odometry=True, seconds=90.0), 1.0)
+
+
+def test_a_gyro_measures_the_rotation_alone() -> None:
+    forward, left, rotation = motion_noise_learnt(0.0, with_gyro=True).tolist()
+    assert max(forward, left) < 0.03
+    assert rotation == 1.0
