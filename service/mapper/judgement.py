@@ -189,11 +189,16 @@ def _on_unknown_ground(evidence: Evidence) -> tuple[State, str]:
     """A scan of which nothing lies on the map, though the prediction is good: new ground, unless more returns
     than chance explains lie where nothing stands or behind walls that should be seen from there.
     """
-    used, usual = evidence.used, 1.0 - LEAST_AGREEMENT_FAR
-    behind = evidence.behind or 0.0
-    if evidence.in_free + behind > usual * used + CHANCE_SIGMAS * math.sqrt(usual * (1.0 - usual) * used):
+    if is_contradicted(evidence):
         return "lost", _contradicted(evidence)
     return "degraded", f"{_on_map(evidence)}: unmapped ground; the pose follows the prediction onto it"
+
+
+def is_contradicted(evidence: Evidence) -> bool:
+    """Whether more returns than chance explains lie where nothing stands, or behind walls of the map."""
+    used, usual = evidence.used, 1.0 - LEAST_AGREEMENT_FAR
+    chance = CHANCE_SIGMAS * math.sqrt(usual * (1.0 - usual) * used)
+    return evidence.in_free + (evidence.behind or 0.0) > usual * used + chance
 
 
 def drift_of(covariance: npt.NDArray[np.float64]) -> str:

@@ -128,8 +128,8 @@ def outages_alone(seeds: Sequence[int]) -> Section:
         "Outages of a laser alone",
         f"As above, without odometry and IMU: nobody measures the way while the laser is silent. {MOMENTS} "
         "moments of a lap; in most of them what lies ahead is not mapped yet. The bookcases of the "
-        "library stand 4 m apart and look alike: after 2 s the next aisle, not mapped yet, is taken for the "
-        "one before it, 4 m and 4 sigma from the prediction, which is right to 6 cm.",
+        "library stand 4 m apart and look alike: after 2 s more lies on the map one aisle back than on the "
+        "next one, which is not mapped yet.",
         rows,
     )
 

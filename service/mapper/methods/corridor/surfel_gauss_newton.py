@@ -23,6 +23,7 @@ from service.mapper.judgement import (
     begun,
     chi2_between,
     held,
+    is_contradicted,
     is_loose,
     judge,
     sigmas_of,
@@ -57,6 +58,7 @@ CHANCE_M = 1.0  # of travel, over which what scans say by chance along an open d
 MOST_CHANCE_SCANS = 50.0  # scans within CHANCE_M that count in it
 WRONG_ODOMETRY_NOISE = 20.0  # times the variance of its model: odometry with larger errors is wrong
 MOST_REPEATS = 100.0
+LESS_LIKELY_CHI2 = 4.6  # a tenth as likely, by the prediction
 USUAL_SCANS = 50  # over which the usual inlier ratio is taken
 DOUBT_RATIO = 0.9  # of the usual inlier ratio: with less, other starts are tried
 
@@ -90,6 +92,7 @@ class _Aligned:
     submap: Submap
     state: State
     reason: str
+    is_contradicted: bool  # by what the map says of ground on which returns lie
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -251,11 +254,12 @@ class SurfelGaussNewton:
             xy_base,
         )
         xy_base = xy_base[: len(points.xy_base)]
-        return _Aligned(result, xy_base, submap, *self._judge(result, xy_base, attempt, submap))
+        evidence = self._evidence(result, xy_base, attempt, submap)
+        return _Aligned(
+            result, xy_base, submap, *judge(evidence, self._config), is_contradicted=is_contradicted(evidence)
+        )
 
-    def _judge(
-        self, result: MatchResult, xy_base: Matrix, attempt: _Attempt, submap: Submap
-    ) -> tuple[State, str]:
+    def _evidence(self, result: MatchResult, xy_base: Matrix, attempt: _Attempt, submap: Submap) -> Evidence:
         prior = sigmas_of(attempt.prior.covariance)
         is_far = (
             attempt.predicted.pause_s > GAP_S  # nobody saw the way: the vehicle may have been carried
@@ -265,7 +269,7 @@ class SurfelGaussNewton:
         in_free, behind = 0, 0
         if is_far or result.share < max(DOUBT_RATIO * attempt.usual_ratio, self._config.degraded_ratio):
             in_free, behind = submap.contradicting(attempt.points, xy_base, attempt.normals, result.pose)
-        evidence = Evidence(
+        return Evidence(
             used=result.used,
             on_map=result.share * result.used,
             in_free=in_free,
@@ -277,7 +281,6 @@ class SurfelGaussNewton:
             is_doubted=self._gap is not None,
             weakest=(result.weakest_sigma_m, result.weakest_direction_rad),
         )
-        return judge(evidence, self._config)
 
     def _matched_as_if_driven_on(self, aligned: _Aligned, attempt: _Attempt) -> _Aligned:
         """Where little of the scan lies on the map: the match begun where the vehicle would be had it gone on
@@ -300,7 +303,9 @@ class SurfelGaussNewton:
     def _searched(self, aligned: _Aligned, attempt: _Attempt) -> _Aligned:
         """The best pose of a window around the prediction, if clearly more of the scan lies on the map there.
 
-        A poor recovery is worse than none: a prediction that goes on is found again, a jump is not.
+        A poor recovery is worse than none: a prediction that goes on is found again, a jump is not. What lies
+        on the map nowhere may be new ground, of which more lies on it wherever things look alike. So a match
+        that the map does not contradict is left only for one that is about as likely by the prediction.
         """
         prior = sigmas_of(attempt.prior.covariance)
         share = aligned.result.share
@@ -320,7 +325,10 @@ class SurfelGaussNewton:
         if start is None:
             return aligned
         found = self._align(attempt, np.array([start.x_m, start.y_m, start.theta_rad]), aligned.submap)
-        return found if found.state != "lost" and found.result.share >= share + GAIN else aligned
+        if found.state == "lost" or found.result.share < share + GAIN:
+            return aligned
+        less_likely = _chi2(found.result.pose, attempt.prior) - _chi2(aligned.result.pose, attempt.prior)
+        return found if aligned.is_contradicted or less_likely <= LESS_LIKELY_CHI2 else aligned
 
 
 def _with_posts(

@@ -295,6 +295,31 @@ def test_a_vehicle_that_turned_while_its_wheels_were_silent_is_found_again() -> 
     np.testing.assert_allclose([pose.x_m, pose.y_m, pose.theta_rad], 0.0, atol=2e-3)
 
 
+def aisle() -> Points:
+    """Between two bookcases, 2 m apart, with a wall behind them that goes on past both."""
+    wall_x_m, book_y_m = np.linspace(-4.0, 4.0, 240), np.linspace(0.5, 3.0, 60)
+    sides = [np.column_stack((np.full(60, x_m), book_y_m)) for x_m in (1.0, -1.0)]
+    wall = np.column_stack((wall_x_m, np.full(240, -2.0)))
+    return points_of(np.vstack((wall, sides[0], sides[1][::-1])))
+
+
+@pytest.mark.parametrize(("sigma_m", "expected_x_m"), [(1.5, 4.0), (3.0, 0.0)])
+def test_what_the_map_does_not_contradict_is_left_only_for_what_is_about_as_likely(
+    sigma_m: float, expected_x_m: float
+) -> None:
+    """The next aisle, 4 m on, is mapped by half its wall; all of a scan lies on the aisle before."""
+    unmeasured = replace(
+        predicted(SE2(4.0, 0.0, 0.0), is_measured=False),
+        covariance=np.diag([sigma_m**2, sigma_m**2, 0.2**2]),
+        local_covariance=np.diag([sigma_m**2, sigma_m**2, 0.2**2]),
+        elapsed_s=2.0,
+        pause_s=2.0,
+    )
+    result = new_matcher().match(aisle(), unmeasured, mapped(aisle()))
+    assert result.motion.pose_odom_base.x_m == pytest.approx(expected_x_m, abs=0.3)
+    assert (result.state == "ok") == (expected_x_m == 0.0)
+
+
 def test_the_whole_window_is_searched_twice_a_second_at_most() -> None:
     matcher, chain, frozen = new_matcher(), mapped(nook()), predicted(SE2(0.6, -0.4, 1.2), sigma=0.02)
     elsewhere = square(8.0)
