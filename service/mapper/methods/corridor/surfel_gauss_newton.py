@@ -58,7 +58,7 @@ CHANCE_M = 1.0  # of travel, over which what scans say by chance along an open d
 MOST_CHANCE_SCANS = 50.0  # scans within CHANCE_M that count in it
 WRONG_ODOMETRY_NOISE = 20.0  # times the variance of its model: odometry with larger errors is wrong
 MOST_REPEATS = 100.0
-LESS_LIKELY_CHI2 = 4.6  # a tenth as likely, by the prediction
+LESS_LIKELY_CHI2 = 4.6  # 2 ln 10: a tenth as likely by the prediction
 USUAL_SCANS = 50  # over which the usual inlier ratio is taken
 DOUBT_RATIO = 0.9  # of the usual inlier ratio: with less, other starts are tried
 
@@ -92,7 +92,7 @@ class _Aligned:
     submap: Submap
     state: State
     reason: str
-    is_contradicted: bool  # by what the map says of ground on which returns lie
+    is_contradicted: bool  # by free space and walls of the map; False where too much lies on it to ask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -303,9 +303,10 @@ class SurfelGaussNewton:
     def _searched(self, aligned: _Aligned, attempt: _Attempt) -> _Aligned:
         """The best pose of a window around the prediction, if clearly more of the scan lies on the map there.
 
-        A poor recovery is worse than none: a prediction that goes on is found again, a jump is not. What lies
-        on the map nowhere may be new ground, of which more lies on it wherever things look alike. So a match
-        that the map does not contradict is left only for one that is about as likely by the prediction.
+        A poor recovery is worse than none: a prediction that goes on is found again, a jump is not.
+        Returns that do not lie on the map may be of new ground, and more of them lie on it wherever things
+        look alike. So a match that the map does not contradict is left only for a pose that is about as
+        likely by the prediction.
         """
         prior = sigmas_of(attempt.prior.covariance)
         share = aligned.result.share

@@ -308,12 +308,10 @@ def test_what_the_map_does_not_contradict_is_left_only_for_what_is_about_as_like
     sigma_m: float, expected_x_m: float
 ) -> None:
     """The next aisle, 4 m on, is mapped by half its wall; all of a scan lies on the aisle before."""
+    prediction = predicted(SE2(4.0, 0.0, 0.0), is_measured=False)
+    covariance = np.diag([sigma_m**2, sigma_m**2, 0.2**2])
     unmeasured = replace(
-        predicted(SE2(4.0, 0.0, 0.0), is_measured=False),
-        covariance=np.diag([sigma_m**2, sigma_m**2, 0.2**2]),
-        local_covariance=np.diag([sigma_m**2, sigma_m**2, 0.2**2]),
-        elapsed_s=2.0,
-        pause_s=2.0,
+        prediction, covariance=covariance, local_covariance=covariance, elapsed_s=2.0, pause_s=2.0
     )
     result = new_matcher().match(aisle(), unmeasured, mapped(aisle()))
     assert result.motion.pose_odom_base.x_m == pytest.approx(expected_x_m, abs=0.3)
