@@ -1,13 +1,26 @@
-"""The systematic error of a sensor's ranges as a curve over range, as walls show it that are seen again."""
+"""The systematic error of a laser's ranges, of all of them and as a curve over range: walls show it that are
+seen again.
+"""
 
 import math
 
 import numpy as np
 
-from service.kernels.compiled import kernel
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.linear3 import solve_3x3
 from service.kernels.match import point_information
-from service.kernels.surfels import find_surfels
+from service.kernels.surfels import (
+    COSINES,
+    COUNT,
+    LASERS,
+    NORMAL_X,
+    NORMAL_Y,
+    SAME_WALL_COSINE,
+    TILE_BITS,
+    TILE_MASK,
+    find_surfels,
+)
+from service.kernels.tiles import NO_TILE, find_tile
 
 LEAST_COSINE = 0.1  # of the incidence: beams that graze more say nothing of a range
 
@@ -44,23 +57,44 @@ def shorten_ranges(xy, sensor_xy_m, curve_m, node_m, shortened):
         shortened[i, 1] = xy[i, 1] - share * y
 
 
-@kernel
-def see_bias(xy_base, normals, pose, sensor_xy_m, grid, settings, node_m, information, weighted_m):
-    """What a matched scan says of the bias at the nodes, whatever its pose; [21].
+@inner_kernel
+def cosine_of_map(found, grid, laser):
+    """Mean cosine at which a laser has seen the wall of a point, row of find_surfels; nan: not known."""
+    column = math.floor(found[0] / grid.cell_m)
+    row = math.floor(found[1] / grid.cell_m)
+    slot = find_tile(grid.tiles, row >> TILE_BITS, column >> TILE_BITS)
+    if slot == NO_TILE:
+        return math.nan
+    r = row & TILE_MASK
+    q = column & TILE_MASK
+    for side in range(2):
+        if grid.surfels[slot, r, q, side, COUNT] == 0.0:
+            break
+        nx = grid.surfels[slot, r, q, side, NORMAL_X]
+        ny = grid.surfels[slot, r, q, side, NORMAL_Y]
+        if nx * found[2] + ny * found[3] > SAME_WALL_COSINE:
+            return np.float64(grid.surfels[slot, r, q, side, COSINES + laser])
+    return math.nan
 
-    xy_base        (N, 2) float64   m, base frame
-    normals        (N, 3) float64   from estimate_normals
-    pose           (3,)   float64   matched
-    sensor_xy_m    (2,)   float64   where the beams start, m, base frame
-    grid           SurfelGrid
+
+@kernel
+def see_bias(xy_base, normals, pose, sensor_xy_m, laser, grid, settings, node_m, information, weighted_m):
+    """What a matched scan says of the bias at the nodes and of that of all ranges, whatever its pose; [21].
+
+    xy_base        (N, 2) float64           m, base frame
+    normals        (N, 3) float64           from estimate_normals
+    pose           (3,)   float64           matched
+    sensor_xy_m    (2,)   float64           where the beams start, m, base frame
+    laser          int                      as in insert_surfels; LASERS says nothing of all ranges
+    grid           SurfelGrid               with cosines
     settings       MatchSettings
-    node_m         float            distance of the nodes
-    information    (K, K) float64   out: 1/m^2
-    weighted_m     (K,)   float64   out: information times bias, 1/m
+    node_m         float                    distance of the nodes
+    information    (K + 1, K + 1) float64   out: 1/m^2; all ranges last
+    weighted_m     (K + 1,)       float64   out: information times bias, 1/m
     """
     information[:, :] = 0.0
     weighted_m[:] = 0.0
-    count = weighted_m.shape[0]
+    count = weighted_m.shape[0] - 1
     found = np.empty((xy_base.shape[0], 6))
     find_surfels(xy_base, normals, pose, grid, settings.least_normal_cosine, found)
     c = math.cos(pose[2])
@@ -69,8 +103,10 @@ def see_bias(xy_base, normals, pose, sensor_xy_m, grid, settings, node_m, inform
     H = np.zeros((3, 3))
     g = np.zeros(3)
     J = np.empty(3)
-    cross = np.zeros((count, 3))
-    solved = np.zeros((count, 3))
+    of = np.array([0, 0, count])  # what the distance of a point to its wall depends on,
+    share = np.empty(3)  # and how much
+    cross = np.zeros((count + 1, 3))
+    solved = np.zeros((count + 1, 3))
     for i in range(xy_base.shape[0]):
         if normals[i, 2] < 1.0 or found[i, 4] == 0.0:
             continue
@@ -93,27 +129,29 @@ def see_bias(xy_base, normals, pose, sensor_xy_m, grid, settings, node_m, inform
             continue
         weight = point_information(normals[i, 2], found[i, 4], found[i, 5], settings)
         weight /= 1.0 + e * e / squared_cauchy
-        upper = (at - k) * cosine
-        lower = cosine - upper
-        information[k, k] += weight * lower * lower
-        information[k + 1, k + 1] += weight * upper * upper
-        information[k, k + 1] += weight * lower * upper
-        information[k + 1, k] += weight * lower * upper
-        weighted_m[k] -= weight * lower * e
-        weighted_m[k + 1] -= weight * upper * e
+        of[0] = k
+        of[1] = k + 1
+        share[1] = -(at - k) * cosine
+        share[0] = -cosine - share[1]
+        of_map = cosine_of_map(found[i], grid, laser) if laser < LASERS else math.nan
+        share[2] = 0.0 if math.isnan(of_map) else of_map - cosine
+        for a in range(3):
+            weighted_m[of[a]] += weight * share[a] * e
+            for b in range(3):
+                information[of[a], of[b]] += weight * share[a] * share[b]
         for m in range(3):
             g[m] += weight * e * J[m]
-            cross[k, m] -= weight * lower * J[m]
-            cross[k + 1, m] -= weight * upper * J[m]
+            for a in range(3):
+                cross[of[a], m] += weight * share[a] * J[m]
             for n in range(3):
                 H[m, n] += weight * J[m] * J[n]
     for m in range(3):
         H[m, m] += 1e-6 * (H[0, 0] + H[1, 1]) + 1e-6
-    for k in range(count):
+    for k in range(count + 1):
         if information[k, k] > 0.0:
             solve_3x3(H, cross[k], solved[k])
-    for k in range(count):
+    for k in range(count + 1):
         for m in range(3):
             weighted_m[k] -= solved[k, m] * g[m]
-            for n in range(count):
+            for n in range(count + 1):
                 information[k, n] -= solved[k, m] * cross[n, m]

@@ -54,7 +54,7 @@ def looks_through(surfels, slot, row, column, reach_m, u, v, du, dv, behind_m):
 
     A beam that passes along a wall ends on it, or before it: it does not look through.
 
-    surfels       (capacity, T, T, 2, 5) float32
+    surfels       (capacity, T, T, 2, COLUMNS) float32
     slot, row, column   int     the cell, within its tile
     reach_m       float         how far from the middle of a surfel it still is the wall
     u, v          float         start of the beam, m from the centre of the cell

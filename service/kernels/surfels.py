@@ -15,6 +15,10 @@ TILE_MASK = TILE_CELLS - 1
 # Columns of a surfel: how many points of one and the same noise it stands for, mean from the centre of its
 # cell (m), unit normal.
 COUNT, MEAN_X, MEAN_Y, NORMAL_X, NORMAL_Y = range(5)
+# And where a map is to know what ranges that are too long have done to it: for each of so many lasers, the
+# mean over all points of a surfel of the cosine of incidence, 0 for a point of another laser.
+COSINES, LASERS = 5, 3
+COLUMNS = COSINES + LASERS
 SAME_WALL_COSINE = np.float32(0.7)  # a point that faces farther from a surfel begins the other one
 MOST_AROUND = 18  # surfels in 3 x 3 cells
 NOWHERE = -(2**62)  # row of no cell
@@ -26,9 +30,9 @@ ROUND_SHARE = 0.5 * (1.0 + 7.0 / (12.0 * REACH_CELLS * REACH_CELLS))
 class SurfelGrid(NamedTuple):
     """One sub-map.
 
-    tiles     TileIndex                        tiles of TILE_CELLS a side
-    surfels   (capacity, T, T, 2, 5)  float32  two surfels a cell, facing apart
-    field     (capacity, T, T)        float32  likelihood of an end point, read by the coarse stage
+    tiles     TileIndex                                   tiles of TILE_CELLS a side
+    surfels   (capacity, T, T, 2, 5 or COLUMNS) float32   two surfels a cell, facing apart
+    field     (capacity, T, T)                  float32   likelihood of an end point, read by the coarse stage
     cell_m    float
     """
 
@@ -81,7 +85,7 @@ def touch_tile(grid, tile_row, tile_column):
 
 
 @kernel
-def insert_surfels(xy_base, normals, pose, grid, count_limit, point_count):
+def insert_surfels(xy_base, normals, pose, grid, count_limit, point_count, sensor_xy_m, laser):
     """Merge the points of a scan into the surfels of a sub-map whose index covers them.
 
     xy_base       (N, 2) float64   m, base frame
@@ -92,6 +96,8 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit, point_count):
                                    by them; one that stands for more gains none, but its mean follows them
     point_count   float            how many points of the noise that surfels count in each stands for: the
                                    ratio of the variances, so that the mean has the least
+    sensor_xy_m   (2,)   float64   where the beams start, m, base frame
+    laser         int              which one of LASERS; LASERS: none of them; -1: the surfels have no cosines
     """
     c = math.cos(pose[2])
     s = math.sin(pose[2])
@@ -138,6 +144,44 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit, point_count):
             surfels[slot, r, q, side, NORMAL_X] = mx / length
             surfels[slot, r, q, side, NORMAL_Y] = my / length
         surfels[slot, r, q, side, COUNT] = n + own
+        if laser < 0:
+            continue
+        bx = xy_base[i, 0] - sensor_xy_m[0]
+        by = xy_base[i, 1] - sensor_xy_m[1]
+        range_m = math.sqrt(bx * bx + by * by)
+        cosine = np.float32(0.0)
+        if range_m > 0.0:
+            cosine = np.float32(-(normals[i, 0] * bx + normals[i, 1] * by) / range_m)
+        for k in range(LASERS):
+            of_laser = cosine if k == laser else np.float32(0.0)
+            surfels[slot, r, q, side, COSINES + k] += (
+                of_laser - surfels[slot, r, q, side, COSINES + k]
+            ) * share
+
+
+@kernel
+def shorten_surfels(grid, laser, step_m):
+    """Move the walls of a sub-map to where they are if the ranges of one of its lasers were so much too long.
+
+    grid     SurfelGrid   in and out; with cosines
+    laser    int          one of LASERS
+    step_m   float
+    """
+    surfels = grid.surfels
+    slots = grid.tiles.slots
+    for tile_row in range(slots.shape[0]):
+        for tile_column in range(slots.shape[1]):
+            slot = slots[tile_row, tile_column]
+            if slot == NO_TILE:
+                continue
+            for r in range(TILE_CELLS):
+                for q in range(TILE_CELLS):
+                    for side in range(2):
+                        if surfels[slot, r, q, side, COUNT] == 0.0:
+                            break  # the second side is never filled before the first
+                        forward_m = np.float32(step_m * surfels[slot, r, q, side, COSINES + laser])
+                        surfels[slot, r, q, side, MEAN_X] += forward_m * surfels[slot, r, q, side, NORMAL_X]
+                        surfels[slot, r, q, side, MEAN_Y] += forward_m * surfels[slot, r, q, side, NORMAL_Y]
 
 
 @kernel

@@ -112,7 +112,14 @@ class SurfelSet:
                 of = cloud.sigma_m == sigma_m
                 point_count = (UNIT_SIGMA_M / sigma_m) ** 2
                 insert_surfels(
-                    cloud.xy[of], cloud.normals[of], np.zeros(3), self.grid(), COUNT_LIMIT, point_count
+                    cloud.xy[of],
+                    cloud.normals[of],
+                    np.zeros(3),
+                    self.grid(),
+                    COUNT_LIMIT,
+                    point_count,
+                    np.zeros(2),
+                    -1,
                 )
 
     def align(self, cloud: PointCloud, pose: Floats, chance_chi2: float = 0.0) -> Fit:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from service.kernels.surfels import TILE_CELLS, SurfelGrid
+from service.kernels.surfels import COLUMNS, TILE_CELLS, SurfelGrid
 from service.kernels.tiles import NO_TILE, TileIndex
 
 
@@ -20,7 +20,7 @@ def empty_grid(cell_m: float = 0.1, tiles_each_way: int = 4, used_slots: int = 0
     index.counts[0] = used_slots
     grid = SurfelGrid(
         index,
-        np.zeros((capacity, TILE_CELLS, TILE_CELLS, 2, 5), np.float32),
+        np.zeros((capacity, TILE_CELLS, TILE_CELLS, 2, COLUMNS), np.float32),
         np.zeros((capacity, TILE_CELLS, TILE_CELLS), np.float32),
         cell_m,
     )

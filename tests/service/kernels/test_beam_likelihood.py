@@ -40,7 +40,7 @@ def mapped(looked_through: bool = False) -> KnownGround:
     y = np.arange(-1.5, 1.5, 0.002)
     xy = np.column_stack((np.full(len(y), WALL_X_M), y))
     walls, ground = empty_grid(), empty_occupancy(CELL_M)
-    insert_surfels(xy, np.tile([-1.0, 0.0, 1.0], (len(y), 1)), np.zeros(3), walls, 50.0, 1.0)
+    insert_surfels(xy, np.tile([-1.0, 0.0, 1.0], (len(y), 1)), np.zeros(3), walls, 50.0, 1.0, np.zeros(2), -1)
     trace_scan(xy, np.zeros(2), np.zeros(3), ground, EVIDENCE, 20.0, np.uint16(1))
     points = np.zeros((400, 400), np.uint8)
     splat_points(xy, FIRST, FIRST, points)

@@ -41,7 +41,7 @@ class CandidateSubmap:
         numbers = np.uint16(self.number), np.int64(ticks)
         count_hits(xy, kept, POSE, self.grid, self.sightings, self.settings, *numbers)
         remove_by_ray_cast(xy, SENSOR, POSE, self.grid, self.sightings, self.settings, *numbers)
-        insert_surfels(xy, kept, POSE, self.grid, 1000.0, 1.0)
+        insert_surfels(xy, kept, POSE, self.grid, 1000.0, 1.0, np.zeros(2), -1)
         return kept[:, 2]
 
     def weights(self, xy: np.ndarray, normals: np.ndarray) -> np.ndarray:

@@ -73,7 +73,7 @@ def room_grid() -> SurfelGrid:
     grid = empty_grid()
     xy = room_scan()
     for _ in range(3):
-        insert_surfels(xy, normals_of(xy), np.zeros(3), grid, 50.0, 1.0)
+        insert_surfels(xy, normals_of(xy), np.zeros(3), grid, 50.0, 1.0, np.zeros(2), -1)
     splat_likelihood(xy, np.zeros(3), grid, 0.15, 0.95)
     return grid
 
@@ -327,7 +327,7 @@ def corridor_grid(end_m: float, rng: np.random.Generator, scans: int = 25) -> Su
     grid = empty_grid()
     for _ in range(scans):
         xy = corridor(end_m, rng)
-        insert_surfels(xy, normals_of(xy), np.zeros(3), grid, 1000.0, 1.0)
+        insert_surfels(xy, normals_of(xy), np.zeros(3), grid, 1000.0, 1.0, np.zeros(2), -1)
         splat_likelihood(xy, np.zeros(3), grid, 0.15, 0.95)
     return grid
 

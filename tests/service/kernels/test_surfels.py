@@ -5,6 +5,9 @@ import pytest
 
 from service.kernels import surfels
 from service.kernels.surfels import (
+    COSINES,
+    MEAN_X,
+    MEAN_Y,
     MOST_AROUND,
     REACH_CELLS,
     ROUND_SHARE,
@@ -13,6 +16,7 @@ from service.kernels.surfels import (
     SurfelGrid,
     find_surfels,
     insert_surfels,
+    shorten_surfels,
 )
 from service.kernels.tiles import find_tile
 from tests.service.kernels.inner import from_python
@@ -45,7 +49,7 @@ def read_all(grid: SurfelGrid) -> list[tuple[float, float, float, float, float]]
     for tile_row, tile_column in np.argwhere(grid.tiles.slots >= 0):
         slot = grid.tiles.slots[tile_row, tile_column]
         for row, column, side in np.argwhere(grid.surfels[slot, :, :, :, 0] > 0.0):
-            n, x, y, nx, ny = grid.surfels[slot, row, column, side].astype(float)
+            n, x, y, nx, ny = grid.surfels[slot, row, column, side, :COSINES].astype(float)
             x += (((tile_column + grid.tiles.origin[1]) << TILE_BITS) + column + 0.5) * grid.cell_m
             y += (((tile_row + grid.tiles.origin[0]) << TILE_BITS) + row + 0.5) * grid.cell_m
             found.append((x, y, nx, ny, n))
@@ -55,7 +59,7 @@ def read_all(grid: SurfelGrid) -> list[tuple[float, float, float, float, float]]
 def test_surfels_are_means_of_the_points_that_face_one_way() -> None:
     xy, normals = random_points(6000)
     grid = empty_grid(cell_m=0.4)
-    insert_surfels(xy, normals, POSE, grid, 1e6, 1.0)
+    insert_surfels(xy, normals, POSE, grid, 1e6, 1.0, np.zeros(2), -1)
     expected: dict[tuple[int, int], list[list[np.ndarray]]] = {}
     facing: dict[tuple[int, int], list[np.ndarray]] = {}
     for point, normal, weight in zip(to_map(xy, POSE), turned(normals, POSE), normals[:, 2], strict=True):
@@ -77,7 +81,7 @@ def test_surfels_are_means_of_the_points_that_face_one_way() -> None:
             if members:
                 centre = (np.array([column, row]) + 0.5) * 0.4
                 np.testing.assert_allclose(surfel[1:3] + centre, np.mean(members, axis=0), atol=1e-5)
-                np.testing.assert_allclose(surfel[3:], facing[row, column][side], atol=1e-4)
+                np.testing.assert_allclose(surfel[3:5], facing[row, column][side], atol=1e-4)
     assert sum(n for *_, n in read_all(grid)) == np.count_nonzero(normals[:, 2] == 1.0)
 
 
@@ -86,7 +90,9 @@ def test_a_thin_wall_keeps_two_sides() -> None:
     y = np.linspace(-0.5, 0.5, 50)
     for x, facing in ((0.02, -1.0), (0.07, 1.0)):
         xy = np.column_stack([np.full(50, x), y])
-        insert_surfels(xy, np.tile([facing, 0.0, 1.0], (50, 1)), np.zeros(3), grid, 50.0, 1.0)
+        insert_surfels(
+            xy, np.tile([facing, 0.0, 1.0], (50, 1)), np.zeros(3), grid, 50.0, 1.0, np.zeros(2), -1
+        )
     means = {round(nx): [x for x, _, n, _, _ in read_all(grid) if n == nx] for nx in (-1.0, 1.0)}
     np.testing.assert_allclose(means[-1], 0.02, atol=1e-6)
     np.testing.assert_allclose(means[1], 0.07, atol=1e-6)
@@ -96,7 +102,9 @@ def test_a_surfel_forgets_beyond_its_limit() -> None:
     grid = empty_grid()
     for x, times in ((0.02, 100), (0.06, 60)):
         xy = np.tile([x, 0.05], (times, 1))
-        insert_surfels(xy, np.tile([-1.0, 0.0, 1.0], (times, 1)), np.zeros(3), grid, 10.0, 1.0)
+        insert_surfels(
+            xy, np.tile([-1.0, 0.0, 1.0], (times, 1)), np.zeros(3), grid, 10.0, 1.0, np.zeros(2), -1
+        )
     ((x, _, _, _, count),) = read_all(grid)
     assert count == 10.0
     assert abs(x - 0.06) < 1e-3
@@ -105,8 +113,10 @@ def test_a_surfel_forgets_beyond_its_limit() -> None:
 def of_fine_and_noisy_points(times: int, most: float) -> tuple[float, float]:
     """x and count of the surfel of points at 0.02 m, then of as many at 0.06 m with four times the noise."""
     grid, facing = empty_grid(), np.tile([-1.0, 0.0, 1.0], (times, 1))
-    insert_surfels(np.tile([0.02, 0.05], (times, 1)), facing, np.zeros(3), grid, most, 1.0)
-    insert_surfels(np.tile([0.06, 0.05], (times, 1)), facing, np.zeros(3), grid, most, 1.0 / 16.0)
+    insert_surfels(np.tile([0.02, 0.05], (times, 1)), facing, np.zeros(3), grid, most, 1.0, np.zeros(2), -1)
+    insert_surfels(
+        np.tile([0.06, 0.05], (times, 1)), facing, np.zeros(3), grid, most, 1.0 / 16.0, np.zeros(2), -1
+    )
     ((x, _, _, _, count),) = read_all(grid)
     return x, count
 
@@ -126,7 +136,9 @@ def test_noisy_points_take_nothing_from_a_surfel_that_stands_for_more() -> None:
 
 def test_a_used_slot_is_cleared_before_it_is_filled() -> None:
     grid = empty_grid(used_slots=3)
-    insert_surfels(np.array([[0.05, 0.05]]), np.array([[1.0, 0.0, 1.0]]), np.zeros(3), grid, 50.0, 1.0)
+    insert_surfels(
+        np.array([[0.05, 0.05]]), np.array([[1.0, 0.0, 1.0]]), np.zeros(3), grid, 50.0, 1.0, np.zeros(2), -1
+    )
     assert [n for *_, n in read_all(grid)] == [1.0]
 
 
@@ -136,8 +148,10 @@ def test_a_corner_keeps_its_two_walls_apart() -> None:
     across, along = 0.05 + rng.normal(0.0, 0.005, 200), rng.uniform(0.0, 0.1, 200)
     tilt = rng.normal(0.0, 0.1, 200)
     facing = np.column_stack([-np.cos(tilt), np.sin(tilt), np.ones(200)])
-    insert_surfels(np.column_stack([across, along]), facing, np.zeros(3), grid, 1e3, 1.0)
-    insert_surfels(np.column_stack([along, across]), facing[:, [1, 0, 2]], np.zeros(3), grid, 1e3, 1.0)
+    insert_surfels(np.column_stack([across, along]), facing, np.zeros(3), grid, 1e3, 1.0, np.zeros(2), -1)
+    insert_surfels(
+        np.column_stack([along, across]), facing[:, [1, 0, 2]], np.zeros(3), grid, 1e3, 1.0, np.zeros(2), -1
+    )
     found = sorted(row for row in read_all(grid) if row[4] > 20)
     normals_found = sorted(row[2:4] for row in found)
     np.testing.assert_allclose(normals_found, [[-1.0, 0.0], [0.0, -1.0]], atol=0.05)
@@ -155,6 +169,8 @@ def test_a_wall_that_runs_along_a_border_of_cells_is_found_where_it_is() -> None
             grid := empty_grid(),
             1e6,
             1.0,
+            np.zeros(2),
+            -1,
         )
         xy = np.column_stack([np.linspace(0.2, 0.8, 50), wall_y_m + rng.normal(0.0, 0.012, 50)])
         found = np.empty((50, 6))
@@ -165,7 +181,7 @@ def test_a_wall_that_runs_along_a_border_of_cells_is_found_where_it_is() -> None
 def test_the_wall_beside_a_point_is_by_the_surfels_near_it() -> None:
     """Between the plane through their mean and the mean of their own planes."""
     grid = empty_grid()
-    insert_surfels(*random_points(20_000, seed=2), np.zeros(3), grid, 50.0, 1.0)
+    insert_surfels(*random_points(20_000, seed=2), np.zeros(3), grid, 50.0, 1.0, np.zeros(2), -1)
     surfels = np.array(read_all(grid))
     cells = np.floor(surfels[:, :2] / 0.1)
     cells_stored = np.round(cells)
@@ -203,7 +219,7 @@ def test_a_round_wall_is_found_where_it_is(radius_m: float) -> None:
     outwards = np.column_stack([np.cos(bearing), np.sin(bearing)])
     xy = abs(radius_m) * outwards + rng.normal(0.0, 0.012, len(bearing))[:, None] * outwards
     facing = np.column_stack([math.copysign(1.0, radius_m) * outwards, np.ones(len(bearing))])
-    insert_surfels(xy, facing, np.zeros(3), grid := empty_grid(), 1e6, 1.0)
+    insert_surfels(xy, facing, np.zeros(3), grid := empty_grid(), 1e6, 1.0, np.zeros(2), -1)
     found = np.empty((len(xy), 6))
     find_surfels(xy, facing, np.zeros(3), grid, 0.6, found)
     off_m = ((xy - found[:, :2]) * found[:, 2:4]).sum(axis=1)
@@ -215,8 +231,8 @@ def test_far_from_the_origin_nothing_is_lost() -> None:
     far = np.array([-12.75, 9.6, 0.0])
     xy, normals = random_points(3000, seed=4)
     near_grid, far_grid = empty_grid(tiles_each_way=8), empty_grid(tiles_each_way=8)
-    insert_surfels(xy, normals, np.zeros(3), near_grid, 50.0, 1.0)
-    insert_surfels(xy, normals, far, far_grid, 50.0, 1.0)
+    insert_surfels(xy, normals, np.zeros(3), near_grid, 50.0, 1.0, np.zeros(2), -1)
+    insert_surfels(xy, normals, far, far_grid, 50.0, 1.0, np.zeros(2), -1)
     moved = np.array(sorted(read_all(far_grid)))
     assert len(moved) > 100
     total = np.array([(x * n, y * n, n) for x, y, _, _, n in read_all(near_grid)]).sum(axis=0)
@@ -230,7 +246,7 @@ def test_points_that_lie_in_one_cell_one_behind_the_other_are_counted() -> None:
     y = np.array([0.01, 0.05, 0.09, 0.11, 0.15, 0.31, 0.35, 0.02])
     xy = np.column_stack([np.full(8, 0.05), y])
     normals = np.tile([-1.0, 0.0, 1.0], (8, 1))
-    insert_surfels(xy, normals, np.zeros(3), grid, 50.0, 1.0)
+    insert_surfels(xy, normals, np.zeros(3), grid, 50.0, 1.0, np.zeros(2), -1)
     found = np.empty((8, 6))
     find_surfels(xy, normals, np.zeros(3), grid, 0.6, found)
     np.testing.assert_array_equal(found[:, 5], [3, 3, 3, 2, 2, 2, 2, 1])
@@ -243,7 +259,7 @@ def test_what_is_kept_of_a_search_changes_no_later_one(rows: int) -> None:
     grid = empty_grid()
     xy = np.column_stack([np.linspace(-1.0, 1.0, 300), 0.5 + rng.normal(0.0, 0.02, 300)])
     normals = np.tile([0.0, -1.0, 1.0], (300, 1))
-    insert_surfels(xy, normals, POSE, grid, 1000.0, 1.0)
+    insert_surfels(xy, normals, POSE, grid, 1000.0, 1.0, np.zeros(2), -1)
     around = nothing_around(len(xy))._replace(surfels=np.empty((MOST_AROUND + rows, 5)))
     for off in ((0.0, 0.0, 0.0), (0.004, -0.003, 0.001), (0.15, 0.02, 0.01), (0.004, -0.003, 0.001)):
         found, again = np.full((300, 6), np.nan), np.full((300, 6), np.nan)
@@ -252,3 +268,16 @@ def test_what_is_kept_of_a_search_changes_no_later_one(rows: int) -> None:
         assert np.count_nonzero(found[:, 4]) > 200
         np.testing.assert_array_equal(again[:, 4:], found[:, 4:])
         np.testing.assert_array_equal(again[found[:, 4] > 0.0], found[found[:, 4] > 0.0])
+
+
+def test_a_surfel_keeps_the_mean_cosine_of_each_laser_and_gives_its_ranges_back() -> None:
+    """Two points of laser 0, head-on and at 60 deg, one of laser 1: their wall moves by a share of a step."""
+    grid, facing = empty_grid(), np.array([[-1.0, 0.0, 1.0]])
+    wall = np.array([[0.05, 0.05]])
+    for laser, sensor in ((0, (-1.0, 0.05)), (0, (-0.45, 0.05 - 0.5 * math.sqrt(3.0))), (1, (-1.0, 0.05))):
+        insert_surfels(wall, facing, np.zeros(3), grid, 50.0, 1.0, np.array(sensor), laser)
+    slot = grid.tiles.slots[-grid.tiles.origin[0], -grid.tiles.origin[1]]
+    surfel = grid.surfels[slot, 0, 0, 0]
+    np.testing.assert_allclose(surfel[COSINES:], [1.5 / 3.0, 1.0 / 3.0, 0.0], atol=1e-6)
+    shorten_surfels(grid, 0, 0.03)
+    np.testing.assert_allclose(surfel[MEAN_X : MEAN_Y + 1], [-0.015, 0.0], atol=1e-7)

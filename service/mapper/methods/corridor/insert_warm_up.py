@@ -33,7 +33,8 @@ def warm_up_insert() -> None:
     normals = np.array([[-1.0, 0.0, 1.0]])
     submap = SurfelSubmaps(SubmapsConfig()).new_submap()
     settings = MatchSettings(*(kind(1) for kind in get_type_hints(MatchSettings).values()))
-    bias.learn(points, normals, np.zeros(3), submap, settings)  # first: the drive soon needs it
-    submap.insert(points, normals, None, SE2())
+    bias.learn(points, normals, np.zeros(3), submap, 0, settings)  # first: the drive soon needs it
+    submap.insert(points, normals, None, SE2(), 0)
+    submap.shorten(0, 0.0)
     submap.weighed(points, normals, np.zeros(3))
     submap.contradicting(points, points.xy_base, normals, np.zeros(3))

@@ -6,7 +6,7 @@ import numpy as np
 
 from service.kernels.deskew import Returns
 from service.kernels.match import MatchSettings, Prior, match_scan
-from service.kernels.surfels import TILE_CELLS, SurfelGrid
+from service.kernels.surfels import COLUMNS, TILE_CELLS, SurfelGrid
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 
 
@@ -20,7 +20,10 @@ def warm_up_match() -> None:
 
 
 def _empty_grid() -> SurfelGrid:
-    layers = (Layer((TILE_CELLS, TILE_CELLS, 2, 5), np.float32), Layer((TILE_CELLS, TILE_CELLS), np.float32))
+    layers = (
+        Layer((TILE_CELLS, TILE_CELLS, 2, COLUMNS), np.float32),
+        Layer((TILE_CELLS, TILE_CELLS), np.float32),
+    )
     pool = TilePool(layers, 1)
     surfels, field = pool.arrays
     return SurfelGrid(TileMap(pool).index(), surfels, field, 0.1)  # type: ignore[arg-type]

@@ -1,5 +1,6 @@
 """The systematic error of each laser's ranges, learnt while it maps and taken out of its points."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,23 +13,31 @@ from service.mapper.methods.corridor.submaps import Submap
 
 NODE_M, NODES = 0.5, 41
 SIGMA_M, SMOOTH_M = 0.01, 0.5  # of the curve before anything is learnt: its size, and how fast it changes
-# Offset, slope and bend over 10 m look like another scale of the map, in a corridor like motion: held at 0.
+OFFSET_SIGMA_M = 0.02  # of what all ranges are too long by, before anything is learnt
+# What is learnt of it changes the map where it is so much and so many sigmas: each time all walls are moved.
+OFFSET_STEP_M, OFFSET_SIGMAS = 0.001, 2.0
+# Offset, slope and bend of the curve over 10 m look like another scale of the map, in a corridor like motion:
+# held at 0. What the offset does to the walls shows in the angle at which they are seen, and it is apart.
 SMOOTH_NODES, SMOOTH_SIGMA_M = 21, 5e-4
 SAME_ERRORS = 20.0  # scans in a row that see the same errors of the map
 LEARN_EVERY_M = 0.05  # of travel
 
 
 def _prior() -> npt.NDArray[np.float64]:
+    """(NODES + 1, NODES + 1) 1/m^2, the offset last."""
     apart = NODE_M / SMOOTH_M * (np.arange(NODES)[:, None] - np.arange(NODES))
     prior = np.linalg.inv(SIGMA_M**2 * (np.exp(-0.5 * apart**2) + 1e-4 * np.eye(NODES)))
     smooth, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, SMOOTH_NODES), 3))
     prior[:SMOOTH_NODES, :SMOOTH_NODES] += smooth @ smooth.T / SMOOTH_SIGMA_M**2
-    return prior
+    whole = np.diag(np.full(NODES + 1, OFFSET_SIGMA_M**-2))
+    whole[:NODES, :NODES] = prior
+    return whole
 
 
 @dataclass(slots=True)
 class _Learnt:
-    curve_m: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(NODES))
+    curve_m: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(NODES))  # with the offset
+    offset_left_m: float = 0.0  # learnt, and not yet in the curve and in the map
     information: npt.NDArray[np.float64] = field(default_factory=_prior)
     travel_m: float = 0.0  # since it was learnt from last
 
@@ -74,15 +83,32 @@ class RangeBias:
         normals: npt.NDArray[np.float64],
         pose: npt.NDArray[np.float64],
         submap: Submap,
+        laser: int,
         settings: MatchSettings,
-    ) -> None:
-        """Take in a matched scan: deskewed points, their normals (N, 3), and the pose (3,) in the sub-map."""
+    ) -> float:
+        """Take in a matched scan: deskewed points, their normals (N, 3), and the pose (3,) in the sub-map.
+
+        Returns how much more than before all ranges of the laser are too long, m: what its walls in the map
+        are to be moved by; 0 for as long as that is little.
+        """
         learnt = self._learnt[points.scan.sensor]
         learnt.travel_m = 0.0
-        information, weighted = np.empty((NODES, NODES)), np.empty(NODES)
+        information, weighted = np.empty((NODES + 1, NODES + 1)), np.empty(NODES + 1)
         sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
-        see_bias(
-            points.xy_base, normals, pose, sensor, submap.grid(), settings, NODE_M, information, weighted
-        )
+        grid = submap.grid()
+        see_bias(points.xy_base, normals, pose, sensor, laser, grid, settings, NODE_M, information, weighted)
+        weighted -= information[:, NODES] * learnt.offset_left_m
         learnt.information += information / SAME_ERRORS
-        learnt.curve_m += np.linalg.solve(learnt.information, weighted / SAME_ERRORS)
+        of_offset = np.zeros(NODES + 1)
+        of_offset[NODES] = 1.0
+        step_m, column = np.linalg.solve(
+            learnt.information, np.column_stack((weighted / SAME_ERRORS, of_offset))
+        ).T
+        learnt.curve_m += step_m[:NODES]
+        learnt.offset_left_m += float(step_m[NODES])
+        sigma_m = math.sqrt(column[NODES])
+        if abs(learnt.offset_left_m) < max(OFFSET_STEP_M, OFFSET_SIGMAS * sigma_m):
+            return 0.0
+        taken_m, learnt.offset_left_m = learnt.offset_left_m, 0.0
+        learnt.curve_m += taken_m
+        return taken_m

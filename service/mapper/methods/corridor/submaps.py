@@ -16,7 +16,15 @@ from service.kernels.static_score import (
     remove_by_ray_cast,
     weigh_static_score,
 )
-from service.kernels.surfels import TILE_BITS, TILE_CELLS, SurfelGrid, insert_surfels
+from service.kernels.surfels import (
+    COLUMNS,
+    LASERS,
+    TILE_BITS,
+    TILE_CELLS,
+    SurfelGrid,
+    insert_surfels,
+    shorten_surfels,
+)
 from service.kernels.tiles import NO_TILE
 from service.mapper.components import MapChange, Match, Points, Standing
 from service.mapper.judgement import too_few
@@ -97,8 +105,9 @@ class Submap:
         return int(in_free), int(behind)
 
     def insert(
-        self, points: Points, normals: npt.NDArray[np.float64], posts: Posts | None, pose: SE2
+        self, points: Points, normals: npt.NDArray[np.float64], posts: Posts | None, pose: SE2, laser: int
     ) -> None:
+        """laser: as in insert_surfels."""
         config = self._config
         reach_m = reach_of(points.xy_base)
         self._tiles.cover_around((pose.x_m, pose.y_m), reach_m, config.cell_m, TILE_BITS, SPLAT_REACH_CELLS)
@@ -109,13 +118,18 @@ class Submap:
         if posts is None:  # what is round has another direction from each side
             normals = self.narrow_walls.insert(points, normals, pose_vector)
         point_count = (SURFEL_SIGMA_M / points.range_sigma_m) ** 2
-        insert_surfels(points.xy_base, normals, pose_vector, grid, COUNT_LIMIT, point_count)
+        sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
+        insert_surfels(points.xy_base, normals, pose_vector, grid, COUNT_LIMIT, point_count, sensor, laser)
         if posts is not None:
             twice = np.repeat(posts.xy_base, 2, axis=0)
             whole = posts.normals(pose.theta_rad, np.ones(len(posts.point)))
-            insert_surfels(twice, whole, pose_vector, grid, COUNT_LIMIT, point_count)
+            insert_surfels(twice, whole, pose_vector, grid, COUNT_LIMIT, point_count, sensor, laser)
         splat_likelihood(points.xy_base, pose_vector, grid, FIELD_SIGMA_M, FIELD_ENOUGH)
         self.scan_count += 1
+
+    def shorten(self, laser: int, step_m: float) -> None:
+        """Take out of the walls what one of LASERS has measured too long."""
+        shorten_surfels(self.grid(), laser, step_m)
 
     def _sight(
         self,
@@ -181,7 +195,7 @@ class SurfelSubmaps:
         self._config = config
         self._pool = TilePool(
             (
-                Layer((TILE_CELLS, TILE_CELLS, 2, 5), np.float32),
+                Layer((TILE_CELLS, TILE_CELLS, 2, COLUMNS), np.float32),
                 Layer((TILE_CELLS, TILE_CELLS), np.float32),
                 *(Layer((TILE_CELLS, TILE_CELLS), dtype) for dtype in (np.int8, np.uint16)),  # Sightings
             ),
@@ -197,6 +211,7 @@ class SurfelSubmaps:
         self._moved_m = self._turned = 0.0  # from the key frame before; turned: in fields of view
         self._travelled_m = 0.0  # since the younger of the pair was begun
         self._last_keyframe: SE2 | None = None
+        self._lasers: dict[str, int] = {}
         self._last_of: dict[str, SE2] = {}  # by laser: each sees another part of what is around
 
     @property
@@ -242,6 +257,17 @@ class SurfelSubmaps:
         self._pair, self._detached, self._pause_s = [self._detached], None, 0.0
         self._joined_piece = self._piece
         self._travelled_m = 0.0
+
+    def laser_of(self, sensor: str) -> int:
+        """Its number among LASERS, in the order in which they came; LASERS: one too many."""
+        return self._lasers.setdefault(sensor, min(len(self._lasers), LASERS))
+
+    def shorten(self, sensor: str, step_m: float) -> None:
+        """Its ranges turn out to have been so much too long: move the walls that it has seen."""
+        laser = self.laser_of(sensor)
+        for submap in (*self._pair, self._detached):
+            if submap is not None and laser < LASERS:
+                submap.shorten(laser, step_m)
 
     @property
     def tile_count(self) -> int:
@@ -331,7 +357,7 @@ class SurfelSubmaps:
         posts = posts_of(points)
         points, normals = self.on_walls(points)
         for submap in submaps:
-            submap.insert(points, normals, posts, pose)
+            submap.insert(points, normals, posts, pose, self.laser_of(points.scan.sensor))
 
     def new_submap(self) -> Submap:
         """An empty one, which belongs to nothing yet."""

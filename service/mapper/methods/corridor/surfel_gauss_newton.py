@@ -164,7 +164,7 @@ class SurfelGaussNewton:
         aligned = self._searched(aligned, attempt)
         if aligned.state != "lost" and self._is_found(aligned, attempt):
             self._usual_ratios[points.scan.sensor] = usual + (aligned.result.share - usual) / USUAL_SCANS
-            self._learn_bias(aligned, attempt)
+            self._learn_bias(aligned, attempt, local_map)
             self._was_contradicted = aligned.result.prior_weight < LEAST_PRIOR_WEIGHT
             return self._as_match(aligned, attempt, aligned.state, aligned.reason)
         return self._on_piece(attempt, local_map, aligned.reason, aligned.result.share)
@@ -216,18 +216,22 @@ class SurfelGaussNewton:
         deskewed = replace(attempt.unmoved, xy_base=aligned.xy_base - moved_m)
         return Match(motion, deskewed, result.share, state, reason, aligned.submap.number, measured)
 
-    def _learn_bias(self, aligned: _Aligned, attempt: _Attempt) -> None:
+    def _learn_bias(self, aligned: _Aligned, attempt: _Attempt, local_map: SurfelSubmaps) -> None:
         if self._gap is not None or aligned.result.share < DOUBT_RATIO * attempt.usual_ratio:
             return
-        if not self._bias.is_due(attempt.points.scan.sensor, attempt.predicted.travel_m):
+        sensor = attempt.points.scan.sensor
+        if not self._bias.is_due(sensor, attempt.predicted.travel_m):
             return
-        self._bias.learn(
+        offset_m = self._bias.learn(
             replace(attempt.points, xy_base=aligned.xy_base),
             attempt.normals,
             aligned.result.pose,
             aligned.submap,
+            local_map.laser_of(sensor),
             self._settings._replace(range_sigma_m=attempt.points.range_sigma_m),
         )
+        if offset_m:
+            local_map.shorten(sensor, offset_m)
 
     def _align(self, attempt: _Attempt, start: Matrix, submap: Submap) -> _Aligned:
         """The match on a sub-map, begun at `start`, a pose as in the prior, and what to think of it."""
