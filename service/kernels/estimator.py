@@ -42,6 +42,8 @@ from service.kernels.tracks import (
 
 GYRO_SCALE = 0.005  # error of the gyro's scale
 GRACE_NS = 50_000_000  # odometry may begin so much later than the last scan
+# Of a step in which odometry stands: what else says that the vehicle does not is to be heard, [30].
+STANDING_M, STANDING_RAD = 0.003, 0.002
 GATE_CHI2 = 11.3  # 99 % of three degrees of freedom: beyond, a measurement widens until it fits
 GATE_CHI2_GYRO = 6.6  # 99 % of one
 MEAN_S = 0.5  # over which the twist is averaged that an error of scale is multiplied by; [25]
@@ -325,6 +327,9 @@ def odometry_step(state, odometry, last_ns, stamp_ns, settings, change):
     square_m2 += settings.acceleration**2 * bridged + late_m**2
     square_rad2 = settings.heading_walk**2 * d + settings.turn_walk**2 * turned
     square_rad2 += settings.resolution_rad**2 + settings.turn_acceleration**2 * bridged + late_rad**2
+    if way[0] == 0.0 and way[1] == 0.0 and way[2] == 0.0:  # the vehicle stands, or odometry has died; [30]
+        square_m2 += STANDING_M**2
+        square_rad2 += STANDING_RAD**2
     for i in range(3):
         state.said[i] = way[i]
         change[i] = twists[1, i] - twists[0, i]
