@@ -32,6 +32,7 @@ MATCH_M, WALK_M, TURN_M = 0.01, 0.02, 0.02
 MEDIAN_CHI2 = math.log(4.0)  # of two degrees of freedom
 ROBUST_CHI2 = 9.0  # of a step that counts half
 WEAK_PRIOR_INFORMATION = 1e-6 * np.eye(4)  # so that what no step measures can be inverted, too
+LEAST_OPPOSED_RAD = 3.0  # turned in all, before turns the other way are no accident
 LEAST_SCALE, MOST_SCALE = 0.5, 2.0  # odometry beyond is not what shows a mounting
 TOLERANCE = np.diag([0.05, 0.05, math.radians(0.5)]) ** 2  # m, m, rad: how well people know axle and mounting
 MOST_CHI2 = 16.3  # 99.9 % of three degrees of freedom
@@ -45,7 +46,7 @@ class OdometryMounting:
         self._samples: deque[tuple[int, SE2]] = deque(maxlen=SAMPLES)
         self._waiting: tuple[int, SE2] | None = None  # a pose that is newer than odometry
         self._last: tuple[int, SE2, SE2] | None = None  # end of the last step: stamp, by scans, by odometry
-        self._steps: deque[tuple[float, ...]] = deque(maxlen=STEPS)  # x, y, theta by scans; x, y by odometry
+        self._steps: deque[tuple[float, ...]] = deque(maxlen=STEPS)  # x, y, theta by scans, then by odometry
         self._new = 0
 
     def add_odometry(self, sample: OdometrySample) -> None:
@@ -76,7 +77,9 @@ class OdometryMounting:
         if way_m < STEP_M and abs(matched.theta_rad) < STEP_RAD:
             return
         self._last = stamp_ns, pose_odom_base, odometry
-        self._steps.append((matched.x_m, matched.y_m, matched.theta_rad, driven.x_m, driven.y_m))
+        self._steps.append(
+            (matched.x_m, matched.y_m, matched.theta_rad, driven.x_m, driven.y_m, driven.theta_rad)
+        )
         self._new += 1
         if self._new == JUDGED_EACH:
             self._new = 0
@@ -104,7 +107,12 @@ class OdometryMounting:
 
 
 def fault_of(steps: Floats) -> str:
-    """steps   (K, 5) x, y m and theta rad by scan matching, x, y m by odometry, in the base at their begin"""
+    """steps   (K, 6) x, y m and theta rad by scan matching, then by odometry, in the base at their begin"""
+    if turns_are_opposed(steps):
+        return (
+            "odometry turns the other way than the scans; is a laser mounted upside down, contrary to its "
+            "mounting in the config, or are the wheels of odometry swapped?"
+        )
     found = offset_of(steps)
     if found is None:
         return ""
@@ -123,12 +131,24 @@ def fault_of(steps: Floats) -> str:
     )
 
 
+def turns_are_opposed(steps: Floats) -> bool:
+    """Whether scans and odometry turn about as far, and one of them the wrong way: a laser that is mounted
+    upside down maps a mirror image of the place, and the map agrees with itself.
+    """
+    matched, driven = steps[:, 2], steps[:, 5]
+    does_turn = np.abs(matched) > LEAST_TURN_RAD
+    if np.abs(matched[does_turn]).sum() < LEAST_OPPOSED_RAD:
+        return False
+    ratio = float(np.median(driven[does_turn] / matched[does_turn]))
+    return LEAST_SCALE <= -ratio <= MOST_SCALE
+
+
 def offset_of(steps: Floats) -> tuple[Floats, Floats] | None:
     """(3,) the base as configured in the base of odometry, x, y m and yaw rad; and its covariance (3, 3).
 
     None where odometry does not show it: it is dead, or its scale is nowhere near 1.
     """
-    x, y, turn, driven = steps[:, 0], steps[:, 1], steps[:, 2], steps[:, 3:]
+    x, y, turn, driven = steps[:, 0], steps[:, 1], steps[:, 2], steps[:, 3:5]
     turned = np.where(np.abs(turn) < LEAST_TURN_RAD, 0.0, turn)
     c, s = np.cos(turned), np.sin(turned)
     # (K, 2, 4) of yaw's cosine and sine and the translation, all over the scale

@@ -10,7 +10,14 @@ import pytest
 
 from drivers.frames import OdometrySample
 from service.geometry.se2 import SE2
-from service.mapper.odometry_mounting import JUDGED_EACH, STEPS, OdometryMounting, fault_of, offset_of
+from service.mapper.odometry_mounting import (
+    JUDGED_EACH,
+    STEPS,
+    OdometryMounting,
+    fault_of,
+    offset_of,
+    turns_are_opposed,
+)
 from service.mapper.profiles import mapping_config
 from simulators.worlds import WORLDS
 from tests.accuracy.driving import Trip
@@ -136,7 +143,7 @@ def test_wheels_that_slip_now_and_then_show_no_mounting():
     driven = np.column_stack([np.full(200, 0.2), random.normal(0.0, 0.005, 200)])
     matched = np.column_stack([driven, random.uniform(-0.3, 0.3, 200)])
     matched[::10, 1] -= 0.2  # each tenth step slides to the right
-    assert fault_of(np.column_stack([matched, driven])) == ""
+    assert fault_of(np.column_stack([matched, driven, matched[:, 2]])) == ""
 
 
 def test_who_drives_straight_finds_no_place_of_the_laser():
@@ -144,7 +151,25 @@ def test_who_drives_straight_finds_no_place_of_the_laser():
     random = np.random.default_rng(4)
     heading = random.normal(0.0, 0.004, 401)
     matched = np.column_stack([np.full(400, 3.0), -3.0 * heading[:-1], np.diff(heading)])
-    assert fault_of(np.column_stack([matched, np.full(400, 3.0), np.zeros(400)])) == ""
+    assert fault_of(np.column_stack([matched, np.full(400, 3.0), np.zeros(400), np.diff(heading)])) == ""
+
+
+@pytest.mark.parametrize(("is_mirrored", "is_named"), [(True, True), (False, False)])
+def test_a_laser_that_is_mounted_upside_down_contrary_to_its_config_is_named(is_mirrored, is_named):
+    """Its scans turn the other way than odometry; the map alone is as good as the right one."""
+    true, check = way(40.0), OdometryMounting()
+    for k in range(2000):
+        stamp_ns, pose = k * SCAN_NS, true(k * SCAN_NS * 1e-9)
+        seen = SE2(pose.x_m, -pose.y_m, -pose.theta_rad) if is_mirrored else pose
+        check.add_odometry(sample(stamp_ns, pose))
+        check.add_pose(stamp_ns, seen)
+    assert check.fault.startswith("odometry turns the other way than the scans") is is_named
+    assert bool(check.fault) is is_named
+
+
+def test_turns_of_dead_odometry_are_not_the_other_way():
+    steps = np.column_stack([np.full(50, 0.2), np.zeros(50), np.full(50, 0.5), np.zeros((50, 3))])
+    assert not turns_are_opposed(steps)
 
 
 def test_dead_odometry_shows_no_mounting():
