@@ -1,6 +1,7 @@
 """replay, import, recover, export, view, score: work on files."""
 
 import argparse
+import logging
 import sys
 import threading
 from collections.abc import Iterator, Sequence
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from service.offline.replay import Outcome
     from service.offline.replay_page import ReplayPage
     from service.offline.view import View
+
+log = logging.getLogger(__name__)
 
 
 def replay(parsed: argparse.Namespace) -> int:
@@ -54,7 +57,11 @@ def replay(parsed: argparse.Namespace) -> int:
 def _tell_outcomes(
     names: Sequence[str], outcomes: Sequence["Outcome"], folders: Sequence[Path], as_json: bool
 ) -> None:
-    """A table of what was mapped and, on stderr, why the others were not; or all of it as JSON."""
+    """A table of what was mapped and, on stderr, why the others were not; or all of it as JSON. Last, on
+    stderr, why scans were degraded or lost.
+    """
+    from service.offline.state_reasons import doubts
+
     told: dict[str, dict[str, Any]] = {}
     for name, outcome, folder in zip(names, outcomes, folders, strict=True):
         if isinstance(outcome, CorridorError):
@@ -66,6 +73,10 @@ def _tell_outcomes(
         print_result(told if len(told) > 1 else told[names[0]], as_json=True)
     elif mapped := [summary for summary in told.values() if "out" in summary]:
         print_table(_table(mapped))
+    sys.stdout.flush()
+    for name, outcome in zip(names, outcomes, strict=True):
+        for doubt in () if isinstance(outcome, CorridorError) else doubts(outcome):
+            log.warning("%s: %s", name, doubt)
 
 
 @contextmanager

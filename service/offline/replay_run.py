@@ -34,6 +34,7 @@ from service.offline.profile_switches import ProfileSwitches
 from service.offline.replay_figures import ComponentTimes, peak_rss_mb, percentiles_ms
 from service.offline.replay_result import Replay
 from service.offline.replay_setup import ReplaySetup
+from service.offline.state_reasons import StateReasons
 from service.outputs import MapperOutput, TileUpdate
 from service.recording.mcap_source import Session
 from service.version import VERSION
@@ -80,6 +81,7 @@ class ReplayRun:
         self._scan_ns: list[int] = []
         self._scan_cpu_ns: list[int] = []
         self._states: Counter[str] = Counter()
+        self._reasons = StateReasons()
         self._outputs: list[MapperOutput] = []
         self._poses: list[SE2] = []  # of the outputs of maps that are finished
         self._tiles: list[TileUpdate] = []  # of the newest finished map, as are the following
@@ -148,6 +150,7 @@ class ReplayRun:
         self._scan_cpu_ns.append(time.thread_time_ns() - before_cpu_ns)
         self._scan_ns.append(time.perf_counter_ns() - before_ns)
         self._states[output.state] += 1
+        self._reasons.add(output)
         self._outputs.append(output)
         self._watch.mapped(frame, output)
         begin_ns, end_ns = self._recording.first_log_ns, self._recording.last_log_ns
@@ -214,6 +217,7 @@ class ReplayRun:
             "map_tiles": len(self._tiles),
             "map_resets": counters["map_resets"],
             "state": {state: self._states[state] for state in STATES},
+            "state_reasons": self._reasons.as_dict(),
             "fixes": {
                 name.removeprefix("fixes_"): count
                 for name, count in sorted(counters.items())

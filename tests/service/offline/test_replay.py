@@ -1,7 +1,7 @@
 import json
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -76,6 +76,7 @@ def record_drive(tmp_path: Path) -> RecordDrive:
         requests: Mapping[int, str] = MappingProxyType({}),
         rear_scans: int = 0,
         one_topic: bool = False,
+        covered: Collection[int] = (),
     ) -> Path:
         metadata = {"config": {"yaml": config}} if config is not None else {}
         recorder = McapRecorder(tmp_path / "in", name, keep_free_bytes=0, metadata=metadata)
@@ -90,7 +91,9 @@ def record_drive(tmp_path: Path) -> RecordDrive:
                 "base", stamp_ns, stamp_ns + 1_000_000, x_m, 0.0, 0.0, (0.5, 0.0, 0.0), (0.0,) * 9
             )
             recorder.put(encode_frame(sample))
-            recorder.put(encode_frame(room_scan(stamp_ns, x_m)))
+            scan = room_scan(stamp_ns, x_m)
+            blind = replace(scan, range_m=np.full(BEAMS, np.nan, np.float32))
+            recorder.put(encode_frame(blind if k in covered else scan))
             if k < rear_scans:  # arrives before the scan of the front laser, yet is the newer of the two
                 rear = replace(room_scan(stamp_ns + 1_000_000, x_m), sensor="rear")
                 message = encode_frame(rear, log_ns=stamp_ns + 1_500_000)
@@ -199,7 +202,8 @@ def test_the_summary_counts_what_happened(record_drive: RecordDrive):
         "corridor", "profile", "scans", "scans_dropped", "scans_not_mapped", "scans_passed_over",
         "scans_paused", "shared_topics", "duration_s", "wall_s", "realtime_factor", "scan_ms", "scan_cpu_ms",
         "stage_ms_p50",
-        "loop_closures", "keyframes", "peak_rss_mb", "map_tiles", "map_resets", "state", "fixes",
+        "loop_closures", "keyframes", "peak_rss_mb", "map_tiles", "map_resets", "state",
+        "state_reasons", "fixes",
         "geo_reference",
     ]  # fmt: skip
     assert (summary["scans"], summary["scans_dropped"]) == (40, 1)
@@ -209,9 +213,36 @@ def test_the_summary_counts_what_happened(record_drive: RecordDrive):
     assert 0.0 < summary["scan_cpu_ms"]["p50"] <= summary["scan_ms"]["p50"]
     assert summary["stage_ms_p50"].keys() == {"deskew", "match", "insert"}
     assert sum(summary["state"].values()) == 40
+    assert summary["state_reasons"].keys() == {"degraded", "lost"}
     assert summary["map_tiles"] > 0
     assert 3 < summary["keyframes"] < 40
     assert 50 < summary["peak_rss_mb"] < 2000
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_why_scans_were_lost_is_told_at_the_end(
+    jobs: str, record_drive: RecordDrive, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+):
+    sessions = record_drive("a", covered=range(20, 26)), record_drive("b")
+    asked = ["replay", *map(str, sessions), "--out", str(tmp_path / "out"), "--jobs", jobs, "--json"]
+    assert main(asked) == 0
+    said = capfd.readouterr()
+    summary, plain = (json.loads(said.out)[str(session)] for session in sessions)
+    assert summary["state"]["lost"] == 6
+    (covered,) = summary["state_reasons"]["lost"]
+    assert covered == {
+        "reason": f"front: 0 of {BEAMS} beams returned (at least 5); is the window covered, or is there "
+        "nothing in range?",
+        "scans": 6,
+        "first_s": 0.4,
+    }
+    assert plain["state_reasons"]["lost"] == []
+    lost = [line for line in said.err.splitlines() if " were lost" in line]
+    assert len(lost) == 1
+    assert "WARNING" in lost[0]
+    assert lost[0].endswith(
+        f"{sessions[0]}: 6 of 40 scans were lost; 6 of them, from 0.4 s on: {covered['reason']}"
+    )
 
 
 def test_recorded_requests_are_fulfilled_where_they_stand(record_drive: RecordDrive):

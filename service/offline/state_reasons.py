@@ -1,0 +1,48 @@
+"""Why scans were degraded or lost, for the summary of a replay and the people who read it."""
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from service.outputs import MapperOutput
+
+STATES = ("degraded", "lost")
+MOST_KINDS = 5  # of reasons, of each state
+_NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?")  # and not the 2 of a sensor called front_2
+
+
+class StateReasons:
+    """Counts the reasons of outputs; those that differ in their numbers alone are of one kind."""
+
+    def __init__(self) -> None:
+        self._begin_ns: int | None = None
+        self._kinds: dict[tuple[str, str], dict[str, Any]] = {}  # by state and reason without its numbers
+
+    def add(self, output: MapperOutput) -> None:
+        """The next one, whatever its state."""
+        if self._begin_ns is None:
+            self._begin_ns = output.stamp_ns
+        if output.state not in STATES:
+            return
+        kind = output.state, _NUMBER.sub("#", output.reason)
+        if kind not in self._kinds:
+            first_s = round((output.stamp_ns - self._begin_ns) / 1e9, 3)
+            self._kinds[kind] = {"reason": output.reason, "scans": 0, "first_s": first_s}
+        self._kinds[kind]["scans"] += 1
+
+    def as_dict(self) -> dict[str, list[dict[str, Any]]]:
+        """State -> its most frequent kinds, the first reason of each, how many scans it has, and when it came
+        first, in s after the first scan.
+        """
+        kinds = sorted(self._kinds.items(), key=lambda kind: -kind[1]["scans"])
+        return {state: [told for (of, _), told in kinds if of == state][:MOST_KINDS] for state in STATES}
+
+
+def doubts(summary: Mapping[str, Any]) -> Iterator[str]:
+    """A line for each state but ok: how many of the scans are in it, and mostly why."""
+    for state, kinds in summary["state_reasons"].items():
+        for main in kinds[:1]:
+            yield (
+                f"{summary['state'][state]} of {summary['scans']} scans were {state}; "
+                f"{main['scans']} of them, from {main['first_s']:.1f} s on: {main['reason']}"
+            )
