@@ -11,7 +11,14 @@ import numpy as np
 
 from drivers.frames import NO_INTENSITY, GnssFix, ImuSample, LaserScan
 from drivers.link import RawChunk
-from service.encoding.frames import decode_frame, encode_frame, frame_id
+from service.encoding.frames import (
+    NO_COVARIANCE,
+    NO_ROTATION,
+    decode_frame,
+    encode_frame,
+    frame_id,
+    odometry_fault,
+)
 from service.encoding.graph import GRAPH, decode_graph, encode_graph
 from service.encoding.outputs import (
     CHANGES,
@@ -80,6 +87,8 @@ __all__ = [
     "MAP_FRAME",
     "MARKERS",
     "NAV_SAT_FIX",
+    "NO_COVARIANCE",
+    "NO_ROTATION",
     "OCCUPANCY_GRID",
     "ODOMETRY",
     "ODOM_FRAME",
@@ -119,6 +128,7 @@ __all__ = [
     "encode_tile",
     "frame_id",
     "from_ros1",
+    "odometry_fault",
     "pose_on_wire",
     "read",
     "schema_text",

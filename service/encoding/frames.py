@@ -23,6 +23,8 @@ _FRAME_ID_AT = 12  # its length, after 4 bytes of CDR and the stamp
 MOST_RATE_RADPS, MOST_FORCE_MPS2, MOST_ODOMETRY = 1e3, 1e5, 1e12
 UNSET_RANGE_MAX_M = 100.0  # for a foreign scan whose range_max is 0, inf or NaN
 
+NO_ROTATION, NO_COVARIANCE = "no rotation", "no covariance"
+
 _UNKNOWN_9 = (0.0,) * 9
 _NOT_MEASURED_9 = (-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # sensor_msgs/Imu: element 0 is -1
 _NAN = np.float32(np.nan)
@@ -62,7 +64,7 @@ def decode_frame(
 
     None for another type and for content that no mapper can use: a scan without beams or with an impossible
     angle step, an Imu without a gyroscope, values that are not finite or beyond what a sensor can measure. A
-    NavSatFix without a fix is content.
+    NavSatFix without a fix is content. So is an Odometry whose covariance is none; that counts as unknown.
     Raises InputError on bytes that are not the message they are said to be.
     """
     frame: Frame | None
@@ -74,6 +76,20 @@ def decode_frame(
         decode = _FRAME_DECODERS.get(message_type)
         frame = None if decode is None else decode(wire.read(message_type, payload), sensor, log_ns)
     return _turned_over(frame) if upside_down else frame
+
+
+def odometry_fault(payload: bytes) -> str:
+    """NO_ROTATION where the orientation in a nav_msgs/Odometry is a quaternion of 0, NO_COVARIANCE where the
+    covariance of its pose is none; "" for all else, and for bytes that are no such message.
+    """
+    try:
+        odometry = quick.read_odometry(payload) or _odometry_values(wire.read(wire.ODOMETRY, payload))
+    except InputError:
+        return ""
+    _, values = odometry
+    if not any(values[3:7]):
+        return NO_ROTATION
+    return "" if _is_covariance(_planar_covariance(values)) else NO_COVARIANCE
 
 
 def _turned_over(frame: Frame | None) -> Frame | None:
@@ -190,6 +206,11 @@ def _odometry_payload(sample: OdometrySample, stamp_ns: int) -> bytes:
 
 
 def _odometry_frame(content: object, sensor: str, log_ns: int) -> OdometrySample | None:
+    return _odometry_sample(sensor, log_ns, *_odometry_values(content))
+
+
+def _odometry_values(content: object) -> tuple[int, tuple[float, ...]]:
+    """As quick.read_odometry has them, but without the covariance of the twist."""
     m = cast(ros.nav_msgs__msg__Odometry, content)
     p, q, linear, angular = (
         m.pose.pose.position,
@@ -201,7 +222,7 @@ def _odometry_frame(content: object, sensor: str, log_ns: int) -> OdometrySample
         *(p.x, p.y, p.z, q.x, q.y, q.z, q.w, *m.pose.covariance.tolist()),
         *(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z),
     )
-    return _odometry_sample(sensor, log_ns, wire.stamp_ns_of(m.header.stamp), values)
+    return wire.stamp_ns_of(m.header.stamp), values
 
 
 def _odometry_sample(
@@ -210,12 +231,12 @@ def _odometry_sample(
     """values: the numbers of a nav_msgs/Odometry in their order; the covariance of the twist is not read."""
     x_m, y_m = values[:2]
     theta_rad = wire.yaw(ros.geometry_msgs__msg__Quaternion(*values[3:7]))
-    covariance = tuple(values[7 + cell] for cell in wire.PLANAR_CELLS_OF_36)
     twist = (values[43], values[44], values[48])
-    if not wire.all_finite(x_m, y_m, theta_rad, *twist, *covariance):
+    if not wire.all_finite(x_m, y_m, theta_rad, *twist):
         return None
-    if max(map(abs, (x_m, y_m, *twist, *covariance))) > MOST_ODOMETRY:
+    if max(map(abs, (x_m, y_m, *twist))) > MOST_ODOMETRY:
         return None
+    covariance = _planar_covariance(values)
     return OdometrySample(
         sensor=sensor,
         stamp_ns=stamp_ns,
@@ -224,8 +245,16 @@ def _odometry_sample(
         y_m=y_m,
         theta_rad=theta_rad,
         twist_mps_radps=twist,
-        covariance=covariance,
+        covariance=covariance if _is_covariance(covariance) else _UNKNOWN_9,
     )
+
+
+def _planar_covariance(values: Sequence[float]) -> tuple[float, ...]:
+    return tuple(values[7 + cell] for cell in wire.PLANAR_CELLS_OF_36)
+
+
+def _is_covariance(values: Sequence[float]) -> bool:
+    return wire.all_finite(*values) and max(map(abs, values)) <= MOST_ODOMETRY
 
 
 def _fix_ros(fix: GnssFix, stamp_ns: int) -> object:

@@ -30,12 +30,14 @@ class BagReport:
     unusable: int = 0  # messages no mapper can use
     mountings: dict[str, SE2] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    losses: list[str] = field(default_factory=list)  # as Session.losses
     duration_s: float = 0.0
 
     def __str__(self) -> str:
         held = ", ".join(f"{count} {what}" for what, count in sorted(self.frames.items()))
         unusable = [f"left out: {self.unusable} messages that no mapper can use"] if self.unusable else []
-        return "\n".join([f"{self.path}: {held} over {self.duration_s:.1f} s", *self.notes, *unusable])
+        found = f"{self.path}: {held} over {self.duration_s:.1f} s"
+        return "\n".join([found, *self.notes, *unusable, *self.losses])
 
 
 def import_rosbag(bag_path: Path, out_path: Path) -> BagReport:
@@ -62,6 +64,7 @@ def import_rosbag(bag_path: Path, out_path: Path) -> BagReport:
         )
     about = {"source": bag_path.name, "format": "rosbag", "notes": "\n".join(report.notes)}
     write_session(out_path, _counted(session, report), report.mountings, about, log_times=True)
+    report.losses = session.losses
     report.unusable = sum(count for what, count in session.counters.items() if what.endswith(" unusable"))
     return report
 

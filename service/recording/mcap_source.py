@@ -20,6 +20,8 @@ from service.encoding import (
     LASER_SCAN,
     MAP_FRAME,
     NAV_SAT_FIX,
+    NO_COVARIANCE,
+    NO_ROTATION,
     ODOMETRY,
     STRING,
     Message,
@@ -27,6 +29,7 @@ from service.encoding import (
     decode_pose,
     decode_step,
     frame_id,
+    odometry_fault,
     read,
 )
 from service.errors import InputError
@@ -68,8 +71,8 @@ class Session:
     unmounted      lasers taken as sitting at the base's origin, for nothing says where they sit
     events         topics whose events may be requests to the mapping session: ours has one, others have none
     notes          what was chosen and what was passed over, one line each, for people
-    counters       filled while reading: frames by topic, messages without usable content, and those refused
-                   because of a frame_id that is not expected
+    counters       filled while reading: frames by topic, messages without usable content, those refused
+                   because of a frame_id that is not expected, and by topic what odometry_fault says
     frame_ids      filled while reading: topic -> frame_id -> messages
     """
 
@@ -108,6 +111,25 @@ class Session:
             if len(counts) > 1
         }
 
+    @property
+    def losses(self) -> list[str]:
+        """What could not be used of the messages that were read, one line a topic, for people."""
+        lines = []
+        for topic in self.devices:
+            unusable, rotation, covariance = (
+                self.counters[f"{topic} {what}"] for what in ("unusable", NO_ROTATION, NO_COVARIANCE)
+            )
+            read = self.counters[topic] + unusable
+            if unusable:
+                why = f"; the orientation of {rotation} is a quaternion of 0" if rotation else ""
+                lines.append(f"{topic}: {unusable} of {read} messages cannot be used{why}")
+            if covariance:
+                lines.append(
+                    f"{topic}: the covariance of {covariance} of {read} messages is none (not finite, or "
+                    "beyond all sense) and counts as unknown; their poses are used"
+                )
+        return lines
+
     def topic_of(self, message: Message) -> str:
         """As the recording names it: in ROS with a slash ahead, by other writers perhaps without."""
         name = f"/{message.channel}"
@@ -143,6 +165,8 @@ class Session:
                 frame = decode_frame(message.type, message.payload, sensor, message.log_ns, over)
             except InputError:
                 frame = None
+            if message.type == ODOMETRY and (fault := odometry_fault(message.payload)):
+                self.counters[f"{topic} {fault}"] += 1
             if frame is None or sensor is None:
                 self.counters[f"{topic} unusable"] += 1
                 continue

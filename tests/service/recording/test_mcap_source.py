@@ -1,5 +1,6 @@
 import math
 import time
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -147,10 +148,13 @@ def turn(roll=0.0, pitch=0.0, yaw=0.0):
 LEVEL = turn()
 
 
-def odometry(frame="odom", child="base_link"):
+def odometry(frame="odom", child="base_link", variance=0.0, is_turned=True):
     sample = OdometrySample("x", T0_NS, T0_NS, 1.0, 2.0, 0.5, (0.0, 0.0, 0.0), (0.0,) * 9)
     content = STORE.deserialize_cdr(encode_frame(sample).payload, encoding.ODOMETRY)
     content.header.frame_id, content.child_frame_id = frame, child
+    content.pose.covariance = np.full(36, variance)
+    if not is_turned:
+        content.pose.pose.orientation.z = content.pose.pose.orientation.w = 0.0
     payload = bytes(STORE.serialize_cdr(content, encoding.ODOMETRY))
     return Message("", encoding.ODOMETRY, T0_NS, T0_NS, payload)
 
@@ -327,6 +331,23 @@ def test_a_laser_with_a_topic_of_its_own_is_not_read_from_a_shared_one(foreign):
     assert session.devices == {"/scan": {"front": "scan"}, "/rear/scan": {"rear": "rear"}}
     assert len(list(session.frames())) == 7
     assert session.counters["/scan refused"] == 3
+
+
+def test_what_cannot_be_used_is_told_by_topic_and_why(foreign):
+    foreign.add_message("/scan", scan_message(0))
+    for message in (
+        odometry(), odometry(variance=math.nan), odometry(variance=1e13), odometry(is_turned=False),
+        replace(odometry(), payload=odometry().payload[:-8]),
+    ):  # fmt: skip
+        foreign.add_message("/odom", message)
+    session = open_session(foreign.close())
+    assert session.losses == []
+    assert [type(frame) for frame in session.frames()].count(OdometrySample) == 3
+    assert session.losses == [
+        "/odom: 2 of 5 messages cannot be used; the orientation of 1 is a quaternion of 0",
+        "/odom: the covariance of 2 of 5 messages is none (not finite, or beyond all sense) and counts as "
+        "unknown; their poses are used",
+    ]
 
 
 def test_a_second_odometry_or_imu_in_a_topic_is_refused(foreign):
