@@ -4,7 +4,7 @@ from collections import Counter
 from dataclasses import replace
 from typing import Generic
 
-from drivers.frames import Frame, GnssFix, LaserScan, OdometrySample
+from drivers.frames import Frame, GnssFix, ImuSample, LaserScan, OdometrySample
 from service.fusion.motion import Motion, Prediction
 from service.geometry.geo_reference import GeoReference
 from service.mapper.components import (
@@ -70,6 +70,7 @@ class Mapper(Generic[ReadableMap]):
         self._last_ns: int | None = None  # moment of the newest pose
         self._newest: MapperOutput | None = None
         self._lasers: dict[str, LaserWatch] = {}
+        self._sample_ns: dict[type[Frame], int] = {}  # stamp of the last one that was taken, by kind
         self._odometry_wait = OdometryWait()
         self._odometry_mounting = OdometryMounting()
         self._travelled_m = 0.0  # as predicted, from scan to scan
@@ -89,11 +90,7 @@ class Mapper(Generic[ReadableMap]):
             self.counters[self._components.graph.add_fix(frame)] += 1
             return None
         if not isinstance(frame, LaserScan):
-            if not self._components.motion_model.add(frame):
-                self.counters["samples_dropped_late"] += 1
-            elif isinstance(frame, OdometrySample):
-                self._odometry_wait.add(frame.stamp_ns)
-                self._odometry_mounting.add_odometry(frame)
+            self._take_sample(frame)
             return None
         laser = self._lasers.get(frame.sensor)
         if laser is None:
@@ -113,6 +110,17 @@ class Mapper(Generic[ReadableMap]):
         laser.stamp_ns, self._last_ns = frame.stamp_ns, at_ns
         self.counters["scans"] += 1
         return self._process_scan(frame, at_ns, laser)
+
+    def _take_sample(self, sample: ImuSample | OdometrySample) -> None:
+        kind = type(sample)
+        if not self._components.motion_model.add(sample):
+            is_same = sample.stamp_ns == self._sample_ns.get(kind)
+            self.counters["samples_dropped_same_stamp" if is_same else "samples_dropped_late"] += 1
+            return
+        self._sample_ns[kind] = sample.stamp_ns
+        if isinstance(sample, OdometrySample):
+            self._odometry_wait.add(sample.stamp_ns)
+            self._odometry_mounting.add_odometry(sample)
 
     def skip(self, scan: LaserScan) -> None:
         """Let a scan pass unmapped: the base is where wheels and gyro say it is, or stands without them.

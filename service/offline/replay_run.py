@@ -3,12 +3,12 @@
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from drivers.frames import Frame, LaserScan
-from service.encoding import LASER_SCAN
+from service.encoding import IMU, LASER_SCAN, NO_COVARIANCE, ODOMETRY
 from service.errors import InputError
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
@@ -178,6 +178,8 @@ class ReplayRun:
             )
         for topic, devices in self._session.shared_topics.items():
             log.warning("%s has messages of several frame_ids: %s", topic, _in_words(devices))
+        for loss in self._session.losses:
+            log.warning("%s", loss)
         # In localisation the map stays the one it was.
         is_localized = self._setup.mapping.mode == "localization"
         return Replay(
@@ -204,6 +206,11 @@ class ReplayRun:
             "scans_not_mapped": counters["scans_not_mapped"],
             "scans_passed_over": counters["scans_passed_over"],
             "scans_paused": counters["scans_paused"],
+            "scans_before_odometry": counters["scans_before_odometry"],
+            "samples_dropped": _samples_dropped(self._session, self._mapper),
+            "covariances_ignored": sum(
+                self._session.counters[f"{topic} {NO_COVARIANCE}"] for topic in self._session.devices
+            ),
             "shared_topics": self._session.shared_topics,
             "duration_s": round(duration_s, 3),
             "wall_s": round(wall_s, 3),
@@ -237,7 +244,21 @@ def _dropped(session: Session, mapper: MappingSession) -> int:
         for topic in session.recording.topics
         if topic.type == LASER_SCAN and mapper.lasers & set(session.devices.get(topic.name, {}).values())
     ]
-    return late + sum(session.counters[f"{topic} unusable"] for topic in scans)
+    return late + _unusable(session, scans)
+
+
+def _samples_dropped(session: Session, mapper: MappingSession) -> dict[str, int]:
+    """Samples of odometry and IMUs that were read and not used, by why."""
+    why = ("late", "same_stamp", "waiting")
+    samples = [topic.name for topic in session.recording.topics if topic.type in (ODOMETRY, IMU)]
+    return {
+        **{one: mapper.counters[f"samples_dropped_{one}"] for one in why},
+        "unusable": _unusable(session, samples),
+    }
+
+
+def _unusable(session: Session, topics: Iterable[str]) -> int:
+    return sum(session.counters[f"{topic} unusable"] for topic in topics)
 
 
 def _in_words(devices: Mapping[str, Mapping[str, Any]]) -> str:

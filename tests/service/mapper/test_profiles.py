@@ -15,7 +15,7 @@ import pytest
 import yaml
 from pydantic import ValidationError
 
-from drivers.frames import LaserScan, OdometrySample
+from drivers.frames import ImuSample, LaserScan, OdometrySample
 from service.errors import InputError
 from service.fusion.motion import Prediction
 from service.geometry.se2 import SE2
@@ -245,6 +245,14 @@ def test_a_late_scan_and_a_late_sample_are_dropped_and_counted(room_drive: Drive
     assert mapper.counters == {
         "scans": 1, "keyframes": 1, "scans_dropped_late": 2, "samples_dropped_late": 1
     }  # fmt: skip
+
+
+def test_a_sample_of_a_stamp_that_was_there_is_told_apart_from_a_late_one(room_drive: Drive) -> None:
+    mapper = new_mapper()
+    samples = [f for f in room_drive.frames if isinstance(f, OdometrySample)]
+    turn = ImuSample("imu", samples[1].stamp_ns, samples[1].arrived_ns, (0.0, 0.0, 0.0), (0.0, 0.0, 9.8))
+    run([samples[0], samples[1], turn, samples[1], turn, turn, samples[0], samples[2]], mapper)
+    assert mapper.counters == {"samples_dropped_same_stamp": 3, "samples_dropped_late": 1}
 
 
 def test_a_scan_without_returns_is_lost_and_maps_nothing(room_drive: Drive) -> None:

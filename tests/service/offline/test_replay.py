@@ -60,6 +60,12 @@ def room_scan(stamp_ns: int, x_m: float) -> LaserScan:
     )
 
 
+def odometry_at(k: int, x_m: float, start_ns: int = T0_NS) -> OdometrySample:
+    """As it comes before scan k."""
+    stamp_ns = start_ns + k * 20_000_000
+    return OdometrySample("base", stamp_ns, stamp_ns + 1_000_000, x_m, 0.0, 0.0, (0.5, 0.0, 0.0), (0.0,) * 9)
+
+
 RecordDrive = Callable[..., Path]
 
 
@@ -77,6 +83,7 @@ def record_drive(tmp_path: Path) -> RecordDrive:
         rear_scans: int = 0,
         one_topic: bool = False,
         covered: Collection[int] = (),
+        samples: Mapping[int, OdometrySample] = MappingProxyType({}),
     ) -> Path:
         metadata = {"config": {"yaml": config}} if config is not None else {}
         recorder = McapRecorder(tmp_path / "in", name, keep_free_bytes=0, metadata=metadata)
@@ -87,10 +94,8 @@ def record_drive(tmp_path: Path) -> RecordDrive:
             recorder.put(encode_event(json.dumps({"event": request}), log_ns, log_ns))
         for k in range(scans):
             stamp_ns, x_m = start_ns + k * 20_000_000, 0.01 * k
-            sample = OdometrySample(
-                "base", stamp_ns, stamp_ns + 1_000_000, x_m, 0.0, 0.0, (0.5, 0.0, 0.0), (0.0,) * 9
-            )
-            recorder.put(encode_frame(sample))
+            sample = samples.get(k, odometry_at(k, x_m, start_ns))
+            recorder.put(encode_frame(sample, log_ns=stamp_ns + 1_000_000))
             scan = room_scan(stamp_ns, x_m)
             blind = replace(scan, range_m=np.full(BEAMS, np.nan, np.float32))
             recorder.put(encode_frame(blind if k in covered else scan))
@@ -200,7 +205,8 @@ def test_the_summary_counts_what_happened(record_drive: RecordDrive):
     summary = replay([record_drive(late=True)], ReplayOptions()).summary
     assert list(summary) == [
         "corridor", "profile", "scans", "scans_dropped", "scans_not_mapped", "scans_passed_over",
-        "scans_paused", "shared_topics", "duration_s", "wall_s", "realtime_factor", "scan_ms", "scan_cpu_ms",
+        "scans_paused", "scans_before_odometry", "samples_dropped", "covariances_ignored", "shared_topics",
+        "duration_s", "wall_s", "realtime_factor", "scan_ms", "scan_cpu_ms",
         "stage_ms_p50",
         "loop_closures", "keyframes", "peak_rss_mb", "map_tiles", "map_resets", "state",
         "state_reasons", "fixes",
@@ -217,6 +223,23 @@ def test_the_summary_counts_what_happened(record_drive: RecordDrive):
     assert summary["map_tiles"] > 0
     assert 3 < summary["keyframes"] < 40
     assert 50 < summary["peak_rss_mb"] < 2000
+
+
+def test_samples_that_are_not_used_are_counted(record_drive: RecordDrive, caplog: pytest.LogCaptureFixture):
+    summary = replay([record_drive("v")], ReplayOptions()).summary
+    none = {"late": 0, "same_stamp": 0, "waiting": 0, "unusable": 0}
+    assert (summary["samples_dropped"], summary["covariances_ignored"]) == (none, 0)
+    samples = {
+        6: odometry_at(5, 0.05),  # a stamp that was there
+        7: odometry_at(4, 0.04),
+        8: replace(odometry_at(8, 0.08), theta_rad=math.nan),
+        9: replace(odometry_at(9, 0.09), covariance=(math.nan,) * 9),
+    }
+    summary = replay([record_drive("w", samples=samples)], ReplayOptions()).summary
+    assert summary["samples_dropped"] == none | {"late": 1, "same_stamp": 1, "unusable": 1}
+    assert (summary["covariances_ignored"], summary["scans_before_odometry"]) == (1, 0)
+    assert "/base/odom: 1 of 40 messages cannot be used" in caplog.text
+    assert "/base/odom: the covariance of 1 of 40 messages is none" in caplog.text
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
