@@ -211,6 +211,7 @@ class ReplayRun:
             "covariances_ignored": sum(
                 self._session.counters[f"{topic} {NO_COVARIANCE}"] for topic in self._session.devices
             ),
+            "unmounted": list(self._setup.unmounted),
             "shared_topics": self._session.shared_topics,
             "duration_s": round(duration_s, 3),
             "wall_s": round(wall_s, 3),

@@ -43,6 +43,7 @@ class ReplaySetup:
 
     poses_base_sensor   mountings of lasers, lever arms of antennas
     lasers              whose scans are mapped
+    unmounted           of them, those of which neither config nor recording says where they sit
     map_version         of the stored map to begin in; None: the current one
     is_as_live          all is as it was live: what the mapper left out and when it applied results is
                         repeated from the recording
@@ -51,6 +52,7 @@ class ReplaySetup:
     mapping: MappingConfig
     poses_base_sensor: Mapping[str, SE2]
     lasers: Sequence[str]
+    unmounted: Sequence[str]
     map_version: int | None
     is_as_live: bool
 
@@ -93,7 +95,15 @@ def set_up(session: Session, options: ReplayOptions) -> ReplaySetup:
             "the recording began in the stored map %s; this replay begins a new one. --map %s begins there",
             *(2 * [begun_in or recorded.begin_in]),
         )
-    return ReplaySetup(mapping, poses, _lasers(session, config), version, is_as_live)
+    lasers = _lasers(session, config)
+    unmounted = [name for name in lasers if name in session.unmounted and name not in configured]
+    for name in unmounted:
+        log.warning(
+            "%s. If it sits elsewhere, map and poses are wrong: give a config that has %s and its mounting "
+            "among its sensors by --config",
+            *(session.unmounted[name], name),
+        )
+    return ReplaySetup(mapping, poses, lasers, unmounted, version, is_as_live)
 
 
 def _version(options: ReplayOptions, begun_in: MapVersion | None) -> int | None:
@@ -152,7 +162,7 @@ def _lasers(session: Session, config: ReplayConfig | None) -> Sequence[str]:
     """
     scans = session.scan_counts
     if config is None or (config.mapping.lasers is None and not scans.keys() & laser_names(config.sensors)):
-        mounted = sorted(scans.keys() - session.unmounted)
+        mounted = sorted(scans.keys() - session.unmounted.keys())
         return mounted or [min(scans, key=lambda name: (-scans[name], name))]
     wanted = mapped_lasers(config)
     lasers = [name for name in wanted if name in scans]

@@ -56,7 +56,7 @@ def import_rosbag(bag_path: Path, out_path: Path) -> BagReport:
     session = session_of(bag)
     known = {name: pose for name, pose in session.mountings.items() if name not in session.unmounted}
     report.mountings = known | session.antennas
-    report.notes = session.notes
+    report.notes = [*session.notes, *session.unmounted.values()]
     if not any(isinstance(frame, LaserScan) and _has_return(frame) for frame in _usable(session)):
         raise InputError(
             f"{bag_path}: not one beam came back in all scans of "

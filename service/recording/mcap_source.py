@@ -68,7 +68,7 @@ class Session:
     antennas       the same for GNSS antennas, "<sensor>/antenna" where one is told apart from its sensor
     metadata       config, calibration, clocks as written by the recorder; empty in foreign recordings
     upside_down    sensors that are mounted so; what they say is turned back
-    unmounted      lasers taken as sitting at the base's origin, for nothing says where they sit
+    unmounted      lasers taken as sitting at the base's origin, for nothing says where they sit -> why
     events         topics whose events may be requests to the mapping session: ours has one, others have none
     notes          what was chosen and what was passed over, one line each, for people
     counters       filled while reading: frames by topic, messages without usable content, those refused
@@ -82,7 +82,7 @@ class Session:
     mountings: dict[str, SE2]
     notes: list[str]
     upside_down: frozenset[str]
-    unmounted: frozenset[str] = frozenset()
+    unmounted: Mapping[str, str] = field(default_factory=dict)
     antennas: dict[str, SE2] = field(default_factory=dict)
     events: tuple[str, ...] = ()
     counters: Counter[str] = field(default_factory=Counter)
@@ -208,7 +208,7 @@ def session_of(recording: Readable) -> Session:
     bases = tuple(dict.fromkeys([*filter(None, moved), *BASE_FRAMES]))  # what the odometry moves is the base
     mounts: dict[str, Mounting] = {}
     upside_down: set[str] = set()
-    unmounted: set[str] = set()
+    unmounted: dict[str, str] = {}
     antennas: dict[str, SE2] = {}
     for source in chosen:
         if source.topic.type == NAV_SAT_FIX:
@@ -222,8 +222,10 @@ def session_of(recording: Readable) -> Session:
             notes.append(f"passed over {source}: {error}")
             del sensors[source]
             continue
-        if mount.is_guess:
-            unmounted.add(sensors[source])
+        if mount.guessed and source.topic.type == LASER_SCAN:
+            unmounted[sensors[source]] = mount.guessed
+        elif mount.guessed:
+            notes.append(mount.guessed)
         if mount.upside_down:
             upside_down.add(sensors[source])
         if source.topic.type == LASER_SCAN:
@@ -244,7 +246,7 @@ def session_of(recording: Readable) -> Session:
         mountings={sensor: mount.pose_base_sensor for sensor, mount in mounts.items()},
         notes=[f"reading {', '.join(map(str, sensors))}", *notes],
         upside_down=frozenset(upside_down),
-        unmounted=frozenset(unmounted),
+        unmounted=unmounted,
         antennas=antennas,
         events=tuple(t.name for t in recording.topics if ours and (t.name, t.type) == ("/events", STRING)),
     )
@@ -378,8 +380,8 @@ def _mount(
         mounted = [other for other in of_topic if not tree.chain(other.frame).keys().isdisjoint(bases)]
         if mounted or source is not of_topic[0]:
             raise MountingError(f"{where}, and in this topic it is not the only one")
-        notes.append(f"{source}: {where}; taken as mounted at the base's origin, looking ahead")
-        return Mounting(SE2(), upside_down=False, is_guess=True)
+        guessed = f"{source}: {where}; taken as mounted at the base's origin, looking ahead"
+        return Mounting(SE2(), upside_down=False, guessed=guessed)
     if mount.upside_down:
         notes.append(f"{source}: mounted upside down; what it says is turned back")
     return mount

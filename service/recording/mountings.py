@@ -24,7 +24,7 @@ class Mounting:
 
     pose_base_sensor: SE2
     upside_down: bool  # its angles run clockwise seen from above
-    is_guess: bool = False  # nothing says where it sits
+    guessed: str = ""  # why, where nothing says where it sits
 
 
 class MountingError(Exception):

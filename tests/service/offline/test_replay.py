@@ -84,11 +84,12 @@ def record_drive(tmp_path: Path) -> RecordDrive:
         one_topic: bool = False,
         covered: Collection[int] = (),
         samples: Mapping[int, OdometrySample] = MappingProxyType({}),
+        mounted: str = "front",
     ) -> Path:
         metadata = {"config": {"yaml": config}} if config is not None else {}
         recorder = McapRecorder(tmp_path / "in", name, keep_free_bytes=0, metadata=metadata)
         recorder.start()
-        recorder.put(encode_tf_static({"front": SE2()}, start_ns, start_ns))
+        recorder.put(encode_tf_static({mounted: SE2()}, start_ns, start_ns))
         for k, request in requests.items():
             log_ns = start_ns + k * 20_000_000 + 1
             recorder.put(encode_event(json.dumps({"event": request}), log_ns, log_ns))
@@ -205,8 +206,8 @@ def test_the_summary_counts_what_happened(record_drive: RecordDrive):
     summary = replay([record_drive(late=True)], ReplayOptions()).summary
     assert list(summary) == [
         "corridor", "profile", "scans", "scans_dropped", "scans_not_mapped", "scans_passed_over",
-        "scans_paused", "scans_before_odometry", "samples_dropped", "covariances_ignored", "shared_topics",
-        "duration_s", "wall_s", "realtime_factor", "scan_ms", "scan_cpu_ms",
+        "scans_paused", "scans_before_odometry", "samples_dropped", "covariances_ignored", "unmounted",
+        "shared_topics", "duration_s", "wall_s", "realtime_factor", "scan_ms", "scan_cpu_ms",
         "stage_ms_p50",
         "loop_closures", "keyframes", "peak_rss_mb", "map_tiles", "map_resets", "state",
         "state_reasons", "fixes",
@@ -223,6 +224,22 @@ def test_the_summary_counts_what_happened(record_drive: RecordDrive):
     assert summary["map_tiles"] > 0
     assert 3 < summary["keyframes"] < 40
     assert 50 < summary["peak_rss_mb"] < 2000
+
+
+def test_a_laser_that_is_mounted_nowhere_is_a_warning(
+    record_drive: RecordDrive, tmp_path: Path, caplog: pytest.LogCaptureFixture
+):
+    session = record_drive(config=None, mounted="other")
+    assert replay([session], ReplayOptions()).summary["unmounted"] == ["front"]
+    (told,) = [record for record in caplog.records if "mounted at the base's origin" in record.message]
+    assert told.levelname == "WARNING"
+    assert "/tf_static does not lead from front to base_link or base_footprint" in told.message
+    assert "by --config" in told.message
+    caplog.clear()
+    (tmp_path / "c.yaml").write_text(CONFIG % 0.0)
+    done = replay([session], ReplayOptions(config=tmp_path / "c.yaml"))
+    assert done.summary["unmounted"] == []
+    assert "mounted at" not in caplog.text
 
 
 def test_samples_that_are_not_used_are_counted(record_drive: RecordDrive, caplog: pytest.LogCaptureFixture):

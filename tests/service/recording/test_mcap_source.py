@@ -237,7 +237,8 @@ def test_what_the_odometry_moves_is_the_base(foreign):
 def test_a_laser_without_a_chain_is_taken_as_unmounted_and_said_so(foreign):
     session = open_session(foreign.add_message("/scan", scan_message(0)).close())
     assert session.mountings == {"scan": SE2()}
-    assert any("does not lead from front to base_link or base_footprint" in note for note in session.notes)
+    assert session.unmounted.keys() == {"scan"}
+    assert "does not lead from front to base_link or base_footprint" in session.unmounted["scan"]
 
 
 def test_a_laser_upside_down_is_mirrored(foreign):
