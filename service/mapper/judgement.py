@@ -27,6 +27,7 @@ LEAST_KNOWN = 0.02  # share of the returns on the map, and at least LEAST_RETURN
 CHANCE_SIGMAS = 2.0  # so many more returns than usual contradict the map by chance
 JUMP_CHI2 = 27.9  # 99.999 % of three degrees of freedom: a match this far from the prediction is no chance
 GAP_S = 2.5  # without a scan, after which a loose prediction is a gap in the way
+NOT_KNOWN_M, NOT_KNOWN_RAD = 100.0, math.pi  # a sigma beyond is no measure of anything
 CARRIED_S = 4.0  # in which nobody measures the way: long enough to be lifted, carried some steps and set down
 
 
@@ -153,22 +154,16 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, str]:
     if ratio < least and not (is_carried and ratio >= LEAST_KNOWN):
         return "lost", f"{_on_map(evidence)} (at least {least:.0%}); the pose follows the prediction"
     if evidence.sigma[0] > LOST_SIGMA_M or evidence.sigma[1] > LOST_SIGMA_RAD:
-        return "lost", (
-            f"the pose on the map is uncertain by {evidence.sigma[0]:.2f} m and "
-            f"{math.degrees(evidence.sigma[1]):.0f} deg (sigma, at most {LOST_SIGMA_M} m and "
-            f"{math.degrees(LOST_SIGMA_RAD):.0f} deg)"
-        )
+        most = LOST_SIGMA_M, LOST_SIGMA_RAD
+        return "lost", f"the pose on the map is {_uncertain(evidence.sigma, most)}"
     if ratio < limits.degraded_ratio:
         return "degraded", (
             f"{_on_map(evidence)} (expected {limits.degraded_ratio:.0%}): unmapped ground, or a place that "
             "has changed much"
         )
     if evidence.sigma[0] > MOST_SIGMA_M or evidence.sigma[1] > MOST_SIGMA_RAD:
-        return "degraded", (
-            f"the pose on the map is uncertain by {evidence.sigma[0]:.2f} m and "
-            f"{math.degrees(evidence.sigma[1]):.1f} deg (sigma, expected at most {MOST_SIGMA_M} m and "
-            f"{math.degrees(MOST_SIGMA_RAD):.0f} deg)"
-        )
+        most = MOST_SIGMA_M, MOST_SIGMA_RAD
+        return "degraded", f"the pose on the map is {_uncertain(evidence.sigma, most)}"
     if evidence.used < LEAST_CONFIRMING:
         return "degraded", (
             f"{evidence.used} returns (expected at least {LEAST_CONFIRMING}) confirm no place; "
@@ -176,11 +171,11 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, str]:
         )
     sigma_m, direction_rad = evidence.weakest
     if sigma_m > limits.degraded_sigma_m:
+        sigma = f"{sigma_m:.2f} m" if sigma_m <= NOT_KNOWN_M else "not known"
         return "degraded", (
             "the scan does not fix the position along the direction "
             f"{math.degrees(direction_rad) % 180.0:.0f} deg from the vehicle's heading (sigma "
-            f"{sigma_m:.2f} m, expected at most {limits.degraded_sigma_m:g} m); there the pose follows the "
-            "prediction"
+            f"{sigma}, expected at most {limits.degraded_sigma_m:g} m); there the pose follows the prediction"
         )
     return "ok", ""
 
@@ -207,9 +202,20 @@ def drift_of(covariance: npt.NDArray[np.float64]) -> str:
     if sigma_m <= MOST_DRIFT_M and sigma_rad <= MOST_DRIFT_RAD:
         return ""
     return (
-        f"the pose has drifted without loop closures: in the map it is uncertain by {sigma_m:.2f} m and "
-        f"{math.degrees(sigma_rad):.1f} deg (sigma, expected at most {MOST_DRIFT_M} m and "
-        f"{math.degrees(MOST_DRIFT_RAD):.0f} deg); drive past a place that is mapped already"
+        "the pose has drifted without loop closures: in the map it is "
+        f"{_uncertain((sigma_m, sigma_rad), (MOST_DRIFT_M, MOST_DRIFT_RAD))}; drive past a place that is "
+        "mapped already"
+    )
+
+
+def _uncertain(sigmas: tuple[float, float], most: tuple[float, float]) -> str:
+    """By how much (m, rad), and what would be expected; or "not known", where the numbers say nothing."""
+    (sigma_m, sigma_rad), (most_m, most_rad) = sigmas, most
+    if not (sigma_m <= NOT_KNOWN_M and sigma_rad <= NOT_KNOWN_RAD):
+        return "not known"
+    return (
+        f"uncertain by {sigma_m:.2f} m and {math.degrees(sigma_rad):.1f} deg (sigma, expected at most "
+        f"{most_m} m and {math.degrees(most_rad):.0f} deg)"
     )
 
 

@@ -35,6 +35,7 @@ WEAK_PRIOR_INFORMATION = 1e-6 * np.eye(4)  # so that what no step measures can b
 LEAST_OPPOSED_RAD = 3.0  # turned in all, before turns the other way are no accident
 LEAST_SCALE, MOST_SCALE = 0.5, 2.0  # odometry beyond is not what shows a mounting
 TOLERANCE = np.diag([0.05, 0.05, math.radians(0.5)]) ** 2  # m, m, rad: how well people know axle and mounting
+KNOWN_SIGMA_M = 1.0  # of the point the vehicle turns around: a way without turns does not show it
 MOST_CHI2 = 16.3  # 99.9 % of three degrees of freedom
 
 
@@ -123,11 +124,13 @@ def fault_of(steps: Floats) -> str:
     yaw_deg = math.degrees(axle.theta_rad)
     side = "left" if yaw_deg > 0 else "right"
     sigma_m, sigma_deg = math.sqrt(covariance[:2, :2].trace() / 2), math.degrees(math.sqrt(covariance[2, 2]))
+    point = f"{axle.x_m:+z.2f} m ahead and {axle.y_m:+z.2f} m left of its base (sigma {sigma_m:.2f})"
+    if sigma_m > KNOWN_SIGMA_M:
+        point = "that is not known"
     return (
         f"by odometry the vehicle drives {abs(yaw_deg):.1f} deg to the {side} of "
-        f"its heading (sigma {sigma_deg:.1f}) and turns around a point {axle.x_m:+z.2f} m ahead and "
-        f"{axle.y_m:+z.2f} m left of its base (sigma {sigma_m:.2f}); are the lasers mounted as configured, "
-        "are the signs of odometry right? corridor calibrate measures mountings"
+        f"its heading (sigma {sigma_deg:.1f}) and turns around a point {point}; are the lasers "
+        "mounted as configured, are the signs of odometry right? corridor calibrate measures mountings"
     )
 
 

@@ -108,6 +108,19 @@ def test_a_pose_that_is_known_badly_is_no_good_one(sigma: tuple[float, float], e
     assert state(GOOD, sigma=sigma) == expected
 
 
+@pytest.mark.parametrize("much", [185363.8, math.inf])
+def test_a_sigma_that_measures_nothing_is_not_told_as_a_number(much: float) -> None:
+    reason = judge(replace(GOOD, weakest=(much, 0.5)), RATIOS)[1]
+    assert "heading (sigma not known, expected at most 0.1 m)" in reason
+    for sigma in ((much, 0.01), (0.01, much)):
+        assert judge(replace(GOOD, sigma=sigma), RATIOS) == ("lost", "the pose on the map is not known")
+    assert "sigma 0.20 m" in judge(replace(GOOD, weakest=(0.2, 0.5)), RATIOS)[1]
+    assert (
+        "uncertain by 0.80 m and 0.6 deg (sigma, expected at most 0.75 m and 20 deg)"
+        in (judge(replace(GOOD, sigma=(0.8, 0.01)), RATIOS)[1])
+    )
+
+
 def test_a_scan_without_returns_is_lost() -> None:
     assert state(GOOD, used=0, on_map=0, in_free=0, is_measured=False) == "lost"
 

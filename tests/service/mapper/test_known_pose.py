@@ -73,3 +73,4 @@ def test_a_pose_that_has_drifted_is_not_ok_and_the_reason_tells_how_far():
     assert drift_of(np.diag([0.9 * MOST_DRIFT_M, 0.1, 0.1]) ** 2) == ""
     assert "1.20 m and 5.7 deg" in drift_of(np.diag([0.1, 1.2, 0.1]) ** 2)
     assert "11.5 deg" in drift_of(np.diag([0.1, 0.1, 0.2]) ** 2)
+    assert "in the map it is not known; drive" in drift_of(np.diag([0.1, 1008.0, 0.2]) ** 2)

@@ -172,6 +172,17 @@ def test_turns_of_dead_odometry_are_not_the_other_way():
     assert not turns_are_opposed(steps)
 
 
+def test_who_drives_straight_is_not_told_where_the_vehicle_turns():
+    """Three degrees beside the heading, and never a turn."""
+    random = np.random.default_rng(5)
+    way_m = 0.5 + random.normal(0.0, 0.005, 200)
+    matched = np.column_stack([way_m, np.zeros(200), np.zeros(200)])
+    aside = math.radians(3.0)
+    fault = fault_of(np.column_stack([matched, way_m * math.cos(aside), way_m * math.sin(aside)]))
+    assert "drives 3.0 deg to the " in fault
+    assert "turns around a point that is not known; are" in fault
+
+
 def test_dead_odometry_shows_no_mounting():
     steps = np.column_stack([np.full(50, 0.2), np.zeros(50), np.full(50, 0.1), np.zeros(50), np.zeros(50)])
     assert offset_of(steps) is None
