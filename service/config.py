@@ -149,7 +149,12 @@ def _read(path: Path) -> str:
         if len(content) > MAX_FILE_BYTES:
             raise ConfigError([f"{path}: larger than {MAX_FILE_BYTES} bytes; that is no config"])
         return content.decode("utf-8")
-    except (OSError, ValueError) as error:  # ValueError: no UTF-8, or a NUL in the path
+    except UnicodeDecodeError as error:
+        before = error.object[: error.start]
+        line, column = before.count(b"\n") + 1, len(before.rpartition(b"\n")[2].decode("utf-8")) + 1
+        what = f"byte 0x{error.object[error.start]:02x} is not UTF-8; save the file as UTF-8"
+        raise ConfigError([f"{path}:{line}:{column}: {what}"]) from error
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         raise ConfigError([f"{path}: cannot be read: {error}"]) from error
 
 

@@ -261,12 +261,25 @@ def test_what_is_wrong_already_as_yaml_is_said_once():
     assert len(faults(with_line("  front: {type: sick_lms100, host: a, port: 012}", 3))) == 1
 
 
-def test_a_file_that_is_not_there_or_is_no_text_is_a_config_error(tmp_path: Path):
+def test_a_file_that_is_not_there_is_a_config_error(tmp_path: Path):
     with pytest.raises(ConfigError, match=r"nowhere\.yaml: cannot be read"):
         load_config(tmp_path / "nowhere.yaml")
-    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ConfigError, match="cannot be read"):
-        load_config(tmp_path / "binary.yaml")
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"\xff\xfe\x00", ":1:1: byte 0xff is not UTF-8; save the file as UTF-8"),
+        ("vehicle: v\r\n# grün, ".encode() + "grün".encode("latin-1"), ":2:11: byte 0xfc is not UTF-8; save"),
+        ("# grü".encode()[:-1], ":1:5: byte 0xc3 is not UTF-8; save"),
+    ],
+)
+def test_a_file_in_another_encoding_is_refused_where_it_shows(tmp_path: Path, content: bytes, words: str):
+    path = tmp_path / "c.yaml"
+    path.write_bytes(content)
+    for load in (load_config, load_replay_config):
+        with pytest.raises(ConfigError, match=re.escape(f"{path}{words}")):
+            load(path)
 
 
 def test_the_complete_example_is_right_and_shows_every_section():
