@@ -422,16 +422,14 @@ def _other_unit(key: str, value: object, known: typing.Sequence[str]) -> str:
     stem, _, unit = key.lower().rpartition("_")
     if unit not in _UNITS:
         stem, unit = key.lower(), ""
-    for other in known:
-        other_stem, _, other_unit = other.rpartition("_")
-        if other_stem != stem or other_unit not in _UNITS:
-            continue
-        _, size, word = _UNITS[other_unit]
-        advice = f'this setting is "{other}", in {word}'
-        if unit and _UNITS[unit][0] == _UNITS[other_unit][0] and isinstance(value, int | float):
-            return f"{advice}; write {other}: {value * _UNITS[unit][1] / size:.10g}"
-        return advice
-    return ""
+    units = {other: other.rpartition("_")[2] for other in known if other.rpartition("_")[0] == stem}
+    alike = {other: _UNITS[its] for other, its in units.items() if its in _UNITS}
+    same = {other: its for other, its in alike.items() if unit and its[0] == _UNITS[unit][0]}
+    advice = " or ".join(f'"{other}", in {word}' for other, (_, _, word) in (same or alike).items())
+    for other, (_, size, _) in same.items():
+        if isinstance(value, int | float):
+            advice += f"; write {other}: {value * _UNITS[unit][1] / size:.10g}"
+    return advice and f"this setting is {advice}"
 
 
 def _choose(key: str, known: typing.Sequence[str]) -> str:

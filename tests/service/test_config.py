@@ -153,6 +153,18 @@ def test_an_antenna_lies_where_mounting_axes_and_lever_arm_put_it():
             'rotate_gb: unknown key; this setting is "rotate_mb", in megabytes; write rotate_mb: 1000',
         ),
         (
+            with_line("recording: {directory: s, rotate_s: 90}", 7),
+            'rotate_s: unknown key; this setting is "rotate_min", in minutes; write rotate_min: 1.5',
+        ),
+        (
+            with_line("recording: {directory: s, rotate_s: a}", 7),
+            'rotate_s: unknown key; this setting is "rotate_min", in minutes',
+        ),
+        (
+            with_line("recording: {directory: s, rotate: 90}", 7),
+            'this setting is "rotate_mb", in megabytes or "rotate_min", in minutes',
+        ),
+        (
             with_line("recording: {directory: s, keep_free_gb: -1}", 7),
             "recording.keep_free_gb: should be greater than or equal to 0 (got -1)",
         ),
