@@ -16,6 +16,7 @@ from service.sinks.fan_out import Sinks
 STALE_AFTER_NS = 1_000_000_000
 LATE_NS = 500_000_000  # from a measurement to its arrival: no device and no link needs so long
 POSE_STALE_NS = 500_000_000  # the slowest laser sends each 80 ms
+FIRST_POSE_NS = 5_000_000_000  # so long devices may take to log in
 RESTARTS_WITHIN_NS = 60_000_000_000
 MOST_RESTARTS = 1  # of the mapper in that time: one is what the stand-by is for, more are a fault that stays
 
@@ -114,7 +115,7 @@ class HealthReport:
         self._restarted_ns: deque[int] = deque()  # when the mapper was, host monotonic
         self._restarts = 0  # in all, at the last update
         self.statuses: list[Status] = []
-        self.clock_step_ns = self._now_ns = 0
+        self.clock_step_ns = self._now_ns = self._began_ns = 0
 
     @property
     def scans_dropped(self) -> int:
@@ -162,6 +163,7 @@ class HealthReport:
     def update(self, now_ns: int, clock_step_ns: int) -> None:
         """Look at everything. now_ns: host monotonic; clock_step_ns: how far the wall clock has stepped."""
         self.clock_step_ns, self._now_ns = clock_step_ns, now_ns
+        self._began_ns = self._began_ns or now_ns
         self._scan_rate.read(sum(dict(self._outputs.states).values()), now_ns)
         self._note_restarts(now_ns)
         dropped, unusable = self._outputs.passed_over, self._outputs.unusable
@@ -217,7 +219,9 @@ class HealthReport:
         if last is None:
             lasers = " or ".join(outputs.lasers)
             words = f"no scan of {lasers} mapped yet" if lasers else "no laser is mapped"
-            return Status("mapping", WARNING, words, values)
+            since_ns = max(self._began_ns, outputs.last_ns)  # the latter where the map was reset
+            level = WARNING if self._now_ns - since_ns <= FIRST_POSE_NS else ERROR
+            return Status("mapping", level, words, values)
         age_s = (self._now_ns - outputs.last_ns) / 1e9
         values |= {"state": last.state, "inlier_ratio": f"{last.inlier_ratio:.3f}", "age_s": f"{age_s:.2f}"}
         if self._now_ns - outputs.last_ns > POSE_STALE_NS:

@@ -58,8 +58,8 @@ def report(link: LinkHealth, **parts: Any) -> HealthReport:
     return HealthReport({"front": link}, **(defaults | parts))
 
 
-def status(made: HealthReport, name: str) -> Any:
-    made.update(11 * S, 0)
+def status(made: HealthReport, name: str, now_ns: int = 11 * S) -> Any:
+    made.update(now_ns, 0)
     return next(status for status in made.statuses if status.name == name)
 
 
@@ -122,6 +122,15 @@ def test_the_pose_s_state_is_the_mapping_s_health(state: Any, level: int):
     assert (told.level, told.message) == (level, reason or "ok")
     assert told.values["inlier_ratio"] == "0.800"
     assert made.line.startswith(f"mapping {state}, 1/1 sensors, ")
+
+
+def test_without_a_first_pose_devices_may_log_in_for_some_seconds_then_it_is_an_error():
+    made = report(LinkHealth("front", state="starting"))
+    made._outputs.last_ns = 0
+    assert [status(made, "mapping", s * S).level for s in (1, 6, 7, 60)] == [WARNING, WARNING, ERROR, ERROR]
+    assert made.mapping_state == ("waiting", "no scan of front mapped yet")
+    made._outputs.last_ns = 60 * S  # then the map was reset
+    assert [status(made, "mapping", s * S).level for s in (61, 66)] == [WARNING, ERROR]
 
 
 def test_latency_and_processor_time_of_scans_are_told():
