@@ -221,14 +221,13 @@ class HealthReport:
             words = f"no scan of {lasers} mapped yet" if lasers else "no laser is mapped"
             since_ns = max(self._began_ns, outputs.last_ns)  # the latter where the map was reset
             level = WARNING if self._now_ns - since_ns <= FIRST_POSE_NS else ERROR
-            return Status("mapping", level, words, values)
+            return Status("mapping", level, ": ".join(filter(None, (words, self._why_unmapped()))), values)
         age_s = (self._now_ns - outputs.last_ns) / 1e9
         values |= {"state": last.state, "inlier_ratio": f"{last.inlier_ratio:.3f}", "age_s": f"{age_s:.2f}"}
         if self._now_ns - outputs.last_ns > POSE_STALE_NS:
             values["state"] = "stale"
-            return Status(
-                "mapping", ERROR, f"no pose for {age_s:.1f} s: no scan of {values['lasers']}", values
-            )
+            why = self._why_unmapped() or f"no scan of {' or '.join(outputs.lasers)}"
+            return Status("mapping", ERROR, f"no pose for {age_s:.1f} s: {why}", values)
         level, words = _LEVEL_OF_POSE[last.state], last.reason or last.state
         if overload := outputs.overload():
             values["state"] = "overloaded"
@@ -244,6 +243,25 @@ class HealthReport:
                 ),
             )
         return Status("mapping", level, words, values)
+
+    def _why_unmapped(self) -> str:
+        """Why no pose comes of scans that come; "" where none come."""
+        rates = [
+            f"{name} sends {self._sensors[name].rate_hz:.0f} scans/s"
+            for name in self._outputs.lasers
+            if self._links[name].frames and self._now_ns - self._links[name].last_frame_ns <= POSE_STALE_NS
+        ]
+        if not rates:
+            return ""
+        silent_s = self._link.silent_s
+        if not self._link.pid:
+            mapper = "the mapper's process has ended and no stand-by has taken over yet"
+        elif silent_s > POSE_STALE_NS / 1e9:
+            items = self._link.waiting
+            mapper = f"the mapper has not answered for {silent_s:.1f} s while {items} items wait for it"
+        else:
+            mapper = self._outputs.overload() or "the mapper maps none of them"
+        return f"{' and '.join(rates)}, but {mapper}"
 
     def _note_restarts(self, now_ns: int) -> None:
         new, self._restarts = self._outputs.restarts - self._restarts, self._outputs.restarts

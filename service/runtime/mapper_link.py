@@ -137,6 +137,11 @@ class MapperLink:
         return self._number - self._taken_number
 
     @property
+    def silent_s(self) -> float:
+        """For how long the mapper has said nothing; it tells its status several times a second."""
+        return time.monotonic() - self._heard_s
+
+    @property
     def is_ready(self) -> bool:
         """Whether kernels are there and frames are mapped."""
         return self._ready.is_set()
@@ -370,7 +375,7 @@ class MapperLink:
         with self._lock:
             if self._held and time.monotonic_ns() - self._held[0].arrived_ns > HOLD_NS:
                 self._send_held()
-        silent_s = time.monotonic() - self._heard_s
+        silent_s = self.silent_s
         is_mapping = self._active is not None and self._ready.is_set() and not self._finished.is_set()
         if is_mapping and self.waiting and silent_s > STUCK_S:
             self._lost(f"said nothing for {silent_s:.0f} s while {self.waiting} items waited")

@@ -48,7 +48,7 @@ def report(link: LinkHealth, **parts: Any) -> HealthReport:
     )
     defaults = {
         "intake": SimpleNamespace(paused=False),
-        "link": SimpleNamespace(waiting=3),
+        "link": SimpleNamespace(waiting=3, pid=123, silent_s=0.1),
         "outputs": outputs,
         "sinks": sinks,
         "latency": LatencyHistogram(),
@@ -258,6 +258,43 @@ def test_a_pose_that_is_not_fresh_is_an_error():
     told = status(made, "mapping")
     assert (told.level, told.message) == (ERROR, "no pose for 4.0 s: no scan of front")
     assert (told.values["state"], told.values["age_s"]) == ("stale", "4.00")
+
+
+@pytest.mark.parametrize(
+    ("pid", "silent_s", "overload", "words"),
+    [
+        (123, 0.8, "", "the mapper has not answered for 0.8 s while 3 items wait for it"),
+        (0, 0.8, "", "the mapper's process has ended and no stand-by has taken over yet"),
+        (123, 0.1, "", "the mapper maps none of them"),
+        (123, 0.1, "overloaded for 3 s: 50 scans", "overloaded for 3 s: 50 scans"),
+    ],
+)
+def test_scans_that_come_and_give_no_pose_are_not_the_sensor_s_fault(
+    pid: int, silent_s: float, overload: str, words: str
+):
+    link = streaming()
+    made = report(link)
+    made._link.pid, made._link.silent_s = pid, silent_s
+    made._outputs.overload = lambda: overload
+    status(made, "mapping", 10 * S)
+    link.frames, link.last_frame_ns = 150, 11 * S
+    told = status(made, "mapping")
+    assert told.message == f"no scan of front mapped yet: front sends 50 scans/s, but {words}"
+    made._outputs.last, made._outputs.last_ns = Mapped(1, 1, 1, "ok", "", 0.9, 1, ()), 11 * S - 800_000_000
+    link.frames = 200
+    told = status(made, "mapping", 11 * S)
+    assert told.message.startswith("no pose for 0.8 s: front sends ")
+    assert told.message.endswith(f" scans/s, but {words}")
+
+
+def test_the_lasers_without_scans_are_named():
+    rear = LinkHealth("rear", state="down")
+    made = report(streaming(last_frame_ns=7 * S))
+    made._links = {"front": made._links["front"], "rear": rear}
+    made._sensors["rear"] = SensorHealth(rear)
+    made._outputs.lasers = ("front", "rear")
+    made._outputs.last, made._outputs.last_ns = Mapped(1, 1, 1, "ok", "", 0.9, 1, ()), 7 * S
+    assert status(made, "mapping").message == "no pose for 4.0 s: no scan of front or rear"
 
 
 def test_gnss_is_spoken_of_where_there_are_fixes():
