@@ -135,8 +135,8 @@ class HealthReport:
 
     @property
     def mapping_state(self) -> tuple[str, str]:
-        """State at the last update and why: ok, degraded, lost, stale, overloaded, paused; waiting before the
-        first scan is mapped.
+        """State at the last update and why: ok, degraded, lost, stale, overloaded (and not lost), paused;
+        waiting before the first scan is mapped.
         """
         told = next((status for status in self.statuses if status.name == "mapping"), None)
         return ("waiting", "") if told is None else (told.values.get("state", "waiting"), told.message)
@@ -144,16 +144,10 @@ class HealthReport:
     @property
     def line(self) -> str:
         """One line for people who ask `systemctl status`."""
-        last = self._outputs.last
-        if self._intake.paused:
-            state = "mapping paused"
-        elif last is None:
-            state = "waiting for a scan"
-        else:
-            state = "mapping overloaded" if self._outputs.overload() else f"mapping {last.state}"
+        state, _ = self.mapping_state
         streaming = sum(link.state == "streaming" for link in self._links.values())
         words = [
-            state,
+            "waiting for a scan" if state == "waiting" else f"mapping {state}",
             f"{streaming}/{len(self._links)} sensors",
             f"{self._scan_rate.rate_hz:.1f} scans/s",
             *self._sinks.status_words(),
@@ -230,8 +224,9 @@ class HealthReport:
             return Status("mapping", ERROR, f"no pose for {age_s:.1f} s: {why}", values)
         level, words = _LEVEL_OF_POSE[last.state], last.reason or last.state
         if overload := outputs.overload():
-            values["state"] = "overloaded"
-            return Status("mapping", max(level, WARNING), overload, values)
+            values["state"] = "lost" if last.state == "lost" else "overloaded"
+            words = overload if last.state == "ok" else f"{words}; {overload}"
+            return Status("mapping", max(level, WARNING), words, values)
         if level == OK and outputs.graph_fault:
             level, words = WARNING, f"no loops are closed: {outputs.graph_fault}"
         if level == OK and len(self._restarted_ns) > MOST_RESTARTS:

@@ -229,6 +229,19 @@ def test_an_overloaded_mapper_is_a_warning_with_its_figures():
     assert (told.values["queue_length"], told.values["restarts"]) == ("3", "1")
 
 
+@pytest.mark.parametrize(
+    ("state", "told_state", "level"), [("lost", "lost", ERROR), ("degraded", "overloaded", WARNING)]
+)
+def test_too_little_processor_time_does_not_hide_what_ails_the_pose(state: Any, told_state: str, level: int):
+    made = report(streaming())
+    made._outputs.last = Mapped(1, 1, 1, state, "few beams agree", 0.2, 1, ())
+    made._outputs.overload = lambda: "overloaded for 3 s: 12 scans"
+    told = status(made, "mapping")
+    assert (told.level, told.values["state"]) == (level, told_state)
+    assert told.message == "few beams agree; overloaded for 3 s: 12 scans"
+    assert made.line.startswith(f"mapping {told_state}, ")
+
+
 def test_a_mapper_that_is_restarted_again_and_again_is_a_warning_for_a_minute():
     made = report(streaming())
     outputs = made._outputs
@@ -258,6 +271,7 @@ def test_a_pose_that_is_not_fresh_is_an_error():
     told = status(made, "mapping")
     assert (told.level, told.message) == (ERROR, "no pose for 4.0 s: no scan of front")
     assert (told.values["state"], told.values["age_s"]) == ("stale", "4.00")
+    assert made.line.startswith("mapping stale, ")
 
 
 @pytest.mark.parametrize(
