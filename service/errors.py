@@ -2,7 +2,7 @@
 
     CorridorError      1   failed
      |- CalledOffError     a signal came before the service was ready: 130 for Ctrl-C, else 0
-     |- OutputLostError    an output that the run was made for is lost: the map is not on disk
+     |- OutputLostError    an output that the run was made for is lost: map or recording
      |- UsageError    64   the command was called wrongly
      |- InputError    65   a file that was handed in cannot be what it claims to be
      |- StorageError  74   the disk or the network refused: full, no rights, port taken

@@ -134,6 +134,7 @@ class McapRecorder:
         self._thread = threading.Thread(target=self._run, name="recording-writer", daemon=True)
         self._leftovers: Leftovers | None = None
         self._file: McapFile | None = None
+        self._active_paths: list[Path] = []  # of all files that were begun
         self._unsynced: Counter[str] = Counter()  # messages of that file since it was synced, by channel
         self._enabled = True
         self._session = ""
@@ -153,6 +154,11 @@ class McapRecorder:
     def recovering(self) -> bool:
         """Whether files of an earlier run are still being recovered."""
         return self._leftovers is not None and self._leftovers.running
+
+    @property
+    def unfinished(self) -> list[Path]:
+        """Files of this run that are not complete: given up after an error, or being written."""
+        return [path for path in self._active_paths if path.exists()]
 
     def start(self) -> None:
         """Begin to write, and to recover what an earlier run left unfinished. Raises StorageError."""
@@ -239,7 +245,8 @@ class McapRecorder:
             self._sync_if_due()
             if stopping and not self._queue:
                 self._close()
-                self.health.state = "finished"
+                if self.health.state != "disk error":
+                    self.health.state = "finished"
                 return
 
     def _is_due(self) -> bool:
@@ -345,6 +352,7 @@ class McapRecorder:
             path = self._directory / f"{self._session}_{self._file_count:04d}.mcap"
             if not path.exists() and not path.with_name(path.name + ACTIVE_SUFFIX).exists():
                 break
+        self._active_paths.append(path.with_name(path.name + ACTIVE_SUFFIX))
         file = self._file = McapFile(path, first.log_ns, self._open_stream)
         self.health.path = file.active_path
         for name, values in self._metadata.items():

@@ -225,7 +225,8 @@ class Service:
     def stop(self) -> Summary:
         """End drivers, mapper and sinks, in this order, each even if one before it failed.
 
-        Raises OutputLostError where the map could not be saved, say; everything is ended by then.
+        Raises OutputLostError where the map could not be saved or the recording not be finished; everything
+        is ended by then.
         """
         self.stopped = True
         self._notifier.stopping()
@@ -234,14 +235,15 @@ class Service:
         self._end("the end of drivers", self._readers.stop)
         self._end("the end of the mapper", self._stop_mapping)
         self._notifier.need_more_time(FLUSH_S + CLOSE_S)
+        lost: list[str] = []
         try:
-            lost = self._sinks.flush()
+            lost += self._sinks.flush()
             if self._ready_ns:
                 self._end("the last health", lambda: self._tell_health(time.monotonic_ns()))
                 self._end("the event stop", lambda: self._event("stop", reason=self.failure or "asked to"))
             self._end("the end of commands", self._commands.close)
         finally:
-            self._sinks.close()
+            lost += self._sinks.close()
             threading.excepthook = self._excepthook
             gc.unfreeze()
         if lost:

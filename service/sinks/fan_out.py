@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from service.encoding import ERROR, Message, Status
-from service.errors import CorridorError
+from service.errors import CorridorError, StorageError
 from service.outputs import TileUpdate
 from service.sinks.registry import SinkKind
 from service.sinks.sink import MapStorage, SessionRecorder, Sink, SinkContext
@@ -124,21 +124,24 @@ class Sinks:
 
     def flush(self) -> list[str]:
         """Flush all at the same time. What is lost, a sentence each; empty where all is well."""
-        return self._end("flush", FLUSH_S)
+        return [fault for _, fault in self._end("flush", FLUSH_S)]
 
-    def close(self) -> None:
-        """Close all at the same time, each even if another fails or hangs."""
-        self._end("close", CLOSE_S)
+    def close(self) -> list[str]:
+        """Close all at the same time, each even if another fails or hangs. What is lost, as of `flush`."""
+        return [fault for error, fault in self._end("close", CLOSE_S) if isinstance(error, StorageError)]
 
-    def _end(self, action: str, timeout_s: float) -> list[str]:
-        """Have every sink flush or close in a thread of its own; one that hangs is left behind."""
+    def _end(self, action: str, timeout_s: float) -> list[tuple[BaseException | None, str]]:
+        """Have every sink flush or close in a thread of its own; one that hangs is left behind.
+
+        Faults, with what was raised; None where one hangs.
+        """
         endings = [_Ending(sink, action) for sink in self._sinks]
         deadline_s = time.monotonic() + timeout_s
         faults = []
         for ending in endings:
             if fault := ending.wait(deadline_s - time.monotonic(), timeout_s):
                 self._fail(ending.sink.name, fault)
-                faults.append(fault)
+                faults.append((ending.error, fault))
         return faults
 
     def _refuse(self, sink: Sink, error: Exception) -> None:
@@ -173,7 +176,7 @@ class _Ending:
         self.sink = sink
         self._action = action
         self._work: Callable[[], None] = getattr(sink, action)
-        self._error: BaseException | None = None
+        self.error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name=f"{sink.name}-{action}", daemon=True)
         self._thread.start()
 
@@ -182,18 +185,18 @@ class _Ending:
         self._thread.join(max(left_s, 0.0))
         if self._thread.is_alive():
             fault = f"{self.sink.name} did not {self._action} within {timeout_s:.0f} s"
-        elif self._error is None:
+        elif self.error is None:
             return ""
-        elif isinstance(self._error, CorridorError):
-            fault = str(self._error)
+        elif isinstance(self.error, CorridorError):
+            fault = str(self.error)
         else:
-            fault = f"{self.sink.name} failed to {self._action}: {type(self._error).__name__}: {self._error}"
-        is_expected = self._error is None or isinstance(self._error, CorridorError)
-        log.error("%s", fault, exc_info=None if is_expected else self._error)
+            fault = f"{self.sink.name} failed to {self._action}: {type(self.error).__name__}: {self.error}"
+        is_expected = self.error is None or isinstance(self.error, CorridorError)
+        log.error("%s", fault, exc_info=None if is_expected else self.error)
         return fault
 
     def _run(self) -> None:
         try:
             self._work()
         except BaseException as error:  # told by `wait`
-            self._error = error
+            self.error = error

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from service.encoding import ERROR, OK, WARNING, Message, Status, encode_event
+from service.errors import StorageError
 from service.recording.config import RecordingConfig
 from service.recording.mcap_recorder import McapRecorder, SessionHeard
 from service.sinks.sink import Sink, SinkContext
@@ -105,4 +106,15 @@ class McapSink(Sink):
         return list(self._recorder.health.finished)
 
     def close(self) -> None:
+        """Raises StorageError where the disk did not take what was to be recorded."""
         self._recorder.finish()
+        health, unfinished = self._recorder.health, self._recorder.unfinished
+        if not unfinished and health.state != "disk error":
+            return
+        words = [f"recording: {health.last_error or 'the disk did not take it in time'}"]
+        if dropped := sum(dict(health.dropped).values()):
+            words.append(f"{dropped} messages were dropped")
+        if unfinished:
+            files = ", ".join(map(str, unfinished))
+            words.append(f"unfinished: {files}; the next start finishes them, or `corridor recover FILE`")
+        raise StorageError("; ".join(words))

@@ -72,7 +72,8 @@ class Sink(Protocol):
     def close(self) -> None:
         """Bring out what waits and end every thread within 40 s (CLOSE_S of the fan-out).
 
-        Called once, after `flush`, also where `start` was never called or failed.
+        Called once, after `flush`, also where `start` was never called or failed. Raises StorageError as
+        `flush` does.
         """
         ...
 

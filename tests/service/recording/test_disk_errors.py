@@ -82,6 +82,7 @@ def test_a_disk_error_costs_the_file_but_not_the_recording(recorder, tmp_path):
     session.put(scan_message(2))
     wait_until(lambda: session.health.state == "recording")
     (path,) = session.finish()
+    assert (session.unfinished, session.health.state) == ([], "finished")
     assert session.health.messages == 1
     assert list(tmp_path.iterdir()) == [path]  # a disk that stays full does not gather empty files
     assert path.name.endswith("_0002.mcap")
@@ -122,6 +123,8 @@ def test_what_was_synced_before_a_disk_error_stays_to_be_recovered(recorder, tmp
     wait_until(lambda: session.health.state == "disk error")
     wait_until(lambda: session.health.messages == 1)
     assert session.health.dropped == {"front/scan": 2}
-    session.finish()
+    assert session.finish() == []
     (path,) = tmp_path.iterdir()
+    assert session.unfinished == [path]
+    assert session.health.state == "disk error"
     assert recover(path).messages == 1

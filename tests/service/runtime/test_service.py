@@ -20,6 +20,7 @@ from service.errors import CorridorError, InputError, OutputLostError, StorageEr
 from service.mapstore.begin_in import MapVersion, recorded_version
 from service.mapstore.files import load_map, save_map, version_folder
 from service.outputs import TileUpdate
+from service.recording.mcap_file import McapFile
 from service.recording.mcap_reader import Recording
 from service.runtime import service as service_module
 from service.runtime.commands import Commands
@@ -316,6 +317,22 @@ def test_a_map_that_cannot_be_saved_is_raised_after_everything_ended(
     assert caught.value.exit_code == 1
     (session,) = (tmp_path / "sessions").glob("*.mcap")
     assert any(t.name == "/pose" for t in Recording([session]).topics)
+
+
+def test_a_recording_that_is_not_finished_is_raised_after_everything_ended(
+    open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    def fail(self: McapFile) -> None:
+        self.sync()
+        raise OSError("File too large")
+
+    monkeypatch.setattr(McapFile, "finish", fail)
+    service = open_service()
+    service.start()
+    with pytest.raises(OutputLostError, match=r"File too large.*_0001\.mcap\.active; ") as caught:
+        service.stop()
+    assert caught.value.exit_code == 1
+    assert len(list((tmp_path / "sessions").glob("*.mcap.active"))) == 1
 
 
 @pytest.mark.parametrize(

@@ -162,6 +162,11 @@ def test_what_is_lost_at_the_end_is_told_and_the_others_end_as_they_should(caplo
     assert "cannot save the map to /x" in caplog.text
 
 
+def test_what_is_lost_while_closing_is_told_and_other_faults_cost_nothing():
+    full = ListSink("full", ["close"], StorageError("recording: no space"))
+    assert open_all(full, ListSink("odd", ["close"])).close() == ["recording: no space"]
+
+
 def test_a_fault_of_the_program_at_the_end_is_told_with_where_it_was_raised(caplog: pytest.LogCaptureFixture):
     assert open_all(ListSink("odd", ["flush"])).flush() == ["odd failed to flush: RuntimeError: out of order"]
     assert "in _do" in caplog.text

@@ -1,3 +1,4 @@
+import errno
 import threading
 from pathlib import Path
 
@@ -6,6 +7,7 @@ import pytest
 from service.encoding import ERROR, OK, WARNING, Message, decode_event, encode_event
 from service.errors import StorageError
 from service.recording.config import RecordingConfig
+from service.recording.mcap_file import McapFile
 from service.recording.mcap_reader import Recording
 from service.recording.mcap_recorder import SessionChange
 from service.sinks.mcap_sink import McapSink
@@ -97,6 +99,46 @@ def test_a_session_that_begins_in_a_pause_says_so(tmp_path: Path, is_paused: boo
 def test_raw_bytes_are_wanted_where_the_config_says_so(tmp_path: Path):
     assert not sink_in(tmp_path).wants_raw
     assert sink_in(tmp_path, raw=True).wants_raw
+
+
+def test_files_that_a_disk_error_left_unfinished_are_named_at_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    sink = sink_in(tmp_path)
+    sink.start()
+    sink.put(event("a", T0_NS))
+    synced = threading.Event()
+    sync = McapFile.sync
+
+    def note(file: McapFile) -> None:
+        sync(file)
+        synced.set()
+
+    def fail(file: McapFile) -> None:
+        raise OSError(errno.EFBIG, "File too large")
+
+    monkeypatch.setattr(McapFile, "sync", note)
+    assert synced.wait(20.0)
+    monkeypatch.setattr(McapFile, "finish", fail)
+    sink.put(event("b", T0_NS + 1))
+    with pytest.raises(StorageError, match=r"File too large; .*corridor recover FILE") as caught:
+        sink.close()
+    (left,) = tmp_path.glob("*.mcap.active")
+    assert f"unfinished: {left}; the next start" in str(caught.value)
+    assert sink.written() == []
+
+
+def test_a_disk_that_takes_nothing_at_all_is_told_at_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def fail(file: McapFile, message: Message, log_ns: int | None = None) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(McapFile, "write", fail)
+    sink = sink_in(tmp_path)
+    sink.start()
+    sink.put(event("a", T0_NS))
+    with pytest.raises(StorageError, match=r"No space left on device; 1 messages were dropped$"):
+        sink.close()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_directory_that_cannot_be_written_is_said_at_the_start(tmp_path: Path):
