@@ -52,7 +52,7 @@ class SensorHealth:
             self._first = (link.frames, link.last_frame_ns)
         rate_hz = self._frames.read(link.frames, now_ns)
         level, words = _LEVEL_OF_LINK[link.state], link.status or link.state
-        silent_s = (now_ns - link.last_frame_ns) / 1e9
+        silent_s = max(now_ns - link.last_frame_ns, 0) / 1e9
         if link.state == "down":
             words = link.last_error
         elif link.state == "streaming" and now_ns - link.last_frame_ns > STALE_AFTER_NS:
@@ -155,7 +155,11 @@ class HealthReport:
         return ", ".join(words)
 
     def update(self, now_ns: int, clock_step_ns: int) -> None:
-        """Look at everything. now_ns: host monotonic; clock_step_ns: how far the wall clock has stepped."""
+        """Look at everything.
+
+        now_ns          host monotonic: as of when frames and poses are fresh
+        clock_step_ns   how far the wall clock has stepped
+        """
         self.clock_step_ns, self._now_ns = clock_step_ns, now_ns
         self._began_ns = self._began_ns or now_ns
         self._scan_rate.read(sum(dict(self._outputs.states).values()), now_ns)
@@ -216,7 +220,7 @@ class HealthReport:
             since_ns = max(self._began_ns, outputs.last_ns)  # the latter where the map was reset
             level = WARNING if self._now_ns - since_ns <= FIRST_POSE_NS else ERROR
             return Status("mapping", level, ": ".join(filter(None, (words, self._why_unmapped()))), values)
-        age_s = (self._now_ns - outputs.last_ns) / 1e9
+        age_s = max(self._now_ns - outputs.last_ns, 0) / 1e9
         values |= {"state": last.state, "inlier_ratio": f"{last.inlier_ratio:.3f}", "age_s": f"{age_s:.2f}"}
         if self._now_ns - outputs.last_ns > POSE_STALE_NS:
             values["state"] = "stale"

@@ -9,6 +9,8 @@ _GROWTH = 1.02  # a bucket is 2 % wide, so a percentile is good to 1 %
 _LOG_GROWTH = math.log(_GROWTH)
 _BUCKETS = math.ceil(math.log(1e12 / _SMALLEST_NS) / _LOG_GROWTH)  # up to 1000 s
 
+LEAST_INTERVAL_NS = 500_000_000  # of a rate: one more or less then matters little
+
 
 @dataclass(frozen=True, slots=True)
 class Percentiles:
@@ -70,8 +72,12 @@ class RateMeter:
         self.rate_hz = 0.0
 
     def read(self, count: int, now_ns: int) -> float:
-        """Take in that `count` events had happened by now_ns; the rate since the last call."""
-        if self._last is not None and now_ns > self._last[1]:
+        """Take in that `count` events had happened by now_ns; the rate since the last call, or the one
+        before where that is too short ago.
+        """
+        if self._last is not None:
+            if now_ns - self._last[1] < LEAST_INTERVAL_NS:
+                return self.rate_hz
             self.rate_hz = (count - self._last[0]) * 1e9 / (now_ns - self._last[1])
         self._last = (count, now_ns)
         return self.rate_hz

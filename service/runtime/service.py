@@ -230,7 +230,8 @@ class Service:
         """
         self.stopped = True
         self._notifier.stopping()
-        seconds = (time.monotonic_ns() - self._ready_ns) / 1e9 if self._ready_ns else 0.0
+        stopped_ns = time.monotonic_ns()
+        seconds = (stopped_ns - self._ready_ns) / 1e9 if self._ready_ns else 0.0
         cpu_s = self._processor_s() - self._cpu_s
         self._end("the end of drivers", self._readers.stop)
         self._end("the end of the mapper", self._stop_mapping)
@@ -239,7 +240,7 @@ class Service:
         try:
             lost += self._sinks.flush()
             if self._ready_ns:
-                self._end("the last health", lambda: self._tell_health(time.monotonic_ns()))
+                self._end("the last health", lambda: self._tell_health(stopped_ns))
                 self._end("the event stop", lambda: self._event("stop", reason=self.failure or "asked to"))
             self._end("the end of commands", self._commands.close)
         finally:
@@ -330,9 +331,10 @@ class Service:
         return time.process_time() + self._outputs.cpu_s
 
     def _tell_health(self, now_ns: int) -> None:
+        """Counts as they are, freshness as of now_ns: the last time when the drivers were told to end."""
         step_before_ns = self._report.clock_step_ns
         self._report.update(now_ns, self.host_time.step_ns(HostTime.now()))
-        self._sinks.put(self._report.message(self.host_time.unix_ns(now_ns)))
+        self._sinks.put(self._report.message(self._unix_ns()))
         for name, state in self._report.take_state_changes():
             self._event("sensor", sensor=name, state=state)
         if (change := self._report.take_mapping_change()) is not None:

@@ -41,4 +41,5 @@ def test_a_rate_is_that_since_the_last_reading():
     assert meter.read(100, 0) == 0.0
     assert meter.read(150, 1_000_000_000) == 50.0
     assert meter.read(150, 1_000_000_000) == 50.0  # no time passed, nothing learnt
+    assert meter.read(160, 1_100_000_000) == 50.0  # 10 in 0.1 s: too short to tell
     assert meter.read(160, 3_000_000_000) == 5.0

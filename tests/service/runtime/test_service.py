@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from service.runtime.early_mapper import EarlyMapper
 from service.runtime.health import HealthReport
 from service.runtime.mapper_link import MOST_DEATHS, MapperLink
 from service.runtime.notify import Notifier
+from service.runtime.readers import Readers
 from service.runtime.service import Service
 from service.sinks.registry import SinkKind
 from service.sinks.sink import Sink, SinkContext
@@ -229,6 +231,37 @@ def test_what_cannot_be_told_at_the_end_costs_neither_recording_nor_hooks(
     events = [decode_event(m.payload) for m in Recording(summary.sessions).messages(["/events"])]
     assert events[-1] == json.dumps({"event": "stop", "reason": service.failure})
     assert (threading.excepthook, gc.get_freeze_count()) == (hook, 0)
+
+
+def test_a_clean_stop_is_no_fault_however_long_it_takes(
+    open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    service = open_service()
+    service.start()
+    arrived_ns = time.monotonic_ns()
+    link = service._report._links["front"]
+    link.state, link.frames, link.last_frame_ns = "streaming", 1, arrived_ns + 3600 * 10**9
+    service.frame_sink(scan(1, link.last_frame_ns, [2.0] * 60))
+    tick_until(service, lambda: service._outputs.states.total() == 1)
+    service._outputs.last_ns = link.last_frame_ns
+    later = SimpleNamespace(
+        monotonic=time.monotonic,
+        process_time=time.process_time,
+        monotonic_ns=lambda: link.last_frame_ns + 60 * 10**9,
+    )
+
+    def stop(self: Readers) -> None:
+        stop_readers(self)
+        monkeypatch.setattr(service_module, "time", later)
+
+    stop_readers = Readers.stop
+    monkeypatch.setattr(Readers, "stop", stop)
+    recording = Recording(service.stop().sessions)
+    *_, last = recording.messages(["/diagnostics"])
+    rows = {row.name: row for row in decode_diagnostics(last.payload)}
+    assert (rows["sensor/front"].level, rows["mapping"].message) == (OK, "ok")
+    assert "mapping is stale" not in caplog.text
+    assert not any("stale" in decode_event(m.payload) for m in recording.messages(["/events"]))
 
 
 def test_a_thread_nobody_watches_brings_the_service_down_too(
