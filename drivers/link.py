@@ -91,7 +91,7 @@ class LinkHealth:
 
     name: str
     state: str = "connecting"  # connecting | starting | streaming | down
-    status: str = ""
+    status: str = ""  # of the newest session; "" while it connects
     last_error: str = ""
     connects: int = 0
     frames: int = 0  # GNSS fixes, which come beside the samples, are not counted
@@ -119,7 +119,7 @@ def run_link(
     """
     retry_s, log_of_errors = FIRST_RETRY_S, ErrorLog(health.name)
     while not stop.is_set():
-        health.state = "connecting"
+        health.state, health.status = "connecting", ""
         began_s = time.monotonic()
         try:
             with contained(open_transport) as transport:
