@@ -2,7 +2,7 @@
 
 Raising KeyboardInterrupt would not do: between two instructions of a compiler or an import it is lost,
 printed, or held up until a long call of C returns. So nothing is unwound. A command that has something to
-finish takes the signals over (service.runtime.signals) and gives them back.
+finish takes the signals over (service.runtime.signals); it gives them back where none came.
 """
 
 import os

@@ -15,7 +15,8 @@ STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 class StopSignals:
     """While entered, a stop signal no longer ends the process: `wait` returns its name instead.
 
-    Only the main thread may enter it. A second signal changes nothing, so it cannot cut a recording short.
+    Only the main thread may enter it. A second signal changes nothing, so it cannot cut a recording short:
+    where one came, stop signals stay ignored after the exit, until the process ends with its exit code.
     Handlers wake `wait` through a socket, since an Event may not be set by the handler of its own waiter.
     """
 
@@ -33,9 +34,9 @@ class StopSignals:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        signal.set_wakeup_fd(self._wakeup_before)
         for number, handler in self._before.items():
-            signal.signal(number, handler)
+            signal.signal(number, signal.SIG_IGN if self.received else handler)
+        signal.set_wakeup_fd(self._wakeup_before)  # last: whoever reads there would hear a second signal
         self._reader.close()
         self._writer.close()
 

@@ -2,8 +2,19 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Iterator
 
-from service.runtime.signals import StopSignals
+import pytest
+
+from service.runtime.signals import STOP_SIGNALS, StopSignals
+
+
+@pytest.fixture(autouse=True)
+def handlers_of_before() -> Iterator[None]:
+    before = {number: signal.getsignal(number) for number in STOP_SIGNALS}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 def test_the_first_stop_signal_is_what_counts():
@@ -34,6 +45,15 @@ def test_the_handlers_of_before_come_back():
     with StopSignals():
         assert signal.getsignal(signal.SIGTERM) != before[0]
     assert [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)] == before
+
+
+def test_where_one_came_more_of_them_are_ignored_to_the_end_of_the_process():
+    with StopSignals() as signals:
+        os.kill(os.getpid(), signal.SIGINT)
+        assert signals.wait(5.0) == "SIGINT"
+    for number in STOP_SIGNALS:
+        assert signal.getsignal(number) == signal.SIG_IGN
+        os.kill(os.getpid(), number)
 
 
 def test_waking_nobody_is_harmless():
