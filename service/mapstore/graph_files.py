@@ -76,7 +76,8 @@ class GraphFolder:
     """KeepGraph: writes the graph to a numbered folder below `folder`, each beside the one before.
 
     What is full and has not changed is neither packed nor written again; a graph without key frames is not
-    written at all. Can be pickled.
+    written at all. Nothing is removed here: who saves the map may not have heard of the newest, see
+    `remove_overtaken`. Can be pickled.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -96,13 +97,20 @@ class GraphFolder:
             part.mkdir(parents=True)
             write_graph(part, graph, self._before, self._known)
             part.rename(new)
-            for old in self._folder.glob("[0-9]*"):
-                if old not in (self._before, new):
-                    shutil.rmtree(old, ignore_errors=True)
         except OSError as error:
             return KeptGraph("", f"the graph cannot be kept in {new}: {error}")
         self._before = new
         return KeptGraph(str(new), "")
+
+
+def remove_overtaken(kept: Path) -> None:
+    """Remove what GraphFolder wrote before `kept`, but for the newest of it: a stand-by may tell of that one
+    again. Raises OSError.
+    """
+    written_ns = {folder: folder.stat().st_mtime_ns for folder in kept.parent.glob("[0-9]*")}
+    before = [folder for folder in written_ns if written_ns[folder] < kept.stat().st_mtime_ns]
+    for folder in sorted(before, key=written_ns.__getitem__)[:-1]:
+        shutil.rmtree(folder)
 
 
 def link_graph(kept: Path, folder: Path) -> list[str]:

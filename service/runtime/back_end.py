@@ -153,7 +153,11 @@ class BackEndProcess:
         self._left_s = max(self._left_s - (time.monotonic() - began_s), 0.0)
         if number in self._answers:
             return self._answers.pop(number)
-        raise WorkLostError(self.fault or f"the back end did not finish within {self.patience_s:g} s")
+        if self.fault:
+            raise WorkLostError(self.fault)
+        late = f"the back end did not finish within {self.patience_s:g} s"
+        log.error("%s; what it found last is lost, and the map keeps the graph of the last checkpoint", late)
+        raise WorkLostError(late)
 
     def _leave(self) -> None:
         """Tell the process nothing more. A copy that it was told to make is still somebody's."""

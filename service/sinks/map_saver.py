@@ -17,6 +17,7 @@ from service.encoding import ERROR, OK, Message, Status, encode_grid
 from service.errors import StorageError
 from service.mapstore.config import MapConfig
 from service.mapstore.files import keep_version, save_map
+from service.mapstore.graph_files import remove_overtaken
 from service.mapstore.in_use import InUse, MapsInUse
 from service.mapstore.tiles import NumberedMap
 from service.sinks.sink import SavedHeard, SavedMap, Sink, SinkContext
@@ -214,6 +215,7 @@ class MapSaver(Sink):
         ended, present = self._tiles.take()
         self._unsaved += ended
         self._present = present
+        self._remove_overtaken_graphs(present)
         while len(self._unsaved) > MOST_UNSAVED:
             lost = self._unsaved.pop(0)
             self._let_go_of(lost.number)
@@ -245,6 +247,14 @@ class MapSaver(Sink):
         if number is not None:
             saved = SavedMap(folder, number, numbered.version, numbered.geo, numbered.graph)
             self._newest = (numbered.number, saved)
+
+    def _remove_overtaken_graphs(self, present: NumberedMap) -> None:
+        if present.graph is None or self.graph_folder not in present.graph.parents:
+            return
+        try:
+            remove_overtaken(present.graph)
+        except OSError as error:
+            log.warning("graphs of this session that are not needed any more cannot be removed: %s", error)
 
     def _run(self) -> None:
         if self._asks_for_graph:

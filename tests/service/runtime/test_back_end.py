@@ -126,11 +126,12 @@ def test_a_back_end_that_fails_says_how(process: BackEndProcess):
         pending.result()
 
 
-def test_waiting_has_an_end():
+def test_waiting_has_an_end(caplog: pytest.LogCaptureFixture):
     process = BackEndProcess(patience_s=0.0)
     try:
         with pytest.raises(WorkLostError, match="within 0 s"):
             process.new_worker(Adder()).submit("hang").result()
+        assert "within 0 s; what it found last is lost" in caplog.text
     finally:
         process.stop()
     assert process.pid is None or not _is_there(process.pid)

@@ -313,6 +313,27 @@ def test_a_map_that_somebody_asks_for_is_saved_with_the_graph_of_now(tmp_path: P
         saver.flush()
 
 
+def test_the_graph_that_was_told_last_stays_while_the_back_end_puts_away_others(tmp_path: Path):
+    """As at the end of a run where the back end is given up after it has written more of them."""
+    tiles = TileStore()
+    config = MapConfig.model_construct(directory=tmp_path, load=None, checkpoint_s=3600.0)
+    saver = MapSaver(config, sink_context(tiles=tiles, stores_graph=True))
+    keep = GraphFolder(saver.graph_folder / "map1")
+    tiles.update([tile(3)])
+    kept = [Path(keep(graph_of(count)).folder) for count in (4, 5, 6, 7)]
+    for k, folder in enumerate(kept):
+        os.utime(folder, (k, k))
+    for told, left in ((0, kept), (3, kept[2:])):
+        tiles.keep_graph(kept[told])
+        saver.save()
+        graph = load_map(saver.folder).graph
+        assert graph is not None
+        assert len(graph) == 4 + told
+        assert sorted(saver.graph_folder.glob("map1/*")) == left
+    saver.flush()
+    assert not saver.graph_folder.exists()
+
+
 def test_the_graph_of_a_session_that_was_killed_is_removed_by_a_later_one(tmp_path: Path):
     long_gone, just_killed, living = (
         tmp_path / f".veh1_20251121T10000{k}Z.graph-{pid}"
