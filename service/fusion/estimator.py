@@ -214,7 +214,7 @@ class Estimator:
             covariance=np.diag(sigma**2),
             noise=np.ones(2),
             gyro_noise=np.ones(1),
-            motion_noise=np.ones(3),
+            motion_noise=np.ones(2),
             said=np.zeros(8),
             last_odom=np.zeros(8),
             window=np.zeros(20),

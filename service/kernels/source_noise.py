@@ -92,7 +92,8 @@ def learn_motion(state, settings):
     """How many times the variance of its model a change of speed has, where only scans measure it; [29].
 
     The model is as wide as vehicles can drive. For one that drives steadily it is too wide: where scans say
-    little, along a corridor, their noise would move the speed. Standing teaches nothing of driving.
+    little, along a corridor, their noise would move the speed. Standing teaches nothing of driving, and
+    driving straight nothing of turns: they begin at once.
 
     Source: Shumway, Stoffer, An approach to time series smoothing and forecasting using EM, 1982.
     """
@@ -102,11 +103,8 @@ def learn_motion(state, settings):
         return
     lasting_s = w[13] + settings.acceleration_s * math.expm1(-w[13] / settings.acceleration_s)
     moved = min(w[12] / WINDOW_M, 1.0)
-    for i in range(3):
-        if i == 2 and w[10] > 0.0:
-            state.motion_noise[i] = 1.0
-            continue
-        model = lasting_s * (settings.acceleration**2 if i < 2 else settings.turn_acceleration**2)
+    for i in range(2):
+        model = lasting_s * settings.acceleration**2
         alone = w[17 + i] + state.covariance[TWIST + i, TWIST + i]
         share = model / (model + alone)
         sample = ((state.twist[i] - w[14 + i]) ** 2 + alone) / model

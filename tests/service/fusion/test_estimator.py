@@ -494,7 +494,7 @@ def test_an_acceleration_that_nothing_confirms_fades() -> None:
     assert np.abs(model._filter.acceleration).max() < 1e-3
     rows = slice(ACCELERATION, ACCELERATION + 3)
     sigma = np.array([1.0, 1.0, 2.0]) / math.sqrt(2.0 * ACCELERATION_S)
-    noise = 0.5 + 0.5 * model._filter.motion_noise  # of 2 s one is beyond what was learnt of it
+    noise = np.append(0.5 + 0.5 * model._filter.motion_noise, 1.0)  # of 2 s one is beyond what was learnt
     np.testing.assert_allclose(model._filter.covariance[rows, rows], np.diag(sigma**2 * noise), atol=1e-6)
 
 
