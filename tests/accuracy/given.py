@@ -99,13 +99,12 @@ def error_mm(name: str, trajectory: Path) -> float:
 
 def _world(name: str, bound_m: float | None, out: Path) -> list[Row]:
     truth = SHARED / "worlds" / name / f"{name}.tum"
-    done = _mapped(SHARED / "worlds" / name / f"{name}.mcap", out)
+    done = mapped(SHARED / "worlds" / name / f"{name}.mcap", out)
     finished, live = score(out / "trajectory.tum", truth), score(out / "trajectory_live.tum", truth)
     assert not isinstance(finished, RelationsScore)
     assert not isinstance(live, RelationsScore)
-    off, nees = _errors(done, truth)
+    off, nees = off_and_nees(done, truth)
     states = [output.state for output in done.outputs]
-    wrong = sum(state == "ok" and away > WRONG_M for state, away in zip(states, off.tolist(), strict=True))
     return [
         Row(
             "", f"{name}: ATE after the finish", [finished.ate_aligned_m.rms], "m", at_most=bound_m, digits=4
@@ -113,16 +112,23 @@ def _world(name: str, bound_m: float | None, out: Path) -> list[Row]:
         Row("", f"{name}: ATE live", [live.ate_aligned_m.rms], "m", digits=4),
         Row("", f"{name}: closure", [finished.closure_m], "m", digits=4),
         Row("", f"{name}: NEES, mean", [nees], "of 3", digits=2),
-        Row("", f"{name}: scans `ok` and {WRONG_M} m off", [float(wrong)], "scans", at_most=0.0, digits=0),
+        wrong_row(name, done, off),
         Row("", f"{name}: scans lost", [100.0 * states.count("lost") / len(states)], "%", digits=1),
     ]
+
+
+def wrong_row(name: str, done: Replay, off_m: np.ndarray) -> Row:
+    """How many scans are `ok` and WRONG_M off."""
+    is_ok = np.array([output.state == "ok" for output in done.outputs])
+    wrong = float(np.sum(is_ok & (off_m > WRONG_M)))
+    return Row("", f"{name}: scans `ok` and {WRONG_M} m off", [wrong], "scans", at_most=0.0, digits=0)
 
 
 def _dataset(
     name: str, relations: str, shift_s: float, bounds: tuple[float | None, float | None], out: Path
 ) -> list[Row]:
     folder = SHARED / "datasets" / name
-    done = _mapped(folder / f"{name}.mcap", out)
+    done = mapped(folder / f"{name}.mcap", out)
     states = [output.state for output in done.outputs]
     rows = [Row("", f"{name}: scans lost", [100.0 * states.count("lost") / len(states)], "%", digits=1)]
     if relations:
@@ -175,7 +181,7 @@ def _without_odometry(name: str, bound_m: float, folder: Path) -> list[Row]:
     """A recording with official relations as it is, but for its odometry."""
     spoilt, out = folder / "spoilt.mcap", folder / f"{name}_without_odometry"
     rewrite(recording_of(name), spoilt, WithoutOdometry())
-    states = [output.state for output in _mapped(spoilt, out).outputs]
+    states = [output.state for output in mapped(spoilt, out).outputs]
     report = score(out / "trajectory.tum", recording_of(name).with_name("official.relations"))
     assert isinstance(report, RelationsScore)
     what, error = f"{name} without odometry", report.errors[0]
@@ -196,13 +202,13 @@ def _scored_between_scans(recording: Path, relations: Path, out: Path) -> Relati
     return report.errors[0]
 
 
-def _mapped(recording: Path, out: Path) -> Replay:
+def mapped(recording: Path, out: Path) -> Replay:
     done = replay([recording], ReplayOptions())
     write_replay(done, out)
     return done
 
 
-def _errors(done: Replay, truth: Path) -> tuple[np.ndarray, float]:
+def off_and_nees(done: Replay, truth: Path) -> tuple[np.ndarray, float]:
     """(N,) m that each live pose is off, in the frame of the first scan; mean NEES of every tenth."""
     path = read_tum(truth)
     stamps = np.array([output.stamp_ns for output in done.outputs])
