@@ -214,7 +214,7 @@ class Estimator:
             covariance=np.diag(sigma**2),
             noise=np.ones(2),
             gyro_noise=np.ones(1),
-            motion_noise=np.ones(2),
+            motion_noise=np.ones(3),
             said=np.zeros(8),
             last_odom=np.zeros(8),
             window=np.zeros(20),
@@ -232,8 +232,8 @@ class Estimator:
         """Which source contradicts the scans, and what may be the matter; "" where none does."""
         if self._still.is_stuck:
             return (
-                "odometry says the same pose again and again while the scans move, and is not used; is an "
-                "encoder dead, does its driver repeat its last message?"
+                "odometry contradicts the scans (it says the same pose again and again while they move) and "
+                "is not used; is an encoder dead, does its driver repeat its last message?"
             )
         way, turns = self._filter.noise.tolist()
         gyro = float(self._filter.gyro_noise[0])

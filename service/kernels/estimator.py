@@ -194,8 +194,7 @@ def accelerate(state, dt, settings, way):
             P[j, ACCELERATION + i] *= over.kept
     for i in range(3):
         q2 = settings.acceleration**2 if i < 2 else settings.turn_acceleration**2
-        if i < 2:
-            q2 *= motion_noise_over(state.motion_noise[i], dt)
+        q2 *= motion_noise_over(state.motion_noise[i], dt)
         P[STEP + i, STEP + i] += q2 * over.step_step
         P[TWIST + i, TWIST + i] += q2 * over.twist_twist
         P[ACCELERATION + i, ACCELERATION + i] += q2 * over.acceleration_acceleration

@@ -51,7 +51,8 @@ class Filter(NamedTuple):
     covariance  (19, 19) float64
     noise       (2,)     float64   how many times its model odometry's variance is: position, heading
     gyro_noise  (1,)     float64   the same of the gyro
-    motion_noise (2,)    float64   the same of a change of speed, forward, left: 1 where odometry measures it
+    motion_noise (3,)    float64   the same of a change of twist, forward, left, rotation: 1 where odometry or
+                                   gyro measures it
     said        (8,)     float64   odometry's step (3) and whether there was one; its variances (2);
                                    gyro's turn less bias, its variance (0: there was none)
     last_odom   (8,)     float64   odometry at the newest pose: pose (3), mean speed up to then (3), lag in s

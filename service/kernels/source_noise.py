@@ -15,7 +15,8 @@ from service.kernels.se2 import between, compose
 NOISE_WINDOWS = 10.0  # over which the noise of a source is learnt
 WINDOW_M, WINDOW_S = 0.3, 1.0  # a radian counts as a metre
 LEAST_NOISE, MOST_NOISE = 0.25, 1e6
-LEAST_MOTION_NOISE = 0.02  # speeds then change by 0.14 m/s and 0.28 rad/s within a second, 1 sigma
+# Speeds then change by 0.14 m/s and 0.63 rad/s within a second, 1 sigma: a turn begins more suddenly.
+LEAST_MOTION_NOISE = (0.02, 0.02, 0.1)
 
 
 @inner_kernel
@@ -92,8 +93,7 @@ def learn_motion(state, settings):
     """How many times the variance of its model a change of speed has, where only scans measure it; [29].
 
     The model is as wide as vehicles can drive. For one that drives steadily it is too wide: where scans say
-    little, along a corridor, their noise would move the speed. Standing teaches nothing of driving, and
-    driving straight nothing of turns: they begin at once.
+    little, along a corridor, their noise would move the speed. Standing teaches nothing of driving.
 
     Source: Shumway, Stoffer, An approach to time series smoothing and forecasting using EM, 1982.
     """
@@ -103,14 +103,17 @@ def learn_motion(state, settings):
         return
     lasting_s = w[13] + settings.acceleration_s * math.expm1(-w[13] / settings.acceleration_s)
     moved = min(w[12] / WINDOW_M, 1.0)
-    for i in range(2):
-        model = lasting_s * settings.acceleration**2
+    for i in range(3):
+        if i == 2 and w[10] > 0.0:
+            state.motion_noise[i] = 1.0
+            continue
+        model = lasting_s * (settings.acceleration**2 if i < 2 else settings.turn_acceleration**2)
         alone = w[17 + i] + state.covariance[TWIST + i, TWIST + i]
         share = model / (model + alone)
         sample = ((state.twist[i] - w[14 + i]) ** 2 + alone) / model
         noise = state.motion_noise[i]
         noise += moved * share * share * (sample - noise) / NOISE_WINDOWS
-        state.motion_noise[i] = min(max(noise, LEAST_MOTION_NOISE), 1.0)
+        state.motion_noise[i] = min(max(noise, LEAST_MOTION_NOISE[i]), 1.0)
 
 
 @inner_kernel

@@ -362,7 +362,9 @@ def test_odometry_that_says_the_same_pose_for_ever_is_believed_only_while_the_ve
             faults.append(model.fault)
     # The one that dies unnoticed is found out by what the scans say against it.
     assert max(off_m) < (0.5 if dies_ms == 6500 else 0.08)
-    assert faults[-1].startswith("odometry says the same pose again") is (dies_ms is not None)
+    assert faults[-1].startswith("odometry contradicts the scans (it says the same pose again") is (
+        dies_ms is not None
+    )
     if dies_ms is None:
         assert not any(faults)
 
@@ -494,7 +496,7 @@ def test_an_acceleration_that_nothing_confirms_fades() -> None:
     assert np.abs(model._filter.acceleration).max() < 1e-3
     rows = slice(ACCELERATION, ACCELERATION + 3)
     sigma = np.array([1.0, 1.0, 2.0]) / math.sqrt(2.0 * ACCELERATION_S)
-    noise = np.append(0.5 + 0.5 * model._filter.motion_noise, 1.0)  # of 2 s one is beyond what was learnt
+    noise = 0.5 + 0.5 * model._filter.motion_noise  # of 2 s one is beyond what was learnt of it
     np.testing.assert_allclose(model._filter.covariance[rows, rows], np.diag(sigma**2 * noise), atol=1e-6)
 
 

@@ -84,11 +84,6 @@ def diagnostics(done: Run) -> set[str]:
     return {output.reason.split(" contradict")[0] for output in done.outputs if "contradict" in output.reason}
 
 
-def known(reason: str) -> list[pytest.MarkDecorator]:
-    """Of a failure that is known: looked at in `make soak` alone."""
-    return [pytest.mark.xfail(strict=True, reason=reason), pytest.mark.soak]
-
-
 @pytest.mark.parametrize(
     ("kind", "lie", "blamed"),
     [
@@ -97,12 +92,7 @@ def known(reason: str) -> list[pytest.MarkDecorator]:
         (ImuSample, in_degrees, {"the IMU's turns"}),
         (ImuSample, silent, {"the IMU's turns"}),
         (OdometrySample, backwards, {"odometry"}),
-        pytest.param(
-            OdometrySample,
-            frozen,
-            {"odometry"},
-            marks=known("lost at 21 s, then 17.5 m off in another place"),
-        ),
+        (OdometrySample, frozen, {"odometry"}),
     ],
 )
 def test_a_sensor_that_lies_is_left_out_and_named(

@@ -178,7 +178,9 @@ def test_who_drives_straight_is_not_told_where_the_vehicle_turns():
     way_m = 0.5 + random.normal(0.0, 0.005, 200)
     matched = np.column_stack([way_m, np.zeros(200), np.zeros(200)])
     aside = math.radians(3.0)
-    fault = fault_of(np.column_stack([matched, way_m * math.cos(aside), way_m * math.sin(aside)]))
+    fault = fault_of(
+        np.column_stack([matched, way_m * math.cos(aside), way_m * math.sin(aside), np.zeros(200)])
+    )
     assert "drives 3.0 deg to the " in fault
     assert "turns around a point that is not known; are" in fault
 
