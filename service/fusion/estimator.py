@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.frames import ImuSample, OdometrySample
 from service.fusion.motion import Matrix, Measurement, Motion, Prediction
+from service.fusion.standstill import Standstill
 from service.geometry import poses
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.estimator import predict_motion, take_match, tie_to_scale, transfer_into_map
@@ -48,11 +49,6 @@ TURN_M = 0.5  # a turn of a radian shows as much new as so many metres
 KEEP_BEFORE_NS = 2_000_000_000  # of samples before the last scan: for the largest lag, and for a speed
 PAUSE_NS = 1_000_000_000  # of odometry; shorter ones are bridged without a word
 MOST_SPEED_MPS, MOST_TURN_RADPS = 30.0, 30.0  # of any vehicle: odometry that says more has begun anew
-# Speed of a vehicle that stands, 1 sigma, and by how many sigmas one that drives is faster; what it brakes.
-STANDING_SIGMA, DRIVES_SIGMAS = (0.01, 0.01, 0.01), 5.0  # m/s, m/s, rad/s
-MOST_BRAKING_MPS2, MOST_TURN_BRAKING_RADPS2 = 5.0, 20.0
-# So long, or so far, odometry stands while the vehicle drives; then it counts only once it moves again.
-STUCK_NS, STUCK_M, STUCK_RAD = 1_000_000_000, 0.1, 0.1
 LEAST_ELAPSED_S = 0.05  # stamps that came in a burst may lie closer together than what they stand for
 NODE_S = 0.01  # of a sweep, from one moment at which the motion is asked to the next
 MOST_NODES = 65
@@ -156,28 +152,6 @@ class _Samples:
         self.track.value[: end - first] = old.value[first:end]
 
 
-@dataclass(frozen=True, slots=True)
-class _ImpossibleStop:
-    """Odometry stands from one sample to the next, faster than a vehicle brakes."""
-
-    speed_mps: float  # before; 0: from that a vehicle can have stopped
-    turn_radps: float  # likewise
-    pose: npt.NDArray[np.float64]  # (3,) at the last scan before
-    way_m: float  # from there until it stood, by odometry
-    turn_rad: float
-
-
-@dataclass(slots=True)
-class _Standstill:
-    """Odometry that says the same pose again: its vehicle stands, or it is dead and says so for ever."""
-
-    has_moved: bool = False  # once at all
-    is_stuck: bool = False  # it stands while the vehicle drives
-    since_ns: int | None = None  # stamp of the first sample like the one before
-    unused_ns: int | None = None  # of the newest that was not used for this
-    stop: _ImpossibleStop | None = None  # with which it began to, as long as scans have not confirmed it
-
-
 class Estimator:
     """MotionModel. The odom frame is the base at the first scan."""
 
@@ -199,7 +173,7 @@ class Estimator:
         self._odometry, self._gyro = _Samples(5), _Samples(2)
         self._gyro_rate = 0.0
         self._jump_told_ns = 0  # not again before
-        self._still = _Standstill()
+        self._still = Standstill()
         sigma = np.zeros(STATES)
         sigma[LOCAL_BLOCK] = LEAST_SIGMA
         sigma[TWIST : TWIST + 3] = FIRST_TWIST_SIGMA
@@ -401,8 +375,9 @@ class Estimator:
         if not all(map(math.isfinite, value)):
             return False
         if last is not None:
-            if value[:3] == tuple(self._odometry.track.value[last, :3]):
-                if self._is_no_evidence(sample.stamp_ns):
+            track = self._odometry.track
+            if value[:3] == tuple(track.value[last, :3]):
+                if self._has_begun and self._still.says_nothing(sample.stamp_ns, track, self._filter):
                     return True
             else:
                 self._moves_again(last)
@@ -411,68 +386,9 @@ class Estimator:
         self._odometry.append(sample.stamp_ns, value)
         return True
 
-    def _is_no_evidence(self, stamp_ns: int) -> bool:
-        """Whether a sample of the same pose as the one before says nothing of the motion; [30].
-
-        A dead encoder says that the vehicle stands, and more precisely than any other source says anything.
-        It is believed only of odometry that has moved before, and after a stop that a vehicle can make or
-        that scans confirm. Odometry that has stood for long while the vehicle drove counts only once it
-        moves again.
-        """
-        still, scan_ns = self._still, int(self._filter.stamp_ns[0])
-        if not self._has_begun or stamp_ns - scan_ns > STUCK_NS:
-            return False  # no scan says anything else
-        if still.since_ns is None:
-            still.since_ns, still.stop = stamp_ns, self._impossible_stop()
-        if still.stop is not None and self._went_on(still.stop):
-            still.is_stuck = True
-        if still.stop is not None and not self._goes_on(still.stop):
-            still.stop = None
-        if scan_ns - still.since_ns > STUCK_NS and (still.stop is not None or self._drives()):
-            still.is_stuck = True
-        if still.has_moved and not still.is_stuck and still.stop is None:
-            return False
-        still.unused_ns = stamp_ns
-        return True
-
-    def _drives(self) -> bool:
-        """Whether its speed at the last scan is more than zero by more than that can be wrong."""
-        variance = np.diag(self._filter.covariance)[TWIST : TWIST + 3] + np.square(STANDING_SIGMA)
-        return bool(np.any(np.square(self._filter.twist) > DRIVES_SIGMAS**2 * variance))
-
-    def _goes_on(self, stop: _ImpossibleStop) -> bool:
-        """Whether its speed by the scans is nearer to that before the stop than to none."""
-        forward, left, turn = self._twist()
-        drives = 2.0 * math.hypot(forward, left) > stop.speed_mps > 0.0
-        return drives or 2.0 * abs(turn) > stop.turn_radps > 0.0
-
-    def _went_on(self, stop: _ImpossibleStop) -> bool:
-        """Whether it has gone farther since, by the scans, than odometry says."""
-        moved = poses.between(stop.pose, self._filter.pose)
-        is_farther = math.hypot(moved[0], moved[1]) > stop.way_m + STUCK_M
-        return is_farther or bool(abs(moved[2]) > stop.turn_rad + STUCK_RAD)
-
-    def _impossible_stop(self) -> _ImpossibleStop | None:
-        """That of odometry at its newest sample; None: a vehicle can have stopped so."""
-        track, (first, end) = self._odometry.track, self._odometry.track.span.tolist()
-        if end - first < 2:
-            return None
-        step = track.value[end - 1, :3] - track.value[end - 2, :3]
-        last_ns = int(track.stamp_ns[end - 1])
-        elapsed_s = (last_ns - int(track.stamp_ns[end - 2])) * 1e-9
-        speed_mps = math.hypot(step[0], step[1]) / elapsed_s
-        turn_radps = abs(wrap_angle(float(step[2]))) / elapsed_s
-        lead_s = max((last_ns - int(self._filter.stamp_ns[0])) * 1e-9, 0.0)
-        way_m, turn_rad = speed_mps * lead_s, turn_radps * lead_s
-        speed_mps *= speed_mps > MOST_BRAKING_MPS2 * elapsed_s
-        turn_radps *= turn_radps > MOST_TURN_BRAKING_RADPS2 * elapsed_s
-        if not speed_mps and not turn_radps:
-            return None
-        return _ImpossibleStop(speed_mps, turn_radps, self._filter.pose.copy(), way_m, turn_rad)
-
     def _moves_again(self, last: int) -> None:
         """Odometry says another pose than in the sample before."""
-        still, self._still = self._still, _Standstill(has_moved=True)
+        still, self._still = self._still, Standstill(has_moved=True)
         if still.is_stuck:
             self._begin_odometry()  # what was driven meanwhile it has not counted
         elif not still.has_moved and still.unused_ns is not None:

@@ -1,0 +1,110 @@
+"""Odometry that says the same pose again: its vehicle stands, or it is dead and says so for ever; [30].
+
+A dead encoder says that the vehicle stands, and more precisely than any other source says anything. The same
+pose, to the last bit, is believed only of odometry that has moved before, and after a stop that a vehicle can
+make or that scans confirm. Odometry that has stood while the vehicle drove counts only once it moves again.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry import poses
+from service.geometry.se2 import wrap_angle
+from service.kernels.filter_state import TWIST, Filter
+from service.kernels.tracks import Track
+
+# Speed of a vehicle that stands, 1 sigma, and by how many sigmas one that drives is faster; what it brakes.
+STANDING_SIGMA, DRIVES_SIGMAS = (0.01, 0.01, 0.01), 5.0  # m/s, m/s, rad/s
+MOST_BRAKING_MPS2, MOST_TURN_BRAKING_RADPS2 = 5.0, 20.0
+# So long, or so far, odometry stands while the vehicle drives; then it counts only once it moves again.
+STUCK_NS, STUCK_M, STUCK_RAD = 1_000_000_000, 0.1, 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class _ImpossibleStop:
+    """Odometry stands from one sample to the next, faster than a vehicle brakes."""
+
+    speed_mps: float  # before; 0: from that a vehicle can have stopped
+    turn_radps: float  # likewise
+    pose: npt.NDArray[np.float64]  # (3,) at the last scan before
+    way_m: float  # from there until it stood, by odometry
+    turn_rad: float
+
+
+@dataclass(slots=True)
+class Standstill:
+    """`says_nothing` with each sample of the same pose as the one before; another pose begins a new one."""
+
+    has_moved: bool = False  # once at all
+    is_stuck: bool = False  # it stands while the vehicle drives
+    unused_ns: int | None = None  # stamp of the newest sample that said nothing
+    _since_ns: int | None = None  # of the first sample like the one before
+    _stop: _ImpossibleStop | None = None  # with which it began to stand, as long as no scan has confirmed it
+
+    def says_nothing(self, stamp_ns: int, track: Track, state: Filter) -> bool:
+        """Whether such a sample is no evidence of the motion.
+
+        track   of odometry, up to the sample that was used last
+        state   as of the last scan
+        """
+        scan_ns = int(state.stamp_ns[0])
+        if stamp_ns - scan_ns > STUCK_NS:
+            return False  # no scan says anything else
+        if self._since_ns is None:
+            self._since_ns, self._stop = stamp_ns, _impossible_stop(track, state)
+        if self._stop is not None and _went_on(self._stop, state):
+            self.is_stuck = True
+        if self._stop is not None and not _goes_on(self._stop, state):
+            self._stop = None
+        if scan_ns - self._since_ns > STUCK_NS and (self._stop is not None or _drives(state)):
+            self.is_stuck = True
+        if self.has_moved and not self.is_stuck and self._stop is None:
+            return False
+        self.unused_ns = stamp_ns
+        return True
+
+
+def _drives(state: Filter) -> bool:
+    """Whether its speed at the last scan is more than zero by more than that can be wrong."""
+    variance = np.diag(state.covariance)[TWIST : TWIST + 3] + np.square(STANDING_SIGMA)
+    return bool(np.any(np.square(state.twist) > DRIVES_SIGMAS**2 * variance))
+
+
+def _goes_on(stop: _ImpossibleStop, state: Filter) -> bool:
+    """Whether its speed by the scans is nearer to that before the stop than to none."""
+    forward, left, turn = state.twist.tolist()
+    drives = 2.0 * math.hypot(forward, left) > stop.speed_mps > 0.0
+    return drives or 2.0 * abs(turn) > stop.turn_radps > 0.0
+
+
+def _went_on(stop: _ImpossibleStop, state: Filter) -> bool:
+    """Whether it has gone farther since, by the scans, than odometry says."""
+    x_m, y_m, theta_rad = poses.between(stop.pose, state.pose).tolist()
+    is_farther = math.hypot(x_m, y_m) > stop.way_m + STUCK_M
+    return is_farther or abs(theta_rad) > stop.turn_rad + STUCK_RAD
+
+
+def _impossible_stop(track: Track, state: Filter) -> _ImpossibleStop | None:
+    """That of odometry at its newest sample; None: a vehicle can have stopped so."""
+    first, end = track.span.tolist()
+    if end - first < 2:
+        return None
+    x_m, y_m, theta_rad = (track.value[end - 1, :3] - track.value[end - 2, :3]).tolist()
+    before_ns, last_ns = track.stamp_ns[end - 2 : end].tolist()
+    elapsed_s = (last_ns - before_ns) * 1e-9
+    speed_mps, turn_radps = math.hypot(x_m, y_m) / elapsed_s, abs(wrap_angle(theta_rad)) / elapsed_s
+    brakes = speed_mps <= MOST_BRAKING_MPS2 * elapsed_s
+    brakes_turn = turn_radps <= MOST_TURN_BRAKING_RADPS2 * elapsed_s
+    if brakes and brakes_turn:
+        return None
+    lead_s = max((last_ns - int(state.stamp_ns[0])) * 1e-9, 0.0)
+    return _ImpossibleStop(
+        speed_mps=0.0 if brakes else speed_mps,
+        turn_radps=0.0 if brakes_turn else turn_radps,
+        pose=state.pose.copy(),
+        way_m=speed_mps * lead_s,
+        turn_rad=turn_radps * lead_s,
+    )
