@@ -380,19 +380,12 @@ class Estimator:
                 if self._has_begun and self._still.says_nothing(sample.stamp_ns, track, self._filter):
                     return True
             else:
-                self._moves_again(last)
-                if self._has_begun_anew(sample, last):
+                # What was driven while it was stuck it has not counted, or has: nobody knows.
+                if self._still.is_stuck or self._has_begun_anew(sample, last):
                     self._begin_odometry()
+                self._still = Standstill(has_moved=True)
         self._odometry.append(sample.stamp_ns, value)
         return True
-
-    def _moves_again(self, last: int) -> None:
-        """Odometry says another pose than in the sample before."""
-        still, self._still = self._still, Standstill(has_moved=True)
-        if still.is_stuck:
-            self._begin_odometry()  # what was driven meanwhile it has not counted
-        elif not still.has_moved and still.unused_ns is not None:
-            self._odometry.append(still.unused_ns, tuple(self._odometry.track.value[last]))  # it has stood
 
     def _begin_odometry(self) -> None:
         """What was driven since the last sample nobody knows."""

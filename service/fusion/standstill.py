@@ -40,8 +40,7 @@ class Standstill:
 
     has_moved: bool = False  # once at all
     is_stuck: bool = False  # it stands while the vehicle drives
-    unused_ns: int | None = None  # stamp of the newest sample that said nothing
-    _since_ns: int | None = None  # of the first sample like the one before
+    _since_ns: int | None = None  # stamp of the first sample like the one before
     _stop: _ImpossibleStop | None = None  # with which it began to stand, as long as no scan has confirmed it
 
     def says_nothing(self, stamp_ns: int, track: Track, state: Filter) -> bool:
@@ -61,10 +60,7 @@ class Standstill:
             self._stop = None
         if scan_ns - self._since_ns > STUCK_NS and (self._stop is not None or _drives(state)):
             self.is_stuck = True
-        if self.has_moved and not self.is_stuck and self._stop is None:
-            return False
-        self.unused_ns = stamp_ns
-        return True
+        return self.is_stuck or not self.has_moved or self._stop is not None
 
 
 def _drives(state: Filter) -> bool:

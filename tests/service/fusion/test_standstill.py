@@ -49,11 +49,13 @@ def test_odometry_that_says_the_same_pose_for_ever_is_believed_only_while_the_ve
         assert not any(faults)
 
 
-def test_odometry_that_moves_again_counts_again() -> None:
-    model = Estimator(EstimatorConfig())
+def found_after_hanging(counts: bool) -> list[SE2]:
+    """Odometry hangs for 4 s, in which its vehicle drives 4 m, and goes on with them or without."""
+    model, found = Estimator(EstimatorConfig()), []
     for stamp_ms in range(0, 12_001, 20):
-        way_m, hangs = stamp_ms * 1e-3, 4000 <= stamp_ms < 8000
-        assert model.add(odometry(stamp_ms, SE2(4.0 if hangs else way_m, 0.0, 0.0)))
+        way_m = stamp_ms * 1e-3
+        said_m = way_m if stamp_ms < 4000 else 4.0 if stamp_ms <= 8000 else way_m - (0.0 if counts else 4.0)
+        assert model.add(odometry(stamp_ms, SE2(said_m, 0.0, 0.0)))
         if stamp_ms % 100 == 0:
             predicted = model.predict(stamp_ms * MS)
             model.correct(matched(SE2(way_m, 0.0, 0.0), SURE))
@@ -61,5 +63,40 @@ def test_odometry_that_moves_again_counts_again() -> None:
             if 5200 <= stamp_ms < 8000:
                 assert model.fault
                 assert not predicted.is_measured
+            if stamp_ms < 4000 or stamp_ms > 8000:
+                assert not model.fault
+            found.append(predicted.pose_odom_base)
     assert predicted.is_measured
-    assert not model.fault
+    return found
+
+
+def test_odometry_that_moves_again_counts_again_and_what_it_counted_meanwhile_does_not() -> None:
+    assert found_after_hanging(counts=True)[81:] == pytest.approx(found_after_hanging(counts=False)[81:])
+
+
+def test_a_vehicle_that_hits_a_wall_stands() -> None:
+    """It stops from 1 m/s at once, which scans confirm; after 3 s it drives back."""
+    model = Estimator(EstimatorConfig())
+    for stamp_ms in range(0, 10_001, 20):
+        way_m = min(stamp_ms, 4000) * 1e-3 - max(stamp_ms - 7000, 0) * 1e-3
+        assert model.add(odometry(stamp_ms, SE2(way_m, 0.0, 0.0)))
+        if stamp_ms % 100 == 0:
+            predicted = model.predict(stamp_ms * MS)
+            model.correct(matched(SE2(way_m, 0.0, 0.0), SURE))
+            assert not model.fault
+            if 5000 <= stamp_ms <= 7000:
+                assert predicted.is_measured
+                assert predicted.pose_odom_base.x_m == pytest.approx(4.0, abs=0.01)
+
+
+def test_odometry_that_dies_in_a_turn_on_the_spot_is_found_out_before_the_turn_is_over() -> None:
+    """It dies at 4 s, in the middle of a turn by a radian; then the vehicle stands."""
+    model = Estimator(EstimatorConfig())
+    for stamp_ms in range(0, 5_001, 20):
+        turned_rad = 1e-3 * min(max(stamp_ms - 3500, 0), 1000)
+        counted_rad = min(turned_rad, 0.5)
+        assert model.add(odometry(stamp_ms, SE2(1e-3 * min(stamp_ms, 3000), 0.0, counted_rad)))
+        if stamp_ms % 100 == 0:
+            model.predict(stamp_ms * MS)
+            model.correct(matched(SE2(1e-3 * min(stamp_ms, 3000), 0.0, turned_rad), SURE))
+            assert bool(model.fault) is (stamp_ms > 4200) or 4000 < stamp_ms <= 4200
