@@ -12,14 +12,21 @@ _LOOKS_LIKE_IPV4 = re.compile(r"[0-9.]+")
 MAX_HOST_CHARS = 253  # RFC 1035, section 2.3.4
 
 
-def _check_host(host: str) -> str:
+def is_host(host: str) -> bool:
+    """Whether it is an IP address, also with a zone as in fe80::1%eth0, or can be a host's name."""
     try:
-        ipaddress.ip_address(host)  # also with a zone: fe80::1%eth0
+        ipaddress.ip_address(host)
     except ValueError:
-        if len(host) > MAX_HOST_CHARS or _LOOKS_LIKE_IPV4.fullmatch(host) or not _HOST_NAME.fullmatch(host):
-            raise ValueError(
-                "neither an IP address nor a host name; write 192.168.0.1, say, without port, space or URL"
-            ) from None
+        is_name = len(host) <= MAX_HOST_CHARS and _HOST_NAME.fullmatch(host) is not None
+        return is_name and not _LOOKS_LIKE_IPV4.fullmatch(host)
+    return True
+
+
+def _check_host(host: str) -> str:
+    if not is_host(host):
+        raise ValueError(
+            "neither an IP address nor a host name; write 192.168.0.1, say, without port, space or URL"
+        )
     return host
 
 

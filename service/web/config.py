@@ -6,7 +6,10 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from drivers.wires import is_host
+
 _LISTEN = re.compile(r"(?:\[(?P<v6>[0-9A-Fa-f:.]+)\]|(?P<host>[A-Za-z0-9_.-]+)):(?P<port>\d{1,5})")
+_EXAMPLE = 'write host and port as "127.0.0.1:8080" or "[::]:8080" (port 0: any free one)'
 _HOST_NAME = re.compile(r"[a-z0-9]([a-z0-9-]*[a-z0-9])?(\.[a-z0-9]([a-z0-9-]*[a-z0-9])?)*")
 
 
@@ -14,8 +17,11 @@ def split_listen(listen: str) -> tuple[str, int]:
     """Host and port of "127.0.0.1:8080" or "[::1]:8080". Raises ValueError."""
     found = _LISTEN.fullmatch(listen)
     if found is None or int(found["port"]) > 65535:
-        raise ValueError('write host and port as "127.0.0.1:8080" or "[::]:8080" (port 0: any free one)')
-    return found["v6"] or found["host"], int(found["port"])
+        raise ValueError(_EXAMPLE)
+    host = str(found["v6"] or found["host"])
+    if not is_host(host):
+        raise ValueError(f"{host} is neither an IP address nor a host name; {_EXAMPLE}")
+    return host, int(found["port"])
 
 
 def check_listen(listen: str) -> str:

@@ -26,7 +26,17 @@ def test_endpoints_that_zenoh_takes_are_taken(endpoint):
 
 
 @pytest.mark.parametrize(
-    "endpoint", ["7447", "127.0.0.1:7447", "tcp/1.2.3.4", "tcp/1.2.3.4:65536", "tls/h:1", "tcp/:1"]
+    "endpoint",
+    [
+        "7447",
+        "127.0.0.1:7447",
+        "tcp/1.2.3.4",
+        "tcp/1.2.3.4:65536",
+        "tls/h:1",
+        "tcp/:1",
+        "tcp/1.2.3.400:7447",
+        "tcp/[:::]:7447",
+    ],
 )
 def test_others_are_refused_with_an_example(endpoint):
     with pytest.raises(ValidationError, match=r"write an endpoint as .tcp/127\.0\.0\.1:7447"):

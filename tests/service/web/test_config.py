@@ -17,7 +17,20 @@ def test_an_address_to_listen_at_is_host_and_port(listen, expected):
     assert WebConfig(listen=listen).listen == listen
 
 
-@pytest.mark.parametrize("listen", ["8080", "127.0.0.1", "127.0.0.1:65536", "::1:8080", "http://a:80", ":80"])
+@pytest.mark.parametrize(
+    "listen",
+    [
+        "8080",
+        "127.0.0.1",
+        "127.0.0.1:65536",
+        "::1:8080",
+        "http://a:80",
+        ":80",
+        "300.0.0.1:8080",
+        "127.0.0:8080",
+        "[:::]:8080",
+    ],
+)
 def test_anything_else_is_refused_with_an_example(listen):
     with pytest.raises(ValidationError, match=r"127\.0\.0\.1:8080"):
         WebConfig(listen=listen)
