@@ -30,6 +30,16 @@ def _check_host(host: str) -> str:
     return host
 
 
+def one_spelling(host: str) -> str:
+    """Of all spellings of a host's name or address the same one."""
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return host.rstrip(".").lower()
+    mapped = address.ipv4_mapped if isinstance(address, ipaddress.IPv6Address) else None
+    return str(mapped or address)
+
+
 def _check_device(device: str) -> str:
     if not device.strip() or device != device.strip():
         raise ValueError("a path without spaces at its ends; write /dev/ttyUSB0, say")

@@ -19,6 +19,7 @@ from pydantic_core import ErrorDetails
 
 from drivers.antenna import antenna_of
 from drivers.registry import SENSOR_KINDS
+from drivers.wires import one_spelling
 from service.encoding import Message, decode_mountings, decode_upside_down, encode_tf_static
 from service.errors import ConfigError
 from service.geometry.se2 import SE2
@@ -301,7 +302,8 @@ class _Reader:
                 wire = tuple(getattr(sensor, key, None) for key in keys)
                 if None in wire:
                     continue
-                owner = owners.setdefault(wire, name)
+                spelt = (one_spelling(str(wire[0])), *wire[1:]) if keys[0] == "host" else wire
+                owner = owners.setdefault(spelt, name)
                 if owner != name:
                     where = ":".join(map(str, wire))
                     self._fault(

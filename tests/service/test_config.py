@@ -269,6 +269,18 @@ def test_two_sensors_on_one_wire_are_refused():
     ]
 
 
+@pytest.mark.parametrize(
+    ("one", "other"), [("LMS.local", "lms.local."), ("fe80::0:1", "fe80::1"), ("10.0.0.7", "::ffff:10.0.0.7")]
+)
+def test_two_spellings_of_a_host_are_one_wire(one: str, other: str):
+    front, rear = (f"  {name}: {{type: sick_lms100, host: '{host}'}}" for name, host in
+                   (("front", one), ("rear", other)))  # fmt: skip
+    (fault,) = faults(with_line(f"{front}\n{rear}", 3))
+    assert fault.endswith(
+        f"sensors.rear.host: {other}:2111 is taken by front; two sensors cannot share a wire"
+    )
+
+
 def test_what_is_wrong_already_as_yaml_is_said_once():
     assert len(faults(with_line("  front: {type: sick_lms100, host: a, port: 012}", 3))) == 1
 
