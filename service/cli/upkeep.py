@@ -20,6 +20,7 @@ def config_path(parsed: argparse.Namespace) -> Path:
 
 def check(parsed: argparse.Namespace) -> int:
     from service.config import laser_names, load_config, mapped_lasers
+    from service.offline.config_here import faults_here
 
     path = config_path(parsed)
     faults: list[str] = []
@@ -29,6 +30,7 @@ def check(parsed: argparse.Namespace) -> int:
         config = load_config(path)
         mapped = mapped_lasers(config)
         others = [name for name in laser_names(config.sensors) if name not in mapped]
+        faults = faults_here(config, str(path))
     except ConfigError as error:
         faults = error.faults
     if parsed.json:

@@ -1,8 +1,9 @@
 """One sensor from the outside in: its wire, then its own session on it. Knows no type of sensor by name."""
 
 import errno
+import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 from drivers.registry import SENSOR_KINDS
 from drivers.sensor_kind import SensorKind
 from drivers.transport import SerialTransport, Transport
+from service.offline.config_here import shared_devices
 from service.offline.doctor import verdict
 from service.offline.doctor.findings import Finding, fault
 from service.offline.doctor.machine import Machine
@@ -57,6 +59,19 @@ def wire_of(config: Any) -> TcpWire | PortWire | None:
         return PortWire(device) if device.startswith(("/", ".")) or Path(device).exists() else None
     name, _, port = rest.partition("?")[0].rpartition(":")
     return TcpWire(name, int(port)) if scheme in ("socket", "rfc2217") and port.isdigit() else None
+
+
+def look_at_shared(machine: Machine, sensors: Mapping[str, Any]) -> list[Finding]:
+    """A fault for each sensor that is the device of another one."""
+    return [
+        fault(
+            shared.sensor,
+            f"its {shared.key} is {shared.device}, as is that of {shared.other}",
+            "a device for each sensor",
+            f"give {shared.sensor} or {shared.other} another {shared.key}, or take one of them out",
+        )
+        for shared in shared_devices(sensors, lambda device: os.path.realpath(machine.path(device)))
+    ]
 
 
 def examine_sensor(

@@ -9,7 +9,7 @@ from service.config import ServiceConfig, load_config
 from service.errors import ConfigError
 from service.offline.doctor import endpoints, folders, host
 from service.offline.doctor.cache import look_at_cache
-from service.offline.doctor.devices import Patience, examine_sensor
+from service.offline.doctor.devices import Patience, examine_sensor, look_at_shared
 from service.offline.doctor.findings import Finding, Report, fault, ok
 from service.offline.doctor.machine import Machine
 from service.offline.doctor.running import ask_health, from_health
@@ -59,6 +59,7 @@ def _with_config(
     return (
         ok("config", f"{path} is valid: vehicle {config.vehicle} with {kinds}"),
         *zenoh,
+        *look_at_shared(machine, config.sensors),
         *devices,
         *folders.look_at_folders(machine, config),
         *folders.look_at_map_to_load(machine, config),

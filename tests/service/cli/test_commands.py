@@ -173,6 +173,13 @@ def test_check_lists_every_fault_and_exits_with_78(tmp_path: Path, capsys: pytes
     assert (answer["ok"], len(answer["faults"])) == (False, 2)
 
 
+def test_check_names_faults_that_only_this_machine_shows(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    config = tmp_path / "v.yaml"
+    config.write_text(GOOD.replace("map: {", f"map: {{load: {tmp_path / 'nowhere'}, "))
+    assert main(["check", str(config)]) == ConfigError.exit_code
+    assert "map.load: " in capsys.readouterr().err
+
+
 def test_run_refuses_a_bad_config_before_anything_starts(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["run", str(tmp_path / "nowhere.yaml")]) == ConfigError.exit_code
     assert "nowhere.yaml: cannot be read" in capsys.readouterr().err

@@ -14,7 +14,14 @@ from drivers.irobot_create.protocol import encode_frame
 from drivers.sick_lms100.config import Lms100Config
 from drivers.sick_lms100.protocol import Dialect
 from drivers.transport import TcpTransport
-from service.offline.doctor.devices import Patience, PortWire, TcpWire, examine_sensor, wire_of
+from service.offline.doctor.devices import (
+    Patience,
+    PortWire,
+    TcpWire,
+    examine_sensor,
+    look_at_shared,
+    wire_of,
+)
 from service.offline.doctor.findings import Finding
 from service.offline.doctor.machine import Machine
 from simulators.irobot_create import FakeCreate
@@ -237,3 +244,13 @@ def test_a_wire_is_known_by_its_settings(device: str, wire: object):
 
 def test_a_host_is_a_wire_too():
     assert wire_of(lms100(("192.168.0.1", 2111))) == TcpWire("192.168.0.1", 2111)
+
+
+def test_two_sensors_at_one_device_are_a_fault(tree: FakeTree):
+    tree.write("/dev/ttyUSB0", "")
+    tree.link("/dev/create", "ttyUSB0")
+    imu, base = create("/dev/ttyUSB0"), create("/dev/create")
+    finding = only(look_at_shared(tree.machine(), {"imu": imu, "base": base}))
+    assert (finding.who, finding.expected) == ("base", "a device for each sensor")
+    assert finding.measured == f"its device is {tree.root}/dev/ttyUSB0, as is that of imu"
+    assert look_at_shared(tree.machine(), {"base": base}) == []
