@@ -7,7 +7,7 @@ where the other lasers were. What the drive leaves open is said, and stays as it
 import math
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,7 +19,7 @@ from service.errors import ConfigError, InputError, UsageError
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.offline.calibration.fit import Fit, fit_gyro, fit_lasers, fit_wheels
-from service.offline.calibration.patch import Changes, patched, wheel_settings
+from service.offline.calibration.patch import Changes, patched, wheel_settings, why_not_taken
 from service.offline.calibration.tracks import LaserMapping, LaserTrack, gyro_track, wheel_track
 from service.offline.replay import group_sessions
 from service.recording.mcap_source import Session, open_session
@@ -28,6 +28,10 @@ from service.recording.mcap_source import Session, open_session
 ENOUGH = {"m": 0.02, "deg": 0.5, "ms": 5.0, "%": 1.0}
 DRIVE_ON = "; drive two minutes with straights and turns to both sides"
 MOST_LATENCY_MS = {"laser": 50.0, "gyro": 50.0, "wheels": 100.0}  # that a config takes
+MIRRORED = (
+    "{wheels} counts turns to the other side than {laser} sees them, so no mounting and no wheels can be "
+    "told: is {laser} upside down (mounting: upside_down), or are the left and the right wheel swapped?"
+)
 GYRO_OFF_PERCENT = 5.0  # a scale so far from 1 is no error of a gyro
 
 
@@ -145,8 +149,22 @@ def calibrate(
             _add(done, changes, before, name, "laser", tracks[name].latency_ms, values, [])
     if not any(one.values for one in done.sensors):
         raise InputError(f"{paths[0]}: {reference} is alone; there are no wheels, no gyro and no other laser")
+    _leave_out_what_is_refused(done, changes, config)
     done.patch, done.config = patched(changes, config)
     return done
+
+
+def _leave_out_what_is_refused(done: Calibration, changes: Changes, config: ServiceConfig | None) -> None:
+    """Of a sensor that is something else in the config, or that is further off than a config can mend."""
+    for name in list(changes):
+        settings = _sensor(config, name)
+        if settings is None or not (refused := why_not_taken(changes[name], settings)):
+            continue
+        del changes[name]
+        said = f"stays as it is, for the config's {name} ({settings.type}) does not take it: {refused}"
+        done.sensors = [
+            replace(one, notes=(*one.notes, said)) if one.sensor == name else one for one in done.sensors
+        ]
 
 
 def _recorded_config(session: Session) -> ServiceConfig | None:
@@ -213,7 +231,11 @@ def _calibrate_wheels(
             ),
             Value("stamps late by", 1e3 * fit["offset_s"], 1e3 * fit.sigma("offset_s"), "ms"),
         ]
-        _add(done, changes, before, name, "wheels", track.latency_ms, values, [])
+        mirrored = fit["turn_scale"] <= 0.0
+        notes = [MIRRORED.format(laser=first.sensor, wheels=name)] if mirrored else []
+        _add(done, changes, before, name, "wheels", track.latency_ms, values, notes)
+        if mirrored:  # whose fault it is, is not known, so neither is the laser's place
+            continue
         if base_m is not None and all(value.is_known for value in values[:2]):
             new = wheel_settings(fit, base_m, settings.left_scale, settings.right_scale)
             changes.setdefault(name, {}).update(new)

@@ -1,10 +1,13 @@
 """What a calibration changes in a config: as a patch, and merged into the config with its comments kept."""
 
 import io
+import json
 from collections.abc import Mapping
 from typing import Any
 
 import yaml
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails
 from ruamel.yaml import YAML
 
 from service.config import ServiceConfig, parse_config
@@ -29,10 +32,31 @@ def wheel_settings(fit: Fit, wheel_base_m: float, left_scale: float, right_scale
     }
 
 
+def why_not_taken(values: Mapping[str, Any], settings: Any) -> str:
+    """What of the values the settings of a sensor refuse, and why; "" where they take them."""
+    merged = settings.model_dump(mode="json", exclude_unset=True)
+    _overlay(merged, values)
+    try:
+        type(settings).model_validate_json(json.dumps(merged), strict=True)
+    except ValidationError as error:
+        return "; ".join(_words(detail) for detail in error.errors(include_url=False))
+    return ""
+
+
+def _words(detail: ErrorDetails) -> str:
+    key, got = ".".join(map(str, detail["loc"])), detail["input"]
+    if detail["type"] == "extra_forbidden":
+        return f"unknown key {key}"
+    why = detail["msg"].removeprefix("Value error, ").removeprefix("Input ")
+    return f"{key} {got}: {why}" if isinstance(got, int | float) else f"{key} {why}".strip()
+
+
 def patched(changes: Changes, config: ServiceConfig | None) -> tuple[str, str]:
     """The patch, and the whole config with it; that is empty where there is no config.
 
-    Sensors that the config does not have are left out of it. Raises ConfigError where the config refuses it.
+    changes   of a sensor that the config has: as why_not_taken lets them pass
+
+    Sensors that the config does not have are left out of it.
     """
     if not changes:
         return "", "" if config is None else config.text

@@ -83,6 +83,55 @@ def test_a_wrong_config_is_mended(session, config, tmp_path, capsys):
     assert "# looks back" in text
 
 
+def test_turns_to_the_other_side_change_nothing_and_are_said(frames, config, tmp_path, capsys):
+    """Whether the laser or the wheels are mirrored, the drive does not tell."""
+    mirrored = [_mirrored(frame) if frame.sensor == "base" else frame for frame in frames]
+    path = tmp_path / "mirrored.mcap"
+    write_session(path, mirrored, {}, {}, log_times=True)
+    assert main(["calibrate", str(path), "--config", str(config), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    by_name = {one["sensor"]: one for one in told["sensors"]}
+    (note,) = by_name["base"]["notes"]
+    assert "base counts turns to the other side than front sees them" in note
+    assert "is front upside down (mounting: upside_down)" in note
+    changed = yaml.safe_load(told["patch"])["sensors"]
+    assert changed["base"].keys() == {"latency_ms"}
+    assert "front" not in changed
+    assert by_name["front"]["values"] == []
+
+
+def _mirrored(sample):
+    forward, left, turn = sample.twist_mps_radps
+    return replace(
+        sample, y_m=-sample.y_m, theta_rad=-sample.theta_rad, twist_mps_radps=(forward, -left, -turn)
+    )
+
+
+@pytest.mark.parametrize(
+    ("sensor", "line", "why"),
+    [
+        (
+            "base",
+            "base: {type: irobot_create, device: /dev/b, wheel_base_m: 0.24, left_scale: 2.0}",
+            "the config's base (irobot_create) does not take it: left_scale 2.0",
+        ),
+        (
+            "front",
+            "front: {type: irobot_create, device: /dev/b}",
+            "the config's front (irobot_create) does not take it: unknown key mounting",
+        ),
+    ],
+)
+def test_what_the_config_refuses_is_left_out_and_said(session, config, sensor, line, why, capsys):
+    lines = [line if one.strip().startswith(f"{sensor}:") else one for one in CONFIG.splitlines()]
+    config.write_text("\n".join(f"  {one}" if one == line else one for one in lines))
+    assert main(["calibrate", str(session), "--config", str(config), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert sensor not in yaml.safe_load(told["patch"])["sensors"]
+    (note,) = next(one for one in told["sensors"] if one["sensor"] == sensor)["notes"]
+    assert why in note
+
+
 def test_without_a_config_there_is_a_patch_of_what_the_recording_names(session, capsys):
     assert main(["calibrate", str(session), "--reference", "rear"]) == 0
     said = capsys.readouterr().out
