@@ -114,7 +114,7 @@ class Commands:
         return {
             "pause": self._verb("pause", partial(self._request_session, "pause")),
             "resume": self._verb("resume", partial(self._request_session, "resume")),
-            "reset_map": self._verb("reset_map", self._reset_map),
+            "reset_map": Verb(Request, self._begin_reset),
             "save_map": self._verb("save_map", self._save_map, SaveRequest),
             "load_map": self._load_verb(),
             "switch_profile": self._switch.verb(self._keep),
@@ -137,13 +137,17 @@ class Commands:
 
     def _verb(self, name: str, carry_out: CarryOut, request: type[Request] = Request) -> Verb:
         def start(request: Request, outcome: Outcome) -> None:
-            event = {"event": name, **request.model_dump(exclude_none=True)}
             self._keep(outcome)
-            if refused := self._intake.mark(event, lambda message: carry_out(message, outcome)):
+            if refused := self._mark_in_line(name, request, carry_out, outcome):
                 outcome.failed(refused)
                 raise CommandError(refused)
 
         return Verb(request, start)
+
+    def _mark_in_line(self, name: str, request: Request, carry_out: CarryOut, outcome: Outcome) -> str:
+        """Have it carried out between two frames; why not, "" if it is."""
+        event = {"event": name, **request.model_dump(exclude_none=True)}
+        return self._intake.mark(event, lambda message: carry_out(message, outcome))
 
     def _keep(self, outcome: Outcome) -> None:
         with self._lock:
@@ -171,6 +175,16 @@ class Commands:
         self._put(event)
         self._intake.request_session(action, event.log_ns, lambda answer: outcome.done(changed=answer.result))
 
+    def _begin_reset(self, request: Request, outcome: Outcome) -> None:
+        """The map before ends with its graph as it is now: a session can go on in it."""
+        self._keep(outcome)
+
+        def reset() -> None:
+            if refused := self._mark_in_line("reset_map", request, self._reset_map, outcome):
+                outcome.failed(refused)
+
+        self._storage.put_graph_away(reset)
+
     def _reset_map(self, event: Message, outcome: Outcome) -> None:
         """Answered when the map before is on disk."""
         self._put(event)
@@ -191,8 +205,10 @@ class Commands:
         self._intake.request_session("reset_map", event.log_ns, answered)
 
     def _load_verb(self) -> Verb:
-        """What is recorded is the folder and the version that are begun in, whatever they were called."""
-        inner = self._verb("load_map", self._load_map, MapRequest)
+        """What is recorded is the folder and the version that are begun in, whatever they were called.
+
+        The map before ends with its graph as it is now.
+        """
 
         def start(request: MapRequest, outcome: Outcome) -> None:
             with self._loading:
@@ -201,11 +217,15 @@ class Commands:
                     self._storage.hold(folder, version)
                 except StorageError as error:
                     raise CommandError(str(error)) from error
-            try:
-                inner.start(request.model_copy(update={"map": str(folder), "version": version}), outcome)
-            except Exception:
-                self._storage.let_go(folder)
-                raise
+            self._keep(outcome)
+            found = request.model_copy(update={"map": str(folder), "version": version})
+
+            def load() -> None:
+                if refused := self._mark_in_line("load_map", found, self._load_map, outcome):
+                    self._storage.let_go(folder)
+                    outcome.failed(refused)
+
+            self._storage.put_graph_away(load)
 
         return Verb(MapRequest, start)
 

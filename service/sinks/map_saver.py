@@ -9,7 +9,7 @@ import shutil
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -40,6 +40,10 @@ class _Asked(NamedTuple):
     saved: SavedHeard
     name: str
     with_graph: bool
+
+
+class _GraphAsked(NamedTuple):
+    then: Callable[[], None]
 
 
 class _Profile(NamedTuple):
@@ -80,10 +84,11 @@ class MapSaver(Sink):
         self._emitted_version = 0
         self._unsaved: list[NumberedMap] = []  # ended by a reset
         self._wake = threading.Condition()  # of the two that follow
-        self._asked: deque[_Asked] = deque()
+        self._asked: deque[_Asked | _GraphAsked] = deque()
         self._stopping = False
         self._newest: tuple[int, SavedMap] | None = None  # map number
         self._thread = threading.Thread(target=self._run, name="map-saver", daemon=True)
+        self._held_back = ""  # why the present map is not stored yet, though nothing failed
         self._given_up = ""  # which map of this run is lost, and why
         self.fault = ""  # why the last save failed, "" if it did not
 
@@ -154,6 +159,14 @@ class MapSaver(Sink):
         """
         with self._wake:
             self._asked.append(_Asked(saved, name, with_graph))
+            self._wake.notify()
+
+    def put_graph_away(self, then: Callable[[], None]) -> None:
+        """Have the graph of the present map put away soon, as it is now, for the map to end. `then` is called
+        in the sink's thread: when it is, or not within GRAPH_S.
+        """
+        with self._wake:
+            self._asked.append(_GraphAsked(then))
             self._wake.notify()
 
     def start(self) -> None:
@@ -227,11 +240,17 @@ class MapSaver(Sink):
         while self._unsaved:
             self._store(self._unsaved[0])
             self._let_go_of(self._unsaved.pop(0).number)
-        self._store(present)
+        self._held_back = self._store(present)
         self.fault = ""
         return self._newest[1] if self._newest is not None and self._newest[0] == present.number else None
 
-    def _store(self, numbered: NumberedMap) -> None:
+    def _store(self, numbered: NumberedMap) -> str:
+        """Why it is not stored, though nothing failed; "" where it is, or holds nothing new."""
+        if numbered.tiles and self._would_lose_its_graph(numbered):
+            folder = self.folder_of(numbered.number)
+            held_back = f"{folder} stays as it is, for the graph of what was mapped since is not put away"
+            log.warning("%s", held_back)
+            return held_back
         newest = self._newest
         if (
             newest is not None
@@ -240,13 +259,19 @@ class MapSaver(Sink):
             and newest[1].geo == numbered.geo
             and newest[1].graph == numbered.graph
         ):
-            return
+            return ""
         folder = self.folder_of(numbered.number)
         about = self._about(numbered.number)
         number = save_map(folder, numbered.tiles, self._unix_ns(), about, numbered.geo, numbered.graph)
         if number is not None:
             saved = SavedMap(folder, number, numbered.version, numbered.geo, numbered.graph)
             self._newest = (numbered.number, saved)
+        return ""
+
+    def _would_lose_its_graph(self, numbered: NumberedMap) -> bool:
+        """Whether nobody could go on in the stored map any more that this one began in."""
+        is_begun_in = numbered.number in self._begun_in
+        return is_begun_in and numbered.graph is None and self._profile_of(numbered.number).stores_graph
 
     def _remove_overtaken_graphs(self, present: NumberedMap) -> None:
         if present.graph is None or self.graph_folder not in present.graph.parents:
@@ -325,12 +350,20 @@ class MapSaver(Sink):
             asked, self._asked = self._asked, deque()
         if not asked:
             return
-        if self._asks_for_graph and any(one.with_graph for one in asked):
+        if any(isinstance(one, _GraphAsked) or one.with_graph for one in asked):
             self._put_graph_away()
+        to_save = [one for one in asked if isinstance(one, _Asked)]
+        if to_save:
+            self._save_for(to_save)
+        for one in asked:
+            if isinstance(one, _GraphAsked):
+                one.then()
+
+    def _save_for(self, asked: Sequence[_Asked]) -> None:
         saved = self._try_to_save()
         for one in asked:
             if not one.name or self.fault:
-                one.saved(saved, self.fault)
+                one.saved(saved, self.fault or self._held_back)
                 continue
             try:
                 one.saved(self._save_as(one.name), "")
@@ -338,6 +371,8 @@ class MapSaver(Sink):
                 one.saved(None, str(error))
 
     def _put_graph_away(self) -> None:
+        if not self._asks_for_graph or self._tiles.finest_count == 0:
+            return
         before = self._tiles.graph
         if self._command("checkpoint", b"{}").ok and not self._tiles.wait_for_graph(before, GRAPH_S):
             log.warning(

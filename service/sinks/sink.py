@@ -194,3 +194,9 @@ class MapStorage(Protocol):
         with_graph   what a session goes on with is put away before, as it is now
         """
         ...
+
+    def put_graph_away(self, then: Callable[[], None]) -> None:
+        """Have what a session goes on with put away soon, as it is now, for the map to end. `then` is called
+        when it is, or cannot be.
+        """
+        ...

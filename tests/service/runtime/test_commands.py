@@ -16,8 +16,10 @@ from service.mapper.mapping_session import GraphRequest, LoadMap, MappingSession
 from service.mapper.profiles import mapping_config
 from service.mapstore.config import MapConfig
 from service.mapstore.files import check_versions, load_map, save_map
+from service.mapstore.graph_files import GraphFolder
 from service.mapstore.in_use import InUse
 from service.mapstore.tiles import TileStore
+from service.publishing.commands import Answer as CommandAnswer
 from service.publishing.commands import CommandDispatcher, CommandError
 from service.recording.config import RecordingConfig
 from service.recording.mcap_reader import Recording
@@ -29,6 +31,7 @@ from service.runtime.mapping_outputs import MappingOutputs
 from service.runtime.profile_switch import PresentMapping, ProfileSwitch
 from service.sinks.map_saver import MapSaver
 from service.sinks.mcap_sink import McapSink
+from tests.service.mapstore.graphs import graph_of
 from tests.service.runtime.inline_link import InlineLink
 from tests.service.runtime.mapping_runs import OFFSET_NS, FakeMapper, scan
 from tests.service.sinks.contexts import sink_context
@@ -341,6 +344,26 @@ def test_reset_map_answers_when_the_map_before_is_on_disk(machine: Machine, tmp_
         "ok": True, "folder": str(tmp_path / "map_2"), "version": 1, "map_version": 6,
     }  # fmt: skip
     assert machine.link.loop.mapper.counters["map_resets"] == 2
+
+
+@pytest.mark.parametrize("verb", ["reset_map", "load_map"])
+def test_a_map_that_ends_is_saved_with_its_graph_as_it_is_then(machine: Machine, tmp_path: Path, verb: str):
+    """However short it lasted: without one nobody could go on in it."""
+    save_map(tmp_path / "office", [tile(1)], 1, graph=graph_of(4))
+    keep = GraphFolder(tmp_path / "graphs")
+
+    def checkpoint(verb: str, payload: bytes) -> CommandAnswer:
+        machine.tiles.keep_graph(Path(keep(graph_of(5)).folder))
+        return CommandAnswer(True, b"{}")
+
+    machine.saver._command = checkpoint
+    machine.saver.mapped_by("corridor", stores_graph=True)
+    machine.scan(3)
+    told = machine.ask(verb, **({"map": "office"} if verb == "load_map" else {}))
+    assert told["folder_before"] == str(tmp_path / "map")
+    graph = load_map(tmp_path / "map").graph
+    assert graph is not None
+    assert len(graph) == 5
 
 
 def test_a_stored_map_that_is_reset_before_its_first_scan_gets_no_version_of_another_room(

@@ -313,6 +313,52 @@ def test_a_map_that_somebody_asks_for_is_saved_with_the_graph_of_now(tmp_path: P
         saver.flush()
 
 
+def test_a_stored_map_is_not_overtaken_by_a_version_that_nobody_can_go_on_in(tmp_path: Path):
+    """Tiles come with the first scan, the graph with the first checkpoint."""
+    folder = tmp_path / "office"
+    save_map(folder, [tile(1)], 1, graph=graph_of(4))
+    config = MapConfig.model_construct(directory=tmp_path, load=folder, checkpoint_s=3600.0)
+    tiles = TileStore()
+    saver = MapSaver(config, sink_context(tiles=tiles, load_version=1, stores_graph=True))
+    saver.start()
+    heard: queue.Queue[tuple[SavedMap | None, str]] = queue.Queue()
+    try:
+        tiles.update([tile(2)])
+        saver.ask_to_save(lambda saved, fault: heard.put((saved, fault)))
+        assert heard.get(timeout=20.0) == (
+            None, f"{folder} stays as it is, for the graph of what was mapped since is not put away",
+        )  # fmt: skip
+        tiles.begin_anew()
+        saver.save()
+        assert check_versions(folder)[0] == [1]
+    finally:
+        saver.flush()
+
+
+def test_a_graph_is_put_away_for_a_map_that_is_about_to_end(tmp_path: Path):
+    tiles = TileStore()
+    kept = GraphFolder(tmp_path / "graphs")
+    asked: list[str] = []
+
+    def command(verb: str, payload: bytes) -> Answer:
+        asked.append(verb)
+        tiles.keep_graph(Path(kept(graph_of(4)).folder))
+        return Answer(True, b"{}")
+
+    config = MapConfig.model_construct(directory=tmp_path, load=None, checkpoint_s=3600.0)
+    saver = MapSaver(config, sink_context(tiles=tiles, stores_graph=True, command=command))
+    saver.start()
+    graphs: queue.Queue[Path | None] = queue.Queue()
+    try:
+        for version, expected in ((0, []), (1, ["checkpoint"])):
+            tiles.update([tile(version)] if version else [])
+            saver.put_graph_away(lambda: graphs.put(tiles.graph))
+            assert (graphs.get(timeout=20.0) is None, asked) == (version == 0, expected)
+        assert saver.newest is None  # saved it is when it has ended
+    finally:
+        saver.flush()
+
+
 def test_the_graph_that_was_told_last_stays_while_the_back_end_puts_away_others(tmp_path: Path):
     """As at the end of a run where the back end is given up after it has written more of them."""
     tiles = TileStore()
