@@ -17,3 +17,5 @@ def refuse_unreadable(path: Path) -> None:
         raise InputError(f"{path}: no such file or folder") from error
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
+    except ValueError as error:  # a NUL in it
+        raise InputError(f"{str(path)!r}: {error}") from error

@@ -35,6 +35,7 @@ from service.mapstore.arrays import write_arrays
 from service.mapstore.edits import Edit, Version, edit_from_json, edit_to_json, kept_for_ever
 from service.mapstore.geo_file import GEO_FILE, read_geo, write_geo
 from service.mapstore.graph_files import GRAPH_FILE, link_graph, read_graph, ways_of, write_graph
+from service.mapstore.links import CURRENT, UNFINISHED, point, point_for_others, point_to_current, sync
 from service.mapstore.picture import Picture, picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
@@ -51,7 +52,6 @@ KEEP_VERSIONS = 3
 FOR_OTHERS = ("map.yaml", "map.pgm", "map.png")
 _CONTENT = (*FOR_OTHERS, "tiles.npz")
 _VERSION_NAME = re.compile(r"v(\d{6,})")
-_UNFINISHED = ".unfinished-"
 _KEPT = "kept"  # in the folder of a version: why it is never removed
 
 
@@ -126,7 +126,7 @@ def versions_of(folder: Path) -> tuple[list[Version], int, list[str]]:
     """
     versions: list[Version] = []
     problems: list[str] = []
-    for number in sorted(_versions(folder)):
+    for number in sorted(_versions_read(folder)):
         try:
             manifest = _checked_manifest(folder / _name(number))
         except InputError as error:
@@ -147,7 +147,7 @@ def load_map(folder: Path, number: int | None = None) -> StoredMap:
     Raises InputError where there is none.
     """
     if number is not None:
-        if number not in (there := sorted(_versions(folder))):
+        if number not in (there := sorted(_versions_read(folder))):
             raise InputError(
                 f"{folder}: no version {number}; there are {', '.join(map(str, there)) or 'none'}"
             )
@@ -171,7 +171,7 @@ def check_versions(folder: Path) -> tuple[list[int], list[str]]:
     """
     whole: list[int] = []
     problems: list[str] = []
-    for number in sorted(_versions(folder)):
+    for number in sorted(_versions_read(folder)):
         try:
             _load(folder / _name(number), [])
         except InputError as error:
@@ -200,7 +200,7 @@ def version_folder(folder: Path, number: int) -> Path:
 
 
 def is_map_folder(folder: Path) -> bool:
-    return folder.is_dir() and bool(_versions(folder))
+    return folder.is_dir() and bool(_versions_read(folder))
 
 
 def keep_version(folder: Path, number: int, why: str) -> None:
@@ -234,7 +234,7 @@ def _publish(
         with _only_writer(folder):
             return _publish_alone(folder, write, saved_ns, about, edit)
     except OSError as error:
-        before = "; the version before is untouched" if _versions(folder) else ""
+        before = "; the version before is untouched" if _versions_read(folder) else ""
         raise StorageError(f"cannot save the map to {folder}: {error}{before}") from error
 
 
@@ -245,30 +245,32 @@ def _publish_alone(
     about: dict[str, str],
     edit: Edit | None,
 ) -> int:
-    for leftover in folder.glob(_UNFINISHED + "*"):
+    for leftover in folder.glob(UNFINISHED + "*"):
         _remove(leftover)
-    _point_for_others(folder, FOR_OTHERS)
+    versions = [folder / _name(number) for number in _versions(folder)]
+    point_to_current(folder, versions)
+    point_for_others(folder, FOR_OTHERS, versions)
     number = max(_versions(folder), default=0) + 1
-    new = folder / f"{_UNFINISHED}{number}"
+    new = folder / f"{UNFINISHED}{number}"
     try:
         new.mkdir()
         names = write(new)
         has_geo = GEO_FILE in names
         if has_geo:
-            _point_for_others(folder, [GEO_FILE])
+            point_for_others(folder, [GEO_FILE], versions)
         _write_manifest(new, names, saved_ns, about, edit)
-        _sync(new)
+        sync(new)
         new.rename(folder / _name(number))
     except (OSError, StorageError):
         shutil.rmtree(new, ignore_errors=True)
         raise
-    _sync(folder)
-    _point(folder / "current", _name(number))
+    sync(folder)
+    point(folder / CURRENT, _name(number))
     if not has_geo and (folder / GEO_FILE).is_symlink():
         (folder / GEO_FILE).unlink()
     for old in _too_old(folder):
         gone = (
-            folder / f"{_UNFINISHED}{_name(old)}"
+            folder / f"{UNFINISHED}{_name(old)}"
         )  # half of it is no version: the next save removes the rest
         with suppress(OSError):  # again with the next save
             (folder / _name(old)).rename(gone)
@@ -327,7 +329,7 @@ def _write_manifest(
     text = json.dumps({**manifest, "sha256": _digest(manifest)}, indent=1)
     (new / "manifest.json").write_text(text + "\n", encoding="utf-8")
     for path in new.iterdir():
-        _sync(path)
+        sync(path)
 
 
 def _load(version: Path, problems: list[str]) -> StoredMap:
@@ -380,12 +382,13 @@ def _checked_manifest(version: Path) -> dict[str, Any]:
     path = version / "manifest.json"
     try:
         manifest = json.loads(path.read_text(encoding="utf-8"))
-        digest = manifest.pop("sha256")
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
-    except (ValueError, KeyError, AttributeError, TypeError) as error:
-        raise InputError(f"{path}: damaged: {error!r}") from error
-    if digest != _digest(manifest):
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: damaged: {error}") from error
+    if not isinstance(manifest, dict):
+        raise InputError(f"{path}: damaged: no JSON object")
+    if manifest.pop("sha256", None) != _digest(manifest):
         raise InputError(f"{path}: damaged: its own checksum does not fit")
     if manifest["format"] not in READ_FORMATS:
         raise InputError(
@@ -398,16 +401,25 @@ def _checked_manifest(version: Path) -> dict[str, Any]:
 
 def _by_preference(folder: Path) -> list[str]:
     """Names of versions: the current one, then the others, newest first."""
-    names = [_name(number) for number in sorted(_versions(folder), reverse=True)]
+    names = [_name(number) for number in sorted(_versions_read(folder), reverse=True)]
     try:
-        current = os.readlink(folder / "current")
-    except OSError:
+        current = os.readlink(folder / CURRENT)
+    except (OSError, ValueError):
         return names
     return sorted(names, key=lambda name: name != current)
 
 
 def _versions(folder: Path) -> list[int]:
+    """In no order. Raises OSError and ValueError where the system refuses the path."""
     return [_number(path.name) for path in folder.glob("v*") if _VERSION_NAME.fullmatch(path.name)]
+
+
+def _versions_read(folder: Path) -> list[int]:
+    """As _versions; none where the system refuses the path, of which _no_map says why."""
+    try:
+        return _versions(folder)
+    except (OSError, ValueError):
+        return []
 
 
 def _name(number: int) -> str:
@@ -416,27 +428,6 @@ def _name(number: int) -> str:
 
 def _number(name: str) -> int:
     return int(name.removeprefix("v"))
-
-
-def _point_for_others(folder: Path, names: Sequence[str]) -> None:
-    for name in names:
-        path, target = folder / name, f"current/{name}"
-        if path.is_symlink() and os.readlink(path) == target:
-            continue
-        if path.exists() and not path.is_symlink():
-            raise StorageError(
-                f"{path} is a file of somebody else; choose another map.directory or move it away"
-            )
-        _point(path, target)
-
-
-def _point(link: Path, target: str) -> None:
-    """Make `link` a link to `target` in one step that is on disk when this returns."""
-    new = link.with_name(f"{_UNFINISHED}{link.name}")
-    new.unlink(missing_ok=True)
-    new.symlink_to(target)
-    new.replace(link)
-    _sync(link.parent)
 
 
 @contextmanager
@@ -456,14 +447,6 @@ def _remove(path: Path) -> None:
         shutil.rmtree(path)
     else:
         path.unlink()
-
-
-def _sync(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _sha256(path: Path) -> str:

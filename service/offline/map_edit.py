@@ -292,7 +292,7 @@ def _refuse_if_large(points: Floats, what: str, instead: str) -> None:
     """What cells are looked for in: the rectangle around (C, 2) m. Raises UsageError."""
     if (most_m := float(np.abs(points).max())) > FURTHEST_M:
         raise UsageError(
-            f"{what} reaches {most_m:.0f} m from the origin; at most {FURTHEST_M:.0f} m are taken"
+            f"{what} reaches {most_m:.6g} m from the origin; at most {FURTHEST_M:.0f} m are taken"
         )
     width_m, height_m = np.ptp(points, axis=0).tolist()
     if width_m * height_m > LARGEST_M2:

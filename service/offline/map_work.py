@@ -77,7 +77,8 @@ def map_verify(folder: Path) -> dict[str, Any]:
     whole, problems = check_versions(folder)
     if problems:
         damage = "".join(f"\n  {problem}" for problem in problems)
-        raise InputError(f"{folder}: versions {whole or 'none'} are whole; damaged:{damage}")
+        which = f"whole: {', '.join(map(str, whole))}" if whole else "no version is whole"
+        raise InputError(f"{folder}: {which}; not readable:{damage}")
     return {"map": str(folder), "versions": whole, "problems": []}
 
 

@@ -1,5 +1,6 @@
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -118,6 +119,55 @@ def test_a_foreign_file_is_not_replaced(tmp_path):
     with pytest.raises(StorageError, match="file of somebody else"):
         save_map(tmp_path, TILES, 1)
     assert (tmp_path / "map.pgm").read_bytes() == b"mine"
+
+
+def test_a_copy_whose_links_became_files_is_saved_to_like_the_map(tmp_path):
+    """As cp -rL makes it, and most sticks and archives."""
+    save_map(tmp_path / "map", TILES, 1)
+    save_map(tmp_path / "map", TILES, 2)
+    copy = tmp_path / "copy"
+    shutil.copytree(tmp_path / "map", copy)
+    assert not (copy / "current").is_symlink()
+    assert save_map(copy, TILES, 3) == 3
+    assert os.readlink(copy / "current") == "v000003"
+    assert (copy / "map.pgm").samefile(copy / "v000003" / "map.pgm")
+    assert check_versions(copy) == ([1, 2, 3], [])
+    assert not list(copy.glob(".unfinished-*"))
+
+
+def test_a_foreign_folder_named_current_is_left_alone_and_no_version_is_made(tmp_path):
+    save_map(tmp_path, TILES, 1)
+    (tmp_path / "current").unlink()
+    (tmp_path / "current").mkdir()
+    with pytest.raises(StorageError, match="current is neither a link nor the copy of a version"):
+        save_map(tmp_path, TILES, 2)
+    assert check_versions(tmp_path) == ([1], [])
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("[" * 100_000, "maximum recursion"),
+        ("[]", "no JSON object"),
+        ("{}", "its own checksum"),
+        ("", "char 0"),
+    ],
+)
+def test_a_manifest_that_is_something_else_is_damage(tmp_path, text, why):
+    save_map(tmp_path, TILES, 1)
+    (tmp_path / "v000001" / "manifest.json").write_text(text)
+    with pytest.raises(InputError, match=f"manifest.json: damaged: .*{why}"):
+        load_map(tmp_path)
+
+
+@pytest.mark.parametrize(("name", "why"), [("a" * 300, "File name too long"), ("a\0b", "embedded null byte")])
+def test_a_path_that_the_system_refuses_holds_no_map(tmp_path, name, why):
+    for read in (load_map, check_versions):
+        with pytest.raises(InputError, match=f"no stored map that can be read.*{why}"):
+            read(tmp_path / name)
+    if "\0" not in name:
+        with pytest.raises(StorageError, match=why):
+            save_map(tmp_path / name, TILES, 1)
 
 
 def test_two_writers_do_not_meet(tmp_path):

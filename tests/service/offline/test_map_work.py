@@ -61,7 +61,7 @@ def test_every_version_is_verified_and_damage_named(tmp_path):
     assert map_verify(tmp_path)["versions"] == [1, 2]
     damaged = tmp_path / "v000001" / "graph.npz"
     damaged.write_bytes(damaged.read_bytes()[:-1] + b"x")
-    with pytest.raises(InputError, match=r"versions \[2\] are whole; damaged:\n.*v000001/graph.npz"):
+    with pytest.raises(InputError, match=r"whole: 2; not readable:\n.*v000001/graph.npz"):
         map_verify(tmp_path)
 
 
