@@ -208,4 +208,5 @@ def _words(model: type[Request], detail: ErrorDetails) -> str:
         case "missing":
             return f"{key!r} is missing"
         case _:
-            return f"{key!r} {detail['msg'].removeprefix('Input ').removeprefix('String ')}"
+            why = detail["msg"].removeprefix("Value error, ").removeprefix("Input ").removeprefix("String ")
+            return f"{key!r} {why}"

@@ -1,13 +1,14 @@
 """What each command does. All of them go through the intake: their place among the frames is exact."""
 
 import json
+import re
 import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from service.encoding import Message, decode_event
 from service.encoding.steps import decode_step
@@ -22,6 +23,8 @@ from service.runtime.mapping_outputs import MappingOutputs
 from service.runtime.profile_switch import ProfileSwitch
 from service.sinks.sink import MapStorage, SavedMap, SessionRecorder
 
+_MAP_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
+
 
 class MarkRequest(Request):
     text: Annotated[str, Field(min_length=1, max_length=1000)]
@@ -30,7 +33,7 @@ class MarkRequest(Request):
 class PointOfSubmap(BaseModel):
     """A point of the shown map, and the sub-map that drew it; a graph that knows landmarks reads the same."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     submap: Annotated[int, Field(ge=0)]
     x_m: Annotated[float, Field(allow_inf_nan=False)]  # map frame
@@ -54,16 +57,28 @@ class PoseRequest(Request):
     theta_rad: Annotated[float, Field(allow_inf_nan=False)]
 
 
+def _check_map_name(name: str) -> str:
+    if _MAP_NAME.fullmatch(name) is None:
+        raise ValueError("takes letters, digits, _ . and -, a letter, digit or _ first, at most 100 of them")
+    return name
+
+
+def _check_path(path: str) -> str:
+    if "\0" in path:
+        raise ValueError("holds a NUL, which no path does")
+    return path
+
+
 class SaveRequest(Request):
     """name: of a folder in map.directory, in which the map is stored besides."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}$")] | None = None
+    name: Annotated[str, AfterValidator(_check_map_name)] | None = None
 
 
 class MapRequest(Request):
     """A stored map: a name below map.directory or a whole path; version: left out, the current one."""
 
-    map: Annotated[str, Field(min_length=1, max_length=4096)]
+    map: Annotated[str, Field(min_length=1, max_length=4096), AfterValidator(_check_path)]
     version: Annotated[int, Field(ge=1)] | None = None
 
 

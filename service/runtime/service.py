@@ -11,6 +11,7 @@ several times a second, at last `stop`.
 import gc
 import json
 import logging
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -355,9 +356,9 @@ class Service:
 
         Raises CommandError.
         """
-        folder = (self._config.sinks["map"].directory / name).resolve()  # an absolute name is itself
         try:
-            return folder, stored_for(folder, self._present.config, version).number
+            path = os.path.realpath(self._config.sinks["map"].directory / name)  # an absolute name is itself
+            return Path(path), stored_for(Path(path), self._present.config, version).number
         except CorridorError as error:
             raise CommandError(str(error)) from error
 

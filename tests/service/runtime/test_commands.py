@@ -294,6 +294,30 @@ def test_a_map_that_cannot_be_begun_in_is_refused_and_the_present_one_stays(mach
     is_free(tmp_path / "office")
 
 
+@pytest.mark.parametrize(
+    ("verb", "request_", "why"),
+    [
+        ("load_map", {"map": "a\0b"}, "'map' holds a NUL"),
+        ("load_map", {"map": "a" * 300}, "File name too long"),
+        ("save_map", {"name": "../a"}, "'name' takes letters, digits, _ . and -"),
+        (
+            "add_landmark_pair",
+            {
+                "first": {"submap": 0, "x_m": "1", "y_m": True},
+                "second": {"submap": 1, "x_m": 0.0, "y_m": 0.0},
+            },
+            "'first.x_m' should be a valid number; 'first.y_m' should be a valid number",
+        ),
+    ],
+)
+def test_a_request_that_cannot_be_meant_is_refused_in_words(
+    machine: Machine, verb: str, request_: dict[str, Any], why: str
+):
+    told = machine.ask(verb, **request_)
+    assert told["ok"] is False
+    assert why in told["error"]
+
+
 def is_free(folder: Path) -> None:
     """Raises StorageError where it is not."""
     with InUse(folder, "corridor map edit"):
