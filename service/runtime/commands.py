@@ -23,7 +23,12 @@ from service.runtime.mapping_outputs import MappingOutputs
 from service.runtime.profile_switch import ProfileSwitch
 from service.sinks.sink import MapStorage, SavedMap, SessionRecorder
 
+FURTHEST_M = (
+    100_000.0  # from the origin of the map, as in an edit of one; cells have no number beyond all bounds
+)
 _MAP_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
+
+MapMetres = Annotated[float, Field(ge=-FURTHEST_M, le=FURTHEST_M, allow_inf_nan=False)]
 
 
 class MarkRequest(Request):
@@ -36,8 +41,8 @@ class PointOfSubmap(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     submap: Annotated[int, Field(ge=0)]
-    x_m: Annotated[float, Field(allow_inf_nan=False)]  # map frame
-    y_m: Annotated[float, Field(allow_inf_nan=False)]
+    x_m: MapMetres
+    y_m: MapMetres
 
 
 class PairRequest(Request):
@@ -52,8 +57,8 @@ class PairNumberRequest(Request):
 class PoseRequest(Request):
     """Where a person sees the base in the map."""
 
-    x_m: Annotated[float, Field(allow_inf_nan=False)]
-    y_m: Annotated[float, Field(allow_inf_nan=False)]
+    x_m: MapMetres
+    y_m: MapMetres
     theta_rad: Annotated[float, Field(allow_inf_nan=False)]
 
 
