@@ -47,7 +47,8 @@ def faults_here(config: ServiceConfig, file: str) -> list[str]:
             stored_for(config.begin_in, config.mapping)
         except CorridorError as error:
             advice = "write the folder of a stored map that a session can begin in, or take this line out"
-            found.append((("map", "load"), f"{error}; {advice}"))
+            why = "; ".join(line.strip() for line in str(error).splitlines())
+            found.append((("map", "load"), f"{why}; {advice}"))
     faults = [Fault(document.position(path), path, message) for path, message in found]
     return [fault.text(file) for fault in sorted(faults, key=lambda fault: fault.position.line)]
 

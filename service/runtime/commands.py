@@ -23,9 +23,7 @@ from service.runtime.mapping_outputs import MappingOutputs
 from service.runtime.profile_switch import ProfileSwitch
 from service.sinks.sink import MapStorage, SavedMap, SessionRecorder
 
-FURTHEST_M = (
-    100_000.0  # from the origin of the map, as in an edit of one; cells have no number beyond all bounds
-)
+FURTHEST_M = 100_000.0  # from the origin of the map, as in an edit of one
 _MAP_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 
 MapMetres = Annotated[float, Field(ge=-FURTHEST_M, le=FURTHEST_M, allow_inf_nan=False)]
