@@ -13,6 +13,7 @@ from service.errors import StorageError, UsageError
 from service.resources import CONFIG, SYSTEMD
 
 UNIT_PROGRAM = "/opt/corridor/venv/bin/corridor"  # as it stands in the unit
+EXEC_START = re.compile(r"^ExecStart=(.*) run /etc/corridor/%i\.yaml$", re.MULTILINE)
 HIDDEN = ("/home/", "/root/", "/tmp/", "/run/user/")  # from the service: ProtectHome=, PrivateTmp=
 FILES = {
     SYSTEMD / "corridor@.service": "etc/systemd/system/corridor@.service",
@@ -34,7 +35,7 @@ NEXT_STEPS = (
 class Installed:
     """What `install_unit` did. kept: files that stood there with other content."""
 
-    program: str  # that the unit starts
+    program: str  # that the unit starts, as systemd reads it; "" where a unit that was kept does not tell
     written: list[str]
     unchanged: list[str]
     kept: list[str]
@@ -45,7 +46,7 @@ class Installed:
         lines = [f"wrote {path}" for path in self.written]
         lines += [f"unchanged {path}" for path in self.unchanged]
         lines += [f"kept {path}: it was changed on this machine; --force replaces it" for path in self.kept]
-        lines += [f"the unit starts {self.program}"]
+        lines += [f"the unit starts {self.program}"] if self.program else []
         lines += [f"warning: {self.warning}"] if self.warning else []
         return "\n".join([*lines, "next, as root:", *(f"  {step}" for step in self.next_steps)])
 
@@ -57,11 +58,12 @@ def install_unit(root: Path, force: bool = False, program: str | None = None) ->
 
     program    the corridor command that the unit starts, a path below `root`; None: the one that runs now
 
-    Raises UsageError where root is no folder, StorageError where it cannot be written.
+    Raises UsageError where root is no folder or a unit cannot start the program, StorageError where root
+    cannot be written.
     """
     if not root.is_dir():
         raise UsageError(f"--root {root} is no folder; make it, or name the root of the system to set up")
-    program = own_program() if program is None else program
+    program = own_program() if program is None else _startable(program)
     written: list[str] = []
     unchanged: list[str] = []
     kept: list[str] = []
@@ -81,7 +83,8 @@ def install_unit(root: Path, force: bool = False, program: str | None = None) ->
             raise StorageError(f"{target}: {error.strerror}; run it as root, or give --root DIR") from error
         except (OSError, UnicodeDecodeError) as error:
             raise StorageError(f"{target} cannot be written: {error}") from error
-    return Installed(program, written, unchanged, kept, NEXT_STEPS, _warning(program))
+    started = _started_by(root / FILES[SYSTEMD / "corridor@.service"])
+    return Installed(started, written, unchanged, kept, NEXT_STEPS, _warning(started))
 
 
 def own_program() -> str:
@@ -91,6 +94,22 @@ def own_program() -> str:
     if found is None:
         raise UsageError(f"there is no corridor command beside {sys.executable}; install the package first")
     return os.path.abspath(found)
+
+
+def _startable(program: str) -> str:
+    """The program itself. Raises UsageError."""
+    if not program.startswith("/") or not program.isprintable() or set(program) & set("\"'\\"):
+        raise UsageError(
+            f"--program {program!r}: systemd starts programs by their whole path, without quotes, "
+            f"backslashes and control characters; write {UNIT_PROGRAM}, say"
+        )
+    return program
+
+
+def _started_by(unit: Path) -> str:
+    """The program of a unit that stands there; "" where it does not tell."""
+    found = EXEC_START.search(unit.read_text(encoding="utf-8"))
+    return "" if found is None else found[1].strip('"').replace("%%", "%")
 
 
 def _with_program(text: str, program: str) -> str:

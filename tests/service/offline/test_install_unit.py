@@ -48,6 +48,24 @@ def test_a_path_with_a_space_or_a_percent_sign_is_written_as_systemd_reads_it(tm
     assert '\nExecStart="/opt/my 100%%/corridor" run ' in unit
 
 
+@pytest.mark.parametrize(
+    "program", ["", "corridor", "./corridor", "/opt/a\nExecStart=/b", '/opt/"a"', "/opt/a\\b"]
+)
+def test_a_program_that_no_unit_can_start_is_wrong_usage(tmp_path: Path, program: str):
+    with pytest.raises(UsageError, match=r"whole path.*write /opt/corridor/venv/bin/corridor"):
+        install_unit(tmp_path, program=program)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_unit_that_was_kept_is_told_by_what_it_starts(tmp_path: Path):
+    install_unit(tmp_path, program="/opt/my 100%/corridor")
+    again = install_unit(tmp_path, program="/usr/bin/corridor")
+    assert [Path(path).name for path in again.kept] == ["corridor@.service"]
+    assert again.program == "/opt/my 100%/corridor"
+    (tmp_path / "etc/systemd/system/corridor@.service").write_text("# mine\n")
+    assert "the unit starts" not in str(install_unit(tmp_path))
+
+
 def test_a_program_that_the_unit_may_not_see_is_said(tmp_path: Path):
     assert "may not look" in install_unit(tmp_path, program="/home/me/venv/bin/corridor").warning
 
