@@ -17,6 +17,7 @@ from pydantic import ValidationError
 
 from drivers.registry import SENSOR_KINDS
 from drivers.transport import SerialTransport
+from drivers.wires import is_host
 from service.errors import UsageError
 from service.offline.doctor.devices import told_identity
 from service.offline.doctor.probe import listen, probe
@@ -69,14 +70,15 @@ def parse_wire(text: str) -> Wire:
         raise UsageError(f"{text}: {kind} is no type of sensor; known: {', '.join(SENSOR_KINDS)}")
     if where.startswith(("/", ".")) or where == "usb" or "://" in where:
         return Wire(device=where, type=kind)
-    host, colon, port = where.rpartition(":")
+    host, colon, number = where.rpartition(":")
+    port = None
     if colon and ":" not in host:
-        if not port.isdigit() or not 1 <= int(port) <= 65535:
-            raise UsageError(f"{text}: {port} is no port; write host:2111, say")
-        return Wire(host=host, port=int(port), type=kind)
-    if not where:
+        if not number.isdecimal() or not 1 <= int(number) <= 65535:
+            raise UsageError(f"{text}: {number} is no port; write host:2111, say")
+        where, port = host, int(number)
+    if not is_host(where):
         raise UsageError(f"{text!r}: name a host or a device file, such as 192.168.0.1 or /dev/ttyUSB0")
-    return Wire(host=where, type=kind)
+    return Wire(host=where, port=port, type=kind)
 
 
 def serial_ports(dev: Path = Path("/dev")) -> list[Wire]:

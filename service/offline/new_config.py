@@ -12,6 +12,7 @@ from drivers.registry import SENSOR_KINDS
 from service.config import parse_config
 from service.errors import CorridorError, StorageError, UsageError
 from service.offline.discovery import ASK_S, Found, Wire, discover
+from service.offline.writing import refuse_unwritable_file
 from service.resources import CONFIG
 
 NAMES = {
@@ -77,6 +78,15 @@ def write_new_config(
         raise UsageError(
             "this machine has no serial port; name the hosts to ask: corridor init 192.168.0.1, say"
         )
+    stand_in = Found(wires[0], "sick_lms100", {"host": "192.168.0.1"})
+    parse_config(
+        render({"lms": stand_in}, vehicle, data, out), str(out)
+    )  # before devices are asked for a minute
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"{out} cannot be written: {error.strerror or error}") from error
+    refuse_unwritable_file(out)
     asked = discover(wires, ask_s)
     silent = {str(found.wire): found.words for found in asked if not found.type}
     sensors = named([found for found in asked if found.type])

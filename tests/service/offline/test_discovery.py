@@ -30,6 +30,9 @@ def test_hosts_ports_and_types_are_read(text: str, wire: Wire):
         ("a:port", "port is no port"),
         ("a:70000", "70000 is no port"),
         ("", "name a host or a device file"),
+        ("999.1.1.1", "name a host or a device file"),
+        ("a b:2111", "name a host or a device file"),
+        ("a:\u00b2", "is no port"),
     ],
 )
 def test_what_is_no_wire_is_wrong_usage(text: str, words: str):

@@ -8,7 +8,7 @@ import pytest
 
 from service.cli import main
 from service.config import load_config
-from service.errors import ConfigError, CorridorError, UsageError
+from service.errors import ConfigError, CorridorError, StorageError, UsageError
 from service.offline.discovery import Found, Wire
 from service.offline.new_config import named, render, write_new_config
 from tests.system.machine import FakeVehicle, free_port
@@ -97,8 +97,14 @@ def test_what_a_device_says_of_itself_cannot_become_part_of_the_config(tmp_path:
 
 
 def test_a_name_that_cannot_be_a_vehicle_s_is_a_config_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    found = Found(Wire(host="10.0.0.1"), "sick_lms100", {"host": "10.0.0.1"}, {})
-    monkeypatch.setattr("service.offline.new_config.discover", lambda wires, ask_s: [found])
+    """And no device is asked for it, nor for a file that cannot be written."""
+    asked: list[Wire] = []
+    monkeypatch.setattr("service.offline.new_config.discover", lambda wires, ask_s: asked.extend(wires) or [])
+    wires = [Wire(host="10.0.0.1")]
     with pytest.raises(ConfigError, match="Veh 1"):
-        write_new_config([found.wire], tmp_path / "v.yaml", vehicle="Veh 1")
+        write_new_config(wires, tmp_path / "v.yaml", vehicle="Veh 1")
+    (tmp_path / "file").touch()
+    with pytest.raises(StorageError, match="cannot be written"):
+        write_new_config(wires, tmp_path / "file" / "v.yaml")
+    assert asked == []
     assert not (tmp_path / "v.yaml").exists()
