@@ -4,6 +4,7 @@ import argparse
 import gc
 import json
 import logging
+import math
 import os
 import signal
 import sys
@@ -25,6 +26,7 @@ from simulators.worlds import WORLDS, build_world
 log = logging.getLogger("simulators")
 
 DONE, FAILED, USAGE, IO_ERROR = 0, 1, 64, 74
+MOST_STAND_S = 1e6
 LOOK_S = 0.05  # how often the truth is written and the parent looked for
 TELL_S = 10.0  # how often losses are told
 TRUTH_STEP_NS = 5_000_000
@@ -35,6 +37,16 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         self.print_usage(sys.stderr)
         self.exit(USAGE, f"{self.prog}: {message}\n")
+
+
+def _seconds(text: str) -> float:
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not 0.0 <= seconds <= MOST_STAND_S:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected seconds from 0 to {MOST_STAND_S:g}")
+    return seconds
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -51,7 +63,10 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--seed", type=int, default=1, help="of all noise (default 1)")
     parser.add_argument(
-        "--stand-s", type=float, default=2.0, help="how long the vehicle stands before it drives (default 2)"
+        "--stand-s",
+        type=_seconds,
+        default=2.0,
+        help="how long the vehicle stands before it drives (default 2)",
     )
     parser.add_argument("--faults", type=Path, metavar="FILE", help="what goes wrong, and when; a YAML file")
     parser.add_argument(

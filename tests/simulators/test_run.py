@@ -104,7 +104,15 @@ def test_it_ends_when_its_parent_dies():
     assert ended, "still running after its parent died"
 
 
-@pytest.mark.parametrize("arguments", [["--world", "moon"], ["--device", "front=toaster"], ["--frobnicate"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--world", "moon"],
+        ["--device", "front=toaster"],
+        ["--frobnicate"],
+        *(["--stand-s", seconds] for seconds in ("nan", "-1", "inf", "long")),
+    ],
+)
 def test_wrong_usage_is_64(arguments: list[str]):
     with pytest.raises(SystemExit) as left:
         main(arguments)
