@@ -39,6 +39,7 @@ from service.recording.mcap_file import (
 
 log = logging.getLogger(__name__)
 
+MCAP_SUFFIX = ".mcap"
 WORKING_SUFFIX = ".recovering"
 DAMAGED_SUFFIX = ".damaged"  # the original, where something in its middle was lost
 UNREADABLE_SUFFIX = ".unreadable"  # a leftover without a single message
@@ -119,6 +120,11 @@ def recover(source: Path) -> RecoveryReport:
 def _recover(stream: BinaryIO, working: Path, report: RecoveryReport) -> None:
     source = report.source
     _check_is_mcap(source, stream.read(len(MCAP0_MAGIC)))
+    if report.path.suffix != MCAP_SUFFIX:  # no reader would take it
+        raise InputError(
+            f"{source}: a session is called NAME{MCAP_SUFFIX}, or NAME{MCAP_SUFFIX}{ACTIVE_SUFFIX} until it "
+            "is finished; rename it, then recover it"
+        )
     with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         walk = _Walk(data)
         definitions = _definitions(source, walk)

@@ -48,6 +48,16 @@ def test_a_dead_writers_file_becomes_a_session(active):
     assert "300 messages over 3.0 s" in str(report)
 
 
+@pytest.mark.parametrize("name", ["s_0001.mcap.bak", "s_0001.active", "s_0001"])
+def test_a_file_of_another_name_is_refused_with_the_name_it_needs(active, name):
+    path, _ = active
+    renamed = path.rename(path.with_name(name))
+    before = renamed.read_bytes()
+    with pytest.raises(InputError, match=r"called NAME\.mcap, or NAME\.mcap\.active .*; rename it"):
+        recover(renamed)
+    assert (list(path.parent.iterdir()), renamed.read_bytes()) == ([renamed], before)
+
+
 def test_any_truncation_keeps_every_whole_chunk_and_more(active):
     path, synced = active
     whole = path.read_bytes()
