@@ -27,6 +27,7 @@ from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
 from service.errors import InputError
 from service.geometry.se2 import SE2, wrap_angle
 from service.offline.session_file import refuse_to_overwrite, write_session
+from service.offline.writing import refuse_unwritable_file
 
 OdometryChoice = Literal["auto", "logged", "none"]
 
@@ -126,6 +127,7 @@ def import_carmen(log_path: Path, out_path: Path, odometry: OdometryChoice = "au
     where out_path is the log itself, StorageError when writing fails.
     """
     refuse_to_overwrite(log_path, out_path)
+    refuse_unwritable_file(out_path)
     report = ImportReport(log_path, out_path)
     log = _read(log_path, report)
     report.corrected = _why_corrected(log, log_path)

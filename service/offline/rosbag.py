@@ -12,6 +12,7 @@ from service.errors import InputError
 from service.geometry.se2 import SE2
 from service.mapper.mapping_session import Step
 from service.offline.session_file import refuse_to_overwrite, write_session
+from service.offline.writing import refuse_unwritable_file
 from service.recording.bag_reader import Bag
 from service.recording.mcap_reader import Recording
 from service.recording.mcap_source import Readable, Session, session_of
@@ -51,6 +52,7 @@ def import_rosbag(bag_path: Path, out_path: Path) -> BagReport:
     writing fails.
     """
     refuse_to_overwrite(bag_path, out_path)
+    refuse_unwritable_file(out_path)
     bag: Readable = Recording([bag_path]) if bag_path.suffix == ".mcap" else Bag(bag_path)
     report = BagReport(bag_path, out_path)
     session = session_of(bag)

@@ -42,6 +42,7 @@ def write_session(
         for frame in frames:
             log_ns = clock.next_ns(frame.arrived_ns if log_times else frame.stamp_ns)
             if file is None:
+                path.parent.mkdir(parents=True, exist_ok=True)
                 file = McapFile(path, log_ns)
                 file.write_metadata("import", about)
                 file.write(encode_tf_static(mountings, log_ns, log_ns))

@@ -53,6 +53,11 @@ class Bag:
         self.library = "rosbag"
         self.metadata: dict[str, dict[str, str]] = {}
         self._is_ros1 = path.suffix == ROS1_SUFFIX
+        if path.is_dir() and not (path / "metadata.yaml").is_file():
+            raise InputError(
+                f"{path}: no metadata.yaml in this folder, which the folder of a ROS 2 bag has; "
+                "`ros2 bag reindex` writes it anew, and NAME.db3 or NAME.mcap in it can be named instead"
+            )
         counts: defaultdict[tuple[str, str], int] = defaultdict(int)
         with self._reading() as reader:
             self.first_log_ns, self.last_log_ns = reader.start_time, reader.end_time

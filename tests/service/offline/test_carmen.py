@@ -294,8 +294,8 @@ def test_an_import_that_is_under_way_is_not_disturbed(tmp_path):
     with pytest.raises(StorageError, match="is in the way"):
         import_carmen(log, tmp_path / "out.mcap")
     assert (tmp_path / "out.mcap.active").exists()
-    with pytest.raises(StorageError, match="No such file"):
-        import_carmen(log, tmp_path / "nowhere" / "out.mcap")
+    with pytest.raises(StorageError, match="is no folder"):
+        import_carmen(log, log / "out.mcap")
 
 
 REAL = [

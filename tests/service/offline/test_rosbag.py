@@ -14,7 +14,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from drivers.frames import ImuSample, LaserScan, OdometrySample
 from service.cli import main
-from service.errors import InputError, UsageError
+from service.errors import InputError, StorageError, UsageError
+from service.offline.carmen import import_carmen
 from service.offline.rosbag import import_rosbag
 from service.recording.mcap_source import open_session
 
@@ -270,10 +271,26 @@ def test_what_is_no_bag_is_refused_in_words(content, suffix, tmp_path):
     assert not list(tmp_path.glob("out*"))
 
 
+@pytest.mark.parametrize("importer", [import_rosbag, import_carmen])
+def test_an_output_that_cannot_be_written_shows_before_the_input_is_read(importer, tmp_path):
+    """A bag of an hour takes minutes to read."""
+    (tmp_path / "in.mcap").write_bytes(b"no session at all")
+    for out in (tmp_path, tmp_path / "in.mcap" / "out.mcap"):
+        with pytest.raises(StorageError, match="cannot write"):
+            importer(tmp_path / "in.mcap", out)
+
+
+def test_the_folder_of_an_import_is_made(tmp_path):
+    bag = BAGS[next(iter(BAGS))](tmp_path)
+    import_rosbag(bag, tmp_path / "new" / "folder" / "out.mcap")
+    assert (tmp_path / "new" / "folder" / "out.mcap").is_file()
+
+
 @pytest.mark.parametrize("path", ["nowhere.bag", "nowhere", "empty"])
 def test_a_missing_bag_is_named(path, tmp_path):
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match=path):
+    why = "no metadata.yaml in this folder" if path == "empty" else ""
+    with pytest.raises(InputError, match=f"{path}.*{why}"):
         import_rosbag(tmp_path / path, tmp_path / "out.mcap")
 
 
