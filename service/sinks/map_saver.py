@@ -71,6 +71,7 @@ class MapSaver(Sink):
         self._goes_on_in = (self._folder, context.load_version) if is_going_on else None
         self._in_use = MapsInUse(f"a session of {context.vehicle}")
         self._begun_in: dict[int, Path] = {}  # numbers of maps of this run -> the stored one each began in
+        self._is_kept_out = False  # the map to go on in is another's
         self._directory = config.directory
         self._present: NumberedMap | None = None  # as it was at the last save
         self._command = context.command
@@ -174,7 +175,9 @@ class MapSaver(Sink):
         edits it.
         """
         if self._goes_on_in is not None:
+            self._is_kept_out = True
             self.hold(*self._goes_on_in)
+            self._is_kept_out = False
             self._begun_in[1] = self._goes_on_in[0]
         if not self._is_localizing:
             make_writable(self._folder.parent)
@@ -197,7 +200,10 @@ class MapSaver(Sink):
         return [] if self.newest is None else [self.newest.folder]
 
     def flush(self) -> None:
-        """Emit and save what is not yet. Raises StorageError where a map of this run is not on disk."""
+        """Emit and save what is not yet. Raises StorageError where a map of this run is not on disk.
+
+        Where start() raised, nothing is saved.
+        """
         self._stop()
         if self._thread.ident is not None:
             self._thread.join()
@@ -211,8 +217,8 @@ class MapSaver(Sink):
         finally:
             shutil.rmtree(self.graph_folder, ignore_errors=True)
             self._in_use.let_all_go()
-        if self._given_up:
-            raise StorageError(self._given_up)
+        if why := self._given_up or self._held_back:
+            raise StorageError(why)
 
     def close(self) -> None:
         self._stop()
@@ -223,7 +229,7 @@ class MapSaver(Sink):
 
         Raises StorageError; what could not be saved is tried again the next time.
         """
-        if self._is_localizing:
+        if self._is_localizing or self._is_kept_out:
             return None
         ended, present = self._tiles.take()
         self._unsaved += ended
@@ -248,7 +254,10 @@ class MapSaver(Sink):
         """Why it is not stored, though nothing failed; "" where it is, or holds nothing new."""
         if numbered.tiles and self._would_lose_its_graph(numbered):
             folder = self.folder_of(numbered.number)
-            held_back = f"{folder} stays as it is, for the graph of what was mapped since is not put away"
+            held_back = (
+                f"{folder} stays as it is, for the graph of what was mapped since is not put away; a replay "
+                "of the recording with --map and --out maps it again"
+            )
             log.warning("%s", held_back)
             return held_back
         newest = self._newest

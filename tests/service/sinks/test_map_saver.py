@@ -16,6 +16,7 @@ from service.geometry.se2 import SE2
 from service.mapstore.config import MapConfig
 from service.mapstore.files import check_versions, load_map, save_map
 from service.mapstore.graph_files import GraphFolder
+from service.mapstore.in_use import InUse
 from service.mapstore.tiles import TileStore
 from service.offline.map_edit import edit_map, erase
 from service.outputs import TileUpdate
@@ -326,13 +327,43 @@ def test_a_stored_map_is_not_overtaken_by_a_version_that_nobody_can_go_on_in(tmp
         tiles.update([tile(2)])
         saver.ask_to_save(lambda saved, fault: heard.put((saved, fault)))
         assert heard.get(timeout=20.0) == (
-            None, f"{folder} stays as it is, for the graph of what was mapped since is not put away",
+            None,
+            f"{folder} stays as it is, for the graph of what was mapped since is not put away; a replay of "
+            "the recording with --map and --out maps it again",
         )  # fmt: skip
         tiles.begin_anew()
         saver.save()
         assert check_versions(folder)[0] == [1]
     finally:
         saver.flush()
+
+
+def test_a_run_that_ends_without_the_graph_of_a_map_that_it_went_on_in_says_so(tmp_path: Path):
+    folder = tmp_path / "office"
+    save_map(folder, [tile(1)], 1, graph=graph_of(4))
+    config = MapConfig.model_construct(directory=tmp_path, load=folder, checkpoint_s=3600.0)
+    tiles = TileStore()
+    saver = MapSaver(config, sink_context(tiles=tiles, load_version=1, stores_graph=True))
+    saver.start()
+    tiles.update([tile(2)])
+    with pytest.raises(StorageError, match="office stays as it is"):
+        saver.flush()
+    assert check_versions(folder)[0] == [1]
+
+
+def test_who_is_kept_out_of_a_map_writes_nothing_to_it(tmp_path: Path):
+    """Its mapper has shown the map by then, and a run ends with a flush, also where its start failed."""
+    folder = tmp_path / "office"
+    save_map(folder, [tile(1)], 1, graph=graph_of(4))
+    config = MapConfig.model_construct(directory=tmp_path, load=folder, checkpoint_s=3600.0)
+    tiles = TileStore()
+    saver = MapSaver(config, sink_context(tiles=tiles, load_version=1))
+    tiles.update([tile(2)])
+    with InUse(folder, "a session of veh2"):
+        with pytest.raises(StorageError, match="a session of veh2 uses this map"):
+            saver.start()
+        saver.flush()
+    assert check_versions(folder)[0] == [1]
 
 
 def test_a_graph_is_put_away_for_a_map_that_is_about_to_end(tmp_path: Path):
