@@ -13,7 +13,8 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.frames import ImuSample, OdometrySample
-from service.fusion.motion import Matrix, Measurement, Motion, Prediction
+from service.fusion.consistent_covariance import ConsistentCovariance, widen_pose
+from service.fusion.motion import Matrix, Measurement, Motion, Prediction, scan_alone
 from service.fusion.standstill import Standstill
 from service.geometry import poses
 from service.geometry.se2 import SE2, wrap_angle
@@ -22,8 +23,7 @@ from service.kernels.filter_state import (
     ACCELERATION,
     BIAS,
     LAG,
-    LOCAL,
-    MAP,
+    LOCAL_BLOCK,
     SCALE,
     STATES,
     TURN_SCALE,
@@ -53,8 +53,6 @@ LEAST_ELAPSED_S = 0.05  # stamps that came in a burst may lie closer together th
 NODE_S = 0.01  # of a sweep, from one moment at which the motion is asked to the next
 MOST_NODES = 65
 TELL_AGAIN_NS = 10_000_000_000
-LOCAL_BLOCK = slice(LOCAL, LOCAL + 3)
-MAP_BLOCK = slice(MAP, MAP + 3)
 FIRST_TWIST_SIGMA = (1.0, 0.3, 0.5)  # m/s, m/s, rad/s at the first scan, where odometry does not say
 LEAST_SIGMA = (1e-4, 1e-4, 1e-5)  # m, m, rad of the first pose against its own map
 
@@ -174,6 +172,7 @@ class Estimator:
         self._gyro_rate = 0.0
         self._jump_told_ns = 0  # not again before
         self._still = Standstill()
+        self._consistent = ConsistentCovariance()
         sigma = np.zeros(STATES)
         sigma[LOCAL_BLOCK] = LEAST_SIGMA
         sigma[TWIST : TWIST + 3] = FIRST_TWIST_SIGMA
@@ -248,12 +247,16 @@ class Estimator:
         else:
             self._elapsed_s = (stamp_ns - int(state.stamp_ns[0])) * 1e-9
             pause_s = self._odometry.longest_pause_s(int(state.stamp_ns[0]), stamp_ns)
-            predict_motion(state, self._odometry.track, self._gyro.track, stamp_ns, self._settings)
+            tracks = self._odometry.track, self._gyro.track
+            self._consistent.predict(state, *tracks, stamp_ns, self._settings)
+            predict_motion(state, *tracks, stamp_ns, self._settings)
             window_ns = round(self._settings.speed_window_s * 1e9)
             if pause_s > 0.0 and self._odometry.covered_ns(stamp_ns - PAUSE_NS, stamp_ns) >= window_ns:
                 self._begin_twist(stamp_ns)
         self._odometry.forget_before(stamp_ns - KEEP_BEFORE_NS)
         self._gyro.forget_before(stamp_ns - KEEP_BEFORE_NS)
+        is_measured = bool(state.said[3]) and max(state.noise.tolist()) <= FAULT_NOISE
+        self._consistent.watch(state, scan_alone(is_measured, float(state.noise[0])))
         covariance = state.covariance
         local = covariance[LOCAL_BLOCK, LOCAL_BLOCK].copy()
         gain = covariance[TWIST : TWIST + 3, LOCAL_BLOCK] @ np.linalg.inv(local)
@@ -261,12 +264,12 @@ class Estimator:
         return Prediction(
             pose_odom_base=SE2(x_m, y_m, theta_rad),
             twist_base=self._twist(),
-            covariance=covariance[MAP_BLOCK, MAP_BLOCK].copy(),
+            covariance=self._consistent.of_pose(state),
             local_covariance=local,
             twist_gain=gain,
             elapsed_s=self._elapsed_s,
             travel_m=math.hypot(x_m - x0_m, y_m - y0_m) + TURN_M * abs(wrap_angle(theta_rad - theta0_rad)),
-            is_measured=bool(state.said[3]) and max(state.noise.tolist()) <= FAULT_NOISE,
+            is_measured=is_measured,
             odometry_noise=float(state.noise[0]),
             pause_s=pause_s,
             samples_dropped=self._odometry.take_dropped() + self._gyro.take_dropped(),
@@ -284,13 +287,13 @@ class Estimator:
         state = self._filter
         if measured is not None and measured.gap is not None:
             state.path.span[:] = 0  # it was found elsewhere: that is no motion
-            for rows in (LOCAL_BLOCK, MAP_BLOCK):
-                for columns in (LOCAL_BLOCK, MAP_BLOCK):
-                    state.covariance[rows, columns] += measured.gap
+            widen_pose(state, measured.gap)
+            self._consistent.widen(measured.gap)
         if measured is not None and self._elapsed_s > 0.0:
             pose, covariance = measured.pose_odom_base, measured.covariance
             if not measured.is_joined:
                 pose, covariance = self._joined(measured)
+            self._consistent.correct(state, pose, measured, self._settings)
             take_match(
                 state,
                 np.array([pose.x_m, pose.y_m, pose.theta_rad]),
@@ -301,12 +304,13 @@ class Estimator:
             )
         elif not state.said[3]:
             state.twist[:] = state.twist * math.exp(-self._elapsed_s / FADE_S)
-        return Motion(SE2(*state.pose.tolist()), self._twist(), state.covariance[MAP_BLOCK, MAP_BLOCK].copy())
+        return Motion(SE2(*state.pose.tolist()), self._twist(), self._consistent.of_pose(state))
 
     def moved(self, seconds: float) -> Motion:
         pose, twist, covariance = np.empty(3), np.empty(3), np.empty((3, 3))
         tracks = self._odometry.track, self._gyro.track
-        motion_at(self._filter, *tracks, seconds, self._settings, pose, twist, covariance)
+        state = self._consistent.beside(self._filter)
+        motion_at(state, *tracks, seconds, self._settings, pose, twist, covariance)
         forward, left, turn = twist.tolist()
         if self._origin_ns == int(self._filter.stamp_ns[0]) + round(seconds * 1e9):
             pose[:] = 0.0  # `odom` itself, without what rounding leaves of it
@@ -324,6 +328,7 @@ class Estimator:
 
     def settle(self, share: float) -> None:
         transfer_into_map(self._filter.covariance, share)
+        self._consistent.settle(share)
 
     def _begin(self, stamp_ns: int) -> None:
         self._filter.stamp_ns[0] = stamp_ns

@@ -12,6 +12,8 @@ from service.geometry.se2 import SE2
 
 Matrix = npt.NDArray[np.float64]
 
+WRONG_ODOMETRY_NOISE = 20.0  # times the variance of its model: odometry with larger errors is wrong
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
@@ -39,6 +41,11 @@ class Prediction(Motion):
     # moments evenly between, see service/kernels/sweep.py; None: nothing. Only until the next prediction.
     deviation: Callable[[float, float], Matrix | None] | None = None
 
+    @property
+    def is_scan_alone(self) -> bool:
+        """Whether nothing but scans measures the way; see scan_alone."""
+        return scan_alone(self.is_measured, self.odometry_noise)
+
     def less_known(self, more: Matrix) -> "Prediction":
         """With so much more covariance of the pose, (3, 3), that has nothing to do with the twist."""
         covariance = self.local_covariance + more
@@ -52,14 +59,19 @@ class Prediction(Motion):
         return forward, left, turn
 
 
+def scan_alone(is_measured: bool, odometry_noise: float) -> bool:
+    """Whether nothing but scans measures the way: odometry is silent, or wrong by its learnt noise."""
+    return not is_measured or odometry_noise > WRONG_ODOMETRY_NOISE
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
     """What a match says of the pose, to a motion model.
 
     pose_odom_base    prediction and scan together, or the scan alone; says `covariance`
     covariance        (3, 3) of that pose against the local map, base axes
-    information       (3, 3) of the scan alone, base axes; zero: nothing was measured, the pose is the
-                      prediction
+    information       (3, 3) of the scan alone, base axes, without what it says by chance; zero: nothing was
+                      measured, the pose is the prediction
     prior_weight      1, or less where the prediction was so far off that its weight was reduced
     gap               (3, 3) how much less the prediction was known than the model says, base axes: the scan
                       was matched to another piece of the map than those before it; None: not so

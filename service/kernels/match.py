@@ -41,6 +41,7 @@ class MatchSettings(NamedTuple):
     wall_sigma_m: float
     repeats: float
     chance_chi2: float
+    information_chance_chi2: float
     cauchy_m: float
     least_normal_cosine: float
     iterations: int
@@ -61,7 +62,8 @@ class MatchResult(NamedTuple):
     covariance: npt.NDArray[
         np.float64
     ]  # (3, 3) of the pose against the map, in its base axes: prior and scan
-    information: npt.NDArray[np.float64]  # (3, 3) of the scan alone, in base axes
+    # (3, 3) of the scan alone, in base axes, less information_chance_chi2; the covariance has all of it
+    information: npt.NDArray[np.float64]
     prior_weight: float  # 1: scan and prediction agree; less: so much less did the prediction count
     share: float  # of the points used that lie on the map
     used: int  # points that were asked
@@ -273,6 +275,7 @@ def fine_align(
     xy_base,
     pose,
     information,
+    less_chance,
 ):
     """Gauss-Newton on surfels, held by the prior, deskewing anew with the twist that each step finds.
 
@@ -287,6 +290,7 @@ def fine_align(
     xy_base             (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
     pose                (3,)   float64     in: where to start; out: where it ended
     information         (3, 3) float64     out: of the scan alone, in the axes of the grid
+    less_chance         (3, 3) float64     out: the same, less information_chance_chi2
     Returns (half the cost before the last step, of points and prior; points asked; points that lie on the
     map; weight of the prior).
     """
@@ -345,6 +349,10 @@ def fine_align(
             pose[i] -= step[i]
         if math.hypot(step[0], step[1]) < settings.settled_m and abs(step[2]) < settings.settled_rad:
             break
+    if settings.information_chance_chi2 == settings.chance_chi2:
+        copy_matrix(information, less_chance)
+    else:
+        scan_information(H, shared, evidence, settings.information_chance_chi2, damping, less_chance)
     cost = 0.0
     if inliers < doubt_inlier_ratio * used:
         cost = cost_at(xy_base, normals, asked, prior, prior_information, grid, settings, around, found)
@@ -368,6 +376,8 @@ def match_scan(returns, normals, prior, start, grid, settings, doubt_inlier_rati
     """
     information = np.empty((3, 3))
     of_trial = np.empty((3, 3))
+    less_chance = np.empty((3, 3))
+    less_chance_of_trial = np.empty((3, 3))
     rotated = np.zeros((3, 3))
     prior_information = np.zeros((3, 3))
     if invert_3x3(prior.covariance, rotated):
@@ -426,6 +436,7 @@ def match_scan(returns, normals, prior, start, grid, settings, doubt_inlier_rati
             trial_xy,
             trial_pose,
             of_trial,
+            less_chance_of_trial,
         )
         if trial == 0 or trial_cost < cost:
             cost = trial_cost
@@ -435,9 +446,10 @@ def match_scan(returns, normals, prior, start, grid, settings, doubt_inlier_rati
             copy_vector(trial_pose, pose)
             copy_matrix(trial_xy, xy_base)
             copy_matrix(of_trial, information)
+            copy_matrix(less_chance_of_trial, less_chance)
     twist = np.empty(3)
     learn_twist(prior, pose, weight, twist)
-    least, direction = weakest_direction(information)
+    least, direction = weakest_direction(less_chance)
     covariance = np.zeros((3, 3))
     joined = np.empty((3, 3))
     in_base = np.zeros((3, 3))
@@ -448,6 +460,7 @@ def match_scan(returns, normals, prior, start, grid, settings, doubt_inlier_rati
             joined[i, j] = in_base[i, j] + weight * rotated[i, j]
     if not invert_3x3(joined, covariance):
         copy_matrix(prior.covariance, covariance)
+    rotate_information(less_chance, -pose[2], in_base)
     return MatchResult(
         pose,
         twist,

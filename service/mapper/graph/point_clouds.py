@@ -28,6 +28,7 @@ SETTINGS = MatchSettings(
     wall_sigma_m=0.006,
     repeats=1.0,
     chance_chi2=0.0,
+    information_chance_chi2=0.0,
     cauchy_m=0.10,
     least_normal_cosine=0.6,
     iterations=15,

@@ -14,7 +14,6 @@ from service.fusion.estimator import (
     FAULT_NOISE,
     FIRST_TWIST_SIGMA,
     LEAST_SIGMA,
-    MAP_BLOCK,
     MOST_SAMPLES,
     Estimator,
     EstimatorConfig,
@@ -22,7 +21,7 @@ from service.fusion.estimator import (
 )
 from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
-from service.kernels.filter_state import ACCELERATION, LOCAL, TWIST
+from service.kernels.filter_state import ACCELERATION, LOCAL, MAP_BLOCK, TWIST
 from service.mapper.known_pose import carried
 from tests.service.fusion.samples import MS, gyro, matched, odometry
 

@@ -36,6 +36,7 @@ SETTINGS = MatchSettings(
     wall_sigma_m=0.004,
     repeats=1.0,
     chance_chi2=0.0,
+    information_chance_chi2=0.0,
     cauchy_m=0.1,
     least_normal_cosine=0.6,
     iterations=15,
@@ -258,9 +259,8 @@ def costs_of_match(xy: np.ndarray, start: np.ndarray, grid: SurfelGrid) -> tuple
 
     begun, pose = cost(start), start.copy()
     returns = Returns(xy, np.zeros(len(xy)), np.arange(len(xy), dtype=np.int32))
-    fine_align(
-        returns, normals, prior, information, grid, SETTINGS, math.inf, around, xy.copy(), pose, np.eye(3)
-    )
+    out = np.eye(3), np.eye(3)
+    fine_align(returns, normals, prior, information, grid, SETTINGS, math.inf, around, xy.copy(), pose, *out)
     return begun, cost(pose)
 
 
@@ -353,6 +353,26 @@ def test_what_chance_says_along_a_bare_corridor_does_not_add_up() -> None:
     assert less_chance[:, 0, 0].mean() < 0.2 * all_of_it[:, 0, 0].mean()
     assert less_chance[:, 1, 1].min() > 0.99 * all_of_it[:, 1, 1].min()
     assert less_chance[:, 2, 2].min() > 0.99 * all_of_it[:, 2, 2].min()
+
+
+def test_a_match_may_follow_what_its_information_leaves_out() -> None:
+    """Where nothing but scans measures the motion, chance is followed and still called chance."""
+    said = []
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        grid, xy = corridor_grid(99.0, rng, scans=5), corridor(99.0, rng)
+        returns = Returns(xy, np.zeros(len(xy)), np.arange(len(xy), dtype=np.int32))
+        prior = prior_at((0.0, 0.0, 0.0))
+        all_of_it, less_chance = (
+            match_scan(returns, normals_of(xy), prior, prior.pose, grid, settings, 0.8, xy.copy())
+            for settings in (SETTINGS, SETTINGS._replace(information_chance_chi2=2.0 * math.log(50.0)))
+        )
+        assert np.array_equal(all_of_it.pose, less_chance.pose)
+        assert np.array_equal(all_of_it.covariance, less_chance.covariance)
+        assert less_chance.weakest_sigma_m >= all_of_it.weakest_sigma_m
+        said.append((all_of_it.information[0, 0], less_chance.information[0, 0]))
+    followed, known = np.mean(said, axis=0)
+    assert known < 0.2 * followed
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

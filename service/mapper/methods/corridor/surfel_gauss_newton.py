@@ -56,7 +56,6 @@ COARSE_M, COARSE_RAD = 0.1, 0.05  # what it tells apart: a cell, and that at 2 m
 SAME_WALL_M = 0.05  # scans within one key frame's distance are matched to the same noise of the map
 CHANCE_M = 1.0  # of travel, over which what scans say by chance along an open direction adds up
 MOST_CHANCE_SCANS = 50.0  # scans within CHANCE_M that count in it
-WRONG_ODOMETRY_NOISE = 20.0  # times the variance of its model: odometry with larger errors is wrong
 MOST_REPEATS = 100.0
 LESS_LIKELY_CHI2 = 4.6  # 2 ln 10: a tenth as likely by the prediction
 USUAL_SCANS = 50  # over which the usual inlier ratio is taken
@@ -114,6 +113,7 @@ class SurfelGaussNewton:
             wall_sigma_m=config.wall_sigma_m,
             repeats=1.0,
             chance_chi2=0.0,
+            information_chance_chi2=0.0,
             cauchy_m=config.cauchy_m,
             least_normal_cosine=LEAST_NORMAL_COSINE,
             iterations=ITERATIONS,
@@ -243,6 +243,7 @@ class SurfelGaussNewton:
         returns = Returns(points.xy_raw, points.beam_time_s, points.beam)
         if attempt.posts is not None:
             returns, normals, xy_base = _with_posts(attempt, attempt.posts, normals, start[2])
+        chance_chi2 = _chance_chi2(attempt.predicted)
         result: MatchResult = match_scan(
             returns,
             normals,
@@ -252,7 +253,8 @@ class SurfelGaussNewton:
             self._settings._replace(
                 range_sigma_m=points.range_sigma_m,
                 repeats=max(1.0, SAME_WALL_M / _apart_m(attempt.predicted)),
-                chance_chi2=_chance_chi2(attempt.predicted),
+                chance_chi2=0.0 if attempt.predicted.is_scan_alone else chance_chi2,
+                information_chance_chi2=chance_chi2,
             ),
             DOUBT_RATIO * attempt.usual_ratio,
             xy_base,
@@ -372,11 +374,9 @@ def _apart_m(predicted: Prediction) -> float:
 def _chance_chi2(predicted: Prediction) -> float:
     """Squared sigmas of chance that are taken off what a scan says; [22].
 
-    Chance misleads where the prediction knows better. Without odometry, or where odometry was found wrong,
-    the scan is asked for the little that it says.
+    Chance misleads where the prediction knows better. Where nothing else measures the motion, the match
+    follows the little that the scan says; what is then known is less by chance all the same, [31].
     """
-    if not predicted.is_measured or predicted.odometry_noise > WRONG_ODOMETRY_NOISE:
-        return 0.0
     return 2.0 * math.log(min(max(CHANCE_M / _apart_m(predicted), 1.0), MOST_CHANCE_SCANS))
 
 
