@@ -5,6 +5,7 @@ they are found by type; where several fit, one is chosen, and the notes say what
 header.frame_id in a topic is a device of its own.
 """
 
+import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from drivers.antenna import antenna_of
-from drivers.frames import Frame
+from drivers.frames import Frame, LaserScan
 from service.encoding import (
     BASE_FRAME,
     IMU,
@@ -40,6 +41,9 @@ from service.recording.mountings import Mounting, MountingError, StaticTree, pla
 
 FRAME_TYPES = {LASER_SCAN: "scan", IMU: "imu", ODOMETRY: "odom", NAV_SAT_FIX: "fix"}
 BASE_FRAMES = (BASE_FRAME, "base_footprint")
+# A sweep so wide takes most of a laser's period; those of one instant are flash sensors, and narrower.
+MOST_INSTANT_DEG = 200.0
+INSTANT = "instant"  # scans that say so all the same
 SAMPLED = 100  # messages at the beginning of a topic: what is not among them is not expected later
 DERIVED = ("filter", "fused", "icp", "visual", "amcl", "slam", "merged")  # made by others from the raw topic
 
@@ -72,7 +76,8 @@ class Session:
     events         topics whose events may be requests to the mapping session: ours has one, others have none
     notes          what was chosen and what was passed over, one line each, for people
     counters       filled while reading: frames by topic, messages without usable content, those refused
-                   because of a frame_id that is not expected, and by topic what odometry_fault says
+                   because of a frame_id that is not expected, by topic what odometry_fault says and scans
+                   all around that claim to be of one moment
     frame_ids      filled while reading: topic -> frame_id -> messages
     """
 
@@ -128,6 +133,12 @@ class Session:
                     f"{topic}: the covariance of {covariance} of {read} messages is none (not finite, or "
                     "beyond all sense) and counts as unknown; their poses are used"
                 )
+            if instant := self.counters[f"{topic} {INSTANT}"]:
+                lines.append(
+                    f"{topic}: {instant} of {read} scans are of more than {MOST_INSTANT_DEG:.0f} deg with a "
+                    "time_increment of 0, so all beams count as measured at once; if this laser rotates, "
+                    "turns bend its scans and the map. Does its driver set time_increment?"
+                )
         return lines
 
     def topic_of(self, message: Message) -> str:
@@ -171,6 +182,8 @@ class Session:
                 self.counters[f"{topic} unusable"] += 1
                 continue
             self.counters[topic] += 1
+            if isinstance(frame, LaserScan) and _is_instant(frame):
+                self.counters[f"{topic} {INSTANT}"] += 1
             yield frame
 
     def _in_order(self) -> Iterator[Message]:
@@ -185,6 +198,12 @@ class Session:
             self.counters[f"/{event.channel} unusable"] += 1
             return []
         return [] if step is None else [step]
+
+
+def _is_instant(scan: LaserScan) -> bool:
+    """Whether beams all around claim to be of one moment."""
+    span_rad = (len(scan.range_m) - 1) * abs(scan.angle_step_rad)
+    return scan.beam_interval_ns == 0 and span_rad > math.radians(MOST_INSTANT_DEG)
 
 
 def open_session(paths: Sequence[Path]) -> Session:
