@@ -15,18 +15,18 @@ LEAST_RANGE_M = 1.0  # a point nearer than this is seen by the helper
 
 def solve_held(
     graph: PoseGraph, held: list[int], config: SolverConfig, covariances_of: Sequence[int]
-) -> tuple[Floats, Floats, dict[int, Floats], int]:
-    """Poses (N, 3), landmarks (L, 2), covariances (3, 3) by pose asked for, and iterations taken.
+) -> tuple[Floats, Floats, dict[int, Floats]]:
+    """Poses (N, 3) m and rad, landmarks (L, 2) m, and covariances (3, 3) by pose asked for.
 
     held   the poses that stay where the guess has them
     Raises what GTSAM raises: RuntimeError.
     """
     factors, values = _factors(graph, held)
-    values, iterations = _optimise(factors, values, config)
+    values = _optimise(factors, values, config)
     poses, landmarks = _read(graph, values)
     marginals = gtsam.Marginals(factors, values) if len(covariances_of) else None
     covariances = {int(k): marginals.marginalCovariance(int(k)) for k in covariances_of if marginals}
-    return poses, landmarks, covariances, iterations
+    return poses, landmarks, covariances
 
 
 def _factors(graph: PoseGraph, held: list[int]) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
@@ -102,15 +102,15 @@ class _Noise:
 
 def _optimise(
     factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, config: SolverConfig
-) -> tuple[gtsam.Values, int]:
+) -> gtsam.Values:
     """Step by step, not in one call: GTSAM holds the interpreter, and other threads run between steps."""
     optimiser = gtsam.LevenbergMarquardtOptimizer(factors, values, gtsam.LevenbergMarquardtParams())
-    for iteration in range(config.most_iterations):
+    for _ in range(config.most_iterations):
         before = optimiser.error()
         optimiser.iterate()
         if before - optimiser.error() <= config.least_gain * before:
-            return optimiser.values(), iteration + 1
-    return optimiser.values(), config.most_iterations
+            break
+    return optimiser.values()
 
 
 def _read(graph: PoseGraph, values: gtsam.Values) -> tuple[Floats, Floats]:

@@ -107,17 +107,7 @@ def edge_chi2(edges: Edges, poses: Floats) -> Floats:
     """(E,) squared error of each edge in sigmas, at some poses (N, 3)."""
     relative = se2.between(poses[edges.of], poses[edges.to])
     error = se2.log(se2.between(edges.measured, relative))
-    return _squared_in_sigmas(error, edges.covariance)
-
-
-def sighting_chi2(sightings: Sightings, poses: Floats, landmarks: Floats) -> Floats:
-    """(S,) squared error of each sighting in sigmas, at some poses (N, 3) and landmarks (L, 2)."""
-    error = se2.points_seen(poses[sightings.of], landmarks[sightings.landmark]) - sightings.xy
-    return _squared_in_sigmas(error, sightings.covariance)
-
-
-def _squared_in_sigmas(error: Floats, covariance: Floats) -> Floats:
-    solved = np.linalg.solve(covariance, error[..., None])[..., 0]
+    solved = np.linalg.solve(edges.covariance, error[..., None])[..., 0]
     return np.asarray(np.einsum("ki,ki->k", error, solved))
 
 

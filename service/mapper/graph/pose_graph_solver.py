@@ -10,23 +10,18 @@ from service.mapper.graph.pose_graph import (
     GraphError,
     PoseGraph,
     SolverConfig,
-    edge_chi2,
-    sighting_chi2,
 )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """poses (N, 3), landmarks (L, 2); chi2 of each edge and sighting without its kernel, (E,) and (S,).
+    """poses (N, 3), landmarks (L, 2): m and rad, map frame.
 
     covariances   by pose asked for: (3, 3), in the axes of that pose, against the fixed pose
     """
 
     poses: Floats
     landmarks: Floats
-    edge_chi2: Floats
-    sighting_chi2: Floats
-    iterations: int
     covariances: dict[int, Floats]
 
 
@@ -45,19 +40,12 @@ def solve(
     from service.mapper.graph.gtsam_solver import solve_held
 
     try:
-        poses, landmarks, covariances, iterations = solve_held(graph, held, config, covariances_of)
+        poses, landmarks, covariances = solve_held(graph, held, config, covariances_of)
     except RuntimeError as error:
         raise GraphError(f"pose graph: {_size(graph)} cannot be solved: {_first_line(error)}") from error
     if not (np.isfinite(poses).all() and np.isfinite(landmarks).all()):
         raise GraphError(f"pose graph: {_size(graph)} ran away from the first guess; look at its edges")
-    return Solution(
-        poses,
-        landmarks,
-        edge_chi2(graph.edges, poses),
-        sighting_chi2(graph.sightings, poses, landmarks),
-        iterations,
-        covariances,
-    )
+    return Solution(poses, landmarks, covariances)
 
 
 def _held(graph: PoseGraph) -> list[int]:
