@@ -108,7 +108,7 @@ class InertialMotion:
             for step in steps:
                 each.advance(*step)
             if not self._is_inertial:
-                self._move(each, elapsed_s, wheels.motion if wheels is not None else None, wheel_twist)
+                self._move(each, elapsed_s, wheels, wheel_twist)
             each.settle()
             if is_confirmed and wheel_twist is not None:
                 each.observe_speed(wheel_twist[:2], self._rate, self._config.wheel_speed_sigma_mps)

@@ -2,7 +2,6 @@
 
 import math
 from bisect import bisect_right
-from dataclasses import dataclass
 
 from drivers.frames import OdometrySample
 from service.geometry.se2 import SE2
@@ -10,14 +9,6 @@ from service.geometry.se2 import SE2
 KEEP_NS = 10_000_000_000  # of samples before the last scan, and before the newest
 TRIM_COUNT = 4096  # so many may wait for a scan before those between are dropped
 LEAST_SPEED_S = 0.005  # samples that lie closer together say nothing of a speed
-
-
-@dataclass(frozen=True, slots=True)
-class Way:
-    """What was driven between two moments."""
-
-    motion: SE2  # pose of the later base in the earlier one
-    guessed_s: float  # how much of the time lies beyond the samples
 
 
 class OdometryTrack:
@@ -54,15 +45,15 @@ class OdometryTrack:
         first = min(bisect_right(self._stamps, stamp_ns - KEEP_NS) - 1, len(self._stamps) - 2)
         self._drop(0, max(first, 0))
 
-    def between(self, from_ns: int, to_ns: int) -> Way | None:
-        """The way from one moment to a later one; None where the samples cannot tell."""
+    def between(self, from_ns: int, to_ns: int) -> SE2 | None:
+        """Pose of the later base in the earlier one; None where the samples cannot tell."""
         if len(self._stamps) < 2:
             return None
         before_s = max((self._stamps[0] - from_ns) * 1e-9, 0.0)
         after_s = max((to_ns - self._stamps[-1]) * 1e-9, 0.0)
         if before_s > self._max_guess_s or after_s > self._max_guess_s:
             return None
-        return Way(self._pose_at(from_ns).inverse() @ self._pose_at(to_ns), before_s + after_s)
+        return self._pose_at(from_ns).inverse() @ self._pose_at(to_ns)
 
     def twist_at(self, stamp_ns: int) -> tuple[float, float, float] | None:
         """Speed around a moment (m/s forward, m/s left, rad/s), by the nearest samples; None as above."""
