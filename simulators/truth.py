@@ -16,7 +16,6 @@ from simulators.device import Sweep
 from simulators.trajectory import Floats
 from simulators.world import PERSON_REFLECTIVITY, World
 
-NO_HIT = -1
 BISECTIONS = 7  # find an edge inside a beam's footprint to 1/128 of it
 GLASS_COSINE = 0.985  # a pane sends light back when it is met within 10 deg of squarely
 CABINET_LOST, CABINET_BEHIND = 0.7, 0.2  # shares of the beams on a glass cabinet; the others see its front

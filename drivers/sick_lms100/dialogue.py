@@ -42,7 +42,6 @@ UNANSWERED_LIMIT = 3  # then this question is not asked again: some servers neve
 ACCESS_LEVEL = 3
 
 DIALECTS = {"cola_a": Dialect.ASCII, "cola_b": Dialect.BINARY}
-IDENTITY = (("device", "DeviceIdent"), ("firmware", "FirmwareVersion"), ("serial", "SerialNumber"))
 ANSWERS = ("sRA", "sWA", "sAN", "sEA")
 
 # DeviceIdent of other SICK sensors that speak CoLa begins with their type name; an LMS1000 calls itself

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from service.errors import InputError
 from service.mapstore.picture import (
@@ -17,8 +16,6 @@ from service.mapstore.picture import (
     Pixels,
 )
 from service.outputs import UNKNOWN, TileUpdate
-
-Cells = npt.NDArray[np.int8]
 
 WALL_NEW, WALL_GONE, AREA_NEW, AREA_GONE = 20, 21, 22, 23
 COLOURS = {
