@@ -14,7 +14,6 @@ from service.encoding import Message, decode_event
 from service.encoding.steps import decode_step
 from service.errors import StorageError
 from service.mapper.mapping_session import GraphRequest, LoadMap, SessionAction
-from service.mapstore.tiles import TileStore
 from service.publishing.commands import CommandError, Outcome, Request, Verb
 from service.recording.mcap_recorder import SessionChange
 from service.runtime.intake import Intake
@@ -109,7 +108,6 @@ class Commands:
         self,
         intake: Intake,
         outputs: MappingOutputs,
-        tiles: TileStore,
         put: Callable[[Message], Any],
         recorder: SessionRecorder,
         storage: MapStorage,
@@ -118,7 +116,6 @@ class Commands:
     ) -> None:
         self._intake = intake
         self._outputs = outputs
-        self._tiles = tiles
         self._put = put
         self._recorder = recorder
         self._storage = storage
@@ -214,9 +211,8 @@ class Commands:
                 outcome.done(folder=str(self._storage.folder), folder_before=_text(before))
 
         def answered(answer: Answer) -> None:
-            number = self._tiles.number
-            self._outputs.map_reset()
-            before = self._storage.folder_of(number) if self._tiles.number != number else None
+            ended = self._outputs.map_reset()
+            before = None if ended is None else self._storage.folder_of(ended)
             self._storage.begun_new()
             self._storage.ask_to_save(partial(saved, before))
 
@@ -265,12 +261,10 @@ class Commands:
                 self._storage.let_go(folder)
                 outcome.failed(f"the map before stays: {answer.error}")
                 return
-            number = self._tiles.number
-            before = self._storage.folder_of(number)
-            self._outputs.map_reset()
-            has_before = self._tiles.number != number
+            ended = self._outputs.map_reset()
+            before = None if ended is None else self._storage.folder_of(ended)
             self._storage.begun_in(folder)
-            self._storage.ask_to_save(partial(saved, before if has_before else None))
+            self._storage.ask_to_save(partial(saved, before))
 
         self._intake.request_map(step.folder, step.version, event.log_ns, answered)
 

@@ -117,13 +117,18 @@ class MappingOutputs:
     def refused(self, item: FrameItem) -> None:
         self._put_before(item.log_ns, {"event": "frame_refused", "sensor": item.sensor})
 
-    def map_reset(self) -> None:
-        """The mapper has begun a new map; the tiles of the old one are emptied for all."""
+    def map_reset(self) -> int | None:
+        """The mapper has begun a new map; the tiles of the old one are emptied for all.
+
+        Number of the old one in the TileStore; None where it had no tile.
+        """
+        ended = self._tiles.number
         emptied = self._tiles.begin_anew()
         if emptied:
             self._put_tiles(emptied, self._map_stamp_ns)
         self._began_version = self._tiles.version
         self.last = self.geo_reference = None
+        return ended if emptied else None
 
     def overload(self) -> str:
         """What is the matter where scans come faster than they are mapped, with figures; else ""."""

@@ -20,7 +20,6 @@ from service.encoding import Message
 from service.interruption import children_do_not_hear, end_with_parent
 from service.kernel_cache import is_warm
 from service.mapper.profiles import MappingConfig, begins_in_stored, mapping_config, with_profile
-from service.mapstore.tiles import TileStore
 from service.publishing.commands import CommandError, Outcome, Request, Verb
 from service.runtime.intake import Intake
 from service.runtime.mapper_messages import Answer
@@ -119,7 +118,6 @@ class ProfileSwitch:
         present: PresentMapping,
         intake: Intake,
         outputs: MappingOutputs,
-        tiles: TileStore,
         put: Callable[[Message], Any],
         storage: MapStorage,
         prepare: Callable[[Section], None] = make_kernels_ready,
@@ -127,7 +125,6 @@ class ProfileSwitch:
         self._present = present
         self._intake = intake
         self._outputs = outputs
-        self._tiles = tiles
         self._put = put
         self._storage = storage
         self._prepare = prepare
@@ -185,9 +182,8 @@ class ProfileSwitch:
             if answer.error:
                 outcome.failed(f"the profile stays: {answer.error}")
                 return
-            number = self._tiles.number
-            self._outputs.map_reset()
-            before = self._storage.folder_of(number) if self._tiles.number != number else None
+            ended = self._outputs.map_reset()
+            before = None if ended is None else self._storage.folder_of(ended)
             self._present.config = chosen
             self._storage.mapped_by(chosen.profile, begins_in_stored(chosen))
             log.info("the profile is %s now", chosen.profile)

@@ -126,7 +126,7 @@ class Service:
         )
         self._link = MapperLink(self._setup(), self._outputs, early)
         self._intake = Intake(self._link, self.host_time, self._sinks.put)
-        parts = self._intake, self._outputs, self._tiles, self._sinks.put
+        parts = self._intake, self._outputs, self._sinks.put
         storage = self._sinks.map_storage()
         self._commands = Commands(
             *parts,

@@ -74,7 +74,7 @@ class Machine:
         self.link = InlineLink(session, self.outputs, is_deaf, self._prepare, self.profiles.append)
         self._folder = folder
         self.intake = Intake(self.link, host_time, self._put)  # type: ignore[arg-type]
-        parts = self.intake, self.outputs, self.tiles, self._put
+        parts = self.intake, self.outputs, self._put
         switch = ProfileSwitch(self.present, *parts, self.saver, self._compile)
         self.commands = Commands(*parts, self.recorder, self.saver, self._find, switch)
         self.dispatcher = CommandDispatcher(self.commands.verbs(), answer_timeout_s=20.0)

@@ -18,12 +18,13 @@ def test_where_the_map_lies_goes_to_the_tiles_and_ends_with_the_map():
     outputs.heard(Status(1, geo_reference=GEO))
     assert outputs.geo_reference == GEO
     assert tiles.take()[1].geo == GEO
-    outputs.map_reset()
+    assert outputs.map_reset() == 1
     assert outputs.geo_reference is None
     (ended,), present = tiles.take()
     assert (ended.geo, present.geo) == (GEO, None)
     outputs.heard(Status(2))
     assert tiles.take()[1].geo is None
+    assert outputs.map_reset() is None  # it had no tile
 
 
 def test_a_message_that_nobody_takes_is_not_lost_in_silence():
