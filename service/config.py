@@ -27,6 +27,7 @@ from service.located_yaml import Document, Fault, load
 from service.located_yaml import Path as KeyPath
 from service.mapper.profiles import MappingConfig, begins_in_stored, mapping_model
 from service.sinks.registry import SINKS
+from service.suggestion import suggest
 
 NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")  # a chunk of a Zenoh key and a ROS 2 name at once
 NAME_RULE = "lower-case letters, digits and single _ in between, a letter first, at most 32 of them"
@@ -278,7 +279,7 @@ class _Reader:
             return self._model(SENSOR_KINDS[kind].config, settings, path)
         where = (*path, "type") if "type" in settings else path
         problem = f"{kind!r} is no type of sensor" if "type" in settings else '"type" is missing'
-        self._fault(where, f"{problem}; {_choose(str(kind), list(SENSOR_KINDS))}")
+        self._fault(where, f"{problem}; {suggest(str(kind), SENSOR_KINDS)}")
         self._refuse_what_no_type_takes(settings, path)
         return None
 
@@ -333,7 +334,7 @@ class _Reader:
         for index, name in enumerate(names):
             if name not in lasers and kinds.get(name, kinds) is not None:  # a faulty type is said already
                 what = "gives no scans" if name in kinds else "is no sensor of this config"
-                offer = _choose(name, lasers) if lasers else "there is no laser at all"
+                offer = suggest(name, lasers) if lasers else "there is no laser at all"
                 self._fault(("mapping", "lasers", index), f"{name} {what}; {offer}")
 
     def _model(self, model: type[BaseModel], settings: object, path: KeyPath) -> BaseModel | None:
@@ -396,7 +397,7 @@ def _with_a_wire(settings: object) -> object:
 
 def _kinds_meant(settings: Mapping[str, Any]) -> list[str]:
     """Types of sensor that somebody may have meant: the one spelt alike, else those with most of the keys."""
-    if near := difflib.get_close_matches(str(settings.get("type")), list(SENSOR_KINDS), n=1, cutoff=0.6):
+    if near := difflib.get_close_matches(str(settings.get("type")), list(SENSOR_KINDS), n=1):
         return near
     known = {kind: len(settings.keys() & SENSOR_KINDS[kind].config.model_fields) for kind in SENSOR_KINDS}
     return [kind for kind, count in known.items() if count == max(known.values())]
@@ -416,7 +417,7 @@ def _name_fault(name: str) -> str:
 
 
 def _unknown_key(key: str, value: object, known: typing.Sequence[str]) -> str:
-    return f"unknown key; {_other_unit(key, value, known) or _choose(key, known)}"
+    return f"unknown key; {_other_unit(key, value, known) or suggest(key, known)}"
 
 
 def _other_unit(key: str, value: object, known: typing.Sequence[str]) -> str:
@@ -432,12 +433,6 @@ def _other_unit(key: str, value: object, known: typing.Sequence[str]) -> str:
         if isinstance(value, int | float):
             advice += f"; write {other}: {value * _UNITS[unit][1] / size:.10g}"
     return advice and f"this setting is {advice}"
-
-
-def _choose(key: str, known: typing.Sequence[str]) -> str:
-    if near := difflib.get_close_matches(key, known, n=1, cutoff=0.6):
-        return f'did you mean "{near[0]}"?'
-    return f"known here: {', '.join(known)}"
 
 
 def _correction(model: type[BaseModel], detail: ErrorDetails) -> str:

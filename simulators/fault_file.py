@@ -7,7 +7,6 @@
 What the kinds do stands in simulators/faults.py.
 """
 
-import difflib
 import json
 import typing
 from collections.abc import Iterator, Mapping
@@ -21,6 +20,7 @@ from service.errors import ConfigError
 from service.located_yaml import Document, load
 from service.located_yaml import Fault as Mistake
 from service.located_yaml import Path as KeyPath
+from service.suggestion import suggest
 from simulators.device import FakeDevice, HasClock, ManyClients, Restartable
 
 DAY_S = 86_400.0
@@ -224,9 +224,9 @@ class _Reader:
         if value in known:
             return str(value)
         if key in entry:
-            self._refuse((*path, key), f"there is no {key} {value!r}; {_choose(str(value), known)}")
+            self._refuse((*path, key), f"there is no {key} {value!r}; {suggest(str(value), known)}")
         else:
-            self._refuse((*path, key), f"missing; {_choose('', known)}")
+            self._refuse((*path, key), f"missing; {suggest('', known)}")
         return None
 
     def _refuse_impossible(self, name: str, kind: str, path: KeyPath) -> None:
@@ -248,7 +248,7 @@ class _Reader:
         match detail["type"]:
             case "extra_forbidden":
                 known = [name for name in model.model_fields if name not in ("device", "kind")]
-                self._refuse(at, f"unknown key; {_choose(str(detail['loc'][-1]), known)}")
+                self._refuse(at, f"unknown key; {suggest(str(detail['loc'][-1]), known)}")
             case "missing":
                 self._refuse((*at, str(detail["loc"][-1])), "missing, and there is no sensible default")
             case _:
@@ -261,9 +261,3 @@ class _Reader:
         if any(mistake.path == path for mistake in self._document.faults):
             return  # once is enough, and what is not even YAML has been said
         self._document.faults.append(Mistake(self._document.position(path), path, message))
-
-
-def _choose(value: str, known: list[str]) -> str:
-    if near := difflib.get_close_matches(value, known, n=1, cutoff=0.6):
-        return f'did you mean "{near[0]}"?'
-    return f"known here: {', '.join(known)}"

@@ -6,7 +6,6 @@ method into a slot of another's: `components: {matcher: surfel_gauss_newton}`; w
 is refused.
 """
 
-import difflib
 import math
 from collections.abc import Callable, Iterable, Mapping
 from copy import copy
@@ -46,6 +45,7 @@ from service.mapper.maps.shown_warm_up import warm_up_changes
 from service.mapper.patch_store import MemoryPatches, NewPatchStore
 from service.mapper.pipeline import Mapper
 from service.mapper.saved_graph import KeepGraph, SavedGraph
+from service.suggestion import suggest
 
 
 def _imported(name: str) -> Method:
@@ -78,7 +78,7 @@ def chosen_components(profile: str, components: Mapping[Slot, str]) -> dict[Slot
     for slot, name in components.items():
         kinds = component_kinds(slot, [profile])
         if name not in kinds and name not in (kinds := component_kinds(slot)):
-            raise ValueError(f"{name} is no {slot}; {_choose(name, kinds)}")
+            raise ValueError(f"{name} is no {slot}; {suggest(name, kinds)}")
         chosen[slot] = kinds[name]
     local_map = chosen["local_map"]
     for slot, kind in chosen.items():
@@ -122,7 +122,7 @@ class MappingConfig(BaseModel):
     @classmethod
     def _known(cls, profile: str) -> str:
         if profile not in METHODS:
-            raise ValueError(f"{profile} is no profile; {_choose(profile, METHODS)}")
+            raise ValueError(f"{profile} is no profile; {suggest(profile, METHODS)}")
         return profile
 
     @field_validator("components")
@@ -271,13 +271,6 @@ def _field_with_default(config: type[BaseModel], key: str, value: Any) -> FieldI
 
 def _fits(reader: ComponentKind, local_map: ComponentKind) -> bool:
     return reader.reads is None or (local_map.makes is not None and issubclass(local_map.makes, reader.reads))
-
-
-def _choose(name: str, known: Iterable[str]) -> str:
-    known = list(known)
-    if near := difflib.get_close_matches(name, known, n=1):
-        return f'did you mean "{near[0]}"?'
-    return f"known here: {', '.join(known)}"
 
 
 def warm_up_steps(
