@@ -31,8 +31,7 @@ def ensure_cache_dir() -> Path | None:
 
     The temporary place where that was needed, else None. Call it before anything imports numba.
     """
-    given = os.environ.get("NUMBA_CACHE_DIR")
-    places = [Path(given)] if given else [KERNELS / "__pycache__", _home_cache()]
+    places = _places()
     for place in places:
         if _is_writable(place):
             forget_old_kernels(place)
@@ -73,10 +72,8 @@ def forget_old_kernels(place: Path) -> None:
 
 def forget_kernels() -> int:
     """Delete every compiled kernel that a start would read; how many there were."""
-    given = os.environ.get("NUMBA_CACHE_DIR")
-    place = Path(given) if given else KERNELS / "__pycache__"
     count = 0
-    for folder in (place, _home_cache()):
+    for folder in (_places()[0], _home_cache()):
         (folder / WARM_NAME).unlink(missing_ok=True)
         for compiled in _compiled_in(folder):
             compiled.unlink(missing_ok=True)
@@ -110,10 +107,15 @@ def kernels_in(place: Path) -> int:
     return sum(path.suffix == ".nbi" for path in _compiled_in(place)) if is_fresh else 0
 
 
+def _places() -> list[Path]:
+    """Where numba looks for a place, in its order."""
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    return [Path(given)] if given else [KERNELS / "__pycache__", _home_cache()]
+
+
 def _place() -> Path:
     """Where numba keeps the kernels: the first of the places that can be written to."""
-    given = os.environ.get("NUMBA_CACHE_DIR")
-    places = [Path(given)] if given else [KERNELS / "__pycache__", _home_cache()]
+    places = _places()
     return next((place for place in places if _is_writable(place)), places[0])
 
 
