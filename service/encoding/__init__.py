@@ -26,6 +26,7 @@ from service.encoding.outputs import (
     OK,
     STALE,
     STANDING,
+    TILES,
     WARNING,
     Pose,
     Status,
@@ -46,6 +47,7 @@ from service.encoding.outputs import (
     encode_tf,
     encode_tf_static,
     encode_tile,
+    tile_channel,
 )
 from service.encoding.raw import decode_raw, encode_raw
 from service.encoding.steps import APPLY_RESULT, decode_step
@@ -97,6 +99,7 @@ __all__ = [
     "STANDING",
     "STRING",
     "TF",
+    "TILES",
     "WARNING",
     "LogClock",
     "Message",
@@ -132,6 +135,7 @@ __all__ = [
     "pose_on_wire",
     "read",
     "schema_text",
+    "tile_channel",
     "type_hash",
     "warm_up",
 ]

@@ -18,6 +18,7 @@ ANY_HEADING = math.pi**2 / 3.0  # rad^2, variance of a heading of which nothing 
 
 
 OK, WARNING, ERROR, STALE = 0, 1, 2, 3  # levels of diagnostic_msgs/DiagnosticStatus
+TILES = "map/tile"  # begin of the channels of tiles
 CHANGES = "map/changes"  # the channel: what is not as a stored map says, see service.mapper.map_changes
 STANDING = "standing"  # the channel: for how long things stand, see service.mapper.maps.standing
 # Viewers in 3D draw what lies at one height in any order: the map would hide scans and path. So it lies below
@@ -116,11 +117,16 @@ def encode_tf_static(
     return wire.to_message("tf_static", wire.TF, stamp_ns, log_ns, ros.tf2_msgs__msg__TFMessage(transforms))
 
 
+def tile_channel(tile: TileUpdate) -> str:
+    """Channel of a tile: "map/tile/<level>/<ix>/<iy>"."""
+    return f"{TILES}/{tile.level}/{tile.ix}/{tile.iy}"
+
+
 def encode_tile(tile: TileUpdate, stamp_ns: int, log_ns: int) -> Message:
-    """A tile as a grid of its own, as channel "map/tile/<level>/<ix>/<iy>"."""
+    """A tile as a grid of its own, as the tile's channel."""
     edge_m = tile.cells.shape[0] * tile.cell_m
     grid = Grid(tile.version, tile.cell_m, tile.ix * edge_m, tile.iy * edge_m, tile.cells)
-    return encode_grid(grid, stamp_ns, log_ns, f"map/tile/{tile.level}/{tile.ix}/{tile.iy}")
+    return encode_grid(grid, stamp_ns, log_ns, tile_channel(tile))
 
 
 def encode_grid(grid: Grid, stamp_ns: int, log_ns: int, channel: str = "map") -> Message:

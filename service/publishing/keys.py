@@ -11,7 +11,3 @@ def vehicle_key(vehicle: str, channel: str) -> str:
 def alive_key(vehicle: str, component: str) -> str:
     """Key of the liveliness token that stands while a component does its work."""
     return vehicle_key(vehicle, f"alive/{component}")
-
-
-def tile_channel(level: int, ix: int, iy: int) -> str:
-    return f"map/tile/{level}/{ix}/{iy}"

@@ -16,7 +16,16 @@ from typing import Any, Protocol
 import zenoh
 import zenoh.ext
 
-from service.encoding import CHANGES, Message, Status, encode_diagnostics, encode_grid, encode_tile
+from service.encoding import (
+    CHANGES,
+    TILES,
+    Message,
+    Status,
+    encode_diagnostics,
+    encode_grid,
+    encode_tile,
+    tile_channel,
+)
 from service.errors import StorageError
 from service.outputs import Grid, TileUpdate
 from service.publishing.attachment import Attachment, make_gid
@@ -24,7 +33,7 @@ from service.publishing.command_queryable import CommandQueryable
 from service.publishing.commands import Answer
 from service.publishing.config import PublishingConfig
 from service.publishing.initial_pose import InitialPoseSubscriber
-from service.publishing.keys import alive_key, tile_channel, vehicle_key
+from service.publishing.keys import alive_key, vehicle_key
 from service.publishing.send_queues import BulkQueue, Sending, StreamQueue
 from service.publishing.session import listened_at, open_session
 
@@ -39,7 +48,6 @@ POSES = ("pose", "odom", "tf")  # sent by who puts them: a thread between would 
 STATES = ("tf_static", "health", "graph", CHANGES)  # newest counts; cached for late joiners
 PICTURES = ("map", "map/meta")  # made here, when somebody listens or asks
 ANSWERED = ("pose", *STATES)  # the last one sent is the answer to a get
-TILES = "map/tile"
 # Last part of the channels whose late messages are worthless: sent first, without batching.
 _FRESH = frozenset(("scan", "imu", "odom", "pose", "tf", "fix"))
 
@@ -321,7 +329,7 @@ class ZenohPublisher:
             query.reply_err(f'since={since}: expected a version, as in "map/tile/**?since=0"'.encode())
             return
         for tile in self._map.since(int(since)):
-            key = vehicle_key(self._vehicle, tile_channel(tile.level, tile.ix, tile.iy))
+            key = vehicle_key(self._vehicle, tile_channel(tile))
             if query.key_expr.intersects(zenoh.KeyExpr(key)):
                 message = encode_tile(tile, self._map_stamp_ns, self._map_log_ns)
                 self._reply(query, message, self._attachment(TILES, tile.version, message.log_ns))
