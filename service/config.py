@@ -23,7 +23,7 @@ from drivers.wires import one_spelling
 from service.encoding import Message, decode_mountings, decode_upside_down, encode_tf_static
 from service.errors import ConfigError
 from service.geometry.se2 import SE2
-from service.located_yaml import Document, Fault, load
+from service.located_yaml import MAX_FILE_BYTES, Document, Fault, load
 from service.located_yaml import Path as KeyPath
 from service.mapper.profiles import MappingConfig, begins_in_stored, mapping_model
 from service.sinks.registry import SINKS
@@ -57,9 +57,6 @@ _UNITS: dict[str, tuple[str, float, str]] = {  # suffix -> dimension, size, word
     "hz": ("rate", 1.0, "hertz"),
     "khz": ("rate", 1e3, "kilohertz"),
 }
-
-
-MAX_FILE_BYTES = 1_000_000  # a config of thirty sensors has 10 kB; /dev/zero has no end
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,6 +14,7 @@ from typing import Any
 import yaml
 
 Path = tuple[str | int, ...]
+MAX_FILE_BYTES = 1_000_000  # a config of thirty sensors has 10 kB; /dev/zero has no end
 MAX_DEPTH = 20  # a config is 4 deep; an alias to its own parent would be endless
 MAX_VALUES = 10_000  # aliases of aliases multiply
 

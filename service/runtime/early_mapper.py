@@ -18,12 +18,11 @@ from pathlib import Path
 from typing import Any, Self
 
 from service.interruption import before_ending
-from service.located_yaml import load
+from service.located_yaml import MAX_FILE_BYTES, load
 
 MODULE = "service.runtime.mapper_process"
 TOLD = "--told"  # the section "mapping" of the config, JSON, comes on the process's standard input
 END_S = 2.0
-MOST_BYTES = 1_000_000  # of a config
 FOLDER, SOCKET = "corridor-meeting-", "mapper.sock"
 
 
@@ -113,7 +112,7 @@ class EarlyMapper:
 def mapping_section(path: Path) -> dict[str, Any]:
     """As the file has it, which nobody has checked; empty where there is none or the file is none."""
     try:
-        if not path.is_file() or path.stat().st_size > MOST_BYTES:
+        if not path.is_file() or path.stat().st_size > MAX_FILE_BYTES:
             return {}
         root = load(path.read_text(encoding="utf-8")).value
     except (OSError, ValueError):

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from service.config import MAX_FILE_BYTES, load_config, mapped_lasers, mounted_upside_down, mountings
+from service.config import load_config, mapped_lasers, mounted_upside_down, mountings
 from service.errors import ConfigError
+from service.located_yaml import MAX_FILE_BYTES
 from tests.soaked import in_soak
 
 EXAMPLE = Path(__file__).parents[2] / "config" / "vehicle.yaml"
