@@ -65,10 +65,6 @@ class TileStore:
         return self._version
 
     @property
-    def count(self) -> int:
-        return len(self._tiles)
-
-    @property
     def finest_count(self) -> int:
         """Tiles of the present map at its finest level."""
         return len(self._finest())

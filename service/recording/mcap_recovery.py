@@ -408,10 +408,6 @@ class Leftovers:
     def running(self) -> bool:
         return self._process.poll() is None
 
-    def wait(self, timeout_s: float) -> None:
-        """Until all are recovered. Raises subprocess.TimeoutExpired."""
-        self._process.wait(timeout_s)
-
     def stop(self) -> None:
         """Break off; the next start begins anew, nothing is lost."""
         self._process.terminate()
