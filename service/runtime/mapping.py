@@ -241,7 +241,7 @@ class MappingLoop:
         is_turned = item.sensor in self._upside_down
         frame = decode_frame(item.type, item.payload, item.sensor, item.log_ns, is_turned)
         if frame is None:
-            is_mapped = item.sensor in self.mapper.lasers and item.type.endswith("LaserScan")
+            is_mapped = item.sensor in self.mapper.lasers and not is_sample(item)
             self._tell(item.number, Unusable(item.number, item.sensor, is_mapped))
             return
         if isinstance(frame, LaserScan) and self._is_passed_over(frame, item):

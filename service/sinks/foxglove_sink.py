@@ -4,10 +4,12 @@ import logging
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from service.encoding import CHANGES, ERROR, OK, Message, Status, encode_grid, schema_text
 from service.errors import StorageError
+from service.outputs import TileUpdate
 from service.sinks.foxglove_config import FoxgloveConfig
 from service.sinks.sink import Sink, SinkContext
 from service.web.config import split_listen
@@ -85,7 +87,7 @@ class FoxgloveSink(Sink):
             self._waiting.append(message)
             self._changed.notify()
 
-    def put_tiles(self, tiles: Any, stamp_ns: int, log_ns: int) -> None:
+    def put_tiles(self, tiles: Sequence[TileUpdate], stamp_ns: int, log_ns: int) -> None:
         self._map_stamp_ns = stamp_ns
 
     def health(self) -> Status:
