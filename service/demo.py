@@ -94,7 +94,7 @@ def demo(
     compiling: Callable[[], AbstractContextManager[KernelProgress | None]] = nullcontext,
     watch: Callable[[Service], None] = lambda service: None,
 ) -> dict[str, Any]:
-    """Run the demo; its summary as INTERFACE has it. Raises CorridorError and its kin.
+    """Run the demo; its summary, for JSON. Raises CorridorError and its kin.
 
     compiling   opened while kernels are compiled, and told of each; left out, the log says how far it is
     watch       called several times a second while the service starts and runs

@@ -226,7 +226,7 @@ def _listening(at_first: Callable[[], None], compiled: Callable[[str], None]) ->
 
 
 class _Pieces:
-    """Pieces of work that two threads claim, in order."""
+    """Pieces of work that threads claim, in order."""
 
     def __init__(self, work: list[Callable[[], Any]]) -> None:
         self._work = work

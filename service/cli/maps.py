@@ -1,4 +1,4 @@
-"""map info, verify, log, loops, diff, merge, edit: work on stored maps."""
+"""map info, verify, log, loops, diff, merge, remap, edit: work on stored maps."""
 
 import argparse
 import time

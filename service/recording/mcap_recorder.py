@@ -142,9 +142,8 @@ class McapRecorder:
         self._session_files = 0  # how many were finished before it
         self._file_count = 0
         self._latched: dict[str, Message] = {}
-        self._events_from_ns = (
-            0  # log time; an event before it is about a frame that the session does not hold
-        )
+        # Log time; an event before it is about a frame that the session does not hold.
+        self._events_from_ns = 0
         self._last_log_ns = 0
         self._sync_at_s = 0.0
         self._retry_at_s = 0.0
@@ -207,7 +206,7 @@ class McapRecorder:
         self._request(_End(heard))
 
     def finish(self) -> list[Path]:
-        """Write what is queued, complete the file and stop. Returns the session's files, oldest first."""
+        """Write what is queued, complete the file and stop. Returns the files of this run, oldest first."""
         with self._wake:
             self._stopping = True
             self._wake.notify()

@@ -269,7 +269,7 @@ class HealthReport:
             self._restarted_ns.popleft()
 
     def _gnss(self, now_ns: int) -> list[Status]:
-        """None where there are no fixes."""
+        """Empty where there are no fixes."""
         status = self._gnss_health.status(self._outputs.counters, self._outputs.geo_reference, now_ns)
         return [] if status is None else [status]
 
