@@ -119,9 +119,8 @@ def make_world(name: str, plan: "Plan", people: Sequence[Walk], drive: Trajector
     """A world from a plan, people and a drive that share one frame of the author's choice."""
     start = drive.start
     ends = _seen_from(start, np.array(plan.segments).reshape(-1, 2))
-    low = (
-        ends.min(axis=0) - 0.37 * CELL_M
-    )  # walls tend to stand on whole metres: keep them off the cells' borders
+    # Walls tend to stand on whole metres: keep them off the cells' borders.
+    low = ends.min(axis=0) - 0.37 * CELL_M
     columns, rows = np.ceil((ends.max(axis=0) + 0.01 - low) / CELL_M).astype(int)
     segments = np.ascontiguousarray(ends.reshape(-1, 4))
     grid_frame = np.array([*low, CELL_M])

@@ -192,9 +192,8 @@ def _edge_below(x: Stamps, y: Stamps) -> tuple[int, int]:
     points the one with the least sum of distances. x (N,) ascending, y (N,); indices into both.
     """
     middle = float(x.mean())
-    flat = (
-        y - y[0] - (x - x[0]) * ((int(y[-1]) - int(y[0])) / (int(x[-1]) - int(x[0])))
-    )  # keeps products exact
+    # Keeps products exact.
+    flat = y - y[0] - (x - x[0]) * ((int(y[-1]) - int(y[0])) / (int(x[-1]) - int(x[0])))
     hull: list[int] = []
     xs, ys = (x - x[0]).tolist(), flat.tolist()
     for i in range(len(xs)):

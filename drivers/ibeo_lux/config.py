@@ -21,9 +21,8 @@ class IbeoLuxConfig(BaseModel):
     host: Host = Field(min_length=1)
     port: int = Field(default=12_002, ge=1, le=65_535)
     scan_rate_hz: float = 25.0
-    first_angle_deg: float = Field(
-        default=50.0, ge=-59.95, le=50.0
-    )  # sensor frame; the sweep goes to the right
+    # Sensor frame; the sweep goes to the right.
+    first_angle_deg: float = Field(default=50.0, ge=-59.95, le=50.0)
     last_angle_deg: float = Field(default=-60.0, ge=-60.0, le=49.95)
     resolution: Literal["as_set", "focused", "constant"] = "as_set"
     sync_angle_deg: float | None = Field(default=None, ge=-180.0, lt=180.0)  # None: left as it is

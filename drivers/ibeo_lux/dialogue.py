@@ -87,9 +87,8 @@ class IbeoLuxDialogue:
         self.device_status: DeviceStatus | None = None  # the newest
         self.beam_tilt_rad = 0.0
         self.upside_down = False
-        self.explain_faults: Callable[[], str] = lambda: (
-            ""
-        )  # what the device reported of itself, by the session
+        # What the device reported of itself, by the session.
+        self.explain_faults: Callable[[], str] = lambda: ""
 
     def run(self) -> Dialogue[None]:
         """Raises TransportError where nobody answers, or only after the scans were taken as they are;

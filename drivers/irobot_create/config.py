@@ -47,9 +47,8 @@ class IrobotCreateConfig(BaseModel):
     wheel_base_m: float = Field(default=math.nan, gt=0.0, le=2.0)  # this and the next two: likewise
     wheel_diameter_m: float = Field(default=math.nan, gt=0.0, le=1.0)
     counts_per_revolution: float = Field(default=math.nan, gt=0.0, le=100_000.0)
-    left_scale: float = Field(
-        default=1.0, ge=0.5, le=2.0
-    )  # true way / reported way, from a calibration drive
+    # True way / reported way, from a calibration drive.
+    left_scale: float = Field(default=1.0, ge=0.5, le=2.0)
     right_scale: float = Field(default=1.0, ge=0.5, le=2.0)
     travel_variance_m2_per_m: float = Field(default=1e-4, gt=0.0, le=1.0)  # of each wheel, per metre rolled
     latency_ms: float = Field(default=0.0, ge=-100.0, le=100.0)  # taken off every stamp, if calibrated

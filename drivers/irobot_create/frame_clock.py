@@ -43,9 +43,8 @@ class FrameClock:
         self._origin: tuple[int, int] | None = None  # (count, arrived_ns) that lateness is measured from
         self._clock = ClockMap(self.period_ns, latency_ns=self._latency_ns)
         self._recent: deque[tuple[int, int]] = deque(maxlen=2 * WINDOW)  # (arrived_ns, lateness_ns)
-        self._blocks: deque[tuple[int, int]] = deque(
-            maxlen=MAX_BLOCKS
-        )  # (count, lateness_ns) of the promptest
+        # (count, lateness_ns) of the promptest.
+        self._blocks: deque[tuple[int, int]] = deque(maxlen=MAX_BLOCKS)
         self._block: list[tuple[int, int]] = []  # (lateness_ns, count)
 
     @property

@@ -13,12 +13,8 @@ from service.geometry.se2 import SE2
 from service.outputs import GraphPicture
 
 GRAPH = "graph"  # the channel
-WAYS, LOOPS, REFUSED, BORDERS = (
-    "key_frames",
-    "loops",
-    "refused_loops",
-    "sub_maps",
-)  # namespaces of the markers
+# Namespaces of the markers.
+WAYS, LOOPS, REFUSED, BORDERS = "key_frames", "loops", "refused_loops", "sub_maps"
 _LOOK = {  # width in m, colour; one pixel where 40 m fill 500 pixels
     WAYS: (0.08, (0.16, 0.36, 0.85, 1.0)),
     LOOPS: (0.08, (0.10, 0.60, 0.25, 1.0)),

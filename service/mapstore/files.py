@@ -269,9 +269,8 @@ def _publish_alone(
     if not has_geo and (folder / GEO_FILE).is_symlink():
         (folder / GEO_FILE).unlink()
     for old in _too_old(folder):
-        gone = (
-            folder / f"{UNFINISHED}{_name(old)}"
-        )  # half of it is no version: the next save removes the rest
+        # Half of it is no version: the next save removes the rest.
+        gone = folder / f"{UNFINISHED}{_name(old)}"
         with suppress(OSError):  # again with the next save
             (folder / _name(old)).rename(gone)
             shutil.rmtree(gone)

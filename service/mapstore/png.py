@@ -34,9 +34,8 @@ def write_png(
             _write_chunk(file, b"PLTE", b"".join(bytes(colours.get(k, (k, k, k))) for k in range(256)))
         deflate = zlib.compressobj(_LEVEL)
         for band in picture.bands():
-            rows = np.zeros(
-                (band.shape[0], band.shape[1] + 1), dtype=np.uint8
-            )  # each begins with filter type 0
+            # Each row begins with filter type 0.
+            rows = np.zeros((band.shape[0], band.shape[1] + 1), dtype=np.uint8)
             rows[:, 1:] = band
             if compressed := deflate.compress(rows.data):
                 _write_chunk(file, b"IDAT", compressed)

@@ -21,9 +21,8 @@ def bent_way(
     order = np.argsort(before.stamp_ns, kind="stable")
     at = np.searchsorted(before.stamp_ns[order], stamp_ns, side="right") - 1
     held_by = order[np.maximum(at, 0)]
-    _, row_before, row_after = np.intersect1d(
-        before.stamp_ns, after.stamp_ns, return_indices=True
-    )  # two key frames of one moment: the first of each
+    # Two key frames of one moment: the first of each.
+    _, row_before, row_after = np.intersect1d(before.stamp_ns, after.stamp_ns, return_indices=True)
     now = np.full(len(before), -1)
     now[row_before] = row_after
     is_left = now[held_by] >= 0

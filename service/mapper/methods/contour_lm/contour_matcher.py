@@ -42,9 +42,8 @@ class WeightsConfig(BaseModel):
     slope_count: float = Field(default=50.0, gt=0.0)
     beams_each_side: int = Field(default=4, ge=1, le=10)  # neighbours for a normal
     half_length_m: float = Field(default=0.15, ge=0.0, le=1.0)  # ... or as many more as lie this near
-    thin_m: float = Field(
-        default=0.02, ge=0.0
-    )  # neighbours spread no wider than this need no robust estimate
+    # Neighbours spread no wider than this need no robust estimate.
+    thin_m: float = Field(default=0.02, ge=0.0)
 
 
 class SearchConfig(BaseModel):

@@ -40,9 +40,8 @@ class PatchMapConfig(BaseModel):
     coarse_cells: int = Field(default=5, ge=2)  # a cell of the coarse layer is so many of the fine one wide
     patch_cells: int = Field(default=1000, ge=20)  # fine cells along the edge of a patch
     ring_cells: int = Field(default=4, ge=1, le=10)  # width of each of the two rings on the fine layer
-    join_m: float = Field(
-        default=0.15, ge=0.0
-    )  # neighbouring points so near each other are joined by a line,
+    # Neighbouring points so near each other are joined by a line.
+    join_m: float = Field(default=0.15, ge=0.0)
     smooth_m: float = Field(default=0.3, ge=0.0)  # along a line points are averaged so far to each side
     join_steps: float = Field(default=20.0, ge=0.0)  # and nearer than so many arcs between beams besides
     score: Literal["product", "mean"] = "product"  # of the likelihoods of the points

@@ -65,9 +65,8 @@ class OrthogonalMapConfig(BaseModel):
     rule: Literal["noisy_or", "maximum"] = "noisy_or"
     insert_distance_m: float = Field(default=0.3, ge=0.0)
     insert_turn_rad: float = Field(default=0.1, ge=0.0)
-    insert_inlier_ratio: float = Field(
-        default=0.9, ge=0.0, le=1.0
-    )  # at once where less of the scan lies on the map
+    # At once where less of the scan lies on the map.
+    insert_inlier_ratio: float = Field(default=0.9, ge=0.0, le=1.0)
     on_map_likelihood: float = Field(default=0.02, gt=0.0, le=1.0)  # a point from here on lies on the map
     first_scans: int = Field(default=1, ge=1)
 

@@ -54,15 +54,13 @@ class LandmarkGraphConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     match: SubmapMatchConfig = SubmapMatchConfig()
-    least_on_surfels: float = Field(
-        default=0.4, ge=0.0, le=1.0
-    )  # share of points, when a scan or a sub-map is aligned anew
+    # Share of points, when a scan or a sub-map is aligned anew.
+    least_on_surfels: float = Field(default=0.4, ge=0.0, le=1.0)
     node_spacing_m: float = Field(default=2.0, gt=0.0)  # between track points
     drift_m_per_sqrt_m: float = Field(default=0.005, gt=0.0)
     drift_rad_per_sqrt_m: float = Field(default=0.001, gt=0.0)
-    neighbour_m: float = Field(
-        default=6.0, gt=0.0
-    )  # sub-maps whose paths come this near are aligned with each other
+    # Sub-maps whose paths come this near are aligned with each other.
+    neighbour_m: float = Field(default=6.0, gt=0.0)
     most_neighbours: int = Field(default=3, ge=1)
     search_m: float = Field(default=0.5, gt=0.0)  # to each side of where the graph says the neighbour is
     search_per_m: float = Field(default=0.01, ge=0.0)  # more for each metre driven between the two
@@ -70,9 +68,8 @@ class LandmarkGraphConfig(BaseModel):
     search_rad: float = Field(default=0.08, gt=0.0)
     kernel_width: float = Field(default=1.0, ge=0.0)  # Cauchy, in sigmas, of a match
     pair_sigma_m: float = Field(default=0.02, gt=0.0)  # of a point that a person names
-    render_again_m: float = Field(
-        default=0.03, ge=0.0
-    )  # the shown map is drawn anew if a track point moved this far
+    # The shown map is drawn anew if a track point moved this far.
+    render_again_m: float = Field(default=0.03, ge=0.0)
 
 
 @dataclass(frozen=True, slots=True)

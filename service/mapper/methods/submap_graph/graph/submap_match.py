@@ -31,9 +31,8 @@ class SubmapMatchConfig(BaseModel):
     most_points: int = Field(default=400, ge=50)
     align_sigma: float = Field(default=0.5, gt=0.0)
     align_iterations: int = Field(default=30, ge=1, le=200)
-    least_inlier_ratio: float = Field(
-        default=0.6, gt=0.0, le=1.0
-    )  # of the common points that lie on the other
+    # Of the common points that lie on the other.
+    least_inlier_ratio: float = Field(default=0.6, gt=0.0, le=1.0)
     least_common: int = Field(default=120, ge=10)  # points that both sub-maps have seen the place of
     common_part: float = Field(default=0.25, gt=0.0, le=1.0)  # of all points, at least
     landmarks: int = Field(default=4, ge=2, le=20)  # K, of each pair of sub-maps
