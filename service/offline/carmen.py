@@ -439,7 +439,7 @@ def _odometry_of(log: _Log, choice: OdometryChoice, report: ImportReport) -> lis
         report.odometry_source = "the odometry pose of each scan; its corrected pose is left out"
         return _samples(from_scans)
     report.odometry_source = (
-        "none: the log holds corrected poses only; `odometry=logged` imports them, "
+        "none: the log holds corrected poses only; --odometry logged imports them, "
         "but what is mapped with them must not be scored"
     )
     return []

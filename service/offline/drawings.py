@@ -93,9 +93,8 @@ def write_dxf(path: Path, picture: Picture, poses: Sequence[SE2]) -> None:
     """
     ezdxf = optional("ezdxf", "dxf")
     logging.getLogger("ezdxf").setLevel(logging.WARNING)  # it tells of every dictionary it makes
-    ezdxf.options.write_fixed_meta_data_for_testing = (
-        True  # no time and no random number: same map, same file
-    )
+    # No time and no random number: same map, same file.
+    ezdxf.options.write_fixed_meta_data_for_testing = True
     document = ezdxf.new("R2010")
     document.units = ezdxf.units.M
     for name, colour in (("WALLS", 7), ("TRAJECTORY", 5), ("ORIGIN", 1)):
