@@ -104,7 +104,7 @@ class Edit(_Asked):
 
 
 class KeyframeOfSession(_Asked):
-    """The points that a key frame saw. seen: what the look was told, see service.offline.copy_desk"""
+    """The points that a key frame saw. seen: what SessionMapCommands gave for a look"""
 
     seen: str
     keyframe: Number

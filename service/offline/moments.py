@@ -80,7 +80,7 @@ class Moments(Protocol):
     def at(self, at_ns: int) -> Moment: ...
 
 
-class MomentDesk:
+class MomentCommands:
     """Takes a page to a moment; from any thread, one after another.
 
     show    called with the moment, ns, and what is to be shown of it, each by its key; may raise InputError

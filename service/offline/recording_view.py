@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from service.mapstore.tiles import TileStore
-from service.offline.moments import MomentDesk
+from service.offline.moments import MomentCommands
 from service.offline.recorded_moments import RecordedMoments
 from service.offline.shown_tiles import ShownTiles
 from service.offline.view import start_serving
@@ -35,13 +35,13 @@ class RecordingView:
         self._moments = moments = RecordedMoments(paths, progress)
         store = TileStore()
         self._tiles = ShownTiles(store)
-        desk = MomentDesk(moments, self._show)
-        about = About(moments.name, "recorded", lambda: desk.verbs)
+        commands = MomentCommands(moments, self._show)
+        about = About(moments.name, "recorded", lambda: commands.verbs)
         self._server = WebServer(
-            WebConfig(listen=listen), about, store, desk.answer, self.token, retry_s=None
+            WebConfig(listen=listen), about, store, commands.answer, self.token, retry_s=None
         )
         self._server.put_ready({"path": encode_path(moments.path_map.astype(np.float32))})
-        desk.go_to(moments.last_ns)
+        commands.go_to(moments.last_ns)
         start_serving(self._server)
 
     @property

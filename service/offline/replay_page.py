@@ -34,7 +34,7 @@ from service.mapper.map_changes import MapChanges
 from service.mapper.mapping_session import MappingSession
 from service.mapstore.tiles import TileStore
 from service.offline.driven_moments import DrivenMoments
-from service.offline.moments import GO_TO, MomentDesk
+from service.offline.moments import GO_TO, MomentCommands
 from service.offline.pace import Pace
 from service.offline.raw_replay import FROM_RAW
 from service.offline.replayed_moments import ReplayedMoments
@@ -103,7 +103,7 @@ class ReplayPage:
         self._graph: GraphPicture | None = None  # the newest that is shown
         self._way: list[tuple[float, float]] = []  # driven since the last picture
         self._stamps: list[tuple[int, int]] = []  # of each scan mapped in the present map: measured, logged
-        self._moments: MomentDesk | None = None  # of the finished map
+        self._moments: MomentCommands | None = None  # of the finished map
         self._phase = "starting"  # replaying, closing loops, finished
         self._picture_due_s = self._status_due_s = self._tiles_due_s = 0.0
         self._speed_from: tuple[float, int] | None = None  # moment and log time of the last status
@@ -178,13 +178,13 @@ class ReplayPage:
             else ReplayedMoments(self._session, stamp_ns, log_ns, poses)
         )
         self._server.put_ready({"path": encode_path(moments.path_map.astype(np.float32))})
-        desk = MomentDesk(moments, lambda at_ns, payloads: self._server.put_ready(payloads))
+        commands = MomentCommands(moments, lambda at_ns, payloads: self._server.put_ready(payloads))
         try:
-            desk.go_to(moments.last_ns)
+            commands.go_to(moments.last_ns)
         except InputError as error:
             log.warning("the page cannot look back: %s", error)  # the result is written all the same
         else:
-            self._moments = desk
+            self._moments = commands
 
     def _begin_map(self) -> None:
         self._moments = None

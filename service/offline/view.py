@@ -19,8 +19,8 @@ from service.mapstore.tiles import TileStore
 from service.offline.bent_way import bent_way
 from service.offline.driven_moments import DrivenMoments
 from service.offline.map_change_file import CHANGES_FILE, read_changes
-from service.offline.map_desk import MapDesk
-from service.offline.moments import MomentDesk
+from service.offline.map_commands import MapCommands
+from service.offline.moments import MomentCommands
 from service.offline.shown_tiles import ShownTiles
 from service.offline.trajectory import read_tum
 from service.outputs import NO_GRAPH, UNKNOWN, GraphPicture, Grid, TileUpdate
@@ -51,14 +51,14 @@ class View:
         self._store = TileStore()
         self._tiles = ShownTiles(self._store)
         self._mapped: SavedGraph | None = None  # as it was when the trajectory was written
-        self._moments: MomentDesk | None = None  # of the trajectory as it lies in the map that is shown
+        self._moments: MomentCommands | None = None  # of the trajectory as it lies in the map that is shown
         self._at_ns: int | None = None  # of the moment that is shown
         folder = map_folder(source)
-        self._desk: MapDesk | None = None
+        self._map_commands: MapCommands | None = None
         if folder is not None:
             stored = load_map(folder)
             self._mapped = _before_edits(folder, stored)
-            self._desk = MapDesk(folder, stored, self._show_stored)
+            self._map_commands = MapCommands(folder, stored, self._show_stored)
         about = About(source.resolve().name, "stored", self._verbs)
         self._server = WebServer(
             WebConfig(listen=listen), about, self._store, self._answer, self.token, retry_s=None
@@ -80,13 +80,16 @@ class View:
         self._server.close()
 
     def _verbs(self) -> tuple[str, ...]:
-        return (*(self._desk.verbs if self._desk else ()), *(self._moments.verbs if self._moments else ()))
+        return (
+            *(self._map_commands.verbs if self._map_commands else ()),
+            *(self._moments.verbs if self._moments else ()),
+        )
 
     def _answer(self, verb: str, payload: bytes) -> Answer:
         if self._moments is not None and verb in self._moments.verbs:
             return self._moments.answer(verb, payload)
-        if self._desk is not None:
-            return self._desk.answer(verb, payload)
+        if self._map_commands is not None:
+            return self._map_commands.answer(verb, payload)
         return refusal("this is a picture of a map and cannot be changed; give the folder of a stored map")
 
     def _show_stored(self, stored: StoredMap) -> None:
@@ -126,7 +129,7 @@ class View:
             return
         moments = DrivenMoments(stamp_ns, poses)
         self._server.put_ready({"path": encode_path(moments.path_map.astype(np.float32))})
-        self._moments = MomentDesk(moments, self._show_moment)
+        self._moments = MomentCommands(moments, self._show_moment)
         self._moments.go_to(moments.last_ns if self._at_ns is None else self._at_ns)
 
     def _show_moment(self, at_ns: int, payloads: Mapping[str, Payload]) -> None:

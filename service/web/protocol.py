@@ -68,7 +68,7 @@ class ResourceAsked(BaseModel):
     """Something about stored sessions and maps, see resources.py; only to list them needs no token.
 
     to        rename: the new name; download: the format; undo: the number that delete gave
-    request   keyframe and edit: what service.offline.copy_desk is asked
+    request   keyframe and edit: what service.offline.session_map_commands is asked
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")

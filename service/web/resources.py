@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from service.web.work import Desk, ResourceError, run
+from service.web.work import ResourceError, SessionMapProcess, run
 
 Kind = Literal["session", "map"]
 
@@ -58,7 +58,7 @@ class Resources:
         self._lock = threading.Lock()
         self._working = threading.Lock()  # one export or edit at a time: the vehicle has other work
         self._deleted: dict[str, tuple[Kind, str]] = {}
-        self._desk = Desk()
+        self._map_process = SessionMapProcess()
 
     def listing(self) -> dict[str, Any]:
         """By kind, newest first: name, bytes, time of the last change (Unix, s), whether it is in use."""
@@ -134,20 +134,20 @@ class Resources:
 
     def look(self, name: str) -> dict[str, Any]:
         """Key frames and pairs of a stored map, which a session may go on extending. Raises ResourceError."""
-        return self._desk.ask("look", self._own("map", name, is_changed=False), {})
+        return self._map_process.ask("look", self._own("map", name, is_changed=False), {})
 
     def keyframe(self, name: str, request: dict[str, Any]) -> dict[str, Any]:
         """The points of a key frame of the map that was looked at. Raises ResourceError."""
-        return self._desk.ask("keyframe", self._own("map", name, is_changed=False), request)
+        return self._map_process.ask("keyframe", self._own("map", name, is_changed=False), request)
 
     def edit(self, name: str, request: dict[str, Any]) -> dict[str, Any]:
         """Change a stored map as `corridor map edit` does. Raises ResourceError."""
         path = self._own("map", name)
         with self._alone():
-            return self._desk.ask("edit", path, request)
+            return self._map_process.ask("edit", path, request)
 
     def close(self) -> None:
-        self._desk.close()
+        self._map_process.close()
 
     @contextmanager
     def _alone(self) -> Iterator[None]:

@@ -31,8 +31,8 @@ def run(*arguments: str) -> str:
     return done.stdout
 
 
-class Desk:
-    """Asks service.offline.copy_desk, which is started by the first question. Thread-safe."""
+class SessionMapProcess:
+    """Asks service.offline.session_map_commands, which is started by the first question. Thread-safe."""
 
     def __init__(self) -> None:
         self._turn = threading.Lock()
@@ -69,7 +69,7 @@ class Desk:
     def _talk(self, line: bytes) -> dict[str, Any]:
         if self._process is None or self._process.poll() is not None:
             self.close()  # it has nothing to do for long, and has ended
-            command = _gentle("-m", "service.offline.copy_desk")
+            command = _gentle("-m", "service.offline.session_map_commands")
             self._process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
             )

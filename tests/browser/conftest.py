@@ -14,7 +14,7 @@ from selenium.webdriver.support.ui import WebDriverWait
 
 from tests.browser.scene import Scene
 from tests.service.offline.conftest import bent, folder  # noqa: F401 - fixtures
-from tests.service.web.conftest import TIMEOUT_S, TOKEN, desk, serve, store  # noqa: F401 - fixtures
+from tests.service.web.conftest import TIMEOUT_S, TOKEN, dispatcher, serve, store  # noqa: F401 - fixtures
 
 ROOT = Path(__file__).parents[2]
 AXE = Path(os.environ.get("CORRIDOR_AXE", ROOT / "build/node_modules/axe-core/axe.min.js"))

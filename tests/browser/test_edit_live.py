@@ -36,13 +36,13 @@ def maps(tmp_path, folder):
 
 
 @pytest.fixture
-def session(page, serve, scene, desk, folder, maps, monkeypatch):
+def session(page, serve, scene, dispatcher, folder, maps, monkeypatch):
     """A running session, open with the token at its area Edit; its map is that of `folder`."""
     server = serve(folders={"session": maps / "none", "map": maps})
     poses, poses_come = {"told": scene.messages(BEFORE_S)[1]}, threading.Lock()
 
     def answer(verb, payload):
-        desk.asked.append((verb, payload))
+        dispatcher.asked.append((verb, payload))
         request = json.loads(payload)
         told = {"ok": True}
         if verb == "save_map":
@@ -75,8 +75,8 @@ def session(page, serve, scene, desk, folder, maps, monkeypatch):
         yield server
 
 
-def asked(desk):
-    return [(verb, json.loads(payload)) for verb, payload in desk.asked]
+def asked(dispatcher):
+    return [(verb, json.loads(payload)) for verb, payload in dispatcher.asked]
 
 
 def erase_by_mouse(page):
@@ -97,10 +97,12 @@ def erase_by_mouse(page):
     page.element("confirm-yes").click()
 
 
-def test_an_area_is_erased_in_a_copy_in_which_the_mapping_goes_on(page, session, desk, scene, folder, maps):
+def test_an_area_is_erased_in_a_copy_in_which_the_mapping_goes_on(
+    page, session, dispatcher, scene, folder, maps
+):
     erase_by_mouse(page)
     wait_for_change(page, "the mapping goes on in edited-")
-    (saved, name), (loaded, copy), (posed, pose) = asked(desk)
+    (saved, name), (loaded, copy), (posed, pose) = asked(dispatcher)
     assert (saved, loaded, posed) == ("save_map", "load_map", "set_pose")
     assert copy == {"map": name["name"]}
     newest = map_log(maps / copy["map"])["versions"][-1]
@@ -112,7 +114,7 @@ def test_an_area_is_erased_in_a_copy_in_which_the_mapping_goes_on(page, session,
     page.element("edit-undo").click()
     page.element("confirm-yes").click()
     wait_for_change(page, "the mapping goes on in the map before")
-    assert asked(desk)[3] == ("load_map", {"map": f"/maps/before {copy['map']}"})
+    assert asked(dispatcher)[3] == ("load_map", {"map": f"/maps/before {copy['map']}"})
 
 
 def test_a_pose_of_the_map_before_that_comes_late_is_not_taken_for_one_of_the_copy(page, session, scene):
@@ -144,11 +146,11 @@ def occupied(stored):
     return count
 
 
-def test_a_change_that_is_refused_leaves_the_session_as_it_was(page, session, desk):
+def test_a_change_that_is_refused_leaves_the_session_as_it_was(page, session, dispatcher):
     page.run("corridor.edit.change({what: 'erase', corners: [[0, 0], [1, 0], [2, 0]], free: false}, 'Erase')")
     wait_for_change(page, "no area")
     assert "the map of the session is as it was" in page.text("edit-note")
-    assert [verb for verb, _ in asked(desk)] == ["save_map"]
+    assert [verb for verb, _ in asked(dispatcher)] == ["save_map"]
     page.wait_for("return !corridor.edit.all.disabled")
 
 
@@ -173,7 +175,7 @@ def test_places_and_times_are_offered_once_key_frames_are_fetched(page, session,
     assert not page.element("tab-edit").is_displayed()
 
 
-def test_a_bent_map_is_straightened_while_the_session_runs(page, session, desk, folder, maps, bent):
+def test_a_bent_map_is_straightened_while_the_session_runs(page, session, dispatcher, folder, maps, bent):
     fetch(page, bent)
     for k in PAIRED:
         here, there = bent.graph.map[k, :2], bent.graph.map[k + ROUND, :2]
@@ -189,7 +191,7 @@ def test_a_bent_map_is_straightened_while_the_session_runs(page, session, desk, 
         page.element("map").send_keys(Keys.ESCAPE)
     page.element("optimise").click()
     wait_for_change(page, "the mapping goes on in edited-")
-    copy = next(request["map"] for verb, request in asked(desk) if verb == "load_map")
+    copy = next(request["map"] for verb, request in asked(dispatcher) if verb == "load_map")
     assert bent.error_m(graph_in(folder)) > 0.5
     assert bent.error_m(graph_in(maps / copy)) < 0.10
     assert len(residuals_m(page)) == 6
@@ -198,7 +200,7 @@ def test_a_bent_map_is_straightened_while_the_session_runs(page, session, desk, 
     assert page.faults() == []
 
 
-def test_a_time_span_is_cut_out_while_the_session_runs(page, session, desk, maps, bent):
+def test_a_time_span_is_cut_out_while_the_session_runs(page, session, dispatcher, maps, bent):
     fetch(page, bent)
     page.element("cut-from").send_keys("3")
     page.element("cut-to").send_keys("4")
@@ -209,7 +211,7 @@ def test_a_time_span_is_cut_out_while_the_session_runs(page, session, desk, maps
     assert "loses what was mapped since" in page.text("confirm-text")
     page.element("confirm-yes").click()
     wait_for_change(page, "the mapping goes on in edited-")
-    copy = next(request["map"] for verb, request in asked(desk) if verb == "load_map")
+    copy = next(request["map"] for verb, request in asked(dispatcher) if verb == "load_map")
     assert len(graph_in(maps / copy)) == len(bent.graph) - 11
     page.wait_for("return corridor.edit.keyframes.count === arguments[0]", len(bent.graph) - 11)
 

@@ -14,8 +14,8 @@ from tests.browser.scene import event, stamp
 from tests.service.web.conftest import TOKEN
 
 
-def asked(desk):
-    return [(verb, json.loads(payload)) for verb, payload in desk.asked]
+def asked(dispatcher):
+    return [(verb, json.loads(payload)) for verb, payload in dispatcher.asked]
 
 
 def test_the_state_and_its_reason_stand_on_top(page, scene, live):
@@ -100,7 +100,7 @@ def test_the_token_leaves_the_address_bar(page, live):
     assert "#" not in page.driver.current_url
 
 
-def test_commands_are_given_with_the_token(page, live, desk):
+def test_commands_are_given_with_the_token(page, live, dispatcher):
     page.choose("control")
     page.run(
         "corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: ['mark', 'save_map', 'reset_map']})"
@@ -109,10 +109,10 @@ def test_commands_are_given_with_the_token(page, live, desk):
     page.wait_for_text("notices", "Save map: done.")
     page.element("mark-text").send_keys("a door", Keys.ENTER)
     page.wait_for_text("notices", "Set mark: done.")
-    assert asked(desk) == [("save_map", {}), ("mark", {"text": "a door"})]
+    assert asked(dispatcher) == [("save_map", {}), ("mark", {"text": "a door"})]
 
 
-def test_a_reset_asks_first(page, live, desk):
+def test_a_reset_asks_first(page, live, dispatcher):
     page.choose("control")
     page.run("corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: ['reset_map']})")
     page.element("do-reset_map").click()
@@ -122,10 +122,10 @@ def test_a_reset_asks_first(page, live, desk):
     page.wait_for("return document.getElementById('confirm').open")
     page.element("confirm-yes").click()
     page.wait_for_text("notices", "Reset map: done.")
-    assert asked(desk) == [("reset_map", {})]
+    assert asked(dispatcher) == [("reset_map", {})]
 
 
-def test_a_name_that_cannot_be_is_refused_before_it_is_sent(page, live, desk):
+def test_a_name_that_cannot_be_is_refused_before_it_is_sent(page, live, dispatcher):
     page.choose("control")
     page.run("corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: ['save_map']})")
     page.element("save-as").click()
@@ -136,7 +136,7 @@ def test_a_name_that_cannot_be_is_refused_before_it_is_sent(page, live, desk):
         assert page.run("return document.getElementById('confirm').open")
     name.send_keys("lap_1", Keys.ENTER)
     page.wait_for_text("notices", "done")
-    assert asked(desk) == [("save_map", {"name": "lap_1"})]
+    assert asked(dispatcher) == [("save_map", {"name": "lap_1"})]
 
 
 def test_what_is_said_again_stands_there_once(page, live):
@@ -149,7 +149,7 @@ def test_what_is_said_again_stands_there_once(page, live):
     assert len(page.driver.find_elements("css selector", ".notice")) == 1
 
 
-def test_a_question_waits_for_the_answer_to_the_one_before(page, live, desk):
+def test_a_question_waits_for_the_answer_to_the_one_before(page, live, dispatcher):
     page.choose("control")
     page.run("corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: ['reset_map']})")
     page.run(
@@ -160,10 +160,10 @@ def test_a_question_waits_for_the_answer_to_the_one_before(page, live, desk):
     page.wait_for("return document.getElementById('confirm').open")
     page.element("confirm-yes").click()
     page.wait_for_text("notices", "Reset map: done.")
-    assert asked(desk) == [("reset_map", {})]
+    assert asked(dispatcher) == [("reset_map", {})]
 
 
-def test_without_the_token_one_only_looks(page, serve, scene, desk):
+def test_without_the_token_one_only_looks(page, serve, scene, dispatcher):
     server = serve()
     for message in scene.messages(1.0):
         server.put(message)
@@ -173,7 +173,7 @@ def test_without_the_token_one_only_looks(page, serve, scene, desk):
     assert not page.element("do-mark").is_enabled()
     assert "You may look" in page.text("access-words")
     page.run("return corridor.connection.command('mark', {text: 'x'})")
-    assert desk.asked == []
+    assert dispatcher.asked == []
     page.element("token").send_keys("wrong", Keys.ENTER)
     page.wait_for_text("notices", "not the token")
     page.element("token").send_keys(TOKEN, Keys.ENTER)
@@ -229,7 +229,7 @@ def test_it_comes_back_after_the_service_was_started_again(page, serve, scene, l
     page.wait_for("const p = corridor.report().pose; return p && p.stamp_ns === '1700000005000000000'")
 
 
-def test_the_pose_is_set_by_dragging(page, live, desk):
+def test_the_pose_is_set_by_dragging(page, live, dispatcher):
     page.choose("control")
     page.run("corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: ['set_pose']})")
     page.look_at(1.0, 2.0, 40.0)
@@ -239,7 +239,7 @@ def test_the_pose_is_set_by_dragging(page, live, desk):
     page.wait_for("return document.getElementById('confirm').open")
     page.element("confirm-yes").click()
     page.wait_for_text("notices", "done.")
-    ((verb, request),) = asked(desk)
+    ((verb, request),) = asked(dispatcher)
     assert verb == "set_pose"
     assert request == pytest.approx({"x_m": 1.0, "y_m": 2.0, "theta_rad": 1.5707963}, abs=0.03)
 
@@ -375,7 +375,7 @@ def replaying(scene, seconds, **values):
     return encode_diagnostics("diagnostics", [Status("replay", 0, "", told)], stamp(seconds), stamp(seconds))
 
 
-def test_a_replay_is_steered_from_its_strip(page, scene, live, desk):
+def test_a_replay_is_steered_from_its_strip(page, scene, live, dispatcher):
     assert not page.element("replay").is_displayed()
     live.put(replaying(scene, 20.0))
     page.wait_for_text("replay-time", "0:20 min of 1:40 min")
@@ -399,7 +399,7 @@ def test_a_replay_is_steered_from_its_strip(page, scene, live, desk):
     assert page.run("return corridor.view.isLive")
     page.element("replay-toggle").click()
     page.wait_for_answers()
-    assert asked(desk) == [
+    assert asked(dispatcher) == [
         ("replay_pause", {}),
         ("replay_go_to", {"position_s": 21}),
         ("replay_rate", {"rate": 0}),
@@ -412,7 +412,7 @@ def test_a_replay_is_steered_from_its_strip(page, scene, live, desk):
     assert not page.run("return corridor.view.isLive")
 
 
-def test_the_slider_of_a_replay_is_not_dragged_back_before_its_end(page, scene, live, desk):
+def test_the_slider_of_a_replay_is_not_dragged_back_before_its_end(page, scene, live, dispatcher):
     live.put(replaying(scene, 20.04, state="paused"))
     page.wait_for_text("replay-time", "0:20 min of 1:40 min")
     for seconds in ("5", "30"):
@@ -426,7 +426,7 @@ def test_the_slider_of_a_replay_is_not_dragged_back_before_its_end(page, scene, 
         position = "20" if seconds == "5" else seconds
         assert page.run("return window.shown") == [position, "forward only"]
     page.wait_for_answers()
-    assert asked(desk) == [("replay_go_to", {"position_s": 30})]
+    assert asked(dispatcher) == [("replay_go_to", {"position_s": 30})]
 
 
 def test_the_path_goes_on_where_a_replay_leaves_poses_out(page, scene, live):

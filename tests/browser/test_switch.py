@@ -38,14 +38,14 @@ def told(profile):
     )
 
 
-def test_a_profile_is_chosen_confirmed_and_asked_for_until_it_maps(page, live, desk, monkeypatch):
+def test_a_profile_is_chosen_confirmed_and_asked_for_until_it_maps(page, live, dispatcher, monkeypatch):
     answers = [
         {"ok": False, "error": "taken up, but not finished within 8 s; health tells how things stand"},
         {"ok": True, "folder_before": "/maps/a"},
     ]
 
     def answer(verb, payload):
-        desk.asked.append((verb, payload))
+        dispatcher.asked.append((verb, payload))
         return Answer(True, json.dumps(answers.pop(0)).encode())
 
     monkeypatch.setattr(live, "_answer", answer)
@@ -58,12 +58,12 @@ def test_a_profile_is_chosen_confirmed_and_asked_for_until_it_maps(page, live, d
     page.element("do-switch_profile").click()
     page.element("confirm-no").click()
     page.wait_for("return !document.getElementById('confirm').open")
-    assert desk.asked == []
+    assert dispatcher.asked == []
     page.element("do-switch_profile").click()
     assert "begins a new, empty map" in page.text("confirm-text")
     page.element("confirm-yes").click()
     page.wait_for_text("notices", "imle maps now; the map before is in /maps/a.")
-    (first, request), second = asked(desk)
+    (first, request), second = asked(dispatcher)
     assert (first, request["profile"]) == ("switch_profile", "imle")
     assert second == (first, request)  # with the same id, so that it is not done twice
     live.put(told("imle"))
@@ -93,7 +93,7 @@ def test_without_the_token_and_without_the_verb_nothing_is_switched(page, serve,
     assert not page.element("do-switch_profile").is_displayed()
 
 
-def test_a_stored_map_is_loaded(page, serve, desk, tmp_path):
+def test_a_stored_map_is_loaded(page, serve, dispatcher, tmp_path):
     save_map(tmp_path / "office", [tile(1)], 1)
     page.open(serve(folders={"session": tmp_path / "none", "map": tmp_path}).address, TOKEN)
     page.wait_for("return corridor.report().mayControl")
@@ -104,10 +104,10 @@ def test_a_stored_map_is_loaded(page, serve, desk, tmp_path):
     assert "lost until it is found" in page.text("confirm-text")
     page.element("confirm-yes").click()
     page.wait_for_text("notices", "office is loaded.")
-    assert asked(desk) == [("load_map", {"map": "office"})]
+    assert asked(dispatcher) == [("load_map", {"map": "office"})]
 
 
-def test_a_copy_is_saved_and_loaded_again_where_the_vehicle_was(page, serve, scene, desk, tmp_path):
+def test_a_copy_is_saved_and_loaded_again_where_the_vehicle_was(page, serve, scene, dispatcher, tmp_path):
     save_map(tmp_path / "copy", [tile(1)], 1)
     server = serve(folders={"session": tmp_path / "none", "map": tmp_path})
     for message in scene.messages(1.0):
@@ -129,7 +129,7 @@ def test_a_copy_is_saved_and_loaded_again_where_the_vehicle_was(page, serve, sce
     page.wait_for_text("notices", "copy is loaded. Is it a copy of that one")
     page.driver.find_element("xpath", "//div[@id='notices']//button[text()='Set its pose']").click()
     page.wait_for_text("notices", "looked for where it was")
-    (_, saved), (_, loaded), (verb, posed) = asked(desk)
+    (_, saved), (_, loaded), (verb, posed) = asked(dispatcher)
     assert (saved, loaded, verb) == ({"name": "copy"}, {"map": "copy"}, "set_pose")
     pose = scene.pose(2.0)
     assert posed == pytest.approx({"x_m": pose.x_m, "y_m": pose.y_m, "theta_rad": pose.theta_rad})

@@ -8,7 +8,7 @@ import pytest
 
 from service.cli import main
 from service.errors import InputError, StorageError
-from service.offline.moments import GO_TO, Moment, MomentDesk, thinned
+from service.offline.moments import GO_TO, Moment, MomentCommands, thinned
 from service.offline.recording_view import RecordingView
 from tests.browser.scene import Scene, stamp
 from tests.service.offline.past_recordings import LASTS_S, write_past
@@ -111,7 +111,7 @@ class Line:
 )
 def test_what_cannot_be_meant_is_refused(verb, request_, words):
     line, shown = Line(), []
-    answer = MomentDesk(line, lambda at_ns, payloads: shown.append(at_ns)).answer(
+    answer = MomentCommands(line, lambda at_ns, payloads: shown.append(at_ns)).answer(
         verb, json.dumps(request_).encode()
     )
     assert not answer.ok
@@ -121,9 +121,9 @@ def test_what_cannot_be_meant_is_refused(verb, request_, words):
 
 def test_behind_the_end_is_the_end():
     line, shown = Line(), []
-    desk = MomentDesk(line, lambda at_ns, payloads: shown.append(at_ns))
+    commands = MomentCommands(line, lambda at_ns, payloads: shown.append(at_ns))
     for position_s in (0.0, 10.0, 1e9):
-        assert json.loads(desk.answer(GO_TO, json.dumps({"position_s": position_s}).encode()).body)["ok"]
+        assert json.loads(commands.answer(GO_TO, json.dumps({"position_s": position_s}).encode()).body)["ok"]
     assert shown == [10**9, 11 * 10**9, 11 * 10**9]
 
 

@@ -23,7 +23,7 @@ TIMEOUT_S = 20.0
 
 
 @dataclass
-class Desk:
+class FakeDispatcher:
     """Answers commands, and holds one back until it is told to go on."""
 
     asked: list[tuple[str, bytes]] = field(default_factory=list)
@@ -42,14 +42,14 @@ def store() -> TileStore:
 
 
 @pytest.fixture
-def desk() -> Iterator[Desk]:
-    made = Desk()
+def dispatcher() -> Iterator[FakeDispatcher]:
+    made = FakeDispatcher()
     yield made
     made.go_on.set()
 
 
 @pytest.fixture
-def serve(store: TileStore, desk: Desk) -> Iterator[Callable[..., WebServer]]:
+def serve(store: TileStore, dispatcher: FakeDispatcher) -> Iterator[Callable[..., WebServer]]:
     """Starts a page; by default at any free port of this machine."""
     opened: list[WebServer] = []
 
@@ -58,7 +58,7 @@ def serve(store: TileStore, desk: Desk) -> Iterator[Callable[..., WebServer]]:
     ) -> WebServer:
         config = WebConfig(**{"listen": "127.0.0.1:0", **settings})
         about = About("veh1", "corridor", lambda: ["mark", "wait"], ("corridor", "contour_lm", "imle"))
-        opened.append(WebServer(config, about, store, desk.answer, TOKEN, folders, retry_s))
+        opened.append(WebServer(config, about, store, dispatcher.answer, TOKEN, folders, retry_s))
         opened[-1].start()
         assert not wait or opened[-1].wait_served(TIMEOUT_S)
         return opened[-1]

@@ -208,12 +208,12 @@ def test_a_map_is_edited_as_by_the_command_and_only_looked_at_while_it_is_in_use
 def test_one_edit_or_export_at_a_time(resources, monkeypatch):
     began, go_on = threading.Event(), threading.Event()
 
-    def ask(desk, verb, folder, request):
+    def ask(process, verb, folder, request):
         began.set()
         assert go_on.wait(20.0)
         return {"done": "erased"}
 
-    monkeypatch.setattr("service.web.work.Desk.ask", ask)
+    monkeypatch.setattr("service.web.work.SessionMapProcess.ask", ask)
     with ThreadPoolExecutor(1) as pool:
         first = pool.submit(resources.edit, "office", AREA)
         assert began.wait(20.0)

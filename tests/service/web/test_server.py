@@ -122,7 +122,7 @@ def test_changed_tiles_follow_and_a_reset_empties_map_and_path(serve, store):
     talk(server, look)
 
 
-def test_commands_need_the_token(serve, desk):
+def test_commands_need_the_token(serve, dispatcher):
     async def ask(client):
         async with client.socket() as socket:
             await client.ask(socket, type="command", n=1, verb="mark", request={"text": "x"})
@@ -137,13 +137,15 @@ def test_commands_need_the_token(serve, desk):
             )
             await client.ask(socket, type="command", n=2, verb="mark")
             assert not (await client.next(socket, "answer"))["body"]["ok"]
-            assert desk.asked == []
+            assert dispatcher.asked == []
             await client.ask(socket, type="token", token=TOKEN)
             assert (await client.next(socket, "access"))["may_control"]
             await client.ask(socket, type="command", n=3, verb="mark", request={"text": "x"})
             answer = await client.next(socket, "answer")
             assert (answer["n"], answer["body"]) == (3, {"ok": True, "verb": "mark"})
-        assert [(verb, json.loads(payload)) for verb, payload in desk.asked] == [("mark", {"text": "x"})]
+        assert [(verb, json.loads(payload)) for verb, payload in dispatcher.asked] == [
+            ("mark", {"text": "x"})
+        ]
 
     talk(serve(), ask)
 
@@ -158,7 +160,7 @@ def test_who_guesses_tokens_is_let_go(serve):
     talk(serve(), guess)
 
 
-def test_a_wrong_token_takes_the_right_away_again(serve, desk):
+def test_a_wrong_token_takes_the_right_away_again(serve, dispatcher):
     async def ask(client):
         async with client.socket() as socket:
             await client.ask(socket, type="token", token=TOKEN)
@@ -167,7 +169,7 @@ def test_a_wrong_token_takes_the_right_away_again(serve, desk):
             assert not (await client.next(socket, "access"))["may_control"]
             await client.ask(socket, type="command", n=1, verb="mark")
             assert not (await client.next(socket, "answer"))["body"]["ok"]
-        assert desk.asked == []
+        assert dispatcher.asked == []
 
     talk(serve(), ask)
 
@@ -230,7 +232,7 @@ def test_who_asks_too_often_is_let_go(serve):
     talk(serve(), ask)
 
 
-def test_a_command_that_takes_long_holds_up_neither_poses_nor_others(serve, desk):
+def test_a_command_that_takes_long_holds_up_neither_poses_nor_others(serve, dispatcher):
     server = serve()
 
     async def ask(client):
@@ -243,7 +245,7 @@ def test_a_command_that_takes_long_holds_up_neither_poses_nor_others(serve, desk
             assert "wait for one to end" in too_many["body"]["error"]
             server.put(encode_pose(Scene().output(0.0), 1))
             await client.next(socket, "pose")
-            desk.go_on.set()
+            dispatcher.go_on.set()
             answered = [(await client.next(socket, "answer"))["n"] for _ in range(browser.MOST_COMMANDS)]
             assert sorted(answered) == list(range(browser.MOST_COMMANDS))
 

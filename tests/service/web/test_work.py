@@ -8,7 +8,7 @@ import pytest
 
 from service.mapstore.files import load_map, save_map
 from service.outputs import TileUpdate
-from service.web.work import Desk, ResourceError
+from service.web.work import ResourceError, SessionMapProcess
 
 WALL = {"change": {"what": "wall", "corners": [[0, 0], [1, 0]]}}
 
@@ -20,37 +20,37 @@ def office(tmp_path):
 
 
 @pytest.fixture
-def desk():
-    made = Desk()
+def process():
+    made = SessionMapProcess()
     yield made
     made.close()
 
 
-def test_one_process_answers_question_after_question_and_ends_with_its_desk(desk, office):
-    told = desk.ask("look", office, {})
+def test_one_process_answers_question_after_question_and_ends_with_its_desk(process, office):
+    told = process.ask("look", office, {})
     assert told["keyframes"] is None
-    number = desk._process.pid
+    number = process._process.pid
     with pytest.raises(ResourceError, match="this map holds no key frames"):
-        desk.ask("edit", office, {"seen": told["seen"], "change": {"what": "cut", "from_s": 0, "to_s": 1}})
-    assert desk.ask("edit", office, WALL)["done"].startswith("drew a wall")
+        process.ask("edit", office, {"seen": told["seen"], "change": {"what": "cut", "from_s": 0, "to_s": 1}})
+    assert process.ask("edit", office, WALL)["done"].startswith("drew a wall")
     assert load_map(office).number == 2
-    assert desk._process.pid == number
-    desk.close()
+    assert process._process.pid == number
+    process.close()
     with pytest.raises(ProcessLookupError):
         os.kill(number, 0)
 
 
-def test_one_that_was_killed_is_told_and_the_next_question_starts_another(desk, office):
-    desk.ask("look", office, {})
-    os.kill(desk._process.pid, signal.SIGSTOP)
-    first = desk._process
+def test_one_that_was_killed_is_told_and_the_next_question_starts_another(process, office):
+    process.ask("look", office, {})
+    os.kill(process._process.pid, signal.SIGSTOP)
+    first = process._process
     os.kill(first.pid, signal.SIGKILL)
     first.wait()
-    assert desk.ask("look", office, {})["version"] == 1
-    assert desk._process is not first
+    assert process.ask("look", office, {})["version"] == 1
+    assert process._process is not first
 
 
-def test_one_that_dies_at_a_question_is_told_in_words(desk, office, monkeypatch):
+def test_one_that_dies_at_a_question_is_told_in_words(process, office, monkeypatch):
     monkeypatch.setattr("service.web.work._gentle", lambda *arguments: ["false"])
     with pytest.raises(ResourceError, match=r"has ended|was ended"):
-        desk.ask("look", office, {})
+        process.ask("look", office, {})

@@ -12,9 +12,9 @@ from service.errors import InputError
 from service.geometry import poses as se2
 from service.mapper.methods.corridor.graph.editing import with_pair, without_time
 from service.mapstore.files import load_map
-from service.offline.copy_desk import CopyDesk, moved_on
 from service.offline.map_asked import AddPairs, Cut, Pair, RemovePair
 from service.offline.map_log import map_log
+from service.offline.session_map_commands import SessionMapCommands, moved_on
 from tests.service.offline.bent_maps import ROUND, graph_in
 
 GONE = 5  # key frames that the later graph does not have, its first
@@ -69,24 +69,24 @@ def test_what_is_of_a_key_frame_that_is_gone_is_refused(bent, later):
 
 class Asking:
     def __init__(self):
-        self._desk = CopyDesk()
+        self._commands = SessionMapCommands()
 
     def ask(self, verb, folder, **request):
         line = json.dumps({"verb": verb, "map": str(folder), "request": request})
-        return self._desk.answer(line.encode())
+        return self._commands.answer(line.encode())
 
 
 def test_a_copy_is_joined_at_places_that_were_looked_at_in_the_map_before(folder, bent, tmp_path):
-    desk, copy = Asking(), tmp_path / "copy"
+    commands, copy = Asking(), tmp_path / "copy"
     shutil.copytree(folder, copy, symlinks=True)
-    told = desk.ask("look", folder)
+    told = commands.ask("look", folder)
     assert (told["version"], told["keyframes"]["count"]) == (1, len(bent.graph))
-    place = desk.ask("keyframe", folder, seen=told["seen"], keyframe=K)
+    place = commands.ask("keyframe", folder, seen=told["seen"], keyframe=K)
     assert place["pose"] == pytest.approx(bent.graph.map[K].tolist())
     assert len(place["points"]) == 2 * bent.graph.point_count[K]
     pairs = [pair_of(points, k).model_dump() for k in (6, 22) for points in bent.common_points(k)]
     change = {"what": "add-pair", "pairs": pairs}
-    done = desk.ask("edit", copy, seen=told["seen"], who="ada", change=change)
+    done = commands.ask("edit", copy, seen=told["seen"], who="ada", change=change)
     assert "moved by up to" in done["done"]
     assert bent.error_m(graph_in(copy)) < 0.10
     assert load_map(folder).number == 1
@@ -94,15 +94,15 @@ def test_a_copy_is_joined_at_places_that_were_looked_at_in_the_map_before(folder
 
 
 def test_an_area_needs_no_look_and_a_pair_needs_the_newest(folder):
-    desk, wall = Asking(), {"what": "wall", "corners": [[0, 0], [1, 0]]}
-    assert desk.ask("edit", folder, change=wall)["done"].startswith("drew a wall of 1.00 m")
-    first = desk.ask("look", folder)["seen"]
-    desk.ask("look", folder)
+    commands, wall = Asking(), {"what": "wall", "corners": [[0, 0], [1, 0]]}
+    assert commands.ask("edit", folder, change=wall)["done"].startswith("drew a wall of 1.00 m")
+    first = commands.ask("look", folder)["seen"]
+    commands.ask("look", folder)
     for verb, request in (
         ("keyframe", {"seen": first, "keyframe": 0}),
         ("edit", {"seen": first, "change": {"what": "cut", "from_s": 0, "to_s": 1}}),
     ):
-        answer = desk.ask(verb, folder, **request)
+        answer = commands.ask(verb, folder, **request)
         assert not answer["ok"]
         assert "fetch them again" in answer["error"]
     assert load_map(folder).number == 2

@@ -23,7 +23,7 @@ MOST_KEYFRAMES = 20_000  # told to a page; then every second, third ... is left 
 MOST_VERSIONS = 50
 
 
-class MapDesk:
+class MapCommands:
     """The commands of one stored map, from any thread; one change at a time.
 
     stored    what the folder holds now

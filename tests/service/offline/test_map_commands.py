@@ -10,7 +10,7 @@ from service.geometry import poses as se2
 from service.mapstore.files import load_map, save_map
 from service.mapstore.in_use import InUse
 from service.offline import map_edit
-from service.offline.map_desk import MapDesk
+from service.offline.map_commands import MapCommands
 from service.offline.view import View
 from tests.service.mapstore.tile_makers import tile
 from tests.service.offline.bent_maps import ROUND, graph_in
@@ -27,14 +27,14 @@ def picture(tmp_path):
 
 
 class Asking:
-    """A desk, what one asks of it, and the versions it showed."""
+    """The commands of a map, what one asks of them, and the versions that they showed."""
 
     def __init__(self, folder):
         self.shown = []
-        self.desk = MapDesk(folder, load_map(folder), lambda stored: self.shown.append(stored.number))
+        self.commands = MapCommands(folder, load_map(folder), lambda stored: self.shown.append(stored.number))
 
     def ask(self, verb, **request):
-        answer = self.desk.answer(verb, json.dumps(request).encode())
+        answer = self.commands.answer(verb, json.dumps(request).encode())
         body = json.loads(answer.body)
         assert body["ok"] is answer.ok
         return body
@@ -125,17 +125,19 @@ def test_changes_are_made_one_at_a_time(picture):
         begun.set()
         assert go_on.wait(TIMEOUT_S)
 
-    desk = MapDesk(picture, load_map(picture), show)
+    commands = MapCommands(picture, load_map(picture), show)
     request = json.dumps({"version": 1, "change": {"what": "wall", "corners": [[0, 0], [1, 0]]}}).encode()
-    first = threading.Thread(target=desk.answer, args=("map_edit", request))
+    first = threading.Thread(target=commands.answer, args=("map_edit", request))
     first.start()
     try:
         assert begun.wait(TIMEOUT_S)
-        assert "another change of this map is being made" in desk.answer("map_edit", request).body.decode()
+        assert (
+            "another change of this map is being made" in commands.answer("map_edit", request).body.decode()
+        )
     finally:
         go_on.set()
         first.join()
-    assert desk.answer("map_look", b"{}").ok
+    assert commands.answer("map_look", b"{}").ok
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ from service.offline.map_asked import (
     Wall,
     read_as,
 )
-from service.offline.map_desk import as_edit, look, look_at_keyframe
+from service.offline.map_commands import as_edit, look, look_at_keyframe
 
 IDLE_S = 900.0  # then the memory of the map is given back; the page looks again
 PAIR_WITHIN_M = 1e-6  # points of one pair in two versions, in the frames of its key frames
@@ -49,7 +49,7 @@ NO_KEYFRAMES = (
 _KEYFRAME, _EDIT = TypeAdapter[Any](KeyframeOfSession), TypeAdapter[Any](EditOfCopy)
 
 
-class CopyDesk:
+class SessionMapCommands:
     """One request after the other. Holds what was looked at last."""
 
     def __init__(self) -> None:
@@ -151,9 +151,9 @@ def _graph(stored: StoredMap) -> SavedGraph:
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:
     """Until `requests` ends, or brings nothing for IDLE_S."""
-    desk = CopyDesk()
+    commands = SessionMapCommands()
     while select.select([requests], [], [], IDLE_S)[0] and (line := requests.readline()):
-        answers.write(json.dumps(desk.answer(line)).encode() + b"\n")
+        answers.write(json.dumps(commands.answer(line)).encode() + b"\n")
         answers.flush()
 
 
