@@ -238,6 +238,7 @@ def test_what_a_burst_of_noise_holds_does_not_make_frames_old():
     table.session.receive_data(frame, came_ns + 15 * MS)
     samples = table.session.receive_data(frame + bytes(9_000), came_ns + 30 * MS)  # 0.8 s of the line
     samples += table.session.receive_data(frame, came_ns + 45 * MS)
+    assert len(samples) == 2
     for number, sample in enumerate(samples, start=2):
         assert sample.stamp_ns == pytest.approx(before_ns + number * 15 * MS, abs=5 * MS)
 
