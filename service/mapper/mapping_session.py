@@ -71,9 +71,8 @@ class LeftOut:
     arrived_ns: int
 
 
-Step = (
-    SessionRequest | LoadMap | SwitchProfile | ApplyResult | GraphRequest | LeftOut
-)  # what stands among the frames
+# What stands among the frames.
+Step = SessionRequest | LoadMap | SwitchProfile | ApplyResult | GraphRequest | LeftOut
 
 # What the verbs are called that go to the graph; a profile's graph says which of them it knows.
 GRAPH_REQUESTS = ("add_landmark_pair", "remove_landmark_pair", "optimize", "undo", "set_pose", "checkpoint")

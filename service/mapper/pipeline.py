@@ -83,8 +83,8 @@ class Mapper(Generic[ReadableMap]):
 
         A scan that is older than another of its laser is dropped and counted; time never runs backwards. So
         is one whose stamp is seconds off those around it, and one that comes right before odometry after a
-        pause of both. Sweeps of several lasers overlap: one that began
-        before the newest pose is brought to the moment right after that.
+        pause of both. Sweeps of several lasers overlap: one that began before the newest pose is brought to
+        the moment right after that.
         """
         if isinstance(frame, GnssFix):
             self.counters[self._components.graph.add_fix(frame)] += 1
