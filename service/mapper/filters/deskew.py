@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from drivers.frames import LaserScan
 from service.errors import InputError
 from service.fusion.motion import Motion, Prediction
+from service.geometry.polygons import is_inside
 from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns, deskew_points, project_returns
 from service.kernels.normals import range_noise
@@ -94,7 +95,7 @@ class DeskewByTwist:
 
     def _leave_out_itself(self, returns: Returns, count: int) -> int:
         """Close up the returns that lie outside of the vehicle; how many there are."""
-        outside = np.flatnonzero(~_within(returns.xy_raw[:count], self._outline_m))
+        outside = np.flatnonzero(~is_inside(returns.xy_raw[:count], self._outline_m))
         for array in returns:
             array[: len(outside)] = array[outside]
         return len(outside)
@@ -133,16 +134,3 @@ class DeskewByMotion(DeskewByTwist):
         begin_s, end_s = float(beam_time_s[0]), float(beam_time_s[-1])
         if end_s > begin_s and (deviation := motion.deviation(begin_s, end_s)) is not None:
             bend_returns(beam_time_s, begin_s, end_s, deviation, xy_raw)
-
-
-def _within(xy_m: npt.NDArray[np.float64], corners_m: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
-    """(N,) whether points (N, 2) lie in a polygon (K, 2): a ray ahead crosses its edges an odd number of
-    times (Shimrat, Algorithm 112, CACM 5, 1962).
-    """
-    x, y = xy_m[:, 0], xy_m[:, 1]
-    within = np.zeros(len(xy_m), np.bool_)
-    for (x0, y0), (x1, y1) in zip(corners_m, np.roll(corners_m, -1, axis=0), strict=True):
-        spans = (y0 > y) != (y1 > y)
-        if y0 != y1:
-            within ^= spans & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
-    return within
