@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.geometry.poses import Floats
+from service.mapper.graph.groups import groups_of
 from service.mapper.graph.pose_graph import (
     GraphError,
     PoseGraph,
@@ -51,25 +52,15 @@ def solve(
 def _held(graph: PoseGraph) -> list[int]:
     """The fixed pose, and the first pose of every group that hangs together with it by nothing."""
     count = len(graph.poses)
-    parent = list(range(count + len(graph.landmarks)))
-
-    def root(k: int) -> int:
-        while parent[k] != k:
-            parent[k] = parent[parent[k]]
-            k = parent[k]
-        return k
-
     pairs = zip(
         np.concatenate((graph.edges.of, graph.sightings.of)).tolist(),
         np.concatenate((graph.edges.to, count + graph.sightings.landmark)).tolist(),
         strict=True,
     )
-    for a, b in pairs:
-        low, high = sorted((root(a), root(b)))
-        parent[high] = low
-    anchors = {root(graph.fixed): graph.fixed}
+    group = groups_of(count + len(graph.landmarks), pairs)
+    anchors = {group[graph.fixed]: graph.fixed}
     for k in range(count):
-        anchors.setdefault(root(k), k)
+        anchors.setdefault(group[k], k)
     return list(anchors.values())
 
 

@@ -13,6 +13,7 @@ from service.geometry.polygons import is_inside
 from service.geometry.poses import Floats
 from service.mapper.by_hand import ERASED, ERASED_TO_FREE, WALL, Drawing
 from service.mapper.components import MapRenderer, RenderedMap
+from service.mapper.graph.groups import groups_of
 from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
 from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
@@ -166,22 +167,11 @@ def groups(graph: SavedGraph) -> npt.NDArray[np.int64]:
     """(N,) number of the group that each key frame belongs to, by odometry, loops and pairs: the lowest key
     frame in it.
     """
-    parent = list(range(len(graph)))
-
-    def root(k: int) -> int:
-        while parent[k] != k:
-            parent[k] = parent[parent[k]]
-            k = parent[k]
-        return k
-
     joined = [*graph.loop_ends.tolist(), *graph.by_hand.pair_ends.tolist()]
     for piece in np.unique(graph.piece):
         own = np.flatnonzero(graph.piece == piece).tolist()
         joined += pairwise(own)
-    for a, b in joined:
-        low, high = sorted((root(a), root(b)))
-        parent[high] = low
-    return np.array([root(k) for k in range(len(graph))], np.int64)
+    return np.array(groups_of(len(graph), joined), np.int64)
 
 
 def _refused(graph: SavedGraph, numbers: Sequence[int]) -> RefusedLoops:
