@@ -49,7 +49,7 @@ _UNITS: dict[str, tuple[str, float, str]] = {  # suffix -> dimension, size, word
     "m": ("length", 1.0, "metres"),
     "km": ("length", 1e3, "kilometres"),
     "mrad": ("angle", 1e-3, "milliradians"),
-    "deg": ("angle", 0.017453292519943295, "degrees"),
+    "deg": ("angle", math.radians(1.0), "degrees"),
     "rad": ("angle", 1.0, "radians"),
     "kb": ("size", 1e-3, "kilobytes"),
     "mb": ("size", 1.0, "megabytes"),

@@ -120,12 +120,12 @@ def _place() -> Path:
 
 
 def _compiled_for() -> str:
-    """Sources, compiler and processor; numba reads no kernel of another."""
+    """Sources and where they lie, compiler and processor; numba reads no kernel of another."""
     processor = next(
         (line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")), ""
     )
     packages = " ".join(f"{name} {version(name)}" for name in ("numba", "llvmlite"))
-    return f"{_digest()}\n{packages}, Python {sys.version}\n{processor}\n"
+    return f"{KERNELS}\n{_digest()}\n{packages}, Python {sys.version}\n{processor}\n"
 
 
 def _digest() -> str:

@@ -32,6 +32,7 @@ ELSEWHERE = ("demo", "calibrate")  # need half a minute and more; tests of their
 
 @pytest.fixture
 def vehicle(tmp_path, monkeypatch) -> Iterator[FakeVehicle]:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))  # these sources, not those installed
     monkeypatch.chdir(tmp_path)
     fake = FakeVehicle(tmp_path, stand_s=1.0)
     fake.start()

@@ -103,7 +103,7 @@ def test_a_kernel_whose_callee_changed_in_another_file_is_compiled_anew(tmp_path
     assert answer(22) == "22 0\n"
 
 
-def test_a_cache_is_warm_until_sources_or_compiler_change(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+def test_a_cache_is_warm_until_sources_their_place_or_compiler_change(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     sources = tmp_path / "kernels"
     sources.mkdir()
     (sources / "a.py").write_text("one")
@@ -120,5 +120,9 @@ def test_a_cache_is_warm_until_sources_or_compiler_change(monkeypatch: pytest.Mo
     assert not kernel_cache.is_warm()
     (sources / "a.py").write_text("one")
     assert kernel_cache.is_warm()
+    with monkeypatch.context() as other:  # numba keeps kernels by the path of their sources
+        other.setattr(kernel_cache, "KERNELS", sources.rename(tmp_path / "moved"))
+        assert not kernel_cache.is_warm()
+    (tmp_path / "moved").rename(sources)
     kernel_cache.forget_kernels()
     assert not kernel_cache.is_warm()
