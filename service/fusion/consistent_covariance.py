@@ -12,8 +12,7 @@ import numpy.typing as npt
 from service.fusion.motion import Measurement
 from service.geometry.se2 import SE2
 from service.kernels.estimator import predict_motion, take_match, transfer_into_map
-from service.kernels.filter_state import LOCAL_BLOCK, MAP_BLOCK, Filter, MotionSettings
-from service.kernels.match import STUDENT
+from service.kernels.filter_state import LOCAL_BLOCK, MAP_BLOCK, STUDENT, Filter, MotionSettings
 from service.kernels.tracks import Track
 
 Matrix = npt.NDArray[np.float64]

@@ -21,6 +21,7 @@ from service.kernels.tracks import Track
 
 MAP, LOCAL, STEP, TWIST, SCALE, TURN_SCALE, LAG, BIAS = 0, 3, 6, 9, 12, 13, 14, 15
 ACCELERATION, STATES = 16, 19
+STUDENT = 5.0  # degrees of freedom of a prediction's error: now and then it is far larger than usual; [12]
 MAP_BLOCK, LOCAL_BLOCK = slice(MAP, MAP + 3), slice(LOCAL, LOCAL + 3)
 
 

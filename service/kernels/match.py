@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.deskew import deskew_points
+from service.kernels.filter_state import STUDENT
 from service.kernels.likelihood import LikelihoodField
 from service.kernels.likelihood_lm import LmSettings, align_points, thin_evenly
 from service.kernels.linear3 import copy_matrix, copy_vector, solve_3x3
@@ -20,7 +21,6 @@ from service.kernels.pose_information import (
 from service.kernels.scan_information import scan_information
 from service.kernels.surfels import find_surfels_again, nothing_around
 
-STUDENT = 5.0  # degrees of freedom of the prediction's error: now and then it is far larger than usual
 MOST_HALVINGS = 4  # of a step that raises the cost; [12]
 
 

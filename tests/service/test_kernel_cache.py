@@ -103,7 +103,9 @@ def test_a_kernel_whose_callee_changed_in_another_file_is_compiled_anew(tmp_path
     assert answer(22) == "22 0\n"
 
 
-def test_a_cache_is_warm_until_sources_their_place_or_compiler_change(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+def test_a_cache_is_warm_until_sources_place_or_compiler_change(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
     sources = tmp_path / "kernels"
     sources.mkdir()
     (sources / "a.py").write_text("one")

@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from service.fusion.motion import Measurement, Motion, Prediction
 from service.geometry.se2 import SE2
+from service.kernels.filter_state import STUDENT
 from service.mapper.components import KnownMap, Match, Points
 from service.mapper.judgement import (
     GAP_S,
@@ -31,7 +32,6 @@ from service.outputs import State
 Matrix = npt.NDArray[np.float64]
 
 FOUND_COVARIANCE = np.diag([0.15**2, 0.15**2, 0.03**2])  # of where a search leads
-STUDENT = 5.0  # degrees of freedom of the prediction's error, as [12] of docs/estimator.md
 
 LEAST_COVARIANCE = 1e-12 * np.eye(3)
 CONFIRM_S = 0.1  # from a find to the search that is to confirm it

@@ -358,7 +358,7 @@ def test_what_chance_says_along_a_bare_corridor_does_not_add_up() -> None:
 def test_a_match_may_follow_what_its_information_leaves_out() -> None:
     """Where nothing but scans measures the motion, chance is followed and still called chance."""
     said = []
-    for seed in range(5):
+    for seed in range(20):
         rng = np.random.default_rng(seed)
         grid, xy = corridor_grid(99.0, rng, scans=5), corridor(99.0, rng)
         returns = Returns(xy, np.zeros(len(xy)), np.arange(len(xy), dtype=np.int32))
@@ -369,7 +369,7 @@ def test_a_match_may_follow_what_its_information_leaves_out() -> None:
         )
         assert np.array_equal(all_of_it.pose, less_chance.pose)
         assert np.array_equal(all_of_it.covariance, less_chance.covariance)
-        assert less_chance.weakest_sigma_m >= all_of_it.weakest_sigma_m
+        assert less_chance.weakest_sigma_m**-2 <= all_of_it.weakest_sigma_m**-2 + 1e-6
         said.append((all_of_it.information[0, 0], less_chance.information[0, 0]))
     followed, known = np.mean(said, axis=0)
     assert known < 0.2 * followed
