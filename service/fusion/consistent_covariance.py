@@ -6,6 +6,8 @@ and would call a pose known that nobody measured. This one, propagated beside it
 the graph weighs steps by, and what the state is judged by.
 """
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -23,6 +25,7 @@ class ConsistentCovariance:
 
     def __init__(self) -> None:
         self._filter: Filter | None = None  # of which the covariance counts; all else is the estimator's
+        self._followed: list[tuple[npt.NDArray[Any], npt.NDArray[Any]]] = []  # its arrays, the estimator's
 
     def predict(
         self, state: Filter, odometry: Track, gyro: Track, stamp_ns: int, settings: MotionSettings
@@ -35,6 +38,7 @@ class ConsistentCovariance:
         """Begins, or ends and leaves in `state` what the pose is known worse; state: as of the prediction."""
         if is_scan_alone and self._filter is None:
             self._filter = _copy_of(state)
+            self._followed = _pairs(self._filter, state)
         elif not is_scan_alone and self._filter is not None:
             state.covariance[MAP_BLOCK, MAP_BLOCK] = self._filter.covariance[MAP_BLOCK, MAP_BLOCK]
             self._filter = None
@@ -79,12 +83,8 @@ class ConsistentCovariance:
         """The estimator's state with this covariance; for reading."""
         if self._filter is None:
             return state
-        for name, kept in self._filter._asdict().items():
-            if name == "path":
-                for column, newest in zip(kept, state.path, strict=True):
-                    column[:] = newest
-            elif name != "covariance":
-                kept[:] = getattr(state, name)
+        for own, newest in self._followed:
+            own[:] = newest
         return self._filter
 
 
@@ -99,3 +99,10 @@ def _copy_of(state: Filter) -> Filter:
     path = Track(state.path.stamp_ns.copy(), state.path.value.copy(), state.path.span.copy())
     arrays = {name: kept.copy() for name, kept in state._asdict().items() if name != "path"}
     return Filter(**arrays, path=path)
+
+
+def _pairs(own: Filter, state: Filter) -> list[tuple[npt.NDArray[Any], npt.NDArray[Any]]]:
+    """Each array but the covariances, of two filters."""
+    names = [name for name in Filter._fields if name not in ("covariance", "path")]
+    arrays = [(getattr(own, name), getattr(state, name)) for name in names]
+    return [*arrays, *zip(own.path, state.path, strict=True)]
