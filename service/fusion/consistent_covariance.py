@@ -40,7 +40,9 @@ class ConsistentCovariance:
             self._filter = _copy_of(state)
             self._followed = _pairs(self._filter, state)
         elif not is_scan_alone and self._filter is not None:
-            state.covariance[MAP_BLOCK, MAP_BLOCK] = self._filter.covariance[MAP_BLOCK, MAP_BLOCK]
+            worse = self._filter.covariance[MAP_BLOCK, MAP_BLOCK] - state.covariance[MAP_BLOCK, MAP_BLOCK]
+            variances, axes = np.linalg.eigh(worse)
+            state.covariance[MAP_BLOCK, MAP_BLOCK] += (axes * np.maximum(variances, 0.0)) @ axes.T
             self._filter = None
 
     def correct(self, state: Filter, pose: SE2, measured: Measurement, settings: MotionSettings) -> None:
