@@ -12,7 +12,7 @@ from service.mapper.profiles import mapping_config
 from service.seldom_kernels import LAST, Compiled, SeldomKernels
 from tests.service.test_kernel_warm_up import compile_something
 
-WITHIN_S = 120.0
+WITHIN_S = 600.0  # the process that compiles takes only what processor time nobody else wants
 
 
 def drain(seldom: SeldomKernels) -> int:
@@ -46,6 +46,7 @@ class _Named:
         self._theirs.send(step)
 
 
+@pytest.mark.timeout(900)
 def test_what_python_calls_seldom_is_compiled_elsewhere_and_loaded_here(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ):
