@@ -314,14 +314,19 @@ def test_a_map_that_somebody_asks_for_is_saved_with_the_graph_of_now(tmp_path: P
         saver.flush()
 
 
-def test_a_stored_map_is_not_overtaken_by_a_version_that_nobody_can_go_on_in(tmp_path: Path):
-    """Tiles come with the first scan, the graph with the first checkpoint."""
-    folder = tmp_path / "office"
+def gone_on_in(folder: Path) -> tuple[TileStore, MapSaver]:
+    """A session that began in a stored map and has put no graph away yet: its tiles, its saver, started."""
     save_map(folder, [tile(1)], 1, graph=graph_of(4))
-    config = MapConfig.model_construct(directory=tmp_path, load=folder, checkpoint_s=3600.0)
+    config = MapConfig.model_construct(directory=folder.parent, load=folder, checkpoint_s=3600.0)
     tiles = TileStore()
     saver = MapSaver(config, sink_context(tiles=tiles, load_version=1, stores_graph=True))
     saver.start()
+    return tiles, saver
+
+
+def test_a_stored_map_is_not_overtaken_by_a_version_that_nobody_can_go_on_in(tmp_path: Path):
+    """Tiles come with the first scan, the graph with the first checkpoint."""
+    tiles, saver = gone_on_in(folder := tmp_path / "office")
     heard: queue.Queue[tuple[SavedMap | None, str]] = queue.Queue()
     try:
         tiles.update([tile(2)])
@@ -339,12 +344,7 @@ def test_a_stored_map_is_not_overtaken_by_a_version_that_nobody_can_go_on_in(tmp
 
 
 def test_a_run_that_ends_without_the_graph_of_a_map_that_it_went_on_in_says_so(tmp_path: Path):
-    folder = tmp_path / "office"
-    save_map(folder, [tile(1)], 1, graph=graph_of(4))
-    config = MapConfig.model_construct(directory=tmp_path, load=folder, checkpoint_s=3600.0)
-    tiles = TileStore()
-    saver = MapSaver(config, sink_context(tiles=tiles, load_version=1, stores_graph=True))
-    saver.start()
+    tiles, saver = gone_on_in(folder := tmp_path / "office")
     tiles.update([tile(2)])
     with pytest.raises(StorageError, match="office stays as it is"):
         saver.flush()
