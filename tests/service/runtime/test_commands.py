@@ -301,7 +301,7 @@ def test_a_map_that_cannot_be_begun_in_is_refused_and_the_present_one_stays(mach
         ("load_map", {"map": "a" * 300}, "File name too long"),
         (
             "set_pose",
-            {"x_m": 1e308, "y_m": 0.0, "theta_rad": 0.0},
+            {"x_m": 100_001.0, "y_m": 0.0, "theta_rad": 0.0},
             "'x_m' should be less than or equal to 100000",
         ),
         ("save_map", {"name": "../a"}, "'name' takes letters, digits, _ . and -"),
