@@ -24,7 +24,7 @@ B_M = A_M * (1.0 - F)
 
 UTM_SCALE = 0.9996
 UTM_EAST_M = 500_000.0  # of the central meridian
-UTM_SOUTH_M = 10_000_000.0  # added south of the equator
+UTM_SOUTH_M = 10_000_000.0  # added in the grid of the south
 UTM_MOST_LATITUDE_DEG = 84.0
 
 _N = F / (2.0 - F)  # third flattening
@@ -112,8 +112,10 @@ def utm_zone(longitude_deg: float) -> int:
     return int((longitude_deg + 180.0) % 360.0 // 6.0) + 1
 
 
-def to_utm(latitude_deg: float, longitude_deg: float, zone: int) -> tuple[float, float]:
-    """Easting and northing, m; south of the equator counted from 10 000 km. zone may be a neighbour's.
+def to_utm(latitude_deg: float, longitude_deg: float, zone: int, is_south: bool) -> tuple[float, float]:
+    """Easting and northing, m. zone may be a neighbour's, and the point may be across the equator.
+
+    is_south   in the grid of the south, whose northings count from 10 000 km
 
     Raises ValueError beyond 84 degrees of latitude, where UTM ends.
     """
@@ -134,6 +136,4 @@ def to_utm(latitude_deg: float, longitude_deg: float, zone: int) -> tuple[float,
         xi += alpha * math.sin(2 * j * xi_c) * math.cosh(2 * j * eta_c)
         eta += alpha * math.cos(2 * j * xi_c) * math.sinh(2 * j * eta_c)
     north_m = UTM_SCALE * _RECTIFYING_M * xi
-    return UTM_EAST_M + UTM_SCALE * _RECTIFYING_M * eta, north_m + (
-        UTM_SOUTH_M if latitude_deg < 0.0 else 0.0
-    )
+    return UTM_EAST_M + UTM_SCALE * _RECTIFYING_M * eta, north_m + (UTM_SOUTH_M if is_south else 0.0)

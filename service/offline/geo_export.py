@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 from service.errors import InputError
@@ -35,7 +36,8 @@ def write_csv(path: Path, poses: Poses, reference: GeoReference | None) -> None:
 def write_geojson(path: Path, poses: Poses, walls: Sequence[Points], reference: GeoReference) -> None:
     """The way as one LineString, walls as a MultiLineString of closed outlines; longitude before latitude.
 
-    What is empty is left out. Source: RFC 7946. Raises OSError.
+    What crosses the meridian of 180 degrees is cut there; the way is a MultiLineString then. What is empty is
+    left out. Source: RFC 7946, for the cut section 3.1.9. Raises OSError.
     """
     features = []
     if poses:
@@ -47,13 +49,16 @@ def write_geojson(path: Path, poses: Poses, walls: Sequence[Points], reference: 
             "yaw_sigma_deg": round(math.degrees(reference.yaw_sigma_rad), 4),
             "fixes": reference.fixes,
         }
-        features.append(_feature("LineString", _coordinates(poses, reference), about))
+        way = _cut(_coordinates(poses, reference))
+        one = len(way) == 1
+        features.append(_feature("LineString" if one else "MultiLineString", way[0] if one else way, about))
     if walls:
         rings = [
             [_longitude_latitude(x, y, reference) for x, y in [*wall.tolist(), wall[0].tolist()]]
             for wall in walls
         ]
-        features.append(_feature("MultiLineString", rings, {"name": "walls"}))
+        lines = [line for ring in rings for line in _cut(ring)]
+        features.append(_feature("MultiLineString", lines, {"name": "walls"}))
     path.write_text(json.dumps({"type": "FeatureCollection", "features": features}) + "\n", encoding="ascii")
 
 
@@ -103,15 +108,17 @@ def write_local_world_file(picture_path: Path, picture: Picture) -> Path:
 def utm_affine(path: Path, picture: Picture, reference: GeoReference) -> tuple[int, bool, Affine]:
     """Zone, whether it is in the south, and what takes column and row to UTM, at the middles of pixels.
 
-    One affine map stands for the whole picture: within 1 km UTM's scale changes by a few millionths.
+    Zone and hemisphere are those of the map's origin, wherever its corners are. One affine map stands for the
+    whole picture: within 1 km UTM's scale changes by a few millionths.
     Raises InputError, which names `path`, where UTM ends.
     """
-    zone = utm_zone(reference.to_geodetic(0.0, 0.0)[1])
+    latitude_deg, longitude_deg = reference.to_geodetic(0.0, 0.0)
+    zone, is_south = utm_zone(longitude_deg), latitude_deg < 0.0
     left_m, low_m = picture.x_min_m, picture.y_min_m
     top_m, right_m = low_m + picture.height * picture.cell_m, left_m + picture.width * picture.cell_m
     try:
         corner, along, down = (
-            to_utm(*reference.to_geodetic(*xy), zone)
+            to_utm(*reference.to_geodetic(*xy), zone, is_south)
             for xy in ((left_m, top_m), (right_m, top_m), (left_m, low_m))
         )
     except ValueError as error:
@@ -119,7 +126,7 @@ def utm_affine(path: Path, picture: Picture, reference: GeoReference) -> tuple[i
     a, d = ((along[k] - corner[k]) / picture.width for k in (0, 1))
     b, e = ((down[k] - corner[k]) / picture.height for k in (0, 1))
     c, f = corner[0] + 0.5 * (a + b), corner[1] + 0.5 * (d + e)
-    return zone, reference.to_geodetic(0.0, 0.0)[0] < 0.0, (a, d, b, e, c, f)
+    return zone, is_south, (a, d, b, e, c, f)
 
 
 def _write_affine(picture_path: Path, affine: Affine) -> Path:
@@ -136,6 +143,20 @@ def _coordinates(poses: Poses, reference: GeoReference) -> list[tuple[float, flo
 def _longitude_latitude(x_m: float, y_m: float, reference: GeoReference) -> tuple[float, float]:
     latitude, longitude = reference.to_geodetic(x_m, y_m)
     return round(longitude, 8), round(latitude, 8)
+
+
+def _cut(line: Sequence[tuple[float, float]]) -> list[list[tuple[float, float]]]:
+    """A line of longitudes and latitudes, cut at the meridian of 180 degrees: parts end on it."""
+    parts = [[line[0]]]
+    for (from_deg, latitude_deg), (to_deg, to_latitude_deg) in pairwise(line):
+        if abs(to_deg - from_deg) > 180.0:
+            side_deg = math.copysign(180.0, from_deg)
+            share = (side_deg - from_deg) / ((to_deg - from_deg) % math.copysign(360.0, from_deg))
+            at_deg = round(latitude_deg + share * (to_latitude_deg - latitude_deg), 8)
+            parts[-1].append((side_deg, at_deg))
+            parts.append([(-side_deg, at_deg)])
+        parts[-1].append((to_deg, to_latitude_deg))
+    return parts
 
 
 def _seconds(stamp_ns: int) -> str:

@@ -35,19 +35,19 @@ def test_east_north_up_are_the_published_ones(origin, point, enu, tolerance_m):
 def test_utm_is_the_published_one():
     (latitude_deg, longitude_deg), (zone, east_m, north_m) = GEO_CONVERT
     assert utm_zone(longitude_deg) == zone
-    np.testing.assert_allclose(to_utm(latitude_deg, longitude_deg, zone), (east_m, north_m), atol=0.6)
+    np.testing.assert_allclose(to_utm(latitude_deg, longitude_deg, zone, False), (east_m, north_m), atol=0.6)
 
 
 def test_utm_of_the_south_counts_from_ten_thousand_kilometres_and_is_a_mirror_of_the_north():
-    east_m, north_m = to_utm(48.1, 11.6, 32)
-    assert to_utm(-48.1, 11.6, 32) == pytest.approx((east_m, 10_000_000.0 - north_m), abs=1e-6)
-    west_m, _ = to_utm(48.1, 18.0 - 11.6, 32)  # as far on the other side of the meridian of 9 degrees
+    east_m, north_m = to_utm(48.1, 11.6, 32, False)
+    assert to_utm(-48.1, 11.6, 32, True) == pytest.approx((east_m, 10_000_000.0 - north_m), abs=1e-6)
+    west_m, _ = to_utm(48.1, 18.0 - 11.6, 32, False)  # as far on the other side of the meridian of 9 degrees
     assert west_m + east_m == pytest.approx(1_000_000.0, abs=1e-6)
 
 
 def test_utm_along_its_meridian_is_the_length_of_the_meridian():
     """From the equator to a pole a meridian is 10 001 965.729 m long (Karney 2011, section 5)."""
-    _, north_m = to_utm(84.0, 9.0, 32)
+    _, north_m = to_utm(84.0, 9.0, 32, False)
     steps_deg = np.linspace(0.0, 84.0, 200_001)
     middle = np.radians((steps_deg[1:] + steps_deg[:-1]) / 2.0)
     e2 = 1.0 - (1.0 - 1.0 / 298.257223563) ** 2
@@ -60,7 +60,8 @@ def test_utm_keeps_angles_far_off_its_meridian():
     """What keeps angles and has the length of its meridian can only be the transverse Mercator."""
     frame, step_m = LocalFrame(47.0, 12.5, 0.0), 10.0
     here, east, north = (
-        np.array(to_utm(*frame.on_ground(*xy), 32)) for xy in ((0.0, 0.0), (step_m, 0.0), (0.0, step_m))
+        np.array(to_utm(*frame.on_ground(*xy), 32, is_south=False))
+        for xy in ((0.0, 0.0), (step_m, 0.0), (0.0, step_m))
     )
     along, across = east - here, north - here
     assert np.hypot(*along) == pytest.approx(np.hypot(*across), rel=1e-6)
@@ -70,7 +71,7 @@ def test_utm_keeps_angles_far_off_its_meridian():
 
 def test_utm_is_refused_near_a_pole():
     with pytest.raises(ValueError, match=r"UTM ends at 84 degrees of latitude; this is 85\.0"):
-        to_utm(85.0, 0.0, 31)
+        to_utm(85.0, 0.0, 31, False)
 
 
 @pytest.mark.parametrize("latitude_deg", [-89.9, -45.0, 0.0, 12.3, 60.16, 90.0])

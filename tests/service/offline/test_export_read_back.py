@@ -58,7 +58,7 @@ def anchored(replayed):
 
 
 def in_utm(x_m, y_m):
-    return to_utm(*REFERENCE.to_geodetic(x_m, y_m), 32)
+    return to_utm(*REFERENCE.to_geodetic(x_m, y_m), 32, False)
 
 
 def test_pgm_and_yaml(replayed, tmp_path):

@@ -53,6 +53,25 @@ def test_geojson_is_a_line_of_longitude_and_latitude(replayed, tmp_path):
     assert feature["properties"]["position_sigma_m"] == 0.8
 
 
+def test_geojson_is_cut_where_it_crosses_the_meridian_of_180_degrees(replayed, tmp_path):
+    """RFC 7946, section 3.1.9: without the cut a viewer draws a line around the earth."""
+    fiji = GeoReference(LocalFrame(-17.0, 179.99998, 5.0), SE2(), 0.8, 0.01, 41)
+    write_geo(replayed / "geo.json", fiji)
+    there_and_back = [SE2(x_m, 0.4 * x_m) for x_m in (0.0, 1.0, 3.0, 5.0, 2.0, 0.5)]  # it lies 2.1 m east
+    write_tum(replayed / "trajectory.tum", zip(range(6), there_and_back, strict=True))
+    export(replayed, "geojson", tmp_path / "way.geojson")
+    way, *_ = json.loads((tmp_path / "way.geojson").read_text())["features"]
+    assert way["geometry"]["type"] == "MultiLineString"
+    out, beyond, back = way["geometry"]["coordinates"]
+    assert (len(out), len(beyond), len(back)) == (3, 4, 3)
+    for line, side_deg in ((out, 180.0), (beyond, -180.0), (back, 180.0)):
+        assert all(179.9999 < longitude / math.copysign(1.0, side_deg) <= 180.0 for longitude, _ in line)
+    assert (out[-1][0], beyond[0][0], beyond[-1][0], back[0][0]) == (180.0, -180.0, -180.0, 180.0)
+    assert out[-1][1] == beyond[0][1]
+    east_m, north_m, _ = fiji.origin.to_enu(out[-1][1], out[-1][0], 5.0)
+    assert north_m == pytest.approx(0.4 * east_m, abs=2e-3)
+
+
 def test_geojson_of_a_stored_map_has_its_walls_on_the_earth(tmp_path):
     save_map(tmp_path / "depot", [tile(0, 0, 1)], 1, geo=REFERENCE)
     export(tmp_path / "depot", "geojson", tmp_path / "walls.geojson")
@@ -97,10 +116,22 @@ def test_a_world_file_puts_each_pixel_where_it_lies_in_utm(replayed, tmp_path):
     a, d, b, e, c, f = map(float, (tmp_path / "map.pgw").read_text().split())
     for column, row in ((0, 0), (59, 0), (0, 39), (30, 20)):
         x_m, y_m = -4.0 + 0.5 * (column + 0.5), -9.0 + 0.5 * (40 - row - 0.5)
-        expected = to_utm(*REFERENCE.to_geodetic(x_m, y_m), 32)
+        expected = to_utm(*REFERENCE.to_geodetic(x_m, y_m), 32, False)
         assert (a * column + b * row + c, d * column + e * row + f) == pytest.approx(expected, abs=1e-3)
     assert 'PROJCS["WGS_1984_UTM_Zone_32N"' in (tmp_path / "map.prj").read_text()
     assert 'PARAMETER["Central_Meridian",9.0]' in (tmp_path / "map.prj").read_text()
+
+
+@pytest.mark.parametrize(("latitude_deg", "name"), [(3e-5, "31N"), (-3e-5, "31S")])
+def test_the_world_file_of_a_map_across_the_equator_is_in_the_grid_of_its_origin(
+    replayed, tmp_path, latitude_deg, name
+):
+    reference = GeoReference(LocalFrame(latitude_deg, 1.0, 0.0), SE2(), 0.8, 0.01, 41)
+    write_geo(replayed / "geo.json", reference)
+    export(replayed, "png", tmp_path / "map.png")  # rows from 11 m north to 9 m south of the origin
+    a, d, b, e, *_ = map(float, (tmp_path / "map.pgw").read_text().split())
+    assert (a, d, b, e) == pytest.approx((0.5, 0.0, 0.0, -0.5), abs=1e-3)
+    assert f"UTM_Zone_{name}" in (tmp_path / "map.prj").read_text()
 
 
 def test_the_world_file_of_a_map_without_a_reference_is_in_metres_of_the_map(replayed, tmp_path):
