@@ -38,11 +38,14 @@ class MountingCheck:
         """Another laser has begun the map: this one is to be compared with it."""
         self.is_right = False
 
-    def where_to_look(self, predicted: Prediction) -> Prediction:
-        """Where its scan is looked for on the map, and how wide around."""
+    def where_to_look(self, predicted: Prediction, late_s: float) -> Prediction:
+        """Where its scan is looked for on the map, and how wide around. late_s: of its stamps."""
+        forward_mps, left_mps, turn_radps = predicted.twist_base
+        since = SE2.exp(late_s * forward_mps, late_s * left_mps, late_s * turn_radps)
+        measured_at = predicted.pose_odom_base @ since.inverse()
         return replace(
             predicted.less_known(SEARCHED),
-            pose_odom_base=predicted.pose_odom_base @ SE2.exp(*self._offset.tolist()),
+            pose_odom_base=measured_at @ SE2.exp(*self._offset.tolist()),
         )
 
     def add(self, looked_for: Prediction, measured: Measurement) -> None:

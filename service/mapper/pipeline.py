@@ -29,6 +29,7 @@ from service.mapper.odometry_mounting import OdometryMounting
 from service.mapper.place_in_map import PlaceInMap
 from service.mapper.saved_graph import KeptGraph, SavedGraph
 from service.mapper.scan_check import OdometryWait, ScanCheck
+from service.mapper.stamp_check import StampChecks
 from service.outputs import GraphPicture, Grid, MapperOutput, State, TileUpdate
 
 MOST_BEHIND_NS = 250_000_000  # that a sweep may have begun before the newest pose: a slow laser beside a fast
@@ -73,6 +74,7 @@ class Mapper(Generic[ReadableMap]):
         self._sample_ns: dict[type[Frame], int] = {}  # stamp of the last one that was taken, by kind
         self._odometry_wait = OdometryWait()
         self._odometry_mounting = OdometryMounting()
+        self._stamps = StampChecks()
         self._travelled_m = 0.0  # as predicted, from scan to scan
         self._state: tuple[State, str] = ("ok", "")  # and its reason, of the newest scan that was mapped
         self.geo_reference = geo_reference  # None: where the map lies on the earth is not known
@@ -224,7 +226,8 @@ class Mapper(Generic[ReadableMap]):
             return self._passed_over(scan, at_ns)
         points = s.deskew(scan, predicted, at_ns)  # base frame, one instant; keeps each beam's time
         watch.lap("deskew")
-        if laser.mounting.fault or (not laser.mounting.is_right and self._well_besides(scan.sensor, at_ns)):
+        is_doubted = not laser.mounting.is_right or self._stamps.fault_of(scan.sensor)
+        if laser.mounting.fault or (is_doubted and self._well_besides(scan.sensor, at_ns)):
             return self._compared(scan, at_ns, laser, points, predicted)
         if predicted.pause_s > CARRIED_S and s.graph.finds_pieces and isinstance(s.local_map, HasPieces):
             s.local_map.detach(predicted.pause_s)
@@ -233,9 +236,12 @@ class Mapper(Generic[ReadableMap]):
         watch.lap("match")
         if match.state == "lost":
             self._odometry_mounting.interrupt()
+            self._stamps.interrupt()
         if match.state == "lost" and (well := self._well_besides(scan.sensor, at_ns)):
             return self._contradicted(scan, at_ns, match, well)
         laser.well_ns = at_ns if match.state != "lost" else None
+        if match.state == "ok":
+            self._stamps.add(scan.sensor, at_ns, match.motion.pose_odom_base.theta_rad)
         if match.state == "ok" and (fault := self._motion_fault(match, at_ns)):
             match = replace(match, state="degraded", reason=fault)
         change = s.local_map.insert(match.points, match)
@@ -274,20 +280,21 @@ class Mapper(Generic[ReadableMap]):
     def _compared(
         self, scan: LaserScan, at_ns: int, laser: "LaserWatch", points: Points, predicted: Prediction
     ) -> MapperOutput:
-        """A scan of a laser whose mounting is to be checked: aligned with the map, with no say in it."""
+        """A scan of a laser with mounting or stamps in doubt: aligned with the map, with no say in it."""
         self.counters[f"scans_compared_{scan.sensor}"] += 1
-        looked_for = laser.mounting.where_to_look(predicted)
+        looked_for = laser.mounting.where_to_look(predicted, self._stamps.late_s(scan.sensor))
         match = self._components.matcher.match(points, looked_for, self._components.local_map)
         if match.measured is not None and match.state != "lost":
+            self._stamps.add(scan.sensor, at_ns, match.measured.pose_odom_base.theta_rad)
             laser.mounting.add(looked_for, match.measured)
         else:
             laser.mounting.miss()
         motion = self._components.motion_model.correct(None)
         state, reason = self._state
-        if laser.mounting.fault:
+        if fault := self._stamps.fault_of(scan.sensor) or laser.mounting.fault:
             is_alone = not self._well_besides(scan.sensor, at_ns)
             if is_alone or state == "ok":
-                state, reason = "lost" if is_alone else "degraded", f"{scan.sensor} {laser.mounting.fault}"
+                state, reason = "lost" if is_alone else "degraded", f"{scan.sensor} {fault}"
         return self._output(scan, at_ns, motion, state, reason, match.inlier_ratio)
 
     def _well_besides(self, sensor: str, at_ns: int) -> str:

@@ -286,6 +286,32 @@ def test_a_laser_that_hangs_is_named_while_another_sees_on():
     assert {("front", "ok", False), ("rear", "degraded", True)} == set(said)
 
 
+def swinging(t_s: float) -> SE2:
+    return SE2(0.2 * t_s, 0.0, 0.5 * math.sin(2.0 * t_s))
+
+
+def test_a_laser_whose_stamps_are_late_is_named_and_no_longer_mapped_beside_the_other():
+    """Each turn would shift what it sees against the map of the other, to and fro."""
+    mapper: Mapper = build_mapper(mapping_config(), BOTH)
+    late_ns, seconds, alone_ns = 80_000_000, 7.5, 7_000_000_000
+    front = [f for f in drive(ROOM, swinging, seconds).frames if f.stamp_ns < alone_ns]
+    seen_late = drive(ROOM, lambda t_s: swinging(t_s - late_ns * 1e-9), seconds, mounting=REAR).frames
+    rear = [replace(frame, sensor="rear") for frame in seen_late if isinstance(frame, LaserScan)]
+    said: dict[str, set[tuple[str, str, str]]] = {"both": set(), "alone": set()}
+    for frame in sorted([*front, *rear], key=lambda frame: (frame.arrived_ns, isinstance(frame, LaserScan))):
+        output = mapper.process(frame)
+        if output is None or frame.stamp_ns < 5_000_000_000:
+            continue
+        when = "both" if frame.stamp_ns < alone_ns else "alone"
+        if when == "both" or frame.stamp_ns > alone_ns + 700_000_000:
+            said[when].add((frame.sensor, output.state, re.sub(r"\b(79|80|81) ms.*", "80 ms", output.reason)))
+    assert said == {
+        "both": {("front", "ok", ""), ("rear", "degraded", "rear has stamps that are 80 ms")},
+        "alone": {("rear", "ok", "")},
+    }
+    assert mapper.counters["scans_compared_rear"] > 60
+
+
 def test_a_sweep_that_began_too_long_before_the_newest_pose_is_late():
     mapper: Mapper = build_mapper(mapping_config(), BOTH)
     *frames, last = [frame for frame in two_lasers() if isinstance(frame, LaserScan)]

@@ -1,0 +1,127 @@
+"""Whether the stamps of several lasers go together: turns of the vehicle, as each laser saw them.
+
+A laser whose stamps are late shows the vehicle at the heading that it had before: scans taken for those of
+their stamps turn the map to and fro at each turn, and as half of the scans fit it, nothing looks wrong. With
+theta(t) the heading at which the scans of another laser lie, one of stamp t that is late by d lies at
+theta(t - d), so off by c - d omega, where omega is the rate of turn and c what is left of the mountings. Both
+follow from a linear regression over the scans (Qin, Shen: Online temporal calibration for monocular visual-
+inertial systems, IROS 2018, for the model).
+"""
+
+import math
+from collections import deque
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry.se2 import wrap_angle
+
+LONGEST_GAP_NS = 400_000_000  # between two scans, within which the vehicle turns steadily
+SAME_ERRORS = 20.0  # scans that see the same errors of the map, as in mounting_check
+LEAST_NOISE_RAD = 1e-3  # of a heading by a scan; more is estimated
+SCANS = 400  # the newest count
+JUDGED_EACH = 25  # scans
+TOLERANCE_S = 0.005  # how well people know by how much their lasers lag
+KNOWN_S = 0.002  # sigma from which on stamps that go together are cleared of a fault
+MOST_CHI2 = 10.8  # 99.9 % of one degree of freedom
+
+
+class StampCheck:
+    """Of one laser beside another. `late_s` is 0 while their stamps go together."""
+
+    def __init__(self) -> None:
+        self.late_s = 0.0  # stamps of the one behind those of the other, where they do not
+        self.sigma_s = 0.0
+        self._other: tuple[int, float] | None = None  # newest scan of the other laser: stamp, heading
+        self._waiting: list[tuple[int, float]] = []  # scans of the one since then
+        self._scans: deque[tuple[float, float]] = deque(maxlen=SCANS)  # rate of turn, offset of the heading
+        self._new = 0
+
+    def add(self, stamp_ns: int, heading_rad: float) -> None:
+        """A scan of the laser, where it lies on the map."""
+        if self._other is not None and stamp_ns - self._other[0] <= LONGEST_GAP_NS:
+            self._waiting.append((stamp_ns, heading_rad))
+
+    def add_other(self, stamp_ns: int, heading_rad: float) -> None:
+        """A scan of the other laser; in the order of stamps."""
+        before, self._other = self._other, (stamp_ns, heading_rad)
+        waiting, self._waiting = self._waiting, []
+        if before is None or stamp_ns - before[0] > LONGEST_GAP_NS:
+            return
+        rate_radps = wrap_angle(heading_rad - before[1]) / ((stamp_ns - before[0]) * 1e-9)
+        for at_ns, of_rad in waiting:
+            off_rad = wrap_angle(of_rad - before[1]) - rate_radps * (at_ns - before[0]) * 1e-9
+            self._scans.append((rate_radps, off_rad))
+            self._new += 1
+        if self._new >= JUDGED_EACH:
+            self._new = 0
+            self._judge()
+
+    def interrupt(self) -> None:
+        """The place was lost: headings before and after it are not of one way."""
+        self._other = None
+        self._waiting = []
+
+    def _judge(self) -> None:
+        late_s, sigma_s = lag_of(np.array(self._scans))
+        if late_s**2 > MOST_CHI2 * (sigma_s**2 + TOLERANCE_S**2):
+            self.late_s, self.sigma_s = late_s, sigma_s
+        elif sigma_s <= KNOWN_S:
+            self.late_s = 0.0
+
+
+def lag_of(scans: npt.NDArray[np.float64]) -> tuple[float, float]:
+    """By how much stamps are late, s, and its sigma, which is inf where the vehicle did not turn.
+
+    scans   (K, 2) rad/s, rad   rate of turn, and by how much the heading is off
+
+    The noise may be another in turns than on straight ways. Source of such a sigma: White, A
+    heteroskedasticity-consistent covariance matrix estimator, Econometrica 48, 1980.
+    """
+    rate, off = (scans - scans.mean(axis=0)).T
+    spread = float(rate @ rate)
+    if spread == 0.0:
+        return 0.0, math.inf
+    slope = float(rate @ off) / spread
+    noise = (off - slope * rate) ** 2 + LEAST_NOISE_RAD**2
+    return -slope, math.sqrt(SAME_ERRORS * float(rate**2 @ noise)) / spread
+
+
+class StampChecks:
+    """Of all lasers, beside the one that began the map."""
+
+    def __init__(self) -> None:
+        self._first: str | None = None
+        self._checks: dict[str, StampCheck] = {}
+
+    def add(self, sensor: str, stamp_ns: int, heading_rad: float) -> None:
+        """Where a scan lies that fits the map, at the moment its points are brought to; by rising stamps."""
+        if self._first is None:
+            self._first = sensor
+        if sensor != self._first:
+            self._checks.setdefault(sensor, StampCheck()).add(stamp_ns, heading_rad)
+            return
+        for check in self._checks.values():
+            check.add_other(stamp_ns, heading_rad)
+
+    def interrupt(self) -> None:
+        """The place was lost."""
+        for check in self._checks.values():
+            check.interrupt()
+
+    def late_s(self, sensor: str) -> float:
+        """Stamps of this laser behind those of the first; 0 where they go together."""
+        check = self._checks.get(sensor)
+        return 0.0 if check is None else check.late_s
+
+    def fault_of(self, sensor: str) -> str:
+        """ "" where the stamps of this laser go together with those of the first."""
+        check = self._checks.get(sensor)
+        if check is None or check.late_s == 0.0:
+            return ""
+        is_late = "late" if check.late_s > 0.0 else "early"
+        return (
+            f"has stamps that are {abs(check.late_s) * 1e3:.0f} ms {is_late} against those of {self._first} "
+            f"(sigma {check.sigma_s * 1e3:.1f}), by the turns that both saw; it is not mapped beside that. "
+            "Correct latency_ms of the one that is wrong (corridor calibrate measures it), or its clock"
+        )

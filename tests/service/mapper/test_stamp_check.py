@@ -1,0 +1,101 @@
+"""Stamps of two lasers are held against each other by the turns that both saw."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from service.geometry.se2 import wrap_angle
+from service.mapper.stamp_check import JUDGED_EACH, StampCheck, StampChecks, lag_of
+
+OTHER_NS, NS = 40_000_000, 66_000_000  # periods
+
+
+def heading_rad(t_s: float) -> float:
+    """Straight ahead and turns of 1 rad/s to both sides, through half a turn, with ramps between."""
+    return 3.0 + 1.5 * math.sin(t_s / 1.5) + 0.4 * math.sin(t_s)
+
+
+def drive(
+    check: StampCheck | StampChecks,
+    late_s: float,
+    from_s: float = 0.0,
+    to_s: float = 20.0,
+    noise_rad: float = 0.0,
+    of: Callable[[float], float] = heading_rad,
+) -> None:
+    rng = np.random.default_rng(1)
+    scans = [(k * OTHER_NS, True) for k in range(int(from_s * 25), int(to_s * 25))]
+    scans += [(k * NS + 5, False) for k in range(int(from_s * 1e9 / NS), int(to_s * 1e9 / NS))]
+    for stamp_ns, is_other in sorted(scans):
+        t_s = stamp_ns * 1e-9 - (0.0 if is_other else late_s)
+        heading = wrap_angle(of(t_s) + noise_rad * rng.standard_normal())
+        if isinstance(check, StampChecks):
+            check.add("front" if is_other else "rear", stamp_ns, heading)
+        elif is_other:
+            check.add_other(stamp_ns, heading)
+        else:
+            check.add(stamp_ns, heading)
+
+
+@pytest.mark.parametrize("late_s", [0.03, 0.1, -0.06])
+def test_late_stamps_are_found_and_measured(late_s):
+    check = StampCheck()
+    drive(check, late_s, noise_rad=0.002)
+    assert check.late_s == pytest.approx(late_s, abs=0.003)
+    assert 0.0 < check.sigma_s < 0.005
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.008])
+def test_stamps_that_go_together_within_what_people_know_are_right(late_s):
+    check = StampCheck()
+    drive(check, late_s, noise_rad=0.002)
+    assert check.late_s == 0.0
+
+
+def test_a_mounting_that_is_a_little_off_is_no_lag():
+    check = StampCheck()
+    drive(check, 0.0)
+    scans = np.array(check._scans)
+    turned = scans + np.array([0.0, math.radians(2.0)])
+    assert lag_of(turned)[0] == pytest.approx(lag_of(scans)[0], abs=1e-9)
+
+
+def test_a_vehicle_that_does_not_turn_shows_no_lag():
+    check = StampCheck()
+    drive(check, 0.2, noise_rad=0.002, of=lambda t_s: 1.0)
+    assert check.late_s == 0.0
+    assert lag_of(np.zeros((JUDGED_EACH, 2))) == (0.0, math.inf)
+
+
+def test_a_clock_that_was_set_right_is_cleared_and_one_that_was_set_wrong_found():
+    check = StampCheck()
+    drive(check, 0.0, to_s=40.0)
+    assert check.late_s == 0.0
+    drive(check, 0.1, from_s=40.0, to_s=80.0)
+    assert check.late_s == pytest.approx(0.1, abs=0.003)
+    drive(check, 0.0, from_s=80.0, to_s=120.0)
+    assert check.late_s == 0.0
+
+
+def test_scans_around_a_pause_or_a_lost_place_are_not_compared():
+    check = StampCheck()
+    check.add_other(0, 0.0)
+    check.add(10_000_000, 0.1)
+    check.add_other(500_000_000, 0.0)  # too long after the one before
+    check.add(510_000_000, 0.1)
+    check.interrupt()
+    check.add_other(520_000_000, 1.0)
+    assert not check._scans
+
+
+def test_the_fault_names_both_lasers_and_what_to_do():
+    checks = StampChecks()
+    drive(checks, 0.06)
+    assert checks.fault_of("front") == checks.fault_of("unheard") == ""
+    said = checks.fault_of("rear")
+    assert said.startswith("has stamps that are 60 ms late against those of front (sigma ")
+    assert said.endswith(
+        "Correct latency_ms of the one that is wrong (corridor calibrate measures it), or its clock"
+    )
