@@ -79,7 +79,7 @@ class GnssFix:
     status: int  # as sensor_msgs/NavSatStatus: -1 no fix, 0 fix, 1 augmented by satellites, 2 from the ground
     latitude_deg: float
     longitude_deg: float
-    altitude_m: float  # above the ellipsoid
+    altitude_m: float  # above the ellipsoid; NaN: the receiver gives none
     covariance: tuple[float, ...]  # 9 values, row-major (east, north, up), m^2. All 0: unknown
 
 

@@ -64,7 +64,8 @@ def decode_frame(
 
     None for another type and for content that no mapper can use: a scan without beams or with an impossible
     angle step, an Imu without a gyroscope, values that are not finite or beyond what a sensor can measure. A
-    NavSatFix without a fix is content. So is an Odometry whose covariance is none; that counts as unknown.
+    NavSatFix without a fix is content, and so is one without an altitude (NaN). So is an Odometry whose
+    covariance is none; that counts as unknown.
     Raises InputError on bytes that are not the message they are said to be.
     """
     frame: Frame | None
@@ -288,7 +289,7 @@ def _fix_frame(content: object, sensor: str, log_ns: int) -> GnssFix | None:
     covariance = tuple(m.position_covariance.tolist()) if known else (0.0,) * 9
     if m.status.status < 0:
         place, covariance = (math.nan, math.nan, math.nan), (0.0,) * 9
-    elif not wire.all_finite(*place, *covariance):
+    elif not wire.all_finite(*place[:2], *covariance) or math.isinf(place[2]):
         return None
     return GnssFix(
         sensor=sensor,

@@ -345,6 +345,17 @@ def test_a_receiver_without_a_fix_is_told_of_without_a_place():
     assert through_the_wire(GnssFix("imu", 1, 2, 0, math.nan, 0.0, 0.0, (0.0,) * 9)) is None
 
 
+def test_a_fix_without_an_altitude_is_content():
+    """sensor_msgs/NavSatFix: "quiet NaN if no altitude is available"."""
+    flat = GnssFix("imu", 1, 2, 0, 60.161, 24.546, math.nan, (4.0, 0, 0, 0, 4.0, 0, 0, 0, 9.0))
+    decoded = through_the_wire(flat)
+    assert isinstance(decoded, GnssFix)
+    assert math.isnan(decoded.altitude_m)
+    assert (decoded.latitude_deg, decoded.covariance) == (60.161, flat.covariance)
+    endless = GnssFix("imu", 1, 2, 0, 60.161, 24.546, math.inf, flat.covariance)
+    assert through_the_wire(endless) is None
+
+
 def test_odometry_that_is_not_finite_is_none():
     sample = OdometrySample("base", 1, 2, math.nan, 0.0, 0.0, (0.0, 0.0, 0.0), (0.0,) * 9)
     assert through_the_wire(sample) is None

@@ -44,8 +44,9 @@ class _Scan(NamedTuple):
 class FixTrack:
     """Takes fixes and scans in order of arrival, gives fixes placed, one each 5 m.
 
-    Fixes of one receiver, the first that is heard: errors of two would have to be told apart.
-
+    Fixes of one receiver, the first that is heard: errors of two would have to be told apart. One without a
+    height (NaN, as sensor_msgs/NavSatFix has it) gets that of the newest with one, else 0: h of height
+    displace a fix on the plane by d h / R, where d is its distance from the origin.
     """
 
     def __init__(self) -> None:
@@ -56,6 +57,7 @@ class FixTrack:
         self._placed: list[PlacedFix] = []
         self._told: tuple[float, float, SE2] | None = None  # newest position told, and where that began
         self._kept: SE2 | None = None  # pose_odom_base of the newest fix that was kept
+        self._height_m = 0.0  # of the newest fix that had one
         self._counts: Counter[str] = Counter()
 
     def add_fix(self, fix: GnssFix, antenna_xy_m: tuple[float, float]) -> str:
@@ -107,6 +109,10 @@ class FixTrack:
                 self._counts[fault] += 1
                 continue
             self._kept = here
+            if math.isnan(fix.altitude_m):
+                self._counts["fixes_without_height"] += 1
+            else:
+                self._height_m = fix.altitude_m
             self._placed.append(
                 PlacedFix(
                     fix.stamp_ns,
@@ -115,7 +121,7 @@ class FixTrack:
                     antenna_xy_m,
                     fix.latitude_deg,
                     fix.longitude_deg,
-                    fix.altitude_m,
+                    self._height_m,
                     (fix.covariance[0], fix.covariance[1], fix.covariance[4]),
                 )
             )
@@ -138,7 +144,7 @@ def _fault(fix: GnssFix) -> str:
     if fix.status < 0 or not all(map(math.isfinite, (fix.latitude_deg, fix.longitude_deg))):
         return "fixes_without_position"
     is_on_earth = abs(fix.latitude_deg) <= 90.0 and abs(fix.longitude_deg) <= 180.0
-    if not is_on_earth or not math.isfinite(fix.altitude_m):
+    if not is_on_earth or math.isinf(fix.altitude_m):
         return "fixes_impossible"
     east, cross, north = fix.covariance[0], fix.covariance[1], fix.covariance[4]
     # Written so that NaN is refused.

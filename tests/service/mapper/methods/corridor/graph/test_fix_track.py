@@ -33,6 +33,16 @@ def test_a_fix_lies_between_the_scans_of_its_moment_whichever_came_first():
         assert track.take() == []
 
 
+def test_a_fix_without_height_is_taken_at_the_height_of_the_one_before():
+    track = FixTrack()
+    for k, altitude_m in enumerate((NAN, 51.7, NAN)):
+        fix = replace(GOOD, stamp_ns=k * 10**9, latitude_deg=60.161 + k * 1e-4, altitude_m=altitude_m)
+        assert track.add_fix(fix, (0.0, 0.0)) == "fixes_taken"
+        track.add_scan(k * 10**9, SE2(11.0 * k, 0.0, 0.0), k)
+    assert [placed.height_m for placed in track.take()] == [0.0, 51.7, 51.7]
+    assert track.take_counts()["fixes_without_height"] == 2
+
+
 @pytest.mark.parametrize(
     ("change", "counter"),
     [
