@@ -21,7 +21,7 @@ from service.mapper.components import (
     ReadableMap,
     Stopwatch,
 )
-from service.mapper.judgement import CARRIED_S, drift_of
+from service.mapper.judgement import CARRIED_S, drift_of, too_few
 from service.mapper.map_changes import ChangeWatch, MapChanges
 from service.mapper.maps.standing import draw_standing
 from service.mapper.mounting_check import MountingCheck
@@ -307,7 +307,14 @@ class Mapper(Generic[ReadableMap]):
         return min(well, default="")
 
     def _contradicted(self, scan: LaserScan, at_ns: int, match: Match, well: str) -> MapperOutput:
-        """A scan that fits nowhere while those of another laser do: its laser is wrong, not the place."""
+        """A scan that fits nowhere while those of another laser do: its laser is wrong, not the place.
+
+        One of hardly a return contradicts nothing: its laser is covered, or nothing is in its range.
+        """
+        if few := too_few(match.points):
+            self.counters[f"scans_blind_{scan.sensor}"] += 1
+            reason = f"{few} It is not mapped; {well} confirms the map"
+            return self._output(scan, at_ns, match.motion, "degraded", reason, match.inlier_ratio)
         self.counters[f"scans_contradicting_{scan.sensor}"] += 1
         reason = (
             f"{scan.sensor} contradicts the map that {well} confirms ({match.reason}); its scan is not "

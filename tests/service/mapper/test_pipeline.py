@@ -286,6 +286,28 @@ def test_a_laser_that_hangs_is_named_while_another_sees_on():
     assert {("front", "ok", False), ("rear", "degraded", True)} == set(said)
 
 
+def test_a_laser_without_returns_contradicts_nothing_and_is_asked_for_its_window():
+    mapper: Mapper = build_mapper(mapping_config(), BOTH)
+    said = set()
+    for frame in two_lasers():
+        if isinstance(frame, LaserScan) and frame.sensor == "rear" and frame.stamp_ns > 1_700_000_000:
+            frame = replace(frame, range_m=np.full_like(frame.range_m, np.nan))
+        output = mapper.process(frame)
+        if output is not None and frame.stamp_ns > 1_800_000_000:
+            said.add((frame.sensor, output.state, output.reason))
+    assert said == {
+        ("front", "ok", ""),
+        (
+            "rear",
+            "degraded",
+            "rear: 0 of 541 beams returned (at least 5); is the window covered, or is there nothing in range?"
+            " It is not mapped; front confirms the map",
+        ),
+    }
+    assert mapper.counters["scans_blind_rear"] > 20
+    assert "scans_contradicting_rear" not in mapper.counters
+
+
 def swinging(t_s: float) -> SE2:
     return SE2(0.2 * t_s, 0.0, 0.5 * math.sin(2.0 * t_s))
 
