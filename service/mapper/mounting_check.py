@@ -3,7 +3,9 @@
 A mounting that is wrong by some degrees cannot be seen in that laser's own map: it agrees with itself. Taken
 for right it tears the map of the others. So a laser that joins others is aligned with their map first, with
 no say in pose and map, until its offset from the configured mounting is known. The offset is estimated by
-least squares over scans; the mounting is expected to be right within TOLERANCE.
+least squares over scans; the mounting is expected to be right within TOLERANCE. In a map that has just begun
+a search may put a scan somewhere else, turned by 90 degrees in a room: a scan that contradicts the others has
+less weight, as in odometry_mounting.
 """
 
 import math
@@ -11,12 +13,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.fusion.motion import Measurement, Prediction
+from service.fusion.motion import Matrix, Measurement, Prediction
 from service.geometry.se2 import SE2
 
 TOLERANCE = np.diag([0.03, 0.03, math.radians(0.5)]) ** 2  # m, m, rad: how well people measure a mounting
 SEARCHED = np.diag([0.10, 0.10, math.radians(6.0)]) ** 2  # sigmas of the search for its scans meanwhile
 SAME_ERRORS = 20.0  # scans that see the same errors of the map
+MEDIAN_CHI2 = 2.37  # of three degrees of freedom
+ROBUST_CHI2 = 9.0  # of a scan that counts half
 BATCH_SCANS = 25  # after which an offset is judged
 KNOWN_RAD, KNOWN_M = math.radians(0.3), 0.02  # the heading, and the position in its best direction
 MOST_CHI2 = 16.3  # 99.9 % of three degrees of freedom
@@ -55,10 +59,9 @@ class MountingCheck:
         information and e where the scan alone lies; so I e is found without inverting I.
         """
         off = (looked_for.pose_odom_base.inverse() @ measured.pose_odom_base).log()
-        self._information += measured.information / SAME_ERRORS
-        self._sum += np.linalg.solve(measured.covariance, off) / SAME_ERRORS
-        self._scans += 1
-        if self._scans == BATCH_SCANS:
+        self._information.append(measured.information / SAME_ERRORS)
+        self._weighed.append(np.linalg.inv(measured.covariance) @ off / SAME_ERRORS)
+        if len(self._weighed) == BATCH_SCANS:
             self._judge()
             self._begin_batch()
 
@@ -73,14 +76,14 @@ class MountingCheck:
             )
 
     def _begin_batch(self) -> None:
-        self._information = np.zeros((3, 3))
-        self._sum = np.zeros(3)
-        self._scans = self._missed = 0
+        self._information: list[Matrix] = []  # (3, 3) of each scan
+        self._weighed: list[Matrix] = []  # (3,) its offset, times that
+        self._missed = 0
 
     def _judge(self) -> None:
         # A direction that no scan has fixed says nothing: there the offset stays what it was.
-        covariance = np.linalg.inv(self._information + 1e-3 * np.linalg.inv(TOLERANCE))
-        self._offset = self._offset + covariance @ self._sum
+        further, covariance = _robust_mean(np.array(self._information), np.array(self._weighed))
+        self._offset = self._offset + further
         sigma_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[0]))
         if math.sqrt(covariance[2, 2]) > KNOWN_RAD or sigma_m > KNOWN_M:
             return
@@ -94,3 +97,23 @@ class MountingCheck:
                 f"and {y_m:+.2f} m left, measured on the map of the other lasers; it is not mapped. Measure "
                 "the mounting and correct the config"
             )
+
+
+def _robust_mean(information: Matrix, weighed: Matrix) -> tuple[Matrix, Matrix]:
+    """(3,) offset m, m, rad and its covariance (3, 3).
+
+    information   (K, 3, 3)   of each scan, singular where it leaves a direction open
+    weighed       (K, 3)      its offset, times that
+    """
+    inverse = np.linalg.pinv(information, hermitian=True)
+    prior = 1e-3 * np.linalg.inv(TOLERANCE)
+    counts = np.ones(len(weighed))
+    offset, covariance = np.zeros(3), prior
+    for _ in range(4):
+        covariance = np.linalg.inv(np.einsum("k,kij->ij", counts, information) + prior)
+        offset = covariance @ (counts @ weighed)
+        off = information @ offset - weighed
+        chi2 = SAME_ERRORS * np.einsum("ki,kij,kj->k", off, inverse, off)
+        excess = max(float(np.median(chi2)) / MEDIAN_CHI2, 1.0)
+        counts = 1.0 / (1.0 + chi2 / (ROBUST_CHI2 * excess))
+    return offset, covariance

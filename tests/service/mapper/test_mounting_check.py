@@ -1,0 +1,61 @@
+"""Offsets of a laser from its configured mounting, by scans of which some were found in a wrong place."""
+
+import math
+
+import numpy as np
+import pytest
+
+from service.fusion.motion import Measurement, Prediction
+from service.geometry.se2 import SE2
+from service.mapper.mounting_check import BATCH_SCANS, MountingCheck
+
+SIGMA = np.diag([0.004, 0.004, math.radians(0.2)])
+TURNED = SE2(0.0, 0.0, math.pi / 2.0)
+OPEN = np.diag([0.0, 1.0, 1.0])  # a corridor: nothing is known along it
+
+
+def compare(offsets: list[SE2], seen: np.ndarray | None = None) -> MountingCheck:
+    """What the scans at these offsets make of a mounting, each with noise of SIGMA in the directions seen."""
+    seen, rng = np.eye(3) if seen is None else seen, np.random.default_rng(3)
+    check = MountingCheck()
+    check.begin()
+    here = Prediction(SE2(1.0, 2.0, 0.3), (1.0, 0.0, 0.2), SIGMA, SIGMA, np.zeros((3, 3)), 0.1, 0.0, True)
+    for offset in offsets:
+        looked_for = check.where_to_look(here, 0.0)
+        off = (looked_for.pose_odom_base.inverse() @ here.pose_odom_base @ offset).log()
+        information = seen @ np.linalg.inv(SIGMA @ SIGMA)
+        covariance = np.linalg.inv(information + np.linalg.inv(looked_for.local_covariance))
+        found = covariance @ information @ (off + SIGMA @ rng.standard_normal(3))
+        pose = looked_for.pose_odom_base @ SE2.exp(*found.tolist())
+        check.add(looked_for, Measurement(pose, covariance, information))
+    return check
+
+
+@pytest.mark.parametrize("seen", [np.eye(3), OPEN], ids=["room", "corridor"])
+def test_a_scan_found_turned_by_90_degrees_does_not_accuse_a_right_mounting(seen):
+    offsets = [SE2()] * BATCH_SCANS
+    offsets[5] = offsets[14] = TURNED
+    check = compare(offsets, seen)
+    assert (check.is_right, check.fault) == (True, "")
+
+
+def test_a_mounting_that_is_off_is_measured_beside_such_scans():
+    offsets = [SE2(0.1, -0.05, math.radians(5.0))] * BATCH_SCANS
+    offsets[3] = TURNED
+    check = compare(offsets)
+    assert not check.is_right
+    assert check.fault.startswith(
+        "is off its configured mounting by +5.0 deg, +0.10 m ahead and -0.05 m left"
+    )
+
+
+def test_a_laser_that_is_mounted_turned_by_90_degrees_is_said_to_be():
+    assert compare([TURNED] * BATCH_SCANS).fault.startswith("is off its configured mounting by +90.0 deg")
+
+
+def test_scans_that_fit_nowhere_around_are_a_fault_too():
+    check = compare([])
+    for _ in range(BATCH_SCANS):
+        assert not check.fault
+        check.miss()
+    assert check.fault.startswith("does not fit the map of the other lasers")
