@@ -57,7 +57,8 @@ class Lms100Session:
         self._runner: DialogueRunner[Ask, Telegram] = DialogueRunner(self._dialogue.run)
         self._silence = SilenceWatch()
         self._clock = ClockMap(1_000.0, CLOCK_MODULUS, round(config.latency_ms * 1e6))
-        self._start_before_zero_us: int | None = None
+        self._sweep_measured: tuple[int, int] | None = None  # frequency and last angle of _least_sending_us
+        self._least_sending_us = 0  # from the zero index to the sending, of all scans of that sweep
         self._last: ScanTelegram | None = None
         self._flagged_in_a_row = 0
         self._other_in_a_row = 0
@@ -260,17 +261,20 @@ class Lms100Session:
         return round(1e9 / by_rotation_hz) if by_rotation_hz else 0
 
     def _first_beam_before_zero_us(self, scan: ScanTelegram, geometry: Channel) -> int:
-        """How long before the zero-index stamp the first beam was measured. Taken from the first scan and
-        kept, because the sending jitters by 0.2 ms and stamps shall not."""
+        """How long before the zero-index stamp the first beam was measured. By the earliest sending of this
+        sweep: one that is held up says nothing, and the others scatter by 0.2 ms, which stamps shall not."""
         if not scan.frequency_chz:
             return 0
         e4deg_per_us = scan.frequency_chz / 100.0 * 3_600_000 / 1e6
-        if self._start_before_zero_us is None:
-            sweep_us = round((FULL_LAST_E4DEG - FULL_FIRST_E4DEG) / e4deg_per_us)
-            last_us = round((geometry.last_e4deg - FULL_FIRST_E4DEG) / e4deg_per_us)
-            sending_us = (scan.sent_us - scan.start_us) % CLOCK_MODULUS
-            self._start_before_zero_us = sweep_us - sending_us if sending_us < last_us else 0
-        return self._start_before_zero_us - round((geometry.first_e4deg - FULL_FIRST_E4DEG) / e4deg_per_us)
+        sending_us = (scan.sent_us - scan.start_us) % CLOCK_MODULUS
+        sweep = (scan.frequency_chz, geometry.last_e4deg)
+        if self._sweep_measured == sweep:
+            sending_us = min(sending_us, self._least_sending_us)
+        self._sweep_measured, self._least_sending_us = sweep, sending_us
+        sweep_us = round((FULL_LAST_E4DEG - FULL_FIRST_E4DEG) / e4deg_per_us)
+        last_us = round((geometry.last_e4deg - FULL_FIRST_E4DEG) / e4deg_per_us)
+        start_before_zero_us = sweep_us - sending_us if sending_us < last_us else 0
+        return start_before_zero_us - round((geometry.first_e4deg - FULL_FIRST_E4DEG) / e4deg_per_us)
 
     def _last_echo(self, echoes: Echoes) -> Rows:
         """The second echo where there is one, else the first."""

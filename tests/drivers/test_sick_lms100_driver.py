@@ -114,6 +114,26 @@ def test_zero_index_behind_the_sweep_puts_the_first_beam_a_sweep_before_the_send
     )
 
 
+def stale_scan(k):
+    """Of a device that still measured at 25 Hz when the connection was made."""
+    return telegram(k, k * 40_000, sent_after_us=3_100, frequency_chz=2500)
+
+
+def held_up_scan(k):
+    """The device was busy, and sent it 16 ms after the zero index."""
+    return telegram(k, k * 20_000, sent_after_us=16_000)
+
+
+@pytest.mark.parametrize("first_scan", [stale_scan, held_up_scan])
+def test_first_scan_of_a_connection_does_not_decide_alone_where_the_first_beam_lies(first_scan):
+    session = Lms100Session(config())
+    frames_of(first_scan(4), session=session)
+    scans = [telegram(k, k * 20_000, sent_after_us=3_100) for k in range(10, 20)]
+    frames, _ = frames_of(*scans, session=session)
+    for frame, scan in zip(frames, scans, strict=True):
+        assert frame.stamp_ns == pytest.approx((scan.sent_us - SWEEP_US) * 1000 + 1_000_000, abs=1_000)
+
+
 def test_repeated_scan_is_dropped_and_missing_ones_are_counted():
     scans = [telegram(counter, counter * 20_060) for counter in (65_534, 65_535, 65_535, 0, 3)]
     scans[3] = telegram(0, 65_536 * 20_060)
