@@ -202,6 +202,11 @@ class Lms100Session:
                     f"channel {channel.content} has {len(channel.values)} beams, "
                     f"{found[0][0].content} has {len(found[0][0].values)}"
                 )
+            if not channel.makes_numbers:
+                raise ProtocolError(
+                    f"channel {channel.content} has scale {channel.scale:g} and offset {channel.offset:g}, "
+                    "expected finite ones and a scale above 0"
+                )
         return found
 
     def _frame(self, scan: ScanTelegram, echoes: Echoes, arrived_ns: int) -> LaserScan | None:

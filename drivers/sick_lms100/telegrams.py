@@ -162,6 +162,12 @@ class Channel:
     offset: float = 0.0
 
     @property
+    def makes_numbers(self) -> bool:
+        """Whether scale and offset make numbers of the values that float32 holds, the larger the farther."""
+        largest = abs(self.scale) * 0xFFFF + abs(self.offset)
+        return self.scale > 0.0 and largest <= float(np.finfo(np.float32).max)
+
+    @property
     def last_e4deg(self) -> int:
         return self.first_e4deg + self.step_e4deg * (len(self.values) - 1)
 

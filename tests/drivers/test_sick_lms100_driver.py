@@ -206,6 +206,19 @@ def test_channels_of_different_length_are_malformed():
     assert session.counters["scans_malformed"] == 1
 
 
+@pytest.mark.parametrize("content", ["DIST1", "RSSI1"])
+@pytest.mark.parametrize(
+    ("scale", "offset"),
+    [(0.0, 0.0), (-1.0, 0.0), (math.nan, 0.0), (math.inf, 0.0), (3e38, 0.0), (1.0, math.nan)],
+)
+def test_channel_whose_scale_or_offset_makes_no_numbers_is_malformed(content, scale, offset):
+    channels = [Channel(name, np.full(9, 1500, np.uint16), -450_000, 5000) for name in ("DIST1", "RSSI1")]
+    odd = [replace(c, scale=scale, offset=offset) if c.content == content else c for c in channels]
+    frames, session = frames_of(telegram(channels_16bit=tuple(odd)), intensity_bits=16)
+    assert frames == []
+    assert session.counters["scans_malformed"] == 1
+
+
 def test_garbage_between_telegrams_is_counted():
     session = Lms100Session(config())
     wire = bytearray(encode(write_scan(telegram(), BINARY)))
