@@ -182,11 +182,21 @@ class Lms100Dialogue:
             w.u8(ACCESS_LEVEL)
             w.u32(int(self._config.password_hash, 16))
 
+        refusals = 0
         for _ in range(LOGIN_ATTEMPTS):
             answer = yield from self._ask("sMN", "SetAccessMode", level_and_password)
             if answer is None:
                 continue
-            if answer.kind == "sFA" or _first_number(answer) == 0:
+            if answer.kind == "sFA":  # of the request, not of the password
+                refusals += 1
+                if refusals == CHANGE_ATTEMPTS:
+                    raise DeviceError(
+                        f"SetAccessMode refused {refusals} times: {_refusal(answer)}; is it still booting, "
+                        "does another host, SOPAS ET say, hold it? cut its power once"
+                    )
+                yield Pause(CHANGE_PAUSE_S)
+                continue
+            if _first_number(answer) == 0:
                 raise DeviceError(
                     f"login as authorised client refused (hash {self._config.password_hash}); "
                     "has the password been changed? Set password_hash"

@@ -182,7 +182,9 @@ class Scripted:
                 self.due_at_ns = now_ns + self.period_ns
             kind = {"sRN": "sRA", "sWN": "sWA", "sMN": "sAN", "sEN": "sEA"}[request.kind]
             answer = self.answers.get(request.name)
-            if answer is not None:
+            if answer is not None and answer[:3] == b"sFA":
+                out += encode(Telegram(BINARY, "sFA", "", answer[3:]))
+            elif answer is not None:
                 head, body = (answer[:3].decode(), answer[3:]) if answer[:2] == b"sA" else (kind, answer)
                 out += encode(Telegram(BINARY, head, request.name, body))
         return out
@@ -250,6 +252,16 @@ def test_the_own_family_and_unknown_names_are_taken(ident):
 def test_login_answered_with_nothing_counts_as_accepted():
     answers = {"SCdevicestate": b"\1", "SetAccessMode": b"", "LMDscandata": b"\1", "LMDscandatacfg": b""}
     assert scripted(Scripted(answers)).run(60.0).frames
+
+
+def test_login_that_is_refused_for_another_reason_than_the_password_is_repeated_and_told_with_it():
+    busy = {"SCdevicestate": b"\1", "SetAccessMode": b"sFA\0\x0d"}
+    with pytest.raises(DeviceError, match="SetAccessMode refused 5 times: error D: server busy"):
+        scripted(Scripted(busy)).run(60.0)
+    t = scripted(Scripted(busy))
+    t.run(60.0, until=lambda: t.device.heard.count("SetAccessMode") == 2)
+    t.device.answers |= {"SetAccessMode": b"\1", "LMDscandata": b"\1", "LMDscandatacfg": b""}
+    assert t.run(60.0).frames
 
 
 def test_refused_scan_config_is_a_device_error():
