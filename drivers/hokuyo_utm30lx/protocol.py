@@ -9,6 +9,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from drivers.device_text import one_line
 from drivers.errors import ProtocolError
 
 LF = 0x0A
@@ -16,6 +17,7 @@ REPLY_END = b"\n\n"
 MAX_REPLY_BYTES = 65_536  # a scan with three echoes and intensities stays below 23 KiB; more is noise
 KEPT_BYTES = 32_768  # of an overlong reply: a good one may have begun in it
 MAX_COMMAND_BYTES = 256
+MAX_SHOWN_BYTES = 80  # of a line in an error
 MAX_STRING_CHARS = 16  # a host's own words, repeated in the echo
 CLOCK_MODULUS = 1 << 24  # milliseconds; 4 h 39 min 37 s
 
@@ -158,21 +160,22 @@ def encode_info(echo: str, pairs: Sequence[tuple[str, str]]) -> bytes:
 
 
 def read_info(reply: Reply) -> dict[str, str]:
-    """Keys and values of a VV, PP or II reply. Raises ProtocolError on a bad sum or a line without a key.
+    """Keys and values of a VV, PP or II reply, fit to be shown. Raises ProtocolError on a bad sum or a line
+    without a key.
 
     Firmwares differ on whether the sum takes in the semicolon, and a comment that begins with `<-`.
     """
     pairs = {}
     for line in reply.body.split(b"\n")[:-1]:
-        text, total = line[:-1], line[-1:]
+        text, total, shown = line[:-1], line[-1:], line[:MAX_SHOWN_BYTES]
         bare = text.removesuffix(b";")
         summed = (bare, text, bare.partition(b"<-")[0])
         if not any(total == bytes([checksum(candidate)]) for candidate in summed):
-            raise ProtocolError(f"{reply.echo}: line {line!r} has a wrong sum")
+            raise ProtocolError(f"{reply.echo}: line {shown!r} has a wrong sum")
         key, colon, value = bare.partition(b":")
         if not colon or not line.isascii():
-            raise ProtocolError(f"{reply.echo}: line {line!r} is not KEY:value")
-        pairs[key.decode("ascii")] = value.decode("ascii").strip()
+            raise ProtocolError(f"{reply.echo}: line {shown!r} is not KEY:value")
+        pairs[one_line(key.decode("ascii"))] = one_line(value.decode("ascii"))
     return pairs
 
 
@@ -180,7 +183,8 @@ def read_time(reply: Reply) -> int:
     """Device clock, ms modulo 2**24, of a TM1 reply. Raises ProtocolError."""
     line = reply.body.removesuffix(b"\n")
     if len(line) != 5 or checksum(line[:4]) != line[4]:
-        raise ProtocolError(f"{reply.echo}: {line!r} is not a time of 4 characters and their sum")
+        shown = line[:MAX_SHOWN_BYTES]
+        raise ProtocolError(f"{reply.echo}: {shown!r} is not a time of 4 characters and their sum")
     return decode_number(line[:4])
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import TypeVar
 
+from drivers.device_text import one_line
 from drivers.dialogue import Pause
 from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.sick_lms100.config import Lms100Config
@@ -127,7 +128,7 @@ class Lms100Dialogue:
             ("firmware", "FirmwareVersion"),
             ("serial", "SerialNumber"),
         ):
-            text = yield from self._read(name, lambda r: r.text().strip())
+            text = yield from self._read(name, lambda r: one_line(r.text()))
             if text:
                 self.identity[key] = text
         device = self.identity.get("device", "")
@@ -375,4 +376,4 @@ def _refusal(answer: Telegram) -> str:
     try:
         return refusal_text(answer)
     except ProtocolError:
-        return f"error {answer.body!r}"
+        return f"error {(answer.body or b'')[:20]!r}"

@@ -148,6 +148,15 @@ def test_all_habits_of_summing_an_info_line_are_accepted_and_no_other():
         read_info(Reply("II", "00", b"nokey;" + bytes([checksum(b"nokey")]) + b"\n"))
 
 
+def test_what_the_device_says_of_itself_is_shown_as_plain_short_text():
+    said = encode_info("II", [("STAT", "bad\x1b[2J\rfront: forged"), ("MODL", "x" * 30_000)])
+    [reply] = ReplyDecoder().receive_data(said)
+    assert read_info(reply) == {"STAT": "bad?[2J?front: forged", "MODL": "x" * 80}
+    with pytest.raises(ProtocolError, match="wrong sum") as refused:
+        read_info(Reply("VV", "00", b"y" * 30_000 + b"!\n"))
+    assert len(str(refused.value)) < 150
+
+
 def test_time_of_a_real_unit_and_a_damaged_one():
     (reply,) = ReplyDecoder().receive_data(REAL_TM1)
     assert read_time(reply) == 3_292_603

@@ -249,6 +249,12 @@ def test_the_own_family_and_unknown_names_are_taken(ident):
     assert other_family(ident) == ""
 
 
+def test_name_that_would_forge_a_line_of_the_log_is_shown_as_one():
+    name = b"LMS10x\x1b[31m\nfront: streaming"
+    device = Scripted({"SCdevicestate": b"\1", "DeviceIdent": bytes([0, len(name)]) + name + b"\0\x04V1.8"})
+    assert scripted(device).run(5.0).session.identity["device"] == "LMS10x?[31m?front: streaming"
+
+
 def test_login_answered_with_nothing_counts_as_accepted():
     answers = {"SCdevicestate": b"\1", "SetAccessMode": b"", "LMDscandata": b"\1", "LMDscandatacfg": b""}
     assert scripted(Scripted(answers)).run(60.0).frames
