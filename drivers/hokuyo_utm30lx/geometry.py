@@ -33,22 +33,16 @@ class Geometry:
     @classmethod
     def of(cls, pairs: Mapping[str, str]) -> "Geometry":
         """From PP's lines. Raises ProtocolError where one is missing or senseless."""
-        try:
-            values = {key: int(pairs[key]) for key in PP_LIMITS}
-        except (KeyError, ValueError) as error:
-            raise ProtocolError(
-                f"PP: {error} among {dict(pairs)}; expected numbers for {tuple(PP_LIMITS)}"
-            ) from error
-        for key, (lowest, highest) in PP_LIMITS.items():
-            if not lowest <= values[key] <= highest:
-                raise ProtocolError(
-                    f"PP: {key} is {pairs[key][:20]}, expected {lowest} to {highest}; is it a Hokuyo laser?"
-                )
+        values = {key: _number(pairs, key) for key in PP_LIMITS}
         geometry = cls(*values.values())
         distances_in_order = geometry.distance_min_mm < geometry.distance_max_mm
-        steps_in_order = geometry.first_step < geometry.last_step
-        if not distances_in_order or not steps_in_order:
-            raise ProtocolError(f"PP: {dict(pairs)} describes no laser; expected DMIN < DMAX, AMIN < AMAX")
+        steps_in_order = geometry.first_step < geometry.last_step < geometry.first_step + values["ARES"]
+        front_is_seen = geometry.first_step <= geometry.front_step <= geometry.last_step
+        if not (distances_in_order and steps_in_order and front_is_seen):
+            raise ProtocolError(
+                f"PP: {values} describes no laser; expected DMIN < DMAX, AMIN < AMAX, AFRT between them, and "
+                "AMAX less than ARES, a turn, behind AMIN"
+            )
         return geometry
 
     @property
@@ -74,3 +68,18 @@ class Geometry:
 
     def first_beam_step(self, request: ScanRequest) -> float:
         return request.first_step + (max(request.cluster, 1) - 1) / 2.0
+
+
+def _number(pairs: Mapping[str, str], key: str) -> int:
+    """Raises ProtocolError where it is missing, none, or one that no laser has."""
+    lowest, highest = PP_LIMITS[key]
+    text = pairs.get(key, "missing")
+    try:
+        value = int(text)
+    except ValueError:
+        value = None
+    if value is None or not lowest <= value <= highest:
+        raise ProtocolError(
+            f"PP: {key} is {text[:20]}, expected {lowest} to {highest}; is it a Hokuyo laser?"
+        ) from None
+    return value

@@ -15,7 +15,10 @@ REAL = {
 }
 
 
-@pytest.mark.parametrize("turned", [{}, {"SCAN": "60"}, {"SCAN": "12000"}, {"ARES": "4"}, {"DMAX": "262143"}])
+EXTREMES = [{"SCAN": "60"}, {"SCAN": "12000"}, {"ARES": "1081"}, {"DMAX": "262143"}]
+
+
+@pytest.mark.parametrize("turned", [{}, *EXTREMES])
 def test_real_and_extreme_lasers_are_taken(turned: dict[str, str]):
     geometry = Geometry.of(REAL | turned)
     assert geometry.turn_ns == 60e9 / int((REAL | turned)["SCAN"])
@@ -27,6 +30,7 @@ def test_real_and_extreme_lasers_are_taken(turned: dict[str, str]):
     [
         *(("SCAN", "0"), ("SCAN", "59"), ("SCAN", "12001"), ("SCAN", "9" * 400)),
         *(("ARES", "3"), ("ARES", "100001"), ("ARES", "1" + "0" * 400), ("DMIN", "-1"), ("DMAX", "262144")),
+        *(("ARES", ""), ("ARES", "1440.0"), ("AFRT", "front")),
         *(("AMIN", "-1"), ("AMAX", "10000"), ("AFRT", "-1"), ("AFRT", "9" * 400)),
     ],
 )
@@ -35,8 +39,16 @@ def test_a_value_that_no_laser_has_is_refused_by_its_name(key: str, value: str):
         Geometry.of(REAL | {key: value})
 
 
-@pytest.mark.parametrize("turned", [{"DMIN": "60000"}, {"AMIN": "1080"}])
-def test_limits_in_the_wrong_order_are_refused(turned: dict[str, str]):
+def test_a_line_that_is_missing_is_refused_by_its_name():
+    with pytest.raises(ProtocolError, match="PP: AFRT is missing, expected 0 to 9999"):
+        Geometry.of({key: value for key, value in REAL.items() if key != "AFRT"})
+
+
+@pytest.mark.parametrize(
+    "turned",
+    [{"DMIN": "60000"}, {"AMIN": "1080"}, {"AFRT": "1081"}, {"AMIN": "541"}, {"ARES": "1080"}, {"ARES": "4"}],
+)
+def test_limits_that_contradict_each_other_are_refused(turned: dict[str, str]):
     with pytest.raises(ProtocolError, match="describes no laser"):
         Geometry.of(REAL | turned)
 
