@@ -27,7 +27,7 @@ from drivers.hokuyo_utm30lx.protocol import (
 )
 from drivers.hokuyo_utm30lx.scan_clock import ScanClock
 from drivers.hokuyo_utm30lx.scans import NO_ECHO, Scan, ScanRequest, read_scan
-from drivers.watch import SAME_STAMP, MalformedRun, SilenceWatch, StampGate
+from drivers.watch import SAME_STAMP, DropReason, MalformedRun, SilenceWatch, StampGate
 
 FIRST_SCAN_TIMEOUT_S = 10.0  # the motor may have to come to speed
 MALFORMED_LIMIT = 40  # scans in a row
@@ -41,6 +41,10 @@ ERROR_CODES = {
     4: "beams_near_limit",
 }
 OTHER_CODE = "beams_other_error"
+OTHER_REQUEST = DropReason(
+    "of another request than was made",
+    "another program asks the same laser: stop it; if there is none, it answers as no UTM-30LX does",
+)
 
 Rows = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]  # (N,) range in m, (N,) or (0,) intensity
 
@@ -141,6 +145,7 @@ class HokuyoUtm30lxSession:
             return None
         if reply.echo != request.text:
             self.counters["scans_of_old_stream"] += 1
+            self._silence.dropped(OTHER_REQUEST)
             return None
         if reply.status != SCAN_FOLLOWS and not reply.body:
             self._note_status(reply.status)
@@ -197,6 +202,7 @@ class HokuyoUtm30lxSession:
             if missed > 0:
                 self.counters["scans_missed"] += missed
         self._silence.heard()
+        self._verifying = ""  # it measures again, also where the reply that says so was lost
         range_m, intensity = self._convert(scan, geometry)
         cluster = max(request.cluster, 1)
         return LaserScan(

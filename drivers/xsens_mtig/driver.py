@@ -5,7 +5,7 @@ from collections import Counter
 from drivers.dialogue import DialogueRunner
 from drivers.errors import ProtocolError, TransportError
 from drivers.frames import Frame, ImuSample
-from drivers.watch import MalformedRun, SilenceWatch
+from drivers.watch import DropReason, MalformedRun, SilenceWatch
 from drivers.xsens_mtig.config import XsensMtigConfig
 from drivers.xsens_mtig.dialogue import Ask, MtigDialogue
 from drivers.xsens_mtig.health import DeviceHealth
@@ -23,6 +23,9 @@ BITS_A_BYTE = 10
 STALE_NS = 100_000_000  # bytes of a message follow upon each other; adapters hold them back for 16 ms
 FIRST_SAMPLE_TIMEOUT_S = 5.0
 MALFORMED_LIMIT = 100  # messages in a row
+OTHER_PROTOCOL = DropReason(
+    "of the other protocol (MTData, MTData2) than it was set to", "another program sets it up: stop it"
+)
 
 
 class XsensMtigSession:
@@ -151,6 +154,7 @@ class XsensMtigSession:
         legacy = self._dialogue.legacy is not None
         if legacy is not (message.mid == Mid.MTDATA):
             self.counters["messages_of_the_other_protocol"] += 1
+            self._silence.dropped(OTHER_PROTOCOL)
             return []
         try:
             frames = self._stream.take(message.data, self._sent_ns(message, arrived_ns), arrived_ns)

@@ -271,6 +271,25 @@ def test_a_device_that_stops_to_verify_an_error_is_waited_for():
     assert t.session.counters["stops_to_verify_an_error"] == 1
 
 
+def test_a_device_whose_word_that_it_goes_on_was_lost_is_known_by_its_scans():
+    t = talk().run(4.0)
+    t.device.fault_status = "21"
+    t.run(1.0)
+    t.device.fault_status = t.device._stopped_with = ""  # no 98
+    t.run(1.0)
+    assert t.session.status == "streaming"
+
+
+def test_scans_that_another_program_asked_for_are_named():
+    t = talk().run(4.0)
+    t.device._stream, before = replace(t.device._stream, first_step=44), len(t.frames)
+    with pytest.raises(
+        TransportError, match=r"8\d scans came in 2 s, all of another request.*another program"
+    ):
+        t.run(3.0)
+    assert len(t.frames) == before
+
+
 def test_power_loss_is_noticed_within_the_silence_timeout():
     t = talk().run(4.0)
     t.device.power_on(t.now_ns)

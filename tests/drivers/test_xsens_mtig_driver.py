@@ -337,6 +337,19 @@ def test_the_other_protocol_and_malformed_messages_are_counted_and_end_the_link_
         deliver(t, data=b"\x10\x20\x09")
 
 
+def test_a_unit_that_goes_on_in_the_other_protocol_is_named_as_one():
+    t = talk(mtdata2()).run(1.0)
+
+    def go_on_in_mtdata():
+        for _ in range(200):
+            deliver(t, mid=Mid.MTDATA, data=bytes(54))
+            t.session.tick(t.now_ns)
+            t.now_ns += 10_000_000
+
+    with pytest.raises(TransportError, match=r"came in 2 s, all of the other protocol .* another program"):
+        go_on_in_mtdata()
+
+
 @pytest.mark.parametrize("name", ["t1", "t2", "t3"])
 def test_recordings_of_an_mti_g_710_become_samples_and_fixes(shared: Path, name):
     t = talk(mtdata2(), forward_axis="x", up_axis="-y").run(1.0)
