@@ -1,5 +1,6 @@
 """Bytes over a wire. The only module of drivers that opens sockets and ports."""
 
+import errno
 import os
 import select
 import socket
@@ -20,6 +21,18 @@ WRITE_TIMEOUT_S = 3.0  # a request of 100 bytes takes 0.2 s at 4800 baud
 PORT_ERRORS = (serial.SerialException, OSError, termios.error, TypeError, ValueError)
 
 
+def _reason(error: BaseException) -> str:
+    """What the system says, without its number and the port, which pyserial repeats."""
+    if isinstance(error, serial.SerialException) and error.errno is None and error.__context__ is not None:
+        return _reason(error.__context__)  # of a URL: it quotes it
+    number = error.errno if isinstance(error, OSError) else None
+    if isinstance(error, serial.SerialException) and number == errno.EWOULDBLOCK:  # its lock is taken
+        return "another program has it open"
+    if number is None or isinstance(error, socket.gaierror):  # whose numbers are not the system's
+        return getattr(error, "strerror", None) or str(error)
+    return os.strerror(number)
+
+
 class Transport(Protocol):
     """One open wire. read() returns b"" when nothing came within timeout_s."""
 
@@ -38,7 +51,7 @@ class TcpTransport:
         try:
             self._socket = socket.create_connection((host, port), timeout=connect_timeout_s)
         except (OSError, UnicodeError) as error:  # the latter of a name that no DNS can hold
-            raise TransportError(f"cannot connect to {self._where}: {error}") from error
+            raise TransportError(f"cannot connect to {self._where}: {_reason(error)}") from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for option, value in (("TCP_KEEPIDLE", 2), ("TCP_KEEPINTVL", 1), ("TCP_KEEPCNT", 3)):
@@ -54,7 +67,7 @@ class TcpTransport:
         except TimeoutError:
             return b""
         except OSError as error:
-            raise TransportError(f"{self._where}: {error}") from error
+            raise TransportError(f"{self._where}: {_reason(error)}") from error
         if not data:
             raise TransportError(f"{self._where} closed the connection")
         return data
@@ -64,7 +77,7 @@ class TcpTransport:
             self._socket.settimeout(DEAD_PEER_MS / 1000)
             self._socket.sendall(data)
         except OSError as error:
-            raise TransportError(f"{self._where}: cannot send {len(data)} bytes: {error}") from error
+            raise TransportError(f"{self._where}: cannot send {len(data)} bytes: {_reason(error)}") from error
 
     def close(self) -> None:
         self._socket.close()
@@ -90,7 +103,7 @@ class SerialTransport:
             else:
                 self._port = serial.Serial(device, baud, timeout=0, exclusive=True)
         except PORT_ERRORS as error:
-            raise TransportError(f"cannot open {self._where}: {error}") from error
+            raise TransportError(f"cannot open {self._where}: {_reason(error)}") from error
         try:
             self._port.fileno()
         except OSError as error:
@@ -111,7 +124,7 @@ class SerialTransport:
                 else os.read(self._port.fileno(), READ_BYTES)
             )
         except PORT_ERRORS as error:
-            raise TransportError(f"{self._where}: {error}; unplugged?") from error
+            raise TransportError(f"{self._where}: {_reason(error)}; unplugged?") from error
         if not data:
             raise TransportError(f"{self._where}: readable but empty; unplugged?")
         return bytes(data)
@@ -131,14 +144,14 @@ class SerialTransport:
                 with suppress(BlockingIOError):
                     left = left[os.write(self._port.fileno(), left) :]
         except PORT_ERRORS as error:
-            raise TransportError(f"{self._where}: cannot send {len(data)} bytes: {error}") from error
+            raise TransportError(f"{self._where}: cannot send {len(data)} bytes: {_reason(error)}") from error
 
     def set_baud(self, baud: int) -> None:
         """Go on at another rate. Raises TransportError where the port cannot do it."""
         try:
             self._port.baudrate = baud
         except PORT_ERRORS as error:
-            raise TransportError(f"{self._where}: cannot go to {baud} baud: {error}") from error
+            raise TransportError(f"{self._where}: cannot go to {baud} baud: {_reason(error)}") from error
 
     def set_low_latency(self) -> None:
         """Have a USB adapter hand over bytes at once, not every 16 ms; other ports ignore it."""

@@ -138,8 +138,40 @@ def test_tcp_host_that_is_no_name_is_a_transport_error():
 
 def test_serial_port_opened_twice_is_refused(terminal):
     _, path = terminal
-    with SerialTransport(path, 115_200), pytest.raises(TransportError, match="cannot open"):
+    with SerialTransport(path, 115_200), pytest.raises(TransportError) as refused:
         SerialTransport(path, 115_200)
+    assert str(refused.value) == f"cannot open {path} at 115200 baud: another program has it open"
+
+
+def test_serial_port_that_is_not_there_is_named_once_and_without_numbers(tmp_path):
+    with pytest.raises(TransportError) as refused:
+        SerialTransport(str(tmp_path / "port"), 9600)
+    assert str(refused.value) == f"cannot open {tmp_path}/port at 9600 baud: No such file or directory"
+
+
+def test_tcp_port_that_refuses_is_named_without_numbers(listener):
+    host, port = listener.getsockname()
+    listener.close()
+    with pytest.raises(TransportError) as refused:
+        TcpTransport(host, port)
+    assert str(refused.value) == f"cannot connect to {host}:{port}: Connection refused"
+
+
+def test_serial_url_that_refuses_is_named_once_and_without_numbers(listener):
+    url = "socket://{}:{}".format(*listener.getsockname())
+    listener.close()
+    with pytest.raises(TransportError) as refused:
+        SerialTransport(url, 9600)
+    assert str(refused.value) == f"cannot open {url} at 9600 baud: Connection refused"
+
+
+def test_tcp_host_that_nobody_knows_is_said_so(monkeypatch):
+    def unknown(*_, **__):
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "create_connection", unknown)
+    with pytest.raises(TransportError, match=r"^cannot connect to lidar:2111: Name or service not known$"):
+        TcpTransport("lidar", 2111)
 
 
 def test_serial_unplugged_is_a_transport_error():
