@@ -1,6 +1,11 @@
 """Pose of a sensor on the vehicle."""
 
+from typing import Annotated
+
 from pydantic import BaseModel, ConfigDict, Field
+
+OffsetM = Annotated[float, Field(ge=-50.0, le=50.0)]  # on a vehicle
+TurnDeg = Annotated[float, Field(ge=-360.0, le=360.0)]
 
 
 class Mounting(BaseModel):
@@ -11,8 +16,8 @@ class Mounting(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    x_m: float = Field(default=0.0, ge=-50.0, le=50.0)
-    y_m: float = Field(default=0.0, ge=-50.0, le=50.0)
-    z_m: float = Field(default=0.0, ge=-50.0, le=50.0)  # for /tf_static alone: the map is flat
-    yaw_deg: float = Field(default=0.0, ge=-360.0, le=360.0)
+    x_m: OffsetM = 0.0
+    y_m: OffsetM = 0.0
+    z_m: OffsetM = 0.0  # for /tf_static alone: the map is flat
+    yaw_deg: TurnDeg = 0.0
     upside_down: bool = False

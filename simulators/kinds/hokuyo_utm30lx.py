@@ -7,6 +7,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from drivers.mounting import OffsetM, TurnDeg
 from service.geometry.se2 import SE2
 from simulators.device_kind import DeviceKind
 from simulators.hokuyo_utm30lx import FakeUtm30lx, Utm30lxSetup
@@ -17,15 +18,15 @@ from simulators.wire import PtyWire, TcpWire, serve_pty, serve_tcp
 class Utm30lxOptions(BaseModel):
     """What may stand behind `hokuyo_utm30lx:`."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     wire: Literal["usb", "ethernet"] = "usb"  # UTM-30LX on a terminal; UTM-30LX-EW on a TCP port
     link: Path | None = None  # usb: a symbolic link to the terminal, a name that stays
     host: str = "127.0.0.1"  # ethernet
     port: int = Field(default=0, ge=0, le=65535)  # 0: any free
-    x_m: float = 0.20  # mounting in the base frame
-    y_m: float = 0.0
-    yaw_deg: float = 0.0
+    x_m: OffsetM = 0.20  # mounting in the base frame
+    y_m: OffsetM = 0.0
+    yaw_deg: TurnDeg = 0.0
     sigma_m: float = Field(default=UTM30LX.sigma_m, ge=0.0)
     bias_m: float = UTM30LX.bias_m
     clock_drift_ppm: float = 40.0

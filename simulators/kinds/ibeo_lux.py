@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from drivers.mounting import OffsetM, TurnDeg
 from service.geometry.se2 import SE2
 from simulators.device_kind import DeviceKind
 from simulators.ibeo_lux import FakeIbeoLux, LuxSetup
@@ -15,13 +16,13 @@ from simulators.wire import TcpWire, serve_tcp
 class LuxOptions(BaseModel):
     """What may stand behind `ibeo_lux:`."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     host: str = "127.0.0.1"
     port: int = Field(default=0, ge=0, le=65535)  # 0: any free
-    x_m: float = 0.25  # mounting in the base frame
-    y_m: float = 0.0
-    yaw_deg: float = 0.0
+    x_m: OffsetM = 0.25  # mounting in the base frame
+    y_m: OffsetM = 0.0
+    yaw_deg: TurnDeg = 0.0
     sigma_m: float = Field(default=IBEO_LUX.sigma_m, ge=0.0)
     bias_m: float = IBEO_LUX.bias_m
     clock_drift_ppm: float = 40.0

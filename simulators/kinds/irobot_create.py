@@ -16,7 +16,7 @@ from simulators.wire import PtyWire, serve_pty
 class CreateOptions(BaseModel):
     """What may stand behind `irobot_create:`."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     model: Literal["create1", "create2", "roomba"] = "create2"
     link: Path | None = None  # a symbolic link to the terminal, a name that stays

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from drivers.mounting import OffsetM, TurnDeg
 from service.geometry.se2 import SE2
 from simulators.device_kind import DeviceKind
 from simulators.sick_lms100 import FakeLms100, Lms100Setup
@@ -15,13 +16,13 @@ from simulators.wire import TcpWire, serve_tcp
 class Lms100Options(BaseModel):
     """What may stand behind `sick_lms100:`."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     host: str = "127.0.0.1"
     port: int = Field(default=0, ge=0, le=65535)  # 0: any free
-    x_m: float = 0.20  # mounting in the base frame, as in config/vehicle.yaml
-    y_m: float = 0.0
-    yaw_deg: float = 0.0
+    x_m: OffsetM = 0.20  # mounting in the base frame, as in config/vehicle.yaml
+    y_m: OffsetM = 0.0
+    yaw_deg: TurnDeg = 0.0
     sigma_m: float = Field(default=LMS100.sigma_m, ge=0.0)
     bias_m: float = LMS100.bias_m
     clock_drift_ppm: float = 40.0

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from drivers.mounting import OffsetM, TurnDeg
 from drivers.xsens_mtig.protocol import CODE_OF_BAUD
 from simulators.device_kind import DeviceKind
 from simulators.inertial import Datum, ImuMounting, InertialTruth
@@ -16,14 +17,14 @@ from simulators.xsens_mtig import FakeMtiG, MtigSetup, Personality
 class MtigOptions(BaseModel):
     """What may stand behind `xsens_mtig:`."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     personality: Personality = "mtdata2"  # MTi-G-710; legacy: MTi-G
     link: Path | None = None  # a symbolic link to the terminal, a name that stays
     baud: int = 115_200  # stored in the unit; the pace of its line
-    x_m: float = 0.0  # mounting in the base frame
-    y_m: float = 0.0
-    yaw_deg: float = 0.0
+    x_m: OffsetM = 0.0  # mounting in the base frame
+    y_m: OffsetM = 0.0
+    yaw_deg: TurnDeg = 0.0
     clock_drift_ppm: float = 40.0
     satellites: bool = True
     gnss_sigma_m: float = Field(default=1.5, ge=0.0)

@@ -34,6 +34,9 @@ def test_without_a_word_there_are_a_laser_and_a_base():
     ]
 
 
+MOUNTED = ("sick_lms100", "hokuyo_utm30lx", "ibeo_lux", "xsens_mtig")
+
+
 @pytest.mark.parametrize(
     ("text", "diagnostic"),
     [
@@ -41,6 +44,11 @@ def test_without_a_word_there_are_a_laser_and_a_base():
         ("front=sick", "TYPE one of sick_lms100, hokuyo_utm30lx, irobot_create"),
         ("front=sick_lms100:colour=red", "colour: .*; sick_lms100 takes host, port, x_m"),
         ("front=sick_lms100:port=high", "port: .*integer"),
+        *((f"front={kind}:x_m=50.1", "x_m: .*less than or equal to 50") for kind in MOUNTED),
+        *((f"front={kind}:yaw_deg=-361", "yaw_deg: .*greater than or equal to -360") for kind in MOUNTED),
+        *((f"front={kind}:y_m=nan", "y_m: ") for kind in MOUNTED),
+        ("front=sick_lms100:bias_m=inf", "bias_m: .*finite"),
+        ("base=irobot_create:slips_per_m=inf", "slips_per_m: .*finite"),
         ("front=sick_lms100:port", "'port' is not a new key=value"),
         ("front=sick_lms100:port=1,port=2", "'port=2' is not a new key=value"),
     ],
