@@ -154,7 +154,8 @@ def _read(path: Path) -> str:
         what = f"byte 0x{error.object[error.start]:02x} is not UTF-8; save the file as UTF-8"
         raise ConfigError([f"{path}:{line}:{column}: {what}"]) from error
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-        raise ConfigError([f"{path}: cannot be read: {error}"]) from error
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigError([f"{path}: cannot be read: {reason}"]) from error
 
 
 def parse_config(text: str, file: str) -> ServiceConfig:

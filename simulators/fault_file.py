@@ -166,7 +166,8 @@ def read_faults(path: Path, devices: Devices) -> list[Fault]:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError([f"{path}: cannot be read: {error}"]) from error
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigError([f"{path}: cannot be read: {reason}"]) from error
     return parse_faults(text, str(path), devices)
 
 

@@ -167,8 +167,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return _run(options)
     except ConfigError as error:
-        log.error("%s", error)
+        log.error("corridor: %s", error)
         return error.exit_code
     except OSError as error:
-        log.error("simulate: %s", error)
+        reason = error.strerror or str(error)
+        log.error("corridor: %s", f"{error.filename}: {reason}" if error.filename else reason)
         return IO_ERROR

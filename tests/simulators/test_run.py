@@ -123,7 +123,7 @@ def test_truth_that_cannot_be_written_is_74(tmp_path: Path):
     arguments = [*COMMAND, "--truth", str(tmp_path / "nowhere" / "truth.txt")]
     ended = subprocess.run(arguments, capture_output=True, text=True, timeout=PATIENCE_S)
     assert ended.returncode == 74
-    assert "nowhere" in ended.stderr
+    assert ended.stderr == f"corridor: {tmp_path}/nowhere/truth.txt: No such file or directory\n"
 
 
 def test_faults_come_at_their_time_and_are_summed_up(tmp_path: Path):
