@@ -27,19 +27,21 @@ from drivers.sick_lms100.telegrams import (
     ScanDataConfig,
 )
 
-ANSWER_TIMEOUT_S = 1.0  # real answers take 1 to 3 ms, the slowest seen 14 ms
-CHANGE_TIMEOUT_S = 5.0
-PROBE_ROUNDS = 10  # of both dialects; then a new connection, the old one may be a leftover of the boot
-LOGIN_ATTEMPTS = 30
-CHANGE_ATTEMPTS = 5
-CHANGE_PAUSE_S = 2.0
-START_ATTEMPTS = 30
-READ_BACK_ATTEMPTS = 45
-READY_POLLS = 150
-RESTART_AT_POLLS = (60, 105)  # units at 25 Hz were seen to need more than 44 s, or a second Run
-SUBSCRIBE_ATTEMPTS = 5
-WATCH_PERIOD_S = 10.0
-UNANSWERED_LIMIT = 3  # then this question is not asked again: some servers never answer it
+# Where a source is named, other drivers wait so long for the same; CPR is clearpathrobotics/LMS1xx, SXD is
+# SICKAG/sick_scan_xd (sick_scan_common.h and .cpp), and the rest is our own choice, with its reason.
+ANSWER_TIMEOUT_S = 1.0  # CPR asks anew each second; the recorded answers take 1 to 3 ms, the slowest 14 ms
+CHANGE_TIMEOUT_S = 5.0  # SXD, READ_TIMEOUT_MILLISEC_DEFAULT
+PROBE_ROUNDS = 10  # of both dialects, 20 s; then a new connection, the old one may be a leftover of the boot
+LOGIN_ATTEMPTS = 30  # of ANSWER_TIMEOUT_S: a boot takes tens of seconds (CPR issue 11), then as PROBE_ROUNDS
+CHANGE_ATTEMPTS = 5  # a booting device refuses the first (SICKAG/sick_scan issue 44)
+CHANGE_PAUSE_S = 2.0  # so what is refused is refused for 8 s
+START_ATTEMPTS = 30  # of CHANGE_PAUSE_S: a minute, as long as one refuses after a lost client (SXD, README)
+READ_BACK_ATTEMPTS = 45  # SXD, so many polls, one a second
+READY_POLLS = 150  # one a second: SXD, READ_TIMEOUT_MILLISEC_KILL_NODE
+RESTART_AT_POLLS = (60, 105)  # at 25 Hz more than 44 s, or a second Run, were needed (SXD issue 503)
+SUBSCRIBE_ATTEMPTS = 5  # as CHANGE_ATTEMPTS
+WATCH_PERIOD_S = 10.0  # dirt and warmth come slowly, and each question costs the device time
+UNANSWERED_LIMIT = 3  # then this question is not asked again: SXD's test_server.py never answers it
 ACCESS_LEVEL = 3
 
 DIALECTS = {"cola_a": Dialect.ASCII, "cola_b": Dialect.BINARY}
