@@ -137,11 +137,13 @@ def _scan_frame(content: object, sensor: str, log_ns: int) -> LaserScan | None:
     m = cast(ros.sensor_msgs__msg__LaserScan, content)
     count, step = m.ranges.size, m.angle_increment
     range_min_m, range_max_m = m.range_min, m.range_max
-    if not max(range_min_m, 0.0) < range_max_m < math.inf:
+    if not 0.0 < range_max_m < math.inf:
         range_max_m = UNSET_RANGE_MAX_M
     if not range_min_m >= 0.0:
         range_min_m = 0.0
     if count == 0 or not math.isfinite(m.angle_min) or not 0.0 < abs(step) * max(count - 1, 1) < 7.0:
+        return None
+    if range_min_m >= range_max_m:  # one of them is wrong, and nobody knows which
         return None
     # range_max itself is what many drivers send for "nothing seen", so it counts as no return.
     valid = (m.ranges >= max(range_min_m, _SMALLEST_RANGE_M)) & (m.ranges < range_max_m)

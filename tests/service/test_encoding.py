@@ -232,6 +232,14 @@ def test_a_foreign_zero_is_no_return_even_where_range_min_is_zero():
     assert np.isnan(decoded.range_m[0])
 
 
+@pytest.mark.parametrize(
+    ("range_min", "range_max"), [(10.0, 10.0), (1e4, 10.0), (np.inf, 10.0), (200.0, 0.0)]
+)
+def test_a_scan_whose_range_limits_contradict_each_other_is_no_use(range_min, range_max):
+    scan = ros_scan([5.0, 50.0], range_min=range_min, range_max=range_max)
+    assert decode_frame(encoding.LASER_SCAN, scan, "laser", 9) is None
+
+
 @pytest.mark.parametrize("range_max", [0.0, np.inf, np.nan])
 def test_a_foreign_scan_without_range_max_keeps_its_ranges(range_max):
     decoded = decode_frame(encoding.LASER_SCAN, ros_scan([50.0, np.inf], range_max=range_max), "laser", 9)
