@@ -175,12 +175,14 @@ def decode_pose(payload: bytes) -> Pose:
     pose = wire.planar_pose(m.pose.pose)
     turn = wire.rotation_3x3(-pose.theta_rad)
     linear, angular = m.twist.twist.linear, m.twist.twist.angular
+    with np.errstate(invalid="ignore", over="ignore"):  # foreign ones may be infinite
+        covariance = turn @ m.pose.covariance[wire.PLANAR_CELLS].reshape(3, 3) @ turn.T
     return Pose(
         stamp_ns=wire.stamp_ns_of(m.header.stamp),
         frame=m.header.frame_id,
         child=m.child_frame_id,
         pose=pose,
-        covariance=turn @ m.pose.covariance[wire.PLANAR_CELLS].reshape(3, 3) @ turn.T,
+        covariance=covariance,
         twist=(linear.x, linear.y, angular.z),
     )
 
