@@ -16,7 +16,7 @@ from typing import NoReturn, TextIO
 
 import numpy as np
 
-from service.errors import ConfigError
+from service.errors import ConfigError, StorageError
 from simulators.fault_file import read_faults
 from simulators.registry import DEVICE_KINDS
 from simulators.truth import Ride
@@ -166,7 +166,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     try:
         return _run(options)
-    except ConfigError as error:
+    except (ConfigError, StorageError) as error:
         log.error("corridor: %s", error)
         return error.exit_code
     except OSError as error:

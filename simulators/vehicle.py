@@ -10,6 +10,7 @@ from typing import Self
 
 from pydantic import BaseModel, ValidationError
 
+from service.errors import StorageError
 from service.geometry.se2 import SE2
 from simulators.device import TURNS_SKIPPED, CountsTurns, FakeDevice, ManyClients
 from simulators.fault_file import Fault
@@ -70,7 +71,8 @@ def warm_up(world: World) -> None:
 
 
 class FakeVehicle:
-    """Context manager: its devices are on their wires while it is entered."""
+    """Context manager: its devices are on their wires while it is entered. Raises StorageError where a port
+    is taken or a link cannot be made."""
 
     def __init__(self, specs: Sequence[DeviceSpec], ride: Ride, seed: int) -> None:
         self._specs = list(specs)
@@ -117,7 +119,10 @@ class FakeVehicle:
                     # each time it is plugged in it is another terminal; a name that stays leads there
                     folder = stack.enter_context(TemporaryDirectory(prefix="corridor-"))
                     wire.link = Path(folder) / name
-                stack.enter_context(wire)
+                try:
+                    stack.enter_context(wire)
+                except OSError as error:
+                    raise StorageError(f"{name}: no wire: {error.strerror or error}") from error
             self._stack = stack.pop_all()
         return self
 

@@ -361,7 +361,8 @@ class PtyWire(_Wire):
         os.set_blocking(self._master, False)
         self.name = f"pty {self._path}"
         if self.link is not None:
-            self.link.unlink(missing_ok=True)
+            if self.link.is_symlink():  # one of before; a file of anybody's own stays
+                self.link.unlink()
             self.link.symlink_to(self._path)
 
     def _pull(self) -> None:

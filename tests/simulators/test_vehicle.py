@@ -1,8 +1,10 @@
 import math
+import socket
 from pathlib import Path
 
 import pytest
 
+from service.errors import StorageError
 from service.geometry.se2 import SE2
 from simulators.sick_lms100 import FakeLms100
 from simulators.trajectory import Follow, plan_drive
@@ -56,6 +58,24 @@ MOUNTED = ("sick_lms100", "hokuyo_utm30lx", "ibeo_lux", "xsens_mtig")
 def test_wrong_device_is_refused_with_what_is_wrong(text: str, diagnostic: str):
     with pytest.raises(ValueError, match=diagnostic):
         parse_device(text)
+
+
+@pytest.mark.parametrize("option", ["port", "link"])
+def test_a_place_that_is_taken_is_told_with_the_device_that_wanted_it(
+    option: str, world: World, tmp_path: Path
+):
+    (tmp_path / "mine").write_text("my own")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        texts = {
+            "port": f"front=sick_lms100:port={port}",
+            "link": f"front=irobot_create:link={tmp_path}/mine",
+        }
+        vehicle = FakeVehicle([parse_device(texts[option])], Ride(world, 0), seed=1)
+        reasons = {"port": f"Address already in use.*{port}", "link": "File exists"}
+        with pytest.raises(StorageError, match=f"^front: no wire: {reasons[option]}"), vehicle:
+            pass
+    assert (tmp_path / "mine").read_text() == "my own"
 
 
 def test_two_devices_of_one_name_are_refused():
