@@ -191,6 +191,7 @@ class HokuyoUtm30lxSession:
         self._last_ms = scan.stamp_ms
         self._count("clock_resets", clock.resets)
         self._count("time_sync_contradictory", clock.contradictions)
+        self._count("scans_stamped_too_close", clock.too_close)
         step_ns = clock.period_ns / (1 + request.skip) / geometry.steps_per_turn
         first_beam_ns = (geometry.first_beam_step(request) - self._stamped_step(geometry)) * step_ns
         stamp_ns = moment_ns + round(first_beam_ns) - round(self._config.latency_ms * 1e6)

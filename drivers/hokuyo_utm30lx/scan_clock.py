@@ -70,6 +70,7 @@ class ScanClock:
         self.period_ns = period_ns  # as measured, once that can be done
         self.delay_ns = delay_ns  # within what TM1 allows, once it was asked
         self.contradictions = 0  # of TM1 with itself, or with the scans: then the delay stays as it is
+        self.too_close = 0  # stamps within half a sweep behind another
         self._most_delay_ns = delay_ns + MOST_DELAY_OFF_NS
         self._clock = ClockMap(TICK_NS, CLOCK_MODULUS)
         self._sync: tuple[int, int, int] | None = None  # device ms, bounds of its host time
@@ -103,33 +104,37 @@ class ScanClock:
         return True
 
     def stamp(self, device_ms: int, arrived_ns: int) -> int:
-        """Host time, ns, of what the device stamped device_ms (modulo 2**24). A stamp from before the newest
-        is put before it; it says nothing of the line."""
+        """Host time, ns, of what the device stamped device_ms (modulo 2**24). A stamp from before the newest,
+        or within half a sweep behind it, where the mirror cannot be again, says nothing of the line."""
         resets = self._clock.resets
         self._clock.observe(device_ms, arrived_ns)
         if self._clock.resets > resets:
             self._window.clear()
             self._line = self._sync = None
-        elif self._window and since_ms(device_ms, self._window[-1][1] % CLOCK_MODULUS) < 0:
+        if not self._append(device_ms, arrived_ns):
             return self._clock.to_host_ns(device_ms) - self.delay_ns
-        self._append(device_ms, arrived_ns)
         self._since_fit += 1
         if self._since_fit >= FIT_EVERY or self._line is None:
             self._fit()
         return self._ideal_arrival_ns() - self.delay_ns
 
-    def _append(self, device_ms: int, arrived_ns: int) -> None:
+    def _append(self, device_ms: int, arrived_ns: int) -> bool:
+        """Whether it is a sweep after the newest."""
         window = self._window
         if not window:
             window.append((0, device_ms, arrived_ns))
-            return
+            return True
         sweep, before_ms, _ = window[-1]
         elapsed_ms = since_ms(device_ms, before_ms % CLOCK_MODULUS)
-        sweeps = max(1, round(elapsed_ms * TICK_NS / self.period_ns))
+        sweeps = round(elapsed_ms * TICK_NS / self.period_ns)
+        if sweeps < 1:
+            self.too_close += elapsed_ms >= 0
+            return False
         window.append((sweep + sweeps, before_ms + elapsed_ms, arrived_ns))
         while (window[-1][1] - window[0][1]) * TICK_NS > WINDOW_NS:
             window.popleft()
             self._sync = None  # the scans near it are gone; from now on the delay stays
+        return True
 
     def _ideal_arrival_ns(self) -> int:
         """Of the newest scan: what the line says, within what its own stamp and arrival allow."""
