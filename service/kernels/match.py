@@ -22,6 +22,7 @@ from service.kernels.scan_information import scan_information
 from service.kernels.surfels import find_surfels_again, nothing_around
 
 MOST_HALVINGS = 4  # of a step that raises the cost; [12]
+LEAST_PRIOR_WEIGHT = 0.5  # of [12], at a chi2 of 11, 99 % of three degrees: the prediction was contradicted
 
 
 class Prior(NamedTuple):
@@ -285,7 +286,8 @@ def fine_align(
     prior_information   (3, 3) float64     in the axes of the grid
     grid                SurfelGrid
     settings            MatchSettings
-    doubt_inlier_ratio  float              the cost is asked with fewer points than that on the map, else 0
+    doubt_inlier_ratio  float              with fewer points than that on the map, as where the prediction is
+                                           contradicted, no step is taken that raises the cost
     around              Around             in and out: what is around the points, of searches before
     xy_base             (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
     pose                (3,)   float64     in: where to start; out: where it ended
@@ -321,7 +323,8 @@ def fine_align(
         used, inliers = surfel_normal_equations(
             xy_base, normals, found, pose, settings, H, shared, g, evidence
         )
-        is_doubted = inliers < doubt_inlier_ratio * used
+        weight_here = prior_weight_at(pose, prior.pose, prior_information)
+        is_doubted = inliers < doubt_inlier_ratio * used or weight_here < LEAST_PRIOR_WEIGHT
         if is_doubted and 0 < k < settings.iterations and halvings < MOST_HALVINGS:
             before = cost_at(xy_base, normals, last, prior, prior_information, grid, settings, around, found)
             after = cost_at(xy_base, normals, pose, prior, prior_information, grid, settings, around, found)
@@ -335,7 +338,7 @@ def fine_align(
         halvings = 0
         copy_vector(pose, last)
         scan_information(H, shared, evidence, settings.chance_chi2, damping, information)
-        weight = prior_weight_at(pose, prior.pose, prior_information)
+        weight = weight_here
         for i in range(3):
             total[i] = 0.0
             for j in range(3):

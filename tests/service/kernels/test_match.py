@@ -64,9 +64,9 @@ def room_scan(pose: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
     return np.minimum(along_x, along_y)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def normals_of(xy: np.ndarray) -> np.ndarray:
+def normals_of(xy: np.ndarray, sigma_m: float = SIGMA_M) -> np.ndarray:
     normals = np.empty((len(xy), 3))
-    estimate_normals(xy, np.zeros(2), STEP_RAD, SIGMA_M, 5.0, normals, np.empty(len(xy)))
+    estimate_normals(xy, np.zeros(2), STEP_RAD, sigma_m, 5.0, normals, np.empty(len(xy)))
     return normals
 
 
@@ -247,6 +247,35 @@ def test_no_step_of_a_doubted_match_raises_the_cost() -> None:
         truth, start = rng.uniform(-0.5, 0.5, 3), rng.uniform(-0.8, 0.8, 3)
         begun, ended = costs_of_match(room_scan(tuple(truth)), start, grid)
         assert ended <= begun
+
+
+def test_what_leaves_a_good_prediction_along_hedges_costs_less() -> None:
+    """By noise of its normals a scan seems to say where along them it is; a step by it may lead anywhere."""
+    sigma_m = 0.027  # as such a scan shows it, by second differences
+    rng, grid = np.random.default_rng(3), empty_grid(tiles_each_way=20)
+    for x_m in np.arange(-3.0, 3.0, 0.06):
+        xy = hedges(rng)
+        insert_surfels(
+            xy, normals_of(xy, sigma_m), np.array([x_m, 0.0, 0.0]), grid, 1000.0, 1.0, np.zeros(2), -1
+        )
+    settings = SETTINGS._replace(range_sigma_m=sigma_m, settled_m=5e-4, settled_rad=1e-4)
+    covariance = np.diag([0.012, 0.003, 0.0015]) ** 2
+    for _ in range(100):
+        xy, begun = hedges(rng), np.array([rng.uniform(-1.0, 1.0), 0.0, 0.0])
+        returns = Returns(xy, np.zeros(len(xy)), np.arange(len(xy), dtype=np.int32))
+        prior = Prior(begun, np.zeros(3), covariance, np.zeros((3, 3)))
+        result = match_scan(returns, normals_of(xy, sigma_m), prior, begun, grid, settings, 0.8, xy.copy())
+        assert abs(result.pose[0] - begun[0]) < 0.1
+
+
+def hedges(rng: np.random.Generator) -> np.ndarray:
+    """Beams that end up to some tenths of a metre behind the first leaves of hedges at y -6 and 6."""
+    angle = np.arange(-2.35, 2.35, STEP_RAD)
+    with np.errstate(divide="ignore"):
+        range_m = 6.0 / np.abs(np.sin(angle))
+    angle, range_m = angle[range_m < 20.0], range_m[range_m < 20.0]
+    range_m += np.abs(rng.normal(0.0, 0.1, len(angle)))
+    return range_m[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def costs_of_match(xy: np.ndarray, start: np.ndarray, grid: SurfelGrid) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from service.fusion.motion import Measurement, Motion, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns
 from service.kernels.likelihood import LikelihoodField
-from service.kernels.match import MatchResult, MatchSettings, Prior, match_scan
+from service.kernels.match import LEAST_PRIOR_WEIGHT, MatchResult, MatchSettings, Prior, match_scan
 from service.kernels.normals import ROUGH_WEIGHT
 from service.mapper.components import Match, Points
 from service.mapper.judgement import (
@@ -47,7 +47,6 @@ from service.outputs import State
 Matrix = npt.NDArray[np.float64]
 
 INLIER_M = 0.10  # a point this near to its surfel lies on the map
-LEAST_PRIOR_WEIGHT = 0.5  # of [12], at a chi2 of 11, 99 % of three degrees: the prediction was contradicted
 LEAST_NORMAL_COSINE = 0.6  # between a point and a surfel of the same wall
 ITERATIONS, DESKEW_ROUNDS = 15, 8
 SETTLED_M, SETTLED_RAD = 5e-4, 1e-4
