@@ -22,6 +22,9 @@ OUT_OF_ORDER = DropReason(
 AHEAD_OF_ARRIVAL = DropReason(
     "stamped later than they arrived", "its clock is damaged or was set: switch its power off and on"
 )
+DAMAGED = DropReason(
+    "damaged on the way", "look at plugs, cable and ground, and whether another program reads this port"
+)
 NOT_FINITE = DropReason(
     "with values that are no numbers", "switch its power off and on; if they stay so, have it repaired"
 )
@@ -50,9 +53,10 @@ class SilenceWatch:
         self._silent_ns = self._silent_at_drop_ns = 0
         self._dropped.clear()
 
-    def dropped(self, reason: DropReason) -> None:
-        self._dropped[reason] += 1
-        self._silent_at_drop_ns = self._silent_ns
+    def dropped(self, reason: DropReason, count: int = 1) -> None:
+        if count:
+            self._dropped[reason] += count
+            self._silent_at_drop_ns = self._silent_ns
 
     def exceeds(self, limit_s: float) -> bool:
         return self._silent_ns > limit_s * 1e9

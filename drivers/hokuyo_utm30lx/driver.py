@@ -27,7 +27,7 @@ from drivers.hokuyo_utm30lx.protocol import (
 )
 from drivers.hokuyo_utm30lx.scan_clock import ScanClock
 from drivers.hokuyo_utm30lx.scans import NO_ECHO, Scan, ScanRequest, read_scan
-from drivers.watch import SAME_STAMP, DropReason, MalformedRun, SilenceWatch, StampGate
+from drivers.watch import DAMAGED, SAME_STAMP, DropReason, MalformedRun, SilenceWatch, StampGate
 
 FIRST_SCAN_TIMEOUT_S = 10.0  # the motor may have to come to speed
 MALFORMED_LIMIT = 40  # scans in a row
@@ -90,6 +90,8 @@ class HokuyoUtm30lxSession:
                     scans.append(scan)
             else:
                 self.counters["answers_not_asked_for"] += 1
+        unreadable = self._decoder.unreadable_blocks - self.counters["replies_unreadable"]
+        self._silence.dropped(DAMAGED, unreadable)
         self._count("bytes_skipped", self._decoder.skipped_bytes)
         self._count("replies_unreadable", self._decoder.unreadable_blocks)
         self._set_status()

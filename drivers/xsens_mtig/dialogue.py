@@ -310,7 +310,8 @@ class MtigDialogue:
             if answer.data[:1] == bytes((UNSUPPORTED,)) and not needed:
                 self.counters["requests_unsupported"] += 1
                 return None
-            raise DeviceError(f"refused {_name(mid)} {data.hex()}: {error_text(answer)}".replace("  ", " "))
+            asked = f"{_name(mid)} {data.hex()}".rstrip()
+            raise DeviceError(f"refused {asked}: {error_text(answer)}")
         raise TransportError(f"no answer to {ATTEMPTS} times {_name(mid)}; rebooting, or a bad cable?")
 
 

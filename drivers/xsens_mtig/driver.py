@@ -5,7 +5,7 @@ from collections import Counter
 from drivers.dialogue import DialogueRunner
 from drivers.errors import ProtocolError, TransportError
 from drivers.frames import Frame, ImuSample
-from drivers.watch import DropReason, MalformedRun, SilenceWatch
+from drivers.watch import DAMAGED, DropReason, MalformedRun, SilenceWatch
 from drivers.xsens_mtig.config import XsensMtigConfig
 from drivers.xsens_mtig.dialogue import Ask, MtigDialogue
 from drivers.xsens_mtig.health import DeviceHealth
@@ -107,6 +107,7 @@ class XsensMtigSession:
                     self._health.say(warning_text(message), arrived_ns)
                 case _:
                     self._take_answer(message, arrived_ns)
+        self._silence.dropped(DAMAGED, self._decoder.bad_checksums - self.counters["checksum_errors"])
         for name, total in (
             ("bytes_skipped", self._decoder.skipped_bytes),
             ("checksum_errors", self._decoder.bad_checksums),

@@ -290,6 +290,14 @@ def test_scans_that_another_program_asked_for_are_named():
     assert len(t.frames) == before
 
 
+def test_line_that_damages_every_scan_is_told_from_one_that_is_cut():
+    t = talk().run(4.0)
+    deliver = t.session.receive_data
+    t.session.receive_data = lambda data, arrived_ns: deliver(b"?" + data[1:], arrived_ns)
+    with pytest.raises(TransportError, match=r"8\d scans came in 2 s, all damaged on the way; look at plugs"):
+        t.run(3.0)
+
+
 def test_power_loss_is_noticed_within_the_silence_timeout():
     t = talk().run(4.0)
     t.device.power_on(t.now_ns)

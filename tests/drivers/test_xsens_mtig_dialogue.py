@@ -166,6 +166,13 @@ def test_a_unit_that_does_not_say_who_it_is_streams_all_the_same(personality: Li
     assert t.session.counters["requests_unanswered" if how == "unanswered" else "requests_unsupported"] >= 4
 
 
+def test_a_refused_question_is_named_without_content():
+    device = Reticent(Swing())
+    device.refused = (Mid.OUTPUT_CONFIGURATION,)
+    with pytest.raises(DeviceError, match=r"^refused OUTPUT_CONFIGURATION: error 0x28: device error$"):
+        talk(device).run(6.0)
+
+
 def test_a_unit_that_does_not_tell_its_output_is_given_up():
     device = Reticent(Swing())
     device.unanswered = (Mid.OUTPUT_CONFIGURATION,)
@@ -302,3 +309,11 @@ def test_device_that_boots_while_it_is_looked_for_streams_soon():
     t.run(1.5)
     assert len(samples(t.frames)) > 50
     assert t.session.counters["device_restarts"] == 0
+
+
+def test_line_that_damages_every_message_is_told_from_one_that_is_cut():
+    t = talk(mtdata2()).run(1.0)
+    deliver = t.session.receive_data
+    t.session.receive_data = lambda data, arrived_ns: deliver(data[:-1] + bytes([data[-1] ^ 1]), arrived_ns)
+    with pytest.raises(TransportError, match=r"samples came in 2 s, all damaged on the way; look at plugs"):
+        t.run(5.0)
