@@ -234,6 +234,11 @@ class Create1Session:
 
     def _explain_silence(self) -> str:
         seconds = GIVE_UP_NS / 1e9
+        if answers := self.counters["answers_received"]:
+            return (
+                f"no valid answer for {seconds:.0f} s after {answers}; fell asleep, "
+                "was switched off or unplugged? press its power button, or wire BRC to RTS or DTR"
+            )
         if self._bytes_heard:
             return (
                 f"{self._bytes_heard} bytes came but no valid answer for {seconds:.0f} s; is "

@@ -87,6 +87,16 @@ def test_create_1_refuses_an_answer_that_contradicts_itself(contradiction: dict[
     assert after[0].covariance[0] > before.covariance[0]
 
 
+def test_create_1_that_falls_asleep_is_not_taken_for_a_wrong_baud_rate():
+    table = bench(STANDING, CREATE1)
+    assert table.run(3.0)
+    table.robot.asleep = True
+    with pytest.raises(
+        TransportError, match=r"no valid answer for 8 s after \d\d; fell asleep, .*power button"
+    ):
+        table.run(12.0)
+
+
 def test_create_1_that_sleeps_is_reported_in_plain_words():
     table = bench(STANDING, CREATE1)
     table.robot.asleep = True
