@@ -32,7 +32,7 @@ from drivers.ibeo_lux.messages import (
     write_command,
 )
 from drivers.ibeo_lux.protocol import FOREIGN_SCANS, DataType, Decoder, Message, encode, ntp_difference_ns
-from drivers.ibeo_lux.reduction import LayerReduction
+from drivers.ibeo_lux.reduction import LayerReduction, sound_points
 from drivers.watch import MalformedRun, SilenceWatch, StampGate
 
 FIRST_SCAN_TIMEOUT_S = 20.0  # a recorded dialogue has its first scan 5 s after Start
@@ -347,7 +347,7 @@ def _answers(reply: Reply, asked: Ask) -> bool:
 
 
 def _check(scan: Scan) -> None:
-    """Raises ProtocolError where no time or direction can be had from the header."""
+    """Raises ProtocolError where no time or direction can be had from the header, or of no point."""
     if scan.ticks_per_turn != TICKS_PER_TURN:
         raise ProtocolError(f"a scan with {scan.ticks_per_turn} ticks a turn, expected {TICKS_PER_TURN}")
     sweep_ticks = scan.start_ticks - scan.end_ticks
@@ -360,4 +360,9 @@ def _check(scan: Scan) -> None:
         raise ProtocolError(
             f"a scan at {turn_ns / 1e6:g} ms a turn of the mirror, expected 20, 40 or 80 ms; "
             "its begin and end stamps do not fit"
+        )
+    if len(scan.points) and not sound_points(scan).any():
+        raise ProtocolError(
+            f"a scan of {len(scan.points)} points, none with a layer, an echo and an angle that can be; the "
+            f"first begins with 0x{scan.points[:1].tobytes()[:4].hex()}"
         )

@@ -61,6 +61,15 @@ def elevation_rad(
     return elevation
 
 
+def sound_points(scan: Scan) -> npt.NDArray[np.bool_]:
+    """(N,) which points have a layer, an echo and an angle that can be in this scan."""
+    layer, echo = scan.points["layer_echo"] & 0x0F, scan.points["layer_echo"] >> 4
+    angle_ticks = scan.points["angle_ticks"]
+    sound: npt.NDArray[np.bool_] = (layer < LAYER_COUNT) & (echo < ECHO_COUNT)
+    sound &= (angle_ticks <= scan.start_ticks) & (angle_ticks >= scan.end_ticks)
+    return sound
+
+
 class LayerReduction:
     """Reduces scans as the config says; counts what it leaves out in `counters`."""
 
@@ -124,10 +133,7 @@ class LayerReduction:
     def _usable(self, scan: Scan) -> npt.NDArray[np.void]:
         """The points that may count, by themselves."""
         points = scan.points
-        layer, echo = points["layer_echo"] & 0x0F, points["layer_echo"] >> 4
-        angle_ticks = points["angle_ticks"]
-        sound = (layer < LAYER_COUNT) & (echo < ECHO_COUNT)
-        sound &= (angle_ticks <= scan.start_ticks) & (angle_ticks >= scan.end_ticks)
+        layer, sound = points["layer_echo"] & 0x0F, sound_points(scan)
         self._count("points_malformed", len(points) - np.count_nonzero(sound))
         unwanted = 0
         for name, (point_flag, scan_flag) in LABELS.items():

@@ -12,7 +12,7 @@ from drivers.ibeo_lux.driver import IbeoLuxSession
 from drivers.ibeo_lux.messages import ErrorRegisters, ScanFlag, read_scan
 from drivers.ibeo_lux.protocol import DataType, Message, encode
 from simulators.ibeo_lux import LEAVES_AFTER_SWEEP_NS, FakeIbeoLux, LuxSetup
-from tests.drivers.lux import Room, config, ntp, reconnect, scan, talk, wire
+from tests.drivers.lux import Room, config, ntp, points, reconnect, scan, talk, wire
 from tests.drivers.over_tcp import frames_over_tcp
 from tests.drivers.virtual_time import SECOND_NS
 from tests.soaked import in_soak
@@ -172,6 +172,11 @@ def test_scan_from_the_future_is_refused_and_does_not_stop_the_next():
         ({"end_ticks": 1600}, "expected a sweep from left to right"),
         ({"start_ticks": 32_000, "end_ticks": -32_000}, "expected a sweep from left to right"),
         ({"ticks_per_turn": 0}, "expected 11520"),
+        (
+            {"points": points((15, 15, 0, 0, 500, 100), (0, 3, 0, 0, 500, 100))},
+            "of 2 points, none with a layer",
+        ),
+        ({"points": points((0, 0, 0, 1601, 500, 100))}, "of 1 points, none .* an angle that can be"),
     ],
 )
 def test_scan_without_sense_is_dropped_and_twenty_one_are_a_protocol_error(spoilt, words):
