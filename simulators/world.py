@@ -44,6 +44,11 @@ class Walk:
         share = (phase_s - self.times_s[k - 1]) / (self.times_s[k] - self.times_s[k - 1])
         return x0 + share * (x1 - x0), y0 + share * (y1 - y0)
 
+    def later(self, wait_s: float) -> "Walk":
+        """The same round, for which the person waits so long at the first place, each time."""
+        times_s = (0.0, *(time_s + wait_s for time_s in self.times_s))
+        return replace(self, times_s=times_s, places=(self.places[0], *self.places))
+
     def seen_from(self, frame: SE2) -> "Walk":
         places = tuple((float(x), float(y)) for x, y in _seen_from(frame, np.array(self.places)))
         return replace(self, places=places)

@@ -135,14 +135,16 @@ def heading_rad(seed: int) -> float:
 
 def begun_at(world: World, heading_rad: float) -> World:
     """The same drive, begun turned by this and turned back on the spot: the map's axes are those of the
-    first scan, so its cells lie at this angle to the walls.
+    first scan, so its cells lie at this angle to the walls. People begin to walk when the drive does.
     """
     start = world.drive.start
     turn = plan_drive(SE2(start.x_m, start.y_m, start.theta_rad + heading_rad), [Spin(-heading_rad)])
     nodes = world.drive.nodes.copy()
     nodes[:, THETA] += turn.nodes[-1, THETA] - nodes[0, THETA]
     return replace(
-        world, drive=replace(world.drive, nodes=np.vstack([turn.nodes[:-1], nodes]), repeats=False)
+        world,
+        people=tuple(person.later(turn.duration_s) for person in world.people),
+        drive=replace(world.drive, nodes=np.vstack([turn.nodes[:-1], nodes]), repeats=False),
     )
 
 

@@ -37,8 +37,12 @@ class Trip:
         """Once for each seed, each begun at a heading of its own against the walls."""
         return [self._drive(seed) for seed in seeds]
 
+    def world_of(self, seed: int) -> World:
+        """With this seed's drive."""
+        return begun_at(self.world(), heading_rad(seed))
+
     def _drive(self, seed: int) -> Drive:
-        world = begun_at(self.world(), heading_rad(seed))
+        world = self.world_of(seed)
         longer_s = world.drive.duration_s - self.world().drive.duration_s
         seconds = world.drive.duration_s if self.seconds is None else self.seconds + longer_s
         made = drive(world, self.laser, seconds, seed, self.wheels, self.imu)

@@ -29,9 +29,9 @@ def motion(seeds: Sequence[int]) -> Section:
     for name, seconds in (("spins", None), ("stop_and_go", None), ("crowd", _crowd_s(WORLDS["crowd"]()))):
         errors, ghosts = Errors(), []
         trip = Trip(WORLDS[name], LMS100_50HZ, seconds)
-        for drive, done in trip.runs(seeds):
+        for seed, (drive, done) in zip(seeds, trip.runs(seeds), strict=True):
             errors.add(drive, done)
-            ghosts.append(float(ghost_cells(trip.world(), drive, done)))
+            ghosts.append(float(ghost_cells(trip.world_of(seed), drive, done)))
         rows += [
             Row("", f"{name}: as is, RMS", errors.as_is_mm, "mm", at_most=10.0, digits=1),
             Row("", f"{name}: scans lost", errors.lost_percent, "%", at_most=0.0, by_worst=True, digits=1),

@@ -3,6 +3,7 @@ import pytest
 
 from simulators.world import World
 from simulators.worlds import WORLDS, build_world
+from tests.simulated import begun_at
 
 VEHICLE_RADIUS_M = 0.3
 PEOPLED = ("crowd", "mall", "office")
@@ -67,13 +68,15 @@ def test_unknown_world_is_refused_with_the_names_there_are():
         build_world("moon")
 
 
-def test_crowd_stays_within_three_metres_while_the_vehicle_drives():
-    crowd = build_world("crowd")
+@pytest.mark.parametrize("turned_rad", [0.0, 2.0])
+def test_crowd_stays_within_three_metres_while_the_vehicle_drives(turned_rad):
+    crowd = begun_at(build_world("crowd"), turned_rad)
     time_s = np.arange(0.0, crowd.drive.duration_s - 40.0, 0.5)
     here = crowd.drive.poses(time_s)[:, :2]
     gaps_m = [np.hypot(*(np.array([p.place(t) for t in time_s]) - here).T) for p in crowd.people]
     assert len(gaps_m) == 5
     assert np.max(gaps_m) < 3.0
+    assert np.min(gaps_m) > 0.6  # nobody walks through the vehicle
 
 
 def test_spins_reach_three_radians_a_second():
