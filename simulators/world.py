@@ -27,7 +27,9 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Walk:
-    """A person who walks a round of points, stopping at each, over and over with a fixed period."""
+    """A person who walks a round of points, stopping at each, over and over with a fixed period; before time
+    0 they stand at the first.
+    """
 
     times_s: tuple[float, ...]  # rising from 0 to the period
     places: tuple[Point, ...]  # m, where the person is at these times; the last is the first
@@ -38,7 +40,7 @@ class Walk:
         return self.times_s[-1]
 
     def place(self, time_s: float) -> Point:
-        phase_s = time_s % self.period_s
+        phase_s = max(time_s, 0.0) % self.period_s
         k = min(bisect_right(self.times_s, phase_s), len(self.times_s) - 1)
         (x0, y0), (x1, y1) = self.places[k - 1], self.places[k]
         share = (phase_s - self.times_s[k - 1]) / (self.times_s[k] - self.times_s[k - 1])

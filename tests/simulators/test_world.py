@@ -65,6 +65,14 @@ def test_person_walks_pauses_and_comes_back_each_period():
     assert person.place(202.0) == pytest.approx(person.place(2.0))
 
 
+def test_person_who_begins_later_stands_at_the_first_place_before():
+    person = walk([(0, 0), (4, 0)], 20.0, speed_mps=2.0)
+    later = person.later(5.0)
+    assert person.place(-0.5) == later.place(-0.5) == later.place(4.9) == (0.0, 0.0)
+    assert later.place(6.0) == person.place(1.0) == (2.0, 0.0)
+    assert later.period_s == 25.0
+
+
 def test_discs_move_with_their_people():
     world = world_of(plan_with_a_wall(), people=[walk([(0, 0), (4, 0)], 20.0, speed_mps=2.0)])
     np.testing.assert_allclose(world.discs(1.0, 0.015), [[2.0, 0.0, 2.0, 0.0, 0.25]])
