@@ -70,3 +70,8 @@ class ConfigError(CorridorError):
     def __reduce__(self) -> tuple[type["ConfigError"], tuple[list[str]]]:
         """For the way from another process: not made of the joined lines, as other exceptions are."""
         return type(self), (self.faults,)
+
+
+def words_of(error: BaseException) -> str:
+    """What it says, without the number and the path that Python adds to what the system says."""
+    return error.strerror if isinstance(error, OSError) and error.strerror else str(error)

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from service.errors import InputError, StorageError
+from service.errors import InputError, StorageError, words_of
 from service.geometry.geo_reference import GeoReference
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.annotated import PALETTE, annotated
@@ -235,7 +235,7 @@ def _publish(
             return _publish_alone(folder, write, saved_ns, about, edit)
     except OSError as error:
         before = "; the version before is untouched" if _versions_read(folder) else ""
-        raise StorageError(f"cannot save the map to {folder}: {error}{before}") from error
+        raise StorageError(f"cannot save the map to {folder}: {words_of(error)}{before}") from error
 
 
 def _publish_alone(
@@ -347,7 +347,7 @@ def _load(version: Path, problems: list[str]) -> StoredMap:
         with np.load(version / "tiles.npz", allow_pickle=False) as arrays:
             index, cell_m, cells = arrays["index"], arrays["cell_m"], arrays["cells"]
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise InputError(f"{version / 'tiles.npz'}: {error}") from error
+        raise InputError(f"{version / 'tiles.npz'}: {words_of(error)}") from error
     cells.setflags(write=False)
     tiles = [
         TileUpdate(level, ix, iy, version_of_tile, size_m, square)
@@ -384,7 +384,7 @@ def _checked_manifest(version: Path) -> dict[str, Any]:
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: damaged: {error}") from error
+        raise InputError(f"{path}: damaged: {words_of(error)}") from error
     if not isinstance(manifest, dict):
         raise InputError(f"{path}: damaged: no JSON object")
     if manifest.pop("sha256", None) != _digest(manifest):

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from service.errors import InputError
+from service.errors import InputError, words_of
 from service.geometry.geo_reference import GeoReference
 
 GEO_FILE = "geo.json"
@@ -21,4 +21,4 @@ def read_geo(path: Path) -> GeoReference:
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
     except ValueError as error:
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(f"{path}: {words_of(error)}") from error

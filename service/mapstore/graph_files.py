@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from service.errors import InputError
+from service.errors import InputError, words_of
 from service.geometry.poses import Floats
 from service.mapper.saved_graph import (
     KeptGraph,
@@ -98,7 +98,7 @@ class GraphFolder:
             write_graph(part, graph, self._before, self._known)
             part.rename(new)
         except OSError as error:
-            return KeptGraph("", f"the graph cannot be kept in {new}: {error}")
+            return KeptGraph("", f"the graph cannot be kept in {new}: {words_of(error)}")
         self._before = new
         return KeptGraph(str(new), "")
 
@@ -140,4 +140,4 @@ def read_graph(folder: Path) -> SavedGraph:
                 points.append({key: arrays[key] for key in arrays.files})
         return from_arrays(small, points)
     except (OSError, ValueError, KeyError, zipfile.BadZipFile, SavedGraphError) as error:
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(f"{path}: {words_of(error)}") from error

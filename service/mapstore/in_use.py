@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
-from service.errors import StorageError
+from service.errors import StorageError, words_of
 
 
 class InUse:
@@ -21,7 +21,7 @@ class InUse:
         try:
             file = (folder / ".in_use").open("a+", encoding="utf-8")
         except OSError as error:
-            raise StorageError(f"{folder}: {error}") from error
+            raise StorageError(f"{folder}: {words_of(error)}") from error
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -38,7 +38,7 @@ class InUse:
             file.flush()
         except OSError as error:
             self.release()
-            raise StorageError(f"{folder}: {error}") from error
+            raise StorageError(f"{folder}: {words_of(error)}") from error
 
     def release(self) -> None:
         if self._file is not None:

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
-from service.errors import InputError
+from service.errors import InputError, words_of
 from service.geometry.se2 import SE2, wrap_angle
 from service.offline.session_file import refuse_to_overwrite, write_session
 from service.offline.writing import refuse_unwritable_file
@@ -172,7 +172,7 @@ def _read(path: Path, report: ImportReport) -> _Log:
                     log.out_of_order += stamp_ns < last_ns
                     last_ns = stamp_ns
     except (OSError, EOFError, zlib.error) as error:
-        raise InputError(f"cannot read {path}: {error}") from error
+        raise InputError(f"cannot read {path}: {words_of(error)}") from error
     if not log.scans:
         raise InputError(
             f"{path} holds no line of {', '.join(LASERS)} that can be read; is it a CARMEN log? "

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from service.encoding import OCCUPANCY_GRID, ODOMETRY, decode_grid, decode_pose
-from service.errors import InputError, StorageError, UsageError
+from service.errors import InputError, StorageError, UsageError, words_of
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapstore.files import is_map_folder, load_map
@@ -63,7 +63,7 @@ def export(source: Path, to: Format, out: Path) -> None:
         with whole_files(out) as path:
             write(path)
     except OSError as error:
-        raise StorageError(f"cannot write {out}: {error}") from error
+        raise StorageError(f"cannot write {out}: {words_of(error)}") from error
 
 
 def _writer(source: Path, to: Format) -> Callable[[Path], object]:

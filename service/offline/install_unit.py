@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.errors import StorageError, UsageError
+from service.errors import StorageError, UsageError, words_of
 from service.resources import CONFIG, SYSTEMD
 
 UNIT_PROGRAM = "/opt/corridor/venv/bin/corridor"  # as it stands in the unit
@@ -82,7 +82,7 @@ def install_unit(root: Path, force: bool = False, program: str | None = None) ->
         except PermissionError as error:
             raise StorageError(f"{target}: {error.strerror}; run it as root, or give --root DIR") from error
         except (OSError, UnicodeDecodeError) as error:
-            raise StorageError(f"{target} cannot be written: {error}") from error
+            raise StorageError(f"{target} cannot be written: {words_of(error)}") from error
     started = _started_by(root / FILES[SYSTEMD / "corridor@.service"])
     return Installed(started, written, unchanged, kept, NEXT_STEPS, _warning(started))
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from service.encoding import pose_on_wire
-from service.errors import StorageError
+from service.errors import StorageError, words_of
 from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import UTM_MOST_LATITUDE_DEG
 from service.geometry.se2 import SE2
@@ -77,7 +77,7 @@ def write_replay(done: Replay, out: Path) -> None:
         _store_map(done, out / "map")
         (out / "summary.json").write_text(json.dumps(done.summary, indent=1) + "\n", encoding="ascii")
     except OSError as error:
-        raise StorageError(f"cannot write to {out}: {error}") from error
+        raise StorageError(f"cannot write to {out}: {words_of(error)}") from error
 
 
 def _store_map(done: Replay, folder: Path) -> None:

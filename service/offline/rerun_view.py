@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from service.errors import CorridorError, StorageError
+from service.errors import CorridorError, StorageError, words_of
 from service.mapstore.tiles import TileStore
 from service.offline.trajectory import read_tum
 from service.offline.view import read_stored
@@ -52,13 +52,13 @@ def show_in_rerun(source: Path, save: Path | None = None) -> None:
             save.parent.mkdir(parents=True, exist_ok=True)
             save.open("wb").close()
         except OSError as error:
-            raise StorageError(f"cannot write {save}: {error}") from error
+            raise StorageError(f"cannot write {save}: {words_of(error)}") from error
         stream.save(save)
     else:
         try:
             stream.spawn()
         except (RuntimeError, OSError, subprocess.SubprocessError) as error:
-            raise CorridorError(f"the viewer of rerun does not start: {error}") from error
+            raise CorridorError(f"the viewer of rerun does not start: {words_of(error)}") from error
     _log_map(stream, grid)
     _log_graph(stream, graph)
     trajectory = source / "trajectory.tum"

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Literal
 
 from service.encoding import Message
-from service.errors import StorageError
+from service.errors import StorageError, words_of
 from service.recording.mcap_file import ACTIVE_SUFFIX, LATCHED, McapFile, StreamOpener, create_stream
 from service.recording.mcap_recovery import Leftovers
 
@@ -393,7 +393,7 @@ class McapRecorder:
     def _abandon(self, error: Exception) -> None:
         file, self._file = self._file, None
         where = self._directory if file is None else file.active_path
-        self.health.last_error = f"{where}: {error}"
+        self.health.last_error = f"{where}: {words_of(error)}"
         self.health.state, self.health.path = "disk error", None
         self._retry_at_s = self._monotonic_s() + RETRY_S
         log.error("recording: %s; a new file is tried in %.0f s", self.health.last_error, RETRY_S)

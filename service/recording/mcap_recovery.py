@@ -27,7 +27,7 @@ from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata, 
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
-from service.errors import CorridorError, InputError, StorageError
+from service.errors import CorridorError, InputError, StorageError, words_of
 from service.recording.mcap_file import (
     ACTIVE_SUFFIX,
     CHUNK_BYTES,
@@ -113,7 +113,7 @@ def recover(source: Path) -> RecoveryReport:
             finally:
                 shutil.rmtree(folder)
     except OSError as error:
-        raise StorageError(f"cannot recover {source}: {error}") from error
+        raise StorageError(f"cannot recover {source}: {words_of(error)}") from error
     return report
 
 

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from service.errors import words_of
 from service.mapper.background import BackEnd, BackEndDiedError, WorkLostError
 from service.runtime.channel import Channel, ChannelClosedError
 
@@ -193,7 +194,7 @@ class BackEndProcess:
             try:
                 self._channel = Channel(self._listener.accept()[0])
             except OSError as error:
-                self._give_up(f"the back end of the stand-by did not come ({error})")
+                self._give_up(f"the back end of the stand-by did not come ({words_of(error)})")
             self._close_listener()
         return self._channel
 

@@ -5,6 +5,8 @@ import os
 import socket
 from collections.abc import Mapping
 
+from service.errors import words_of
+
 log = logging.getLogger(__name__)
 
 SEND_TIMEOUT_S = 0.2
@@ -50,7 +52,7 @@ class Notifier:
         except TimeoutError:
             log.warning("systemd does not take %s", line)  # its queue is full
         except OSError as error:
-            self._tell(f"cannot notify systemd at NOTIFY_SOCKET={self._address}: {error}")
+            self._tell(f"cannot notify systemd at NOTIFY_SOCKET={self._address}: {words_of(error)}")
             self._disconnect()
 
     def close(self) -> None:
@@ -65,7 +67,9 @@ class Notifier:
             notify.connect(address)
         except OSError as error:
             notify.close()
-            self._tell(f"NOTIFY_SOCKET is set to {self._address!r}, but nothing receives there: {error}")
+            self._tell(
+                f"NOTIFY_SOCKET is set to {self._address!r}, but nothing receives there: {words_of(error)}"
+            )
             return False
         notify.settimeout(SEND_TIMEOUT_S)
         self._socket = notify

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from service.encoding import ERROR, OK, Message, Status, encode_grid
-from service.errors import StorageError
+from service.errors import StorageError, words_of
 from service.mapstore.config import MapConfig
 from service.mapstore.files import keep_version, save_map
 from service.mapstore.graph_files import remove_overtaken
@@ -399,7 +399,9 @@ class MapSaver(Sink):
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise StorageError(f"cannot save the map to {folder}: {error}; choose another name") from error
+            raise StorageError(
+                f"cannot save the map to {folder}: {words_of(error)}; choose another name"
+            ) from error
         with InUse(folder, f"a session of {self._vehicle}"):
             about = self._about(present.number)
             number = save_map(folder, present.tiles, self._unix_ns(), about, present.geo, present.graph)

@@ -14,7 +14,7 @@ from collections.abc import Collection
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from service.errors import StorageError
+from service.errors import StorageError, words_of
 
 TOKEN_BYTES = 16
 LONGEST_TOKEN_FILE = 1000
@@ -55,7 +55,9 @@ def token_from_file(path: Path) -> str:
             return _kept_token(path)
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     except OSError as error:
-        raise StorageError(f"{path}: the token of the page cannot be kept there: {error}") from error
+        raise StorageError(
+            f"{path}: the token of the page cannot be kept there: {words_of(error)}"
+        ) from error
     token = new_token()
     with os.fdopen(descriptor, "w", encoding="ascii") as file:
         file.write(f"{token}\n")
@@ -68,7 +70,7 @@ def _kept_token(path: Path) -> str:
         with path.open(encoding="ascii") as file:
             token = file.read(LONGEST_TOKEN_FILE).strip()
     except (OSError, UnicodeDecodeError) as error:
-        raise StorageError(f"{path}: the token of the page cannot be read: {error}") from error
+        raise StorageError(f"{path}: the token of the page cannot be read: {words_of(error)}") from error
     if mode & 0o077:
         raise StorageError(
             f"{path}: others may read the token of the page (mode {mode:04o}); chmod 600 {path}"

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from service.errors import words_of
 from service.web.work import ResourceError, SessionMapProcess, run
 
 Kind = Literal["session", "map"]
@@ -96,7 +97,7 @@ class Resources:
             try:
                 aside.mkdir(parents=True)
             except OSError as error:
-                raise ResourceError(f"{name} cannot be deleted: {error}") from error
+                raise ResourceError(f"{name} cannot be deleted: {words_of(error)}") from error
             self._move(path, aside / name)
             self._deleted[number] = (kind, name)
             return number
@@ -176,7 +177,7 @@ class Resources:
             return Download(Path(archive), f"{stem}.zip", scratch)
         except OSError as error:
             shutil.rmtree(scratch, ignore_errors=True)
-            raise ResourceError(f"{path.name} cannot be exported: {error}") from error
+            raise ResourceError(f"{path.name} cannot be exported: {words_of(error)}") from error
         except ResourceError:
             shutil.rmtree(scratch, ignore_errors=True)
             raise
@@ -218,4 +219,4 @@ class Resources:
         try:
             os.rename(path, target)
         except OSError as error:
-            raise ResourceError(f"{path.name} cannot be moved to {target}: {error}") from error
+            raise ResourceError(f"{path.name} cannot be moved to {target}: {words_of(error)}") from error

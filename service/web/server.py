@@ -26,6 +26,7 @@ from typing import Any, Protocol
 from aiohttp import WSCloseCode, web
 
 from service.encoding import Message, Status
+from service.errors import words_of
 from service.version import VERSION
 from service.web.access import HEADERS, host_fault, origin_fault, own_names
 from service.web.browser import Browser
@@ -214,7 +215,7 @@ class WebServer:
         try:
             self._listening = await self._doorway.open(runner, host, port, self._tls())
         except (OSError, ssl.SSLError) as error:
-            words = f"the page cannot be served at {self._config.listen}: {error}"
+            words = f"the page cannot be served at {self._config.listen}: {words_of(error)}"
             if words != self._fault and self._retry_s is not None:
                 log.error("web: %s; tried again each %.0f s, mapping goes on", words, self._retry_s)
             self._has_failed = True

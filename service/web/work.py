@@ -9,6 +9,8 @@ import threading
 from pathlib import Path
 from typing import Any
 
+from service.errors import words_of
+
 WORK_TIMEOUT_S = 300.0  # of an export or an edit
 TURN_TIMEOUT_S = 20.0  # until the request before is answered
 CLOSE_TIMEOUT_S = 2.0
@@ -83,7 +85,7 @@ class SessionMapProcess:
                 raise ResourceError(f"it took longer than {WORK_TIMEOUT_S:.0f} s and was ended")
             told = _line(answers)
         except (OSError, ValueError) as error:  # ended while it was asked
-            raise ResourceError(f"the process that works on maps was ended: {error}") from error
+            raise ResourceError(f"the process that works on maps was ended: {words_of(error)}") from error
         if not told:
             raise ResourceError("the process that works on maps has ended; the log of the service says why")
         answer: dict[str, Any] = json.loads(told)

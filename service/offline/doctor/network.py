@@ -5,6 +5,7 @@ import ipaddress
 import socket
 from dataclasses import dataclass
 
+from service.errors import words_of
 from service.offline.doctor.findings import Finding, fault
 from service.offline.doctor.machine import Machine
 
@@ -28,7 +29,7 @@ def resolve(who: str, host: str, port: int) -> tuple[str, Finding | None]:
     except (socket.gaierror, UnicodeError) as error:
         return "", fault(
             who,
-            f"the name {host} has no address: {error}",
+            f"the name {host} has no address: {words_of(error)}",
             "an address, or a name this machine knows",
             "write the device's address as `host`, or the name into /etc/hosts",
         )

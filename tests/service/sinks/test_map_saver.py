@@ -164,7 +164,7 @@ def test_a_name_that_the_disk_refuses_is_told_and_the_next_save_is_made(
     assert answers.came.acquire(timeout=10.0)
     saved, fault = answers.heard[1]
     assert saved is None
-    assert f"cannot save the map to {tmp_path}/map/notes: [Errno 17] File exists" in fault
+    assert f"cannot save the map to {tmp_path}/map/notes: File exists" in fault
     running.tiles.update([tile(2)])
     running.saver.ask_to_save(answers)
     assert answers.came.acquire(timeout=10.0)
