@@ -378,6 +378,8 @@ def test_a_folder_that_cannot_be_written_stops_the_start(
     service = open_service()
     with pytest.raises(StorageError, match=words):
         service.start()
+    service.stop()
+    assert list(tmp_path.glob("sessions/*.mcap*")) == []  # nothing was driven: no recording of that
 
 
 def test_a_step_of_the_wall_clock_is_reported_and_not_applied(
