@@ -95,6 +95,16 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         f"{METHOD}.narrow_walls.NarrowWalls",
         {"directed": by_single_scans, "insert": by_single_scans},
     ),
+    (
+        "odometry that stands does not count before it has moved, or after a stop that no vehicle makes ([30])",
+        "service.fusion.standstill.Standstill",
+        {"says_nothing": lambda *_: False},
+    ),
+    (
+        "bias of the ranges learnt ([21])",
+        f"{METHOD}.range_bias.RangeBias",
+        {"is_due": lambda *_: False},
+    ),
 )
 TRIPS = {
     "corridor100": Trip(WORLDS["corridor100"], LMS100_50HZ),
@@ -103,6 +113,9 @@ TRIPS = {
     "office": Trip(WORLDS["office"], LMS100_50HZ),
     "office, 30 % of the beams lost": Trip(
         WORLDS["office"], replace(LMS100_50HZ, model=replace(LMS100_50HZ.model, dropout_share=0.3))
+    ),
+    "office, ranges too long by 30 mm": Trip(
+        WORLDS["office"], replace(LMS100_50HZ, model=replace(LMS100_50HZ.model, bias_m=0.03))
     ),
     "office, mirror of 5 Hz": Trip(WORLDS["office"], MIRRORS["5 Hz"]),
     "office, 10 Hz, odometry dead": Trip(WORLDS["office"], LMS100_10HZ, change=WRONG["dead"]),
