@@ -96,7 +96,7 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         {"directed": by_single_scans, "insert": by_single_scans},
     ),
     (
-        "odometry that stands does not count before it has moved, or after a stop that no vehicle makes ([30])",
+        "odometry that stands counts only where a vehicle can stand ([30])",
         "service.fusion.standstill.Standstill",
         {"says_nothing": lambda *_: False},
     ),
