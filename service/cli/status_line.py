@@ -68,12 +68,12 @@ class StatusLine:
         self._shown = ""
 
     def _words(self, service: "Service", now_s: float) -> str:
-        glance = service.glance
-        if glance is not None and not self._is_ready:
+        status = service.running_status
+        if status is not None and not self._is_ready:
             self._is_ready, self._began_s = True, now_s
         seconds = now_s - self._began_s
-        if glance is not None:
-            return f"{seconds:.0f} s | {glance}"
+        if status is not None:
+            return f"{seconds:.0f} s | {status}"
         if share := service.kernels_compiled:
             return f"compiling kernels {bar(share)} {seconds:.0f} s"
         return f"loading kernels, {seconds:.0f} s" if self._terminal or seconds > PLAIN_S else ""

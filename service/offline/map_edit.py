@@ -263,11 +263,11 @@ def _solved(stored: StoredMap, graph: SavedGraph, words: str, told: dict[str, An
     done = solved(graph, shown.renderer)
     shown.replace_by(done.rendered_map, ())
     most_m = round(float(done.moved_m.max()), 3)
-    aside = f"; {done.laid_aside} loops that the rest contradicts are gone" if done.laid_aside else ""
+    aside = f"; {done.contradicted} loops that the rest contradicts are gone" if done.contradicted else ""
     return Changed(
         replace(stored, tiles=shown.changed_tiles(), graph=done.graph),
         f"{words}; key frames moved by up to {most_m:.3f} m{aside}",
-        {**told, "moved_m": most_m, "loops_laid_aside": done.laid_aside},
+        {**told, "moved_m": most_m, "loops_contradicted": done.contradicted},
     )
 
 

@@ -16,7 +16,7 @@ from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import StoredMap, is_map_folder, load_map, versions_of
 from service.mapstore.ros_map import read_ros_map
 from service.mapstore.tiles import TileStore
-from service.offline.bent_way import bent_way
+from service.offline.corrected_path import corrected_path
 from service.offline.driven_moments import DrivenMoments
 from service.offline.map_change_file import CHANGES_FILE, read_changes
 from service.offline.map_commands import MapCommands
@@ -95,7 +95,7 @@ class View:
     def _show_stored(self, stored: StoredMap) -> None:
         stamp_ns, poses = self._trajectory
         if self._mapped is not None and stored.graph is not None:
-            stamp_ns, poses = bent_way(stamp_ns, poses, self._mapped, stored.graph)
+            stamp_ns, poses = corrected_path(stamp_ns, poses, self._mapped, stored.graph)
         graph = NO_GRAPH if stored.graph is None else draw_saved(stored.graph)
         self._show(stored.tiles, graph, stamp_ns, poses, {"version": str(stored.number)})
 

@@ -23,13 +23,13 @@ from service.located_yaml import MAX_FILE_BYTES, load
 MODULE = "service.runtime.mapper_process"
 TOLD = "--told"  # the section "mapping" of the config, JSON, comes on the process's standard input
 END_S = 2.0
-FOLDER, SOCKET = "corridor-meeting-", "mapper.sock"
+FOLDER, SOCKET = "corridor-mapper-", "mapper.sock"
 
 
-class Meeting:
+class MapperSocket:
     """A folder of its own with the socket at which the mapper and its stand-bys arrive.
 
-    The folder is locked for as long as this process lives. The next meeting removes what a killed one left.
+    The folder is locked for as long as this process lives. The next one removes what a killed one left.
     """
 
     def __init__(self) -> None:
@@ -79,10 +79,10 @@ class EarlyMapper:
     """`tell` it for what to load kernels; a MapperLink takes it over. On exit the process ends."""
 
     def __init__(self) -> None:
-        self.meeting = Meeting()
-        before_ending(self.meeting.close)
+        self.mapper_socket = MapperSocket()
+        before_ending(self.mapper_socket.close)
         self.process = subprocess.Popen(
-            [sys.executable, "-m", MODULE, str(self.meeting.folder), TOLD],
+            [sys.executable, "-m", MODULE, str(self.mapper_socket.folder), TOLD],
             stdin=subprocess.PIPE,
             env=mapper_environment(),
             start_new_session=True,
@@ -99,7 +99,7 @@ class EarlyMapper:
         self.process.kill()
         with suppress(subprocess.TimeoutExpired):
             self.process.wait(END_S)
-        self.meeting.close()
+        self.mapper_socket.close()
 
     def tell(self, mapping: Mapping[str, Any]) -> None:
         """The section "mapping" of the config, unchecked; which kernels to load follows from it."""

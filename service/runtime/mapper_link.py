@@ -21,7 +21,7 @@ from contextlib import suppress
 from typing import Any, Protocol
 
 from service.runtime.channel import Channel, ChannelClosedError, Listening, wait_for
-from service.runtime.early_mapper import END_S, MODULE, EarlyMapper, Meeting, mapper_environment
+from service.runtime.early_mapper import END_S, MODULE, EarlyMapper, MapperSocket, mapper_environment
 from service.runtime.mapper_messages import (
     Answer,
     BackEndDied,
@@ -87,7 +87,7 @@ class MapperLink:
         self._setup = setup
         self._listener = listener
         self._early = early
-        self._meeting = Meeting() if early is None else early.meeting
+        self._mapper_socket = MapperSocket() if early is None else early.mapper_socket
         self._lock = threading.Lock()  # of what follows, down to the blank line
         self._active: Channel | None = None
         self._given_up: list[Channel] = []  # active ones that take nothing any more, until they are closed
@@ -155,7 +155,7 @@ class MapperLink:
         if self._early is not None:
             self._process = self._early.process
             return
-        command = [sys.executable, "-m", MODULE, str(self._meeting.folder)]
+        command = [sys.executable, "-m", MODULE, str(self._mapper_socket.folder)]
         # A session of its own: Ctrl-C is for ingest, which says when it is over.
         self._process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, env=mapper_environment(), start_new_session=True
@@ -238,13 +238,13 @@ class MapperLink:
         if self._process is not None:
             _kill(self._process.pid)
             self._bury()
-        self._meeting.close()
+        self._mapper_socket.close()
 
     def _listen(self) -> None:
         standby = [self._standby[0]] if self._standby is not None else []
         active = self._active
         ends = [*([active] if active is not None else []), *standby, *self._unidentified]
-        for end in wait_for([*ends, Listening(self._meeting.server)], LISTEN_S):
+        for end in wait_for([*ends, Listening(self._mapper_socket.server)], LISTEN_S):
             if not isinstance(end, Channel):
                 self._accept()
             elif end is active:
@@ -257,7 +257,7 @@ class MapperLink:
     def _accept(self) -> None:
         while True:
             try:
-                connection, _ = self._meeting.server.accept()
+                connection, _ = self._mapper_socket.server.accept()
             except BlockingIOError:
                 return
             self._unidentified.append(Channel(connection))

@@ -30,7 +30,6 @@ from service.outputs import TileUpdate
 from service.publishing.commands import Answer, CommandDispatcher, CommandError
 from service.runtime.commands import Commands
 from service.runtime.early_mapper import EarlyMapper
-from service.runtime.glance import Glance, glance
 from service.runtime.health import HealthReport
 from service.runtime.host_time import HostTime
 from service.runtime.intake import Intake
@@ -41,6 +40,7 @@ from service.runtime.metrics import LatencyHistogram
 from service.runtime.notify import Notifier
 from service.runtime.profile_switch import PresentMapping, ProfileSwitch
 from service.runtime.readers import Readers
+from service.runtime.running_status import RunningStatus, running_status
 from service.runtime.summary import Summary
 from service.runtime.workers import Workers
 from service.sinks.fan_out import CLOSE_S, FLUSH_S, Sinks
@@ -180,11 +180,11 @@ class Service:
         return self._sinks.places()
 
     @property
-    def glance(self) -> Glance | None:
+    def running_status(self) -> RunningStatus | None:
         """How it goes, for a terminal; None before it is ready."""
         if not self._ready_ns:
             return None
-        return glance(self._report, self._outputs.last, self._latency, self._tiles)
+        return running_status(self._report, self._outputs.last, self._latency, self._tiles)
 
     @property
     def kernels_compiled(self) -> float:

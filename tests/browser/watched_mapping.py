@@ -90,7 +90,7 @@ class Watched:
                 self._reader.wait()
 
     def _watch(self, service: Service) -> None:
-        if self._reader is not None or service.glance is None:
+        if self._reader is not None or service.running_status is None:
             return
         host, _, port = service.places["web"].removeprefix("http://").rstrip("/").partition(":")
         command = [sys.executable, "-c", READ, host, port, str(BROWSERS), str(WINDOW_S)]

@@ -9,10 +9,10 @@ import pytest
 
 from service.cli.status_line import CLEAR, PLAIN_S, StatusLine, status_line
 from service.geometry.se2 import SE2
-from service.runtime.glance import Glance
 from service.runtime.metrics import Percentiles
+from service.runtime.running_status import RunningStatus
 
-OK = Glance(
+OK = RunningStatus(
     "ok", "ok", SE2(1.234, -5.0, 1.5707963), {"front": 50.0, "imu": 199.6}, Percentiles(1.9, 3.0, 43.4, 50.0),
     (24.0, 18.0), 12,
 )  # fmt: skip
@@ -31,16 +31,18 @@ class Clock:
         return self.now_s
 
 
-def service(glance: Glance | None = OK, kernels_compiled: float = 0.0) -> Any:
-    return SimpleNamespace(glance=glance, kernels_compiled=kernels_compiled)
+def service(running_status: RunningStatus | None = OK, kernels_compiled: float = 0.0) -> Any:
+    return SimpleNamespace(running_status=running_status, kernels_compiled=kernels_compiled)
 
 
-def test_a_glance_names_state_pose_rates_latency_and_map():
+def test_the_running_status_names_state_pose_rates_latency_and_map():
     assert str(OK) == (
         "ok | x 1.23 y -5.00 m, 90 deg | front 50 imu 200 Hz | latency 1.9 ms, p99 43 | "
         "map 24 x 18 m, 12 tiles"
     )
-    lost = Glance("lost", "few beams agree", None, {"front": 0.0}, Percentiles(0, 0, 0, 0), (0.0, 0.0), 0)
+    lost = RunningStatus(
+        "lost", "few beams agree", None, {"front": 0.0}, Percentiles(0, 0, 0, 0), (0.0, 0.0), 0
+    )
     assert str(lost) == "lost | front 0 Hz | few beams agree"
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from service.runtime.early_mapper import EarlyMapper, Meeting, mapping_section
+from service.runtime.early_mapper import EarlyMapper, MapperSocket, mapping_section
 
 
 @pytest.mark.parametrize(
@@ -36,7 +36,7 @@ def test_a_process_that_nobody_takes_over_ends_with_its_folder(is_told: bool):
     with EarlyMapper() as early:
         if is_told:
             early.tell({"profile": "corridor"})
-        folder = early.meeting.folder
+        folder = early.mapper_socket.folder
         assert folder.exists()
         with pytest.raises(subprocess.TimeoutExpired):
             early.process.wait(0.05)
@@ -44,7 +44,9 @@ def test_a_process_that_nobody_takes_over_ends_with_its_folder(is_told: bool):
     assert not folder.exists()
 
 
-MEETS = "from service.runtime.early_mapper import Meeting as M; m = M(); print(m.folder, flush=True); input()"
+MAKES = (
+    "from service.runtime.early_mapper import MapperSocket as M; m = M(); print(m.folder, flush=1); input()"
+)
 
 
 def test_the_folder_of_a_service_that_was_killed_is_removed_by_the_next(
@@ -52,21 +54,21 @@ def test_the_folder_of_a_service_that_was_killed_is_removed_by_the_next(
 ):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(tempfile, "tempdir", None)  # as it is before anybody has asked
-    living = Meeting()
-    just_made = tmp_path / "corridor-meeting-new"
+    living = MapperSocket()
+    just_made = tmp_path / "corridor-mapper-new"
     just_made.mkdir()
-    command = [sys.executable, "-c", MEETS]
+    command = [sys.executable, "-c", MAKES]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout is not None
         theirs = Path(other.stdout.readline().strip())
-        while_it_lives = Meeting()
+        while_it_lives = MapperSocket()
         assert theirs.exists()
         other.kill()
     assert theirs.exists()
-    after = Meeting()
+    after = MapperSocket()
     assert sorted(tmp_path.iterdir()) == sorted(
         [living.folder, just_made, while_it_lives.folder, after.folder]
     )
-    for meeting in (living, while_it_lives, after):
-        meeting.close()
+    for socket in (living, while_it_lives, after):
+        socket.close()
     assert list(tmp_path.iterdir()) == [just_made]

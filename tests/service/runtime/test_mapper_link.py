@@ -442,7 +442,7 @@ def test_everything_ends_with_the_link(drive: Drive):
     drive.until_mapped()
     drive.until(lambda: drive.link.standby_pid != 0)
     pids = [drive.link.pid, drive.link.standby_pid]
-    folder = drive.link._meeting.folder
+    folder = drive.link._mapper_socket.folder
     assert drive.link.finish(TIMEOUT_S)
     drive.stop()
     for pid in pids:

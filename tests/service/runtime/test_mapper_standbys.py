@@ -77,7 +77,7 @@ def link() -> Iterator[MapperLink]:
 
 
 def folder_of(link: MapperLink) -> Path:
-    return link._meeting.folder
+    return link._mapper_socket.folder
 
 
 def submit(link: MapperLink, count: int) -> None:

@@ -34,7 +34,7 @@ class Solved:
 
     graph: SavedGraph
     rendered_map: RenderedMap
-    laid_aside: int  # loops that the rest contradicts, and that are gone
+    contradicted: int  # loops that the rest contradicts, and that are gone
     moved_m: Floats  # (N,) of each key frame
 
 

@@ -73,7 +73,7 @@ def test_of_an_erased_area_no_point_is_left_and_all_others_are(ring: SavedGraph)
 
 def test_a_solution_of_what_is_solved_moves_nothing(ring: SavedGraph):
     again = solved(ring, RENDERER)
-    assert again.laid_aside == 0
+    assert again.contradicted == 0
     assert again.moved_m.max() < 0.001
 
 

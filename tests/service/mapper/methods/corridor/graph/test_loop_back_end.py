@@ -217,7 +217,7 @@ def test_what_was_never_seen_twice_stays_as_odometry_has_it(ring: tuple[list[Key
         assert abs(away.x_m) + abs(away.y_m) + abs(away.theta_rad) < 1e-9
 
 
-def test_a_false_loop_that_the_rest_contradicts_is_laid_aside(
+def test_a_false_loop_that_the_rest_contradicts_is_dropped(
     ring: tuple[list[KeyFrame], list[SE2]], ring_fed: tuple[bytes, list[Result]]
 ):
     truth, back_end = ring[1], pickle.loads(ring_fed[0])

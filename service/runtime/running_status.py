@@ -13,7 +13,7 @@ from service.runtime.metrics import LatencyHistogram, Percentiles
 
 
 @dataclass(frozen=True, slots=True)
-class Glance:
+class RunningStatus:
     """As of the newest health report, the pose as of the newest scan."""
 
     state: str  # of the mapping: ok, degraded, lost, waiting, stale, paused, overloaded
@@ -39,10 +39,12 @@ class Glance:
         return " | ".join(parts)
 
 
-def glance(report: HealthReport, last: Mapped | None, latency: LatencyHistogram, tiles: TileStore) -> Glance:
+def running_status(
+    report: HealthReport, last: Mapped | None, latency: LatencyHistogram, tiles: TileStore
+) -> RunningStatus:
     """Put together from the parts of a service. Any thread."""
     state, reason = report.mapping_state
     pose = decode_pose(last.messages[0].payload).pose if last is not None and last.messages else None
-    return Glance(
+    return RunningStatus(
         state, reason, pose, report.rates_hz, latency.percentiles(), tiles.extent_m, tiles.finest_count
     )

@@ -7,7 +7,7 @@ import pytest
 
 from service.geometry import poses as se2
 from service.mapper.methods.corridor.graph.editing import without_time
-from service.offline.bent_way import bent_way
+from service.offline.corrected_path import corrected_path
 from tests.service.mapper.methods.corridor.graph.test_editing import saved_of
 
 TENTH_NS = 10**8
@@ -29,7 +29,7 @@ def driven(graph):
 
 def test_in_the_same_map_the_way_is_as_driven(graph, driven):
     stamp_ns, poses = driven
-    same_ns, way = bent_way(stamp_ns, poses, graph, graph)
+    same_ns, way = corrected_path(stamp_ns, poses, graph, graph)
     np.testing.assert_array_equal(same_ns, stamp_ns)
     np.testing.assert_allclose(way, poses, atol=1e-9)
 
@@ -40,17 +40,17 @@ def test_each_pose_goes_with_the_key_frame_before_it(graph, driven):
     moved[10:] = se2.compose(np.array([3.0, -1.0, 0.4]), graph.map[10:])
     expected = poses.copy()
     expected[40:] = se2.compose(np.array([3.0, -1.0, 0.4]), poses[40:])
-    _, way = bent_way(stamp_ns, poses, graph, replace(graph, map=moved))
+    _, way = corrected_path(stamp_ns, poses, graph, replace(graph, map=moved))
     np.testing.assert_allclose(way, expected, atol=1e-9)
 
 
 def test_what_was_cut_out_is_gone_from_the_way(graph, driven):
     stamp_ns, poses = driven
     cut = without_time(graph, int(graph.stamp_ns[5]), int(graph.stamp_ns[7]), is_bridged=True)
-    left_ns, way = bent_way(stamp_ns, poses, graph, cut)
+    left_ns, way = corrected_path(stamp_ns, poses, graph, cut)
     np.testing.assert_allclose(way, np.delete(poses, np.arange(20, 32), axis=0), atol=1e-9)
     np.testing.assert_array_equal(left_ns, np.delete(stamp_ns, np.arange(20, 32)))
 
 
 def test_without_a_trajectory_there_is_no_way(graph):
-    assert bent_way(np.empty(0, np.int64), np.empty((0, 3)), graph, graph)[1].shape == (0, 3)
+    assert corrected_path(np.empty(0, np.int64), np.empty((0, 3)), graph, graph)[1].shape == (0, 3)

@@ -1,4 +1,4 @@
-"""The way of a trajectory in a map that was bent after it was driven."""
+"""The path of a drive in a map whose graph was corrected after it."""
 
 import numpy as np
 import numpy.typing as npt
@@ -8,7 +8,7 @@ from service.geometry.poses import Floats
 from service.mapper.saved_graph import SavedGraph
 
 
-def bent_way(
+def corrected_path(
     stamp_ns: npt.NDArray[np.int64], poses: Floats, before: SavedGraph, after: SavedGraph
 ) -> tuple[npt.NDArray[np.int64], Floats]:
     """(M,) and (M, 3). Each pose goes with the key frame before it; those of key frames that were cut out
