@@ -64,10 +64,11 @@ def _before(keyframes: KeyframeList) -> tuple[npt.NDArray[np.int64], npt.NDArray
     """
     of = np.arange(keyframes.count - 1, dtype=np.int64)
     is_unknown = np.zeros(keyframes.count - 1, np.bool_)
+    pieces = keyframes.piece
     last_of: dict[int, int] = {}
-    for k, piece in enumerate(keyframes.piece.tolist()):
-        if k and piece != keyframes.piece[k - 1]:
-            of[k - 1] = last_of.get(piece, k - 1)
-            is_unknown[k - 1] = piece not in last_of
-        last_of[piece] = k
+    for k in (np.flatnonzero(np.diff(pieces)) + 1).tolist():
+        before, piece = int(pieces[k - 1]), int(pieces[k])
+        last_of[before] = k - 1
+        of[k - 1] = last_of.get(piece, k - 1)
+        is_unknown[k - 1] = piece not in last_of
     return of, is_unknown
