@@ -43,7 +43,7 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     (
         "information of a scan reduced by what chance gives ([22])",
         f"{METHOD}.surfel_gauss_newton",
-        {"WRONG_ODOMETRY_NOISE": 0.0},
+        {"_chance_chi2": lambda _: 0.0},
     ),
     (
         "unknown ground neutral in the loop search",
