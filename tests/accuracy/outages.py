@@ -3,7 +3,6 @@
 import gc
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,10 +23,8 @@ ALONE_NS = (1_000_000_000, 2_000_000_000, OUTAGE_NS)  # for which a laser that i
 AFTER_NS = 6_000_000_000  # that a run goes on after the fault
 WRONG_M, SIGMAS = 0.3, 3.0
 FOUND_M = 0.05
-KNOWN_SHARE, KNOWN_M = (
-    0.5,
-    0.1,
-)  # of what is seen after a fault, so near to what was seen before: known ground
+# Known ground: so much of what is seen after a fault is so near to what was seen before it.
+KNOWN_SHARE, KNOWN_M = 0.5, 0.1
 EACH = 10  # scan of those before
 OTHER_NOISE = 100  # added to a seed: the same drive once more
 ONTO_NEW = "lifted, carried on for 5 s with everything off"
@@ -77,24 +74,25 @@ class Outcome:
             Row(where, f"`degraded` and {WRONG_M} m off", self.wrong_degraded, "scans", digits=0),
         ]
         for is_known, ground in ((True, "known ground"), (False, "new ground")):
-            of = [k for k, on_known in enumerate(self.on_known_ground) if on_known == is_known]
-            if not of:
-                continue
-            found_s, end_mm = (2.0, 50.0) if is_known and has_to_be_found else (None, None)
-
-            def row(what: str, values: list[float], unit: str, of: list[int] = of, **bounds: Any) -> Row:
-                return Row(where, what, [values[k] for k in of], unit, by_worst=True, **bounds)
-
-            on = f"{ground} ({len(of)} moments)"
-            rows += [
-                row(f"{on}: found again after", self.found_s, "s", at_most=found_s),
-                row(f"{on}: `ok` again after", self.ok_s, "s"),
-                row(f"{on}: off at the end", self.end_mm, "mm", at_most=end_mm, digits=1),
-            ]
+            moments = [k for k, on_known in enumerate(self.on_known_ground) if on_known == is_known]
+            bounds = (2.0, 50.0) if is_known and has_to_be_found else (None, None)
+            if moments:
+                rows += self._found_rows(where, f"{ground} ({len(moments)} moments)", moments, *bounds)
         rows.append(
             Row(where, "ghost cells added", self.ghosts, "cells", at_most=20.0, by_worst=True, digits=0)
         )
         return rows
+
+    def _found_rows(
+        self, where: str, on: str, moments: list[int], found_s: float | None, end_mm: float | None
+    ) -> list[Row]:
+        """Of these moments; the latter two are bounds."""
+        found, ok, end = ([of[k] for k in moments] for of in (self.found_s, self.ok_s, self.end_mm))
+        return [
+            Row(where, f"{on}: found again after", found, "s", at_most=found_s, by_worst=True),
+            Row(where, f"{on}: `ok` again after", ok, "s"),
+            Row(where, f"{on}: off at the end", end, "mm", at_most=end_mm, by_worst=True, digits=1),
+        ]
 
 
 def is_on_known_ground(made: Drive, at_ns: int, after_ns: int) -> bool:
