@@ -22,7 +22,7 @@ from service.mapper.methods.corridor.graph.candidate_submap import LEAST_SCORE, 
 from service.mapper.methods.corridor.graph.drawing import Drawing
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
 from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
-from service.mapper.methods.corridor.graph.loops import Loop, agree, as_edges, disagreement, loop_of
+from service.mapper.methods.corridor.graph.loops import Loop, agree, as_edges, disagreement, loop_of, untied
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
 from service.mapper.methods.corridor.graph.odometry_edges import doubtful_steps, lost_steps, odometry_edges
 from service.mapper.methods.corridor.graph.passes import worth_asking
@@ -49,6 +49,7 @@ WINDOW_M, WINDOW_RAD = 0.5, 0.06  # half a window where nothing has drifted: wha
 DRIFTS = (3.5, 4.0)  # so many times the drift of place and heading lies within it besides
 MOST_WINDOW_M, MOST_WINDOW_RAD = 12.0, 1.6  # bounds the time of a search
 FINISH_WINDOW = (1.5, 0.2)  # m, rad: what may be left of the drift when all loops hold
+MOST_STRETCHES = 1000  # searched again at the finish, 10 s and more; of longer drives what no loop ties yet
 LEAST_SHARE = 0.45  # of the points on the map, in medians of the drive: half of a place may have changed
 MOST_AGAINST = 0.12  # of the points in free space of the place: doors that were closed, things that moved
 WITHIN_M = 30.0  # way within which loops that say the same lie
@@ -301,8 +302,9 @@ class LoopBackEnd:
         length_m = self._lengths_from(reference)
         if window is None:
             reach_m = np.minimum(WINDOW_M + DRIFTS[0] * config.drift * length_m, MOST_WINDOW_M)
+            reach_rad = np.minimum(WINDOW_RAD + DRIFTS[1] * config.drift_radpm * length_m, MOST_WINDOW_RAD)
         else:
-            reach_m = np.full(keyframes.count, window[0])
+            reach_m, reach_rad = np.full(keyframes.count, window[0]), np.full(keyframes.count, window[1])
         away_m = np.hypot(*(keyframes.map[:, :2] - keyframes.map[reference, :2]).T)
         apart = np.abs(way - way[reference]) >= config.apart_m + config.place_m
         if window is None:
@@ -317,15 +319,11 @@ class LoopBackEnd:
             if cloud is None:
                 cloud = cloud_of(keyframes, members, reference)
             guess = se2.between(keyframes.map[submap.reference], keyframes.map[reference])
-            reach_rad = (
-                min(WINDOW_RAD + DRIFTS[1] * config.drift_radpm * length_m[k], MOST_WINDOW_RAD)
-                if window is None
-                else window[1]
-            )
-            pose = submap.search(cloud, guess, float(reach_m[k]), float(reach_rad), LEAST_SCORE)
+            reach = float(reach_m[k]), float(reach_rad[k])
+            pose = submap.search(cloud, guess, *reach, LEAST_SCORE)
             if pose is None:
                 continue
-            fit = submap.align_about(cloud, pose, guess, float(reach_m[k]), float(reach_rad))
+            fit = submap.align_about(cloud, pose, guess, *reach)
             is_good = self._is_good(fit)
             against = submap.against(cloud, fit.pose) if is_good else math.nan
             loop = loop_of(
@@ -441,7 +439,6 @@ class LoopBackEnd:
         if self._loops:
             self._solve()
         self._submaps.clear()
-        text = to_g2o(self._graph())
         corrections = [self._correction(k) for k in range(keyframes.stored, keyframes.count)]
         return Result(
             len(self._loops),
@@ -449,17 +446,21 @@ class LoopBackEnd:
             newest=corrections[-1],
             rendered_map=self.render(),
             all=corrections,
-            g2o=text,
+            g2o=to_g2o(self._graph()),
         )
 
     def _search_again(self) -> None:
-        """Every stretch against the passes that lie near it now: revisits that were missed on the way."""
+        """Stretches against the passes that lie near them now: revisits that were missed on the way."""
         config, way = self._config, self._keyframes.way_m
         done = {(round(way[loop.to] / 3.0), round(way[loop.of] / 3.0)) for loop in self._loops}
         self._candidates = list(self._loops)
         new = []
         first_m = config.place_m + float(way[self._keyframes.stored])
-        for at_m in np.arange(first_m, way[-1], config.search_every_m):
+        stretches_m = np.arange(first_m, way[-1], config.search_every_m)
+        if len(stretches_m) > MOST_STRETCHES:
+            tied_m = way[[loop.to for loop in self._loops]] + 0.5 * config.place_m  # ends of the queries
+            stretches_m = untied(stretches_m, tied_m, config.search_every_m)
+        for at_m in stretches_m:
             for loop in self._search(int(np.searchsorted(way, at_m)), FINISH_WINDOW):
                 spot = (round(way[loop.to] / 3.0), round(way[loop.of] / 3.0))
                 if spot not in done and loop.of < loop.to:
@@ -473,9 +474,8 @@ class LoopBackEnd:
 
     def render(self) -> RenderedMap | None:
         """The shown map, drawn anew; None where this was made to draw none."""
-        if self._renderer is None:
-            return None
-        return self._renderer.render(to_render(self._keyframes, self._joined))
+        renderer = self._renderer
+        return None if renderer is None else renderer.render(to_render(self._keyframes, self._joined))
 
     def _forget_session(self) -> None:
         """Of a vehicle that is only localised a stretch of the way is kept; of a lost one the poses, too."""

@@ -12,6 +12,7 @@ from service.geometry.se2 import SE2
 from service.mapper.components import Correction
 from service.mapper.known_pose import carried
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
+from service.mapper.methods.corridor.graph import loop_back_end
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
 from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
 from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
@@ -77,6 +78,26 @@ def test_a_ring_is_closed_and_the_way_bent_back(
     assert finished.disabled == 0
     assert finished.g2o.count("VERTEX_SE2") == len(frames)
     assert finished.g2o.count("EDGE_SE2") >= len(frames) - 1 + finished.loops
+
+
+def test_after_a_long_drive_the_finish_searches_where_no_loop_ties_it(
+    ring_fed: tuple[bytes, list[Result]], monkeypatch: pytest.MonkeyPatch
+):
+    """Else it takes longer the longer the drive was, and a service that ends does not wait for it."""
+    searched: list[int] = []
+    search = LoopBackEnd._search
+    monkeypatch.setattr(
+        LoopBackEnd, "_search", lambda self, last, window: searched.append(last) or search(self, last, window)
+    )
+    pickle.loads(ring_fed[0])._search_again()
+    every = searched.copy()
+    searched.clear()
+    monkeypatch.setattr(loop_back_end, "MOST_STRETCHES", len(every) - 1)
+    back_end: LoopBackEnd = pickle.loads(ring_fed[0])
+    back_end._search_again()
+    tied = {loop.to for loop in back_end._loops}
+    assert 0 < len(searched) < len(every)
+    assert not tied & {last - round(2.5 / STEP_M) for last in searched}  # the middles of the queries
 
 
 def test_a_closed_ring_is_known_better_than_the_way_that_led_to_it(ring: tuple[list[KeyFrame], list[SE2]]):

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from service.mapper.methods.corridor.graph.loops import FLOOR, loop_of
+from service.mapper.methods.corridor.graph.loops import FLOOR, loop_of, untied
 
 
 def sigmas(
@@ -47,3 +47,9 @@ def test_a_wall_at_the_end_counts_for_what_it_says() -> None:
 def test_no_loop_is_surer_than_walls_and_sweeps_allow() -> None:
     along, across, heading = sigmas(1e12 * np.eye(3), 0.3, turned_rad=0.4)
     assert (along, across, heading) == pytest.approx(np.sqrt(np.diag(FLOOR)), rel=1e-3)
+
+
+def test_places_along_the_way_that_no_loop_ties() -> None:
+    at_m = np.arange(0.0, 20.0, 2.0)
+    assert untied(at_m, np.array([15.0, 4.5]), 2.0).tolist() == [0.0, 2.0, 8.0, 10.0, 12.0, 18.0]
+    assert untied(at_m, np.empty(0), 2.0).tolist() == at_m.tolist()
