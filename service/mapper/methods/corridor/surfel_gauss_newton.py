@@ -219,7 +219,7 @@ class SurfelGaussNewton:
         if self._gap is not None or aligned.result.share < DOUBT_RATIO * attempt.usual_ratio:
             return
         sensor = attempt.points.scan.sensor
-        if not self._bias.is_due(sensor, attempt.predicted.travel_m):
+        if attempt.posts is not None or not self._bias.is_due(sensor, attempt.predicted.travel_m):
             return
         offset_m = self._bias.learn(
             replace(attempt.points, xy_base=aligned.xy_base),
