@@ -1,4 +1,6 @@
-"""Scan to sub-map: Gauss-Newton on surfels, deskewing anew between; a coarse map leads where that fails."""
+"""Scan to sub-map: Gauss-Newton on surfels, then on finer ones, deskewing anew between; a coarse map leads
+where that fails.
+"""
 
 import math
 from typing import NamedTuple
@@ -22,6 +24,7 @@ from service.kernels.scan_information import scan_information
 from service.kernels.surfels import find_surfels_again, nothing_around
 
 MOST_HALVINGS = 4  # of a step that raises the cost; [12]
+LEAST_FINE_SHARE = 0.8  # of the points that lie on surfels of whole cells: with fewer, these decide; [32]
 LEAST_PRIOR_WEIGHT = 0.5  # of [12], at a chi2 of 11, 99 % of three degrees: the prediction was contradicted
 
 
@@ -53,6 +56,7 @@ class MatchSettings(NamedTuple):
     coarse_rad: float
     coarse_beams: int
     coarse_iterations: int
+    near: float
     settled_m: float
     settled_rad: float
 
@@ -253,7 +257,7 @@ def prior_weight_at(pose, prior_pose, information):
 
 @inner_kernel
 def cost_at(xy_base, normals, pose, prior, prior_information, grid, settings, around, found):
-    """Half the cost of points and prior at a pose, [12]; arguments as those of fine_align.
+    """Half the cost of points and prior at a pose, [12]; arguments as those of align_on_surfels.
 
     found   (N, 6) float64   out: from find_surfels, there
     """
@@ -264,13 +268,14 @@ def cost_at(xy_base, normals, pose, prior, prior_information, grid, settings, ar
 
 
 @inner_kernel
-def fine_align(
+def align_on_surfels(
     returns,
     normals,
     prior,
     prior_information,
     grid,
     settings,
+    enough,
     doubt_inlier_ratio,
     around,
     xy_base,
@@ -286,6 +291,8 @@ def fine_align(
     prior_information   (3, 3) float64     in the axes of the grid
     grid                SurfelGrid
     settings            MatchSettings
+    enough              float              a step shorter than so many times what is settled is the last one,
+                                           where the match is not doubted
     doubt_inlier_ratio  float              with fewer points than that on the map, as where the prediction is
                                            contradicted, no step is taken that raises the cost
     around              Around             in and out: what is around the points, of searches before
@@ -350,7 +357,11 @@ def fine_align(
             break
         for i in range(3):
             pose[i] -= step[i]
-        if math.hypot(step[0], step[1]) < settings.settled_m and abs(step[2]) < settings.settled_rad:
+        near = 1.0 if is_doubted else enough
+        if (
+            math.hypot(step[0], step[1]) < near * settings.settled_m
+            and abs(step[2]) < near * settings.settled_rad
+        ):
             break
     if settings.information_chance_chi2 == settings.chance_chi2:
         copy_matrix(information, less_chance)
@@ -364,16 +375,19 @@ def fine_align(
 
 
 @kernel
-def match_scan(returns, normals, prior, start, grid, settings, doubt_inlier_ratio, xy_base):
+def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_inlier_ratio, xy_base):
     """Pose of a scan in a sub-map.
 
     returns     Returns            end points at their own moments
     normals     (N, 3) float64     from estimate_normals, base frame
     prior       Prior
     start       (3,)   float64     where to begin; the prior's pose, or what a search found
-    grid        SurfelGrid
+    grid        SurfelGrid         what lies within its reach draws the scan near, and tells how much of it is
+                                   on the map
+    fine_grid   SurfelGrid         of the same points in smaller cells: by them the scan is aligned from there
+                                   on, unless less than LEAST_FINE_SHARE of what lies on the map lies on them
     settings    MatchSettings
-    doubt_inlier_ratio float              with fewer points than that on the map, other starts are tried
+    doubt_inlier_ratio float       with fewer points than that on the map, other starts are tried
     xy_base     (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
     Returns MatchResult.
     """
@@ -427,13 +441,14 @@ def match_scan(returns, normals, prior, start, grid, settings, doubt_inlier_rati
                 trial_pose,
                 of_trial,
             )
-        trial_cost, trial_used, trial_inliers, trial_weight = fine_align(
+        trial_cost, trial_used, trial_inliers, trial_weight = align_on_surfels(
             returns,
             normals,
             prior,
             prior_information,
             grid,
             settings,
+            settings.near,
             doubt_inlier_ratio if trial == 0 else math.inf,
             around,
             trial_xy,
@@ -450,6 +465,29 @@ def match_scan(returns, normals, prior, start, grid, settings, doubt_inlier_rati
             copy_matrix(trial_xy, xy_base)
             copy_matrix(of_trial, information)
             copy_matrix(less_chance_of_trial, less_chance)
+    fine_pose = pose.copy()
+    fine_xy = xy_base.copy()
+    _fine_cost, _used, fine_inliers, fine_weight = align_on_surfels(
+        returns,
+        normals,
+        prior,
+        prior_information,
+        fine_grid,
+        settings,
+        1.0,
+        0.0,
+        nothing_around(xy_base.shape[0]),
+        fine_xy,
+        fine_pose,
+        of_trial,
+        less_chance_of_trial,
+    )
+    if fine_inliers >= LEAST_FINE_SHARE * inliers:
+        weight = fine_weight
+        copy_vector(fine_pose, pose)
+        copy_matrix(fine_xy, xy_base)
+        copy_matrix(of_trial, information)
+        copy_matrix(less_chance_of_trial, less_chance)
     twist = np.empty(3)
     learn_twist(prior, pose, weight, twist)
     least, direction = weakest_direction(less_chance)

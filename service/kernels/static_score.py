@@ -20,6 +20,7 @@ from service.kernels.surfels import (
     NORMAL_Y,
     TILE_BITS,
     TILE_MASK,
+    forget_part,
     touch_tile,
 )
 from service.kernels.tiles import NO_TILE, slot_at
@@ -120,13 +121,14 @@ def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks)
 
 
 @kernel
-def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, sightings, settings, number, ticks):
+def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, fine_grid, sightings, settings, number, ticks):
     """Take away surfels that beams of a key frame look through, and remember which cells are free.
 
     Cells in which the key frame has an end point stay as they are, and so do cells without a tile: no wall
     is near them. Arguments as in count_hits, which comes first, and
 
     sensor_xy_m   (2,) float64   where the beams start, m, base frame
+    fine_grid     SurfelGrid     in and out: of the same points, in cells of which PARTS x PARTS make up one
     """
     score = sightings.score  # arrays are taken out of the tuples once, as in find_surfels
     touched = sightings.touched
@@ -172,6 +174,7 @@ def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, sightings, settings, nu
                         score[slot, r, q] = np.int8(max(value - ticks, 0))
                         if score[slot, r, q] == 0:
                             surfels[slot, r, q] = np.float32(0.0)
+                            forget_part(fine_grid, row, column)
             if next_column < next_row:
                 column += step_column
                 next_column += per_column

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.kernels.compiled import inner_kernel, kernel
-from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
+from service.kernels.tiles import NO_TILE, TileIndex, find_tile, slot_at, take_slot
 
 TILE_BITS = 5
 TILE_CELLS = 1 << TILE_BITS
@@ -23,6 +23,7 @@ SAME_WALL_COSINE = np.float32(0.7)  # a point that faces farther from a surfel b
 MOST_AROUND = 18  # surfels in 3 x 3 cells
 NOWHERE = -(2**62)  # row of no cell
 REACH_CELLS = 1.25  # surfels farther than this from a point say nothing of the wall beside it
+PARTS = 2  # cells of a finer grid along the edge of a whole cell; [32]
 # Of the way from the plane through the mean of surfels to their own planes: where a round wall is; [28]
 ROUND_SHARE = 0.5 * (1.0 + 7.0 / (12.0 * REACH_CELLS * REACH_CELLS))
 
@@ -157,6 +158,19 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit, point_count, senso
             surfels[slot, r, q, side, COSINES + k] += (
                 of_laser - surfels[slot, r, q, side, COSINES + k]
             ) * share
+
+
+@inner_kernel
+def forget_part(fine_grid, row, column):
+    """Take all surfels out of the PARTS x PARTS finer cells that make up a whole one."""
+    slots = fine_grid.tiles.slots
+    first_row = fine_grid.tiles.origin[0]
+    first_column = fine_grid.tiles.origin[1]
+    for v in range(PARTS * row, PARTS * row + PARTS):
+        for u in range(PARTS * column, PARTS * column + PARTS):
+            slot = slot_at(slots, (v >> TILE_BITS) - first_row, (u >> TILE_BITS) - first_column)
+            if slot != NO_TILE:
+                fine_grid.surfels[slot, v & TILE_MASK, u & TILE_MASK] = np.float32(0.0)
 
 
 @kernel

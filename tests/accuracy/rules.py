@@ -13,6 +13,7 @@ from service.kernels.normals import estimate_normals
 from service.mapper.components import Points
 from service.mapper.filters.deskew import DeskewByTwist
 from service.mapper.methods.corridor.narrow_walls import Matrix, NarrowWalls
+from service.mapper.methods.corridor.submaps import Submap
 from service.offline.replay import ReplayOptions, replay, write_replay
 from simulators.worlds import WORLDS
 from tests.accuracy.driving import Errors, Trip
@@ -94,6 +95,11 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         "directions of walls by several key frames ([27])",
         f"{METHOD}.narrow_walls.NarrowWalls",
         {"directed": by_single_scans, "insert": by_single_scans},
+    ),
+    (
+        "aligned by surfels of half the size ([32])",
+        f"{METHOD}.submaps.Submap",
+        {"fine_grid": Submap.grid},
     ),
     (
         "odometry that stands counts only where a vehicle can stand ([30])",

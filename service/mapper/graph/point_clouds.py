@@ -39,6 +39,7 @@ SETTINGS = MatchSettings(
     coarse_rad=0.05,
     coarse_beams=180,
     coarse_iterations=0,
+    near=1.0,
     settled_m=0.0005,
     settled_rad=0.0001,
 )

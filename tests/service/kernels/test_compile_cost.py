@@ -79,7 +79,7 @@ def test_python_calls_no_inner_kernel_and_every_inner_kernel_is_called() -> None
     """Python that calls one ends with a segmentation fault."""
     modules = sorted(KERNELS.glob("*.py"))
     inner = {(module.stem, name) for module in modules for name in decorated(module, "inner_kernel")}
-    assert ("match", "fine_align") in inner
+    assert ("match", "align_on_surfels") in inner
     for package in ("drivers", "service", "simulators", "tests"):
         for source in (TREE / package).rglob("*.py"):
             if source.parent != KERNELS:

@@ -9,7 +9,7 @@ from service.kernels.static_score import (
     remove_by_ray_cast,
     weigh_static_score,
 )
-from service.kernels.surfels import TILE_BITS, TILE_CELLS, TILE_MASK, SurfelGrid, insert_surfels
+from service.kernels.surfels import PARTS, TILE_BITS, TILE_CELLS, TILE_MASK, SurfelGrid, insert_surfels
 from service.kernels.tiles import find_tile
 from tests.service.kernels.surfel_grids import empty_grid
 
@@ -29,6 +29,7 @@ class CandidateSubmap:
 
     def __init__(self, settings: StaticScoreSettings = SETTINGS) -> None:
         self.grid: SurfelGrid = empty_grid()
+        self.fine_grid: SurfelGrid = empty_grid(self.grid.cell_m / PARTS, tiles_each_way=4 * PARTS)
         shape = self.grid.field.shape
         self.sightings = Sightings(np.zeros(shape, np.int8), np.zeros(shape, np.uint16))
         self.settings = settings
@@ -40,8 +41,10 @@ class CandidateSubmap:
         kept = normals.copy()
         numbers = np.uint16(self.number), np.int64(ticks)
         count_hits(xy, kept, POSE, self.grid, self.sightings, self.settings, *numbers)
-        remove_by_ray_cast(xy, SENSOR, POSE, self.grid, self.sightings, self.settings, *numbers)
-        insert_surfels(xy, kept, POSE, self.grid, 1000.0, 1.0, np.zeros(2), -1)
+        grids = self.grid, self.fine_grid
+        remove_by_ray_cast(xy, SENSOR, POSE, *grids, self.sightings, self.settings, *numbers)
+        for grid in grids:
+            insert_surfels(xy, kept, POSE, grid, 1000.0, 1.0, np.zeros(2), -1)
         return kept[:, 2]
 
     def weights(self, xy: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -50,20 +53,27 @@ class CandidateSubmap:
         return weighed[:, 2]
 
     def scores(self, xy: np.ndarray) -> np.ndarray:
-        return np.array([self.sightings.score[cell] for cell in self._cells(xy)])
+        return np.array([self.sightings.score[cell] for cell in cells_of(self.grid, xy)])
 
     def points_held(self, xy: np.ndarray) -> float:
-        """By the surfels of the cells in which the points lie."""
-        return float(sum(self.grid.surfels[cell][:, 0].sum() for cell in set(self._cells(xy))))
+        """By the surfels of the cells in which the points lie; finer cells hold as many."""
+        held = [
+            float(sum(grid.surfels[cell][:, 0].sum() for cell in set(cells_of(grid, xy))))
+            for grid in (self.grid, self.fine_grid)
+        ]
+        assert held[0] == held[1]
+        return held[0]
 
-    def _cells(self, xy: np.ndarray) -> list[tuple[int, int, int]]:
-        c, s = math.cos(POSE[2]), math.sin(POSE[2])
-        cells = []
-        for x, y in xy @ np.array([[c, s], [-s, c]]) + POSE[:2]:
-            row, column = math.floor(y / self.grid.cell_m), math.floor(x / self.grid.cell_m)
-            slot = find_tile(self.grid.tiles, row >> TILE_BITS, column >> TILE_BITS)
-            cells.append((int(slot), row & TILE_MASK, column & TILE_MASK))
-        return cells
+
+def cells_of(grid: SurfelGrid, xy: np.ndarray) -> list[tuple[int, int, int]]:
+    """In which points (N, 2) of the base lie: slot, row, column."""
+    c, s = math.cos(POSE[2]), math.sin(POSE[2])
+    cells = []
+    for x, y in xy @ np.array([[c, s], [-s, c]]) + POSE[:2]:
+        row, column = math.floor(y / grid.cell_m), math.floor(x / grid.cell_m)
+        slot = find_tile(grid.tiles, row >> TILE_BITS, column >> TILE_BITS)
+        cells.append((int(slot), row & TILE_MASK, column & TILE_MASK))
+    return cells
 
 
 def wall(distance_m: float, half_rad: float = 0.4, beams: int = 161) -> tuple[np.ndarray, np.ndarray]:
@@ -157,7 +167,7 @@ def test_new_things_weigh_less_beside_old_ones_only() -> None:
     np.testing.assert_array_equal(place.weights(*new), 1.0)
     for _ in range(11):  # the first of them finds cells that were free
         place.see(*old)
-    for cell in place._cells(new[0]):  # as if seen once, in view with the old
+    for cell in cells_of(place.grid, new[0]):  # as if seen once, in view with the old
         place.sightings.score[cell] = 1
     weights = place.weights(*both)
     of_old, of_new = weights[: len(old[0])], weights[len(old[0]) :]

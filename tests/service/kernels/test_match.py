@@ -17,7 +17,7 @@ from tests.service.kernels.inner import from_python
 from tests.service.kernels.surfel_grids import empty_grid
 
 cost_at = from_python(match.cost_at)
-fine_align = from_python(match.fine_align)
+align_on_surfels = from_python(match.align_on_surfels)
 learn_twist = from_python(match.learn_twist)
 nothing_around = from_python(surfels.nothing_around)
 point_information = from_python(match.point_information)
@@ -47,6 +47,7 @@ SETTINGS = MatchSettings(
     coarse_rad=0.05,
     coarse_beams=180,
     coarse_iterations=15,
+    near=1.0,
     settled_m=1e-6,
     settled_rad=1e-7,
 )
@@ -70,12 +71,13 @@ def normals_of(xy: np.ndarray, sigma_m: float = SIGMA_M) -> np.ndarray:
     return normals
 
 
-def room_grid() -> SurfelGrid:
-    grid = empty_grid()
-    xy = room_scan()
+def room_grid(cell_m: float = 0.1, beside_m: float = 0.0) -> SurfelGrid:
+    """beside_m: the room stands so far off, along x."""
+    grid = empty_grid(cell_m)
+    xy, pose = room_scan(), np.array([beside_m, 0.0, 0.0])
     for _ in range(3):
-        insert_surfels(xy, normals_of(xy), np.zeros(3), grid, 50.0, 1.0, np.zeros(2), -1)
-    splat_likelihood(xy, np.zeros(3), grid, 0.15, 0.95)
+        insert_surfels(xy, normals_of(xy), pose, grid, 50.0, 1.0, np.zeros(2), -1)
+    splat_likelihood(xy, pose, grid, 0.15, 0.95)
     return grid
 
 
@@ -84,10 +86,25 @@ def prior_at(pose: tuple[float, float, float], sigma: float = 0.1, **changes: ob
     return prior._replace(**changes)
 
 
-def match(xy: np.ndarray, prior: Prior, grid: SurfelGrid, doubt_inlier_ratio: float = 0.8):
-    returns = Returns(xy, np.zeros(len(xy)), np.arange(len(xy), dtype=np.int32))
+def match(
+    xy: np.ndarray,
+    prior: Prior,
+    grid: SurfelGrid,
+    doubt_inlier_ratio: float = 0.8,
+    fine_grid: SurfelGrid | None = None,
+    settings: MatchSettings = SETTINGS,
+):
+    """fine_grid: None: the same."""
     return match_scan(
-        returns, normals_of(xy), prior, prior.pose, grid, SETTINGS, doubt_inlier_ratio, xy.copy()
+        Returns(xy, np.zeros(len(xy)), np.arange(len(xy), dtype=np.int32)),
+        normals_of(xy, settings.range_sigma_m),
+        prior,
+        prior.pose,
+        grid,
+        grid if fine_grid is None else fine_grid,
+        settings,
+        doubt_inlier_ratio,
+        xy.copy(),
     )
 
 
@@ -240,6 +257,30 @@ def test_a_scan_finds_its_pose_to_a_fifth_of_a_millimetre() -> None:
     assert result.used > 600
 
 
+def test_whole_cells_draw_a_scan_near_and_finer_ones_align_it() -> None:
+    """The prediction is off by more than finer cells reach; whole cells tell how much lies on the map."""
+    fine_grid = room_grid(0.05, beside_m=0.01)
+    truth = (0.21, -0.13, 0.08)
+    result = match(room_scan(truth), prior_at((0.11, -0.05, 0.03)), room_grid(), fine_grid=fine_grid)
+    np.testing.assert_allclose(result.pose, (truth[0] + 0.01, *truth[1:]), atol=4e-4)
+    assert result.share > 0.95
+
+
+def test_where_little_of_a_scan_lies_on_finer_surfels_whole_cells_decide() -> None:
+    truth = (0.21, -0.13, 0.08)
+    fine_grid = empty_grid(0.05)
+    xy = room_scan()
+    part = xy[np.abs(xy[:, 0] - 0.5) < 1.2]  # 50 % of the room, and it seems to be elsewhere
+    pose = np.array([0.01, 0.01, 0.0])
+    insert_surfels(part, normals_of(part), pose, fine_grid, 50.0, 1.0, np.zeros(2), -1)
+    prior, scan = prior_at((0.15, -0.08, 0.05)), room_scan(truth)
+    result = match(scan, prior, room_grid(), fine_grid=fine_grid)
+    without = match(scan, prior, room_grid(), fine_grid=empty_grid(0.05))
+    np.testing.assert_allclose(result.pose, truth, atol=4e-4)
+    assert np.array_equal(result.pose, without.pose)
+    assert np.array_equal(result.covariance, without.covariance)
+
+
 def test_no_step_of_a_doubted_match_raises_the_cost() -> None:
     """A step may take points to where the map knows nothing: without a surfel they pull no longer."""
     grid, rng = room_grid(), np.random.default_rng(1)
@@ -262,9 +303,8 @@ def test_what_leaves_a_good_prediction_along_hedges_costs_less() -> None:
     covariance = np.diag([0.012, 0.003, 0.0015]) ** 2
     for _ in range(100):
         xy, begun = hedges(rng), np.array([rng.uniform(-1.0, 1.0), 0.0, 0.0])
-        returns = Returns(xy, np.zeros(len(xy)), np.arange(len(xy), dtype=np.int32))
         prior = Prior(begun, np.zeros(3), covariance, np.zeros((3, 3)))
-        result = match_scan(returns, normals_of(xy, sigma_m), prior, begun, grid, settings, 0.8, xy.copy())
+        result = match(xy, prior, grid, settings=settings)
         assert abs(result.pose[0] - begun[0]) < 0.1
 
 
@@ -289,7 +329,9 @@ def costs_of_match(xy: np.ndarray, start: np.ndarray, grid: SurfelGrid) -> tuple
     begun, pose = cost(start), start.copy()
     returns = Returns(xy, np.zeros(len(xy)), np.arange(len(xy), dtype=np.int32))
     out = np.eye(3), np.eye(3)
-    fine_align(returns, normals, prior, information, grid, SETTINGS, math.inf, around, xy.copy(), pose, *out)
+    align_on_surfels(
+        returns, normals, prior, information, grid, SETTINGS, 1.0, math.inf, around, xy.copy(), pose, *out
+    )
     return begun, cost(pose)
 
 
@@ -390,10 +432,8 @@ def test_a_match_may_follow_what_its_information_leaves_out() -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)
         grid, xy = corridor_grid(99.0, rng, scans=5), corridor(99.0, rng)
-        returns = Returns(xy, np.zeros(len(xy)), np.arange(len(xy), dtype=np.int32))
-        prior = prior_at((0.0, 0.0, 0.0))
         all_of_it, less_chance = (
-            match_scan(returns, normals_of(xy), prior, prior.pose, grid, settings, 0.8, xy.copy())
+            match(xy, prior_at((0.0, 0.0, 0.0)), grid, settings=settings)
             for settings in (SETTINGS, SETTINGS._replace(information_chance_chi2=2.0 * math.log(50.0)))
         )
         assert np.array_equal(all_of_it.pose, less_chance.pose)

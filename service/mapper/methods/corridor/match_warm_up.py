@@ -16,7 +16,8 @@ def warm_up_match() -> None:
     prior = Prior(np.zeros(3), np.zeros(3), np.eye(3), np.eye(3))
     settings = MatchSettings(*(kind(1) for kind in get_type_hints(MatchSettings).values()))
     returns = Returns(xy.copy(), np.zeros(1), np.zeros(1, np.int32))
-    match_scan(returns, np.ones((1, 3)), prior, prior.pose.copy(), _empty_grid(), settings, 1.0, xy)
+    grid = _empty_grid()
+    match_scan(returns, np.ones((1, 3)), prior, prior.pose.copy(), grid, grid, settings, 1.0, xy)
 
 
 def _empty_grid() -> SurfelGrid:

@@ -19,6 +19,7 @@ from service.kernels.static_score import (
 from service.kernels.surfels import (
     COLUMNS,
     LASERS,
+    PARTS,
     TILE_BITS,
     TILE_CELLS,
     SurfelGrid,
@@ -40,6 +41,7 @@ SURFEL_SIGMA_M = 0.01  # of the points that surfels count in: a unit alone, no p
 FIELD_SIGMA_M = 0.15  # spread of a point in the coarse field: wide enough that a start one cell off slides in
 FIELD_ENOUGH = 0.95  # likelihood of a cell from which on more points add nothing
 POOL_TILES = 16_384  # 750 MB of address space; a sub-map in a large hall touches a few hundred tiles
+FINE_POOL_TILES = 32_768  # 2.1 GB of address space: walls touch twice as many
 GRAZING_WEIGHT = 5.0  # of a point whose beam runs along the wall, where one head-on has 1
 NEW_PIECE_ERROR = 0.01  # of the pose's error against the map is left against a piece that begins at the pose
 MOST_MISSES = 3  # then another piece is begun
@@ -62,7 +64,9 @@ class SubmapsConfig(BaseModel):
 class Submap:
     """One sub-map of surfels, in the odom frame."""
 
-    def __init__(self, number: int, pool: TilePool, narrow: TilePool, config: SubmapsConfig) -> None:
+    def __init__(
+        self, number: int, pool: TilePool, fine: TilePool, narrow: TilePool, config: SubmapsConfig
+    ) -> None:
         self.number = number
         self.narrow_walls = NarrowWalls(narrow, config.cell_m, GRAZING_WEIGHT)
         self.scan_count = 0
@@ -70,10 +74,17 @@ class Submap:
         self._config = config
         self._dynamic_filter = config.dynamic_filter.settings()
         self._tiles = TileMap(pool)
+        self._fine_tiles = TileMap(fine)
 
     def grid(self) -> SurfelGrid:
         surfels, field, _score, _touched = self._tiles.pool.arrays
         return SurfelGrid(self._tiles.index(), surfels, field, self._config.cell_m)  # type: ignore[arg-type]
+
+    def fine_grid(self) -> SurfelGrid:
+        """The surfels of the same points in cells of which PARTS x PARTS make up one, without a field."""
+        surfels, field = self._fine_tiles.pool.arrays
+        cell_m = self._config.cell_m / PARTS
+        return SurfelGrid(self._fine_tiles.index(), surfels, field, cell_m)  # type: ignore[arg-type]
 
     def weighed(
         self, points: Points, normals: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]
@@ -108,28 +119,32 @@ class Submap:
         self, points: Points, normals: npt.NDArray[np.float64], posts: Posts | None, pose: SE2, laser: int
     ) -> None:
         """laser: as in insert_surfels."""
-        config = self._config
-        reach_m = reach_of(points.xy_base)
-        self._tiles.cover_around((pose.x_m, pose.y_m), reach_m, config.cell_m, TILE_BITS, SPLAT_REACH_CELLS)
+        cell_m = self._config.cell_m
+        near, reach_m = (pose.x_m, pose.y_m), reach_of(points.xy_base)
+        self._tiles.cover_around(near, reach_m, cell_m, TILE_BITS, SPLAT_REACH_CELLS)
+        self._fine_tiles.cover_around(near, reach_m, cell_m / PARTS, TILE_BITS)
         grid = self.grid()
         pose_vector = np.array([pose.x_m, pose.y_m, pose.theta_rad])
         if self._dynamic_filter.enough > 0:
             normals = self._sight(points, normals, pose_vector, grid)
         if posts is None:  # what is round has another direction from each side
             normals = self.narrow_walls.insert(points, normals, pose_vector)
+        walls = [(points.xy_base, normals)]
+        if posts is not None:
+            whole = posts.normals(pose.theta_rad, np.ones(len(posts.point)))
+            walls.append((np.repeat(posts.xy_base, 2, axis=0), whole))
         point_count = (SURFEL_SIGMA_M / points.range_sigma_m) ** 2
         sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
-        insert_surfels(points.xy_base, normals, pose_vector, grid, COUNT_LIMIT, point_count, sensor, laser)
-        if posts is not None:
-            twice = np.repeat(posts.xy_base, 2, axis=0)
-            whole = posts.normals(pose.theta_rad, np.ones(len(posts.point)))
-            insert_surfels(twice, whole, pose_vector, grid, COUNT_LIMIT, point_count, sensor, laser)
+        for surfels in (grid, self.fine_grid()):
+            for xy, directions in walls:
+                insert_surfels(xy, directions, pose_vector, surfels, COUNT_LIMIT, point_count, sensor, laser)
         splat_likelihood(points.xy_base, pose_vector, grid, FIELD_SIGMA_M, FIELD_ENOUGH)
         self.scan_count += 1
 
     def shorten(self, laser: int, step_m: float) -> None:
         """Take out of the walls what one of LASERS has measured too long."""
         shorten_surfels(self.grid(), laser, step_m)
+        shorten_surfels(self.fine_grid(), laser, step_m)
 
     def _sight(
         self,
@@ -145,7 +160,9 @@ class Submap:
         settings, sightings = self._dynamic_filter, self._sightings()
         count_hits(points.xy_base, static, pose, grid, sightings, settings, number, ticks)
         sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
-        remove_by_ray_cast(points.xy_base, sensor, pose, grid, sightings, settings, number, ticks)
+        remove_by_ray_cast(
+            points.xy_base, sensor, pose, grid, self.fine_grid(), sightings, settings, number, ticks
+        )
         return static
 
     def _ticks_since(self, stamp_ns: int) -> int:
@@ -177,6 +194,7 @@ class Submap:
         for sighted in self._sightings():
             sighted[slots] = 0
         self._tiles.release()
+        self._fine_tiles.release()
         self.narrow_walls.release()
 
 
@@ -201,6 +219,9 @@ class SurfelSubmaps:
             ),
             POOL_TILES,
         )
+        no_field = Layer((1, 1), np.float32)
+        fine = Layer((TILE_CELLS, TILE_CELLS, 2, COLUMNS), np.float32)
+        self._fine_pool = TilePool((fine, no_field), FINE_POOL_TILES)
         self._narrow_pool = narrow_wall_pool()
         self._next_number = 0
         self._pair: list[Submap] = []
@@ -271,7 +292,7 @@ class SurfelSubmaps:
 
     @property
     def tile_count(self) -> int:
-        return self._pool.used_count
+        return self._pool.used_count + self._fine_pool.used_count
 
     def on_walls(self, points: Points) -> tuple[Points, npt.NDArray[np.float64]]:
         """The points, moved to where their beams meet walls, and the (N, 3) normals there; see walls_of."""
@@ -362,7 +383,7 @@ class SurfelSubmaps:
     def new_submap(self) -> Submap:
         """An empty one, which belongs to nothing yet."""
         self._next_number += 1
-        return Submap(self._next_number - 1, self._pool, self._narrow_pool, self._config)
+        return Submap(self._next_number - 1, self._pool, self._fine_pool, self._narrow_pool, self._config)
 
     def _begin_submap(self) -> None:
         """Start a sub-map; of three the oldest is closed."""

@@ -50,6 +50,7 @@ INLIER_M = 0.10  # a point this near to its surfel lies on the map
 LEAST_NORMAL_COSINE = 0.6  # between a point and a surfel of the same wall
 ITERATIONS, DESKEW_ROUNDS = 15, 8
 SETTLED_M, SETTLED_RAD = 5e-4, 1e-4
+NEAR = 10.0  # times that, on surfels of whole cells: finer ones align from there
 COARSE_SIGMA, COARSE_BEAMS, COARSE_ITERATIONS = 0.3, 180, 15  # sigma of 1 - likelihood
 COARSE_M, COARSE_RAD = 0.1, 0.05  # what it tells apart: a cell, and that at 2 m
 SAME_WALL_M = 0.05  # scans within one key frame's distance are matched to the same noise of the map
@@ -123,6 +124,7 @@ class SurfelGaussNewton:
             coarse_rad=COARSE_RAD,
             coarse_beams=COARSE_BEAMS,
             coarse_iterations=COARSE_ITERATIONS,
+            near=NEAR,
             settled_m=SETTLED_M,
             settled_rad=SETTLED_RAD,
         )
@@ -249,6 +251,7 @@ class SurfelGaussNewton:
             attempt.prior,
             start,
             submap.grid(),
+            submap.fine_grid(),
             self._settings._replace(
                 range_sigma_m=points.range_sigma_m,
                 repeats=max(1.0, SAME_WALL_M / _apart_m(attempt.predicted)),

@@ -50,7 +50,7 @@ def test_ranges_that_are_all_too_long_by_the_same_are_learnt_and_taken_out_of_th
     done = run(mapping_config(), made)
     curve_m = done.mapper._components.matcher.bias_m("front")
     np.testing.assert_allclose(curve_m[(RANGE_M >= 1.0) & (RANGE_M <= 4.0)], 0.03, atol=0.005)
-    assert done.position_rmse_m < 0.015
+    assert done.position_rmse_m < 0.025
 
 
 def test_nothing_much_is_learnt_of_ranges_without_bias(honest: Drive) -> None:

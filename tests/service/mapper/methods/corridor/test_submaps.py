@@ -6,6 +6,7 @@ import pytest
 
 from service.fusion.motion import Measurement
 from service.geometry.se2 import SE2
+from service.kernels.surfels import COLUMNS, COUNT, MEAN_X, MEAN_Y, SurfelGrid
 from service.mapper.components import MapChange
 from service.mapper.methods.corridor.submaps import (
     MOST_MISSES,
@@ -44,12 +45,18 @@ def number(chain: SurfelSubmaps) -> int:
     return chain.matched_to.number
 
 
+def surfels_of(grid: SurfelGrid) -> np.ndarray:
+    """(N, COLUMNS) of those that hold points."""
+    surfels = grid.surfels[grid.tiles.slots[grid.tiles.slots >= 0]].reshape(-1, COLUMNS)
+    return surfels[surfels[:, COUNT] > 0.0]
+
+
 def points_in(submap: Submap | None) -> float:
-    """How many it holds."""
+    """How many it holds, in whole cells as in finer ones."""
     assert submap is not None
-    grid = submap.grid()
-    slots = grid.tiles.slots[grid.tiles.slots >= 0]
-    return float(grid.surfels[slots, :, :, :, 0].sum())
+    whole, fine = (surfels_of(grid)[:, COUNT].sum() for grid in (submap.grid(), submap.fine_grid()))
+    assert whole == pytest.approx(fine)
+    return float(whole)
 
 
 def test_normals_know_how_far_apart_returns_are_and_not_how_fine_the_grid_is() -> None:
@@ -82,6 +89,21 @@ def test_at_the_hand_over_the_new_one_is_already_filled() -> None:
     assert chain.matched_to is not None
     assert chain.matched_to.scan_count == 5
     assert points_in(chain.matched_to) > 1000.0
+
+
+def test_finer_cells_hold_the_same_points_and_move_with_them() -> None:
+    chain = submaps()
+    insert(chain, 0.0)
+    submap = chain.matched_to
+    assert submap is not None
+    assert submap.fine_grid().cell_m == pytest.approx(0.5 * submap.grid().cell_m)
+    assert len(surfels_of(submap.fine_grid())) > 1.5 * len(surfels_of(submap.grid()))
+    for grid in (submap.grid(), submap.fine_grid()):
+        means = surfels_of(grid)[:, MEAN_X : MEAN_Y + 1].copy()
+        chain.shorten(square().scan.sensor, 0.01)
+        moved_m = np.hypot(*(surfels_of(grid)[:, MEAN_X : MEAN_Y + 1] - means).T)
+        assert np.median(moved_m) > 0.006  # by the cosine of incidence
+        assert moved_m.max() <= 0.0101
 
 
 def test_tiles_of_retired_submaps_go_back_to_the_pool() -> None:
@@ -125,7 +147,7 @@ def test_a_lost_scan_begins_a_detached_piece_that_a_fit_drops() -> None:
     insert(chain, 1.2)
     assert chain.detached is None
     assert number(chain) == 0
-    assert chain.tile_count <= tiles + 2  # of the key frame at 1.2 m; those of the piece went back
+    assert chain.tile_count <= tiles + 6  # of the key frame at 1.2 m; those of the piece went back
 
 
 def test_what_is_lost_grows_the_piece_and_leaves_the_map_alone() -> None:
