@@ -5,6 +5,7 @@ from typing import Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from drivers.ibeo_lux.messages import TICKS_PER_DEG
+from drivers.latency import LatencyMs
 from drivers.mounting import Mounting
 from drivers.wires import Host
 
@@ -41,7 +42,7 @@ class IbeoLuxConfig(BaseModel):
     intensity: bool = False  # echo pulse widths, cm
     range_min_m: float = Field(default=0.3, ge=0.0, le=5.0)
     range_max_m: float = Field(default=200.0, gt=0.0, le=300.0)
-    latency_ms: float = Field(default=0.0, ge=-50.0, le=50.0)  # from calibration; makes stamps earlier
+    latency_ms: LatencyMs = 0.0  # from calibration
     silence_timeout_s: float = Field(default=2.0, ge=0.5, le=60.0)  # without a scan the link is made anew
     map: bool = True  # False: its scans are published and recorded, not mapped
     mounting: Mounting = Mounting()

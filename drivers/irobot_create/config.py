@@ -5,6 +5,7 @@ from typing import Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from drivers.latency import LatencyMs
 from drivers.wires import DeviceFile
 
 
@@ -51,7 +52,7 @@ class IrobotCreateConfig(BaseModel):
     left_scale: float = Field(default=1.0, ge=0.5, le=2.0)
     right_scale: float = Field(default=1.0, ge=0.5, le=2.0)
     travel_variance_m2_per_m: float = Field(default=1e-4, gt=0.0, le=1.0)  # of each wheel, per metre rolled
-    latency_ms: float = Field(default=0.0, ge=-100.0, le=100.0)  # taken off every stamp, if calibrated
+    latency_ms: LatencyMs = 0.0  # from calibration
     poll_interval_ms: int = Field(default=100, ge=50, le=500)  # create1 alone
     wake_line: bool = True  # pulse RTS and DTR, which many cables wire to the robot's BRC
 

@@ -4,6 +4,7 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from drivers.latency import LatencyMs
 from drivers.mounting import Mounting
 from drivers.wires import Host
 
@@ -27,7 +28,7 @@ class Lms100Config(BaseModel):
     intensity_bits: Literal[0, 8, 16] = 0  # 0: no intensity
     range_min_m: float = Field(default=0.05, ge=0.0, le=5.0)
     range_max_m: float = Field(default=20.0, gt=0.0, le=131.0)
-    latency_ms: float = Field(default=0.0, ge=-50.0, le=50.0)  # from calibration; makes stamps earlier
+    latency_ms: LatencyMs = 0.0  # from calibration
     silence_timeout_s: float = Field(default=2.0, ge=0.5, le=60.0)  # without a scan the link is made anew
     map: bool = True  # False: its scans are published and recorded, not mapped
     mounting: Mounting = Mounting()

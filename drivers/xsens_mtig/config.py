@@ -5,6 +5,7 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from drivers.latency import LatencyMs
 from drivers.mounting import Mounting
 from drivers.wires import DeviceFile
 from drivers.xsens_mtig.orientation import apply, axes_of
@@ -41,7 +42,7 @@ class XsensMtigConfig(BaseModel):
     lever_arm_m: tuple[float, float, float] | None = None  # device axes, to the GNSS antenna; None: as it is
     forward_axis: Axis = "x"  # which axis of the housing looks ahead, and which up
     up_axis: Axis = "z"
-    latency_ms: float = Field(default=0.0, ge=-50.0, le=50.0)  # from calibration; makes stamps earlier
+    latency_ms: LatencyMs = 0.0  # from calibration
     silence_timeout_s: float = Field(default=2.0, ge=0.5, le=60.0)  # without a sample the link is made anew
     mounting: Mounting = Mounting()
 

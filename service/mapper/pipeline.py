@@ -32,7 +32,7 @@ from service.mapper.scan_check import OdometryWait, ScanCheck
 from service.mapper.stamp_check import StampChecks
 from service.outputs import GraphPicture, Grid, MapperOutput, State, TileUpdate
 
-MOST_BEHIND_NS = 250_000_000  # that a sweep may have begun before the newest pose: a slow laser beside a fast
+MOST_BEHIND_NS = 300_000_000  # that a sweep may have begun before the newest pose: latency and a slow laser
 CHANGES_TOLD_NS = 5_000_000_000  # between two counts of the cells that have changed
 WELL_NS = 500_000_000  # so long a scan that lay on the map vouches for the place
 

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from drivers.frames import ImuSample, LaserScan, OdometrySample
+from drivers.latency import LEAST_LATENCY_MS, MOST_LATENCY_MS
 from service.config import ServiceConfig, load_config, parse_config
 from service.errors import ConfigError, InputError, UsageError
 from service.geometry.poses import Floats
@@ -27,7 +28,6 @@ from service.recording.mcap_source import Session, open_session
 # What a drive has to tell for a value to be used, one sigma
 ENOUGH = {"m": 0.02, "deg": 0.5, "ms": 5.0, "%": 1.0}
 DRIVE_ON = "; drive two minutes with straights and turns to both sides"
-MOST_LATENCY_MS = {"laser": 50.0, "gyro": 50.0, "wheels": 100.0}  # that a config takes
 MIRRORED = (
     "{wheels} counts turns to the other side than {laser} sees them, so no mounting and no wheels can be "
     "told: is {laser} upside down (mounting: upside_down), or are the left and the right wheel swapped?"
@@ -316,10 +316,13 @@ def _add(
     offset = found.get("stamps late by")
     if offset is not None and offset.is_known:
         latency = float(getattr(_sensor(before, name), "latency_ms", 0.0)) + offset.value
-        if abs(latency) <= MOST_LATENCY_MS[kind]:
+        if LEAST_LATENCY_MS <= latency <= MOST_LATENCY_MS:
             new["latency_ms"] = round(latency, 2)
         else:
-            said.append(f"a latency of {latency:.1f} ms is no latency (at most {MOST_LATENCY_MS[kind]:g} ms)")
+            said.append(
+                f"a latency of {latency:.1f} ms is none that a config takes ({LEAST_LATENCY_MS:g} to "
+                f"{MOST_LATENCY_MS:g} ms)"
+            )
     if new:
         changes.setdefault(name, {}).update(new)
     done.sensors.append(SensorCalibration(name, kind, tuple(values), p50, p99, tuple(said)))
