@@ -29,6 +29,7 @@ from service.sinks.sink import MapStorage, SavedMap
 log = logging.getLogger(__name__)
 
 VERB = "switch_profile"
+COMPILE_TIMEOUT_S = 900.0  # ten times what all kernels of a profile take on a core that nobody else uses
 NICENESS = 10  # of the process that compiles, while frames are mapped
 Section = Mapping[str, Any]  # of a config: mapping
 
@@ -78,12 +79,19 @@ def make_kernels_ready(section: Section) -> None:
 def compile_kernels(section: Section) -> None:
     """Have the kernels for a mapping section in the cache when this returns, made by a process of its own.
 
-    Raises CommandError where it failed.
+    Raises CommandError where it failed, or took longer than COMPILE_TIMEOUT_S.
     """
     with children_do_not_hear():
         process = get_context("spawn").Process(target=_compile, args=(dict(section),), daemon=True)
         process.start()
-    process.join()
+    process.join(COMPILE_TIMEOUT_S)
+    if process.exitcode is None:
+        process.kill()
+        process.join()
+        raise CommandError(
+            f"the kernels of {section.get('profile')} were not compiled within {COMPILE_TIMEOUT_S:.0f} s; the "
+            "profile stays. corridor warmup compiles them without a vehicle"
+        )
     if process.exitcode:
         raise CommandError(
             f"the kernels of {section.get('profile')} could not be compiled: that process ended with code "

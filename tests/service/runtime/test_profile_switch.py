@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import threading
+from multiprocessing import active_children
 from pathlib import Path
 
 import pytest
@@ -164,3 +165,12 @@ def test_a_profile_whose_kernels_were_never_compiled_is_made_ready(tmp_path: Pat
 def test_kernels_that_do_not_compile_are_told():
     with pytest.raises(CommandError, match=r"the kernels of nobody could not be compiled.*code 1"):
         compile_kernels({"profile": "nobody"})
+
+
+def test_a_compilation_that_does_not_end_is_ended(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(profile_switch, "COMPILE_TIMEOUT_S", 0.0)
+    with pytest.raises(
+        CommandError, match=r"kernels of imle were not compiled within 0 s; the profile stays"
+    ):
+        compile_kernels({"profile": "imle"})
+    assert not active_children()
