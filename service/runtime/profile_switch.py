@@ -89,8 +89,8 @@ def compile_kernels(section: Section) -> None:
         process.kill()
         process.join()
         raise CommandError(
-            f"the kernels of {section.get('profile')} were not compiled within {COMPILE_TIMEOUT_S:.0f} s; the "
-            "profile stays. corridor warmup compiles them without a vehicle"
+            f"the kernels of {section.get('profile')} were not compiled within {COMPILE_TIMEOUT_S:.0f} s; "
+            "the profile stays. corridor warmup compiles them without a vehicle"
         )
     if process.exitcode:
         raise CommandError(
