@@ -1,5 +1,6 @@
-"""A folder that must take files for hours: whether it does shows at the start."""
+"""A folder that must take files for hours: whether it does shows at the start. What is on disk for good."""
 
+import os
 from pathlib import Path
 from tempfile import TemporaryFile
 
@@ -16,3 +17,12 @@ def make_writable(folder: Path) -> None:
             return
     except OSError as error:
         raise StorageError(f"cannot write to {folder}: {error.strerror}") from error
+
+
+def sync(path: Path) -> None:
+    """A file, or the names in a folder, survive a power cut when this has returned. Raises OSError."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -35,13 +35,14 @@ from service.mapstore.arrays import write_arrays
 from service.mapstore.edits import Edit, Version, edit_from_json, edit_to_json, kept_for_ever
 from service.mapstore.geo_file import GEO_FILE, read_geo, write_geo
 from service.mapstore.graph_files import GRAPH_FILE, link_graph, read_graph, ways_of, write_graph
-from service.mapstore.links import CURRENT, UNFINISHED, point, point_for_others, point_to_current, sync
+from service.mapstore.links import CURRENT, UNFINISHED, point, point_for_others, point_to_current
 from service.mapstore.picture import Picture, picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
 from service.outputs import TileUpdate
 from service.readable import refuse_unreadable
 from service.version import VERSION
+from service.writable import sync
 
 log = logging.getLogger(__name__)
 

@@ -12,6 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from service.errors import StorageError
+from service.writable import sync
 
 CURRENT = "current"
 UNFINISHED = ".unfinished-"  # begins the names that nobody reads
@@ -56,15 +57,6 @@ def point(link: Path, target: str) -> None:
     new.symlink_to(target)
     new.replace(link)
     sync(link.parent)
-
-
-def sync(path: Path) -> None:
-    """Have it on disk when this returns. Raises OSError."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _is_copy(path: Path, originals: Sequence[Path]) -> bool:

@@ -11,6 +11,7 @@ from mcap.writer import CompressionType, Writer
 
 from service.encoding import CHANGES, Message, schema_text, type_hash
 from service.version import VERSION
+from service.writable import sync
 
 ACTIVE_SUFFIX = ".active"
 PROFILE = "ros2"
@@ -35,15 +36,6 @@ StreamOpener = Callable[[Path], BinaryIO]
 def create_stream(path: Path) -> BinaryIO:
     """A new file; an existing one is never overwritten."""
     return path.open("xb")
-
-
-def sync_directory(directory: Path) -> None:
-    """Make renames in it survive a power cut."""
-    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def is_locked(path: Path) -> bool:
@@ -116,7 +108,7 @@ class McapFile:
         os.fsync(self._stream.fileno())
         self.active_path.rename(self.path)
         self._stream.close()
-        sync_directory(self.path.parent)
+        sync(self.path.parent)
 
     def abandon(self) -> None:
         """Let go of a file the disk refuses; what reached it stays as `*.active`, if that holds a message.

@@ -34,8 +34,8 @@ from service.recording.mcap_file import (
     LIBRARY,
     PROFILE,
     is_locked,
-    sync_directory,
 )
+from service.writable import sync
 
 log = logging.getLogger(__name__)
 
@@ -159,7 +159,7 @@ def _put_in_place(working: Path, report: RecoveryReport) -> None:
     working.replace(path)
     if source != path:
         source.unlink(missing_ok=True)
-    sync_directory(path.parent)
+    sync(path.parent)
 
 
 def _count_by_rosbags(path: Path) -> int:

@@ -22,7 +22,6 @@ log = logging.getLogger(__name__)
 
 NICENESS = 5  # a loop may close a little later; scans may not wait
 STOP_S = 2.0
-MOST_DESCRIPTORS = 4096
 CONNECT_S = 5.0  # that a copy may take to reach its stand-by: it first ends the work that it has begun
 
 
@@ -289,7 +288,7 @@ def _live(connection: socket.socket, back_end: BackEnd) -> None:
         signal.signal(number, signal.SIG_IGN)  # who stops the service stops it too; copies need no burial
     # Else whoever waits for the mapper to be gone would wait for this process, too.
     os.closerange(3, connection.fileno())
-    os.closerange(connection.fileno() + 1, MOST_DESCRIPTORS)
+    os.closerange(connection.fileno() + 1, os.sysconf("SC_OPEN_MAX"))
     gc.unfreeze()
     os.nice(NICENESS)
     try:
