@@ -21,7 +21,7 @@ from service.kernels.pose_information import (
     wrap,
 )
 from service.kernels.scan_information import scan_information
-from service.kernels.surfels import find_surfels_again, nothing_around
+from service.kernels.surfels import find_surfels_again, forget_around, nothing_around
 
 MOST_HALVINGS = 4  # of a step that raises the cost; [12]
 LEAST_FINE_SHARE = 0.8  # of the points that lie on surfels of whole cells: with fewer, these decide; [32]
@@ -467,6 +467,7 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
             copy_matrix(less_chance_of_trial, less_chance)
     fine_pose = pose.copy()
     fine_xy = xy_base.copy()
+    forget_around(around)
     _fine_cost, _used, fine_inliers, fine_weight = align_on_surfels(
         returns,
         normals,
@@ -476,7 +477,7 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
         settings,
         1.0,
         0.0,
-        nothing_around(xy_base.shape[0]),
+        around,
         fine_xy,
         fine_pose,
         of_trial,

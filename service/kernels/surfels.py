@@ -62,15 +62,22 @@ class Around(NamedTuple):
 @inner_kernel
 def nothing_around(count):
     """Around for so many points, before the first search."""
-    cell = np.empty((count, 2), np.int64)
-    for i in range(count):
-        cell[i, 0] = NOWHERE
-    return Around(
-        cell,
+    around = Around(
+        np.empty((count, 2), np.int64),
         np.empty((count, 2), np.int64),
         np.empty((4 * count + MOST_AROUND, 5)),
-        np.zeros(1, np.int64),
+        np.empty(1, np.int64),
     )
+    forget_around(around)
+    return around
+
+
+@inner_kernel
+def forget_around(around):
+    """As before the first search, of another grid too."""
+    around.used[0] = 0
+    for i in range(around.cell.shape[0]):
+        around.cell[i, 0] = NOWHERE
 
 
 @kernel
@@ -266,10 +273,9 @@ def find_surfels_again(xy_base, normals, pose, grid, least_cosine, around, found
                 first = near_span[i, 0]
                 end = first + near_span[i, 1]
             else:
-                if used + MOST_AROUND > near_surfels.shape[0]:  # full: forget all
+                if used + MOST_AROUND > near_surfels.shape[0]:  # full
+                    forget_around(around)
                     used = 0
-                    for k in range(near_cell.shape[0]):
-                        near_cell[k, 0] = NOWHERE
                 first = end = used
                 last_row = last_column = NOWHERE
                 slot = NO_TILE
