@@ -6,10 +6,10 @@ import numpy as np
 
 from service.kernels.compiled import kernel
 from service.kernels.linear3 import copy_matrix, solve_3x3
-from service.kernels.match import surfel_normal_equations
 from service.kernels.occupancy import TILE_BITS, TILE_MASK
 from service.kernels.pose_information import wrap
 from service.kernels.scan_information import scan_information
+from service.kernels.surfel_equations import surfel_normal_equations
 from service.kernels.surfels import find_surfels
 from service.kernels.tiles import NO_TILE, find_tile
 

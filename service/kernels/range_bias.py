@@ -8,7 +8,7 @@ import numpy as np
 
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.linear3 import solve_3x3
-from service.kernels.match import point_information
+from service.kernels.surfel_equations import point_information
 from service.kernels.surfels import (
     COSINES,
     COUNT,

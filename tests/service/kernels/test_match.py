@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from service.kernels import match, pose_information, surfels
+from service.kernels import match, pose_information, surfel_equations, surfels
 from service.kernels import scan_information as information_of_scans
 from service.kernels.deskew import Returns
 from service.kernels.likelihood import LikelihoodField, splat_likelihood
@@ -20,10 +20,10 @@ cost_at = from_python(match.cost_at)
 align_on_surfels = from_python(match.align_on_surfels)
 learn_twist = from_python(match.learn_twist)
 nothing_around = from_python(surfels.nothing_around)
-point_information = from_python(match.point_information)
+point_information = from_python(surfel_equations.point_information)
 prior_weight_at = from_python(match.prior_weight_at)
-surfel_cost = from_python(match.surfel_cost)
-surfel_normal_equations = from_python(match.surfel_normal_equations)
+surfel_cost = from_python(surfel_equations.surfel_cost)
+surfel_normal_equations = from_python(surfel_equations.surfel_normal_equations)
 add_prior = from_python(pose_information.add_prior)
 invert_3x3 = from_python(pose_information.invert_3x3)
 weakest_direction = from_python(pose_information.weakest_direction)
