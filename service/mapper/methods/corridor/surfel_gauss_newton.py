@@ -251,7 +251,8 @@ class SurfelGaussNewton:
             attempt.prior,
             start,
             submap.grid(),
-            submap.fine_grid(),
+            # Directions are noisier in them, and where scans alone measure the motion chance is followed.
+            submap.grid() if attempt.predicted.is_scan_alone else submap.fine_grid(),
             self._settings._replace(
                 range_sigma_m=points.range_sigma_m,
                 repeats=max(1.0, SAME_WALL_M / _apart_m(attempt.predicted)),
