@@ -31,7 +31,7 @@ from drivers.sick_lms100.telegrams import (
     ScanTelegram,
     read_scan,
 )
-from drivers.watch import SAME_STAMP, MalformedRun, SilenceWatch, StampGate
+from drivers.watch import SAME_STAMP, DropReason, MalformedRun, SilenceWatch, StampGate
 
 FIRST_SCAN_TIMEOUT_S = 45.0  # after a change of the scan rate data flow again after some 30 s
 MALFORMED_LIMIT = 20  # scan telegrams in a row
@@ -40,6 +40,10 @@ OTHER_LIMIT = 10  # scans in a row that are not as configured
 COUNTER_GAP_IS_A_RESTART = 1_000
 COUNTER_MODULUS = 1 << 16
 CLOCK_MODULUS = 1 << 32
+
+NO_SCAN_RATE = DropReason(
+    "with a scan rate of 0 Hz", "the sensor does not know how fast it turns: switch its power off and on"
+)
 
 STATUS_BITS = {1: "device error", 2: "contamination warning", 4: "contamination error"}
 
@@ -140,6 +144,8 @@ class Lms100Session:
         if self._flagged_in_a_row >= FLAGGED_SCANS_ARE_A_FAULT:
             flags = self._last.status[0] | self._last.status[1]
             faults += [text for bit, text in STATUS_BITS.items() if flags & bit]
+        if not self._last.frequency_chz:
+            faults.append("scans with a scan rate of 0 Hz, not used")
         if self._other_in_a_row > OTHER_LIMIT:
             faults.append(f"scans at {self._other_scans}")
         self.status = "; ".join(dict.fromkeys(["streaming", *faults]))
@@ -158,6 +164,10 @@ class Lms100Session:
             return None
         self._note_flags(scan)
         self._last = scan
+        if not scan.frequency_chz:  # without it no beam has a time
+            self.counters["scans_without_scan_rate"] += 1
+            self._silence.dropped(NO_SCAN_RATE)
+            return None
         return self._frame(scan, echoes, arrived_ns)
 
     def _is_new(self, scan: ScanTelegram) -> bool:
@@ -228,7 +238,7 @@ class Lms100Session:
             stamp_ns=stamp_ns,
             arrived_ns=arrived_ns,
             beam_interval_ns=self._beam_interval_ns(scan, geometry),
-            scan_period_ns=round(1e11 / scan.frequency_chz) if scan.frequency_chz else 0,
+            scan_period_ns=round(1e11 / scan.frequency_chz),
             first_angle_rad=math.radians(geometry.first_e4deg / 10_000 - 90.0),
             angle_step_rad=math.radians(geometry.step_e4deg / 10_000),
             range_min_m=self._config.range_min_m,
@@ -260,16 +270,14 @@ class Lms100Session:
         """From the measurement frequency where it fits the rotation, else from the rotation."""
         by_rotation_hz = scan.frequency_chz / 100.0 * 3_600_000 / geometry.step_e4deg
         shots_hz = scan.shots_100hz * (1.0 if scan.shots_100hz > 10_000 else 100.0)
-        if shots_hz and (not by_rotation_hz or abs(shots_hz / by_rotation_hz - 1.0) < 0.1):
+        if shots_hz and abs(shots_hz / by_rotation_hz - 1.0) < 0.1:
             return round(1e9 / shots_hz)
         self.counters["scans_odd_measurement_frequency"] += 1
-        return round(1e9 / by_rotation_hz) if by_rotation_hz else 0
+        return round(1e9 / by_rotation_hz)
 
     def _first_beam_before_zero_us(self, scan: ScanTelegram, geometry: Channel) -> int:
         """How long before the zero-index stamp the first beam was measured. By the earliest sending of this
         sweep: one that is held up says nothing, and the others scatter by 0.2 ms, which stamps shall not."""
-        if not scan.frequency_chz:
-            return 0
         e4deg_per_us = scan.frequency_chz / 100.0 * 3_600_000 / 1e6
         sending_us = (scan.sent_us - scan.start_us) % CLOCK_MODULUS
         sweep = (scan.frequency_chz, geometry.last_e4deg)

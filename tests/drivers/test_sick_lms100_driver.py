@@ -14,7 +14,7 @@ from drivers.sick_lms100.telegrams import Channel, OutputRange, write_scan
 from simulators.sick_lms100 import FakeLms100, Lms100Setup
 from tests.drivers.lms100 import Room, config, talk, telegram
 from tests.drivers.over_tcp import frames_over_tcp
-from tests.drivers.virtual_time import SECOND_NS
+from tests.drivers.virtual_time import SECOND_NS, Talk
 from tests.soaked import in_soak
 
 ASCII, BINARY = Dialect.ASCII, Dialect.BINARY
@@ -101,6 +101,38 @@ def test_beam_interval_is_right_whatever_unit_the_firmware_takes(shots, interval
     [frame], session = frames_of(telegram(shots_100hz=shots))
     assert frame.beam_interval_ns == interval_ns
     assert session.counters["scans_odd_measurement_frequency"] == (shots in (0, 720))
+
+
+@pytest.mark.parametrize("dialect", [ASCII, BINARY])
+def test_scan_that_states_a_rate_of_0_hz_is_dropped_and_counted(dialect):
+    scans = [telegram(counter, counter * 20_060) for counter in range(100, 110)]
+    scans[5] = replace(scans[5], frequency_chz=0)
+    frames, session = frames_of(*scans, dialect=dialect)
+    assert len(frames) == 9
+    assert session.counters["scans_without_scan_rate"] == 1
+    assert session.counters["scans_received"] == 10
+    assert session.counters["scans_not_as_configured"] == 0
+
+
+class RatelessLms100(FakeLms100):
+    """States a scan rate of 0 Hz in each scan from `rateless_from` on."""
+
+    def __init__(self, rateless_from):
+        super().__init__(Room(), Lms100Setup())
+        self.rateless_from = rateless_from
+
+    def _measure(self, index):
+        scan = super()._measure(index)
+        return replace(scan, frequency_chz=0) if index >= self.rateless_from else scan
+
+
+@pytest.mark.parametrize("rateless_from", [0, 200])
+def test_device_whose_scans_all_state_a_rate_of_0_hz_is_a_silent_one(rateless_from):
+    t = Talk(Lms100Session(config()), RatelessLms100(rateless_from)).connect()
+    with pytest.raises(TransportError, match="scans came in 2 s, all with a scan rate of 0 Hz; the sensor"):
+        t.run(10.0)
+    assert bool(t.frames) == (rateless_from > 0)
+    assert t.session.status == "streaming; scans with a scan rate of 0 Hz, not used"
 
 
 @pytest.mark.parametrize("field_of_view", [(0, 541), (90, 361)])
