@@ -16,7 +16,7 @@ from typing import TypeVar
 
 from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.xsens_mtig.config import AUTO, XsensMtigConfig
-from drivers.xsens_mtig.mtdata import KNOWN_MODE, Layout, Settings
+from drivers.xsens_mtig.mtdata import KNOWN_MODE, Layout, Mode, Settings
 from drivers.xsens_mtig.mtdata2 import (
     EVERY_MESSAGE,
     Kind,
@@ -31,7 +31,7 @@ from drivers.xsens_mtig.protocol import (
     Mid,
     error_text,
 )
-from drivers.xsens_mtig.wanted import LegacyOutput, OutputItems, wanted_items, wanted_layout
+from drivers.xsens_mtig.wanted import LegacyOutput, OutputItems, left_out, wanted_items, wanted_layout
 
 GO_TO_CONFIG_S = 0.2  # between two GoToConfig
 SEARCH_ATTEMPTS = 75  # 15 s: three rounds of all baud rates
@@ -182,6 +182,13 @@ class MtigDialogue:
                 current = read_output_configuration(again or b"")
             self.fault = _difference(wanted, current)
         kinds = {identifier & 0xFFF0 for identifier, _ in current}
+        if not self._config.configure:
+            self.fault = left_out(
+                self._config,
+                places=Kind.GNSS_PVT in kinds,
+                orientation=not kinds.isdisjoint((Kind.QUATERNION, Kind.EULER, Kind.MATRIX)),
+                status=not kinds.isdisjoint((Kind.STATUS_BYTE, Kind.STATUS_WORD)),
+            )
         times = {Kind.SAMPLE_TIME_FINE, Kind.UTC}
         if Kind.RATE not in kinds or Kind.ACCELERATION not in kinds or not times & kinds:
             have = ", ".join(f"{identifier:04X}" for identifier, _ in current) or "nothing"
@@ -207,6 +214,14 @@ class MtigDialogue:
                     f"{current.rate_hz:g} Hz instead of 0x{wanted.layout.mode:04X}, "
                     f"0x{wanted.layout.settings:08X}, {wanted.rate_hz:g} Hz"
                 )
+        else:
+            mode = current.layout.mode
+            self.fault = left_out(
+                self._config,
+                places=bool(mode & (Mode.POSITION | Mode.RAW_GPS)),
+                orientation=bool(mode & Mode.ORIENTATION),
+                status=bool(mode & Mode.STATUS),
+            )
         unknown = current.layout.mode & ~KNOWN_MODE
         if unknown:
             raise DeviceError(

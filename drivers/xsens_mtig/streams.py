@@ -42,6 +42,7 @@ USABLE_FIXES = (2, 3, 4)
 PERIOD_SHOWS_AFTER = 20  # steps between samples
 NO_PLACE = (math.nan, math.nan, math.nan)
 UNKNOWN_COVARIANCE = (0.0,) * 9
+_FIX_WORDS = {True: "GNSS fix", False: "no GNSS fix", None: "not known whether there is a GNSS fix"}
 
 _READ = frozenset(
     (
@@ -360,24 +361,31 @@ class LegacyStream(_Stream):
         return frames + self._position(sample, stamp_ns, arrived_ns)
 
     def _position(self, sample: LegacyData, stamp_ns: int, arrived_ns: int) -> list[Frame]:
+        if sample.raw_gps is None and sample.position is None:
+            return []
         has_fix = None if sample.status is None else bool(sample.status & GNSS_FIX)
+        self._health.observe_gnss_words(_FIX_WORDS[has_fix])
         if sample.raw_gps is not None:
             return self._receiver(sample.raw_gps, has_fix, stamp_ns, arrived_ns)
-        if sample.position is None:
-            return []
+        assert sample.position is not None
         self._since_fix += 1
         if self._since_fix < self._samples_per_fix:
             return []
         self._since_fix = 0
         self._counters["fixes_received"] += 1
-        self._health.observe_gnss_words("GNSS fix" if has_fix else "no GNSS fix")
+        if has_fix is None:
+            self._counters["fixes_without_status"] += 1
+            return []
         latitude, longitude, height = sample.position
-        usable = bool(has_fix) and all(map(math.isfinite, sample.position))
+        usable = has_fix and all(map(math.isfinite, sample.position))
         place = (latitude, longitude, height)
         return self._fix(stamp_ns, arrived_ns, 0 if usable else -1, place, None)
 
     def _receiver(self, gps: RawGps, has_fix: bool | None, stamp_ns: int, arrived_ns: int) -> list[Frame]:
-        """The receiver's own solution, repeated in every message until there is a new one."""
+        """The receiver's own solution, repeated in every message until there is a new one.
+
+        has_fix   None: the unit sends no status, which alone tells it
+        """
         if gps.itow_ms == self._last_itow_ms:
             return []
         if self._last_itow_ms is not None:
@@ -386,10 +394,12 @@ class LegacyStream(_Stream):
                 self._counters["fixes_missed"] += missed
         self._last_itow_ms = gps.itow_ms
         self._counters["fixes_received"] += 1
-        self._health.observe_gnss_words("GNSS fix" if has_fix else "no GNSS fix")
+        if has_fix is None:
+            self._counters["fixes_without_status"] += 1
+            return []
         age_ns = gps.age * self._period_ns
         accuracy_m = (gps.horizontal_accuracy_mm * 1e-3, gps.vertical_accuracy_mm * 1e-3)
-        usable = bool(has_fix) and gps.horizontal_accuracy_mm not in (0, NO_ACCURACY)
+        usable = has_fix and gps.horizontal_accuracy_mm not in (0, NO_ACCURACY)
         place = (gps.lat_1e7deg * 1e-7, gps.lon_1e7deg * 1e-7, gps.height_mm * 1e-3)
         status = 0 if usable else -1
         return self._fix(stamp_ns - round(age_ns), arrived_ns, status, place, accuracy_m)

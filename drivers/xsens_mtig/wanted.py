@@ -96,6 +96,17 @@ def wanted_layout(config: XsensMtigConfig, baud: int | None) -> LegacyOutput:
     return LegacyOutput(Layout(mode, bits), period, skip)
 
 
+def left_out(config: XsensMtigConfig, places: bool, orientation: bool, status: bool) -> str:
+    """What a unit that was set up elsewhere does not send of what we can use and the config asks for."""
+    missing = {
+        "places (gnss: true)": config.gnss and not places,
+        "orientation (orientation: true)": config.orientation is True and not orientation,
+        "its status": not status,
+    }
+    names = ", ".join(name for name, is_missing in missing.items() if is_missing)
+    return f"set up elsewhere (configure: false), it does not send {names}" if names else ""
+
+
 def _carries(baud: int | None, bits_per_s: int) -> bool:
     return baud is None or bits_per_s <= USABLE_SHARE * baud
 
