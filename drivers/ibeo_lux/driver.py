@@ -36,7 +36,7 @@ from drivers.ibeo_lux.reduction import LayerReduction, sound_points
 from drivers.watch import MalformedRun, SilenceWatch, StampGate
 
 FIRST_SCAN_TIMEOUT_S = 20.0  # a recorded dialogue has its first scan 5 s after Start
-REPORT_SHOWN_NS = 15_000_000_000  # an error stays in the status for so long after the device last told it
+REPORT_SHOWN_NS = 15_000_000_000  # what the device last told, or did, so long ago stays in the status
 GRAVE_ERRORS = (
     "motor",
     "APD",
@@ -78,6 +78,7 @@ class IbeoLuxSession:
         self._clock = DeviceClock(self._latency_ns)
         self._clock_stands = False  # the newest scan has the time of the one before
         self._last: Scan | None = None
+        self._truncated_ns: int | None = None  # when the newest one that is came
         self._repeated_in_a_row = 0
         self._other_in_a_row = 0
         self._was_as_configured = False
@@ -203,8 +204,10 @@ class IbeoLuxSession:
         return self._shown(self._errors)
 
     def _shown(self, told: dict[str, int]) -> list[str]:
-        since_ns = (self._now_ns or 0) - REPORT_SHOWN_NS
-        return [text for text, told_ns in told.items() if told_ns >= since_ns]
+        return [text for text, told_ns in told.items() if self._is_shown(told_ns)]
+
+    def _is_shown(self, told_ns: int) -> bool:
+        return told_ns >= (self._now_ns or 0) - REPORT_SHOWN_NS
 
     def _set_status(self) -> None:
         state = self._dialogue.phase if self._last is None else "streaming"
@@ -218,6 +221,9 @@ class IbeoLuxSession:
                 parts.append("the same scan again and again, not used")
             elif self._clock_stands:
                 parts.append("its clock stands still, stamps are those of arrival")
+            if self._truncated_ns is not None and self._is_shown(self._truncated_ns):
+                count = self.counters["scans_truncated"]
+                parts.append(f"scans with fewer points than announced, {count} so far")
             if self._dialogue.other_scans and self._other_in_a_row > OTHER_LIMIT:
                 parts.append(f"scans at {self._dialogue.other_scans}")
         parts += [f"error: {text}" for text in self._errors_shown()]
@@ -239,6 +245,7 @@ class IbeoLuxSession:
         self.counters["scans_received"] += 1
         if scan.is_truncated:
             self.counters["scans_truncated"] += 1
+            self._truncated_ns = arrived_ns
         if not self._dialogue.ready:
             self.counters["scans_before_ready"] += 1
             return None

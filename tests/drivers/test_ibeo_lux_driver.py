@@ -81,6 +81,20 @@ def test_truncated_scan_is_a_frame_of_what_came():
     assert np.count_nonzero(~np.isnan(frame.range_m)) == 1
 
 
+def test_truncated_scans_are_counted_in_the_status_while_they_come():
+    made = [
+        scan((1, 0, 0, 1600, 1000, 60), number=k, start_ns=10 * SECOND_NS + PERIOD_NS * k, announced_points=n)
+        for k, n in ((1, 740), (2, 740), (3, 1))
+    ]
+    frames, session = frames_of(*made)
+    assert session.status == "streaming; scans with fewer points than announced, 2 so far"
+    session.tick(frames[1].arrived_ns + 15 * SECOND_NS)
+    assert session.status == "streaming; scans with fewer points than announced, 2 so far"
+    session._silence.heard()
+    session.tick(frames[1].arrived_ns + 15 * SECOND_NS + 1)
+    assert session.status == "streaming"
+
+
 def test_real_scan_becomes_a_frame(shared):
     payload = (shared / "captures/ibeo/ldmrs_scan_payload_0x2202.bin").read_bytes()
     session = ready_session(scan_rate_hz=12.5, last_angle_deg=-50.0)
