@@ -198,7 +198,10 @@ class Commands:
             if refused := self._mark_in_line("reset_map", request, self._reset_map, outcome):
                 outcome.failed(refused)
 
-        self._storage.put_graph_away(reset)
+        try:
+            self._storage.put_graph_away(reset)
+        except StorageError as error:
+            raise CommandError(f"the map is not reset: {error}") from error
 
     def _reset_map(self, event: Message, outcome: Outcome) -> None:
         """Answered when the map before is on disk."""
@@ -239,7 +242,11 @@ class Commands:
                     self._storage.let_go(folder)
                     outcome.failed(refused)
 
-            self._storage.put_graph_away(load)
+            try:
+                self._storage.put_graph_away(load)
+            except StorageError as error:
+                self._storage.let_go(folder)
+                raise CommandError(f"the map before stays: {error}") from error
 
         return Verb(MapRequest, start)
 

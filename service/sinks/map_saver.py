@@ -28,6 +28,7 @@ log = logging.getLogger(__name__)
 EMIT_INTERVAL_S = 10.0  # a whole map a second would outgrow the scans
 GRAPH_S = 5.0  # that the graph may take to be put away when somebody asks for the map
 MOST_UNSAVED = 8  # maps that a reset ended and the disk has not taken yet
+MOST_ASKED = 64
 # A graph folder that has not changed for so long, while checkpoints come, is of a session that was killed.
 ABANDONED_S = 3600.0
 
@@ -157,18 +158,31 @@ class MapSaver(Sink):
 
         name   of a folder in the directory of the config: the present map becomes its next version, too
         with_graph   the graph is put away before, as it is now; within GRAPH_S, else as it was last
+
+        Where MOST_ASKED wait already, `saved` hears so at once, in the caller's thread.
         """
-        with self._wake:
-            self._asked.append(_Asked(saved, name, with_graph))
-            self._wake.notify()
+        if refused := self._take(_Asked(saved, name, with_graph)):
+            saved(None, f"not saved: {refused}")
 
     def put_graph_away(self, then: Callable[[], None]) -> None:
         """Have the graph of the present map put away soon, as it is now, for the map to end. `then` is called
-        in the sink's thread: when it is, or not within GRAPH_S.
+        in the sink's thread: when it is, or not within GRAPH_S. Raises StorageError where MOST_ASKED wait
+        already; then it is never called.
         """
+        if refused := self._take(_GraphAsked(then)):
+            raise StorageError(refused)
+
+    def _take(self, asked: _Asked | _GraphAsked) -> str:
+        """Why it is not taken, "" if it is."""
         with self._wake:
-            self._asked.append(_GraphAsked(then))
+            if len(self._asked) >= MOST_ASKED:
+                return (
+                    f"{MOST_ASKED} requests wait for the disk of {self.folder.parent}; look whether it is "
+                    "full, slow or gone, and ask again"
+                )
+            self._asked.append(asked)
             self._wake.notify()
+        return ""
 
     def start(self) -> None:
         """Raises StorageError where the map cannot be stored, where another session goes on in it or somebody

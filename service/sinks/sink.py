@@ -192,11 +192,13 @@ class MapStorage(Protocol):
         """Have the present map saved soon, under a name of its own besides if one is given.
 
         with_graph   what a session goes on with is put away before, as it is now
+
+        Where too many requests wait, `saved` hears so at once, in the caller's thread.
         """
         ...
 
     def put_graph_away(self, then: Callable[[], None]) -> None:
         """Have what a session goes on with put away soon, as it is now, for the map to end. `then` is called
-        when it is, or cannot be.
+        when it is, or cannot be. Raises StorageError where too many requests wait; then it is never called.
         """
         ...

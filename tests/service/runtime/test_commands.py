@@ -29,7 +29,7 @@ from service.runtime.host_time import HostTime
 from service.runtime.intake import Intake
 from service.runtime.mapping_outputs import MappingOutputs
 from service.runtime.profile_switch import PresentMapping, ProfileSwitch
-from service.sinks.map_saver import MapSaver
+from service.sinks.map_saver import MOST_ASKED, MapSaver
 from service.sinks.mcap_sink import McapSink
 from tests.service.mapstore.graphs import graph_of
 from tests.service.runtime.inline_link import InlineLink
@@ -473,3 +473,22 @@ def test_events_are_ros_strings(machine: Machine):
     (session,) = machine.stop()
     assert {type(m) for m in Recording([session]).messages(["/events"])} == {Message}
     assert [t.type for t in Recording([session]).topics if t.name == "/events"] == [STRING]
+
+
+def test_what_the_disk_of_the_maps_cannot_take_any_more_is_refused_before_it_is_begun(tmp_path: Path):
+    machine = Machine(tmp_path, [1 << 40])
+    machine.recorder.start()  # the saver is not: nothing that it is asked for is done
+    save_map(tmp_path / "office", [tile(1)], 1)
+    machine.scan()
+    for _ in range(MOST_ASKED):
+        machine.saver.ask_to_save(lambda saved, fault: None)
+    for verb, request, words in (
+        ("save_map", {}, "not saved"),
+        ("reset_map", {}, "the map is not reset"),
+        ("load_map", {"map": "office"}, "the map before stays"),
+        ("switch_profile", {"profile": "imle"}, "the profile stays, for the map cannot be saved: not saved"),
+    ):
+        assert machine.ask(verb, **request)["error"].startswith(f"{words}: {MOST_ASKED} requests wait for")
+    with InUse(tmp_path / "office", "somebody who edits it"):
+        (session,) = machine.stop()
+    assert [event["event"] for event in events(session)] == ["save_map"]

@@ -21,7 +21,7 @@ from service.mapstore.tiles import TileStore
 from service.offline.map_edit import edit_map, erase
 from service.outputs import TileUpdate
 from service.publishing.commands import Answer
-from service.sinks.map_saver import MOST_UNSAVED, MapSaver
+from service.sinks.map_saver import MOST_ASKED, MOST_UNSAVED, MapSaver
 from service.sinks.sink import SavedMap
 from tests.service.mapstore.graphs import graph_of
 from tests.service.sinks.contexts import sink_context
@@ -151,6 +151,28 @@ def test_who_asks_hears_where_the_map_is_once_it_is_there(running: Kept, answers
     saved = SavedMap(tmp_path / "map", 1, 4)
     assert answers.heard == [(None, ""), (saved, ""), (saved, "")]
     assert load_map(tmp_path / "map").number == 1
+
+
+def test_requests_do_not_pile_up_without_end_while_the_disk_hangs(tmp_path: Path, answers: Answers):
+    kept = Kept(tmp_path / "map")  # its thread takes none
+    kept.tiles.update([tile(1)])
+    heard_put_away: list[bool] = []
+    kept.saver.put_graph_away(lambda: heard_put_away.append(True))
+    for _ in range(MOST_ASKED - 1):
+        kept.saver.ask_to_save(answers)
+    assert answers.heard == []
+    kept.saver.ask_to_save(answers)
+    why = (
+        f"{MOST_ASKED} requests wait for the disk of {tmp_path}; look whether it is full, slow or gone, and "
+        "ask again"
+    )
+    assert answers.heard == [(None, f"not saved: {why}")]
+    with pytest.raises(StorageError) as error:
+        kept.saver.put_graph_away(lambda: heard_put_away.append(False))
+    assert str(error.value) == why
+    kept.saver.flush()
+    assert answers.heard[1:] == [(SavedMap(tmp_path / "map", 1, 1), "")] * (MOST_ASKED - 1)
+    assert heard_put_away == [True]
 
 
 def test_a_name_that_the_disk_refuses_is_told_and_the_next_save_is_made(
