@@ -2,6 +2,7 @@
 
 import logging
 import threading
+import time
 from collections.abc import Callable
 
 import zenoh
@@ -13,6 +14,7 @@ log = logging.getLogger(__name__)
 
 MOST_AT_ONCE = 16  # each waits some seconds at most; who asks faster than that hears so
 CLOSE_TIMEOUT_S = 10.0
+MOST_LOGGED_BYTES = 300  # of a request and of its answer
 
 
 class CommandQueryable:
@@ -22,16 +24,21 @@ class CommandQueryable:
         self._answer = answer
         self._root = vehicle_key(vehicle, "cmd/")
         self._lock = threading.Lock()
-        self._threads: set[threading.Thread] = set()
+        self._threads: dict[threading.Thread, str] = {}  # each with the verb that it answers
         self._queryable = session.declare_queryable(self._root + "*", self._take, complete=True)
 
     def close(self) -> None:
-        """Take no more, and let those be answered that were taken."""
+        """Take no more, and let those be answered that were taken; what is not in time is said in the log."""
         self._queryable.undeclare()  # type: ignore[no-untyped-call]
         with self._lock:
-            threads = list(self._threads)
-        for thread in threads:
-            thread.join(CLOSE_TIMEOUT_S)
+            threads = dict(self._threads)
+        until_s = time.monotonic() + CLOSE_TIMEOUT_S
+        for thread, verb in threads.items():
+            thread.join(max(until_s - time.monotonic(), 0.0))
+            if thread.is_alive():
+                log.error(
+                    "command %r is not done after %.0f s; who asked hears no answer", verb, CLOSE_TIMEOUT_S
+                )
 
     def _take(self, query: zenoh.Query) -> None:
         """Zenoh's thread: hand the query on."""
@@ -48,11 +55,11 @@ class CommandQueryable:
             if len(self._threads) >= MOST_AT_ONCE:
                 refused = f"{MOST_AT_ONCE} commands are being worked on; ask again in a moment"
             else:
-                self._threads.add(thread)
+                self._threads[thread] = key.removeprefix(self._root)
                 try:
                     thread.start()  # to leave the others it needs the lock
                 except RuntimeError as error:  # the system gives no more threads
-                    self._threads.discard(thread)
+                    del self._threads[thread]
                     refused = f"no thread for it: {error}; ask again in a moment"
         if refused:
             with query:
@@ -65,7 +72,9 @@ class CommandQueryable:
                     _refuse(query, "a command takes its settings as JSON in the payload, not behind a ?")
                     return
                 payload = query.payload.to_bytes() if query.payload is not None else b""
-                answer = self._words(key.removeprefix(self._root), payload)
+                verb = key.removeprefix(self._root)
+                answer = self._words(verb, payload)
+                log.info("command %r %s: %s", verb, _shown(payload), _shown(answer.body))
                 if answer.ok:
                     query.reply(key, answer.body, encoding=zenoh.Encoding.APPLICATION_JSON)
                 else:
@@ -74,7 +83,7 @@ class CommandQueryable:
             log.error("%s was answered, but the reply was not delivered: %s", key, error)
         finally:
             with self._lock:
-                self._threads.discard(threading.current_thread())
+                del self._threads[threading.current_thread()]
 
     def _words(self, verb: str, payload: bytes) -> Answer:
         try:
@@ -86,3 +95,9 @@ class CommandQueryable:
 
 def _refuse(query: zenoh.Query, error: str) -> None:
     query.reply_err(refusal(error).body, encoding=zenoh.Encoding.APPLICATION_JSON)
+
+
+def _shown(text: bytes) -> str:
+    """For the log: on one line, and cut where it is long."""
+    shown = text[:MOST_LOGGED_BYTES].decode(errors="replace")
+    return repr(shown) + ("..." if len(text) > MOST_LOGGED_BYTES else "")

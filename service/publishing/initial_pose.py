@@ -38,12 +38,14 @@ class InitialPoseSubscriber:
         self._subscriber = session.declare_subscriber(vehicle_key(vehicle, CHANNEL), taken)
 
     def close(self) -> None:
-        """Take no more, and let what was taken be answered."""
+        """Take no more, and let what was taken be answered; what is not in time is said in the log."""
         self._subscriber.undeclare()  # type: ignore[no-untyped-call]
         with self._changed:
             self._closed = True
             self._changed.notify()
         self._thread.join(CLOSE_TIMEOUT_S)
+        if self._thread.is_alive():
+            log.error("%s: what came last is not answered after %.0f s", CHANNEL, CLOSE_TIMEOUT_S)
 
     def _take(self, sample: zenoh.Sample) -> None:
         """Hand the pose on; Zenoh's own thread, which waits for it."""
@@ -74,4 +76,7 @@ class InitialPoseSubscriber:
             return f"{CHANNEL}: ({pose.x_m}, {pose.y_m}) m, {pose.theta_rad} rad is no pose"
         request = {"x_m": pose.x_m, "y_m": pose.y_m, "theta_rad": pose.theta_rad}
         answer = self._answer("set_pose", json.dumps(request).encode())
-        return "" if answer.ok else f"{CHANNEL}: {json.loads(answer.body)['error']}"
+        if not answer.ok:
+            return f"{CHANNEL}: {json.loads(answer.body)['error']}"
+        log.info("%s: looked for at (%.2f, %.2f) m, %.2f rad", CHANNEL, pose.x_m, pose.y_m, pose.theta_rad)
+        return ""

@@ -1,4 +1,5 @@
 import json
+import logging
 import threading
 from collections.abc import Callable, Iterator
 
@@ -58,6 +59,19 @@ def test_verb_and_payload_go_in_and_json_comes_out(
     assert ask(client, "cmd/mark", '{"text": "bump"}') == [(True, "application/json", '{"ok": true}')]
     assert ask(client, "cmd/refuse") == [(False, "application/json", '{"ok": false, "error": "no"}')]
     assert asked.heard == [("mark", b'{"text": "bump"}'), ("refuse", b"")]
+
+
+def test_what_was_asked_and_what_came_of_it_is_in_the_log(
+    served: ZenohPublisher, client: zenoh.Session, caplog: pytest.LogCaptureFixture
+):
+    caplog.set_level(logging.INFO, command_queryable.log.name)
+    ask(client, "cmd/mark", '{"text": "bump\n"}')
+    ask(client, "cmd/refuse", "x" * 1000)
+    served.close()
+    assert [record.getMessage() for record in caplog.records] == [
+        r"""command 'mark' '{"text": "bump\n"}': '{"ok": true}'""",
+        f"""command 'refuse' '{"x" * 300}'...: '{{"ok": false, "error": "no"}}'""",
+    ]
 
 
 def test_asking_for_everything_commands_nothing(served: ZenohPublisher, client: zenoh.Session, asked: Asked):
@@ -151,3 +165,29 @@ def test_a_command_for_which_there_is_no_thread_is_refused_and_the_next_is_done(
     assert not good
     assert "no thread for it: can't start new thread; ask again" in text
     assert ask(client, "cmd/mark")[0][0]
+
+
+def test_commands_that_are_not_done_when_the_session_closes_are_in_the_log(
+    publisher: ZenohPublisher,
+    client: zenoh.Session,
+    asked: Asked,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+):
+    monkeypatch.setattr(command_queryable, "CLOSE_TIMEOUT_S", 0.05)
+    publisher.answer_commands(asked)
+    asked.go.clear()
+    asking = [threading.Thread(target=ask, args=(client, f"cmd/{verb}")) for verb in ("mark", "pause")]
+    for thread in asking:
+        thread.start()
+    for _ in asking:
+        assert asked.entered.acquire(timeout=10.0)
+    answering = [thread for thread in threading.enumerate() if thread.name == "zenoh-command"]
+    publisher.close()
+    told = [record.getMessage() for record in caplog.records]
+    asked.go.set()
+    for thread in asking + answering:
+        thread.join(20.0)
+    assert sorted(told) == [
+        f"command '{verb}' is not done after 0 s; who asked hears no answer" for verb in ("mark", "pause")
+    ]

@@ -1,7 +1,9 @@
 """Poses on initialpose become set_pose; what is no pose is refused and told."""
 
 import json
+import logging
 import math
+import threading
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ import zenoh
 from service.encoding import ros_messages as ros
 from service.encoding import wire
 from service.geometry.se2 import SE2
+from service.publishing import initial_pose
 from service.publishing.zenoh_publisher import ZenohPublisher
 from tests.service.publishing.test_command_queryable import Asked
 
@@ -42,7 +45,10 @@ def served(publisher: ZenohPublisher, asked: Asked):
 
 
 @pytest.mark.parametrize("frame", ["map", "/map"])
-def test_a_pose_becomes_set_pose(served: ZenohPublisher, client: zenoh.Session, asked: Asked, frame: str):
+def test_a_pose_becomes_set_pose(
+    served: ZenohPublisher, client: zenoh.Session, asked: Asked, frame: str, caplog: pytest.LogCaptureFixture
+):
+    caplog.set_level(logging.INFO, initial_pose.log.name)
     client.put(KEY, payload_of(SE2(1.25, -2.5, 3.0), frame))
     assert asked.entered.acquire(timeout=20.0)
     verb, payload = asked.heard[0]
@@ -50,6 +56,9 @@ def test_a_pose_becomes_set_pose(served: ZenohPublisher, client: zenoh.Session, 
     assert json.loads(payload) == pytest.approx({"x_m": 1.25, "y_m": -2.5, "theta_rad": 3.0}, abs=1e-9)
     served.close()
     assert served.pose_refused == ""
+    assert [record.getMessage() for record in caplog.records] == [
+        "initialpose: looked for at (1.25, -2.50) m, 3.00 rad"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -101,3 +110,24 @@ def test_a_refusal_of_the_command_is_told_in_its_words(
     assert asked.entered.acquire(timeout=20.0)
     publisher.close()
     assert publisher.pose_refused == "initialpose: no"
+
+
+def test_a_pose_that_is_not_answered_when_the_session_closes_is_in_the_log(
+    publisher: ZenohPublisher,
+    client: zenoh.Session,
+    asked: Asked,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+):
+    monkeypatch.setattr(initial_pose, "CLOSE_TIMEOUT_S", 0.05)
+    publisher.answer_commands(asked)
+    asked.go.clear()
+    client.put(KEY, payload_of(SE2()))
+    assert asked.entered.acquire(timeout=20.0)
+    answering = [thread for thread in threading.enumerate() if thread.name == "zenoh-initialpose"]
+    publisher.close()
+    told = [record.getMessage() for record in caplog.records]
+    asked.go.set()
+    for thread in answering:
+        thread.join(20.0)
+    assert told == ["initialpose: what came last is not answered after 0 s"]
