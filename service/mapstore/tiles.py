@@ -131,12 +131,13 @@ class TileStore:
         The map as it was waits for `take`. Tiles of the next map need versions above `version`.
         """
         with self._lock:
+            geo, self._geo = self._geo, None
+            graph, self._graph = self._graph, None
             ended = _by_version(self._newer(self._began_version))
             if not ended:
                 return []
-            self._ended.append(NumberedMap(self._number, ended, self._geo, self._graph))
+            self._ended.append(NumberedMap(self._number, ended, geo, graph))
             self._number += 1
-            self._geo = self._graph = None
             emptied = [
                 replace(tile, version=self._version + k, cells=_unknown(tile))
                 for k, tile in enumerate(ended, start=1)

@@ -198,10 +198,19 @@ class Commands:
             if refused := self._mark_in_line("reset_map", request, self._reset_map, outcome):
                 outcome.failed(refused)
 
-        try:
-            self._storage.put_graph_away(reset)
-        except StorageError as error:
-            raise CommandError(f"the map is not reset: {error}") from error
+        self._put_graph_away(reset, outcome.failed)
+
+    def _put_graph_away(self, then: Callable[[], None], refused: Callable[[str], None]) -> None:
+        """Before the present map ends: whether it has a graph is seen by its tiles, so these come first."""
+
+        def put_away() -> None:
+            try:
+                self._storage.put_graph_away(then)
+            except StorageError as error:
+                refused(f"the present map stays: {error}")
+
+        if why := self._intake.hand_over_tiles(put_away):
+            refused(why)
 
     def _reset_map(self, event: Message, outcome: Outcome) -> None:
         """Answered when the map before is on disk."""
@@ -242,11 +251,11 @@ class Commands:
                     self._storage.let_go(folder)
                     outcome.failed(refused)
 
-            try:
-                self._storage.put_graph_away(load)
-            except StorageError as error:
+            def refused(why: str) -> None:
                 self._storage.let_go(folder)
-                raise CommandError(f"the map before stays: {error}") from error
+                outcome.failed(why)
+
+            self._put_graph_away(load, refused)
 
         return Verb(MapRequest, start)
 

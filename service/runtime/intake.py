@@ -97,6 +97,18 @@ class Intake:
         """Within `then` of a mark: have all tiles up to it handed over."""
         self._link.submit(TilesItem(self._link.next_number(), log_ns), answered)
 
+    def hand_over_tiles(self, then: Callable[[], None]) -> str:
+        """Have all tiles up to now handed over, which is not recorded; why that is not done, "" if it is.
+
+        then    called when they are; waits for nothing
+        """
+        with self._lock:
+            if self._is_closed:
+                return "the service is stopping"
+            log_ns = self._log_clock.next_ns(self._host_time.unix_ns(time.monotonic_ns()))
+            self.request_tiles(log_ns, lambda answer: then())
+            return ""
+
     def log_ns(self) -> int:
         """A log time after all before, for what comes of frames."""
         with self._lock:

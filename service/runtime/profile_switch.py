@@ -170,7 +170,11 @@ class ProfileSwitch:
             elif refused := self._intake.mark(event, lambda marked: self._switch(marked, chosen, outcome)):
                 outcome.failed(refused)
 
-        self._storage.ask_to_save(saved, with_graph=True)
+        def save() -> None:
+            self._storage.ask_to_save(saved, with_graph=True)
+
+        if refused := self._intake.hand_over_tiles(save):
+            outcome.failed(refused)
 
     def _switch(self, event: Message, chosen: MappingConfig, outcome: Outcome) -> None:
         """Answered when the map before is on disk up to here."""

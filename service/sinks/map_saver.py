@@ -41,6 +41,7 @@ class _Asked(NamedTuple):
     saved: SavedHeard
     name: str
     with_graph: bool
+    number: int  # of the map that was the present one then
 
 
 class _GraphAsked(NamedTuple):
@@ -85,6 +86,7 @@ class MapSaver(Sink):
         self._made_by = {1: _Profile(context.profile, context.stores_graph)}  # from the map of that number on
         self._emitted_version = 0
         self._unsaved: list[NumberedMap] = []  # ended by a reset
+        self._ended: dict[int, tuple[SavedMap | None, str]] = {}  # by number: where it is, or why nowhere
         self._wake = threading.Condition()  # of the two that follow
         self._asked: deque[_Asked | _GraphAsked] = deque()
         self._stopping = False
@@ -107,8 +109,8 @@ class MapSaver(Sink):
     @property
     def saved_version(self) -> int:
         """Newest tile of the present map that is on disk; 0: none."""
-        newest = self._newest
-        return newest[1].version if newest is not None and newest[0] == self._tiles.number else 0
+        newest = self._newest_of(self._tiles.number)
+        return 0 if newest is None else newest.version
 
     def folder_of(self, number: int) -> Path:
         new = self._folder if number == 1 else self._folder.with_name(f"{self._folder.name}_{number}")
@@ -159,9 +161,10 @@ class MapSaver(Sink):
         name   of a folder in the directory of the config: the present map becomes its next version, too
         with_graph   the graph is put away before, as it is now; within GRAPH_S, else as it was last
 
-        Where MOST_ASKED wait already, `saved` hears so at once, in the caller's thread.
+        A map that has ended before it is saved so is saved in its folder alone, and `saved` hears of that.
+        Where MOST_ASKED wait already, it hears so at once, in the caller's thread.
         """
-        if refused := self._take(_Asked(saved, name, with_graph)):
+        if refused := self._take(_Asked(saved, name, with_graph, self._tiles.number)):
             saved(None, f"not saved: {refused}")
 
     def put_graph_away(self, then: Callable[[], None]) -> None:
@@ -256,13 +259,19 @@ class MapSaver(Sink):
                 f"map {lost.number} of this run is not saved: more than {MOST_UNSAVED} ended maps wait to be "
                 f"saved under {self._folder.parent}; make room there, or change map.directory"
             )
+            self._ended[lost.number] = (None, self._given_up)
             log.error("%s", self._given_up)
         while self._unsaved:
-            self._store(self._unsaved[0])
-            self._let_go_of(self._unsaved.pop(0).number)
+            held_back = self._store(self._unsaved[0])
+            number = self._unsaved.pop(0).number
+            self._let_go_of(number)
+            self._ended[number] = (self._newest_of(number), held_back)
         self._held_back = self._store(present)
         self.fault = ""
-        return self._newest[1] if self._newest is not None and self._newest[0] == present.number else None
+        return self._newest_of(present.number)
+
+    def _newest_of(self, number: int) -> SavedMap | None:
+        return self._newest[1] if self._newest is not None and self._newest[0] == number else None
 
     def _store(self, numbered: NumberedMap) -> str:
         """Why it is not stored, though nothing failed; "" where it is, or holds nothing new."""
@@ -274,13 +283,12 @@ class MapSaver(Sink):
             )
             log.warning("%s", held_back)
             return held_back
-        newest = self._newest
+        newest = self._newest_of(numbered.number)
         if (
             newest is not None
-            and newest[0] == numbered.number
-            and newest[1].version == numbered.version
-            and newest[1].geo == numbered.geo
-            and newest[1].graph == numbered.graph
+            and newest.version == numbered.version
+            and newest.geo == numbered.geo
+            and newest.graph == numbered.graph
         ):
             return ""
         folder = self.folder_of(numbered.number)
@@ -385,6 +393,9 @@ class MapSaver(Sink):
     def _save_for(self, asked: Sequence[_Asked]) -> None:
         saved = self._try_to_save()
         for one in asked:
+            if not self.fault and one.number in self._ended:
+                one.saved(*self._of_ended(one))
+                continue
             if not one.name or self.fault:
                 one.saved(saved, self.fault or self._held_back)
                 continue
@@ -392,6 +403,12 @@ class MapSaver(Sink):
                 one.saved(self._save_as(one.name), "")
             except StorageError as error:
                 one.saved(None, str(error))
+
+    def _of_ended(self, asked: _Asked) -> tuple[SavedMap | None, str]:
+        saved, fault = self._ended[asked.number]
+        if saved is None or not asked.name:
+            return saved, fault
+        return None, f"not saved as {asked.name}: the map has ended meanwhile; it is stored in {saved.folder}"
 
     def _put_graph_away(self) -> None:
         if not self._asks_for_graph or self._tiles.finest_count == 0:

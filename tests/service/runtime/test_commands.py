@@ -484,8 +484,8 @@ def test_what_the_disk_of_the_maps_cannot_take_any_more_is_refused_before_it_is_
         machine.saver.ask_to_save(lambda saved, fault: None)
     for verb, request, words in (
         ("save_map", {}, "not saved"),
-        ("reset_map", {}, "the map is not reset"),
-        ("load_map", {"map": "office"}, "the map before stays"),
+        ("reset_map", {}, "the present map stays"),
+        ("load_map", {"map": "office"}, "the present map stays"),
         ("switch_profile", {"profile": "imle"}, "the profile stays, for the map cannot be saved: not saved"),
     ):
         assert machine.ask(verb, **request)["error"].startswith(f"{words}: {MOST_ASKED} requests wait for")
