@@ -20,10 +20,12 @@ import yaml
 from pydantic import ValidationError
 
 from service.config import ServiceConfig, parse_config
-from service.encoding import decode_pose
+from service.encoding import LASER_SCAN, decode_frame, decode_pose
+from service.encoding.steps import LOAD_MAP, SWITCH_PROFILE, decode_step
 from service.errors import ConfigError, CorridorError, StorageError
 from service.geometry.se2 import SE2
 from service.kernel_warm_up import KernelProgress
+from service.mapper.mapping_session import LoadMap, SessionRequest, Step, SwitchProfile
 from service.mapper.profiles import MappingConfig, mapping_config
 from service.offline.warmup import warm_up
 from service.recording.mcap_reader import Recording
@@ -50,6 +52,8 @@ DEVICES: dict[str, tuple[str, dict[str, float]]] = {  # name -> type and mountin
     "base": ("irobot_create", {}),
 }
 
+LATEST_POSE_NS = 2_000_000_000  # after its scan: older ones are not mapped
+
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -73,6 +77,15 @@ class Page:
     listen: str
     token_file: Path
     token: str
+
+
+@dataclass(frozen=True, slots=True)
+class LastMap:
+    """The poses in the map that a run ended with."""
+
+    began: str  # the command that began it; "" where the run had no other
+    stamps_ns: npt.NDArray[np.int64]  # (N,) host monotonic
+    poses: list[SE2]  # N, in the map
 
 
 class Simulators:
@@ -112,16 +125,17 @@ def demo(
     with simulators(options, truth) as fakes:
         config = demo_config(fakes.endpoints, options, zenoh_port, page)
         summary = run(config, options.seconds, options.out / "map", _tell_where_to_look, fakes.fault, watch)
+    mapped = last_map(summary)
     return {
         "seconds": round(summary.seconds, 1),
         "scans": summary.scans,
         "scans_dropped": summary.scans_dropped,
-        **pose_error(summary, truth),
+        **pose_error(mapped, truth),
         "latency_ms": summary.latency_ms.as_dict(),
         "scan_cpu_ms": summary.scan_cpu_ms.as_dict(),
         "rates_hz": summary.rates_hz,
         "cpu_percent": summary.cpu_percent,
-        "void": _void(fakes.left_out),
+        "void": _void(fakes.left_out, mapped.began),
         "session": str(summary.sessions[-1]) if summary.sessions else None,
         "map": str(summary.map_folder) if summary.map_folder else None,
     }
@@ -211,16 +225,58 @@ def demo_config(
     return parse_config(text, "config of the demo")
 
 
-def pose_error(summary: Summary, truth: Path) -> dict[str, float | None]:
-    """RMSE of the recorded poses against the truth, both taken from where the first pose was.
-
-    None where nothing was mapped.
+def last_map(summary: Summary) -> LastMap:
+    """From the recording. A pose is recorded after its scan, so the first ones behind the command that began
+    the map may be of the map before.
     """
-    stamps_ns, poses = _recorded_poses(summary.sessions) if summary.sessions else ([], [])
-    if not poses:
+    began = ""
+    stamps_ns: list[int] = []
+    poses: list[SE2] = []
+    before_ns: set[int] = set()  # stamps of scans that came before the command
+    recording = Recording(summary.sessions) if summary.sessions else None
+    for message in recording.messages(["/pose", "/events"]) if recording else ():
+        if message.channel == "pose":
+            pose = decode_pose(message.payload)
+            if pose.stamp_ns not in before_ns:
+                stamps_ns.append(pose.stamp_ns)
+                poses.append(pose.pose)
+        elif verb := _begins_a_map(decode_step(message.payload, message.log_ns)):
+            assert recording is not None
+            began, stamps_ns, poses = verb, [], []
+            before_ns = _stamps_of_scans(recording, message.log_ns - LATEST_POSE_NS, message.log_ns)
+    return LastMap(began, np.array(stamps_ns, dtype=np.int64) - summary.utc_offset_ns, poses)
+
+
+def _begins_a_map(step: Step | None) -> str:
+    """The command with which a map begins; "" for another step."""
+    match step:
+        case SessionRequest("reset_map"):
+            return step.action
+        case LoadMap():
+            return LOAD_MAP
+        case SwitchProfile():
+            return SWITCH_PROFILE
+    return ""
+
+
+def _stamps_of_scans(recording: Recording, from_ns: int, to_ns: int) -> set[int]:
+    lasers = [topic.name for topic in recording.topics if topic.type == LASER_SCAN]
+    frames = (
+        decode_frame(m.type, m.payload, m.channel, m.log_ns)
+        for m in recording.messages(lasers, from_ns, to_ns)
+    )
+    return {frame.stamp_ns for frame in frames if frame is not None}
+
+
+def pose_error(mapped: LastMap, truth: Path) -> dict[str, float | None]:
+    """RMSE of the poses of a map against the truth, both taken from where the first pose was.
+
+    None where nothing was mapped, or where it was in a stored map: that may lie anywhere in the world.
+    """
+    if not mapped.poses or mapped.began == LOAD_MAP:
         return {"position_rmse_m": None, "heading_rmse_deg": None}
-    monotonic_ns = np.array(stamps_ns, dtype=np.int64) - summary.utc_offset_ns
-    true = interpolate(np.loadtxt(truth, ndmin=2), monotonic_ns)
+    poses = mapped.poses
+    true = interpolate(np.loadtxt(truth, ndmin=2), mapped.stamps_ns)
     first_true, first = true[0].inverse(), poses[0].inverse()
     errors = [(first_true @ t).inverse() @ (first @ p) for t, p in zip(true, poses, strict=True)]
     square_m2 = np.mean([e.x_m**2 + e.y_m**2 for e in errors])
@@ -245,11 +301,6 @@ def interpolate(truth: FloatArray, stamps_ns: npt.NDArray[np.int64]) -> list[SE2
     x, y = (np.interp(stamps_ns, known_ns, truth[:, column]) for column in (1, 2))
     theta = np.interp(stamps_ns, known_ns, np.unwrap(truth[:, 3]))
     return [SE2(*pose) for pose in zip(x.tolist(), y.tolist(), theta.tolist(), strict=True)]
-
-
-def _recorded_poses(sessions: Sequence[Path]) -> tuple[list[int], list[SE2]]:
-    poses = [decode_pose(message.payload) for message in Recording(sessions).messages(["/pose"])]
-    return [pose.stamp_ns for pose in poses], [pose.pose for pose in poses]
 
 
 def _read_endpoints(process: subprocess.Popen[bytes]) -> list[dict[str, str]]:
@@ -278,12 +329,18 @@ def _left_out(last_words: bytes) -> dict[str, int]:
     return {}
 
 
-def _void(left_out: dict[str, int]) -> str | None:
-    """Why the figures of the demo say nothing; None where they do."""
-    if not left_out:
-        return None
-    missing = ", ".join(f"{count} of {name}" for name, count in left_out.items())
-    return f"the fake devices had no processor to send {missing}; latency and error are void"
+def _void(left_out: dict[str, int], began: str) -> str | None:
+    """Why the figures of the demo say nothing; None where they do.
+
+    began   the command that began the last map, "" where it is the only one
+    """
+    reasons = []
+    if left_out:
+        missing = ", ".join(f"{count} of {name}" for name, count in left_out.items())
+        reasons.append(f"the fake devices had no processor to send {missing}; latency and error are void")
+    if began == LOAD_MAP:
+        reasons.append("a stored map was loaded, whose place in the world is not known; the error is void")
+    return "; ".join(reasons) or None
 
 
 def free_port(wanted: int | None, usual: int, option: str) -> int:

@@ -8,10 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.frames import NO_INTENSITY, LaserScan
 from service import demo
 from service.config import mapped_lasers
-from service.demo import WEB_PORT, DemoOptions, Simulators, _page, demo_config, interpolate, pose_error
-from service.encoding import encode_pose
+from service.demo import (
+    WEB_PORT,
+    DemoOptions,
+    Simulators,
+    _page,
+    _void,
+    demo_config,
+    interpolate,
+    last_map,
+    pose_error,
+)
+from service.encoding import Message, encode_event, encode_frame, encode_pose
 from service.errors import ConfigError, CorridorError, StorageError
 from service.geometry.se2 import SE2
 from service.outputs import MapperOutput
@@ -19,6 +30,7 @@ from service.recording.mcap_recorder import McapRecorder
 from service.runtime.metrics import Percentiles
 from service.runtime.summary import Summary
 
+RANGES_M = np.array([1.0, 2.0, 3.0], np.float32)
 OFFSET_NS = 1_700_000_000_000_000_000
 ENDPOINTS = [
     {"name": "front", "device": "sick_lms100", "endpoint": "tcp://127.0.0.1:2111"},
@@ -99,18 +111,31 @@ def test_truth_that_does_not_reach_is_said():
         interpolate(truth, np.array([5, 11]))
 
 
-def record(folder: Path, poses: list[tuple[int, SE2]]) -> Summary:
-    """A finished session with these poses, stamped in host monotonic time."""
+SECOND_NS = 1_000_000_000
+
+
+def record(folder: Path, steps: list[tuple[int, SE2] | str]) -> Summary:
+    """A finished session: scans, stamped in host monotonic time, with their poses, and events.
+
+    A pose comes 20 ms after its scan, an event 10 ms after the scan before it: so it stands between the two.
+    """
+    messages: list[Message] = []
+    unix_ns = OFFSET_NS
+    for step in steps:
+        if isinstance(step, str):
+            messages.append(encode_event(step, unix_ns + 10_000_000, unix_ns + 10_000_000))
+            continue
+        unix_ns = step[0] + OFFSET_NS
+        scan = LaserScan("front", unix_ns, unix_ns, 1, 3, 0.0, 0.1, 0.01, 20.0, RANGES_M, NO_INTENSITY)
+        output = MapperOutput(unix_ns, step[1], SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 1.0)
+        messages += [encode_frame(scan), encode_pose(output, unix_ns + 20_000_000)]
     recorder = McapRecorder(folder, "demo", keep_free_bytes=0)
     recorder.start()
-    for stamp_ns, pose in poses:
-        unix_ns = stamp_ns + OFFSET_NS
-        output = MapperOutput(unix_ns, pose, SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 1.0)
-        recorder.put(encode_pose(output, unix_ns))
+    for message in sorted(messages, key=lambda message: message.log_ns):
+        recorder.put(message)
     nothing = Percentiles(0.0, 0.0, 0.0, 0.0)
-    return Summary(
-        1.0, len(poses), 0, {}, nothing, nothing, {}, 0.0, {"recording": recorder.finish()}, OFFSET_NS
-    )
+    written = {"recording": recorder.finish()}
+    return Summary(1.0, len(steps), 0, {}, nothing, nothing, {}, 0.0, written, OFFSET_NS)
 
 
 def test_the_error_is_that_against_the_truth_from_the_first_pose_on(tmp_path: Path):
@@ -119,15 +144,51 @@ def test_the_error_is_that_against_the_truth_from_the_first_pose_on(tmp_path: Pa
     truth.write_text("0 5.0 5.0 1.5707963\n2000000000 5.0 7.0 1.5707963\n")
     off = SE2(1.0, 0.03, math.radians(2.0))
     summary = record(tmp_path, [(0, SE2()), (1_000_000_000, off)])
-    assert pose_error(summary, truth) == {
+    assert pose_error(last_map(summary), truth) == {
         "position_rmse_m": pytest.approx(0.03 / math.sqrt(2), abs=1e-4),
         "heading_rmse_deg": pytest.approx(2.0 / math.sqrt(2), abs=1e-3),
     }
 
 
+TRUTH = "0 0.0 0.0 0.0\n4000000000 4.0 0.0 0.0\n"
+RESET, PAUSE = '{"event": "reset_map"}', '{"event": "pause"}'
+SWITCH = '{"event": "switch_profile", "profile": "imle"}'
+LOAD = '{"event": "load_map", "map": "office", "version": 1}'
+
+
+def test_the_error_is_that_of_the_map_since_the_last_reset(tmp_path: Path):
+    """Each map begins at (0, 0, 0); the last pose of the one before is told behind the command."""
+    (tmp_path / "truth.txt").write_text(TRUTH)
+    off = SE2(1.0, 0.03, 0.0)
+    poses = [(0, SE2()), (SECOND_NS, SE2(9.0)), (2 * SECOND_NS, SE2()), (3 * SECOND_NS, off)]
+    for number, verb in enumerate((RESET, SWITCH)):
+        summary = record(tmp_path / str(number), [*poses[:2], verb, *poses[2:], PAUSE])
+        error = pose_error(last_map(summary), tmp_path / "truth.txt")
+        assert error == {
+            "position_rmse_m": pytest.approx(0.03 / math.sqrt(2), abs=1e-4),
+            "heading_rmse_deg": 0.0,
+        }
+        assert _void({}, last_map(summary).began) is None
+
+
+def test_in_a_stored_map_the_error_is_void(tmp_path: Path):
+    summary = record(tmp_path, [(0, SE2()), LOAD, (SECOND_NS, SE2(7.0, 8.0, 1.0))])
+    mapped = last_map(summary)
+    assert pose_error(mapped, tmp_path / "truth.txt") == {"position_rmse_m": None, "heading_rmse_deg": None}
+    assert _void({}, mapped.began) == (
+        "a stored map was loaded, whose place in the world is not known; the error is void"
+    )
+    assert "no processor to send 3 of front; latency and error are void; a stored" in str(
+        _void({"front": 3}, mapped.began)
+    )
+
+
 def test_without_poses_there_is_no_error_to_tell(tmp_path: Path):
     summary = record(tmp_path, [])
-    assert pose_error(summary, tmp_path / "truth.txt") == {"position_rmse_m": None, "heading_rmse_deg": None}
+    assert pose_error(last_map(summary), tmp_path / "truth.txt") == {
+        "position_rmse_m": None,
+        "heading_rmse_deg": None,
+    }
 
 
 def test_simulators_that_do_not_come_up_are_said(tmp_path: Path):
@@ -157,10 +218,10 @@ def test_simulators_that_end_on_the_way_end_the_demo():
 
 def test_figures_of_a_demo_whose_devices_had_no_processor_are_called_void():
     words = b'{"ready": true}\n{"left_out": {"front": 12, "rear": 3}}\n'
-    assert demo._void(demo._left_out(words)) == (
+    assert _void(demo._left_out(words), "") == (
         "the fake devices had no processor to send 12 of front, 3 of rear; latency and error are void"
     )
-    assert demo._void(demo._left_out(b'{"left_out": {}}\n')) is None
+    assert _void(demo._left_out(b'{"left_out": {}}\n'), "") is None
 
 
 def test_a_folder_that_cannot_be_written_ends_it_before_anything_begins(
