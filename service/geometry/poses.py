@@ -5,15 +5,10 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from service.geometry.se2 import SE2
+from service.geometry.se2 import SE2, wrap_angle
 
 Floats = npt.NDArray[np.float64]
 Poses = Floats  # (..., 3)
-
-
-def wrap(theta_rad: Floats) -> Floats:
-    """The same directions in (-pi, pi]."""
-    return -((-theta_rad + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def compose(a: Poses, b: Poses) -> Poses:
@@ -22,7 +17,7 @@ def compose(a: Poses, b: Poses) -> Poses:
     return _rows(
         a[..., 0] + c * b[..., 0] - s * b[..., 1],
         a[..., 1] + s * b[..., 0] + c * b[..., 1],
-        wrap(a[..., 2] + b[..., 2]),
+        wrap_angle(a[..., 2] + b[..., 2]),
     )
 
 
@@ -30,7 +25,7 @@ def between(a: Poses, b: Poses) -> Poses:
     """a^-1 @ b, row by row: b seen from a; shapes (..., 3) that broadcast."""
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     dx, dy = b[..., 0] - a[..., 0], b[..., 1] - a[..., 1]
-    return _rows(c * dx + s * dy, -s * dx + c * dy, wrap(b[..., 2] - a[..., 2]))
+    return _rows(c * dx + s * dy, -s * dx + c * dy, wrap_angle(b[..., 2] - a[..., 2]))
 
 
 def adjoint(pose: Poses) -> Floats:

@@ -2,10 +2,16 @@
 
 import math
 from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+Angles = TypeVar("Angles", float, npt.NDArray[np.float64])  # one, or an array of them
 
 
-def wrap_angle(theta_rad: float) -> float:
-    """The same direction in (-pi, pi]."""
+def wrap_angle(theta_rad: Angles) -> Angles:
+    """The same directions in (-pi, pi]."""
     return -((-theta_rad + math.pi) % (2.0 * math.pi) - math.pi)
 
 

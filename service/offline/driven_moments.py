@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from service.encoding import BASE_FRAME, MAP_FRAME, Pose
-from service.geometry.poses import Floats, between, wrap
-from service.geometry.se2 import SE2
+from service.geometry.poses import Floats, between
+from service.geometry.se2 import SE2, wrap_angle
 from service.offline.moments import Moment, thinned
 from service.web.live_view import MOST_PATH_POINTS, PATH_STEP_M
 
@@ -62,4 +62,4 @@ class DrivenMoments:
         k = min(k, len(self._poses) - 2)
         step = between(self._poses[k], self._poses[k + 1])
         seconds = (self._stamp_ns[k + 1] - self._stamp_ns[k]) / 1e9
-        return float(step[0] / seconds), float(step[1] / seconds), float(wrap(step[2]) / seconds)
+        return float(step[0] / seconds), float(step[1] / seconds), float(wrap_angle(step[2]) / seconds)

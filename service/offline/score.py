@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.errors import InputError, UsageError
-from service.geometry.poses import wrap
+from service.geometry.se2 import wrap_angle
 from service.offline.trajectory import (
     NS_PER_S,
     Trajectory,
@@ -171,7 +171,7 @@ def compose(a: Poses, b: Poses) -> Poses:
         (
             a[:, 0] + cosine * b[:, 0] - sine * b[:, 1],
             a[:, 1] + sine * b[:, 0] + cosine * b[:, 1],
-            wrap(a[:, 2] + b[:, 2]),
+            wrap_angle(a[:, 2] + b[:, 2]),
         )
     )
 
@@ -179,7 +179,7 @@ def compose(a: Poses, b: Poses) -> Poses:
 def invert(a: Poses) -> Poses:
     cosine, sine = np.cos(a[:, 2]), np.sin(a[:, 2])
     return np.column_stack(
-        (-cosine * a[:, 0] - sine * a[:, 1], sine * a[:, 0] - cosine * a[:, 1], wrap(-a[:, 2]))
+        (-cosine * a[:, 0] - sine * a[:, 1], sine * a[:, 0] - cosine * a[:, 1], wrap_angle(-a[:, 2]))
     )
 
 
@@ -296,7 +296,7 @@ def _relative_error(e: Poses, t: Poses, starts: npt.NDArray[np.int64], ends: npt
 
 def _difference(a: Poses, b: Poses) -> Poses:
     difference = a - b
-    difference[:, 2] = wrap(difference[:, 2])
+    difference[:, 2] = wrap_angle(difference[:, 2])
     return difference
 
 

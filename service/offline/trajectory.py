@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.errors import InputError
-from service.geometry.poses import wrap
-from service.geometry.se2 import SE2
+from service.geometry.se2 import SE2, wrap_angle
 
 NS_PER_S = 1_000_000_000
 LARGEST = 1e9  # m; beyond it no double holds a micrometre
@@ -35,9 +34,9 @@ class Trajectory:
         span_ns = self.stamp_ns[right] - self.stamp_ns[left]
         share = ((stamp_ns - self.stamp_ns[left]) / span_ns)[:, None]
         step = self.pose[right] - self.pose[left]
-        step[:, 2] = wrap(step[:, 2])
+        step[:, 2] = wrap_angle(step[:, 2])
         pose = self.pose[left] + share * step
-        pose[:, 2] = wrap(pose[:, 2])
+        pose[:, 2] = wrap_angle(pose[:, 2])
         return pose
 
 

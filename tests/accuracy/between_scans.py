@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.frames import OdometrySample
-from service.geometry.poses import between, compose, wrap
+from service.geometry.poses import between, compose
+from service.geometry.se2 import wrap_angle
 from service.offline.trajectory import Trajectory
 
 
@@ -30,7 +31,7 @@ def with_odometry(scans: Trajectory, samples: list[OdometrySample]) -> Trajector
     moved = between(begun, odometry.at(asked))
     whole = between(begun, odometry.at(scans.stamp_ns[right]))
     differs = between(scans.pose[left], scans.pose[right]) - whole
-    differs[:, 2] = wrap(differs[:, 2])
+    differs[:, 2] = wrap_angle(differs[:, 2])
     share = (asked - scans.stamp_ns[left]) / (scans.stamp_ns[right] - scans.stamp_ns[left])
     pose = compose(scans.pose[left], moved + share[:, None] * differs)
     stamp_ns = np.concatenate([scans.stamp_ns, asked])

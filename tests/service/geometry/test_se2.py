@@ -45,3 +45,5 @@ def test_angles_are_wrapped_with_pi_kept_and_minus_pi_not() -> None:
     assert wrap_angle(math.pi) == math.pi
     assert wrap_angle(-math.pi) == math.pi
     assert wrap_angle(7.0) == pytest.approx(7.0 - 2.0 * math.pi)
+    many = np.array([math.pi, -math.pi, 7.0, -9.0, 0.0, 1e6])
+    assert wrap_angle(many).tolist() == [wrap_angle(one) for one in many.tolist()]

@@ -192,7 +192,7 @@ class ParticleFilter:
         weights = local_map.weights
         best = poses[int(np.argmax(weights))]
         apart = poses - best
-        apart[:, 2] = se2.wrap(apart[:, 2])
+        apart[:, 2] = wrap_angle(apart[:, 2])
         offset = weights @ apart
         x_m, y_m, theta_rad = (best + offset).tolist()
         pose = SE2(x_m, y_m, wrap_angle(theta_rad))

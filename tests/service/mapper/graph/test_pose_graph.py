@@ -6,6 +6,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from service.geometry import poses as se2
+from service.geometry.se2 import wrap_angle
 from service.mapper.graph.pose_graph import (
     Edges,
     GraphError,
@@ -23,7 +24,7 @@ def ring(count: int, noise: float = 1.0, seed: int = 3) -> tuple[PoseGraph, np.n
     """A drive once round, and an edge that closes it; the guess is the odometry. Truth beside it."""
     rng = np.random.default_rng(seed)
     turn = 2.0 * np.pi * np.arange(count) / count
-    truth = np.stack((10.0 * np.sin(turn), 10.0 - 10.0 * np.cos(turn), se2.wrap(turn)), axis=1)
+    truth = np.stack((10.0 * np.sin(turn), 10.0 - 10.0 * np.cos(turn), wrap_angle(turn)), axis=1)
     of, to = np.arange(count), (np.arange(count) + 1) % count
     measured = se2.compose(se2.between(truth[of], truth[to]), noise * rng.normal(0.0, SIGMA, (count, 3)))
     covariance = np.tile(np.diag(SIGMA**2), (count, 1, 1))

@@ -7,6 +7,7 @@ import numpy as np
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
+from service.geometry.se2 import wrap_angle
 from service.kernels import occupancy
 from service.kernels.branch_and_bound import MaxPyramid, padding_cells, pool_levels, search_branch_and_bound
 from service.kernels.loops import fill_unknown, share_in_free_space, splat_field
@@ -132,7 +133,7 @@ class CandidateSubmap:
         prior = np.diag(sigmas**-2)
         for _ in range(MOST_MOVES):
             off = expected - fit.pose
-            off[2] = se2.wrap(off[2])
+            off[2] = wrap_angle(off[2])
             move = np.linalg.solve(fit.information + prior, prior @ off)
             if abs(move / sigmas).max() < SETTLED_SIGMAS:
                 break

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
-from service.geometry.se2 import SE2
+from service.geometry.se2 import SE2, wrap_angle
 from service.mapper.components import MapRenderer, RenderedMap, ScanToRender
 from service.mapper.graph.graph_picture import draw
 from service.mapper.graph.point_clouds import PointCloud, SurfelSet
@@ -474,6 +474,6 @@ def _bent(map_nodes: Floats, odom_nodes: Floats, a: Ints, b: Ints, poses: Floats
     to_a, to_b = (np.hypot(*(odom_nodes[k, :2] - poses[:, :2]).T) for k in (a, b))
     share = np.divide(to_a, to_a + to_b, out=np.zeros(len(poses)), where=to_a + to_b > 0.0)
     apart = ends[1] - ends[0]
-    apart[:, 2] = se2.wrap(apart[:, 2])
+    apart[:, 2] = wrap_angle(apart[:, 2])
     bent: Floats = ends[0] + share[:, None] * apart
     return bent

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
+from service.geometry.se2 import wrap_angle
 from service.kernels.branch_and_bound import MaxPyramid, padding_cells, pool_levels, search_branch_and_bound
 from service.kernels.likelihood import LikelihoodField
 from service.kernels.surfels import TILE_CELLS
@@ -127,7 +128,7 @@ def find(
     weights = np.full(len(points), 1.0 / config.align_sigma**2)
     weak = pose, np.diag([1e-3, 1e-3, 1e-3])
     pose = align(points, weights, weak, old.field, pose, config.align_iterations)
-    pose[2] = float(se2.wrap(pose[2]))
+    pose[2] = float(wrap_angle(pose[2]))
     common = is_seen(old, se2.points_from(pose, points))
     count = int(np.count_nonzero(common))
     if count < max(config.common_part * len(points), config.least_common * len(points) / len(new.xy)):

@@ -11,6 +11,7 @@ import numpy as np
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
+from service.geometry.se2 import wrap_angle
 from service.mapper.graph.point_clouds import Fit, PointCloud, SurfelSet, cloud_with_noise, joined
 from service.mapper.methods.submap_graph.counted_submaps import ClosedSubmap
 from service.mapper.methods.submap_graph.key_scan import DrawnScan
@@ -54,7 +55,7 @@ class SubmapRealignment:
             return guess
         information = fit.information / INFLATION
         moved = fit.pose - guess
-        moved[2] = se2.wrap(moved[2])
+        moved[2] = wrap_angle(moved[2])
         pose: Floats = guess + np.linalg.solve(information + STEP_INFORMATION, information @ moved)
         return pose
 
