@@ -44,9 +44,9 @@ class _Mark:
     column: Places
 
 
-def scale_bar_m(width_m: float) -> float:
-    """1, 2 or 5 times a power of ten, at most BAR_SHARE of the width; 1 cm at least."""
-    most = max(width_m * BAR_SHARE, 0.01) * (1.0 + 1e-9)
+def scale_bar_m(width_m: float, share: float = BAR_SHARE) -> float:
+    """1, 2 or 5 times a power of ten, at most that share of the width; 1 cm at least."""
+    most = max(width_m * share, 0.01) * (1.0 + 1e-9)
     decade = 10.0 ** math.floor(math.log10(most))
     return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= most)
 

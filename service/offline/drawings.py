@@ -12,6 +12,7 @@ import numpy as np
 from service.errors import CorridorError
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
+from service.mapstore.annotated import scale_bar_m
 from service.mapstore.picture import Picture
 from service.offline.outlines import Points, outlines
 
@@ -28,13 +29,6 @@ def optional(module: str, to: str) -> Any:
         raise CorridorError(
             f"--format {to} needs {module}, which is not installed: pip install 'corridor[export]'"
         ) from error
-
-
-def bar_length_m(width_m: float) -> float:
-    """1, 2 or 5 times a power of ten, at most BAR_SHARE of the width."""
-    most = max(width_m, 1e-3) * BAR_SHARE
-    decade = 10.0 ** math.floor(math.log10(most))
-    return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= most * (1.0 + 1e-9))
 
 
 def write_svg(path: Path, picture: Picture, poses: Sequence[SE2], reference: GeoReference | None) -> None:
@@ -55,7 +49,7 @@ def write_svg(path: Path, picture: Picture, poses: Sequence[SE2], reference: Geo
     text_m = max(width, height) / 60.0
     line_m = text_m / 8.0
     origin = _svg(np.zeros((1, 2)), low, high)[0]
-    bar_m = bar_length_m(width)
+    bar_m = scale_bar_m(width, BAR_SHARE)
     foot = height - margin / 2.0
     arrow = (width - margin / 2.0 - text_m, margin / 2.0 + 2.0 * text_m)
     turn_deg = math.degrees(reference.pose_enu_map.theta_rad) if reference is not None else 0.0
