@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.contours import ALONE
+from service.kernels.pose_information import wrap
 from service.kernels.surfels import TILE_BITS, TILE_MASK
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
 
@@ -230,7 +231,7 @@ def blur_contour(nodes, reach, level, settings, cells):
         if k < last:
             ahead = math.atan2(nodes[k + 1, 1] - nodes[k, 1], nodes[k + 1, 0] - nodes[k, 0])
             onward = math.atan2(nodes[k + 2, 1] - nodes[k + 1, 1], nodes[k + 2, 0] - nodes[k + 1, 0])
-            bend = abs((onward - ahead + math.pi) % (2.0 * math.pi) - math.pi)
+            bend = abs(wrap(onward - ahead))
             after = reach * math.sin(0.5 * bend)
         blur_segment(
             nodes[k, 0], nodes[k, 1], nodes[k + 1, 0], nodes[k + 1, 1], before, after, level, settings, cells

@@ -7,7 +7,7 @@ import numpy as np
 
 from service.kernels.compiled import kernel
 from service.kernels.likelihood import read_field
-from service.kernels.linear3 import copy_matrix, copy_vector, solve_3x3
+from service.kernels.linear3 import copy_matrix, copy_vector, fill_symmetric, solve_3x3
 from service.kernels.pose_information import add_prior
 
 LEAST_DAMPING = 1e-6
@@ -86,12 +86,7 @@ def likelihood_normal_equations(xy_base, values, weights, pose, H, g):
     g[0] = gx
     g[1] = gy
     g[2] = gt
-    H[0, 0] = hxx
-    H[0, 1] = H[1, 0] = hxy
-    H[1, 1] = hyy
-    H[0, 2] = H[2, 0] = hxt
-    H[1, 2] = H[2, 1] = hyt
-    H[2, 2] = htt
+    fill_symmetric(H, hxx, hxy, hyy, hxt, hyt, htt)
     return cost
 
 

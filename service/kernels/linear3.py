@@ -72,6 +72,17 @@ def copy_matrix(source, out):
 
 
 @inner_kernel
+def fill_symmetric(A, xx, xy, yy, xt, yt, tt):
+    """A  (3, 3) float64   out, over x, y, theta; by its entries on and above the diagonal."""
+    A[0, 0] = xx
+    A[0, 1] = A[1, 0] = xy
+    A[1, 1] = yy
+    A[0, 2] = A[2, 0] = xt
+    A[1, 2] = A[2, 1] = yt
+    A[2, 2] = tt
+
+
+@inner_kernel
 def diagonalise_3x3(A, V):
     """Eigenvalues and eigenvectors of a symmetric 3 x 3 matrix, by Jacobi's rotations.
 

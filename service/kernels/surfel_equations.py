@@ -6,6 +6,7 @@
 import math
 
 from service.kernels.compiled import inner_kernel
+from service.kernels.linear3 import fill_symmetric
 
 
 @inner_kernel
@@ -125,13 +126,3 @@ def surfel_normal_equations(xy_base, normals, found, pose, settings, H, shared, 
     fill_symmetric(H, hxx, hxy, hyy, hxt, hyt, htt)
     fill_symmetric(shared, sxx, sxy, syy, sxt, syt, stt)
     return used, inliers
-
-
-@inner_kernel
-def fill_symmetric(A, xx, xy, yy, xt, yt, tt):
-    A[0, 0] = xx
-    A[0, 1] = A[1, 0] = xy
-    A[1, 1] = yy
-    A[0, 2] = A[2, 0] = xt
-    A[1, 2] = A[2, 1] = yt
-    A[2, 2] = tt
