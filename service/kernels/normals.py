@@ -105,6 +105,19 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazin
         normals[i, 2] = weight
 
 
+@kernel
+def move_along_walls(xy_base, normals, aside_m, moved):
+    """Points where their beams meet their walls; [24].
+
+    xy_base   (N, 2) float64   m, base frame
+    normals   (N, 3) float64   from estimate_normals, as aside_m (N,) is
+    moved     (N, 2) float64   out: m, base frame
+    """
+    for i in range(xy_base.shape[0]):
+        moved[i, 0] = xy_base[i, 0] - aside_m[i] * normals[i, 1]
+        moved[i, 1] = xy_base[i, 1] + aside_m[i] * normals[i, 0]
+
+
 @inner_kernel
 def is_grazed(xy_base, sensor_xy_m, i, angle_step_rad, square_m2):
     """Whether points i - 1 and i, though far apart, lie on one wall that the beams graze: with two points

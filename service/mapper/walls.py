@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernels.normals import estimate_normals
+from service.kernels.normals import estimate_normals, move_along_walls
 
 Floats = npt.NDArray[np.float64]
 
@@ -37,5 +37,6 @@ def walls_of(
     estimate_normals(
         xy_base, np.array(sensor_xy_m), angle_step_rad, range_sigma_m, grazing_weight, normals, aside_m
     )
-    leftwards = normals[:, 1::-1] * (-1.0, 1.0)
-    return Walls(xy_base + aside_m[:, None] * leftwards, normals)
+    moved = np.empty_like(xy_base)
+    move_along_walls(xy_base, normals, aside_m, moved)
+    return Walls(moved, normals)
