@@ -24,16 +24,20 @@ from service.kernels.filter_state import (
     BIAS,
     LAG,
     LOCAL_BLOCK,
+    NUMBERS,
     SCALE,
+    STAMPS,
     STATES,
     TURN_SCALE,
     TWIST,
     Filter,
     MotionSettings,
+    PackedFilter,
+    views_of,
 )
 from service.kernels.source_noise import begin_window
 from service.kernels.sweep import motion_at, sweep_deviation
-from service.kernels.tracks import PATH_POSES, Track, begin_twist
+from service.kernels.tracks import Track, begin_twist
 
 log = logging.getLogger(__name__)
 
@@ -178,23 +182,11 @@ class Estimator:
         sigma[TWIST : TWIST + 3] = FIRST_TWIST_SIGMA
         sigma[SCALE] = sigma[TURN_SCALE] = config.odometry_scale_sigma
         sigma[LAG], sigma[BIAS] = config.odometry_lag_sigma_s, config.gyro_bias_sigma_radps
-        self._filter = Filter(
-            stamp_ns=np.zeros(1, np.int64),
-            pose=np.zeros(3),
-            twist=np.zeros(3),
-            acceleration=np.zeros(3),
-            learnt=np.zeros(4),
-            covariance=np.diag(sigma**2),
-            noise=np.ones(2),
-            gyro_noise=np.ones(1),
-            motion_noise=np.ones(3),
-            said=np.zeros(8),
-            last_odom=np.zeros(8),
-            window=np.zeros(20),
-            mean_twist=np.zeros(3),
-            tied_twist=np.zeros(3),
-            path=Track(np.zeros(PATH_POSES, np.int64), np.zeros((PATH_POSES, 3)), np.zeros(2, np.int64)),
-        )
+        self._packed = PackedFilter(np.zeros(NUMBERS), np.zeros(STAMPS, np.int64))
+        self._filter: Filter = views_of(self._packed)
+        self._filter.covariance[:] = np.diag(sigma**2)
+        for noise in (self._filter.noise, self._filter.gyro_noise, self._filter.motion_noise):
+            noise[:] = 1.0
         self._begin_acceleration()
         self._has_begun = False
         self._origin_ns: int | None = None
@@ -248,15 +240,15 @@ class Estimator:
             self._elapsed_s = (stamp_ns - int(state.stamp_ns[0])) * 1e-9
             pause_s = self._odometry.longest_pause_s(int(state.stamp_ns[0]), stamp_ns)
             tracks = self._odometry.track, self._gyro.track
-            self._consistent.predict(state, *tracks, stamp_ns, self._settings)
-            predict_motion(state, *tracks, stamp_ns, self._settings)
+            self._consistent.predict(self._packed, *tracks, stamp_ns, self._settings)
+            predict_motion(self._packed, *tracks, stamp_ns, self._settings)
             window_ns = round(self._settings.speed_window_s * 1e9)
             if pause_s > 0.0 and self._odometry.covered_ns(stamp_ns - PAUSE_NS, stamp_ns) >= window_ns:
                 self._begin_twist(stamp_ns)
         self._odometry.forget_before(stamp_ns - KEEP_BEFORE_NS)
         self._gyro.forget_before(stamp_ns - KEEP_BEFORE_NS)
         is_measured = bool(state.said[3]) and max(state.noise.tolist()) <= FAULT_NOISE
-        self._consistent.watch(state, scan_alone(is_measured, float(state.noise[0])))
+        self._consistent.watch(self._packed, scan_alone(is_measured, float(state.noise[0])))
         covariance = state.covariance
         local = covariance[LOCAL_BLOCK, LOCAL_BLOCK].copy()
         gain = covariance[TWIST : TWIST + 3, LOCAL_BLOCK] @ np.linalg.inv(local)
@@ -280,7 +272,7 @@ class Estimator:
         nodes = min(2 + int((end_s - begin_s) / NODE_S), MOST_NODES)
         deviation = np.empty((nodes, 3))
         tracks = self._odometry.track, self._gyro.track
-        is_known = sweep_deviation(self._filter, *tracks, begin_s, end_s, self._settings, deviation)
+        is_known = sweep_deviation(self._packed, *tracks, begin_s, end_s, self._settings, deviation)
         return deviation if is_known else None
 
     def correct(self, measured: Measurement | None) -> Motion:
@@ -293,9 +285,9 @@ class Estimator:
             pose, covariance = measured.pose_odom_base, measured.covariance
             if not measured.is_joined:
                 pose, covariance = self._joined(measured)
-            self._consistent.correct(state, pose, measured, self._settings)
+            self._consistent.correct(self._packed, pose, measured, self._settings)
             take_match(
-                state,
+                self._packed,
                 np.array([pose.x_m, pose.y_m, pose.theta_rad]),
                 covariance,
                 measured.prior_weight,
@@ -309,8 +301,8 @@ class Estimator:
     def moved(self, seconds: float) -> Motion:
         pose, twist, covariance = np.empty(3), np.empty(3), np.empty((3, 3))
         tracks = self._odometry.track, self._gyro.track
-        state = self._consistent.beside(self._filter)
-        motion_at(state, *tracks, seconds, self._settings, pose, twist, covariance)
+        packed = self._consistent.beside(self._packed)
+        motion_at(packed, *tracks, seconds, self._settings, pose, twist, covariance)
         forward, left, turn = twist.tolist()
         if self._origin_ns == int(self._filter.stamp_ns[0]) + round(seconds * 1e9):
             pose[:] = 0.0  # `odom` itself, without what rounding leaves of it

@@ -25,6 +25,7 @@ from service.kernels.filter_state import (
     STEP,
     TURN_SCALE,
     TWIST,
+    filter_in,
 )
 from service.kernels.pose_information import invert_3x3
 from service.kernels.se2 import between, compose, exponential, logarithm
@@ -93,15 +94,16 @@ def observe(covariance, rows, residual, variance, gain, gate, correction):
 
 
 @kernel
-def predict_motion(state, odometry, gyro, stamp_ns, settings):
+def predict_motion(packed, odometry, gyro, stamp_ns, settings):
     """Go on to the moment of a scan: the acceleration fades, then odometry and gyro as measurements.
 
-    state      Filter           in and out
+    packed     PackedFilter     in and out
     odometry   Track
     gyro       Track
     stamp_ns   int
     settings   MotionSettings
     """
+    state = filter_in(packed)
     P = state.covariance
     last_ns = state.stamp_ns[0]
     dt = (stamp_ns - last_ns) * 1e-9
@@ -460,8 +462,9 @@ def correct_motion(state, pose, local_covariance, prior_weight):
 
 
 @kernel
-def take_match(state, pose, local_covariance, prior_weight, information, settings):
-    """correct_motion, then learn_noise: to hand the filter over takes as long as either."""
+def take_match(packed, pose, local_covariance, prior_weight, information, settings):
+    """correct_motion, then learn_noise, of the Filter in a PackedFilter."""
+    state = filter_in(packed)
     correct_motion(state, pose, local_covariance, prior_weight)
     learn_noise(state, information, settings)
 

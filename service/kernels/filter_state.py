@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernels.tracks import Track
+from service.kernels.compiled import inner_kernel
+from service.kernels.tracks import PATH_POSES, Track
 
 MAP, LOCAL, STEP, TWIST, SCALE, TURN_SCALE, LAG, BIAS = 0, 3, 6, 9, 12, 13, 14, 15
 ACCELERATION, STATES = 16, 19
@@ -83,3 +84,46 @@ class Filter(NamedTuple):
     mean_twist: npt.NDArray[np.float64]
     tied_twist: npt.NDArray[np.float64]
     path: Track
+
+
+class PackedFilter(NamedTuple):
+    """A Filter in two arrays, as Python hands it to a kernel: each array handed over takes 0.15 us.
+
+    numbers   (NUMBERS,) float64   the covariance last
+    stamps    (STAMPS,)  int64
+    """
+
+    numbers: npt.NDArray[np.float64]
+    stamps: npt.NDArray[np.int64]
+
+
+# Where each begins in `numbers`; what follows are the poses of the path, and the covariance.
+_POSE, _TWIST, _ACCELERATION, _LEARNT, _NOISE, _GYRO_NOISE, _MOTION_NOISE = 0, 3, 6, 9, 13, 15, 16
+_SAID, _LAST_ODOM, _WINDOW, _MEAN_TWIST, _TIED_TWIST, _PATH = 19, 27, 35, 55, 58, 61
+COVARIANCE = _PATH + 3 * PATH_POSES
+NUMBERS, STAMPS = COVARIANCE + STATES * STATES, 3 + PATH_POSES
+
+
+def views_of(packed):
+    """The Filter whose arrays lie in a PackedFilter: to change one is to change the other."""
+    numbers, stamps = packed
+    return Filter(
+        stamps[:1],
+        numbers[_POSE:_TWIST],
+        numbers[_TWIST:_ACCELERATION],
+        numbers[_ACCELERATION:_LEARNT],
+        numbers[_LEARNT:_NOISE],
+        numbers[COVARIANCE:].reshape((STATES, STATES)),
+        numbers[_NOISE:_GYRO_NOISE],
+        numbers[_GYRO_NOISE:_MOTION_NOISE],
+        numbers[_MOTION_NOISE:_SAID],
+        numbers[_SAID:_LAST_ODOM],
+        numbers[_LAST_ODOM:_WINDOW],
+        numbers[_WINDOW:_MEAN_TWIST],
+        numbers[_MEAN_TWIST:_TIED_TWIST],
+        numbers[_TIED_TWIST:_PATH],
+        Track(stamps[3:], numbers[_PATH:COVARIANCE].reshape((PATH_POSES, 3)), stamps[1:3]),
+    )
+
+
+filter_in = inner_kernel(views_of)

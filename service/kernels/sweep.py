@@ -7,7 +7,7 @@ import numpy as np
 from service.kernels.acceleration import transition_over
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.estimator import GATE_CHI2_GYRO, GYRO_SCALE, move_axes
-from service.kernels.filter_state import ACCELERATION, MAP, STATES, TWIST
+from service.kernels.filter_state import ACCELERATION, MAP, STATES, TWIST, filter_in
 from service.kernels.se2 import between, compose, exponential
 from service.kernels.tracks import odometry_at, turned_to
 
@@ -60,7 +60,13 @@ def covers(track, at_ns, begin_s, end_s):
 
 
 @kernel
-def sweep_deviation(state, odometry, gyro, begin_s, end_s, settings, deviation):
+def sweep_deviation(packed, odometry, gyro, begin_s, end_s, settings, deviation):
+    """As deviation_over, of the Filter in a PackedFilter."""
+    return deviation_over(filter_in(packed), odometry, gyro, begin_s, end_s, settings, deviation)
+
+
+@inner_kernel
+def deviation_over(state, odometry, gyro, begin_s, end_s, settings, deviation):
     """Where the base was at moments of a sweep, seen from where the twist alone would have brought it; [23].
 
     state       Filter           after a prediction: its moment is 0 s
@@ -153,10 +159,10 @@ def sweep_deviation(state, odometry, gyro, begin_s, end_s, settings, deviation):
 
 
 @kernel
-def motion_at(state, odometry, gyro, seconds, settings, pose, twist, covariance):
+def motion_at(packed, odometry, gyro, seconds, settings, pose, twist, covariance):
     """Where the base was some seconds from the newest estimate, within its sweep; [23].
 
-    state        Filter           after a correction: its moment is 0 s
+    packed       PackedFilter     after a correction: its moment is 0 s
     odometry     Track
     gyro         Track
     seconds      float            not 0
@@ -165,8 +171,9 @@ def motion_at(state, odometry, gyro, seconds, settings, pose, twist, covariance)
     twist        (3,)   float64   out
     covariance   (3, 3) float64   out: of the pose against the first scan, base axes
     """
+    state = filter_in(packed)
     deviation = np.zeros((2, 3))
-    sweep_deviation(state, odometry, gyro, seconds, 0.0, settings, deviation)
+    deviation_over(state, odometry, gyro, seconds, 0.0, settings, deviation)
     step = np.empty(3)
     exponential(seconds * state.twist[0], seconds * state.twist[1], seconds * state.twist[2], step)
     compose(step, deviation[0], step)

@@ -78,9 +78,9 @@ class Evidence:
 
 def sigmas_of(covariance: npt.NDArray[np.float64]) -> tuple[float, float]:
     """(m of the worst direction, rad) of a (3, 3) covariance of x, y, theta."""
-    a, b, d = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+    (a, b, _), (_, d, _), (_, _, turn) = covariance.tolist()
     largest = 0.5 * (a + d) + math.hypot(0.5 * (a - d), b)
-    return math.sqrt(max(float(largest), 0.0)), math.sqrt(max(float(covariance[2, 2]), 0.0))
+    return math.sqrt(max(largest, 0.0)), math.sqrt(max(turn, 0.0))
 
 
 def weakest_of(covariance: npt.NDArray[np.float64]) -> tuple[float, float]:

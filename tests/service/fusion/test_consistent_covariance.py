@@ -9,7 +9,7 @@ from service.fusion.consistent_covariance import ConsistentCovariance, widen_pos
 from service.fusion.estimator import Estimator, EstimatorConfig
 from service.fusion.motion import Measurement
 from service.geometry.se2 import SE2
-from service.kernels.filter_state import MAP_BLOCK
+from service.kernels.filter_state import MAP_BLOCK, NUMBERS, STAMPS, PackedFilter, views_of
 from simulators.trajectory import Follow, Limits, Pause, plan_drive
 from simulators.world import Plan, World, make_world
 from tests.accuracy.driving import mapping_config, ok_and_wrong
@@ -54,12 +54,13 @@ def test_odometry_that_comes_back_does_not_tell_where_the_pose_is() -> None:
 
 def test_what_is_handed_back_makes_no_pose_better_known() -> None:
     """Where a prediction lost weight in a match, [12], the filter may be the wider of the two."""
-    state, beside = Estimator(EstimatorConfig())._filter, ConsistentCovariance()
+    packed, beside = PackedFilter(np.zeros(NUMBERS), np.zeros(STAMPS, np.int64)), ConsistentCovariance()
+    state = views_of(packed)
     state.covariance[MAP_BLOCK, MAP_BLOCK] = np.diag([1.0, 1.0, 1e-4])
-    beside.watch(state, is_scan_alone=True)
+    beside.watch(packed, is_scan_alone=True)
     beside.widen(np.diag([3.0, 0.0, 0.0]))
     widen_pose(state, np.diag([0.0, 5.0, 0.0]))
-    beside.watch(state, is_scan_alone=False)
+    beside.watch(packed, is_scan_alone=False)
     assert np.allclose(state.covariance[MAP_BLOCK, MAP_BLOCK], np.diag([4.0, 6.0, 1e-4]))
     assert np.linalg.eigvalsh(state.covariance).min() > -1e-12
 
