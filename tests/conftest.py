@@ -20,6 +20,7 @@ gc.disable()  # until all is imported, which makes no garbage but would be looke
 ensure_cache_dir()  # before anything imports numba: what is compiled from now on is kept
 
 ROOT = Path(__file__).parents[1]
+YOUNG_OBJECTS = 20_000  # between searches for garbage: one each 700 takes a twentieth of the processor time
 
 # Without a deadline: a core may be busy with other things.
 hypothesis.settings.register_profile("corridor", deadline=None, max_examples=FEW_EXAMPLES)
@@ -38,6 +39,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     test's time-out.
     """
     gc.freeze()  # what stands now stands to the end
+    gc.set_threshold(YOUNG_OBJECTS)
     gc.enable()
     nodes = [item.nodeid for item in session.items]
     wanted = any(name.startswith("service.kernels.") for name in sys.modules) or any(
