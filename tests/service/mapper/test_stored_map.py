@@ -173,7 +173,7 @@ def test_a_session_may_begin_in_what_a_second_session_left(first, second, contin
 
 def test_what_is_nowhere_in_the_stored_map_stays_lost(first):
     _, begin = first
-    elsewhere = through("library", 2.0, 1)
+    elsewhere = through("library", 2.0, 1, laser=COARSE)
     outputs = list(outputs_of(new_mapper(begin), elsewhere.frames))
     assert {output.state for output in outputs} == {"lost"}
     assert "stored map" in outputs[-1].reason
@@ -335,7 +335,7 @@ def test_a_place_that_the_map_contradicts_is_taken_back_and_found_anew(first, se
 def test_who_is_switched_on_where_the_map_knows_nothing_is_found_later(first, second):
     """The first scans are of another building; what is seen then fits nothing of them, and is a new piece."""
     drove, begin = first
-    elsewhere = through("library", 1.2, 1)
+    elsewhere = through("library", 1.2, 1, laser=COARSE)
     later_ns = 1_700_000_000
     frames = [frame for frame in elsewhere.frames if isinstance(frame, LaserScan)]
     frames += [
