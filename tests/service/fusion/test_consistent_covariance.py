@@ -15,6 +15,7 @@ from simulators.world import Plan, World, make_world
 from tests.accuracy.driving import mapping_config, ok_and_wrong
 from tests.service.fusion.samples import MS, odometry
 from tests.simulated import LMS100_50HZ, drive, run
+from tests.soaked import in_soak
 
 FOLLOWED = np.diag([0.01**2, 0.005**2, 0.001**2])  # of the pose, by all that a scan says
 ACROSS = np.diag([0.0, 1.0 / 0.005**2, 1.0 / 0.001**2])  # less chance: nothing of the way along
@@ -76,7 +77,7 @@ def corridor() -> World:
     return make_world("corridor", plan, [], lane)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, in_soak(2)])
 def test_a_laser_alone_says_that_it_does_not_know_how_far_it_went(seed: int) -> None:
     """It ends metres off, at doors that it cannot have mapped before: `ok` is no pose from there on."""
     world = corridor()

@@ -12,7 +12,7 @@ from service.geometry.se2 import SE2
 from service.mapper.components import Correction
 from service.mapper.known_pose import carried
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
-from service.mapper.methods.corridor.graph import loop_back_end
+from service.mapper.methods.corridor.graph import known_map, loop_back_end
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
 from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
 from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
@@ -172,9 +172,12 @@ def test_who_is_only_localised_forgets_nothing_of_the_stored_map(ring_fed: tuple
 
 
 def test_who_is_lost_in_a_stored_map_keeps_what_it_saw_last(
-    ring_fed: tuple[bytes, list[Result]], monkeypatch: pytest.MonkeyPatch
+    ring: tuple[list[KeyFrame], list[SE2]],
+    ring_fed: tuple[bytes, list[Result]],
+    monkeypatch: pytest.MonkeyPatch,
 ):
     """Of what fits nowhere; of the way before it keeps the poses."""
+    monkeypatch.setattr(known_map, "MOST_CANDIDATES", 12)  # it takes as long as it is looked for
     most = 2 * BATCH
     monkeypatch.setattr("service.mapper.methods.corridor.graph.loop_back_end.MOST_SESSION", most)
     stored = pickle.loads(ring_fed[0]).work(Batch([], is_last=True)).saved
@@ -183,7 +186,7 @@ def test_who_is_lost_in_a_stored_map_keeps_what_it_saw_last(
     noise = np.random.default_rng(1)
     lost = [
         replace(frame, piece=0, xy_base=noise.uniform(-4.0, 4.0, (60, 2)).astype(np.float32))
-        for frame in key_frames(1.4)[0][: 6 * BATCH]
+        for frame in ring[0][: 4 * BATCH]
     ]
     results = [back_end.work(Batch(lost[k : k + BATCH])) for k in range(0, len(lost), BATCH)]
     assert {result.joined for result in results} == {None}
