@@ -33,7 +33,7 @@ def drain(seldom: SeldomKernels) -> int:
 
 
 def cache_without(kernels: Sequence[str], place: Path) -> None:
-    """All kernels that this process keeps, for one that keeps them in a place of its own; some are left out."""
+    """All kernels that this process keeps but some, in the place of one that keeps its own."""
     load_compiler()
     known = Path(branch_and_bound.search_branch_and_bound.stats.cache_path)
     folder = place / _CacheLocator.get_suitable_cache_subpath(branch_and_bound.__file__)

@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 from dataclasses import replace
+from typing import ClassVar
 
 import pytest
 import yaml
@@ -57,7 +58,7 @@ class RememberedMapping:
     of a laser.
     """
 
-    known = {}  # digest of the scans -> track
+    known: ClassVar = {}  # digest of the scans -> track
 
     def __init__(self, sensor):
         self._sensor, self._scans, self._digest = sensor, [], hashlib.sha256(sensor.encode())
