@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.deskew import deskew_points
-from service.kernels.filter_state import STUDENT
 from service.kernels.likelihood import LikelihoodField
 from service.kernels.likelihood_lm import LmSettings, align_points, thin_evenly
 from service.kernels.linear3 import copy_matrix, copy_vector, solve_3x3
@@ -60,6 +59,7 @@ class MatchSettings(NamedTuple):
     near: float
     settled_m: float
     settled_rad: float
+    degrees_of_freedom: float
 
 
 class MatchResult(NamedTuple):
@@ -117,14 +117,23 @@ def prior_chi2_at(pose, prior_pose, information):
 
 
 @inner_kernel
-def prior_weight_at(pose, prior_pose, information):
+def prior_weight_at(pose, prior_pose, information, freedom):
     """Weight of the prediction: its error has Student's distribution, so one that is far off gives way; [12].
 
     pose, prior_pose   (3,)   float64
     information        (3, 3) float64   of the prediction, in the axes of the grid
+    freedom            float            degrees of freedom of that distribution
     Source: Lange, Little, Taylor, Robust statistical modeling using the t distribution, 1989.
     """
-    return min(1.0, (STUDENT + 3.0) / (STUDENT + prior_chi2_at(pose, prior_pose, information)))
+    return min(1.0, (freedom + 3.0) / (freedom + prior_chi2_at(pose, prior_pose, information)))
+
+
+def student_cost(chi2, freedom):
+    """Half the cost of a prediction that is so many squared sigmas off; [12]."""
+    return 0.5 * (freedom + 3.0) * math.log1p(chi2 / freedom)
+
+
+_student_cost = inner_kernel(student_cost)
 
 
 @inner_kernel
@@ -136,7 +145,7 @@ def cost_at(xy_base, normals, pose, prior, prior_information, grid, settings, ar
     find_surfels_again(xy_base, normals, pose, grid, settings.least_normal_cosine, around, found)
     cost = surfel_cost(xy_base, normals, found, pose, 1.5 * grid.cell_m, settings)
     chi2 = prior_chi2_at(pose, prior.pose, prior_information)
-    return cost + 0.5 * (STUDENT + 3.0) * math.log1p(chi2 / STUDENT)
+    return cost + _student_cost(chi2, settings.degrees_of_freedom)
 
 
 @inner_kernel
@@ -202,7 +211,7 @@ def align_on_surfels(
         used, inliers = surfel_normal_equations(
             xy_base, normals, found, pose, settings, H, shared, g, evidence
         )
-        weight_here = prior_weight_at(pose, prior.pose, prior_information)
+        weight_here = prior_weight_at(pose, prior.pose, prior_information, settings.degrees_of_freedom)
         is_doubted = inliers < doubt_inlier_ratio * used or weight_here < LEAST_PRIOR_WEIGHT
         if is_doubted and 0 < k < settings.iterations and halvings < MOST_HALVINGS:
             before = cost_at(xy_base, normals, last, prior, prior_information, grid, settings, around, found)

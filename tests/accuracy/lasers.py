@@ -124,6 +124,8 @@ def lasers(seeds: Sequence[int]) -> Section:
                     [float(o.wrong_ok) for o in done],
                     "scans",
                     at_most=0,
+                    by_worst=True,
+                    digits=0,
                 ),
                 Row(world_name, f"{what}: a scan, p50", [o.scan_ms for o in done], "ms"),
             ]

@@ -11,6 +11,7 @@ from service.geometry import poses as se2
 from service.geometry.grid import tiles_of
 from service.geometry.poses import Floats
 from service.kernels import surfels
+from service.kernels.filter_state import STUDENT
 from service.kernels.loops import align_surfels
 from service.kernels.match import MatchSettings
 from service.kernels.surfels import SurfelGrid, insert_surfels
@@ -42,6 +43,7 @@ SETTINGS = MatchSettings(
     near=1.0,
     settled_m=0.0005,
     settled_rad=0.0001,
+    degrees_of_freedom=STUDENT,
 )
 NO_FIELD: npt.NDArray[np.float32] = np.zeros((POOL_TILES, 1, 1), np.float32)  # nothing reads it here
 

@@ -130,9 +130,7 @@ def test_a_straight_way_teaches_neither_turn_scale_nor_lag(seed: int) -> None:
 @pytest.mark.parametrize(
     ("wheels", "seed"),
     every_other(
-        product(
-            [FaultyWheels(), FaultyWheels(scale=0.95, turn_scale=1.05), FaultyWheels(lag_s=0.03)], SEEDS
-        )
+        product([FaultyWheels(), FaultyWheels(scale=0.95, turn_scale=1.05), FaultyWheels(lag_s=0.03)], SEEDS)
     ),
 )
 def test_corners_teach_what_is_true(wheels: FaultyWheels, seed: int) -> None:
@@ -144,9 +142,7 @@ def test_corners_teach_what_is_true(wheels: FaultyWheels, seed: int) -> None:
 @pytest.mark.parametrize(
     ("wheels", "seed"),
     every_other(
-        product(
-            [FaultyWheels(slip_radps=0.08), FaultyWheels(dies_s=4.0), FaultyWheels(dies_s=0.0)], SEEDS
-        )
+        product([FaultyWheels(slip_radps=0.08), FaultyWheels(dies_s=4.0), FaultyWheels(dies_s=0.0)], SEEDS)
     ),
 )
 def test_a_fault_is_no_lag(wheels: FaultyWheels, seed: int) -> None:

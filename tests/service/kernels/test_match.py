@@ -6,6 +6,7 @@ import pytest
 from service.kernels import match, pose_information, surfel_equations, surfels
 from service.kernels import scan_information as information_of_scans
 from service.kernels.deskew import Returns
+from service.kernels.filter_state import STUDENT
 from service.kernels.likelihood import LikelihoodField, splat_likelihood
 from service.kernels.likelihood_lm import thin_evenly
 from service.kernels.match import MatchSettings, Prior, match_scan
@@ -50,6 +51,7 @@ SETTINGS = MatchSettings(
     near=1.0,
     settled_m=1e-6,
     settled_rad=1e-7,
+    degrees_of_freedom=STUDENT,
 )
 STEP_RAD = math.radians(0.5)
 NO_EVIDENCE = np.zeros((0, 7))

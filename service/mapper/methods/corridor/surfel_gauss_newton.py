@@ -10,8 +10,16 @@ from pydantic import Field
 from service.fusion.motion import Measurement, Motion, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns
+from service.kernels.filter_state import STUDENT
 from service.kernels.likelihood import LikelihoodField
-from service.kernels.match import LEAST_PRIOR_WEIGHT, MatchResult, MatchSettings, Prior, match_scan
+from service.kernels.match import (
+    LEAST_PRIOR_WEIGHT,
+    MatchResult,
+    MatchSettings,
+    Prior,
+    match_scan,
+    student_cost,
+)
 from service.kernels.normals import ROUGH_WEIGHT
 from service.mapper.components import Match, Points
 from service.mapper.judgement import (
@@ -57,6 +65,7 @@ SAME_WALL_M = 0.05  # scans within one key frame's distance are matched to the s
 CHANCE_M = 1.0  # of travel, over which what scans say by chance along an open direction adds up
 MOST_CHANCE_SCANS = 50.0  # scans within CHANCE_M that count in it
 MOST_REPEATS = 100.0
+GAUSSIAN = 1e9  # degrees of freedom of an error that is never far larger than usual
 LESS_LIKELY_CHI2 = 4.6  # 2 ln 10: a tenth as likely by the prediction
 USUAL_SCANS = 50  # over which the usual inlier ratio is taken
 DOUBT_RATIO = 0.9  # of the usual inlier ratio: with less, other starts are tried
@@ -127,6 +136,7 @@ class SurfelGaussNewton:
             near=NEAR,
             settled_m=SETTLED_M,
             settled_rad=SETTLED_RAD,
+            degrees_of_freedom=STUDENT,
         )
         self._bias = RangeBias()
         self._usual_ratios: dict[str, float] = {}  # by laser: each sees other things
@@ -161,8 +171,8 @@ class SurfelGaussNewton:
         attempt = _Attempt(on_walls, points, normals, posts_of(points), predicted, prior, usual)
         if local_map.pause_s:
             return self._on_piece(attempt, local_map, _unmeasured(local_map.pause_s), 0.0)
-        aligned = self._matched_as_if_driven_on(self._align(attempt, attempt.prior.pose, submap), attempt)
-        aligned = self._searched(aligned, attempt)
+        aligned = self._proven(self._align(attempt, attempt.prior.pose, submap), attempt)
+        aligned = self._searched(self._matched_as_if_driven_on(aligned, attempt), attempt)
         if aligned.state != "lost" and self._is_found(aligned, attempt):
             self._usual_ratios[points.scan.sensor] = usual + (aligned.result.share - usual) / USUAL_SCANS
             self._learn_bias(aligned, attempt, local_map)
@@ -223,9 +233,10 @@ class SurfelGaussNewton:
         sensor = attempt.points.scan.sensor
         if attempt.posts is not None or not self._bias.is_due(sensor, attempt.predicted.travel_m):
             return
+        deskewed = replace(attempt.points, xy_base=aligned.xy_base)
         offset_m = self._bias.learn(
-            replace(attempt.points, xy_base=aligned.xy_base),
-            attempt.normals,
+            deskewed,
+            aligned.submap.weighed(deskewed, attempt.normals, aligned.result.pose),
             aligned.result.pose,
             aligned.submap,
             local_map.laser_of(sensor),
@@ -234,8 +245,11 @@ class SurfelGaussNewton:
         if offset_m:
             local_map.shorten(sensor, offset_m)
 
-    def _align(self, attempt: _Attempt, start: Matrix, submap: Submap) -> _Aligned:
-        """The match on a sub-map, begun at `start`, a pose as in the prior, and what to think of it."""
+    def _align(self, attempt: _Attempt, start: Matrix, submap: Submap, is_held: bool = False) -> _Aligned:
+        """The match on a sub-map, begun at `start`, a pose as in the prior, and what to think of it.
+
+        is_held: the prediction errs by no more than it says, and the map is asked what contradicts that.
+        """
         points = attempt.points
         xy_base, normals = points.xy_base.copy(), attempt.normals
         if attempt.posts is None:
@@ -258,17 +272,20 @@ class SurfelGaussNewton:
                 repeats=max(1.0, SAME_WALL_M / _apart_m(attempt.predicted)),
                 chance_chi2=0.0 if attempt.predicted.is_scan_alone else chance_chi2,
                 information_chance_chi2=chance_chi2,
+                degrees_of_freedom=GAUSSIAN if is_held else STUDENT,
             ),
             DOUBT_RATIO * attempt.usual_ratio,
             xy_base,
         )
         xy_base = xy_base[: len(points.xy_base)]
-        evidence = self._evidence(result, xy_base, attempt, submap)
+        evidence = self._evidence(result, xy_base, attempt, submap, is_held)
         return _Aligned(
             result, xy_base, submap, *judge(evidence, self._config), is_contradicted=is_contradicted(evidence)
         )
 
-    def _evidence(self, result: MatchResult, xy_base: Matrix, attempt: _Attempt, submap: Submap) -> Evidence:
+    def _evidence(
+        self, result: MatchResult, xy_base: Matrix, attempt: _Attempt, submap: Submap, is_asked: bool
+    ) -> Evidence:
         prior = sigmas_of(attempt.prior.covariance)
         is_far = (
             attempt.predicted.pause_s > GAP_S  # nobody saw the way: the vehicle may have been carried
@@ -276,7 +293,8 @@ class SurfelGaussNewton:
             or (is_loose(prior) and (self._gap is not None or attempt.predicted.elapsed_s > GAP_S))
         )
         in_free, behind = 0, 0
-        if is_far or result.share < max(DOUBT_RATIO * attempt.usual_ratio, self._config.degraded_ratio):
+        doubt_ratio = max(DOUBT_RATIO * attempt.usual_ratio, self._config.degraded_ratio)
+        if is_asked or is_far or result.share < doubt_ratio:
             in_free, behind = submap.contradicting(attempt.points, xy_base, attempt.normals, result.pose)
         return Evidence(
             used=result.used,
@@ -290,6 +308,23 @@ class SurfelGaussNewton:
             is_doubted=self._gap is not None,
             weakest=(result.weakest_sigma_m, result.weakest_direction_rad),
         )
+
+    def _proven(self, aligned: _Aligned, attempt: _Attempt) -> _Aligned:
+        """A match far from the prediction, where the scan says enough of the way between; [33].
+
+        Returns on ground that the map does not know cost as much as returns that contradict it, so a scan
+        that sees much of it, and walls alike all along, would be drawn into the map.
+        """
+        result = aligned.result
+        if result.prior_weight >= LEAST_PRIOR_WEIGHT:
+            return aligned
+        away = SE2(*result.pose.tolist()).inverse() @ SE2(*attempt.prior.pose.tolist())
+        off = np.array([away.x_m, away.y_m, away.theta_rad])
+        scan_cost = 0.5 * float(off @ result.information @ off)
+        if scan_cost >= student_cost(_chi2(result.pose, attempt.prior), STUDENT):
+            return aligned
+        near = self._align(attempt, attempt.prior.pose, aligned.submap, is_held=True)
+        return aligned if near.state == "lost" or near.is_contradicted else near
 
     def _matched_as_if_driven_on(self, aligned: _Aligned, attempt: _Attempt) -> _Aligned:
         """Where little of the scan lies on the map: the match begun where the vehicle would be had it gone on

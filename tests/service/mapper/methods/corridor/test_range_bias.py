@@ -9,7 +9,9 @@ from drivers.frames import LaserScan
 from service.mapper.methods.corridor import range_bias
 from service.mapper.methods.corridor.range_bias import NODE_M, NODES, RangeBias
 from service.mapper.profiles import mapping_config
+from simulators.trajectory import Limits
 from simulators.worlds import WORLDS
+from simulators.worlds.mall import mall
 from tests.service.mapper.maps.points import square
 from tests.simulated import LMS100_50HZ, Drive, Imu, Wheels, drives, run
 
@@ -58,6 +60,15 @@ def test_nothing_much_is_learnt_of_ranges_without_bias(honest: Drive) -> None:
     assert done.position_rmse_m < 0.02
     curve_m = done.mapper._components.matcher.bias_m("front")
     assert np.abs(curve_m[(RANGE_M >= 0.75) & (RANGE_M <= 2.0)]).max() < 0.008
+
+
+def test_people_who_walk_along_teach_nothing_of_ranges() -> None:
+    """Who walks ahead stands each time behind where he stood: ranges of 1 m would seem 5 cm too long."""
+    world = mall(Limits(speed_mps=3.0, acceleration_mps2=1.0, lateral_mps2=1.2))
+    (made,) = drives(world, replace(LMS100_50HZ, rate_hz=12.5), 25.0, [1], Wheels(), Imu())
+    done = run(mapping_config(), made)
+    curve_m = done.mapper._components.matcher.bias_m("front")
+    assert np.abs(curve_m[RANGE_M <= 8.0]).max() < 0.003
 
 
 def test_the_prior_is_made_once_a_laser_not_with_every_scan(monkeypatch: pytest.MonkeyPatch) -> None:
