@@ -25,6 +25,7 @@ from service.kernels.surfels import find_surfels_again, forget_around, nothing_a
 
 MOST_HALVINGS = 4  # of a step that raises the cost; [12]
 LEAST_FINE_SHARE = 0.8  # of the points that lie on surfels of whole cells: with fewer, these decide; [32]
+LEAST_FINE_COUNT = 0.5  # points of 1 cm that a wall of half cells stands for: it is known to 14 mm; [32]
 LEAST_PRIOR_WEIGHT = 0.5  # of [12], at a chi2 of 11, 99 % of three degrees: the prediction was contradicted
 
 
@@ -137,12 +138,12 @@ _student_cost = inner_kernel(student_cost)
 
 
 @inner_kernel
-def cost_at(xy_base, normals, pose, prior, prior_information, grid, settings, around, found):
+def cost_at(xy_base, normals, pose, prior, prior_information, grid, settings, least_count, around, found):
     """Half the cost of points and prior at a pose, [12]; arguments as those of align_on_surfels.
 
     found   (N, 6) float64   out: from find_surfels, there
     """
-    find_surfels_again(xy_base, normals, pose, grid, settings.least_normal_cosine, around, found)
+    find_surfels_again(xy_base, normals, pose, grid, settings.least_normal_cosine, least_count, around, found)
     cost = surfel_cost(xy_base, normals, found, pose, 1.5 * grid.cell_m, settings)
     chi2 = prior_chi2_at(pose, prior.pose, prior_information)
     return cost + _student_cost(chi2, settings.degrees_of_freedom)
@@ -158,6 +159,7 @@ def align_on_surfels(
     settings,
     enough,
     doubt_inlier_ratio,
+    least_count,
     around,
     xy_base,
     pose,
@@ -176,6 +178,7 @@ def align_on_surfels(
                                            where the match is not doubted
     doubt_inlier_ratio  float              with fewer points than that on the map, as where the prediction is
                                            contradicted, no step is taken that raises the cost
+    least_count         float              as in find_surfels_again
     around              Around             in and out: what is around the points, of searches before
     xy_base             (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
     pose                (3,)   float64     in: where to start; out: where it ended
@@ -207,15 +210,21 @@ def align_on_surfels(
             learn_twist(prior, pose, weight, twist)
             deskew_points(returns.xy_raw, returns.beam_time_s, twist, xy_base)
         copy_vector(pose, asked)
-        find_surfels_again(xy_base, normals, pose, grid, settings.least_normal_cosine, around, found)
+        find_surfels_again(
+            xy_base, normals, pose, grid, settings.least_normal_cosine, least_count, around, found
+        )
         used, inliers = surfel_normal_equations(
             xy_base, normals, found, pose, settings, H, shared, g, evidence
         )
         weight_here = prior_weight_at(pose, prior.pose, prior_information, settings.degrees_of_freedom)
         is_doubted = inliers < doubt_inlier_ratio * used or weight_here < LEAST_PRIOR_WEIGHT
         if is_doubted and 0 < k < settings.iterations and halvings < MOST_HALVINGS:
-            before = cost_at(xy_base, normals, last, prior, prior_information, grid, settings, around, found)
-            after = cost_at(xy_base, normals, pose, prior, prior_information, grid, settings, around, found)
+            before = cost_at(
+                xy_base, normals, last, prior, prior_information, grid, settings, least_count, around, found
+            )
+            after = cost_at(
+                xy_base, normals, pose, prior, prior_information, grid, settings, least_count, around, found
+            )
             if after > before:
                 halvings += 1
                 part = 0.5 if halvings < MOST_HALVINGS else 0.0
@@ -250,7 +259,9 @@ def align_on_surfels(
         scan_information(H, shared, evidence, settings.information_chance_chi2, damping, less_chance)
     cost = 0.0
     if inliers < doubt_inlier_ratio * used:
-        cost = cost_at(xy_base, normals, asked, prior, prior_information, grid, settings, around, found)
+        cost = cost_at(
+            xy_base, normals, asked, prior, prior_information, grid, settings, least_count, around, found
+        )
     pose[2] = wrap(pose[2])
     return cost, used, inliers, weight
 
@@ -266,7 +277,8 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
     grid        SurfelGrid         what lies within its reach draws the scan near, and tells how much of it is
                                    on the map
     fine_grid   SurfelGrid         of the same points in smaller cells: by them the scan is aligned from there
-                                   on, unless less than LEAST_FINE_SHARE of what lies on the map lies on them
+                                   on, unless less than LEAST_FINE_SHARE of what lies on the map lies on walls
+                                   in them that are known as well as LEAST_FINE_COUNT says
     settings    MatchSettings
     doubt_inlier_ratio float       with fewer points than that on the map, other starts are tried
     xy_base     (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
@@ -331,6 +343,7 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
             settings,
             settings.near,
             doubt_inlier_ratio if trial == 0 else math.inf,
+            0.0,
             around,
             trial_xy,
             trial_pose,
@@ -358,6 +371,7 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
         settings,
         1.0,
         0.0,
+        LEAST_FINE_COUNT,
         around,
         fine_xy,
         fine_pose,

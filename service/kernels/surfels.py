@@ -208,11 +208,12 @@ def shorten_surfels(grid, laser, step_m):
 @kernel
 def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
     """The wall beside each point, searched for once: see find_surfels_again."""
-    find_surfels_again(xy_base, normals, pose, grid, least_cosine, nothing_around(xy_base.shape[0]), found)
+    around = nothing_around(xy_base.shape[0])
+    find_surfels_again(xy_base, normals, pose, grid, least_cosine, 0.0, around, found)
 
 
 @inner_kernel
-def find_surfels_again(xy_base, normals, pose, grid, least_cosine, around, found):
+def find_surfels_again(xy_base, normals, pose, grid, least_cosine, least_count, around, found):
     """The wall beside each point: mean of the surfels in the 3 x 3 cells around it that face the same way.
 
     A wall does not end where its cells do: each of its surfels is the mean of the points that fell into one
@@ -225,6 +226,7 @@ def find_surfels_again(xy_base, normals, pose, grid, least_cosine, around, found
     pose           (3,)   float64   base in the frame of the grid
     grid           SurfelGrid
     least_cosine   float            between the two normals; -2 takes any
+    least_count    float            a wall that stands for fewer points is none
     around         Around           in and out: from nothing_around, then from the search before
     found          (N, 6) float64   out: x, y of the wall (m, frame of the grid), normal x, normal y, how many
                                     points it stands for near by; 0 where there is none, and the rest then
@@ -329,7 +331,7 @@ def find_surfels_again(xy_base, normals, pose, grid, least_cosine, around, found
             sum_ny += weight * sy
             sum_off += weight * (sx * (dx - mx) + sy * (dy - my))
         length = math.sqrt(sum_nx * sum_nx + sum_ny * sum_ny)
-        if length > 0.0:
+        if length > 0.0 and total >= least_count:
             nx = sum_nx / length
             ny = sum_ny / length
             off_mean = nx * (dx - sum_x / total) + ny * (dy - sum_y / total)  # of the point from that plane

@@ -115,9 +115,15 @@ def begun(points: Points, predicted: Prediction) -> Match:
     return Match(predicted, points, 1.0)
 
 
-def held(points: Points, predicted: Prediction, reason: str, inlier_ratio: float = 0.0) -> Match:
+def held(
+    points: Points,
+    predicted: Prediction,
+    reason: str,
+    inlier_ratio: float = 0.0,
+    is_contradicted: bool = True,
+) -> Match:
     """Lost: the pose follows the prediction."""
-    return Match(predicted, points, inlier_ratio, "lost", reason)
+    return Match(predicted, points, inlier_ratio, "lost", reason, is_contradicted=is_contradicted)
 
 
 def too_few(points: Points) -> str:

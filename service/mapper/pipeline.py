@@ -287,7 +287,7 @@ class Mapper(Generic[ReadableMap]):
         if match.measured is not None and match.state != "lost":
             self._stamps.add(scan.sensor, at_ns, match.measured.pose_odom_base.theta_rad)
             laser.mounting.add(looked_for, match.measured)
-        else:
+        elif match.is_contradicted:
             laser.mounting.miss()
         motion = self._components.motion_model.correct(None)
         state, reason = self._state

@@ -205,13 +205,16 @@ def test_a_prediction_that_is_far_off_gives_way() -> None:
     information = np.diag([100.0, 400.0, 2500.0])
 
     def weight(x: float, y: float, turn: float) -> float:
-        return prior_weight_at(np.array([x, y, turn]), np.array([0.0, 0.0, math.pi]), information)
+        pose, prior_pose = np.array([x, y, turn]), np.array([0.0, 0.0, math.pi])
+        return prior_weight_at(pose, prior_pose, information, STUDENT)
 
     assert weight(0.0, 0.0, -math.pi) == 1.0
     assert weight(0.1, 0.05, math.pi + 0.01) == 1.0
     weights = [weight(0.1 * sigmas, 0.0, math.pi) for sigmas in (2.0, 4.0, 8.0, 16.0)]
     assert weights == pytest.approx([8.0 / (5.0 + sigmas**2) for sigmas in (2.0, 4.0, 8.0, 16.0)])
     assert weight(0.0, 0.4, math.pi) == pytest.approx(weights[2])
+    far = np.array([1.6, 0.0, math.pi])
+    assert prior_weight_at(far, np.array([0.0, 0.0, math.pi]), information, 1e9) == pytest.approx(1.0)
 
 
 def test_the_prior_is_a_parabola_around_its_pose() -> None:
@@ -326,13 +329,25 @@ def costs_of_match(xy: np.ndarray, start: np.ndarray, grid: SurfelGrid) -> tuple
     normals, around, found = normals_of(xy), nothing_around(len(xy)), np.empty((len(xy), 6))
 
     def cost(pose: np.ndarray) -> float:
-        return cost_at(xy, normals, pose, prior, information, grid, SETTINGS, around, found)
+        return cost_at(xy, normals, pose, prior, information, grid, SETTINGS, 0.0, around, found)
 
     begun, pose = cost(start), start.copy()
     returns = Returns(xy, np.zeros(len(xy)), np.arange(len(xy), dtype=np.int32))
     out = np.eye(3), np.eye(3)
     align_on_surfels(
-        returns, normals, prior, information, grid, SETTINGS, 1.0, math.inf, around, xy.copy(), pose, *out
+        returns,
+        normals,
+        prior,
+        information,
+        grid,
+        SETTINGS,
+        1.0,
+        math.inf,
+        0.0,
+        around,
+        xy.copy(),
+        pose,
+        *out,
     )
     return begun, cost(pose)
 

@@ -264,10 +264,20 @@ def test_what_is_kept_of_a_search_changes_no_later_one(rows: int) -> None:
     for off in ((0.0, 0.0, 0.0), (0.004, -0.003, 0.001), (0.15, 0.02, 0.01), (0.004, -0.003, 0.001)):
         found, again = np.full((300, 6), np.nan), np.full((300, 6), np.nan)
         find_surfels(xy, normals, POSE + off, grid, 0.6, found)
-        find_surfels_again(xy, normals, POSE + off, grid, 0.6, around, again)
+        find_surfels_again(xy, normals, POSE + off, grid, 0.6, 0.0, around, again)
         assert np.count_nonzero(found[:, 4]) > 200
         np.testing.assert_array_equal(again[:, 4:], found[:, 4:])
         np.testing.assert_array_equal(again[found[:, 4] > 0.0], found[found[:, 4] > 0.0])
+
+
+def test_a_wall_that_stands_for_too_few_points_is_none() -> None:
+    grid, facing = empty_grid(), np.array([[-1.0, 0.0, 1.0]])
+    wall = np.array([[0.05, 0.05]])
+    for points in (1, 2):
+        insert_surfels(wall, facing, np.zeros(3), grid, 50.0, 1.0, np.zeros(2), -1)
+        found = np.empty((1, 6))
+        find_surfels_again(wall, facing, np.zeros(3), grid, 0.6, 1.5, nothing_around(1), found)
+        assert found[0, 4] == pytest.approx(points if points > 1.5 else 0.0)
 
 
 def test_a_surfel_keeps_the_mean_cosine_of_each_laser_and_gives_its_ranges_back() -> None:

@@ -170,28 +170,35 @@ class SurfelGaussNewton:
         on_walls, normals = local_map.on_walls(points)
         attempt = _Attempt(on_walls, points, normals, posts_of(points), predicted, prior, usual)
         if local_map.pause_s:
-            return self._on_piece(attempt, local_map, _unmeasured(local_map.pause_s), 0.0)
-        aligned = self._proven(self._align(attempt, attempt.prior.pose, submap), attempt)
+            return self._on_piece(attempt, local_map, _unmeasured(local_map.pause_s), 0.0, False)
+        aligned = self._likelier(self._align(attempt, attempt.prior.pose, submap), attempt)
         aligned = self._searched(self._matched_as_if_driven_on(aligned, attempt), attempt)
         if aligned.state != "lost" and self._is_found(aligned, attempt):
             self._usual_ratios[points.scan.sensor] = usual + (aligned.result.share - usual) / USUAL_SCANS
             self._learn_bias(aligned, attempt, local_map)
             self._was_contradicted = aligned.result.prior_weight < LEAST_PRIOR_WEIGHT
             return self._as_match(aligned, attempt, aligned.state, aligned.reason)
-        return self._on_piece(attempt, local_map, aligned.reason, aligned.result.share)
+        return self._on_piece(
+            attempt, local_map, aligned.reason, aligned.result.share, aligned.is_contradicted
+        )
 
     def _on_piece(
-        self, attempt: _Attempt, local_map: SurfelSubmaps, reason: str, inlier_ratio: float
+        self,
+        attempt: _Attempt,
+        local_map: SurfelSubmaps,
+        reason: str,
+        inlier_ratio: float,
+        is_contradicted: bool,
     ) -> Match:
         """The match on the detached piece, if there is one; lost for a reason all the same."""
         points, predicted = attempt.points, attempt.predicted
         self._began = _Gap(predicted.pose_odom_base, attempt.prior.covariance)
         if local_map.detached is None:
-            return held(points, predicted, reason, inlier_ratio)
+            return held(points, predicted, reason, inlier_ratio, is_contradicted)
         attempt = replace(attempt, prior=_prior_of(predicted, None))
         detached = self._align(attempt, attempt.prior.pose, local_map.detached)
         if detached.state == "lost":
-            return held(points, predicted, reason, inlier_ratio)
+            return held(points, predicted, reason, inlier_ratio, is_contradicted)
         return self._as_match(
             detached, attempt, "lost", f"{reason}; a detached map begins here until its place is found"
         )
@@ -309,22 +316,25 @@ class SurfelGaussNewton:
             weakest=(result.weakest_sigma_m, result.weakest_direction_rad),
         )
 
-    def _proven(self, aligned: _Aligned, attempt: _Attempt) -> _Aligned:
-        """A match far from the prediction, where the scan says enough of the way between; [33].
+    def _likelier(self, aligned: _Aligned, attempt: _Attempt) -> _Aligned:
+        """A match far from the prediction, or the one near it, where scan and prediction agree better; [33].
 
         Returns on ground that the map does not know cost as much as returns that contradict it, so a scan
-        that sees much of it, and walls alike all along, would be drawn into the map.
+        that sees much of it, and walls alike all along, would be drawn into the map. Where about as much of
+        it lies on the map near the prediction, that is not why it was left.
         """
-        result = aligned.result
-        if result.prior_weight >= LEAST_PRIOR_WEIGHT:
-            return aligned
-        away = SE2(*result.pose.tolist()).inverse() @ SE2(*attempt.prior.pose.tolist())
-        off = np.array([away.x_m, away.y_m, away.theta_rad])
-        scan_cost = 0.5 * float(off @ result.information @ off)
-        if scan_cost >= student_cost(_chi2(result.pose, attempt.prior), STUDENT):
+        if aligned.result.prior_weight >= LEAST_PRIOR_WEIGHT:
             return aligned
         near = self._align(attempt, attempt.prior.pose, aligned.submap, is_held=True)
-        return aligned if near.state == "lost" or near.is_contradicted else near
+        if near.is_contradicted or near.result.share + GAIN > aligned.result.share:
+            return aligned
+        pulled = np.linalg.solve(attempt.prior.covariance, _off(near.result.pose, attempt.prior))
+        scan_cost = 0.5 * float(pulled @ np.linalg.pinv(near.result.information, hermitian=True) @ pulled)
+        cost, cost_near = (
+            student_cost(_chi2(result.pose, attempt.prior), STUDENT)
+            for result in (aligned.result, near.result)
+        )
+        return near if cost_near + scan_cost < cost else aligned
 
     def _matched_as_if_driven_on(self, aligned: _Aligned, attempt: _Attempt) -> _Aligned:
         """Where little of the scan lies on the map: the match begun where the vehicle would be had it gone on
@@ -421,6 +431,12 @@ def _chance_chi2(predicted: Prediction) -> float:
 def _chi2(pose: Matrix, prior: Prior) -> float:
     """How far a pose (3,) is from the prediction, in squared sigmas."""
     return chi2_between(SE2(*prior.pose.tolist()), SE2(*pose.tolist()), prior.covariance)
+
+
+def _off(pose: Matrix, prior: Prior) -> Matrix:
+    """(3,) m, m, rad: where a pose (3,) lies seen from the prediction, in its axes."""
+    away = SE2(*prior.pose.tolist()).inverse() @ SE2(*pose.tolist())
+    return np.array([away.x_m, away.y_m, away.theta_rad])
 
 
 def _prior_of(predicted: Prediction, gap: _Gap | None) -> Prior:
