@@ -326,7 +326,7 @@ class SurfelGaussNewton:
         if aligned.result.prior_weight >= LEAST_PRIOR_WEIGHT:
             return aligned
         near = self._align(attempt, attempt.prior.pose, aligned.submap, is_held=True)
-        if near.is_contradicted or near.result.share + GAIN > aligned.result.share:
+        if near.is_contradicted or near.result.share > DOUBT_RATIO * aligned.result.share:
             return aligned
         pulled = np.linalg.solve(attempt.prior.covariance, _off(near.result.pose, attempt.prior))
         scan_cost = 0.5 * float(pulled @ np.linalg.pinv(near.result.information, hermitian=True) @ pulled)
