@@ -72,7 +72,7 @@ class MountingCheck:
             self._begin_batch()
             self.fault = (
                 "does not fit the map of the other lasers, even after a search around its configured "
-                "mounting; it is not mapped. Is the mounting as configured?"
+                "mounting; it is not mapped. Are its mounting and theirs as configured?"
             )
 
     def _begin_batch(self) -> None:
@@ -95,7 +95,7 @@ class MountingCheck:
             self.fault = (
                 f"is off its configured mounting by {math.degrees(turn_rad):+.1f} deg, {x_m:+.2f} m ahead "
                 f"and {y_m:+.2f} m left, measured on the map of the other lasers; it is not mapped. Measure "
-                "the mounting and correct the config"
+                "its mounting and theirs, and correct the config"
             )
 
 
