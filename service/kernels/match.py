@@ -25,7 +25,7 @@ from service.kernels.surfels import find_surfels_again, forget_around, nothing_a
 
 MOST_HALVINGS = 4  # of a step that raises the cost; [12]
 LEAST_FINE_SHARE = 0.8  # of the points that lie on surfels of whole cells: with fewer, these decide; [32]
-LEAST_FINE_COUNT = 0.5  # points of 1 cm that a wall of half cells stands for: it is known to 14 mm; [32]
+LEAST_FINE_POINTS = 2.0  # of this laser, that a wall of half cells stands for; [32]
 LEAST_PRIOR_WEIGHT = 0.5  # of [12], at a chi2 of 11, 99 % of three degrees: the prediction was contradicted
 
 
@@ -278,7 +278,7 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
                                    on the map
     fine_grid   SurfelGrid         of the same points in smaller cells: by them the scan is aligned from there
                                    on, unless less than LEAST_FINE_SHARE of what lies on the map lies on walls
-                                   in them that are known as well as LEAST_FINE_COUNT says
+                                   in them that stand for LEAST_FINE_POINTS of its points
     settings    MatchSettings
     doubt_inlier_ratio float       with fewer points than that on the map, other starts are tried
     xy_base     (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
@@ -371,7 +371,7 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
         settings,
         1.0,
         0.0,
-        LEAST_FINE_COUNT,
+        LEAST_FINE_POINTS * (settings.surfel_sigma_m / settings.range_sigma_m) ** 2,
         around,
         fine_xy,
         fine_pose,
