@@ -276,9 +276,9 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
     start       (3,)   float64     where to begin; the prior's pose, or what a search found
     grid        SurfelGrid         what lies within its reach draws the scan near, and tells how much of it is
                                    on the map
-    fine_grid   SurfelGrid         of the same points in smaller cells: by them the scan is aligned from there
-                                   on, unless less than LEAST_FINE_SHARE of what lies on the map lies on walls
-                                   in them that stand for LEAST_FINE_POINTS of its points
+    fine_grid   SurfelGrid         of the same points in smaller cells, or `grid` again: by them the scan is
+                                   aligned from there on, unless less than LEAST_FINE_SHARE of what lies on
+                                   the map lies on walls in them that stand for LEAST_FINE_POINTS of it
     settings    MatchSettings
     doubt_inlier_ratio float       with fewer points than that on the map, other starts are tried
     xy_base     (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
@@ -359,6 +359,9 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
             copy_matrix(trial_xy, xy_base)
             copy_matrix(of_trial, information)
             copy_matrix(less_chance_of_trial, less_chance)
+    least_fine_count = 0.0
+    if fine_grid.cell_m < grid.cell_m:
+        least_fine_count = LEAST_FINE_POINTS * (settings.surfel_sigma_m / settings.range_sigma_m) ** 2
     fine_pose = pose.copy()
     fine_xy = xy_base.copy()
     forget_around(around)
@@ -371,7 +374,7 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
         settings,
         1.0,
         0.0,
-        LEAST_FINE_POINTS * (settings.surfel_sigma_m / settings.range_sigma_m) ** 2,
+        least_fine_count,
         around,
         fine_xy,
         fine_pose,
