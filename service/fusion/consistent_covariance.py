@@ -31,9 +31,8 @@ class ConsistentCovariance:
     """Exists from a scan on before which nobody measured the motion, until somebody does again."""
 
     def __init__(self) -> None:
-        self._packed: PackedFilter | None = (
-            None  # of which the covariance counts; the rest is the estimator's
-        )
+        # The covariance counts; all else is the estimator's.
+        self._packed: PackedFilter | None = None
 
     def predict(
         self, packed: PackedFilter, odometry: Track, gyro: Track, stamp_ns: int, settings: MotionSettings

@@ -56,8 +56,8 @@ class Match:
     submap         which one was matched to, where a method has several
     measured       pose, covariance and information by the scan; None: it was not matched, the motion is as
                    predicted
-    is_contradicted  of a lost one: returns lie where the map knows that nothing stands, or behind its walls;
-                   False: it may see what the map does not know
+    is_contradicted  of a lost one: whether the map speaks against it; False: it may only see what the map
+                   does not know
     """
 
     motion: Motion

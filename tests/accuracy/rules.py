@@ -102,6 +102,11 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         {"fine_grid": Submap.grid},
     ),
     (
+        "held near the prediction where the map alone draws it away ([33])",
+        f"{METHOD}.surfel_gauss_newton.SurfelGaussNewton",
+        {"_likelier": lambda _, aligned, attempt: aligned},
+    ),
+    (
         "odometry that stands counts only where a vehicle can stand ([30])",
         "service.fusion.standstill.Standstill",
         {"says_nothing": lambda *_: False},

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from service.kernels import match, pose_information, surfel_equations, surfels
+from service.kernels import match, surfel_equations, surfels
 from service.kernels import scan_information as information_of_scans
 from service.kernels.deskew import Returns
 from service.kernels.filter_state import STUDENT
@@ -11,7 +11,6 @@ from service.kernels.likelihood import LikelihoodField, splat_likelihood
 from service.kernels.likelihood_lm import thin_evenly
 from service.kernels.match import MatchSettings, Prior, match_scan
 from service.kernels.normals import estimate_normals
-from service.kernels.pose_information import rotate_information
 from service.kernels.surfels import SurfelGrid, find_surfels, insert_surfels
 from service.mapper.matchers.field_align import align
 from tests.service.kernels.inner import from_python
@@ -25,9 +24,6 @@ point_information = from_python(surfel_equations.point_information)
 prior_weight_at = from_python(match.prior_weight_at)
 surfel_cost = from_python(surfel_equations.surfel_cost)
 surfel_normal_equations = from_python(surfel_equations.surfel_normal_equations)
-add_prior = from_python(pose_information.add_prior)
-invert_3x3 = from_python(pose_information.invert_3x3)
-weakest_direction = from_python(pose_information.weakest_direction)
 scan_information = from_python(information_of_scans.scan_information)
 
 SIGMA_M = 0.01  # of a range
@@ -215,42 +211,6 @@ def test_a_prediction_that_is_far_off_gives_way() -> None:
     assert weight(0.0, 0.4, math.pi) == pytest.approx(weights[2])
     far = np.array([1.6, 0.0, math.pi])
     assert prior_weight_at(far, np.array([0.0, 0.0, math.pi]), information, 1e9) == pytest.approx(1.0)
-
-
-def test_the_prior_is_a_parabola_around_its_pose() -> None:
-    root = np.random.default_rng(1).normal(size=(3, 3))
-    information, centre = root @ root.T, np.array([1.0, 2.0, 3.1])
-    matrix, gradient = np.zeros((3, 3)), np.zeros(3)
-    pose = np.array([1.2, 1.9, 3.1 + 0.1 - 2.0 * math.pi])  # a whole turn away
-    cost = add_prior(pose, centre, information, matrix, gradient)
-    e = np.array([0.2, -0.1, 0.1])
-    assert cost == pytest.approx(e @ information @ e)
-    np.testing.assert_allclose(matrix, information)
-    np.testing.assert_allclose(gradient, information @ e)
-
-
-def test_information_turns_with_its_axes() -> None:
-    turned = np.empty((3, 3))
-    rotate_information(np.diag([1.0, 9.0, 4.0]), math.pi / 2.0, turned)
-    np.testing.assert_allclose(turned, np.diag([9.0, 1.0, 4.0]), atol=1e-12)
-
-
-def test_an_inverse_agrees_with_numpy() -> None:
-    a, inverse = np.array([[4.0, 1.0, 0.5], [1.0, 3.0, 0.2], [0.5, 0.2, 2.0]]), np.empty((3, 3))
-    assert invert_3x3(a, inverse)
-    np.testing.assert_allclose(inverse, np.linalg.inv(a), rtol=1e-12)
-
-
-def test_the_weakest_direction_is_that_along_a_corridor() -> None:
-    towards = math.radians(30.0)
-    across = np.array([-math.sin(towards), math.cos(towards)])
-    along = np.array([math.cos(towards), math.sin(towards)])
-    information = np.zeros((3, 3))
-    information[:2, :2] = 1e4 * np.outer(across, across) + 25.0 * np.outer(along, along)
-    information[2, 2] = 1e5
-    least, direction = weakest_direction(information)
-    assert least == pytest.approx(25.0)
-    assert direction % math.pi == pytest.approx(towards)
 
 
 def test_a_scan_finds_its_pose_to_a_fifth_of_a_millimetre() -> None:

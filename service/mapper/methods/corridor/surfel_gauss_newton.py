@@ -68,7 +68,9 @@ MOST_REPEATS = 100.0
 GAUSSIAN = 1e9  # degrees of freedom of an error that is never far larger than usual
 LESS_LIKELY_CHI2 = 4.6  # 2 ln 10: a tenth as likely by the prediction
 USUAL_SCANS = 50  # over which the usual inlier ratio is taken
-DOUBT_RATIO = 0.9  # of the usual inlier ratio: with less, other starts are tried
+# Of the usual inlier ratio: with less, other starts are tried. Of that far from the prediction: with less
+# near it, the map may have drawn the scan away, [33].
+DOUBT_RATIO = 0.9
 
 
 class SurfelMatcherConfig(JudgementConfig):
