@@ -58,7 +58,7 @@ def _tell_outcomes(
     names: Sequence[str], outcomes: Sequence["Outcome"], folders: Sequence[Path], as_json: bool
 ) -> None:
     """A table of what was mapped and, on stderr, why the others were not; or all of it as JSON. Last, on
-    stderr, why scans were degraded or lost.
+    stderr, why scans were degraded or lost; of several sessions all warnings, each with its session.
     """
     from service.offline.state_reasons import doubts
 
@@ -75,8 +75,10 @@ def _tell_outcomes(
         print_table(_table(mapped))
     sys.stdout.flush()
     for name, outcome in zip(names, outcomes, strict=True):
-        for doubt in () if isinstance(outcome, CorridorError) else doubts(outcome):
-            log.warning("%s: %s", name, doubt)
+        if isinstance(outcome, CorridorError):
+            continue
+        for warning in outcome["warnings"] if len(names) > 1 else doubts(outcome):
+            log.warning("%s: %s", name, warning)
 
 
 @contextmanager

@@ -23,6 +23,8 @@ from service.offline.raw_replay import FROM_RAW, remake_frames
 from service.offline.replay_result import Replay, write_replay
 from service.offline.replay_run import MAPPING, Progress, ReplayRun
 from service.offline.replay_setup import ReplayOptions, set_up
+from service.offline.state_reasons import doubts
+from service.offline.warned import Warned
 from service.offline.writing import refuse_unwritable_folder
 from service.readable import refuse_unreadable
 from service.recording.mcap_source import open_session
@@ -111,10 +113,18 @@ def replay(
     progress: Progress = lambda share, phase: None,
     watch: Watch | None = None,
 ) -> Replay:
-    """Map one recording. Raises InputError, ConfigError where the config cannot be used, and StorageError."""
-    watch = watch or Unwatched(options.rate)
-    if options.from_raw:
-        return _replay_from_raw(paths, options, progress, watch)
+    """Map one recording. Raises InputError, ConfigError where the config cannot be used, and StorageError.
+
+    `warnings` of the summary has all that was logged as one meanwhile, and why scans were not `ok`.
+    """
+    with Warned() as warned:
+        mapped = _replay_from_raw if options.from_raw else _replay
+        done = mapped(paths, options, progress, watch or Unwatched(options.rate))
+    done.summary["warnings"] = [*warned.lines, *doubts(done.summary)]
+    return done
+
+
+def _replay(paths: Sequence[Path], options: ReplayOptions, progress: Progress, watch: Watch) -> Replay:
     session = open_session(paths)
     for note in session.notes:
         log.info("%s", note)
@@ -134,7 +144,7 @@ def _replay_from_raw(
     with TemporaryDirectory(prefix="corridor-") as folder:
         made = Path(folder) / paths[0].name
         remade = remake_frames(paths, options.config, made, lambda share: progress(share, REMAKING))
-        done = replay([made], replace(options, from_raw=False), progress, watch)
+        done = _replay([made], replace(options, from_raw=False), progress, watch)
     done.summary[FROM_RAW] = {name: asdict(counts) for name, counts in remade.items()}
     return done
 

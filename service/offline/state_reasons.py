@@ -11,6 +11,11 @@ MOST_KINDS = 5  # of reasons, of each state
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?")  # and not the 2 of a sensor called front_2
 
 
+def kind_of(words: str) -> str:
+    """The same for words that differ in their numbers alone."""
+    return _NUMBER.sub("#", words)
+
+
 class StateReasons:
     """Counts the reasons of outputs; those that differ in their numbers alone are of one kind."""
 
@@ -24,7 +29,7 @@ class StateReasons:
             self._begin_ns = output.stamp_ns
         if output.state not in STATES:
             return
-        kind = output.state, _NUMBER.sub("#", output.reason)
+        kind = output.state, kind_of(output.reason)
         if kind not in self._kinds:
             first_s = round((output.stamp_ns - self._begin_ns) / 1e9, 3)
             self._kinds[kind] = {"reason": output.reason, "scans": 0, "first_s": first_s}

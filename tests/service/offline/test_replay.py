@@ -211,7 +211,7 @@ def test_the_summary_counts_what_happened(record_drive: RecordDrive):
         "stage_ms_p50",
         "loop_closures", "keyframes", "peak_rss_mb", "map_tiles", "map_resets", "state",
         "state_reasons", "fixes",
-        "geo_reference",
+        "geo_reference", "warnings",
     ]  # fmt: skip
     assert (summary["scans"], summary["scans_dropped"]) == (40, 1)
     assert summary["duration_s"] == pytest.approx(39 * 0.02)
@@ -254,6 +254,9 @@ def test_samples_that_are_not_used_are_counted(record_drive: RecordDrive, caplog
     }
     summary = replay([record_drive("w", samples=samples)], ReplayOptions()).summary
     assert summary["samples_dropped"] == none | {"late": 1, "same_stamp": 1, "unusable": 1}
+    unusable, no_covariance, _ = summary["warnings"]  # the last: no time_increment
+    assert unusable.startswith("/base/odom: 1 of 40 messages cannot be used")
+    assert no_covariance.startswith("/base/odom: the covariance of 1 of 40 messages is none")
     assert (summary["covariances_ignored"], summary["scans_before_odometry"]) == (1, 0)
     assert "/base/odom: 1 of 40 messages cannot be used" in caplog.text
     assert "/base/odom: the covariance of 1 of 40 messages is none" in caplog.text
@@ -277,6 +280,10 @@ def test_why_scans_were_lost_is_told_at_the_end(
         "first_s": 0.4,
     }
     assert plain["state_reasons"]["lost"] == []
+    assert [line for line in summary["warnings"] if " were lost" in line] == [
+        f"6 of 40 scans were lost; 6 of them, from 0.4 s on: {covered['reason']}"
+    ]
+    assert len(plain["warnings"]) == 1  # the laser's time_increment is 0
     lost = [line for line in said.err.splitlines() if " were lost" in line]
     assert len(lost) == 1
     assert "WARNING" in lost[0]
