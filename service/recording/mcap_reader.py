@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import BinaryIO
 
 from mcap.reader import SeekingReader
-from mcap.records import Channel, Schema, Statistics
+from mcap.records import Channel, Metadata, Schema, Statistics
+from mcap.records import Message as Record
+from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
@@ -38,6 +40,7 @@ class _File:
     first_log_ns: int
     last_log_ns: int
     metadata: dict[str, dict[str, str]]
+    summary: Summary  # with every schema and channel, also where that of the file lacks some
 
 
 class Recording:
@@ -72,7 +75,7 @@ class Recording:
         Raises InputError at a damaged place.
         """
         streams = [
-            _messages(file.path, topics, from_ns, to_ns)
+            _messages(file, topics, from_ns, to_ns)
             for file in self._files
             if (from_ns is None or from_ns <= file.last_log_ns)
             and (to_ns is None or to_ns >= file.first_log_ns)
@@ -126,42 +129,82 @@ def _read_index(path: Path, stream: BinaryIO) -> _File:
     reader = SeekingReader(stream)
     header = reader.get_header()
     summary = reader.get_summary()
-    if summary is None or summary.statistics is None or not summary.channels:
-        summary = _count_messages(reader)
+    if summary is not None and _is_whole(summary):
+        metadata = list(reader.iter_metadata())
+    else:
+        summary, metadata = _scan(stream)
     statistics = summary.statistics
     assert statistics is not None
     topics = tuple(
         _topic(channel, summary.schemas, statistics.channel_message_counts.get(channel.id, 0))
         for channel in summary.channels.values()
     )
-    metadata = {record.name: dict(record.metadata) for record in reader.iter_metadata()}
     return _File(
-        path, header.library, topics, statistics.message_start_time, statistics.message_end_time, metadata
+        path,
+        header.library,
+        topics,
+        statistics.message_start_time,
+        statistics.message_end_time,
+        {record.name: dict(record.metadata) for record in metadata},
+        summary,
     )
 
 
-def _count_messages(reader: SeekingReader) -> Summary:
-    """The index that a file lacks; MCAP leaves it to the writer whether there is one."""
-    summary, times = Summary(), []
+def _is_whole(summary: Summary) -> bool:
+    """MCAP leaves it to the writer which records the summary repeats."""
+    statistics, channels = summary.statistics, summary.channels
+    return (
+        statistics is not None
+        and bool(channels)
+        and statistics.channel_count == len(channels)
+        and statistics.channel_message_counts.keys() <= channels.keys()
+        and {channel.schema_id for channel in channels.values()} <= summary.schemas.keys() | {0}
+        and statistics.chunk_count == len(summary.chunk_indexes)
+        and statistics.metadata_count == len(summary.metadata_indexes)
+    )
+
+
+def _scan(stream: BinaryIO) -> tuple[Summary, list[Metadata]]:
+    """What a summary says, from the data itself. There are no chunk indexes in it: messages are then read
+    from the file's beginning to its end.
+    """
+    summary, metadata = Summary(), list[Metadata]()
+    first_ns: int | None = None
+    last_ns = 0
     counts: Counter[int] = Counter()
-    for schema, channel, message in reader.iter_messages(log_time_order=False):
-        if schema is not None:
-            summary.schemas[schema.id] = schema
-        summary.channels[channel.id] = channel
-        counts[channel.id] += 1
-        times.append(message.log_time)
+    stream.seek(0)
+    for record in StreamReader(stream).records:
+        match record:
+            case Schema():
+                summary.schemas[record.id] = record
+            case Channel():
+                summary.channels[record.id] = record
+            case Record():
+                counts[record.channel_id] += 1
+                first_ns = record.log_time if first_ns is None else min(first_ns, record.log_time)
+                last_ns = max(last_ns, record.log_time)
+            case Metadata():
+                metadata.append(record)
     summary.statistics = Statistics(
         attachment_count=0,
         channel_count=len(summary.channels),
         channel_message_counts=dict(counts),
         chunk_count=0,
-        message_count=len(times),
-        message_end_time=max(times, default=0),
-        message_start_time=min(times, default=0),
-        metadata_count=0,
+        message_count=counts.total(),
+        message_end_time=last_ns,
+        message_start_time=first_ns or 0,
+        metadata_count=len(metadata),
         schema_count=len(summary.schemas),
     )
-    return summary
+    return summary, metadata
+
+
+class _Reader(SeekingReader):
+    """Reads messages by a summary that is known already."""
+
+    def __init__(self, stream: BinaryIO, summary: Summary) -> None:
+        super().__init__(stream, validate_crcs=True)
+        self._summary = summary
 
 
 def _topic(channel: Channel, schemas: dict[int, Schema], count: int) -> Topic:
@@ -178,12 +221,11 @@ def _type_name(schema: str) -> str:
 
 
 def _messages(
-    path: Path, topics: Collection[str] | None, from_ns: int | None, to_ns: int | None
+    file: _File, topics: Collection[str] | None, from_ns: int | None, to_ns: int | None
 ) -> Iterator[Message]:
     try:
-        with path.open("rb") as stream:
-            reader = SeekingReader(stream, validate_crcs=True)
-            wanted = reader.iter_messages(topics, starting_at=from_ns, ending_at=to_ns)
+        with file.path.open("rb") as stream:
+            wanted = _Reader(stream, file.summary).iter_messages(topics, starting_at=from_ns, ending_at=to_ns)
             for schema, channel, record in wanted:
                 yield Message(
                     channel=channel.topic.removeprefix("/"),
@@ -193,4 +235,4 @@ def _messages(
                     payload=record.data,
                 )
     except Exception as error:  # bad bytes may fail in any way inside the library
-        raise _damaged(path, error) from error
+        raise _damaged(file.path, error) from error

@@ -1,8 +1,11 @@
+from collections import Counter
+
 import pytest
 from mcap.writer import MCAP0_MAGIC, IndexType, Writer
 
 from service.errors import InputError
 from service.recording.mcap_reader import Recording
+from service.recording.mcap_recovery import recover
 from tests.service.recording.sessions import drive, scan_message, write_file
 from tests.service.recording.test_mcap_recovery import chunk_offsets, damage
 
@@ -68,6 +71,58 @@ def test_a_file_without_an_index_is_read_all_the_same(tmp_path):
     assert [str(topic) for topic in recording.topics] == ["/scan (sensor_msgs/msg/LaserScan, 2)"]
     assert recording.first_log_ns == scan_message(0).log_ns
     assert [m.log_ns for m in recording.messages()] == [scan_message(i).log_ns for i in (0, 1)]
+
+
+SUMMARIES = [
+    {"repeat_channels": False},
+    {"repeat_schemas": False},
+    {"repeat_channels": False, "repeat_schemas": False},
+    {"use_statistics": False, "repeat_schemas": False},
+    {"use_statistics": False, "repeat_channels": False},
+    {"index_types": IndexType.NONE},
+    {"index_types": IndexType.MESSAGE},
+    {"index_types": IndexType.CHUNK, "repeat_channels": False},
+    {"use_chunking": False, "repeat_schemas": False},
+]
+
+
+@pytest.mark.parametrize("lacking", SUMMARIES, ids=str)
+def test_a_summary_that_lacks_records_costs_nothing(lacking, tmp_path):
+    """Nor does `recover` call a file complete that a replay refuses."""
+    path, messages = tmp_path / "others.mcap", drive(20)
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=4000, **lacking)
+        writer.start(profile="ros2", library="others")
+        writer.add_metadata("config", {"vehicle": "test"})
+        channels: dict[str, int] = {}
+        for m in messages:
+            if m.channel not in channels:
+                schema = writer.register_schema(m.type, "ros2msg", b"")
+                channels[m.channel] = writer.register_channel(f"/{m.channel}", "cdr", schema)
+            writer.add_message(channels[m.channel], m.log_ns, m.payload, m.stamp_ns)
+        writer.finish()
+    for _ in ("as it was written", "after recover"):
+        recording = Recording([path])
+        counts = {(topic.name, topic.type): topic.count for topic in recording.topics}
+        assert counts == Counter((f"/{m.channel}", m.type) for m in messages)
+        assert recording.metadata == {"config": {"vehicle": "test"}}
+        read = [(m.channel, m.type, m.log_ns, m.payload) for m in recording.messages()]
+        assert read == [(m.channel, m.type, m.log_ns, m.payload) for m in messages]
+        span = recording.messages(["/front/scan"], messages[6].log_ns, messages[12].log_ns)
+        assert [m.log_ns for m in span] == [m.log_ns for m in messages[6:13:2]]
+        recover(path)
+
+
+def test_recover_mends_a_summary_that_cannot_be_read(tmp_path):
+    path = tmp_path / "s_0001.mcap"
+    messages = write_file(path, drive(20))
+    data = path.read_bytes()
+    at = data.rindex(b"/front/scan")  # of the channel, as the summary repeats it
+    path.write_bytes(data[: at - 4] + b"\xff\xff\xff\x7f" + data[at:])
+    with pytest.raises(InputError, match=r"is damaged: .*; try `corridor recover"):
+        Recording([path])
+    assert not recover(path).complete
+    assert [m.payload for m in Recording([path]).messages()] == [m.payload for m in messages]
 
 
 def test_an_unfinished_file_is_refused_with_the_command_that_mends_it(tmp_path):
