@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from drivers.frames import Frame, LaserScan
 from service.encoding import IMU, LASER_SCAN, NO_COVARIANCE, ODOMETRY
 from service.errors import InputError
@@ -38,6 +40,7 @@ from service.offline.state_reasons import StateReasons
 from service.outputs import MapperOutput, TileUpdate
 from service.recording.mcap_source import Session
 from service.version import VERSION
+from service.words import counted
 
 log = logging.getLogger(__name__)
 
@@ -83,6 +86,7 @@ class ReplayRun:
         self._states: Counter[str] = Counter()
         self._reasons = StateReasons()
         self._outputs: list[MapperOutput] = []
+        self._returns = 0  # beams of the mapped scans that came back
         self._poses: list[SE2] = []  # of the outputs of maps that are finished
         self._tiles: list[TileUpdate] = []  # of the newest finished map, as are the following
         self._g2o = ""
@@ -152,6 +156,7 @@ class ReplayRun:
         self._states[output.state] += 1
         self._reasons.add(output)
         self._outputs.append(output)
+        self._returns += int(np.isfinite(frame.range_m).sum())
         self._watch.mapped(frame, output)
         begin_ns, end_ns = self._recording.first_log_ns, self._recording.last_log_ns
         self._progress((frame.arrived_ns - begin_ns) / max(end_ns - begin_ns, 1), MAPPING)
@@ -175,6 +180,12 @@ class ReplayRun:
         if not self._outputs:
             raise InputError(
                 f"{self._recording.paths[0]}: not one scan could be mapped ({dict(self._session.counters)})"
+            )
+        if not self._tiles:
+            raise InputError(
+                f"{self._recording.paths[0]}: nothing to map: {counted(self._returns, 'beam')} came back in "
+                f"{counted(len(self._outputs), 'scan')} of {' and '.join(self._setup.lasers)}; of every "
+                "other beam the range is NaN, inf, 0 or outside of range_min and range_max"
             )
         for topic, devices in self._session.shared_topics.items():
             log.warning("%s has messages of several frame_ids: %s", topic, _in_words(devices))

@@ -25,6 +25,7 @@ from service.offline.replay import (
 )
 from service.offline.trajectory import read_tum
 from service.recording.mcap_recorder import McapRecorder
+from tests.service.recording.sessions import write_file
 
 T0_NS = 1_700_000_000_000_000_000
 BEAMS = 271
@@ -428,3 +429,23 @@ def test_files_of_one_session_are_one_drive(tmp_path: Path):
 def test_a_folder_without_recordings_is_bad_input(tmp_path: Path):
     with pytest.raises(InputError, match=r"no \*\.mcap in this folder"):
         group_sessions([tmp_path])
+
+
+@pytest.mark.parametrize("fill", [math.nan, math.inf, 0.0, 50.0, None], ids=str)
+def test_scans_without_one_beam_that_came_back_are_refused_in_words(
+    fill: float | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """50 m is beyond range_max; None: scans without a beam."""
+    messages = [encode_tf_static({"front": SE2()}, T0_NS, T0_NS)]
+    for k in range(5):
+        scan = room_scan(T0_NS + k * 20_000_000, 0.0)
+        ranges = np.zeros(0, np.float32) if fill is None else np.full(BEAMS, fill, np.float32)
+        messages.append(encode_frame(replace(scan, range_m=ranges)))
+    write_file(tmp_path / "blind.mcap", messages)
+    out = tmp_path / "out"
+    assert main(["replay", str(tmp_path / "blind.mcap"), "--out", str(out)]) == InputError.exit_code
+    last = capsys.readouterr().err.splitlines()[-1]
+    expected = "not one scan could be mapped" if fill is None else "0 beams came back in 5 scans of front"
+    assert last.startswith(f"corridor: {tmp_path / 'blind.mcap'}: ")
+    assert expected in last
+    assert not list(out.glob("*"))
