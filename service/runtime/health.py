@@ -20,6 +20,9 @@ FIRST_POSE_NS = 5_000_000_000  # so long devices may take to log in
 RESTARTS_WITHIN_NS = 60_000_000_000
 MOST_RESTARTS = 1  # of the mapper in that time: one is what the stand-by is for, more are a fault that stays
 
+LINE_NS = 10_000_000_000  # at least, from one line about a passing state to the next
+_PASSING = {"ok", "degraded", "overloaded"}  # states between which a mapping may go to and fro
+
 _LEVEL_OF_LINK = {"streaming": OK, "starting": WARNING, "connecting": WARNING, "down": ERROR}
 _LEVEL_OF_POSE = {"ok": OK, "degraded": WARNING, "lost": ERROR}
 
@@ -110,7 +113,7 @@ class HealthReport:
         self._profile = profile
         self._scan_rate = RateMeter()
         self._states = dict.fromkeys(links, "connecting")
-        self._mapping_state_told = "waiting"
+        self._mapping_state_told, self._mapping_told_ns = "waiting", 0
         self._gnss_health = GnssHealth()
         self._restarted_ns: deque[int] = deque()  # when the mapper was, host monotonic
         self._restarts = 0  # in all, at the last update
@@ -186,11 +189,17 @@ class HealthReport:
         return changes
 
     def take_mapping_change(self) -> tuple[str, str] | None:
-        """`mapping_state` where the state is another one than at the last call; None where it is the same."""
+        """`mapping_state` where the state is another one than at the last call; None where it is the same.
+
+        Between ok, degraded and overloaded it changes at most each LINE_NS, to what it is then.
+        """
         state, reason = self.mapping_state
         if state == self._mapping_state_told:
             return None
-        self._mapping_state_told = state
+        is_passing = {state, self._mapping_state_told} <= _PASSING
+        if is_passing and self._now_ns - self._mapping_told_ns < LINE_NS:
+            return None
+        self._mapping_state_told, self._mapping_told_ns = state, self._now_ns
         return state, reason
 
     def _mapping(self) -> Status:

@@ -3,9 +3,9 @@
 import json
 import logging
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, assert_never
 
@@ -32,7 +32,18 @@ from service.runtime.metrics import LatencyHistogram
 
 log = logging.getLogger(__name__)
 
-OVERLOAD_NS = 1_000_000_000  # so long after a scan that was passed over the service counts as overloaded
+OVERLOAD_SCANS = 3  # so many that were passed over are an overload; one or two are a hiccup, and counted
+OVERLOAD_NS = 10_000_000_000  # so long without one that was passed over ends it
+
+
+@dataclass(frozen=True, slots=True)
+class _Overload:
+    """Scans that were passed over, none more than OVERLOAD_NS after the one before; host monotonic."""
+
+    first_ns: int
+    last_ns: int = 0
+    scans: int = 0
+    oldest_age_ns: int = 0
 
 
 class MappingOutputs:
@@ -59,9 +70,7 @@ class MappingOutputs:
         self._log_ns = log_ns
         self._monotonic_ns = monotonic_ns
         self._began_version = 0  # versions of the mapper's tiles count from here
-        self._passed_over_ns: deque[int] = deque(maxlen=4096)  # when, host monotonic
-        self._overloaded_since_ns: int | None = None
-        self._oldest_age_ns = 0  # of the scans passed over since then
+        self._overload: _Overload | None = None  # the newest, over or not
         self.counters: Mapping[str, int] = {}  # the mapper's own: scans, scans_dropped_late ...
         self.graph_fault = ""  # why no loop is closed any more, "" while all is well
         self.last: Mapped | None = None
@@ -132,14 +141,12 @@ class MappingOutputs:
 
     def overload(self) -> str:
         """What is the matter where scans come faster than they are mapped, with figures; else ""."""
-        now_ns = self._monotonic_ns()
-        recent = [at_ns for at_ns in list(self._passed_over_ns) if now_ns - at_ns <= OVERLOAD_NS]
-        if not recent or self._overloaded_since_ns is None:
+        overload, now_ns = self._overload, self._monotonic_ns()
+        if overload is None or overload.scans < OVERLOAD_SCANS or now_ns - overload.last_ns > OVERLOAD_NS:
             return ""
-        since_s = (now_ns - self._overloaded_since_ns) / 1e9
         return (
-            f"overloaded for {since_s:.0f} s: {len(recent)} scans of the last second were not mapped, "
-            f"having waited up to {self._oldest_age_ns / 1e6:.0f} ms; the pose follows the prediction "
+            f"{overload.scans} scans in {(now_ns - overload.first_ns) / 1e9:.1f} s were not mapped, having "
+            f"waited up to {overload.oldest_age_ns / 1e6:.0f} ms; the pose follows the prediction "
             "meanwhile. Does another program take the processor?"
         )
 
@@ -191,11 +198,12 @@ class MappingOutputs:
             self._tiles.keep_graph(Path(kept.folder))
 
     def _left_out(self, message: PassedOver) -> None:
-        now_ns = self._monotonic_ns()
-        if not self._passed_over_ns or now_ns - self._passed_over_ns[-1] > OVERLOAD_NS:
-            self._overloaded_since_ns, self._oldest_age_ns = now_ns, 0
-        self._passed_over_ns.append(now_ns)
-        self._oldest_age_ns = max(self._oldest_age_ns, message.age_ns)
+        now_ns, overload = self._monotonic_ns(), self._overload
+        if overload is None or now_ns - overload.last_ns > OVERLOAD_NS:
+            overload = _Overload(now_ns)
+        self._overload = _Overload(
+            overload.first_ns, now_ns, overload.scans + 1, max(overload.oldest_age_ns, message.age_ns)
+        )
         self.passed_over[message.sensor] += 1
         self._put_before(message.log_ns, {"event": "scan_passed_over", "sensor": message.sensor})
 

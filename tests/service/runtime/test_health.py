@@ -1,7 +1,9 @@
 from collections import Counter
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from drivers.link import LinkHealth
@@ -183,6 +185,30 @@ def test_a_change_of_the_mapping_is_told_once_with_its_reason():
     assert made.take_mapping_change() == ("stale", "no pose for 2.0 s: no scan of front")
 
 
+def test_a_mapping_that_goes_to_and_fro_is_told_of_at_most_each_ten_seconds():
+    made = report(streaming())
+    made._outputs.last = Mapped(1, 1, 1, "ok", "", 0.9, 1, ())
+    told = []
+    for second in range(11, 61):
+        made._outputs.last_ns = second * S
+        made._outputs.overload = lambda is_so=second % 2: "12 scans in 3.0 s were not mapped" if is_so else ""
+        made.update(second * S, 0)
+        told.append(made.take_mapping_change())
+    seconds = [k for k, change in enumerate(told) if change is not None]
+    assert len(seconds) > 2
+    assert min(np.diff(seconds)) >= 10
+    states = [change[0] for change in told if change is not None]
+    assert all(before != after for before, after in pairwise(states))
+
+
+def test_a_lost_pose_is_told_at_once():
+    made = report(streaming())
+    for second, state in ((11, "ok"), (12, "lost"), (13, "ok"), (14, "lost")):
+        made._outputs.last, made._outputs.last_ns = Mapped(1, 1, 1, state, "", 0.9, 1, ()), second * S
+        made.update(second * S, 0)
+        assert made.take_mapping_change() == (state, state)
+
+
 def test_the_message_holds_all_of_it():
     made = report(streaming())
     made.update(11 * S, 0)
@@ -221,10 +247,10 @@ def test_a_graph_that_does_no_work_is_a_warning():
 def test_an_overloaded_mapper_is_a_warning_with_its_figures():
     made = report(streaming())
     made._outputs.last = Mapped(1, 1, 1, "ok", "", 0.9, 1, ())
-    made._outputs.overload = lambda: "overloaded for 3 s: 12 scans of the last second were not mapped"
+    made._outputs.overload = lambda: "12 scans in 3.0 s were not mapped"
     told = status(made, "mapping")
     assert (told.level, told.values["state"]) == (WARNING, "overloaded")
-    assert told.message.startswith("overloaded for 3 s: 12 scans")
+    assert told.message.startswith("12 scans in 3.0 s")
     assert made.line.startswith("mapping overloaded")
     assert (told.values["queue_length"], told.values["restarts"]) == ("3", "1")
 
@@ -235,10 +261,10 @@ def test_an_overloaded_mapper_is_a_warning_with_its_figures():
 def test_too_little_processor_time_does_not_hide_what_ails_the_pose(state: Any, told_state: str, level: int):
     made = report(streaming())
     made._outputs.last = Mapped(1, 1, 1, state, "few beams agree", 0.2, 1, ())
-    made._outputs.overload = lambda: "overloaded for 3 s: 12 scans"
+    made._outputs.overload = lambda: "12 scans in 3.0 s"
     told = status(made, "mapping")
     assert (told.level, told.values["state"]) == (level, told_state)
-    assert told.message == "few beams agree; overloaded for 3 s: 12 scans"
+    assert told.message == "few beams agree; 12 scans in 3.0 s"
     assert made.line.startswith(f"mapping {told_state}, ")
 
 
@@ -280,7 +306,7 @@ def test_a_pose_that_is_not_fresh_is_an_error():
         (123, 0.8, "", "the mapper has not answered for 0.8 s while 3 items wait for it"),
         (0, 0.8, "", "the mapper's process has ended and no stand-by has taken over yet"),
         (123, 0.1, "", "the mapper maps none of them"),
-        (123, 0.1, "overloaded for 3 s: 50 scans", "overloaded for 3 s: 50 scans"),
+        (123, 0.1, "50 scans in 3.0 s", "50 scans in 3.0 s"),
     ],
 )
 def test_scans_that_come_and_give_no_pose_are_not_the_sensor_s_fault(

@@ -288,15 +288,25 @@ def test_a_scan_that_has_waited_too_long_is_passed_over_and_the_recording_says_s
     assert event.log_ns - OFFSET_NS == 59  # right before its scan
     assert decode_step(event.payload, event.log_ns) == LeftOut("front", "old", event.log_ns)
     assert run.outputs.passed_over == {"front": 1}
-    assert "1 scans of the last second were not mapped, having waited up to 50 ms" in run.outputs.overload()
-    run.link.now_ns += 10**9 + 1
-    assert run.outputs.overload() == ""
 
 
 def test_a_scan_may_be_two_periods_old_where_that_is_more():
     slow = replace(scan(40, 60, [1.0, 2.0]), scan_period_ns=80 * MS)  # a float32 of seconds on its way
     assert not Run(FakeMapper()).put(slow, waits_ns=159 * MS).outputs.passed_over
     assert Run(FakeMapper()).put(slow, waits_ns=161 * MS).outputs.passed_over == {"front": 1}
+
+
+def test_an_overload_begins_with_the_third_scan_and_ends_ten_seconds_after_the_last():
+    run = Run(FakeMapper())
+    for at_ns in (10, 40):
+        run.put(scan(at_ns, at_ns + 20, [1.0, 2.0]), waits_ns=MOST_AGE_NS + 1)
+    assert run.outputs.overload() == ""
+    run.put(scan(200 * MS, 200 * MS + 20, [1.0, 2.0]), waits_ns=MOST_AGE_NS + 1)
+    assert run.outputs.overload().startswith("3 scans in 0.2 s were not mapped, having waited up to 50 ms;")
+    run.link.now_ns += 9 * 10**9
+    assert run.outputs.overload().startswith("3 scans in 9.2 s were not mapped")
+    run.link.now_ns += 10**9 + 1
+    assert run.outputs.overload() == ""
 
 
 def test_in_a_pause_no_scan_is_too_old():
