@@ -27,6 +27,7 @@ LEAST_KNOWN = 0.02  # share of the returns on the map, and at least LEAST_RETURN
 CHANCE_SIGMAS = 2.0  # so many more returns than usual contradict the map by chance
 JUMP_CHI2 = 27.9  # 99.999 % of three degrees of freedom: a match this far from the prediction is no chance
 GAP_S = 2.5  # without a scan, after which a loose prediction is a gap in the way
+MOST_BLANK_S = GAP_S  # without a scan that has returns, after which nothing vouches for the pose
 NOT_KNOWN_M, NOT_KNOWN_RAD = 100.0, math.pi  # a sigma beyond is no measure of anything
 CARRIED_S = 4.0  # in which nobody measures the way: long enough to be lifted, carried some steps and set down
 
@@ -134,6 +135,20 @@ def too_few(points: Points) -> str:
         f"{points.scan.sensor}: {len(points.xy_base)} of {len(points.scan.range_m)} beams returned "
         f"(at least {LEAST_RETURNS}); is the window covered, or is there nothing in range?"
     )
+
+
+def judge_blank(few: str, prior: tuple[float, float], blank_s: float) -> tuple[State, str]:
+    """State and reason of the pose at a scan with too few returns, where the pose was known before.
+
+    Such a scan measures nothing and contradicts nothing: the pose is the prediction, known as well as that.
+
+    few      the reason that `too_few` gives
+    prior    (m, rad) sigma of the prediction against the map
+    blank_s  since the newest scan with enough returns
+    """
+    state: State = "lost" if is_loose(prior) or blank_s > MOST_BLANK_S else "degraded"
+    most = TIGHT_SIGMA_M, TIGHT_SIGMA_RAD
+    return state, f"{few} The pose follows the prediction for {blank_s:.2f} s, {_uncertain(prior, most)}"
 
 
 def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, str]:

@@ -21,7 +21,7 @@ from service.mapper.components import (
     ReadableMap,
     Stopwatch,
 )
-from service.mapper.judgement import CARRIED_S, drift_of, too_few
+from service.mapper.judgement import CARRIED_S, drift_of, judge_blank, sigmas_of, too_few
 from service.mapper.map_changes import ChangeWatch, MapChanges
 from service.mapper.maps.standing import draw_standing
 from service.mapper.mounting_check import MountingCheck
@@ -77,6 +77,7 @@ class Mapper(Generic[ReadableMap]):
         self._stamps = StampChecks()
         self._travelled_m = 0.0  # as predicted, from scan to scan
         self._state: tuple[State, str] = ("ok", "")  # and its reason, of the newest scan that was mapped
+        self._placed_ns: int | None = None  # moment of the newest scan with returns; None: that was lost
         self.geo_reference = geo_reference  # None: where the map lies on the earth is not known
         self.counters: Counter[str] = Counter()  # scans, scans_dropped_late, samples_dropped_late ...
 
@@ -234,12 +235,14 @@ class Mapper(Generic[ReadableMap]):
         match = s.matcher.match(points, predicted, s.local_map)  # where we are
         match = replace(match, motion=s.motion_model.correct(match.measured))
         watch.lap("match")
+        few = too_few(match.points)
         if match.state == "lost":
             self._odometry_mounting.interrupt()
             self._stamps.interrupt()
         if match.state == "lost" and (well := self._well_besides(scan.sensor, at_ns)):
-            return self._contradicted(scan, at_ns, match, well)
-        laser.well_ns = at_ns if match.state != "lost" else None
+            return self._contradicted(scan, at_ns, match, well, few)
+        if not few:  # else it says nothing of the place, for or against
+            laser.well_ns = at_ns if match.state != "lost" else None
         if match.state == "ok":
             self._stamps.add(scan.sensor, at_ns, match.motion.pose_odom_base.theta_rad)
         if match.state == "ok" and (fault := self._motion_fault(match, at_ns)):
@@ -254,6 +257,10 @@ class Mapper(Generic[ReadableMap]):
         )
         is_drawn = match.state != "lost" and self._place.is_found and not self._is_localizing
         match = self._place.judged(match, change, pose_map_odom)
+        if few:
+            match = self._blank(match, few, at_ns, predicted)
+        else:
+            self._placed_ns = at_ns if match.state != "lost" else None
         if is_drawn:  # nothing is where nobody knows the place
             s.free_space.insert(match.points, pose_map_odom @ match.motion.pose_odom_base)
         if match.state == "ok" and self._place.is_proven and self._changes is not None:
@@ -262,6 +269,15 @@ class Mapper(Generic[ReadableMap]):
         watch.lap("insert")
         self._state = match.state, match.reason
         return self._output(scan, at_ns, match.motion, match.state, match.reason, match.inlier_ratio)
+
+    def _blank(self, match: Match, few: str, at_ns: int, predicted: Prediction) -> Match:
+        """A scan with too few returns, by any matcher lost, with the state that the prediction deserves."""
+        self.counters[f"scans_blind_{match.points.scan.sensor}"] += 1
+        if self._placed_ns is None:
+            return match
+        sigmas = sigmas_of(predicted.local_covariance)
+        state, reason = judge_blank(few, sigmas, (at_ns - self._placed_ns) * 1e-9)
+        return replace(match, state=state, reason=reason)
 
     def _motion_fault(self, match: Match, at_ns: int) -> str:
         """What contradicts a scan that lay on the map: by odometry, the mounting; or a source of motion."""
@@ -306,12 +322,12 @@ class Mapper(Generic[ReadableMap]):
         ]
         return min(well, default="")
 
-    def _contradicted(self, scan: LaserScan, at_ns: int, match: Match, well: str) -> MapperOutput:
+    def _contradicted(self, scan: LaserScan, at_ns: int, match: Match, well: str, few: str) -> MapperOutput:
         """A scan that fits nowhere while those of another laser do: its laser is wrong, not the place.
 
         One of hardly a return contradicts nothing: its laser is covered, or nothing is in its range.
         """
-        if few := too_few(match.points):
+        if few:
             self.counters[f"scans_blind_{scan.sensor}"] += 1
             reason = f"{few} It is not mapped; {well} confirms the map"
             return self._output(scan, at_ns, match.motion, "degraded", reason, match.inlier_ratio)

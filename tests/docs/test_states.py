@@ -15,12 +15,15 @@ CONDITIONS = {
     "degraded": (
         f"inlier ratio is below {LIMITS.degraded_ratio:.2f}",
         f"fewer than {judgement.LEAST_CONFIRMING} beams returned",
+        f"or fewer than {judgement.LEAST_RETURNS} for at most {judgement.MOST_BLANK_S:.1f} s",
         f"worse than {judgement.MOST_SIGMA_M:.2f} m or {math.degrees(judgement.MOST_SIGMA_RAD):.0f} deg",
         f"fixes a direction worse than {LIMITS.degraded_sigma_m:.2f} m",
         f"worse than {judgement.MOST_DRIFT_M:.1f} m or {math.degrees(judgement.MOST_DRIFT_RAD):.0f} deg",
     ),
     "lost": (
         f"fewer than {judgement.LEAST_RETURNS} beams returned",
+        f"no scan had more for {judgement.MOST_BLANK_S:.1f} s",
+        f"known worse than {judgement.TIGHT_SIGMA_M:.1f} m or {judgement.TIGHT_SIGMA_RAD:.1f} rad",
         f"agreement is below {judgement.LEAST_AGREEMENT:.1f}",
         f"inlier ratio is below {LIMITS.lost_ratio:.2f}",
         f"good to {judgement.TIGHT_SIGMA_M:.1f} m and {judgement.TIGHT_SIGMA_RAD:.1f} rad",

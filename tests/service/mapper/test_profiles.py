@@ -20,6 +20,7 @@ from service.errors import InputError
 from service.fusion.motion import Prediction
 from service.geometry.se2 import SE2
 from service.mapper.components import ComponentKind, Method, NoSettings
+from service.mapper.judgement import MOST_BLANK_S, TIGHT_SIGMA_M, judge_blank
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import METHODS, build_mapper, mapping_config
 from service.outputs import MapperOutput, TileUpdate
@@ -255,13 +256,64 @@ def test_a_sample_of_a_stamp_that_was_there_is_told_apart_from_a_late_one(room_d
     assert mapper.counters == {"samples_dropped_same_stamp": 3, "samples_dropped_late": 1}
 
 
-def test_a_scan_without_returns_is_lost_and_maps_nothing(room_drive: Drive) -> None:
-    mapper = new_mapper()
+def without_returns(frames: list, stamps_ns: set[int]) -> list:
+    """The frames, the scans of these stamps blank."""
+    return [
+        replace(frame, range_m=np.full_like(frame.range_m, np.nan))
+        if isinstance(frame, LaserScan) and frame.stamp_ns in stamps_ns
+        else frame
+        for frame in frames
+    ]
+
+
+@pytest.mark.parametrize("profile", METHODS)
+def test_blank_scans_among_good_ones_are_degraded_and_change_the_path_by_millimetres(profile: str) -> None:
+    whole = drive(ROOM, round_the_room, 1.2)
+    blank = set(sorted(whole.truth)[20::5])
+    mapper = build_mapper(mapping_config({"profile": profile}), {"front": MOUNTING})
+    outputs = run(without_returns(whole.frames, blank), mapper)
+    assert {o.stamp_ns for o in outputs if o.state == "degraded"} == blank
+    assert {o.state for o in outputs} == {"ok", "degraded"}
+    assert mapper.counters["scans_blind_front"] == len(blank)
+    assert np.hypot(*errors(outputs, whole.truth)[:, :2].T).max() < 0.05
+    reason = next(o.reason for o in outputs if o.state == "degraded")
+    assert reason.startswith("front: 0 of 541 beams returned (at least 5); is the window covered")
+    assert "The pose follows the prediction for 0.02 s, uncertain by 0.0" in reason
+
+
+def test_a_laser_that_stays_blank_is_lost_once_too_long_without_returns() -> None:
+    whole = drive(ROOM, round_the_room, 4.0)
+    stamps = sorted(whole.truth)
+    outputs = run(without_returns(whole.frames, set(stamps[25:])))
+    blank_s = [(o.stamp_ns - stamps[24]) * 1e-9 for o in outputs if o.state == "lost"]
+    assert blank_s[0] == pytest.approx(MOST_BLANK_S, abs=0.03)
+    assert {o.state for o in outputs[25 : -len(blank_s)]} == {"degraded"}
+
+
+def test_a_blank_scan_is_lost_where_the_prediction_is_loose() -> None:
+    known, loose = (0.1, 0.1), (TIGHT_SIGMA_M + 0.01, 0.1)
+    assert judge_blank("few.", known, 0.1)[0] == "degraded"
+    state, reason = judge_blank("few.", loose, 0.1)
+    assert state == "lost"
+    assert "uncertain by 0.51 m and 5.7 deg (sigma, expected at most 0.5 m" in reason
+
+
+def test_a_blank_scan_after_a_lost_one_is_lost(room_drive: Drive) -> None:
     scans = [f for f in room_drive.frames if isinstance(f, LaserScan)]
-    blind = replace(scans[3], range_m=np.full(541, np.nan, np.float32))
-    outputs = run([*scans[:3], blind, *scans[4:8]], mapper)
-    assert [o.state for o in outputs] == ["ok"] * 3 + ["lost"] + ["ok"] * 4
-    assert "0 of 541 beams returned" in outputs[3].reason
+    elsewhere = replace(scans[3], range_m=np.full(541, 19.0, np.float32))
+    blank = without_returns(scans[4:5], {scans[4].stamp_ns})
+    outputs = run([*scans[:3], elsewhere, *blank, *scans[5:8]])
+    assert [o.state for o in outputs] == ["ok"] * 3 + ["lost"] * 2 + ["ok"] * 3
+    assert "0 of 541 beams returned" in outputs[4].reason
+
+
+def test_a_blank_scan_maps_nothing(room_drive: Drive) -> None:
+    scans = [f for f in room_drive.frames if isinstance(f, LaserScan)][:4]
+    seen, more = new_mapper(), new_mapper()
+    run(scans[:3], seen)
+    run([*scans[:3], *without_returns(scans[3:], {scans[3].stamp_ns})], more)
+    assert more.counters["keyframes"] == seen.counters["keyframes"]
+    assert [tile.cells.tobytes() for tile in more.tiles()] == [tile.cells.tobytes() for tile in seen.tiles()]
 
 
 def test_blind_from_the_first_scan_the_map_begins_with_the_first_that_sees(room_drive: Drive) -> None:

@@ -104,12 +104,12 @@ def test_narrowing_asks_a_fraction_of_the_candidates_of_the_literal_search() -> 
     assert poses[0] == poses[1]
 
 
-def test_a_scan_without_returns_is_lost_and_the_next_is_found_again(room_drive: Drive) -> None:
+def test_a_scan_without_returns_is_degraded_and_the_next_is_found_again(room_drive: Drive) -> None:
     scans = slow(room_drive)
     blind = replace(scans[3], range_m=np.full(541, np.nan, np.float32))
     for matcher in ("icp_then_search", "icp_scan_to_scan", "monte_carlo"):
         outputs = run(new_mapper(matcher), [*scans[:3], blind, *scans[4:6]])
-        assert [o.state for o in outputs] == ["ok"] * 3 + ["lost"] + ["ok"] * 2
+        assert [o.state for o in outputs] == ["ok"] * 3 + ["degraded"] + ["ok"] * 2
         assert "0 of 541 beams returned" in outputs[3].reason
 
 

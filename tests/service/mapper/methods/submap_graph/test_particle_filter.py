@@ -201,7 +201,7 @@ def test_far_walls_of_a_corridor_do_not_hold_a_scan_back() -> None:
     assert match.motion.pose_odom_base.x_m == pytest.approx(0.4, abs=0.05)
 
 
-def test_a_scan_without_returns_is_lost_and_draws_nothing(short_drive: Drive) -> None:
+def test_a_scan_without_returns_is_degraded_and_draws_nothing(short_drive: Drive) -> None:
     made = mapper(particles=4)
     seen = outputs_of(made, short_drive)[-1]
     last = next(frame for frame in reversed(short_drive.frames) if isinstance(frame, LaserScan))
@@ -214,7 +214,7 @@ def test_a_scan_without_returns_is_lost_and_draws_nothing(short_drive: Drive) ->
     drawn = made.counters["keyframes"]
     output = made.process(blind)
     assert output is not None
-    assert output.state == "lost"
+    assert output.state == "degraded"
     assert "0 of" in output.reason
     moved = seen.pose_odom_base.inverse() @ output.pose_odom_base
     assert np.hypot(moved.x_m, moved.y_m) < 0.05
