@@ -163,6 +163,13 @@ def plan_drive(
     return Trajectory(nodes, repeats)
 
 
+def drive_along(path: Floats, limits: Limits) -> Trajectory:
+    """A drive from rest to rest along a smooth path (K, 2), m, as fast as the limits allow, once."""
+    dx, dy = path[1] - path[0]
+    begin = np.array([0.0, *path[0], math.atan2(dy, dx), 0.0, 0.0])
+    return Trajectory(_follow(begin, _even(path), limits), repeats=False)
+
+
 def _append(nodes: Floats, more: Floats) -> Floats:
     return np.vstack([nodes, more[1:]])
 

@@ -6,13 +6,16 @@ sensor and placed by the moment measured, so it does not matter when or how ofte
 
 import math
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from service.geometry.se2 import SE2
 from simulators.device import Sweep
+from simulators.disturbances import Knock, Slip, rolled
 from simulators.trajectory import Floats
 from simulators.world import PERSON_REFLECTIVITY, World
 
@@ -117,15 +120,31 @@ class View:
     cabinet_beam: npt.NDArray[np.int64]  # (C,) beams that meet a glass cabinet
 
 
+class Moving(NamedTuple):
+    """What moves during a sweep."""
+
+    discs: Floats  # of World.discs
+    faces: Floats  # of World.faces
+
+
 class LaserTruth:
     """SweepSource: what a laser mounted on the riding vehicle sees."""
 
-    def __init__(self, ride: Ride, sensor: str, mounting: SE2, model: LaserModel, seed: int) -> None:
+    def __init__(
+        self,
+        ride: Ride,
+        sensor: str,
+        mounting: SE2,
+        model: LaserModel,
+        seed: int,
+        knocks: Sequence[Knock] = (),
+    ) -> None:
         self._ride = ride
         self._sensor = sensor
         self._mounting = mounting
         self._model = model
         self._seed = seed
+        self._knocks = knocks
 
     def sweep(
         self,
@@ -164,15 +183,16 @@ class LaserTruth:
         since_first_s = np.arange(beam_count, dtype=np.float64) * (beam_interval_ns * 1e-9)
         rays = self._rays(first_ray_ns, since_first_s, first_angle_rad, angle_step_rad)
         first_s = self._ride.drive_s(first_ray_ns)
-        discs = self._ride.world.discs(first_s, max(float(since_first_s[-1]), 1e-3))
+        world, span_s = self._ride.world, max(float(since_first_s[-1]), 1e-3)
+        moving = Moving(world.discs(first_s, span_s), world.faces(first_s, span_s, self._sensor))
         rim = np.array([0.0, 0.0, self._model.divergence_rad / 2, 0.0])
-        range_m, hit = self._cast(np.vstack([rays, rays + rim, rays - rim]), discs)
+        range_m, hit = self._cast(np.vstack([rays, rays + rim, rays - rim]), moving)
         true_m, surface = range_m[:beam_count].copy(), hit[:beam_count]
-        cosine, reflectivity = self._surfaces(rays, true_m, surface, discs)
+        cosine, reflectivity = self._surfaces(rays, true_m, surface, moving)
         moment = first_ray_ns - self._ride.start_ns
-        on_wall = np.flatnonzero((surface >= 0) & (surface < len(self._ride.world.segments)))
-        cabinet_beam = on_wall[self._ride.world.cabinet[surface[on_wall]]]
-        steps = self._steps(rays, hit.reshape(3, -1), discs)
+        on_wall = np.flatnonzero((surface >= 0) & (surface < len(world.segments)))
+        cabinet_beam = on_wall[world.cabinet[surface[on_wall]]]
+        steps = self._steps(rays, hit.reshape(3, -1), moving)
         return View(moment, true_m, cosine, reflectivity, *steps, cabinet_beam)
 
     def measure(self, view: View, seed: int) -> Sweep:
@@ -213,18 +233,24 @@ class LaserTruth:
         lost: npt.NDArray[np.int64] = view.cabinet_beam[chance >= 1.0 - CABINET_LOST]
         return lost
 
-    def _cast(self, rays: Floats, discs: Floats) -> tuple[Floats, npt.NDArray[np.int32]]:
-        """As World.cast; a ray that meets glass other than squarely goes through it."""
-        world = self._ride.world
+    def _cast(self, rays: Floats, moving: Moving) -> tuple[Floats, npt.NDArray[np.int32]]:
+        """As World.cast, with S + D + index of a face; a ray that meets glass other than squarely goes
+        through it.
+        """
+        world, discs = self._ride.world, moving.discs
         range_m, hit = world.cast(rays, discs, self._model.range_max_m)
-        if not world.glass.any():
-            return range_m, hit
-        glass = np.flatnonzero((hit >= 0) & (hit < len(world.segments)))
-        glass = glass[world.glass[hit[glass]]]
-        through = glass[self._cosine_on_walls(rays[glass], hit[glass]) < GLASS_COSINE]
-        range_m[through], hit[through] = world.without_glass.cast(
-            rays[through], discs, self._model.range_max_m
-        )
+        if world.glass.any():
+            glass = np.flatnonzero((hit >= 0) & (hit < len(world.segments)))
+            glass = glass[world.glass[hit[glass]]]
+            through = glass[_cosine_on(rays[glass], world.segments[hit[glass]]) < GLASS_COSINE]
+            range_m[through], hit[through] = world.without_glass.cast(
+                rays[through], discs, self._model.range_max_m
+            )
+        if len(moving.faces):
+            face_m, face = _nearest_face(rays, moving.faces)
+            nearer = face_m < np.minimum(range_m, self._model.range_max_m)
+            range_m[nearer] = face_m[nearer]
+            hit[nearer] = len(world.segments) + len(discs) + face[nearer]
         return range_m, hit
 
     def _rays(
@@ -239,37 +265,39 @@ class LaserTruth:
         rays[:, 1] = poses[:, 1] + s * mounting.x_m + c * mounting.y_m
         rays[:, 2] = poses[:, 2] + mounting.theta_rad + first_angle_rad
         rays[:, 2] += np.arange(len(poses)) * angle_step_rad
+        for knock in self._knocks:
+            rays[knock.acts(self._ride.drive_s(first_ray_ns) + since_first_s), 2] += knock.yaw_rad
         rays[:, 3] = since_first_s
         return rays
 
     def _surfaces(
-        self, rays: Floats, range_m: Floats, surface: npt.NDArray[np.int32], discs: Floats
+        self, rays: Floats, range_m: Floats, surface: npt.NDArray[np.int32], moving: Moving
     ) -> tuple[Floats, Floats]:
         """Cosine of incidence and reflectivity where each ray ends; 0 where it does not."""
         world = self._ride.world
+        first_disc = len(world.segments)
+        first_face = first_disc + len(moving.discs)
         cosine, reflectivity = np.zeros(len(rays)), np.zeros(len(rays))
-        c, s = np.cos(rays[:, 2]), np.sin(rays[:, 2])
-        wall = (surface >= 0) & (surface < len(world.segments))
-        cosine[wall] = self._cosine_on_walls(rays[wall], surface[wall])
+        wall = (surface >= 0) & (surface < first_disc)
+        cosine[wall] = _cosine_on(rays[wall], world.segments[surface[wall]])
         reflectivity[wall] = world.reflectivity[surface[wall]]
-        person = surface >= len(world.segments)
+        person = (surface >= first_disc) & (surface < first_face)
         if person.any():
-            disc, ray = discs[surface[person] - len(world.segments)], rays[person]
+            disc, ray = moving.discs[surface[person] - first_disc], rays[person]
+            c, s = np.cos(ray[:, 2]), np.sin(ray[:, 2])
             centre = disc[:, :2] + ray[:, 3:] * disc[:, 2:4]
-            off = (centre[:, 0] - ray[:, 0]) * s[person] - (centre[:, 1] - ray[:, 1]) * c[person]
+            off = (centre[:, 0] - ray[:, 0]) * s - (centre[:, 1] - ray[:, 1]) * c
             cosine[person] = np.sqrt(np.maximum(0.0, 1.0 - (off / disc[:, 4]) ** 2))
             reflectivity[person] = PERSON_REFLECTIVITY
+        on_face = surface >= first_face
+        if on_face.any():
+            face = moving.faces[surface[on_face] - first_face]
+            ends = face[:, :4] + rays[on_face, 3:] * face[:, 4:8]
+            cosine[on_face], reflectivity[on_face] = _cosine_on(rays[on_face], ends), face[:, 8]
         return cosine, reflectivity
 
-    def _cosine_on_walls(self, rays: Floats, surface: npt.NDArray[np.int32]) -> Floats:
-        """Cosine of incidence of rays on the segments that they meet."""
-        segments = self._ride.world.segments
-        edge = segments[surface, 2:] - segments[surface, :2]
-        across: Floats = np.cos(rays[:, 2]) * edge[:, 1] - np.sin(rays[:, 2]) * edge[:, 0]
-        return np.abs(across) / np.hypot(edge[:, 0], edge[:, 1])
-
     def _steps(
-        self, rays: Floats, hit: npt.NDArray[np.int32], discs: Floats
+        self, rays: Floats, hit: npt.NDArray[np.int32], moving: Moving
     ) -> tuple[npt.NDArray[np.int64], Floats, Floats]:
         """Beams that straddle a step and may return from between both sides; the near ends, the steps, m.
 
@@ -287,18 +315,40 @@ class LaserTruth:
         for _ in range(BISECTIONS):
             middle = (left + right) / 2
             ray[:, 2] = rays[edge, 2] + middle
-            is_left = self._cast(ray, discs)[1] == hit[1, edge]
+            is_left = self._cast(ray, moving)[1] == hit[1, edge]
             left, right = np.where(is_left, middle, left), np.where(is_left, right, middle)
         ray[:, 2] = rays[edge, 2] + left
-        left_m = self._cast(ray, discs)[0]
+        left_m = self._cast(ray, moving)[0]
         ray[:, 2] = rays[edge, 2] + right
-        right_m = self._cast(ray, discs)[0]
+        right_m = self._cast(ray, moving)[0]
         with np.errstate(invalid="ignore"):  # both sides may be out of sight: inf - inf
             step_m = right_m - left_m
             mixed = (np.abs(step_m) > model.mixed_step_m[0]) & (np.abs(step_m) < model.mixed_step_m[1])
         share = (half - left) / model.divergence_rad
         mixed &= (share > MIXING_SHARE[0]) & (share < MIXING_SHARE[1])
         return edge[mixed], left_m[mixed], step_m[mixed]
+
+
+def _cosine_on(rays: Floats, ends: Floats) -> Floats:
+    """(N,) cosine of incidence of rays (N, 4) on the segments (N, 4) that they meet."""
+    edge = ends[:, 2:] - ends[:, :2]
+    across: Floats = np.cos(rays[:, 2]) * edge[:, 1] - np.sin(rays[:, 2]) * edge[:, 0]
+    return np.abs(across) / np.hypot(edge[:, 0], edge[:, 1])
+
+
+def _nearest_face(rays: Floats, faces: Floats) -> tuple[Floats, npt.NDArray[np.int64]]:
+    """(N,) way along rays (N, 4) to the nearest of the faces (F, 9), m, inf for none; which one that is."""
+    c, s = np.cos(rays[:, 2:3]), np.sin(rays[:, 2:3])
+    ends = faces[None, :, :4] + rays[:, None, 3:] * faces[None, :, 4:8]
+    ex, ey = ends[..., 2] - ends[..., 0], ends[..., 3] - ends[..., 1]
+    ax, ay = ends[..., 0] - rays[:, :1], ends[..., 1] - rays[:, 1:2]
+    with np.errstate(divide="ignore", invalid="ignore"):  # a ray along a face: inf or nan, no hit
+        cross = c * ey - s * ex
+        along, share = (ax * ey - ay * ex) / cross, (ax * s - ay * c) / cross
+    meets = (along >= 0.0) & (share >= 0.0) & (share <= 1.0)
+    along = np.where(meets, along, np.inf)
+    face = np.argmin(along, axis=1)
+    return along[np.arange(len(rays)), face], face
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,6 +360,7 @@ class WheelModel:
     slip_sigma_m: float = 0.002  # random walk of each wheel per square root of a metre rolled
     slips_per_m: float = 0.02  # a wheel spins for a moment
     slip_m: tuple[float, float] = (0.005, 0.02)  # and how far
+    slips: tuple[Slip, ...] = ()
 
 
 CREATE_WHEELS = WheelModel()
@@ -342,8 +393,8 @@ class WheelTruth:
         return float(left_m), float(right_m)
 
     def _rolled_m(self, time_s: Floats) -> Floats:
-        """(N, 2) true way of the left and the right wheel."""
-        way_m, turned_rad = self._ride.world.drive.travel(time_s).T
+        """(N, 2) way of the left and the right wheel, before its errors."""
+        way_m, turned_rad = rolled(self._ride.world.drive, self._model.slips, time_s).T
         half_m = turned_rad * self._model.wheel_base_m / 2
         return np.column_stack([way_m - half_m, way_m + half_m])
 

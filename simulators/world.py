@@ -34,6 +34,8 @@ class Walk:
     times_s: tuple[float, ...]  # rising from 0 to the period
     places: tuple[Point, ...]  # m, where the person is at these times; the last is the first
     radius_m: float = PERSON_RADIUS_M
+    from_s: float = -math.inf  # there is nobody before, and
+    to_s: float = math.inf  # from then on
 
     @property
     def period_s(self) -> float:
@@ -49,7 +51,13 @@ class Walk:
     def later(self, wait_s: float) -> "Walk":
         """The same round, for which the person waits so long at the first place, each time."""
         times_s = (0.0, *(time_s + wait_s for time_s in self.times_s))
-        return replace(self, times_s=times_s, places=(self.places[0], *self.places))
+        return replace(
+            self,
+            times_s=times_s,
+            places=(self.places[0], *self.places),
+            from_s=self.from_s + wait_s,
+            to_s=self.to_s + wait_s,
+        )
 
     def seen_from(self, frame: SE2) -> "Walk":
         places = tuple((float(x), float(y)) for x, y in _seen_from(frame, np.array(self.places)))
@@ -85,6 +93,31 @@ def walk(
 
 
 @dataclass(frozen=True, eq=False)
+class Mover:
+    """A rigid thing with flat faces on its way: a train, the line where a tilted laser meets the floor."""
+
+    faces: Floats  # (F, 4) x0, y0, x1, y1 in its own frame, m
+    path: (
+        Floats  # (N, 4) time s, rising, and x m, y m, theta rad (unwrapped) of its frame; straight in between
+    )
+    from_s: float  # there is nothing before, and
+    to_s: float  # from then on
+    reflectivity: float = 0.5
+    sensor: str | None = None  # the only one that sees it; None: each does
+
+    def ends(self, time_s: float) -> Floats:
+        """(F, 4) of its faces at that time, m."""
+        x, y, theta = (np.interp(time_s, self.path[:, 0], column) for column in self.path[:, 1:].T)
+        c, s = math.cos(theta), math.sin(theta)
+        turned: Floats = self.faces.reshape(-1, 2) @ np.array([[c, s], [-s, c]]) + (x, y)
+        return turned.reshape(-1, 4)
+
+    def later(self, wait_s: float) -> "Mover":
+        path = self.path + np.array([wait_s, 0.0, 0.0, 0.0])
+        return replace(self, path=path, from_s=self.from_s + wait_s, to_s=self.to_s + wait_s)
+
+
+@dataclass(frozen=True, eq=False)
 class World:
     """Everything there is, in the frame of the vehicle's start."""
 
@@ -98,6 +131,7 @@ class World:
     cell_items: npt.NDArray[np.int32]
     glass: npt.NDArray[np.bool_]  # (S,) seen only squarely; else what is behind it
     cabinet: npt.NDArray[np.bool_]  # (S,) glass with things close behind it: see truth.CABINET_LOST
+    movers: tuple[Mover, ...] = ()
 
     @cached_property
     def without_glass(self) -> "World":
@@ -107,12 +141,29 @@ class World:
         return replace(self, segments=segments)
 
     def discs(self, time_s: float, span_s: float) -> Floats:
-        """(D, 5) place, velocity and radius of each person, straight between time_s and time_s + span_s."""
-        discs = np.zeros((len(self.people), 5))
-        for disc, person in zip(discs, self.people, strict=True):
+        """(D, 5) place, velocity and radius of each person there at time_s, straight from then for span_s."""
+        people = [person for person in self.people if person.from_s <= time_s < person.to_s]
+        discs = np.zeros((len(people), 5))
+        for disc, person in zip(discs, people, strict=True):
             here, there = person.place(time_s), person.place(time_s + span_s)
             disc[:] = *here, (there[0] - here[0]) / span_s, (there[1] - here[1]) / span_s, person.radius_m
         return discs
+
+    def faces(self, time_s: float, span_s: float, sensor: str) -> Floats:
+        """(F, 9) of each face of a mover that this sensor sees: its ends at time_s (m), their velocities
+        (m/s, straight from then for span_s), its reflectivity.
+        """
+        seen = [
+            mover
+            for mover in self.movers
+            if mover.from_s <= time_s < mover.to_s and mover.sensor in (None, sensor)
+        ]
+        faces = [np.empty((0, 9))]
+        for mover in seen:
+            here, there = mover.ends(time_s), mover.ends(time_s + span_s)
+            light = np.full((len(here), 1), mover.reflectivity)
+            faces.append(np.hstack([here, (there - here) / span_s, light]))
+        return np.vstack(faces)
 
     def cast(self, rays: Floats, discs: Floats, range_max_m: float) -> tuple[Floats, npt.NDArray[np.int32]]:
         """Range (m, inf for none) and what was hit of each ray; see kernels.raycast.cast_rays."""

@@ -19,6 +19,7 @@ from service.mapper.mapping_session import MappingSession
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import MappingConfig, build_mapper
 from service.outputs import MapperOutput
+from simulators.disturbances import GyroFault, Knock, Slip
 from simulators.trajectory import THETA, Spin, X, Y, plan_drive
 from simulators.truth import LMS100, UTM30LX, LaserModel, LaserTruth, Ride, noise_of
 from simulators.world import World
@@ -41,6 +42,7 @@ class Laser:
     step_deg: float
     mounting: SE2 = FORWARD
     name: str = "front"
+    knocks: tuple[Knock, ...] = ()
 
     @property
     def period_ns(self) -> int:
@@ -63,6 +65,7 @@ class Wheels:
     turn_scale: float = 1.0
     sigma_m_per_sqrt_m: float = 0.01
     sigma_rad_per_sqrt_m: float = 0.005
+    slips: tuple[Slip, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,7 @@ class Imu:
     gyro_bias_radps: float = 0.001
     accel_sigma_mps2: float = 0.02
     accel_bias_mps2: float = 0.01
+    faults: tuple[GyroFault, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -144,6 +148,7 @@ def begun_at(world: World, heading_rad: float) -> World:
     return replace(
         world,
         people=tuple(person.later(turn.duration_s) for person in world.people),
+        movers=tuple(mover.later(turn.duration_s) for mover in world.movers),
         drive=replace(world.drive, nodes=np.vstack([turn.nodes[:-1], nodes]), repeats=False),
     )
 
@@ -192,7 +197,7 @@ def drives(
 
 def scans(ride: Ride, laser: Laser, seconds: float, seeds: Sequence[int]) -> list[list[LaserScan]]:
     """Those of each seed."""
-    source = LaserTruth(ride, laser.name, laser.mounting, laser.model, seeds[0])
+    source = LaserTruth(ride, laser.name, laser.mounting, laser.model, seeds[0], laser.knocks)
     made: list[list[LaserScan]] = [[] for _ in seeds]
     for stamp_ns in range(0, round(seconds * 1e9), laser.period_ns):
         for of_seed, scan in zip(made, scans_at(source, laser, stamp_ns, seeds), strict=True):
@@ -227,6 +232,9 @@ def odometry(ride: Ride, wheels: Wheels, seconds: float, seed: int) -> list[Odom
     samples, believed = [], SE2()
     for k, stamp_ns in enumerate(stamps_ns.tolist()):
         forward, left, turn = (poses[max(k - 1, 0)].inverse() @ poses[k]).log()
+        for slip in wheels.slips:
+            way_scale, turn_scale = slip.scales(ride.drive_s(stamp_ns))
+            forward, left, turn = way_scale * forward, way_scale * left, turn_scale * turn
         root_m = math.sqrt(abs(forward))
         believed = believed @ SE2.exp(
             wheels.scale * forward + wheels.sigma_m_per_sqrt_m * root_m * noise.standard_normal(),
@@ -262,16 +270,21 @@ def inertial(ride: Ride, imu: Imu, seconds: float, seed: int) -> list[ImuSample]
     accel = (after[:, :2] - 2.0 * here[:, :2] + before[:, :2]) / half_s**2
     c, s = np.cos(here[:, 2]), np.sin(here[:, 2])
     forward, left = c * accel[:, 0] + s * accel[:, 1], -s * accel[:, 0] + c * accel[:, 1]
-    samples = []
+    samples: list[ImuSample] = []
     for k, stamp_ns in enumerate(stamps_ns.tolist()):
         gyro = gyro_bias + imu.gyro_sigma_radps * noise.standard_normal(3)
         felt = accel_bias + imu.accel_sigma_mps2 * noise.standard_normal(3)
+        rate_radps = (float(gyro[0]), float(gyro[1]), float(rate[k] + gyro[2]))
+        for fault in imu.faults:
+            if fault.from_s <= ride.drive_s(stamp_ns) < fault.to_s:
+                rate_radps = (*rate_radps[:2], rate_radps[2] + fault.bias_radps)
+                rate_radps = samples[-1].rate_radps if fault.is_frozen and samples else rate_radps
         samples.append(
             ImuSample(
                 "imu",
                 stamp_ns,
                 stamp_ns + 1_000_000,
-                (float(gyro[0]), float(gyro[1]), float(rate[k] + gyro[2])),
+                rate_radps,
                 (float(forward[k] + felt[0]), float(left[k] + felt[1]), float(9.81 + felt[2])),
             )
         )

@@ -125,8 +125,8 @@ def parked(seeds: Sequence[int]) -> Section:
     )
 
 
-def ghost_cells(world: World, drive: Drive, done: Run) -> int:
-    """Cells shown occupied where there is neither a wall nor was anybody lately."""
+def ghost_cells(world: World, drive: Drive, done: Run, lately_s: float = GHOST_AFTER_S) -> int:
+    """Cells shown occupied where there is neither a wall nor was anybody in the last lately_s."""
     tiles: list[TileUpdate] = done.mapper.changed_tiles()
     places = np.vstack([_occupied(tile) for tile in tiles])
     first = drive.world_first
@@ -138,7 +138,8 @@ def ghost_cells(world: World, drive: Drive, done: Run) -> int:
     recent = [
         person.place(float(t))
         for person in world.people
-        for t in np.arange(end_s - GHOST_AFTER_S, end_s, 0.1)
+        for t in np.arange(end_s - lately_s, end_s, 0.1)
+        if person.from_s <= t < person.to_s
     ]
     for place in places:
         share = np.clip(((place - begin) * way).sum(axis=1) / (way**2).sum(axis=1), 0.0, 1.0)
