@@ -8,6 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+DIFFERENCE = (
+    "configured"  # in a status: what the device does otherwise than configured, and is used all the same
+)
+
 
 class OtherSettings(NamedTuple):
     """A config worth a try where nobody answers, and the settings that make it: `dialect: cola_b`."""

@@ -79,6 +79,9 @@ class Lms100Setup:
     reconfigure_delay_ns: int = 300_000_000  # a real one takes 30 s
     refusal_ns: int = 0  # no answer to a client after one that died while subscribed; real ones up to 60 s
     first_writes_refused: int = 0  # with error 4, as after power-up
+    refused: frozenset[str] = frozenset()  # settings by their names; V1.23 denies LMPoutputRange (error A)
+    kept: frozenset[str] = frozenset()  # settings whose change is accepted and not made
+    firmware: str = "V1.80.2"
     clock_start_us: int = 0  # counter at power-up; near 2**32 it soon wraps
     clock_drift_ppm: float = 0.0  # positive: the device's clock runs fast
     motor_speed: float = 0.9955  # of nominal; the recorded LMS111 turns with 49.6 to 49.8 Hz
@@ -175,7 +178,7 @@ class FakeLms100:
             self._telegram_base -= skipped
             self._next_scan += skipped
         scan = self._measure(self._next_scan)
-        self._next_scan += 1
+        self._next_scan += self._scan_data.interval
         self.counters["scans_sent"] += 1
         message = encode(write_scan(scan, self._dialect))
         if self.setup.repeat_every and self.counters["scans_sent"] % self.setup.repeat_every == 0:
@@ -348,7 +351,7 @@ class FakeLms100:
 
         def ident(w: Writer) -> None:
             w.text("LMS10x_FieldEval")
-            w.text("V1.80.2")
+            w.text(self.setup.firmware)
 
         def inputs(w: Writer) -> None:
             w.u16(1)
@@ -364,7 +367,7 @@ class FakeLms100:
             "LMDscandatacfg": self._scan_data.write,
             "DeviceIdent": ident,
             "0": ident,
-            "FirmwareVersion": lambda w: w.text("V1.80.2  "),
+            "FirmwareVersion": lambda w: w.text(self.setup.firmware + "  "),
             "SerialNumber": lambda w: w.text(str(self.setup.serial_number)),
             "LocationName": lambda w: w.text(self.setup.device_name),
             "ODoprh": lambda w: w.u32(1110),
@@ -391,7 +394,7 @@ class FakeLms100:
         name = request.name
         if name not in (*PLAIN_SETTINGS, "LMPoutputRange", "LMDscandatacfg", "EIHstCola"):
             return self._refuse(UNKNOWN_VARIABLE)
-        if not self._logged_in:
+        if not self._logged_in or name in self.setup.refused:
             return self._refuse(WRITE_DENIED)
         if self._writes_to_refuse:
             self._writes_to_refuse -= 1
@@ -401,12 +404,12 @@ class FakeLms100:
             wanted = OutputRange.read(r)
             if not FULL_FIRST_E4DEG - 100 <= wanted.first_e4deg < wanted.last_e4deg <= FULL_LAST_E4DEG + 100:
                 return self._refuse(NOT_NOW)
-            self._range = wanted
+            self._range = self._range if name in self.setup.kept else wanted
         elif name == "LMDscandatacfg":
             layout = ScanDataConfig.read(r)
             if not 1 <= layout.echoes <= 3 or layout.interval < 1:
                 return self._refuse(NOT_NOW)
-            self._scan_data = layout
+            self._scan_data = self._scan_data if name in self.setup.kept else layout
         elif name == "EIHstCola":
             self._next_dialect = Dialect.BINARY if r.u8() else Dialect.ASCII
         return self._reply("sWA", name)
@@ -427,7 +430,8 @@ class FakeLms100:
         method = methods.get(request.name)
         if method is None:
             return self._refuse(UNKNOWN_METHOD)
-        if not self._logged_in and request.name not in ("SetAccessMode", "Run", "mDOSetOutput"):
+        open_to_all = request.name in ("SetAccessMode", "Run", "mDOSetOutput")
+        if request.name in self.setup.refused or not (self._logged_in or open_to_all):
             return self._refuse(ACCESS_DENIED)
         return self._reply("sAN", request.name, method(reader(request), now_ns))
 
@@ -440,7 +444,7 @@ class FakeLms100:
         wanted = ScanConfig.read(r)
         pair = (wanted.frequency_chz, wanted.step_e4deg)
         status = 0 if pair in LEGAL_PAIRS else 1 if pair[0] not in (2500, 5000) else 2
-        if status == 0:
+        if status == 0 and "mLMPsetscancfg" not in self.setup.kept:
             changed = pair != (self._scan.frequency_chz, self._scan.step_e4deg)
             self._scan = wanted = ScanConfig(*pair)
             if changed:
@@ -468,9 +472,8 @@ class FakeLms100:
         return lambda w: w.u8(0)
 
     def _stand_by(self, r: Reader, now_ns: int) -> Callable[[Writer], None]:
-        answer = self._stop(r, now_ns)
         self._standby = True
-        return answer
+        return self._stop(r, now_ns)
 
     def _run(self, r: Reader, now_ns: int) -> Callable[[Writer], None]:
         self._logged_in = False

@@ -49,7 +49,7 @@ ADVICE = Advice(
     recognise=recognise,
     other_settings=other_settings,
     doubt=doubt,
-    worries=("contamination", "device error", "temperature", "state ", "configured"),
+    worries=("contamination", "device error", "temperature", "state "),
     start_up_s=20.0,  # 50 Hz and 25 Hz need another angle step; half a minute is said, not waited for
     silence="just switched on it needs half a minute, after a lost connection up to one; is another host, "
     "SOPAS ET say, on this port? cut its power once, then look again",

@@ -3,7 +3,10 @@
 Boot: the port is open before anything answers, the first write after power-up is refused with error 4, and
 a new scan rate or angle step costs some 30 s without data. Hence: ask until answered, change only what
 differs, read back. Sources: an LMS111's start-up recorded in SICKAG/sick_scan_xd; clearpathrobotics/LMS1xx
-issues 11, 21, 51; SICKAG/sick_scan issue 44; SICKAG/sick_scan_xd issue 503.
+issues 11, 21, 51; SICKAG/sick_scan issue 44; SICKAG/sick_scan_xd issues 35, 503.
+
+A setting that the device refuses or does not keep is no fault where scans come: each scan states its own
+rate, step and angles. `refusals` names it.
 """
 
 from collections import Counter
@@ -34,7 +37,8 @@ CHANGE_TIMEOUT_S = 5.0  # SXD, READ_TIMEOUT_MILLISEC_DEFAULT
 PROBE_ROUNDS = 10  # of both dialects, 20 s; then a new connection, the old one may be a leftover of the boot
 LOGIN_ATTEMPTS = 30  # of ANSWER_TIMEOUT_S: a boot takes tens of seconds (CPR issue 11), then as PROBE_ROUNDS
 CHANGE_ATTEMPTS = 5  # a booting device refuses the first (SICKAG/sick_scan issue 44)
-CHANGE_PAUSE_S = 2.0  # so what is refused is refused for 8 s
+CHANGE_PAUSE_S = 2.0  # so what cannot be done at present is asked for 8 s
+PASSING_REFUSALS = (0x4, 0xD)  # not allowed now, busy; the others are asked twice, once with a new login
 START_ATTEMPTS = 30  # of CHANGE_PAUSE_S: a minute, as long as one refuses after a lost client (SXD, README)
 READ_BACK_ATTEMPTS = 45  # SXD, so many polls, one a second
 READY_POLLS = 150  # one a second: SXD, READ_TIMEOUT_MILLISEC_KILL_NODE
@@ -75,6 +79,7 @@ class Ask:
 
 
 Dialogue = Generator[Ask | Pause, Telegram | None, T]
+Change = tuple[str, Callable[[], Dialogue[None]]]  # what it sets, in words, and how
 
 
 class Lms100Dialogue:
@@ -88,20 +93,18 @@ class Lms100Dialogue:
         self.phase = "connecting"
         self.subscribed = False
         self.scans_seen = 0  # kept by the session
+        self.scan_interval = 1  # every n-th scan is sent
+        self.refusals: list[str] = []  # settings that it did not take, in words
         self.fault = ""  # faults that the device reports, "" for none
 
     def run(self) -> Dialogue[None]:
-        """Raises TransportError where nobody answers, DeviceError where the device refuses."""
+        """Raises TransportError where nobody answers, DeviceError where no scans can be had."""
         yield from self._find_dialect()
         yield from self._identify()
         changes = yield from self._differences()
-        status = yield from self._read("STlms", DeviceStatus.read)
-        if changes or status is None or status.state != STATE_READY:
-            yield from self._log_in()
-            for change in changes:
-                yield from change()
-            yield from self._start_measuring()
-            yield from self._wait_until_measuring()
+        measuring = yield from self._is_measuring()
+        if changes or not measuring:
+            yield from self._set_up(changes, measuring)
         yield from self._subscribe()
         yield from self._watch()
 
@@ -140,21 +143,52 @@ class Lms100Dialogue:
                 f"field of view, scan rates and stamps differ; is host {self._config.host} the right scanner?"
             )
 
-    def _differences(self) -> Dialogue[list[Callable[[], Dialogue[None]]]]:
+    def _is_measuring(self) -> Dialogue[bool]:
+        status = yield from self._read("STlms", DeviceStatus.read)
+        return status is not None and status.state == STATE_READY
+
+    def _set_up(self, changes: list[Change], measuring: bool) -> Dialogue[None]:
+        """Make the changes that it takes, and have it measure. Raises DeviceError where it does not measure
+        and cannot be made to."""
+        try:
+            yield from self._log_in()
+        except DeviceError as error:
+            if not measuring:
+                raise
+            self._note_refusal(" and ".join(name for name, _ in changes), error)
+            return
+        for name, change in changes:
+            try:
+                yield from change()
+            except DeviceError as error:
+                self._note_refusal(name, error)
+        yield from self._start_measuring()
+        yield from self._wait_until_measuring()
+
+    def _note_refusal(self, setting: str, error: DeviceError) -> None:
+        self.refusals.append(f"configured {setting} not taken: {str(error).replace('; ', ', ')}")
+
+    def _differences(self) -> Dialogue[list[Change]]:
         """The changes to be made, in the order to make them. What cannot be read is taken to be right,
         but for the layout of the scan telegram, which is cheap to write."""
         self.phase = "reading configuration"
-        changes: list[Callable[[], Dialogue[None]]] = []
+        changes: list[Change] = []
         scan = yield from self._read("LMPscancfg", ScanConfig.read)
-        if scan is not None and not self._scan_config_agrees(scan):
-            changes.append(self._change_scan_config)
+        if scan is not None and not scan.agrees(self.scan_config):
+            changes.append((self.scan_config.words, self._change_scan_config))
         fields = yield from self._read("LMPoutputRange", OutputRange.read)
         if fields is not None and not fields.agrees(self.output_range):
-            changes.append(self._change_output_range)
-        layout = yield from self._read("LMDscandatacfg", ScanDataConfig.read)
+            changes.append((f"field of view {self.output_range.words}", self._change_output_range))
+        layout = yield from self._read_scan_data()
         if layout != self.scan_data_config:
-            changes.append(self._change_scan_data)
+            changes.append((self.scan_data_config.words, self._change_scan_data))
         return changes
+
+    def _read_scan_data(self) -> Dialogue[ScanDataConfig | None]:
+        layout = yield from self._read("LMDscandatacfg", ScanDataConfig.read)
+        if layout is not None:
+            self.scan_interval = max(layout.interval, 1)
+        return layout
 
     @property
     def scan_config(self) -> ScanConfig:
@@ -173,10 +207,6 @@ class Lms100Dialogue:
     def scan_data_config(self) -> ScanDataConfig:
         bits = self._config.intensity_bits
         return ScanDataConfig(3 if self._config.echo == "last" else 1, bits > 0, bits == 16)
-
-    def _scan_config_agrees(self, scan: ScanConfig) -> bool:
-        wanted = self.scan_config
-        return scan.frequency_chz == wanted.frequency_chz and scan.step_e4deg == wanted.step_e4deg
 
     def _log_in(self) -> Dialogue[None]:
         self.phase = "logging in"
@@ -213,25 +243,21 @@ class Lms100Dialogue:
         answer = yield from self._change("sMN", "mLMPsetscancfg", wanted.write)
         code = None if answer is None else _first_number(answer)
         if code:
-            raise DeviceError(
-                f"mLMPsetscancfg to {wanted.frequency_chz / 100:g} Hz and {wanted.step_e4deg / 1e4:g} deg "
-                f"refused: {SCAN_CONFIG_ERRORS.get(code, f'status {code}')}"
-            )
+            raise DeviceError(f"mLMPsetscancfg refused: {SCAN_CONFIG_ERRORS.get(code, f'status {code}')}")
         unreadable = 0
         found = None
         for _ in range(READ_BACK_ATTEMPTS):
             scan = yield from self._read("LMPscancfg", ScanConfig.read)
             if scan is None:
                 unreadable += 1
-            elif self._scan_config_agrees(scan):
+            elif scan.agrees(wanted):
                 return
             found = scan or found
             if found is None and unreadable >= UNANSWERED_LIMIT:
                 return  # scans will show what it does
             yield Pause(1.0)
-        raise DeviceError(
-            f"after mLMPsetscancfg the device has {found}, expected {wanted}; is it write-protected?"
-        )
+        has = "cannot be read" if found is None else f"has {found.words}"
+        raise DeviceError(f"{READ_BACK_ATTEMPTS} s after mLMPsetscancfg was accepted it {has}")
 
     def _change_output_range(self) -> Dialogue[None]:
         self.phase = "changing field of view"
@@ -239,30 +265,34 @@ class Lms100Dialogue:
         yield from self._change("sWN", "LMPoutputRange", wanted.write)
         found = yield from self._read("LMPoutputRange", OutputRange.read)
         if found is not None and not found.agrees(wanted):
-            raise DeviceError(f"after a write the device has {found}, expected {wanted}; write-protected?")
+            raise DeviceError(f"after LMPoutputRange was accepted it has {found.words}")
 
     def _change_scan_data(self) -> Dialogue[None]:
         self.phase = "choosing echo and intensity"
         wanted = self.scan_data_config
         yield from self._change("sWN", "LMDscandatacfg", wanted.write)
-        found = yield from self._read("LMDscandatacfg", ScanDataConfig.read)
+        found = yield from self._read_scan_data()
         if found is not None and found != wanted:
-            raise DeviceError(f"after a write the device has {found}, expected {wanted}; can it do this?")
+            raise DeviceError(f"after LMDscandatacfg was accepted it has {found.words}")
 
     def _change(self, kind: str, name: str, write: Callable[[Writer], None]) -> Dialogue[Telegram | None]:
-        """Ask for a change until it is accepted; None where nobody ever answered."""
-        refusal = None
+        """Ask for a change until it is accepted; None where nobody ever answered. Raises DeviceError."""
+        refusal, lasting = None, 0
         for attempt in range(CHANGE_ATTEMPTS):
             if attempt:
-                yield Pause(CHANGE_PAUSE_S)
+                if not lasting:
+                    yield Pause(CHANGE_PAUSE_S)
                 yield from self._log_in()  # a login during boot may have been forgotten
             answer = yield from self._ask(kind, name, write, CHANGE_TIMEOUT_S)
             if answer is not None and answer.kind != "sFA":
                 return answer
             refusal = answer or refusal
+            lasting += answer is not None and _first_number(answer, 16) not in PASSING_REFUSALS
+            if lasting == 2:
+                break
         if refusal is None:
             return None
-        raise DeviceError(f"{name} refused {CHANGE_ATTEMPTS} times: {_refusal(refusal)}")
+        raise DeviceError(f"{name} refused {attempt + 1} times: {_refusal(refusal)}")
 
     def _start_measuring(self) -> Dialogue[None]:
         self.phase = "starting the laser"
@@ -271,6 +301,8 @@ class Lms100Dialogue:
             if answer is None or (answer.kind != "sFA" and not _first_number(answer)):
                 break  # whether it runs, STlms and the scans tell
             self.counters["starts_refused"] += 1
+            if (yield from self._is_measuring()):
+                break
             yield Pause(CHANGE_PAUSE_S)
         yield from self._ask("sMN", "Run", timeout_s=CHANGE_TIMEOUT_S)  # logs out and applies the parameters
 
@@ -366,10 +398,11 @@ class Lms100Dialogue:
         return answer
 
 
-def _first_number(answer: Telegram) -> int | None:
+def _first_number(answer: Telegram, bits: int = 8) -> int | None:
     """The status most answers begin with; None where the answer is empty, as older manuals show it."""
     try:
-        return reader(answer).u8()
+        r = reader(answer)
+        return r.u8() if bits == 8 else r.u16()
     except ProtocolError:
         return None
 

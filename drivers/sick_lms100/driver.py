@@ -21,6 +21,7 @@ from drivers.sick_lms100.config import Lms100Config
 from drivers.sick_lms100.dialogue import ANSWERS, DIALECTS, Ask, Lms100Dialogue
 from drivers.sick_lms100.protocol import Decoder, Telegram, encode, writer
 from drivers.sick_lms100.telegrams import (
+    ANGLE_SLACK_E4DEG,
     FIRST_RANGE_CODE,
     FULL_FIRST_E4DEG,
     FULL_LAST_E4DEG,
@@ -43,6 +44,11 @@ CLOCK_MODULUS = 1 << 32
 
 NO_SCAN_RATE = DropReason(
     "with a scan rate of 0 Hz", "the sensor does not know how fast it turns: switch its power off and on"
+)
+
+OUTSIDE = DropReason(
+    "without a beam in the configured field of view",
+    "write first_angle_deg and last_angle_deg as the sensor is set, or widen its field of view",
 )
 
 STATUS_BITS = {1: "device error", 2: "contamination warning", 4: "contamination error"}
@@ -148,6 +154,7 @@ class Lms100Session:
             faults.append("scans with a scan rate of 0 Hz, not used")
         if self._other_in_a_row > OTHER_LIMIT:
             faults.append(f"scans at {self._other_scans}")
+        faults += self._dialogue.refusals
         self.status = "; ".join(dict.fromkeys(["streaming", *faults]))
 
     def _to_frame(self, telegram: Telegram, arrived_ns: int) -> LaserScan | None:
@@ -181,7 +188,7 @@ class Lms100Session:
             return False
         gap = (scan.scan_counter - last.scan_counter) % COUNTER_MODULUS
         if 1 <= gap <= COUNTER_GAP_IS_A_RESTART:
-            self.counters["scans_missed"] += gap - 1
+            self.counters["scans_missed"] += max(0, round(gap / self._dialogue.scan_interval) - 1)
         else:
             self.counters["scan_counter_restarts"] += 1
         return True
@@ -225,20 +232,29 @@ class Lms100Session:
         self._count("clock_resets", self._clock.resets)
         shift_us = self._first_beam_before_zero_us(scan, geometry)
         stamp_ns = self._clock.to_host_ns((scan.start_us - shift_us) % CLOCK_MODULUS)
+        beam_interval_ns = self._beam_interval_ns(scan, geometry)
+        beams = self._wanted_beams(geometry)
+        if beams.start >= beams.stop:
+            self.counters["scans_outside_field_of_view"] += 1
+            self._silence.dropped(OUTSIDE)
+            return None
+        stamp_ns += beams.start * beam_interval_ns
         if not self._gate.passes(stamp_ns, arrived_ns):
             return None
         self._silence.heard()
+        self._check_against_config(scan, geometry)
+        echoes = [(distance.part(beams), rssi and rssi.part(beams)) for distance, rssi in echoes]
+        geometry = echoes[0][0]
         range_m, intensity = (
             self._last_echo(echoes) if self._config.echo == "last" else self._convert(*echoes[0])
         )
-        self._count_codes(echoes[0][0].values)
-        self._check_against_config(scan, geometry)
+        self._count_codes(geometry.values)
         return LaserScan(
             sensor=self._config.name,
             stamp_ns=stamp_ns,
             arrived_ns=arrived_ns,
-            beam_interval_ns=self._beam_interval_ns(scan, geometry),
-            scan_period_ns=round(1e11 / scan.frequency_chz),
+            beam_interval_ns=beam_interval_ns,
+            scan_period_ns=round(1e11 / scan.frequency_chz * self._dialogue.scan_interval),
             first_angle_rad=math.radians(geometry.first_e4deg / 10_000 - 90.0),
             angle_step_rad=math.radians(geometry.step_e4deg / 10_000),
             range_min_m=self._config.range_min_m,
@@ -247,19 +263,37 @@ class Lms100Session:
             intensity=intensity,
         )
 
+    def _wanted_beams(self, geometry: Channel) -> slice:
+        """Those of the configured field of view, where the device sends more than a step beyond it."""
+        wanted, count = self._dialogue.output_range, len(geometry.values)
+        before_e4deg = wanted.first_e4deg - geometry.first_e4deg
+        behind_e4deg = geometry.last_e4deg - wanted.last_e4deg
+        slack_e4deg = ANGLE_SLACK_E4DEG + geometry.step_e4deg
+        before = (
+            -((ANGLE_SLACK_E4DEG - before_e4deg) // geometry.step_e4deg) if before_e4deg > slack_e4deg else 0
+        )
+        behind = (
+            -((ANGLE_SLACK_E4DEG - behind_e4deg) // geometry.step_e4deg) if behind_e4deg > slack_e4deg else 0
+        )
+        return slice(before, count - behind)
+
     def _check_against_config(self, scan: ScanTelegram, geometry: Channel) -> None:
         """Raises TransportError where a device that was as configured no longer is: the next connection
         writes what differs."""
         wanted, wanted_range = self._dialogue.scan_config, self._dialogue.output_range
         found = ScanConfig(scan.frequency_chz, geometry.step_e4deg)
         found_range = OutputRange(geometry.first_e4deg, geometry.last_e4deg)
-        if found == wanted and found_range.agrees(wanted_range, slack_e4deg=wanted.step_e4deg):
+        if found.agrees(wanted) and found_range.agrees(wanted_range, slack_e4deg=wanted.step_e4deg):
             self._other_in_a_row, self._was_as_configured = 0, True
             return
         self.counters["scans_not_as_configured"] += 1
         self._other_in_a_row += 1
         found_words, set_words = _words(found, found_range), _words(wanted, wanted_range)
-        self._other_scans = f"{found_words}, configured {set_words}"
+        beams = self._wanted_beams(geometry)
+        is_cut = beams.stop - beams.start < len(geometry.values)
+        self._other_scans = (
+            f"{found_words}, configured {set_words}" + ", cut to these angles by the driver" * is_cut
+        )
         if self._was_as_configured and self._other_in_a_row > OTHER_LIMIT:
             raise TransportError(
                 f"{self._other_in_a_row} scans in a row at {found_words}, set was {set_words}; "
@@ -318,7 +352,4 @@ class Lms100Session:
 
 
 def _words(scan: ScanConfig, part: OutputRange) -> str:
-    """Angles as in the config: 0 straight ahead, left positive."""
-    first_deg, last_deg = part.first_e4deg / 1e4 - 90.0, part.last_e4deg / 1e4 - 90.0
-    rate_hz, step_deg = scan.frequency_chz / 100.0, scan.step_e4deg / 1e4
-    return f"{rate_hz:g} Hz and {step_deg:g} deg from {first_deg:g} to {last_deg:g} deg"
+    return f"{scan.words} from {part.words}"

@@ -4,18 +4,20 @@ Source: SICK Telegram Listing 8014631; LMS500 manual 8013796, annex (LMDscandata
 LMS111 (V1.80.2). Device units: 1/10000 deg (e4deg), 1/100 Hz (chz), us.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from drivers.errors import ProtocolError
+from drivers.rates import same_rate
 from drivers.sick_lms100.protocol import Dialect, Reader, Telegram, Writer, reader, writer
 
 MAX_BEAMS = 1082  # 270 deg at 0.25 deg, and one that some firmware adds
 MAX_CHANNELS = 8
 MAX_ENCODERS = 4
 
+ANGLE_SLACK_E4DEG = 100
 FULL_FIRST_E4DEG, FULL_LAST_E4DEG = -450_000, 2_250_000  # all the LMS1xx can see; 900_000 is straight ahead
 
 STATE_READY = 7
@@ -62,6 +64,14 @@ class ScanConfig:
         w.u32(self.step_e4deg)
         w.i32(self.first_e4deg, self.last_e4deg)
 
+    @property
+    def words(self) -> str:
+        return f"{self.frequency_chz / 100.0:g} Hz and {self.step_e4deg / 1e4:g} deg"
+
+    def agrees(self, other: "ScanConfig") -> bool:
+        """Same rate, which a unit may state as measured, and same step."""
+        return same_rate(self.frequency_chz, other.frequency_chz) and self.step_e4deg == other.step_e4deg
+
     @classmethod
     def read(cls, r: Reader) -> "ScanConfig":
         frequency_chz, sectors, step_e4deg = r.u32(), r.u16(), r.u32()
@@ -87,9 +97,14 @@ class OutputRange:
         step_e4deg = r.u32()
         return cls(r.i32(), r.i32(), step_e4deg)
 
+    @property
+    def words(self) -> str:
+        """As in the config: 0 straight ahead, left positive."""
+        return f"{self.first_e4deg / 1e4 - 90.0:g} to {self.last_e4deg / 1e4 - 90.0:g} deg"
+
     def agrees(self, other: "OutputRange", slack_e4deg: int = 0) -> bool:
         """Same angles to 0.01 deg and the slack: SOPAS ET stores -449997 where -450000 was meant."""
-        most_e4deg = 100 + slack_e4deg
+        most_e4deg = ANGLE_SLACK_E4DEG + slack_e4deg
         return (
             abs(self.first_e4deg - other.first_e4deg) <= most_e4deg
             and abs(self.last_e4deg - other.last_e4deg) <= most_e4deg
@@ -109,6 +124,15 @@ class ScanDataConfig:
     name: bool = False
     comment: bool = False
     interval: int = 1  # every n-th scan is sent
+
+    @property
+    def words(self) -> str:
+        echoes = {1: "first echo", 2: "second echo", 3: "both echoes"}.get(
+            self.echoes, f"echoes {self.echoes}"
+        )
+        bits = (16 if self.remission_16bit else 8) if self.remission else 0
+        sent = "every scan" if self.interval == 1 else f"one scan in {self.interval}"
+        return f"{echoes}, intensity_bits {bits}, {sent}"
 
     def write(self, w: Writer) -> None:
         w.u8(self.echoes, 0, self.remission, self.remission_16bit, 0, self.encoder, 0)
@@ -170,6 +194,11 @@ class Channel:
     @property
     def last_e4deg(self) -> int:
         return self.first_e4deg + self.step_e4deg * (len(self.values) - 1)
+
+    def part(self, beams: slice) -> "Channel":
+        """Some of its beams; the slice has neither None nor a step."""
+        first_e4deg = self.first_e4deg + self.step_e4deg * beams.start
+        return replace(self, values=self.values[beams], first_e4deg=first_e4deg)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -26,13 +27,19 @@ class Lms100Options(BaseModel):
     sigma_m: float = Field(default=LMS100.sigma_m, ge=0.0)
     bias_m: float = LMS100.bias_m
     clock_drift_ppm: float = 40.0
+    firmware: str = Field(default=Lms100Setup().firmware, min_length=1, max_length=9)
+    refuses: Literal["", "mLMPsetscancfg", "LMPoutputRange", "LMDscandatacfg"] = ""  # a setting
 
 
 def build(name: str, options: Lms100Options, ride: Ride, seed: int) -> TcpWire:
     mounting = SE2(options.x_m, options.y_m, math.radians(options.yaw_deg))
     model = replace(LMS100, sigma_m=options.sigma_m, bias_m=options.bias_m)
     source = LaserTruth(ride, name, mounting, model, seed)
-    setup = Lms100Setup(clock_drift_ppm=options.clock_drift_ppm)
+    setup = Lms100Setup(
+        clock_drift_ppm=options.clock_drift_ppm,
+        refused=frozenset(filter(None, (options.refuses,))),
+        firmware=options.firmware,
+    )
     return serve_tcp(FakeLms100(source, setup, seed_of(seed, name)), options.host, options.port)
 
 

@@ -25,23 +25,30 @@ def frames_over_tcp(
     config      made with host and port
     at_frame    called after each frame, with their number and the wire
     """
+    wire = serve_tcp(device)
+    with wire as (host, port):
+        chosen = config(host=host, port=port)
+        return frames_of_driver(type_name, chosen, enough, lambda count: at_frame(count, wire))
+
+
+def frames_of_driver(
+    type_name: str, config: Any, enough: int, at_frame: Callable[[int], None] = lambda count: None
+) -> tuple[list[Frame], LinkHealth]:
+    """The same from whatever listens where the config says."""
     kind, health, stop = SENSOR_KINDS[type_name], LinkHealth(type_name), threading.Event()
     frames: list[Frame] = []
-    wire = serve_tcp(device)
 
     def sink(frame: Frame) -> None:
         frames.append(frame)
-        at_frame(len(frames), wire)
+        at_frame(len(frames))
         if len(frames) >= enough:
             stop.set()
 
-    with wire as (host, port):
-        chosen = config(host=host, port=port)
-        guard = threading.Timer(PATIENCE_S, stop.set)
-        guard.start()
-        try:
-            run_link(health, lambda: kind.open_transport(chosen), kind.session_maker(chosen), sink, stop)
-        finally:
-            guard.cancel()
-            guard.join()
+    guard = threading.Timer(PATIENCE_S, stop.set)
+    guard.start()
+    try:
+        run_link(health, lambda: kind.open_transport(config), kind.session_maker(config), sink, stop)
+    finally:
+        guard.cancel()
+        guard.join()
     return frames, health

@@ -3,6 +3,7 @@
 import errno
 from typing import Any
 
+from drivers.advice import DIFFERENCE
 from drivers.errors import DeviceError
 from drivers.sensor_kind import SensorKind
 from service.offline.doctor.findings import Finding, fault, note, ok
@@ -40,7 +41,9 @@ def streaming(kind: SensorKind, config: Any, seen: Probe) -> list[Finding]:
     elif slow := _slow_rate(kind, config, seen):
         found.append(slow)
     for part in seen.status.split("; ")[1:]:
-        if any(word in part for word in kind.advice.worries):
+        if DIFFERENCE in part:
+            found.append(note(config.name, part, _page(config)))
+        elif any(word in part for word in kind.advice.worries):
             found.append(fault(config.name, f"the device reports: {part}", "no fault", _page(config)))
     if losses := seen.losses:
         counted = ", ".join(f"{name} {count}" for name, count in losses.items())

@@ -130,6 +130,14 @@ def test_a_refusal_is_said_with_the_drivers_own_advice(on_tcp: OnTcp):
     assert "Set password_hash" in finding.remedy
 
 
+def test_a_setting_that_the_device_does_not_take_is_a_note(on_tcp: OnTcp):
+    at = on_tcp(fake_lms100(refused=frozenset({"LMPoutputRange"})))
+    first, *others = examine(lms100(at, last_angle_deg=90.0), WAITING)
+    assert first.severity == "ok"
+    assert {finding.severity for finding in others} == {"note"}
+    assert any("configured field of view -135 to 90 deg not taken" in note.measured for note in others)
+
+
 def test_a_rate_below_the_configured_one_is_a_fault(on_tcp: OnTcp):
     first, second = examine(lms100(on_tcp(fake_lms100(motor_speed=0.8))), WAITING)
     assert first.severity == "ok"
