@@ -13,6 +13,9 @@ from service.version import VERSION
 
 EPILOG = """exit codes: 0 done, 1 failed, 64 wrong usage, 65 bad input file, 74 I/O error, 78 bad config.
 Results go to stdout, progress and logs to stderr."""
+RECORDINGS = (
+    ".mcap, .bag of ROS 1, .db3 or the folder of a ROS 2 bag; each also packed (.zstd, .gz, .bz2, .xz, .lz4)"
+)
 MOST = 1e9  # seconds, or times real time: a slip of the finger
 Number = TypeVar("Number", int, float)
 FORMATS = ("pgm", "png", "geotiff", "svg", "dxf", "geojson", "kml", "tum", "csv", "g2o", "ply", "pcd")
@@ -105,7 +108,7 @@ def _add_replay(commands: Any) -> None:
     replay = _add(
         commands, "replay", "recordings through the same mapper; same input, same output, bit for bit"
     )
-    replay.add_argument("files", type=Path, nargs="+", metavar="FILE.mcap")
+    replay.add_argument("files", type=Path, nargs="+", metavar="FILE", help=RECORDINGS)
     _add_profile(replay, "map with this profile instead of the recorded one")
     replay.add_argument(
         "--config",
@@ -169,8 +172,8 @@ def _add_import(commands: Any) -> None:
         help="auto: poses of a corrected log are a result and no odometry; logged: take them all the same",
     )
 
-    rosbag = _add(kinds, "rosbag", "a ROS 1 bag, or a ROS 2 bag (.db3, .mcap, a folder with metadata.yaml)")
-    rosbag.add_argument("log", type=Path, metavar="BAG")
+    rosbag = _add(kinds, "rosbag", "a bag of ROS 1 or ROS 2")
+    rosbag.add_argument("log", type=Path, metavar="BAG", help=RECORDINGS)
     rosbag.add_argument("out", type=Path, metavar="OUT.mcap")
 
 
@@ -185,7 +188,7 @@ def _add_calibrate(commands: Any) -> None:
     calibrate = _add(
         commands, "calibrate", "mountings, wheel scale, time offsets and latencies of a recorded drive"
     )
-    calibrate.add_argument("files", type=Path, nargs="+", metavar="SESSION.mcap")
+    calibrate.add_argument("files", type=Path, nargs="+", metavar="FILE", help=RECORDINGS)
     calibrate.add_argument(
         "--config", type=Path, metavar="CONFIG.yaml", help="the config to mend (default: the recorded one)"
     )
@@ -208,7 +211,7 @@ def _add_view(commands: Any) -> None:
         "source",
         type=Path,
         nargs="+",
-        metavar="RESULT|MAP|FILE.mcap",
+        metavar="RESULT|MAP|FILE",
         help="the folder of a result or a map, or the files of one recording: any of its moments",
     )
     _add_listen(view)

@@ -90,11 +90,12 @@ def _page_of(parsed: argparse.Namespace, sessions: Sequence[Sequence[Path]]) -> 
         yield None
         return
     from service.offline.replay_page import ReplayPage
+    from service.recording.opening import name_of
 
     if parsed.jobs > 1 and len(sessions) > 1:
         raise UsageError("--web shows one recording after the other; leave --jobs out")
     _check_listen(parsed.listen)
-    page = ReplayPage(parsed.listen, sessions[0][0].stem, parsed.rate, parsed.paused)
+    page = ReplayPage(parsed.listen, name_of(sessions[0][0]), parsed.rate, parsed.paused)
     try:
         print(f"The map, live: {page.address}", file=sys.stderr, flush=True)
         yield page
@@ -162,10 +163,12 @@ def export(parsed: argparse.Namespace) -> int:
 
 def view(parsed: argparse.Namespace) -> int:
     first, *more = parsed.source
-    is_recording = first.is_file() or first.suffix == ".mcap"
-    if more and not is_recording:
-        raise UsageError("several files are one recording, all of them *.mcap; of folders give one")
-    if parsed.rerun and is_recording:
+    from service.recording.opening import is_recording
+
+    recorded = first.is_file() or is_recording(first)
+    if more and not recorded:
+        raise UsageError("several files are one recording; of folders give one")
+    if parsed.rerun and recorded:
         raise UsageError("--rerun shows maps and results; a recording is opened by rerun itself")
     refuse_unreadable(first)
     if parsed.rerun:
@@ -178,7 +181,7 @@ def view(parsed: argparse.Namespace) -> int:
     if parsed.save is not None:
         raise UsageError("--save: a recording is written for rerun; give --rerun, too")
     _check_listen(parsed.listen)
-    shown = _recording_view(parsed) if is_recording else _map_view(parsed)
+    shown = _recording_view(parsed) if recorded else _map_view(parsed)
     try:
         print_result({"source": str(first), "address": shown.address}, parsed.json)
         sys.stdout.flush()

@@ -45,7 +45,7 @@ from service.mapper.map_changes import NOTHING_CHANGED
 from service.offline.moments import STALE_NS, Moment, thinned
 from service.offline.view import tiles_of_grid
 from service.outputs import NO_GRAPH, GraphPicture, Grid, TileUpdate
-from service.recording.mcap_reader import Recording
+from service.recording.opening import name_of, open_recording
 from service.web.live_view import MOST_EVENTS, MOST_PATH_POINTS, PATH_STEP_M, UNTOLD
 
 TOPICS = {
@@ -73,7 +73,7 @@ class RecordedMoments:
     """
 
     def __init__(self, paths: Sequence[Path], progress: Callable[[float], None] = lambda share: None) -> None:
-        self._recording = recording = Recording(paths)
+        self._recording = recording = open_recording(paths)
         held = {t.name for t in recording.topics if t.count and TOPICS.get(t.name) == t.type}
         if "/pose" not in held:
             holds = ", ".join(map(str, recording.topics)) or "nothing"
@@ -116,7 +116,7 @@ class RecordedMoments:
     @property
     def name(self) -> str:
         """Of the first file."""
-        return self._recording.paths[0].stem
+        return name_of(self._recording.paths[0])
 
     def at(self, at_ns: int) -> Moment:
         """Raises InputError at a damaged place."""

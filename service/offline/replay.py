@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from service.encoding import warm_up as warm_up_encoding
-from service.errors import CorridorError, InputError
+from service.errors import CorridorError
 from service.interruption import children_do_not_hear
 from service.kernel_warm_up import KernelProgress
 from service.kernel_warm_up import warm_up as warm_up_kernels
@@ -28,6 +28,7 @@ from service.offline.warned import Warned
 from service.offline.writing import refuse_unwritable_folder
 from service.readable import refuse_unreadable
 from service.recording.mcap_source import open_session
+from service.recording.opening import is_recording, name_of, recordings_in
 
 log = logging.getLogger(__name__)
 
@@ -37,25 +38,32 @@ _SESSION_FILE = re.compile(r"(.+_\d{8}T\d{6}Z)_\d{4}\.mcap")
 
 
 def group_sessions(paths: Sequence[Path]) -> list[list[Path]]:
-    """Files that belong to one drive, oldest first: a session may have been cut into several. Folders too.
+    """Files and folders that belong to one drive, oldest first: a session or a bag may be cut into several.
 
-    Raises InputError for a folder that may not be read, or without recordings.
+    A folder that is no ROS 2 bag stands for the recordings in it. Raises InputError for a folder that may not
+    be read, or without recordings.
     """
     files: list[Path] = []
     for path in paths:
-        if not path.is_dir():
+        if not path.is_dir() or is_recording(path):
             files.append(path)
             continue
         refuse_unreadable(path)
-        found = sorted(path.glob("*.mcap"))
-        if not found:
-            raise InputError(f"{path}: no *.mcap in this folder")
-        files += found
-    sessions: dict[tuple[Path, str], list[Path]] = {}
+        files += recordings_in(path)
+    drives: dict[tuple[Path, str], list[Path]] = {}
     for file in dict.fromkeys(files):
-        part_of = _SESSION_FILE.fullmatch(file.name)
-        sessions.setdefault((file.parent, part_of[1] if part_of else file.name), []).append(file)
-    return [sorted(parts) for parts in sessions.values()]
+        drives.setdefault((file.parent, _drive_of(file)), []).append(file)
+    return [sorted(parts) for parts in drives.values()]
+
+
+def _drive_of(file: Path) -> str:
+    """What files of one drive have in common, else the whole name; `ros2 bag record` numbers the files in a
+    folder of their name, which has no metadata.yaml where it was killed.
+    """
+    if part_of := _SESSION_FILE.fullmatch(file.name):
+        return part_of[1]
+    name, _, number = name_of(file).rpartition("_")
+    return name if number.isdecimal() and name == file.parent.resolve().name else file.name
 
 
 def result_folders(sessions: Sequence[Sequence[Path]], out: Path | None) -> list[Path]:
@@ -67,7 +75,7 @@ def result_folders(sessions: Sequence[Sequence[Path]], out: Path | None) -> list
     folders: list[Path] = []
     for session in sessions:
         part_of = _SESSION_FILE.fullmatch(session[0].name)
-        name = part_of[1] if part_of else session[0].stem
+        name = part_of[1] if part_of else name_of(session[0])
         folder = out / name if out is not None else DEFAULT_OUT / f"replay_{name}"
         like = (folder.with_name(f"{folder.name}_{number}") for number in itertools.count(2))
         folders.append(folder if folder not in folders else next(one for one in like if one not in folders))

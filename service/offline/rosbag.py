@@ -13,9 +13,7 @@ from service.geometry.se2 import SE2
 from service.mapper.mapping_session import Step
 from service.offline.session_file import refuse_to_overwrite, write_session
 from service.offline.writing import refuse_unwritable_file
-from service.recording.bag_reader import Bag
-from service.recording.mcap_reader import Recording
-from service.recording.mcap_source import Readable, Session, session_of
+from service.recording.mcap_source import Session, open_session
 
 MOST_STAMP_NS = 2**31 * 1_000_000_000  # ROS messages count seconds in int32
 WORDS = {LaserScan: "scans", OdometrySample: "odometry samples", ImuSample: "IMU samples", GnssFix: "fixes"}
@@ -53,9 +51,8 @@ def import_rosbag(bag_path: Path, out_path: Path) -> BagReport:
     """
     refuse_to_overwrite(bag_path, out_path)
     refuse_unwritable_file(out_path)
-    bag: Readable = Recording([bag_path]) if bag_path.suffix == ".mcap" else Bag(bag_path)
     report = BagReport(bag_path, out_path)
-    session = session_of(bag)
+    session = open_session([bag_path])
     known = {name: pose for name, pose in session.mountings.items() if name not in session.unmounted}
     report.mountings = known | session.antennas
     report.notes = [*session.notes, *session.unmounted.values()]

@@ -1,26 +1,25 @@
-"""Reads ROS 1 bags and ROS 2 bags (db3, mcap, folders with metadata.yaml) as one stream of ROS 2 messages.
+"""Reads bags of ROS 1 and db3 files of ROS 2 as one stream of ROS 2 messages.
 
-What is read are the types a mapper can use; ROS 1 messages are turned into CDR on the way. Old robots say
-their odometry in /tf only: where a bag has no Odometry, the edge from odom to the base becomes one.
+ROS 1 messages are turned into CDR on the way. Old robots say their odometry in /tf only: where a bag has no
+Odometry, the edge from odom to the base becomes one.
 """
 
+import heapq
 from collections import defaultdict
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Ros1Reader
+from rosbags.rosbag1.reader import ReaderError
 from rosbags.rosbag2 import Reader as Ros2Reader
 from rosbags.typesys import get_types_from_msg
 
 from drivers.frames import OdometrySample
 from service.encoding import (
     BASE_FRAME,
-    IMU,
-    LASER_SCAN,
-    NAV_SAT_FIX,
     ODOM_FRAME,
     ODOMETRY,
     TF,
@@ -32,38 +31,45 @@ from service.encoding import (
 from service.encoding.ros_messages import FIELDDEFS
 from service.errors import InputError
 from service.recording.mcap_reader import Topic
+from service.recording.ros1_scan import Scan, ScannedReader, scan_bag
+from service.recording.unpacking import ROS1, Unpacked, plain
 
-READ = frozenset({LASER_SCAN, IMU, ODOMETRY, NAV_SAT_FIX, TF})
 OLD_TF = "tf/msg/tfMessage"  # of tf 1; the same fields as tf2_msgs'
-ROS1_SUFFIX = ".bag"
 ODOM_FRAMES = (ODOM_FRAME, "odom_combined")
 MOVED_FRAMES = ("base_footprint", BASE_FRAME)
 ODOM_OF_TF = "/tf/odom"  # the topic that the odometry in /tf is given out as; no bag can have it besides /tf
 
 
 class Bag:
-    """A bag as `mcap_source` wants a recording. Opened for each walk through it, and closed after.
+    """Files of one bag as `mcap_source` wants a recording: NAME.bag of ROS 1, NAME.db3 of ROS 2. Opened for
+    each walk through them, and closed after. Given are those messages whose types the service knows.
 
-    Raises InputError for a bag that is missing, no bag, unfinished or broken.
+    A bag of ROS 1 without an index is read by a scan of its chunks; `losses` says what came of it.
+
+    Raises InputError for a bag that is missing, no bag, or broken.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.paths = [path]
+    def __init__(self, files: Sequence[Unpacked]) -> None:
+        self.paths = [file.given for file in files]
         self.library = "rosbag"
         self.metadata: dict[str, dict[str, str]] = {}
-        self._is_ros1 = path.suffix == ROS1_SUFFIX
-        if path.is_dir() and not (path / "metadata.yaml").is_file():
-            raise InputError(
-                f"{path}: no metadata.yaml in this folder, which the folder of a ROS 2 bag has; "
-                "`ros2 bag reindex` writes it anew, and NAME.db3 or NAME.mcap in it can be named instead"
-            )
+        self.losses: list[str] = []
+        self._files = files
+        self._scans: dict[Path, Scan] = {}
         counts: defaultdict[tuple[str, str], int] = defaultdict(int)
-        with self._reading() as reader:
-            self.first_log_ns, self.last_log_ns = reader.start_time, reader.end_time
-            for connection in reader.connections:
-                counts[connection.topic, _type_of(connection)] += connection.msgcount
-            self._unknown = {c.topic for c in reader.connections if _type_of(c) in READ and not _is_known(c)}
+        spans: list[tuple[int, int]] = []
+        self._unknown: set[str] = set()
+        for file in files:
+            self.losses += file.losses
+            self._scan_if_needed(file)
+            with self._reading(file) as reader:
+                if reader.message_count:
+                    spans.append((reader.start_time, reader.end_time - 1))
+                for connection in reader.connections:
+                    counts[connection.topic, _type_of(connection)] += connection.msgcount
+                self._unknown |= {c.topic for c in reader.connections if not _is_known(c)}
+        self.first_log_ns = min((first for first, _ in spans), default=0)
+        self.last_log_ns = max((last for _, last in spans), default=0)
         self.topics = [
             Topic(name, type_name, "cdr" if name not in self._unknown else "another message of its name", n)
             for (name, type_name), n in sorted(counts.items())
@@ -71,44 +77,51 @@ class Bag:
         if not any(topic.type == ODOMETRY and topic.count for topic in self.topics):
             self._find_odometry_in_tf()
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """Messages by rising time of recording, of types in READ. Raises InputError at a damaged place."""
+    def messages(
+        self, topics: Collection[str] | None = None, from_ns: int | None = None, to_ns: int | None = None
+    ) -> Iterator[Message]:
+        """Messages by rising time of recording, as of mcap_reader.Recording. Raises InputError at a damaged
+        place.
+        """
         if topics is not None and ODOM_OF_TF in topics:
             tf = {topic.name for topic in self._moving_tf()}
-            for message in self._stored(tf.union(topics)):
+            for message in self._stored(tf.union(topics), from_ns, to_ns):
                 if f"/{message.channel}" in topics:
                     yield message
                 if f"/{message.channel}" in tf:
                     yield from _odometry(message)
         else:
-            yield from self._stored(topics)
+            yield from self._stored(topics, from_ns, to_ns)
 
-    def _stored(self, topics: Collection[str] | None) -> Iterator[Message]:
-        with self._reading() as reader:
+    def _stored(
+        self, topics: Collection[str] | None, from_ns: int | None = None, to_ns: int | None = None
+    ) -> Iterator[Message]:
+        streams = [self._of_file(file, topics, from_ns, to_ns) for file in self._files]
+        return heapq.merge(*streams, key=lambda message: message.log_ns)
+
+    def _of_file(
+        self, file: Unpacked, topics: Collection[str] | None, from_ns: int | None, to_ns: int | None
+    ) -> Iterator[Message]:
+        with self._reading(file) as reader:
             wanted = [
                 connection
                 for connection in reader.connections
-                if _type_of(connection) in READ
+                if _type_of(connection) in FIELDDEFS
                 and (topics is None or connection.topic in topics)
                 and connection.topic not in self._unknown
             ]
             if not wanted:  # rosbags takes none for all
                 return
-            for connection, log_ns, raw in reader.messages(connections=wanted):
+            until_ns = None if to_ns is None else to_ns + 1
+            for connection, log_ns, raw in reader.messages(wanted, from_ns, until_ns):
+                type_name = _type_of(connection)
                 yield Message(
                     channel=connection.topic.removeprefix("/"),
-                    type=_type_of(connection),
+                    type=type_name,
                     stamp_ns=log_ns,
                     log_ns=log_ns,
-                    payload=self._cdr(raw, _type_of(connection)),
+                    payload=_cdr_of_ros1(type_name, raw) if file.kind == ROS1 else plain(bytes(raw)),
                 )
-
-    def _cdr(self, raw: bytes, type_name: str) -> bytes:
-        """Of bytes that are no such message b"", which no decoder takes."""
-        try:
-            return from_ros1(type_name, raw) if self._is_ros1 else bytes(raw)
-        except InputError:
-            return b""
 
     def _moving_tf(self) -> list[Topic]:
         return [t for t in self.topics if t.type == TF and not t.name.endswith("tf_static") and t.count]
@@ -119,22 +132,48 @@ class Bag:
         if samples:
             self.topics.append(Topic(ODOM_OF_TF, ODOMETRY, "cdr", samples))
 
-    @contextmanager
-    def _reading(self) -> Iterator[Ros1Reader | Ros2Reader]:
+    def _scan_if_needed(self, file: Unpacked) -> None:
+        if file.kind != ROS1:
+            return
         try:
-            reader = Ros1Reader(self.path) if self._is_ros1 else Ros2Reader(self.path)
+            with Ros1Reader(file.path):
+                return
+        except Exception as error:  # a broken index may fail in any way inside the library
+            try:
+                scan = scan_bag(file.path)
+            except (OSError, ValueError, ReaderError):
+                return  # what is wrong with it is found again, and said, when it is read
+            if scan.messages:
+                self._scans[file.path] = scan
+                why = str(error).rstrip(".") or type(error).__name__
+                self.losses.append(f"{file.given} was not closed or is damaged ({why}): {scan}")
+
+    @contextmanager
+    def _reading(self, file: Unpacked) -> Iterator[Ros1Reader | Ros2Reader]:
+        try:
+            if file.path in self._scans:
+                reader: Ros1Reader | Ros2Reader = ScannedReader(file.path, self._scans[file.path])
+            else:
+                reader = Ros1Reader(file.path) if file.kind == ROS1 else Ros2Reader(file.path)
             with reader:
                 yield reader
         except InputError:
             raise
         except OSError as error:
-            raise InputError(f"cannot read {self.path}: {error.strerror or error}") from error
-        except Exception as error:  # a broken index may fail in any way inside the library
+            raise InputError(f"cannot read {file.given}: {error.strerror or error}") from error
+        except Exception as error:  # as above
             raise InputError(
-                f"{self.path} cannot be read as a {'ROS 1' if self._is_ros1 else 'ROS 2'} bag: "
-                f"{error or type(error).__name__}; expected NAME.bag of ROS 1 (`rosbag reindex` mends one "
-                "that was cut off), or NAME.db3, NAME.mcap or a folder with metadata.yaml of ROS 2"
+                f"{file.given} cannot be read as a {'ROS 1' if file.kind == ROS1 else 'ROS 2'} bag: "
+                f"{error or type(error).__name__}"
             ) from error
+
+
+def _cdr_of_ros1(type_name: str, raw: bytes) -> bytes:
+    """Of bytes that are no such message b"", which no decoder takes."""
+    try:
+        return from_ros1(type_name, raw)
+    except InputError:
+        return b""
 
 
 def _type_of(connection: Connection) -> str:
@@ -143,7 +182,7 @@ def _type_of(connection: Connection) -> str:
 
 def _is_known(connection: Connection) -> bool:
     """Whether the bag's own definition of a type has the fields that are read here."""
-    if connection.msgdef.format != MessageDefinitionFormat.MSG:
+    if connection.msgdef.format != MessageDefinitionFormat.MSG or _type_of(connection) not in FIELDDEFS:
         return True
     types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
     return all(_same_fields(name, fields) for name, (_, fields) in types.items())

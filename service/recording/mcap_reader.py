@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Protocol
 
 from mcap.reader import SeekingReader
 from mcap.records import Channel, Metadata, Schema, Statistics
@@ -17,6 +17,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from service.encoding import Message
 from service.errors import InputError
+from service.recording.unpacking import MCAP, Unpacked, plain
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +35,7 @@ class Topic:
 
 @dataclass(frozen=True, slots=True)
 class _File:
-    path: Path
+    file: Unpacked
     library: str
     topics: tuple[Topic, ...]
     first_log_ns: int
@@ -43,16 +44,38 @@ class _File:
     summary: Summary  # with every schema and channel, also where that of the file lacks some
 
 
+class Readable(Protocol):
+    """A recording of any container as ROS 2 messages, see Recording.
+
+    paths     as they were named, oldest first
+    library   who wrote it
+    losses    what could not be read of its files, for people
+    """
+
+    paths: list[Path]
+    library: str
+    first_log_ns: int
+    last_log_ns: int
+    metadata: dict[str, dict[str, str]]
+    topics: list[Topic]
+    losses: list[str]
+
+    def messages(
+        self, topics: Collection[str] | None = None, from_ns: int | None = None, to_ns: int | None = None
+    ) -> Iterator[Message]: ...
+
+
 class Recording:
     """One or more finished MCAP files, oldest first, as one recording. A folder stands for its files.
 
     Raises InputError for a file that is missing, not MCAP, unfinished, or broken.
     """
 
-    def __init__(self, paths: Sequence[Path]) -> None:
-        files = sorted((_open(p) for p in _expand(paths)), key=lambda file: file.first_log_ns)
+    def __init__(self, paths: Sequence[Path | Unpacked]) -> None:
+        files = sorted((_open(file) for file in _expand(paths)), key=lambda file: file.first_log_ns)
         self._files = files
-        self.paths = [file.path for file in files]
+        self.paths = [file.file.given for file in files]
+        self.losses = [loss for file in files for loss in file.file.losses]
         self.library = files[0].library  # who wrote it
         self.first_log_ns = files[0].first_log_ns
         self.last_log_ns = max(file.last_log_ns for file in files)
@@ -87,45 +110,57 @@ class Recording:
             yield from heapq.merge(*streams, key=lambda message: message.log_ns)
 
 
-def _expand(paths: Sequence[Path]) -> list[Path]:
-    files: list[Path] = []
+def _expand(paths: Sequence[Path | Unpacked]) -> list[Unpacked]:
+    files: list[Unpacked] = []
     for path in paths:
-        files += sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+        if isinstance(path, Unpacked):
+            files.append(path)
+        else:
+            files += map(Unpacked, sorted(path.glob("*.mcap")) if path.is_dir() else [path])
     if not files:
         raise InputError(f"no MCAP files in {', '.join(map(str, paths))}")
     return files
 
 
-def _open(path: Path) -> _File:
+def _open(file: Unpacked) -> _File:
     try:
-        with path.open("rb") as stream:
-            _check_ends(path, stream)
-            return _read_index(path, stream)
+        with file.path.open("rb") as stream:
+            _check_ends(file, stream)
+            return _read_index(file, stream)
     except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}") from error
+        raise InputError(f"cannot read {file.given}: {error.strerror}") from error
     except InputError:
         raise
     except Exception as error:  # a broken index may fail in any way inside the library
-        raise _damaged(path, error) from error
+        raise _damaged(file, error) from error
 
 
-def _damaged(path: Path, error: Exception) -> InputError:
+def _damaged(file: Unpacked, error: Exception) -> InputError:
     why = str(error) or type(error).__name__  # some errors of the library have no words
-    return InputError(f"{path} is damaged: {why}; try `corridor recover {path}`")
+    return InputError(f"{file.given} is damaged: {why}; {_unpack_first(file)}try {_recover(file)}")
 
 
-def _check_ends(path: Path, stream: BinaryIO) -> None:
+def _unpack_first(file: Unpacked) -> str:
+    return "unpack it, and " if file.is_packed else ""
+
+
+def _recover(file: Unpacked) -> str:
+    return f"`corridor recover {file.given.with_suffix('') if file.is_packed else file.given}`"
+
+
+def _check_ends(file: Unpacked, stream: BinaryIO) -> None:
     size = len(MCAP0_MAGIC)
-    magic = stream.read(size)
-    if magic != MCAP0_MAGIC:
-        raise InputError(f"{path} is not an MCAP file: it begins with {magic.hex(' ') or 'nothing'}")
+    if file.kind != MCAP:
+        raise InputError(f"{file.given} is not an MCAP file: {file.beginning}")
     stream.seek(-size, 2)
     if stream.read(size) != MCAP0_MAGIC:
-        raise InputError(f"{path} was never finished; make it whole with `corridor recover {path}`")
+        raise InputError(
+            f"{file.given} was never finished; {_unpack_first(file)}make it whole with {_recover(file)}"
+        )
     stream.seek(0)
 
 
-def _read_index(path: Path, stream: BinaryIO) -> _File:
+def _read_index(file: Unpacked, stream: BinaryIO) -> _File:
     reader = SeekingReader(stream)
     header = reader.get_header()
     summary = reader.get_summary()
@@ -140,7 +175,7 @@ def _read_index(path: Path, stream: BinaryIO) -> _File:
         for channel in summary.channels.values()
     )
     return _File(
-        path,
+        file,
         header.library,
         topics,
         statistics.message_start_time,
@@ -224,7 +259,7 @@ def _messages(
     file: _File, topics: Collection[str] | None, from_ns: int | None, to_ns: int | None
 ) -> Iterator[Message]:
     try:
-        with file.path.open("rb") as stream:
+        with file.file.path.open("rb") as stream:
             wanted = _Reader(stream, file.summary).iter_messages(topics, starting_at=from_ns, ending_at=to_ns)
             for schema, channel, record in wanted:
                 yield Message(
@@ -232,7 +267,7 @@ def _messages(
                     type=_type_name(schema.name if schema is not None else ""),
                     stamp_ns=record.publish_time,
                     log_ns=record.log_time,
-                    payload=record.data,
+                    payload=plain(record.data),
                 )
     except Exception as error:  # bad bytes may fail in any way inside the library
-        raise _damaged(file.path, error) from error
+        raise _damaged(file.file, error) from error

@@ -7,11 +7,11 @@ header.frame_id in a topic is a device of its own.
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, groupby, islice
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from drivers.antenna import antenna_of
 from drivers.frames import Frame, LaserScan
@@ -36,8 +36,9 @@ from service.encoding import (
 from service.errors import InputError
 from service.geometry.se2 import SE2
 from service.mapper.mapping_session import Step
-from service.recording.mcap_reader import Recording, Topic
+from service.recording.mcap_reader import Readable, Topic
 from service.recording.mountings import Mounting, MountingError, StaticTree, planar_mounting
+from service.recording.opening import open_recording
 
 FRAME_TYPES = {LASER_SCAN: "scan", IMU: "imu", ODOMETRY: "odom", NAV_SAT_FIX: "fix"}
 BASE_FRAMES = (BASE_FRAME, "base_footprint")
@@ -46,19 +47,6 @@ MOST_INSTANT_DEG = 200.0
 INSTANT = "instant"  # scans that say so all the same
 SAMPLED = 100  # messages at the beginning of a topic: what is not among them is not expected later
 DERIVED = ("filter", "fused", "icp", "visual", "amcl", "slam", "merged")  # made by others from the raw topic
-
-
-class Readable(Protocol):
-    """A recording of any container as ROS 2 messages, see mcap_reader.Recording."""
-
-    paths: list[Path]
-    library: str
-    first_log_ns: int
-    last_log_ns: int
-    metadata: dict[str, dict[str, str]]
-    topics: list[Topic]
-
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]: ...
 
 
 @dataclass(slots=True)
@@ -118,8 +106,10 @@ class Session:
 
     @property
     def losses(self) -> list[str]:
-        """What could not be used of the messages that were read, one line a topic, for people."""
-        lines = []
+        """What could not be read of the files, and not be used of the messages that were read: one line a
+        file or topic, for people.
+        """
+        lines = list(self.recording.losses)
         for topic in self.devices:
             unusable, rotation, covariance = (
                 self.counters[f"{topic} {what}"] for what in ("unusable", NO_ROTATION, NO_COVARIANCE)
@@ -208,7 +198,7 @@ def _is_instant(scan: LaserScan) -> bool:
 
 def open_session(paths: Sequence[Path]) -> Session:
     """Look into finished recordings. Raises InputError where there is no laser scan that can be mapped."""
-    return session_of(Recording(paths))
+    return session_of(open_recording(paths))
 
 
 def session_of(recording: Readable) -> Session:

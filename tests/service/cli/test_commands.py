@@ -222,7 +222,7 @@ def test_an_error_of_the_system_is_said_without_its_number(
 def test_a_file_that_is_no_recording_is_a_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     (tmp_path / "x.mcap").write_text("not MCAP")
     assert main(["replay", str(tmp_path / "x.mcap")]) == InputError.exit_code
-    assert "x.mcap is not an MCAP file" in capsys.readouterr().err
+    assert "x.mcap is no recording: it begins with 6e 6f 74" in capsys.readouterr().err
 
 
 def test_a_reader_that_has_gone_is_no_crash(good: Path):

@@ -289,7 +289,7 @@ def test_the_folder_of_an_import_is_made(tmp_path):
 @pytest.mark.parametrize("path", ["nowhere.bag", "nowhere", "empty"])
 def test_a_missing_bag_is_named(path, tmp_path):
     (tmp_path / "empty").mkdir()
-    why = "no metadata.yaml in this folder" if path == "empty" else ""
+    why = "no recording in this folder" if path == "empty" else ""
     with pytest.raises(InputError, match=f"{path}.*{why}"):
         import_rosbag(tmp_path / path, tmp_path / "out.mcap")
 

@@ -1,0 +1,141 @@
+"""Recordings as files that readers can seek in: unpacked where they are compressed as a whole."""
+
+import bz2
+import lzma
+import shutil
+import sqlite3
+import weakref
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import gettempdir, mkdtemp
+from typing import Any, BinaryIO
+
+import lz4.frame
+import zstandard
+
+from service.errors import InputError, StorageError, words_of
+
+MCAP, ROS1, SQLITE = "MCAP", "ROS 1", "SQLite"
+_KINDS = {b"\x89MCAP0\r\n": MCAP, b"#ROSBAG V": ROS1, b"SQLite format 3\0": SQLITE}
+_SUFFIXES = {MCAP: ".mcap", ROS1: ".bag", SQLITE: ".db3"}  # rosbags goes by them
+_MOST_MAGIC_BYTES = 16
+_BLOCK_BYTES = 1 << 20
+_SPECIAL_IN_URI = frozenset("?#%")  # rosbags opens a db3 by a URI in which it quotes nothing
+
+NewDecompressor = Callable[[], Any]  # with decompress, eof and unused_data, as those of the standard library
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_DECOMPRESSORS: dict[bytes, NewDecompressor] = {
+    _ZSTD_MAGIC: lambda: zstandard.ZstdDecompressor().decompressobj(),
+    b"\x1f\x8b": lambda: zlib.decompressobj(zlib.MAX_WBITS | 16),
+    b"BZh": bz2.BZ2Decompressor,
+    b"\xfd7zXZ\0": lzma.LZMADecompressor,
+    b"\x04\x22\x4d\x18": lz4.frame.LZ4FrameDecompressor,
+}
+
+
+class Unpacked:
+    """A file as it is to be read.
+
+    given      as it was named
+    path       itself, or a copy in a temporary folder, which goes with this object
+    is_packed  whether it is compressed as a whole
+    kind       MCAP, ROS1, SQLITE; "" for none of them
+    beginning  its first bytes, for people
+    losses     what could not be unpacked, for people
+
+    Raises InputError where the file cannot be read or unpacked, StorageError where there is no place for it.
+    """
+
+    def __init__(self, given: Path) -> None:
+        self.given = self.path = given
+        self.losses: list[str] = []
+        magic = _magic(given)
+        new = decompressor_of(magic)
+        self.is_packed = new is not None
+        try:
+            if new is not None:
+                self._unpack(new)
+            magic = _magic(self.path)
+            self.kind = next((kind for mark, kind in _KINDS.items() if magic.startswith(mark)), "")
+            cut = "it is cut off, and unpacked " if self.losses else ""
+            self.beginning = f"{cut}it begins with {magic[:8].hex(' ') or 'nothing'}"
+            if self.kind == SQLITE:
+                self._prepare_sqlite()
+            elif self.path != given and self.kind:
+                self.path = self.path.rename(self.path.with_suffix(_SUFFIXES[self.kind]))
+        except OSError as error:
+            raise StorageError(
+                f"cannot unpack {given} to {gettempdir()}: {words_of(error)}; TMPDIR names another folder"
+            ) from error
+
+    def _new_path(self) -> Path:
+        folder = mkdtemp(prefix="corridor-")
+        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        return Path(folder) / f"recording{_SUFFIXES[SQLITE]}"
+
+    def _unpack(self, new: NewDecompressor) -> None:
+        self.path = self._new_path()
+        with self.given.open("rb") as source, self.path.open("xb") as target:
+            is_cut = self._decompress(source, new, target)
+            if is_cut:
+                self.losses = [f"{self.given} is cut off; {target.tell()} bytes of it could be unpacked"]
+
+    def _decompress(self, source: BinaryIO, new: NewDecompressor, target: BinaryIO) -> bool:
+        """Of a file in one part or several; True where its end is missing."""
+        stream = None
+        while block := source.read(_BLOCK_BYTES):
+            while block:
+                stream = new() if stream is None else stream
+                try:
+                    content = stream.decompress(block)
+                except Exception as error:  # bad bytes fail in another way in each library
+                    raise InputError(f"{self.given} cannot be unpacked: {error}") from error
+                target.write(content)
+                block = b""
+                if stream.eof:
+                    block, stream = stream.unused_data, None
+        return stream is not None
+
+    def _prepare_sqlite(self) -> None:
+        """rosbags reads the file alone, without the log in which a writer that died left its last rows."""
+        log = self.given.with_name(f"{self.given.name}-wal")
+        has_log = not self.is_packed and log.is_file() and log.stat().st_size > 0
+        if has_log:
+            path = self._new_path()
+            shutil.copyfile(self.given, path)
+            shutil.copyfile(log, path.with_name(f"{path.name}-wal"))
+            try:
+                database = sqlite3.connect(path)
+                database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+                database.close()
+            except sqlite3.Error as error:
+                raise InputError(f"{log} cannot be read: {error}") from error
+            self.path = path
+        elif self.path.suffix != _SUFFIXES[SQLITE] or _SPECIAL_IN_URI & set(str(self.path)):
+            link = self._new_path()
+            link.symlink_to(self.path.resolve())
+            self.path = link
+
+
+def decompressor_of(packed: bytes) -> NewDecompressor | None:
+    """By how it begins; None for what is not compressed."""
+    return next((new for mark, new in _DECOMPRESSORS.items() if packed.startswith(mark)), None)
+
+
+def plain(payload: bytes) -> bytes:
+    """A message as it was before rosbag2 compressed it alone; CDR itself begins with a 0."""
+    if payload[:4] != _ZSTD_MAGIC:
+        return payload
+    try:
+        return zstandard.ZstdDecompressor().decompressobj().decompress(payload)
+    except zstandard.ZstdError:
+        return b""  # which no decoder takes
+
+
+def _magic(path: Path) -> bytes:
+    try:
+        with path.open("rb") as stream:
+            return stream.read(_MOST_MAGIC_BYTES)
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from error
