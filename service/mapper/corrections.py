@@ -1,41 +1,57 @@
 """Poses of all scans from those of the few that a graph corrected."""
 
-from bisect import bisect_right
 from collections.abc import Sequence
 
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry import poses as se2
+from service.geometry.poses import Floats
 from service.geometry.se2 import SE2, wrap_angle
 from service.mapper.components import Correction
 from service.outputs import MapperOutput
 
 
 def corrected(outputs: Sequence[MapperOutput], corrections: Sequence[Correction]) -> list[SE2]:
-    """pose_map_base of each output, the way between corrected scans bent so that it meets them.
-
-    Between two corrected scans each scan is moved by both corrections, weighed by its stamp, so its motion
-    against its neighbours stays that of `odom`. Before the first and after the last, theirs alone holds.
-    corrections rise by stamp; where there are none, the poses are as they were published.
-    """
+    """pose_map_base of each output, as `bent` has it; where there are no corrections, as it was published."""
     if not corrections:
         return [output.pose_map_base for output in outputs]
-    stamps = [correction.stamp_ns for correction in corrections]
-    poses = []
-    for output in outputs:
-        right = bisect_right(stamps, output.stamp_ns)
-        before = _moved(corrections[max(right - 1, 0)], output.pose_odom_base)
-        if right in (0, len(corrections)):
-            poses.append(before)
-            continue
-        after = _moved(corrections[right], output.pose_odom_base)
-        share = (output.stamp_ns - stamps[right - 1]) / (stamps[right] - stamps[right - 1])
-        poses.append(
-            SE2(
-                before.x_m + share * (after.x_m - before.x_m),
-                before.y_m + share * (after.y_m - before.y_m),
-                wrap_angle(before.theta_rad + share * wrap_angle(after.theta_rad - before.theta_rad)),
-            )
-        )
-    return poses
+    poses = bent(
+        np.array([output.stamp_ns for output in outputs], np.int64),
+        _rows([output.pose_odom_base for output in outputs]),
+        np.array([correction.stamp_ns for correction in corrections], np.int64),
+        _rows([correction.pose_odom_base for correction in corrections]),
+        _rows([correction.pose_map_base for correction in corrections]),
+    )
+    return [SE2(*pose) for pose in poses.tolist()]
 
 
-def _moved(correction: Correction, pose_odom_base: SE2) -> SE2:
-    return correction.pose_map_base @ (correction.pose_odom_base.inverse() @ pose_odom_base)
+def bent(
+    stamp_ns: npt.NDArray[np.int64],
+    poses: Floats,
+    at_ns: npt.NDArray[np.int64],
+    before: Floats,
+    after: Floats,
+) -> Floats:
+    """(N, 3) poses of a path that is bent so that it meets what was corrected: `after` in place of `before`.
+
+    Between two corrected poses each is moved by both corrections, weighed by its stamp, so its motion against
+    its neighbours stays what it was. Before the first and after the last, that one alone counts.
+
+    stamp_ns, poses         (N,) ns and (N, 3) m, m, rad
+    at_ns, before, after    (K,) rising, (K, 3) and (K, 3); K > 0
+    """
+    left = np.searchsorted(at_ns, stamp_ns, side="right") - 1
+    first, second = np.maximum(left, 0), np.minimum(left + 1, len(at_ns) - 1)
+    moved, other = (se2.compose(after[k], se2.between(before[k], poses)) for k in (first, second))
+    span_ns = at_ns[second] - at_ns[first]
+    share = np.divide(stamp_ns - at_ns[first], span_ns, out=np.zeros(len(poses)), where=span_ns > 0)
+    step = other - moved
+    step[:, 2] = wrap_angle(step[:, 2])
+    moved += share[:, None] * step
+    moved[:, 2] = wrap_angle(moved[:, 2])
+    return moved
+
+
+def _rows(poses: Sequence[SE2]) -> Floats:
+    return np.array([(pose.x_m, pose.y_m, pose.theta_rad) for pose in poses]).reshape(-1, 3)

@@ -3,6 +3,7 @@
 Tiles come from the mapping thread; everything else reads. An update never waits for a picture in the making.
 """
 
+import math
 import threading
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -17,6 +18,8 @@ from service.outputs import UNKNOWN, Grid, TileUpdate
 
 MAX_GRID_CELLS = 2**26  # 64 MiB, 410 m square at 5 cm; a larger message helps no subscriber: they take tiles
 MIN_SPARE_TILES = 4  # how far the canvas grows beyond the tile that made it grow, at least
+
+EDGE = 64  # cells along a tile that is made of a grid
 
 TileKey = tuple[int, int, int]  # level, ix, iy
 
@@ -279,3 +282,20 @@ class _Canvas:
         bottom = min(row + self._cells.shape[0], grown.shape[0])
         right = min(column + self._cells.shape[1], grown.shape[1])
         grown[top:bottom, left:right] = self._cells[top - row : bottom - row, left - column : right - column]
+
+
+def tiles_of_grid(grid: Grid) -> list[TileUpdate]:
+    """A grid as tiles, its cells moved by less than half a cell to where those of tiles lie."""
+    column, row = round(grid.x_min_m / grid.cell_m), round(grid.y_min_m / grid.cell_m)
+    height, width = grid.cells.shape
+    first_ix, first_iy = column // EDGE, row // EDGE
+    columns, rows = math.ceil((column + width) / EDGE) - first_ix, math.ceil((row + height) / EDGE) - first_iy
+    canvas = np.full((rows * EDGE, columns * EDGE), UNKNOWN, dtype=np.int8)
+    low, left = row - first_iy * EDGE, column - first_ix * EDGE
+    canvas[low : low + height, left : left + width] = grid.cells
+    squares = canvas.reshape(rows, EDGE, columns, EDGE).swapaxes(1, 2)
+    known = np.argwhere((squares != UNKNOWN).any(axis=(2, 3))).tolist()
+    return [
+        TileUpdate(0, first_ix + ix, first_iy + iy, version, grid.cell_m, squares[iy, ix])
+        for version, (iy, ix) in enumerate(known, start=1)
+    ]

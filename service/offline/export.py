@@ -1,21 +1,22 @@
 """Maps and trajectories as files that other programs read."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol
 
-from service.encoding import OCCUPANCY_GRID, ODOMETRY, decode_grid, decode_pose
+from service.encoding import OCCUPANCY_GRID, ODOMETRY, Message, decode_grid, decode_pose
 from service.errors import InputError, StorageError, UsageError, words_of
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
-from service.mapstore.files import is_map_folder, load_map
-from service.mapstore.geo_file import GEO_FILE, read_geo
-from service.mapstore.picture import Picture, picture_of_grid, picture_of_tiles
+from service.mapstore.files import is_map_folder
+from service.mapstore.geo_file import GEO_FILE
+from service.mapstore.picture import Picture, picture_of_grid
 from service.mapstore.png import write_png
-from service.mapstore.ros_map import read_ros_map, write_ros_map
+from service.mapstore.ros_map import write_ros_map
 from service.offline.drawings import write_dxf, write_svg
 from service.offline.geo_export import (
+    Poses,
     write_csv,
     write_geojson,
     write_kml,
@@ -25,8 +26,9 @@ from service.offline.geo_export import (
 from service.offline.geotiff import write_geotiff
 from service.offline.outlines import outlines
 from service.offline.point_cloud import write_pcd, write_ply
+from service.offline.result import GRAPH_FILE, Result, open_result
 from service.offline.session_file import refuse_to_overwrite
-from service.offline.trajectory import read_tum, write_tum
+from service.offline.trajectory import write_tum
 from service.offline.writing import whole_files
 from service.readable import refuse_unreadable
 from service.recording.mcap_reader import Recording
@@ -34,7 +36,7 @@ from service.recording.mcap_reader import Recording
 Format = Literal[
     "pgm", "png", "geotiff", "svg", "dxf", "geojson", "kml", "tum", "csv", "g2o", "ply", "pcd"
 ]  # fmt: skip
-GRAPH_FILE = "graph.g2o"
+_REPLAY_WRITES_ONE = "a replay writes one: corridor replay SESSION.mcap --out DIR, then export DIR"
 
 
 def export(source: Path, to: Format, out: Path) -> None:
@@ -58,7 +60,7 @@ def export(source: Path, to: Format, out: Path) -> None:
         refuse_to_overwrite(source, out)
     if is_map_folder(source) and source.resolve() in out.resolve().parents:
         raise UsageError(f"--out {out} lies inside the stored map {source}, which would damage it")
-    write = _writer(source, to)
+    write = _writer(_Session(source) if source.is_file() else _Folder(source), to)
     try:
         with whole_files(out) as path:
             write(path)
@@ -66,36 +68,36 @@ def export(source: Path, to: Format, out: Path) -> None:
         raise StorageError(f"cannot write {out}: {words_of(error)}") from error
 
 
-def _writer(source: Path, to: Format) -> Callable[[Path], object]:
+def _writer(source: "_Source", to: Format) -> Callable[[Path], object]:
     """All is read before anything is written."""
     match to:
         case "pgm":
-            return _to_path(_write_pgm, _picture(source))
+            return _to_path(_write_pgm, source.picture())
         case "png":
-            return _to_path(_write_png, _picture(source), _reference(source))
+            return _to_path(_write_png, source.picture(), source.geo())
         case "geotiff":
-            return _to_path(write_geotiff, _picture(source), _reference(source))
+            return _to_path(write_geotiff, source.picture(), source.geo())
         case "svg":
-            return _to_path(write_svg, _picture(source), _way(source), _reference(source))
+            return _to_path(write_svg, source.picture(), _way(source), source.geo())
         case "dxf":
-            return _to_path(write_dxf, _picture(source), _way(source))
+            return _to_path(write_dxf, source.picture(), _way(source))
         case "ply":
-            return _to_path(write_ply, _picture(source))
+            return _to_path(write_ply, source.picture())
         case "pcd":
-            return _to_path(write_pcd, _picture(source))
+            return _to_path(write_pcd, source.picture())
         case "tum":
-            return _to_path(write_tum, list(_poses(source)))
+            return _to_path(write_tum, source.poses())
         case "csv":
-            return _to_path(write_csv, list(_poses(source)), _reference(source))
+            return _to_path(write_csv, source.poses(), source.geo())
         case "kml":
-            return _to_path(write_kml, list(_poses(source)), _needed_reference(source, to))
+            return _to_path(write_kml, source.poses(), source.needed_geo(to))
         case "geojson":
-            reference = _needed_reference(source, to)
-            poses = list(_poses(source)) if _has_poses(source) else []
-            walls = outlines(_picture(source)) if _has_picture(source) else []
+            reference = source.needed_geo(to)
+            poses = source.poses() if source.has_poses else []
+            walls = outlines(source.picture()) if source.has_picture else []
             return _to_path(write_geojson, poses, walls, reference)
         case "g2o":
-            return _to_path(partial(Path.write_text, encoding="ascii"), _graph(source))
+            return _to_path(partial(Path.write_text, encoding="ascii"), source.g2o())
 
 
 def _to_path(write: Callable[..., object], *content: object) -> Callable[[Path], object]:
@@ -114,112 +116,138 @@ def _write_png(out: Path, picture: Picture, reference: GeoReference | None) -> N
         write_local_world_file(out, picture)
 
 
-def _reference(source: Path) -> GeoReference | None:
-    """Where the map of the source lies on the earth; None: that is not known."""
-    if is_map_folder(source):
-        return load_map(source).geo
-    geo = source / GEO_FILE
-    return read_geo(geo) if source.is_dir() and geo.exists() else None
-
-
-def _needed_reference(source: Path, to: str) -> GeoReference:
-    reference = _reference(source)
-    if reference is not None:
-        return reference
-    if not source.is_dir():
-        raise InputError(
-            f"{source}: a session holds no geo-reference of its map, which {to} needs; "
-            f"corridor replay {source} --out DIR, then export DIR"
-        )
-    raise InputError(
-        f"{source}: no {GEO_FILE} in it: the map is not geo-referenced, which {to} needs. "
-        "GNSS fixes anchor a map once they agree with some 100 m of path; summary.json counts them (fixes). "
-        "--format csv or tum writes the same poses in metres of the map"
-    )
-
-
-def _picture(source: Path) -> Picture:
-    if not source.is_dir():
-        return _recorded_picture(source)
-    if is_map_folder(source):
-        return picture_of_tiles(load_map(source).tiles)
-    if (source / "map.yaml").exists():
-        return picture_of_grid(read_ros_map(source / "map.yaml"))
-    raise InputError(_no_such_folder(source))
-
-
-def _has_picture(source: Path) -> bool:
-    if source.is_dir():
-        return is_map_folder(source) or (source / "map.yaml").exists()
-    return _holds(Recording([source]), "/map", OCCUPANCY_GRID)
-
-
-def _has_poses(source: Path) -> bool:
-    if source.is_dir():
-        return (source / "trajectory.tum").exists()
-    return _holds(Recording([source]), "/pose", ODOMETRY)
-
-
-def _way(source: Path) -> list[SE2]:
+def _way(source: "_Source") -> list[SE2]:
     """Where the source has one."""
-    return [pose for _, pose in _poses(source)] if _has_poses(source) else []
+    return [pose for _, pose in source.poses()] if source.has_poses else []
 
 
-def _graph(source: Path) -> str:
-    path = source / GRAPH_FILE
-    if source.is_dir() and path.exists():
-        return path.read_text(encoding="ascii")
-    if is_map_folder(source) or not source.is_dir():
-        raise InputError(
-            f"{source}: no graph in it; a replay writes one: corridor replay SESSION.mcap --out DIR, then "
-            "export DIR"
-        )
-    raise InputError(
-        f"{source}: no {GRAPH_FILE} in it; its profile has no graph (corridor and submap_graph have one)"
-    )
+class _Source(Protocol):
+    """What is exported. Each raises InputError where the source does not have it, or where it is damaged."""
+
+    @property
+    def has_picture(self) -> bool: ...
+
+    @property
+    def has_poses(self) -> bool: ...
+
+    def picture(self) -> Picture: ...
+
+    def poses(self) -> Poses: ...
+
+    def g2o(self) -> str: ...
+
+    def geo(self) -> GeoReference | None: ...
+
+    def needed_geo(self, to: str) -> GeoReference: ...
 
 
-def _recorded_picture(source: Path) -> Picture:
-    """The last map in a session."""
-    recording = Recording([source])
-    last = None
-    for message in recording.messages([_topic(recording, "/map", OCCUPANCY_GRID)]):
-        last = message
-    if last is None:
-        raise InputError(f"{source}: its topic /map is empty")
-    return picture_of_grid(decode_grid(last.payload))
+class _Folder:
+    """A stored map, or the result of a replay."""
 
+    def __init__(self, source: Path) -> None:
+        self._source = source
+        self._result: Result = open_result(source)
 
-def _poses(source: Path) -> Iterable[tuple[int, SE2]]:
-    if source.is_dir():
-        if (source / "trajectory.tum").exists():
-            trajectory = read_tum(source / "trajectory.tum")
-            return zip(
-                trajectory.stamp_ns.tolist(), (SE2(*pose) for pose in trajectory.pose.tolist()), strict=True
+    @property
+    def has_picture(self) -> bool:
+        return self._result.has_map
+
+    @property
+    def has_poses(self) -> bool:
+        return self._result.has_trajectory
+
+    def picture(self) -> Picture:
+        if not self._result.has_map:
+            raise InputError(self._neither())
+        return self._result.picture
+
+    def poses(self) -> Poses:
+        if (trajectory := self._result.trajectory) is not None:
+            return list(trajectory.poses())
+        if is_map_folder(self._source):
+            raise InputError(
+                f"{self._source}: a stored map holds no trajectory; export the session or replay it"
             )
-        if is_map_folder(source):
-            raise InputError(f"{source}: a stored map holds no trajectory; export the session or replay it")
-        raise InputError(_no_such_folder(source))
-    recording = Recording([source])
-    topic = _topic(recording, "/pose", ODOMETRY)
-    poses = [decode_pose(message.payload) for message in recording.messages([topic])]
-    return [(pose.stamp_ns, pose.pose) for pose in poses]
+        raise InputError(self._neither())
+
+    def g2o(self) -> str:
+        if (g2o := self._result.g2o) is not None:
+            return g2o
+        if self._result.stored is not None:
+            raise InputError(f"{self._source}: no graph in it; {_REPLAY_WRITES_ONE}")
+        raise InputError(
+            f"{self._source}: no {GRAPH_FILE} in it; its profile has no graph "
+            "(corridor and submap_graph have one)"
+        )
+
+    def geo(self) -> GeoReference | None:
+        return self._result.geo
+
+    def needed_geo(self, to: str) -> GeoReference:
+        if (reference := self._result.geo) is not None:
+            return reference
+        raise InputError(
+            f"{self._source}: no {GEO_FILE} in it: the map is not geo-referenced, which {to} needs. "
+            "GNSS fixes anchor a map once they agree with some 100 m of path; summary.json counts them "
+            "(fixes). --format csv or tum writes the same poses in metres of the map"
+        )
+
+    def _neither(self) -> str:
+        return (
+            f"{self._source}: neither a stored map (v000001/ ...) nor a replay's folder "
+            "(map.yaml, trajectory.tum)"
+        )
 
 
-def _holds(recording: Recording, name: str, type_name: str) -> bool:
-    return any(topic.name == name and topic.type == type_name and topic.count for topic in recording.topics)
+class _Session:
+    """A finished session."""
 
+    def __init__(self, source: Path) -> None:
+        self._source = source
+        self._recording = Recording([source])
 
-def _topic(recording: Recording, name: str, type_name: str) -> str:
-    if _holds(recording, name, type_name):
-        return name
-    source = recording.paths[0]
-    held = ", ".join(map(str, recording.topics)) or "nothing"
-    raise InputError(
-        f"{source}: no {name} ({type_name}) in it; it holds {held}. "
-        f"Map it first: corridor replay {source} --out DIR, then export DIR"
-    )
+    @property
+    def has_picture(self) -> bool:
+        return self._holds("/map", OCCUPANCY_GRID)
 
+    @property
+    def has_poses(self) -> bool:
+        return self._holds("/pose", ODOMETRY)
 
-def _no_such_folder(source: Path) -> str:
-    return f"{source}: neither a stored map (v000001/ ...) nor a replay's folder (map.yaml, trajectory.tum)"
+    def picture(self) -> Picture:
+        """The last map in it."""
+        last = None
+        for message in self._messages("/map", OCCUPANCY_GRID):
+            last = message
+        if last is None:
+            raise InputError(f"{self._source}: its topic /map is empty")
+        return picture_of_grid(decode_grid(last.payload))
+
+    def poses(self) -> Poses:
+        poses = [decode_pose(message.payload) for message in self._messages("/pose", ODOMETRY)]
+        return [(pose.stamp_ns, pose.pose) for pose in poses]
+
+    def g2o(self) -> str:
+        raise InputError(f"{self._source}: no graph in it; {_REPLAY_WRITES_ONE}")
+
+    def geo(self) -> GeoReference | None:
+        return None
+
+    def needed_geo(self, to: str) -> GeoReference:
+        raise InputError(
+            f"{self._source}: a session holds no geo-reference of its map, which {to} needs; "
+            f"corridor replay {self._source} --out DIR, then export DIR"
+        )
+
+    def _messages(self, name: str, type_name: str) -> Iterator[Message]:
+        if not self._holds(name, type_name):
+            held = ", ".join(map(str, self._recording.topics)) or "nothing"
+            raise InputError(
+                f"{self._source}: no {name} ({type_name}) in it; it holds {held}. "
+                f"Map it first: corridor replay {self._source} --out DIR, then export DIR"
+            )
+        return self._recording.messages([name])
+
+    def _holds(self, name: str, type_name: str) -> bool:
+        topics = self._recording.topics
+        return any(topic.name == name and topic.type == type_name and topic.count for topic in topics)

@@ -30,6 +30,7 @@ from service.mapstore.drawn_tiles import with_area, with_line
 from service.mapstore.edits import Edit, undone_by
 from service.mapstore.files import StoredMap, is_map_folder, load_map, restore_version, save_map, versions_of
 from service.mapstore.in_use import InUse
+from service.offline.replay_result import rewrite_result
 from service.outputs import UNKNOWN
 
 MOST_NAMED = 3  # places of pairs in the words of an edit
@@ -75,6 +76,7 @@ def edit_map(
         stored = changed.stored
         edit = Edit(who, what, changed.words, before.number)
         number = save_map(folder, stored.tiles, now_ns, stored.about, stored.geo, stored.graph, edit)
+        rewrite_result(folder)
     return {
         "map": str(folder),
         "version": number,
@@ -100,6 +102,7 @@ def undo(folder: Path, to: int | None, who: str, now_ns: int, seen: int | None =
         else:
             back_to, words = to, f"went back to version {to}"
         number = restore_version(folder, back_to, now_ns, Edit(who, "undo", words, current, back_to))
+        rewrite_result(folder)
     return {"map": str(folder), "version": number, "version_before": current, "done": words}
 
 

@@ -42,8 +42,8 @@ from service.errors import InputError
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.mapper.map_changes import NOTHING_CHANGED
+from service.mapstore.tiles import tiles_of_grid
 from service.offline.moments import STALE_NS, Moment, thinned
-from service.offline.view import tiles_of_grid
 from service.outputs import NO_GRAPH, GraphPicture, Grid, TileUpdate
 from service.recording.opening import name_of, open_recording
 from service.web.live_view import MOST_EVENTS, MOST_PATH_POINTS, PATH_STEP_M, UNTOLD

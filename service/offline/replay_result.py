@@ -2,8 +2,10 @@
 
 import json
 import shutil
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -16,14 +18,25 @@ from service.geometry.se2 import SE2
 from service.mapper.map_changes import MapChanges
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.annotated import PALETTE, annotated
-from service.mapstore.files import is_map_folder, save_map
+from service.mapstore.files import is_map_folder, keep_version, save_map
 from service.mapstore.geo_file import GEO_FILE, write_geo
-from service.mapstore.picture import picture_of_tiles
+from service.mapstore.picture import Picture, picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
-from service.offline.geo_export import write_world_file
+from service.offline.geo_export import Poses, write_world_file
 from service.offline.map_change_file import CHANGES_FILE, write_changes
+from service.offline.result import (
+    FIRST_VERSION,
+    GRAPH_FILE,
+    MAP_FOLDER,
+    ROS_MAP_FILE,
+    SUMMARY_FILE,
+    TRAJECTORY_FILE,
+    UNEDITED,
+    open_result,
+)
 from service.offline.trajectory import write_tum
+from service.offline.writing import whole_files
 from service.outputs import MapperOutput, TileUpdate
 
 
@@ -60,24 +73,76 @@ def write_replay(done: Replay, out: Path) -> None:
         stamps = [output.stamp_ns for output in done.outputs]
         live = [pose_on_wire(output.pose_map_base) for output in done.outputs]
         write_tum(out / "trajectory_live.tum", zip(stamps, live, strict=True))
-        write_tum(out / "trajectory.tum", zip(stamps, map(pose_on_wire, done.poses_map_base), strict=True))
-        if done.g2o:
-            (out / "graph.g2o").write_text(done.g2o, encoding="ascii")
-        picture = picture_of_tiles(done.tiles)
-        write_ros_map(out / "map.pgm", out / "map.yaml", picture)
-        shown = annotated(picture, [np.array([(pose.x_m, pose.y_m) for pose in done.poses_map_base])])
-        write_png(out / "map.png", shown, PALETTE)
-        for name in (GEO_FILE, "map.pgw", "map.prj"):
+        for name in (GRAPH_FILE, GEO_FILE, "map.pgw", "map.prj"):
             (out / name).unlink(missing_ok=True)
-        if done.geo is not None:
-            write_geo(out / GEO_FILE, done.geo)
-            if abs(done.geo.origin.latitude_deg) < UTM_MOST_LATITUDE_DEG:
-                write_world_file(out / "map.png", shown, done.geo)
+        shutil.rmtree(out / UNEDITED, ignore_errors=True)
+        poses = list(zip(stamps, map(pose_on_wire, done.poses_map_base), strict=True))
+        _write_files(out, poses, picture_of_tiles(done.tiles), done.g2o, done.geo, done.summary)
         write_changes(out / CHANGES_FILE, done.changes)
-        _store_map(done, out / "map")
-        (out / "summary.json").write_text(json.dumps(done.summary, indent=1) + "\n", encoding="ascii")
+        _store_map(done, out / MAP_FOLDER)
     except OSError as error:
         raise StorageError(f"cannot write to {out}: {words_of(error)}") from error
+
+
+def rewrite_result(folder: Path) -> None:
+    """Rewrite the files of the result to which a stored map belongs, as its newest version has them; nothing
+    where it belongs to none. What the replay wrote stays in DIR/unedited.
+
+    Raises StorageError where they cannot be written, InputError where a file of the result is damaged.
+    """
+    folder = folder.resolve()
+    out = folder.parent
+    if folder.name != MAP_FOLDER or not (out / TRAJECTORY_FILE).is_file():
+        return
+    result = open_result(out)
+    stored, trajectory = result.stored, result.trajectory
+    assert stored is not None
+    assert trajectory is not None
+    try:
+        _keep_unedited(out)
+        with whole_files(out / TRAJECTORY_FILE) as path:
+            poses = list(trajectory.poses())
+            _write_files(path.parent, poses, result.picture, result.g2o or "", result.geo, result.summary)
+    except OSError as error:
+        raise StorageError(
+            f"version {stored.number} of {folder} is stored; the files beside it cannot be rewritten: "
+            f"{words_of(error)}; corridor export {out} exports that version all the same"
+        ) from error
+
+
+def _write_files(
+    out: Path,
+    poses: Poses,
+    picture: Picture,
+    g2o: str,
+    geo: GeoReference | None,
+    summary: Mapping[str, Any],
+) -> None:
+    """What describes one version of a map and the drive in it."""
+    write_tum(out / TRAJECTORY_FILE, poses)
+    if g2o:
+        (out / GRAPH_FILE).write_text(g2o, encoding="ascii")
+    write_ros_map(out / "map.pgm", out / ROS_MAP_FILE, picture)
+    shown = annotated(picture, [np.array([(pose.x_m, pose.y_m) for _, pose in poses])])
+    write_png(out / "map.png", shown, PALETTE)
+    if geo is not None:
+        write_geo(out / GEO_FILE, geo)
+        if abs(geo.origin.latitude_deg) < UTM_MOST_LATITUDE_DEG:
+            write_world_file(out / "map.png", shown, geo)
+    (out / SUMMARY_FILE).write_text(json.dumps(summary, indent=1) + "\n", encoding="ascii")
+
+
+def _keep_unedited(out: Path) -> None:
+    """Copy what the replay wrote of its drive to DIR/unedited, unless it is there already."""
+    if (out / UNEDITED).exists():
+        return
+    with TemporaryDirectory(prefix=".corridor-", dir=out) as folder:
+        part = Path(folder) / UNEDITED
+        part.mkdir()
+        for name in (TRAJECTORY_FILE, GRAPH_FILE, SUMMARY_FILE):
+            if (out / name).is_file():
+                shutil.copy2(out / name, part)
+        part.rename(out / UNEDITED)
 
 
 def _store_map(done: Replay, folder: Path) -> None:
@@ -87,3 +152,4 @@ def _store_map(done: Replay, folder: Path) -> None:
     if done.graph is not None and len(done.graph):
         about = {"profile": str(done.summary["profile"])}
         save_map(folder, done.tiles, done.outputs[-1].stamp_ns, about, done.geo, done.graph)
+        keep_version(folder, FIRST_VERSION, "the trajectory of the replay's result lies in this version")

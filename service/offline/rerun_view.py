@@ -9,8 +9,9 @@ import numpy.typing as npt
 
 from service.errors import CorridorError, StorageError, words_of
 from service.mapstore.tiles import TileStore
-from service.offline.trajectory import read_tum
-from service.offline.view import read_stored
+from service.offline.result import open_result
+from service.offline.trajectory import Trajectory
+from service.offline.view import graph_picture
 from service.outputs import GraphPicture, Grid
 
 if TYPE_CHECKING:
@@ -41,9 +42,10 @@ def show_in_rerun(source: Path, save: Path | None = None) -> None:
         raise CorridorError(
             "--rerun needs rerun-sdk, which is not installed: pip install 'corridor[rerun]'"
         ) from error
-    tiles, graph = read_stored(source)
+    result = open_result(source)
+    graph, trajectory = graph_picture(result), result.trajectory
     store = TileStore()
-    store.update(tiles)
+    store.update(result.tiles)
     grid = store.grid()
     assert grid is not None
     stream = rr.RecordingStream(f"corridor {source.resolve().name}")
@@ -61,8 +63,7 @@ def show_in_rerun(source: Path, save: Path | None = None) -> None:
             raise CorridorError(f"the viewer of rerun does not start: {words_of(error)}") from error
     _log_map(stream, grid)
     _log_graph(stream, graph)
-    trajectory = source / "trajectory.tum"
-    if trajectory.is_file():
+    if trajectory is not None:
         _log_path(stream, trajectory)
     stream.flush()
     stream.disconnect()
@@ -99,11 +100,10 @@ def _log_graph(stream: "rr.RecordingStream", graph: GraphPicture) -> None:
             stream.log(f"map/graph/{name}", drawn, static=True)
 
 
-def _log_path(stream: "rr.RecordingStream", trajectory: Path) -> None:
+def _log_path(stream: "rr.RecordingStream", read: Trajectory) -> None:
     """The whole of it, and the vehicle at each stamp."""
     import rerun as rr
 
-    read = read_tum(trajectory)
     path = _raised(read.pose[:, :2].astype(np.float32), PATH_Z_M)
     stream.log("map/path", rr.LineStrips3D([path], radii=PATH_M, colors=[PATH_COLOUR]), static=True)
     ahead = np.column_stack((np.cos(read.pose[:, 2]), np.sin(read.pose[:, 2]), np.zeros(len(path))))

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from service.errors import InputError, UsageError
 from service.geometry.se2 import wrap_angle
+from service.offline.result import read_trajectory
 from service.offline.trajectory import (
     NS_PER_S,
     Trajectory,
@@ -128,7 +129,7 @@ ScoreReport = RelationsScore | TrajectoryScore
 def score(
     estimate: Path, truth: Path, shift_s: float = 0.0, offset_x_m: float = 0.0, pairs: Pairs = "all"
 ) -> ScoreReport:
-    """Score a TUM file against a TUM file or a `.relations` file.
+    """Score a TUM file, or the newest version of a result, against a TUM file or a `.relations` file.
 
     shift_s is added to the estimate's stamps; offset_x_m scores a frame that lies so far ahead of its own.
     Raises InputError with file and line, UsageError for a shift or an offset that is no number of a drive.
@@ -138,7 +139,7 @@ def score(
             raise UsageError(
                 f"{option} {value}: expected a number between -{MOST_SHIFT:g} and {MOST_SHIFT:g}"
             )
-    read = read_tum(estimate)
+    read = read_trajectory(estimate)
     pose = compose(read.pose, np.array([[offset_x_m, 0.0, 0.0]])) if offset_x_m else read.pose
     shifted = Trajectory(read.stamp_ns + round(shift_s * NS_PER_S), pose)
     if truth.suffix == ".relations":

@@ -27,6 +27,10 @@ class Trajectory:
     stamp_ns: npt.NDArray[np.int64]  # (N,), strictly rising
     pose: npt.NDArray[np.float64]  # (N, 3) x m, y m, theta rad
 
+    def poses(self) -> Iterator[tuple[int, SE2]]:
+        """Stamps, ns, with their poses."""
+        return zip(self.stamp_ns.tolist(), (SE2(*pose) for pose in self.pose.tolist()), strict=True)
+
     def at(self, stamp_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
         """(M, 3) poses at stamps within it: straight between neighbours, turning the short way."""
         right = np.clip(np.searchsorted(self.stamp_ns, stamp_ns), 1, len(self.stamp_ns) - 1)

@@ -1,6 +1,5 @@
 """A stored map or the result of a replay on the operator's page: nothing is live; a map can be edited."""
 
-import math
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,18 +11,16 @@ from service.encoding import CHANGES, OK, Status, encode_diagnostics, encode_gra
 from service.errors import InputError, StorageError
 from service.geometry.poses import Floats
 from service.mapper.graph.graph_picture import draw, draw_saved
-from service.mapper.saved_graph import SavedGraph
-from service.mapstore.files import StoredMap, is_map_folder, load_map, versions_of
-from service.mapstore.ros_map import read_ros_map
+from service.mapstore.files import StoredMap
 from service.mapstore.tiles import TileStore
-from service.offline.corrected_path import corrected_path
 from service.offline.driven_moments import DrivenMoments
 from service.offline.map_change_file import CHANGES_FILE, read_changes
 from service.offline.map_commands import MapCommands
 from service.offline.moments import MomentCommands
+from service.offline.result import GRAPH_FILE, Result, map_folder, open_result
 from service.offline.shown_tiles import ShownTiles
-from service.offline.trajectory import read_tum
-from service.outputs import NO_GRAPH, UNKNOWN, GraphPicture, Grid, TileUpdate
+from service.offline.trajectory import Trajectory
+from service.outputs import NO_GRAPH, GraphPicture, TileUpdate
 from service.publishing.commands import Answer, refusal
 from service.web.access import new_token
 from service.web.config import WebConfig
@@ -31,8 +28,8 @@ from service.web.mailbox import Payload
 from service.web.protocol import encode_changes, encode_path
 from service.web.server import About, WebServer
 
-EDGE = 64  # cells along a tile
 SERVED_WITHIN_S = 5.0
+NO_TRAJECTORY = Trajectory(np.empty(0, np.int64), np.empty((0, 3)))
 
 
 class View:
@@ -47,28 +44,19 @@ class View:
     def __init__(self, source: Path, listen: str) -> None:
         self.token = new_token()
         self._source = source
-        self._trajectory = _trajectory(source)
+        self._result = result = open_result(source)
         self._store = TileStore()
         self._tiles = ShownTiles(self._store)
-        self._mapped: SavedGraph | None = None  # as it was when the trajectory was written
         self._moments: MomentCommands | None = None  # of the trajectory as it lies in the map that is shown
         self._at_ns: int | None = None  # of the moment that is shown
-        folder = map_folder(source)
         self._map_commands: MapCommands | None = None
-        if folder is not None:
-            stored = load_map(folder)
-            self._mapped = _before_edits(folder, stored)
-            self._map_commands = MapCommands(folder, stored, self._show_stored)
+        if (folder := map_folder(source)) is not None and result.stored is not None:
+            self._map_commands = MapCommands(folder, result.stored, self._show_stored)
         about = About(source.resolve().name, "stored", self._verbs)
         self._server = WebServer(
             WebConfig(listen=listen), about, self._store, self._answer, self.token, retry_s=None
         )
-        if folder is not None:
-            self._show_stored(stored)
-        else:
-            tiles, graph = read_stored(source)
-            self._show(tiles, graph, *self._trajectory, {})
-            self._show_changes(tiles)
+        self._show(result)
         start_serving(self._server)
 
     @property
@@ -93,28 +81,24 @@ class View:
         return refusal("this is a picture of a map and cannot be changed; give the folder of a stored map")
 
     def _show_stored(self, stored: StoredMap) -> None:
-        stamp_ns, poses = self._trajectory
-        if self._mapped is not None and stored.graph is not None:
-            stamp_ns, poses = corrected_path(stamp_ns, poses, self._mapped, stored.graph)
-        graph = NO_GRAPH if stored.graph is None else draw_saved(stored.graph)
-        self._show(stored.tiles, graph, stamp_ns, poses, {"version": str(stored.number)})
+        self._result = self._result.in_version(stored)
+        self._show(self._result)
 
-    def _show(
-        self,
-        tiles: Sequence[TileUpdate],
-        graph: GraphPicture,
-        stamp_ns: npt.NDArray[np.int64],
-        poses: Floats,
-        told: dict[str, str],
-    ) -> None:
+    def _show(self, result: Result) -> None:
         now_ns = time.time_ns()
+        tiles, trajectory = result.tiles, result.trajectory or NO_TRAJECTORY
         self._tiles.take(tiles)
-        self._show_way(stamp_ns, poses)
-        self._server.put(encode_graph(graph, now_ns))
+        self._show_way(trajectory.stamp_ns, trajectory.pose)
+        self._server.put(encode_graph(graph_picture(result), now_ns))
+        told = {} if result.stored is None else {"version": str(result.stored.number)}
         version = f" of version {told['version']}" if told else ""
-        words = f"{self._source}: {len(tiles)} tiles{version}, {len(poses)} poses; nothing is measured"
+        words = (
+            f"{self._source}: {len(tiles)} tiles{version}, {len(trajectory.pose)} poses; nothing is measured"
+        )
         state = Status("mapping", OK, words, {"state": "stored", **told})
         self._server.put(encode_diagnostics("diagnostics", [state], now_ns, now_ns))
+        if result.stored is None:
+            self._show_changes(tiles)
 
     def _show_changes(self, tiles: Sequence[TileUpdate]) -> None:
         """Of a drive that was localised in a stored map: what is not as that says."""
@@ -137,20 +121,6 @@ class View:
         self._server.put_ready(payloads)
 
 
-def map_folder(source: Path) -> Path | None:
-    """The stored map in what View takes; a replay stores it in a folder of its own. None: there is none."""
-    return next((folder for folder in (source, source / "map") if is_map_folder(folder)), None)
-
-
-def _before_edits(folder: Path, stored: StoredMap) -> SavedGraph | None:
-    """The graph of the newest version that no edit made."""
-    if stored.edit is None:
-        return stored.graph
-    versions, _, _ = versions_of(folder)
-    mapped = [version.number for version in versions if version.edit is None]
-    return load_map(folder, mapped[-1]).graph if mapped else None
-
-
 def start_serving(server: WebServer) -> None:
     """Raises StorageError where the page cannot be served; the server is closed then."""
     server.start()
@@ -160,31 +130,11 @@ def start_serving(server: WebServer) -> None:
         raise StorageError(f"{words}; give another address with --listen, 127.0.0.1:0 takes any free port")
 
 
-def tiles_of_grid(grid: Grid) -> list[TileUpdate]:
-    """A grid as tiles, its cells moved by less than half a cell to where those of tiles lie."""
-    column, row = round(grid.x_min_m / grid.cell_m), round(grid.y_min_m / grid.cell_m)
-    height, width = grid.cells.shape
-    first_ix, first_iy = column // EDGE, row // EDGE
-    columns, rows = math.ceil((column + width) / EDGE) - first_ix, math.ceil((row + height) / EDGE) - first_iy
-    canvas = np.full((rows * EDGE, columns * EDGE), UNKNOWN, dtype=np.int8)
-    low, left = row - first_iy * EDGE, column - first_ix * EDGE
-    canvas[low : low + height, left : left + width] = grid.cells
-    squares = canvas.reshape(rows, EDGE, columns, EDGE).swapaxes(1, 2)
-    known = np.argwhere((squares != UNKNOWN).any(axis=(2, 3))).tolist()
-    return [
-        TileUpdate(0, first_ix + ix, first_iy + iy, version, grid.cell_m, squares[iy, ix])
-        for version, (iy, ix) in enumerate(known, start=1)
-    ]
-
-
-def read_stored(source: Path) -> tuple[Sequence[TileUpdate], GraphPicture]:
-    """Map and graph of what View takes. Raises InputError where there is no map in it."""
-    if (folder := map_folder(source)) is not None:
-        stored = load_map(folder)
-        return stored.tiles, NO_GRAPH if stored.graph is None else draw_saved(stored.graph)
-    if not (source / "map.yaml").is_file():
-        raise InputError(f"{source}: no map in it; give the folder of a stored map or of a replay's result")
-    return tiles_of_grid(read_ros_map(source / "map.yaml")), _graph_of_g2o(source / "graph.g2o")
+def graph_picture(result: Result) -> GraphPicture:
+    """Raises InputError where its file is damaged."""
+    if result.stored is None:
+        return _graph_of_g2o(result.source / GRAPH_FILE)
+    return NO_GRAPH if result.stored.graph is None else draw_saved(result.stored.graph)
 
 
 def _graph_of_g2o(path: Path) -> GraphPicture:
@@ -207,12 +157,3 @@ def _graph_of_g2o(path: Path) -> GraphPicture:
     xy_map = np.array([places[k] for k in row]).reshape(-1, 2)
     none = np.empty((0, 2), np.int64)
     return draw(0, xy_map, np.zeros(len(row), np.int64), np.array(ends, np.int64).reshape(-1, 2), none)
-
-
-def _trajectory(source: Path) -> tuple[npt.NDArray[np.int64], Floats]:
-    """(N,) stamps, ns, and (N, 3) poses in the map; none where there is no trajectory."""
-    trajectory = source / "trajectory.tum"
-    if not trajectory.is_file():
-        return np.empty(0, np.int64), np.empty((0, 3))
-    read = read_tum(trajectory)
-    return read.stamp_ns, read.pose

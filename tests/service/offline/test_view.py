@@ -12,9 +12,10 @@ from service.geometry.se2 import SE2
 from service.mapstore.files import save_map
 from service.mapstore.picture import picture_of_grid
 from service.mapstore.ros_map import write_ros_map
+from service.mapstore.tiles import tiles_of_grid
 from service.offline.map_change_file import write_changes
 from service.offline.trajectory import write_tum
-from service.offline.view import View, tiles_of_grid
+from service.offline.view import View
 from service.outputs import FREE, OCCUPIED, UNKNOWN, Grid, TileUpdate
 from tests.service.offline.bent_maps import ROUND, save_bent
 from tests.service.offline.test_map_change_file import CHANGES

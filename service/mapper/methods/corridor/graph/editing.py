@@ -14,6 +14,7 @@ from service.geometry.poses import Floats
 from service.mapper.by_hand import ERASED, ERASED_TO_FREE, WALL, Drawing
 from service.mapper.components import MapRenderer, RenderedMap
 from service.mapper.graph.groups import groups_of
+from service.mapper.graph.pose_graph import PoseGraph
 from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
 from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
@@ -161,6 +162,11 @@ def solved(graph: SavedGraph, renderer: MapRenderer, config: LoopsConfig | None 
     assert rendered_map is not None
     off = saved.map[:, :2] - graph.map[:, :2]
     return Solved(saved, rendered_map, len(graph.loop_ends) - len(saved.loop_ends), np.hypot(*off.T))
+
+
+def graph_of(graph: SavedGraph) -> PoseGraph:
+    """What is solved of a stored graph, at the poses that it has: odometry, loops and pairs as landmarks."""
+    return LoopBackEnd(LoopsConfig(), None, graph).graph()
 
 
 def groups(graph: SavedGraph) -> npt.NDArray[np.int64]:

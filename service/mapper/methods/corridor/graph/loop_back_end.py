@@ -386,7 +386,7 @@ class LoopBackEnd:
             self._loops += new
             self._accepted.append(new)
 
-    def _graph(self, is_by_motion: bool = False) -> PoseGraph:
+    def graph(self, is_by_motion: bool = False) -> PoseGraph:
         """Key frames; behind them, where fixes anchor the map, the frame of east and north."""
         edges = self._steps(is_by_motion).and_also(as_edges(self._loops))
         pairs = landmarks_of_pairs(self._keyframes)
@@ -398,7 +398,7 @@ class LoopBackEnd:
     def _to_solve(self, is_by_motion: bool = False) -> PoseGraph:
         """The graph, or what of it is not held, behind one pose for all that is."""
         if not self._held:
-            return self._graph(is_by_motion)
+            return self.graph(is_by_motion)
         return graph_on_held(self._keyframes, self._steps(is_by_motion), self._loops, self._held)
 
     def _steps(self, is_by_motion: bool = False) -> Edges:
@@ -446,7 +446,7 @@ class LoopBackEnd:
             newest=corrections[-1],
             rendered_map=self.render(),
             all=corrections,
-            g2o=to_g2o(self._graph()),
+            g2o=to_g2o(self.graph()),
         )
 
     def _search_again(self) -> None:
