@@ -25,6 +25,10 @@ AHEAD_OF_ARRIVAL = DropReason(
 DAMAGED = DropReason(
     "damaged on the way", "look at plugs, cable and ground, and whether another program reads this port"
 )
+OUTSIDE = DropReason(
+    "without a beam in the configured field of view",
+    "write first_angle_deg and last_angle_deg as the sensor is set, or widen its field of view",
+)
 NOT_FINITE = DropReason(
     "with values that are no numbers", "switch its power off and on; if they stay so, have it repaired"
 )

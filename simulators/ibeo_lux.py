@@ -76,6 +76,8 @@ class LuxSetup:
     parameters: dict[int, int] = field(default_factory=dict)  # stored in its flash, over DEFAULTS
     unsupported: frozenset[int] = frozenset()  # parameters this firmware does not know
     refused: frozenset[int] = frozenset()  # commands
+    fixed: frozenset[int] = frozenset()  # parameters that it reads but refuses to set
+    kept: frozenset[int] = frozenset()  # parameters whose change it accepts and does not make
     sets_ntp_at_once: bool = True  # command 0x0034, newer firmware
     says_ntp: bool = True  # in its message headers
     clock_drift_ppm: float = 0.0  # positive: the device's clock runs fast
@@ -367,7 +369,11 @@ class FakeIbeoLux:
 
     def _set_parameter(self, body: bytes, now_ns: int) -> bytes:
         index, value = struct.unpack_from("<HI", body)
+        if index in self.setup.fixed:
+            raise _RefusedError
         self._check(self._known(index), value)
+        if index in self.setup.kept:
+            return b""
         if index == Parameter.SCAN_FREQUENCY and self._turning_since_ns is not None:
             self._turn_from(max(now_ns, self._turning_since_ns))
         self._parameters[index] = value

@@ -3,8 +3,9 @@
 Only what differs from the config is changed, with the scanner stopped, and read back; a change lasts until
 the device loses power, its flash is not written. The start angle must stay above the end angle at all times,
 so the order in which the two are set depends on where they stand. Old firmware refuses parameters it does not
-know (SICKAG/sick_ldmrs_laser issue 1, SICKAG/sick_scan2 issue 15: 0x8011 to 0x1109), which is no fault unless
-the config needs them. Order and timeouts: SICKAG/libsick_ldmrs, LD_MRS.cpp and LuxBase.cpp.
+know (SICKAG/sick_ldmrs_laser issue 1, SICKAG/sick_scan2 issue 15: 0x8011 to 0x1109). What is refused or not
+kept is no fault where scans come and can be understood without it: `refusals` names it. Order and timeouts:
+SICKAG/libsick_ldmrs, LD_MRS.cpp and LuxBase.cpp.
 """
 
 from collections import Counter
@@ -30,6 +31,7 @@ from drivers.ibeo_lux.messages import (
     write_parameter,
 )
 from drivers.ibeo_lux.protocol import ntp_from_unix_ns
+from drivers.rates import same_rate
 
 REPLY_TIMEOUT_S = 2.0  # SICK's library waits 0.5 to 2 s
 FIRST_REPLY_TIMEOUT_S = 0.5  # while it may be booting, so that its return is not missed for long
@@ -46,6 +48,7 @@ UNANSWERED_LIMIT = 3  # then status is not asked for again
 OUTPUT_SCANS, OUTPUT_OBJECTS, OUTPUT_ERRORS = 0x0001, 0x0004, 0x0010  # a bit set switches off
 OUTPUT_WANTED = 0xFFEE  # scans, errors and warnings, nothing else
 RESOLUTIONS = {"focused": 0, "constant": 1}
+RATE_UNIT = 256  # counts a Hz
 
 T = TypeVar("T")
 
@@ -62,11 +65,14 @@ Dialogue = Generator[Ask | Pause, Reply | None, T]
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A parameter and what it shall be. `agrees` compares with what is read, an unsigned number."""
+    """A parameter and what it shall be. `agrees` compares with what is read, an unsigned number; `words` is
+    such a number for people."""
 
     parameter: Parameter
+    key: str  # in the config
     value: int
     agrees: Callable[[int], bool]
+    words: Callable[[int], str]
 
 
 class IbeoLuxDialogue:
@@ -84,6 +90,7 @@ class IbeoLuxDialogue:
         self.scans_seen = 0  # kept by the session
         self.foreign = ""  # what other device seems to be there; kept by the session
         self.other_scans = ""  # rate and angles of the scans where they are not as configured; by the session
+        self.refusals: list[str] = []  # settings that it did not take, in words
         self.device_status: DeviceStatus | None = None  # the newest
         self.beam_tilt_rad = 0.0
         self.upside_down = False
@@ -142,42 +149,79 @@ class IbeoLuxDialogue:
             yield from self._ask(Command.STOP)
             self.stopped = True
         for setting, found in _in_safe_order(changes):
-            yield from self._change(setting, found)
+            if reason := (yield from self._change(setting, found)):
+                self._note_refusal(setting, reason)
         upside_down = yield from self._read_parameter(Parameter.UPSIDE_DOWN)
         self.upside_down = bool(upside_down)
 
     def _settings(self) -> list[Setting]:
         config = self._config
-        rate = round(config.scan_rate_hz * 256)
-        first, last = config.first_ticks, config.last_ticks
+        rate = round(config.scan_rate_hz * RATE_UNIT)
         settings = [
-            Setting(Parameter.DATA_OUTPUT, OUTPUT_WANTED, _output_agrees),
-            Setting(Parameter.SCAN_FREQUENCY, rate, lambda found: found == rate),
-            Setting(Parameter.START_ANGLE, first, lambda found: signed_16(found) == first),
-            Setting(Parameter.END_ANGLE, last, lambda found: signed_16(found) == last),
+            Setting(Parameter.DATA_OUTPUT, "output", OUTPUT_WANTED, _output_agrees, hex),
+            Setting(
+                Parameter.SCAN_FREQUENCY,
+                "scan_rate_hz",
+                rate,
+                lambda found: same_rate(found, rate),
+                _rate_words,
+            ),
+            _angle(Parameter.START_ANGLE, "first_angle_deg", config.first_ticks),
+            _angle(Parameter.END_ANGLE, "last_angle_deg", config.last_ticks),
         ]
         if config.resolution != "as_set":
             wanted = RESOLUTIONS[config.resolution]
-            settings.append(Setting(Parameter.RESOLUTION, wanted, lambda found: found == wanted))
+            settings.append(
+                Setting(
+                    Parameter.RESOLUTION,
+                    "resolution",
+                    wanted,
+                    lambda found: found == wanted,
+                    _resolution_words,
+                )
+            )
         if config.sync_angle_deg is not None:
             sync = round(config.sync_angle_deg * TICKS_PER_DEG)
             settings.append(
                 Setting(
                     Parameter.SYNC_ANGLE,
+                    "sync_angle_deg",
                     sync & SYNC_ANGLE_MASK,
                     lambda found: (found ^ sync) & SYNC_ANGLE_MASK == 0,
+                    _sync_words,
                 )
             )
         if config.upside_down is not None:
             flag = int(config.upside_down)
-            settings.append(Setting(Parameter.UPSIDE_DOWN, flag, lambda found: bool(found) == bool(flag)))
+            settings.append(
+                Setting(
+                    Parameter.UPSIDE_DOWN,
+                    "upside_down",
+                    flag,
+                    lambda found: bool(found) == bool(flag),
+                    lambda found: "true" if found else "false",
+                )
+            )
         return settings
 
-    def _change(self, setting: Setting, found: int | None) -> Dialogue[None]:
-        """Set and read back."""
-        name = f"{setting.parameter.name.lower()} (0x{setting.parameter:04x})"
+    def _note_refusal(self, setting: Setting, reason: str) -> None:
+        """Raises DeviceError where scans would not come, or be wrong, without it."""
+        told = f"configured {setting.key} {setting.words(setting.value)} not taken: {reason}"
+        if setting.parameter is Parameter.UPSIDE_DOWN:
+            raise DeviceError(
+                f"{told}, so left and right of its scans would be exchanged; write upside_down: null, and "
+                "mounting: {upside_down: true} where it hangs head down"
+            )
+        if setting.parameter is Parameter.DATA_OUTPUT:
+            raise DeviceError(
+                f"{told}, so it sends no scans; can its firmware ({self.identity['firmware']}) do it?"
+            )
+        self.refusals.append(told)
+
+    def _change(self, setting: Setting, found: int | None) -> Dialogue[str]:
+        """Set and read back. Why it did not take it, "" where it did."""
         if setting.parameter is Parameter.UPSIDE_DOWN and found is None and not setting.value:
-            return  # a firmware without this mode has it off
+            return ""  # a firmware without this mode has it off
         reply = None
         for _ in range(CHANGE_ATTEMPTS):
             reply = yield from self._ask(
@@ -188,23 +232,19 @@ class IbeoLuxDialogue:
         if reply is None or reply.refused:
             if setting.parameter is Parameter.DATA_OUTPUT and self._scans_flow(found):
                 self.counters["output_not_set"] += 1  # objects come along, or errors do not
-                return
+                return ""
             how = "not answered" if reply is None else "refused"
-            raise DeviceError(
-                f"set {name} to {setting.value} was {how} {CHANGE_ATTEMPTS} times"
-                f"{'' if found is None else f', it has {found}'}; can this device and firmware "
-                f"({self.identity['firmware']}) do it?"
-            )
+            has = "" if found is None else f", it has {setting.words(found)}"
+            return f"{how} {CHANGE_ATTEMPTS} times{has}"
         self.counters["parameters_changed"] += 1
         if setting.parameter in self._unsupported:
-            return  # can be written, not read; scans will show it
+            return ""  # can be written, not read; scans will show it
         read = yield from self._read_parameter(setting.parameter)
         if setting.parameter is Parameter.DATA_OUTPUT and self._scans_flow(read):
-            return
+            return ""
         if read is not None and not setting.agrees(read):
-            raise DeviceError(
-                f"after {name} was set to {setting.value} the device has {read}; write-protected?"
-            )
+            return f"accepted, but it has {setting.words(read)}"
+        return ""
 
     def _scans_flow(self, output: int | None) -> bool:
         """Whether scans come with this data_output; None: it cannot be read, then scans will show it."""
@@ -226,7 +266,8 @@ class IbeoLuxDialogue:
             yield from self._ask(Command.SET_NTP_FRACTION, write_ntp_part(now & 0xFFFF_FFFF))
             if now >> 32 == seconds:
                 return
-        self.counters["clock_not_set"] += 1  # no fault: stamps are mapped by arrivals
+        self.counters["clock_not_set"] += 1
+        self.refusals.append("configured set_clock not taken: its clock stays as it is, stamps are as good")
 
     def _start(self) -> Dialogue[None]:
         status = self.device_status
@@ -338,6 +379,29 @@ def status_faults(status: int) -> list[str]:
         (ScannerStatus.FREQUENCY_REACHED, "scan frequency not reached"),
     )
     return [words for bit, words in bits if not status & bit]
+
+
+def _angle(parameter: Parameter, key: str, ticks: int) -> Setting:
+    return Setting(parameter, key, ticks, lambda found: signed_16(found) == ticks, _angle_words)
+
+
+def _angle_words(value: int) -> str:
+    return f"{signed_16(value) / TICKS_PER_DEG:g} deg"
+
+
+def _rate_words(value: int) -> str:
+    return f"{value / RATE_UNIT:.4g} Hz"
+
+
+def _resolution_words(value: int) -> str:
+    return next((name for name, number in RESOLUTIONS.items() if number == value), "by sectors (FlexRes)")
+
+
+def _sync_words(value: int) -> str:
+    turned = value & SYNC_ANGLE_MASK
+    return (
+        f"{(turned - SYNC_ANGLE_MASK - 1 if turned > SYNC_ANGLE_MASK // 2 else turned) / TICKS_PER_DEG:g} deg"
+    )
 
 
 def _output_agrees(found: int) -> bool:

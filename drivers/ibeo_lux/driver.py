@@ -33,7 +33,8 @@ from drivers.ibeo_lux.messages import (
 )
 from drivers.ibeo_lux.protocol import FOREIGN_SCANS, DataType, Decoder, Message, encode, ntp_difference_ns
 from drivers.ibeo_lux.reduction import LayerReduction, sound_points
-from drivers.watch import MalformedRun, SilenceWatch, StampGate
+from drivers.rates import same_rate
+from drivers.watch import OUTSIDE, MalformedRun, SilenceWatch, StampGate
 
 FIRST_SCAN_TIMEOUT_S = 20.0  # a recorded dialogue has its first scan 5 s after Start
 REPORT_SHOWN_NS = 15_000_000_000  # what the device last told, or did, so long ago stays in the status
@@ -50,7 +51,6 @@ MALFORMED_LIMIT = 20  # scans in a row
 REPEATED_LIMIT = 20  # scans in a row
 OTHER_LIMIT = 10  # scans in a row
 MIN_TURN_NS, MAX_TURN_NS = 10_000_000, 160_000_000  # of the mirror; 20 to 80 ms are asked for
-RATE_TOLERANCE = 0.05
 DEVICE_ID = 1
 COUNTED_TYPES: dict[int, str] = {
     DataType.OBJECTS: "object_lists_ignored",
@@ -226,6 +226,7 @@ class IbeoLuxSession:
                 parts.append(f"scans with fewer points than announced, {count} so far")
             if self._dialogue.other_scans and self._other_in_a_row > OTHER_LIMIT:
                 parts.append(f"scans at {self._dialogue.other_scans}")
+            parts += self._dialogue.refusals
         parts += [f"error: {text}" for text in self._errors_shown()]
         parts += [f"warning: {text}" for text in self._shown(self._warnings)]
         status = self._dialogue.device_status
@@ -290,6 +291,10 @@ class IbeoLuxSession:
             self._silence.heard()  # its frame is not wanted, but it is good
             self.counters["scans_of_other_mirror_side"] += 1
             return None
+        if not self._reduction.sees(scan):
+            self.counters["scans_outside_field_of_view"] += 1
+            self._silence.dropped(OUTSIDE)
+            return None
         beams = self._reduction.reduce(scan)
         tick_ns = sweep_ns / sweep_ticks
         stamp_ns = (
@@ -323,17 +328,19 @@ class IbeoLuxSession:
     def _check_against_config(self, scan: Scan, period_ns: int) -> None:
         """Raises TransportError where a device that was as configured no longer is: a restart forgets."""
         config = self._config
-        rate = 1e9 / period_ns / config.scan_rate_hz
+        rate_hz = 1e9 / period_ns
         angles = (scan.start_ticks, scan.end_ticks)
         wanted = (config.first_ticks, config.last_ticks)
-        if abs(rate - 1.0) <= RATE_TOLERANCE and angles == wanted:
+        if same_rate(rate_hz, config.scan_rate_hz) and angles == wanted:
             self._other_in_a_row, self._was_as_configured = 0, True
             self._dialogue.other_scans = ""
             return
         self.counters["scans_not_as_configured"] += 1
         self._other_in_a_row += 1
-        found, set_to = _words(1e9 / period_ns, angles), _words(config.scan_rate_hz, wanted)
-        self._dialogue.other_scans = f"{found}, configured {set_to}"
+        found, set_to = _words(rate_hz, angles), _words(config.scan_rate_hz, wanted)
+        is_cut = angles[0] > wanted[0] or angles[1] < wanted[1]
+        cut = ", cut to these angles by the driver" if is_cut else ""
+        self._dialogue.other_scans = f"{found}, configured {set_to}{cut}"
         if self._was_as_configured and self._other_in_a_row > OTHER_LIMIT:
             raise TransportError(
                 f"{self._other_in_a_row} scans in a row at {found}, set was {set_to}; "

@@ -13,7 +13,7 @@ its horizontal angle is nearest to; of several points one is chosen:
     median    the median range, of an even number the lower
 
 So each beam is one measured point, never a mixture. The grid is the same in every scan: multiples of the step
-from the start angle down to the end angle.
+from the start angle down to the end angle, or to those of the config where the scan reaches beyond them.
 
 Elevations: Ibeo SDK 6.0.4, ScanImporter2202.cpp; of the tilted mirror of eight-layer units:
 SICKAG/libsick_ldmrs, ScanPoint and LuxBase (getVAngleOfLayer).
@@ -84,10 +84,11 @@ class LayerReduction:
         self._range_limits_cm = (config.range_min_m * 100.0, config.range_max_m * 100.0)
 
     def reduce(self, scan: Scan) -> Beams:
-        """`scan` must sweep from a larger to a smaller angle."""
+        """`scan` must sweep from a larger to a smaller angle, and `sees` some of the configured ones."""
         step = self._step_ticks
-        first_ticks = -(-scan.start_ticks // step) * step
-        beam_count = (first_ticks - scan.end_ticks + step - 1) // step + 1
+        start_ticks, end_ticks = self._sector_ticks(scan)
+        first_ticks = -(-start_ticks // step) * step
+        beam_count = (first_ticks - end_ticks + step - 1) // step + 1
         beams = Beams(
             first_ticks,
             step,
@@ -130,6 +131,18 @@ class LayerReduction:
         beams.width_cm[beam] = width_cm[index]
         return beams
 
+    def sees(self, scan: Scan) -> bool:
+        """Whether a part of the scan lies within the configured angles."""
+        start_ticks, end_ticks = self._sector_ticks(scan)
+        return start_ticks > end_ticks
+
+    def _sector_ticks(self, scan: Scan) -> tuple[int, int]:
+        """Start and end of what the scan and the config have in common."""
+        return (
+            min(scan.start_ticks, self._config.first_ticks),
+            max(scan.end_ticks, self._config.last_ticks),
+        )
+
     def _usable(self, scan: Scan) -> npt.NDArray[np.void]:
         """The points that may count, by themselves."""
         points = scan.points
@@ -142,7 +155,9 @@ class LayerReduction:
             self._count(f"points_{name}", np.count_nonzero(points["flags"] & point_flag))
             if name in self._config.discard:
                 unwanted |= point_flag
-        usable = sound & self._wanted_layer[layer] & (points["flags"] & unwanted == 0)
+        start_ticks, end_ticks = self._sector_ticks(scan)
+        inside = (points["angle_ticks"] <= start_ticks) & (points["angle_ticks"] >= end_ticks)
+        usable = sound & inside & self._wanted_layer[layer] & (points["flags"] & unwanted == 0)
         nearest_cm, farthest_cm = self._range_limits_cm
         in_range = (points["range_cm"] >= nearest_cm) & (points["range_cm"] <= farthest_cm)
         self._count("points_out_of_range", np.count_nonzero(usable & ~in_range))

@@ -32,7 +32,7 @@ from drivers.sick_lms100.telegrams import (
     ScanTelegram,
     read_scan,
 )
-from drivers.watch import SAME_STAMP, DropReason, MalformedRun, SilenceWatch, StampGate
+from drivers.watch import OUTSIDE, SAME_STAMP, DropReason, MalformedRun, SilenceWatch, StampGate
 
 FIRST_SCAN_TIMEOUT_S = 45.0  # after a change of the scan rate data flow again after some 30 s
 MALFORMED_LIMIT = 20  # scan telegrams in a row
@@ -46,10 +46,6 @@ NO_SCAN_RATE = DropReason(
     "with a scan rate of 0 Hz", "the sensor does not know how fast it turns: switch its power off and on"
 )
 
-OUTSIDE = DropReason(
-    "without a beam in the configured field of view",
-    "write first_angle_deg and last_angle_deg as the sensor is set, or widen its field of view",
-)
 
 STATUS_BITS = {1: "device error", 2: "contamination warning", 4: "contamination error"}
 
