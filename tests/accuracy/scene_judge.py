@@ -17,6 +17,7 @@ WRONG_M = 0.3  # a pose that is farther off must not be `ok`
 WITHIN_M, SIGMAS = 0.05, 3.0  # a pose within both needs no `degraded`
 NORMED = 3.76  # of three coordinates a distance of so many is as rare as SIGMAS of one
 RIGHT_M = 0.1
+ALLOWED_PERCENT = 2.0  # of the way, where the sources that are left are good
 MAP_NS = 2_000_000_000  # before the fault: where the map has the vehicle then is right
 LEAST_COVARIANCE = np.diag([1e-8, 1e-8, 1e-10])  # the first scan of a map knows its pose without error
 
@@ -38,6 +39,13 @@ class Verdict:
     end_percent: float  # of the way since the fault began
     right_after_s: float  # the end of the fault: from then on within RIGHT_M and not lost; inf: never
     ghosts: int  # cells of the map
+
+    @property
+    def over_m(self) -> float:
+        """Off at the end of the fault by so much more than ALLOWED_PERCENT of the way during it."""
+        if math.isnan(self.fault_percent):
+            return self.fault_m
+        return self.fault_m * (1.0 - ALLOWED_PERCENT / max(self.fault_percent, ALLOWED_PERCENT))
 
     def line(self) -> str:
         shown = []
@@ -92,9 +100,9 @@ def judge(
     is_beyond = (off_m > WITHIN_M) & (normed(errors, outputs) > NORMED)
     is_fault = (stamp_ns >= from_ns) & (stamp_ns < to_ns)
     way_m = np.r_[0.0, np.cumsum([_way_m(a, b) for a, b in pairwise(truth)])]
-    begun = int(np.searchsorted(stamp_ns, from_ns))
+    begun = max(int(np.searchsorted(stamp_ns, from_ns)) - 1, 0)
     over = min(int(np.searchsorted(stamp_ns, to_ns)), len(stamp_ns) - 1)
-    since_m = way_m - way_m[min(begun, len(way_m) - 1)]
+    since_m = way_m - way_m[begun]
     return Verdict(
         scans=len(outputs),
         ok_off=int(np.sum(is_ok & (off_m > WRONG_M))),
