@@ -73,8 +73,8 @@ def rolled(drive: Trajectory, slips: Sequence[Slip], time_s: Floats) -> Floats:
 
 
 def beside(count: int, gap_m: float) -> list[Offset]:
-    """In two files, gap_m to the left and to the right, the nearest first."""
-    ahead_m = [0.2, 0.9, -0.5, 1.6, -1.2, 2.3, -1.9, 3.0]
+    """In two files, gap_m to the left and to the right, the vehicle among them."""
+    ahead_m = [0.9, -0.5, 0.2, 1.6, -1.2, 2.3, -1.9, 3.0]
     return [(ahead_m[(k // 2) % len(ahead_m)], gap_m if k % 2 == 0 else -gap_m) for k in range(count)]
 
 

@@ -49,13 +49,13 @@ def test_companions_keep_their_place_beside_the_way_of_the_vehicle(world: World)
     people = with_companions(world, beside(2, 0.8), FROM_S, TO_S, sway_m=0.0).people
     for time_s in (FROM_S, MIDDLE_S):
         seen = [base_at(world, time_s).inverse() @ SE2(*person.place(time_s), 0.0) for person in people]
-        np.testing.assert_allclose([(s.x_m, s.y_m) for s in seen], [(0.2, 0.8), (0.2, -0.8)], atol=0.01)
+        np.testing.assert_allclose([(s.x_m, s.y_m) for s in seen], [(0.9, 0.8), (0.9, -0.8)], atol=0.01)
 
 
 def test_companions_are_seen_only_for_their_time(world: World) -> None:
     escorted = with_companions(world, beside(1, 0.8), FROM_S, TO_S, sway_m=0.0)
-    at_side_deg = math.degrees(math.atan2(0.8, 0.2))
-    assert range_m(escorted, MIDDLE_S, at_side_deg) == pytest.approx(math.hypot(0.2, 0.8) - 0.25, abs=0.01)
+    at_side_deg = math.degrees(math.atan2(0.8, 0.9))
+    assert range_m(escorted, MIDDLE_S, at_side_deg) == pytest.approx(math.hypot(0.9, 0.8) - 0.25, abs=0.01)
     for time_s in (FROM_S - 0.1, TO_S + 0.1):
         assert range_m(escorted, time_s, at_side_deg) > 3.0
     staying = with_companions(world, beside(1, 0.8), FROM_S, TO_S, stay=True).people[0]
