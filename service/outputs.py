@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +11,70 @@ from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 
 State = Literal["ok", "degraded", "lost"]
+STATES: tuple[State, ...] = get_args(State)
+
+# Why a scan is not `ok`; "": it is. Other programs read these: new ones may come, none changes its meaning.
+# docs/mapping.md has a table of them.
+ReasonId = Literal[
+    "",
+    # the scan on the map
+    "few_returns",
+    "contradicted",
+    "off_map",
+    "little_on_map",
+    "new_ground",
+    "few_confirming",
+    "little_in_common",
+    "unconfirmed",
+    "prediction_stands",
+    "new_map",
+    # how well the pose is known
+    "pose_uncertain",
+    "open_direction",
+    "drift",
+    "unmeasured_way",
+    # the place in a map
+    "not_placed",
+    "placed_once",
+    "found_once",
+    "several_places",
+    "pose_refused",
+    # sensors
+    "odometry_stuck",
+    "odometry_contradicts",
+    "odometry_turns_opposed",
+    "odometry_mounting",
+    "imu_contradicts",
+    "laser_repeats",
+    "laser_covered",
+    "laser_contradicts",
+    "laser_mounting",
+    "laser_stamps",
+]
+
+
+class Reason(str):
+    """Why a scan is not `ok`, for people and for programs: a sentence with its figures, and its `id`, which
+    stays the same when the words change. False where it is empty.
+    """
+
+    __slots__ = ("id",)
+    id: ReasonId
+
+    def __new__(cls, id: ReasonId, words: str) -> "Reason":
+        reason = super().__new__(cls, words)
+        reason.id = id
+        return reason
+
+    def __getnewargs__(self) -> tuple[ReasonId, str]:  # type: ignore[override]  # str has no id to pickle
+        return self.id, str(self)
+
+    def reworded(self, words: str) -> "Reason":
+        """The same reason in other words."""
+        return Reason(self.id, words)
+
+
+NO_REASON = Reason("", "")
 
 # Occupancy of a cell as nav_msgs/OccupancyGrid has it; between FREE and OCCUPIED: per cent.
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100
@@ -75,7 +139,7 @@ class MapperOutput:
     twist_base: tuple[float, float, float]  # m/s forward, m/s left, rad/s
     covariance: npt.NDArray[np.float64]  # (3, 3) of x, y, theta in the map, base axes; m^2, m rad, rad^2
     state: State
-    reason: str  # why it is not "ok", else ""
+    reason: Reason  # why it is not "ok", else NO_REASON
     inlier_ratio: float  # share of the beams used that agree with the map, 0..1
     geo_reference: GeoReference | None = None  # where the map lies on the earth; None: that is not known
     # of pose_odom_base against the first scan, which no loop makes smaller; None: the same as in the map

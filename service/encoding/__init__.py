@@ -74,7 +74,7 @@ from service.encoding.wire import (
     type_hash,
 )
 from service.geometry.se2 import SE2
-from service.outputs import GraphPicture, Grid, MapperOutput
+from service.outputs import NO_REASON, GraphPicture, Grid, MapperOutput
 
 __all__ = [
     "APPLY_RESULT",
@@ -140,7 +140,7 @@ __all__ = [
     "warm_up",
 ]
 
-_OUTPUT = MapperOutput(1, SE2(), SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 1.0)
+_OUTPUT = MapperOutput(1, SE2(), SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", NO_REASON, 1.0)
 _LINE = np.zeros((2, 2), np.float32)
 _ONE_OF_EACH: tuple[Callable[[], Message], ...] = (
     lambda: encode_frame(

@@ -38,6 +38,7 @@ from service.kernels.filter_state import (
 from service.kernels.source_noise import begin_window
 from service.kernels.sweep import motion_at, sweep_deviation
 from service.kernels.tracks import Track, begin_twist
+from service.outputs import NO_REASON, Reason
 
 log = logging.getLogger(__name__)
 
@@ -193,28 +194,31 @@ class Estimator:
         self._elapsed_s = 0.0
 
     @property
-    def fault(self) -> str:
-        """Which source contradicts the scans, and what may be the matter; "" where none does."""
+    def fault(self) -> Reason:
+        """Which source contradicts the scans, and what may be the matter; NO_REASON where none does."""
         if self._still.is_stuck:
-            return (
+            return Reason(
+                "odometry_stuck",
                 "odometry contradicts the scans (it says the same pose again and again while they move) and "
-                "is not used; is an encoder dead, does its driver repeat its last message?"
+                "is not used; is an encoder dead, does its driver repeat its last message?",
             )
         way, turns = self._filter.noise.tolist()
         gyro = float(self._filter.gyro_noise[0])
         if max(way, turns) > FAULT_NOISE:
             of = "distance" if way >= turns else "turns"
-            return (
+            return Reason(
+                "odometry_contradicts",
                 f"odometry contradicts the scans ({of} off by {math.sqrt(max(way, turns)):.0f} times the "
-                "noise of its model) and loses weight; do wheels slip, is a sign wrong, is an encoder dead?"
+                "noise of its model) and loses weight; do wheels slip, is a sign wrong, is an encoder dead?",
             )
         if gyro > FAULT_NOISE:
-            return (
+            return Reason(
+                "imu_contradicts",
                 f"the IMU's turns contradict the scans (off by {math.sqrt(gyro):.0f} times the noise of "
                 "their model) and lose weight; is it mounted upside down, is its unit rad/s, is its "
-                "bias large?"
+                "bias large?",
             )
-        return ""
+        return NO_REASON
 
     @property
     def learnt(self) -> npt.NDArray[np.float64]:

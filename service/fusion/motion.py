@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from drivers.frames import ImuSample, OdometrySample
 from service.geometry.se2 import SE2
+from service.outputs import Reason
 
 Matrix = npt.NDArray[np.float64]
 
@@ -91,8 +92,8 @@ class MotionModel(Protocol):
     """Predicts where the vehicle is at a moment of a scan, from whatever moves with it."""
 
     @property
-    def fault(self) -> str:
-        """Which source contradicts the others, by how much, and where to look; or ""."""
+    def fault(self) -> Reason:
+        """Which source contradicts the others, by how much, and where to look; or NO_REASON."""
         ...
 
     def add(self, sample: ImuSample | OdometrySample) -> bool:

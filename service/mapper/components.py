@@ -17,7 +17,7 @@ from service.mapper.background import InlineWorker, NewWorker
 from service.mapper.known_pose import KnownPose
 from service.mapper.patch_store import MemoryPatches, NewPatchStore
 from service.mapper.saved_graph import KeepGraph, KeptGraph, SavedGraph
-from service.outputs import GraphPicture, State, TileUpdate
+from service.outputs import NO_REASON, GraphPicture, Reason, State, TileUpdate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +64,7 @@ class Match:
     points: Points
     inlier_ratio: float
     state: State = "ok"
-    reason: str = ""
+    reason: Reason = NO_REASON
     submap: int | None = None
     measured: Measurement | None = None
     is_contradicted: bool = True

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.fusion.motion import Prediction
 from service.geometry.se2 import SE2
 from service.mapper.components import Match, Points
-from service.outputs import State
+from service.outputs import NO_REASON, Reason, State
 
 LEAST_RETURNS = 5  # with fewer a scan is not matched: three unknowns, and two to contradict
 LEAST_CONFIRMING = 20  # `ok`: so many returns of the scan
@@ -119,7 +119,7 @@ def begun(points: Points, predicted: Prediction) -> Match:
 def held(
     points: Points,
     predicted: Prediction,
-    reason: str,
+    reason: Reason,
     inlier_ratio: float = 0.0,
     is_contradicted: bool = True,
 ) -> Match:
@@ -127,17 +127,18 @@ def held(
     return Match(predicted, points, inlier_ratio, "lost", reason, is_contradicted=is_contradicted)
 
 
-def too_few(points: Points) -> str:
-    """Why a scan has too few returns to be matched, "" where it has enough."""
+def too_few(points: Points) -> Reason:
+    """Why a scan has too few returns to be matched, NO_REASON where it has enough."""
     if len(points.xy_base) >= LEAST_RETURNS:
-        return ""
-    return (
+        return NO_REASON
+    return Reason(
+        "few_returns",
         f"{points.scan.sensor}: {len(points.xy_base)} of {len(points.scan.range_m)} beams returned "
-        f"(at least {LEAST_RETURNS}); is the window covered, or is there nothing in range?"
+        f"(at least {LEAST_RETURNS}); is the window covered, or is there nothing in range?",
     )
 
 
-def judge_blank(few: str, prior: tuple[float, float], blank_s: float) -> tuple[State, str]:
+def judge_blank(few: Reason, prior: tuple[float, float], blank_s: float) -> tuple[State, Reason]:
     """State and reason of the pose at a scan with too few returns, where the pose was known before.
 
     Such a scan measures nothing and contradicts nothing: the pose is the prediction, known as well as that.
@@ -148,11 +149,12 @@ def judge_blank(few: str, prior: tuple[float, float], blank_s: float) -> tuple[S
     """
     state: State = "lost" if is_loose(prior) or blank_s > MOST_BLANK_S else "degraded"
     most = TIGHT_SIGMA_M, TIGHT_SIGMA_RAD
-    return state, f"{few} The pose follows the prediction for {blank_s:.2f} s, {_uncertain(prior, most)}"
+    words = f"{few} The pose follows the prediction for {blank_s:.2f} s, {_uncertain(prior, most)}"
+    return state, few.reworded(words)
 
 
-def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, str]:
-    """State and its reason, "" where it is ok. "lost": the match is rejected.
+def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, Reason]:
+    """State and its reason, NO_REASON where it is ok. "lost": the match is rejected.
 
     A scan may lie on the map in small part for two reasons. On new ground its returns lie where the map knows
     nothing; then a prediction that is good carries the pose. At a wrong pose they lie where the map knows
@@ -173,41 +175,46 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, str]:
         return "lost", _contradicted(evidence)
     least = limits.degraded_ratio if evidence.is_far else limits.lost_ratio
     if ratio < least and not (is_carried and ratio >= LEAST_KNOWN):
-        return "lost", f"{_on_map(evidence)} (at least {least:.0%}); the pose follows the prediction"
+        words = f"{_on_map(evidence)} (at least {least:.0%}); the pose follows the prediction"
+        return "lost", Reason("off_map", words)
     if evidence.sigma[0] > LOST_SIGMA_M or evidence.sigma[1] > LOST_SIGMA_RAD:
         most = LOST_SIGMA_M, LOST_SIGMA_RAD
-        return "lost", f"the pose on the map is {_uncertain(evidence.sigma, most)}"
+        return "lost", _pose_uncertain(evidence, most)
     if ratio < limits.degraded_ratio:
-        return "degraded", (
+        return "degraded", Reason(
+            "little_on_map",
             f"{_on_map(evidence)} (expected {limits.degraded_ratio:.0%}): unmapped ground, or a place that "
-            "has changed much"
+            "has changed much",
         )
     if evidence.sigma[0] > MOST_SIGMA_M or evidence.sigma[1] > MOST_SIGMA_RAD:
         most = MOST_SIGMA_M, MOST_SIGMA_RAD
-        return "degraded", f"the pose on the map is {_uncertain(evidence.sigma, most)}"
+        return "degraded", _pose_uncertain(evidence, most)
     if evidence.used < LEAST_CONFIRMING:
-        return "degraded", (
+        return "degraded", Reason(
+            "few_confirming",
             f"{evidence.used} returns (expected at least {LEAST_CONFIRMING}) confirm no place; "
-            "is the window covered, or is there little in range?"
+            "is the window covered, or is there little in range?",
         )
     sigma_m, direction_rad = evidence.weakest
     if sigma_m > limits.degraded_sigma_m:
         sigma = f"{sigma_m:.2f} m" if sigma_m <= NOT_KNOWN_M else "not known"
-        return "degraded", (
+        return "degraded", Reason(
+            "open_direction",
             "the scan does not fix the position along the direction "
-            f"{math.degrees(direction_rad) % 180.0:.0f} deg from the vehicle's heading (sigma "
-            f"{sigma}, expected at most {limits.degraded_sigma_m:g} m); there the pose follows the prediction"
+            f"{math.degrees(direction_rad) % 180.0:.0f} deg from the vehicle's heading (sigma {sigma}, "
+            f"expected at most {limits.degraded_sigma_m:g} m); there the pose follows the prediction",
         )
-    return "ok", ""
+    return "ok", NO_REASON
 
 
-def _on_unknown_ground(evidence: Evidence) -> tuple[State, str]:
+def _on_unknown_ground(evidence: Evidence) -> tuple[State, Reason]:
     """A scan of which nothing lies on the map, though the prediction is good: new ground, unless more returns
     than chance explains lie where nothing stands or behind walls that should be seen from there.
     """
     if is_contradicted(evidence):
         return "lost", _contradicted(evidence)
-    return "degraded", f"{_on_map(evidence)}: unmapped ground; the pose follows the prediction onto it"
+    words = f"{_on_map(evidence)}: unmapped ground; the pose follows the prediction onto it"
+    return "degraded", Reason("new_ground", words)
 
 
 def is_contradicted(evidence: Evidence) -> bool:
@@ -217,16 +224,23 @@ def is_contradicted(evidence: Evidence) -> bool:
     return evidence.in_free + (evidence.behind or 0.0) > usual * used + chance
 
 
-def drift_of(covariance: npt.NDArray[np.float64]) -> str:
-    """Why a pose with a covariance (3, 3) in the map is not known well enough to be `ok`; "" where it is."""
+def drift_of(covariance: npt.NDArray[np.float64]) -> Reason:
+    """Why a pose with a covariance (3, 3) in the map is not known well enough to be `ok`; NO_REASON where it
+    is.
+    """
     sigma_m, sigma_rad = sigmas_of(covariance)
     if sigma_m <= MOST_DRIFT_M and sigma_rad <= MOST_DRIFT_RAD:
-        return ""
-    return (
+        return NO_REASON
+    return Reason(
+        "drift",
         "the pose has drifted without loop closures: in the map it is "
         f"{_uncertain((sigma_m, sigma_rad), (MOST_DRIFT_M, MOST_DRIFT_RAD))}; drive past a place that is "
-        "mapped already"
+        "mapped already",
     )
+
+
+def _pose_uncertain(evidence: Evidence, most: tuple[float, float]) -> Reason:
+    return Reason("pose_uncertain", f"the pose on the map is {_uncertain(evidence.sigma, most)}")
 
 
 def _uncertain(sigmas: tuple[float, float], most: tuple[float, float]) -> str:
@@ -240,12 +254,13 @@ def _uncertain(sigmas: tuple[float, float], most: tuple[float, float]) -> str:
     )
 
 
-def _contradicted(evidence: Evidence) -> str:
+def _contradicted(evidence: Evidence) -> Reason:
     used = max(evidence.used, 1)
     behind = "" if evidence.behind is None else f", {evidence.behind / used:.0%} behind its walls"
-    return (
+    return Reason(
+        "contradicted",
         f"{_on_map(evidence)}, {evidence.in_free / used:.0%} in its free space{behind}: another place, "
-        "or one that has changed much; the pose follows the prediction"
+        "or one that has changed much; the pose follows the prediction",
     )
 
 

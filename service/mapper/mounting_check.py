@@ -15,6 +15,7 @@ import numpy as np
 
 from service.fusion.motion import Matrix, Measurement, Prediction
 from service.geometry.se2 import SE2
+from service.outputs import NO_REASON, Reason
 
 TOLERANCE = np.diag([0.03, 0.03, math.radians(0.5)]) ** 2  # m, m, rad: how well people measure a mounting
 SEARCHED = np.diag([0.10, 0.10, math.radians(6.0)]) ** 2  # sigmas of the search for its scans meanwhile
@@ -34,7 +35,7 @@ class MountingCheck:
 
     def __init__(self) -> None:
         self.is_right = True
-        self.fault = ""  # by how much it is off, once that is known
+        self.fault = NO_REASON  # by how much it is off, once that is known
         self._offset = np.zeros(3)  # of the sensor from where it should sit, base axes: m, m, rad
         self._begin_batch()
 
@@ -70,9 +71,10 @@ class MountingCheck:
         self._missed += 1
         if self._missed >= BATCH_SCANS:
             self._begin_batch()
-            self.fault = (
+            self.fault = Reason(
+                "laser_mounting",
                 "does not fit the map of the other lasers, even after a search around its configured "
-                "mounting; it is not mapped. Are its mounting and theirs as configured?"
+                "mounting; it is not mapped. Are its mounting and theirs as configured?",
             )
 
     def _begin_batch(self) -> None:
@@ -90,12 +92,13 @@ class MountingCheck:
         chi2 = float(self._offset @ np.linalg.solve(covariance + TOLERANCE, self._offset))
         self.is_right = chi2 <= MOST_CHI2
         x_m, y_m, turn_rad = self._offset.tolist()
-        self.fault = ""
+        self.fault = NO_REASON
         if not self.is_right:
-            self.fault = (
+            self.fault = Reason(
+                "laser_mounting",
                 f"is off its configured mounting by {math.degrees(turn_rad):+.1f} deg, {x_m:+.2f} m ahead "
                 f"and {y_m:+.2f} m left, measured on the map of the other lasers; it is not mapped. Measure "
-                "its mounting and theirs, and correct the config"
+                "its mounting and theirs, and correct the config",
             )
 
 

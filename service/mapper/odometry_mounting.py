@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from drivers.frames import OdometrySample
 from service.geometry.se2 import SE2, wrap_angle
+from service.outputs import NO_REASON, Reason
 
 Floats = npt.NDArray[np.float64]
 STEP_M, STEP_RAD = 0.4, 0.15  # one of both ends a step
@@ -40,10 +41,10 @@ MOST_CHI2 = 16.3  # 99.9 % of three degrees of freedom
 
 
 class OdometryMounting:
-    """Compares steps of scan matching with those of odometry; `fault` is "" while they go together."""
+    """Compares steps of scan matching with those of odometry; `fault` is NO_REASON while they go together."""
 
     def __init__(self) -> None:
-        self.fault = ""
+        self.fault = NO_REASON
         self._samples: deque[tuple[int, SE2]] = deque(maxlen=SAMPLES)
         self._waiting: tuple[int, SE2] | None = None  # a pose that is newer than odometry
         self._last: tuple[int, SE2, SE2] | None = None  # end of the last step: stamp, by scans, by odometry
@@ -107,19 +108,23 @@ class OdometryMounting:
         return None
 
 
-def fault_of(steps: Floats) -> str:
-    """steps   (K, 6) x, y m and theta rad by scan matching, then by odometry, in the base at their begin"""
+def fault_of(steps: Floats) -> Reason:
+    """NO_REASON where they go together.
+
+    steps   (K, 6) x, y m and theta rad by scan matching, then by odometry, in the base at their begin
+    """
     if turns_are_opposed(steps):
-        return (
+        return Reason(
+            "odometry_turns_opposed",
             "odometry turns the other way than the scans; is a laser mounted upside down, contrary to its "
-            "mounting in the config, or are the wheels of odometry swapped?"
+            "mounting in the config, or are the wheels of odometry swapped?",
         )
     found = offset_of(steps)
     if found is None:
-        return ""
+        return NO_REASON
     offset, covariance = found
     if float(offset @ np.linalg.solve(covariance + TOLERANCE, offset)) <= MOST_CHI2:
-        return ""
+        return NO_REASON
     axle = SE2(*offset.tolist()).inverse()
     yaw_deg = math.degrees(axle.theta_rad)
     side = "left" if yaw_deg > 0 else "right"
@@ -127,10 +132,11 @@ def fault_of(steps: Floats) -> str:
     point = f"{axle.x_m:+z.2f} m ahead and {axle.y_m:+z.2f} m left of its base (sigma {sigma_m:.2f})"
     if sigma_m > KNOWN_SIGMA_M:
         point = "that is not known"
-    return (
+    return Reason(
+        "odometry_mounting",
         f"by odometry the vehicle drives {abs(yaw_deg):.1f} deg to the {side} of "
         f"its heading (sigma {sigma_deg:.1f}) and turns around a point {point}; are the lasers "
-        "mounted as configured, are the signs of odometry right? corridor calibrate measures mountings"
+        "mounted as configured, are the signs of odometry right? corridor calibrate measures mountings",
     )
 
 

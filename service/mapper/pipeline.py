@@ -30,7 +30,7 @@ from service.mapper.place_in_map import PlaceInMap
 from service.mapper.saved_graph import KeptGraph, SavedGraph
 from service.mapper.scan_check import OdometryWait, ScanCheck
 from service.mapper.stamp_check import StampChecks
-from service.outputs import GraphPicture, Grid, MapperOutput, State, TileUpdate
+from service.outputs import NO_REASON, GraphPicture, Grid, MapperOutput, Reason, State, TileUpdate
 
 MOST_BEHIND_NS = 300_000_000  # that a sweep may have begun before the newest pose: latency and a slow laser
 CHANGES_TOLD_NS = 5_000_000_000  # between two counts of the cells that have changed
@@ -76,7 +76,8 @@ class Mapper(Generic[ReadableMap]):
         self._odometry_mounting = OdometryMounting()
         self._stamps = StampChecks()
         self._travelled_m = 0.0  # as predicted, from scan to scan
-        self._state: tuple[State, str] = ("ok", "")  # and its reason, of the newest scan that was mapped
+        # of the newest scan that was mapped, and its reason
+        self._state: tuple[State, Reason] = ("ok", NO_REASON)
         self._placed_ns: int | None = None  # moment of the newest scan with returns; None: that was lost
         self.geo_reference = geo_reference  # None: where the map lies on the earth is not known
         self.counters: Counter[str] = Counter()  # scans, scans_dropped_late, samples_dropped_late ...
@@ -270,7 +271,7 @@ class Mapper(Generic[ReadableMap]):
         self._state = match.state, match.reason
         return self._output(scan, at_ns, match.motion, match.state, match.reason, match.inlier_ratio)
 
-    def _blank(self, match: Match, few: str, at_ns: int, predicted: Prediction) -> Match:
+    def _blank(self, match: Match, few: Reason, at_ns: int, predicted: Prediction) -> Match:
         """A scan with too few returns, by any matcher lost, with the state that the prediction deserves."""
         self.counters[f"scans_blind_{match.points.scan.sensor}"] += 1
         if self._placed_ns is None:
@@ -279,7 +280,7 @@ class Mapper(Generic[ReadableMap]):
         state, reason = judge_blank(few, sigmas, (at_ns - self._placed_ns) * 1e-9)
         return replace(match, state=state, reason=reason)
 
-    def _motion_fault(self, match: Match, at_ns: int) -> str:
+    def _motion_fault(self, match: Match, at_ns: int) -> Reason:
         """What contradicts a scan that lay on the map: by odometry, the mounting; or a source of motion."""
         self._odometry_mounting.add_pose(at_ns, match.motion.pose_odom_base)
         return self._odometry_mounting.fault or self._components.motion_model.fault
@@ -310,7 +311,7 @@ class Mapper(Generic[ReadableMap]):
         if fault := self._stamps.fault_of(scan.sensor) or laser.mounting.fault:
             is_alone = not self._well_besides(scan.sensor, at_ns)
             if is_alone or state == "ok":
-                state, reason = "lost" if is_alone else "degraded", f"{scan.sensor} {fault}"
+                state, reason = "lost" if is_alone else "degraded", fault.reworded(f"{scan.sensor} {fault}")
         return self._output(scan, at_ns, motion, state, reason, match.inlier_ratio)
 
     def _well_besides(self, sensor: str, at_ns: int) -> str:
@@ -329,12 +330,13 @@ class Mapper(Generic[ReadableMap]):
         """
         if few:
             self.counters[f"scans_blind_{scan.sensor}"] += 1
-            reason = f"{few} It is not mapped; {well} confirms the map"
+            reason = Reason("laser_covered", f"{few} It is not mapped; {well} confirms the map")
             return self._output(scan, at_ns, match.motion, "degraded", reason, match.inlier_ratio)
         self.counters[f"scans_contradicting_{scan.sensor}"] += 1
-        reason = (
+        reason = Reason(
+            "laser_contradicts",
             f"{scan.sensor} contradicts the map that {well} confirms ({match.reason}); its scan is not "
-            "mapped. Is its mounting as configured, is its window clean?"
+            "mapped. Is its mounting as configured, is its window clean?",
         )
         return self._output(scan, at_ns, match.motion, "degraded", reason, match.inlier_ratio)
 
@@ -342,14 +344,15 @@ class Mapper(Generic[ReadableMap]):
         """A scan that equals the one before: the pose follows the prediction, and nothing is mapped."""
         self.counters["scans_repeated"] += 1
         motion = self._components.motion_model.correct(None)
-        reason = (
-            f"{scan.sensor}: identical scans although the vehicle moves; has the laser stopped measuring?"
+        reason = Reason(
+            "laser_repeats",
+            f"{scan.sensor}: identical scans although the vehicle moves; has the laser stopped measuring?",
         )
         state: State = "degraded" if self._well_besides(scan.sensor, at_ns) else "lost"
         return self._output(scan, at_ns, motion, state, reason, 0.0)
 
     def _output(
-        self, scan: LaserScan, at_ns: int, motion: Motion, state: State, reason: str, share: float
+        self, scan: LaserScan, at_ns: int, motion: Motion, state: State, reason: Reason, share: float
     ) -> MapperOutput:
         """Where the base was when the scan began; right after the output before, where it began sooner.
 

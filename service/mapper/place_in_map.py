@@ -6,10 +6,15 @@ from service.fusion.motion import Matrix, Motion
 from service.geometry.se2 import SE2
 from service.mapper.components import GraphUpdate, MapChange, Match, Placed, PlaceNews
 from service.mapper.known_pose import KnownPose
+from service.outputs import Reason
 
-UNPROVEN = "localised in the stored map from one viewpoint; drive on some metres to confirm it"
-FOUND_ONCE = "found again in the map from one viewpoint; drive on some metres to confirm it"
-NOT_PLACED = "not localised in the stored map yet; drive on, or set the pose"
+UNPROVEN = Reason(
+    "placed_once", "localised in the stored map from one viewpoint; drive on some metres to confirm it"
+)
+FOUND_ONCE = Reason(
+    "found_once", "found again in the map from one viewpoint; drive on some metres to confirm it"
+)
+NOT_PLACED = Reason("not_placed", "not localised in the stored map yet; drive on, or set the pose")
 
 
 class PlaceInMap:
@@ -76,14 +81,15 @@ class PlaceInMap:
         """(3, 3) of a pose of the newest scan in the map, base axes."""
         return motion.covariance if self._known_here is None else self._known_here.covariance_at(motion)
 
-    def _why_lost(self, reason: str) -> str:
+    def _why_lost(self, reason: Reason) -> Reason:
         """With the places that a person could choose between, and the one that was refused."""
         if self._news.alike:
             places = " and ".join(f"({x_m:.1f}, {y_m:.1f}) m" for x_m, y_m in self._news.alike)
             alike = f"the scans match the map equally well at {places}"
-            reason = f"{reason}; {alike}" if self.is_found else f"{alike}; drive on, or set the pose"
+            words = f"{reason}; {alike}" if self.is_found else f"{alike}; drive on, or set the pose"
+            reason = Reason("several_places", words)
         if self.pose_refused is not None:
             x_m, y_m, _ = self.pose_refused
             refused = f"the pose set at ({x_m:.1f}, {y_m:.1f}) m is rejected: no scan matches the map there"
-            reason = f"{refused}; {reason}"
+            reason = Reason("pose_refused", f"{refused}; {reason}")
         return reason

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.geometry.se2 import wrap_angle
+from service.outputs import NO_REASON, Reason
 
 LONGEST_GAP_NS = 400_000_000  # between two scans, within which the vehicle turns steadily
 SAME_ERRORS = 20.0  # scans that see the same errors of the map, as in mounting_check
@@ -114,14 +115,15 @@ class StampChecks:
         check = self._checks.get(sensor)
         return 0.0 if check is None else check.late_s
 
-    def fault_of(self, sensor: str) -> str:
-        """ "" where the stamps of this laser go together with those of the first."""
+    def fault_of(self, sensor: str) -> Reason:
+        """NO_REASON where the stamps of this laser go together with those of the first."""
         check = self._checks.get(sensor)
         if check is None or check.late_s == 0.0:
-            return ""
+            return NO_REASON
         is_late = "late" if check.late_s > 0.0 else "early"
-        return (
+        return Reason(
+            "laser_stamps",
             f"has stamps that are {abs(check.late_s) * 1e3:.0f} ms {is_late} against those of {self._first} "
             f"(sigma {check.sigma_s * 1e3:.1f}), by the turns that both saw; it is not mapped beside that. "
-            "Correct latency_ms of the one that is wrong (corridor calibrate measures it), or its clock"
+            "Correct latency_ms of the one that is wrong (corridor calibrate measures it), or its clock",
         )

@@ -32,12 +32,17 @@ class StateReasons:
         kind = output.state, kind_of(output.reason)
         if kind not in self._kinds:
             first_s = round((output.stamp_ns - self._begin_ns) / 1e9, 3)
-            self._kinds[kind] = {"reason": output.reason, "scans": 0, "first_s": first_s}
+            self._kinds[kind] = {
+                "id": output.reason.id,
+                "reason": str(output.reason),
+                "scans": 0,
+                "first_s": first_s,
+            }
         self._kinds[kind]["scans"] += 1
 
     def as_dict(self) -> dict[str, list[dict[str, Any]]]:
-        """State -> its most frequent kinds, the first reason of each, how many scans it has, and when it came
-        first, in s after the first scan.
+        """State -> its most frequent kinds: id of the reason, the first reason, how many scans it has, and
+        when it came first, in s after the first scan.
         """
         kinds = sorted(self._kinds.items(), key=lambda kind: -kind[1]["scans"])
         return {state: [told for (of, _), told in kinds if of == state][:MOST_KINDS] for state in STATES}

@@ -230,7 +230,8 @@ class HealthReport:
             level = WARNING if self._now_ns - since_ns <= FIRST_POSE_NS else ERROR
             return Status("mapping", level, ": ".join(filter(None, (words, self._why_unmapped()))), values)
         age_s = max(self._now_ns - outputs.last_ns, 0) / 1e9
-        values |= {"state": last.state, "inlier_ratio": f"{last.inlier_ratio:.3f}", "age_s": f"{age_s:.2f}"}
+        values |= {"state": last.state, "reason_id": last.reason.id}
+        values |= {"inlier_ratio": f"{last.inlier_ratio:.3f}", "age_s": f"{age_s:.2f}"}
         if self._now_ns - outputs.last_ns > POSE_STALE_NS:
             values["state"] = "stale"
             why = self._why_unmapped() or f"no scan of {' or '.join(outputs.lasers)}"

@@ -13,7 +13,7 @@ from service.encoding import LASER_SCAN, Message
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapper.mapping_session import SessionAction
-from service.outputs import GraphPicture, Grid, State, TileUpdate
+from service.outputs import GraphPicture, Grid, Reason, State, TileUpdate
 
 
 class FrameItem(NamedTuple):
@@ -177,7 +177,7 @@ class Mapped(NamedTuple):
     arrived_ns: int
     stamp_ns: int
     state: State
-    reason: str
+    reason: Reason
     inlier_ratio: float
     cpu_ns: int  # processor time of the mapper
     messages: tuple[Message, ...]  # pose first

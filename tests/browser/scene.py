@@ -18,7 +18,7 @@ from service.encoding import (
 )
 from service.geometry.se2 import SE2
 from service.mapstore.tiles import TileStore
-from service.outputs import FREE, OCCUPIED, UNKNOWN, MapperOutput, TileUpdate
+from service.outputs import FREE, NO_REASON, OCCUPIED, UNKNOWN, MapperOutput, TileUpdate
 
 CELL_M, EDGE = 0.05, 64
 FIRST_NS = 1_700_000_000_000_000_000
@@ -93,7 +93,9 @@ class Scene:
 
     def output(self, seconds: float) -> MapperOutput:
         twist = (1.0, 0.0, 0.5)
-        return MapperOutput(stamp(seconds), self.pose(seconds), SE2(), twist, COVARIANCE, "ok", "", 0.9)
+        return MapperOutput(
+            stamp(seconds), self.pose(seconds), SE2(), twist, COVARIANCE, "ok", NO_REASON, 0.9
+        )
 
     def _tiles_to_a_side(self) -> tuple[int, int]:
         edge_m = EDGE * CELL_M

@@ -12,7 +12,7 @@ from drivers.link import RawChunk
 from drivers.sick_lms100.driver import Lms100Session
 from service.encoding import encode_pose, encode_raw
 from service.geometry.se2 import SE2
-from service.outputs import MapperOutput
+from service.outputs import NO_REASON, MapperOutput
 from service.recording.mcap_file import McapFile
 from simulators.sick_lms100 import FakeLms100, Lms100Setup
 from tests.docs.blocks import ROOT, written_in
@@ -41,7 +41,7 @@ def test_no_program_is_without_a_test():
 
 
 def test_the_subscriber_prints_poses_for_as_long_as_they_come(publisher, client):
-    output = MapperOutput(1, SE2(1.0, 2.0, 0.5), SE2(), (0.0, 0.0, 0.0), np.eye(3), "ok", "", 1.0)
+    output = MapperOutput(1, SE2(1.0, 2.0, 0.5), SE2(), (0.0, 0.0, 0.0), np.eye(3), "ok", NO_REASON, 1.0)
     payload = encode_pose(output, 1).payload
     here = program_of("README.md").replace("tcp/127.0.0.1:7447", publisher.endpoints[0])
     poses = client.declare_publisher("corridor/v1/veh1/pose")

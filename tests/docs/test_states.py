@@ -2,11 +2,13 @@
 
 import math
 import re
+from typing import get_args
 
 import pytest
 
 from service.mapper import judgement
 from service.mapper.judgement import JudgementConfig
+from service.outputs import ReasonId
 from tests.docs.blocks import ROOT
 
 PAGE = (ROOT / "docs" / "mapping.md").read_text(encoding="utf-8")
@@ -46,3 +48,8 @@ def test_a_far_match_has_the_figures_of_the_code():
     assert f"a chi2 above {judgement.JUMP_CHI2:.1f}" in paragraph[0]
     assert f"more than {judgement.GAP_S:.1f} s" in paragraph[0]
     assert f"an agreement of {judgement.LEAST_AGREEMENT_FAR:.2f}" in paragraph[0]
+
+
+def test_every_reason_id_has_a_row():
+    rows = re.findall(r"^\| `(\w+)` \| (?:degraded|lost)", PAGE, re.MULTILINE)
+    assert rows == [id for id in get_args(ReasonId) if id]

@@ -25,7 +25,7 @@ from service.demo import (
 from service.encoding import Message, encode_event, encode_frame, encode_pose
 from service.errors import ConfigError, CorridorError, StorageError
 from service.geometry.se2 import SE2
-from service.outputs import MapperOutput
+from service.outputs import NO_REASON, MapperOutput
 from service.recording.mcap_recorder import McapRecorder
 from service.runtime.metrics import Percentiles
 from service.runtime.summary import Summary
@@ -127,7 +127,9 @@ def record(folder: Path, steps: list[tuple[int, SE2] | str]) -> Summary:
             continue
         unix_ns = step[0] + OFFSET_NS
         scan = LaserScan("front", unix_ns, unix_ns, 1, 3, 0.0, 0.1, 0.01, 20.0, RANGES_M, NO_INTENSITY)
-        output = MapperOutput(unix_ns, step[1], SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 1.0)
+        output = MapperOutput(
+            unix_ns, step[1], SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", NO_REASON, 1.0
+        )
         messages += [encode_frame(scan), encode_pose(output, unix_ns + 20_000_000)]
     recorder = McapRecorder(folder, "demo", keep_free_bytes=0)
     recorder.start()

@@ -12,7 +12,7 @@ from service.encoding import LogClock, Status, encode_frame, wire
 from service.errors import InputError
 from service.geometry.se2 import SE2
 from service.mapper.mapping_session import ApplyResult, SessionRequest
-from service.outputs import Grid, MapperOutput, TileUpdate
+from service.outputs import NO_REASON, Grid, MapperOutput, TileUpdate
 from tests.service.test_encoding import STORE, T0_NS, serialized
 
 OUTPUT = MapperOutput(
@@ -22,7 +22,7 @@ OUTPUT = MapperOutput(
     twist_base=(0.7, 0.0, 0.1),
     covariance=np.diag([0.04, 0.01, 0.001]),  # 0.2 m along the vehicle, 0.1 m across
     state="ok",
-    reason="",
+    reason=NO_REASON,
     inlier_ratio=0.9,
 )
 

@@ -20,7 +20,7 @@ from service.encoding import (
 )
 from service.errors import InputError
 from service.geometry.se2 import SE2
-from service.outputs import MapperOutput
+from service.outputs import NO_REASON, MapperOutput
 
 STAMP_NS = 1_700_000_001_987_654_321
 NAMES = ["i", "im", "imu", "base", "front", "übung", "a_long_name"]  # of every alignment
@@ -39,7 +39,7 @@ def odometry(sensor: str) -> OdometrySample:
 def output() -> MapperOutput:
     covariance = np.array([[0.1, 0.02, 0.03], [0.02, 0.5, 0.06], [0.03, 0.06, 0.9]])
     poses = SE2(1.0, -2.0, 0.3), SE2(0.5, 0.25, -3.0)
-    return MapperOutput(STAMP_NS, *poses, (0.3, 0.01, -0.2), covariance, "ok", "", 0.9)
+    return MapperOutput(STAMP_NS, *poses, (0.3, 0.01, -0.2), covariance, "ok", NO_REASON, 0.9)
 
 
 def by_rosbags(message: Message) -> bytes:

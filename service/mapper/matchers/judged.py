@@ -27,7 +27,7 @@ from service.mapper.judgement import (
 )
 from service.mapper.maps.known_ground import KnownGround
 from service.mapper.matchers.recovery import FIRST, GAIN, MOST, REST_S, agree, reach_of
-from service.outputs import State
+from service.outputs import Reason, State
 
 Matrix = npt.NDArray[np.float64]
 
@@ -37,9 +37,15 @@ LEAST_COVARIANCE = 1e-12 * np.eye(3)
 CONFIRM_S = 0.1  # from a find to the search that is to confirm it
 MOST_WIDENING = 16.0
 MOST_REST_S = 1.0  # wide searches take longer, so they rest longer
-STANDS = "the scan fits where the prediction is, and nowhere beside it; the prediction holds it"
+STANDS = Reason(
+    "prediction_stands",
+    "the scan fits where the prediction is, and nowhere beside it; the prediction holds it",
+)
 ANEW_M = 5.0  # measured way of a lost vehicle, after which the map begins anew
-UNCONFIRMED = "the scan fits the map at a place that the prediction allows; a second scan has to confirm it"
+UNCONFIRMED = Reason(
+    "unconfirmed",
+    "the scan fits the map at a place that the prediction allows; a second scan has to confirm it",
+)
 
 SomeKnownMap = TypeVar("SomeKnownMap", bound=KnownMap)
 KnownMap_contra = TypeVar("KnownMap_contra", bound=KnownMap, contravariant=True)
@@ -72,7 +78,7 @@ class Aligner(Protocol[KnownMap_contra]):
 @dataclass(frozen=True, slots=True, eq=False)
 class _Verdict:
     state: State
-    reason: str
+    reason: Reason
     inlier_ratio: float
 
 
@@ -110,13 +116,8 @@ class JudgedMatching:
         match = self._placed(points, predicted, local_map, aligner)
         if match.state == "lost" and self._begins_anew(points, predicted):
             local_map.begin_anew()
-            match = Match(
-                predicted,
-                points,
-                match.inlier_ratio,
-                "degraded",
-                f"{match.reason}; not relocalised over {self._lost_way_m:.0f} m: a new map begins here",
-            )
+            words = f"{match.reason}; not relocalised over {self._lost_way_m:.0f} m: a new map begins here"
+            match = Match(predicted, points, match.inlier_ratio, "degraded", Reason("new_map", words))
         self._is_lost = match.state == "lost"
         if not self._is_lost:
             self._rest_until_ns, self._widening, self._hypothesis = 0, 1.0, None

@@ -6,12 +6,12 @@ import pytest
 from service.geometry.se2 import SE2
 from service.mapper.components import Correction
 from service.mapper.corrections import corrected
-from service.outputs import MapperOutput
+from service.outputs import NO_REASON, MapperOutput
 
 
 def output(stamp_ns: int, pose_odom_base: SE2, pose_map_odom: SE2 | None = None) -> MapperOutput:
     at = pose_map_odom or SE2()
-    return MapperOutput(stamp_ns, pose_odom_base, at, (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 1.0)
+    return MapperOutput(stamp_ns, pose_odom_base, at, (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", NO_REASON, 1.0)
 
 
 STRAIGHT = [output(k, SE2(0.1 * k, 0.0, 0.0)) for k in range(11)]

@@ -12,7 +12,7 @@ from service.mapper.components import Correction, FinishedGraph
 from service.mapper.graph.no_graph import NoGraph
 from service.mapper.mapping_session import MappingSession
 from service.mapper.profiles import build_mapper, mapping_config
-from service.outputs import MapperOutput, TileUpdate
+from service.outputs import NO_REASON, MapperOutput, TileUpdate
 from tests.service.offline.test_replay import room_scan
 
 
@@ -59,7 +59,9 @@ class FakeMapper:
             return None
         self.counters["scans"] += 1
         pose = SE2(float(sum(isinstance(f, LaserScan) for f in self.processed)) - 1.0, 0.0, 0.0)
-        return MapperOutput(frame.stamp_ns, pose, SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 1.0)
+        return MapperOutput(
+            frame.stamp_ns, pose, SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", NO_REASON, 1.0
+        )
 
     def skip(self, scan: LaserScan) -> None:
         self.skipped.append(scan)

@@ -23,7 +23,7 @@ from service.mapper.components import ComponentKind, Method, NoSettings
 from service.mapper.judgement import MOST_BLANK_S, TIGHT_SIGMA_M, judge_blank
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import METHODS, build_mapper, mapping_config
-from service.outputs import MapperOutput, TileUpdate
+from service.outputs import MapperOutput, Reason, TileUpdate
 from tests.service.mapper.drives import (
     CORRIDOR,
     DOORS,
@@ -291,10 +291,10 @@ def test_a_laser_that_stays_blank_is_lost_once_too_long_without_returns() -> Non
 
 
 def test_a_blank_scan_is_lost_where_the_prediction_is_loose() -> None:
-    known, loose = (0.1, 0.1), (TIGHT_SIGMA_M + 0.01, 0.1)
-    assert judge_blank("few.", known, 0.1)[0] == "degraded"
-    state, reason = judge_blank("few.", loose, 0.1)
-    assert state == "lost"
+    few, known, loose = Reason("few_returns", "few."), (0.1, 0.1), (TIGHT_SIGMA_M + 0.01, 0.1)
+    assert judge_blank(few, known, 0.1)[0] == "degraded"
+    state, reason = judge_blank(few, loose, 0.1)
+    assert (state, reason.id) == ("lost", "few_returns")
     assert "uncertain by 0.51 m and 5.7 deg (sigma, expected at most 0.5 m" in reason
 
 

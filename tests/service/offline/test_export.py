@@ -13,7 +13,7 @@ from service.mapstore.ros_map import read_pgm, read_ros_map, write_ros_map
 from service.offline import export as export_module
 from service.offline.export import export
 from service.offline.trajectory import read_tum, write_tum
-from service.outputs import Grid, MapperOutput
+from service.outputs import NO_REASON, Grid, MapperOutput
 from service.recording.mcap_file import McapFile
 from tests.service.mapstore.tile_makers import tile
 
@@ -32,7 +32,7 @@ def session(tmp_path) -> Path:
     path = tmp_path / "veh1_20260101T000000Z_0001.mcap"
     file = McapFile(path, STAMPS[0])
     for k, (stamp_ns, pose) in enumerate(zip(STAMPS, POSES, strict=True)):
-        output = MapperOutput(stamp_ns, pose, SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 1.0)
+        output = MapperOutput(stamp_ns, pose, SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", NO_REASON, 1.0)
         file.write(encode_pose(output, stamp_ns))
         if k % 5 == 0:
             file.write(encode_grid(grid(k), stamp_ns, stamp_ns))

@@ -2,7 +2,7 @@ import numpy as np
 
 from service.geometry.se2 import SE2
 from service.offline.state_reasons import MOST_KINDS, StateReasons, doubts
-from service.outputs import MapperOutput, State
+from service.outputs import MapperOutput, Reason, State
 
 T0_NS = 1_700_000_000_000_000_000
 STEP_NS = 100_000_000
@@ -11,8 +11,8 @@ STEP_NS = 100_000_000
 def reasons_of(told: list[tuple[State, str]]) -> StateReasons:
     """Of outputs a tenth of a second apart."""
     reasons = StateReasons()
-    for k, (state, reason) in enumerate(told):
-        pose = SE2()
+    for k, (state, words) in enumerate(told):
+        pose, reason = SE2(), Reason("off_map" if words else "", words)
         reasons.add(
             MapperOutput(T0_NS + k * STEP_NS, pose, pose, (0.0, 0.0, 0.0), np.eye(3), state, reason, 1.0)
         )
@@ -34,12 +34,14 @@ def test_reasons_that_differ_in_numbers_alone_are_one_kind():
         ]
     )
     assert reasons.as_dict() == {
-        "degraded": [{"reason": "12% of 180 returns lie on the map", "scans": 1, "first_s": 0.5}],
+        "degraded": [
+            {"id": "off_map", "reason": "12% of 180 returns lie on the map", "scans": 1, "first_s": 0.5}
+        ],
         "lost": [
-            {"reason": "12% of 180 returns lie on the map", "scans": 3, "first_s": 0.1},
-            {"reason": "+0.50 m ahead, -1 m left", "scans": 2, "first_s": 0.6},
-            {"reason": "front_1: 0 of 180 beams returned", "scans": 1, "first_s": 0.2},
-            {"reason": "front_2: 3 of 180 beams returned", "scans": 1, "first_s": 0.4},
+            {"id": "off_map", "reason": "12% of 180 returns lie on the map", "scans": 3, "first_s": 0.1},
+            {"id": "off_map", "reason": "+0.50 m ahead, -1 m left", "scans": 2, "first_s": 0.6},
+            {"id": "off_map", "reason": "front_1: 0 of 180 beams returned", "scans": 1, "first_s": 0.2},
+            {"id": "off_map", "reason": "front_2: 3 of 180 beams returned", "scans": 1, "first_s": 0.4},
         ],
     }
 
@@ -48,7 +50,7 @@ def test_only_the_most_frequent_kinds_are_told():
     rare = [("degraded", f"reason {letter}") for letter in "abcdefg"]
     kinds = reasons_of([*rare, ("degraded", "reason g")]).as_dict()["degraded"]
     assert len(kinds) == MOST_KINDS
-    assert kinds[0] == {"reason": "reason g", "scans": 2, "first_s": 0.6}
+    assert kinds[0] == {"id": "off_map", "reason": "reason g", "scans": 2, "first_s": 0.6}
 
 
 def test_of_each_state_but_ok_the_main_reason_is_said():

@@ -15,7 +15,7 @@ from service.encoding import Message, decode_frame, encode_frame, encode_pose
 from service.errors import InputError
 from service.geometry.se2 import SE2
 from service.mapper.mapping_session import SessionRequest
-from service.outputs import MapperOutput
+from service.outputs import NO_REASON, MapperOutput
 from service.recording.mcap_source import open_session
 from tests.service.recording.sessions import MOUNTINGS, T0_NS, drive, scan_message, write_file
 
@@ -85,7 +85,7 @@ def test_events_of_other_programs_are_no_requests(foreign):
 
 
 def test_outputs_in_our_session_are_not_taken_for_odometry(tmp_path):
-    output = MapperOutput(T0_NS, SE2(), SE2(), (0.0, 0.0, 0.0), np.eye(3), "ok", "", 1.0)
+    output = MapperOutput(T0_NS, SE2(), SE2(), (0.0, 0.0, 0.0), np.eye(3), "ok", NO_REASON, 1.0)
     outputs = [encode_pose(output, T0_NS + 9), encoding.encode_odom(output, T0_NS + 9)]
     write_file(tmp_path / "s.mcap", [*drive(5), *outputs])
     assert "/odom" not in open_session([tmp_path / "s.mcap"]).sensors

@@ -16,7 +16,7 @@ from service.mapper.graph.no_graph import NoGraph
 from service.mapper.map_changes import MapChanges
 from service.mapper.mapping_session import MappingSession
 from service.mapstore.tiles import TileStore
-from service.outputs import GraphPicture, Grid, MapperOutput, TileUpdate
+from service.outputs import NO_REASON, GraphPicture, Grid, MapperOutput, TileUpdate
 from service.runtime.host_time import HostTime
 from service.runtime.intake import Intake
 from service.runtime.mapper_messages import (
@@ -67,7 +67,9 @@ class FakeMapper:
         self._changed = self._mapped
         x_m = float(self._mapped) if self._x_m is None else self._x_m
         pose = SE2(x_m, 0.0, 0.0)
-        return MapperOutput(frame.stamp_ns, pose, SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 1.0)
+        return MapperOutput(
+            frame.stamp_ns, pose, SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", NO_REASON, 1.0
+        )
 
     def skip(self, scan: LaserScan) -> None:
         self.skipped += 1

@@ -8,11 +8,13 @@ import pytest
 
 from drivers.link import LinkHealth
 from service.encoding import ERROR, OK, STALE, WARNING, Status, decode_diagnostics
+from service.outputs import NO_REASON, Reason
 from service.runtime.health import HealthReport, SensorHealth
 from service.runtime.mapper_messages import Mapped
 from service.runtime.metrics import LatencyHistogram
 
 S = 1_000_000_000
+FEW = Reason("off_map", "few beams agree")
 
 
 def streaming(frames: int = 100, last_frame_ns: int = 10 * S, delay_ns: int = 20_000_000) -> LinkHealth:
@@ -118,10 +120,11 @@ def test_the_pose_s_state_is_the_mapping_s_health(state: Any, level: int):
     made._outputs.lasers = ()
     made.update(0, 0)
     assert status(made, "mapping").message == "no laser is mapped"
-    reason = "" if state == "ok" else "few beams agree"
+    reason = NO_REASON if state == "ok" else FEW
     made._outputs.last = Mapped(1, 1, 1, state, reason, 0.8, 1, ())
     told = status(made, "mapping")
     assert (told.level, told.message) == (level, reason or "ok")
+    assert told.values["reason_id"] == reason.id
     assert told.values["inlier_ratio"] == "0.800"
     assert made.line.startswith(f"mapping {state}, 1/1 sensors, ")
 
@@ -176,7 +179,7 @@ def test_a_change_of_the_mapping_is_told_once_with_its_reason():
     made.update(11 * S, 0)
     assert made.mapping_state == ("waiting", "no scan of front mapped yet")
     assert made.take_mapping_change() is None
-    for state, reason, told in (("ok", "", "ok"), ("lost", "few beams agree", "few beams agree")):
+    for state, reason, told in (("ok", NO_REASON, "ok"), ("lost", FEW, FEW)):
         made._outputs.last = Mapped(1, 1, 1, state, reason, 0.8, 1, ())
         made.update(11 * S, 0)
         assert made.take_mapping_change() == (state, told)
@@ -187,7 +190,7 @@ def test_a_change_of_the_mapping_is_told_once_with_its_reason():
 
 def test_a_mapping_that_goes_to_and_fro_is_told_of_at_most_each_ten_seconds():
     made = report(streaming())
-    made._outputs.last = Mapped(1, 1, 1, "ok", "", 0.9, 1, ())
+    made._outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
     told = []
     for second in range(11, 61):
         made._outputs.last_ns = second * S
@@ -204,7 +207,7 @@ def test_a_mapping_that_goes_to_and_fro_is_told_of_at_most_each_ten_seconds():
 def test_a_lost_pose_is_told_at_once():
     made = report(streaming())
     for second, state in ((11, "ok"), (12, "lost"), (13, "ok"), (14, "lost")):
-        made._outputs.last, made._outputs.last_ns = Mapped(1, 1, 1, state, "", 0.9, 1, ()), second * S
+        made._outputs.last, made._outputs.last_ns = Mapped(1, 1, 1, state, NO_REASON, 0.9, 1, ()), second * S
         made.update(second * S, 0)
         assert made.take_mapping_change() == (state, state)
 
@@ -238,7 +241,7 @@ def test_commands_are_counted():
 
 def test_a_graph_that_does_no_work_is_a_warning():
     made = report(streaming())
-    made._outputs.last = Mapped(1, 1, 1, "ok", "", 0.9, 1, ())
+    made._outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
     made._outputs.graph_fault = "the process died"
     told = status(made, "mapping")
     assert (told.level, told.message) == (WARNING, "no loops are closed: the process died")
@@ -246,7 +249,7 @@ def test_a_graph_that_does_no_work_is_a_warning():
 
 def test_an_overloaded_mapper_is_a_warning_with_its_figures():
     made = report(streaming())
-    made._outputs.last = Mapped(1, 1, 1, "ok", "", 0.9, 1, ())
+    made._outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
     made._outputs.overload = lambda: "12 scans in 3.0 s were not mapped"
     told = status(made, "mapping")
     assert (told.level, told.values["state"]) == (WARNING, "overloaded")
@@ -260,7 +263,7 @@ def test_an_overloaded_mapper_is_a_warning_with_its_figures():
 )
 def test_too_little_processor_time_does_not_hide_what_ails_the_pose(state: Any, told_state: str, level: int):
     made = report(streaming())
-    made._outputs.last = Mapped(1, 1, 1, state, "few beams agree", 0.2, 1, ())
+    made._outputs.last = Mapped(1, 1, 1, state, FEW, 0.2, 1, ())
     made._outputs.overload = lambda: "12 scans in 3.0 s"
     told = status(made, "mapping")
     assert (told.level, told.values["state"]) == (level, told_state)
@@ -271,7 +274,7 @@ def test_too_little_processor_time_does_not_hide_what_ails_the_pose(state: Any, 
 def test_a_mapper_that_is_restarted_again_and_again_is_a_warning_for_a_minute():
     made = report(streaming())
     outputs = made._outputs
-    outputs.last = Mapped(1, 1, 1, "ok", "", 0.9, 1, ())
+    outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
     outputs.restart_reason = "said nothing for 10 s while 7 items waited"
 
     def told_at(seconds: int, restarts: int) -> tuple[int, str]:
@@ -293,7 +296,7 @@ def test_a_mapper_that_is_restarted_again_and_again_is_a_warning_for_a_minute():
 
 def test_a_pose_that_is_not_fresh_is_an_error():
     made = report(streaming())
-    made._outputs.last, made._outputs.last_ns = Mapped(1, 1, 1, "ok", "", 0.9, 1, ()), 7 * S
+    made._outputs.last, made._outputs.last_ns = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ()), 7 * S
     told = status(made, "mapping")
     assert (told.level, told.message) == (ERROR, "no pose for 4.0 s: no scan of front")
     assert (told.values["state"], told.values["age_s"]) == ("stale", "4.00")
@@ -320,7 +323,10 @@ def test_scans_that_come_and_give_no_pose_are_not_the_sensor_s_fault(
     link.frames, link.last_frame_ns = 150, 11 * S
     told = status(made, "mapping")
     assert told.message == f"no scan of front mapped yet: front sends 50 scans/s, but {words}"
-    made._outputs.last, made._outputs.last_ns = Mapped(1, 1, 1, "ok", "", 0.9, 1, ()), 11 * S - 800_000_000
+    made._outputs.last, made._outputs.last_ns = (
+        Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ()),
+        11 * S - 800_000_000,
+    )
     link.frames = 200
     told = status(made, "mapping", 11 * S)
     assert told.message.startswith("no pose for 0.8 s: front sends ")
@@ -333,7 +339,7 @@ def test_the_lasers_without_scans_are_named():
     made._links = {"front": made._links["front"], "rear": rear}
     made._sensors["rear"] = SensorHealth(rear)
     made._outputs.lasers = ("front", "rear")
-    made._outputs.last, made._outputs.last_ns = Mapped(1, 1, 1, "ok", "", 0.9, 1, ()), 7 * S
+    made._outputs.last, made._outputs.last_ns = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ()), 7 * S
     assert status(made, "mapping").message == "no pose for 4.0 s: no scan of front or rear"
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from service.encoding import OK, WARNING, encode_pose
 from service.geometry.se2 import SE2
-from service.outputs import MapperOutput
+from service.outputs import NO_REASON, MapperOutput
 from service.sinks.registry import SinkKind
 from tests.service.sinks.contexts import sink_context
 
@@ -32,7 +32,9 @@ def udp_sink(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 
 def pose():
-    output = MapperOutput(5, SE2(1.0, 2.0, 0.0), SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 1.0)
+    output = MapperOutput(
+        5, SE2(1.0, 2.0, 0.0), SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", NO_REASON, 1.0
+    )
     return encode_pose(output, 5)
 
 

@@ -50,7 +50,7 @@ from service.mapper.matchers.window_search import layer_of
 from service.mapper.methods.corridor.posts import Posts, posts_of
 from service.mapper.methods.corridor.range_bias import RangeBias
 from service.mapper.methods.corridor.submaps import SURFEL_SIGMA_M, Submap, SurfelSubmaps
-from service.outputs import State
+from service.outputs import Reason, State
 
 Matrix = npt.NDArray[np.float64]
 
@@ -101,7 +101,7 @@ class _Aligned:
     xy_base: Matrix  # (N, 2) m, deskewed with the twist found
     submap: Submap
     state: State
-    reason: str
+    reason: Reason
     is_contradicted: bool  # by free space and walls of the map; False where too much lies on it to ask
 
 
@@ -188,7 +188,7 @@ class SurfelGaussNewton:
         self,
         attempt: _Attempt,
         local_map: SurfelSubmaps,
-        reason: str,
+        reason: Reason,
         inlier_ratio: float,
         is_contradicted: bool,
     ) -> Match:
@@ -201,9 +201,8 @@ class SurfelGaussNewton:
         detached = self._align(attempt, attempt.prior.pose, local_map.detached)
         if detached.state == "lost":
             return held(points, predicted, reason, inlier_ratio, is_contradicted)
-        return self._as_match(
-            detached, attempt, "lost", f"{reason}; a detached map begins here until its place is found"
-        )
+        reason = reason.reworded(f"{reason}; a detached map begins here until its place is found")
+        return self._as_match(detached, attempt, "lost", reason)
 
     def _is_found(self, aligned: _Aligned, attempt: _Attempt) -> bool:
         """Whether a scan that was mapped apart is accepted as lying on the map again.
@@ -221,7 +220,7 @@ class SurfelGaussNewton:
         last, self._hypothesis = self._hypothesis, found @ predicted.inverse()
         return last is not None and agree(last @ predicted, found)
 
-    def _as_match(self, aligned: _Aligned, attempt: _Attempt, state: State, reason: str) -> Match:
+    def _as_match(self, aligned: _Aligned, attempt: _Attempt, state: State, reason: Reason) -> Match:
         result = aligned.result
         x_m, y_m, theta_rad = result.pose.tolist()
         forward, left, turn = result.twist.tolist()
@@ -409,10 +408,11 @@ def _with_posts(
     )
 
 
-def _unmeasured(pause_s: float) -> str:
-    return (
+def _unmeasured(pause_s: float) -> Reason:
+    return Reason(
+        "unmeasured_way",
         f"neither laser nor odometry measured the motion for {pause_s:.1f} s (at most {CARRIED_S:g} s); "
-        "the vehicle may have been carried"
+        "the vehicle may have been carried",
     )
 
 

@@ -16,6 +16,7 @@ from service.mapper.judgement import JudgementConfig, begun, held, too_few
 from service.mapper.matchers.covariances import diagonal, inverse
 from service.mapper.matchers.judged import Aligned, judged_alone
 from service.mapper.methods.imle.patch_map import PatchMap
+from service.outputs import Reason
 
 Array = npt.NDArray[np.float64]
 
@@ -113,7 +114,8 @@ class IcpScanToScan:
         if local_map.is_empty:
             match = begun(points, predicted)
         elif step is None:
-            match = held(points, predicted, "the scan has too little in common with the one before")
+            reason = Reason("little_in_common", "the scan has too little in common with the one before")
+            match = held(points, predicted, reason)
         else:
             measured = Measurement(step.pose, self._covariance, self._information)
             aligned = Aligned(measured, deskewed(points, predicted, step.pose))

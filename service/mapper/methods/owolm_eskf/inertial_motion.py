@@ -14,6 +14,7 @@ from service.mapper.methods.owolm_eskf.error_state import ErrorStateFilter
 from service.mapper.methods.owolm_eskf.filter_pair import FilterPair
 from service.mapper.methods.owolm_eskf.inertial_track import InertialTrack
 from service.mapper.methods.owolm_eskf.odometry_track import OdometryTrack
+from service.outputs import NO_REASON, Reason
 
 Twist = tuple[float, float, float]
 STILL_STEP_NS = 100_000_000  # while standing, the filter is told so at this interval
@@ -74,13 +75,14 @@ class InertialMotion:
         self._rate = np.zeros(3)  # of the body at the last prediction, bias included
 
     @property
-    def fault(self) -> str:
+    def fault(self) -> Reason:
         """What a filter cannot weigh: a stretch of which nobody knows how long it was."""
         if self._unknown_s <= MOST_UNKNOWN_S:
-            return ""
-        return (
+            return NO_REASON
+        return Reason(
+            "unmeasured_way",
             f"neither IMU nor odometry measured the motion over {self._unknown_s:.1f} s in which walls did "
-            "not fix the position: the map may have slipped there. Are both connected?"
+            "not fix the position: the map may have slipped there. Are both connected?",
         )
 
     def add(self, sample: ImuSample | OdometrySample) -> bool:

@@ -9,7 +9,7 @@ from service.mapper.maps.standing import REACH_M, draw_standing
 from service.mapper.methods.corridor.submaps import SubmapsConfig, SurfelSubmaps
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import build_mapper, mapping_config
-from service.outputs import UNKNOWN, Grid, MapperOutput
+from service.outputs import NO_REASON, UNKNOWN, Grid, MapperOutput
 from simulators.truth import LMS100, Ride
 from simulators.worlds import build_world
 from tests.service.mapper.maps.points import match_at, points_of, square
@@ -17,7 +17,9 @@ from tests.simulated import Laser, scans
 
 
 def newest(pose_odom_base: SE2, pose_map_odom: SE2 = SE2()) -> MapperOutput:  # noqa: B008 - never changed
-    return MapperOutput(0, pose_odom_base, pose_map_odom, (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 1.0)
+    return MapperOutput(
+        0, pose_odom_base, pose_map_odom, (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", NO_REASON, 1.0
+    )
 
 
 def at(grid: Grid, x_m: float, y_m: float) -> int:
