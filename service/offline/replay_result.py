@@ -35,6 +35,7 @@ from service.offline.result import (
     UNEDITED,
     open_result,
 )
+from service.offline.states_file import STATES_FILE, write_states
 from service.offline.trajectory import write_tum
 from service.offline.writing import whole_files
 from service.outputs import MapperOutput, TileUpdate
@@ -45,6 +46,7 @@ class Replay:
     """What came out of one recording."""
 
     outputs: list[MapperOutput]  # as they would have been published
+    lasers: list[str]  # whose scan each output answers
     poses_map_base: list[SE2]  # of each output, by all that was known in the end
     tiles: list[TileUpdate]  # of the map at the end; after a reset, of the newest
     g2o: str  # its graph; "" where the profile has none
@@ -57,9 +59,9 @@ class Replay:
 
 
 def write_replay(done: Replay, out: Path) -> None:
-    """trajectory.tum, trajectory_live.tum, map.pgm + map.yaml, map.png, graph.g2o, geo.json, summary.json,
-    and map/, the map as it is stored: `--map` and map.load begin in it. Where it was localised in a stored
-    map, changes.csv: what has changed since.
+    """trajectory.tum, trajectory_live.tum, states.csv, map.pgm + map.yaml, map.png, graph.g2o, geo.json,
+    summary.json, and map/, the map as it is stored: `--map` and map.load begin in it. Where it was localised
+    in a stored map, changes.csv: what has changed since.
 
     There is no graph.g2o where the profile has no graph. Where fixes do not anchor the map there is no
     geo.json, and none of an earlier replay stays; where they do, map.png has a world file beside it, as far
@@ -73,6 +75,7 @@ def write_replay(done: Replay, out: Path) -> None:
         stamps = [output.stamp_ns for output in done.outputs]
         live = [pose_on_wire(output.pose_map_base) for output in done.outputs]
         write_tum(out / "trajectory_live.tum", zip(stamps, live, strict=True))
+        write_states(out / STATES_FILE, done.outputs, done.lasers)
         for name in (GRAPH_FILE, GEO_FILE, "map.pgw", "map.prj"):
             (out / name).unlink(missing_ok=True)
         shutil.rmtree(out / UNEDITED, ignore_errors=True)

@@ -37,7 +37,7 @@ from service.offline.replay_figures import ComponentTimes, peak_rss_mb, percenti
 from service.offline.replay_result import Replay
 from service.offline.replay_setup import ReplaySetup
 from service.offline.state_reasons import StateReasons
-from service.outputs import MapperOutput, TileUpdate
+from service.outputs import STATES, MapperOutput, TileUpdate
 from service.recording.mcap_source import Session
 from service.version import VERSION
 from service.words import counted
@@ -46,7 +46,6 @@ log = logging.getLogger(__name__)
 
 Progress = Callable[[float | None, str], None]  # share of a phase, None where nobody knows it; the phase
 MAPPING, CLOSING = "mapping", "closing loops"  # phases
-STATES = ("ok", "degraded", "lost")
 
 
 class ReplayRun:
@@ -87,6 +86,7 @@ class ReplayRun:
         self._reasons = StateReasons()
         self._outputs: list[MapperOutput] = []
         self._returns = 0  # beams of the mapped scans that came back
+        self._output_lasers: list[str] = []  # whose scan each of them answers
         self._poses: list[SE2] = []  # of the outputs of maps that are finished
         self._tiles: list[TileUpdate] = []  # of the newest finished map, as are the following
         self._g2o = ""
@@ -157,6 +157,7 @@ class ReplayRun:
         self._reasons.add(output)
         self._outputs.append(output)
         self._returns += int(np.isfinite(frame.range_m).sum())
+        self._output_lasers.append(frame.sensor)
         self._watch.mapped(frame, output)
         begin_ns, end_ns = self._recording.first_log_ns, self._recording.last_log_ns
         self._progress((frame.arrived_ns - begin_ns) / max(end_ns - begin_ns, 1), MAPPING)
@@ -195,6 +196,7 @@ class ReplayRun:
         is_localized = self._setup.mapping.mode == "localization"
         return Replay(
             outputs=self._outputs,
+            lasers=self._output_lasers,
             poses_map_base=self._poses,
             tiles=self._tiles,
             g2o=self._g2o,

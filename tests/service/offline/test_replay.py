@@ -188,6 +188,7 @@ def test_a_replay_writes_what_other_programs_read(record_drive: RecordDrive, tmp
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "trajectory.tum",
         "trajectory_live.tum",
+        "states.csv",
         "graph.g2o",
         "map.pgm",
         "map.yaml",
@@ -275,6 +276,7 @@ def test_why_scans_were_lost_is_told_at_the_end(
     assert summary["state"]["lost"] == 6
     (covered,) = summary["state_reasons"]["lost"]
     assert covered == {
+        "id": "few_returns",
         "reason": f"front: 0 of {BEAMS} beams returned (at least 5); is the window covered, or is there "
         "nothing in range?",
         "scans": 6,
@@ -341,7 +343,7 @@ def test_the_same_recording_gives_the_same_bytes_alone_and_among_others(
     assert shares[-1] == 1.0
     assert told[-1] == (None, "closing loops")
     written = [path.relative_to(tmp_path / "1") for path in (tmp_path / "1").rglob("*.*") if path.is_file()]
-    assert len([path for path in written if len(path.parts) == 2]) == 14  # beside the stored maps
+    assert len([path for path in written if len(path.parts) == 2]) == 16  # beside the stored maps
     for path in written:
         if path.name != "summary.json":
             assert (tmp_path / "1" / path).read_bytes() == (tmp_path / "2" / path).read_bytes()
