@@ -1,6 +1,8 @@
-"""Real recordings as frames."""
+"""Real recordings as frames, and frames as a recording."""
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +10,9 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
+from service.encoding import LogClock, encode_frame, encode_tf_static
+from service.geometry.se2 import SE2
+from service.recording.mcap_recorder import McapRecorder
 
 
 def frames_of(path: Path, scans: int = -1) -> list[Frame]:
@@ -49,3 +54,19 @@ def frames_of(path: Path, scans: int = -1) -> list[Frame]:
                 )
             )
     return sorted(frames, key=lambda frame: (frame.stamp_ns, isinstance(frame, LaserScan)))
+
+
+def record(frames: Sequence[Frame], mountings: Mapping[str, SE2], folder: Path, begin_ns: int) -> Path:
+    """A session of the recorder in this folder, to be replayed.
+
+    begin_ns   UTC of the moment 0 of the frames
+    """
+    recorder = McapRecorder(folder, "veh1", keep_free_bytes=0)
+    recorder.start()
+    recorder.put(encode_tf_static(mountings, begin_ns, begin_ns))
+    clock = LogClock()
+    for frame in frames:
+        moved = replace(frame, stamp_ns=frame.stamp_ns + begin_ns, arrived_ns=frame.arrived_ns + begin_ns)
+        recorder.put(encode_frame(moved, log_ns=clock.next_ns(moved.arrived_ns)))
+    (session,) = recorder.finish()
+    return session

@@ -43,6 +43,7 @@ class Laser:
     mounting: SE2 = FORWARD
     name: str = "front"
     knocks: tuple[Knock, ...] = ()
+    every: int = 1  # turn of its mirror makes a scan, the others are left out
 
     @property
     def period_ns(self) -> int:
@@ -199,7 +200,7 @@ def scans(ride: Ride, laser: Laser, seconds: float, seeds: Sequence[int]) -> lis
     """Those of each seed."""
     source = LaserTruth(ride, laser.name, laser.mounting, laser.model, seeds[0], laser.knocks)
     made: list[list[LaserScan]] = [[] for _ in seeds]
-    for stamp_ns in range(0, round(seconds * 1e9), laser.period_ns):
+    for stamp_ns in range(0, round(seconds * 1e9), laser.every * laser.period_ns):
         for of_seed, scan in zip(made, scans_at(source, laser, stamp_ns, seeds), strict=True):
             of_seed.append(scan)
     return made

@@ -89,14 +89,14 @@ def driven(place: Place, seed: int) -> tuple[Drive, Run]:
 def campus(rng: np.random.Generator) -> World:
     plan, half_m = Plan(), 1.3
     lengths = (110.0, 60.0)
-    _walls_with_doors(plan, rng, (-half_m, -half_m), (lengths[0] + half_m, lengths[1] + half_m), -1)
+    walls_with_doors(plan, rng, (-half_m, -half_m), (lengths[0] + half_m, lengths[1] + half_m), -1)
     for west, east in ((0.0, 55.0), (55.0, 110.0)):
-        _walls_with_doors(plan, rng, (west + half_m, half_m), (east - half_m, 60.0 - half_m), 1)
+        walls_with_doors(plan, rng, (west + half_m, half_m), (east - half_m, 60.0 - half_m), 1)
     way = [(0, 0), (110, 0), (110, 60), (0, 60), (0, 0), (55, 0), (55, 60), (110, 60), (110, 0), (50, 0)]
-    return _driven_along("campus", plan, way)
+    return driven_along("campus", plan, way)
 
 
-def _walls_with_doors(plan: Plan, rng: np.random.Generator, low: Point, high: Point, side: int) -> None:
+def walls_with_doors(plan: Plan, rng: np.random.Generator, low: Point, high: Point, side: int) -> None:
     """The four walls of a rectangle, doors sunk by 18 cm to the left (1) or right (-1) of its round."""
     corners = [low, (high[0], low[1]), high, (low[0], high[1]), low]
     for begin, end in pairwise(corners):
@@ -123,7 +123,7 @@ def car_park(rng: np.random.Generator) -> World:
             if rng.random() < 0.45 and x_m % 7.5 > 0.9:
                 plan.box((float(x_m), y_m + float(rng.choice([-2.6, 2.6]))), (1.8, 4.3))
     way = [(-2, 0), (62, 0), (62, 10), (-2, 10), (-2, 20), (62, 20), (62, 30), (-2, 30), (-2, 40), (62, 40)]
-    return _driven_along("car_park", plan, [*way, (62, 30)])
+    return driven_along("car_park", plan, [*way, (62, 30)])
 
 
 def warehouse(rng: np.random.Generator) -> World:
@@ -134,7 +134,7 @@ def warehouse(rng: np.random.Generator) -> World:
             size = float(rng.uniform(7.0, 8.5)), float(rng.uniform(11.0, 13.5))
             plan.box((14.0 + 16.0 * k, y_m), size)
     way = [(4, 4), (86, 4), (86, 25), (4, 25), (4, 46), (86, 46), (86, 25), (54, 25), (54, 4), (4, 4)]
-    return _driven_along("warehouse", plan, [*way, (4, 20)])
+    return driven_along("warehouse", plan, [*way, (4, 20)])
 
 
 def vines(rng: np.random.Generator) -> World:
@@ -149,7 +149,7 @@ def vines(rng: np.random.Generator) -> World:
                 size = float(rng.uniform(0.3, 0.7)), float(rng.uniform(0.2, 0.5))
                 plan.box(place, size, float(rng.uniform(0.0, 90.0)))
     way = _to_and_fro(-2.5, length_m + 2.5, [apart_m * (k + 0.5) for k in range(rows)])
-    return _driven_along("vines", plan, [*way, (-2.5, -3.0), (0.5 * length_m, -3.0)], 0.8)
+    return driven_along("vines", plan, [*way, (-2.5, -3.0), (0.5 * length_m, -3.0)], 0.8)
 
 
 def courtyard(rng: np.random.Generator) -> World:
@@ -164,7 +164,7 @@ def courtyard(rng: np.random.Generator) -> World:
         plan.post(_beside(rng, way, (-20.0, -20.0), (80.0, 70.0), 2.0), float(rng.uniform(0.1, 0.4)))
     for _ in range(15):
         plan.box(_beside(rng, way, (-20.0, -20.0), (80.0, 70.0), 3.5), (4.2, 1.7), float(rng.uniform(0, 180)))
-    return _driven_along("courtyard", plan, way)
+    return driven_along("courtyard", plan, way)
 
 
 def wood(rng: np.random.Generator) -> World:
@@ -172,7 +172,7 @@ def wood(rng: np.random.Generator) -> World:
     way = [(10, 10), (50, 10), (50, 50), (10, 50), (10, 12)]
     for _ in range(260):
         plan.post(_beside(rng, way, (0.0, 0.0), (60.0, 60.0), 1.2), float(rng.uniform(0.06, 0.25)))
-    return _driven_along("wood", plan, way)
+    return driven_along("wood", plan, way)
 
 
 def shelves(rng: np.random.Generator) -> World:
@@ -186,7 +186,7 @@ def shelves(rng: np.random.Generator) -> World:
     high_y_m = aisles * apart_m + 6.0
     plan.line((-6, -6), (length_m + 6, -6), (length_m + 6, high_y_m), (-6, high_y_m), (-6, -6))
     way = _to_and_fro(-2.0, length_m + 2.0, [apart_m * (k + 0.5) for k in range(aisles)])
-    return _driven_along("shelves", plan, [*way, (length_m + 2.0, -3.0), (-3.5, -3.0), (-3.5, 1.4)])
+    return driven_along("shelves", plan, [*way, (length_m + 2.0, -3.0), (-3.5, -3.0), (-3.5, 1.4)])
 
 
 def tunnel(rng: np.random.Generator) -> World:
@@ -200,7 +200,7 @@ def tunnel(rng: np.random.Generator) -> World:
         place = _on_ellipse(a_m + aside_m, b_m + aside_m, rng.uniform(0.0, 2.0 * math.pi))
         plan.box(place, (0.3, 0.3), float(rng.uniform(0.0, 90.0)))
     way = [_on_ellipse(a_m, b_m, t) for t in np.linspace(0.0, 2.1 * math.pi, 130)]
-    return _driven_along("tunnel", plan, way)
+    return driven_along("tunnel", plan, way)
 
 
 def _on_ellipse(a_m: float, b_m: float, angle_rad: float) -> Point:
@@ -227,7 +227,7 @@ def _apart_m(place: np.ndarray, begin: Point, end: Point) -> float:
     return float(np.hypot(*(place - a - share * along)))
 
 
-def _driven_along(name: str, plan: Plan, way: Sequence[Point], speed_mps: float = 1.0) -> World:
+def driven_along(name: str, plan: Plan, way: Sequence[Point], speed_mps: float = 1.0) -> World:
     """From the first point of the way to its last, and a pause."""
     (x_m, y_m), (next_x_m, next_y_m) = way[0], way[1]
     heading = math.atan2(next_y_m - y_m, next_x_m - x_m)

@@ -20,7 +20,6 @@ import numpy as np
 
 from drivers.frames import Frame, LaserScan
 from service.encoding import (
-    LogClock,
     Message,
     Status,
     encode_diagnostics,
@@ -43,7 +42,6 @@ from service.offline.replay_page import ReplayPage
 from service.offline.view import View
 from service.outputs import GraphPicture, Grid, MapperOutput
 from service.publishing.commands import Answer
-from service.recording.mcap_recorder import McapRecorder
 from service.web.config import WebConfig
 from service.web.server import About, WebServer
 from simulators.truth import LMS100, UTM30LX, Ride
@@ -52,6 +50,7 @@ from tests.browser.conftest import DESKTOP, PHONE, ROOT, Page
 from tests.browser.measure import chromium
 from tests.browser.scene import event, statuses
 from tests.in_background import in_background
+from tests.recorded_drive import record
 from tests.service.mapper.methods.corridor.graph.rings import HALF_M, LENGTH_M
 from tests.service.offline.bent_maps import ROUND, BentMap, bent_map, save_bent
 from tests.service.recording.sessions import write_file
@@ -110,23 +109,10 @@ def map_office(store: TileStore) -> Office:
     return Office(frames, outputs, mapper.graph_picture, saved, maps)
 
 
-def record(frames: Sequence[Frame], folder: Path) -> Path:
-    """A session, to be replayed."""
-    recorder = McapRecorder(folder, "veh1", keep_free_bytes=0)
-    recorder.start()
-    recorder.put(encode_tf_static(MOUNTINGS, UNIX_NS, UNIX_NS))
-    clock = LogClock()
-    for frame in frames:
-        moved = replace(frame, stamp_ns=frame.stamp_ns + UNIX_NS, arrived_ns=frame.arrived_ns + UNIX_NS)
-        recorder.put(encode_frame(moved, log_ns=clock.next_ns(moved.arrived_ns)))
-    (session,) = recorder.finish()
-    return session
-
-
 def take_replay(page: Page, frames: Sequence[Frame], folder: Path) -> None:
     """Half of the drive replayed, and halted there."""
     shown = ReplayPage("127.0.0.1:0", "veh1", 0.0, is_paused=True)
-    session = record(frames, folder)
+    session = record(frames, MOUNTINGS, folder, UNIX_NS)
     working = Thread(target=lambda: replay_session([session], ReplayOptions(), watch=shown))
     working.start()
     try:
