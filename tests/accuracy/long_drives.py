@@ -22,7 +22,7 @@ from simulators.worlds import WORLDS
 from tests.accuracy.buildings import LMS100_25HZ
 from tests.accuracy.cost import CORRIDOR
 from tests.accuracy.driving import ate_m, lost_share, ok_and_wrong, ok_and_wrong_row
-from tests.accuracy.scene_drives import driven
+from tests.accuracy.scene_drives import STAND_S, driven
 from tests.accuracy.terrain import COARSE, driven_along, walls_with_doors
 from tests.papers.report import Row, Section
 from tests.recorded_drive import record
@@ -179,22 +179,25 @@ class Laps:
 
 def laps_run(seed: int, seconds: float) -> Laps:
     """Round the office, without its people."""
-
     plain = WORLDS["office"]()
     world = begun_at(driven(plain, 0.0, 1.0, seconds), heading_rad(seed))
-    made = drive(world, LMS100_25HZ, seconds, seed, Wheels())
+    made = drive(world, LMS100_25HZ, seconds, seed, Wheels(), stand_s=STAND_S)
     done = run_session(mapping_config(), made)
-    way_m = world.drive.travel(np.array([o.stamp_ns * 1e-9 - 0.5 for o in done.outputs]))[:, 0]
-    lap = (way_m / plain.drive.length_m).astype(int)
+    since_s = np.array([output.stamp_ns for output in done.outputs]) * 1e-9 - STAND_S
+    return laps_of(done, world.drive.travel(since_s)[:, 0], plain.drive.length_m)
+
+
+def laps_of(done: Run, way_m: npt.NDArray[np.float64], lap_m: float) -> Laps:
+    """way_m is (N,), driven until each output; what is left of a lap at the end belongs to the one before."""
+    lap = np.minimum(way_m // lap_m, max(way_m[-1] // lap_m - 1.0, 0.0)).astype(int)
     square_m = (done.errors[:, :2] ** 2).sum(axis=1)
-    sigma_m = np.array([float(np.sqrt(np.linalg.eigvalsh(o.covariance[:2, :2])[1])) for o in done.outputs])
+    sigma_m = np.array([np.sqrt(np.linalg.eigvalsh(o.covariance[:2, :2])[1]) for o in done.outputs])
     is_corrected = [a.pose_map_odom != b.pose_map_odom for a, b in pairwise(done.outputs)]
-    rises_m = np.diff(sigma_m)[is_corrected]
     return Laps(
         1e3 * np.array([np.sqrt(square_m[lap == k].mean()) for k in range(lap[-1] + 1)]),
-        1e3 * float(rises_m.max(initial=0.0)),
+        1e3 * float(np.diff(sigma_m)[is_corrected].max(initial=0.0)),
         1e3 * float(sigma_m[lap == lap[-1]].max()),
-        100.0 * float(np.mean([o.state != "ok" for o in done.outputs])),
+        100.0 * float(np.mean([output.state != "ok" for output in done.outputs])),
         ok_and_wrong(done),
     )
 
