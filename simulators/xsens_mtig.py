@@ -24,7 +24,14 @@ from drivers.xsens_mtig.protocol import (
 )
 from simulators.device import CATCH_UP_NS, TURNS_SKIPPED, turns_to_skip
 from simulators.inertial import Inertial, InertialSource, Place
-from simulators.xsens_mtig_data import GNSS_OFF_NS, Sample, gnss_message, inertial_message, legacy_message
+from simulators.xsens_mtig_data import (
+    GNSS_OFF_NS,
+    Sample,
+    UtcBeforeFix,
+    gnss_message,
+    inertial_message,
+    legacy_message,
+)
 from simulators.xsens_mtig_settings import DeviceSettings, Refusal
 
 Personality = Literal["mtdata2", "legacy"]
@@ -58,6 +65,11 @@ class MtigSetup:
     gnss_latency_ns  from the receiver's measurement to the first byte of its message
     counts_skipped   its sample counter counts the samples it skips as well
     boot_ns          from power-on or Reset to WakeUp
+    product          its product code, "" for that of an MTi-G or MTi-G-710; others have no receiver
+    fixed            ids of messages whose settings it refuses
+    unsendable       kinds of MTData2 that it refuses to send
+    utc_before_fix   what it sends for UTC before its first fix: the time it guesses, nothing (an MTi-G: no
+                     date), no date, always the same
     start_ticks      SampleTimeFine when the pretended world began; it is 0 after every reset
     """
 
@@ -72,6 +84,10 @@ class MtigSetup:
     gnss_latency_ns: int = 45_000_000
     boot_ns: int = 800_000_000
     utc_at_start_ns: int = 1_547_992_044_000_000_000
+    product: str = ""
+    fixed: frozenset[int] = frozenset()
+    unsendable: frozenset[int] = frozenset()
+    utc_before_fix: UtcBeforeFix = "runs"
 
 
 @dataclass(slots=True)
@@ -122,7 +138,8 @@ class FakeMtiG:
     clipped: int = 0  # bits 8 to 16 of the status word, from now on
 
     def __post_init__(self) -> None:
-        self.settings = DeviceSettings(self.setup.personality, self.setup.baud)
+        s = self.setup
+        self.settings = DeviceSettings(s.personality, s.baud, s.product, s.fixed, s.unsendable)
         self._start_ticks = self.setup.start_ticks
         self._count = self.setup.start_count
 
@@ -329,6 +346,7 @@ class FakeMtiG:
             packet=count & 0xFFFF,
             utc_ns=self._utc_ns(host_ns),
             utc_known=self._place is not None,
+            utc_before_fix=self.setup.utc_before_fix,
             rate_radps=samples.rate_radps[row],
             force_mps2=samples.force_mps2[row],
             enu_from_sensor=samples.enu_from_sensor[row],

@@ -5,6 +5,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Literal
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from drivers.xsens_mtig.orientation import quaternion_of_matrix
 from simulators.inertial import Place
 from simulators.trajectory import Floats
 
+UtcBeforeFix = Literal["runs", "absent", "no_date", "stands"]
 WEEK_MS = 604_800_000
 GPS_EPOCH_S, LEAP_S = 315_964_800, 18
 UTC_VALID, UTC_UNKNOWN = 0x37, 0x00
@@ -48,6 +50,7 @@ class Sample:
     packet: int
     utc_ns: int
     utc_known: bool
+    utc_before_fix: UtcBeforeFix
     rate_radps: Floats
     force_mps2: Floats
     enu_from_sensor: Floats  # (3, 3)
@@ -119,8 +122,15 @@ def _magnetic(sample: Sample) -> tuple[float, ...]:
     return tuple((sample.enu_from_sensor.T @ np.array(FIELD_ENU)).tolist())
 
 
+STANDING_UTC = Utc(0, 2000, 1, 1, 0, 0, 0, UTC_UNKNOWN)
+
+
 def _utc(sample: Sample) -> Utc:
-    return calendar(sample.utc_ns, UTC_VALID if sample.utc_known else UTC_UNKNOWN)
+    if sample.utc_known:
+        return calendar(sample.utc_ns, UTC_VALID)
+    if sample.utc_before_fix == "runs":
+        return calendar(sample.utc_ns, UTC_UNKNOWN)
+    return STANDING_UTC if sample.utc_before_fix == "stands" else Utc(0, 0, 0, 0, 0, 0, 0, 0)
 
 
 NEEDS_FILTER = frozenset((Kind.QUATERNION, Kind.MATRIX, Kind.EULER, Kind.FREE_ACCELERATION))
@@ -167,6 +177,8 @@ def inertial_message(identifiers: list[int], sample: Sample) -> bytes:
         if (kind in NEEDS_FILTER and not sample.filter_valid) or (
             kind in NEEDS_PLACE and sample.estimate is None
         ):
+            continue
+        if kind == Kind.UTC and not sample.utc_known and sample.utc_before_fix == "absent":
             continue
         items.append((identifier, write_item(identifier, _VALUES[kind](identifier, sample))))
     return join(items)
@@ -286,7 +298,7 @@ def legacy_message(codec: LegacyCodec, sample: Sample, count: int, fix_age: int,
             velocity_mps=_if(mode & Mode.VELOCITY, velocity),
             status=status_word(sample) & 0xFF if mode & Mode.STATUS else None,
             sample_counter=count if settings & Settings.SAMPLE_COUNTER else None,
-            utc=calendar(sample.utc_ns, int(sample.utc_known)) if settings & Settings.UTC else None,
+            utc=_utc(sample)._replace(valid=int(sample.utc_known)) if settings & Settings.UTC else None,
         )
     )
 

@@ -73,6 +73,7 @@ SCENARIOS = {
     ),
 }
 SCENARIO_VERSION = 10
+PRODUCTS = {"mtdata2": "MTi-G-710-2A5G4", "legacy": "MTi-G-28A53G35"}
 SYNC_BYTES = 12
 
 # mid -> (bytes, factory value, who has it)
@@ -116,8 +117,17 @@ class Refusal(Exception):  # noqa: N818 - it is an answer, not a fault of ours
 class DeviceSettings:
     """What the unit keeps, over resets too. A new baud rate counts from the next power-up on."""
 
-    def __init__(self, personality: Literal["mtdata2", "legacy"], baud: int | None) -> None:
+    def __init__(
+        self,
+        personality: Literal["mtdata2", "legacy"],
+        baud: int | None,
+        product: str = "",
+        fixed: frozenset[int] = frozenset(),
+        unsendable: frozenset[int] = frozenset(),
+    ) -> None:
         self._personality = personality
+        self._product = product or PRODUCTS[personality]
+        self._fixed, self._unsendable = fixed, unsendable
         self.baud = baud
         self._next_baud = baud
         self._registers: dict[int, bytes] = {}
@@ -167,8 +177,8 @@ class DeviceSettings:
 
     @property
     def receives_gnss(self) -> bool:
-        """Both have a receiver; the solutions of an MTi-G-710 also go into its filter."""
-        return True
+        """The solutions of an MTi-G-710 also go into its filter."""
+        return self._product.startswith("MTi-G")
 
     def items_at(self, index: int) -> list[int]:
         """Ids of the items in the message of this sample, by their rates."""
@@ -200,6 +210,8 @@ class DeviceSettings:
     def answer(self, message: Message) -> bytes:
         """Data of the acknowledgement. Raises Refusal."""
         mid, data = message.mid, message.data
+        if data and mid in self._fixed:
+            raise Refusal(PARAMETER_INVALID)
         if mid in self._registers:
             return self._register(mid, data)
         if mid in _PLAIN_ACKS:
@@ -212,7 +224,7 @@ class DeviceSettings:
             case Mid.REQ_DEVICE_ID | Mid.INIT_MT:
                 return self.device_id
             case Mid.REQ_PRODUCT_CODE:
-                return b"MTi-G-28A53G35" if self.legacy else b"MTi-G-710-2A5G4".ljust(20)
+                return self._product.encode("ascii").ljust(0 if self.legacy else 20)
             case Mid.REQ_FIRMWARE:
                 return bytes((2, 6, 1)) if self.legacy else bytes((1, 6, 0)) + struct.pack(">II", 4, 16_384)
             case Mid.REQ_HARDWARE_VERSION if not self.legacy:
@@ -305,9 +317,10 @@ class DeviceSettings:
         for identifier, rate in asked:
             if identifier == 0 and len(asked) == 1:
                 return []
-            if not can_send(identifier):
-                raise Refusal(PARAMETER_INVALID)
             kind = identifier & KIND_MASK
+            without_receiver = kind == Kind.GNSS_PVT and not self.receives_gnss
+            if without_receiver or kind in self._unsendable or not can_send(identifier):
+                raise Refusal(PARAMETER_INVALID)
             most = MAX_RATES.get(Kind(kind), MAX_RATE_HZ)
             wanted = most if rate in (0, EVERY_MESSAGE) else min(rate, most)
             slower = next(r for r in range(wanted, 0, -1) if most % r == 0)

@@ -44,7 +44,7 @@ ADVICE = Advice(
     bauds=LIKELY_BAUDS,
     other_settings=other_settings,
     doubt=doubt,
-    worries=("self-test failed", "error 0x", "warning ", "instead of", "does not send", "filter not settled"),
+    worries=("self-test failed", "error 0x", "warning ", "does not send", "filter not settled"),
     start_up_s=12.0,  # two rounds of all baud rates; a unit that ignores GoToConfig is reset in less
     silence="is it powered (USB does, some serial cables do not), is this its port? "
     "ModemManager holds new serial ports for some seconds",

@@ -3,7 +3,8 @@
 The order: into config state, read identity and output, write what differs, read back, into measurement state.
 
 A device that streams acknowledges GoToConfig behind some data, and was seen to ignore it until it was reset.
-What is written it keeps over power cuts, so only what differs is written.
+What is written it keeps over power cuts, so only what differs is written. What it refuses is done without
+where samples come all the same, and named in `refusals`.
 Sources: MT0101P, chapters 4 and 5; markvilar/xsensmti-py (MTi-G-700 by USB, deaf to GoToConfig);
 ethz-asl/ethzasl_xsens_driver issues 55, 66 (answers of an MTi-G).
 """
@@ -16,9 +17,9 @@ from typing import TypeVar
 
 from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.xsens_mtig.config import AUTO, XsensMtigConfig
-from drivers.xsens_mtig.mtdata import KNOWN_MODE, Layout, Mode, Settings
+from drivers.xsens_mtig.mtdata import KNOWN_MODE, Layout, Mode
 from drivers.xsens_mtig.mtdata2 import (
-    EVERY_MESSAGE,
+    KIND_MASK,
     Kind,
     read_output_configuration,
     write_output_configuration,
@@ -26,12 +27,22 @@ from drivers.xsens_mtig.mtdata2 import (
 from drivers.xsens_mtig.protocol import (
     BAUD_OF_CODE,
     CODE_OF_BAUD,
+    PARAMETER_INVALID,
     UNSUPPORTED,
     Message,
     Mid,
     error_text,
 )
-from drivers.xsens_mtig.wanted import LegacyOutput, OutputItems, left_out, wanted_items, wanted_layout
+from drivers.xsens_mtig.wanted import (
+    LegacyOutput,
+    OutputItems,
+    agree,
+    difference,
+    left_out,
+    legacy_difference,
+    wanted_items,
+    wanted_layout,
+)
 
 GO_TO_CONFIG_S = 0.2  # between two GoToConfig
 SEARCH_ATTEMPTS = 75  # 15 s: three rounds of all baud rates
@@ -46,6 +57,15 @@ OPTIONAL_ATTEMPTS = 2  # of what the stream does not depend on
 SCENARIO_BYTES, SCENARIO_LABEL_BYTES = 22, 20
 
 T = TypeVar("T")
+
+
+class RefusedError(DeviceError):
+    """An Error message answered a request."""
+
+    def __init__(self, asked: str, answer: Message) -> None:
+        self.reason = error_text(answer)
+        self.code = answer.data[0] if answer.data else 0
+        super().__init__(f"refused {asked}: {self.reason}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +87,8 @@ class MtigDialogue:
         self.identity: dict[str, str] = {}
         self.phase = "waiting for an answer"
         self.fault = ""  # what was asked for and cannot be had, "" where all is well
+        self.refusals: list[str] = []  # settings that it did not take, in words
+        self.output: OutputItems = []  # of a device that sends MTData2
         self.heard = False  # any whole message; kept by the session
         self.awaits_wake_up = False  # after our own reset
         self.baud: int | None = None if config.over_usb else 115_200
@@ -76,6 +98,7 @@ class MtigDialogue:
     def run(self) -> Dialogue[None]:
         """Raises TransportError where nobody answers, DeviceError where the device refuses."""
         self.measuring = False
+        self.refusals.clear()
         yield from self._enter_config()
         yield from self._identify()
         yield from self._find_baud()
@@ -86,12 +109,25 @@ class MtigDialogue:
             self.legacy = None
             yield from self._set_up_mtdata2(read_output_configuration(current))
         if self._config.configure:
-            yield from self._set_lever_arm()
-            yield from self._set_filter_profile()
+            yield from self._unless_refused("lever_arm_m", self._set_lever_arm())
+            yield from self._unless_refused("filter_profile", self._set_filter_profile())
         self.phase = "starting to measure"
         yield from self._ask(Mid.GO_TO_MEASUREMENT, needed=True)
         self.measuring = True
         self.phase = "waiting for samples"
+
+    def _unless_refused(self, setting: str, steps: Dialogue[None]) -> Dialogue[bool]:
+        """Whether the device takes the setting; one that it refuses is named."""
+        try:
+            yield from steps
+        except DeviceError as error:
+            reason = error.reason if isinstance(error, RefusedError) else str(error).replace("; ", ", ")
+            self.refusals.append(f"configured {setting} not taken: {reason}")
+            return False
+        return True
+
+    def _write(self, mid: int, data: bytes) -> Dialogue[None]:
+        yield from self._ask(mid, data, needed=True)
 
     def _enter_config(self) -> Dialogue[None]:
         self.phase = "waiting for an answer"
@@ -163,7 +199,9 @@ class MtigDialogue:
         if wanted is None or reported is None or wanted == reported:
             return
         self.phase = f"storing {wanted} baud"
-        yield from self._ask(Mid.BAUDRATE, bytes((CODE_OF_BAUD[wanted],)), needed=True)
+        stored = self._write(Mid.BAUDRATE, bytes((CODE_OF_BAUD[wanted],)))
+        if not (yield from self._unless_refused(f"store_baud {wanted}", stored)):
+            return
         yield Ask(Mid.RESET, b"", ANSWER_S)  # from here on it speaks at the new rate
         raise TransportError(f"it goes from {reported} to {wanted} baud as store_baud asks for")
 
@@ -172,16 +210,15 @@ class MtigDialogue:
         self.identity["protocol"] = "MTData2"
         if self._config.configure:
             wanted = wanted_items(self._config, self.baud)
-            if sorted(current) != wanted:
+            if not agree(wanted, current):
                 self.phase = "writing output configuration"
                 self.counters["settings_written"] += 1
-                yield from self._ask(
-                    Mid.OUTPUT_CONFIGURATION, write_output_configuration(wanted), needed=True
-                )
+                wanted = yield from self._write_output(wanted, current)
                 again = yield from self._ask(Mid.OUTPUT_CONFIGURATION, needed=True)
                 current = read_output_configuration(again or b"")
-            self.fault = _difference(wanted, current)
-        kinds = {identifier & 0xFFF0 for identifier, _ in current}
+            self.fault = difference(wanted, current)
+        self.output = current
+        kinds = {identifier & KIND_MASK for identifier, _ in current}
         if not self._config.configure:
             self.fault = left_out(
                 self._config,
@@ -189,13 +226,42 @@ class MtigDialogue:
                 orientation=not kinds.isdisjoint((Kind.QUATERNION, Kind.EULER, Kind.MATRIX)),
                 status=not kinds.isdisjoint((Kind.STATUS_BYTE, Kind.STATUS_WORD)),
             )
-        times = {Kind.SAMPLE_TIME_FINE, Kind.UTC}
-        if Kind.RATE not in kinds or Kind.ACCELERATION not in kinds or not times & kinds:
+        if Kind.RATE not in kinds or Kind.ACCELERATION not in kinds:
             have = ", ".join(f"{identifier:04X}" for identifier, _ in current) or "nothing"
             raise DeviceError(
-                f"it sends {have}; needed are 8020 (rate of turn), 4020 (acceleration) and 1060 (sample "
-                "time) or 1010 (UTC). Is it a unit without calibrated data, or configure: false?"
+                f"it sends {have}; needed are 8020 (rate of turn) and 4020 (acceleration). Is it a unit "
+                f"without calibrated data, or configure: false? {', '.join(self.refusals)}".rstrip()
             )
+
+    def _write_output(self, wanted: OutputItems, current: OutputItems) -> Dialogue[OutputItems]:
+        """What it was set to: without orientation where it refuses that, `current` where it refuses all.
+        Raises DeviceError where it refuses GNSS fixes alone: a unit without a receiver."""
+        inertial = [item for item in wanted if item[0] & KIND_MASK != Kind.QUATERNION]
+        try:
+            yield from self._write(Mid.OUTPUT_CONFIGURATION, write_output_configuration(wanted))
+        except RefusedError as refusal:
+            if inertial != wanted and (yield from self._accepts(inertial, current)):
+                self.refusals.append(f"configured orientation not taken: {refusal.reason}")
+                return inertial
+            bare = [item for item in inertial if item[0] & KIND_MASK != Kind.GNSS_PVT]
+            is_choice = refusal.code == PARAMETER_INVALID and bare != inertial
+            if is_choice and (yield from self._accepts(bare, current)):
+                product = self.identity.get("product", "this unit")
+                raise DeviceError(
+                    f"{product} has no GNSS receiver: it refused GNSS fixes ({refusal.reason}) and takes the "
+                    "rest; write gnss: false for this sensor"
+                ) from refusal
+            self.refusals.append(f"configured output not taken: {refusal.reason}")
+        return wanted
+
+    def _accepts(self, items: OutputItems, current: OutputItems) -> Dialogue[bool]:
+        if agree(items, current):
+            return True
+        try:
+            yield from self._write(Mid.OUTPUT_CONFIGURATION, write_output_configuration(items))
+        except RefusedError:
+            return False
+        return True
 
     def _set_up_legacy(self) -> Dialogue[None]:
         self.phase = "reading output mode and settings"
@@ -208,12 +274,7 @@ class MtigDialogue:
                 self.counters["settings_written"] += 1
                 yield from self._write_legacy(current, wanted)
                 current = yield from self._read_legacy()
-            if current != wanted:
-                self.fault = (
-                    f"it took mode 0x{current.layout.mode:04X}, settings 0x{current.layout.settings:08X}, "
-                    f"{current.rate_hz:g} Hz instead of 0x{wanted.layout.mode:04X}, "
-                    f"0x{wanted.layout.settings:08X}, {wanted.rate_hz:g} Hz"
-                )
+            self.fault = legacy_difference(wanted, current)
         else:
             mode = current.layout.mode
             self.fault = left_out(
@@ -229,11 +290,11 @@ class MtigDialogue:
                 "write configure: true"
             )
         names = {name for name, _ in current.layout.reals()}
-        timed = current.layout.settings & (Settings.SAMPLE_COUNTER | Settings.UTC)
-        if not timed or not {"rate_radps", "acceleration_mps2"} <= names:
+        if not {"rate_radps", "acceleration_mps2"} <= names:
             raise DeviceError(
                 f"mode 0x{current.layout.mode:04X} with settings 0x{current.layout.settings:08X} lacks "
-                "rate of turn, acceleration, or a sample counter; write configure: true"
+                "rate of turn or acceleration; "
+                + ("; ".join(self.refusals) if self._config.configure else "write configure: true")
             )
         said = yield from self._ask_if_known(Mid.REQ_DATA_LENGTH)
         length = int.from_bytes(said, "big") if said else current.layout.data_bytes
@@ -256,16 +317,19 @@ class MtigDialogue:
     def _write_legacy(self, current: LegacyOutput, wanted: LegacyOutput) -> Dialogue[None]:
         """The rate first where it falls and last where it rises: no state in between is too much for it."""
         layout, rate = [], []
+        rate_words = f"rate {wanted.rate_hz:g} Hz"
         if wanted.layout.mode != current.layout.mode:
-            layout.append((Mid.OUTPUT_MODE, struct.pack(">H", wanted.layout.mode)))
+            words = "output mode" + " (write gnss: false for a unit without a receiver)" * self._config.gnss
+            layout.append((words, Mid.OUTPUT_MODE, struct.pack(">H", wanted.layout.mode)))
         if wanted.layout.settings != current.layout.settings:
-            layout.append((Mid.OUTPUT_SETTINGS, struct.pack(">I", wanted.layout.settings)))
+            data = struct.pack(">I", wanted.layout.settings)
+            layout.append(("output settings", Mid.OUTPUT_SETTINGS, data))
         if wanted.period != current.period:
-            rate.append((Mid.PERIOD, struct.pack(">H", wanted.period)))
+            rate.append((rate_words, Mid.PERIOD, struct.pack(">H", wanted.period)))
         if wanted.skip != current.skip:
-            rate.append((Mid.SKIP_FACTOR, struct.pack(">H", wanted.skip)))
-        for mid, data in layout + rate if wanted.rate_hz > current.rate_hz else rate + layout:
-            yield from self._ask(mid, data, needed=True)
+            rate.append((rate_words, Mid.SKIP_FACTOR, struct.pack(">H", wanted.skip)))
+        for words, mid, data in layout + rate if wanted.rate_hz > current.rate_hz else rate + layout:
+            yield from self._unless_refused(words, self._write(mid, data))
 
     def _set_lever_arm(self) -> Dialogue[None]:
         wanted = self._config.lever_arm_m
@@ -326,7 +390,7 @@ class MtigDialogue:
                 self.counters["requests_unsupported"] += 1
                 return None
             asked = f"{_name(mid)} {data.hex()}".rstrip()
-            raise DeviceError(f"refused {asked}: {error_text(answer)}")
+            raise RefusedError(asked, answer)
         raise TransportError(f"no answer to {ATTEMPTS} times {_name(mid)}; rebooting, or a bad cable?")
 
 
@@ -343,16 +407,3 @@ def _scenarios(table: bytes) -> list[tuple[str, int]]:
         if text:
             found.append((text, table[at]))
     return found
-
-
-def _difference(wanted: OutputItems, current: OutputItems) -> str:
-    """What the device gives instead of what was asked for, in words; effective rates are its own choice."""
-    given = dict(current)
-    missing = [f"{identifier:04X}" for identifier, _ in wanted if identifier not in given]
-    slower = [
-        f"{identifier:04X} at {given[identifier]} instead of {rate} Hz"
-        for identifier, rate in wanted
-        if rate != EVERY_MESSAGE and given.get(identifier, rate) != rate
-    ]
-    texts = [f"it does not send {', '.join(missing)}"] if missing else []
-    return "; ".join(texts + slower)

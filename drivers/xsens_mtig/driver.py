@@ -144,7 +144,9 @@ class XsensMtigSession:
         self._byte_ns = BITS_A_BYTE * 1e9 / dialogue.baud if dialogue.baud else 0.0
         self._silence.heard()
         if dialogue.legacy is None:
-            self._stream = Mtdata2Stream(self._config, self.counters, self._health, self._silence)
+            self._stream = Mtdata2Stream(
+                self._config, self.counters, self._health, self._silence, dialogue.output
+            )
         else:
             self._stream = LegacyStream(
                 self._config, self.counters, self._health, self._silence, dialogue.legacy
@@ -158,7 +160,8 @@ class XsensMtigSession:
             self._silence.dropped(OTHER_PROTOCOL)
             return []
         try:
-            frames = self._stream.take(message.data, self._sent_ns(message, arrived_ns), arrived_ns)
+            behind = message.bytes_after / message.wire_bytes
+            frames = self._stream.take(message.data, self._sent_ns(message, arrived_ns), arrived_ns, behind)
         except ProtocolError as error:
             self._malformed.bad(error)
             return []
@@ -181,7 +184,9 @@ class XsensMtigSession:
         if not self._streaming:
             texts: tuple[str, ...] = (self._dialogue.phase, self._health.said(now_ns))
         else:
-            texts = ("streaming", self._dialogue.fault, self._health.words(now_ns))
+            notes = [] if self._stream is None else self._stream.notes
+            told = (self._dialogue.fault, *self._dialogue.refusals, *notes)
+            texts = ("streaming", *told, self._health.words(now_ns))
         self.status = "; ".join(text for text in texts if text)
 
 

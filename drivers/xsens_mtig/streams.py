@@ -1,5 +1,9 @@
 """MTData2 and legacy MTData into frames: axes, units, stamps, gaps. No I/O.
 
+A message without a time (a unit that sends UTC alone, before its first fix) is stamped by its arrival. Where
+acceleration and rate of turn have rates of their own, each of the faster is a sample, with the newest of the
+other.
+
 Inertial samples and GNSS solutions are two streams that run through one another. What is missing is counted
 for each on its own: samples by SampleTimeFine, solutions by the receiver's time of week, and whole messages
 by the packet counter, which counts both.
@@ -28,7 +32,7 @@ from drivers.xsens_mtig.mtdata2 import (
 from drivers.xsens_mtig.orientation import Vector, apply, axes_of, device_from_axes, to_enu
 from drivers.xsens_mtig.reals import Reals
 from drivers.xsens_mtig.sample_clock import FINE_TICK_NS, CounterClock, FineClock
-from drivers.xsens_mtig.wanted import GNSS_HZ, LegacyOutput
+from drivers.xsens_mtig.wanted import GNSS_HZ, LegacyOutput, OutputItems
 
 PACKET_MODULUS = 1 << 16
 GAP_IS_A_RESTART = 2_000  # messages; 10 s at 200 Hz
@@ -39,6 +43,7 @@ UTC_ALL_VALID = 0b111
 LEGACY_UTC_VALID = 1
 NO_ACCURACY = 0xFFFF_FFFF
 USABLE_FIXES = (2, 3, 4)
+MOST_PERIODS_OLD = 2.5  # of the slower of rate of turn and acceleration, where it goes with the faster one
 PERIOD_SHOWS_AFTER = 20  # steps between samples
 NO_PLACE = (math.nan, math.nan, math.nan)
 UNKNOWN_COVARIANCE = (0.0,) * 9
@@ -87,6 +92,38 @@ class _Stream:
         self._sample_gate = StampGate(counters, "samples", silence)
         self._fix_gate = StampGate(counters, "fixes")
         self.utc_minus_host_ns: int | None = None  # None: the device does not know UTC (yet)
+        self.by_arrival = False  # the newest sample had no time
+        self._sample_period_ns = 1e9 / config.rate_hz
+        self._mixed = ""  # rates of acceleration and rate of turn, where they differ
+        self._utc_stands = False  # it does not run before the first fix
+        self._last_utc_ticks: int | None = None
+
+    @property
+    def notes(self) -> list[str]:
+        """What is to be known of the samples, in words."""
+        told = [self._mixed] if self._mixed else []
+        if self.by_arrival:
+            told.append("no sample time, and no UTC before the first GNSS fix: stamped by arrival")
+        return told
+
+    def _utc_ticks(self, utc: Utc, known: bool) -> int | None:
+        """UTC in ticks of the sample time, valid or not where it runs; None where it stands or is no date."""
+        try:
+            ticks = utc_ns(utc) // FINE_TICK_NS
+        except ProtocolError:
+            return None
+        self._utc_stands = not known and (self._utc_stands or ticks == self._last_utc_ticks)
+        self._last_utc_ticks = ticks
+        return None if self._utc_stands else ticks
+
+    def _arrival_stamp_ns(self, sent_ns: int, arrived_ns: int, messages_behind: float) -> int:
+        """Of a sample without a time; messages_behind: how many more came in the same read."""
+        self._counters["samples_stamped_by_arrival"] += 1
+        ready_ns = min(sent_ns, arrived_ns - round(messages_behind * self._sample_period_ns))
+        last_ns = self._sample_gate.last_ns
+        return (
+            ready_ns - self._latency_ns if last_ns is None else max(ready_ns - self._latency_ns, last_ns + 1)
+        )
 
     def _sample(
         self,
@@ -141,12 +178,28 @@ class _Stream:
 
 
 class Mtdata2Stream(_Stream):
-    """One connection's MTData2."""
+    """One connection's MTData2, of the output that the device says it has."""
 
     def __init__(
-        self, config: XsensMtigConfig, counters: Counter[str], health: DeviceHealth, silence: SilenceWatch
+        self,
+        config: XsensMtigConfig,
+        counters: Counter[str],
+        health: DeviceHealth,
+        silence: SilenceWatch,
+        output: OutputItems,
     ) -> None:
         super().__init__(config, counters, health, silence)
+        rates = {identifier & KIND_MASK: rate for identifier, rate in output}
+        force_hz, rate_hz = rates.get(Kind.ACCELERATION, 0), rates.get(Kind.RATE, 0)
+        self._leading = Kind.ACCELERATION if force_hz > rate_hz else Kind.RATE
+        if force_hz != rate_hz:
+            self._mixed = (
+                f"acceleration at {force_hz} Hz, rate of turn at {rate_hz} Hz: "
+                "with each of the faster goes the newest of the slower"
+            )
+        self._sample_period_ns = 1e9 / max(force_hz, rate_hz, 1)
+        self._most_old_ns = MOST_PERIODS_OLD * 1e9 / max(min(force_hz, rate_hz), 1)
+        self._newest: dict[Kind, tuple[int, Reals]] = {}  # stamp and value of rate of turn and acceleration
         self._clock = FineClock(self._latency_ns)
         self._last_packet: int | None = None
         self._last_itow_ms: int | None = None
@@ -155,40 +208,50 @@ class Mtdata2Stream(_Stream):
 
     @property
     def offset_ns(self) -> int | None:
-        return self._clock.offset_ns
+        return None if self.by_arrival else self._clock.offset_ns
 
     @property
-    def offset_sigma_ns(self) -> int:
-        return self._clock.offset_sigma_ns
+    def offset_sigma_ns(self) -> int | None:
+        return None if self.by_arrival else self._clock.offset_sigma_ns
 
-    def take(self, data: bytes, sent_ns: int, arrived_ns: int) -> list[Frame]:
-        """Frames of one message, which was on the line from sent_ns on. Raises ProtocolError where its
-        content is not MTData2."""
+    def take(self, data: bytes, sent_ns: int, arrived_ns: int, messages_behind: float) -> list[Frame]:
+        """Frames of one message, which was on the line from sent_ns on; so many more came in the same read.
+        Raises ProtocolError where its content is not MTData2."""
         found: dict[int, tuple[int, bytes]] = {}
         for identifier, payload in split(data):
             kind = identifier & KIND_MASK
             if kind in _READ:
                 found[kind] = (identifier, payload)
         packet, ticks = self._integer(found, Kind.PACKET_COUNTER), self._ticks(found)
-        if ticks is None:
-            self._counters["messages_without_sample_time"] += 1
-            return []
-        inertial = Kind.RATE in found and Kind.ACCELERATION in found
-        resets, step = self._clock.resets, self._clock.step(ticks)
-        if inertial or self._clock.offset_ns is None:
-            self._clock.observe(ticks, sent_ns)
-        if self._clock.resets > resets:
-            self._last_packet = self._last_itow_ms = None
-            step = 0
-            self._counters["clock_resets"] += 1
+        inertial = self._leading in found
+        step = 0
+        if ticks is not None:
+            resets, step = self._clock.resets, self._clock.step(ticks)
+            if inertial or self._clock.offset_ns is None:
+                self._clock.observe(ticks, sent_ns)
+            if self._clock.resets > resets:
+                self._last_packet = self._last_itow_ms = None
+                step = 0
+                self._counters["clock_resets"] += 1
         self._count_packets(packet)
         for kind in (Kind.STATUS_WORD, Kind.STATUS_BYTE):
             if (status := self._integer(found, kind)) is not None:
                 self._health.observe_status(status)
                 break
-        stamp_ns = self._clock.to_host_ns(ticks)
+        if ticks is not None:
+            stamp_ns = self._clock.to_host_ns(ticks)
+        elif inertial:
+            stamp_ns = self._arrival_stamp_ns(sent_ns, arrived_ns, messages_behind)
+        else:
+            stamp_ns = sent_ns - self._latency_ns
+        for kind in (Kind.RATE, Kind.ACCELERATION):
+            if kind in found:
+                value = read_item(*found[kind])
+                assert isinstance(value, tuple)
+                self._newest[kind] = (stamp_ns, value)
         frames: list[Frame] = []
         if inertial:
+            self.by_arrival = ticks is None
             self._count_samples(step)
             frames += self._inertial(found, stamp_ns, arrived_ns)
         if Kind.GNSS_PVT in found:
@@ -200,17 +263,17 @@ class Mtdata2Stream(_Stream):
             assert isinstance(utc, Utc)
             if utc.valid & UTC_ALL_VALID == UTC_ALL_VALID:
                 self.utc_minus_host_ns = utc_ns(utc) - stamp_ns
-        elif not inertial:
+        elif Kind.RATE not in found and Kind.ACCELERATION not in found:
             self._counters["messages_without_samples"] += 1
         return frames
 
     def _ticks(self, found: dict[int, tuple[int, bytes]]) -> int | None:
-        """SampleTimeFine; else UTC in ticks of the same length, valid or not: it runs all the same."""
+        """SampleTimeFine; else UTC in ticks of the same length; None: the message has neither."""
         if Kind.SAMPLE_TIME_FINE in found or Kind.UTC not in found:
             return self._integer(found, Kind.SAMPLE_TIME_FINE)
         utc = read_item(*found[Kind.UTC])
         assert isinstance(utc, Utc)
-        return utc_ns(utc) // FINE_TICK_NS
+        return self._utc_ticks(utc, utc.valid & UTC_ALL_VALID == UTC_ALL_VALID)
 
     def _integer(self, found: dict[int, tuple[int, bytes]], kind: Kind) -> int | None:
         if kind not in found:
@@ -245,9 +308,14 @@ class Mtdata2Stream(_Stream):
             self._counters["samples_missed"] += max(0, round(step / self._period_ticks) - 1)
 
     def _inertial(self, found: dict[int, tuple[int, bytes]], stamp_ns: int, arrived_ns: int) -> list[Frame]:
-        rate, force = read_item(*found[Kind.RATE]), read_item(*found[Kind.ACCELERATION])
-        assert isinstance(rate, tuple)
-        assert isinstance(force, tuple)
+        newest = [self._newest.get(kind) for kind in (Kind.RATE, Kind.ACCELERATION)]
+        values = [pair[1] for pair in newest if pair is not None and stamp_ns - pair[0] <= self._most_old_ns]
+        if len(values) < len(newest):
+            self._counters["messages_without_samples"] += 1
+            return []
+        if Kind.RATE not in found or Kind.ACCELERATION not in found:
+            self._counters["samples_with_the_newest_of_the_slower"] += 1
+        rate, force = values
         orientation: Reals | None = None
         local = LocalFrame.ENU
         for kind in (Kind.QUATERNION, Kind.EULER, Kind.MATRIX):
@@ -298,9 +366,11 @@ class LegacyStream(_Stream):
         super().__init__(config, counters, health, silence)
         self._codec = LegacyCodec(output.layout)
         self._local = output.layout.local_frame
-        self._period_ns = 1e9 / output.rate_hz
+        self._sample_period_ns = 1e9 / output.rate_hz
         counts = output.layout.settings & Settings.SAMPLE_COUNTER
-        self._counter = CounterClock(self._period_ns, output.skip, self._latency_ns) if counts else None
+        self._counter = (
+            CounterClock(self._sample_period_ns, output.skip, self._latency_ns) if counts else None
+        )
         self._utc = FineClock(self._latency_ns)  # for a device that was told to send no counter
         self._samples_per_fix = max(1, round(output.rate_hz / GNSS_HZ))
         self._since_fix = 0
@@ -312,30 +382,34 @@ class LegacyStream(_Stream):
 
     @property
     def offset_ns(self) -> int | None:
-        return self._clock.offset_ns
+        return None if self.by_arrival else self._clock.offset_ns
 
     @property
-    def offset_sigma_ns(self) -> int:
-        return self._clock.offset_sigma_ns
+    def offset_sigma_ns(self) -> int | None:
+        return None if self.by_arrival else self._clock.offset_sigma_ns
 
-    def _observe(self, sample: LegacyData, sent_ns: int) -> tuple[int, int]:
-        """Stamp of the sample, and how many are missing before it. Raises ProtocolError without a time."""
+    def _observe(self, sample: LegacyData, sent_ns: int) -> tuple[int, int] | None:
+        """Stamp of the sample, and how many are missing before it; None where it has no time."""
         if self._counter is not None and sample.sample_counter is not None:
             missed = self._counter.observe(sample.sample_counter, sent_ns)
             return self._counter.to_host_ns(sample.sample_counter), missed
-        if sample.utc is None:
-            raise ProtocolError("MTData with neither sample counter nor UTC")
-        ticks = utc_ns(sample.utc) // FINE_TICK_NS
-        missed = max(0, round(self._utc.step(ticks) * FINE_TICK_NS / self._period_ns) - 1)
+        ticks = (
+            None if sample.utc is None else self._utc_ticks(sample.utc, sample.utc.valid == LEGACY_UTC_VALID)
+        )
+        if ticks is None:
+            return None
+        missed = max(0, round(self._utc.step(ticks) * FINE_TICK_NS / self._sample_period_ns) - 1)
         self._utc.observe(ticks, sent_ns)
         return self._utc.to_host_ns(ticks), missed
 
-    def take(self, data: bytes, sent_ns: int, arrived_ns: int) -> list[Frame]:
-        """Frames of one message, which was on the line from sent_ns on. Raises ProtocolError where its
-        length is not the layout's."""
+    def take(self, data: bytes, sent_ns: int, arrived_ns: int, messages_behind: float) -> list[Frame]:
+        """Frames of one message, which was on the line from sent_ns on; so many more came in the same read.
+        Raises ProtocolError where its length is not the layout's."""
         sample = self._codec.decode(data)
         resets = self._clock.resets
-        stamp_ns, missed = self._observe(sample, sent_ns)
+        observed = self._observe(sample, sent_ns)
+        self.by_arrival = observed is None
+        stamp_ns, missed = observed or (self._arrival_stamp_ns(sent_ns, arrived_ns, messages_behind), 0)
         if self._clock.resets > resets:
             self._counters["clock_resets"] += 1
             self._last_itow_ms = None
@@ -397,7 +471,7 @@ class LegacyStream(_Stream):
         if has_fix is None:
             self._counters["fixes_without_status"] += 1
             return []
-        age_ns = gps.age * self._period_ns
+        age_ns = gps.age * self._sample_period_ns
         accuracy_m = (gps.horizontal_accuracy_mm * 1e-3, gps.vertical_accuracy_mm * 1e-3)
         usable = has_fix and gps.horizontal_accuracy_mm not in (0, NO_ACCURACY)
         place = (gps.lat_1e7deg * 1e-7, gps.lon_1e7deg * 1e-7, gps.height_mm * 1e-3)

@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 from drivers.errors import DeviceError
+from drivers.rates import same_rate
 from drivers.xsens_mtig.config import XsensMtigConfig
 from drivers.xsens_mtig.mtdata import PRECISION_SHIFT as SETTINGS_PRECISION_SHIFT
 from drivers.xsens_mtig.mtdata import Layout, Mode, Settings
-from drivers.xsens_mtig.mtdata2 import EVERY_MESSAGE, Kind, item_bytes
+from drivers.xsens_mtig.mtdata2 import EVERY_MESSAGE, KIND_MASK, Kind, item_bytes
 from drivers.xsens_mtig.protocol import OVERHEAD_BYTES
 from drivers.xsens_mtig.reals import Precision
 
@@ -105,6 +106,56 @@ def left_out(config: XsensMtigConfig, places: bool, orientation: bool, status: b
     }
     names = ", ".join(name for name, is_missing in missing.items() if is_missing)
     return f"set up elsewhere (configure: false), it does not send {names}" if names else ""
+
+
+WORDS = {
+    Kind.PACKET_COUNTER: "packet counter",
+    Kind.SAMPLE_TIME_FINE: "sample time",
+    Kind.ACCELERATION: "acceleration",
+    Kind.RATE: "rate of turn",
+    Kind.QUATERNION: "orientation",
+    Kind.GNSS_PVT: "GNSS fixes (write gnss: false for a unit without a receiver)",
+    Kind.STATUS_BYTE: "status",
+    Kind.STATUS_WORD: "status",
+}
+LEGACY_WORDS = {
+    Mode.CALIBRATED: "rate of turn and acceleration",
+    Mode.ORIENTATION: "orientation",
+    Mode.POSITION: "places",
+    Mode.RAW_GPS: "GNSS fixes",
+    Mode.STATUS: "status",
+}
+
+
+def agree(wanted: OutputItems, given: OutputItems) -> bool:
+    """The same items, at rates that are those wanted."""
+    rates = dict(given)
+    return rates.keys() == dict(wanted).keys() and all(
+        same_rate(rates[identifier], rate) for identifier, rate in wanted
+    )
+
+
+def difference(wanted: OutputItems, given: OutputItems) -> str:
+    """What an MTData2 unit gives otherwise than asked for, in words; "" for nothing."""
+    rates = dict(given)
+    missing = [WORDS[Kind(i & KIND_MASK)] for i, _ in wanted if i not in rates]
+    texts = [f"configured {', '.join(missing)} not sent"] if missing else []
+    texts += [
+        f"{WORDS[Kind(i & KIND_MASK)]} at {rates[i]} Hz, configured {rate} Hz"
+        for i, rate in wanted
+        if rate != EVERY_MESSAGE and not same_rate(rates.get(i, rate), rate)
+    ]
+    return "; ".join(texts)
+
+
+def legacy_difference(wanted: LegacyOutput, given: LegacyOutput) -> str:
+    """What an MTi-G gives otherwise than asked for, in words; "" for nothing."""
+    lacks = wanted.layout.mode & ~given.layout.mode
+    missing = [words for bit, words in LEGACY_WORDS.items() if lacks & bit]
+    texts = [f"configured {', '.join(missing)} not sent"] if missing else []
+    if not same_rate(given.rate_hz, wanted.rate_hz):
+        texts.append(f"samples at {given.rate_hz:g} Hz, configured {wanted.rate_hz:g} Hz")
+    return "; ".join(texts)
 
 
 def _carries(baud: int | None, bits_per_s: int) -> bool:

@@ -26,6 +26,9 @@ class MtigOptions(BaseModel):
     y_m: OffsetM = 0.0
     yaw_deg: TurnDeg = 0.0
     clock_drift_ppm: float = 40.0
+    product: str = Field(
+        default="", pattern="^(MTi[A-Za-z0-9-]*)?$", max_length=20
+    )  # MTi-30-2A5G4: no receiver
     satellites: bool = True
     gnss_sigma_m: float = Field(default=1.5, ge=0.0)
     latitude_deg: float = Field(default=Datum().latitude_deg, ge=-85.0, le=85.0)  # of the world's origin
@@ -52,7 +55,7 @@ def build(name: str, options: MtigOptions, ride: Ride, seed: int) -> PtyWire:
         ),
         gnss_sigma_m=options.gnss_sigma_m if options.satellites else None,
     )
-    setup = MtigSetup(options.personality, options.baud, options.clock_drift_ppm)
+    setup = MtigSetup(options.personality, options.baud, options.clock_drift_ppm, product=options.product)
     return serve_pty(FakeMtiG(source, setup), options.link)
 
 

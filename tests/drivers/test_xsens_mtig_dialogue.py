@@ -112,7 +112,6 @@ def test_factory_output_holds_no_samples_and_says_so():
     ("mode", "settings", "diagnostic"),
     [
         (0x4000, 0x1, "lacks rate of turn"),
-        (0x0002, 0x0, "lacks rate of turn, acceleration, or a sample counter"),
         (0x0002, 0x21, "lacks rate of turn"),
         (0x0102, 0x1, r"holds data \(0x0100\) of unknown length"),
     ],
@@ -253,8 +252,9 @@ def test_lever_arm_and_filter_profile_are_written_where_they_differ(make):
     again.now_ns = t.now_ns
     again.run(1.5)
     assert sent_with_data(again.sent) == []
-    with pytest.raises(DeviceError, match="no filter_profile 'submarine'; it has General"):
-        talk(make(), filter_profile="submarine").run(2.0)
+    t = talk(make(), filter_profile="submarine").run(2.0)
+    assert "filter_profile not taken: no filter_profile 'submarine', it has General" in t.session.status
+    assert samples(t.frames)
 
 
 def test_line_that_cannot_carry_it_is_refused_in_numbers():
@@ -278,7 +278,8 @@ class Stubborn(FakeMtiG):
 def test_what_the_device_makes_of_our_requests_is_told():
     t = talk(Stubborn(Swing())).run(2.0)
     assert t.session.status.startswith(
-        "streaming; it does not send E010; 4020 at 100 instead of 200 Hz; 8020 at 100 instead of 200 Hz"
+        "streaming; configured status not sent; acceleration at 100 Hz, configured 200 Hz; "
+        "rate of turn at 100 Hz, configured 200 Hz"
     )
 
 
