@@ -72,6 +72,7 @@ class Utm30lxSetup:
     no_return_mm: int = 1  # what a beam without echo says; 65533 by Ethernet
     further_echo_share: float = 0.0  # of the beams, see through to something behind; Ethernet alone
     sums_count_semicolons: bool = False
+    refused: frozenset[str] = frozenset()  # commands it does not know: ME, ND ...; also "cluster", "skip"
     cuts_scan_on_quit: bool = False  # QT is answered in the middle of a scan
 
 
@@ -454,6 +455,11 @@ class FakeUtm30lx:
         for status, digits in (("01", text[2:6]), ("02", text[6:10]), ("03", text[10:12])):
             if not digits.isdigit():
                 return self._refuse(echo, status)
+        refused = self.setup.refused
+        if text[:2] in refused or ("cluster" in refused and int(text[10:12]) > 1):
+            return self._refuse(echo, NOT_DEFINED if text[:2] in refused else "03")
+        if "skip" in refused and text[12:13] not in ("", "0"):
+            return self._refuse(echo, "06")
         first, last = int(text[2:6]), int(text[6:10])
         if not self.setup.first_step <= first <= self.setup.last_step or last > self.setup.last_step:
             return self._refuse(echo, "04")

@@ -7,7 +7,7 @@ C-42-03320B; UrgNetworks/urg_library; ros-drivers/hokuyo_node; gbiggs/hokuyoaist
 
 from collections import Counter
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from drivers.dialogue import Pause
@@ -40,6 +40,8 @@ TIME_SAMPLES = 40
 TIME_SAMPLES_UNANSWERED = 3
 LASER_ATTEMPTS = 10
 LASER_PAUSE_S = 1.0
+UNKNOWN = ("0D", "0E", "0F")  # command; 0F also: not supported
+BAD_CLUSTER, BAD_SKIP = "03", "06"
 ALREADY = "02"  # BM: laser is on; TM0: time-adjust mode is on
 
 HEALTHY = ("stable", "sensor works well", "sensor is working normally")
@@ -75,6 +77,7 @@ class UtmDialogue:
         self.identity: dict[str, str] = {}
         self.phase = "connecting"
         self.fault = ""  # fault that the device reports, "" for none
+        self.refusals: list[str] = []  # settings that it did not take, in words
         self.geometry: Geometry | None = None
         self.request: ScanRequest | None = None  # of the stream that was asked for
         self.time_samples: list[TimeSample] = []
@@ -154,6 +157,7 @@ class UtmDialogue:
         reply = yield from self._ask("TM0")
         if reply is None or reply.status not in (OK, ALREADY):
             self.counters["time_sync_refused"] += 1
+            self.refusals.append("configured time_sync not taken: stamps are uncertain by about 1 ms")
         else:
             yield from self._sample_time()
         yield from self._ask("TM2")
@@ -198,17 +202,40 @@ class UtmDialogue:
                 f"{config.first_angle_deg:g} to {config.last_angle_deg:g} deg are steps {first} to {last} of "
                 f"{self.geometry.first_step} to {self.geometry.last_step}: it cannot look there"
             )
+        for key, angle_deg, step in (
+            ("first_angle_deg", config.first_angle_deg, first),
+            ("last_angle_deg", config.last_angle_deg, last),
+        ):
+            seen_deg = self.geometry.angle_deg(step)
+            if abs(seen_deg - angle_deg) > 360.0 / self.geometry.steps_per_turn:
+                self.refusals.append(f"configured {key} {angle_deg:g} not taken: it sees to {seen_deg:g} deg")
         request = ScanRequest(config.scan_command, first, last, config.cluster, config.skip_scans)
-        reply = yield from self._accepted(request.text, (OK, *SCAN_STATUS, "0D", "0E", "0F"))
-        if reply.status in SCAN_STATUS:
-            raise DeviceError(f"{request.text} refused: {SCAN_STATUS[reply.status]} (status {reply.status})")
-        if reply.status != OK:
-            raise DeviceError(
-                f"does not know {config.scan_command} (status {reply.status}); set echo: first and "
-                "intensity: false, or is this not a UTM-30LX?"
-            )
+        while True:
+            reply = yield from self._accepted(request.text, (OK, *SCAN_STATUS, *UNKNOWN))
+            if reply.status == OK:
+                break
+            setting, simpler = self._simpler(request, reply.status)
+            if simpler is None:
+                words = SCAN_STATUS.get(reply.status, "it does not know the command; is this a UTM-30LX?")
+                raise DeviceError(f"{request.text} refused (status {reply.status}): {words}")
+            told = f"{request.command} refused (status {reply.status})"
+            self.refusals.append(f"configured {setting} not taken: {told}")
+            request = simpler
         self.request = request
         self.phase = "waiting for the first scan"
+
+    def _simpler(self, request: ScanRequest, status: str) -> tuple[str, ScanRequest | None]:
+        """The setting that this status refuses, and the request without it; None: there is none."""
+        config = self._config
+        if status == BAD_CLUSTER and request.cluster > 1:
+            return f"cluster {request.cluster}", replace(request, cluster=1)
+        if status == BAD_SKIP and request.skip:
+            return f"skip_scans {request.skip}", replace(request, skip=0)
+        if status in UNKNOWN and request.multi_echo:
+            return f"echo {config.echo}", replace(request, command="ME" if config.intensity else "MD")
+        if status in UNKNOWN and request.with_intensity:
+            return "intensity", replace(request, command="MD")
+        return "", None
 
     def _accepted(self, command: str, statuses: tuple[str, ...]) -> Dialogue[Reply]:
         """Ask until one of these comes. Raises DeviceError on another refusal that stays."""

@@ -136,9 +136,8 @@ class HokuyoUtm30lxSession:
         if self._last_ms is None:
             self.status = self._dialogue.phase
         else:
-            self.status = "; ".join(
-                text for text in ("streaming", self._verifying, self._dialogue.fault) if text
-            )
+            told = (self._verifying, self._dialogue.fault, *self._dialogue.refusals)
+            self.status = "; ".join(text for text in ("streaming", *told) if text)
 
     def _take_scan(self, reply: Reply, arrived_ns: int) -> LaserScan | None:
         request = self._dialogue.request
@@ -231,7 +230,7 @@ class HokuyoUtm30lxSession:
             distance_mm = np.take_along_axis(distance_mm, row[np.newaxis], axis=0)
         range_m = (distance_mm[0] / 1000.0).astype(np.float32)
         range_m[~_is_distance(distance_mm[0], geometry)] = np.nan
-        if not self._config.intensity:
+        if not (self._config.intensity and len(scan.intensity)):
             return range_m, NO_INTENSITY
         intensity = (
             scan.intensity if row is None else np.take_along_axis(scan.intensity, row[np.newaxis], axis=0)

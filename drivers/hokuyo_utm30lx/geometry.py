@@ -62,6 +62,9 @@ class Geometry:
         step = self.front_step + round(angle_deg / 360.0 * self.steps_per_turn)
         return min(max(step, self.first_step), self.last_step)
 
+    def angle_deg(self, step: int) -> float:
+        return (step - self.front_step) * 360.0 / self.steps_per_turn
+
     def first_angle_rad(self, request: ScanRequest) -> float:
         """Of the first beam; one that stands for several neighbours looks into their middle."""
         return (self.first_beam_step(request) - self.front_step) * self.step_rad

@@ -223,11 +223,6 @@ def test_only_the_unit_with_the_configured_serial_number_is_taken():
         talk(serial_number="00906000").run(3.0)
 
 
-def test_a_unit_without_multi_echo_is_said_to_have_none():
-    with pytest.raises(DeviceError, match=r"does not know ND.*echo: first"):
-        talk(USB, host=HOST, echo="last").run(4.0)
-
-
 def test_a_laser_that_does_not_light_is_reported_after_some_attempts():
     t = talk()
     t.device.laser_broken = True
@@ -401,7 +396,7 @@ def test_a_clock_that_cannot_be_asked_costs_nothing_but_the_calibration():
         encode_reply(echo, "10") if text == "TM0" else refuse(t.device, text, echo, now_ns)
     )
     t.run(4.0)
-    assert t.session.status == "streaming"
+    assert t.session.status == "streaming; configured time_sync not taken: stamps are uncertain by about 1 ms"
     assert t.session.counters["time_sync_refused"] == 1
 
 
