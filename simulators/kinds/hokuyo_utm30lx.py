@@ -31,6 +31,7 @@ class Utm30lxOptions(BaseModel):
     bias_m: float = UTM30LX.bias_m
     clock_drift_ppm: float = 40.0
     motor_speed: float = Field(default=1.0, ge=0.9, le=1.1)  # of 40 turns a second
+    refuses: Literal["", "ME", "ND", "NE", "cluster", "skip"] = ""  # a command, or a part of all
 
 
 def build(name: str, options: Utm30lxOptions, ride: Ride, seed: int) -> TcpWire | PtyWire:
@@ -38,7 +39,10 @@ def build(name: str, options: Utm30lxOptions, ride: Ride, seed: int) -> TcpWire 
     model = replace(UTM30LX, sigma_m=options.sigma_m, bias_m=options.bias_m)
     source = LaserTruth(ride, name, mounting, model, seed)
     setup = Utm30lxSetup(
-        options.wire, clock_drift_ppm=options.clock_drift_ppm, motor_speed=options.motor_speed
+        options.wire,
+        clock_drift_ppm=options.clock_drift_ppm,
+        motor_speed=options.motor_speed,
+        refused=frozenset(filter(None, (options.refuses,))),
     )
     device = FakeUtm30lx(source, setup, seed_of(seed, name))
     if options.wire == "usb":

@@ -2,9 +2,11 @@
 
 import math
 from dataclasses import replace
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from drivers.ibeo_lux.messages import Parameter
 from drivers.mounting import OffsetM, TurnDeg
 from service.geometry.se2 import SE2
 from simulators.device_kind import DeviceKind
@@ -28,6 +30,7 @@ class LuxOptions(BaseModel):
     clock_drift_ppm: float = 40.0
     height_m: float | None = Field(default=None, gt=0.0)  # above ground, which the low layers then meet
     rain_share: float = Field(default=0.0, ge=0.0, le=1.0)  # of the shots that meet a drop first
+    refuses: Literal["", "SCAN_FREQUENCY", "START_ANGLE", "END_ANGLE", "RESOLUTION"] = ""  # a parameter
 
 
 def build(name: str, options: LuxOptions, ride: Ride, seed: int) -> TcpWire:
@@ -35,7 +38,10 @@ def build(name: str, options: LuxOptions, ride: Ride, seed: int) -> TcpWire:
     model = replace(IBEO_LUX, sigma_m=options.sigma_m, bias_m=options.bias_m)
     source = LaserTruth(ride, name, mounting, model, seed)
     setup = LuxSetup(
-        clock_drift_ppm=options.clock_drift_ppm, height_m=options.height_m, rain_share=options.rain_share
+        clock_drift_ppm=options.clock_drift_ppm,
+        height_m=options.height_m,
+        rain_share=options.rain_share,
+        fixed=frozenset({Parameter[options.refuses]} if options.refuses else ()),
     )
     return serve_tcp(FakeIbeoLux(source, setup, seed_of(seed, name)), options.host, options.port)
 

@@ -129,3 +129,20 @@ def test_laser_sits_where_its_options_say(world: World):
     ahead, behind = (source.sweep(0, 27_778, 0.0, 0.0, 50).range_m.mean() for source in sources)
     assert ahead == pytest.approx(5.0, abs=0.01)
     assert behind == pytest.approx(6.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("text", "attribute", "value"),
+    [
+        ("sick_lms100:refuses=LMPoutputRange", "refused", {"LMPoutputRange"}),
+        ("sick_lms100:firmware=V1.23", "firmware", "V1.23"),
+        ("sick_lms100", "refused", set()),
+        ("hokuyo_utm30lx:refuses=ME", "refused", {"ME"}),
+        ("ibeo_lux:refuses=SCAN_FREQUENCY", "fixed", {0x1102}),
+        ("ibeo_lux", "fixed", set()),
+        ("xsens_mtig:product=MTi-30-2A5G4", "product", "MTi-30-2A5G4"),
+    ],
+)
+def test_device_refuses_what_its_options_say(world: World, text: str, attribute: str, value: object):
+    (device,) = FakeVehicle(parse_devices([f"x={text}"]), Ride(world, 0), 1).devices.values()
+    assert getattr(device.setup, attribute) == value
