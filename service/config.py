@@ -26,6 +26,7 @@ from service.geometry.se2 import SE2
 from service.located_yaml import MAX_FILE_BYTES, Document, Fault, load
 from service.located_yaml import Path as KeyPath
 from service.mapper.profiles import MappingConfig, begins_in_stored, mapping_model
+from service.recording.choice import Choice
 from service.sinks.registry import SINKS
 from service.suggestion import suggest
 
@@ -65,6 +66,7 @@ class ReplayConfig:
 
     sensors: Mapping[str, Any]  # name -> the config model of its type, see drivers.registry
     mapping: MappingConfig
+    replay: Choice  # topics and frames of recordings of others
     begin_in: Path | None  # folder of the stored map that the session begins in; None: a new map
 
 
@@ -126,7 +128,7 @@ def mapped_lasers(config: ReplayConfig) -> tuple[str, ...]:
     return tuple(name for name in laser_names(config.sensors) if config.sensors[name].map)
 
 
-_KEYS = ("vehicle", "sensors", "mapping", *(kind.section for kind in SINKS))
+_KEYS = ("vehicle", "sensors", "mapping", "replay", *(kind.section for kind in SINKS))
 
 
 def load_config(path: Path) -> ServiceConfig:
@@ -135,8 +137,8 @@ def load_config(path: Path) -> ServiceConfig:
 
 
 def load_replay_config(path: Path) -> ReplayConfig:
-    """Read of a config file what a replay needs: `sensors` without their wires, and `mapping`. Both may be
-    left out; the other sections are not looked at. Raises ConfigError as load_config does.
+    """Read of a config file what a replay needs: `sensors` without their wires, `mapping` and `replay`. All
+    may be left out; the other sections are not looked at. Raises ConfigError as load_config does.
     """
     return parse_replay_config(_read(path), str(path))
 
@@ -202,10 +204,10 @@ class _Reader:
             self._refuse_nowhere_to_begin(mapping, _section(root, "map"))
         begin_in = getattr(sinks["map"], "load", None)
         read = {"vehicle": name, "sensors": sensors, "mapping": mapping, "sinks": sinks}
-        return {**read, "begin_in": begin_in}
+        return {**read, "replay": self._choice(root), "begin_in": begin_in}
 
     def read_for_replay(self) -> dict[str, Any]:
-        """Sensors and mapping, each as far as it is there; a wire that is not given stays unused."""
+        """Sensors, mapping and replay, each as far as it is there; a wire that is not given stays unused."""
         if (root := self._root()) is None:
             return {}
         sensors = root.get("sensors")
@@ -215,7 +217,8 @@ class _Reader:
         stored = _section(root, "map")
         load = stored.get("load") if isinstance(stored, dict) else None
         begin_in = Path(load) if isinstance(load, str) else None
-        return {"sensors": read, "mapping": self._mapping(root), "begin_in": begin_in}
+        mapping, choice = self._mapping(root), self._choice(root)
+        return {"sensors": read, "mapping": mapping, "replay": choice, "begin_in": begin_in}
 
     def _root(self) -> dict[str, Any] | None:
         """None where there is nothing to look at; why is said then."""
@@ -236,6 +239,9 @@ class _Reader:
         if isinstance(mapping, MappingConfig):
             self._refuse_what_is_no_laser(mapping.lasers or (), root.get("sensors"))
         return mapping
+
+    def _choice(self, root: dict[str, Any]) -> BaseModel | None:
+        return self._model(Choice, _section(root, "replay"), ("replay",))
 
     def _name(self, parent: KeyPath, name: object, key: str) -> object:
         if name is None:

@@ -8,6 +8,7 @@ from typing import Any, NoReturn, TypeVar
 from service.cli.choices import PROFILES, WORLDS, one_of
 from service.cli.map_arguments import add_maps
 from service.cli.map_names import map_and_version
+from service.cli.recordings import add_choice
 from service.errors import UsageError
 from service.version import VERSION
 
@@ -155,6 +156,7 @@ def _add_replay(commands: Any) -> None:
         action="store_true",
         help="show the map on the operator's page as it grows, until Ctrl-C; the result is the same",
     )
+    add_choice(replay)
     replay.add_argument("--paused", action="store_true", help="with --web: begin when the page says so")
     _add_listen(replay)
 
@@ -175,6 +177,7 @@ def _add_import(commands: Any) -> None:
     rosbag = _add(kinds, "rosbag", "a bag of ROS 1 or ROS 2")
     rosbag.add_argument("log", type=Path, metavar="BAG", help=RECORDINGS)
     rosbag.add_argument("out", type=Path, metavar="OUT.mcap")
+    add_choice(rosbag)
 
 
 def _add_export(commands: Any) -> None:
@@ -201,6 +204,7 @@ def _add_calibrate(commands: Any) -> None:
     calibrate.add_argument(
         "--reference", metavar="LASER", help="whose clock and place the others' are compared with"
     )
+    add_choice(calibrate)
 
 
 def _add_view(commands: Any) -> None:

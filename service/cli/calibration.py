@@ -11,6 +11,7 @@ from service.kernel_cache import ensure_cache_dir
 
 def calibrate(parsed: argparse.Namespace) -> int:
     ensure_cache_dir()
+    from service.cli.recordings import choice_of
     from service.offline.calibration.calibrate import calibrate as calibrate_by
     from service.offline.session_file import refuse_to_overwrite
     from service.offline.writing import refuse_unwritable_file, whole_files
@@ -20,7 +21,7 @@ def calibrate(parsed: argparse.Namespace) -> int:
             refuse_to_overwrite(path, parsed.out)
         refuse_unwritable_file(parsed.out)
     with progress("calibrate") as shown:
-        done = calibrate_by(parsed.files, parsed.config, parsed.reference, shown)
+        done = calibrate_by(parsed.files, parsed.config, parsed.reference, shown, choice_of(parsed))
     if parsed.out is not None:
         try:
             with whole_files(parsed.out) as path:

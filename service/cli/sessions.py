@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from service.cli.console import print_report, print_result, print_table, progress
+from service.cli.recordings import choice_of
 from service.errors import CorridorError, UsageError
 from service.interruption import leave_signals_alone
 from service.kernel_cache import ensure_cache_dir
@@ -31,7 +32,14 @@ def replay(parsed: argparse.Namespace) -> int:
 
     folder, version = parsed.map or (None, None)
     options = ReplayOptions(
-        parsed.config, parsed.profile, parsed.rate, folder, version, parsed.localize, parsed.from_raw
+        config=parsed.config,
+        profile=parsed.profile,
+        rate=parsed.rate,
+        map=folder,
+        version=version,
+        localize=parsed.localize,
+        choice=choice_of(parsed),
+        from_raw=parsed.from_raw,
     )
     refuse_contradictions(options)
     sessions = group_sessions(parsed.files)
@@ -138,7 +146,7 @@ def import_log(parsed: argparse.Namespace) -> int:
     if parsed.kind == "rosbag":
         from service.offline.rosbag import import_rosbag
 
-        print_report(import_rosbag(parsed.log, parsed.out), parsed.json)
+        print_report(import_rosbag(parsed.log, parsed.out, choice_of(parsed)), parsed.json)
         return 0
     from service.offline.carmen import import_carmen
 

@@ -18,6 +18,8 @@ from service.encoding.frames import (
     encode_frame,
     frame_id,
     odometry_fault,
+    scan_of_fields,
+    turned_over,
 )
 from service.encoding.graph import GRAPH, decode_graph, encode_graph
 from service.encoding.outputs import (
@@ -59,10 +61,12 @@ from service.encoding.wire import (
     LASER_SCAN,
     MAP_FRAME,
     MARKERS,
+    MULTI_ECHO_SCAN,
     NAV_SAT_FIX,
     OCCUPANCY_GRID,
     ODOM_FRAME,
     ODOMETRY,
+    POINT_CLOUD,
     STRING,
     TF,
     LogClock,
@@ -88,6 +92,7 @@ __all__ = [
     "LASER_SCAN",
     "MAP_FRAME",
     "MARKERS",
+    "MULTI_ECHO_SCAN",
     "NAV_SAT_FIX",
     "NO_COVARIANCE",
     "NO_ROTATION",
@@ -95,6 +100,7 @@ __all__ = [
     "ODOMETRY",
     "ODOM_FRAME",
     "OK",
+    "POINT_CLOUD",
     "STALE",
     "STANDING",
     "STRING",
@@ -134,8 +140,10 @@ __all__ = [
     "odometry_fault",
     "pose_on_wire",
     "read",
+    "scan_of_fields",
     "schema_text",
     "tile_channel",
+    "turned_over",
     "type_hash",
     "warm_up",
 ]

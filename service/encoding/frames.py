@@ -4,7 +4,7 @@ import math
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import cast
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -27,6 +27,8 @@ NO_ROTATION, NO_COVARIANCE = "no rotation", "no covariance"
 
 _UNKNOWN_9 = (0.0,) * 9
 _NOT_MEASURED_9 = (-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # sensor_msgs/Imu: element 0 is -1
+AnyFrame = TypeVar("AnyFrame", bound=Frame | None)
+
 _NAN = np.float32(np.nan)
 _NO_RETURN = np.float32(np.inf)  # REP 117: beyond the range of the sensor
 _SMALLEST_RANGE_M = float(np.finfo(np.float32).tiny)
@@ -76,7 +78,7 @@ def decode_frame(
     else:
         decode = _FRAME_DECODERS.get(message_type)
         frame = None if decode is None else decode(wire.read(message_type, payload), sensor, log_ns)
-    return _turned_over(frame) if upside_down else frame
+    return turned_over(frame) if upside_down else frame
 
 
 def odometry_fault(payload: bytes) -> str:
@@ -93,7 +95,8 @@ def odometry_fault(payload: bytes) -> str:
     return "" if _is_covariance(_planar_covariance(values)) else NO_COVARIANCE
 
 
-def _turned_over(frame: Frame | None) -> Frame | None:
+def turned_over(frame: AnyFrame) -> AnyFrame:
+    """Of a sensor that is mounted upside down, turned about its forward axis: as if it were not."""
     if isinstance(frame, LaserScan):
         return replace(frame, first_angle_rad=-frame.first_angle_rad, angle_step_rad=-frame.angle_step_rad)
     if isinstance(frame, ImuSample):
@@ -134,7 +137,11 @@ def _scan_ros(scan: LaserScan, stamp_ns: int) -> object:
 
 
 def _scan_frame(content: object, sensor: str, log_ns: int) -> LaserScan | None:
-    m = cast(ros.sensor_msgs__msg__LaserScan, content)
+    return scan_of_fields(cast(ros.sensor_msgs__msg__LaserScan, content), sensor, log_ns)
+
+
+def scan_of_fields(m: ros.sensor_msgs__msg__LaserScan, sensor: str, log_ns: int) -> LaserScan | None:
+    """The frame in the fields of a LaserScan, see decode_frame."""
     count, step = m.ranges.size, m.angle_increment
     range_min_m, range_max_m = m.range_min, m.range_max
     if not 0.0 < range_max_m < math.inf:

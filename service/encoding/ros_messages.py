@@ -69,6 +69,58 @@ class sensor_msgs__msg__LaserScan:  # noqa: N801
 
 
 @dataclass
+class sensor_msgs__msg__LaserEcho:  # noqa: N801
+    echoes: npt.NDArray[np.float32]
+    __msgtype__: ClassVar[str] = "sensor_msgs/msg/LaserEcho"
+
+
+@dataclass
+class sensor_msgs__msg__MultiEchoLaserScan:  # noqa: N801
+    header: std_msgs__msg__Header
+    angle_min: float
+    angle_max: float
+    angle_increment: float
+    time_increment: float
+    scan_time: float
+    range_min: float
+    range_max: float
+    ranges: list[sensor_msgs__msg__LaserEcho]
+    intensities: list[sensor_msgs__msg__LaserEcho]
+    __msgtype__: ClassVar[str] = "sensor_msgs/msg/MultiEchoLaserScan"
+
+
+@dataclass
+class sensor_msgs__msg__PointField:  # noqa: N801
+    name: str
+    offset: int
+    datatype: int
+    count: int
+    INT8: ClassVar[int] = 1
+    UINT8: ClassVar[int] = 2
+    INT16: ClassVar[int] = 3
+    UINT16: ClassVar[int] = 4
+    INT32: ClassVar[int] = 5
+    UINT32: ClassVar[int] = 6
+    FLOAT32: ClassVar[int] = 7
+    FLOAT64: ClassVar[int] = 8
+    __msgtype__: ClassVar[str] = "sensor_msgs/msg/PointField"
+
+
+@dataclass
+class sensor_msgs__msg__PointCloud2:  # noqa: N801
+    header: std_msgs__msg__Header
+    height: int
+    width: int
+    fields: list[sensor_msgs__msg__PointField]
+    is_bigendian: bool
+    point_step: int
+    row_step: int
+    data: npt.NDArray[np.uint8]
+    is_dense: bool
+    __msgtype__: ClassVar[str] = "sensor_msgs/msg/PointCloud2"
+
+
+@dataclass
 class geometry_msgs__msg__Quaternion:  # noqa: N801
     x: float
     y: float
@@ -298,6 +350,46 @@ _DEFINITIONS = {
         float32 range_max
         float32[] ranges
         float32[] intensities
+    """,
+    "sensor_msgs/msg/LaserEcho": """
+        float32[] echoes
+    """,
+    "sensor_msgs/msg/MultiEchoLaserScan": """
+        std_msgs/Header header
+        float32 angle_min
+        float32 angle_max
+        float32 angle_increment
+        float32 time_increment
+        float32 scan_time
+        float32 range_min
+        float32 range_max
+        sensor_msgs/LaserEcho[] ranges
+        sensor_msgs/LaserEcho[] intensities
+    """,
+    "sensor_msgs/msg/PointField": """
+        uint8 INT8=1
+        uint8 UINT8=2
+        uint8 INT16=3
+        uint8 UINT16=4
+        uint8 INT32=5
+        uint8 UINT32=6
+        uint8 FLOAT32=7
+        uint8 FLOAT64=8
+        string name
+        uint32 offset
+        uint8 datatype
+        uint32 count
+    """,
+    "sensor_msgs/msg/PointCloud2": """
+        std_msgs/Header header
+        uint32 height
+        uint32 width
+        sensor_msgs/PointField[] fields
+        bool is_bigendian
+        uint32 point_step
+        uint32 row_step
+        uint8[] data
+        bool is_dense
     """,
     "geometry_msgs/msg/Quaternion": """
         float64 x

@@ -16,6 +16,8 @@ from service.errors import InputError
 from service.geometry.se2 import SE2
 
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
+MULTI_ECHO_SCAN = "sensor_msgs/msg/MultiEchoLaserScan"
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 IMU = "sensor_msgs/msg/Imu"
 ODOMETRY = "nav_msgs/msg/Odometry"
 NAV_SAT_FIX = "sensor_msgs/msg/NavSatFix"

@@ -22,7 +22,7 @@ from service.offline.pace import Unwatched, Watch
 from service.offline.raw_replay import FROM_RAW, remake_frames
 from service.offline.replay_result import Replay, write_replay
 from service.offline.replay_run import MAPPING, Progress, ReplayRun
-from service.offline.replay_setup import ReplayOptions, set_up
+from service.offline.replay_setup import ReplayOptions, choice_of, set_up
 from service.offline.state_reasons import doubts
 from service.offline.warned import Warned
 from service.offline.writing import refuse_unwritable_folder
@@ -133,9 +133,11 @@ def replay(
 
 
 def _replay(paths: Sequence[Path], options: ReplayOptions, progress: Progress, watch: Watch) -> Replay:
-    session = open_session(paths)
+    session = open_session(paths, choice_of(options))
     for note in session.notes:
         log.info("%s", note)
+    for warning in session.warnings:
+        log.warning("%s", warning)
     setup = set_up(session, options)
     compiling = KernelProgress(lambda k: progress(k.share, "compiling kernels"))
     begin = None if options.map is None else begin_in(options.map, setup.mapping, setup.map_version)

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from service.config import (
@@ -19,6 +19,7 @@ from service.mapper.profiles import METHODS, MappingConfig, begins_in_stored, ma
 from service.mapstore.begin_in import MapVersion, recorded_version
 from service.mapstore.files import has_version
 from service.offline.raw_replay import FROM_RAW
+from service.recording.choice import NO_CHOICE, Choice
 from service.recording.mcap_source import Session
 
 log = logging.getLogger(__name__)
@@ -34,6 +35,7 @@ class ReplayOptions:
     map: Path | None = None  # a stored map to begin in
     version: int | None = None  # of it; None: that in which the recording began, else the newest
     localize: bool = False  # ... which stays as it is
+    choice: Choice = field(default_factory=Choice)  # topics and frames; what is not set is as in the config
     from_raw: bool = False  # map what the drivers make of the recorded bytes, not the recorded frames
 
 
@@ -70,6 +72,12 @@ def refuse_contradictions(options: ReplayOptions) -> None:
             )
 
 
+def choice_of(options: ReplayOptions) -> Choice:
+    """Topics and frames by the options, else by --config, else to be found. Raises ConfigError."""
+    configured = NO_CHOICE if options.config is None else load_replay_config(options.config).replay
+    return options.choice.over(configured)
+
+
 def set_up(session: Session, options: ReplayOptions) -> ReplaySetup:
     """Raises ConfigError where the config cannot be used, and InputError where it maps no laser of these."""
     recorded = _recorded_config(session, is_needed=options.config is None)
@@ -95,7 +103,7 @@ def set_up(session: Session, options: ReplayOptions) -> ReplaySetup:
             "the recording began in the stored map %s; this replay begins a new one. --map %s begins there",
             *(2 * [begun_in or recorded.begin_in]),
         )
-    lasers = _lasers(session, config)
+    lasers = _lasers(session, config, bool(choice_of(options).scan_topics))
     unmounted = [name for name in lasers if name in session.unmounted and name not in configured]
     for name in unmounted:
         log.warning(
@@ -156,13 +164,13 @@ def _mapping(config: ReplayConfig | None, options: ReplayOptions) -> MappingConf
         raise ConfigError([f"--profile: {error}"]) from error
 
 
-def _lasers(session: Session, config: ReplayConfig | None) -> Sequence[str]:
-    """Whose scans are mapped: as the config says. Where that knows none of them, those of every laser whose
-    mounting is known; where none is, of the one with most scans.
+def _lasers(session: Session, config: ReplayConfig | None, are_named: bool) -> Sequence[str]:
+    """Whose scans are mapped: as the config says. Where that knows none of them, those of every laser that
+    was named or whose mounting is known; where none is, of the one with most scans.
     """
     scans = session.scan_counts
     if config is None or (config.mapping.lasers is None and not scans.keys() & laser_names(config.sensors)):
-        mounted = sorted(scans.keys() - session.unmounted.keys())
+        mounted = sorted(scans if are_named else scans.keys() - session.unmounted.keys())
         return mounted or [min(scans, key=lambda name: (-scans[name], name))]
     wanted = mapped_lasers(config)
     lasers = [name for name in wanted if name in scans]

@@ -13,6 +13,7 @@ from service.geometry.se2 import SE2
 from service.mapper.mapping_session import Step
 from service.offline.session_file import refuse_to_overwrite, write_session
 from service.offline.writing import refuse_unwritable_file
+from service.recording.choice import NO_CHOICE, Choice
 from service.recording.mcap_source import Session, open_session
 
 MOST_STAMP_NS = 2**31 * 1_000_000_000  # ROS messages count seconds in int32
@@ -39,10 +40,11 @@ class BagReport:
         return "\n".join([found, *self.notes, *unusable, *self.losses])
 
 
-def import_rosbag(bag_path: Path, out_path: Path) -> BagReport:
+def import_rosbag(bag_path: Path, out_path: Path, choice: Choice = NO_CHOICE) -> BagReport:
     """Turn a bag into a session: /<sensor>/scan, odom, imu, fix and /tf_static, at the times of the bag.
 
-    bag_path   NAME.bag of ROS 1; NAME.db3, NAME.mcap or a folder with metadata.yaml of ROS 2
+    bag_path   see recording.opening
+    choice     topics and frames, where they are not left to be found
 
     Sensors are chosen and named as in a replay of a foreign recording; mountings are those of /tf_static,
     or of edges of /tf that never change. Raises InputError for what is no such bag, holds no laser that can
@@ -52,10 +54,10 @@ def import_rosbag(bag_path: Path, out_path: Path) -> BagReport:
     refuse_to_overwrite(bag_path, out_path)
     refuse_unwritable_file(out_path)
     report = BagReport(bag_path, out_path)
-    session = open_session([bag_path])
+    session = open_session([bag_path], choice)
     known = {name: pose for name, pose in session.mountings.items() if name not in session.unmounted}
     report.mountings = known | session.antennas
-    report.notes = [*session.notes, *session.unmounted.values()]
+    report.notes = [*session.notes, *session.warnings, *session.unmounted.values()]
     if not any(isinstance(frame, LaserScan) and _has_return(frame) for frame in _usable(session)):
         raise InputError(
             f"{bag_path}: not one beam came back in all scans of "

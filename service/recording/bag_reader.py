@@ -1,7 +1,6 @@
 """Reads bags of ROS 1 and db3 files of ROS 2 as one stream of ROS 2 messages.
 
-ROS 1 messages are turned into CDR on the way. Old robots say their odometry in /tf only: where a bag has no
-Odometry, the edge from odom to the base becomes one.
+ROS 1 messages are turned into CDR on the way.
 """
 
 import heapq
@@ -17,15 +16,9 @@ from rosbags.rosbag1.reader import ReaderError
 from rosbags.rosbag2 import Reader as Ros2Reader
 from rosbags.typesys import get_types_from_msg
 
-from drivers.frames import OdometrySample
 from service.encoding import (
-    BASE_FRAME,
-    ODOM_FRAME,
-    ODOMETRY,
     TF,
     Message,
-    decode_transforms,
-    encode_frame,
     from_ros1,
 )
 from service.encoding.ros_messages import FIELDDEFS
@@ -35,9 +28,6 @@ from service.recording.ros1_scan import Scan, ScannedReader, scan_bag
 from service.recording.unpacking import ROS1, Unpacked, plain
 
 OLD_TF = "tf/msg/tfMessage"  # of tf 1; the same fields as tf2_msgs'
-ODOM_FRAMES = (ODOM_FRAME, "odom_combined")
-MOVED_FRAMES = ("base_footprint", BASE_FRAME)
-ODOM_OF_TF = "/tf/odom"  # the topic that the odometry in /tf is given out as; no bag can have it besides /tf
 
 
 class Bag:
@@ -74,8 +64,6 @@ class Bag:
             Topic(name, type_name, "cdr" if name not in self._unknown else "another message of its name", n)
             for (name, type_name), n in sorted(counts.items())
         ]
-        if not any(topic.type == ODOMETRY and topic.count for topic in self.topics):
-            self._find_odometry_in_tf()
 
     def messages(
         self, topics: Collection[str] | None = None, from_ns: int | None = None, to_ns: int | None = None
@@ -83,19 +71,6 @@ class Bag:
         """Messages by rising time of recording, as of mcap_reader.Recording. Raises InputError at a damaged
         place.
         """
-        if topics is not None and ODOM_OF_TF in topics:
-            tf = {topic.name for topic in self._moving_tf()}
-            for message in self._stored(tf.union(topics), from_ns, to_ns):
-                if f"/{message.channel}" in topics:
-                    yield message
-                if f"/{message.channel}" in tf:
-                    yield from _odometry(message)
-        else:
-            yield from self._stored(topics, from_ns, to_ns)
-
-    def _stored(
-        self, topics: Collection[str] | None, from_ns: int | None = None, to_ns: int | None = None
-    ) -> Iterator[Message]:
         streams = [self._of_file(file, topics, from_ns, to_ns) for file in self._files]
         return heapq.merge(*streams, key=lambda message: message.log_ns)
 
@@ -122,15 +97,6 @@ class Bag:
                     log_ns=log_ns,
                     payload=_cdr_of_ros1(type_name, raw) if file.kind == ROS1 else plain(bytes(raw)),
                 )
-
-    def _moving_tf(self) -> list[Topic]:
-        return [t for t in self.topics if t.type == TF and not t.name.endswith("tf_static") and t.count]
-
-    def _find_odometry_in_tf(self) -> None:
-        tf = [topic.name for topic in self._moving_tf()]
-        samples = sum(len(_odometry(message)) for message in self._stored(tf)) if tf else 0
-        if samples:
-            self.topics.append(Topic(ODOM_OF_TF, ODOMETRY, "cdr", samples))
 
     def _scan_if_needed(self, file: Unpacked) -> None:
         if file.kind != ROS1:
@@ -192,19 +158,3 @@ def _same_fields(name: str, fields: list[Any]) -> bool:
     """ROS 1 has a seq in its header besides."""
     ours = FIELDDEFS.get(TF if name == OLD_TF else name)
     return ours is not None and [field for field in fields if field[0] != "seq"] == ours[1]
-
-
-def _odometry(tf: Message) -> list[Message]:
-    """The edges of a TFMessage that say where the base is by odometry, as Odometry."""
-    try:
-        said = decode_transforms(tf.payload)
-    except InputError:
-        return []
-    samples = []
-    for edge in [e for e in said if e.frame in ODOM_FRAMES and e.child in MOVED_FRAMES]:
-        x_m, y_m, heading_rad = edge.pose.x_m, edge.pose.y_m, edge.pose.theta_rad
-        sample = OdometrySample(
-            "tf", edge.stamp_ns, tf.log_ns, x_m, y_m, heading_rad, (0.0, 0.0, 0.0), (0.0,) * 9
-        )
-        samples.append(encode_frame(sample))
-    return samples

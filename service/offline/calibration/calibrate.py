@@ -4,6 +4,7 @@ Each laser maps the drive alone; its way is then compared with what the wheels c
 where the other lasers were. What the drive leaves open is said, and stays as it is configured.
 """
 
+import logging
 import math
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -23,7 +24,10 @@ from service.offline.calibration.fit import Fit, fit_gyro, fit_lasers, fit_wheel
 from service.offline.calibration.patch import Changes, patched, wheel_settings, why_not_taken
 from service.offline.calibration.tracks import LaserMapping, LaserTrack, gyro_track, wheel_track
 from service.offline.replay import group_sessions
+from service.recording.choice import NO_CHOICE, Choice
 from service.recording.mcap_source import Session, open_session
+
+log = logging.getLogger(__name__)
 
 # What a drive has to tell for a value to be used, one sigma
 ENOUGH = {"m": 0.02, "deg": 0.5, "ms": 5.0, "%": 1.0}
@@ -102,23 +106,28 @@ def calibrate(
     config_path: Path | None = None,
     reference: str | None = None,
     progress: Callable[[float], None] = lambda share: None,
+    choice: Choice = NO_CHOICE,
 ) -> Calibration:
     """Calibrate by one recorded drive.
 
     config_path   the config to be mended; None: the one in the recording, if there is one
     reference     the laser the others are compared with; None: the one with most scans
+    choice        topics and frames; what it leaves open is as in the config, else found
 
     Raises InputError where the recording has no laser, none that maps alone, or nothing to compare it with;
     UsageError for several drives and for a reference that is no laser of the recording; ConfigError.
     """
+    given = load_config(config_path) if config_path is not None else None
     drives = group_sessions(paths)
     if len(drives) > 1:
         raise UsageError(
             f"{' and '.join(str(drive[0]) for drive in drives)} are {len(drives)} drives; calibrate by one"
         )
-    session = open_session(drives[0])
+    session = open_session(drives[0], choice if given is None else choice.over(given.replay))
+    for warning in session.warnings:
+        log.warning("%s", warning)
     recorded = _recorded_config(session)
-    config = load_config(config_path) if config_path is not None else recorded
+    config = given or recorded
     before = recorded or config  # stamps and counts were made by this one
     lasers = sorted(session.scan_counts, key=lambda name: (-session.scan_counts[name], name))
     if reference is not None and reference not in lasers:

@@ -370,7 +370,7 @@ def test_a_sweep_all_around_that_claims_to_be_of_one_moment_is_told(
         assert session.losses == []
         return
     (loss,) = session.losses
-    assert loss.startswith("/scan: 1 of 1 scans are of more than 200 deg with a time_increment of 0")
+    assert loss.startswith("/scan: 1 scan (of 1) of more than 200 deg with a time_increment of 0")
 
 
 def test_a_second_odometry_or_imu_in_a_topic_is_refused(foreign):

@@ -1,0 +1,103 @@
+"""Odometry of robots that say it in /tf only: the edge from its frame to the base, as nav_msgs/Odometry."""
+
+from collections import Counter
+from collections.abc import Collection, Iterator, Sequence
+
+from drivers.frames import OdometrySample
+from service.encoding import ODOMETRY, TF, Message, Transform, decode_transforms, encode_frame
+from service.errors import InputError
+from service.recording.choice import Choice
+from service.recording.frames import is_base, is_odometry, robot_of
+from service.recording.mcap_reader import Readable, Topic
+
+ODOM_OF_TF = "/tf/odom"  # the topic that it is given out as; no recording can have it besides /tf
+Edge = tuple[str, str]  # frame above, frame below
+
+
+class WithOdometryOfTf:
+    """A recording, and one moving edge of its /tf besides, as the Odometry ODOM_OF_TF."""
+
+    def __init__(self, recording: Readable, edge: Edge, samples: int) -> None:
+        self.edge = edge
+        self.paths = recording.paths
+        self.library = recording.library
+        self.first_log_ns, self.last_log_ns = recording.first_log_ns, recording.last_log_ns
+        self.metadata = recording.metadata
+        self.losses = recording.losses
+        self.topics = [*recording.topics, Topic(ODOM_OF_TF, ODOMETRY, "cdr", samples)]
+        self._recording = recording
+        self._tf = set(moving_tf(recording))
+
+    def messages(
+        self, topics: Collection[str] | None = None, from_ns: int | None = None, to_ns: int | None = None
+    ) -> Iterator[Message]:
+        """As of the recording."""
+        if topics is None or ODOM_OF_TF not in topics:
+            yield from self._recording.messages(topics, from_ns, to_ns)
+            return
+        for message in self._recording.messages(self._tf.union(topics), from_ns, to_ns):
+            if f"/{message.channel}" in topics:
+                yield message
+            if f"/{message.channel}" in self._tf:
+                yield from self._odometry(message)
+
+    def _odometry(self, tf: Message) -> Iterator[Message]:
+        for transform in _transforms(tf):
+            if (transform.frame, transform.child) == self.edge:
+                x_m, y_m, heading_rad = transform.pose.x_m, transform.pose.y_m, transform.pose.theta_rad
+                yield encode_frame(
+                    OdometrySample(
+                        "tf",
+                        transform.stamp_ns,
+                        tf.log_ns,
+                        x_m,
+                        y_m,
+                        heading_rad,
+                        (0.0, 0.0, 0.0),
+                        (0.0,) * 9,
+                    )
+                )
+
+
+def moving_tf(recording: Readable) -> list[str]:
+    """Topics of transforms that may change."""
+    return [t.name for t in recording.topics if t.type == TF and not t.name.endswith("tf_static") and t.count]
+
+
+def moving_edges(recording: Readable) -> Counter[Edge]:
+    """How often each edge of /tf comes."""
+    names = moving_tf(recording)
+    return Counter(
+        (transform.frame, transform.child)
+        for message in (recording.messages(names) if names else ())
+        for transform in _transforms(message)
+    )
+
+
+def odometry_edge(
+    edges: Counter[Edge], choice: Choice, under_base: Collection[str], robot: str | None
+) -> list[Edge]:
+    """Edges that may be the odometry, the likeliest first: several only of several robots.
+
+    under_base   frames above the chosen lasers
+    robot        prefix of the base's frame, None where it is not known
+    """
+    fitting = [
+        (frame, child)
+        for frame, child in edges
+        if (frame == choice.odom_frame if choice.odom_frame else is_odometry(frame))
+        and (child == choice.base_frame if choice.base_frame else child in under_base or is_base(child))
+        and (robot is None or not is_base(child) or robot_of(child) == robot)
+    ]
+    fitting.sort(key=lambda edge: (edge[1] not in under_base, -edges[edge], edge))
+    own: dict[str, Edge] = {}
+    for edge in fitting:
+        own.setdefault(robot_of(edge[1]), edge)
+    return list(own.values())
+
+
+def _transforms(tf: Message) -> Sequence[Transform]:
+    try:
+        return decode_transforms(tf.payload)
+    except InputError:
+        return ()

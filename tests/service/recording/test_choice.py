@@ -1,0 +1,199 @@
+"""Which topics and frames of a recording of others are used: found, or named by options and config."""
+
+import math
+
+import pytest
+from rosbags.typesys.stores import ros2_jazzy as ros
+
+from drivers.frames import LaserScan, OdometrySample
+from service import encoding
+from service.encoding import Message
+from service.errors import InputError, UsageError
+from service.recording.choice import Choice
+from service.recording.mcap_source import open_session
+from tests.service.recording.sessions import PERIOD_NS, T0_NS, odometry_message, pose_at, scan_message
+from tests.service.recording.test_mcap_source import LEVEL, STORE, Foreign, turn
+
+SCANS = 5
+
+
+@pytest.fixture
+def foreign(tmp_path):
+    return Foreign(tmp_path / "foreign.mcap")
+
+
+def scan(index, frame):
+    content = STORE.deserialize_cdr(scan_message(index).payload, encoding.LASER_SCAN)
+    content.header.frame_id = frame
+    payload = bytes(STORE.serialize_cdr(content, encoding.LASER_SCAN))
+    log_ns = T0_NS + index * PERIOD_NS
+    return Message("", encoding.LASER_SCAN, log_ns, log_ns, payload)
+
+
+def odometry(index, frame, child):
+    content = STORE.deserialize_cdr(odometry_message(index).payload, encoding.ODOMETRY)
+    content.header.frame_id, content.child_frame_id = frame, child
+    log_ns = T0_NS + index * PERIOD_NS
+    return Message(
+        "", encoding.ODOMETRY, log_ns, log_ns, bytes(STORE.serialize_cdr(content, encoding.ODOMETRY))
+    )
+
+
+def moving(index, *edges):
+    """/tf of the drive's pose at that scan, for each (frame, child)."""
+    at, stamp_ns = pose_at(index), T0_NS + index * PERIOD_NS
+    stamp = ros.builtin_interfaces__msg__Time(stamp_ns // 10**9, stamp_ns % 10**9)
+    half = at.theta_rad / 2
+    transforms = [
+        ros.geometry_msgs__msg__TransformStamped(
+            ros.std_msgs__msg__Header(stamp, frame),
+            child,
+            ros.geometry_msgs__msg__Transform(
+                ros.geometry_msgs__msg__Vector3(at.x_m, at.y_m, 0.0),
+                ros.geometry_msgs__msg__Quaternion(0.0, 0.0, math.sin(half), math.cos(half)),
+            ),
+        )
+        for frame, child in edges
+    ]
+    payload = bytes(STORE.serialize_cdr(ros.tf2_msgs__msg__TFMessage(transforms), encoding.TF))
+    return Message("", encoding.TF, stamp_ns, stamp_ns, payload)
+
+
+def robot(foreign, prefix, topics, in_tf=False, name="base_link"):
+    """A laser 0.2 m ahead of a base with odometry, all frames behind a prefix."""
+    base = f"{prefix}{name}"
+    foreign.tf((base, f"{prefix}laser", (0.2, 0.0, 0.1), turn(yaw=10.0)))
+    for k in range(SCANS):
+        if in_tf:
+            foreign.add_message("/tf", moving(k, ("map", f"{prefix}odom"), (f"{prefix}odom", base)))
+        else:
+            foreign.add_message(f"{topics}odom", odometry(k, f"{prefix}odom", base))
+        foreign.add_message(f"{topics}scan", scan(k, f"{prefix}laser"))
+    return foreign
+
+
+@pytest.mark.parametrize("in_tf", [False, True], ids=["Odometry", "tf"])
+@pytest.mark.parametrize("prefix", ["", "robot1/", "robot1_", "fleet/robot1/"])
+@pytest.mark.parametrize("name", ["base_link", "base_footprint"])
+def test_base_and_odometry_are_found_behind_a_robots_prefix(foreign, prefix, in_tf, name):
+    session = open_session(robot(foreign, prefix, "/", in_tf, name).close())
+    assert session.mountings["scan"].x_m == pytest.approx(0.2)
+    assert not session.unmounted
+    assert not session.warnings
+    samples = [frame for frame in session.frames() if isinstance(frame, OdometrySample)]
+    assert [sample.x_m for sample in samples] == pytest.approx([pose_at(k).x_m for k in range(SCANS)])
+    assert [sample.theta_rad for sample in samples] == pytest.approx(
+        [pose_at(k).theta_rad for k in range(SCANS)]
+    )
+
+
+def two_robots(foreign, in_tf=False):
+    robot(foreign, "robot1/", "/robot1/", in_tf)
+    return robot(foreign, "robot2/", "/robot2/", in_tf).close()
+
+
+@pytest.mark.parametrize("in_tf", [False, True], ids=["Odometry", "tf"])
+def test_lasers_of_two_robots_are_refused_with_their_bases_and_the_option(foreign, in_tf):
+    with pytest.raises(
+        InputError,
+        match=r"on 2 bases: /robot1/scan on robot1/base_link, /robot2/scan on robot2/base_link; name one by "
+        r"--base-frame \(robot1/base_link or robot2/base_link\)",
+    ):
+        open_session(two_robots(foreign, in_tf))
+
+
+@pytest.mark.parametrize("in_tf", [False, True], ids=["Odometry", "tf"])
+@pytest.mark.parametrize(
+    "choice", [{"base_frame": "/robot2/base_link"}, {"scan_topics": ("robot2/scan",)}], ids=str
+)
+def test_one_robot_of_two_is_mapped_with_its_own_odometry(foreign, choice, in_tf):
+    session = open_session(two_robots(foreign, in_tf), Choice(**choice))
+    odom = "/tf/odom" if in_tf else "/robot2/odom"
+    assert set(session.devices) == {"/robot2/scan", odom}
+    assert session.mountings["robot2"].x_m == pytest.approx(0.2)
+    assert not session.unmounted
+    kinds = [type(frame) for frame in session.frames()]
+    assert (kinds.count(LaserScan), kinds.count(OdometrySample)) == (SCANS, SCANS)
+    if in_tf:
+        assert "odometry is robot2/odom to robot2/base_link (5) of /tf" in session.notes
+
+
+def test_robots_with_the_same_frames_are_told_apart_by_their_namespaces(foreign):
+    foreign.tf(("base_link", "laser", (0.2, 0.0, 0.1), LEVEL))
+    for k in range(2 * SCANS):  # robot2 says more
+        for name in ("robot1", "robot2") if k < SCANS else ("robot2",):
+            foreign.add_message(f"/{name}/odom", odometry(k, "odom", "base_link"))
+        foreign.add_message("/robot1/scan", scan(k, "laser"))
+        if k == 0:
+            foreign.add_message("/robot2/scan", scan(k, "laser"))
+    session = open_session(foreign.close())
+    assert set(session.devices) == {"/robot1/scan", "/robot1/odom"}
+
+
+def test_odometry_of_tf_that_nobody_knows_is_named_in_a_warning_and_by_options(foreign):
+    foreign.tf(("chassis", "laser", (0.2, 0.0, 0.1), LEVEL))
+    for k in range(SCANS):
+        foreign.add_message("/tf", moving(k, ("world", "dead_reckoning"), ("dead_reckoning", "chassis")))
+        foreign.add_message("/scan", scan(k, "laser"))
+    paths = foreign.close()
+    session = open_session(paths)
+    assert not any(isinstance(frame, OdometrySample) for frame in session.frames())
+    assert session.unmounted
+    (warning,) = session.warnings
+    assert "world to dead_reckoning (5), dead_reckoning to chassis (5)" in warning
+    assert "--odom-frame and --base-frame" in warning
+    session = open_session(paths, Choice(odom_frame="dead_reckoning", base_frame="chassis"))
+    assert session.mountings["scan"].x_m == 0.2
+    assert sum(isinstance(frame, OdometrySample) for frame in session.frames()) == SCANS
+
+
+def test_a_named_topic_is_used_although_another_is_more_usual(foreign):
+    robot(foreign, "", "/")
+    for k in range(SCANS):
+        foreign.add_message("/wheels", odometry(k, "wheels", "base_link"))
+        foreign.add_message("/filtered_scan", scan(k, "laser"))
+    paths = foreign.close()
+    assert set(open_session(paths).devices) == {"/scan", "/odom"}
+    by_topic = Choice(scan_topics=("/filtered_scan",), odom_topic="/wheels")
+    assert set(open_session(paths, by_topic).devices) == {"/filtered_scan", "/wheels"}
+    assert set(open_session(paths, Choice(odom_frame="wheels")).devices) == {"/scan", "/wheels"}
+
+
+def test_named_lasers_are_several(foreign):
+    foreign.tf(("base_link", "a", (0.2, 0.0, 0.0), LEVEL), ("base_link", "b", (-0.2, 0.0, 0.0), LEVEL))
+    for frame in ("a", "b", "c"):
+        foreign.add_message(f"/{frame}", scan(0, frame))
+    session = open_session(foreign.close(), Choice(scan_topics=("/a", "/b", "/a")))
+    assert set(session.mountings) == {"a", "b"}
+
+
+def test_odometry_in_tf_is_used_beside_an_odometry_where_tf_is_named(foreign):
+    robot(foreign, "", "/")
+    foreign.add_message("/tf", moving(0, ("odom", "base_link")))
+    session = open_session(foreign.close(), Choice(odom_topic="/tf"))
+    assert set(session.devices) == {"/scan", "/tf/odom"}
+
+
+@pytest.mark.parametrize(
+    ("choice", "words"),
+    [
+        (
+            {"scan_topics": ("/front",)},
+            r"--scan-topic /front: no such topic; .* has /scan \(sensor_msgs.*, 5\)",
+        ),
+        (
+            {"scan_topics": ("/odom",)},
+            r"--scan-topic /odom: is /odom \(nav_msgs/msg/Odometry, 5\); .* has /scan",
+        ),
+        ({"odom_topic": "/wheels"}, r"--odom-topic /wheels: no such topic; .* has /odom .*, /tf_static"),
+        ({"imu_topic": "/imu"}, r"--imu-topic /imu: no such topic; .* has no sensor_msgs/msg/Imu"),
+        ({"base_frame": "base"}, r"--base-frame base: no chosen laser .*; its frames are base_link, laser"),
+        (
+            {"odom_frame": "o"},
+            r"--odom-frame o: no odometry .*; header.frame_id of its Odometry: odom; edges",
+        ),
+    ],
+)
+def test_a_name_that_is_not_there_is_refused_with_those_that_are(foreign, choice, words):
+    with pytest.raises(UsageError, match=words):
+        open_session(robot(foreign, "", "/").close(), Choice(**choice))
