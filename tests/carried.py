@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from drivers.frames import Frame, OdometrySample
+from drivers.frames import Frame, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
 from tests.simulated import Drive
 
@@ -10,6 +10,14 @@ from tests.simulated import Drive
 def silent(made: Drive, at_ns: int, for_ns: int) -> Drive:
     """Driven on. Odometry counts while nobody listens: its next pose knows the way."""
     return replace(made, frames=[f for f in made.frames if not at_ns <= f.arrived_ns < at_ns + for_ns])
+
+
+def laser_silent(made: Drive, at_ns: int, for_ns: int) -> Drive:
+    """Driven on; the other sensors go on."""
+    left = [
+        f for f in made.frames if not (isinstance(f, LaserScan) and at_ns <= f.arrived_ns < at_ns + for_ns)
+    ]
+    return replace(made, frames=left)
 
 
 def carried_on(made: Drive, at_ns: int, for_ns: int) -> Drive:

@@ -11,8 +11,9 @@ from scipy.spatial import cKDTree
 from drivers.frames import Frame, LaserScan
 from service.mapper.profiles import mapping_config
 from simulators.worlds import WORLDS
+from tests.accuracy.scene_judge import NORMED, SIGMAS, WRONG_M, normed
 from tests.accuracy.trials import ghost_cells
-from tests.carried import carried_back, carried_on, silent
+from tests.carried import carried_back, carried_on, laser_silent, silent
 from tests.papers.pictures import end_points
 from tests.papers.report import Row, Section
 from tests.simulated import LMS100_50HZ, Drive, Run, Wheels, begun_at, drives, heading_rad, run_session
@@ -21,14 +22,12 @@ MOMENTS = 12  # a world, spread over the lap
 OUTAGE_NS = 5_000_000_000
 ALONE_NS = (1_000_000_000, 2_000_000_000, OUTAGE_NS)  # for which a laser that is alone is silent
 AFTER_NS = 6_000_000_000  # that a run goes on after the fault
-WRONG_M, SIGMAS = 0.3, 3.0
 FOUND_M = 0.05
 # Known ground: so much of what is seen after a fault is so near to what was seen before it.
 KNOWN_SHARE, KNOWN_M = 0.5, 0.1
 EACH = 10  # scan of those before
 OTHER_NOISE = 100  # added to a seed: the same drive once more
 ONTO_NEW = "lifted, carried on for 5 s with everything off"
-LEAST_COVARIANCE = np.diag([1e-8, 1e-8, 1e-10])  # the first scan of a map knows its pose without error
 Fault = Callable[[Drive, int], Drive]
 
 
@@ -46,16 +45,10 @@ class Outcome:
 
     def add(self, done: Run, after_ns: int, ghosts: int, on_known_ground: bool) -> None:
         off_m = np.hypot(*done.errors[:, :2].T)
-        normed = np.array(
-            [
-                np.sqrt(error @ np.linalg.solve(output.covariance + LEAST_COVARIANCE, error))
-                for error, output in zip(done.errors, done.outputs, strict=True)
-            ]
-        )
         ok = np.array([output.state == "ok" for output in done.outputs])
         stamp_ns = np.array([output.stamp_ns for output in done.outputs])
-        # Of three coordinates a distance of 3.76 is as rare as 3 sigma of one.
-        self.wrong_ok.append(float(np.sum(ok & ((off_m > WRONG_M) | ((normed > 3.76) & (off_m > FOUND_M))))))
+        is_beyond = (normed(done.errors, done.outputs) > NORMED) & (off_m > FOUND_M)
+        self.wrong_ok.append(float(np.sum(ok & ((off_m > WRONG_M) | is_beyond))))
         degraded = np.array([output.state == "degraded" for output in done.outputs])
         self.wrong_degraded.append(float(np.sum(degraded & (off_m > WRONG_M))))
         right = (off_m < FOUND_M) & (stamp_ns >= after_ns)
@@ -158,7 +151,7 @@ def outages_alone(seeds: Sequence[int]) -> Section:
             until = _until(made, at_ns + OUTAGE_NS + AFTER_NS)
             clean = ghost_cells(world, until, run_session(mapping_config(), until))
             for outage_ns, outcome in outcomes.items():
-                faulty = _laser_silent(until, at_ns, outage_ns)
+                faulty = laser_silent(until, at_ns, outage_ns)
                 done = run_session(mapping_config(), faulty)
                 after_ns, ghosts = at_ns + outage_ns, ghost_cells(world, faulty, done) - clean
                 outcome.add(done, after_ns, ghosts, is_on_known_ground(faulty, at_ns, after_ns))
@@ -185,7 +178,7 @@ def _faults(again: Drive, seed: int) -> dict[str, Fault]:
 
     return {
         "laser and odometry silent for 5 s, driven on": lambda made, at_ns: silent(made, at_ns, OUTAGE_NS),
-        "laser silent for 5 s": _laser_silent,
+        "laser silent for 5 s": lambda made, at_ns: laser_silent(made, at_ns, OUTAGE_NS),
         "one scan repeated for 5 s": _hung,
         "lifted, carried back within 5 s with everything off": back,
         ONTO_NEW: lambda made, at_ns: carried_on(made, at_ns, OUTAGE_NS),
@@ -202,13 +195,8 @@ def _until(made: Drive, end_ns: int) -> Drive:
     )
 
 
-def _within(frame: Frame, at_ns: int, outage_ns: int = OUTAGE_NS) -> bool:
-    return at_ns <= frame.arrived_ns < at_ns + outage_ns
-
-
-def _laser_silent(made: Drive, at_ns: int, outage_ns: int = OUTAGE_NS) -> Drive:
-    left = [f for f in made.frames if not (isinstance(f, LaserScan) and _within(f, at_ns, outage_ns))]
-    return replace(made, frames=left)
+def _within(frame: Frame, at_ns: int) -> bool:
+    return at_ns <= frame.arrived_ns < at_ns + OUTAGE_NS
 
 
 def _hung(made: Drive, at_ns: int) -> Drive:

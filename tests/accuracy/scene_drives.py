@@ -1,6 +1,6 @@
 """Drives through scenes in which a source of motion is wrong: what happens, and what the sensors said."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import radians
@@ -8,16 +8,25 @@ from math import radians
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from drivers.frames import LaserScan
-from simulators import disturbances
-from simulators.disturbances import GyroFault, Knock, Offset, Slip
+from simulators.disturbances import (
+    GyroFault,
+    Knock,
+    Offset,
+    Slip,
+    ahead,
+    around,
+    beside,
+    with_companions,
+    with_floor_seen,
+    with_train,
+)
 from simulators.trajectory import STEP_M, WAY, Limits, X, Y, drive_along
 from simulators.truth import LaserTruth, Ride
 from simulators.world import World
 from simulators.worlds import WORLDS
 from tests.accuracy.buildings import LMS100_25HZ
 from tests.accuracy.sensors import GOOD_WHEELS
-from tests.carried import carried_on, silent
+from tests.carried import carried_on, laser_silent, silent
 from tests.simulated import Drive, Imu, Laser, Wheels, begun_at, drive, heading_rad
 
 STAND_S = 0.5
@@ -25,6 +34,7 @@ BEFORE_S, AFTER_S = 12.0, 10.0  # still, before and after
 KNOT_M = 0.05  # of the spline through the way of a lap
 LEGS = Limits(acceleration_mps2=0.8, lateral_mps2=0.8, turn_rate_radps=1.2)
 MOST_PEOPLE = 14
+TRAINS_M = (1.0, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 40.0)
 TILT_RAD, LASER_HEIGHT_M = radians(3.0), 0.25
 RAMP_M = 2.6
 GAPS_M = {"office": 0.65, "ring": 0.65, "library": 1.0}  # from the middle of the vehicle to who walks beside
@@ -62,11 +72,7 @@ class Stage:
     laser: Laser = LMS100_25HZ
     wheels: Wheels | None = GOOD_WHEELS
     imu: Imu | None = field(default_factory=Imu)
-    tamper: Callable[[Drive, int, int], Drive] | None = None  # from_ns, to_ns
-
-    @property
-    def gap_m(self) -> float:
-        return GAPS_M.get(self.case.world, 1.0)
+    tamper: Callable[[Drive, int, int], Drive] | None = None  # at_ns, for_ns
 
 
 @dataclass(frozen=True)
@@ -77,6 +83,15 @@ class Scene:
     change: Callable[[Stage], Stage]
     for_s: float = 12.0
     is_bound: bool = True  # wheels and gyro are good: the pose itself has to be
+
+
+def _with_share(stage: Stage, worlds: Iterable[World]) -> Stage:
+    """In the first world in which enough returns are others than in that of the stage, or in the last."""
+    for world in worlds:
+        there = replace(stage, world=world)
+        if returns_share(stage, there) >= stage.case.share:
+            break
+    return there
 
 
 def _people(
@@ -91,41 +106,31 @@ def _people(
     beyond_m   added to the gap of the place
     speed      theirs, in that of the vehicle; None: they go along
     """
-    for count in counts:
-        world = disturbances.with_companions(
-            stage.world,
-            offsets(count, stage.gap_m + beyond_m),
-            stage.from_s,
-            stage.to_s,
-            speed_mps=None if speed is None else speed * stage.case.speed_mps,
-            seed=stage.case.seed,
-        )
-        staged = replace(stage, world=world)
-        if returns_share(stage, staged) >= stage.case.share:
-            break
-    return staged
+    gap_m = GAPS_M[stage.case.world] + beyond_m
+    speed_mps = None if speed is None else speed * stage.case.speed_mps
+    span = stage.from_s, stage.to_s
+    worlds = (
+        with_companions(stage.world, offsets(count, gap_m), *span, speed_mps=speed_mps, seed=stage.case.seed)
+        for count in counts
+    )
+    return _with_share(stage, worlds)
 
 
 def _train(speed: float | None, stage: Stage) -> Stage:
-    """Its length makes its share of the returns."""
-    for length_m in (1.0, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 40.0):
-        world = disturbances.with_train(
-            stage.world,
-            stage.from_s,
-            stage.to_s,
-            left_m=stage.gap_m,
-            length_m=length_m,
-            speed_mps=None if speed is None else speed * stage.case.speed_mps,
-        )
-        staged = replace(stage, world=world)
-        if returns_share(stage, staged) >= stage.case.share:
-            break
-    return staged
+    """So long that it makes its share of the returns; of one side it can be half."""
+    left_m = GAPS_M[stage.case.world]
+    speed_mps = None if speed is None else speed * stage.case.speed_mps
+    span = stage.from_s, stage.to_s
+    worlds = (
+        with_train(stage.world, *span, left_m=left_m, length_m=length_m, speed_mps=speed_mps)
+        for length_m in TRAINS_M
+    )
+    return _with_share(stage, worlds)
 
 
 def _floor(distance_m: float, stage: Stage) -> Stage:
     laser = stage.laser
-    world = disturbances.with_floor_seen(
+    world = with_floor_seen(
         stage.world, laser.name, laser.mounting, distance_m, stage.from_s, stage.to_s, LASER_HEIGHT_M
     )
     return replace(stage, world=world)
@@ -149,19 +154,6 @@ def _alone(stage: Stage) -> Stage:
     return replace(stage, wheels=None, imu=None)
 
 
-def _laser_silent(made: Drive, from_ns: int, to_ns: int) -> Drive:
-    left = [f for f in made.frames if not (isinstance(f, LaserScan) and from_ns <= f.arrived_ns < to_ns)]
-    return replace(made, frames=left)
-
-
-def _lifted(made: Drive, from_ns: int, to_ns: int) -> Drive:
-    return carried_on(made, from_ns, to_ns - from_ns)
-
-
-def _off(made: Drive, from_ns: int, to_ns: int) -> Drive:
-    return silent(made, from_ns, to_ns - from_ns)
-
-
 def _biased(stage: Stage) -> Stage:
     return replace(stage, laser=replace(stage.laser, model=replace(stage.laser.model, bias_m=0.03)))
 
@@ -172,22 +164,18 @@ def _tampered(tamper: Callable[[Drive, int, int], Drive], stage: Stage) -> Stage
 
 SCENES: dict[str, Scene] = {
     "still": Scene("nothing happens", lambda stage: stage),
-    "escort": Scene("people walk along on both sides", partial(_people, disturbances.beside, 0.0, None)),
+    "escort": Scene("people walk along on both sides", partial(_people, beside, 0.0, None)),
     "escort_alone": Scene(
         "the same, laser alone",
-        lambda stage: _alone(_people(disturbances.beside, 0.0, None, stage)),
+        lambda stage: _alone(_people(beside, 0.0, None, stage)),
         is_bound=False,
     ),
     "overtaking": Scene(
         "people walk by on both sides, 1.3 times as fast",
-        partial(_people, disturbances.beside, 0.0, 1.3),
+        partial(_people, beside, 0.0, 1.3),
     ),
-    "ring_of_people": Scene(
-        "a ring of people goes along", partial(_people, disturbances.around, 0.2, None), 8.0
-    ),
-    "ahead": Scene(
-        "six people walk ahead", partial(_people, disturbances.ahead, 0.6, None, counts=(6,)), 10.0
-    ),
+    "ring_of_people": Scene("a ring of people goes along", partial(_people, around, 0.2, None), 8.0),
+    "ahead": Scene("six people walk ahead", partial(_people, ahead, 0.6, None, counts=(6,)), 10.0),
     "train_along": Scene("a train goes along on the left", partial(_train, None)),
     "train_passing": Scene("a train passes on the left, twice as fast", partial(_train, 2.0)),
     "tilted": Scene(
@@ -206,14 +194,14 @@ SCENES: dict[str, Scene] = {
     "wheels_spin": Scene("the wheels roll 1.5 times the way", partial(_slipping, 1.5, 1.0), is_bound=False),
     "towed": Scene(
         "wheels frozen and laser silent",
-        lambda stage: _tampered(_laser_silent, _slipping(0.0, 0.0, stage)),
+        lambda stage: _tampered(laser_silent, _slipping(0.0, 0.0, stage)),
         3.0,
         is_bound=False,
     ),
-    "laser_silent": Scene("the laser is silent", partial(_tampered, _laser_silent), 5.0),
-    "all_silent": Scene("all sensors are silent, the wheels count on", partial(_tampered, _off), 5.0),
+    "laser_silent": Scene("the laser is silent", partial(_tampered, laser_silent), 5.0),
+    "all_silent": Scene("all sensors are silent, the wheels count on", partial(_tampered, silent), 5.0),
     "lifted": Scene(
-        "lifted and carried on, all sensors silent", partial(_tampered, _lifted), 5.0, is_bound=False
+        "lifted and carried on, all sensors silent", partial(_tampered, carried_on), 5.0, is_bound=False
     ),
     "gyro_bias": Scene("the gyro's bias jumps to 0.1 rad/s", partial(_gyro, 0.1, False), is_bound=False),
     "gyro_frozen": Scene("the gyro repeats its last rate", partial(_gyro, 0.0, True), is_bound=False),
@@ -245,7 +233,7 @@ def staged(case: Case) -> Staged:
     made = drive(stage.world, stage.laser, seconds, case.seed, stage.wheels, stage.imu, STAND_S)
     from_ns, to_ns = (round((STAND_S + at_s) * 1e9) for at_s in (stage.from_s, stage.to_s))
     if stage.tamper is not None:
-        made = stage.tamper(made, from_ns, to_ns)
+        made = stage.tamper(made, from_ns, to_ns - from_ns)
     return Staged(case, stage.world, made, from_ns, to_ns, returns_share(still, stage))
 
 
@@ -255,7 +243,7 @@ def seconds_of(case: Case) -> float:
 
 def driven(world: World, moment: float, speed_mps: float, seconds: float) -> World:
     """The world without its people, driven on the way of its lap for at least so long, from rest at this part
-    of the lap on.
+    of the lap on. The lap has to close without a turn on the spot, as those of PLACES do.
     """
     nodes = world.drive.nodes
     way, first = np.unique(nodes[:, WAY], return_index=True)
@@ -275,16 +263,10 @@ def returns_share(still: Stage, stage: Stage) -> float:
     for at_s in np.linspace(stage.from_s, stage.to_s, 5)[1:4]:
         ranges = []
         for one in (still, stage):
-            source = LaserTruth(
-                Ride(one.world, 0, 0.0),
-                one.laser.name,
-                one.laser.mounting,
-                one.laser.model,
-                0,
-                one.laser.knocks,
-            )
-            sweep = (round(at_s * 1e9), one.laser.beam_ns, radians(one.laser.first_deg))
-            ranges.append(source.view(*sweep, radians(one.laser.step_deg), one.laser.beams).true_m)
+            laser, ride = one.laser, Ride(one.world, 0, 0.0)
+            source = LaserTruth(ride, laser.name, laser.mounting, laser.model, 0, laser.knocks)
+            sweep = round(at_s * 1e9), laser.beam_ns, radians(laser.first_deg), radians(laser.step_deg)
+            ranges.append(source.view(*sweep, laser.beams).true_m)
         seen = np.isfinite(ranges[1])
         shares.append(float(np.mean(ranges[0][seen] != ranges[1][seen])) if seen.any() else 0.0)
     return float(np.mean(shares))

@@ -16,7 +16,6 @@ from operator import itemgetter
 
 from service.kernel_warm_up import warm_up
 from service.mapper.profiles import mapping_config
-from simulators.worlds import WORLDS
 from tests.accuracy.scene_drives import AFTER_S, BEFORE_S, PLACES, SCENES, Case, Staged, seconds_of, staged
 from tests.accuracy.scene_judge import RIGHT_M, SIGMAS, WITHIN_M, WRONG_M, Verdict, judge, trace
 from tests.accuracy.scene_recordings import RECORDINGS, recording_of, replayed
@@ -145,7 +144,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.accuracy.scenes", description=__doc__)
     add = partial(parser.add_argument, action="append", default=[])
     add("--scene", choices=[*SCENES, *RECORDINGS], help="all that are simulated; or a given recording")
-    add("--world", choices=sorted(WORLDS), help=", ".join(PLACES))
+    add("--world", choices=PLACES, help="all")
     add("--seed", type=int, help="11")
     add("--moment", type=float, help="where on the lap the drive begins, 0 to 1; 0")
     add("--speed", type=float, help="m/s; 1")
