@@ -59,6 +59,7 @@ def _with_config(
     return (
         ok("config", f"{path} is valid: vehicle {config.vehicle} with {kinds}"),
         *zenoh,
+        *endpoints.look_at_pages(machine, config, running),
         *look_at_shared(machine, config.sensors),
         *devices,
         *folders.look_at_folders(machine, config),

@@ -4,11 +4,12 @@ import ctypes
 import os
 import pwd
 import shutil
+import socket
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 STA_UNSYNC = 0x0040  # adjtimex(2)
 TIME_ERROR = 5
@@ -69,6 +70,7 @@ class Machine:
     free_bytes: Callable[[Path], int] = lambda path: shutil.disk_usage(path).free
     kernel_clock: Callable[[], KernelClock | None] = read_kernel_clock
     unix_s: Callable[[], float] = time.time
+    bind: Callable[[socket.socket, Any], None] = lambda door, address: door.bind(address)
 
     def path(self, name: str | Path) -> Path:
         """Where an absolute path lies under this machine's root; a relative one is the caller's own."""

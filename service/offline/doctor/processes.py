@@ -6,7 +6,7 @@ from pathlib import Path
 
 from service.offline.doctor.machine import Machine
 
-_LISTENING = "0A"  # state in /proc/net/tcp
+_LISTENING = {"tcp": "0A", "udp": "07"}  # state of a bound socket in /proc/net/<protocol>
 _LIVE_COMMANDS = ("run", "demo")
 
 
@@ -54,13 +54,13 @@ def holders(machine: Machine, path: Path) -> list[Process]:
     return _with_descriptor(machine, {str(path), str(machine.path(path))})
 
 
-def listeners(machine: Machine, port: int) -> tuple[list[Process], bool]:
-    """Processes that listen at a TCP port, as far as we may look, and whether anybody does."""
+def listeners(machine: Machine, port: int, protocol: str = "tcp") -> tuple[list[Process], bool]:
+    """Processes that listen at a port of tcp or udp, as far as we may look, and whether anybody does."""
     sockets = set()
-    for table in ("tcp", "tcp6"):
+    for table in (protocol, f"{protocol}6"):
         for line in machine.text(f"/proc/net/{table}").splitlines()[1:]:
             fields = line.split()
-            if int(fields[1].rpartition(":")[2], 16) == port and fields[3] == _LISTENING:
+            if int(fields[1].rpartition(":")[2], 16) == port and fields[3] == _LISTENING[protocol]:
                 sockets.add(f"socket:[{fields[9]}]")
     return _with_descriptor(machine, sockets), bool(sockets)
 

@@ -1,26 +1,40 @@
+import errno
+import os
 import socket
 from collections.abc import Iterator
 
 import pytest
 
 from service.config import parse_config
-from service.offline.doctor.endpoints import look_at_zenoh
+from service.offline.doctor.endpoints import look_at_pages, look_at_zenoh
 from service.offline.doctor.findings import Finding
 from service.offline.doctor.machine import Machine
 from service.offline.doctor.running import RunningService
 from tests.service.offline.doctor.conftest import FakeTree
 
+CONFIG = """\
+vehicle: veh1
+sensors: {front: {type: sick_lms100, host: 127.0.0.1}}
+recording: {directory: s}
+map: {directory: m}
+"""
+
 
 def look(machine: Machine, endpoint: str) -> tuple[Finding, RunningService | None]:
-    text = f"""\
-vehicle: veh1
-sensors: {{front: {{type: sick_lms100, host: 127.0.0.1}}}}
-publishing: {{listen: ["{endpoint}"]}}
-recording: {{directory: s}}
-map: {{directory: m}}
-"""
-    (finding,), running = look_at_zenoh(machine, parse_config(text, "v.yaml"))
+    config = parse_config(f'{CONFIG}publishing: {{listen: ["{endpoint}"]}}\n', "v.yaml")
+    (finding,), running = look_at_zenoh(machine, config)
     return finding, running
+
+
+def look_at(
+    machine: Machine, who: str, listen: str, running: RunningService | None = None, enabled: bool = True
+) -> list[Finding]:
+    """At the listening of `web` or `foxglove` alone."""
+    other = "foxglove" if who == "web" else "web"
+    sections = (
+        f'{who}: {{enabled: {str(enabled).lower()}, listen: "{listen}"}}\n{other}: {{enabled: false}}\n'
+    )
+    return look_at_pages(machine, parse_config(CONFIG + sections, "v.yaml"), running)
 
 
 @pytest.fixture
@@ -68,3 +82,52 @@ def test_an_address_of_another_machine_is_a_fault(tree: FakeTree):
 def test_a_socket_file_is_not_tried(tree: FakeTree):
     finding, _ = look(tree.machine(), "unixsock-stream//run/corridor/zenoh.sock")
     assert finding.measured.endswith("is not tried")
+
+
+@pytest.mark.parametrize("who", ["web", "foxglove"])
+def test_a_free_port_of_a_page_is_good(tree: FakeTree, closed_port: int, who: str):
+    (finding,) = look_at(tree.machine(), who, f"127.0.0.1:{closed_port}")
+    assert (finding.severity, finding.who) == ("ok", who)
+    assert finding.measured == f"127.0.0.1:{closed_port} is free"
+    assert look_at(tree.machine(), who, f"127.0.0.1:{closed_port}", enabled=False) == []
+
+
+@pytest.mark.parametrize("who", ["web", "foxglove"])
+def test_the_port_of_a_page_that_a_stranger_took_is_a_fault_with_its_name(taken: int, who: str):
+    (finding,) = look_at(Machine(), who, f"127.0.0.1:{taken}")
+    assert (finding.severity, finding.who) == ("fault", who)
+    assert f"127.0.0.1:{taken} is taken by " in finding.measured
+    assert f"(process {os.getpid()})" in finding.measured
+    assert finding.remedy == f"stop that program, or change {who}.listen"
+
+
+def test_the_page_of_the_running_service_is_good(tree: FakeTree, taken: int):
+    tree.process(41, "corridor", "corridor", "run", "v.yaml")
+    _, running = look(tree.machine(), f"tcp/127.0.0.1:{taken}")
+    (finding,) = look_at(tree.machine(), "web", f"127.0.0.1:{taken}", running)
+    assert finding.severity == "ok"
+    assert finding.measured == f"127.0.0.1:{taken} is served by the running service, corridor (process 41)"
+    (alone,) = look_at(tree.machine(), "web", f"127.0.0.1:{taken}")
+    assert alone.severity == "fault"  # of another vehicle: its page takes the port of this one's
+
+
+@pytest.mark.parametrize("listen", ["127.0.0.1:80", "[::1]:80"])
+def test_a_port_that_the_user_may_not_bind_is_a_fault_with_both_remedies(tree: FakeTree, listen: str):
+    def refuse(door: socket.socket, address: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    (finding,) = look_at(tree.machine(bind=refuse), "web", listen)
+    assert finding.measured == f"cannot listen at {listen}: driver may not bind port 80"
+    assert finding.remedy == (
+        "change web.listen to a port from 1024 on, or give the service CAP_NET_BIND_SERVICE"
+    )
+    zenoh, _ = look(tree.machine(bind=refuse), f"tcp/{listen}")
+    assert "driver may not bind port 80" in zenoh.measured
+
+
+def test_a_port_of_udp_that_is_taken_is_a_fault_with_its_name():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as door:
+        door.bind(("127.0.0.1", 0))
+        finding, _ = look(Machine(), f"udp/127.0.0.1:{door.getsockname()[1]}")
+    assert finding.severity == "fault"
+    assert f"(process {os.getpid()})" in finding.measured
