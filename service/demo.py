@@ -106,25 +106,34 @@ def demo(
     options: DemoOptions,
     compiling: Callable[[], AbstractContextManager[KernelProgress | None]] = nullcontext,
     watch: Callable[[Service], None] = lambda service: None,
+    say: Callable[[str], Any] = sys.stderr.write,
 ) -> dict[str, Any]:
     """Run the demo; its summary, for JSON. Raises CorridorError and its kin.
 
     compiling   opened while kernels are compiled, and told of each; left out, the log says how far it is
     watch       called several times a second while the service starts and runs
+    say         given the line with the address of the page, once it is served
     """
     make_writable(options.out)
     zenoh_port = free_port(options.port, ZENOH_PORT, "--port")
     page = _page(options) if options.web else None
-    if page is not None:
-        print(f"The map, live: http://{page.listen}/#token={page.token}", file=sys.stderr, flush=True)
     mapping = _mapping(options)
     with compiling() as kernels:  # before the vehicle drives: the map shall begin where it stands
         warm_up(mapping, kernels)
     log.info("starting the fake devices in the world %s", options.world or DEFAULT_WORLD)
     truth = options.out / "truth.txt"
+    is_told = False
+
+    def look(service: Service) -> None:
+        nonlocal is_told
+        if page is not None and not is_told and (address := service.places.get("web", "")):
+            is_told = True
+            say(f"The map, live: {address}#token={page.token}\n")
+        watch(service)
+
     with simulators(options, truth) as fakes:
         config = demo_config(fakes.endpoints, options, zenoh_port, page)
-        summary = run(config, options.seconds, options.out / "map", _tell_where_to_look, fakes.fault, watch)
+        summary = run(config, options.seconds, options.out / "map", _tell_where_to_look, fakes.fault, look)
     mapped = last_map(summary)
     return {
         "seconds": round(summary.seconds, 1),
