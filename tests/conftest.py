@@ -13,7 +13,7 @@ import hypothesis
 import pytest
 
 from service.kernel_cache import ensure_cache_dir, is_warm
-from tests.shared_data import SHARED
+from tests.shared_data import NO_RECORDINGS, SHARED
 from tests.soaked import FEW_EXAMPLES, MANY_EXAMPLES
 
 gc.disable()  # until all is imported, which makes no garbage but would be looked through over and over
@@ -28,9 +28,11 @@ hypothesis.settings.register_profile("thorough", deadline=None, max_examples=MAN
 hypothesis.settings.load_profile("corridor")
 
 
-NEEDS_SHARED = (
-    "CORRIDOR_NEEDS_SHARED"  # set, what wants for the recordings below fails instead of being skipped
-)
+# Variable -> words of reasons to skip: where it is set, who would skip for such a reason fails.
+NEEDS = {
+    "CORRIDOR_NEEDS_SHARED": ("no real recordings",),
+    "CORRIDOR_NEEDS_BROWSER": ("no Chromium", "no axe-core"),
+}
 RUNS_THE_PROGRAM = ("tests/system", "tests/chaos", "tests/browser", "tests/docs", "tests/service/cli")
 
 
@@ -55,11 +57,13 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Any:
-    """Where $CORRIDOR_NEEDS_SHARED is set, a skip for want of real recordings is a failure."""
+    """A skip for want of what has to be there, see NEEDS, is a failure."""
     report = yield
-    if report.skipped and os.environ.get(NEEDS_SHARED) and "CORRIDOR_SHARED" in str(report.longrepr):
-        report.outcome = "failed"
-        report.longrepr = f"{NEEDS_SHARED} is set: {report.longrepr}"
+    if report.skipped:
+        for variable, reasons in NEEDS.items():
+            if os.environ.get(variable) and any(reason in str(report.longrepr) for reason in reasons):
+                report.outcome = "failed"
+                report.longrepr = f"{variable} is set: {report.longrepr}"
     return report
 
 
@@ -67,7 +71,7 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
 def shared() -> Path:
     """Folder of real captures and recordings, else a skip says so."""
     if not (SHARED / "captures").is_dir():
-        pytest.skip(f"no real recordings at {SHARED}; set CORRIDOR_SHARED to the folder that holds them")
+        pytest.skip(NO_RECORDINGS)
     return SHARED
 
 

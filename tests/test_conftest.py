@@ -8,22 +8,30 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-WANTS_RECORDINGS = "def test_it(shared):\n    raise AssertionError('there are recordings')\n"
+WANTS = {  # fixture -> the command that brings what it gives
+    "shared": "CORRIDOR_SHARED=FOLDER make test",
+    "chromium": "sudo apt install chromium chromium-driver",
+    "axe": "make axe",
+}
 
 
-@pytest.mark.parametrize(("needs_shared", "exit_code"), [("", 0), ("1", 1)])
-def test_want_of_real_recordings_is_a_skip_here_and_a_failure_where_they_are_needed(
-    needs_shared: str, exit_code: int, tmp_path: Path
+@pytest.mark.parametrize(("is_needed", "exit_code", "counted"), [("", 0, "3 skipped"), ("1", 1, "3 errors")])
+def test_what_is_missing_is_a_skip_with_the_command_that_brings_it_and_a_failure_where_it_is_needed(
+    is_needed: str, exit_code: int, counted: str, tmp_path: Path
 ):
-    (tmp_path / "test_it.py").write_text(WANTS_RECORDINGS)
-    options = ["-q", "-rs", "-p", "tests.conftest", "-c", os.devnull, f"--rootdir={tmp_path}"]
+    tests = [f"def test_{fixture}({fixture}):\n    raise AssertionError('it is here')\n" for fixture in WANTS]
+    (tmp_path / "test_it.py").write_text("\n".join(tests))
+    options = ["-q", "-rsE", "-p", "tests.conftest", "-p", "tests.browser.conftest"]
     environment = {
         "CORRIDOR_SHARED": str(tmp_path),
-        "CORRIDOR_NEEDS_SHARED": needs_shared,
+        "CORRIDOR_AXE": str(tmp_path / "axe.js"),
+        "CORRIDOR_NEEDS_SHARED": is_needed,
+        "CORRIDOR_NEEDS_BROWSER": is_needed,
+        "PATH": str(tmp_path),  # no chromium there
         "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",  # they take longer to load than the rest
     }
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", *options, str(tmp_path / "test_it.py")],
+        [sys.executable, "-m", "pytest", *options, "-c", os.devnull, f"--rootdir={tmp_path}", str(tmp_path)],
         cwd=ROOT,
         env=os.environ | environment,
         capture_output=True,
@@ -32,4 +40,5 @@ def test_want_of_real_recordings_is_a_skip_here_and_a_failure_where_they_are_nee
         check=False,
     )
     assert done.returncode == exit_code, done.stdout + done.stderr
-    assert f"no real recordings at {tmp_path}; set CORRIDOR_SHARED" in done.stdout
+    assert counted in done.stdout
+    assert [command for command in WANTS.values() if command not in done.stdout] == []

@@ -19,6 +19,10 @@ from tests.service.web.conftest import TIMEOUT_S, TOKEN, dispatcher, serve, stor
 ROOT = Path(__file__).parents[2]
 AXE = Path(os.environ.get("CORRIDOR_AXE", ROOT / "build/node_modules/axe-core/axe.min.js"))
 LOOK_S = 0.05  # from one look at the page to the next; the browser tells nobody of what changes
+ARGUMENTS = (  # for root, without a graphics card; and nothing of its own on the network
+    *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync", "--disable-quic"),
+)
 DESKTOP, PHONE = (1280, 800), (390, 844)
 
 
@@ -94,13 +98,13 @@ class Page:
 
 
 @pytest.fixture(scope="session")
-def chromium() -> Iterator[webdriver.Chrome]:
+def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[webdriver.Chrome]:
     browser, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
     if browser is None or chromedriver is None:
-        pytest.skip("no Chromium with its driver here; sudo apt install chromium chromium-driver")
+        pytest.skip("no Chromium with its driver; with them: sudo apt install chromium chromium-driver")
     options = webdriver.ChromeOptions()
     options.binary_location = browser
-    for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"):
+    for argument in (*ARGUMENTS, f"--user-data-dir={tmp_path_factory.mktemp('chromium')}"):
         options.add_argument(argument)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     driver = webdriver.Chrome(options=options, service=Service(chromedriver))
@@ -141,5 +145,5 @@ def live(serve: Callable[..., Any], scene: Scene, page: Page) -> Any:  # noqa: F
 def axe() -> str:
     """axe-core's source, which judges a page's accessibility."""
     if not AXE.is_file():
-        pytest.skip(f"no axe-core at {AXE}; make axe fetches it (needs npm and network)")
+        pytest.skip("no axe-core; with it: make axe (npm fetches it)")
     return AXE.read_text(encoding="utf-8")

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests.shared_data import NO_RECORDINGS
 from tests.soaked import in_soak
 
 MOST_CPU_S = 1.0  # that it may still take; a kernel that is compiled to its end takes up to 3
@@ -57,7 +58,7 @@ def begin(tmp_path: Path, shared: Path) -> Iterator[Callable[[str], subprocess.P
 
     def begin_one(command: str) -> subprocess.Popen[bytes]:
         if command == "replay" and not recording.exists():
-            pytest.skip(f"{recording} is not there; set CORRIDOR_SHARED to the folder that holds it")
+            pytest.skip(NO_RECORDINGS)
         process = subprocess.Popen(
             [sys.executable, "-m", "service", command, *map(str, arguments[command])],
             env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")},
