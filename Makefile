@@ -56,7 +56,7 @@ check: venv ## ruff, mypy --strict, import-linter
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-ci: ## what a pull request must pass: check, test, and both with Python 3.13 where that is installed
+ci: ## what a pull request must pass: check, test, and test with Python 3.13 where that is installed
 	.ci/run
 
 axe: $(AXE) ## axe-core by npm, with which the browser tests judge accessibility; skipped without it
