@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from drivers.advice import Advice, OtherSettings
 from drivers.xsens_mtig.config import AUTO, XsensMtigConfig
 from drivers.xsens_mtig.protocol import LIKELY_BAUDS, MessageDecoder, Mid
+from drivers.xsens_mtig.wanted import has_receiver
 
 MADE_BY_XSENS = {Mid.MTDATA: "MTData (an MTi-G)", Mid.MTDATA2: "MTData2 (an MTi-G-700 or later)"}
 
@@ -29,9 +30,8 @@ def other_settings(config: XsensMtigConfig) -> list[OtherSettings]:
 
 
 def doubt(config: XsensMtigConfig, identity: Mapping[str, str]) -> str:
-    """Product codes begin with the model: MTi-G-28A53G35, MTi-G-710-2A5G4; an MTi-30 has no receiver."""
     product = identity.get("product", "")
-    if not product or not config.gnss or product.startswith("MTi-G"):
+    if not config.gnss or has_receiver(product):
         return ""
     return (
         f"it calls itself {product}, which has no GNSS receiver; write gnss: false, or is it the wrong unit?"

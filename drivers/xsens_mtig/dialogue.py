@@ -27,7 +27,8 @@ from drivers.xsens_mtig.mtdata2 import (
 from drivers.xsens_mtig.protocol import (
     BAUD_OF_CODE,
     CODE_OF_BAUD,
-    PARAMETER_INVALID,
+    DATA_OVERFLOW,
+    TIMER_OVERFLOW,
     UNSUPPORTED,
     Message,
     Mid,
@@ -38,6 +39,7 @@ from drivers.xsens_mtig.wanted import (
     OutputItems,
     agree,
     difference,
+    has_receiver,
     left_out,
     legacy_difference,
     wanted_items,
@@ -244,12 +246,12 @@ class MtigDialogue:
                 self.refusals.append(f"configured orientation not taken: {refusal.reason}")
                 return inertial
             bare = [item for item in inertial if item[0] & KIND_MASK != Kind.GNSS_PVT]
-            is_choice = refusal.code == PARAMETER_INVALID and bare != inertial
-            if is_choice and (yield from self._accepts(bare, current)):
-                product = self.identity.get("product", "this unit")
+            product = self.identity.get("product", "")
+            asks_for_fixes = bare != inertial and refusal.code not in (DATA_OVERFLOW, TIMER_OVERFLOW)
+            if asks_for_fixes and (not has_receiver(product) or (yield from self._accepts(bare, current))):
                 raise DeviceError(
-                    f"{product} has no GNSS receiver: it refused GNSS fixes ({refusal.reason}) and takes the "
-                    "rest; write gnss: false for this sensor"
+                    f"{product or 'this unit'} has no GNSS receiver: it refused GNSS fixes ({refusal.reason}); "
+                    "write gnss: false for this sensor"
                 ) from refusal
             self.refusals.append(f"configured output not taken: {refusal.reason}")
         return wanted
@@ -294,7 +296,7 @@ class MtigDialogue:
             raise DeviceError(
                 f"mode 0x{current.layout.mode:04X} with settings 0x{current.layout.settings:08X} lacks "
                 "rate of turn or acceleration; "
-                + ("; ".join(self.refusals) if self._config.configure else "write configure: true")
+                + (", ".join(self.refusals) or "write configure: true, or is it a unit without them?")
             )
         said = yield from self._ask_if_known(Mid.REQ_DATA_LENGTH)
         length = int.from_bytes(said, "big") if said else current.layout.data_bytes

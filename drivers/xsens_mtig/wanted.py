@@ -127,6 +127,12 @@ LEGACY_WORDS = {
 }
 
 
+def has_receiver(product: str) -> bool:
+    """Whether a unit of this product code receives GNSS: MTi-G-710-2A5G4 and MTi-680G-8A7G6 do, MTi-30-2A5G4
+    does not. "" is not known, and may."""
+    return not product.startswith("MTi-") or "G" in product.split("-")[1]
+
+
 def agree(wanted: OutputItems, given: OutputItems) -> bool:
     """The same items, at rates that are those wanted."""
     rates = dict(given)
