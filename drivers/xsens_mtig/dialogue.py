@@ -250,8 +250,8 @@ class MtigDialogue:
             asks_for_fixes = bare != inertial and refusal.code not in (DATA_OVERFLOW, TIMER_OVERFLOW)
             if asks_for_fixes and (not has_receiver(product) or (yield from self._accepts(bare, current))):
                 raise DeviceError(
-                    f"{product or 'this unit'} has no GNSS receiver: it refused GNSS fixes ({refusal.reason}); "
-                    "write gnss: false for this sensor"
+                    f"{product or 'this unit'} has no GNSS receiver: it refused GNSS fixes "
+                    f"({refusal.reason}); write gnss: false for this sensor"
                 ) from refusal
             self.refusals.append(f"configured output not taken: {refusal.reason}")
         return wanted
