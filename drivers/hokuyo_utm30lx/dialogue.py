@@ -218,8 +218,8 @@ class UtmDialogue:
             if simpler is None:
                 words = SCAN_STATUS.get(reply.status, "it does not know the command; is this a UTM-30LX?")
                 raise DeviceError(f"{request.text} refused (status {reply.status}): {words}")
-            told = f"{request.command} refused (status {reply.status})"
-            self.refusals.append(f"configured {setting} not taken: {told}")
+            reason = f"{request.command} refused (status {reply.status})"
+            self.refusals.append(f"configured {setting} not taken: {reason}")
             request = simpler
         self.request = request
         self.phase = "waiting for the first scan"

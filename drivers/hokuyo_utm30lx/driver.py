@@ -136,8 +136,8 @@ class HokuyoUtm30lxSession:
         if self._last_ms is None:
             self.status = self._dialogue.phase
         else:
-            told = (self._verifying, self._dialogue.fault, *self._dialogue.refusals)
-            self.status = "; ".join(text for text in ("streaming", *told) if text)
+            parts = (self._verifying, self._dialogue.fault, *self._dialogue.refusals)
+            self.status = "; ".join(text for text in ("streaming", *parts) if text)
 
     def _take_scan(self, reply: Reply, arrived_ns: int) -> LaserScan | None:
         request = self._dialogue.request

@@ -206,17 +206,17 @@ class IbeoLuxDialogue:
 
     def _note_refusal(self, setting: Setting, reason: str) -> None:
         """Raises DeviceError where scans would not come, or be wrong, without it."""
-        told = f"configured {setting.key} {setting.words(setting.value)} not taken: {reason}"
+        words = f"configured {setting.key} {setting.words(setting.value)} not taken: {reason}"
         if setting.parameter is Parameter.UPSIDE_DOWN:
             raise DeviceError(
-                f"{told}, so left and right of its scans would be exchanged; write upside_down: null, and "
+                f"{words}, so left and right of its scans would be exchanged; write upside_down: null, and "
                 "mounting: {upside_down: true} where it hangs head down"
             )
         if setting.parameter is Parameter.DATA_OUTPUT:
             raise DeviceError(
-                f"{told}, so it sends no scans; can its firmware ({self.identity['firmware']}) do it?"
+                f"{words}, so it sends no scans; can its firmware ({self.identity['firmware']}) do it?"
             )
-        self.refusals.append(told)
+        self.refusals.append(words)
 
     def _change(self, setting: Setting, found: int | None) -> Dialogue[str]:
         """Set and read back. Why it did not take it, "" where it did."""

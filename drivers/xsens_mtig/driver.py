@@ -185,8 +185,8 @@ class XsensMtigSession:
             texts: tuple[str, ...] = (self._dialogue.phase, self._health.said(now_ns))
         else:
             notes = [] if self._stream is None else self._stream.notes
-            told = (self._dialogue.fault, *self._dialogue.refusals, *notes)
-            texts = ("streaming", *told, self._health.words(now_ns))
+            parts = (self._dialogue.fault, *self._dialogue.refusals, *notes)
+            texts = ("streaming", *parts, self._health.words(now_ns))
         self.status = "; ".join(text for text in texts if text)
 
 

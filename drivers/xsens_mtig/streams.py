@@ -101,10 +101,10 @@ class _Stream:
     @property
     def notes(self) -> list[str]:
         """What is to be known of the samples, in words."""
-        told = [self._mixed] if self._mixed else []
+        notes = [self._mixed] if self._mixed else []
         if self.by_arrival:
-            told.append("no sample time, and no UTC before the first GNSS fix: stamped by arrival")
-        return told
+            notes.append("no sample time, and no UTC before the first GNSS fix: stamped by arrival")
+        return notes
 
     def _utc_ticks(self, utc: Utc, known: bool) -> int | None:
         """UTC in ticks of the sample time, valid or not where it runs; None where it stands or is no date."""

@@ -15,7 +15,7 @@ def unit(*refused, wire="usb", **setup):
 
 
 @pytest.mark.parametrize(
-    ("setup", "changes", "told", "rate_hz", "beams"),
+    ("setup", "changes", "words", "rate_hz", "beams"),
     [
         (unit("ME"), {"intensity": True}, "intensity not taken: ME refused (status 0E)", 40, 1081),
         (
@@ -30,9 +30,9 @@ def unit(*refused, wire="usb", **setup):
         (unit(last_step=900), {}, "last_angle_deg 135 not taken: it sees to 90 deg", 40, 901),
     ],
 )
-def test_what_it_refuses_is_done_without_and_named(setup, changes, told, rate_hz, beams):
+def test_what_it_refuses_is_done_without_and_named(setup, changes, words, rate_hz, beams):
     t = talk(setup, **changes).run(4.0)
-    assert t.session.status == f"streaming; configured {told}"
+    assert t.session.status == f"streaming; configured {words}"
     assert len(t.frames) > 80
     frame = t.frames[-1]
     assert (len(frame.range_m), len(frame.intensity)) == (beams, 0)

@@ -76,7 +76,7 @@ def test_rate_that_it_rounds_is_the_one_that_was_asked_for():
 
 
 @pytest.mark.parametrize(
-    ("changes", "parameter", "told"),
+    ("changes", "parameter", "words"),
     [
         (
             {"resolution": "focused"},
@@ -90,10 +90,10 @@ def test_rate_that_it_rounds_is_the_one_that_was_asked_for():
         ),
     ],
 )
-def test_what_it_refuses_beside_rate_and_angles_is_done_without(changes, parameter, told):
+def test_what_it_refuses_beside_rate_and_angles_is_done_without(changes, parameter, words):
     t = talk(LuxSetup(parameters=READY, fixed=frozenset({parameter})), **changes).run(4.0)
     assert len(t.frames) > 60
-    assert f"; configured {told}" in t.session.status
+    assert f"; configured {words}" in t.session.status
 
 
 def test_clock_that_it_does_not_let_set_is_named():

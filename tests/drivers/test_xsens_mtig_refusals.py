@@ -16,7 +16,7 @@ REFUSED = "error 0x21: parameter invalid or out of range"
 
 
 @pytest.mark.parametrize("baud", [115_200, 460_800])
-def test_unit_without_a_receiver_is_told_to_be_configured_with_gnss_false(baud):
+def test_unit_without_a_receiver_is_an_error_that_says_gnss_false(baud):
     device = mtdata2(product="MTi-30-2A5G4", baud=baud)
     with pytest.raises(DeviceError, match=r"MTi-30-2A5G4 has no GNSS receiver: .*; write gnss: false for"):
         talk(device).run(3.0)
@@ -26,7 +26,7 @@ def test_unit_without_a_receiver_is_told_to_be_configured_with_gnss_false(baud):
     assert "configured" not in t.session.status
 
 
-def test_unit_that_refuses_every_output_is_told_the_same_by_its_product_code():
+def test_unit_that_refuses_every_output_is_known_by_its_product_code():
     device = mtdata2(product="MTi-30-2A5G4", fixed=frozenset({Mid.OUTPUT_CONFIGURATION}))
     with pytest.raises(DeviceError, match="write gnss: false"):
         talk(device).run(3.0)
@@ -73,7 +73,7 @@ def test_setting_that_samples_do_not_need_is_done_without(make, mid, changes, wo
 
 
 @pytest.mark.parametrize(
-    ("mid", "told"),
+    ("mid", "words"),
     [
         (Mid.PERIOD, f"samples at 100 Hz, configured 200 Hz; configured rate 200 Hz not taken: {REFUSED}"),
         (
@@ -82,10 +82,10 @@ def test_setting_that_samples_do_not_need_is_done_without(make, mid, changes, wo
         ),
     ],
 )
-def test_legacy_unit_that_refuses_its_output_is_used_as_it_is_set(mid, told):
+def test_legacy_unit_that_refuses_its_output_is_used_as_it_is_set(mid, words):
     t = talk(legacy(fixed=frozenset({mid}))).run(3.0)
     assert len(samples(t.frames)) > 200
-    assert told in t.session.status
+    assert words in t.session.status
 
 
 def test_rate_that_it_rounds_is_the_one_that_was_asked_for():
