@@ -77,20 +77,24 @@ class CloudConverter:
             return None
         stamp_ns = stamp_ns_of(m.header.stamp)
         xyz = np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=1)
+        seconds = None if "time" not in points else _seconds(points["time"], stamp_ns)
         kept = np.isfinite(xyz).all(axis=1)
-        if self.is_planar is None and kept.any():
-            self.is_planar = float(np.ptp(xyz[kept, 2])) <= PLANAR_M
+        if seconds is not None:
+            kept &= np.isfinite(seconds)
+            seconds = seconds[kept]
+        xyz = xyz[kept]
+        if self.is_planar is None and len(xyz):
+            self.is_planar = float(np.ptp(xyz[:, 2])) <= PLANAR_M
         level = xyz @ self._level.T
         range_m = np.hypot(level[:, 0], level[:, 1])
         if self.is_planar:
-            kept &= (range_m >= MIN_RANGE_OF_PLANAR_M) & (range_m < MAX_RANGE_M)
+            kept = range_m >= MIN_RANGE_OF_PLANAR_M
         else:
             height_m = level[:, 2] + self._height_m
-            kept &= (height_m >= self.z_min_m) & (height_m <= self.z_max_m)
-            kept &= (range_m >= self._min_range_m) & (range_m < MAX_RANGE_M)
-        seconds = None if "time" not in points else _seconds(points["time"], stamp_ns)
+            kept = (height_m >= self.z_min_m) & (height_m <= self.z_max_m) & (range_m >= self._min_range_m)
+            kept &= range_m > 0.0
+        kept &= range_m < MAX_RANGE_M
         if seconds is not None:
-            kept &= np.isfinite(seconds)
             seconds = seconds[kept]
         return self._of_points(level[kept], range_m[kept], seconds, sensor, stamp_ns, log_ns)
 

@@ -1,0 +1,63 @@
+"""MultiEchoLaserScan: which echo of a beam counts."""
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.stores import ros2_jazzy as ros
+
+from service import encoding
+from service.conversion import scan_of_echoes
+from service.errors import InputError
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+STAMP_NS = 1_700_000_000_250_000_000
+BEAMS = [[1.0, 2.0, 3.0], [], [0.01, 5.0], [np.nan, 6.0], [4.0, 30.0], [7.0]]
+STRENGTH = [[10.0, 30.0, 20.0], [], [90.0, 1.0], [90.0, 1.0], [5.0, 90.0], [1.0]]
+
+
+def payload(ranges, intensities, range_max=25.0):
+    def echoes(beams):
+        return [ros.sensor_msgs__msg__LaserEcho(np.array(beam, np.float32)) for beam in beams]
+
+    stamp = ros.builtin_interfaces__msg__Time(STAMP_NS // 10**9, STAMP_NS % 10**9)
+    content = ros.sensor_msgs__msg__MultiEchoLaserScan(
+        ros.std_msgs__msg__Header(stamp, "laser"),
+        *(-0.5, 0.5, 0.2, 0.001, 0.1, 0.05, range_max),
+        echoes(ranges),
+        echoes(intensities),
+    )
+    return bytes(STORE.serialize_cdr(content, encoding.MULTI_ECHO_SCAN))
+
+
+@pytest.mark.parametrize(
+    ("echo", "intensities", "expected"),
+    [
+        ("strongest", STRENGTH, [2.0, np.nan, 5.0, 6.0, 4.0, 7.0]),
+        ("strongest", [], [1.0, np.nan, 5.0, 6.0, 4.0, 7.0]),
+        ("strongest", STRENGTH[:-1], [1.0, np.nan, 5.0, 6.0, 4.0, 7.0]),
+        ("first", STRENGTH, [1.0, np.nan, 5.0, 6.0, 4.0, 7.0]),
+        ("last", STRENGTH, [3.0, np.nan, 5.0, 6.0, 4.0, 7.0]),
+        ("last", [], [3.0, np.nan, 5.0, 6.0, 4.0, 7.0]),
+    ],
+)
+def test_of_the_echoes_within_range_one_counts(echo, intensities, expected):
+    scan = scan_of_echoes(payload(BEAMS, intensities), "front", STAMP_NS + 5, echo)
+    np.testing.assert_array_equal(scan.range_m, np.array(expected, np.float32))
+    assert (scan.sensor, scan.stamp_ns, scan.arrived_ns) == ("front", STAMP_NS, STAMP_NS + 5)
+    assert (scan.beam_interval_ns, scan.first_angle_rad) == (1_000_000, -0.5)
+
+
+def test_of_equally_strong_echoes_the_first_counts():
+    scan = scan_of_echoes(payload([[1.0, 2.0, 3.0]] * 3, [[5.0, 9.0, 9.0]] * 3), "front", STAMP_NS)
+    assert scan.range_m.tolist() == [2.0] * 3
+    assert scan.intensity.tolist() == [9.0] * 3
+
+
+def test_a_range_max_that_is_not_set_leaves_the_echoes():
+    assert scan_of_echoes(payload([[3.0]] * 3, [], 0.0), "front", STAMP_NS).range_m.tolist() == [3.0] * 3
+
+
+def test_a_scan_without_beams_is_not_used_and_other_bytes_are_refused():
+    assert scan_of_echoes(payload([], []), "front", STAMP_NS) is None
+    with pytest.raises(InputError, match="are not a sensor_msgs/msg/MultiEchoLaserScan"):
+        scan_of_echoes(payload(BEAMS, [])[:70], "front", STAMP_NS)

@@ -1,0 +1,287 @@
+"""Clouds as planar and 3-D lasers send them, and the scans that become of them."""
+
+import math
+import struct
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.stores import ros2_jazzy as ros
+
+from service import encoding
+from service.conversion import CloudConverter, ConversionConfig
+from service.errors import InputError
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+STAMP_NS = 1_700_000_000_250_000_000
+LOG_NS = STAMP_NS + 120_000_000
+FORMATS = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
+LEVEL = np.eye(4)
+ANY = ConversionConfig()
+
+
+def cloud(columns, formats=None, height=1, big_endian=False, padding=0, row_padding=0):
+    """The payload of a cloud. columns: name -> values (N,); formats: name -> as in numpy, else f4."""
+    order, formats = ">" if big_endian else "<", formats or {}
+    count = len(next(iter(columns.values())))
+    kinds = {name: np.dtype(order + formats.get(name, "f4")) for name in columns}
+    offsets, at = {}, padding
+    for name, kind in kinds.items():
+        offsets[name], at = at, at + kind.itemsize + padding
+    whole = np.dtype(
+        {
+            "names": list(kinds),
+            "formats": list(kinds.values()),
+            "offsets": list(offsets.values()),
+            "itemsize": at,
+        }
+    )
+    points = np.zeros(count, whole)
+    for name, values in columns.items():
+        points[name] = values
+    width = count // height
+    rows = [points[k * width : (k + 1) * width].tobytes() + b"\xff" * row_padding for k in range(height)]
+    stamp = ros.builtin_interfaces__msg__Time(STAMP_NS // 10**9, STAMP_NS % 10**9)
+    content = ros.sensor_msgs__msg__PointCloud2(
+        ros.std_msgs__msg__Header(stamp, "lidar"),
+        height,
+        width,
+        [
+            ros.sensor_msgs__msg__PointField(name, offsets[name], FORMATS[formats.get(name, "f4")], 1)
+            for name in columns
+        ],
+        big_endian,
+        at,
+        width * at + row_padding,
+        np.frombuffer(b"".join(rows), np.uint8),
+        False,
+    )
+    return bytes(STORE.serialize_cdr(content, encoding.POINT_CLOUD))
+
+
+def ranges(angle_rad):
+    """Of a room that is no circle."""
+    return 3.0 + np.sin(2.0 * angle_rad) + 0.3 * np.cos(5.0 * angle_rad)
+
+
+def planar(count=541, fov_deg=270.0, z=0.0):
+    """Columns of the points of a planar laser, and their angles and ranges."""
+    angle = np.radians(np.linspace(-fov_deg / 2, fov_deg / 2, count))
+    r = ranges(angle)
+    return {"x": r * np.cos(angle), "y": r * np.sin(angle), "z": np.full(count, z)}, angle, r
+
+
+LAYOUTS = {
+    "as they come": {},
+    "float64": {"formats": dict.fromkeys("xyz", "f8")},
+    "big-endian": {"big_endian": True},
+    "padded": {"padding": 3},
+    "organised, with rows padded": {"height": 7, "row_padding": 5},
+    "big-endian, padded, organised": {"big_endian": True, "padding": 1, "height": 7, "row_padding": 9},
+}
+
+
+@pytest.mark.parametrize("shuffled", [False, True], ids=["in order", "unordered"])
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_planar_lasers_cloud_gives_its_beams_back(layout, shuffled):
+    columns, angle, r = planar(539)
+    order = np.random.default_rng(1).permutation(539) if shuffled else np.arange(539)
+    payload = cloud({name: values[order] for name, values in columns.items()}, **LAYOUTS[layout])
+    scan = CloudConverter(ANY, LEVEL).scan(payload, "front", LOG_NS)
+    assert (scan.sensor, scan.stamp_ns, scan.arrived_ns) == ("front", STAMP_NS, LOG_NS)
+    assert scan.range_m.dtype == np.float32
+    assert scan.range_m.size == 539
+    assert scan.first_angle_rad == pytest.approx(angle[0], abs=1e-5)
+    assert scan.angle_step_rad == pytest.approx(angle[1] - angle[0], abs=1e-7)
+    np.testing.assert_allclose(scan.range_m, r, atol=1e-5)
+
+
+def test_millimetres_in_whole_numbers_are_no_metres_but_are_read():
+    """A driver that sends them says metres all the same."""
+    columns, _, _ = planar(181, 180.0)
+    metres = {name: np.rint(values * 10.0) for name, values in columns.items()}
+    scan = CloudConverter(ANY, LEVEL).scan(cloud(metres, dict.fromkeys("xyz", "i2")), "front", LOG_NS)
+    assert np.nanmin(scan.range_m) > 15.0
+
+
+def test_points_that_came_back_from_nowhere_are_beams_without_return():
+    columns, _, r = planar(181, 180.0)
+    for k, nowhere in ((3, math.nan), (4, math.inf), (5, 0.0)):
+        columns["x"][k] = columns["y"][k] = nowhere
+    scan = CloudConverter(ANY, LEVEL).scan(cloud(columns), "front", LOG_NS)
+    assert np.flatnonzero(np.isnan(scan.range_m)).tolist() == [3, 4, 5]
+    came = np.isfinite(scan.range_m)
+    np.testing.assert_allclose(scan.range_m[came], r[came], atol=1e-5)
+
+
+def test_a_planar_laser_upside_down_is_turned_back():
+    columns, angle, r = planar(181, 180.0)
+    over = np.diag([1.0, -1.0, -1.0, 1.0])
+    scan = CloudConverter(ANY, over).scan(cloud(columns), "front", LOG_NS)
+    assert scan.first_angle_rad == pytest.approx(-angle[-1], abs=1e-5)
+    np.testing.assert_allclose(scan.range_m, r[::-1], atol=1e-5)
+
+
+def spinning(direction, rings_deg=(-2.0, 0.0, 2.0), columns=720, period_s=0.1, start_rad=1.0):
+    """Points of a 3-D laser that turns once, in the order of time: columns, and time of each, s."""
+    at = np.repeat(np.arange(columns) / columns, len(rings_deg))
+    azimuth = start_rad + direction * 2.0 * math.pi * at
+    elevation = np.tile(np.radians(rings_deg), columns)
+    r = ranges(azimuth)
+    points = {"x": r * np.cos(azimuth), "y": r * np.sin(azimuth), "z": r * np.tan(elevation)}
+    return points, period_s * at
+
+
+TIMES = {  # field, its type, and what stands in it
+    "ns since the stamp": ("t", "u4", lambda s: s * 1e9),
+    "us since the stamp": ("offset_time", "u4", lambda s: s * 1e6),
+    "s since the stamp": ("time", "f4", lambda s: s),
+    "s before the stamp": ("time", "f4", lambda s: s - 0.1),
+    "us as float": ("time", "f4", lambda s: s * 1e6),
+    "s since 1970": ("timestamp", "f8", lambda s: STAMP_NS / 1e9 + s),
+    "ns since 1970": ("timestamp", "f8", lambda s: STAMP_NS + s * 1e9),
+    "s since power-on": ("timestamp", "f8", lambda s: 5000.0 + s),
+}
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0], ids=["counter-clockwise", "clockwise"])
+@pytest.mark.parametrize("times", TIMES)
+def test_times_of_points_give_first_ray_direction_and_beam_interval(times, direction):
+    points, seconds = spinning(direction)
+    name, kind, made = TIMES[times]
+    order = np.random.default_rng(2).permutation(len(seconds))  # organised by rings, say
+    columns = {axis: values[order] for axis, values in points.items()} | {name: made(seconds)[order]}
+    scan = CloudConverter(ANY, LEVEL @ shifted(0.5)).scan(cloud(columns, {name: kind}), "lidar", LOG_NS)
+    before_s = 0.1 if times == "s before the stamp" else 0.0
+    assert scan.stamp_ns == pytest.approx(STAMP_NS - before_s * 1e9, abs=2e5)
+    assert scan.first_angle_rad == pytest.approx(1.0, abs=math.radians(0.3))
+    assert scan.angle_step_rad == pytest.approx(direction * math.radians(0.25))
+    assert scan.beam_interval_ns == pytest.approx(0.1e9 / 1440, rel=1e-3)
+    assert scan.scan_period_ns == pytest.approx(0.1e9, rel=0.01)
+    angle = scan.first_angle_rad + scan.angle_step_rad * np.arange(scan.range_m.size)
+    came = np.isfinite(scan.range_m)
+    assert came.mean() > 0.4  # two bins of a quarter degree for each column
+    np.testing.assert_allclose(scan.range_m[came], ranges(angle[came]), atol=0.02)
+
+
+def test_times_of_a_laser_that_does_not_rotate_give_the_stamp_of_their_median():
+    points, seconds = spinning(1.0)
+    seconds = np.random.default_rng(3).permutation(seconds)
+    payload = cloud(points | {"time": seconds})
+    scan = CloudConverter(ANY, shifted(0.5)).scan(payload, "lidar", LOG_NS)
+    assert scan.stamp_ns == pytest.approx(STAMP_NS + 0.05e9, abs=1e6)
+    assert scan.beam_interval_ns == 0
+
+
+@pytest.mark.parametrize("span", [0.0, 1e-5, 1e12, math.nan], ids=str)
+def test_times_that_make_no_sweep_are_not_used(span):
+    points, seconds = spinning(1.0)
+    seconds = 10.0 * seconds * span
+    scan = CloudConverter(ANY, shifted(0.5)).scan(cloud(points | {"time": seconds}), "lidar", LOG_NS)
+    assert (scan.stamp_ns, scan.beam_interval_ns) == (STAMP_NS, 0)
+    assert np.isfinite(scan.range_m).sum() > 500
+
+
+def shifted(z_m, pitch_rad=0.0, yaw_rad=0.0):
+    """matrix_base_sensor of a device at that height, looking down by pitch."""
+    c, s = math.cos(pitch_rad), math.sin(pitch_rad)
+    pitch = np.array([[c, 0, s, 0], [0, 1, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1]])
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    matrix = np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]) @ pitch
+    matrix[2, 3] = z_m
+    return matrix
+
+
+def test_the_nearest_point_of_the_height_band_in_the_base_frame_is_the_beam():
+    """Ahead: the ground at 1 m, a wall at 4 m from the ground up, a lamp at 2 m above; a bumper at 0.1 m."""
+    base = np.array(
+        [[1.0, 0.0, 0.0], [4.0, 0.0, 0.5], [4.1, 0.0, 1.0], [2.0, 0.0, 1.9], [0.1, 0.0, 0.5], [0.0, 3.0, 0.8]]
+    )
+    matrix = shifted(0.6, math.radians(25.0), math.radians(40.0))
+    xyz = (base - matrix[:3, 3]) @ matrix[:3, :3]
+    payload = cloud(dict(zip("xyz", xyz.T, strict=True)), dict.fromkeys("xyz", "f8"))
+
+    def seen(**settings):
+        scan = CloudConverter(ConversionConfig(**settings), matrix).scan(payload, "lidar", LOG_NS)
+        angle = scan.first_angle_rad + scan.angle_step_rad * np.arange(scan.range_m.size)
+        came = np.isfinite(scan.range_m)
+        heading_deg = np.degrees(angle[came]) + 40.0
+        return dict(zip(heading_deg.round().tolist(), scan.range_m[came].round(3).tolist(), strict=True))
+
+    assert seen() == {0.0: 4.0, 90.0: 3.0}
+    assert seen(z_max_m=3.0) == {0.0: 2.0, 90.0: 3.0}
+    assert seen(z_min_m=0.9) == {0.0: pytest.approx(4.1)}
+    assert seen(z_min_m=-0.1) == {0.0: 1.0, 90.0: 3.0}
+    assert seen(min_range_m=0.0) == {0.0: pytest.approx(0.1), 90.0: 3.0}
+
+
+def test_without_a_transform_the_band_lies_about_the_laser_itself():
+    points, _ = spinning(1.0, rings_deg=(-10.0, 0.0, 10.0))
+    converter = CloudConverter(ANY, None)
+    scan = converter.scan(cloud(points), "lidar", LOG_NS)
+    assert (converter.z_min_m, converter.z_max_m, converter.is_planar) == (-0.3, 0.3, False)
+    assert np.isfinite(scan.range_m).any()
+
+
+@pytest.mark.parametrize("field", ["x", "y"])
+def test_a_cloud_without_x_or_y_is_not_used(field):
+    columns, _, _ = planar()
+    del columns[field]
+    assert CloudConverter(ANY, LEVEL).scan(cloud(columns), "front", LOG_NS) is None
+
+
+def test_a_cloud_without_z_is_planar():
+    columns, _, r = planar()
+    del columns["z"]
+    np.testing.assert_allclose(
+        CloudConverter(ANY, LEVEL).scan(cloud(columns), "front", LOG_NS).range_m, r, atol=1e-5
+    )
+
+
+def test_an_empty_cloud_is_a_scan_without_return():
+    for nothing in ({"x": [], "y": [], "z": []}, dict.fromkeys("xyz", [math.nan] * 4)):
+        scan = CloudConverter(ANY, LEVEL).scan(cloud(nothing), "front", LOG_NS)
+        assert np.isnan(scan.range_m).all()
+
+
+def test_a_cloud_with_less_data_than_it_claims_is_not_used_and_bytes_are_refused_in_words():
+    payload = cloud(planar()[0])
+    content = STORE.deserialize_cdr(payload, encoding.POINT_CLOUD)
+    for change in (
+        {"width": 600},
+        {"height": 2},
+        {"point_step": 4},
+        {"point_step": 0},
+        {"row_step": 7, "height": 3},
+    ):
+        for name, value in {
+            "width": 541,
+            "height": 1,
+            "point_step": 12,
+            "row_step": 541 * 12,
+            **change,
+        }.items():
+            setattr(content, name, value)
+        damaged = bytes(STORE.serialize_cdr(content, encoding.POINT_CLOUD))
+        assert CloudConverter(ANY, LEVEL).scan(damaged, "front", LOG_NS) is None, change
+    with pytest.raises(InputError, match="are not a sensor_msgs/msg/PointCloud2"):
+        CloudConverter(ANY, LEVEL).scan(payload[:100], "front", LOG_NS)
+
+
+def test_random_bytes_in_a_cloud_give_a_scan_or_none():
+    payload = bytearray(cloud(spinning(1.0)[0] | {"t": spinning(1.0)[1] * 1e9}, {"t": "u4"}))
+    dice = np.random.default_rng(4)
+    for _ in range(200):
+        changed = bytearray(payload)
+        for at in dice.integers(0, 400, 3):
+            changed[at] = dice.integers(256)
+        for at in dice.integers(400, len(payload) - 8, 20):
+            changed[at : at + 4] = struct.pack("<f", dice.choice([math.nan, math.inf, 1e30, -1e30, 0.0]))
+        try:
+            scan = CloudConverter(ANY, LEVEL).scan(bytes(changed), "front", LOG_NS)
+        except InputError:
+            continue
+        if scan is not None:
+            came = scan.range_m[np.isfinite(scan.range_m)]
+            assert ((came > 0.0) & (came < scan.range_max_m)).all()
+            assert abs(scan.angle_step_rad) * max(scan.range_m.size - 1, 1) < 7.0
