@@ -119,7 +119,7 @@ def test_config_names_topics_and_options_are_before_it(tmp_path: Path, capsys: p
     assert json.loads(capsys.readouterr().out)["scans"] == SCANS
     config.write_text("replay: {z_min_m: 1.0, z_max_m: 0.5}\n")
     assert main(command) == 78
-    assert "c.yaml:1:9: replay: z_min_m (1) is not below z_max_m (0.5)" in capsys.readouterr().err
+    assert "c.yaml:1:1: replay: z_min_m (1) is not below z_max_m (0.5)" in capsys.readouterr().err
 
 
 def test_the_recording_of_echoes_alone_is_mapped(shared: Path, tmp_path: Path):
