@@ -33,6 +33,7 @@ class Verdict:
     needless_still_percent: float  # the same before and after the fault alone
     lost_percent: float
     worst_m: float
+    worst_deg: float  # of the heading
     fault_m: float  # off at the end of the fault
     fault_percent: float  # of the way during it
     end_m: float
@@ -111,6 +112,7 @@ def judge(
         needless_still_percent=100.0 * float(np.mean(~is_ok & is_within & ~is_fault)),
         lost_percent=100.0 * float(np.mean(is_lost)),
         worst_m=float(off_m.max()),
+        worst_deg=math.degrees(float(np.abs(errors[:, 2]).max())),
         fault_m=float(off_m[over]),
         fault_percent=_percent(float(off_m[over]), float(since_m[over])),
         end_m=float(off_m[-1]),

@@ -127,9 +127,18 @@ def rows(scene: str, of: Sequence[Verdict]) -> list[Row]:
             "scans",
             at_most=0.0,
             digits=0,
-        )
+        ),
+        worst(
+            f"{scene}: needless before and after",
+            [v.needless_still_percent for v in of],
+            "%",
+            at_most=1.0,
+            digits=1,
+        ),
     ]
-    if scene in SCENES and SCENES[scene].is_bound:
+    if scene in RECORDINGS:
+        made.append(worst(f"{scene}: off at the end", [v.end_m for v in of], "m", at_most=RIGHT_M))
+    elif SCENES[scene].is_bound:
         made += [
             worst(
                 f"{scene}: off after it, beyond 2 % of its way", [v.over_m for v in of], "m", at_most=RIGHT_M

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -106,3 +107,10 @@ def test_right_after_is_from_when_on_all_scans_are_right() -> None:
     assert right_after_s(lambda k: k >= 50) == math.inf
     lost = judge(outputs(state=lambda k: "lost" if k < 75 else "ok"), TRUTH, FROM_NS, TO_NS)
     assert lost.right_after_s == pytest.approx(0.5)
+
+
+def test_heading_is_told_beside_the_place() -> None:
+    made = outputs()
+    turned = replace(made[50], pose_odom_base=made[50].pose_odom_base @ SE2(0.0, 0.0, math.radians(-5.0)))
+    verdict = judge([*made[:50], turned, *made[51:]], TRUTH, FROM_NS, TO_NS)
+    assert (verdict.worst_m, verdict.worst_deg) == pytest.approx((0.0, 5.0), abs=1e-9)

@@ -12,7 +12,7 @@ from tests.accuracy.scene_drives import LEGS, SCENES, Case, Stage, driven, retur
 from tests.accuracy.scene_judge import Verdict
 from tests.accuracy.scenes import SHARES, SPEEDS_MPS, cases_of, rows, table
 
-VERDICT = Verdict(900, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.05, 0.5, 0.05, 0.4, 0.0, 3)
+VERDICT = Verdict(900, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.05, 0.1, 0.5, 0.05, 0.4, 0.0, 3)
 
 
 @pytest.mark.parametrize("moment", [0.0, 0.6])
@@ -62,11 +62,25 @@ def test_cases_take_every_speed_and_share_together() -> None:
 
 
 def test_bounds_are_those_of_the_worst_run() -> None:
-    bad = replace(VERDICT, ok_off=1, fault_m=1.0, fault_percent=10.0, right_after_s=3.0, ghosts=50)
+    bad = replace(
+        VERDICT,
+        ok_off=1,
+        needless_still_percent=2.0,
+        fault_m=1.0,
+        fault_percent=10.0,
+        right_after_s=3.0,
+        ghosts=50,
+    )
     met = {row.what: row.met for row in rows("escort", [VERDICT, VERDICT])}
     assert set(met.values()) == {True}
     assert {row.met for row in rows("escort", [VERDICT, bad])} == {False}
-    assert [row.what for row in rows("towed", [VERDICT])] == ["towed: `ok` and 0.3 m off"]
+    without_witness = rows("towed", [bad])
+    assert [row.what for row in without_witness] == [
+        "towed: `ok` and 0.3 m off",
+        "towed: needless before and after",
+    ]
+    (*_, end) = rows("escort5_s41_0_16s", [replace(bad, end_m=0.2)])
+    assert (end.what, end.met) == ("escort5_s41_0_16s: off at the end", False)
 
 
 def test_table_sums_counts_and_shows_the_worst() -> None:
