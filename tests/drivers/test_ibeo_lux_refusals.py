@@ -60,7 +60,7 @@ def test_beams_that_the_driver_cuts_off_do_not_move_the_stamp_of_the_others():
         tick_ns = 40e6 / 11_520
         ahead_ticks = 20 * 32 if t is cut else 0
         late_ns = t.frames[-1].stamp_ns - (truth_ns + ahead_ticks * tick_ns)
-        assert np.abs(late_ns).min() < 2_500_000  # a scan leaves 2 ms after its sweep
+        assert np.abs(late_ns - 2_100_000).min() < 300_000  # it leaves 2 ms after its sweep, 0.1 on the wire
 
 
 def test_scans_without_a_beam_in_the_configured_angles_are_no_scans():
