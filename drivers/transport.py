@@ -12,6 +12,7 @@ from typing import Protocol, Self
 
 import serial
 
+from drivers.counted import counted
 from drivers.errors import TransportError
 
 READ_BYTES = 65_536
@@ -77,7 +78,9 @@ class TcpTransport:
             self._socket.settimeout(DEAD_PEER_MS / 1000)
             self._socket.sendall(data)
         except OSError as error:
-            raise TransportError(f"{self._where}: cannot send {len(data)} bytes: {_reason(error)}") from error
+            raise TransportError(
+                f"{self._where}: cannot send {counted(len(data), 'byte')}: {_reason(error)}"
+            ) from error
 
     def close(self) -> None:
         self._socket.close()
@@ -138,13 +141,15 @@ class SerialTransport:
                 wait_s = deadline_s - time.monotonic()
                 if wait_s <= 0.0 or not select.select([], [self._port.fileno()], [], wait_s)[1]:
                     raise TransportError(
-                        f"{self._where}: took {len(data) - len(left)} of {len(data)} bytes within "
+                        f"{self._where}: took {len(data) - len(left)} of {counted(len(data), 'byte')} within "
                         f"{WRITE_TIMEOUT_S:g} s; does the device hang? cut its power once"
                     )
                 with suppress(BlockingIOError):
                     left = left[os.write(self._port.fileno(), left) :]
         except PORT_ERRORS as error:
-            raise TransportError(f"{self._where}: cannot send {len(data)} bytes: {_reason(error)}") from error
+            raise TransportError(
+                f"{self._where}: cannot send {counted(len(data), 'byte')}: {_reason(error)}"
+            ) from error
 
     def set_baud(self, baud: int) -> None:
         """Go on at another rate. Raises TransportError where the port cannot do it."""

@@ -7,6 +7,7 @@ from typing import Any, Self
 import usb.core
 import usb.util
 
+from drivers.counted import counted
 from drivers.errors import TransportError
 
 READ_BYTES = 4096  # a multiple of every packet size: else a full packet overflows
@@ -103,9 +104,11 @@ class UsbTransport:
         try:
             sent = self._device.write(self._out, data, WRITE_TIMEOUT_MS)
         except usb.core.USBError as error:
-            raise TransportError(f"{self._where}: cannot send {len(data)} bytes: {_words(error)}") from error
+            raise TransportError(
+                f"{self._where}: cannot send {counted(len(data), 'byte')}: {_words(error)}"
+            ) from error
         if sent != len(data):
-            raise TransportError(f"{self._where}: {sent} of {len(data)} bytes sent")
+            raise TransportError(f"{self._where}: {sent} of {counted(len(data), 'byte')} sent")
 
     def close(self) -> None:
         device, self._device = self._device, None

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from drivers.counted import counted
 from drivers.errors import ProtocolError
 from drivers.hokuyo_utm30lx.protocol import (
     LF,
@@ -110,7 +111,7 @@ def read_scan(reply: Reply) -> Scan:
     if payload.size and (payload.min() < 0x30 or payload.max() > 0x6F):
         raise ProtocolError(f"{reply.echo}: characters outside of the six-bit code")
     if payload.size % chars:
-        raise ProtocolError(f"{reply.echo}: {payload.size} characters are no whole number of values")
+        raise ProtocolError(f"{reply.echo}: {counted(payload.size, 'character')}: no whole number of values")
     values = _values(payload, request.value_chars)
     if request.with_intensity:
         values = values.reshape(-1, 2)
@@ -118,7 +119,7 @@ def read_scan(reply: Reply) -> Scan:
     rows = columns[:, np.newaxis, :] if echo_rows is None else _by_echo(columns, echo_rows)
     beam_count = rows.shape[-1]
     if beam_count != request.beam_count:
-        raise ProtocolError(f"{reply.echo}: {beam_count} beams, expected {request.beam_count}")
+        raise ProtocolError(f"{reply.echo}: {counted(beam_count, 'beam')}, expected {request.beam_count}")
     distance_mm = rows[0]
     intensity = rows[1] if request.with_intensity else distance_mm[:0]
     return Scan(request, decode_number(stamp[:-1]), distance_mm, intensity)

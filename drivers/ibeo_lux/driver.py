@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from drivers.counted import counted
 from drivers.dialogue import DialogueRunner
 from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.frames import NO_INTENSITY, LaserScan
@@ -363,7 +364,9 @@ def _answers(reply: Reply, asked: Ask) -> bool:
 def _check(scan: Scan) -> None:
     """Raises ProtocolError where no time or direction can be had from the header, or of no point."""
     if scan.ticks_per_turn != TICKS_PER_TURN:
-        raise ProtocolError(f"a scan with {scan.ticks_per_turn} ticks a turn, expected {TICKS_PER_TURN}")
+        raise ProtocolError(
+            f"a scan with {counted(scan.ticks_per_turn, 'tick')} a turn, expected {TICKS_PER_TURN}"
+        )
     sweep_ticks = scan.start_ticks - scan.end_ticks
     if not 0 < sweep_ticks <= TICKS_PER_TURN:
         raise ProtocolError(
@@ -377,6 +380,7 @@ def _check(scan: Scan) -> None:
         )
     if len(scan.points) and not sound_points(scan).any():
         raise ProtocolError(
-            f"a scan of {len(scan.points)} points, none with a layer, an echo and an angle that can be; the "
+            f"a scan of {counted(len(scan.points), 'point')}, none with a layer, an echo and an "
+            f"angle that can be; the "
             f"first begins with 0x{scan.points[:1].tobytes()[:4].hex()}"
         )

@@ -14,6 +14,7 @@ from enum import IntEnum, IntFlag
 import numpy as np
 import numpy.typing as npt
 
+from drivers.counted import counted
 from drivers.errors import ProtocolError
 
 TICKS_PER_TURN = 11_520
@@ -101,7 +102,9 @@ class Scan:
 def read_scan(payload: bytes) -> Scan:
     """Decode the points that came, be they fewer than announced. Raises ProtocolError without a header."""
     if len(payload) < SCAN_HEADER_BYTES:
-        raise ProtocolError(f"a scan of {len(payload)} bytes, its header alone has {SCAN_HEADER_BYTES}")
+        raise ProtocolError(
+            f"a scan of {counted(len(payload), 'byte')}, its header alone has {SCAN_HEADER_BYTES}"
+        )
     *head, yaw, pitch, roll, x, y, z, flags = _SCAN.unpack_from(payload)
     number, status, sync_phase, start_ntp, end_ntp, ticks_per_turn, start_ticks, end_ticks, announced = head
     count = min(announced, (len(payload) - SCAN_HEADER_BYTES) // POINT_BYTES)
@@ -185,7 +188,7 @@ def write_command(command: int, body: bytes = b"") -> bytes:
 def read_command(payload: bytes) -> tuple[int, bytes]:
     """Command and what follows its version. Raises ProtocolError."""
     if len(payload) < 4:
-        raise ProtocolError(f"a command of {len(payload)} bytes, the shortest has 4")
+        raise ProtocolError(f"a command of {counted(len(payload), 'byte')}, the shortest has 4")
     return int.from_bytes(payload[:2], "little"), payload[4:]
 
 
@@ -196,7 +199,7 @@ def write_reply(command: int, body: bytes = b"", refused: bool = False) -> bytes
 def read_reply(payload: bytes) -> Reply:
     """Raises ProtocolError."""
     if len(payload) < 2:
-        raise ProtocolError(f"a reply of {len(payload)} bytes, the shortest has 2")
+        raise ProtocolError(f"a reply of {counted(len(payload), 'byte')}, the shortest has 2")
     code = int.from_bytes(payload[:2], "little")
     return Reply(code & ~REFUSED, bool(code & REFUSED), payload[2:])
 
@@ -209,7 +212,7 @@ def write_parameter(index: int, value: int) -> bytes:
 def read_parameter(body: bytes) -> tuple[int, int]:
     """Index and value, unsigned. Raises ProtocolError."""
     if len(body) < 6:
-        raise ProtocolError(f"a parameter of {len(body)} bytes, it has 6")
+        raise ProtocolError(f"a parameter of {counted(len(body), 'byte')}, it has 6")
     index, value = struct.unpack_from("<HI", body)
     return int(index), int(value)
 
@@ -246,7 +249,7 @@ class DeviceStatus:
     def read(cls, body: bytes) -> "DeviceStatus":
         """Raises ProtocolError."""
         if len(body) < _STATUS.size:
-            raise ProtocolError(f"a status of {len(body)} bytes, it has {_STATUS.size}")
+            raise ProtocolError(f"a status of {counted(len(body), 'byte')}, it has {_STATUS.size}")
         firmware, fpga, status, reserved, temperature, *rest = _STATUS.unpack_from(body)
         return cls(
             *(firmware, fpga, status, reserved, temperature),
@@ -349,7 +352,7 @@ class ErrorRegisters:
         """Raises ProtocolError."""
         if len(payload) < _ERRORS.size:
             raise ProtocolError(
-                f"errors and warnings in {len(payload)} bytes, at least {_ERRORS.size} expected"
+                f"errors and warnings in {counted(len(payload), 'byte')}, at least {_ERRORS.size} expected"
             )
         return cls(*_ERRORS.unpack_from(payload))
 

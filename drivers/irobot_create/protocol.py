@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
 
+from drivers.counted import counted
 from drivers.errors import ProtocolError
 
 FRAME_HEADER = 0x13
@@ -234,7 +235,9 @@ def decode_values(packet_ids: Sequence[int], data: bytes) -> dict[int, int]:
     """
     expected = data_bytes(packet_ids)
     if len(data) != expected:
-        raise ProtocolError(f"answer of {len(data)} bytes to packets {list(packet_ids)}, expected {expected}")
+        raise ProtocolError(
+            f"answer of {counted(len(data), 'byte')} to packets {list(packet_ids)}, expected {expected}"
+        )
     flat = _layout(tuple(packet_ids)).unpack(data)
     order = [member for packet_id in packet_ids for member in members(packet_id)]
     return dict(zip(order, flat, strict=True))

@@ -15,6 +15,7 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
+from drivers.counted import counted
 from drivers.errors import ProtocolError
 
 STX, ETX = b"\x02", b"\x03"
@@ -248,7 +249,8 @@ class BinaryReader:
         taken = self._body[self._at : self._at + count]
         if len(taken) < count:
             raise ProtocolError(
-                f"body of {len(self._body)} bytes ends inside the {count} bytes from {self._at}"
+                f"body of {counted(len(self._body), 'byte')} ends inside the "
+                f"{counted(count, 'byte')} from {self._at}"
             )
         self._at += count
         return taken
@@ -347,7 +349,7 @@ class AsciiReader:
     def characters(self, count: int) -> str:
         text = self._body[self._at : self._at + count]
         if len(text) < count:
-            raise ProtocolError(f"text of {count} characters ends after {len(text)}")
+            raise ProtocolError(f"text of {counted(count, 'character')} ends after {len(text)}")
         self._at += count + 1
         return text.decode("latin-1")
 
@@ -367,12 +369,14 @@ class AsciiReader:
             ends = np.append(ends, len(codes))
         lengths = np.diff(ends, prepend=-1) - 1
         if len(ends) != count or (count and not 1 <= lengths.min() <= lengths.max() <= most):
-            raise ProtocolError(f"no {count} numbers of {bits} bits at byte {self._at} of {len(self._body)}")
+            raise ProtocolError(
+                f"no {counted(count, 'number')} of {bits} bits at byte {self._at} of {len(self._body)}"
+            )
         if not count:
             return np.zeros(0, dtype=np.uint16)
         digits = _DIGITS[codes[: ends[-1]]]
         if digits.max() == _NO_DIGIT:
-            raise ProtocolError(f"a character that is no hexadecimal digit among {count} numbers")
+            raise ProtocolError(f"a character that is no hexadecimal digit in {counted(count, 'number')}")
         values = digits[ends - 1]
         for place in range(1, int(lengths.max())):
             values += (digits[ends - 1 - place] << (4 * place)) * (lengths > place)

@@ -15,6 +15,7 @@ from collections.abc import Generator
 from dataclasses import dataclass
 from typing import TypeVar
 
+from drivers.counted import counted
 from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.xsens_mtig.config import AUTO, XsensMtigConfig
 from drivers.xsens_mtig.mtdata import KNOWN_MODE, Layout, Mode
@@ -302,7 +303,8 @@ class MtigDialogue:
         length = int.from_bytes(said, "big") if said else current.layout.data_bytes
         if length != current.layout.data_bytes:
             raise DeviceError(
-                f"it announces {length} bytes a message, mode 0x{current.layout.mode:04X} with settings "
+                f"it announces {counted(length, 'byte')} a message, mode "
+                f"0x{current.layout.mode:04X} with settings "
                 f"0x{current.layout.settings:08X} makes {current.layout.data_bytes}"
             )
         self.legacy = current

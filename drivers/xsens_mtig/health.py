@@ -2,6 +2,8 @@
 
 from collections import Counter
 
+from drivers.counted import counted
+
 SELFTEST_OK, FILTER_VALID, GNSS_FIX = 0x1, 0x2, 0x4
 NO_ROTATION_SHIFT = 3
 NO_ROTATION = {  # bits 0x08 and 0x10, by Xsens' xsstatusflag.h
@@ -55,7 +57,7 @@ class DeviceHealth:
         text = FIXES.get(fix, f"GNSS fix of unknown kind {fix}")
         if fix and not good:
             text += " not good enough"
-        self._gnss = f"{text} ({satellites} satellites)"
+        self._gnss = f"{text} ({counted(satellites, 'satellite')})"
 
     def observe_gnss_words(self, text: str) -> None:
         self._gnss = text

@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import NamedTuple
 
+from drivers.counted import counted
 from drivers.errors import ProtocolError
 from drivers.xsens_mtig.mtdata2 import LocalFrame, Utc, read_utc, write_utc
 from drivers.xsens_mtig.reals import BYTES, Precision, Reals, read_reals, write_reals
@@ -162,7 +163,7 @@ class LegacyCodec:
         """Raises ProtocolError where the data have not the layout's length."""
         if len(data) != self.data_bytes:
             raise ProtocolError(
-                f"MTData of {len(data)} bytes, mode 0x{self.layout.mode:04X} with settings "
+                f"MTData of {counted(len(data), 'byte')}, mode 0x{self.layout.mode:04X} with settings "
                 f"0x{self.layout.settings:08X} makes {self.data_bytes}"
             )
         found: dict[str, object] = {}
@@ -213,7 +214,7 @@ class LegacyCodec:
             data += write_utc(sample.utc)
         if len(data) != self.data_bytes:
             given = [f.name for f in fields(sample) if getattr(sample, f.name) is not None]
-            raise ValueError(f"{given} make {len(data)} bytes, the layout has {self.data_bytes}")
+            raise ValueError(f"{given} make {counted(len(data), 'byte')}, the layout has {self.data_bytes}")
         return data
 
     def _write(self, reals: list[tuple[str, int]], sample: LegacyData) -> bytes:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
+from drivers.counted import counted
 from drivers.errors import ProtocolError
 from drivers.xsens_mtig.reals import BYTES, Reals, read_reals, write_reals
 
@@ -209,7 +210,9 @@ def write_item(identifier: int, value: Value) -> bytes:
     if isinstance(value, int):
         return _INTEGERS[Kind(kind)].pack(value)
     if len(value) != REALS_OF[Kind(kind)]:
-        raise ValueError(f"{len(value)} numbers for {Kind(kind).name}, it has {REALS_OF[Kind(kind)]}")
+        raise ValueError(
+            f"{counted(len(value), 'number')} for {Kind(kind).name}, it has {REALS_OF[Kind(kind)]}"
+        )
     return write_reals(value, identifier & PRECISION_MASK)
 
 
@@ -235,7 +238,7 @@ def item_bytes(identifier: int) -> int:
 def read_utc(payload: bytes, offset: int = 0) -> Utc:
     """Raises ProtocolError where there are no 12 bytes."""
     if len(payload) - offset < _UTC.size:
-        raise ProtocolError(f"{len(payload) - offset} bytes of UTC time, expected {_UTC.size}")
+        raise ProtocolError(f"{counted(len(payload) - offset, 'byte')} of UTC time, expected {_UTC.size}")
     return Utc._make(_UTC.unpack_from(payload, offset))
 
 
@@ -246,7 +249,9 @@ def write_utc(utc: Utc) -> bytes:
 def read_output_configuration(data: bytes) -> list[tuple[int, int]]:
     """(id, rate in Hz or EVERY_MESSAGE) as configured or acknowledged. Raises ProtocolError."""
     if len(data) % _RATE.size:
-        raise ProtocolError(f"output configuration of {len(data)} bytes, expected a multiple of {_RATE.size}")
+        raise ProtocolError(
+            f"output configuration of {counted(len(data), 'byte')}, expected a multiple of {_RATE.size}"
+        )
     return [(identifier, rate) for identifier, rate in _RATE.iter_unpack(data)]
 
 
@@ -256,4 +261,4 @@ def write_output_configuration(wanted: Iterable[tuple[int, int]]) -> bytes:
 
 def _demand(kind: int, payload: bytes, size: int) -> None:
     if len(payload) != size:
-        raise ProtocolError(f"{len(payload)} bytes of {Kind(kind).name}, expected {size}")
+        raise ProtocolError(f"{counted(len(payload), 'byte')} of {Kind(kind).name}, expected {size}")

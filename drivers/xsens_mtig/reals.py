@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from enum import IntEnum
 from functools import cache
 
+from drivers.counted import counted
 from drivers.errors import ProtocolError
 
 Reals = tuple[float, ...]
@@ -39,7 +40,8 @@ def read_reals(data: bytes, precision: int, count: int, offset: int = 0) -> Real
         values = _layout(precision, count).unpack_from(data, offset)
     except struct.error as error:
         raise ProtocolError(
-            f"{len(data) - offset} bytes where {count} numbers of {BYTES[precision]} were due"
+            f"{counted(len(data) - offset, 'byte')} where {counted(count, 'number')} of "
+            f"{BYTES[precision]} were due"
         ) from error
     if precision == Precision.FP1220:
         return tuple([value / _FP1220 for value in values])

@@ -8,6 +8,7 @@ from typing import TypeVar, cast
 
 import numpy as np
 
+from drivers.counted import counted
 from drivers.frames import NO_INTENSITY, Frame, GnssFix, ImuSample, LaserScan, OdometrySample
 from service.encoding import quick, wire
 from service.encoding import ros_messages as ros
@@ -113,7 +114,9 @@ def frame_id(payload: bytes) -> str:
         (text,) = struct.unpack_from(f"{size}s", payload, _FRAME_ID_AT + 4)
         return str(text, "utf-8").rstrip("\0").lstrip("/")  # tf 1 wrote "/laser"
     except (IndexError, struct.error, UnicodeDecodeError) as error:
-        raise InputError(f"{len(payload)} bytes do not begin with a std_msgs/Header: {error}") from error
+        raise InputError(
+            f"{counted(len(payload), 'byte')} cannot begin with a std_msgs/Header: {error}"
+        ) from error
 
 
 def _duration_ns(seconds: float) -> int:

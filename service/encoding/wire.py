@@ -10,6 +10,7 @@ import numpy.typing as npt
 from rosbags.serde import SerdeError
 from rosbags.typesys.store import Typestore
 
+from drivers.counted import counted
 from service.encoding import quick
 from service.encoding import ros_messages as ros
 from service.errors import InputError
@@ -111,7 +112,9 @@ def read(type_name: str, payload: bytes) -> object:
     try:
         return _store().deserialize_cdr(payload, type_name)
     except SerdeError as error:
-        raise InputError(f"{len(payload)} bytes are not a {type_name}: {error}") from error
+        raise InputError(
+            f"{counted(len(payload), 'byte')} cannot be read as a {type_name}: {error}"
+        ) from error
 
 
 def from_ros1(type_name: str, payload: bytes) -> bytes:
@@ -119,7 +122,9 @@ def from_ros1(type_name: str, payload: bytes) -> bytes:
     try:
         return bytes(_store().ros1_to_cdr(payload, type_name))
     except (SerdeError, AssertionError) as error:
-        raise InputError(f"{len(payload)} bytes are not a {type_name} of ROS 1: {error}") from error
+        raise InputError(
+            f"{counted(len(payload), 'byte')} cannot be read as a {type_name} of ROS 1: {error}"
+        ) from error
 
 
 def time_ros(stamp_ns: int) -> ros.builtin_interfaces__msg__Time:

@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.counted import counted
 from service.errors import InputError, StorageError, words_of
 from service.geometry.geo_reference import GeoReference
 from service.mapper.saved_graph import SavedGraph
@@ -342,7 +343,7 @@ def _load(version: Path, problems: list[str]) -> StoredMap:
             raise InputError(f"{path}: {error.strerror}") from error
         if found != expected:
             raise InputError(
-                f"{path}: {found['bytes']} bytes that are not the {expected['bytes']} saved: damaged"
+                f"{path}: {counted(found['bytes'], 'byte')}, not the {expected['bytes']} saved: damaged"
             )
     try:
         with np.load(version / "tiles.npz", allow_pickle=False) as arrays:

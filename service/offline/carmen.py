@@ -23,6 +23,7 @@ from typing import IO, Literal
 import numpy as np
 import numpy.typing as npt
 
+from drivers.counted import counted
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
 from service.errors import InputError, words_of
 from service.geometry.se2 import SE2, wrap_angle
@@ -65,8 +66,12 @@ class ImportReport:
     duration_s: float = 0.0
 
     def __str__(self) -> str:
-        scans = ", ".join(f"{count} scans of {sensor}" for sensor, count in sorted(self.scans.items()))
-        lines = [f"{self.path}: {scans}, {self.odometry} odometry samples over {self.duration_s:.1f} s"]
+        scans = ", ".join(
+            f"{counted(count, 'scan')} of {sensor}" for sensor, count in sorted(self.scans.items())
+        )
+        lines = [
+            f"{self.path}: {scans}, {counted(self.odometry, 'odometry sample')} over {self.duration_s:.1f} s"
+        ]
         if self.corrected:
             lines.append(
                 f"{self.source.name} is a corrected log ({self.corrected}): "
@@ -78,7 +83,7 @@ class ImportReport:
         if self.ignored:
             lines.append(f"not used: {_listed(self.ignored)}")
         if self.out_of_order:
-            lines.append(f"put in the order of their stamps: {self.out_of_order} lines")
+            lines.append(f"put in the order of their stamps: {counted(self.out_of_order, 'line')}")
         return "\n".join(lines)
 
 
@@ -186,7 +191,7 @@ def _read(path: Path, report: ImportReport) -> _Log:
         )
     if not any(_has_return(scan) for scan in log.scans):
         raise InputError(
-            f"{path}: not one beam of {len(log.scans)} scans came back between 0 and "
+            f"{path}: not one beam of {counted(len(log.scans), 'scan')} came back between 0 and "
             f"{log.scans[0].range_max_m:g} m; nothing can be mapped of it"
         )
     return log
@@ -257,7 +262,7 @@ def _robotlaser(fields: list[str]) -> _Scan:
     start_rad, _, step_rad, max_range_m = map(_finite, fields[2:6])
     count = int(fields[8])
     if not abs(start_rad) <= 2.0 * math.pi or not 0.0 < abs(step_rad) * max(count - 1, 1) < 2.1 * math.pi:
-        raise ValueError(f"{count} beams from {start_rad} rad on, {step_rad} rad apart")
+        raise ValueError(f"{counted(count, 'beam')} from {start_rad} rad on, {step_rad} rad apart")
     after = 10 + count + int(fields[9 + count])
     return _Scan(
         stamp_ns=_ns(fields[after + 11]),
@@ -322,7 +327,7 @@ def _guessed_angles(count: int) -> tuple[float, float]:
     SICK LMS with 0.25 deg. Any other number is taken to span 180 deg evenly, both ends included.
     """
     if count < 2:
-        raise ValueError(f"{count} beams")
+        raise ValueError(counted(count, "beam"))
     known = {180: (-90.0, 1.0), 181: (-90.0, 1.0), 360: (-90.0, 0.5), 361: (-90.0, 0.5), 401: (-50.0, 0.25)}
     first_deg, step_deg = known.get(count, (-90.0, 180.0 / (count - 1)))
     return math.radians(first_deg), math.radians(step_deg)
@@ -330,7 +335,7 @@ def _guessed_angles(count: int) -> tuple[float, float]:
 
 def _ranges(texts: Sequence[str], count: int) -> npt.NDArray[np.float32]:
     if len(texts) != count:
-        raise ValueError(f"{len(texts)} ranges instead of {count}")
+        raise ValueError(f"{counted(len(texts), 'range')} instead of {count}")
     with np.errstate(over="ignore"):  # what no float32 holds lies beyond every laser: no return
         return np.array([float(text) for text in texts]).astype(np.float32)
 
@@ -362,7 +367,7 @@ def _why_corrected(log: _Log, path: Path) -> str:
     reasons = [mark for kind, mark in CORRECTED_MARKS.items() if log.kinds[kind]]
     restated = sum(not sample.stamp_ns for sample in log.odometry)
     if restated > len(log.scans) // 2:
-        reasons.append(f"{restated} ODOM lines without a time that restate the poses of scans")
+        reasons.append(f"{counted(restated, 'ODOM line')} without a time, restating the poses of scans")
     if "corrected" in path.name.lower():
         reasons.append("its name")
     if not _is_rigid(log.scans):
@@ -423,12 +428,12 @@ def _odometry_of(log: _Log, choice: OdometryChoice, report: ImportReport) -> lis
         return _samples(from_scans)
     if timed and report.corrected and restated:
         report.odometry_source = (
-            f"the increments of {len(timed)} ODOM lines between corrections; "
+            f"the increments of {counted(len(timed), 'ODOM line')} between corrections; "
             "where GMapping wrote the log, its motion noise is in them"
         )
         return _samples(_chained(log.odometry))
     if timed:
-        report.odometry_source = f"{len(timed)} ODOM lines"
+        report.odometry_source = counted(len(timed), "ODOM line")
         return _samples(timed)
     if not report.corrected:
         report.odometry_source = (

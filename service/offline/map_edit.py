@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.counted import counted
 from service.errors import InputError, UsageError
 from service.geometry.polygons import area_m2
 from service.geometry.poses import Floats
@@ -126,9 +127,14 @@ def erase(corners: Sequence[float], is_free: bool) -> Change:
         if graph is not None:
             graph, points = with_area_erased(graph, outline, is_free)
         as_what = "free" if is_free else "unknown"
-        words = f"erased {area_m2(outline):.2f} m2 about {_middle(outline)}: {cells} cells {as_what} now"
+        words = (
+            f"erased {area_m2(outline):.2f} m2 about {_middle(outline)}: "
+            f"{counted(cells, 'cell')} {as_what} now"
+        )
         told = {"cells_changed": cells, "points_gone": points}
-        return Changed(replace(stored, tiles=tiles, graph=graph), f"{words}, {points} points gone", told)
+        return Changed(
+            replace(stored, tiles=tiles, graph=graph), f"{words}, {counted(points, 'point')} gone", told
+        )
 
     return change
 
@@ -158,7 +164,7 @@ def cut(from_to: Sequence[str], is_bridged: bool) -> Change:
         less = without_time(graph, from_ns, to_ns, is_bridged)
         gone = len(graph) - len(less)
         loops = len(graph.loop_ends) - len(less.loop_ends)
-        words = f"cut {gone} key frames out, and {loops} loops with them"
+        words = f"cut {counted(gone, 'key frame')} out, and {counted(loops, 'loop')} with them"
         return _solved(stored, less, words, {"keyframes_gone": gone, "loops_gone": loops})
 
     return change
@@ -266,7 +272,9 @@ def _solved(stored: StoredMap, graph: SavedGraph, words: str, told: dict[str, An
     done = solved(graph, shown.renderer)
     shown.replace_by(done.rendered_map, ())
     most_m = round(float(done.moved_m.max()), 3)
-    aside = f"; {done.contradicted} loops that the rest contradicts are gone" if done.contradicted else ""
+    aside = (
+        f"; gone as the rest contradicts: {counted(done.contradicted, 'loop')}" if done.contradicted else ""
+    )
     return Changed(
         replace(stored, tiles=shown.changed_tiles(), graph=done.graph),
         f"{words}; key frames moved by up to {most_m:.3f} m{aside}",

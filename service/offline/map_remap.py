@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.counted import counted
 from service.errors import UsageError
 from service.geometry.polygons import Cells, area_m2, cells_inside
 from service.geometry.poses import Floats
@@ -68,8 +69,10 @@ def driven_again(session: SavedGraph | None, outline: Floats) -> Change:
         }
         x_m, y_m = outline.mean(axis=0).tolist()
         words = (
-            f"drove {area_m2(outline):.1f} m2 about ({x_m:.2f}, {y_m:.2f}) m again: {cells} cells, "
-            f"{done.points_gone} points gone and {done.points_new} new in {done.keyframes} key frames"
+            f"drove {area_m2(outline):.1f} m2 about ({x_m:.2f}, {y_m:.2f}) m again: "
+            f"{counted(cells, 'cell')}, "
+            f"{counted(done.points_gone, 'point')} gone and {done.points_new} new in "
+            f"{counted(done.keyframes, 'key frame')}"
         )
         return Changed(replace(stored, tiles=tiles, graph=done.graph), words, told)
 

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from drivers.counted import counted
 from drivers.frames import LaserScan
 from service.encoding import (
     CHANGES,
@@ -255,7 +256,10 @@ class ReplayPage:
         state = self._output.state
         values |= {"state": state, "inlier_ratio": f"{self._output.inlier_ratio:.3f}"}
         if self._phase == "finished":
-            words = f"finished: {values['scans']} scans mapped, {values['loop_closures']} loops closed"
+            words = (
+                f"finished: {counted(int(values['scans']), 'scan')} mapped, "
+                f"{counted(int(values['loop_closures']), 'loop')} closed"
+            )
             return Status("mapping", OK, words, values | {"state": "finished"})
         return Status("mapping", _LEVELS[state], self._output.reason or state, values)
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.counted import counted
 from drivers.frames import Frame, LaserScan
 from service.encoding import IMU, LASER_SCAN, NO_COVARIANCE, ODOMETRY
 from service.errors import InputError
@@ -40,7 +41,6 @@ from service.offline.state_reasons import StateReasons
 from service.outputs import STATES, MapperOutput, TileUpdate
 from service.recording.mcap_source import Session
 from service.version import VERSION
-from service.words import counted
 
 log = logging.getLogger(__name__)
 

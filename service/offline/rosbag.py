@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.counted import counted
 from drivers.frames import Frame, GnssFix, ImuSample, LaserScan, OdometrySample
 from service.errors import InputError
 from service.geometry.se2 import SE2
@@ -17,7 +18,13 @@ from service.recording.choice import NO_CHOICE, Choice
 from service.recording.mcap_source import Session, open_session
 
 MOST_STAMP_NS = 2**31 * 1_000_000_000  # ROS messages count seconds in int32
-WORDS = {LaserScan: "scans", OdometrySample: "odometry samples", ImuSample: "IMU samples", GnssFix: "fixes"}
+SEVERAL = {  # kinds of frames
+    LaserScan: "scans",
+    OdometrySample: "odometry samples",
+    ImuSample: "IMU samples",
+    GnssFix: "fixes",
+}
+ONE = {"scans": "scan", "odometry samples": "odometry sample", "IMU samples": "IMU sample", "fixes": "fix"}
 
 
 @dataclass(slots=True)
@@ -34,9 +41,12 @@ class BagReport:
     duration_s: float = 0.0
 
     def __str__(self) -> str:
-        held = ", ".join(f"{count} {what}" for what, count in sorted(self.frames.items()))
-        unusable = [f"left out: {self.unusable} messages that no mapper can use"] if self.unusable else []
-        found = f"{self.path}: {held} over {self.duration_s:.1f} s"
+        counts = []
+        for what, count in sorted(self.frames.items()):
+            kind, _, sensor = what.partition(" of ")
+            counts.append(f"{counted(count, ONE[kind], kind)} of {sensor}")
+        unusable = [f"unusable for mapping: {counted(self.unusable, 'message')}"] if self.unusable else []
+        found = f"{self.path}: {', '.join(counts)} over {self.duration_s:.1f} s"
         return "\n".join([found, *self.notes, *unusable, *self.losses])
 
 
@@ -86,7 +96,7 @@ def _counted(session: Session, report: BagReport) -> Iterator[Frame]:
     for frame in _usable(session):
         first_ns = frame.arrived_ns if first_ns is None else first_ns
         report.duration_s = (frame.arrived_ns - first_ns) / 1e9
-        report.frames[f"{WORDS[type(frame)]} of {frame.sensor}"] += 1
+        report.frames[f"{SEVERAL[type(frame)]} of {frame.sensor}"] += 1
         yield frame
 
 

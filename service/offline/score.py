@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from drivers.counted import counted
 from service.errors import InputError, UsageError
 from service.geometry.se2 import wrap_angle
 from service.offline.result import read_trajectory
@@ -69,7 +70,8 @@ class RelationsScore:
 
     def __str__(self) -> str:
         lines = [
-            f"{self.pairs_scored} pairs scored ({self.pairs}); left out: {self.pairs_outside} outside the "
+            f"{counted(self.pairs_scored, 'pair')} scored ({self.pairs}); left out: "
+            f"{self.pairs_outside} outside the "
             f"trajectory, {self.pairs_not_near} not near a scan; "
             f"shift {self.shift_s:g} s, offset {self.offset_x_m:g} m"
         ]
@@ -110,13 +112,15 @@ class TrajectoryScore:
     def __str__(self) -> str:
         return "\n".join(
             [
-                f"{self.poses_scored} poses scored over {self.path_m:.1f} m, {self.poses_left_out} left out; "
+                f"{counted(self.poses_scored, 'pose')} scored over {self.path_m:.1f} m, "
+                f"{self.poses_left_out} left out; "
                 f"shift {self.shift_s:g} s, offset {self.offset_x_m:g} m",
                 f"ATE aligned   {_spread(self.ate_aligned_m, 'm')}",
                 f"              {_spread(self.ate_aligned_deg, 'deg')}",
                 f"ATE as is     {_spread(self.ate_m, 'm')}",
                 f"              {_spread(self.ate_deg, 'deg')}",
-                f"RPE over {self.rpe_step_m:g} m  {_spread(self.rpe_m, 'm')}  ({self.rpe_pairs} pairs)",
+                f"RPE over {self.rpe_step_m:g} m  {_spread(self.rpe_m, 'm')}  "
+                f"({counted(self.rpe_pairs, 'pair')})",
                 f"              {_spread(self.rpe_deg, 'deg')}",
                 f"closure       {self.closure_m:.4f} m  {self.closure_deg:.3f} deg",
             ]
@@ -207,7 +211,8 @@ def _score_relations(
         kept = inside & near
     if not kept.any():
         raise InputError(
-            f"{path}: none of {len(expected)} pairs can be scored: {np.count_nonzero(~inside)} lie outside "
+            f"{path}: none of {counted(len(expected), 'pair')} can be scored: "
+            f"{np.count_nonzero(~inside)} lie outside "
             f"{_span(estimate)} s; is it another recording, or --shift-s wrong?"
         )
     expected = expected[kept]
@@ -239,7 +244,8 @@ def _score_trajectory(estimate: Trajectory, path: Path, shift_s: float, offset_x
     known = _known(truth, estimate.stamp_ns)
     if np.count_nonzero(known) < 2:
         raise InputError(
-            f"{path}: {np.count_nonzero(known)} of {len(known)} poses have a truth; it spans "
+            f"{path}: a truth is known for {np.count_nonzero(known)} of "
+            f"{counted(len(known), 'pose')}; it spans "
             f"{_span(truth)} s, the estimate {_span(estimate)} s; is --shift-s wrong?"
         )
     e, t = estimate.pose[known], truth.at(estimate.stamp_ns[known])

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from drivers.counted import counted
 from service.outputs import MapperOutput
 
 STATES = ("degraded", "lost")
@@ -52,7 +53,8 @@ def doubts(summary: Mapping[str, Any]) -> Iterator[str]:
     """A line for each state but ok: how many of the scans are in it, and mostly why."""
     for state, kinds in summary["state_reasons"].items():
         for main in kinds[:1]:
+            count = summary["state"][state]
             yield (
-                f"{summary['state'][state]} of {summary['scans']} scans were {state}; "
+                f"{count} of {counted(summary['scans'], 'scan')} {'was' if count == 1 else 'were'} {state}; "
                 f"{main['scans']} of them, from {main['first_s']:.1f} s on: {main['reason']}"
             )

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from drivers.counted import counted
 from service.errors import InputError
 from service.geometry.se2 import SE2, wrap_angle
 
@@ -78,7 +79,7 @@ def read_tum(path: Path) -> Trajectory:
         stamps.append(stamp_ns)
         poses.append((x, y, math.atan2(2.0 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz)))
     if len(stamps) < 2:
-        raise InputError(f"{path}: {len(stamps)} poses; a trajectory has at least 2")
+        raise InputError(f"{path}: {counted(len(stamps), 'pose')}; a trajectory has at least 2")
     return Trajectory(np.array(stamps, dtype=np.int64), np.array(poses))
 
 
@@ -95,7 +96,7 @@ def read_columns(path: Path, count: int, names: str) -> Iterator[tuple[str, list
         if not fields or fields[0].startswith("#"):
             continue
         if len(fields) != count:
-            raise InputError(f"{path}:{number}: {len(fields)} columns; expected {count}: {names}")
+            raise InputError(f"{path}:{number}: {counted(len(fields), 'column')}; expected {count}: {names}")
         yield f"{path}:{number}", fields
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from drivers.counted import counted
 from service.encoding import CHANGES, OK, Status, encode_diagnostics, encode_graph
 from service.errors import InputError, StorageError
 from service.geometry.poses import Floats
@@ -93,7 +94,8 @@ class View:
         told = {} if result.stored is None else {"version": str(result.stored.number)}
         version = f" of version {told['version']}" if told else ""
         words = (
-            f"{self._source}: {len(tiles)} tiles{version}, {len(trajectory.pose)} poses; nothing is measured"
+            f"{self._source}: {counted(len(tiles), 'tile')}{version}, "
+            f"{counted(len(trajectory.pose), 'pose')}; nothing is measured"
         )
         state = Status("mapping", OK, words, {"state": "stored", **told})
         self._server.put(encode_diagnostics("diagnostics", [state], now_ns, now_ns))

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from drivers.counted import counted
 from service.encoding import Message
 from service.errors import StorageError, words_of
 from service.recording.mcap_file import ACTIVE_SUFFIX, LATCHED, McapFile, StreamOpener, create_stream
@@ -405,7 +406,9 @@ class McapRecorder:
         """Nobody knows what of it is on the disk; a recovery brings that back."""
         if not self._unsynced:
             return
-        log.error("recording: %d messages that were not synced yet count as dropped", self._unsynced.total())
+        log.error(
+            "recording: %s not synced yet, counted as dropped", counted(self._unsynced.total(), "message")
+        )
         with self._wake:
             self.health.dropped.update(self._unsynced)
         self.health.messages -= self._unsynced.total()

@@ -27,6 +27,7 @@ from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata, 
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
+from drivers.counted import counted
 from service.errors import CorridorError, InputError, StorageError, words_of
 from service.recording.mcap_file import (
     ACTIVE_SUFFIX,
@@ -73,14 +74,18 @@ class RecoveryReport:
 
     def __str__(self) -> str:
         if self.complete:
-            return f"{self.source} is complete ({self.messages} messages); nothing to do"
+            return f"{self.source} is complete ({counted(self.messages, 'message')}); nothing to do"
         text = (
-            f"{self.path}: {self.messages} messages over {(self.last_log_ns - self.first_log_ns) / 1e9:.1f} s"
+            f"{self.path}: {counted(self.messages, 'message')} over "
+            f"{(self.last_log_ns - self.first_log_ns) / 1e9:.1f} s"
         )
         if self.bad_chunks or self.orphans:
-            text += f"; lost {self.bad_chunks} damaged chunks and {self.orphans} messages without a channel"
+            text += (
+                f"; lost {counted(self.bad_chunks, 'damaged chunk')} and "
+                f"{counted(self.orphans, 'message')} without a channel"
+            )
         if self.skipped_bytes:
-            text += f"; {self.skipped_bytes} bytes were cut off or damaged"
+            text += f"; cut off or damaged: {counted(self.skipped_bytes, 'byte')}"
         if self.kept_original is not None:
             text += f"; the original is kept as {self.kept_original}"
         return text
@@ -150,7 +155,9 @@ def _put_in_place(working: Path, report: RecoveryReport) -> None:
     if report.messages == 0:
         raise InputError(f"{source} holds no message that can be read")
     if (count := _count_by_rosbags(working)) != report.messages:
-        raise CorridorError(f"{count} messages read back of {report.messages}; {source} is untouched")
+        raise CorridorError(
+            f"{counted(count, 'message')} read back of {report.messages}; {source} is untouched"
+        )
     if source != path and path.exists() and not _reads_back(path, report.messages):
         raise CorridorError(f"{path} exists and differs from what is recovered from {source}; move one away")
     if report.bad_chunks or report.orphans or source == path:

@@ -12,6 +12,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from drivers.counted import counted
 from drivers.frames import Frame, LaserScan
 from service.encoding import (
     LASER_SCAN,
@@ -33,7 +34,6 @@ from service.recording.mcap_reader import Readable, Topic
 from service.recording.opening import open_recording
 from service.recording.sources import ENDINGS, FRAME_TYPES, SCAN_TYPES
 from service.recording.vehicle import Converter, Vehicle
-from service.words import counted
 
 # A sweep so wide takes most of a laser's period; those of one instant are flash sensors, and narrower.
 MOST_INSTANT_DEG = 200.0
@@ -112,11 +112,11 @@ class Session:
             read = self.counters[topic] + unusable
             if unusable:
                 why = f"; the orientation of {rotation} is a quaternion of 0" if rotation else ""
-                lines.append(f"{topic}: {unusable} of {read} messages cannot be used{why}")
+                lines.append(f"{topic}: {unusable} of {counted(read, 'message')} cannot be used{why}")
             if covariance:
                 lines.append(
-                    f"{topic}: the covariance of {covariance} of {read} messages is none (not finite, or "
-                    "beyond all sense) and counts as unknown; their poses are used"
+                    f"{topic}: the covariance of {covariance} of {counted(read, 'message')} is none (not "
+                    "finite, or beyond all sense) and counts as unknown; their poses are used"
                 )
             if instant := self.counters[f"{topic} {INSTANT}"]:
                 lines.append(

@@ -24,8 +24,8 @@ from rosbags.rosbag1.reader import (
     decompressors,
 )
 
+from drivers.counted import counted
 from service.recording.unpacking import decompressor_of
-from service.words import counted
 
 _SIZE = struct.Struct("<I")
 _MOST_HEADER_BYTES = 1 << 20

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 
+from drivers.counted import counted
 from service.encoding import OK, WARNING, Status
 from service.geometry.geo_reference import GeoReference
 
@@ -59,7 +60,7 @@ class GnssHealth:
             }
             words = (
                 f"referenced to {reference.position_sigma_m:.1f} m and {yaw_sigma_deg:.1f} deg "
-                f"by {reference.fixes} fixes"
+                f"by {counted(reference.fixes, 'fix', 'fixes')}"
             )
         for name, (fault_level, fault) in FAULTS.items():
             if name in self._rose_ns and now_ns - self._rose_ns[name] <= RECENT_NS:

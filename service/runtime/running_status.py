@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from drivers.counted import counted
 from service.encoding import decode_pose
 from service.geometry.se2 import SE2
 from service.mapstore.tiles import TileStore
@@ -33,7 +34,7 @@ class RunningStatus:
         if self.latency_ms.max:
             parts.append(f"latency {self.latency_ms.p50:.1f} ms, p99 {self.latency_ms.p99:.0f}")
         if self.tiles:
-            parts.append(f"map {self.map_m[0]:.0f} x {self.map_m[1]:.0f} m, {self.tiles} tiles")
+            parts.append(f"map {self.map_m[0]:.0f} x {self.map_m[1]:.0f} m, {counted(self.tiles, 'tile')}")
         if self.reason != self.state:
             parts.append(self.reason)
         return " | ".join(parts)

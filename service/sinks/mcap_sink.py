@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
+from drivers.counted import counted
 from service.encoding import ERROR, OK, WARNING, Message, Status, encode_event
 from service.errors import StorageError
 from service.recording.config import RecordingConfig
@@ -113,7 +114,7 @@ class McapSink(Sink):
             return
         words = [f"recording: {health.last_error or 'the disk did not take it in time'}"]
         if dropped := sum(dict(health.dropped).values()):
-            words.append(f"{dropped} messages were dropped")
+            words.append(f"{counted(dropped, 'message')} dropped")
         if unfinished:
             files = ", ".join(map(str, unfinished))
             words.append(f"unfinished: {files}; the next start finishes them, or `corridor recover FILE`")

@@ -322,7 +322,7 @@ def take_live_edit(page: Page) -> None:
     page.resize(DESKTOP)
     page.choose("edit")
     page.element("fetch-keyframes").click()
-    page.wait_for_text("edit-note", "are fetched")
+    page.wait_for_text("edit-note", "Fetched: ")
     x_m, y_m = page.run("return corridor.edit.keyframes.at(20)")
     page.look_at(x_m, y_m, 38.0)
     page.element("draw-area").click()

@@ -276,7 +276,7 @@ def test_a_time_span_is_cut_out_by_clicking_the_way(page, view, folder, bent):
         page.element(f"cut-{end}-pick").click()
         click_map(page, *bent.graph.map[k, :2])
     assert page.element("cut-from").get_attribute("value") == "3.00"
-    assert page.text("cut-words") == "11 key frames lie in it."
+    assert page.text("cut-words") == "In it: 11 key frames."
     page.element("cut").click()
     page.element("confirm-yes").click()
     page.wait_for_text("edit-note", "hang together by nothing")

@@ -163,7 +163,7 @@ def titles(page):
 
 def fetch(page, bent):
     page.element("fetch-keyframes").click()
-    wait_for_change(page, f"{len(bent.graph)} key frames are fetched")
+    wait_for_change(page, f"Fetched: {len(bent.graph)} key frames")
 
 
 def test_places_and_times_are_offered_once_key_frames_are_fetched(page, session, bent):
@@ -204,7 +204,7 @@ def test_a_time_span_is_cut_out_while_the_session_runs(page, session, dispatcher
     fetch(page, bent)
     page.element("cut-from").send_keys("3")
     page.element("cut-to").send_keys("4")
-    assert page.text("cut-words") == "11 key frames lie in it."
+    assert page.text("cut-words") == "In it: 11 key frames."
     page.element("cut-bridge").click()
     page.element("cut").click()
     page.wait_for("return document.getElementById('confirm').open")

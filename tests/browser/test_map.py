@@ -289,7 +289,7 @@ def test_what_is_not_as_the_stored_map_says_is_a_layer(page, scene, live):
     live.put(encode_grid(Grid(0, 0.1, -1.0, 1.0, cells), stamp(1.0), stamp(1.0), "map/changes"))
     page.wait_for("const c = corridor.report().stored; return c.appeared === 1 && c.gone === 1")
     words = page.run("return [...document.querySelectorAll('.stored-part')].map((e) => e.textContent)")
-    assert words == ["Stands there now: 1 cells", "Is gone: 1 cells"]
+    assert words == ["Stands there now: 1 cell", "Is gone: 1 cell"]
     assert page.element("layer-stored").is_selected()
     page.run("document.querySelector('.layers').open = false")
     page.look_at(-0.4, 1.2, 200.0)
@@ -313,8 +313,8 @@ def test_what_changed_since_a_moment_is_a_layer(page, scene, live):
     scene.store.update([TileUpdate(0, 2, 0, scene.store.version + 1, CELL_M, cells)])
     page.wait_for("const c = corridor.report().change; return c.appeared === 1 && c.gone === 1")
     words = page.run("return [...document.querySelectorAll('.change-part')].map((e) => e.textContent)")
-    assert words[0].endswith(": 1 cells")
-    assert words[1] == "Free since then: 1 cells"
+    assert words[0].endswith(": 1 cell")
+    assert words[1] == "Free since then: 1 cell"
     gone_y_m, new_x_m, new_y_m = 20.5 * CELL_M, wall_x_m - 10 * CELL_M, 30.5 * CELL_M
     page.run("document.querySelector('.layers').open = false")
     page.look_at(wall_x_m, gone_y_m, 200.0)

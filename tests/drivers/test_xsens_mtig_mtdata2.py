@@ -190,7 +190,7 @@ def test_any_data_are_items_or_refused(data: bytes):
         ("1020", "item at byte 0 of 2"),
         ("10200200", "item at byte 0 of 4"),
         ("102003AABBCC", "3 bytes of PACKET_COUNTER, expected 2"),
-        ("10200100", "1 bytes of PACKET_COUNTER, expected 2"),
+        ("10200100", "1 byte of PACKET_COUNTER, expected 2"),
         ("40200B" + "00" * 11, "11 bytes of ACCELERATION, expected 12"),
         ("70105D" + "00" * 93, "93 bytes of GNSS_PVT, expected 94"),
     ],

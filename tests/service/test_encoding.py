@@ -285,7 +285,7 @@ def test_the_frame_of_a_message_is_read_from_its_header_alone(frame, little_endi
     header_bytes = 4 + 8 + 4 + len(frame.encode()) + 1
     assert encoding.frame_id(payload[:header_bytes]) == frame.lstrip("/")
     for length in range(header_bytes):
-        with pytest.raises(InputError, match="do not begin with a std_msgs/Header"):
+        with pytest.raises(InputError, match="cannot begin with a std_msgs/Header"):
             encoding.frame_id(payload[:length])
 
 
@@ -384,9 +384,9 @@ def test_odometry_of_a_tilted_foreign_base_gives_its_yaw():
 
 def test_other_types_are_none_and_broken_bytes_are_refused():
     assert decode_frame("sensor_msgs/msg/Image", b"\x00\x01\x00\x00", "camera", 9) is None
-    with pytest.raises(InputError, match="3 bytes are not a sensor_msgs/msg/LaserScan"):
+    with pytest.raises(InputError, match="3 bytes cannot be read as a sensor_msgs/msg/LaserScan"):
         decode_frame(encoding.LASER_SCAN, b"\x00\x01\x00", "front", 9)
-    with pytest.raises(InputError, match="are not a sensor_msgs/msg/LaserScan"):
+    with pytest.raises(InputError, match="cannot be read as a sensor_msgs/msg/LaserScan"):
         decode_frame(encoding.LASER_SCAN, encode_frame(scan([1.0, 2.0])).payload[:-6], "front", 9)
 
 

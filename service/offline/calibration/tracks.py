@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from drivers.counted import counted
 from drivers.frames import ImuSample, LaserScan, OdometrySample
 from service.errors import InputError
 from service.geometry.poses import Floats
@@ -94,12 +95,13 @@ class LaserMapping:
         outputs, sensor = self._outputs, self._sensor
         if len(outputs) < LEAST_SCANS:
             raise InputError(
-                f"{sensor}: {len(outputs)} scans; expected {LEAST_SCANS} or more to calibrate by"
+                f"{sensor}: {counted(len(outputs), 'scan')}; expected {LEAST_SCANS} or more to calibrate by"
             )
         lost = sum(output.state == "lost" for output in outputs)
         if lost > MOST_LOST * len(outputs):
             raise InputError(
-                f"{sensor}: {lost} of {len(outputs)} scans fit nowhere on the map that it makes alone (at "
+                f"{sensor}: {lost} of {counted(len(outputs), 'scan')} fit nowhere on the map "
+                f"that it makes alone (at "
                 f"most {MOST_LOST:.0%}); drive where it sees walls in several directions, and slower"
             )
         poses = corrected(outputs, self._mapper.finish().corrections)

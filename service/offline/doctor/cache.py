@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from drivers.counted import counted
 from service.kernel_cache import KERNELS, is_warm, kernels_in
 from service.offline.doctor.findings import Finding, fault, note, ok
 from service.offline.doctor.folders import cannot_write, nearest_parent
@@ -30,7 +31,7 @@ def look_at_cache(machine: Machine) -> Finding:
     if not is_warm(place):
         return note(
             "cache",
-            f"{kernels} kernels are compiled in {place}, not those of all profiles; "
+            f"{counted(kernels, 'kernel')} compiled in {place}, not those of all profiles; "
             "a start compiles what it lacks, up to a minute",
             "corridor warmup",
         )

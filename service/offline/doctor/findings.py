@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from drivers.counted import counted
+
 Severity = Literal["ok", "note", "fault"]
 EXIT_CODES = {False: 0, True: 1}
 
@@ -90,7 +92,7 @@ class Report:
 
 
 def _counted(count: int, word: str) -> str:
-    return f", {count} {word}{'' if count == 1 else 's'}" if count else ""
+    return f", {counted(count, word)}" if count else ""
 
 
 def _lines(finding: Finding, name_width: int, width: int, colour: bool) -> Sequence[str]:

@@ -3,6 +3,7 @@
 import tempfile
 from pathlib import Path
 
+from drivers.counted import counted
 from service.config import ServiceConfig
 from service.errors import CorridorError
 from service.mapstore.begin_in import stored_for
@@ -85,7 +86,7 @@ def look_at_leftovers(machine: Machine, config: ServiceConfig) -> list[Finding]:
     return [
         note(
             "recording",
-            f"{len(left)} session{'' if len(left) == 1 else 's'} whose writer died: {names}",
+            f"{counted(len(left), 'session')} whose writer died: {names}",
             "the next start of the service mends them; by hand: corridor recover FILE",
         )
     ]

@@ -4,6 +4,7 @@ import re
 from collections import Counter
 from math import log2
 
+from drivers.counted import counted
 from drivers.registry import SENSOR_KINDS
 
 SHOWN_BYTES = 16
@@ -49,7 +50,7 @@ def describe(data: bytes) -> str:
     if is_text(data):
         return f'text that begins "{_shown(data)}"'
     start = data[:SHOWN_BYTES].hex(" ")
-    return f"{len(data)} bytes that begin {start}, {_texture(data)}"
+    return f"{counted(len(data), 'byte')}, beginning {start}, {_texture(data)}"
 
 
 def is_text(data: bytes) -> bool:

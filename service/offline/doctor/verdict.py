@@ -4,6 +4,7 @@ import errno
 from typing import Any
 
 from drivers.advice import DIFFERENCE
+from drivers.counted import counted
 from drivers.errors import DeviceError
 from drivers.sensor_kind import SensorKind
 from service.offline.doctor.findings import Finding, fault, note, ok
@@ -33,7 +34,7 @@ def streaming(kind: SensorKind, config: Any, seen: Probe) -> list[Finding]:
         found.append(
             fault(
                 config.name,
-                f"after {seen.frames} frames: {measured}",
+                f"after {counted(seen.frames, 'frame')}: {measured}",
                 "a steady stream",
                 remedy or _page(config),
             )
@@ -46,9 +47,9 @@ def streaming(kind: SensorKind, config: Any, seen: Probe) -> list[Finding]:
         elif any(word in part for word in kind.advice.worries):
             found.append(fault(config.name, f"the device reports: {part}", "no fault", _page(config)))
     if losses := seen.losses:
-        counted = ", ".join(f"{name} {count}" for name, count in losses.items())
+        counts = ", ".join(f"{name} {count}" for name, count in losses.items())
         found.append(
-            note(config.name, f"while it streamed: {counted}", f"{_page(config)} explains the counters")
+            note(config.name, f"while it streamed: {counts}", f"{_page(config)} explains the counters")
         )
     if (delay := seen.delay_ms) and delay[0] < -STAMP_AHEAD_MS:
         found.append(
@@ -64,7 +65,7 @@ def streaming(kind: SensorKind, config: Any, seen: Probe) -> list[Finding]:
 
 def _success(kind: SensorKind, config: Any, seen: Probe) -> Finding:
     rate_hz, delay = seen.arrival_rate_hz, seen.delay_ms
-    parts = [f"{rate_hz:.1f} frames/s" if rate_hz else f"{seen.frames} frames"]
+    parts = [f"{rate_hz:.1f} frames/s" if rate_hz else counted(seen.frames, "frame")]
     if seen.identity:
         parts.append(", ".join(f"{key} {text}" for key, text in seen.identity.items()))
     parts += seen.status.split("; ")[1:]
@@ -91,7 +92,7 @@ def _slow_rate(kind: SensorKind, config: Any, seen: Probe) -> Finding | None:
         remedy = "the device is slower than the config: has another program set it, can this type do it?"
     else:
         remedy = "frames are lost on the way: look at the cable, the network's load, and this machine's"
-    measured = f"{seen.frames} frames, then none" if rate_hz is None else f"{rate_hz:.1f} frames/s"
+    measured = f"{counted(seen.frames, 'frame')}, then none" if rate_hz is None else f"{rate_hz:.1f} frames/s"
     return fault(config.name, measured, f"{wanted_hz:g} frames/s as configured", remedy)
 
 
@@ -128,7 +129,8 @@ def refused(config: Any, seen: Probe) -> Finding:
 
 def silent(kind: SensorKind, config: Any, seen: Probe) -> Finding:
     measured = (
-        f"the wire is open, {seen.bytes_written} bytes were sent, and nothing came in {seen.seconds:.0f} s"
+        f"the wire is open, {counted(seen.bytes_written, 'byte')} sent, and nothing came "
+        f"in {seen.seconds:.0f} s"
     )
     if seen.error is not None and _hung_up(seen.error):
         measured = "accepts the connection and closes it without data"

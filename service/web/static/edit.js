@@ -7,7 +7,7 @@ import { EditCut, EditDraw } from "./edit_draw.js";
 import { EditPairs } from "./edit_pairs.js";
 import { KeyframeTool, PairTool } from "./edit_tools.js";
 import { LiveEdit } from "./edit_live.js";
-import { clockTime } from "./format.js";
+import { clockTime, counted } from "./format.js";
 import { Keyframes } from "./keyframes.js";
 import { chooseTab } from "./tabs.js";
 
@@ -107,7 +107,7 @@ export class Edit {
     const told = await this.live.look(), isGraph = told.ok && told.keyframes;
     this.isBusy = false;
     this.#take(told);
-    this.say(isGraph ? `${told.keyframes.count} key frames are fetched` : `Key frames: ${told.error ?? "there are none; the profile makes none, or the vehicle is not found in the map yet"}`, isGraph ? "ok" : "error");
+    this.say(isGraph ? `Fetched: ${counted(told.keyframes.count, "key frame")}` : `Key frames: ${told.error ?? "there are none; the profile makes none, or the vehicle is not found in the map yet"}`, isGraph ? "ok" : "error");
     this.update();
   }
 

@@ -2,7 +2,7 @@
 
 import { card, confirmed, element, setText } from "./dom.js";
 import { area, CornersTool, length, RectangleTool } from "./edit_tools.js";
-import { fixed } from "./format.js";
+import { counted, fixed } from "./format.js";
 
 const MOST_CORNERS = 500; // of one change; the service refuses more
 const SPAN_STEP_S = 0.01;
@@ -34,8 +34,8 @@ export class EditDraw {
     this.erase.disabled = isWall || corners.length < 3;
     this.wall.disabled = !isWall || corners.length < 2;
     setText(this.words, !kind ? "Choose what to draw on the map."
-      : isWall ? `${corners.length} points, ${fixed(length(corners), 2, " m")}`
-        : `${corners.length} corners, ${fixed(area(corners), 2, " m\u00b2")}`);
+      : isWall ? `${counted(corners.length, "point")}, ${fixed(length(corners), 2, " m")}`
+        : `${counted(corners.length, "corner")}, ${fixed(area(corners), 2, " m\u00b2")}`);
   }
 
   #choose(kind) {
@@ -110,7 +110,7 @@ export class EditCut {
   update() {
     const { span } = this, isSpan = span !== null && span.to_s >= span.from_s;
     this.button.disabled = !isSpan;
-    setText(this.words, !span ? "" : !isSpan ? "The span ends before it begins." : `${this.#count(span)} key frames lie in it.`);
+    setText(this.words, !span ? "" : !isSpan ? "The span ends before it begins." : `In it: ${counted(this.#count(span), "key frame")}.`);
     this.edit.view.invalidate();
   }
 
@@ -122,7 +122,7 @@ export class EditCut {
   async #cut() {
     const { span } = this;
     const isSure = await confirmed("Cut out the time span?",
-      `About ${this.#count(span)} key frames from ${fixed(span.from_s, 2)} to ${fixed(span.to_s, 2, " s")} are gone, with their points and loops. ${this.edit.undoWords("brings them back")}`, "Cut out");
+      `What was driven from ${fixed(span.from_s, 2)} to ${fixed(span.to_s, 2, " s")} is gone: about ${counted(this.#count(span), "key frame")}, with points and loops. ${this.edit.undoWords("brings them back")}`, "Cut out");
     if (!isSure || !await this.edit.change({ what: "cut", ...span, bridge: this.bridge.checked }, "Cut")) return;
     this.from.input.value = this.to.input.value = "";
     this.update();

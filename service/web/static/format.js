@@ -35,6 +35,9 @@ export const offset = (text) => {
   return size < 3.6e8 ? `${(ms / 3.6e6).toFixed(1)} h` : `${Math.round(ms / 8.64e7)} d`;
 };
 
+/** 1 cell, 2 cells. */
+export const counted = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;
+
 export const clockTime = (unix_s) => new Date(1000 * unix_s).toLocaleTimeString([], { hour12: false });
 
 export const bytes = (count) => {

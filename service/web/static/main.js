@@ -3,7 +3,7 @@
 import { Connection } from "./connection.js";
 import { Control } from "./control.js";
 import { byId, element, setText } from "./dom.js";
-import { clockTime, fixed } from "./format.js";
+import { clockTime, counted, fixed } from "./format.js";
 import { Edit } from "./edit.js";
 import { drawCrossHair } from "./edit_tools.js";
 import { Gestures } from "./gestures.js";
@@ -194,8 +194,8 @@ function explainStanding() {
 function explainStoredChanges() {
   const { isKnown, counts } = view.stored, { change } = view.colours, parts = byId("parts-stored");
   byId("layer-stored").parentElement.hidden = parts.hidden = !isKnown;
-  parts.replaceChildren(explained(`Stands there now: ${counts.appeared} cells`, change.appeared, "stored-part"),
-    explained(`Is gone: ${counts.gone} cells`, change.gone, "stored-part"));
+  parts.replaceChildren(explained(`Stands there now: ${counted(counts.appeared, "cell")}`, change.appeared, "stored-part"),
+    explained(`Is gone: ${counted(counts.gone, "cell")}`, change.gone, "stored-part"));
 }
 
 function explainChange() {
@@ -207,8 +207,8 @@ function explainChange() {
   }
   const button = byId("change-now") ?? element("button", { type: "button", id: "change-now", onclick: compareFromNow }, "From now");
   byId("parts-change").replaceChildren(
-    explained(`Occupied since ${clockTime(since / 1000)}: ${counts.appeared} cells`, change.appeared, "change-part"),
-    explained(`Free since then: ${counts.gone} cells`, change.gone, "change-part"), button);
+    explained(`Occupied since ${clockTime(since / 1000)}: ${counted(counts.appeared, "cell")}`, change.appeared, "change-part"),
+    explained(`Free since then: ${counted(counts.gone, "cell")}`, change.gone, "change-part"), button);
 }
 
 view.onDrawn = () => {

@@ -66,7 +66,7 @@ def test_a_pose_becomes_set_pose(
     [
         (payload_of(SE2(1.0, 2.0, 0.0), "odom"), "initialpose: a pose in the frame 'odom'; expected 'map'"),
         (payload_of(SE2(math.nan, 2.0, 0.0)), "initialpose: (nan, 2.0) m, 0.0 rad is no pose"),
-        (b"\x00\x01", "initialpose: 2 bytes are not a geometry_msgs/msg/PoseWithCovarianceStamped"),
+        (b"\x00\x01", "initialpose: 2 bytes cannot be read as a geometry_msgs/msg/PoseWithCovarianceStamped"),
     ],
 )
 def test_what_is_no_pose_of_the_map_is_refused_and_told(

@@ -136,7 +136,7 @@ def test_a_disk_that_takes_nothing_at_all_is_told_at_the_end(tmp_path: Path, mon
     sink = sink_in(tmp_path)
     sink.start()
     sink.put(event("a", T0_NS))
-    with pytest.raises(StorageError, match=r"No space left on device; 1 messages were dropped$"):
+    with pytest.raises(StorageError, match=r"No space left on device; 1 message dropped$"):
         sink.close()
     assert list(tmp_path.iterdir()) == []
 

@@ -36,7 +36,7 @@ def test_what_numba_really_wrote_is_recognised(tree: FakeTree, place: Path):
     environment = os.environ | {"NUMBA_CACHE_DIR": str(place)}
     subprocess.run([sys.executable, "-c", COMPILE_ONE], env=environment, check=True, timeout=100)
     finding = look_at_cache(tree.machine(environment=environment))
-    assert finding.measured.startswith("1 kernels ")
+    assert finding.measured.startswith("1 kernel compiled ")
 
 
 def test_a_cache_is_good_once_all_is_compiled_and_until_a_source_changes(

@@ -105,7 +105,7 @@ def test_the_other_dialect_is_found_by_asking_in_it(on_tcp: OnTcp):
 def test_a_device_that_says_nothing_is_told_from_one_that_is_not_there(on_tcp: OnTcp):
     parrot = Parrot(b"")
     finding = only(examine(lms100(on_tcp(parrot))))
-    assert f"{len(parrot.heard)} bytes were sent, and nothing came" in finding.measured
+    assert f"{len(parrot.heard)} bytes sent, and nothing came" in finding.measured
     assert "SOPAS ET" in finding.remedy
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from drivers.counted import counted
 from service.geometry import poses as se2
 from service.geometry.polygons import is_inside
 from service.geometry.poses import Floats
@@ -227,7 +228,7 @@ def _refuse_if_apart(
 def _named(graph: SavedGraph, own: npt.NDArray[np.int64], first_ns: int) -> str:
     (left, low), (right, high) = graph.map[own, :2].min(axis=0), graph.map[own, :2].max(axis=0)
     return (
-        f"{len(own)} key frames between ({left:.1f}, {low:.1f}) and ({right:.1f}, {high:.1f}) m "
+        f"{counted(len(own), 'key frame')} between ({left:.1f}, {low:.1f}) and ({right:.1f}, {high:.1f}) m "
         f"from {(int(graph.stamp_ns[own[0]]) - first_ns) / 1e9:.2f} s on"
     )
 
