@@ -207,11 +207,13 @@ class FinishedGraph:
 
     corrections   by rising stamps; empty: map and odom are one frame for the whole session
     g2o           the graph as g2o text; "": there is none
+    keyframes     poses of the drive in it; they stand first, and other poses behind them
     update        as that of apply_result
     """
 
     corrections: Sequence[Correction] = ()
     g2o: str = ""
+    keyframes: int = 0
     update: GraphUpdate = GraphUpdate({})
 
 

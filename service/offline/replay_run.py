@@ -89,7 +89,7 @@ class ReplayRun:
         self._output_lasers: list[str] = []  # whose scan each of them answers
         self._poses: list[SE2] = []  # of the outputs of maps that are finished
         self._tiles: list[TileUpdate] = []  # of the newest finished map, as are the following
-        self._g2o = ""
+        self._g2o, self._keyframes = "", 0
         self._geo: GeoReference | None = None
         self._graph: SavedGraph | None = None
 
@@ -172,6 +172,7 @@ class ReplayRun:
         finished = self._mapper.finish()
         self._poses.extend(corrected(new, finished.corrections))
         self._tiles, self._g2o = self._mapper.changed_tiles(), finished.g2o
+        self._keyframes = finished.keyframes
         self._geo = self._mapper.geo_reference
         saved = finished.update.saved
         self._graph = saved if isinstance(saved, SavedGraph) else None
@@ -233,7 +234,7 @@ class ReplayRun:
             "scan_cpu_ms": percentiles_ms(self._scan_cpu_ns),
             "stage_ms_p50": self._times.p50_ms(),
             "loop_closures": counters["loop_closures"],
-            "keyframes": counters["keyframes"],
+            "keyframes": self._keyframes,
             "peak_rss_mb": peak_rss_mb(),
             "map_tiles": len(self._tiles),
             "map_resets": counters["map_resets"],

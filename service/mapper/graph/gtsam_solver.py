@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 
 from service.geometry.poses import Floats
-from service.mapper.graph.pose_graph import PoseGraph, SolverConfig
+from service.mapper.graph.pose_graph import PoseGraph, SolverConfig, bearing_range
 
 HELD_SIGMA = 1e-5  # m and rad, of a pose that is held: covers rounding
 ASIDE_M = 4.0  # where the helper of a pose stands that sees a point too near for a bearing
@@ -70,15 +70,14 @@ def _factors(graph: PoseGraph, held: list[int]) -> tuple[gtsam.NonlinearFactorGr
                 seer = helpers[of] = pose_count + landmark_count + len(helpers)
                 values.insert(seer, values.atPose2(of).compose(aside))
                 factors.add(gtsam.BetweenFactorPose2(of, seer, aside, tight))
-        range_m = float(np.hypot(*xy))
-        to_polar = np.array([[-xy[1] / range_m, xy[0] / range_m], [xy[0], xy[1]]]) / range_m
+        bearing_rad, range_m, of_both = bearing_range(xy, covariance)
         factors.add(
             gtsam.BearingRangeFactor2D(
                 seer,
                 pose_count + landmark,
-                gtsam.Rot2(float(np.arctan2(xy[1], xy[0]))),
+                gtsam.Rot2(bearing_rad),
                 range_m,
-                noise(to_polar @ covariance @ to_polar.T, width),
+                noise(of_both, width),
             )
         )
     return factors, values

@@ -16,6 +16,8 @@ from service.errors import CorridorError
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 
+MIN_RANGE_M = 1e-3  # of a bearing in a g2o file
+
 Ints = npt.NDArray[np.int64]
 
 
@@ -114,14 +116,15 @@ def edge_chi2(edges: Edges, poses: Floats) -> Floats:
 def to_g2o(graph: PoseGraph, poses: Floats | None = None, landmarks: Floats | None = None) -> str:
     """The graph as g2o text, at a solution or at its first guess: VERTEX_SE2, EDGE_SE2 and their XY kin.
 
-    Landmarks are numbered after the poses. Robust kernels have no place in the format.
+    Landmarks are numbered after the poses. Each sighting is written twice: as EDGE_SE2_XY, which g2o reads,
+    and as BR (bearing and range), which GTSAM reads; each passes over the other's. FIX stands last: GTSAM 4.3
+    reads no edge below it. Robust kernels have no place in the format.
     """
     poses = graph.poses if poses is None else poses
     landmarks = graph.landmarks if landmarks is None else landmarks
     edges, sightings = graph.edges, graph.sightings
     lines = [f"VERTEX_SE2 {k} {_numbers(pose)}" for k, pose in enumerate(poses)]
     lines += [f"VERTEX_XY {len(poses) + k} {_numbers(xy)}" for k, xy in enumerate(landmarks)]
-    lines.append(f"FIX {graph.fixed}")
     upper3, upper2 = np.triu_indices(3), np.triu_indices(2)
     for of, to, measured, covariance in zip(
         edges.of, edges.to, edges.measured, edges.covariance, strict=True
@@ -131,9 +134,24 @@ def to_g2o(graph: PoseGraph, poses: Floats | None = None, landmarks: Floats | No
     for of, landmark, xy, covariance in zip(
         sightings.of, sightings.landmark, sightings.xy, sightings.covariance, strict=True
     ):
-        information = np.linalg.inv(covariance)[upper2]
-        lines.append(f"EDGE_SE2_XY {of} {len(poses) + landmark} {_numbers(xy)} {_numbers(information)}")
+        ends, information = f"{of} {len(poses) + landmark}", np.linalg.inv(covariance)[upper2]
+        lines.append(f"EDGE_SE2_XY {ends} {_numbers(xy)} {_numbers(information)}")
+        bearing_rad, range_m, of_both = bearing_range(xy, covariance)
+        lines.append(f"BR {ends} {_numbers(np.array([bearing_rad, range_m, *np.sqrt(np.diag(of_both))]))}")
+    lines.append(f"FIX {graph.fixed}")
     return "\n".join(lines) + "\n"
+
+
+def bearing_range(xy: Floats, covariance: Floats) -> tuple[float, float, Floats]:
+    """Bearing rad and range m of a point (2,) m, and their covariance (2, 2) by that of the point.
+
+    A point nearer than MIN_RANGE_M, which has no bearing, is taken for one straight ahead at MIN_RANGE_M.
+    """
+    range_m = float(np.hypot(*xy))
+    if range_m < MIN_RANGE_M:
+        xy, range_m = np.array([MIN_RANGE_M, 0.0]), MIN_RANGE_M
+    to_polar = np.array([[-xy[1] / range_m, xy[0] / range_m], [xy[0], xy[1]]]) / range_m
+    return float(np.arctan2(xy[1], xy[0])), range_m, to_polar @ covariance @ to_polar.T
 
 
 def _numbers(values: Floats) -> str:

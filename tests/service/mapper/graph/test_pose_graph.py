@@ -237,12 +237,12 @@ def test_g2o_text_holds_what_is_measured():
     graph = with_landmarks(graph, truth, np.array([[3.0, 4.0]]))
     lines = to_g2o(graph, truth).splitlines()
     assert [line.split()[0] for line in lines] == (
-        ["VERTEX_SE2"] * 3 + ["VERTEX_XY", "FIX"] + ["EDGE_SE2"] * 3 + ["EDGE_SE2_XY"]
+        ["VERTEX_SE2"] * 3 + ["VERTEX_XY"] + ["EDGE_SE2"] * 3 + ["EDGE_SE2_XY", "BR", "FIX"]
     )
     assert lines[0].split()[1:] == ["0", *map(repr, truth[0].tolist())]
-    edge = np.array(lines[6].split()[1:], float)
+    edge = np.array(lines[5].split()[1:], float)
     assert edge[:2].tolist() == [1, 2]
     np.testing.assert_array_equal(edge[2:5], graph.edges.measured[1])
     information = np.linalg.inv(graph.edges.covariance[1])
     np.testing.assert_allclose(edge[5:], information[np.triu_indices(3)])
-    assert lines[8].split()[1:3] == ["0", "3"]
+    assert lines[7].split()[1:3] == ["0", "3"]

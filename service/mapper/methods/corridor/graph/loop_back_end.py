@@ -447,6 +447,7 @@ class LoopBackEnd:
             rendered_map=self.render(),
             all=corrections,
             g2o=to_g2o(self.graph()),
+            keyframes=keyframes.count,
         )
 
     def _search_again(self) -> None:

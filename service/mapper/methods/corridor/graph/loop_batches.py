@@ -27,7 +27,8 @@ class Batch:
 class Result:
     """newest: the newest key frame, if anything moved; all: every one, after the last batch.
 
-    geo, fixes   where the map lies on the earth, None: that is not known; and fixes by what became of them
+    g2o, keyframes   after the last batch: the graph as text, and how many key frames it has
+    geo, fixes       where the map lies on the earth, None: that is not known; fixes by what became of them
     """
 
     loops: int  # that are accepted now
@@ -38,6 +39,7 @@ class Result:
     rendered_map: RenderedMap | None = None
     all: Sequence[Correction] = ()
     g2o: str = ""
+    keyframes: int = 0
     geo: GeoReference | None = None
     fixes: Mapping[str, int] = field(default_factory=dict)
     saved: SavedGraph | KeptGraph | None = None  # where a checkpoint was asked for, and at the end

@@ -169,7 +169,7 @@ class LoopClosing(BackgroundGraph[Result]):
         update = GraphUpdate(
             counts, update.rendered_map, geo=update.geo, saved=update.saved, picture=update.picture
         )
-        return FinishedGraph(last.all, last.g2o, update)
+        return FinishedGraph(last.all, last.g2o, last.keyframes, update)
 
     def _submit(self, request: str = "", is_last: bool = False, pose: tuple[float, ...] = ()) -> None:
         self._jobs.submit(Batch(self._fresh, request, pose, is_last, self._fixes.take()))

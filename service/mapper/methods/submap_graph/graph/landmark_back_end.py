@@ -99,6 +99,7 @@ class Result:
     links           pairs of sub-maps that hang together by automatic landmarks
     residual_m      by number of the pair: how far its two points lie apart now
     rms_m           the same of all landmarks
+    g2o, keyframes  after the last batch: the graph as text, and how many of its poses are of the drive
     fault         why nothing was solved; "" else
     """
 
@@ -113,6 +114,7 @@ class Result:
     rendered_map: RenderedMap | None
     fault: str
     g2o: str = ""
+    keyframes: int = 0
     picture: GraphPicture | None = None
 
 
@@ -425,6 +427,7 @@ class LandmarkBackEnd:
             rendered_map,
             fault,
             to_g2o(self._graph()) if is_last and len(self.drawn) > 1 else "",
+            len(self.drawn),
             self._picture(int(stamps[-1])),
         )
 

@@ -122,7 +122,7 @@ class LandmarkGraph(BackgroundGraph[Result]):
             Correction(stamp_ns, self._key_odom[stamp_ns], SE2(*pose))
             for stamp_ns, pose in zip(result.stamps.tolist(), result.poses.tolist(), strict=True)
         ]
-        return FinishedGraph(corrections, result.g2o, replace(update, counts=counts))
+        return FinishedGraph(corrections, result.g2o, result.keyframes, replace(update, counts=counts))
 
     def _bring_in(self, result: Result) -> GraphUpdate:
         before, self._last = self._last, result
