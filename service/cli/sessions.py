@@ -171,9 +171,10 @@ def export(parsed: argparse.Namespace) -> int:
 
 def view(parsed: argparse.Namespace) -> int:
     first, *more = parsed.source
+    from service.offline.result import is_ros_map
     from service.recording.opening import is_recording
 
-    recorded = first.is_file() or is_recording(first)
+    recorded = (first.is_file() and not is_ros_map(first)) or is_recording(first)
     if more and not recorded:
         raise UsageError("several files are one recording; of folders give one")
     if parsed.rerun and recorded:

@@ -26,7 +26,7 @@ from service.offline.geo_export import (
 from service.offline.geotiff import write_geotiff
 from service.offline.outlines import outlines
 from service.offline.point_cloud import write_pcd, write_ply
-from service.offline.result import GRAPH_FILE, Result, open_result
+from service.offline.result import GRAPH_FILE, Result, is_ros_map, open_result
 from service.offline.session_file import refuse_to_overwrite
 from service.offline.trajectory import write_tum
 from service.offline.writing import whole_files
@@ -42,7 +42,8 @@ _REPLAY_WRITES_ONE = "a replay writes one: corridor replay SESSION.mcap --out DI
 def export(source: Path, to: Format, out: Path) -> None:
     """Write the map or the trajectory of `source` to `out`, in a format that other programs read.
 
-    source    a finished session (.mcap), the folder of a stored map, or the folder that a replay wrote
+    source    a finished session (.mcap), the folder of a stored map, the folder that a replay wrote, or a ROS
+              map (.yaml)
     to        the map: pgm with its yaml, png with its world file, geotiff, ply, pcd; the map and, where the
               source has one, the trajectory: svg, dxf, geojson; the trajectory: tum, csv, kml; the graph: g2o
 
@@ -60,7 +61,7 @@ def export(source: Path, to: Format, out: Path) -> None:
         refuse_to_overwrite(source, out)
     if is_map_folder(source) and source.resolve() in out.resolve().parents:
         raise UsageError(f"--out {out} lies inside the stored map {source}, which would damage it")
-    write = _writer(_Session(source) if source.is_file() else _Folder(source), to)
+    write = _writer(_Session(source) if source.is_file() and not is_ros_map(source) else _Folder(source), to)
     try:
         with whole_files(out) as path:
             write(path)
@@ -142,7 +143,7 @@ class _Source(Protocol):
 
 
 class _Folder:
-    """A stored map, or the result of a replay."""
+    """A stored map, the result of a replay, or a ROS map."""
 
     def __init__(self, source: Path) -> None:
         self._source = source

@@ -41,8 +41,14 @@ def map_folder(source: Path) -> Path | None:
     return next((folder for folder in (source, source / MAP_FOLDER) if is_map_folder(folder)), None)
 
 
+def is_ros_map(source: Path) -> bool:
+    """Whether it is the YAML of a ROS map, by its name."""
+    return source.suffix in (".yaml", ".yml") and source.is_file()
+
+
 def open_result(source: Path) -> "Result":
-    """`source` is the folder of a replay's result, of a stored map, or one with the map.yaml of a ROS map.
+    """`source` is the folder of a replay's result or of a stored map, or a ROS map: its YAML, or a folder with
+    a map.yaml.
 
     Raises InputError where the stored map in it is damaged.
     """
@@ -128,7 +134,7 @@ class Result:
 
     @property
     def has_map(self) -> bool:
-        return self.stored is not None or (self.source / ROS_MAP_FILE).is_file()
+        return self.stored is not None or self._ros_map_path.is_file()
 
     @property
     def geo(self) -> GeoReference | None:
@@ -186,12 +192,15 @@ class Result:
         return None if first is not None and _is_same(graph, first) else graph
 
     def _ros_map(self) -> Grid:
-        path = self.source / ROS_MAP_FILE
-        if not path.is_file():
+        if not self.has_map:
             raise InputError(
                 f"{self.source}: no map in it; give the folder of a stored map or of a replay's result"
             )
-        return read_ros_map(path)
+        return read_ros_map(self._ros_map_path)
+
+    @property
+    def _ros_map_path(self) -> Path:
+        return self.source if is_ros_map(self.source) else self.source / ROS_MAP_FILE
 
 
 def _is_same(graph: SavedGraph, other: SavedGraph) -> bool:

@@ -15,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 
 from service.mapper.profiles import METHODS
-from service.mapstore.ros_map import read_pgm
 from service.offline.score import RelationsScore, score
 from tests.papers.headings import bends, path_of, path_of_wheels
 from tests.papers.recorded import RELATIONS as RELATIONS_OF
@@ -134,7 +133,8 @@ def _outcome(profile: str, name: str, recording: Path) -> Outcome:
             scored = score(Path(folder) / "trajectory.tum", recording.with_name(RELATIONS[name]))
             assert isinstance(scored, RelationsScore)
             relations = scored
-        return Outcome(json.loads(done.stdout), relations, _shrunk(read_pgm(Path(folder) / "map.pgm")))
+        pixels = matplotlib.image.imread(Path(folder) / "map.pgm")
+        return Outcome(json.loads(done.stdout), relations, _shrunk(pixels))
 
 
 def _shrunk(grey: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:

@@ -1,10 +1,13 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 import yaml
+from PIL import Image
 
 from service.errors import InputError
 from service.mapstore.picture import picture_of_grid, picture_of_tiles
-from service.mapstore.ros_map import read_pgm, read_ros_map, write_ros_map
+from service.mapstore.ros_map import read_ros_map, write_ros_map
 from service.outputs import Grid
 from tests.service.mapstore.tile_makers import tile
 
@@ -47,37 +50,174 @@ def test_a_map_reads_back_cell_by_cell(tmp_path):
     assert (back.cell_m, back.x_min_m, back.y_min_m) == (0.025, -1.125, 1e-7)
 
 
-def test_the_pgm_is_what_an_independent_reader_sees(written):
-    from PIL import Image
+def map_of(folder: Path, image: Image.Image | bytes, name: str = "map.png", **about: object) -> Path:
+    """A picture and its YAML, of cells of 0.5 m."""
+    if isinstance(image, bytes):
+        (folder / name).write_bytes(image)
+    else:
+        image.save(folder / name)
+    thresholds = {"negate": 0, "occupied_thresh": 0.65, "free_thresh": 0.25}
+    whole = {"image": name, "resolution": 0.5, "origin": [-1.0, 2.0, 0.0], **thresholds, **about}
+    (folder / "map.yaml").write_text(yaml.safe_dump(whole))
+    return folder / "map.yaml"
 
-    with Image.open(written / "map.pgm") as image:
-        np.testing.assert_array_equal(np.asarray(image), read_pgm(written / "map.pgm"))
+
+def cells_of(*arguments: object, **about: object) -> list[list[int]]:
+    """Top row first, as in the picture."""
+    return read_ros_map(map_of(*arguments, **about)).cells[::-1].tolist()
 
 
-def test_comments_in_a_pgm_are_skipped(tmp_path):
-    (tmp_path / "a.pgm").write_bytes(b"P5\n# CREATOR: gimp 2\n 3 # wide\n1\n255\n\x00\xcd\xfe")
-    assert read_pgm(tmp_path / "a.pgm").tolist() == [[0, 205, 254]]
+GREYS = np.array([[0, 60, 89, 90, 190], [191, 192, 205, 254, 255]], np.uint8)
+TRINARY = [[100, 100, 100, -1, -1], [-1, 0, 0, 0, 0]]
+
+
+@pytest.mark.parametrize("name", ["map.pgm", "map.png", "map.bmp"])
+def test_a_grey_picture_is_read_by_both_thresholds(tmp_path, name):
+    """Source of this and all below: nav2_map_server, map_io.cpp, Humble: occupancy is 1 - pixel / 255."""
+    assert cells_of(tmp_path, Image.fromarray(GREYS), name) == TRINARY
+
+
+def test_black_is_free_where_it_is_negated(tmp_path):
+    negated = [[0, 0, -1, -1, 100], [100, 100, 100, 100, 100]]
+    for negate in (1, True, "1"):
+        assert cells_of(tmp_path, Image.fromarray(GREYS), negate=negate) == negated
+    assert cells_of(tmp_path, Image.fromarray(GREYS), negate=False) == TRINARY
+
+
+def test_the_mode_scale_has_every_occupancy_between_the_thresholds(tmp_path):
+    scaled = [[round((1 - p / 255 - 0.25) / 0.4 * 100) for p in row] for row in GREYS.tolist()]
+    expected = np.clip(scaled, 0, 100).tolist()
+    assert expected[0][3:] == [99, 1]
+    assert cells_of(tmp_path, Image.fromarray(GREYS), mode="scale") == expected
+
+
+def test_the_mode_raw_has_the_pixels_themselves(tmp_path):
+    levels = np.array([[0, 1, 50, 99, 100, 101, 205, 255]], np.uint8)
+    for negate in (0, 1):
+        cells = cells_of(tmp_path, Image.fromarray(levels), mode="raw", negate=negate)
+        assert cells == [[0, 1, 50, 99, 100, -1, -1, -1]]
+
+
+@pytest.mark.parametrize("name", ["map_mode_raw", "map_origin_yaw"])
+def test_maps_of_others_are_read_cell_by_cell(shared, name):
+    with Image.open(shared / "cases" / name / "map.pgm") as image:
+        pixels = np.asarray(image)[::-1].astype(np.int16)
+    grid = read_ros_map(shared / "cases" / name / "map.yaml")
+    if name == "map_mode_raw":
+        expected = np.where(pixels == 255, -1, pixels)
+        assert (grid.x_min_m, grid.y_min_m) == (-1.0, -2.0)
+    else:  # turned by 90 deg: its rows run along -x
+        expected = np.where(pixels == 254, 0, np.where(pixels == 205, -1, 100))[::-1].T
+        assert (grid.x_min_m, grid.y_min_m) == pytest.approx((-1.0 - 20 * 0.05, -2.0), abs=1e-4)
+    np.testing.assert_array_equal(grid.cells, expected)
+
+
+def test_colours_count_by_the_mean_of_their_channels(tmp_path):
+    red_grey = np.array([[[255, 0, 0], [0, 255, 255], [255, 128, 255]]], np.uint8)
+    assert cells_of(tmp_path, Image.fromarray(red_grey)) == [[100, -1, 0]]
+    indexed = Image.fromarray(np.array([[0, 1, 2]], np.uint8), "P")
+    indexed.putpalette(red_grey.ravel().tolist())
+    assert cells_of(tmp_path, indexed) == [[100, -1, 0]]
+
+
+def test_opacity_is_one_more_channel_in_trinary_and_makes_unknown_in_scale(tmp_path):
+    pixels = np.array([[[0, 0, 0, 255], [0, 0, 0, 0], [255, 255, 255, 255], [255, 255, 255, 0]]], np.uint8)
+    assert cells_of(tmp_path, Image.fromarray(pixels)) == [[100, 100, 0, -1]]
+    assert cells_of(tmp_path, Image.fromarray(pixels), mode="scale") == [[100, -1, 0, -1]]
+    assert cells_of(tmp_path, Image.fromarray(pixels), mode="raw") == [[0, 0, -1, -1]]
+    grey = Image.fromarray(np.array([[[0, 255], [0, 0], [255, 254]]], np.uint8))
+    assert cells_of(tmp_path, grey, mode="scale") == [[100, -1, -1]]
+    indexed = Image.fromarray(np.array([[0, 1]], np.uint8), "P")
+    indexed.putpalette([0, 0, 0, 0, 0, 0])
+    indexed.info["transparency"] = 1
+    assert cells_of(tmp_path, indexed, mode="scale") == [[100, -1]]
+
+
+def test_16_bit_greys_are_read_to_their_last_bit(tmp_path):
+    levels = np.array([[0, 22936, 22939, 49149, 49152, 65535]], np.uint16)  # thresholds: 22937.25, 49151.25
+    for image, name in (
+        (Image.fromarray(levels), "map.png"),
+        (b"P5\n6 1\n65535\n" + levels.astype(">u2").tobytes(), "map.pgm"),
+    ):
+        assert cells_of(tmp_path, image, name) == [[100, 100, -1, -1, 0, 0]]
+        assert cells_of(tmp_path, image, name, mode="raw") == [[0, 89, 89, -1, -1, -1]]
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (b"P2\n# CREATOR: gimp 2\n 3 # wide\n1\n255\n0 205\n254\n", [[100, 0, 0]]),
+        (b"P5\n# CREATOR: gimp 2\n 3 # wide\n1\n255\n\x00\xcd\xfe", [[100, 0, 0]]),
+        (b"P5 3 1 100 \x00\x32\x64", [[100, -1, 0]]),
+        (b"P2 3 1 1023 0 500 1023", [[100, -1, 0]]),
+    ],
+)
+def test_headers_and_depths_of_a_pgm(tmp_path, content, expected):
+    assert cells_of(tmp_path, content, "map.pgm") == expected
+
+
+def test_a_yaw_in_the_origin_turns_the_map_and_is_said(tmp_path, caplog):
+    """Each wall of a wide room lies where the yaw puts it, to less than a cell."""
+    pixels = np.full((60, 90), 254, np.uint8)
+    pixels[20, 30] = 0
+    grid = read_ros_map(map_of(tmp_path, Image.fromarray(pixels), origin=[3.0, -4.0, 0.7]))
+    (told,) = caplog.records
+    assert "yaw of 40.107 deg" in told.message
+    row, column = np.argwhere(grid.cells == 100).mean(axis=0)
+    found = grid.x_min_m + (column + 0.5) * 0.5, grid.y_min_m + (row + 0.5) * 0.5
+    u, v = 30.5 * 0.5, 39.5 * 0.5  # of the pixel's middle, along the picture
+    c, s = np.cos(0.7), np.sin(0.7)
+    assert found == pytest.approx((3.0 + c * u - s * v, -4.0 + s * u + c * v), abs=0.4)
+    assert (grid.cells == 0).sum() == pytest.approx(60 * 90, rel=0.01)
+    assert grid.cells[0, 0] == -1
+
+
+def test_a_right_angle_keeps_every_cell(tmp_path):
+    pixels = np.random.default_rng(1).choice(np.array([0, 205, 254], np.uint8), (7, 11))
+    straight = read_ros_map(map_of(tmp_path, Image.fromarray(pixels), free_thresh=0.196)).cells
+    for turns in (1, 2, 3, -1):
+        about = {"origin": [0.0, 0.0, round(turns * np.pi / 2, 4)], "free_thresh": 0.196}
+        grid = read_ros_map(map_of(tmp_path, Image.fromarray(pixels), **about))
+        np.testing.assert_array_equal(grid.cells[::-1], np.rot90(straight[::-1], turns))
 
 
 @pytest.mark.parametrize(
     ("content", "diagnostic"),
     [
-        (b"P2\n1 1\n255\n0", "not with the header of a binary PGM"),
-        (b"P5\n1", "not with the header of a binary PGM"),
-        (b"P5\n2 2\n255\nabc", "2 x 2 pixels up to 255 in 3 bytes"),
-        (b"P5\n1 1\n65535\nab", "up to 65535"),
+        (b"P5\n1", "can be read"),
+        (b"P5\n2 2\n255\nabc", "truncated"),
+        (b"\x89PNG\r\n\x1a\n", "can be read"),
+        (b"GIF89a", "no PGM, PNG or BMP"),
+        (b"", "no PGM, PNG or BMP"),
+        (b"P5 200000 200000 255 ", "exceeds limit"),
     ],
 )
-def test_a_broken_pgm_is_refused_by_name(tmp_path, content, diagnostic):
-    (tmp_path / "a.pgm").write_bytes(content)
+def test_a_picture_that_cannot_be_read_is_refused_by_name(tmp_path, content, diagnostic):
     with pytest.raises(InputError, match=diagnostic) as caught:
-        read_pgm(tmp_path / "a.pgm")
+        read_ros_map(map_of(tmp_path, content, "a.pgm"))
     assert str(tmp_path / "a.pgm") in str(caught.value)
+
+
+def test_a_picture_that_is_not_there_is_refused_by_name(tmp_path):
+    path = map_of(tmp_path, Image.fromarray(GREYS))
+    (tmp_path / "map.png").unlink()
+    with pytest.raises(InputError, match=r"map\.png: .*No such file"):
+        read_ros_map(path)
 
 
 @pytest.mark.parametrize(
     "change",
-    [{"image": None}, {"origin": [0, 0]}, {"resolution": "wide"}, {"resolution": 0}, {"origin": [0, 0, 0.1]}],
+    [
+        {"image": None},
+        {"origin": [0, 0]},
+        {"origin": [0, 0, float("nan")]},
+        {"resolution": "wide"},
+        {"resolution": 0},
+        {"mode": "binary"},
+        {"free_thresh": float("nan")},
+        {"mode": "scale", "free_thresh": 0.7},
+        {"negate": "maybe"},
+    ],
 )
 def test_a_broken_yaml_is_refused_by_name(written, change):
     path = written / "map.yaml"
