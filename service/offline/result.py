@@ -47,8 +47,8 @@ def is_ros_map(source: Path) -> bool:
 
 
 def open_result(source: Path) -> "Result":
-    """`source` is the folder of a replay's result or of a stored map, or a ROS map: its YAML, or a folder with
-    a map.yaml.
+    """`source` is the folder of a replay's result or of a stored map, or a ROS map: its YAML, or the folder
+    of a map.yaml.
 
     Raises InputError where the stored map in it is damaged.
     """
