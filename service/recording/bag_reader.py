@@ -17,17 +17,14 @@ from rosbags.rosbag2 import Reader as Ros2Reader
 from rosbags.typesys import get_types_from_msg
 
 from service.encoding import (
-    TF,
     Message,
-    from_ros1,
 )
 from service.encoding.ros_messages import FIELDDEFS
 from service.errors import InputError
 from service.recording.mcap_reader import Topic
+from service.recording.ros1_messages import cdr_of_ros1, ros2_type
 from service.recording.ros1_scan import Scan, ScannedReader, scan_bag
 from service.recording.unpacking import ROS1, Unpacked, plain
-
-OLD_TF = "tf/msg/tfMessage"  # of tf 1; the same fields as tf2_msgs'
 
 
 class Bag:
@@ -56,7 +53,7 @@ class Bag:
                 if reader.message_count:
                     spans.append((reader.start_time, reader.end_time - 1))
                 for connection in reader.connections:
-                    counts[connection.topic, _type_of(connection)] += connection.msgcount
+                    counts[connection.topic, ros2_type(connection.msgtype)] += connection.msgcount
                 self._unknown |= {c.topic for c in reader.connections if not _is_known(c)}
         self.first_log_ns = min((first for first, _ in spans), default=0)
         self.last_log_ns = max((last for _, last in spans), default=0)
@@ -81,7 +78,7 @@ class Bag:
             wanted = [
                 connection
                 for connection in reader.connections
-                if _type_of(connection) in FIELDDEFS
+                if ros2_type(connection.msgtype) in FIELDDEFS
                 and (topics is None or connection.topic in topics)
                 and connection.topic not in self._unknown
             ]
@@ -89,13 +86,13 @@ class Bag:
                 return
             until_ns = None if to_ns is None else to_ns + 1
             for connection, log_ns, raw in reader.messages(wanted, from_ns, until_ns):
-                type_name = _type_of(connection)
+                type_name = ros2_type(connection.msgtype)
                 yield Message(
                     channel=connection.topic.removeprefix("/"),
                     type=type_name,
                     stamp_ns=log_ns,
                     log_ns=log_ns,
-                    payload=_cdr_of_ros1(type_name, raw) if file.kind == ROS1 else plain(bytes(raw)),
+                    payload=cdr_of_ros1(type_name, raw) if file.kind == ROS1 else plain(bytes(raw)),
                 )
 
     def _scan_if_needed(self, file: Unpacked) -> None:
@@ -134,21 +131,12 @@ class Bag:
             ) from error
 
 
-def _cdr_of_ros1(type_name: str, raw: bytes) -> bytes:
-    """Of bytes that are no such message b"", which no decoder takes."""
-    try:
-        return from_ros1(type_name, raw)
-    except InputError:
-        return b""
-
-
-def _type_of(connection: Connection) -> str:
-    return TF if connection.msgtype == OLD_TF else connection.msgtype
-
-
 def _is_known(connection: Connection) -> bool:
     """Whether the bag's own definition of a type has the fields that are read here."""
-    if connection.msgdef.format != MessageDefinitionFormat.MSG or _type_of(connection) not in FIELDDEFS:
+    if (
+        connection.msgdef.format != MessageDefinitionFormat.MSG
+        or ros2_type(connection.msgtype) not in FIELDDEFS
+    ):
         return True
     types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
     return all(_same_fields(name, fields) for name, (_, fields) in types.items())
@@ -156,5 +144,5 @@ def _is_known(connection: Connection) -> bool:
 
 def _same_fields(name: str, fields: list[Any]) -> bool:
     """ROS 1 has a seq in its header besides."""
-    ours = FIELDDEFS.get(TF if name == OLD_TF else name)
+    ours = FIELDDEFS.get(ros2_type(name))
     return ours is not None and [field for field in fields if field[0] != "seq"] == ours[1]

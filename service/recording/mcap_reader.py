@@ -16,8 +16,12 @@ from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
 from service.encoding import Message
+from service.encoding.ros_messages import FIELDDEFS
 from service.errors import InputError
+from service.recording.ros1_messages import cdr_of_ros1, ros2_type
 from service.recording.unpacking import MCAP, Unpacked, plain
+
+ROS1_ENCODING = "ros1"  # of `mcap convert` from a bag of ROS 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,15 +248,15 @@ class _Reader(SeekingReader):
 
 def _topic(channel: Channel, schemas: dict[int, Schema], count: int) -> Topic:
     schema = schemas.get(channel.schema_id)
-    return Topic(
-        channel.topic, _type_name(schema.name if schema is not None else ""), channel.message_encoding, count
-    )
+    type_name = _type_name(schema.name if schema is not None else "")
+    is_turned = channel.message_encoding == ROS1_ENCODING and type_name in FIELDDEFS
+    return Topic(channel.topic, type_name, "cdr" if is_turned else channel.message_encoding, count)
 
 
 def _type_name(schema: str) -> str:
     """ "sensor_msgs/LaserScan", as some write it, is "sensor_msgs/msg/LaserScan" in ROS 2."""
     package, _, name = schema.partition("/")
-    return schema if not name or "/" in name else f"{package}/msg/{name}"
+    return ros2_type(schema if not name or "/" in name else f"{package}/msg/{name}")
 
 
 def _messages(
@@ -262,12 +266,16 @@ def _messages(
         with file.file.path.open("rb") as stream:
             wanted = _Reader(stream, file.summary).iter_messages(topics, starting_at=from_ns, ending_at=to_ns)
             for schema, channel, record in wanted:
+                type_name = _type_name(schema.name if schema is not None else "")
+                payload = plain(record.data)
+                if channel.message_encoding == ROS1_ENCODING and type_name in FIELDDEFS:
+                    payload = cdr_of_ros1(type_name, payload)
                 yield Message(
                     channel=channel.topic.removeprefix("/"),
-                    type=_type_name(schema.name if schema is not None else ""),
+                    type=type_name,
                     stamp_ns=record.publish_time,
                     log_ns=record.log_time,
-                    payload=plain(record.data),
+                    payload=payload,
                 )
     except Exception as error:  # bad bytes may fail in any way inside the library
         raise _damaged(file.file, error) from error

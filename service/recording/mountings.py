@@ -63,7 +63,7 @@ class StaticTree:
         moving: set[str] = set()
         for transform in self._transforms(is_static=False):
             first = said.setdefault(transform.child, transform)
-            if _place(first) != _place(transform):
+            if place_of(first) != place_of(transform):
                 moving.add(transform.child)
         repeated = [said[child] for child in said if child not in moving and child not in self.parents]
         for transform in repeated:
@@ -100,7 +100,8 @@ class StaticTree:
         return above
 
 
-def _place(transform: Transform) -> tuple[str, tuple[float, ...], tuple[float, ...]]:
+def place_of(transform: Transform) -> tuple[str, tuple[float, ...], tuple[float, ...]]:
+    """What a transform says but for its time: equal where nothing has moved."""
     return transform.frame, transform.translation_m, transform.rotation_wxyz
 
 

@@ -1,7 +1,8 @@
 """Odometry of robots that say it in /tf only: the edge from its frame to the base, as nav_msgs/Odometry."""
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 
 from drivers.frames import OdometrySample
 from service.encoding import ODOMETRY, TF, Message, Transform, decode_transforms, encode_frame
@@ -9,6 +10,7 @@ from service.errors import InputError
 from service.recording.choice import Choice
 from service.recording.frames import is_base, is_odometry, robot_of
 from service.recording.mcap_reader import Readable, Topic
+from service.recording.mountings import place_of
 
 ODOM_OF_TF = "/tf/odom"  # the topic that it is given out as; no recording can have it besides /tf
 Edge = tuple[str, str]  # frame above, frame below
@@ -64,19 +66,32 @@ def moving_tf(recording: Readable) -> list[str]:
     return [t.name for t in recording.topics if t.type == TF and not t.name.endswith("tf_static") and t.count]
 
 
-def moving_edges(recording: Readable) -> Counter[Edge]:
-    """How often each edge of /tf comes."""
-    names = moving_tf(recording)
-    return Counter(
-        (transform.frame, transform.child)
-        for message in (recording.messages(names) if names else ())
-        for transform in _transforms(message)
-    )
+@dataclass(slots=True)
+class Edges:
+    """How often each edge of /tf comes, and which of them change."""
+
+    counts: Counter[Edge] = field(default_factory=Counter)
+    changed: set[Edge] = field(default_factory=set)
+
+    def in_words(self, edges: Iterable[Edge]) -> str:
+        """ "odom to base_link (500), ..."."""
+        return ", ".join(f"{frame} to {child} ({self.counts[frame, child]})" for frame, child in edges)
 
 
-def odometry_edge(
-    edges: Counter[Edge], choice: Choice, under_base: Collection[str], robot: str | None
-) -> list[Edge]:
+def edges_of(recording: Readable) -> Edges:
+    """The edges of /tf, by one walk through it."""
+    found, names = Edges(), moving_tf(recording)
+    firsts: dict[Edge, Transform] = {}
+    for message in recording.messages(names) if names else ():
+        for transform in _transforms(message):
+            edge = transform.frame, transform.child
+            found.counts[edge] += 1
+            if place_of(firsts.setdefault(edge, transform)) != place_of(transform):
+                found.changed.add(edge)
+    return found
+
+
+def odometry_edge(edges: Edges, choice: Choice, under_base: Collection[str], robot: str | None) -> list[Edge]:
     """Edges that may be the odometry, the likeliest first: several only of several robots.
 
     under_base   frames above the chosen lasers
@@ -84,12 +99,12 @@ def odometry_edge(
     """
     fitting = [
         (frame, child)
-        for frame, child in edges
+        for frame, child in edges.counts
         if (frame == choice.odom_frame if choice.odom_frame else is_odometry(frame))
         and (child == choice.base_frame if choice.base_frame else child in under_base or is_base(child))
         and (robot is None or not is_base(child) or robot_of(child) == robot)
     ]
-    fitting.sort(key=lambda edge: (edge[1] not in under_base, -edges[edge], edge))
+    fitting.sort(key=lambda edge: (edge[1] not in under_base, -edges.counts[edge], edge))
     own: dict[str, Edge] = {}
     for edge in fitting:
         own.setdefault(robot_of(edge[1]), edge)

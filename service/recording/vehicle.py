@@ -1,8 +1,7 @@
 """The devices of one vehicle in a recording: which of them a mapper is to have, and where they sit."""
 
 import math
-from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import NoReturn
@@ -38,7 +37,7 @@ from service.recording.sources import (
     named_topic,
     sources_of,
 )
-from service.recording.tf_odometry import Edge, WithOdometryOfTf, moving_edges, odometry_edge
+from service.recording.tf_odometry import Edges, WithOdometryOfTf, edges_of, odometry_edge
 
 Converter = Callable[[bytes, str, int], LaserScan | None]  # of a payload, a sensor's name and a log time, ns
 
@@ -68,7 +67,7 @@ class Vehicle:
         self._warnings: list[str] = []
         self._tree = StaticTree(recording)
         self._sources: dict[str, list[Source]] = {}
-        self._edges: Counter[Edge] | None = None  # of /tf, once they were looked at
+        self._edges: Edges | None = None  # of /tf, once they were looked at
 
     def all_of(self, ours: Sequence[Topic]) -> list[Source]:
         """Of a session of ours; of the lasers those that are named."""
@@ -147,15 +146,15 @@ class Vehicle:
 
     def _refuse_unknown_base(self, base: str) -> NoReturn:
         frames = {frame for child, (parent, _) in self._tree.parents.items() for frame in (child, parent)}
-        frames |= {frame for edge in self._moving_edges() for frame in edge}
+        frames |= {frame for edge in self._edges_of_tf().counts for frame in edge}
         raise UsageError(
             f"--base-frame {base}: no chosen laser of {self._recording.paths[0]} sits on it; its frames are "
             f"{', '.join(sorted(frames)) or 'not known'}"
         )
 
-    def _moving_edges(self) -> Counter[Edge]:
+    def _edges_of_tf(self) -> Edges:
         if self._edges is None:
-            self._edges = moving_edges(self._recording)
+            self._edges = edges_of(self._recording)
         return self._edges
 
     def _odometry(
@@ -175,18 +174,18 @@ class Vehicle:
             if found := choose_one({n: of for n, of in named.items() if of}, ODOMETRY, is_own, self._notes):
                 return found
         above = {frame for source in scans for frame in self._tree.chain(source.frame)}
-        edges = self._moving_edges()
+        edges = self._edges_of_tf()
         fitting = odometry_edge(edges, choice, above, robot)
         if len(fitting) > 1:
             raise InputError(
                 f"{self._recording.paths[0]}: its odometry is one of {len(fitting)} edges of /tf: "
-                f"{_in_words(fitting, edges)}; name it by --odom-frame and --base-frame"
+                f"{edges.in_words(fitting)}; name it by --odom-frame and --base-frame"
             )
         if fitting:
-            self._recording = WithOdometryOfTf(self._recording, fitting[0], edges[fitting[0]])
+            self._recording = WithOdometryOfTf(self._recording, fitting[0], edges.counts[fitting[0]])
             topic = self._recording.topics[-1]
             sources[topic.name] = sources_of(self._recording, topic)
-            self._notes.append(f"odometry is {_in_words(fitting, edges)} of /tf")
+            self._notes.append(f"odometry is {edges.in_words(fitting)} of /tf")
             return sources[topic.name]
         if choice.odom_topic is not None or choice.odom_frame is not None:
             option = (
@@ -196,11 +195,12 @@ class Vehicle:
             raise UsageError(
                 f"{option}: no odometry of {self._recording.paths[0]}; header.frame_id of its Odometry: "
                 f"{', '.join(sorted(frames)) or 'there is none'}; edges of /tf: "
-                f"{_in_words(edges, edges) or 'there are none'}"
+                f"{edges.in_words(edges.counts) or 'there are none'}"
             )
-        if edges:
+        if edges.changed:
+            moving = edges.in_words(sorted(edges.changed))
             self._warnings.append(
-                f"no odometry is used: none of the edges of /tf is known as one ({_in_words(edges, edges)}); "
+                f"no odometry is used: none of the edges of /tf is known as one ({moving}); "
                 "where one is, name it by --odom-frame and --base-frame"
             )
         return []
@@ -289,10 +289,6 @@ def _namespace(topic: str) -> str:
     """ "robot1" of "/robot1/base/scan"; "" of "/scan"."""
     first, _, rest = topic.strip("/").partition("/")
     return first if rest else ""
-
-
-def _in_words(edges: Iterable[Edge], counts: Counter[Edge]) -> str:
-    return ", ".join(f"{frame} to {child} ({counts[frame, child]})" for frame, child in edges)
 
 
 def _mount(

@@ -21,7 +21,7 @@ from service.offline.replay_setup import ReplayOptions
 from service.recording.mcap_source import open_session
 from service.recording.opening import open_recording
 from service.recording.unpacking import Unpacked
-from tests.service.recording.bags import write_ros1, write_ros2
+from tests.service.recording.bags import write_ros1, write_ros1_mcap, write_ros2
 from tests.service.recording.sessions import drive, write_file
 
 SCANS = 30
@@ -113,6 +113,7 @@ CONTAINERS: dict[str, Callable[[Path], Path]] = {
     ),
     "ROS 2 folder, killed": killed_ros2_folder,
     "ROS 2 folder, played": played_ros2_folder,
+    "mcap of ROS 1": lambda f: write_ros1_mcap(f / "drive.mcap", DRIVE),
     "mcap.zstd": lambda f: packed(mcap(f), ".zstd", ZSTD.compress),
     "mcap.zst of two frames": lambda f: packed(
         mcap(f), ".zst", lambda data: ZSTD.compress(data[:5000]) + ZSTD.compress(data[5000:])

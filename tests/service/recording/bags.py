@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from pathlib import Path
 
+from mcap.writer import Writer
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
@@ -39,6 +40,23 @@ def write_ros1(
             if m.channel not in known:
                 known[m.channel] = writer.add_connection(f"/{m.channel}", m.type, typestore=store)
             writer.write(known[m.channel], m.log_ns, humble.cdr_to_ros1(m.payload, m.type))
+    return path
+
+
+def write_ros1_mcap(path: Path, messages: Iterable[Message]) -> Path:
+    """As `mcap convert` makes it of a bag of ROS 1."""
+    humble = get_typestore(Stores.ROS2_HUMBLE)
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros1", library="mcap go")
+        known: dict[str, int] = {}
+        for m in messages:
+            if m.channel not in known:
+                schema = writer.register_schema(m.type.replace("/msg/", "/"), "ros1msg", b"")
+                known[m.channel] = writer.register_channel(f"/{m.channel}", "ros1", schema)
+            raw = bytes(humble.cdr_to_ros1(m.payload, m.type))
+            writer.add_message(known[m.channel], m.log_ns, raw, m.log_ns)
+        writer.finish()
     return path
 
 

@@ -135,12 +135,14 @@ def test_odometry_of_tf_that_nobody_knows_is_named_in_a_warning_and_by_options(f
     for k in range(SCANS):
         foreign.add_message("/tf", moving(k, ("world", "dead_reckoning"), ("dead_reckoning", "chassis")))
         foreign.add_message("/scan", scan(k, "laser"))
+        foreign.add_message("/tf", moving(0, ("world", "beacon")))
     paths = foreign.close()
     session = open_session(paths)
     assert not any(isinstance(frame, OdometrySample) for frame in session.frames())
     assert session.unmounted
     (warning,) = session.warnings
-    assert "world to dead_reckoning (5), dead_reckoning to chassis (5)" in warning
+    assert "dead_reckoning to chassis (5), world to dead_reckoning (5)" in warning
+    assert "beacon" not in warning  # which does not move
     assert "--odom-frame and --base-frame" in warning
     session = open_session(paths, Choice(odom_frame="dead_reckoning", base_frame="chassis"))
     assert session.mountings["scan"].x_m == 0.2
