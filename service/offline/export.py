@@ -20,7 +20,6 @@ from service.offline.geo_export import (
     write_csv,
     write_geojson,
     write_kml,
-    write_local_world_file,
     write_world_file,
 )
 from service.offline.geotiff import write_geotiff
@@ -111,10 +110,7 @@ def _write_pgm(out: Path, picture: Picture) -> None:
 
 def _write_png(out: Path, picture: Picture, reference: GeoReference | None) -> None:
     write_png(out, picture)
-    if reference is not None:
-        write_world_file(out, picture, reference)
-    else:
-        write_local_world_file(out, picture)
+    write_world_file(out, picture, reference)
 
 
 def _way(source: "_Source") -> list[SE2]:

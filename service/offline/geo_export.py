@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
+from xml.sax.saxutils import escape
 
 from service.errors import InputError
 from service.geometry.geo_reference import GeoReference
@@ -85,24 +86,34 @@ def write_kml(path: Path, poses: Poses, reference: GeoReference) -> None:
 Affine = tuple[float, float, float, float, float, float]  # A, D, B, E, C, F: x = A column + B row + C, ...
 
 
-def write_world_file(picture_path: Path, picture: Picture, reference: GeoReference) -> tuple[Path, Path]:
-    """NAME.pgw and NAME.prj beside NAME.png: where its pixels lie in UTM. Gives both paths.
+def write_world_file(picture_path: Path, picture: Picture, reference: GeoReference | None) -> None:
+    """NAME.pgw and NAME.png.aux.xml beside NAME.png: where its pixels lie, in UTM or, without a reference, in
+    metres of the map. GDAL takes the coordinate system from the second; it reads no NAME.prj beside a PNG.
 
-    Source: ESRI, World files for raster datasets: six lines A, D, B, E, C, F.
+    Sources: ESRI, World files for raster datasets: six lines A, D, B, E, C, F; GDAL's PAM (gdalpam.xsd).
     Raises OSError, and InputError where UTM ends.
     """
-    zone, is_south, affine = utm_affine(picture_path, picture, reference)
-    projection = picture_path.with_suffix(".prj")
-    world = _write_affine(picture_path, affine)
-    projection.write_text(_utm_wkt(zone, is_south) + "\n", encoding="ascii")
-    return world, projection
-
-
-def write_local_world_file(picture_path: Path, picture: Picture) -> Path:
-    """NAME.pgw beside NAME.png: where its pixels lie in the map, m. Raises OSError."""
     cell_m = picture.cell_m
     left_m, top_m = picture.x_min_m + 0.5 * cell_m, picture.y_min_m + (picture.height - 0.5) * cell_m
-    return _write_affine(picture_path, (cell_m, 0.0, 0.0, -cell_m, left_m, top_m))
+    affine, srs = (cell_m, 0.0, 0.0, -cell_m, left_m, top_m), ""
+    if reference is not None:
+        zone, is_south, affine = utm_affine(picture_path, picture, reference)
+        srs = f'<SRS dataAxisToSRSAxisMapping="1,2">{escape(_utm_wkt(zone, is_south))}</SRS>\n'
+    text = "".join(f"{value:.10f}\n" for value in affine)
+    picture_path.with_suffix(".pgw").write_text(text, encoding="ascii")
+    a, d, b, e, c, f = affine
+    corner = (
+        c - 0.5 * (a + b),
+        a,
+        b,
+        f - 0.5 * (d + e),
+        d,
+        e,
+    )  # of the first pixel
+    transform = ", ".join(f"{value:.10f}" for value in corner)
+    picture_path.with_name(f"{picture_path.name}.aux.xml").write_text(
+        f"<PAMDataset>\n{srs}<GeoTransform>{transform}</GeoTransform>\n</PAMDataset>\n", encoding="ascii"
+    )
 
 
 def utm_affine(path: Path, picture: Picture, reference: GeoReference) -> tuple[int, bool, Affine]:
@@ -127,12 +138,6 @@ def utm_affine(path: Path, picture: Picture, reference: GeoReference) -> tuple[i
     b, e = ((down[k] - corner[k]) / picture.height for k in (0, 1))
     c, f = corner[0] + 0.5 * (a + b), corner[1] + 0.5 * (d + e)
     return zone, is_south, (a, d, b, e, c, f)
-
-
-def _write_affine(picture_path: Path, affine: Affine) -> Path:
-    world = picture_path.with_suffix(".pgw")
-    world.write_text("".join(f"{value:.10f}\n" for value in affine), encoding="ascii")
-    return world
 
 
 def _coordinates(poses: Poses, reference: GeoReference) -> list[tuple[float, float]]:
@@ -164,18 +169,19 @@ def _seconds(stamp_ns: int) -> str:
 
 
 def _utm_wkt(zone: int, is_south: bool) -> str:
-    """As ESRI's .prj files have it: EPSG 32600 + zone, or 32700 + zone in the south."""
-    name = f"WGS_1984_UTM_Zone_{zone}{'S' if is_south else 'N'}"
+    """WKT 1 of EPSG 32600 + zone, or 32700 + zone in the south."""
     parameters: Iterable[tuple[str, float]] = (
-        ("False_Easting", 500000.0),
-        ("False_Northing", 10000000.0 if is_south else 0.0),
-        ("Central_Meridian", 6.0 * zone - 183.0),
-        ("Scale_Factor", 0.9996),
-        ("Latitude_Of_Origin", 0.0),
+        ("latitude_of_origin", 0),
+        ("central_meridian", 6 * zone - 183),
+        ("scale_factor", 0.9996),
+        ("false_easting", 500000),
+        ("false_northing", 10000000 if is_south else 0),
     )
     listed = ",".join(f'PARAMETER["{key}",{value}]' for key, value in parameters)
     return (
-        f'PROJCS["{name}",GEOGCS["GCS_WGS_1984",DATUM["D_WGS_1984",SPHEROID["WGS_1984",6378137.0,298.257223563]],'
-        'PRIMEM["Greenwich",0.0],UNIT["Degree",0.0174532925199433]],PROJECTION["Transverse_Mercator"],'
-        f'{listed},UNIT["Meter",1.0]]'
+        f'PROJCS["WGS 84 / UTM zone {zone}{"S" if is_south else "N"}",GEOGCS["WGS 84",DATUM["WGS_1984",'
+        'SPHEROID["WGS 84",6378137,298.257223563,AUTHORITY["EPSG","7030"]],AUTHORITY["EPSG","6326"]],'
+        'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]],'
+        f'PROJECTION["Transverse_Mercator"],{listed},UNIT["metre",1],AXIS["Easting",EAST],'
+        f'AXIS["Northing",NORTH],AUTHORITY["EPSG","{(32700 if is_south else 32600) + zone}"]]'
     )

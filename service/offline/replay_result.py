@@ -76,7 +76,7 @@ def write_replay(done: Replay, out: Path) -> None:
         live = [pose_on_wire(output.pose_map_base) for output in done.outputs]
         write_tum(out / "trajectory_live.tum", zip(stamps, live, strict=True))
         write_states(out / STATES_FILE, done.outputs, done.lasers)
-        for name in (GRAPH_FILE, GEO_FILE, "map.pgw", "map.prj"):
+        for name in (GRAPH_FILE, GEO_FILE, "map.pgw", "map.png.aux.xml"):
             (out / name).unlink(missing_ok=True)
         shutil.rmtree(out / UNEDITED, ignore_errors=True)
         poses = list(zip(stamps, map(pose_on_wire, done.poses_map_base), strict=True))

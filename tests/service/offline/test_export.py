@@ -169,3 +169,14 @@ def test_an_export_that_is_broken_off_leaves_the_file_of_before(stored, tmp_path
         export(stored, "pgm", tmp_path / "a.pgm")
     assert (tmp_path / "a.pgm").read_bytes() == before
     assert set(tmp_path.iterdir()) == there
+
+
+def test_a_ros_map_is_exported_by_its_yaml(replayed, tmp_path):
+    for name in ("map.pgm", "map.yaml"):
+        (replayed / name).rename(replayed / name.replace("map", "hall"))
+    path = replayed / "hall.yaml"
+    path.write_text(path.read_text().replace("map.pgm", "hall.pgm"))
+    export(path, "pgm", tmp_path / "out.pgm")
+    np.testing.assert_array_equal(read_ros_map(tmp_path / "out.yaml").cells, grid(3).cells)
+    with pytest.raises(InputError, match="neither a stored map"):
+        export(path, "tum", tmp_path / "out.tum")

@@ -79,10 +79,15 @@ def test_png_with_its_world_file_by_gdal(anchored, tmp_path):
     export(anchored, "png", tmp_path / "hall.png")
     with rasterio.open(tmp_path / "hall.png") as raster:
         np.testing.assert_array_equal(raster.read(1), to_pixels(cells()))
+        assert raster.crs.to_epsg() == 32632
+        assert raster.xy(39, 0) == pytest.approx(in_utm(X_MIN_M + 0.25, Y_MIN_M + 0.25), abs=1e-3)
+    (tmp_path / "hall.pgw").unlink()  # its .aux.xml alone places it, too
+    with rasterio.open(tmp_path / "hall.png") as raster:
         assert raster.xy(39, 0) == pytest.approx(in_utm(X_MIN_M + 0.25, Y_MIN_M + 0.25), abs=1e-3)
     (anchored / "geo.json").unlink()
     export(anchored, "png", tmp_path / "hall.png")
     with rasterio.open(tmp_path / "hall.png") as raster:
+        assert raster.crs is None
         assert raster.xy(39, 0) == pytest.approx((X_MIN_M + 0.25, Y_MIN_M + 0.25))
 
 

@@ -96,6 +96,7 @@ def test_a_replay_says_where_the_map_lies_and_export_uses_it(
     assert summary["geo_reference"] == json.loads((folder / "geo.json").read_text())
     assert summary["fixes"]["anchoring"] == reference.fixes > 20
     assert (folder / "map.pgw").exists()
+    assert (folder / "map.png.aux.xml").exists()
     export(folder, "geojson", tmp_path / "way.geojson")
     feature, walls = json.loads((tmp_path / "way.geojson").read_text())["features"]
     assert walls["properties"]["name"] == "walls"

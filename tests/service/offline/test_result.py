@@ -27,7 +27,7 @@ from service.offline.replay_result import Replay, write_replay
 from service.offline.result import open_result
 from service.offline.trajectory import read_tum, write_tum
 from service.offline.view import View
-from service.outputs import MapperOutput
+from service.outputs import NO_REASON, MapperOutput
 from tests.service.offline.bent_maps import ROUND, BentMap, graph_in
 
 GEO = GeoReference(LocalFrame(48.1, 11.6, 520.0), SE2(12.0, -7.0, 0.5), 0.8, 0.005, 41)
@@ -39,6 +39,7 @@ FILES = (
     "map.yaml",
     "map.png",
     "map.pgw",
+    "map.png.aux.xml",
     "geo.json",
     "summary.json",
 )
@@ -51,11 +52,12 @@ def replay_of(bent: BentMap) -> Replay:
     xy = np.column_stack([np.interp(stamps, ns, poses[:, k]) for k in (0, 1)])
     theta = np.interp(stamps, ns, np.unwrap(poses[:, 2]))
     way = [SE2(x, y, a) for (x, y), a in zip(xy.tolist(), theta.tolist(), strict=True)]
-    rest = SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", "", 1.0
+    rest = SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", NO_REASON, 1.0
     outputs = [MapperOutput(stamp_ns, pose, *rest) for stamp_ns, pose in zip(stamps, way, strict=True)]
     summary = {"profile": "corridor", "keyframes": len(bent.graph), "loop_closures": 0, "map_tiles": 1}
     g2o = to_g2o(graph_of(bent.graph))
-    return Replay(outputs, way, list(bent.tiles), g2o, summary, geo=GEO, graph=bent.graph)
+    lasers = ["front"] * len(outputs)
+    return Replay(outputs, lasers, way, list(bent.tiles), g2o, summary, geo=GEO, graph=bent.graph)
 
 
 @pytest.fixture
@@ -171,7 +173,7 @@ def test_an_edit_that_moves_nothing_keeps_the_trajectory_to_the_bit(result):
     edit(result, *WALL)
     after = files_of(result)
     assert [name for name in FILES if after[name] == before[name]] == [
-        "trajectory.tum", "graph.g2o", "map.yaml", "map.pgw", "geo.json",
+        "trajectory.tum", "graph.g2o", "map.yaml", "map.pgw", "map.png.aux.xml", "geo.json",
     ]  # fmt: skip
 
 
