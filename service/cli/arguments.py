@@ -115,7 +115,8 @@ def _add_replay(commands: Any) -> None:
         "--config",
         type=Path,
         metavar="CONFIG.yaml",
-        help="map with its sensors and mapping instead of the recorded ones; the other sections are not read",
+        help="map with its sensors and mapping instead of the recorded ones, and by its section replay; the "
+        "other sections are not read",
     )
     replay.add_argument(
         "--out",

@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.counted import counted
 from drivers.frames import Frame, LaserScan
-from service.encoding import IMU, LASER_SCAN, NO_COVARIANCE, ODOMETRY
+from service.encoding import IMU, NO_COVARIANCE, ODOMETRY
 from service.errors import InputError
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
@@ -40,6 +40,7 @@ from service.offline.replay_setup import ReplaySetup
 from service.offline.state_reasons import StateReasons
 from service.outputs import STATES, MapperOutput, TileUpdate
 from service.recording.mcap_source import Session
+from service.recording.sources import SCAN_TYPES
 from service.version import VERSION
 
 log = logging.getLogger(__name__)
@@ -257,7 +258,7 @@ def _dropped(session: Session, mapper: MappingSession) -> int:
     scans = [
         topic.name
         for topic in session.recording.topics
-        if topic.type == LASER_SCAN and mapper.lasers & set(session.devices.get(topic.name, {}).values())
+        if topic.type in SCAN_TYPES and mapper.lasers & set(session.devices.get(topic.name, {}).values())
     ]
     return late + _unusable(session, scans)
 

@@ -8,13 +8,13 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.frames import LaserScan
-from service.encoding import LASER_SCAN, decode_frame, frame_id
+from service.encoding import frame_id
 from service.errors import InputError
 from service.geometry.poses import Floats
 from service.offline.driven_moments import DrivenMoments
 from service.offline.moments import STALE_NS, Moment
-from service.recording.mcap_reader import Recording
 from service.recording.mcap_source import Session
+from service.recording.sources import SCAN_TYPES
 
 LATER_NS = 1_000_000_000  # a scan that was measured before another may be logged so long after it
 
@@ -32,12 +32,12 @@ class ReplayedMoments:
         poses: Floats,
     ) -> None:
         self._session = session
-        self._recording = Recording(session.recording.paths)
+        self._recording = session.recording
         self._driven = DrivenMoments(stamp_ns, poses)
         self._stamp_ns = stamp_ns
         self._log_ns = log_ns
         types = {topic.name: topic.type for topic in self._recording.topics}
-        self._topics = [topic for topic in session.devices if types.get(topic) == LASER_SCAN]
+        self._topics = [topic for topic in session.devices if types.get(topic) in SCAN_TYPES]
         self.path_map = self._driven.path_map
 
     @property
@@ -66,8 +66,7 @@ class ReplayedMoments:
                 sensor = self._session.devices[self._session.topic_of(message)].get(frame_id(message.payload))
                 if sensor is None:
                     continue
-                is_turned = sensor in self._session.upside_down
-                scan = decode_frame(message.type, message.payload, sensor, message.log_ns, is_turned)
+                scan = self._session.decode(message, sensor)
             except InputError:
                 continue  # counted when it was mapped
             if isinstance(scan, LaserScan) and at_ns - STALE_NS <= scan.stamp_ns <= at_ns:

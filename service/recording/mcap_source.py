@@ -158,7 +158,7 @@ class Session:
                 if sensor is None:
                     self.counters[f"{topic} refused"] += 1
                     continue
-                frame = self._decode(message, sensor)
+                frame = self.decode(message, sensor)
             except InputError:
                 frame = None
             if message.type == ODOMETRY and (fault := odometry_fault(message.payload)):
@@ -171,7 +171,8 @@ class Session:
                 self.counters[f"{topic} {INSTANT}"] += 1
             yield frame
 
-    def _decode(self, message: Message, sensor: str) -> Frame | None:
+    def decode(self, message: Message, sensor: str) -> Frame | None:
+        """What a message of one of the devices says, see encoding.decode_frame. Raises InputError."""
         if (convert := self.converters.get(sensor)) is not None:
             return convert(message.payload, sensor, message.log_ns)
         over = sensor in self.upside_down

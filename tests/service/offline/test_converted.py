@@ -9,12 +9,15 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.stores import ros2_jazzy as ros
 
+from drivers.frames import LaserScan
 from service import encoding
 from service.cli import main
 from service.encoding import Message
 from service.offline.replay import replay
 from service.offline.replay_setup import ReplayOptions
+from service.offline.replayed_moments import ReplayedMoments
 from service.recording.choice import Choice
+from service.recording.mcap_source import open_session
 from tests.service.recording.bags import write_ros1, write_ros2
 from tests.service.recording.sessions import drive
 
@@ -126,3 +129,15 @@ def test_the_recording_of_echoes_alone_is_mapped(shared: Path, tmp_path: Path):
     done = replay([shared / "cases" / "multi_echo_only.mcap"], ReplayOptions())
     assert done.summary["scans"] == 29
     assert done.summary["state"]["lost"] == 0
+
+
+@pytest.mark.parametrize("change", [lambda m: m, as_echoes, as_cloud], ids=["scans", "echoes", "cloud"])
+def test_a_page_shows_the_scans_of_a_bag_at_any_moment(change, tmp_path: Path):
+    session = open_session([write_ros1(tmp_path / "drive.bag", with_scans(change))])
+    scans = [frame for frame in session.frames() if isinstance(frame, LaserScan)]
+    stamp_ns, log_ns = (np.array([getattr(scan, n) for scan in scans]) for n in ("stamp_ns", "arrived_ns"))
+    moments = ReplayedMoments(session, stamp_ns, log_ns, np.zeros((len(scans), 3)))
+    for k in (3, SCANS - 1):
+        (shown,) = moments.at(int(stamp_ns[k])).scans
+        assert shown.stamp_ns == scans[k].stamp_ns
+        np.testing.assert_array_equal(shown.range_m, scans[k].range_m)

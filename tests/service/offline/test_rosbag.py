@@ -245,7 +245,7 @@ def test_a_bag_without_a_laser_is_refused_with_what_it_holds(tmp_path, capsys):
     assert main(["import", "rosbag", str(bag), str(tmp_path / "out.mcap")]) == InputError.exit_code
     said = capsys.readouterr().err
     assert (
-        "no sensor_msgs/msg/LaserScan that can be mapped; it holds /imu/data (sensor_msgs/msg/Imu, 5)" in said
+        "sensor_msgs/msg/PointCloud2 that can be mapped; it holds /imu/data (sensor_msgs/msg/Imu, 5)" in said
     )
     assert not list(tmp_path.glob("out*"))
 
