@@ -27,6 +27,13 @@ class Choice(ConversionConfig):
         """tf 1 wrote "/base_link"."""
         return None if frame is None else frame.removeprefix("/")
 
+    @property
+    def is_open(self) -> bool:
+        """Whether no topic and no frame is named."""
+        return not (
+            self.scan_topics or self.odom_topic or self.imu_topic or self.base_frame or self.odom_frame
+        )
+
     def over(self, other: "Choice") -> "Choice":
         """This choice, and what it leaves open as the other says."""
         return other.model_copy(update={name: getattr(self, name) for name in self.model_fields_set})

@@ -210,7 +210,7 @@ def open_session(paths: Sequence[Path], choice: Choice = NO_CHOICE) -> Session:
     readable = [topic for topic in readable if topic.encoding == "cdr"]
     ours = [topic for topic in readable if _is_ours(topic)] if _is_our_session(recording) else []
     vehicle = Vehicle(recording, choice, notes)
-    chosen = vehicle.all_of(ours) if ours else vehicle.choose(readable)
+    chosen = vehicle.all_of(ours) if ours and choice.is_open else vehicle.choose(ours or readable)
     found = vehicle.devices(chosen)
     devices: dict[str, dict[str, str]] = {}
     for source, sensor in found.sensors.items():

@@ -4,14 +4,12 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import NoReturn
 
 from drivers.antenna import antenna_of
 from drivers.frames import LaserScan
 from service.conversion import CloudConverter, Echo, scan_of_echoes
 from service.encoding import (
     IMU,
-    LASER_SCAN,
     MULTI_ECHO_SCAN,
     NAV_SAT_FIX,
     ODOMETRY,
@@ -70,10 +68,8 @@ class Vehicle:
         self._edges: Edges | None = None  # of /tf, once they were looked at
 
     def all_of(self, ours: Sequence[Topic]) -> list[Source]:
-        """Of a session of ours; of the lasers those that are named."""
-        named = self._named_scans()
-        topics = [topic for topic in ours if not named or topic.type != LASER_SCAN or topic in named]
-        self._sources = {topic.name: sources_of(self._recording, topic) for topic in topics}
+        """Of a session of ours."""
+        self._sources = {topic.name: sources_of(self._recording, topic) for topic in ours}
         return all_of_ours(self._sources)
 
     def choose(self, readable: Sequence[Topic]) -> list[Source]:
@@ -104,7 +100,8 @@ class Vehicle:
 
         odometry = self._odometry(is_own, robot, scans)
         if choice.imu_topic:
-            imus = self._sources[named_topic(recording, "--imu-topic", choice.imu_topic, (IMU,)).name][:1]
+            imus = sources_of(recording, named_topic(recording, "--imu-topic", choice.imu_topic, (IMU,)))[:1]
+            self._sources[imus[0].topic.name] = imus
         else:
             imus = choose_one(self._sources, IMU, is_own, notes)
         return [*scans, *odometry, *choose_one(self._sources, NAV_SAT_FIX, is_own, notes), *imus]
@@ -121,8 +118,12 @@ class Vehicle:
         bases = {source: self._bases_above(source) for source in scans}
         if base is not None:
             strange = [s for s in scans if bases[s] and base not in self._tree.chain(s.frame)]
-            if len(strange) == len(scans) and scans:
-                self._refuse_unknown_base(base)
+            known = self._frames()
+            if len(strange) == len(scans) or base not in known:
+                raise UsageError(
+                    f"--base-frame {base}: no chosen laser of {self._recording.paths[0]} sits on it; "
+                    f"frames in it are {', '.join(sorted(known)) or 'not named'}"
+                )
             for source in strange:
                 self._notes.append(f"passed over {source}: it sits on {bases[source][0]}, not on {base}")
             return [s for s in scans if s not in strange], robot_of(base)
@@ -144,13 +145,12 @@ class Vehicle:
 
         return found() or (found() if self._tree.learn_repeated() else [])
 
-    def _refuse_unknown_base(self, base: str) -> NoReturn:
+    def _frames(self) -> set[str]:
+        """Of transforms, and those that odometry moves."""
         frames = {frame for child, (parent, _) in self._tree.parents.items() for frame in (child, parent)}
         frames |= {frame for edge in self._edges_of_tf().counts for frame in edge}
-        raise UsageError(
-            f"--base-frame {base}: no chosen laser of {self._recording.paths[0]} sits on it; its frames are "
-            f"{', '.join(sorted(frames)) or 'not known'}"
-        )
+        found = [source for of_topic in self._sources.values() for source in of_topic]
+        return frames | {moved_frame(source) for source in found if source.topic.type == ODOMETRY} - {""}
 
     def _edges_of_tf(self) -> Edges:
         if self._edges is None:
@@ -165,7 +165,8 @@ class Vehicle:
         if choice.odom_topic is not None:
             topic = named_topic(self._recording, "--odom-topic", choice.odom_topic, (ODOMETRY, TF))
             if topic.type == ODOMETRY:
-                return sources[topic.name][:1]
+                sources[topic.name] = sources_of(self._recording, topic)[:1]
+                return sources[topic.name]
         elif choice.odom_frame is None:
             if found := choose_one(sources, ODOMETRY, is_own, self._notes):
                 return found

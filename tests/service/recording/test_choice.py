@@ -1,6 +1,7 @@
 """Which topics and frames of a recording of others are used: found, or named by options and config."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from rosbags.typesys.stores import ros2_jazzy as ros
@@ -11,7 +12,15 @@ from service.encoding import Message
 from service.errors import InputError, UsageError
 from service.recording.choice import Choice
 from service.recording.mcap_source import open_session
-from tests.service.recording.sessions import PERIOD_NS, T0_NS, odometry_message, pose_at, scan_message
+from tests.service.recording.sessions import (
+    PERIOD_NS,
+    T0_NS,
+    drive,
+    odometry_message,
+    pose_at,
+    scan_message,
+    write_file,
+)
 from tests.service.recording.test_mcap_source import LEVEL, STORE, Foreign, turn
 
 SCANS = 5
@@ -189,7 +198,7 @@ def test_odometry_in_tf_is_used_beside_an_odometry_where_tf_is_named(foreign):
         ),
         ({"odom_topic": "/wheels"}, r"--odom-topic /wheels: no such topic; .* has /odom .*, /tf_static"),
         ({"imu_topic": "/imu"}, r"--imu-topic /imu: no such topic; .* has no sensor_msgs/msg/Imu"),
-        ({"base_frame": "base"}, r"--base-frame base: no chosen laser .*; its frames are base_link, laser"),
+        ({"base_frame": "base"}, r"--base-frame base: no chosen laser .*; frames in it are base_link, laser"),
         (
             {"odom_frame": "o"},
             r"--odom-frame o: no odometry .*; header.frame_id of its Odometry: odom; edges",
@@ -199,3 +208,13 @@ def test_odometry_in_tf_is_used_beside_an_odometry_where_tf_is_named(foreign):
 def test_a_name_that_is_not_there_is_refused_with_those_that_are(foreign, choice, words):
     with pytest.raises(UsageError, match=words):
         open_session(robot(foreign, "", "/").close(), Choice(**choice))
+
+
+def test_of_a_session_of_ours_topics_are_named_likewise(tmp_path):
+    path = tmp_path / "s.mcap"
+    write_file(path, [*drive(3), *(replace(scan_message(k), channel="rear/scan") for k in range(3))])
+    assert set(open_session([path]).devices) == {"/front/scan", "/rear/scan", "/base/odom"}
+    named = open_session([path], Choice(scan_topics=("/rear/scan",)))
+    assert set(named.devices) == {"/rear/scan", "/base/odom"}
+    with pytest.raises(UsageError, match=r"--base-frame chassis: .* frames in it are base_link, front"):
+        open_session([path], Choice(base_frame="chassis"))
