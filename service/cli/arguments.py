@@ -217,7 +217,8 @@ def _add_view(commands: Any) -> None:
         type=Path,
         nargs="+",
         metavar="RESULT|MAP|FILE",
-        help="the folder of a result or a map, or the files of one recording: any of its moments",
+        help="the folder of a result or a map, the .yaml of a ROS map, or the files of one recording: "
+        "any of its moments",
     )
     _add_listen(view)
     view.add_argument(

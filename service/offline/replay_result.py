@@ -106,6 +106,8 @@ def rewrite_result(folder: Path) -> None:
         with whole_files(out / TRAJECTORY_FILE) as path:
             poses = list(trajectory.poses())
             _write_files(path.parent, poses, result.picture, result.g2o or "", result.geo, result.summary)
+            if trajectory is result.drive.trajectory:  # then to the last digit
+                shutil.copyfile(out / UNEDITED / TRAJECTORY_FILE, path)
     except OSError as error:
         raise StorageError(
             f"version {stored.number} of {folder} is stored; the files beside it cannot be rewritten: "
