@@ -156,7 +156,7 @@ def test_headers_and_depths_of_a_pgm(tmp_path, content, expected):
     assert cells_of(tmp_path, content, "map.pgm") == expected
 
 
-def test_a_yaw_in_the_origin_turns_the_map_and_is_said(tmp_path, caplog):
+def test_a_yaw_in_the_origin_turns_the_map_with_a_warning(tmp_path, caplog):
     """Each wall of a wide room lies where the yaw puts it, to less than a cell."""
     pixels = np.full((60, 90), 254, np.uint8)
     pixels[20, 30] = 0

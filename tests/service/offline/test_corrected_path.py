@@ -34,7 +34,7 @@ def test_in_the_same_map_the_way_is_as_driven(graph, driven):
     np.testing.assert_allclose(way, poses, atol=1e-9)
 
 
-def test_the_way_meets_the_moved_key_frames_and_bends_evenly_between(graph, driven):
+def test_the_path_meets_the_moved_key_frames_and_bends_evenly_between(graph, driven):
     stamp_ns, poses = driven
     moved = graph.map.copy()
     moved[10:] = se2.compose(np.array([0.3, -0.1, 0.04]), graph.map[10:])
