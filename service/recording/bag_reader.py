@@ -101,15 +101,14 @@ class Bag:
         try:
             with Ros1Reader(file.path):
                 return
-        except Exception as error:  # a broken index may fail in any way inside the library
+        except Exception:  # a broken index may fail in any way inside the library
             try:
                 scan = scan_bag(file.path)
             except (OSError, ValueError, ReaderError):
                 return  # what is wrong with it is found again, and said, when it is read
             if scan.messages:
                 self._scans[file.path] = scan
-                why = str(error).rstrip(".") or type(error).__name__
-                self.losses.append(f"{file.given} was not closed or is damaged ({why}): {scan}")
+                self.losses.append(f"{file.given} was not closed, or is cut off or damaged: {scan}")
 
     @contextmanager
     def _reading(self, file: Unpacked) -> Iterator[Ros1Reader | Ros2Reader]:

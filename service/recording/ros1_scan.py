@@ -54,7 +54,7 @@ class Scan:
             lost.append(f"{counted(self.orphans, 'message')} of a topic whose definition is lost")
         if self.cut_bytes:
             lost.append(f"{counted(self.cut_bytes, 'byte')} that are cut off at its end")
-        return f"{found} were read without an index; lost: {', '.join(lost) or 'nothing'}"
+        return f"{found} were read without its index; lost: {', '.join(lost) or 'nothing'}"
 
 
 class ScannedReader(Reader):

@@ -69,7 +69,7 @@ def test_a_bag_that_was_never_closed_is_read_up_to_where_its_writer_died(name, c
     assert sum(topic.count for topic in recording.topics) == len(read)
     assert (recording.first_log_ns, recording.last_log_ns) == (read[0].log_ns, read[-1].log_ns)
     (loss,) = recording.losses
-    assert f"{path} was not closed or is damaged (Bag is not indexed" in loss
+    assert f"{path} was not closed, or is cut off or damaged: " in loss
     assert f"{len(read)} messages of " in loss
     assert "bytes that are cut off at its end" in loss
     assert path.read_bytes() == before
@@ -82,7 +82,7 @@ def test_every_whole_message_of_an_open_chunk_is_read(tmp_path):
     recording = open_recording([tmp_path / "killed.bag"])
     assert [m.payload for m in recording.messages()] == [m.payload for m in DRIVE]
     assert recording.losses[0].endswith(
-        f"{len(DRIVE)} messages of {len(chunks(whole))} chunks were read without an index; lost: nothing"
+        f"{len(DRIVE)} messages of {len(chunks(whole))} chunks were read without its index; lost: nothing"
     )
 
 
