@@ -180,7 +180,9 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, Reason]:
     if evidence.sigma[0] > LOST_SIGMA_M or evidence.sigma[1] > LOST_SIGMA_RAD:
         most = LOST_SIGMA_M, LOST_SIGMA_RAD
         return "lost", _pose_uncertain(evidence, most)
-    if ratio < limits.degraded_ratio:
+    if ratio < limits.degraded_ratio and not (
+        is_carried and can_contradict and ratio >= limits.lost_ratio and _is_borne_out(evidence)
+    ):
         return "degraded", Reason(
             "little_on_map",
             f"{_on_map(evidence)} (expected {limits.degraded_ratio:.0%}): unmapped ground, or a place that "
@@ -201,7 +203,7 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, Reason]:
         return "degraded", Reason(
             "open_direction",
             "the scan does not fix the position along the direction "
-            f"{math.degrees(direction_rad) % 180.0:.0f} deg from the vehicle's heading (sigma {sigma}, "
+            f"{round(math.degrees(direction_rad)) % 180} deg from the vehicle's heading (sigma {sigma}, "
             f"expected at most {limits.degraded_sigma_m:g} m); there the pose follows the prediction",
         )
     return "ok", NO_REASON
@@ -215,6 +217,11 @@ def _on_unknown_ground(evidence: Evidence) -> tuple[State, Reason]:
         return "lost", _contradicted(evidence)
     words = f"{_on_map(evidence)}: unmapped ground; the pose follows the prediction onto it"
     return "degraded", Reason("new_ground", words)
+
+
+def _is_borne_out(evidence: Evidence) -> bool:
+    """Whether the returns on the map confirm the pose, and those that are not on it lie on new ground."""
+    return evidence.on_map >= LEAST_CONFIRMING and not is_contradicted(evidence)
 
 
 def is_contradicted(evidence: Evidence) -> bool:

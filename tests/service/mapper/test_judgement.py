@@ -69,6 +69,28 @@ def test_once_a_scan_has_contradicted_the_map_walls_that_should_be_seen_count() 
     assert state(back, behind=90, is_doubted=True) == "degraded"
 
 
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, "ok"),
+        ({"behind": 90}, "ok"),
+        ({"behind": 91}, "degraded"),  # 15 % and two sigma of 500
+        ({"on_map": 149}, "degraded"),  # below the ratio at which a match is none without odometry
+        ({"used": 60, "on_map": 25}, "ok"),
+        ({"used": 45, "on_map": 19}, "degraded"),  # returns that confirm no place
+        ({"is_measured": False}, "degraded"),
+        ({"is_doubted": True}, "degraded"),
+        ({"prior": (0.6, 0.01)}, "degraded"),
+        ({"sigma": (0.16, 0.01)}, "degraded"),
+        ({"weakest": (0.2, 0.0)}, "degraded"),
+    ],
+)
+def test_new_ground_beside_walls_that_fix_the_pose_is_ok_where_nothing_contradicts(
+    changes: dict[str, object], expected: str
+) -> None:
+    assert state(replace(GOOD, on_map=215, in_free=0, behind=0), **changes) == expected
+
+
 def test_a_handful_of_returns_confirms_no_place() -> None:
     assert state(GOOD, used=20, on_map=20, in_free=0) == "ok"
     few, reason = judge(replace(GOOD, used=19, on_map=19, in_free=0), RATIOS)
@@ -119,6 +141,15 @@ def test_a_sigma_that_measures_nothing_is_not_told_as_a_number(much: float) -> N
         "uncertain by 0.80 m and 0.6 deg (sigma, expected at most 0.75 m and 20 deg)"
         in (judge(replace(GOOD, sigma=(0.8, 0.01)), RATIOS)[1])
     )
+
+
+@pytest.mark.parametrize(
+    ("direction_deg", "axis"),
+    [(0.0, "0"), (0.4, "0"), (179.6, "0"), (180.0, "0"), (-0.3, "0"), (-1.0, "179"), (270.0, "90")],
+)
+def test_an_open_direction_is_an_axis_with_one_name(direction_deg: float, axis: str) -> None:
+    reason = judge(replace(GOOD, weakest=(0.2, math.radians(direction_deg))), RATIOS)[1]
+    assert f"the direction {axis} deg from" in reason
 
 
 def test_a_scan_without_returns_is_lost() -> None:
