@@ -257,7 +257,7 @@ class Vehicle:
         return list(dict.fromkeys([*filter(None, moved), *BASE_FRAMES, *above]))
 
     def _of_cloud(self, source: Source, bases: Sequence[str]) -> tuple[Mounting, Converter]:
-        """A cloud is turned level: its device may sit tilted as it likes."""
+        """A 3-D cloud is turned level: its device may sit tilted as it likes. Raises MountingError."""
         above = self._tree.chain(source.frame)
         base = next((base for base in bases if base in above), None)
         if base is None and self._tree.learn_repeated():
@@ -265,7 +265,9 @@ class Vehicle:
         matrix = above[base] if base is not None else None
         converter = CloudConverter(self._choice, matrix)
         converter.scan(source.head.payload, "", 0)  # judges whether the laser is planar
-        if not converter.is_planar:
+        if converter.is_planar:
+            planar_mounting(self._tree, bases, source.frame)  # refuses what is tilted
+        else:
             where = "of its own height" if matrix is None else f"above {base}"
             self._notes.append(
                 f"{source}: 3-D points from {converter.z_min_m:g} to {converter.z_max_m:g} m {where} count"

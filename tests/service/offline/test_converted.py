@@ -13,6 +13,7 @@ from drivers.frames import LaserScan
 from service import encoding
 from service.cli import main
 from service.encoding import Message
+from service.errors import InputError
 from service.offline.replay import replay
 from service.offline.replay_setup import ReplayOptions
 from service.offline.replayed_moments import ReplayedMoments
@@ -20,6 +21,7 @@ from service.recording.choice import Choice
 from service.recording.mcap_source import open_session
 from tests.service.recording.bags import write_ros1, write_ros2
 from tests.service.recording.sessions import drive
+from tests.service.recording.test_mcap_source import Foreign, turn
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 SCANS = 25
@@ -141,3 +143,17 @@ def test_a_page_shows_the_scans_of_a_bag_at_any_moment(change, tmp_path: Path):
         (shown,) = moments.at(int(stamp_ns[k])).scans
         assert shown.stamp_ns == scans[k].stamp_ns
         np.testing.assert_array_equal(shown.range_m, scans[k].range_m)
+
+
+@pytest.mark.parametrize("heights_m", [(0.0,), (-2.0, 2.0)], ids=["planar", "3-D"])
+def test_of_tilted_devices_only_a_3_d_one_is_mapped(heights_m: tuple[float, ...], tmp_path: Path):
+    clouds = [as_cloud(m, heights_m) for m in DRIVE if m.type == encoding.LASER_SCAN]
+    foreign = Foreign(tmp_path / "tilted.mcap").tf(("base_link", "front", (0.0, 0.0, 1.0), turn(pitch=20.0)))
+    for m in clouds:
+        foreign.add_message("/points", m)
+    paths = foreign.close()
+    if len(heights_m) == 1:
+        with pytest.raises(InputError, match="tilted by 20 deg against base_link; at most 10 can be mapped"):
+            open_session(paths)
+    else:
+        assert open_session(paths).scan_counts == {"points": SCANS}
