@@ -59,5 +59,5 @@ def test_a_range_max_that_is_not_set_leaves_the_echoes():
 
 def test_a_scan_without_beams_is_not_used_and_other_bytes_are_refused():
     assert scan_of_echoes(payload([], []), "front", STAMP_NS) is None
-    with pytest.raises(InputError, match="are not a sensor_msgs/msg/MultiEchoLaserScan"):
+    with pytest.raises(InputError, match="bytes cannot be read as a sensor_msgs/msg/MultiEchoLaserScan"):
         scan_of_echoes(payload(BEAMS, [])[:70], "front", STAMP_NS)

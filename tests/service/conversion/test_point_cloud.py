@@ -264,7 +264,7 @@ def test_a_cloud_with_less_data_than_it_claims_is_not_used_and_bytes_are_refused
             setattr(content, name, value)
         damaged = bytes(STORE.serialize_cdr(content, encoding.POINT_CLOUD))
         assert CloudConverter(ANY, LEVEL).scan(damaged, "front", LOG_NS) is None, change
-    with pytest.raises(InputError, match="are not a sensor_msgs/msg/PointCloud2"):
+    with pytest.raises(InputError, match="bytes cannot be read as a sensor_msgs/msg/PointCloud2"):
         CloudConverter(ANY, LEVEL).scan(payload[:100], "front", LOG_NS)
 
 
