@@ -21,6 +21,7 @@ _COMMANDS = {
     "import": ("service.cli.sessions", "import_log"),
     "recover": ("service.cli.sessions", "recover"),
     "export": ("service.cli.sessions", "export"),
+    "report": ("service.cli.sessions", "report"),
     "view": ("service.cli.sessions", "view"),
     "score": ("service.cli.sessions", "score"),
     "calibrate": ("service.cli.calibration", "calibrate"),

@@ -46,6 +46,7 @@ def new_parser() -> Parser:
     _add_replay(commands)
     _add_import(commands)
     _add_export(commands)
+    _add_report(commands)
     _add_calibrate(commands)
     _add_view(commands)
     _add_score(commands)
@@ -158,6 +159,14 @@ def _add_replay(commands: Any) -> None:
         help="show the map on the operator's page as it grows, until Ctrl-C; the result is the same",
     )
     add_choice(replay)
+    replay.add_argument(
+        "--report",
+        action="append_const",
+        dest="extras",
+        const="report",
+        default=[],
+        help="write report.html, too: the result as one page with pictures",
+    )
     replay.add_argument("--paused", action="store_true", help="with --web: begin when the page says so")
     _add_listen(replay)
 
@@ -186,6 +195,18 @@ def _add_export(commands: Any) -> None:
     export.add_argument("input", type=Path, metavar="INPUT")
     export.add_argument("--format", choices=FORMATS, required=True)
     export.add_argument("--out", type=Path, required=True, metavar="PATH")
+
+
+def _add_report(commands: Any) -> None:
+    report = _add(
+        commands,
+        "report",
+        "a replay's folder as one HTML page: map, path, states, loops, sensors, warnings",
+    )
+    report.add_argument("result", type=Path, metavar="RESULT")
+    report.add_argument(
+        "--out", type=Path, metavar="FILE.html", help="write it here (default: report.html in the folder)"
+    )
 
 
 def _add_calibrate(commands: Any) -> None:

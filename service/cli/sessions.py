@@ -48,7 +48,7 @@ def replay(parsed: argparse.Namespace) -> int:
         print(f"results go to {' and '.join(map(str, folders))}; --out names another folder", file=sys.stderr)
     with _page_of(parsed, sessions) as page:
         with progress("mapping") as shown:
-            outcomes = replay_all(sessions, options, folders, parsed.jobs, shown, page)
+            outcomes = replay_all(sessions, options, folders, parsed.jobs, shown, page, parsed.extras)
         failed = [outcome for outcome in outcomes if isinstance(outcome, CorridorError)]
         if failed and len(sessions) == 1:
             raise failed[0]
@@ -166,6 +166,15 @@ def export(parsed: argparse.Namespace) -> int:
 
     export_file(parsed.input, parsed.format, parsed.out)
     print_result({"input": str(parsed.input), "format": parsed.format, "out": str(parsed.out)}, parsed.json)
+    return 0
+
+
+def report(parsed: argparse.Namespace) -> int:
+    from service.offline.report import REPORT_FILE, write_report
+
+    out: Path = parsed.out or parsed.result / REPORT_FILE
+    missing = write_report(parsed.result, out)
+    print_result({"result": str(parsed.result), "out": str(out), "missing": missing}, parsed.json)
     return 0
 
 

@@ -51,6 +51,21 @@ def scale_bar_m(width_m: float, share: float = BAR_SHARE) -> float:
     return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= most)
 
 
+def known_part(picture: Picture, margin: int = MARGIN) -> Picture:
+    """The part of a map that is known, with so many pixels around."""
+    left, right, top, bottom = _known(picture)
+    first_row, first_column = top - margin, left - margin
+    rows, width = bottom - top + 2 * margin, right - left + 2 * margin
+    return Picture(
+        width,
+        rows,
+        picture.cell_m,
+        picture.x_min_m + first_column * picture.cell_m,
+        picture.y_min_m + (picture.height - first_row - rows) * picture.cell_m,
+        lambda: _cut(picture, first_row, rows, first_column, width),
+    )
+
+
 def annotated(picture: Picture, ways: Sequence[Floats] = ()) -> Picture:
     """The part of a map that is known, with marks; to be written with PALETTE.
 

@@ -23,6 +23,19 @@ def map_loops(folder: Path, version: int | None = None) -> dict[str, Any]:
     graph = stored.graph
     if graph is None:
         raise InputError(f"{folder}: this map holds what was shown, not what it was made of: it has no loops")
+    accepted, refused = loops_of(graph)
+    return {
+        "map": str(folder),
+        "version": stored.number,
+        "accepted": accepted,
+        "refused": refused,
+        "pairs": pairs_of(graph),
+        "problems": stored.problems,
+    }
+
+
+def loops_of(graph: SavedGraph) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Those that hold it together, and those that were measured and are not accepted."""
     refused = graph.refused
     accepted = _told(
         graph, graph.loop_ends, graph.loop_measured, graph.loop_score, graph.loop_points, graph.loop_against
@@ -30,17 +43,13 @@ def map_loops(folder: Path, version: int | None = None) -> dict[str, Any]:
     not_accepted = _told(
         graph, refused.ends, refused.measured, refused.score, refused.points, refused.against
     )
-    return {
-        "map": str(folder),
-        "version": stored.number,
-        "accepted": [{"loop": k, **told} for k, told in enumerate(accepted)],
-        "refused": [
+    return (
+        [{"loop": k, **told} for k, told in enumerate(accepted)],
+        [
             {"why": WORDS[reason], **told}
             for reason, told in zip(refused.reason.tolist(), not_accepted, strict=True)
         ],
-        "pairs": pairs_of(graph),
-        "problems": stored.problems,
-    }
+    )
 
 
 def loops_table(loops: dict[str, Any]) -> list[list[str]]:

@@ -3,7 +3,7 @@
 import itertools
 import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, replace
 from functools import partial
@@ -20,9 +20,10 @@ from service.kernel_warm_up import warm_up as warm_up_kernels
 from service.mapstore.begin_in import begin_in
 from service.offline.pace import Unwatched, Watch
 from service.offline.raw_replay import FROM_RAW, remake_frames
-from service.offline.replay_result import Replay, write_replay
+from service.offline.replay_result import Extra, Replay, write_replay
 from service.offline.replay_run import MAPPING, Progress, ReplayRun
 from service.offline.replay_setup import ReplayOptions, choice_of, set_up
+from service.offline.report import REPORT_FILE, write_report
 from service.offline.state_reasons import doubts
 from service.offline.warned import Warned
 from service.offline.writing import refuse_unwritable_folder
@@ -92,6 +93,7 @@ def replay_all(
     jobs: int,
     progress: Progress,
     watch: Watch | None = None,
+    extras: Collection[Extra] = (),
 ) -> list[Outcome]:
     """Replay each session and write what `write_replay` says to its folder; their outcomes, in order. One
     that fails keeps none of the others back.
@@ -100,14 +102,14 @@ def replay_all(
     """
     if jobs == 1 or len(sessions) == 1:
         return [
-            _try_replay_to(session, options, folder, _part_of(progress, k, len(sessions)), watch)
+            _try_replay_to(session, options, folder, extras, _part_of(progress, k, len(sessions)), watch)
             for k, (session, folder) in enumerate(zip(sessions, folders, strict=True))
         ]
     # spawn: a forked child would inherit locks of numba's and of threads that it does not have
     with ProcessPoolExecutor(min(jobs, len(sessions)), mp_context=get_context("spawn")) as pool:
         with children_do_not_hear():
             futures = [
-                pool.submit(_try_replay_to, session, options, folder)
+                pool.submit(_try_replay_to, session, options, folder, extras)
                 for session, folder in zip(sessions, folders, strict=True)
             ]
         for done, _ in enumerate(as_completed(futures), start=1):
@@ -170,12 +172,15 @@ def _replay_to(
     session: Sequence[Path],
     options: ReplayOptions,
     out: Path,
+    extras: Collection[Extra],
     progress: Progress = lambda share, phase: None,
     watch: Watch | None = None,
 ) -> dict[str, Any]:
     refuse_unwritable_folder(out)
     done = replay(session, options, progress, watch)
-    write_replay(done, out)
+    write_replay(done, out, extras)
+    if "report" in extras:
+        write_report(out, out / REPORT_FILE)
     return done.summary
 
 

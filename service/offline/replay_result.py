@@ -2,11 +2,11 @@
 
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
 from service.offline.geo_export import Poses, write_world_file
 from service.offline.map_change_file import CHANGES_FILE, write_changes
+from service.offline.report import REPORT_FILE
 from service.offline.result import (
     FIRST_VERSION,
     GRAPH_FILE,
@@ -40,6 +41,8 @@ from service.offline.trajectory import write_tum
 from service.offline.writing import whole_files
 from service.outputs import MapperOutput, TileUpdate
 
+Extra = Literal["report"]  # what is written only where it is asked for
+
 
 @dataclass(slots=True)
 class Replay:
@@ -47,6 +50,8 @@ class Replay:
 
     outputs: list[MapperOutput]  # as they would have been published
     lasers: list[str]  # whose scan each output answers
+    poses_base_sensor: Mapping[str, SE2]
+    upside_down: frozenset[str]  # sensors that are mounted so
     poses_map_base: list[SE2]  # of each output, by all that was known in the end
     tiles: list[TileUpdate]  # of the map at the end; after a reset, of the newest
     g2o: str  # its graph; "" where the profile has none
@@ -58,7 +63,7 @@ class Replay:
     session: SavedGraph | None = None  # key frames of that map and of the drive behind them; None likewise
 
 
-def write_replay(done: Replay, out: Path) -> None:
+def write_replay(done: Replay, out: Path, extras: Collection[Extra] = ()) -> None:
     """trajectory.tum, trajectory_live.tum, states.csv, map.pgm + map.yaml, map.png, graph.g2o, geo.json,
     summary.json, and map/, the map as it is stored: `--map` and map.load begin in it. Where it was localised
     in a stored map, changes.csv: what has changed since.
@@ -76,7 +81,7 @@ def write_replay(done: Replay, out: Path) -> None:
         live = [pose_on_wire(output.pose_map_base) for output in done.outputs]
         write_tum(out / "trajectory_live.tum", zip(stamps, live, strict=True))
         write_states(out / STATES_FILE, done.outputs, done.lasers)
-        for name in (GRAPH_FILE, GEO_FILE, "map.pgw", "map.png.aux.xml"):
+        for name in (GRAPH_FILE, GEO_FILE, "map.pgw", "map.png.aux.xml", REPORT_FILE):
             (out / name).unlink(missing_ok=True)
         shutil.rmtree(out / UNEDITED, ignore_errors=True)
         poses = list(zip(stamps, map(pose_on_wire, done.poses_map_base), strict=True))

@@ -1,6 +1,7 @@
 """One recording through the mapper, step by step, as the live service took the same steps."""
 
 import logging
+import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
@@ -37,6 +38,7 @@ from service.offline.profile_switches import ProfileSwitches
 from service.offline.replay_figures import ComponentTimes, peak_rss_mb, percentiles_ms
 from service.offline.replay_result import Replay
 from service.offline.replay_setup import ReplaySetup
+from service.offline.sensor_rates import SensorRates
 from service.offline.state_reasons import StateReasons
 from service.outputs import STATES, MapperOutput, TileUpdate
 from service.recording.mcap_source import Session
@@ -85,6 +87,7 @@ class ReplayRun:
         self._scan_cpu_ns: list[int] = []
         self._states: Counter[str] = Counter()
         self._reasons = StateReasons()
+        self._rates = SensorRates()
         self._outputs: list[MapperOutput] = []
         self._returns = 0  # beams of the mapped scans that came back
         self._output_lasers: list[str] = []  # whose scan each of them answers
@@ -116,6 +119,7 @@ class ReplayRun:
                 case GraphRequest():
                     self._request(step)
                 case frame:
+                    self._rates.add(frame)
                     self._take(frame)
         self._progress(1.0, MAPPING)
         self._finish_map()
@@ -199,6 +203,8 @@ class ReplayRun:
         return Replay(
             outputs=self._outputs,
             lasers=self._output_lasers,
+            poses_base_sensor=self._setup.poses_base_sensor,
+            upside_down=self._session.upside_down,
             poses_map_base=self._poses,
             tiles=self._tiles,
             g2o=self._g2o,
@@ -216,6 +222,7 @@ class ReplayRun:
         summary = {
             "corridor": VERSION,
             "profile": self._switches.present.profile,
+            "recording": [Path(path).name for path in self._recording.paths],
             "scans": len(outputs),
             "scans_dropped": _dropped(self._session, self._mapper),
             "scans_not_mapped": counters["scans_not_mapped"],
@@ -247,9 +254,18 @@ class ReplayRun:
                 if name.startswith("fixes_")
             },
             "geo_reference": None if self._geo is None else self._geo.as_dict(),
+            "sensors": self._rates.as_dict(outputs[0].stamp_ns),
+            "mountings": {name: _as_mounting(pose) for name, pose in self._setup.poses_base_sensor.items()},
+            "mapping": self._switches.present.model_dump(mode="json"),
         }
         summary |= self._switches.as_dict()
         return summary if changes is None else summary | {"map_changes": changes.as_dict()}
+
+
+def _as_mounting(pose: SE2) -> dict[str, float]:
+    """As in a config."""
+    yaw_deg = math.degrees(pose.theta_rad)
+    return {"x_m": round(pose.x_m, 4), "y_m": round(pose.y_m, 4), "yaw_deg": round(yaw_deg, 3)}
 
 
 def _dropped(session: Session, mapper: MappingSession) -> int:

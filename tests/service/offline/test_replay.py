@@ -208,13 +208,13 @@ def test_the_summary_counts_what_happened(record_drive: RecordDrive):
     done = replay([record_drive(late=True)], ReplayOptions())
     summary = done.summary
     assert list(summary) == [
-        "corridor", "profile", "scans", "scans_dropped", "scans_not_mapped", "scans_passed_over",
+        "corridor", "profile", "recording", "scans", "scans_dropped", "scans_not_mapped", "scans_passed_over",
         "scans_paused", "scans_before_odometry", "samples_dropped", "covariances_ignored", "unmounted",
         "shared_topics", "duration_s", "wall_s", "realtime_factor", "scan_ms", "scan_cpu_ms",
         "stage_ms_p50",
         "loop_closures", "keyframes", "peak_rss_mb", "map_tiles", "map_resets", "state",
         "state_reasons", "fixes",
-        "geo_reference", "warnings",
+        "geo_reference", "sensors", "mountings", "mapping", "warnings",
     ]  # fmt: skip
     assert (summary["scans"], summary["scans_dropped"]) == (40, 1)
     assert summary["duration_s"] == pytest.approx(39 * 0.02)

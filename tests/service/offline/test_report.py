@@ -1,0 +1,222 @@
+import json
+import re
+import shutil
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.cli import main
+from service.errors import InputError
+from service.mapstore.picture import Picture
+from service.offline.map_edit import edit_map, erase
+from service.offline.replay import ReplayOptions, replay, replay_all, write_replay
+from service.offline.report import REPORT_FILE, write_report
+from service.offline.report.charts import clock
+from service.offline.report.map_figure import _coarser
+from service.offline.report.markup import Markup, tag
+from tests.service.offline.test_replay import RecordDrive, record_drive  # noqa: F401 - a fixture
+
+NASTY = "<script>alert(1)</script><img src=x onerror=alert(2)>\"'&"
+
+
+class Page(HTMLParser):
+    """What of a page counts here: its elements, their attributes, and the text that people read."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self._words: list[str] = []
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        if self.tags and self.tags[-1][0] != "style":
+            self._words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self._words).split())
+
+    def count(self, name: str, kind: str) -> int:
+        """Elements of a name that have a class."""
+        return sum(tag == name and kind in (of.get("class") or "").split() for tag, of in self.tags)
+
+
+def page_of(folder: Path) -> Page:
+    write_report(folder, folder / REPORT_FILE)
+    return Page((folder / REPORT_FILE).read_text(encoding="utf-8"))
+
+
+@pytest.fixture
+def result(record_drive: RecordDrive, tmp_path: Path) -> Path:  # noqa: F811
+    """Of 40 scans, six of them without a return."""
+    done = replay([record_drive(covered=range(20, 26))], ReplayOptions())
+    write_replay(done, tmp_path / "out")
+    return tmp_path / "out"
+
+
+def change_summary(result: Path, **values: object) -> None:
+    path = result / "summary.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | values))
+
+
+def test_a_page_shows_map_path_states_sensors_warnings_and_settings(result: Path):
+    assert write_report(result, result / REPORT_FILE) == []
+    page = page_of(result)
+    (image,) = [of for name, of in page.tags if name == "image"]
+    assert image["href"].startswith("data:image/png;base64,iVBORw0KGgo")
+    assert page.count("polyline", "way") > 0
+    assert page.count("polyline", "halo") > 0
+    assert page.count("rect", "ok") >= 2  # before and after the scans without returns
+    assert page.count("rect", "frames") == 2
+    for words in (
+        "v_20231114T221320Z_0001.mcap",
+        "14 November 2023, 22:13:20 UTC",
+        "few_returns",
+        "0 of 271 beams returned",
+        "base odom 40 50 0",  # frames, rate and gaps
+        "front scan 40 50 0",
+        "profile corridor",
+        "matcher",
+        "2 warnings",
+    ):
+        assert words in page.text
+
+
+def test_nothing_of_a_page_is_fetched_or_run(result: Path):
+    page = page_of(result)
+    assert not {"script", "link", "iframe"} & {name for name, _ in page.tags}
+    for _, attributes in page.tags:
+        assert not any(name.startswith("on") for name in attributes)
+        assert not any(
+            (attributes.get(name) or "").startswith(("http:", "https:", "//")) for name in ("href", "src")
+        )
+    html = (result / REPORT_FILE).read_text(encoding="utf-8")
+    assert "@import" not in html
+    assert "url(" not in html
+    (policy,) = [of for _, of in page.tags if of.get("http-equiv") == "Content-Security-Policy"]
+    assert (policy["content"] or "").startswith("default-src 'none'")
+
+
+def test_texts_of_a_recording_are_texts(result: Path):
+    summary = json.loads((result / "summary.json").read_text())
+    change_summary(
+        result,
+        profile=NASTY,
+        recording=[NASTY],
+        warnings=[NASTY],
+        sensors={f"{NASTY}/scan": summary["sensors"]["front/scan"]},
+        mapping={NASTY: NASTY},
+        state_reasons={NASTY: [{"id": NASTY, "reason": NASTY, "scans": 1, "first_s": 0.0}]},
+    )
+    states = (result / "states.csv").read_text()
+    (result / "states.csv").write_text(states.replace("few_returns", "<b>few"))
+    page = page_of(result)
+    assert not {"script", "img"} & {name for name, _ in page.tags}
+    assert page.text.count(NASTY) >= 5
+    assert "<b>few" in page.text
+
+
+def test_an_older_result_says_what_it_does_not_hold(result: Path):
+    (result / "states.csv").unlink()
+    shutil.rmtree(result / "map")
+    summary = json.loads((result / "summary.json").read_text())
+    old = {"profile": "corridor", "scans": 40, "state": summary["state"], "state_reasons": {}, "lost": 1}
+    (result / "summary.json").write_text(json.dumps(old))
+    missing = write_report(result, result / REPORT_FILE)
+    assert [line.split(":")[0] for line in missing] == [
+        "sigma and states over time",
+        "errors of the loops",
+        "rates and gaps of the sensors",
+        "settings",
+        "warnings",
+    ]
+    page = page_of(result)
+    assert all(line in page.text for line in missing)
+    assert page.count("polyline", "way") == 1
+    assert page.count("image", "cells") == 1  # that of map.yaml
+
+
+def test_an_edit_of_the_map_is_in_the_page(result: Path):
+    before = page_of(result)
+    walls = [of["href"] for name, of in before.tags if name == "image"]
+    corners = (4.0, -4.0, 8.0, -4.0, 8.0, 4.0, 4.0, 4.0)
+    edit_map(result / "map", "erase", erase(corners, is_free=False), "me", now_ns=1)
+    after = page_of(result)
+    assert [of["href"] for name, of in after.tags if name == "image"] != walls
+    assert "map as edited: " in after.text
+
+
+@pytest.mark.parametrize(
+    ("summary", "fault"),
+    [
+        ("[]", "expected a JSON object"),
+        ("{", "summary.json"),
+        ('{"scans": "many"}', "summary.json: scans: Input should be a valid integer"),
+        (
+            '{"sensors": {"front/scan": {"rate_hz": 1}}}',
+            r"summary.json: sensors.front/scan.frames: Field",
+        ),
+        ('{"duration_s": NaN}', "summary.json: duration_s"),
+    ],
+)
+def test_a_damaged_summary_is_bad_input(result: Path, summary: str, fault: str):
+    (result / "summary.json").write_text(summary)
+    with pytest.raises(InputError, match=fault):
+        write_report(result, result / REPORT_FILE)
+
+
+def test_a_folder_of_no_replay_is_bad_input(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    assert main(["report", str(tmp_path)]) == 65
+    assert "is not the folder of a replay; corridor replay" in capfd.readouterr().err
+
+
+def test_the_same_result_gives_the_same_bytes_also_at_the_end_of_a_replay(
+    record_drive: RecordDrive,  # noqa: F811
+    tmp_path: Path,
+):
+    (summary,) = replay_all(
+        [[record_drive()]], ReplayOptions(), [tmp_path / "out"], 1, lambda *_: None, extras=["report"]
+    )
+    assert isinstance(summary, dict)
+    written = (tmp_path / "out" / REPORT_FILE).read_bytes()
+    write_report(tmp_path / "out", tmp_path / "out" / REPORT_FILE)
+    assert (tmp_path / "out" / REPORT_FILE).read_bytes() == written
+
+
+def test_the_command_says_where_the_page_is(result: Path, capfd: pytest.CaptureFixture[str]):
+    page = result.with_name("page.html")
+    assert main(["report", str(result), "--out", str(page), "--json"]) == 0
+    assert json.loads(capfd.readouterr().out) == {"result": str(result), "out": str(page), "missing": []}
+    assert "summary.json</a>" not in page.read_text(encoding="utf-8")  # no links to what is not beside it
+
+
+def test_walls_stay_where_a_large_map_is_shown_coarser(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("service.offline.report.map_figure.MOST_PIXELS", 4)
+    pixels = np.full((5, 7), 254, np.uint8)
+    pixels[4, 6] = pixels[0, 1] = 0
+    shown = _coarser(Picture(7, 5, 0.05, 1.0, 2.0, lambda: iter((pixels[:3], pixels[3:]))))
+    assert (shown.width, shown.height, shown.cell_m) == (4, 3, 0.1)
+    coarse = np.concatenate(list(shown.bands()))
+    assert np.argwhere(coarse == 0).tolist() == [[0, 0], [2, 3]]
+    assert shown.y_min_m + shown.height * shown.cell_m == pytest.approx(2.0 + 5 * 0.05)
+
+
+def test_what_is_no_markup_is_escaped():
+    assert tag("p", "<b>", Markup("<i></i>"), title='"') == '<p title="&quot;">&lt;b&gt;<i></i></p>'
+
+
+def test_times_read_as_on_a_clock():
+    assert [clock(s) for s in (5.4, 59.6, 750, 3723)] == ["0:05", "1:00", "12:30", "1:02:03"]
+
+
+def test_the_colours_are_those_of_the_operators_page(result: Path):
+    page_of(result)
+    html = (result / REPORT_FILE).read_text(encoding="utf-8")
+    light, dark = re.findall(r"--map-free: (#\w+);", html)
+    assert light != dark
+    assert html.index("prefers-color-scheme: dark") < html.index(f"--map-free: {dark}")
