@@ -160,11 +160,18 @@ def _add_replay(commands: Any) -> None:
     )
     add_choice(replay)
     replay.add_argument(
+        "--mcap",
+        action="append_const",
+        dest="extras",
+        const="mcap",
+        default=[],
+        help="write session.mcap, too: poses, map, loops and states for Foxglove and rerun",
+    )
+    replay.add_argument(
         "--report",
         action="append_const",
         dest="extras",
         const="report",
-        default=[],
         help="write report.html, too: the result as one page with pictures",
     )
     replay.add_argument("--paused", action="store_true", help="with --web: begin when the page says so")

@@ -25,6 +25,7 @@ from service.encoding.graph import GRAPH, decode_graph, encode_graph
 from service.encoding.outputs import (
     CHANGES,
     ERROR,
+    LEVEL_OF_STATE,
     OK,
     STALE,
     STANDING,
@@ -90,6 +91,7 @@ __all__ = [
     "GRAPH",
     "IMU",
     "LASER_SCAN",
+    "LEVEL_OF_STATE",
     "MAP_FRAME",
     "MARKERS",
     "MULTI_ECHO_SCAN",

@@ -12,12 +12,13 @@ from service.encoding import ros_messages as ros
 from service.encoding.wire import FloatArray, Message
 from service.errors import InputError
 from service.geometry.se2 import SE2
-from service.outputs import Grid, MapperOutput, TileUpdate
+from service.outputs import Grid, MapperOutput, State, TileUpdate
 
 ANY_HEADING = math.pi**2 / 3.0  # rad^2, variance of a heading of which nothing is known
 
 
 OK, WARNING, ERROR, STALE = 0, 1, 2, 3  # levels of diagnostic_msgs/DiagnosticStatus
+LEVEL_OF_STATE: Mapping[State, int] = {"ok": OK, "degraded": WARNING, "lost": ERROR}
 TILES = "map/tile"  # begin of the channels of tiles
 CHANGES = "map/changes"  # the channel: what is not as a stored map says, see service.mapper.map_changes
 STANDING = "standing"  # the channel: for how long things stand, see service.mapper.maps.standing

@@ -18,7 +18,7 @@ from drivers.counted import counted
 from drivers.frames import LaserScan
 from service.encoding import (
     CHANGES,
-    ERROR,
+    LEVEL_OF_STATE,
     OK,
     STANDING,
     WARNING,
@@ -56,7 +56,6 @@ STATUS_S = 0.5
 TILES_S = 0.5
 LEAST_REST = 20.0  # looking at all tiles may take a share of 1 / LEAST_REST of the time
 VERBS = ("replay_pause", "replay_resume", "replay_rate", "replay_go_to")
-_LEVELS = {"ok": OK, "degraded": WARNING, "lost": ERROR}
 
 
 class NothingAsked(BaseModel):
@@ -261,7 +260,7 @@ class ReplayPage:
                 f"{counted(int(values['loop_closures']), 'loop')} closed"
             )
             return Status("mapping", OK, words, values | {"state": "finished"})
-        return Status("mapping", _LEVELS[state], self._output.reason or state, values)
+        return Status("mapping", LEVEL_OF_STATE[state], self._output.reason or state, values)
 
     def _replay_status(self, session: Session) -> Status:
         recording, pace = session.recording, self._pace

@@ -36,12 +36,13 @@ from service.offline.result import (
     UNEDITED,
     open_result,
 )
+from service.offline.result_session import RESULT_SESSION, write_result_session
 from service.offline.states_file import STATES_FILE, write_states
 from service.offline.trajectory import write_tum
 from service.offline.writing import whole_files
 from service.outputs import MapperOutput, TileUpdate
 
-Extra = Literal["report"]  # what is written only where it is asked for
+Extra = Literal["mcap", "report"]  # what is written only where it is asked for
 
 
 @dataclass(slots=True)
@@ -66,7 +67,7 @@ class Replay:
 def write_replay(done: Replay, out: Path, extras: Collection[Extra] = ()) -> None:
     """trajectory.tum, trajectory_live.tum, states.csv, map.pgm + map.yaml, map.png, graph.g2o, geo.json,
     summary.json, and map/, the map as it is stored: `--map` and map.load begin in it. Where it was localised
-    in a stored map, changes.csv: what has changed since.
+    in a stored map, changes.csv: what has changed since. With the extra "mcap", session.mcap.
 
     There is no graph.g2o where the profile has no graph. Where fixes do not anchor the map there is no
     geo.json, and none of an earlier replay stays; where they do, map.png has a world file beside it, as far
@@ -81,13 +82,15 @@ def write_replay(done: Replay, out: Path, extras: Collection[Extra] = ()) -> Non
         live = [pose_on_wire(output.pose_map_base) for output in done.outputs]
         write_tum(out / "trajectory_live.tum", zip(stamps, live, strict=True))
         write_states(out / STATES_FILE, done.outputs, done.lasers)
-        for name in (GRAPH_FILE, GEO_FILE, "map.pgw", "map.png.aux.xml", REPORT_FILE):
+        for name in (GRAPH_FILE, GEO_FILE, "map.pgw", "map.png.aux.xml", RESULT_SESSION, REPORT_FILE):
             (out / name).unlink(missing_ok=True)
         shutil.rmtree(out / UNEDITED, ignore_errors=True)
         poses = list(zip(stamps, map(pose_on_wire, done.poses_map_base), strict=True))
         _write_files(out, poses, picture_of_tiles(done.tiles), done.g2o, done.geo, done.summary)
         write_changes(out / CHANGES_FILE, done.changes)
         _store_map(done, out / MAP_FOLDER)
+        if "mcap" in extras:
+            write_result_session(out / RESULT_SESSION, done)
     except OSError as error:
         raise StorageError(f"cannot write to {out}: {words_of(error)}") from error
 

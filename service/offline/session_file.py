@@ -1,10 +1,10 @@
-"""Writes what was imported as a session: frames, mountings and where they come from."""
+"""Writes sessions that nobody recorded: what was imported, with its mountings, or what a replay found."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from drivers.frames import Frame
-from service.encoding import LogClock, encode_frame, encode_tf_static
+from service.encoding import LogClock, Message, encode_frame, encode_tf_static
 from service.errors import InputError, StorageError, UsageError
 from service.geometry.se2 import SE2
 from service.recording.mcap_file import McapFile
@@ -37,22 +37,40 @@ def write_session(
 
     Nothing stays where it fails. Raises StorageError, and what `frames` raises.
     """
-    clock, count, file = LogClock(), 0, None
-    try:
-        for frame in frames:
+
+    def messages() -> Iterator[Message]:
+        clock = LogClock()
+        for k, frame in enumerate(frames):
             log_ns = clock.next_ns(frame.arrived_ns if log_times else frame.stamp_ns)
+            if k == 0:
+                yield encode_tf_static(mountings, log_ns, log_ns)
+            yield encode_frame(frame, log_ns=log_ns)
+
+    return write_messages(path, messages(), {"import": about}) - 1
+
+
+def write_messages(path: Path, messages: Iterable[Message], metadata: Mapping[str, Mapping[str, str]]) -> int:
+    """Write messages as they come, at least one; how many there were.
+
+    metadata    name -> key -> text
+
+    Nothing stays where it fails. Raises StorageError, and what `messages` raises.
+    """
+    count, file = 0, None
+    try:
+        for message in messages:
             if file is None:
                 path.parent.mkdir(parents=True, exist_ok=True)
-                file = McapFile(path, log_ns)
-                file.write_metadata("import", about)
-                file.write(encode_tf_static(mountings, log_ns, log_ns))
-            file.write(encode_frame(frame, log_ns=log_ns))
+                file = McapFile(path, message.log_ns)
+                for name, values in metadata.items():
+                    file.write_metadata(name, values)
+            file.write(message)
             count += 1
         if file is None:
-            raise ValueError("no frame to write")
+            raise ValueError("no message to write")
         file.finish()
     except FileExistsError as error:
-        raise StorageError(f"{error.filename} is in the way; is another import writing {path}?") from error
+        raise StorageError(f"{error.filename} is in the way; is another command writing {path}?") from error
     except OSError as error:
         _leave(file)
         raise StorageError(f"cannot write {path}: {error.strerror}") from error

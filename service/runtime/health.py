@@ -4,7 +4,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping
 
 from drivers.link import LinkHealth
-from service.encoding import ERROR, OK, STALE, WARNING, Message, Status, encode_diagnostics
+from service.encoding import ERROR, LEVEL_OF_STATE, OK, STALE, WARNING, Message, Status, encode_diagnostics
 from service.publishing.commands import CommandDispatcher
 from service.runtime.gnss_health import GnssHealth
 from service.runtime.intake import Intake
@@ -24,7 +24,6 @@ LINE_NS = 10_000_000_000  # at least, from one line about a passing state to the
 _PASSING = {"ok", "degraded", "overloaded"}  # states between which a mapping may go to and fro
 
 _LEVEL_OF_LINK = {"streaming": OK, "starting": WARNING, "connecting": WARNING, "down": ERROR}
-_LEVEL_OF_POSE = {"ok": OK, "degraded": WARNING, "lost": ERROR}
 
 
 class SensorHealth:
@@ -236,7 +235,7 @@ class HealthReport:
             values["state"] = "stale"
             why = self._why_unmapped() or f"no scan of {' or '.join(outputs.lasers)}"
             return Status("mapping", ERROR, f"no pose for {age_s:.1f} s: {why}", values)
-        level, words = _LEVEL_OF_POSE[last.state], last.reason or last.state
+        level, words = LEVEL_OF_STATE[last.state], last.reason or last.state
         if overload := outputs.overload():
             values["state"] = "lost" if last.state == "lost" else "overloaded"
             words = overload if last.state == "ok" else f"{words}; {overload}"
