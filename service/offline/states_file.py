@@ -12,7 +12,7 @@ import numpy.typing as npt
 from service.errors import InputError
 from service.geometry.poses import Floats
 from service.offline.trajectory import NS_PER_S, parse_stamp
-from service.outputs import MapperOutput
+from service.outputs import STATES, MapperOutput
 
 STATES_FILE = "states.csv"
 COLUMNS = (
@@ -64,7 +64,7 @@ class States:
     """The N rows of a states.csv."""
 
     stamp_ns: npt.NDArray[np.int64]  # (N,)
-    state: list[str]  # ok, degraded, lost; another program may know more
+    state: list[str]  # each one of STATES
     reason_id: list[str]
     sigma: Floats  # (N, 3) m along, m across, deg
     inlier_ratio: Floats  # (N,)
@@ -83,6 +83,8 @@ def read_states(path: Path) -> States:
                 where = f"{path}:{reader.line_num}"
                 if None in row.values():
                     raise InputError(f"{where}: fewer than {len(COLUMNS)} columns")
+                if row["state"] not in STATES:
+                    raise InputError(f"{where}: the state {row['state']!r} is none of {', '.join(STATES)}")
                 stamps.append(parse_stamp(row["stamp_s"], where))
                 words.append((row["state"], row["reason_id"], row["laser"]))
                 try:

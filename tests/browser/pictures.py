@@ -1,4 +1,5 @@
-"""Makes the pictures of docs/operator.md, of a simulated office: `python -m tests.browser.pictures [NAME]`.
+"""Makes the pictures of docs/operator.md and docs/results.md, of a simulated office:
+`python -m tests.browser.pictures [NAME]`.
 
 Named are those of the page of a running service: desktop-light, resources ...; left out, all are made.
 """
@@ -36,9 +37,10 @@ from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import save_map
 from service.mapstore.tiles import TileStore
 from service.offline.recording_view import RecordingView
-from service.offline.replay import ReplayOptions
+from service.offline.replay import ReplayOptions, write_replay
 from service.offline.replay import replay as replay_session
 from service.offline.replay_page import ReplayPage
+from service.offline.report import REPORT_FILE, write_report
 from service.offline.view import View
 from service.outputs import GraphPicture, Grid, MapperOutput
 from service.publishing.commands import Answer
@@ -138,6 +140,18 @@ def take_replay(page: Page, frames: Sequence[Frame], folder: Path) -> None:
         page.run("return corridor.connection.command('replay_resume')")
         working.join()
         shown.close()
+
+
+def take_report(page: Page, frames: Sequence[Frame], folder: Path) -> None:
+    """The page that corridor report makes of the drive."""
+    session, result = record(frames, MOUNTINGS, folder, UNIX_NS), folder / "result"
+    write_replay(replay_session([session], ReplayOptions()), result)
+    write_report(result, result / REPORT_FILE)
+    page.driver.get((result / REPORT_FILE).as_uri())
+    for name, is_dark in (("light", False), ("dark", True)):
+        page.resize((1200, 1500), is_dark)
+        page.run("document.documentElement.style.scrollbarWidth = 'none'")
+        page.driver.save_screenshot(str(IMAGES / f"report-{name}.png"))
 
 
 def take_past(page: Page, office: Office, folder: Path) -> None:
@@ -413,6 +427,7 @@ def main() -> None:
             return
         with chromium() as fresh:  # the first one has had a phone's scroll bars, which lie on the page
             take_replay(fresh, office.frames, Path(kept) / "recorded")
+            take_report(fresh, office.frames, Path(kept) / "reported")
             take_past(fresh, office, Path(kept))
             take_edit(fresh, Path(kept) / "ring")
 

@@ -18,7 +18,8 @@ from service.outputs import STATES
 COLUMNS = 800  # of a chart: a point each, the worst of its stretch of time
 HEIGHT = 100.0  # of a chart in its own units
 MOST_TICKS = 7
-TICKS_S = (1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400, 28800, 86400)
+DAY_S = 86_400
+TICKS_S = (1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400, 28800, DAY_S)
 Ints = npt.NDArray[np.int64]
 
 
@@ -38,19 +39,20 @@ class TimeAxis:
 
     def columns(self, stamp_ns: Ints) -> Ints:
         """(N,) of each stamp."""
-        share = (stamp_ns - self._begin_ns) / 1e9 / self.duration_s
+        share = np.clip((stamp_ns - self._begin_ns) / 1e9 / self.duration_s, 0.0, 1.0)
         return np.minimum((share * COLUMNS).astype(np.int64), COLUMNS - 1)
 
     def ticks(self) -> Markup:
-        step_s = next((s for s in TICKS_S if self.duration_s / s <= MOST_TICKS), TICKS_S[-1])
-        at_s = np.arange(0, self.duration_s + 1e-9, step_s).tolist()
-        words = [tag("span", clock(s), style=f"left:{self.share(s):.3f}%") for s in at_s]
+        words = [tag("span", clock(s), style=f"left:{self.share(s):.3f}%") for s in self._at_s()]
         return tag("div", words, class_="ticks")
 
     def grid(self) -> str:
-        step_s = next((s for s in TICKS_S if self.duration_s / s <= MOST_TICKS), TICKS_S[-1])
-        at = np.arange(0, self.duration_s + 1e-9, step_s) / self.duration_s * COLUMNS
-        return "".join(f"M{x:.2f} 0v{HEIGHT:g}" for x in at.tolist())
+        return "".join(f"M{self.share(s) / 100 * COLUMNS:.2f} 0v{HEIGHT:g}" for s in self._at_s())
+
+    def _at_s(self) -> list[int]:
+        days = math.ceil(self.duration_s / MOST_TICKS / DAY_S)
+        step_s = next((s for s in TICKS_S if self.duration_s / s <= MOST_TICKS), days * DAY_S)
+        return list(range(0, math.floor(self.duration_s) + 1, step_s))
 
 
 def clock(seconds: float) -> str:
@@ -169,7 +171,7 @@ def _canvas(*drawn: object) -> Markup:
 def _state_strip(states: Sequence[str], column: Ints) -> Markup:
     """A box for each stretch of one state, the worst of each column."""
     rank: dict[str, int] = {state: k for k, state in enumerate(STATES)}
-    of_scans = np.array([rank.get(state, len(STATES) - 1) for state in states])
+    of_scans = np.array([rank[state] for state in states])
     worst = np.full(COLUMNS, -1)
     np.maximum.at(worst, column, of_scans)
     _fill(worst, column)

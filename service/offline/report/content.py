@@ -137,7 +137,7 @@ def read_content(folder: Path) -> Content:
     content = Content(
         folder=folder,
         summary=summary,
-        trajectory=result.trajectory,
+        trajectory=result.trajectory if states is None or len(states.stamp_ns) > 1 else None,
         states=states,
         picture=result.picture if result.has_map else None,
         loops=None if graph is None else _loops(graph),
@@ -150,13 +150,13 @@ def read_content(folder: Path) -> Content:
 def _missing(content: Content) -> Iterator[str]:
     summary = content.summary
     if content.trajectory is None:
-        yield f"path: no {TRAJECTORY_FILE}"
+        yield f"path: no {TRAJECTORY_FILE} with 2 poses or more"
     if content.states is None:
         yield f"sigma and states over time: no {STATES_FILE}; {AGAIN}"
     if content.picture is None:
         yield "map: neither map/ nor map.yaml"
     if content.loops is None:
-        yield "errors of the loops: no map/ with a graph, which only a drive that maps has"
+        yield "errors of the loops: no map/ with a graph; not every profile stores one, nor does localisation"
     for what, value in (
         ("rates and gaps of the sensors", summary.sensors),
         ("settings", summary.mapping),

@@ -195,6 +195,21 @@ def test_the_command_says_where_the_page_is(result: Path, capfd: pytest.CaptureF
     assert "summary.json</a>" not in page.read_text(encoding="utf-8")  # no links to what is not beside it
 
 
+def test_a_drive_of_one_scan_has_a_page(record_drive: RecordDrive, tmp_path: Path):  # noqa: F811
+    write_replay(replay([record_drive(scans=1)], ReplayOptions()), tmp_path / "out")
+    page = page_of(tmp_path / "out")
+    assert "path: no trajectory.tum with 2 poses or more" in page.text
+    assert page.count("rect", "ok") == 1
+
+
+def test_stamps_years_apart_make_no_endless_axis(result: Path):
+    rows = (result / "states.csv").read_text().splitlines()
+    late = rows[-1].replace("1700000000", "4700000000")
+    (result / "states.csv").write_text("\n".join((*rows[:-1], late)) + "\n")
+    page = page_of(result)
+    assert sum(name == "span" and "left:" in (of.get("style") or "") for name, of in page.tags) < 60
+
+
 def test_walls_stay_where_a_large_map_is_shown_coarser(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("service.offline.report.map_figure.MOST_PIXELS", 4)
     pixels = np.full((5, 7), 254, np.uint8)

@@ -5,6 +5,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from service.encoding import LEVEL_OF_STATE, decode_diagnostics, decode_grid, decode_pose, decode_transforms
+from service.geometry.se2 import SE2
 from service.mapstore import tiles
 from service.offline.replay import ReplayOptions, replay, write_replay
 from service.offline.result_session import RESULT_SESSION
@@ -18,7 +19,9 @@ SCANS, COVERED = 40, range(20, 26)
 
 @pytest.fixture
 def out(record_drive: RecordDrive, tmp_path: Path) -> Path:  # noqa: F811
+    """The last optimisation moved all poses by half a metre, let us say."""
     done = replay([record_drive(scans=SCANS, covered=COVERED)], ReplayOptions())
+    done.poses_map_base = [SE2(0.5, 0.0, 0.0) @ pose for pose in done.poses_map_base]
     write_replay(done, tmp_path / "out", ["mcap"])
     return tmp_path / "out"
 
@@ -87,8 +90,10 @@ def test_a_replay_without_a_session_leaves_none_of_an_earlier_one(out: Path, rec
     assert not (out / RESULT_SESSION).exists()
 
 
-def test_the_same_recording_gives_the_same_bytes(out: Path, record_drive: RecordDrive):  # noqa: F811
-    again = replay([record_drive("w", scans=SCANS, covered=COVERED)], ReplayOptions())
-    write_replay(again, out.with_name("again"), ["mcap"])
+def test_the_same_recording_gives_the_same_bytes(tmp_path: Path, record_drive: RecordDrive):  # noqa: F811
+    folders = [tmp_path / name for name in ("one", "two")]
+    for folder in folders:
+        drive = record_drive(folder.name, scans=SCANS, covered=COVERED)
+        write_replay(replay([drive], ReplayOptions()), folder, ["mcap"])
     for name in (RESULT_SESSION, "states.csv"):
-        assert (out / name).read_bytes() == (out.with_name("again") / name).read_bytes()
+        assert len({(folder / name).read_bytes() for folder in folders}) == 1

@@ -59,6 +59,10 @@ def test_what_was_written_is_read_back(tmp_path: Path):
         ("a,b\n1,2\n", r"states.csv:1: no column"),
         (HEADS + "1.5,ok\n", r"states.csv:2: fewer than 8 columns"),
         (HEADS + "now,ok,,0,0,0,1,front\n", r"states.csv:2: 'now' is no time"),
+        (
+            HEADS + "1.5,fine,,0,0,0,1,front\n",
+            r"states.csv:2: the state 'fine' is none of ok, degraded, lost",
+        ),
         (HEADS + "1.5,ok,,0,zero,0,1,front\n", r"states.csv:2: could not convert"),
         ("\udcff", "cannot be read as CSV"),
     ],
