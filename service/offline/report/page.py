@@ -32,8 +32,8 @@ def write_report(result: Path, out: Path) -> list[str]:
 
     Raises InputError where the folder is none of a replay or a file of it is damaged, StorageError.
     """
-    refuse_unwritable_file(out)
     content = read_content(result)
+    refuse_unwritable_file(out)
     page = page_of(content, links=out.resolve().parent == result.resolve())
     try:
         with whole_files(out) as path:

@@ -171,8 +171,11 @@ def test_a_damaged_summary_is_bad_input(result: Path, summary: str, fault: str):
 
 
 def test_a_folder_of_no_replay_is_bad_input(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
-    assert main(["report", str(tmp_path)]) == 65
-    assert "is not the folder of a replay; corridor replay" in capfd.readouterr().err
+    file = tmp_path / "trajectory.tum"
+    file.write_text("")
+    for result in (tmp_path, file):
+        assert main(["report", str(result)]) == 65
+        assert "is not the folder of a replay; corridor replay" in capfd.readouterr().err
 
 
 def test_the_same_result_gives_the_same_bytes_also_at_the_end_of_a_replay(
