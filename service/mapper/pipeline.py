@@ -86,9 +86,8 @@ class Mapper(Generic[ReadableMap]):
         """Take the next frame in the order of arrival. None for anything but a scan that was mapped.
 
         A scan that is older than another of its laser is dropped and counted; time never runs backwards. So
-        is one whose stamp is seconds off those around it, and one that comes right before odometry after a
-        pause of both. Sweeps of several lasers overlap: one that began before the newest pose is brought to
-        the moment right after that.
+        is one that comes right before odometry after a pause of both. Sweeps of several lasers overlap: one
+        that began before the newest pose is brought to the moment right after that.
         """
         if isinstance(frame, GnssFix):
             self.counters[self._components.graph.add_fix(frame)] += 1
@@ -101,9 +100,6 @@ class Mapper(Generic[ReadableMap]):
             laser = self._lasers[frame.sensor] = LaserWatch()
             if len(self._lasers) > 1:
                 laser.mounting.begin()
-        if laser.check.refuses(frame):
-            self.counters["scans_dropped_stamp"] += 1
-            return None
         at_ns = self._moment_of(frame, laser)
         if at_ns is None:
             self.counters["scans_dropped_late"] += 1

@@ -1,5 +1,5 @@
-"""Scans that are not mapped: stamps far from those around them, one scan sent again and again, and those that
-come before the odometry that knows the way to them.
+"""Scans that are not mapped: one that is sent again and again, and those that come before the odometry that
+knows the way to them.
 """
 
 import numpy as np
@@ -8,8 +8,6 @@ import numpy.typing as npt
 from drivers.frames import LaserScan
 from service.mapper.judgement import GAP_S
 
-MOST_JUMP_NS = 1_000_000_000  # of the delay from stamp to arrival, between two scans
-NEW_CLOCK_SCANS = 10  # in a row whose delay has jumped by the same: then the clock was set
 ODOMETRY_WAIT_NS = 1_000_000_000  # after a pause of all: bases send odometry at 2 Hz and more often
 SPEED_NS = 50_000_000  # over which the motion model takes a speed from odometry
 REPEATED_TRAVEL_M = 0.02  # motion over which a laser cannot see the same to the last bit
@@ -19,29 +17,8 @@ class ScanCheck:
     """Looks at the scans of one laser, in the order of their arrival."""
 
     def __init__(self) -> None:
-        self._delay_ns: int | None = None  # from stamp to arrival, of the last scan that was accepted
-        self._strange = 0  # scans in a row whose delay has jumped
-        self._strange_ns = 0  # delay of the last one
         self._last: LaserScan | None = None
         self._travel_m = 0.0  # since the first of equal scans
-
-    def refuses(self, scan: LaserScan) -> bool:
-        """Whether the stamp is seconds off those before it: then its scan lies nowhere in time.
-
-        The delay from stamp to arrival tells, so that neither a pause of the laser nor a constant offset
-        between two clocks counts. A clock that was set is accepted after NEW_CLOCK_SCANS scans.
-        """
-        delay_ns = scan.arrived_ns - scan.stamp_ns
-        if self._delay_ns is None or abs(delay_ns - self._delay_ns) <= MOST_JUMP_NS:
-            self._delay_ns, self._strange = delay_ns, 0
-            return False
-        is_same = self._strange > 0 and abs(delay_ns - self._strange_ns) <= MOST_JUMP_NS
-        self._strange = self._strange + 1 if is_same else 1
-        self._strange_ns = delay_ns
-        if self._strange < NEW_CLOCK_SCANS:
-            return True
-        self._delay_ns, self._strange = delay_ns, 0
-        return False
 
     def is_repeated(self, scan: LaserScan, travel_m: float) -> bool:
         """Whether a scan equals the one before to the last bit though the vehicle has moved.

@@ -4,7 +4,7 @@ import logging
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,12 +43,15 @@ from service.offline.state_reasons import StateReasons
 from service.outputs import STATES, MapperOutput, TileUpdate
 from service.recording.mcap_source import Session
 from service.recording.sources import SCAN_TYPES
+from service.timing import Timed, Timing
 from service.version import VERSION
 
 log = logging.getLogger(__name__)
 
 Progress = Callable[[float | None, str], None]  # share of a phase, None where nobody knows it; the phase
 MAPPING, CLOSING = "mapping", "closing loops"  # phases
+# Why scans with good times were not mapped, in words for Timing.count_unmapped.
+TOO_OLD, UNMAPPED = "too old to be mapped when live", "that the mapper could not use"
 
 
 class ReplayRun:
@@ -82,6 +85,7 @@ class ReplayRun:
         self._mapper = MappingSession(
             self._new_mapper, setup.lasers, apply_after=None if setup.is_as_live else APPLY_AFTER_SCANS
         )
+        self._timing = Timing(setup.lasers, self._mapper.counters, session.topics_of)
         self._left_out: dict[str, LeftOut] = {}  # by sensor: what live happened to its next frame
         self._scan_ns: list[int] = []
         self._scan_cpu_ns: list[int] = []
@@ -121,6 +125,7 @@ class ReplayRun:
                 case frame:
                     self._rates.add(frame)
                     self._take(frame)
+        self._map(self._timing.finish())
         self._progress(1.0, MAPPING)
         self._finish_map()
         self._mapper.close()
@@ -148,14 +153,30 @@ class ReplayRun:
             log.info("%s", error)
 
     def _take(self, frame: Frame) -> None:
-        if (reason := self._left_out.pop(frame.sensor, None)) is not None:
-            if reason.reason == "old" and isinstance(frame, LaserScan):
-                self._mapper.pass_over(frame)
+        reason = self._left_out.pop(frame.sensor, None)
+        if reason is not None and (reason.reason != "old" or not isinstance(frame, LaserScan)):
             return
+        self._map(self._timing.take(frame, is_mapped=reason is None))
+
+    def _map(self, frames: Sequence[Timed]) -> None:
+        for frame, is_mapped in frames:
+            if is_mapped:
+                self._process(frame)
+            elif isinstance(frame, LaserScan):
+                self._mapper.pass_over(frame)
+                self._timing.count_unmapped(frame, TOO_OLD)
+
+    def _process(self, frame: Frame) -> None:
         before_ns, before_cpu_ns = time.perf_counter_ns(), time.thread_time_ns()
         output = self._mapper.process(frame)
-        if output is None or not isinstance(frame, LaserScan):
+        if not isinstance(frame, LaserScan):
             return
+        if output is None:
+            if self._mapper.maps(frame):
+                self._timing.count_unmapped(frame, UNMAPPED)
+            return
+        heading_rad = output.pose_odom_base.theta_rad if output.state != "lost" else math.nan
+        self._timing.mapped(frame, output.stamp_ns, heading_rad)
         self._scan_cpu_ns.append(time.thread_time_ns() - before_cpu_ns)
         self._scan_ns.append(time.perf_counter_ns() - before_ns)
         self._states[output.state] += 1
@@ -184,6 +205,8 @@ class ReplayRun:
         self._watch.finished(self._tiles, self._poses[-len(new) :])
 
     def _result(self, wall_s: float) -> Replay:
+        for warning in self._timing.warnings:
+            log.warning("%s", warning)
         if not self._outputs:
             raise InputError(
                 f"{self._recording.paths[0]}: not one scan could be mapped ({dict(self._session.counters)})"
@@ -281,7 +304,7 @@ def _dropped(session: Session, mapper: MappingSession) -> int:
 
 def _samples_dropped(session: Session, mapper: MappingSession) -> dict[str, int]:
     """Samples of odometry and IMUs that were read and not used, by why."""
-    why = ("late", "same_stamp", "waiting")
+    why = ("late", "same_stamp", "stamp", "clock", "waiting")
     samples = [topic.name for topic in session.recording.topics if topic.type in (ODOMETRY, IMU)]
     return {
         **{one: mapper.counters[f"samples_dropped_{one}"] for one in why},

@@ -1,20 +1,14 @@
 """Why scans were degraded or lost, for the summary of a replay and the people who read it."""
 
-import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from drivers.counted import counted
 from service.outputs import MapperOutput
+from service.timing.words import kind_of
 
 STATES = ("degraded", "lost")
 MOST_KINDS = 5  # of reasons, of each state
-_NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?")  # and not the 2 of a sensor called front_2
-
-
-def kind_of(words: str) -> str:
-    """The same for words that differ in their numbers alone."""
-    return _NUMBER.sub("#", words)
 
 
 class StateReasons:

@@ -3,7 +3,7 @@
 import logging
 import threading
 
-from service.offline.state_reasons import kind_of
+from service.timing.words import kind_of
 
 LOGGER = logging.getLogger("service")
 

@@ -86,6 +86,20 @@ class Session:
         return {topic: next(iter(sensors.values())) for topic, sensors in self.devices.items()}
 
     @property
+    def topics_of(self) -> dict[tuple[str, str], str]:
+        """(kind, sensor) -> its topic; kinds as in FRAME_TYPES, of all that becomes a scan "scan"."""
+        kinds = {
+            topic.name: FRAME_TYPES.get(topic.type, "scan")
+            for topic in self.recording.topics
+            if topic.name in self.devices
+        }
+        return {
+            (kinds[topic], sensor): topic
+            for topic, sensors in self.devices.items()
+            for sensor in sensors.values()
+        }
+
+    @property
     def shared_topics(self) -> dict[str, dict[str, dict[str, Any]]]:
         """Topics in which more than one frame_id came -> frame_id -> its "messages", and the "sensor" as
         which they were read; None: they were refused.

@@ -171,6 +171,7 @@ class HealthReport:
         self.statuses = [
             *sensors,
             self._mapping(),
+            self._timing(),
             *self._gnss(now_ns),
             *self._sinks.health(),
             self._clock(),
@@ -281,6 +282,14 @@ class HealthReport:
         """Empty where there are no fixes."""
         status = self._gnss_health.status(self._outputs.counters, self._outputs.geo_reference, now_ns)
         return [] if status is None else [status]
+
+    def _timing(self) -> Status:
+        """Stamps and time fields of the frames that are mapped."""
+        warnings = self._outputs.time_warnings
+        values = {"warnings": str(len(warnings))}
+        if not warnings:
+            return Status("timing", OK, "ok", values)
+        return Status("timing", WARNING, "; ".join(warnings), values)
 
     def _clock(self) -> Status:
         step_s = self.clock_step_ns / 1e9

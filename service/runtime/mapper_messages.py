@@ -258,6 +258,7 @@ class Status:
     graph_fault: str = ""
     geo_reference: GeoReference | None = None  # where the map lies on the earth
     cpu_s: float = 0.0  # of the process since its start
+    time_warnings: tuple[str, ...] = ()  # what is wrong with stamps and time fields, a sentence each
 
 
 # Told to the MapperListener.

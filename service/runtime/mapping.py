@@ -1,8 +1,9 @@
 """The mapper's side: items by their number -> poses, tiles, answers. No process, socket or thread in here."""
 
+import logging
 import math
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -39,6 +40,8 @@ from service.runtime.mapper_messages import (
     Unusable,
     is_sample,
 )
+from service.timing import Timed, Timing
+from service.timing.words import kind_of
 
 TILE_INTERVAL_NS = 200_000_000
 TILES_OVERDUE_NS = 1_000_000_000  # then they are handed over though items wait
@@ -49,6 +52,9 @@ STANDING_INTERVAL_NS = 2_000_000_000
 STANDING_OVERDUE_NS = 8_000_000_000  # then it is drawn though items wait, which takes 1 to 3 ms
 MOST_AGE_NS = 50_000_000  # of a scan when its mapping begins, or two of its periods if that is more
 
+UNMAPPED = "that the mapper could not use"  # scans with good times, in words for Timing.count_unmapped
+
+log = logging.getLogger(__name__)
 
 PrepareMap = Callable[[str, int], None]  # folder and version: the next new mapper begins there
 PrepareProfile = Callable[[Mapping[str, Any]], None]  # section of a config: the next new mapper maps so
@@ -92,6 +98,9 @@ class MappingLoop:
         prepare_profile: PrepareProfile = one_profile,
     ) -> None:
         self.mapper = mapper
+        self._timing = Timing(mapper.lasers, mapper.counters)
+        self._warned: set[str] = set()  # kinds of warnings that are in the log
+        self._newest: FrameItem | None = None
         self._prepare_map = prepare_map
         self._prepare_profile = prepare_profile
         self._send = send
@@ -198,6 +207,11 @@ class MappingLoop:
             self._send(StandingDrawn(grid, self._map_stamp_ns))
 
     def tell_status(self) -> None:
+        warnings = tuple(self._timing.warnings)
+        for warning in warnings:
+            if kind_of(warning) not in self._warned:
+                self._warned.add(kind_of(warning))
+                log.warning("%s", warning)
         self._send(
             Status(
                 number=self.number,
@@ -205,6 +219,7 @@ class MappingLoop:
                 graph_fault=self.mapper.graph_fault,
                 geo_reference=self.mapper.geo_reference,
                 cpu_s=time.process_time(),
+                time_warnings=warnings,
             )
         )
 
@@ -213,6 +228,8 @@ class MappingLoop:
 
         That may take longer than ingest waits for a mapper with items before it, so it is told that none are.
         """
+        if self._newest is not None:
+            self._map_timed(self._timing.finish(), self._newest)
         self.tell_status()
         self.mapper.finish()
         self._tell_graph()
@@ -244,12 +261,28 @@ class MappingLoop:
             is_mapped = item.sensor in self.mapper.lasers and not is_sample(item)
             self._tell(item.number, Unusable(item.number, item.sensor, is_mapped))
             return
-        if isinstance(frame, LaserScan) and self._is_passed_over(frame, item):
-            return
+        self._newest = item
+        is_mapped = not (isinstance(frame, LaserScan) and self._is_passed_over(frame, item))
+        self._map_timed(self._timing.take(frame, is_mapped), item)
+
+    def _map_timed(self, frames: Sequence[Timed], item: FrameItem) -> None:
+        """Those that the newest item releases: mostly its own frame."""
+        for frame, is_mapped in frames:
+            if is_mapped:
+                self._map_frame(frame, item)
+            elif isinstance(frame, LaserScan):
+                self.mapper.pass_over(frame)
+
+    def _map_frame(self, frame: Frame, item: FrameItem) -> None:
         before_ns = time.thread_time_ns()
         output = self._map(frame, item)
         if output is None:
+            if isinstance(frame, LaserScan) and self.mapper.maps(frame):
+                self._timing.count_unmapped(frame, UNMAPPED)
             return
+        assert isinstance(frame, LaserScan)
+        heading_rad = output.pose_odom_base.theta_rad if output.state != "lost" else math.nan
+        self._timing.mapped(frame, output.stamp_ns, heading_rad)
         self._map_stamp_ns = output.stamp_ns
         messages = (encode_pose(output, 0), encode_odom(output, 0), encode_tf(output, 0))
         cpu_ns = time.thread_time_ns() - before_ns
@@ -270,14 +303,10 @@ class MappingLoop:
     def _is_passed_over(self, scan: LaserScan, item: FrameItem) -> bool:
         """Whether a scan has waited too long; then the mapper only goes on by wheels and gyro."""
         if item.number <= self._done_number:
-            if item.number in self._decided.passed_over:
-                self.mapper.pass_over(scan)
-                return True
-            return False
+            return item.number in self._decided.passed_over
         age_ns = self._monotonic_ns() - item.arrived_ns
         if age_ns <= max(MOST_AGE_NS, 2 * scan.scan_period_ns) or not self.mapper.maps(scan):
             return False
-        self.mapper.pass_over(scan)
         self._send(PassedOver(item.number, item.log_ns, item.sensor, age_ns))
         return True
 

@@ -247,7 +247,7 @@ def test_a_laser_that_is_mounted_nowhere_is_a_warning(
 
 def test_samples_that_are_not_used_are_counted(record_drive: RecordDrive, caplog: pytest.LogCaptureFixture):
     summary = replay([record_drive("v")], ReplayOptions()).summary
-    none = {"late": 0, "same_stamp": 0, "waiting": 0, "unusable": 0}
+    none = {"late": 0, "same_stamp": 0, "stamp": 0, "clock": 0, "waiting": 0, "unusable": 0}
     assert (summary["samples_dropped"], summary["covariances_ignored"]) == (none, 0)
     samples = {
         6: odometry_at(5, 0.05),  # a stamp that was there
@@ -257,7 +257,10 @@ def test_samples_that_are_not_used_are_counted(record_drive: RecordDrive, caplog
     }
     summary = replay([record_drive("w", samples=samples)], ReplayOptions()).summary
     assert summary["samples_dropped"] == none | {"late": 1, "same_stamp": 1, "unusable": 1}
-    unusable, no_covariance, _ = summary["warnings"]  # the last: no time_increment
+    dropped, unusable, no_covariance, _ = summary["warnings"]  # the last: no time_increment
+    assert dropped == (
+        "/base/odom: 2 of 39 (5.1 %) messages are dropped: 1 with the stamp of the one before, 1 out of order"
+    )
     assert unusable.startswith("/base/odom: 1 of 40 messages cannot be used")
     assert no_covariance.startswith("/base/odom: the covariance of 1 of 40 messages is none")
     assert (summary["covariances_ignored"], summary["scans_before_odometry"]) == (1, 0)

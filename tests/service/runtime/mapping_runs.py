@@ -89,7 +89,7 @@ class FakeMapper:
 
 def scan(stamp_ns: int, arrived_ns: int, ranges: list[float], sensor: str = "front") -> LaserScan:
     range_m = np.array(ranges, dtype=np.float32)
-    return LaserScan(sensor, stamp_ns, arrived_ns, 1, 3, 0.0, 0.1, 0.01, 20.0, range_m, NO_INTENSITY)
+    return LaserScan(sensor, stamp_ns, arrived_ns, 0, 3, 0.0, 0.1, 0.01, 20.0, range_m, NO_INTENSITY)
 
 
 def sample(stamp_ns: int, arrived_ns: int) -> OdometrySample:

@@ -45,6 +45,7 @@ def report(link: LinkHealth, **parts: Any) -> HealthReport:
         overload=lambda: "",
         restarts=1,
         restart_reason="ended",
+        time_warnings=(),
     )
     sinks = SimpleNamespace(
         health=lambda: [Status("zenoh", OK, "ok", {}), Status("recording", WARNING, "stopped", {})],
@@ -220,6 +221,7 @@ def test_the_message_holds_all_of_it():
     assert [status.name for status in decode_diagnostics(message.payload)] == [
         "sensor/front",
         "mapping",
+        "timing",
         "zenoh",
         "recording",
         "clock",
@@ -233,6 +235,18 @@ def test_a_pause_is_a_warning_until_it_ends():
     told = status(made, "mapping")
     assert (told.level, told.values["state"]) == (WARNING, "paused")
     assert made.line.startswith("mapping paused, 1/1 sensors, ")
+
+
+def test_times_that_cannot_be_are_a_warning_of_their_own():
+    made = report(streaming())
+    assert status(made, "timing").level == OK
+    made._outputs.time_warnings = (
+        "/base/odom: its clock was set",
+        "/front/scan: 9 of 89 messages are dropped",
+    )
+    told = status(made, "timing")
+    assert (told.level, told.values["warnings"]) == (WARNING, "2")
+    assert told.message == "/base/odom: its clock was set; /front/scan: 9 of 89 messages are dropped"
 
 
 def test_commands_are_counted():

@@ -2,6 +2,7 @@
 
 import json
 import math
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -318,11 +319,12 @@ def test_in_a_pause_no_scan_is_too_old():
 
 def test_a_command_is_carried_out_between_the_frames_it_came_between():
     mapper = FakeMapper()
-    run = Run(mapper).put(scan(10, 10, [1.0, 2.0]))
+    now_ns = time.monotonic_ns()  # which is the time of a command
+    run = Run(mapper).put(scan(now_ns, now_ns, [1.0, 2.0]))
     assert [answer.result for answer in run.request("pause")] == [True]
-    run.put(scan(20, 20, [1.0, 2.0]))
+    run.put(scan(now_ns + 10, now_ns + 10, [1.0, 2.0]))
     assert [answer.result for answer in run.request("resume")] == [True]
-    run.put(scan(40, 40, [1.0, 2.0]))
+    run.put(scan(now_ns + 30, now_ns + 30, [1.0, 2.0]))
     assert run.channels() == ["front/scan", "pose", "events", "front/scan", "events", "front/scan", "pose"]
     events = [decode_event(m.payload) for m in run.recorded if m.channel == "events"]
     assert events == ['{"event": "pause"}', '{"event": "resume"}']
@@ -334,7 +336,8 @@ def test_a_command_is_carried_out_between_the_frames_it_came_between():
 
 
 def test_a_reset_empties_the_map_for_all_and_versions_go_on():
-    run = Run(FakeMapper()).put(scan(10, 10, [1.0, 2.0]), scan(20, 20, [1.0, 2.0]))
+    now_ns = time.monotonic_ns()  # which is the time of a command
+    run = Run(FakeMapper()).put(*[scan(now_ns + k, now_ns + k, [1.0, 2.0]) for k in (10, 20)])
     run.request("reset_map")
     (before,) = run.tiles.since(0)
     run.outputs.map_reset()
@@ -342,11 +345,11 @@ def test_a_reset_empties_the_map_for_all_and_versions_go_on():
     assert (before.version, bool((before.cells == UNKNOWN).all())) == (2, False)
     assert (emptied.version, bool((emptied.cells == UNKNOWN).all())) == (3, True)
     assert run.outputs.last is None
-    run.put(scan(30, 30, [1.0, 2.0]))
+    run.put(scan(now_ns + 30, now_ns + 30, [1.0, 2.0]))
     run.link.finish()
     (after,) = run.tiles.since(0)
     assert (after.version, bool((after.cells == UNKNOWN).all())) == (4, False)
-    assert run.handed_over[-2:] == [(3, 20), (4, 30)]
+    assert run.handed_over[-2:] == [(3, now_ns + 20), (4, now_ns + 30)]
     poses = [decode_pose(m.payload).pose.x_m for m in run.recorded if m.channel == "pose"]
     assert poses == [1.0, 2.0, 1.0]
 
@@ -363,7 +366,8 @@ def test_a_result_of_the_graph_is_applied_between_two_frames_and_the_recording_s
     mapper = FakeMapper(graph=GraphAtWork())
     run = Run(mapper).put(*FRAMES)
     run.link.finish()
-    assert [eaten == "apply_result" for eaten in mapper.eaten] == [False, True, False, False]
+    # samples wait for the first scan
+    assert [eaten == "apply_result" for eaten in mapper.eaten] == [True, False, False, False]
     (event,) = [m for m in run.recorded if m.channel == "events"]
     assert decode_step(event.payload, event.log_ns) == ApplyResult(event.log_ns)
     assert event.log_ns - OFFSET_NS == 31  # right before the scan, which came after the sample of 30

@@ -1,0 +1,22 @@
+"""Durations and shares in words for people."""
+
+import re
+
+DAY_S = 86_400.0
+_NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?")  # and not the 2 of a sensor called front_2
+
+
+def kind_of(words: str) -> str:
+    """The same for words that differ in their numbers alone."""
+    return _NUMBER.sub("#", words)
+
+
+def seconds(duration_ns: int) -> str:
+    """With its sign where it is below 0; of days also in these."""
+    s = duration_ns * 1e-9
+    return f"{s:.3f} s" + (f" ({s / DAY_S:.1f} days)" if abs(s) >= DAY_S else "")
+
+
+def share(part: int, whole: int) -> str:
+    """ "9 of 89 (10.1 %)" """
+    return f"{part} of {whole} ({100.0 * part / whole:.1f} %)"
