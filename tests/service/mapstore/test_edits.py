@@ -81,7 +81,7 @@ def test_a_damaged_version_is_not_restored(tmp_path):
     save_map(tmp_path, [tile(0, 0, 1)], 1)
     edited(tmp_path, 2, 1)
     (tmp_path / "v000001" / "tiles.npz").write_bytes(b"")
-    with pytest.raises(InputError, match=r"v000001/tiles\.npz: 0 bytes that are not the"):
+    with pytest.raises(InputError, match=r"v000001/tiles\.npz: 0 bytes, not the \d+ saved"):
         undo(tmp_path)
     assert versions_of(tmp_path)[1] == 2
     with pytest.raises(InputError, match="no version 9; there are 1, 2"):
