@@ -29,6 +29,18 @@ def solve_held(
     return poses, landmarks, covariances
 
 
+def marginal_of(graph: PoseGraph, k: int) -> Floats:
+    """(3, 3) covariance of pose k against the fixed one, in its own axes, at the poses as they are.
+
+    Raises what GTSAM raises: RuntimeError.
+    """
+    settings = gtsam.ISAM2Params()
+    settings.setFactorization("QR")  # gtsam.Marginals has no other than Cholesky
+    bayes_tree = gtsam.ISAM2(settings)
+    bayes_tree.update(*_factors(graph, [graph.fixed]))
+    return np.asarray(bayes_tree.marginalCovariance(k))
+
+
 def _factors(graph: PoseGraph, held: list[int]) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     """Keys: poses 0..N-1, landmarks N..N+L-1, helpers of poses from N+L on."""
     factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()

@@ -1,17 +1,16 @@
 """Solves a pose graph: checks it, holds what nothing ties down, and says in words why it cannot."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.mapper.graph.groups import groups_of
-from service.mapper.graph.pose_graph import (
-    GraphError,
-    PoseGraph,
-    SolverConfig,
-)
+from service.mapper.graph.pose_graph import Edges, GraphError, PoseGraph, SolverConfig
+
+OPEN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # m^2, rad^2: of a step that nothing measures
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +46,28 @@ def solve(
     if not (np.isfinite(poses).all() and np.isfinite(landmarks).all()):
         raise GraphError(f"pose graph: {_size(graph)} ran away from the first guess; look at its edges")
     return Solution(poses, landmarks, covariances)
+
+
+def covariance_of(graph: PoseGraph, k: int) -> Floats:
+    """(3, 3) of pose k against the fixed one, in its own axes, at the poses as they are; by all that was
+    measured. Raises GraphError.
+
+    Unlike that of `solve` it is found where one step is known to 0.1 mm and another one not at all: by QR
+    (Dellaert and Kaess, section 4.3.2), and with an edge that measures next to nothing where the chain of
+    poses has none.
+    """
+    _check(graph)
+    poses, edges = graph.poses, graph.edges
+    to = np.setdiff1d(np.arange(1, len(poses)), edges.to[edges.to == edges.of + 1])
+    step = se2.between(poses[to - 1], poses[to])
+    missing = Edges(to - 1, to, step, np.tile(OPEN_COVARIANCE, (len(to), 1, 1)), np.zeros(len(to)))
+    from service.mapper.graph.gtsam_solver import marginal_of
+
+    try:
+        found = marginal_of(replace(graph, edges=edges.and_also(missing)), k)
+    except RuntimeError as error:
+        raise GraphError(f"pose graph: pose {k} has no covariance: {_first_line(error)}") from error
+    return np.asarray(0.5 * (found + found.T), np.float64)
 
 
 def _held(graph: PoseGraph) -> list[int]:

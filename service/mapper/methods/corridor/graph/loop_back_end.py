@@ -13,13 +13,13 @@ from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.kernels.loops import path_lengths, thin_points
 from service.mapper.components import Correction, MapRenderer, PlaceNews, RenderedMap
-from service.mapper.graph.marginal import covariance_of_last
 from service.mapper.graph.point_clouds import Fit, PointCloud
 from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, to_g2o
 from service.mapper.graph.pose_graph_solver import solve
 from service.mapper.methods.corridor.graph.anchoring import Anchoring
 from service.mapper.methods.corridor.graph.candidate_submap import LEAST_SCORE, CandidateSubmap, cloud_of
 from service.mapper.methods.corridor.graph.drawing import Drawing
+from service.mapper.methods.corridor.graph.hindsight import edges_in_hindsight, known_pose
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
 from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
 from service.mapper.methods.corridor.graph.loops import Loop, agree, as_edges, disagreement, loop_of, untied
@@ -152,8 +152,8 @@ class LoopBackEnd:
         if not moved:
             return Result(len(self._loops), len(self._disabled))
         self._solve()
-        newest = self._keyframes.count - 1 - max(self._held - 1, 0)
-        known = covariance_of_last(self._to_solve(is_by_motion=True), newest)
+        graph = self._to_solve(is_in_hindsight=True)
+        known = known_pose(self._keyframes, self._joined, graph, self._held)
         return Result(
             len(self._loops), len(self._disabled), joined, self._correction(-1), known, self.render()
         )
@@ -386,23 +386,24 @@ class LoopBackEnd:
             self._loops += new
             self._accepted.append(new)
 
-    def graph(self, is_by_motion: bool = False) -> PoseGraph:
+    def graph(self, is_in_hindsight: bool = False) -> PoseGraph:
         """Key frames; behind them, where fixes anchor the map, the frame of east and north."""
-        edges = self._steps(is_by_motion).and_also(as_edges(self._loops))
+        edges = self._steps(is_in_hindsight).and_also(as_edges(self._loops))
         pairs = landmarks_of_pairs(self._keyframes)
         if self._anchoring.reference is None:
             return PoseGraph(self._keyframes.map.copy(), edges, *pairs)
         poses = np.vstack((self._keyframes.map, self._anchoring.pose_map_enu))
         return PoseGraph(poses, edges.and_also(self._anchoring.edges(self._keyframes)), *pairs)
 
-    def _to_solve(self, is_by_motion: bool = False) -> PoseGraph:
+    def _to_solve(self, is_in_hindsight: bool = False) -> PoseGraph:
         """The graph, or what of it is not held, behind one pose for all that is."""
         if not self._held:
-            return self.graph(is_by_motion)
-        return graph_on_held(self._keyframes, self._steps(is_by_motion), self._loops, self._held)
+            return self.graph(is_in_hindsight)
+        return graph_on_held(self._keyframes, self._steps(is_in_hindsight), self._loops, self._held)
 
-    def _steps(self, is_by_motion: bool = False) -> Edges:
-        return odometry_edges(self._keyframes, self._config.keyframe_distance_m, is_by_motion)
+    def _steps(self, is_in_hindsight: bool = False) -> Edges:
+        edges_of = edges_in_hindsight if is_in_hindsight else odometry_edges
+        return edges_of(self._keyframes, self._config.keyframe_distance_m)
 
     def _solve(self) -> None:
         """Poses that agree best; loops that the rest contradicts are disabled."""

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from service.geometry.geo_reference import GeoReference
-from service.geometry.poses import Floats
 from service.mapper.components import Correction, PlaceNews, RenderedMap
+from service.mapper.known_pose import KnownPose
 from service.mapper.methods.corridor.graph.fix_track import PlacedFix
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
 from service.mapper.saved_graph import KeptGraph, SavedGraph
@@ -35,7 +35,7 @@ class Result:
     disabled: int  # that are not any more
     joined: int | None = None  # number of the piece that was found in the rest; None: none
     newest: Correction | None = None
-    newest_covariance: Floats | None = None  # (3, 3) of it in the map, base axes; None: not known
+    known: KnownPose | None = None  # the newest whose place in the map is known; None: as before
     rendered_map: RenderedMap | None = None
     all: Sequence[Correction] = ()
     g2o: str = ""

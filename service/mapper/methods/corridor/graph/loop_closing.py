@@ -23,7 +23,6 @@ from service.mapper.components import (
 )
 from service.mapper.graph.background_graph import BackgroundGraph, add_counts
 from service.mapper.judgement import CARRIED_S
-from service.mapper.known_pose import KnownPose
 from service.mapper.methods.corridor.graph.fix_track import FixTrack
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
 from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
@@ -79,8 +78,6 @@ class LoopClosing(BackgroundGraph[Result]):
         self._fix_counts: Mapping[str, int] = {}  # as the back end had them last
         self._fresh: list[KeyFrame] = []  # not yet sent
         self._sent: deque[list[KeyFrame]] = deque()  # with each piece of work that is out
-        self._newest_back: KeyFrame | None = None  # the newest key frame that the back end has answered for
-        self._known: KnownPose | None = None
         self._last: SE2 | None = None  # of the newest key frame
         self._last_ns = 0
         self._spot: SE2 | None = None  # of the first key frame from where the vehicle stands
@@ -181,8 +178,7 @@ class LoopClosing(BackgroundGraph[Result]):
         self._fresh.clear()
 
     def _bring_in(self, result: Result) -> GraphUpdate:
-        sent = self._sent.popleft()
-        self._newest_back = sent[-1] if sent else self._newest_back
+        self._sent.popleft()
         self._last_result = result
         counts = {
             "loop_closures": result.loops - self._loops,
@@ -201,7 +197,6 @@ class LoopClosing(BackgroundGraph[Result]):
             self._is_unmeasured = False
         if result.newest is not None:
             self._pose_map_odom = _pose_map_odom(result.newest)
-            self._known = _known_pose(self._newest_back, result)
         since = [frame for batch in self._sent for frame in batch] + self._fresh
         drawn = [
             ScanToRender(frame.xy_base, frame.sensor_xy_m, self._pose_map_odom @ frame.pose_odom_base)
@@ -216,7 +211,7 @@ class LoopClosing(BackgroundGraph[Result]):
             place=result.place,
             saved=result.saved,
             picture=result.picture,
-            known=self._known,
+            known=result.known,
         )
 
     def _is_step(self, pose: SE2, last: SE2 | None) -> bool:
@@ -245,9 +240,3 @@ def _key_frame(scan: MappedScan, gap_s: float, is_unmeasured: bool) -> KeyFrame:
 
 def _pose_map_odom(newest: Correction) -> SE2:
     return newest.pose_map_base @ newest.pose_odom_base.inverse()
-
-
-def _known_pose(frame: KeyFrame | None, result: Result) -> KnownPose | None:
-    if frame is None or frame.motion_covariance is None or result.newest_covariance is None:
-        return None
-    return KnownPose(frame.pose_odom_base, frame.motion_covariance, result.newest_covariance)

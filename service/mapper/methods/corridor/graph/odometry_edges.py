@@ -38,23 +38,28 @@ def odometry_edges(keyframes: KeyframeList, step_m: float, is_by_motion: bool = 
     is_by_motion   a step is known as well as the motion model says, where it says so and the match is not
                    in doubt; one to or from a key frame that was not matched always is
     """
-    of, is_unknown = _before(keyframes)
-    to = np.arange(1, keyframes.count, dtype=np.int64)
-    step = se2.between(keyframes.odom[of], keyframes.odom[to])
-    covariance = keyframes.covariance[1:] + STEP_FLOOR
-    is_lost = lost_steps(keyframes)
-    covariance = np.where(is_lost[:, None, None], LOST_COVARIANCE, covariance)
-    gap_m = np.maximum(np.diff(keyframes.way_m) - 2.0 * step_m, 0.0)
-    covariance = covariance + (GAP_SHARE * gap_m[:, None, None]) ** 2 * np.eye(3)
-    then, now = keyframes.motion_covariance[of], keyframes.motion_covariance[to]
+    edges, is_unknown = matched_steps(keyframes, step_m)
+    covariance, is_lost = edges.covariance, lost_steps(keyframes)
+    then, now = keyframes.motion_covariance[edges.of], keyframes.motion_covariance[edges.to]
     said = np.isfinite(then + now).all(axis=(1, 2)) & (is_lost | is_by_motion)
-    covariance[said] = covariance_added(then[said], now[said], step[said])
+    covariance[said] = covariance_added(then[said], now[said], edges.measured[said])
     covariance[said] += LEAST_COVARIANCE if is_by_motion else STEP_FLOOR
     # What was not matched cannot be a wrong match.
-    may_be_wrong = doubtful_steps(keyframes) & ~(said & is_lost)
-    covariance += may_be_wrong[:, None, None] * DOUBTFUL_COVARIANCE
+    covariance[doubtful_steps(keyframes) & ~(said & is_lost)] += DOUBTFUL_COVARIANCE
     covariance[is_unknown] = UNKNOWN_COVARIANCE
-    return Edges(of, to, step, covariance, np.zeros(keyframes.count - 1))
+    return edges
+
+
+def matched_steps(keyframes: KeyframeList, step_m: float) -> tuple[Edges, npt.NDArray[np.bool_]]:
+    """Each step known as well as its match, and (N - 1,) those of which nobody knows the way."""
+    of, is_unknown = _before(keyframes)
+    to = np.arange(1, keyframes.count, dtype=np.int64)
+    covariance = keyframes.covariance[1:] + STEP_FLOOR
+    covariance[lost_steps(keyframes)] = LOST_COVARIANCE
+    gap_m = np.maximum(np.diff(keyframes.way_m) - 2.0 * step_m, 0.0)
+    covariance += (GAP_SHARE * gap_m[:, None, None]) ** 2 * np.eye(3)
+    measured = se2.between(keyframes.odom[of], keyframes.odom[to])
+    return Edges(of, to, measured, covariance, np.zeros(len(of))), is_unknown
 
 
 def _before(keyframes: KeyframeList) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:

@@ -1,12 +1,11 @@
-"""The covariance of the last pose of a chain with loops, against GTSAM's and where GTSAM gives none."""
+"""The covariance of a pose of a chain with loops, against that of a solution and where that has none."""
 
 import numpy as np
 import pytest
 
 from service.geometry import poses as se2
-from service.mapper.graph.marginal import covariance_of_last
 from service.mapper.graph.pose_graph import Edges, GraphError, PoseGraph, Sightings
-from service.mapper.graph.pose_graph_solver import solve
+from service.mapper.graph.pose_graph_solver import covariance_of, solve
 
 COUNT = 40
 
@@ -32,12 +31,9 @@ def rows(edges: Edges, which: list[int]) -> Edges:
 @pytest.mark.parametrize("loops", [[], [(0, 39)], [(3, 30), (5, 33), (10, 21), (2, 39), (0, 14)]])
 def test_it_is_what_a_solver_gives(loops: list[tuple[int, int]]):
     graph = chain(loops)
-    for last in (COUNT - 1, 25):
-        inner = [k for k in range(len(graph.edges.of)) if max(graph.edges.of[k], graph.edges.to[k]) <= last]
-        within = PoseGraph(graph.poses[: last + 1], rows(graph.edges, inner))
-        expected = solve(within, covariances_of=[last]).covariances[last]
-        found = covariance_of_last(graph, last)
-        np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-9)
+    expected = solve(graph, covariances_of=[25, COUNT - 1]).covariances
+    for k in (25, COUNT - 1):
+        np.testing.assert_allclose(covariance_of(graph, k), expected[k], rtol=1e-3, atol=1e-9)
 
 
 def pairs_of(graph: PoseGraph, ends: list[tuple[int, int]], seed: int = 2) -> PoseGraph:
@@ -59,16 +55,16 @@ def test_points_that_two_poses_saw_say_how_well_the_last_is_known(
 ):
     graph = pairs_of(chain(loops), pairs)
     expected = solve(graph, covariances_of=[COUNT - 1]).covariances[COUNT - 1]
-    np.testing.assert_allclose(covariance_of_last(graph, COUNT - 1), expected, rtol=1e-3, atol=1e-9)
-    assert np.trace(expected) < 0.9 * np.trace(covariance_of_last(chain(loops), COUNT - 1))
+    np.testing.assert_allclose(covariance_of(graph, COUNT - 1), expected, rtol=1e-3, atol=1e-9)
+    assert np.trace(expected) < 0.9 * np.trace(covariance_of(chain(loops), COUNT - 1))
 
 
 def test_two_pairs_of_points_join_what_nothing_else_does():
     whole = chain([])
     kept = [k for k in range(len(whole.edges.of)) if k != 20]
     cut = PoseGraph(whole.poses, rows(whole.edges, kept))
-    assert np.trace(covariance_of_last(cut, 39)[:2, :2]) > 1e3
-    joined = covariance_of_last(pairs_of(cut, [(2, 38), (10, 39)]), 39)
+    assert np.trace(covariance_of(cut, 39)[:2, :2]) > 1e3
+    joined = covariance_of(pairs_of(cut, [(2, 38), (10, 39)]), 39)
     assert np.trace(joined[:2, :2]) < 0.1
     assert joined[2, 2] < 0.01
 
@@ -80,7 +76,7 @@ def test_a_loop_over_a_step_that_nothing_measures_says_how_well_the_pose_is_know
     graph.edges.covariance[-1] = np.diag([1e-4, 1e-4, 1e-6])
     with pytest.raises(GraphError):  # at a pose that no loop holds
         solve(PoseGraph(graph.poses, rows(graph.edges, list(range(COUNT - 1)))), covariances_of=[COUNT - 1])
-    found = covariance_of_last(graph, COUNT - 1)
+    found = covariance_of(graph, COUNT - 1)
     heading_m2 = 1e-6 * ((graph.poses[-1, :2] - graph.poses[30, :2]) ** 2).sum()
     assert found[2, 2] == pytest.approx(1e-6, rel=0.05)
     assert np.trace(found[:2, :2]) == pytest.approx(2e-4 + heading_m2, rel=0.05)
@@ -90,13 +86,25 @@ def test_a_step_that_is_missing_is_known_by_nothing_but_a_loop():
     whole = chain([(0, 39)])
     kept = [k for k in range(len(whole.edges.of)) if k != 20]
     cut = PoseGraph(whole.poses, rows(whole.edges, kept))
-    np.testing.assert_allclose(covariance_of_last(cut, 39), whole.edges.covariance[-1], rtol=1e-3)
+    np.testing.assert_allclose(covariance_of(cut, 39), whole.edges.covariance[-1], rtol=1e-3)
     without = PoseGraph(whole.poses, rows(whole.edges, kept[:-1]))
-    assert np.trace(covariance_of_last(without, 39)[:2, :2]) > 1e3
+    assert np.trace(covariance_of(without, 39)[:2, :2]) > 1e3
 
 
 def test_a_loop_that_errs_by_many_sigmas_counts_less():
     graph = chain([(0, 39)])
-    right = covariance_of_last(graph, 39)
+    right = covariance_of(graph, 39)
     graph.edges.measured[-1, 0] += 0.5
-    assert np.trace(covariance_of_last(graph, 39)) > 2.0 * np.trace(right)
+    assert np.trace(covariance_of(graph, 39)) > 2.0 * np.trace(right)
+
+
+def test_a_loop_only_ever_makes_it_smaller_however_many_come_after():
+    """The loop that bridges the step that nothing measures is the oldest of all."""
+    graph = chain([(5, 8), *[(k, k + 3) for k in range(9, 36)] * 5])
+    graph.edges.covariance[6] = np.diag([1e3, 1e3, 10.0])
+    before = np.inf
+    for loops in (0, 1, 101, 136):
+        found = covariance_of(PoseGraph(graph.poses, rows(graph.edges, list(range(COUNT - 1 + loops)))), 39)
+        assert np.trace(found) < before
+        before = np.trace(found)
+    assert before < 0.1
