@@ -53,7 +53,7 @@ def covariance_of(graph: PoseGraph, k: int) -> Floats:
     measured. Raises GraphError.
 
     Unlike that of `solve` it is found where one step is known to 0.1 mm and another one not at all: by QR
-    (Dellaert and Kaess, section 4.3.2), and with an edge that measures next to nothing where the chain of
+    (Dellaert and Kaess, section 4.3), and with an edge that measures next to nothing where the chain of
     poses has none.
     """
     _check(graph)

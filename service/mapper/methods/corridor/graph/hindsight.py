@@ -21,7 +21,7 @@ def edges_in_hindsight(keyframes: KeyframeList, step_m: float) -> Edges:
     """From each key frame to the next, known as well as the motion model says by all that came later: those
     of a way without loops add up to what it says of the newest pose.
 
-    A key frame is known at least as well as the ones after it, but for what was added on the way there.
+    A key frame is known at least as well as the ones after it, but for what was added on the way there; [34].
     """
     edges, is_unknown = matched_steps(keyframes, step_m)
     known = keyframes.motion_covariance.copy()

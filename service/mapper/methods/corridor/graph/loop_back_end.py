@@ -22,12 +22,13 @@ from service.mapper.methods.corridor.graph.drawing import Drawing
 from service.mapper.methods.corridor.graph.hindsight import edges_in_hindsight, known_pose
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
 from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
-from service.mapper.methods.corridor.graph.loops import Loop, agree, as_edges, disagreement, loop_of, untied
+from service.mapper.methods.corridor.graph.loops import WITHIN_M, Loop, agree, as_edges, loop_of, untied
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
 from service.mapper.methods.corridor.graph.odometry_edges import doubtful_steps, lost_steps, odometry_edges
 from service.mapper.methods.corridor.graph.passes import worth_asking
 from service.mapper.methods.corridor.graph.piece_search import MOST_STANDING, PieceSearch
 from service.mapper.methods.corridor.graph.refusals import Refusals
+from service.mapper.methods.corridor.graph.solution_due import SolutionDue
 from service.mapper.methods.corridor.graph.stored_graph import (
     Placement,
     anchor_loop,
@@ -52,11 +53,9 @@ FINISH_WINDOW = (1.5, 0.2)  # m, rad: what may be left of the drift when all loo
 MOST_STRETCHES = 1000  # searched again at the finish, 10 s and more; of longer drives what no loop ties yet
 LEAST_SHARE = 0.45  # of the points on the map, in medians of the drive: half of a place may have changed
 MOST_AGAINST = 0.12  # of the points in free space of the place: doors that were closed, things that moved
-WITHIN_M = 30.0  # way within which loops that say the same lie
 AGREE_M, AGREE_RAD = 0.15, 0.03  # two loops say the same, besides the drift between them
 CONTRADICTION_CHI2 = 30.0  # of three degrees of freedom, 1 in 700 000: a loop beyond it is disabled
 LOOP_M = 1.0  # what going over a loop counts in the length of a path
-NEWS_CHI2 = 4.0  # of a loop: two sigmas
 SUBMAPS_KEPT = 16
 PROOF_NEAR_M = 2.0  # from a key frame of the stored map: from there on what it saw must be seen again
 MOST_SESSION = 600  # key frames, 180 m of way: of a vehicle that is only localised half are dropped then
@@ -89,6 +88,7 @@ class LoopBackEnd:
         self._submaps: OrderedDict[int, CandidateSubmap] = OrderedDict()
         self._drift = WayDrift(self._keyframes, config.keyframe_distance_m)
         self._searched_m = float(self._keyframes.way_m[-1]) if stored is not None else 0.0
+        self._due = SolutionDue(config, self._searched_m)
         # Numbers of the pieces whose place in the map is known.
         self._joined = {0} if stored is None else set(self._keyframes.piece.tolist())
         self.pieces = PieceSearch(config, self._keyframes)
@@ -154,9 +154,8 @@ class LoopBackEnd:
         self._solve()
         graph = self._to_solve(is_in_hindsight=True)
         known = known_pose(self._keyframes, self._joined, graph, self._held)
-        return Result(
-            len(self._loops), len(self._disabled), joined, self._correction(-1), known, self.render()
-        )
+        drawn = self.render() if self._due.take_drawing() or batch.request or joined is not None else None
+        return Result(len(self._loops), len(self._disabled), joined, self._correction(-1), known, drawn)
 
     @property
     def loops(self) -> Sequence[Loop]:
@@ -222,7 +221,7 @@ class LoopBackEnd:
             self._accept(found)
         oldest_m = self._searched_m - 2.0 * WITHIN_M
         self._candidates = [loop for loop in self._candidates if keyframes.way_m[loop.to] >= oldest_m]
-        return self._has_news(self._loops[-20:])
+        return self._due.has_news(keyframes, self._loops)
 
     def _prove(self) -> None:
         """Look again whether the session lies where it was found in the stored map."""
@@ -248,18 +247,6 @@ class LoopBackEnd:
         of_piece = self._keyframes.piece == piece
         self._loops = [loop for loop in self._loops if not (of_piece[loop.of] or of_piece[loop.to])]
         self._candidates, self._accepted = [], []
-
-    def _has_news(self, loops: Sequence[Loop]) -> bool:
-        """Whether one of these, from lately, would move the map by more than it is itself unsure of."""
-        keyframes = self._keyframes
-        chi2 = edge_chi2(as_edges(loops), keyframes.map)
-        for loop, c in zip(loops, chi2.tolist(), strict=True):
-            off_m, off_rad = disagreement(keyframes, loop)
-            if keyframes.way_m[loop.to] <= self._searched_m - WITHIN_M:
-                continue
-            if (off_m > self._config.solve_at_m and c > NEWS_CHI2) or off_rad > self._config.solve_at_rad:
-                return True
-        return False
 
     def _forget(self) -> None:
         """Drop the points of the oldest pass where enough newer ones keep theirs: time must not fill memory.
@@ -409,6 +396,7 @@ class LoopBackEnd:
         """Poses that agree best; loops that the rest contradicts are disabled."""
         if self._keyframes.count < 2:
             return
+        before = self._keyframes.map.copy()
         for _ in range(3):
             poses = solve(self._to_solve()).poses
             moving = self._keyframes.map[self._held :]
@@ -416,7 +404,8 @@ class LoopBackEnd:
             if self._anchoring.reference is not None and not self._held:
                 self._anchoring.solved(poses[-1])
             if not self._disable_refuted():
-                return
+                break
+        self._due.solved(float(self._keyframes.way_m[-1]), before, self._keyframes.map)
 
     def _disable_refuted(self) -> bool:
         """Whether a loop had to go."""

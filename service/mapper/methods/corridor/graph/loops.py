@@ -15,6 +15,7 @@ FLOOR = np.diag([0.006**2, 0.006**2, 0.0015**2])  # m^2, rad^2: what walls and s
 # 1/m^2, 1/rad^2: where walls say nothing, and many loops do not, either
 OPEN_INFORMATION = np.diag([1e-4, 1e-4, 1e-2])
 KERNEL_WIDTH = 2.0  # sigmas
+WITHIN_M = 30.0  # way within which loops that say the same lie
 
 
 @dataclass(frozen=True, slots=True, eq=False)
