@@ -158,18 +158,33 @@ class FoundOnce:
     known: KnownPose
 
 
+@dataclass(frozen=True, slots=True)
+class PossiblePlace:
+    """A place of the map, one of several where the vehicle may be.
+
+    nats    what speaks for it, against ground that the map does not hold
+    least   nats that would exclude that ground; None: another place of the map is about as likely
+    """
+
+    x_m: float
+    y_m: float
+    nats: float
+    least: float | None = None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceNews:
     """What a graph knows of the vehicle's place in the map.
 
     placed         how sure the place of the session in its stored map is
-    alike          m, in the map: places that a piece that is looked for fits equally well
+    possible       where a piece that is looked for may be: two places about equally likely, or one that
+                   unmapped ground may look like
     pose_refused   m, m, rad: where a person said the vehicle is, and what is seen does not fit; None: nothing
     found_once     where a piece was found; None: nowhere, or it is joined
     """
 
     placed: Placed = "proven"
-    alike: Sequence[tuple[float, float]] = ()
+    possible: Sequence[PossiblePlace] = ()
     pose_refused: tuple[float, float, float] | None = None
     found_once: FoundOnce | None = None
 

@@ -1,10 +1,11 @@
 """Where odom lies in the map, and what that makes of a match: the newest that the graph has said."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from service.fusion.motion import Matrix, Motion
 from service.geometry.se2 import SE2
-from service.mapper.components import GraphUpdate, MapChange, Match, Placed, PlaceNews
+from service.mapper.components import GraphUpdate, MapChange, Match, Placed, PlaceNews, PossiblePlace
 from service.mapper.known_pose import KnownPose
 from service.outputs import Reason
 
@@ -83,13 +84,21 @@ class PlaceInMap:
 
     def _why_lost(self, reason: Reason) -> Reason:
         """With the places that a person could choose between, and the one that was refused."""
-        if self._news.alike:
-            places = " and ".join(f"({x_m:.1f}, {y_m:.1f}) m" for x_m, y_m in self._news.alike)
-            alike = f"the scans match the map equally well at {places}"
-            words = f"{reason}; {alike}" if self.is_found else f"{alike}; drive on, or set the pose"
+        if self._news.possible:
+            possible = _in_words(self._news.possible)
+            words = f"{reason}; {possible}" if self.is_found else f"{possible}; drive on, or set the pose"
             reason = Reason("several_places", words)
         if self.pose_refused is not None:
             x_m, y_m, _ = self.pose_refused
             refused = f"the pose set at ({x_m:.1f}, {y_m:.1f}) m is rejected: no scan matches the map there"
             reason = Reason("pose_refused", f"{refused}; {reason}")
         return reason
+
+
+def _in_words(places: Sequence[PossiblePlace]) -> str:
+    if (least := places[0].least) is not None:
+        at = f"({places[0].x_m:.1f}, {places[0].y_m:.1f}) m"
+        for_it = f"{places[0].nats:.0f} nats speak for it, {least:.0f} would exclude that"
+        return f"the scans match the map at {at}, but unmapped ground may look the same ({for_it})"
+    several = " and ".join(f"({at.x_m:.1f}, {at.y_m:.1f}) m ({at.nats:.0f} nats)" for at in places)
+    return f"the scans match the map about equally well at {several}"

@@ -250,7 +250,7 @@ def places(world: World, known: Known, first: SE2, seed: int, count: int) -> tup
 
 def is_told(pieces: PieceSearch, true: Floats) -> bool:
     """Whether the true place is one of two that are told, and neither is clearly likelier."""
-    is_told = any(math.hypot(x - true[0], y - true[1]) < RIGHT_M for x, y in pieces.alike)
+    is_told = any(math.hypot(at.x_m - true[0], at.y_m - true[1]) < RIGHT_M for at in pieces.possible)
     return is_told and abs(pieces.ahead_of_others(true)) < CLEARLY_LIKELIER
 
 

@@ -11,7 +11,7 @@ from service.fusion import estimator
 from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
-from service.mapper.components import FoundOnce, GraphUpdate, PlaceNews
+from service.mapper.components import FoundOnce, GraphUpdate, PlaceNews, PossiblePlace
 from service.mapper.graph.no_graph import NoGraph
 from service.mapper.known_pose import KnownPose
 from service.mapper.pipeline import MOST_BEHIND_NS, Mapper
@@ -141,7 +141,7 @@ class FindingGraph(NoGraph):
 
     def apply_result(self):
         if self.piece is None:
-            return GraphUpdate({}, place=PlaceNews(alike=[(1.0, 2.0), (-3.04, 4.0)]))
+            return GraphUpdate({}, place=PlaceNews(possible=[PossiblePlace(1.0, 2.0, 310.0)]))
         known = KnownPose(SE2(), np.zeros((3, 3)), self.covariance)
         once = FoundOnce(self.piece, self.pose_map_odom, known)
         return GraphUpdate({}, place=PlaceNews(found_once=once))
@@ -165,7 +165,7 @@ def test_a_piece_that_was_found_once_gives_the_pose_which_is_degraded_and_draws_
     mapper.apply_result()
     withdrawn = next(outputs)
     assert (withdrawn.state, withdrawn.pose_map_odom) == ("lost", SE2())
-    assert "the scans match the map equally well at (1.0, 2.0) m and (-3.0, 4.0) m" in withdrawn.reason
+    assert "the scans match the map about equally well at (1.0, 2.0) m (310 nats)" in withdrawn.reason
     assert withdrawn.covariance[2, 2] != pytest.approx(output.covariance[2, 2])
 
 

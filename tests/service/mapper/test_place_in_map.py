@@ -4,7 +4,16 @@ import pytest
 from drivers.frames import NO_INTENSITY, LaserScan
 from service.fusion.motion import Measurement, Motion
 from service.geometry.se2 import SE2
-from service.mapper.components import FoundOnce, GraphUpdate, MapChange, Match, Placed, PlaceNews, Points
+from service.mapper.components import (
+    FoundOnce,
+    GraphUpdate,
+    MapChange,
+    Match,
+    Placed,
+    PlaceNews,
+    Points,
+    PossiblePlace,
+)
 from service.mapper.known_pose import KnownPose
 from service.mapper.place_in_map import FOUND_ONCE, NOT_PLACED, UNPROVEN, PlaceInMap
 from service.outputs import State
@@ -65,11 +74,12 @@ def test_in_a_stored_map_only_a_proven_place_is_ok(placed: Placed, told: list[st
 
 
 def test_who_is_lost_is_told_between_which_places_and_that_the_pose_a_person_set_is_not_one():
-    between = "the scans match the map equally well at (1.0, 2.0) m and (-3.0, 4.0) m"
-    alike = [(1.0, 2.0), (-3.04, 4.0)]
-    assert judged(PlaceNews(alike=alike), "lost", "why")[2] == f"why; {between}"
+    between = "about equally well at (1.0, 2.0) m (310 nats) and (-3.0, 4.0) m (305 nats)"
+    between = f"the scans match the map {between}"
+    alike = [PossiblePlace(1.0, 2.0, 310.0), PossiblePlace(-3.04, 4.0, 304.7)]
+    assert judged(PlaceNews(possible=alike), "lost", "why")[2] == f"why; {between}"
     assert judged(PlaceNews("unknown", alike), "ok")[2] == f"{between}; drive on, or set the pose"
-    assert judged(PlaceNews(alike=alike), "ok")[2] == ""
+    assert judged(PlaceNews(possible=alike), "ok")[2] == ""
     refused = "the pose set at (7.0, 8.0) m is rejected: no scan matches the map there"
     assert judged(PlaceNews(pose_refused=(7.0, 8.0, 0.5)), "lost", "why")[2] == f"{refused}; why"
 

@@ -14,6 +14,7 @@ from service.kernels.beam_likelihood import (
     FULL_RATIO,
     POINT_CELL_M,
     POINT_REACH,
+    WALL_SIGMA_M,
     KnownGround,
     cells_with_walls,
     count_looks,
@@ -56,6 +57,10 @@ FIRST_STEPS, LEAST_STEP = np.array([0.06, 0.06, 0.012]), 1.0 / 16.0  # m, m, rad
 ALONG_M, ALONG_STEP_M = 1.6, 0.1  # how far to both sides of a place along the walls others are looked for
 ALONG_SHARE = 0.9  # of the points that lie on walls at a place must do so beside it
 ON_MAP_RATIO = 0.5 * FULL_RATIO  # nats: a beam above it ends on what the map has there
+# Nats that one wall or thing says at most. Buildings consist of straight walls, on new ground, too: the beams
+# that end on one of them say one thing, where it stands. Walls that face the same way are so far apart.
+WALLS_APART_M = 2.0
+MOST_OF_WALL = math.log(WALLS_APART_M / (math.sqrt(2.0 * math.pi) * WALL_SIGMA_M))
 TRACED_EVERY = 3  # key frames: neighbours see the same free space, and through the same things
 LOOKED_THROUGH = -10  # evidence of a cell: a beam passed, and none ended in it
 
@@ -160,6 +165,14 @@ class KnownMap:
         against = float(shares @ (at_end + on_way < AGAINST_RATIO)) / whole
         on_map = float(shares @ (at_end > ON_MAP_RATIO)) / whole
         return Weight(evidence, max(0.0, FULL_RATIO * whole - evidence), against, on_map)
+
+    def structure(self, seen: SeenCloud, pose: Floats) -> float:
+        """Nats that speak for a cloud at a pose (3,) against a building of which the map knows nothing: of
+        each wall or thing once, MOST_OF_WALL at most for or against.
+        """
+        _, at_end, on_way = self._asked_at(seen, pose)
+        of_walls = np.bincount(seen.walls, seen.shares * at_end + on_way)
+        return float(np.clip(of_walls, -MOST_OF_WALL, MOST_OF_WALL).sum())
 
     def ahead_where_known(self, seen: SeenCloud, pose: Floats, rival: Floats) -> float:
         """Nats by which a pose (3,) is likelier than a rival, by the beams that end there on what the map

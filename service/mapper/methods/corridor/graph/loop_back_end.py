@@ -122,8 +122,8 @@ class LoopBackEnd:
 
     def _place(self) -> PlaceNews:
         pieces = self.pieces
-        alike = pieces.alike if self._is_detached() else ()
-        return PlaceNews(self._placement.state, alike, pieces.pose_refused, pieces.found_once)
+        possible = pieces.possible if self._is_detached() else ()
+        return PlaceNews(self._placement.state, possible, pieces.pose_refused, pieces.found_once)
 
     def _work(self, batch: Batch) -> Result:
         for frame in batch.frames:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
-from service.mapper.components import FoundOnce
+from service.mapper.components import FoundOnce, PossiblePlace
 from service.mapper.graph.point_clouds import Fit, PointCloud
 from service.mapper.known_pose import KnownPose, covariance_added
 from service.mapper.methods.corridor.graph.candidate_submap import (
@@ -23,12 +23,19 @@ from service.mapper.methods.corridor.graph.loops import Loop, loop_of
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
 from service.mapper.methods.corridor.graph.place_search import (
     BEHIND_NATS,
+    SAME_PLACE_M,
     find_places,
     is_same_place,
     is_same_pose,
 )
 from service.mapper.methods.corridor.graph.seen_cloud import SeenCloud, seen_cloud
-from service.mapper.methods.corridor.graph.way_prior import FOUND_COVARIANCE, WayPrior
+from service.mapper.methods.corridor.graph.way_prior import (
+    DROVE,
+    DROVE_MEASURED,
+    FOUND_COVARIANCE,
+    WayPrior,
+    places_in,
+)
 
 AROUND_M, MOST_AROUND = 6.0, 40  # key frames that what is seen where a person says is held against
 MOST_QUERY = 12  # key frames of a piece that are looked for together
@@ -39,12 +46,13 @@ CLEARLY_LIKELIER, FOR_UNEXPLAINED = 20.0, 0.5
 AWAY_S = 2.0  # without scans: a vehicle whose wheels hung may be anywhere
 MOST_OFF_M, MOST_OFF_SHARE = 4.0, 0.2  # how far off dead reckoning may be else, and for each metre of a piece
 LEAST_APART_M = 4.0  # between two finds of a piece: standing, a room looks like any other of its kind
-PIECE_AGAINST = 0.06  # of the points may contradict the map: people do, and things that were moved
-# A session may begin, and a vehicle may have been carried, where no key frame has stood, and see much that
-# the map does not know. Of what it sees on known ground so much must lie on walls.
-SESSION_SHARE, SESSION_AGREEMENT = 0.3, 0.90
+# Probability that any of the places searched fits by chance as well as the one that is found does, where the
+# vehicle is on ground that the map does not hold.
+MOST_CHANCE = 1e-4
+# Where no key frame has stood, and where a piece comes from new ground, much is seen that the map does not
+# know. So much must lie on the map, and of what is seen on known ground so much on walls.
+LEAST_ON_MAP, LEAST_AGREEING = 0.3, 0.90
 EXPECTED_REACH, EXPECTED_TRIES = (1.5, 0.35), 10  # m, rad about a pose that is said; batches of key frames
-PIECE_SHARE = 0.75  # of the drive's median share must lie on the map where a piece is found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +79,7 @@ class Hypothesis:
     way_m: float
     piece: int
     is_disputed: bool  # the vehicle may as well be where dead reckoning leads
+    is_sure: bool = True  # it is told from ground of which the map knows nothing
 
 
 class PieceSearch:
@@ -87,7 +96,7 @@ class PieceSearch:
         self._refused_piece = 0
         self._known_map: KnownMap | None = None
         self._is_session_placed = True  # False: of this session nothing is placed in the stored map
-        self.alike: list[tuple[float, float]] = []  # m: the places that the newest piece fits equally well
+        self.possible: list[PossiblePlace] = []  # of the newest piece, as in PlaceNews
         self._asked: SeenCloud | None = None  # of the newest search
         self._places: list[CandidatePose] = []  # that it found
 
@@ -105,11 +114,11 @@ class PieceSearch:
     def found_once(self) -> FoundOnce | None:
         """Where a piece lies if the newest find is right; None: there is none, or the piece is placed.
 
-        Nor is it told where dead reckoning leads elsewhere and what is seen does not contradict that: new
-        ground may look like any place of the map.
+        Nor is it told where dead reckoning leads elsewhere and what is seen does not contradict that, or
+        where other places are possible, too: new ground may look like any place of the map.
         """
         keyframes, one = self._keyframes, self._hypothesis
-        if one is None or one.is_disputed:
+        if one is None or one.is_disputed or not one.is_sure or self.possible:
             return None
         k = one.loop.to
         known = KnownPose(
@@ -129,7 +138,7 @@ class PieceSearch:
         or dead reckoning.
         """
         config, keyframes = self._config, self._keyframes
-        self.alike = []
+        self.possible = []
         piece = int(keyframes.piece[-1])
         if piece != self._refused_piece:
             self.pose_refused = None
@@ -145,30 +154,34 @@ class PieceSearch:
         if not len(own) or not len(known):
             return None
         reference = int(own[-1])
-        prior: WayPrior | None = None
-        if piece in keyframes.unmeasured and self._is_session_placed:
-            prior = self._prior_of(reference, known)
+        prior = self._prior_of(reference, known) if self._is_session_placed else None
         best = self.best_of(self.places_of(own.tolist(), reference, known, prior), prior)
         if best is None or not self._could_be_at(best[0], piece, reference):
-            self._hypothesis = None
+            if not self._is_possible(reference):
+                self._hypothesis = None
             return None
         at, loop = best
         inverse = se2.between(keyframes.odom[reference], np.zeros(3))
         way_m, is_disputed = float(keyframes.way_m[reference]), self._may_be_at(prior)
-        new = Hypothesis(se2.compose(at, inverse), loop, way_m, piece, is_disputed)
         is_second = prior is not None and prior.explains(at)
+        old = self._hypothesis
+        agrees = old is not None and is_same_place(
+            se2.compose(old.pose_map_odom, keyframes.odom[reference]), at
+        )
+        is_sure = is_second or not self._is_session_placed or (agrees and old is not None and old.is_sure)
+        is_sure = is_sure or self._is_told_from_new_ground(at, prior)
+        new = Hypothesis(se2.compose(at, inverse), loop, way_m, piece, is_disputed, is_sure)
         # Of a session one find says where, for the vehicle may stand; it is proven later.
         if is_second or not self._is_session_placed:
             self._place(piece, new.pose_map_odom)
             return (loop,)
-        old = self._hypothesis
-        if old is None:
+        if old is None or not (old.is_sure and is_sure):
             self._hypothesis = new
             return None
-        if new.way_m - old.way_m < LEAST_APART_M:
+        if way_m - old.way_m < LEAST_APART_M:
             return None
         self._hypothesis = new
-        if not is_same_place(se2.compose(old.pose_map_odom, keyframes.odom[reference]), at):
+        if not agrees:
             return None
         self._place(piece, new.pose_map_odom)
         return old.loop, new.loop
@@ -178,6 +191,28 @@ class PieceSearch:
         if prior is None or prior.is_vague or self._asked is None or self._known_map is None:
             return False
         return self._known_map.align(self._asked, prior.pose).weight.evidence > -CLEARLY_LIKELIER
+
+    def _is_possible(self, reference: int) -> bool:
+        """Whether the newest find is one of the places that are possible now."""
+        if self._hypothesis is None:
+            return False
+        at = se2.compose(self._hypothesis.pose_map_odom, self._keyframes.odom[reference])
+        return any(math.dist(at[:2], (place.x_m, place.y_m)) < SAME_PLACE_M for place in self.possible)
+
+    def _is_told_from_new_ground(self, at: Floats, prior: WayPrior | None) -> bool:
+        """Whether what was asked for last can hardly be seen anywhere but at a pose (3,) of the map.
+
+        Walls on new ground stand as in the rest of the building. The more places were searched, the more of
+        them fit by chance; so as many times likelier must this one be than ground that nobody knows.
+        """
+        assert self._asked is not None
+        assert self._known_map is not None
+        nats = self._known_map.structure(self._asked, at)
+        nats += 0.0 if prior is None else prior.nats(at)
+        least = math.log(places_in(2.0 * math.pi * self._known_map.area_m2) / MOST_CHANCE)
+        if nats < least:
+            self.possible = [PossiblePlace(float(at[0]), float(at[1]), nats, least)]
+        return nats >= least
 
     def _around(self, known: npt.NDArray[np.int64], pose: Floats) -> CandidateSubmap:
         """What key frames of all passes have seen around a pose (3,) of the map."""
@@ -227,14 +262,19 @@ class PieceSearch:
         ]
         return self._places
 
-    def _prior_of(self, reference: int, known: npt.NDArray[np.int64]) -> WayPrior:
-        """Of a key frame to which nobody measured the way, from the newest one of a known place."""
+    def _prior_of(self, reference: int, known: npt.NDArray[np.int64]) -> WayPrior | None:
+        """Of a key frame, by the way from the newest one of a known place; None: no motion model says it."""
         keyframes, last = self._keyframes, int(known[-1])
         step = se2.between(keyframes.odom[last], keyframes.odom[reference])
         then, now = keyframes.motion_covariance[last], keyframes.motion_covariance[reference]
+        if not np.isfinite(then + now).all():
+            return None
         region = 2.0 * math.pi * self._map_of(known).area_m2
         pose = se2.compose(keyframes.map[last], step)
-        return WayPrior(pose, covariance_added(then, now, step), region)
+        is_measured = int(keyframes.piece[reference]) not in keyframes.unmeasured
+        return WayPrior(
+            pose, covariance_added(then, now, step), region, DROVE_MEASURED if is_measured else DROVE
+        )
 
     def ahead_of_others(self, pose_map: Floats) -> float:
         """Nats by which the pose (3,) in the map is likelier than every other place that the newest search
@@ -251,18 +291,18 @@ class PieceSearch:
     def best_of(
         self, found: list[CandidatePose], prior: WayPrior | None = None
     ) -> tuple[Floats, Loop] | None:
-        """The place that is clearly likelier than every other; None where there is none. After a way that
-        nobody measured, clearly likelier also than ground that the map does not hold: there nothing that is
-        seen speaks for or against.
+        """The place that is clearly likelier than every other, by the beams or by walls and things as such;
+        None where there is none. Once a place is known in this session, clearly likelier also than ground
+        that the map does not hold: there nothing that is seen speaks for or against.
         """
-        self.alike = []
+        self.possible = []
         if not found:
             return None
         best = max(found, key=lambda place: place.evidence)
         if best.loop is None:
             return None
         margin = _margin(best.weight.unexplained, prior is not None and prior.explains(best.pose))
-        if prior is not None and best.weight.evidence < margin:
+        if self._is_session_placed and best.weight.evidence < margin:
             return None
         for other in found:
             ahead = best.evidence - other.evidence
@@ -270,10 +310,24 @@ class PieceSearch:
             least = CLEARLY_LIKELIER if is_same_place(best.pose, other.pose) else margin
             if ahead >= least and other.loop is not None:
                 ahead, least = self._ahead_where_known(best, other), CLEARLY_LIKELIER
-            if ahead < least and not is_same_pose(best.pose, other.pose):
-                self.alike = [(float(place.pose[0]), float(place.pose[1])) for place in (best, other)]
+            if ahead >= least or is_same_pose(best.pose, other.pose):
+                continue
+            if self._ahead_by_structure(best, other) < CLEARLY_LIKELIER:
+                self.possible = [
+                    PossiblePlace(float(place.pose[0]), float(place.pose[1]), place.evidence)
+                    for place in (best, other)
+                ]
                 return None
         return best.pose, best.loop
+
+    def _ahead_by_structure(self, best: CandidatePose, other: CandidatePose) -> float:
+        """Nats by which walls and things say that a place is likelier than another one, each of them once;
+        0 where both are of one room, or nothing was searched for.
+        """
+        if self._asked is None or self._known_map is None or is_same_place(best.pose, other.pose):
+            return 0.0
+        of_best, of_other = (self._known_map.structure(self._asked, place.pose) for place in (best, other))
+        return of_best + best.prior - of_other - other.prior
 
     def _ahead_where_known(self, best: CandidatePose, other: CandidatePose) -> float:
         """Nats by which a place is likelier than another one at which enough fits; inf where both are of one
@@ -321,7 +375,7 @@ class PieceSearch:
         """How the points lie on a sub-map from a pose near enough; and the loop, if they fit."""
         fit = submap.align(cloud, pose)
         against = submap.against(cloud, fit.pose)
-        if not self._fits(fit.share, against):
+        if not _fits(fit.share, against):
             return fit, None
         return fit, loop_of(
             submap.reference, reference, fit.pose, fit.information, fit.share, len(cloud.xy), against
@@ -339,11 +393,9 @@ class PieceSearch:
         the key frame of that map next to it. Where dead reckoning leads there, both say it.
         """
         fit, weight = aligned.fit, aligned.weight
-        is_anywhere = prior is not None or not self._is_session_placed
-        share = weight.on_map if is_anywhere else fit.share
         if prior is not None and prior.explains(fit.pose):
             fit = prior.joined(fit)
-        elif not (_fits_anywhere if prior is not None else self._fits)(share, weight.against):
+        elif not _fits(weight.on_map, weight.against):
             return None
         poses = self._keyframes.map
         of = int(known[np.argmin(np.hypot(*(poses[known, :2] - fit.pose[:2]).T))])
@@ -351,13 +403,7 @@ class PieceSearch:
         turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         information = turn @ fit.information @ turn.T
         measured = se2.between(poses[of], fit.pose)
-        return loop_of(of, reference, measured, information, share, len(cloud.xy), weight.against)
-
-    def _fits(self, share: float, against: float) -> bool:
-        if not self._is_session_placed:
-            return _fits_anywhere(share, against)
-        usual = float(np.median(self._keyframes.score))
-        return share >= PIECE_SHARE * usual and against < PIECE_AGAINST
+        return loop_of(of, reference, measured, information, weight.on_map, len(cloud.xy), weight.against)
 
     def _could_be_at(self, at: Floats, piece: int, reference: int) -> bool:
         """Whether a key frame of a piece may lie at a pose (3,) of the map.
@@ -377,9 +423,9 @@ class PieceSearch:
         return bool(np.hypot(away[0], away[1]) <= MOST_OFF_M + MOST_OFF_SHARE * way_m)
 
 
-def _fits_anywhere(on_map: float, against: float) -> bool:
-    """Of what is seen where no key frame may have stood, so much lies on the map, and contradicts it."""
-    return on_map >= SESSION_SHARE and on_map >= SESSION_AGREEMENT * (on_map + against)
+def _fits(on_map: float, against: float) -> bool:
+    """Shares of what is seen: whether enough of it lies on the map, and little contradicts it."""
+    return on_map >= LEAST_ON_MAP and on_map >= LEAST_AGREEING * (on_map + against)
 
 
 def _margin(unexplained: float, is_led: bool) -> float:

@@ -4,9 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
+from service.kernels.wall_groups import group_by_wall
 from service.mapper.graph.point_clouds import PointCloud, joined
 from service.mapper.methods.corridor.graph.candidate_submap import seen_by
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
@@ -24,11 +26,13 @@ class SeenCloud:
     sensors   (N, 2) m   where the beam of each point begins, in the frame of the cloud
     shares    (N,)       what each point counts: of a wall that several key frames have seen each says the
                          same, so together they count as one of them
+    walls     (N,)       the wall or thing that each point lies on, by number
     """
 
     cloud: PointCloud
     sensors: Floats
     shares: Floats
+    walls: npt.NDArray[np.int64]
 
 
 def seen_cloud(keyframes: KeyframeList, members: Sequence[int], reference: int) -> SeenCloud:
@@ -42,7 +46,9 @@ def seen_cloud(keyframes: KeyframeList, members: Sequence[int], reference: int) 
         sensors.append(np.tile(se2.points_from(step, np.array(keyframes.thinned[k].sensor_xy_m)), (count, 1)))
         number.append(np.full(count, n))
     cloud = joined(clouds)
-    return SeenCloud(cloud, np.concatenate(sensors), _shares(cloud.xy, np.concatenate(number)))
+    walls = np.empty(len(cloud.xy), np.int64)
+    group_by_wall(cloud.xy, cloud.normals, cloud.sigma_m, walls)
+    return SeenCloud(cloud, np.concatenate(sensors), _shares(cloud.xy, np.concatenate(number)), walls)
 
 
 def _shares(xy: Floats, keyframe: np.ndarray) -> Floats:

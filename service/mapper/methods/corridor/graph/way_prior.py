@@ -1,4 +1,4 @@
-"""How likely places are after a way that nobody measured: as dead reckoning says, or anywhere."""
+"""How likely places are for a vehicle that was lost: where dead reckoning says, or anywhere."""
 
 import math
 from dataclasses import dataclass
@@ -12,8 +12,19 @@ from service.mapper.graph.point_clouds import Fit
 from service.mapper.judgement import JUMP_CHI2, is_loose, sigmas_of
 
 DROVE = 0.5  # probability that dead reckoning is right after a pause; the other hypothesis is equally likely
+DROVE_MEASURED = 0.9  # the same, where odometry measured the way, but a scan contradicted it
 # Of the place that a search finds, m, m, rad: what key frames of the map are off besides.
 FOUND_COVARIANCE = np.diag([0.05**2, 0.05**2, 0.01**2])
+
+
+def places_in(region: float) -> float:
+    """How many places that a search tells apart lie in a region, m^2 rad."""
+    return region / _spread(FOUND_COVARIANCE)
+
+
+def _spread(covariance: Floats) -> float:
+    """m^2 rad that a normal distribution (3, 3) takes up: one over its greatest density."""
+    return float((2.0 * math.pi) ** 1.5 * math.sqrt(np.linalg.det(covariance)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,17 +34,18 @@ class WayPrior:
     pose         (3,) where dead reckoning puts a key frame, in the map
     covariance   (3, 3) of it, base axes
     region       m^2 rad: ground of the map times a full turn
+    drove        probability of the first hypothesis
     """
 
     pose: Floats
     covariance: Floats
     region: float
+    drove: float = DROVE
 
     def nats(self, pose: Floats) -> float:
         """Log-density at a pose (3,) of the map, less that of a vehicle that may be anywhere in it."""
-        spread = (2.0 * math.pi) ** 1.5 * math.sqrt(float(np.linalg.det(self._of_find())))
-        at = math.exp(-0.5 * self._chi2(pose)) / spread
-        return math.log(1.0 - DROVE + DROVE * self.region * at)
+        at = math.exp(-0.5 * self._chi2(pose)) / _spread(self._of_find())
+        return math.log(1.0 - self.drove + self.drove * self.region * at)
 
     @property
     def is_vague(self) -> bool:

@@ -12,7 +12,7 @@ from service.kernels.beam_likelihood import FULL_RATIO
 from service.kernels.loops import thin_points
 from service.kernels.normals import estimate_normals
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
-from service.mapper.methods.corridor.graph.known_map import UNKNOWN_LIKELIHOOD, KnownMap, Weight
+from service.mapper.methods.corridor.graph.known_map import MOST_OF_WALL, UNKNOWN_LIKELIHOOD, KnownMap, Weight
 from service.mapper.methods.corridor.graph.loops import loop_of
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
 from service.mapper.methods.corridor.graph.piece_search import (
@@ -100,7 +100,7 @@ def test_of_two_rooms_that_are_alike_none_is_taken_and_both_are_told():
     keyframes, noise = rooms(pillar_in_first=False, pillar_in_second=False)
     search, best = looked_for(keyframes, append(keyframes, room(0.0, with_pillar=False), STOOD, 1, noise))
     assert best is None
-    told = sorted(search.alike)
+    told = sorted((at.x_m, at.y_m) for at in search.possible)
     assert told[0] == pytest.approx((STOOD.x_m, STOOD.y_m), abs=0.05)
     assert told[1] == pytest.approx((STOOD.x_m + APART_M, STOOD.y_m), abs=0.05)
 
@@ -117,7 +117,7 @@ def test_a_room_that_is_known_whole_does_not_win_against_one_like_it_that_is_kno
     own = append(keyframes, room(at_m, with_pillar=False), pose, 1, noise)
     search, best = looked_for(keyframes, own)
     assert best is None
-    told = sorted(search.alike)
+    told = sorted((at.x_m, at.y_m) for at in search.possible)
     assert told[0] == pytest.approx((STOOD.x_m, STOOD.y_m), abs=0.05)
     assert told[1] == pytest.approx((STOOD.x_m + APART_M, STOOD.y_m), abs=0.05)
     assert search.ahead_of_others(np.array([STOOD.x_m, STOOD.y_m, STOOD.theta_rad])) > CLEARLY_LIKELIER
@@ -177,9 +177,9 @@ def test_a_place_that_leaves_much_unexplained_must_be_much_likelier_than_every_o
     for unexplained in (0.0, 60.0):
         ahead = CLEARLY_LIKELIER + FOR_UNEXPLAINED * unexplained
         assert best_of(unexplained, 0.99 * ahead) is None
-        assert search.alike == [(0.0, 0.0), (5.0, 0.0)]
+        assert [(at.x_m, at.y_m) for at in search.possible] == [(0.0, 0.0), (5.0, 0.0)]
         assert best_of(unexplained, 1.01 * ahead) is not None
-        assert search.alike == []
+        assert search.possible == []
     # Beside it the same is unexplained; and a pose as near as it is known is the same one.
     assert best_of(60.0, 1.01 * CLEARLY_LIKELIER, beside_m=0.3) is not None
     assert best_of(60.0, 0.99 * CLEARLY_LIKELIER, beside_m=0.3) is None
@@ -247,3 +247,16 @@ def test_the_room_behind_a_wall_of_the_map_is_a_candidate():
     cloud = seen_cloud(keyframes, [own], own).cloud
     away = se2.between(pose, np.array(known_map.candidates(cloud)))
     assert (np.hypot(away[:, 0], away[:, 1]) + np.abs(away[:, 2])).min() < 0.3
+
+
+def test_walls_speak_for_a_place_once_each_however_many_beams_end_on_them():
+    keyframes, noise = rooms(pillar_in_first=False, pillar_in_second=False)
+    mapped = np.arange(keyframes.count)
+    truth = np.array([STOOD.x_m, STOOD.y_m, STOOD.theta_rad])
+    own = [append(keyframes, room(0.0, with_pillar=is_there), STOOD, 1, noise) for is_there in (False, True)]
+    known_map = KnownMap(keyframes, mapped)
+    without, with_pillar = (known_map.structure(seen_cloud(keyframes, [k], k), truth) for k in own)
+    assert 5.0 * MOST_OF_WALL < without < 13.0 * MOST_OF_WALL  # six walls, and stray points
+    assert with_pillar < without - MOST_OF_WALL  # two sides of it are seen where nothing stood
+    elsewhere = known_map.structure(seen_cloud(keyframes, own[:1], own[0]), truth + np.array([0.5, 0.3, 0.0]))
+    assert elsewhere < 0.0

@@ -56,7 +56,7 @@ def test_along_walls_that_say_nothing_no_place_is_taken():
     """Each cell of a block of the search fits as well as the one that it gives."""
     search, best = looked_for(corridor(), SE2(33.0, 0.3, 0.2))
     assert best is None
-    assert len(search.alike) == 2
+    assert len(search.possible) == 2
 
 
 def test_beside_a_place_others_are_found_along_the_walls_and_none_where_a_niche_tells():
@@ -88,6 +88,6 @@ def test_a_niche_tells_where_along_a_corridor():
 def test_two_niches_that_are_alike_are_told_both():
     search, best = looked_for(corridor((13.0, 47.0)), SE2(12.0, 0.3, 0.2))
     assert best is None
-    (x_m, _), (other_m, _) = sorted(search.alike)
+    x_m, other_m = sorted(at.x_m for at in search.possible)
     assert abs(x_m - 12.0) < 0.1
     assert abs(other_m - 46.0) < 0.1

@@ -1,0 +1,66 @@
+"""Which points lie on the same wall: all of them say one thing of where they were seen from."""
+
+import math
+
+from service.kernels.compiled import kernel
+from service.kernels.normals import ROUGH_WEIGHT
+
+ACROSS_M, ACROSS_SIGMAS = 0.06, 3.0  # how far off its line a point of a wall lies at most
+LEAST_COSINE = 0.97  # between the normal of a point and that of its wall
+REACHES_M = (1.0, 4.0, math.inf)  # about its first point, in which a wall is fitted, each from the one before
+THING_M = 0.3  # about its first point: rough points so near are one thing
+
+
+@kernel
+def group_by_wall(xy, normals, sigma_m, group):
+    """Number the straight lines that points lie on, however far apart on them, and the things beside walls.
+
+    xy        (N, 2) float64   m
+    normals   (N, 3) float64   as estimate_normals gives them
+    sigma_m   (N,)   float64   noise of each point
+    group     (N,)   int64     out: 0 and up
+    Returns how many there are.
+    """
+    count = xy.shape[0]
+    group[:] = -1
+    groups = 0
+    for i in range(count):
+        if group[i] >= 0:
+            continue
+        if normals[i, 2] <= ROUGH_WEIGHT:
+            for j in range(i, count):
+                is_rough = group[j] < 0 and normals[j, 2] <= ROUGH_WEIGHT
+                if is_rough and math.hypot(xy[j, 0] - xy[i, 0], xy[j, 1] - xy[i, 1]) < THING_M:
+                    group[j] = groups
+            groups += 1
+            continue
+        x, y, nx, ny = xy[i, 0], xy[i, 1], normals[i, 0], normals[i, 1]
+        for reach_m in REACHES_M:
+            of, sx, sy, sxx, sxy, syy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
+            is_last = reach_m == math.inf
+            for j in range(i, count):
+                if group[j] >= 0 or normals[j, 2] <= ROUGH_WEIGHT:
+                    continue
+                dx, dy = xy[j, 0] - x, xy[j, 1] - y
+                if (
+                    abs(nx * dx + ny * dy) >= max(ACROSS_M, ACROSS_SIGMAS * sigma_m[j])
+                    or nx * normals[j, 0] + ny * normals[j, 1] < LEAST_COSINE
+                    or math.hypot(xy[j, 0] - xy[i, 0], xy[j, 1] - xy[i, 1]) >= reach_m
+                ):
+                    continue
+                if is_last:
+                    group[j] = groups
+                    continue
+                of, sx, sy = of + 1, sx + dx, sy + dy
+                sxx, sxy, syy = sxx + dx * dx, sxy + dx * dy, syy + dy * dy
+            if of > 2 and not is_last:
+                mx, my = sx / of, sy / of
+                along = 0.5 * math.atan2(2.0 * (sxy / of - mx * my), sxx / of - mx * mx - syy / of + my * my)
+                px, py = -math.sin(along), math.cos(along)
+                if px * nx + py * ny < 0.0:
+                    px, py = -px, -py
+                if px * nx + py * ny > LEAST_COSINE:
+                    x, y, nx, ny = x + mx, y + my, px, py
+        group[i] = groups
+        groups += 1
+    return groups
