@@ -16,6 +16,8 @@ from service.mapper.methods.corridor.graph.odometry_edges import (
     matched_steps,
 )
 
+LEAST_SHARE = 1e-12  # of the largest variance of a step: above what rounding leaves of the smallest one
+
 
 def edges_in_hindsight(keyframes: KeyframeList, step_m: float) -> Edges:
     """From each key frame to the next, known as well as the motion model says by all that came later: those
@@ -31,7 +33,7 @@ def edges_in_hindsight(keyframes: KeyframeList, step_m: float) -> Edges:
     for k in np.flatnonzero(is_known)[::-1].tolist():
         of, to = edges.of[k], edges.to[k]
         variances, axes = np.linalg.eigh(known[to] - back[k] @ known[of] @ back[k].T)
-        added = (axes * np.maximum(variances, 0.0)) @ axes.T
+        added = (axes * np.maximum(variances, max(variances[-1] * LEAST_SHARE, 0.0))) @ axes.T
         known[of] = there[k] @ (known[to] - added) @ there[k].T
         edges.covariance[k] = added + LEAST_COVARIANCE
     edges.covariance[is_unknown] = UNKNOWN_COVARIANCE
@@ -41,15 +43,15 @@ def edges_in_hindsight(keyframes: KeyframeList, step_m: float) -> Edges:
 def known_pose(
     keyframes: KeyframeList, joined: Collection[int], graph: PoseGraph, held: int
 ) -> KnownPose | None:
-    """The newest key frame of a piece whose place in the map is known; None: the motion model says nothing
-    of it.
+    """The newest key frame whose piece has a known place in the map; None: there is none, or the motion model
+    says nothing of it.
 
     joined   numbers of those pieces
     graph    with edges in hindsight; of it the first `held` key frames are one pose
     """
-    k = int(np.flatnonzero(np.isin(keyframes.piece, list(joined)))[-1])
-    motion = keyframes.motion_covariance[k].copy()
-    if not np.isfinite(motion).all():
+    placed = np.flatnonzero(np.isin(keyframes.piece, list(joined)))
+    if not len(placed) or not np.isfinite(keyframes.motion_covariance[placed[-1]]).all():
         return None
+    k = int(placed[-1])
     covariance = covariance_of(graph, k - max(held - 1, 0))
-    return KnownPose(SE2(*keyframes.odom[k].tolist()), motion, covariance)
+    return KnownPose(SE2(*keyframes.odom[k].tolist()), keyframes.motion_covariance[k].copy(), covariance)

@@ -154,7 +154,9 @@ class LoopBackEnd:
         self._solve()
         graph = self._to_solve(is_in_hindsight=True)
         known = known_pose(self._keyframes, self._joined, graph, self._held)
-        drawn = self.render() if self._due.take_drawing() or batch.request or joined is not None else None
+        if joined is not None or batch.request:
+            self._due.must_draw()
+        drawn = self.render() if self._due.take_drawing() else None
         return Result(len(self._loops), len(self._disabled), joined, self._correction(-1), known, drawn)
 
     @property
@@ -243,6 +245,7 @@ class LoopBackEnd:
 
     def _take_back(self, piece: int) -> None:
         """A piece does not lie where it was found."""
+        self._due.must_draw()
         self._joined.discard(piece)
         of_piece = self._keyframes.piece == piece
         self._loops = [loop for loop in self._loops if not (of_piece[loop.of] or of_piece[loop.to])]

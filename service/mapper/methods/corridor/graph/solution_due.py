@@ -1,5 +1,6 @@
 """When a solution of the graph is worth its time, and when the map is worth being drawn anew after it."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -54,8 +55,12 @@ class SolutionDue:
         )
         self._undrawn_m += float(away_m.max(initial=0.0))
 
+    def must_draw(self) -> None:
+        """There is more or less in the map than before."""
+        self._undrawn_m = math.inf
+
     def take_drawing(self) -> bool:
-        """Whether the map has moved visibly since it was drawn; it is drawn now if it has."""
+        """Whether the map has changed visibly since it was drawn; it is drawn now if it has."""
         is_due = self._undrawn_m >= DRAW_AT_M
         if is_due:
             self._undrawn_m = 0.0

@@ -115,3 +115,11 @@ def test_of_key_frames_that_the_motion_model_says_nothing_of_the_match_counts_wi
     in_hindsight, solved = edges_in_hindsight(keyframes, STEP_M), odometry_edges(keyframes, STEP_M)
     assert in_hindsight.covariance[:, 2, 2].max() < 1e-4 < 1e-2 < solved.covariance[:, 2, 2].max()
     assert known_pose(keyframes, {0}, graph_of(keyframes), 0) is None
+
+
+def test_a_step_of_kilometres_in_one_direction_beside_millimetres_can_be_weighed() -> None:
+    keyframes = driven()
+    for k, wide in enumerate(np.random.default_rng(1).normal(0.0, (1e5, 1e5, 300.0), (COUNT, 3))):
+        keyframes.motion_covariance[k] += np.outer(wide, wide)
+    np.linalg.cholesky(edges_in_hindsight(keyframes, STEP_M).covariance)
+    assert np.isfinite(known(keyframes).covariance).all()

@@ -12,7 +12,7 @@ from service.geometry.se2 import SE2
 from service.mapper.components import Correction
 from service.mapper.known_pose import carried
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
-from service.mapper.methods.corridor.graph import known_map, loop_back_end
+from service.mapper.methods.corridor.graph import known_map, loop_back_end, solution_due
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
 from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
 from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
@@ -115,6 +115,19 @@ def test_a_closed_ring_is_known_better_than_the_way_that_led_to_it(ring: tuple[l
         assert one.covariance.shape == (3, 3)
         assert np.linalg.eigvalsh(one.covariance)[0] > 0.0
         assert np.trace(one.covariance[:2, :2]) < 0.5 * np.trace(one.motion_covariance[:2, :2])
+
+
+def test_loops_that_agree_with_the_map_are_brought_in_without_drawing_it_anew(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """Else the live error grows lap by lap: no loop is off by what is worth a solution."""
+    frames, _ = key_frames(1.4, turn_error_radpm=1e-6)
+    assert not any(result.newest for result in fed(frames)[1])
+    monkeypatch.setattr(solution_due, "SOLVE_EVERY_M", 20.0)
+    results = fed(frames)[1]
+    solved = [result for result in results if result.newest is not None]
+    assert solved
+    assert all(result.known is None and result.rendered_map is None for result in solved)
 
 
 def test_the_graph_is_drawn_seldom_and_shows_what_holds_and_what_does_not(

@@ -67,3 +67,5 @@ def test_the_map_is_drawn_anew_once_it_has_moved_visibly(moved: tuple[float, flo
     due.solved(200.0, before, after)
     assert due.take_drawing()
     assert not due.take_drawing()
+    due.must_draw()
+    assert due.take_drawing()
