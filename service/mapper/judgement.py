@@ -177,12 +177,16 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, Reason]:
     if ratio < least and not (is_carried and ratio >= LEAST_KNOWN):
         words = f"{_on_map(evidence)} (at least {least:.0%}); the pose follows the prediction"
         return "lost", Reason("off_map", words)
-    if evidence.sigma[0] > LOST_SIGMA_M or evidence.sigma[1] > LOST_SIGMA_RAD:
+    is_confirmed = can_contradict and ratio >= limits.lost_ratio and _is_borne_out(evidence)
+    # In a direction that the walls leave open odometry may know little, and its sigma says so: of that the
+    # scan contradicts nothing, and another piece of the map would know no more.
+    is_open = not evidence.is_far and evidence.weakest[0] > limits.degraded_sigma_m
+    if evidence.sigma[1] > LOST_SIGMA_RAD or (
+        evidence.sigma[0] > LOST_SIGMA_M and not (is_open and is_confirmed)
+    ):
         most = LOST_SIGMA_M, LOST_SIGMA_RAD
         return "lost", _pose_uncertain(evidence, most)
-    if ratio < limits.degraded_ratio and not (
-        is_carried and can_contradict and ratio >= limits.lost_ratio and _is_borne_out(evidence)
-    ):
+    if ratio < limits.degraded_ratio and not (is_carried and is_confirmed):
         return "degraded", Reason(
             "little_on_map",
             f"{_on_map(evidence)} (expected {limits.degraded_ratio:.0%}): unmapped ground, or a place that "

@@ -130,6 +130,25 @@ def test_a_pose_that_is_known_badly_is_no_good_one(sigma: tuple[float, float], e
     assert state(GOOD, sigma=sigma) == expected
 
 
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, "degraded"),
+        ({"weakest": (0.05, 0.0)}, "lost"),  # the walls fix the position, and it is not known all the same
+        ({"is_measured": False}, "degraded"),
+        ({"is_far": True}, "lost"),
+        ({"is_doubted": True}, "lost"),
+        ({"in_free": 91}, "lost"),
+        ({"sigma": (1.4, 0.36)}, "lost"),
+    ],
+)
+def test_along_walls_that_leave_it_open_a_position_that_odometry_knows_badly_is_not_lost(
+    changes: dict[str, object], expected: str
+) -> None:
+    slipped = replace(GOOD, sigma=(1.4, 0.01), prior=(1.4, 0.01), weakest=(5.0, 0.0), behind=0, in_free=0)
+    assert state(slipped, **changes) == expected
+
+
 @pytest.mark.parametrize("much", [185363.8, math.inf])
 def test_a_sigma_that_measures_nothing_is_not_told_as_a_number(much: float) -> None:
     reason = judge(replace(GOOD, weakest=(much, 0.5)), RATIOS)[1]

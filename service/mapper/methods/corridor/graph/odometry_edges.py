@@ -13,6 +13,9 @@ STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: of a step b
 LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])
 DOUBTFUL_COVARIANCE = np.diag([0.09, 0.09, 0.09])  # ... added where an end hardly lies on the map
 UNKNOWN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # ... into a piece that nobody knows the place of
+# ... into a piece, where no scan was missing, so that nobody carried the vehicle; added to the motion model's
+PIECE_COVARIANCE = np.diag([1.0, 1.0, 0.01])
+AWAY_S = 2.0  # without scans: a vehicle whose wheels hung may be anywhere
 LEAST_COVARIANCE = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: of a step that nothing was added in
 GAP_SHARE = 0.1  # of a way without scans: what odometry may have erred by
 DOUBTFUL_SHARE = 0.6  # of the drive's median share on the map: with less the match may be wrong
@@ -38,20 +41,22 @@ def odometry_edges(keyframes: KeyframeList, step_m: float, is_by_motion: bool = 
     is_by_motion   a step is known as well as the motion model says, where it says so and the match is not
                    in doubt; one to or from a key frame that was not matched always is
     """
-    edges, is_unknown = matched_steps(keyframes, step_m)
+    edges, is_into_piece = matched_steps(keyframes, step_m)
     covariance, is_lost = edges.covariance, lost_steps(keyframes)
     then, now = keyframes.motion_covariance[edges.of], keyframes.motion_covariance[edges.to]
-    said = np.isfinite(then + now).all(axis=(1, 2)) & (is_lost | is_by_motion)
+    said = np.isfinite(then + now).all(axis=(1, 2)) & (is_lost | is_into_piece | is_by_motion)
     covariance[said] = covariance_added(then[said], now[said], edges.measured[said])
     covariance[said] += LEAST_COVARIANCE if is_by_motion else STEP_FLOOR
     # What was not matched cannot be a wrong match.
     covariance[doubtful_steps(keyframes) & ~(said & is_lost)] += DOUBTFUL_COVARIANCE
-    covariance[is_unknown] = UNKNOWN_COVARIANCE
+    covariance[is_into_piece] += PIECE_COVARIANCE
+    is_away = (keyframes.gap_s[1:] > AWAY_S) | np.isin(keyframes.piece[1:], [*keyframes.unmeasured])
+    covariance[is_into_piece & (is_away | ~said)] = UNKNOWN_COVARIANCE
     return edges
 
 
 def matched_steps(keyframes: KeyframeList, step_m: float) -> tuple[Edges, npt.NDArray[np.bool_]]:
-    """Each step known as well as its match, and (N - 1,) those of which nobody knows the way."""
+    """Each step known as well as its match, and (N - 1,) those that lead into another piece."""
     of, is_unknown = _before(keyframes)
     to = np.arange(1, keyframes.count, dtype=np.int64)
     covariance = keyframes.covariance[1:] + STEP_FLOOR
@@ -63,9 +68,9 @@ def matched_steps(keyframes: KeyframeList, step_m: float) -> tuple[Edges, npt.ND
 
 
 def _before(keyframes: KeyframeList) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-    """(N - 1,) the key frame before each but the first, and whether nobody knows the way from there.
+    """(N - 1,) the key frame before each but the first, and whether it begins another piece.
 
-    Into another piece nobody knows the way; back in one, the newest key frame of it goes before.
+    Into another piece the scans do not know the way; back in one, the newest key frame of it goes before.
     """
     of = np.arange(keyframes.count - 1, dtype=np.int64)
     is_unknown = np.zeros(keyframes.count - 1, np.bool_)

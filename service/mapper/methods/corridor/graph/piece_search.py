@@ -21,6 +21,7 @@ from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
 from service.mapper.methods.corridor.graph.known_map import Aligned, KnownMap, Weight
 from service.mapper.methods.corridor.graph.loops import Loop, loop_of
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
+from service.mapper.methods.corridor.graph.odometry_edges import AWAY_S
 from service.mapper.methods.corridor.graph.place_search import (
     BEHIND_NATS,
     SAME_PLACE_M,
@@ -28,10 +29,11 @@ from service.mapper.methods.corridor.graph.place_search import (
     is_same_place,
     is_same_pose,
 )
-from service.mapper.methods.corridor.graph.seen_cloud import SeenCloud, seen_cloud
+from service.mapper.methods.corridor.graph.seen_cloud import WEIGHED_M, SeenCloud, seen_cloud
 from service.mapper.methods.corridor.graph.way_prior import (
     DROVE,
     DROVE_MEASURED,
+    DROVE_SEEN,
     FOUND_COVARIANCE,
     WayPrior,
     places_in,
@@ -43,8 +45,8 @@ MOST_STANDING = 3  # of them, besides the first, of one spot, which see the same
 # Nats by which the best place must beat every other one, as service.kernels.beam_likelihood weighs beams; and
 # a share of what it leaves unexplained, since then the true place may fit worse than one that looks alike.
 CLEARLY_LIKELIER, FOR_UNEXPLAINED = 20.0, 0.5
-AWAY_S = 2.0  # without scans: a vehicle whose wheels hung may be anywhere
 MOST_OFF_M, MOST_OFF_SHARE = 4.0, 0.2  # how far off dead reckoning may be else, and for each metre of a piece
+NEARBY_M = 10.0  # steps in which the part of the map that a piece may lie in follows the vehicle
 LEAST_APART_M = 4.0  # between two finds of a piece: standing, a room looks like any other of its kind
 # Probability that any of the places searched fits by chance as well as the one that is found does, where the
 # vehicle is on ground that the map does not hold.
@@ -153,10 +155,14 @@ class PieceSearch:
         own = own[keyframes.way_m[own] >= from_m][-MOST_QUERY:]
         if not len(own) or not len(known):
             return None
-        reference = int(own[-1])
-        prior = self._prior_of(reference, known) if self._is_session_placed else None
-        best = self.best_of(self.places_of(own.tolist(), reference, known, prior), prior)
-        if best is None or not self._could_be_at(best[0], piece, reference):
+        reference, newest = int(own[-1]), int(known[-1])
+        reach_m = self._reach_m(piece, reference)
+        known = self._within(known, reference, reach_m)
+        prior = self._prior_of(reference, known, newest, reach_m) if self._is_session_placed else None
+        best = None
+        if len(known):
+            best = self.best_of(self.places_of(own.tolist(), reference, known, prior, reach_m), prior)
+        if best is None:
             if not self._is_possible(reference):
                 self._hypothesis = None
             return None
@@ -242,39 +248,45 @@ class PieceSearch:
         reference: int,
         known: npt.NDArray[np.int64],
         prior: WayPrior | None = None,
+        reach_m: float = math.inf,
     ) -> list[CandidatePose]:
-        """Where in the known map the key frames `own` may lie, the likeliest by what is seen first."""
+        """Where in the known map the key frames `own` may lie, the likeliest by what is seen first; no
+        farther than reach_m from where dead reckoning puts the reference.
+        """
         seen = seen_cloud(self._keyframes, own, reference)
         self._asked = seen
+        at_m = self._keyframes.map[reference, :2]
+
+        def is_in_reach(pose: Floats) -> bool:
+            return math.dist(pose[:2], at_m) <= reach_m
+
         found = (
-            find_places(self._map_of(known), seen)
+            find_places(self._map_of(known), seen, is_possible=is_in_reach)
             if prior is None
-            else find_places(self._map_of(known), seen, [prior.pose], lambda one: _could_win(one, prior))
-        )
-        self._places = [
-            CandidatePose(
-                one.fit.pose,
-                one.weight,
-                self._loop_of(known, reference, one, seen.cloud, prior),
-                0.0 if prior is None else prior.nats(one.fit.pose),
+            else find_places(
+                self._map_of(known), seen, [prior.pose], lambda one: _could_win(one, prior), is_in_reach
             )
-            for one in found
-        ]
+        )
+        self._places = [self._candidate(known, reference, one, seen.cloud, prior) for one in found]
         return self._places
 
-    def _prior_of(self, reference: int, known: npt.NDArray[np.int64]) -> WayPrior | None:
-        """Of a key frame, by the way from the newest one of a known place; None: no motion model says it."""
-        keyframes, last = self._keyframes, int(known[-1])
+    def _prior_of(
+        self, reference: int, known: npt.NDArray[np.int64], last: int, reach_m: float
+    ) -> WayPrior | None:
+        """Of a key frame, by the way from `last`, the newest one of a known place; None: where no motion
+        model says it, or no key frame of the map is near.
+        """
+        keyframes = self._keyframes
         step = se2.between(keyframes.odom[last], keyframes.odom[reference])
         then, now = keyframes.motion_covariance[last], keyframes.motion_covariance[reference]
-        if not np.isfinite(then + now).all():
+        if not len(known) or not np.isfinite(then + now).all():
             return None
         region = 2.0 * math.pi * self._map_of(known).area_m2
         pose = se2.compose(keyframes.map[last], step)
-        is_measured = int(keyframes.piece[reference]) not in keyframes.unmeasured
-        return WayPrior(
-            pose, covariance_added(then, now, step), region, DROVE_MEASURED if is_measured else DROVE
-        )
+        drove = DROVE_MEASURED if math.isinf(reach_m) else DROVE_SEEN
+        if int(keyframes.piece[reference]) in keyframes.unmeasured:
+            drove = DROVE
+        return WayPrior(pose, covariance_added(then, now, step), region, drove)
 
     def ahead_of_others(self, pose_map: Floats) -> float:
         """Nats by which the pose (3,) in the map is likelier than every other place that the newest search
@@ -381,46 +393,58 @@ class PieceSearch:
             submap.reference, reference, fit.pose, fit.information, fit.share, len(cloud.xy), against
         )
 
-    def _loop_of(
+    def _candidate(
         self,
         known: npt.NDArray[np.int64],
         reference: int,
         aligned: Aligned,
         cloud: PointCloud,
         prior: WayPrior | None,
-    ) -> Loop | None:
-        """The loop that says that a key frame lies where it fits the known map, if it fits well enough: with
-        the key frame of that map next to it. Where dead reckoning leads there, both say it.
+    ) -> CandidatePose:
+        """Where a key frame fits the known map, and if it fits well enough the loop that says so: with the
+        key frame of that map next to it. Where dead reckoning leads there, it lies where both say: along
+        walls that leave a direction open, dead reckoning says where.
         """
         fit, weight = aligned.fit, aligned.weight
-        if prior is not None and prior.explains(fit.pose):
+        is_led = prior is not None and prior.explains(fit.pose)
+        if prior is not None and is_led:
             fit = prior.joined(fit)
-        elif not _fits(weight.on_map, weight.against):
-            return None
+        nats = 0.0 if prior is None else prior.nats(fit.pose)
+        if not (is_led or _fits(weight.on_map, weight.against)):
+            return CandidatePose(fit.pose, weight, None, nats)
         poses = self._keyframes.map
         of = int(known[np.argmin(np.hypot(*(poses[known, :2] - fit.pose[:2]).T))])
         c, s = math.cos(poses[of, 2]), math.sin(poses[of, 2])
         turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         information = turn @ fit.information @ turn.T
         measured = se2.between(poses[of], fit.pose)
-        return loop_of(of, reference, measured, information, weight.on_map, len(cloud.xy), weight.against)
+        loop = loop_of(of, reference, measured, information, weight.on_map, len(cloud.xy), weight.against)
+        return CandidatePose(fit.pose, weight, loop, nats)
 
-    def _could_be_at(self, at: Floats, piece: int, reference: int) -> bool:
-        """Whether a key frame of a piece may lie at a pose (3,) of the map.
+    def _reach_m(self, piece: int, reference: int) -> float:
+        """How far from where dead reckoning puts it a key frame of a piece may lie in the map; inf: anywhere.
 
         Where scans went missing before the piece the vehicle may have been carried anywhere, and where
-        nothing of the session is placed dead reckoning says nothing; else it can be no farther from where
-        that puts it than it errs.
+        nothing of the session is placed dead reckoning says nothing.
         """
         keyframes = self._keyframes
-        if not self._is_session_placed or piece in keyframes.unmeasured:
-            return True
         first = int(np.flatnonzero(keyframes.piece == piece)[0])
-        if keyframes.gap_s[first] > AWAY_S:
-            return True
-        away = se2.between(keyframes.map[reference], at)
-        way_m = float(keyframes.way_m[reference] - keyframes.way_m[first])
-        return bool(np.hypot(away[0], away[1]) <= MOST_OFF_M + MOST_OFF_SHARE * way_m)
+        is_anywhere = not self._is_session_placed or piece in keyframes.unmeasured
+        if is_anywhere or keyframes.gap_s[first] > AWAY_S:
+            return math.inf
+        return MOST_OFF_M + MOST_OFF_SHARE * float(keyframes.way_m[reference] - keyframes.way_m[first])
+
+    def _within(self, known: npt.NDArray[np.int64], reference: int, reach_m: float) -> npt.NDArray[np.int64]:
+        """Those of known (K,) from where something can be seen that is seen from within reach_m of where dead
+        reckoning puts a key frame: the same ones as the vehicle drives on, for some metres.
+        """
+        if not math.isfinite(reach_m):
+            return known
+        poses = self._keyframes.map
+        middle = NEARBY_M * np.round(poses[reference, :2] / NEARBY_M)
+        most_m = NEARBY_M * (math.ceil((reach_m + WEIGHED_M) / NEARBY_M) + 1)
+        is_near: npt.NDArray[np.bool_] = np.hypot(*(poses[known, :2] - middle).T) <= most_m
+        return known[is_near]
 
 
 def _fits(on_map: float, against: float) -> bool:

@@ -25,14 +25,16 @@ def find_places(
     seen: SeenCloud,
     guesses: Sequence[Floats] = (),
     could_win: Callable[[Aligned], bool] = lambda _: True,
+    is_possible: Callable[[Floats], bool] = lambda _: True,
 ) -> list[Aligned]:
     """The likeliest first. Along walls that say nothing of a direction, places beside a candidate are told
     from it, too.
 
     guesses     poses (3,) that are candidates besides those of the search
     could_win   whether a candidate is worth to be refined; where none is they are given as they are
+    is_possible whether the cloud may be at a pose (3,) at all
     """
-    aligned = _distinct(_aligned(known_map, seen))
+    aligned = _distinct(_aligned(known_map, seen, is_possible))
     guessed = [known_map.align(seen, guess) for guess in guesses]
     if not any(could_win(one) for one in [*aligned, *guessed]):
         return _by_evidence([*aligned, *guessed])
@@ -49,11 +51,11 @@ def find_places(
     return _by_evidence(places + others)
 
 
-def _aligned(known_map: KnownMap, seen: SeenCloud) -> list[Aligned]:
+def _aligned(known_map: KnownMap, seen: SeenCloud, is_possible: Callable[[Floats], bool]) -> list[Aligned]:
     """All candidates; of those FAR_BEHIND_NATS behind one before, the most that can speak for them."""
     aligned: list[Aligned] = []
     best = -math.inf
-    for guess in known_map.candidates(seen.cloud):
+    for guess in filter(is_possible, known_map.candidates(seen.cloud)):
         aligned.append(known_map.align(seen, guess, best - FAR_BEHIND_NATS))
         best = max(best, aligned[-1].weight.evidence)
     return aligned

@@ -12,7 +12,8 @@ from service.mapper.graph.point_clouds import Fit
 from service.mapper.judgement import JUMP_CHI2, is_loose, sigmas_of
 
 DROVE = 0.5  # probability that dead reckoning is right after a pause; the other hypothesis is equally likely
-DROVE_MEASURED = 0.9  # the same, where odometry measured the way, but a scan contradicted it
+DROVE_MEASURED = 0.9  # the same, where odometry measured the way while scans were missing
+DROVE_SEEN = 0.9999  # the same, where no scan was missing: the vehicle was not carried
 # Of the place that a search finds, m, m, rad: what key frames of the map are off besides.
 FOUND_COVARIANCE = np.diag([0.05**2, 0.05**2, 0.01**2])
 

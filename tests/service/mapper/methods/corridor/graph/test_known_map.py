@@ -2,6 +2,7 @@
 
 import math
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,8 +42,19 @@ def room(at_m: float, with_pillar: bool) -> Walls:
     return [(x0 + at_m, y0, x1 + at_m, y1) for x0, y0, x1, y1 in walls]
 
 
-def append(keyframes: KeyframeList, walls: Walls, pose: SE2, piece: int, noise: np.random.Generator) -> int:
-    """A key frame of what is seen from a pose; its number."""
+def append(
+    keyframes: KeyframeList,
+    walls: Walls,
+    pose: SE2,
+    piece: int,
+    noise: np.random.Generator,
+    odom: SE2 | None = None,
+    **motion: Any,
+) -> int:
+    """A key frame of what is seen from a pose; its number. odom: where it is said to be, if not there.
+
+    motion   further fields of the key frame
+    """
     angle = FIRST_RAD + STEP_RAD * np.arange(BEAMS)
     ways = np.column_stack((np.cos(angle + pose.theta_rad), np.sin(angle + pose.theta_rad)))
     range_m = cast(walls, np.tile([pose.x_m, pose.y_m], (BEAMS, 1)), ways)
@@ -53,9 +65,12 @@ def append(keyframes: KeyframeList, walls: Walls, pose: SE2, piece: int, noise: 
     estimate_normals(xy, np.zeros(2), STEP_RAD, 0.012, 1.0, normals, np.empty(len(xy)))
     thin_points(xy, 0.04, kept)
     nothing = np.zeros((0, 2), np.float32)
-    frame = KeyFrame(keyframes.count, pose, np.eye(3), piece, 0.9, False, nothing, (0.0, 0.0), STEP_RAD)
+    odom = odom or pose
+    frame = KeyFrame(
+        keyframes.count, odom, np.eye(3), piece, 0.9, False, nothing, (0.0, 0.0), STEP_RAD, **motion
+    )
     thinned = ThinnedScan(xy[kept].astype(np.float32), normals[kept].astype(np.float32), (0.0, 0.0))
-    keyframes.append(frame, np.array([pose.x_m, pose.y_m, pose.theta_rad]), thinned)
+    keyframes.append(frame, np.array([odom.x_m, odom.y_m, odom.theta_rad]), thinned)
     return keyframes.count - 1
 
 

@@ -19,6 +19,7 @@ from service.mapper.methods.corridor.graph.odometry_edges import (
     DOUBTFUL_COVARIANCE,
     LEAST_COVARIANCE,
     LOST_COVARIANCE,
+    PIECE_COVARIANCE,
     STEP_FLOOR,
     UNKNOWN_COVARIANCE,
     odometry_edges,
@@ -94,6 +95,24 @@ def test_nobody_knows_the_way_into_another_piece_and_back_it_is_counted_from_whe
     assert (found.of[ODD - 1], found.of[ODD]) == (ODD - 1, ODD - 1)  # out of the piece: from before it
     np.testing.assert_allclose(found.measured[ODD], [2.0 * STEP_M, 0.0, 0.0])
     np.testing.assert_allclose(found.covariance[ODD], SOUND)
+
+
+@pytest.mark.parametrize("by_motion", [False, True])
+@pytest.mark.parametrize(
+    ("odd", "is_known"),
+    [
+        ({"gap_s": 1.5}, True),
+        ({"gap_s": 2.5}, False),
+        ({"gap_s": 1.5, "is_unmeasured": True}, False),
+        ({"gap_s": 1.5, "motion_covariance": None}, False),
+    ],
+)
+def test_into_another_piece_dead_reckoning_knows_the_way_where_nobody_can_have_carried_the_vehicle(
+    odd: dict[str, Any], is_known: bool, by_motion: bool
+) -> None:
+    found = edges(by_motion=by_motion, piece=1, **odd).covariance[ODD - 1]
+    expected = PIECE_COVARIANCE if is_known else UNKNOWN_COVARIANCE
+    np.testing.assert_allclose(found, expected, atol=2e-5)
 
 
 @pytest.mark.parametrize("is_lost", [False, True])

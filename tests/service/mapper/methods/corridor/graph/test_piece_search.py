@@ -9,9 +9,10 @@ import pytest
 from service.geometry.se2 import SE2
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
+from service.mapper.methods.corridor.graph.odometry_edges import AWAY_S
 from service.mapper.methods.corridor.graph.piece_search import CLEARLY_LIKELIER, PieceSearch
 from service.mapper.methods.corridor.graph.way_prior import WayPrior
-from tests.service.mapper.methods.corridor.graph.test_known_map import Walls, append
+from tests.service.mapper.methods.corridor.graph.test_known_map import STOOD, Walls, append, room, rooms
 
 KNOWN = WayPrior(np.zeros(3), np.diag([0.01, 0.01, 0.001]), 100.0)
 VAGUE = WayPrior(np.zeros(3), np.diag([9.0, 9.0, 1.0]), 100.0)
@@ -113,3 +114,26 @@ def test_ground_that_the_map_does_not_know_is_no_reason_against_a_place() -> Non
     seen = [wall for wall in junction(True) if wall != JUNCTION[4]] + new
     search = searched(junction(True), [(x0 + 100.0, y0, x1 + 100.0, y1) for x0, y0, x1, y1 in seen])
     assert search.found_once is not None
+
+
+@pytest.mark.parametrize("gap_s", [0.5, 15.0])
+def test_who_drove_on_is_not_looked_for_in_a_room_that_dead_reckoning_rules_out(gap_s: float) -> None:
+    keyframes, noise = rooms(pillar_in_first=False, pillar_in_second=False)
+    mapped = np.arange(keyframes.count)
+    append(keyframes, room(0.0, with_pillar=False), STOOD, 1, noise, gap_s=gap_s)
+    search = PieceSearch(LoopsConfig(), keyframes)
+    search.find(mapped)
+    assert len(search.possible) == (2 if gap_s > AWAY_S else 0)
+    assert (search.found_once is None) == (gap_s > AWAY_S)
+
+
+def test_of_a_large_map_as_much_is_searched_as_of_a_small_one() -> None:
+    keyframes, noise = KeyframeList(), np.random.default_rng(5)
+    for x_m in np.arange(0.0, 400.0, 5.0):
+        append(keyframes, [(x_m, 2.0, x_m + 1.0, 2.0)], SE2(float(x_m), 0.0, 0.0), 0, noise)
+    search, known = PieceSearch(LoopsConfig(), keyframes), np.arange(keyframes.count)
+    near = search._within(known, 40, 4.0)
+    assert 40 in near
+    assert np.ptp(keyframes.map[near, 0]) < 120.0
+    np.testing.assert_array_equal(search._within(known, 41, 4.0), near)
+    np.testing.assert_array_equal(search._within(known, 40, np.inf), known)
