@@ -103,6 +103,7 @@ class Correction:
     stamp_ns: int
     pose_odom_base: SE2  # as the mapper gave it
     pose_map_base: SE2
+    begins_piece: bool = False  # the vehicle was lost before it: nothing leads to it from the one before
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,13 +13,24 @@ from service.outputs import MapperOutput
 
 
 def corrected(outputs: Sequence[MapperOutput], corrections: Sequence[Correction]) -> list[SE2]:
-    """pose_map_base of each output, as `bent` has it; where there are no corrections, as it was published."""
+    """pose_map_base of each output, as `bent` has it; where there are no corrections, as it was published.
+
+    Before a correction that begins a piece of the map the one before it alone counts: a vehicle that was
+    carried there did not drive from the one to the other.
+    """
     if not corrections:
         return [output.pose_map_base for output in outputs]
+    stamp_ns = np.array([output.stamp_ns for output in outputs], np.int64)
+    at_ns = np.array([correction.stamp_ns for correction in corrections], np.int64)
+    of_output = np.searchsorted(stamp_ns, at_ns, side="right") - 1  # its sweep begins before its stamp
+    for k in range(1, len(corrections)):
+        if corrections[k].begins_piece and of_output[k] > of_output[k - 1]:
+            stamp_ns[of_output[k - 1] + 1 : of_output[k]] = at_ns[k - 1]
+            stamp_ns[of_output[k]] = at_ns[k]
     poses = bent(
-        np.array([output.stamp_ns for output in outputs], np.int64),
+        stamp_ns,
         _rows([output.pose_odom_base for output in outputs]),
-        np.array([correction.stamp_ns for correction in corrections], np.int64),
+        at_ns,
         _rows([correction.pose_odom_base for correction in corrections]),
         _rows([correction.pose_map_base for correction in corrections]),
     )

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -38,3 +39,12 @@ def test_headings_are_bent_the_short_way():
         Correction(2, SE2(0.0, 0.0, 3.1), SE2(0.0, 0.0, -3.1)),
     ]
     assert abs(corrected(turned, ends)[1].theta_rad) == pytest.approx(np.pi, abs=1e-9)
+
+
+def test_what_was_driven_before_a_piece_of_the_map_begins_does_not_bend_to_it():
+    start = Correction(2, SE2(0.2, 0.0, 0.0), SE2(0.2, 0.0, 0.0))
+    carried_to = Correction(85, SE2(0.8, 0.0, 0.0), SE2(0.8, 30.0, 0.0), begins_piece=True)  # in its sweep
+    outputs = [replace(of, stamp_ns=10 * of.stamp_ns) for of in STRAIGHT]
+    poses = corrected(outputs, [replace(start, stamp_ns=20), carried_to])
+    np.testing.assert_allclose([pose.y_m for pose in poses], [0.0] * 8 + [30.0] * 3, atol=1e-12)
+    assert corrected(outputs, [carried_to])[0].y_m == 30.0

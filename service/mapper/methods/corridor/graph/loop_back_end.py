@@ -489,6 +489,10 @@ class LoopBackEnd:
 
     def _correction(self, k: int) -> Correction:
         keyframes = self._keyframes
+        before = max(k % keyframes.count - 1, 0)
         return Correction(
-            keyframes.stamps_ns[k], SE2(*keyframes.odom[k].tolist()), SE2(*keyframes.map[k].tolist())
+            keyframes.stamps_ns[k],
+            SE2(*keyframes.odom[k].tolist()),
+            SE2(*keyframes.map[k].tolist()),
+            bool(keyframes.piece[k] != keyframes.piece[before]),
         )

@@ -332,6 +332,7 @@ def test_a_piece_that_is_found_twice_four_metres_apart_is_joined(
     assert len(joined_at) == 1  # and not again
     assert (joined_at[0] + 4) * STEP_M >= 4.0
     finished = back_end.work(Batch([], is_last=True))
+    assert [k for k, one in enumerate(finished.all) if one.begins_piece] == [SIDE]
     for first, second in zip(finished.all[5:], finished.all[SIDE:], strict=False):
         away = first.pose_map_base.inverse() @ second.pose_map_base
         assert np.hypot(away.x_m, away.y_m) < 0.05
