@@ -135,9 +135,9 @@ class PieceSearch:
 
         known   (K,) numbers of the key frames whose place in the map is known
 
-        All of the known map is searched, at every heading. One find is a hypothesis, since rooms look
-        alike: it must fit clearly better than any other place, and the next key frames must say the same,
-        or dead reckoning.
+        All of the known map that the vehicle may have come to is searched, at every heading. One find is a
+        hypothesis, since rooms look alike: it must fit clearly better than any other place and than new
+        ground, and the next key frames must say the same, or dead reckoning.
         """
         config, keyframes = self._config, self._keyframes
         self.possible = []
