@@ -81,7 +81,7 @@ class Hypothesis:
     way_m: float
     piece: int
     is_disputed: bool  # the vehicle may as well be where dead reckoning leads
-    is_sure: bool = True  # it is told from ground of which the map knows nothing
+    is_sure: bool = True  # ground that the map does not hold is excluded
 
 
 class PieceSearch:
@@ -175,7 +175,7 @@ class PieceSearch:
             se2.compose(old.pose_map_odom, keyframes.odom[reference]), at
         )
         is_sure = is_second or not self._is_session_placed or (agrees and old is not None and old.is_sure)
-        is_sure = is_sure or self._is_told_from_new_ground(at, prior)
+        is_sure = is_sure or self._excludes_new_ground(at, prior)
         new = Hypothesis(se2.compose(at, inverse), loop, way_m, piece, is_disputed, is_sure)
         # Of a session one find says where, for the vehicle may stand; it is proven later.
         if is_second or not self._is_session_placed:
@@ -205,7 +205,7 @@ class PieceSearch:
         at = se2.compose(self._hypothesis.pose_map_odom, self._keyframes.odom[reference])
         return any(math.dist(at[:2], (place.x_m, place.y_m)) < SAME_PLACE_M for place in self.possible)
 
-    def _is_told_from_new_ground(self, at: Floats, prior: WayPrior | None) -> bool:
+    def _excludes_new_ground(self, at: Floats, prior: WayPrior | None) -> bool:
         """Whether what was asked for last can hardly be seen anywhere but at a pose (3,) of the map.
 
         Walls on new ground stand as in the rest of the building. The more places were searched, the more of
