@@ -20,10 +20,14 @@ from service.kernels.surfels import (
     NORMAL_Y,
     TILE_BITS,
     TILE_MASK,
+    find_surfels,
     forget_part,
+    side_of,
     touch_tile,
 )
 from service.kernels.tiles import NO_TILE, slot_at
+
+CAME_INTO_FREE = np.uint16(1 << 15)  # above all marks of a path
 
 
 class Sightings(NamedTuple):
@@ -32,10 +36,13 @@ class Sightings(NamedTuple):
     score     (capacity, T, T) int8     ticks; above 0: so long something stood here, less what was looked
                                         through it; below 0: so long the cell was free
     touched   (capacity, T, T) uint16   number of the key frame that spoke of the cell last
+    since     (capacity, T, T, 2) uint16   mark of the path at which each of the cell's two surfels began, and
+                                        CAME_INTO_FREE besides if the cell was known to be free before
     """
 
     score: npt.NDArray[np.int8]
     touched: npt.NDArray[np.uint16]
+    since: npt.NDArray[np.uint16]
 
 
 class StaticScoreSettings(NamedTuple):
@@ -82,7 +89,7 @@ def looks_through(surfels, slot, row, column, reach_m, u, v, du, dv, behind_m):
 
 
 @kernel
-def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks):
+def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks, mark):
     """Count the cells in which a key frame has end points; points where it was free until now get weight 0.
 
     xy_base     (N, 2) float64       m, base frame
@@ -93,9 +100,11 @@ def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks)
     settings    StaticScoreSettings
     number      uint16               of the key frame: not that of the one before, nor 0
     ticks       int                  since the one before
+    mark        uint16               of the path, see Sightings.since
     """
     score = sightings.score
     touched = sightings.touched
+    since = sightings.since
     cells_per_m = 1.0 / grid.cell_m
     c = math.cos(pose[2])
     s = math.sin(pose[2])
@@ -113,11 +122,19 @@ def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks)
         if touched[slot, r, q] != number:
             touched[slot, r, q] = number
             value = score[slot, r, q] + ticks
-            if value > 1 and score[slot, r, q] <= 0:
+            if value > 0 and score[slot, r, q] <= 0:
                 value = 1
+                begun = mark + since[slot, r, q, 0] // CAME_INTO_FREE * CAME_INTO_FREE
+                since[slot, r, q, 0] = since[slot, r, q, 1] = begun
             score[slot, r, q] = np.int8(min(value, settings.enough))
         if score[slot, r, q] <= 0:
             normals[i, 2] = 0.0
+            continue
+        nx = np.float32(c * normals[i, 0] - s * normals[i, 1])
+        ny = np.float32(s * normals[i, 0] + c * normals[i, 1])
+        side = side_of(grid.surfels, slot, r, q, nx, ny)
+        if side == 1 and grid.surfels[slot, r, q, 1, COUNT] == 0.0:
+            since[slot, r, q, 1] = mark + since[slot, r, q, 0] // CAME_INTO_FREE * CAME_INTO_FREE
 
 
 @kernel
@@ -132,6 +149,7 @@ def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, fine_grid, sightings, s
     """
     score = sightings.score  # arrays are taken out of the tuples once, as in find_surfels
     touched = sightings.touched
+    since = sightings.since
     surfels = grid.surfels
     slots = grid.tiles.slots
     first_row = grid.tiles.origin[0]
@@ -165,6 +183,7 @@ def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, fine_grid, sightings, s
                 value = np.int64(score[slot, r, q])
                 if value <= 0:
                     touched[slot, r, q] = number
+                    since[slot, r, q, 0] = CAME_INTO_FREE
                     score[slot, r, q] = np.int8(max(value - ticks, -settings.free))
                 else:
                     u = x - (column + 0.5) * cell_m
@@ -173,6 +192,7 @@ def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, fine_grid, sightings, s
                         touched[slot, r, q] = number
                         score[slot, r, q] = np.int8(max(value - ticks, 0))
                         if score[slot, r, q] == 0:
+                            since[slot, r, q, 0] = CAME_INTO_FREE
                             surfels[slot, r, q] = np.float32(0.0)
                             forget_part(fine_grid, row, column)
             if next_column < next_row:
@@ -249,6 +269,61 @@ def weigh_static_score(xy_base, pose, grid, sightings, settings, normals):
             normals[i, 2] *= gain
 
 
+@inner_kernel
+def stood_before(slots, first_row, first_column, sightings, row, column, side, latest):
+    """Whether a surfel of a cell stands since a mark of the path, or longer; slots as in score_at."""
+    slot = slot_at(slots, (row >> TILE_BITS) - first_row, (column >> TILE_BITS) - first_column)
+    if slot == NO_TILE:
+        return False
+    r = row & TILE_MASK
+    q = column & TILE_MASK
+    return sightings.score[slot, r, q] > 0 and sightings.since[slot, r, q, side] % CAME_INTO_FREE <= latest
+
+
+@inner_kernel
+def stood_around(slots, first_row, first_column, sightings, row, column, latest):
+    """Whether anything stands so long in the 3 x 3 cells around."""
+    for r in range(row - 1, row + 2):
+        for q in range(column - 1, column + 2):
+            if stood_before(slots, first_row, first_column, sightings, r, q, 0, latest):
+                return True
+    return False
+
+
+@inner_kernel
+def passes_through(x, y, dx, dy, grid, sightings, latest, behind_m):
+    """Whether a beam passes through a wall that stands since a mark of the path, or longer.
+
+    x, y     float   start of the beam, m, frame of the grid
+    dx, dy   float   from there to its end point, m
+    latest   int     mark; CAME_INTO_FREE: all walls are asked
+    """
+    slots = grid.tiles.slots
+    first_row = grid.tiles.origin[0]
+    first_column = grid.tiles.origin[1]
+    cell_m = grid.cell_m
+    cells_per_m = 1.0 / cell_m
+    column, row, step_column, step_row, next_column, next_row, per_column, per_row, steps = begin_ray(
+        x * cells_per_m, y * cells_per_m, dx * cells_per_m, dy * cells_per_m
+    )
+    for _ in range(steps):
+        if stood_before(slots, first_row, first_column, sightings, row, column, 0, latest):
+            slot = slot_at(slots, (row >> TILE_BITS) - first_row, (column >> TILE_BITS) - first_column)
+            u = x - (column + 0.5) * cell_m
+            v = y - (row + 0.5) * cell_m
+            if looks_through(
+                grid.surfels, slot, row & TILE_MASK, column & TILE_MASK, 0.5 * cell_m, u, v, dx, dy, behind_m
+            ):
+                return True
+        if next_column < next_row:
+            column += step_column
+            next_column += per_column
+        else:
+            row += step_row
+            next_row += per_row
+    return False
+
+
 @kernel
 def count_contradicting(xy_base, sensor_xy_m, normals, pose, grid, sightings, behind_m):
     """How many points lie where key frames looked through and nothing stands in the 3 x 3 cells around, and
@@ -264,12 +339,10 @@ def count_contradicting(xy_base, sensor_xy_m, normals, pose, grid, sightings, be
     Returns (in free space, behind).
     """
     score = sightings.score
-    surfels = grid.surfels
     slots = grid.tiles.slots
     first_row = grid.tiles.origin[0]
     first_column = grid.tiles.origin[1]
-    cell_m = grid.cell_m
-    cells_per_m = 1.0 / cell_m
+    cells_per_m = 1.0 / grid.cell_m
     c = math.cos(pose[2])
     s = math.sin(pose[2])
     x = pose[0] + c * sensor_xy_m[0] - s * sensor_xy_m[1]
@@ -292,23 +365,109 @@ def count_contradicting(xy_base, sensor_xy_m, normals, pose, grid, sightings, be
         if score_at(slots, first_row, first_column, score, row, column) < 0:
             in_free += 1
             continue
-        column, row, step_column, step_row, next_column, next_row, per_column, per_row, steps = begin_ray(
-            x * cells_per_m, y * cells_per_m, dx * cells_per_m, dy * cells_per_m
-        )
-        for _ in range(steps):
-            if score_at(slots, first_row, first_column, score, row, column) > 0:
-                slot = slot_at(slots, (row >> TILE_BITS) - first_row, (column >> TILE_BITS) - first_column)
-                u = x - (column + 0.5) * cell_m
-                v = y - (row + 0.5) * cell_m
-                if looks_through(
-                    surfels, slot, row & TILE_MASK, column & TILE_MASK, 0.5 * cell_m, u, v, dx, dy, behind_m
-                ):
-                    behind += 1
-                    break
-            if next_column < next_row:
-                column += step_column
-                next_column += per_column
-            else:
-                row += step_row
-                next_row += per_row
+        behind += passes_through(x, y, dx, dy, grid, sightings, np.int64(CAME_INTO_FREE), behind_m)
     return in_free, behind
+
+
+@kernel
+def static_residuals(xy_base, normals, pose, grid, sightings, least_cosine, latest, residual_m):
+    """How far points lie from walls that stand since a mark of the path, or longer.
+
+    xy_base       (N, 2) float64   m, base frame
+    normals       (N, 3) float64   from estimate_normals; points of weight 0 are not asked
+    pose          (3,)   float64   base in the frame of the grid
+    grid          SurfelGrid
+    sightings     Sightings
+    least_cosine  float            as in find_surfels
+    latest        int              mark
+    residual_m    (N,)   float64   out: along the wall's normal; NaN where there is no such wall
+    """
+    slots = grid.tiles.slots
+    first_row = grid.tiles.origin[0]
+    first_column = grid.tiles.origin[1]
+    cells_per_m = 1.0 / grid.cell_m
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    found = np.empty((xy_base.shape[0], 6))
+    find_surfels(xy_base, normals, pose, grid, least_cosine, found)
+    for i in range(xy_base.shape[0]):
+        residual_m[i] = math.nan
+        if normals[i, 2] == 0.0 or found[i, 4] == 0.0:
+            continue
+        x = pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]
+        y = pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]
+        row = math.floor(y * cells_per_m)
+        column = math.floor(x * cells_per_m)
+        nx = np.float32(c * normals[i, 0] - s * normals[i, 1])
+        ny = np.float32(s * normals[i, 0] + c * normals[i, 1])
+        # What came into the cell of a wall lately, or beside it, is not the wall.
+        reach = 0 if score_at(slots, first_row, first_column, sightings.score, row, column) > 0 else 1
+        stood = False
+        for r in range(row - reach, row + reach + 1):
+            for q in range(column - reach, column + reach + 1):
+                slot = slot_at(slots, (r >> TILE_BITS) - first_row, (q >> TILE_BITS) - first_column)
+                if slot == NO_TILE or stood:
+                    continue
+                v = r & TILE_MASK
+                u = q & TILE_MASK
+                side = side_of(grid.surfels, slot, v, u, nx, ny)
+                cosine = grid.surfels[slot, v, u, side, NORMAL_X] * nx
+                cosine += grid.surfels[slot, v, u, side, NORMAL_Y] * ny
+                if cosine >= least_cosine:
+                    stood = stood_before(slots, first_row, first_column, sightings, r, q, side, latest)
+        if stood:
+            residual_m[i] = found[i, 2] * (x - found[i, 0]) + found[i, 3] * (y - found[i, 1])
+
+
+@kernel
+def find_moved(xy_base, pose, grid, sightings, latest, is_moved):
+    """Which points lie where nothing stood before: in known free space, or on what came into it lately.
+
+    xy_base     (N, 2) float64   m, base frame
+    pose        (3,)   float64   base in the frame of the grid
+    grid        SurfelGrid
+    sightings   Sightings
+    latest      int              mark of the path: what became occupied later came lately
+    is_moved    (N,)   bool      out; False beside what stood before
+    """
+    slots = grid.tiles.slots
+    first_row = grid.tiles.origin[0]
+    first_column = grid.tiles.origin[1]
+    cells_per_m = 1.0 / grid.cell_m
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    for i in range(xy_base.shape[0]):
+        is_moved[i] = False
+        row = math.floor((pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) * cells_per_m)
+        column = math.floor((pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) * cells_per_m)
+        slot = slot_at(slots, (row >> TILE_BITS) - first_row, (column >> TILE_BITS) - first_column)
+        if slot == NO_TILE:
+            continue
+        score = sightings.score[slot, row & TILE_MASK, column & TILE_MASK]
+        since = sightings.since[slot, row & TILE_MASK, column & TILE_MASK, 0]
+        if score < 0 or (score > 0 and since >= CAME_INTO_FREE):
+            is_moved[i] = not stood_around(slots, first_row, first_column, sightings, row, column, latest)
+
+
+@kernel
+def count_through(xy_base, sensor_xy_m, pose, grid, sightings, latest, behind_m):
+    """How many beams pass through a wall that stands since a mark of the path, or longer.
+
+    xy_base       (N, 2) float64   m, base frame
+    sensor_xy_m   (2,)   float64   where the beams start, m, base frame
+    pose          (3,)   float64   base in the frame of the grid
+    grid          SurfelGrid
+    sightings     Sightings
+    latest        int              mark
+    behind_m      float            as in looks_through
+    """
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    x = pose[0] + c * sensor_xy_m[0] - s * sensor_xy_m[1]
+    y = pose[1] + s * sensor_xy_m[0] + c * sensor_xy_m[1]
+    through = 0
+    for i in range(xy_base.shape[0]):
+        dx = pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1] - x
+        dy = pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1] - y
+        through += passes_through(x, y, dx, dy, grid, sightings, latest, behind_m)
+    return through

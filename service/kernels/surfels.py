@@ -92,6 +92,17 @@ def touch_tile(grid, tile_row, tile_column):
     return slot
 
 
+@inner_kernel
+def side_of(surfels, slot, row, column, nx, ny):
+    """Which of the two surfels of a cell a point with this normal, float32, belongs to."""
+    cosine = surfels[slot, row, column, 0, NORMAL_X] * nx + surfels[slot, row, column, 0, NORMAL_Y] * ny
+    if surfels[slot, row, column, 0, COUNT] > 0.0 and cosine < SAME_WALL_COSINE:
+        other = surfels[slot, row, column, 1, NORMAL_X] * nx + surfels[slot, row, column, 1, NORMAL_Y] * ny
+        if surfels[slot, row, column, 1, COUNT] == 0.0 or other > cosine:
+            return 1
+    return 0
+
+
 @kernel
 def insert_surfels(xy_base, normals, pose, grid, count_limit, point_count, sensor_xy_m, laser):
     """Merge the points of a scan into the surfels of a sub-map whose index covers them.
@@ -133,12 +144,7 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit, point_count, senso
             slot = np.int64(touch_tile(grid, tile_row, tile_column))
         r = row & TILE_MASK
         q = column & TILE_MASK
-        side = 0
-        cosine = surfels[slot, r, q, 0, NORMAL_X] * nx + surfels[slot, r, q, 0, NORMAL_Y] * ny
-        if surfels[slot, r, q, 0, COUNT] > 0.0 and cosine < SAME_WALL_COSINE:
-            other = surfels[slot, r, q, 1, NORMAL_X] * nx + surfels[slot, r, q, 1, NORMAL_Y] * ny
-            if surfels[slot, r, q, 1, COUNT] == 0.0 or other > cosine:
-                side = 1
+        side = side_of(surfels, slot, r, q, nx, ny)
         n = surfels[slot, r, q, side, COUNT]
         if n > limit:
             n -= own

@@ -6,7 +6,10 @@ from service.kernels.static_score import (
     Sightings,
     StaticScoreSettings,
     count_hits,
+    count_through,
+    find_moved,
     remove_by_ray_cast,
+    static_residuals,
     weigh_static_score,
 )
 from service.kernels.surfels import PARTS, TILE_BITS, TILE_CELLS, TILE_MASK, SurfelGrid, insert_surfels
@@ -31,16 +34,17 @@ class CandidateSubmap:
         self.grid: SurfelGrid = empty_grid()
         self.fine_grid: SurfelGrid = empty_grid(self.grid.cell_m / PARTS, tiles_each_way=4 * PARTS)
         shape = self.grid.field.shape
-        self.sightings = Sightings(np.zeros(shape, np.int8), np.zeros(shape, np.uint16))
+        marks = np.zeros(shape, np.uint16), np.zeros((*shape, 2), np.uint16)
+        self.sightings = Sightings(np.zeros(shape, np.int8), *marks)
         self.settings = settings
         self.number = 0
 
-    def see(self, xy: np.ndarray, normals: np.ndarray, ticks: int = 1) -> np.ndarray:
+    def see(self, xy: np.ndarray, normals: np.ndarray, ticks: int = 1, mark: int = 1) -> np.ndarray:
         """One more key frame, so long after the last; the weights of its points then."""
         self.number += 1
         kept = normals.copy()
         numbers = np.uint16(self.number), np.int64(ticks)
-        count_hits(xy, kept, POSE, self.grid, self.sightings, self.settings, *numbers)
+        count_hits(xy, kept, POSE, self.grid, self.sightings, self.settings, *numbers, np.uint16(mark))
         grids = self.grid, self.fine_grid
         remove_by_ray_cast(xy, SENSOR, POSE, *grids, self.sightings, self.settings, *numbers)
         for grid in grids:
@@ -195,3 +199,63 @@ def test_each_point_is_weighed_by_its_own_cell() -> None:
     np.testing.assert_array_equal(place.scores(xy), [7, 7, 5, 6, 7, 7])
     weights = place.weights(xy, normals)
     np.testing.assert_allclose(weights / weights[0], [1.0, 1.0, 5.0 / 7.0, 6.0 / 7.0, 1.0, 1.0])
+
+
+def residuals(place: CandidateSubmap, xy: np.ndarray, normals: np.ndarray, latest: int) -> np.ndarray:
+    residual_m = np.empty(len(xy))
+    static_residuals(xy, normals, POSE, place.grid, place.sightings, 0.6, latest, residual_m)
+    return residual_m
+
+
+def moved(place: CandidateSubmap, xy: np.ndarray, latest: int) -> np.ndarray:
+    is_moved = np.zeros(len(xy), np.bool_)
+    find_moved(xy, POSE, place.grid, place.sightings, latest, is_moved)
+    return is_moved
+
+
+def test_a_wall_is_static_from_the_mark_at_which_it_was_first_seen() -> None:
+    place = CandidateSubmap()
+    xy, normals = wall(2.0)
+    for mark in range(5, 15):
+        place.see(xy, normals, mark=mark)
+    assert np.isnan(residuals(place, xy, normals, 4)).all()
+    near = xy - np.array([0.03, 0.0])
+    np.testing.assert_allclose(residuals(place, near, normals, 5), 0.03, atol=0.005)
+
+
+def test_points_in_known_free_space_have_moved_and_new_ground_has_not() -> None:
+    place = CandidateSubmap()
+    near, far = wall(2.0, 0.2), wall(3.0)
+    place.see(*near)  # with a tile: free space is known where something is near
+    for _ in range(12):
+        place.see(*far)
+    beyond, _ = wall(3.5, 0.2)
+    assert moved(place, near[0], 1).all()
+    assert not moved(place, far[0], 1).any()
+    assert not moved(place, beyond, 1).any()
+
+
+def test_what_came_into_free_space_has_moved_until_it_stood_over_enough_of_the_path() -> None:
+    place = CandidateSubmap()
+    near, far = wall(2.0, 0.2), wall(3.0)
+    place.see(*near)
+    for _ in range(12):
+        place.see(*far)
+    for _ in range(8):
+        place.see(*near, mark=30)
+    assert place.scores(near[0]).min() > 0
+    assert moved(place, near[0], 29).all()
+    assert not moved(place, near[0], 30).any()
+
+
+def test_beams_that_end_behind_a_static_wall_pass_through_it() -> None:
+    place = CandidateSubmap()
+    near, far = wall(2.0), wall(3.0, 0.3)
+    for _ in range(10):
+        place.see(*near, mark=7)
+    through = [
+        count_through(xy, SENSOR, POSE, place.grid, place.sightings, latest, SETTINGS.behind_m)
+        for xy, latest in ((far[0], 7), (far[0], 6), (near[0], 7))
+    ]
+    assert through[0] >= 0.9 * len(far[0])
+    assert through[1:] == [0, 0]

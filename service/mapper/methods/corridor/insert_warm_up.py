@@ -38,3 +38,6 @@ def warm_up_insert() -> None:
     submap.shorten(0, 0.0)
     submap.weighed(points, normals, np.zeros(3))
     submap.contradicting(points, points.xy_base, normals, np.zeros(3))
+    submap.static_residuals(points.xy_base, normals, np.zeros(3))
+    submap.moved(points.xy_base, np.zeros(3))
+    submap.through_static(points, points.xy_base, np.zeros(3))

@@ -13,7 +13,10 @@ from service.kernels.static_score import (
     Sightings,
     count_contradicting,
     count_hits,
+    count_through,
+    find_moved,
     remove_by_ray_cast,
+    static_residuals,
     weigh_static_score,
 )
 from service.kernels.surfels import (
@@ -42,9 +45,12 @@ FIELD_SIGMA_M = 0.15  # spread of a point in the coarse field: wide enough that 
 FIELD_ENOUGH = 0.95  # likelihood of a cell from which on more points add nothing
 POOL_TILES = 16_384  # 750 MB of address space; a sub-map in a large hall touches a few hundred tiles
 FINE_POOL_TILES = 32_768  # 2.1 GB of address space: walls touch twice as many
+LEAST_NORMAL_COSINE = 0.6  # between a point and a surfel of the same wall
 GRAZING_WEIGHT = 5.0  # of a point whose beam runs along the wall, where one head-on has 1
 NEW_PIECE_ERROR = 0.01  # of the pose's error against the map is left against a piece that begins at the pose
 MOST_MISSES = 3  # then another piece is begun
+STATIC_PATH_M = 1.0  # what was seen over so much of the path stands still: nothing moves along for longer
+MARK_M, MOST_MARK = 0.05, 32_767  # of the path, from one mark to the next; below CAME_INTO_FREE
 MOST_NUMBER = 65_535  # of a key frame, then from 1 again
 
 
@@ -71,13 +77,15 @@ class Submap:
         self.narrow_walls = NarrowWalls(narrow, config.cell_m, GRAZING_WEIGHT)
         self.scan_count = 0
         self._last_ns: int | None = None  # of its newest key frame
+        self._last_pose: SE2 | None = None
+        self._path_m = 0.0  # over its key frames
         self._config = config
         self._dynamic_filter = config.dynamic_filter.settings()
         self._tiles = TileMap(pool)
         self._fine_tiles = TileMap(fine)
 
     def grid(self) -> SurfelGrid:
-        surfels, field, _score, _touched = self._tiles.pool.arrays
+        surfels, field, *_ = self._tiles.pool.arrays
         return SurfelGrid(self._tiles.index(), surfels, field, self._config.cell_m)  # type: ignore[arg-type]
 
     def fine_grid(self) -> SurfelGrid:
@@ -115,6 +123,39 @@ class Submap:
         )
         return int(in_free), int(behind)
 
+    def static_residuals(
+        self,
+        xy_base: npt.NDArray[np.float64],
+        normals: npt.NDArray[np.float64],
+        pose: npt.NDArray[np.float64],
+    ) -> npt.NDArray[np.float64]:
+        """(N,) m from points (N, 2) of a scan at a pose (3,) to static walls, those that have been seen over
+        STATIC_PATH_M of the path; NaN where none is.
+        """
+        residual_m = np.empty(len(xy_base))
+        grid, sightings = self.grid(), self._sightings()
+        cosine, latest = LEAST_NORMAL_COSINE, self._static_mark
+        static_residuals(xy_base, normals, pose, grid, sightings, cosine, latest, residual_m)
+        return residual_m
+
+    def moved(self, xy_base: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+        """(N,) whether points lie where nothing stood over STATIC_PATH_M of the path."""
+        is_moved = np.zeros(len(xy_base), np.bool_)
+        find_moved(xy_base, pose, self.grid(), self._sightings(), self._static_mark, is_moved)
+        return is_moved
+
+    def through_static(
+        self, points: Points, xy_base: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]
+    ) -> int:
+        """How many beams pass through static walls."""
+        sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
+        grid, sightings, behind_m = self.grid(), self._sightings(), self._dynamic_filter.behind_m
+        return int(count_through(xy_base, sensor, pose, grid, sightings, self._static_mark, behind_m))
+
+    @property
+    def _static_mark(self) -> int:
+        return _mark_at(self._path_m - STATIC_PATH_M)
+
     def insert(
         self, points: Points, normals: npt.NDArray[np.float64], posts: Posts | None, pose: SE2, laser: int
     ) -> None:
@@ -125,6 +166,9 @@ class Submap:
         self._fine_tiles.cover_around(near, reach_m, cell_m / PARTS, TILE_BITS)
         grid = self.grid()
         pose_vector = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+        if self._last_pose is not None:
+            self._path_m += math.hypot(pose.x_m - self._last_pose.x_m, pose.y_m - self._last_pose.y_m)
+        self._last_pose = pose
         if self._dynamic_filter.enough > 0:
             normals = self._sight(points, normals, pose_vector, grid)
         if posts is None:  # what is round has another direction from each side
@@ -158,7 +202,8 @@ class Submap:
         ticks = np.int64(self._ticks_since(points.scan.stamp_ns))
         static = normals.copy()
         settings, sightings = self._dynamic_filter, self._sightings()
-        count_hits(points.xy_base, static, pose, grid, sightings, settings, number, ticks)
+        mark = np.uint16(_mark_at(self._path_m))
+        count_hits(points.xy_base, static, pose, grid, sightings, settings, number, ticks, mark)
         sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
         remove_by_ray_cast(
             points.xy_base, sensor, pose, grid, self.fine_grid(), sightings, settings, number, ticks
@@ -185,8 +230,8 @@ class Submap:
         return Standing(np.column_stack((x_m, y_m)), score[tile, row, column] / enough, cell_m)
 
     def _sightings(self) -> Sightings:
-        _surfels, _field, score, touched = self._tiles.pool.arrays
-        return Sightings(score, touched)  # type: ignore[arg-type]
+        _surfels, _field, score, touched, since = self._tiles.pool.arrays
+        return Sightings(score, touched, since)  # type: ignore[arg-type]
 
     def release(self) -> None:
         """Hand the tiles back, with nothing sighted in them: who takes one clears its surfels alone."""
@@ -196,6 +241,11 @@ class Submap:
         self._tiles.release()
         self._fine_tiles.release()
         self.narrow_walls.release()
+
+
+def _mark_at(path_m: float) -> int:
+    """Mark of the path of a sub-map, from 1 on; 0 before its beginning."""
+    return min(1 + math.floor(path_m / MARK_M), MOST_MARK) if path_m >= 0.0 else 0
 
 
 class SurfelSubmaps:
@@ -215,7 +265,10 @@ class SurfelSubmaps:
             (
                 Layer((TILE_CELLS, TILE_CELLS, 2, COLUMNS), np.float32),
                 Layer((TILE_CELLS, TILE_CELLS), np.float32),
-                *(Layer((TILE_CELLS, TILE_CELLS), dtype) for dtype in (np.int8, np.uint16)),  # Sightings
+                # Sightings
+                Layer((TILE_CELLS, TILE_CELLS), np.int8),
+                Layer((TILE_CELLS, TILE_CELLS), np.uint16),
+                Layer((TILE_CELLS, TILE_CELLS, 2), np.uint16),
             ),
             POOL_TILES,
         )
