@@ -31,6 +31,7 @@ ReasonId = Literal[
     # how well the pose is known
     "pose_uncertain",
     "open_direction",
+    "scene_moves",
     "drift",
     "unmeasured_way",
     # the place in a map

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.frames import ImuSample, OdometrySample
 from service.fusion.consistent_covariance import ConsistentCovariance, widen_pose
-from service.fusion.motion import Matrix, Measurement, Motion, Prediction, scan_alone
+from service.fusion.motion import Matrix, Measurement, Motion, Prediction, Reckoned, scan_alone
 from service.fusion.standstill import Standstill
 from service.geometry import poses
 from service.geometry.se2 import SE2, wrap_angle
@@ -268,9 +268,24 @@ class Estimator:
             is_measured=is_measured,
             odometry_noise=float(state.noise[0]),
             pause_s=pause_s,
+            reckoned=self._reckoned(),
             samples_dropped=self._odometry.take_dropped() + self._gyro.take_dropped(),
             deviation=self._deviation,
         )
+
+    def _reckoned(self) -> Reckoned | None:
+        """The newest step, with the noise that was learnt, at least that of the model."""
+        x_m, y_m, turn_rad, is_said, way_m2, turn_rad2, gyro_rad, gyro_rad2 = self._filter.said.tolist()
+        if not is_said or self._elapsed_s <= 0.0:
+            return None
+        way, turns = self._filter.noise.tolist()
+        turn_rad2 *= max(turns, 1.0)
+        if gyro_rad2 > 0.0:
+            gyro_rad2 *= max(float(self._filter.gyro_noise[0]), 1.0)
+            share = turn_rad2 / (turn_rad2 + gyro_rad2)
+            turn_rad += share * wrap_angle(gyro_rad - turn_rad)
+            turn_rad2 = share * gyro_rad2
+        return Reckoned(SE2(x_m, y_m, turn_rad), way_m2 * max(way, 1.0), turn_rad2)
 
     def _deviation(self, begin_s: float, end_s: float) -> Matrix | None:
         nodes = min(2 + int((end_s - begin_s) / NODE_S), MOST_NODES)

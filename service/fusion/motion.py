@@ -25,6 +25,15 @@ class Motion:
     covariance: Matrix  # (3, 3) of x, y, theta against the first scan, base axes; m^2, m rad, rad^2
 
 
+@dataclass(frozen=True, slots=True)
+class Reckoned:
+    """The step of the base since the last scan by odometry, its rotation joined with the gyro's."""
+
+    pose: SE2  # of the base in that of the last scan
+    variance_m2: float  # along each axis
+    variance_rad2: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction(Motion):
     """A motion before matching, and what the match may learn from it."""
@@ -37,6 +46,7 @@ class Prediction(Motion):
     is_confirmed: bool = False  # both did, and were weighed against each other
     odometry_noise: float = 1.0  # variance of odometry's way over that of its model, as learnt
     pause_s: float = 0.0  # the longest since the last scan in which nobody measured the way
+    reckoned: "Reckoned | None" = None  # odometry and gyro alone; None: odometry was silent
     samples_dropped: int = 0  # since the last prediction: too many waited for it
     # (begin_s, end_s) from this moment -> what is known there beyond the twist: (K, 3) m, m, rad at K
     # moments evenly between, see service/kernels/sweep.py; None: nothing. Only until the next prediction.

@@ -58,6 +58,7 @@ class Match:
                    predicted
     is_contradicted  of a lost one: whether the map speaks against it; False: it may only see what the map
                    does not know
+    is_moving      (N,) points that are not to be shown or kept: part of the scene moves; None: none
     """
 
     motion: Motion
@@ -68,6 +69,7 @@ class Match:
     submap: int | None = None
     measured: Measurement | None = None
     is_contradicted: bool = True
+    is_moving: npt.NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, slots=True)

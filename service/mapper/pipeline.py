@@ -34,6 +34,7 @@ from service.outputs import NO_REASON, GraphPicture, Grid, MapperOutput, Reason,
 
 MOST_BEHIND_NS = 300_000_000  # that a sweep may have begun before the newest pose: latency and a slow laser
 CHANGES_TOLD_NS = 5_000_000_000  # between two counts of the cells that have changed
+POINT_ARRAYS = ("xy_base", "xy_raw", "beam_time_s", "beam")  # of Points
 WELL_NS = 500_000_000  # so long a scan that lay on the map vouches for the place
 
 
@@ -245,12 +246,13 @@ class Mapper(Generic[ReadableMap]):
         if match.state == "ok" and (fault := self._motion_fault(match, at_ns)):
             match = replace(match, state="degraded", reason=fault)
         change = s.local_map.insert(match.points, match)
+        still = _still(match)
         self.counters["keyframes"] += change.is_keyframe
         if change.is_keyframe:
             s.motion_model.settle(change.error_left)
         covariance = predicted.local_covariance if match.measured is None else match.measured.covariance
         pose_map_odom = s.graph.add(
-            MappedScan(at_ns, match.points, match, change, covariance, predicted.elapsed_s, predicted.pause_s)
+            MappedScan(at_ns, still, match, change, covariance, predicted.elapsed_s, predicted.pause_s)
         )
         is_drawn = match.state != "lost" and self._place.is_found and not self._is_localizing
         match = self._place.judged(match, change, pose_map_odom)
@@ -259,9 +261,9 @@ class Mapper(Generic[ReadableMap]):
         else:
             self._placed_ns = at_ns if match.state != "lost" else None
         if is_drawn:  # nothing is where nobody knows the place
-            s.free_space.insert(match.points, pose_map_odom @ match.motion.pose_odom_base)
+            s.free_space.insert(still, pose_map_odom @ match.motion.pose_odom_base)
         if match.state == "ok" and self._place.is_proven and self._changes is not None:
-            self._changes.add(match.points, pose_map_odom @ match.motion.pose_odom_base, at_ns)
+            self._changes.add(still, pose_map_odom @ match.motion.pose_odom_base, at_ns)
             self._tell_changes(self._changes, at_ns)
         watch.lap("insert")
         self._state = match.state, match.reason
@@ -386,3 +388,11 @@ class LaserWatch:
         self.stamp_ns: int | None = None  # of its newest scan
         self.well_ns: int | None = None  # moment of its newest scan, if that lay on the map
         self.travelled_m = 0.0  # of the mapper, up to that scan
+
+
+def _still(match: Match) -> Points:
+    """The points of what does not move."""
+    if match.is_moving is None:
+        return match.points
+    kept = {name: getattr(match.points, name)[~match.is_moving] for name in POINT_ARRAYS}
+    return replace(match.points, **kept)

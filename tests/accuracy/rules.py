@@ -107,6 +107,11 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         {"_likelier": lambda _, aligned, attempt: aligned},
     ),
     (
+        "part of the scene moves where odometry and static walls agree ([35])",
+        f"{METHOD}.moving_scene",
+        {"MIN_CONFLICT_CHI2": math.inf},
+    ),
+    (
         "odometry that stands counts only where a vehicle can stand ([30])",
         "service.fusion.standstill.Standstill",
         {"says_nothing": lambda *_: False},

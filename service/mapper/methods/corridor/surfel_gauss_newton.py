@@ -29,7 +29,6 @@ from service.mapper.judgement import (
     Evidence,
     JudgementConfig,
     begun,
-    chi2_between,
     held,
     is_contradicted,
     is_loose,
@@ -47,15 +46,21 @@ from service.mapper.matchers.recovery import (
     search_around,
 )
 from service.mapper.matchers.window_search import layer_of
+from service.mapper.methods.corridor.attempt import Aligned, Attempt, chi2_of
+from service.mapper.methods.corridor.moving_scene import MovingScene
 from service.mapper.methods.corridor.posts import Posts, posts_of
 from service.mapper.methods.corridor.range_bias import RangeBias
-from service.mapper.methods.corridor.submaps import SURFEL_SIGMA_M, Submap, SurfelSubmaps
+from service.mapper.methods.corridor.submaps import (
+    LEAST_NORMAL_COSINE,
+    SURFEL_SIGMA_M,
+    Submap,
+    SurfelSubmaps,
+)
 from service.outputs import Reason, State
 
 Matrix = npt.NDArray[np.float64]
 
 INLIER_M = 0.10  # a point this near to its surfel lies on the map
-LEAST_NORMAL_COSINE = 0.6  # between a point and a surfel of the same wall
 ITERATIONS, DESKEW_ROUNDS = 15, 8
 SETTLED_M, SETTLED_RAD = 5e-4, 1e-4
 NEAR = 10.0  # times that, on surfels of whole cells: finer ones align from there
@@ -78,31 +83,6 @@ class SurfelMatcherConfig(JudgementConfig):
 
     wall_sigma_m: float = Field(default=0.004, gt=0.0)  # how even walls are
     cauchy_m: float = Field(default=0.10, gt=0.0)  # a point so far off counts half
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Attempt:
-    """A scan that is to be aligned with a map, and where the prediction puts it there."""
-
-    points: Points  # where their beams meet walls
-    unmoved: Points  # as they were measured
-    normals: Matrix  # (N, 3) from estimate_normals
-    posts: Posts | None  # where there are few walls
-    predicted: Prediction
-    prior: Prior
-    usual_ratio: float  # inlier ratio of this laser's scans of late
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Aligned:
-    """Where it ended on one sub-map."""
-
-    result: MatchResult
-    xy_base: Matrix  # (N, 2) m, deskewed with the twist found
-    submap: Submap
-    state: State
-    reason: Reason
-    is_contradicted: bool  # by free space and walls of the map; False where too much lies on it to ask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,6 +123,7 @@ class SurfelGaussNewton:
         self._bias = RangeBias()
         self._usual_ratios: dict[str, float] = {}  # by laser: each sees other things
         self._steady = SteadyMotion()
+        self._scene = MovingScene(self._align, config.degraded_sigma_m)
         self._was_contradicted = False  # the prediction, by the scan before
         self._rest_until_ns = 0  # no wide search before
         self._gap: _Gap | None = None
@@ -170,23 +151,30 @@ class SurfelGaussNewton:
         usual = self._usual_ratios.get(points.scan.sensor, 1.0)
         prior = _prior_of(predicted, self._gap)
         on_walls, normals = local_map.on_walls(points)
-        attempt = _Attempt(on_walls, points, normals, posts_of(points), predicted, prior, usual)
+        attempt = Attempt(on_walls, points, normals, posts_of(points), predicted, prior, usual)
         if local_map.pause_s:
             return self._on_piece(attempt, local_map, _unmeasured(local_map.pause_s), 0.0, False)
+        if (static := self._scene.match(attempt, submap)) is not None:
+            return self._as_match(static, attempt, static.state, static.reason)
         aligned = self._likelier(self._align(attempt, attempt.prior.pose, submap), attempt)
         aligned = self._searched(self._matched_as_if_driven_on(aligned, attempt), attempt)
         if aligned.state != "lost" and self._is_found(aligned, attempt):
+            aligned = self._scene.judge(aligned, attempt)
+            if aligned.is_moving is not None:
+                return self._as_match(aligned, attempt, aligned.state, aligned.reason)
             self._usual_ratios[points.scan.sensor] = usual + (aligned.result.share - usual) / USUAL_SCANS
             self._learn_bias(aligned, attempt, local_map)
             self._was_contradicted = aligned.result.prior_weight < LEAST_PRIOR_WEIGHT
             return self._as_match(aligned, attempt, aligned.state, aligned.reason)
+        if self._gap is None and (static := self._scene.explain(attempt, submap)) is not None:
+            return self._as_match(static, attempt, static.state, static.reason)
         return self._on_piece(
             attempt, local_map, aligned.reason, aligned.result.share, aligned.is_contradicted
         )
 
     def _on_piece(
         self,
-        attempt: _Attempt,
+        attempt: Attempt,
         local_map: SurfelSubmaps,
         reason: Reason,
         inlier_ratio: float,
@@ -204,7 +192,7 @@ class SurfelGaussNewton:
         reason = reason.reworded(f"{reason}; a detached map begins here until its place is found")
         return self._as_match(detached, attempt, "lost", reason)
 
-    def _is_found(self, aligned: _Aligned, attempt: _Attempt) -> bool:
+    def _is_found(self, aligned: Aligned, attempt: Attempt) -> bool:
         """Whether a scan that was mapped apart is accepted as lying on the map again.
 
         One find far from the prediction is a hypothesis, since rooms look alike; the next one must say the
@@ -220,7 +208,7 @@ class SurfelGaussNewton:
         last, self._hypothesis = self._hypothesis, found @ predicted.inverse()
         return last is not None and agree(last @ predicted, found)
 
-    def _as_match(self, aligned: _Aligned, attempt: _Attempt, state: State, reason: Reason) -> Match:
+    def _as_match(self, aligned: Aligned, attempt: Attempt, state: State, reason: Reason) -> Match:
         result = aligned.result
         x_m, y_m, theta_rad = result.pose.tolist()
         forward, left, turn = result.twist.tolist()
@@ -233,9 +221,10 @@ class SurfelGaussNewton:
         motion = Motion(pose, (forward, left, turn), result.covariance)
         moved_m = attempt.points.xy_base - attempt.unmoved.xy_base
         deskewed = replace(attempt.unmoved, xy_base=aligned.xy_base - moved_m)
-        return Match(motion, deskewed, result.share, state, reason, aligned.submap.number, measured)
+        match = Match(motion, deskewed, result.share, state, reason, aligned.submap.number, measured)
+        return match if aligned.is_moving is None else replace(match, is_moving=aligned.is_moving)
 
-    def _learn_bias(self, aligned: _Aligned, attempt: _Attempt, local_map: SurfelSubmaps) -> None:
+    def _learn_bias(self, aligned: Aligned, attempt: Attempt, local_map: SurfelSubmaps) -> None:
         if self._gap is not None or aligned.result.share < DOUBT_RATIO * attempt.usual_ratio:
             return
         sensor = attempt.points.scan.sensor
@@ -253,7 +242,7 @@ class SurfelGaussNewton:
         if offset_m:
             local_map.shorten(sensor, offset_m)
 
-    def _align(self, attempt: _Attempt, start: Matrix, submap: Submap, is_held: bool = False) -> _Aligned:
+    def _align(self, attempt: Attempt, start: Matrix, submap: Submap, is_held: bool = False) -> Aligned:
         """The match on a sub-map, begun at `start`, a pose as in the prior, and what to think of it.
 
         is_held: the prediction errs by no more than it says, and the map is asked what contradicts that.
@@ -287,12 +276,12 @@ class SurfelGaussNewton:
         )
         xy_base = xy_base[: len(points.xy_base)]
         evidence = self._evidence(result, xy_base, attempt, submap, is_held)
-        return _Aligned(
+        return Aligned(
             result, xy_base, submap, *judge(evidence, self._config), is_contradicted=is_contradicted(evidence)
         )
 
     def _evidence(
-        self, result: MatchResult, xy_base: Matrix, attempt: _Attempt, submap: Submap, is_asked: bool
+        self, result: MatchResult, xy_base: Matrix, attempt: Attempt, submap: Submap, is_asked: bool
     ) -> Evidence:
         prior = sigmas_of(attempt.prior.covariance)
         is_far = (
@@ -317,7 +306,7 @@ class SurfelGaussNewton:
             weakest=(result.weakest_sigma_m, result.weakest_direction_rad),
         )
 
-    def _likelier(self, aligned: _Aligned, attempt: _Attempt) -> _Aligned:
+    def _likelier(self, aligned: Aligned, attempt: Attempt) -> Aligned:
         """A match far from the prediction, or the one near it, where scan and prediction agree better; [33].
 
         Returns on ground that the map does not know cost as much as returns that contradict it, so a scan
@@ -337,7 +326,7 @@ class SurfelGaussNewton:
         )
         return near if cost_near + scan_cost < cost else aligned
 
-    def _matched_as_if_driven_on(self, aligned: _Aligned, attempt: _Attempt) -> _Aligned:
+    def _matched_as_if_driven_on(self, aligned: Aligned, attempt: Attempt) -> Aligned:
         """Where little of the scan lies on the map: the match begun where the vehicle would be had it gone on
         as before, if clearly more lies on the map there. Odometry may have died. Where the scan before
         contradicted its prediction, this one is asked always, and any more is enough.
@@ -355,7 +344,7 @@ class SurfelGaussNewton:
         gain = 0.0 if self._was_contradicted else GAIN
         return found if found.state != "lost" and found.result.share > share + gain else aligned
 
-    def _searched(self, aligned: _Aligned, attempt: _Attempt) -> _Aligned:
+    def _searched(self, aligned: Aligned, attempt: Attempt) -> Aligned:
         """The best pose of a window around the prediction, if clearly more of the scan lies on the map there.
 
         A poor recovery is worse than none: a prediction that goes on is found again, a jump is not.
@@ -388,7 +377,7 @@ class SurfelGaussNewton:
 
 
 def _with_posts(
-    attempt: _Attempt, posts: Posts, weighed: Matrix, heading_rad: float
+    attempt: Attempt, posts: Posts, weighed: Matrix, heading_rad: float
 ) -> tuple[Returns, Matrix, Matrix]:
     """The points of a scan, and behind them the middle of each post twice; what stood longer weighs more."""
     points = attempt.points
@@ -431,8 +420,7 @@ def _chance_chi2(predicted: Prediction) -> float:
 
 
 def _chi2(pose: Matrix, prior: Prior) -> float:
-    """How far a pose (3,) is from the prediction, in squared sigmas."""
-    return chi2_between(SE2(*prior.pose.tolist()), SE2(*pose.tolist()), prior.covariance)
+    return chi2_of(SE2(*pose.tolist()), prior)
 
 
 def _off(pose: Matrix, prior: Prior) -> Matrix:

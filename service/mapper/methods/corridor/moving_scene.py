@@ -1,0 +1,265 @@
+"""Whether part of the scene moves: what stands still, and odometry, against all that the laser sees; [35].
+
+A scan that is matched to people who walk beside the vehicle shows a vehicle that stands. Some hundred returns
+outweigh any odometry, so no weight of the prediction helps: it takes a decision about which returns belong to
+what stands still. What was seen from different places, over STATIC_PATH_M of the path, stands still whatever
+moves now. It decides between two hypotheses where the matched path leaves that of odometry and gyro:
+
+    laser      the matched pose is right, and odometry errs
+    odometry   the pose by odometry is right, and part of the scene moves
+
+Sources: Haehnel, Triebel, Burgard, Thrun, Map building with mobile robots in dynamic environments, ICRA 2003
+(a return belongs to the static map or does not); van de Ven, Ramos, Tipaldi, An integrated probabilistic
+model for scan matching, moving object detection and motion estimation, ICRA 2010 (motion and association).
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from service.fusion.motion import Prediction
+from service.geometry.se2 import SE2, wrap_angle
+from service.kernels.filter_state import STUDENT
+from service.kernels.match import Prior
+from service.mapper.judgement import LEAST_CONFIRMING, is_loose, sigmas_of
+from service.mapper.methods.corridor.attempt import Aligned, Attempt, Matrix, chi2_of
+from service.mapper.methods.corridor.submaps import Submap
+from service.outputs import NO_REASON, Reason, State
+
+WINDOW_NS, WINDOW_M = 1_000_000_000, 0.5  # over which both paths are compared, whichever is shorter
+SCALE_SIGMA = 0.02  # of odometry, common to the window
+MATCH_SIGMA_M, MATCH_SIGMA_RAD = 0.005, 0.003  # of the ends of the matched path
+MIN_CONFLICT_CHI2 = 16.3  # 99.9 % of three degrees of freedom
+RESIDUAL_SIGMA_M = 0.02  # of a return on a wall that stands still
+OUTLIER_SHARE = 0.1  # of the returns, which lie on no such wall by chance
+BEAMS_TOGETHER = 10  # neighbours see one thing: together they are one measurement of it
+MIN_ODOMETRY_NATS = -5.0  # evidence of static walls for odometry: below, odometry errs
+MIN_STATIC_SHARE = 0.2  # of the returns on static walls: with less, their evidence is none
+MIN_STATIC_AGREEMENT = 0.7  # of the beams that meet static walls or pass through them
+ON_WALL_M = 0.05
+MIN_MOVING_SHARE = 0.1  # of the returns, while part of the scene moves
+MAX_UNSEEN_S = (
+    1.0  # between two scans: after more, the vehicle may be elsewhere as well as the scene have moved
+)
+STILL_NS = 1_000_000_000  # with less for so long, the scene stands still again
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """Both paths at one scan."""
+
+    stamp_ns: int
+    reckoned: SE2  # by odometry and gyro
+    matched: SE2
+    variance_m2: float  # of `reckoned`, summed up
+    variance_rad2: float
+    travel_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Conflict:
+    """Where odometry and gyro put the base, though it was matched elsewhere; covariance (3, 3), base axes."""
+
+    pose: SE2
+    covariance: Matrix
+
+
+class Reckoning:
+    """The path by odometry and gyro beside the matched one."""
+
+    def __init__(self) -> None:
+        self._steps: deque[_Step] = deque()
+
+    def restart(self, stamp_ns: int, matched: SE2) -> None:
+        """Compare from here on."""
+        self._steps.clear()
+        self._steps.append(_Step(stamp_ns, SE2(), matched, 0.0, 0.0, 0.0))
+
+    def forget(self) -> None:
+        self._steps.clear()
+
+    def add(self, stamp_ns: int, predicted: Prediction, matched: SE2) -> Conflict | None:
+        """A scan, and where it was matched; the conflict where both paths do not agree."""
+        if predicted.reckoned is None or not self._steps:
+            self.restart(stamp_ns, matched)
+            return None
+        steps, step = self._steps, predicted.reckoned
+        last = steps[-1]
+        newest = _Step(
+            stamp_ns,
+            last.reckoned @ step.pose,
+            matched,
+            last.variance_m2 + step.variance_m2,
+            last.variance_rad2 + step.variance_rad2,
+            last.travel_m + math.hypot(step.pose.x_m, step.pose.y_m),
+        )
+        steps.append(newest)
+        while len(steps) > 2 and (
+            stamp_ns - steps[1].stamp_ns > WINDOW_NS or newest.travel_m - steps[1].travel_m > WINDOW_M
+        ):
+            steps.popleft()
+        return _conflict(steps[0], newest)
+
+
+def _conflict(begin: _Step, end: _Step) -> Conflict | None:
+    reckoned = begin.reckoned.inverse() @ end.reckoned
+    off = reckoned.inverse() @ begin.matched.inverse() @ end.matched
+    travel_m = end.travel_m - begin.travel_m
+    turn_rad2 = end.variance_rad2 - begin.variance_rad2 + MATCH_SIGMA_RAD**2
+    way_m2 = end.variance_m2 - begin.variance_m2 + (SCALE_SIGMA * travel_m) ** 2 + MATCH_SIGMA_M**2
+    way_m2 += turn_rad2 * travel_m**2 / 3.0  # the heading walks along the path
+    chi2 = (off.x_m**2 + off.y_m**2) / way_m2 + wrap_angle(off.theta_rad) ** 2 / turn_rad2
+    if chi2 <= MIN_CONFLICT_CHI2:
+        return None
+    return Conflict(begin.matched @ reckoned, np.diag([way_m2, way_m2, turn_rad2]))
+
+
+def evidence_nats(of_odometry: Matrix, of_laser: Matrix, beam: npt.NDArray[np.int32]) -> float:
+    """By how much likelier static walls are where odometry puts the base than where the laser does, nats.
+
+    of_odometry, of_laser   (N,) residuals at both poses, m; NaN where no static wall is
+    beam                    (N,) of the scan
+    """
+    ratio = _log_likelihood(of_odometry) - _log_likelihood(of_laser)
+    group = beam // BEAMS_TOGETHER
+    sums, counts = np.bincount(group, weights=ratio), np.bincount(group)
+    return float((sums[counts > 0] / counts[counts > 0]).sum())
+
+
+def _log_likelihood(residual_m: Matrix) -> Matrix:
+    on_wall = np.exp(-0.5 * (np.nan_to_num(residual_m, nan=np.inf) / RESIDUAL_SIGMA_M) ** 2)
+    likelihood: Matrix = np.log(OUTLIER_SHARE + (1.0 - OUTLIER_SHARE) * on_wall)
+    return likelihood
+
+
+class MovingScene:
+    """Watches the matches of a drive, and replaces those that what moves has led astray.
+
+    align               (attempt, start (3,), sub-map, is_held) -> the match; held to the prior, which then
+                        errs by no more than it says
+    degraded_sigma_m    a direction that is known worse is open
+    """
+
+    def __init__(
+        self, align: Callable[[Attempt, Matrix, Submap, bool], Aligned], degraded_sigma_m: float
+    ) -> None:
+        self._align = align
+        self._degraded_sigma_m = degraded_sigma_m
+        self._reckoning = Reckoning()
+        self._moves_until_ns: int | None = None  # at least; None: nothing moves
+
+    def match(self, attempt: Attempt, submap: Submap) -> Aligned | None:
+        """The match of what stands still, while part of the scene moves; None: it stands still again, or what
+        stands still contradicts odometry.
+        """
+        if self._moves_until_ns is None or attempt.stamp_ns > self._moves_until_ns:
+            self._moves_until_ns = None
+            return None
+        static, _share = self._align_static(attempt, attempt.prior, submap)
+        if is_loose(sigmas_of(static.result.covariance)):
+            self._moves_until_ns = None
+            return None
+        conflict = self._reckoning.add(attempt.stamp_ns, attempt.predicted, static.pose)
+        if conflict is None:
+            return self._accepted(static, attempt)
+        by_odometry, _share = self._align_static(attempt, _prior_at(conflict, attempt), submap)
+        if _evidence_nats(attempt, by_odometry, static) < MIN_ODOMETRY_NATS:
+            self._moves_until_ns = None
+            return None
+        return self._begun(by_odometry, attempt)
+
+    def judge(self, aligned: Aligned, attempt: Attempt) -> Aligned:
+        """An accepted match, or that of what stands still where part of the scene has led it astray."""
+        conflict = self._reckoning.add(attempt.stamp_ns, attempt.predicted, aligned.pose)
+        if attempt.predicted.elapsed_s > MAX_UNSEEN_S:
+            self._reckoning.restart(attempt.stamp_ns, aligned.pose)
+            return aligned
+        if conflict is None and aligned.result.share > 1.0 - MIN_MOVING_SHARE:
+            return aligned
+        if _moved_share(aligned) >= MIN_MOVING_SHARE:
+            prior = attempt.prior if conflict is None else _prior_at(conflict, attempt)
+            static, share = self._align_static(attempt, prior, aligned.submap)
+            if share >= MIN_STATIC_SHARE and _evidence_nats(attempt, static, aligned) >= MIN_ODOMETRY_NATS:
+                return self._begun(static, attempt)
+        if conflict is not None:
+            self._reckoning.restart(attempt.stamp_ns, aligned.pose)
+        return aligned
+
+    def explain(self, attempt: Attempt, submap: Submap) -> Aligned | None:
+        """The match of what stands still near the prediction, for a scan that the map contradicts: what moves
+        may hide walls, but no beam passes through them. None: that is not so.
+        """
+        if attempt.predicted.reckoned is None or attempt.predicted.elapsed_s > MAX_UNSEEN_S:
+            self._reckoning.forget()
+            return None
+        static, _share = self._align_static(attempt, attempt.prior, submap)
+        pose, xy_base = static.result.pose, static.xy_base
+        residual_m = submap.static_residuals(xy_base, attempt.normals, pose)
+        on_walls = int((np.abs(np.nan_to_num(residual_m, nan=np.inf)) < ON_WALL_M).sum())
+        through = submap.through_static(attempt.points, xy_base, pose)
+        if (
+            on_walls < LEAST_CONFIRMING
+            or on_walls < MIN_STATIC_AGREEMENT * (on_walls + through)
+            or is_loose(sigmas_of(static.result.covariance))
+        ):
+            self._reckoning.forget()
+            return None
+        return self._begun(static, attempt)
+
+    def _align_static(self, attempt: Attempt, prior: Prior, submap: Submap) -> tuple[Aligned, float]:
+        """The match of the points on static walls, from a prior, and their share of all."""
+        residual_m = submap.static_residuals(attempt.points.xy_base, attempt.normals, prior.pose)
+        is_static = np.isfinite(residual_m)
+        normals = attempt.normals.copy()
+        normals[~is_static, 2] = 0.0
+        static = replace(attempt, normals=normals, prior=prior)
+        return self._align(static, prior.pose, submap, True), float(is_static.mean())
+
+    def _begun(self, static: Aligned, attempt: Attempt) -> Aligned:
+        self._reckoning.restart(attempt.stamp_ns, static.pose)
+        self._moves_until_ns = attempt.stamp_ns + STILL_NS
+        return self._accepted(static, attempt)
+
+    def _accepted(self, static: Aligned, attempt: Attempt) -> Aligned:
+        """With the weight that the prediction has by its own distribution, and what is not to be mapped."""
+        is_moving = static.submap.moved(static.xy_base, static.result.pose)
+        moving_share = float(is_moving.mean())
+        if moving_share >= MIN_MOVING_SHARE:
+            self._moves_until_ns = attempt.stamp_ns + STILL_NS
+        state: State = "ok"
+        reason = NO_REASON
+        if static.result.weakest_sigma_m > self._degraded_sigma_m or static.result.used < LEAST_CONFIRMING:
+            state = "degraded"
+            reason = Reason(
+                "scene_moves",
+                f"{moving_share:.0%} of the returns move or lie where nothing stood before, and what stands "
+                "still does not fix the position; the pose follows the prediction there",
+            )
+        chi2 = chi2_of(static.pose, attempt.prior)
+        weight = min(1.0, (STUDENT + 3.0) / (STUDENT + chi2))
+        result = static.result._replace(prior_weight=weight)
+        return replace(static, result=result, state=state, reason=reason, is_moving=is_moving)
+
+
+def _moved_share(aligned: Aligned) -> float:
+    """Of the returns, those that lie where nothing stood before."""
+    return float(aligned.submap.moved(aligned.xy_base, aligned.result.pose).mean())
+
+
+def _prior_at(conflict: Conflict, attempt: Attempt) -> Prior:
+    pose = conflict.pose
+    at = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+    return attempt.prior._replace(pose=at, covariance=conflict.covariance)
+
+
+def _evidence_nats(attempt: Attempt, by_odometry: Aligned, by_laser: Aligned) -> float:
+    """As evidence_nats, of a scan that was aligned in two ways on one sub-map."""
+    of_odometry, of_laser = (
+        one.submap.static_residuals(one.xy_base, attempt.normals, one.result.pose)
+        for one in (by_odometry, by_laser)
+    )
+    return evidence_nats(of_odometry, of_laser, attempt.points.beam)
