@@ -22,7 +22,8 @@ def group_by_wall(xy, normals, sigma_m, group):
     Returns how many there are.
     """
     count = xy.shape[0]
-    group[:] = -1
+    for i in range(count):
+        group[i] = -1
     groups = 0
     for i in range(count):
         if group[i] >= 0:
