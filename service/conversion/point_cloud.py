@@ -124,7 +124,7 @@ class CloudConverter:
         np.minimum.at(beams, index[inside], range_m[inside])
         if sweep is not None:
             interval_ns = round(step_rad / abs(sweep.rate_radps) * 1e9)
-            period_ns = interval_ns * count
+            period_ns = round(math.tau / abs(sweep.rate_radps) * 1e9)
             stamp_ns += round((direction * first_rad - sweep.angle_rad) / sweep.rate_radps * 1e9)
         return LaserScan(
             sensor=sensor,

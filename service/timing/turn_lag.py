@@ -68,7 +68,13 @@ class TurnLag:
         sampled, turn = (samples[:, 0] - began_ns) * 1e-9, np.unwrap(samples[:, 1])
         is_known = (times > sampled[0] + MOST_LAG_S) & (times < sampled[-1] - MOST_LAG_S)
         gap = np.diff(times)
-        pairs = is_known[1:] & is_known[:-1] & (gap <= LONGEST_GAP_S) & np.isfinite(np.diff(heading))
+        pairs = (
+            is_known[1:]
+            & is_known[:-1]
+            & (gap > 0.0)
+            & (gap <= LONGEST_GAP_S)
+            & np.isfinite(np.diff(heading))
+        )
         if pairs.sum() < LEAST_PAIRS:
             return None
         turned = (np.diff(heading)[pairs] + math.pi) % math.tau - math.pi
